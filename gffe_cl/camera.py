@@ -1,0 +1,193 @@
+"""Poses and pinholes.
+
+Conventions: `world_to_view` is a rigid 4×4 matrix for column vectors; the view axes are x right, y down,
+z forward; the projection is an off-centre pinhole in pixels, the centre of pixel (i, j) being
+(i + 0.5, j + 0.5). All arithmetic here is float64; kernels only ever see view → view transforms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gffe_cl.errors import GffeError
+
+_RIGIDITY_TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera.
+
+    Parameters
+    ----------
+    world_to_view : (4, 4) float64
+        Rigid transform (a mirrored one too: left-handed worlds); x right, y down, z forward.
+    fx, fy : float
+        Focal lengths in pixels, > 0.
+    cx, cy : float
+        Principal point in pixels from the top left corner; jitter is part of it.
+
+    Raises
+    ------
+    GffeError
+        If the matrix is not 4×4, not finite or not rigid, or the projection is singular.
+    """
+
+    world_to_view: np.ndarray
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self):
+        try:
+            matrix = np.array(self.world_to_view, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise GffeError("camera: world_to_view is not a 4×4 matrix of numbers") from None
+        if matrix.shape != (4, 4):
+            raise GffeError(f"camera: world_to_view must be 4×4, got {'×'.join(map(str, matrix.shape))}")
+        try:
+            intrinsics = [float(getattr(self, name)) for name in ("fx", "fy", "cx", "cy")]
+        except (TypeError, ValueError):
+            raise GffeError("camera: fx, fy, cx, cy must be numbers") from None
+        if not (np.isfinite(matrix).all() and np.isfinite(intrinsics).all()):
+            raise GffeError("camera: not finite (world_to_view, fx, fy, cx and cy must be finite numbers)")
+        rotation = matrix[:3, :3]
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > _RIGIDITY_TOLERANCE:
+            raise GffeError("camera: world_to_view is singular or not rigid (expected a rotation and a translation)")
+        if np.abs(matrix[3] - (0, 0, 0, 1)).max() > 1e-9:
+            raise GffeError("camera: the last row of world_to_view must be 0 0 0 1 (column vectors)")
+        if intrinsics[0] <= 0 or intrinsics[1] <= 0:
+            raise GffeError(
+                f"camera: singular projection, fx and fy must be positive, got {self.fx:g} and {self.fy:g}"
+            )
+        matrix.setflags(write=False)
+        object.__setattr__(self, "world_to_view", matrix)
+        for name, value in zip(("fx", "fy", "cx", "cy"), intrinsics, strict=True):
+            object.__setattr__(self, name, value)
+
+    def __eq__(self, other):
+        return (
+            isinstance(other, Camera)
+            and np.array_equal(self.world_to_view, other.world_to_view)
+            and self.intrinsics == other.intrinsics
+        )
+
+    __hash__ = None
+
+    @classmethod
+    def look_at(cls, position, target, up, fx, fy, cx, cy) -> Camera:
+        """Camera at `position` looking at `target` (world units); `up` is a world direction."""
+        position = np.asarray(position, np.float64)
+        return cls.from_pose(position, np.asarray(target, np.float64) - position, up, fx, fy, cx, cy)
+
+    @classmethod
+    def from_pose(cls, position, direction, up, fx, fy, cx, cy) -> Camera:
+        """Camera from the paper's pose vectors (v_pos, v_dir, v_up), re-orthonormalised."""
+        forward = _normalised(direction, "direction")
+        right = np.cross(forward, np.asarray(up, np.float64))
+        right = _normalised(right, "up (parallel to the direction)")
+        down = np.cross(forward, right)
+        matrix = np.eye(4)
+        matrix[:3, :3] = (right, down, forward)
+        matrix[:3, 3] = -matrix[:3, :3] @ np.asarray(position, np.float64)
+        return cls(matrix, fx, fy, cx, cy)
+
+    @property
+    def intrinsics(self) -> tuple[float, float, float, float]:
+        return (self.fx, self.fy, self.cx, self.cy)
+
+    @property
+    def position(self) -> np.ndarray:
+        """(3,) world position."""
+        return -np.linalg.solve(self.world_to_view[:3, :3], self.world_to_view[:3, 3])
+
+    @property
+    def direction(self) -> np.ndarray:
+        """(3,) world direction of view."""
+        return self.world_to_view[2, :3].copy()
+
+    @property
+    def up(self) -> np.ndarray:
+        """(3,) world direction of the top of the image."""
+        return -self.world_to_view[1, :3]
+
+    @property
+    def view_to_world(self) -> np.ndarray:
+        return np.linalg.inv(self.world_to_view)
+
+    def project(self, world_pos) -> tuple[np.ndarray, np.ndarray]:
+        """World positions (..., 3) → pixel positions (..., 2) and view depths (...)."""
+        view_pos = np.asarray(world_pos, np.float64) @ self.world_to_view[:3, :3].T + self.world_to_view[:3, 3]
+        depth = view_pos[..., 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            x = self.fx * view_pos[..., 0] / depth + self.cx
+            y = self.fy * view_pos[..., 1] / depth + self.cy
+        return np.stack([x, y], -1), depth
+
+    def unproject(self, px, depth) -> np.ndarray:
+        """Pixel positions (..., 2) and view depths (...) → world positions (..., 3)."""
+        px, depth = np.asarray(px, np.float64), np.asarray(depth, np.float64)
+        view_pos = np.stack(
+            [(px[..., 0] - self.cx) / self.fx * depth, (px[..., 1] - self.cy) / self.fy * depth, depth], -1
+        )
+        matrix = self.view_to_world
+        return view_pos @ matrix[:3, :3].T + matrix[:3, 3]
+
+    def to_view_of(self, other: Camera) -> np.ndarray:
+        """(4, 4) float64: view space of this camera → view space of `other`; exactly 1 for equal poses."""
+        if np.array_equal(self.world_to_view, other.world_to_view):
+            return np.eye(4)
+        return other.world_to_view @ self.view_to_world
+
+    def scaled(self, scale_x: float, scale_y: float) -> Camera:
+        """The same frustum on an image whose sides are `scale_x`, `scale_y` times as many pixels."""
+        return replace(
+            self, fx=self.fx * scale_x, fy=self.fy * scale_y, cx=self.cx * scale_x, cy=self.cy * scale_y
+        )
+
+    def moved(self, offset) -> Camera:
+        """The same camera after the whole world has moved by `offset` (3,) world units."""
+        matrix = self.world_to_view.copy()
+        matrix[:3, 3] -= matrix[:3, :3] @ np.asarray(offset, np.float64)
+        return replace(self, world_to_view=matrix)
+
+
+def predict_camera(previous: Camera, current: Camera, alpha: float) -> Camera:
+    """C̄ = C_t + α (C_t − C_{t−1}), the predicted camera at t + α.
+
+    Per pose vector (position, direction, up), re-orthonormalised, and likewise fx and fy; cx and cy stay.
+    Paper: 'Adaptive rendering window'. `alpha` is in intervals between rendered frames and may exceed 1.
+    """
+
+    def ahead(a, b):
+        return b + alpha * (b - a)
+
+    direction = ahead(previous.direction, current.direction)
+    up = ahead(previous.up, current.up)
+    if np.linalg.norm(np.cross(direction, up)) < 1e-6 * np.linalg.norm(direction) * np.linalg.norm(up):
+        up = current.up
+    predicted = Camera.from_pose(
+        ahead(previous.position, current.position),
+        direction,
+        up,
+        max(ahead(previous.fx, current.fx), current.fx * 0.1),
+        max(ahead(previous.fy, current.fy), current.fy * 0.1),
+        current.cx,
+        current.cy,
+    )
+    if np.linalg.det(current.world_to_view[:3, :3]) < 0:  # left-handed world
+        matrix = predicted.world_to_view.copy()
+        matrix[0] *= -1
+        predicted = replace(predicted, world_to_view=matrix)
+    return predicted
+
+
+def _normalised(vector, name) -> np.ndarray:
+    vector = np.asarray(vector, np.float64)
+    length = np.linalg.norm(vector)
+    if not np.isfinite(length) or length < 1e-12:
+        raise GffeError(f"camera: {name} has no length")
+    return vector / length

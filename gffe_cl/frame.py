@@ -1,0 +1,132 @@
+"""Buffers of a frame, on the host.
+
+A frame's arrays may be NumPy arrays or OpenCL buffers (`pyopencl.Buffer` or `pyopencl.array.Array`) of the
+pipeline's context; device buffers are used in place. Layouts on the device: colour half ×4, depth float,
+motion float ×2, row-major.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from gffe_cl.camera import Camera
+from gffe_cl.errors import GffeError
+
+HALF_MAX = 65504.0
+
+
+@dataclass
+class RenderedFrame:
+    """One finished frame of the renderer at time t.
+
+    Parameters
+    ----------
+    color : (H, W, 3 or 4) float, linear scene-referred RGB; or a device buffer of half ×4
+    depth : (H, W) float32, planar view-space z in world units, +inf for sky; or a device buffer of float
+    motion : (H, W, 2) float32, pixels: (position in the previous rendered frame) − (position here); or a
+        device buffer of float ×2. May be None on a reset frame.
+    camera : Camera
+        What was rasterised (the render camera), in pixels of these arrays.
+    time : float
+        Seconds.
+    display_camera : Camera or None
+        What is shown; None if it is the render camera.
+    reset : bool
+        Nothing before this frame may be used (scene cut, teleport, start).
+    """
+
+    color: Any
+    depth: Any
+    motion: Any
+    camera: Camera
+    time: float
+    display_camera: Camera | None = None
+    reset: bool = False
+
+    @property
+    def shown_camera(self) -> Camera:
+        return self.display_camera or self.camera
+
+
+@dataclass
+class BadPixels:
+    """How many pixels of a frame could not be taken at face value (they are survived, not errors)."""
+
+    color: int = 0  # NaN or infinite; NaN counts as 0
+    clamped: int = 0  # magnitude over 65504, clamped
+    depth: int = 0  # NaN or ≤ 0: neither splatted nor collected
+    motion: int = 0  # NaN or infinite: dynamic without history
+
+    def __add__(self, other: BadPixels) -> BadPixels:
+        return BadPixels(*(getattr(self, n) + getattr(other, n) for n in self.__dataclass_fields__))
+
+    def __bool__(self) -> bool:
+        return any(getattr(self, n) for n in self.__dataclass_fields__)
+
+    def __str__(self) -> str:
+        words = {
+            "color": "NaN or infinite colour",
+            "clamped": "colour over 65504",
+            "depth": "invalid depth (NaN or ≤ 0)",
+            "motion": "NaN or infinite motion",
+        }
+        return ", ".join(f"{getattr(self, n)} × {text}" for n, text in words.items() if getattr(self, n))
+
+
+@dataclass
+class PackedFrame:
+    """A frame's arrays as the device wants them: color (H, W, 4) float16, depth (H, W) float32,
+    motion (H, W, 2) float32; and the count of bad pixels met on the way."""
+
+    color: np.ndarray
+    depth: np.ndarray
+    motion: np.ndarray
+    bad: BadPixels = field(default_factory=BadPixels)
+
+
+def pack_frame(frame: RenderedFrame, height: int, width: int) -> PackedFrame:
+    """Check shapes and convert a host frame to device layout, counting bad pixels (design: bad pixels).
+
+    Raises GffeError for a structural fault: wrong shape, or motion missing although the frame is no reset.
+    """
+    color = _shaped(frame.color, "color", (height, width, (3, 4)))
+    depth = _shaped(frame.depth, "depth", (height, width))
+    bad = BadPixels()
+
+    packed = np.zeros((height, width, 4), np.float16)
+    rgb = color[..., :3]
+    finite = np.isfinite(rgb)
+    over = np.abs(rgb) > HALF_MAX
+    if not finite.all() or over.any():
+        bad.color = int((~finite).any(-1).sum())
+        bad.clamped = int((over & finite).any(-1).sum())
+        rgb = np.clip(np.nan_to_num(rgb, nan=0.0, posinf=HALF_MAX, neginf=-HALF_MAX), -HALF_MAX, HALF_MAX)
+    packed[..., :3] = rgb
+
+    depth = np.ascontiguousarray(depth, np.float32)
+    bad.depth = int((~(depth > 0)).sum())
+
+    if frame.motion is None:
+        if not frame.reset:
+            raise GffeError(f"frame at {frame.time:g} s: motion is missing (only reset frames may lack it)")
+        motion = np.zeros((height, width, 2), np.float32)
+    else:
+        motion = np.ascontiguousarray(_shaped(frame.motion, "motion", (height, width, 2)), np.float32)
+        bad.motion = int((~np.isfinite(motion)).any(-1).sum())
+    return PackedFrame(packed, depth, motion, bad)
+
+
+def _shaped(array, name, shape) -> np.ndarray:
+    array = np.asarray(array)
+    fits = array.ndim == len(shape) and all(
+        n in want if isinstance(want, tuple) else n == want for n, want in zip(array.shape, shape, strict=False)
+    )
+    if not fits:
+        want = ", ".join(" or ".join(map(str, n)) if isinstance(n, tuple) else str(n) for n in shape)
+        raise GffeError(f"frame: {name} must have shape ({want}), got {array.shape}")
+    if not np.issubdtype(array.dtype, np.floating):
+        raise GffeError(f"frame: {name} must be floating point, got {array.dtype}")
+    return array

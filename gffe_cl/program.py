@@ -1,0 +1,81 @@
+"""Building kernels from `kernels/*.cl`.
+
+Includes are expanded here, with `#line`, so that every build error names the real file and line and the
+driver's build cache sees the whole text.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from importlib.resources import files
+from pathlib import Path
+
+import pyopencl as cl
+
+from gffe_cl.device import Device
+from gffe_cl.errors import GffeError
+
+_INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
+
+
+class Program:
+    """The kernels of one file; each kernel object is made once and is an attribute: `program.splat(…)`."""
+
+    def __init__(self, device: Device, name: str, variant: dict[str, int]):
+        self.name = name
+        options = [f"-D{key}={value}" for key, value in sorted(variant.items())]
+        source = expand(f"{name}.cl")
+        try:
+            built = cl.Program(device.context, source).build(options=options)
+        except cl.RuntimeError as error:
+            raise GffeError(f"kernels/{name}.cl does not build on {device.info.name}:\n{_log(error)}") from None
+        self.kernels = {kernel.function_name: kernel for kernel in built.all_kernels()}
+
+    def __getattr__(self, name):
+        try:
+            return self.__dict__["kernels"][name]
+        except KeyError:
+            raise AttributeError(f"kernels/{self.__dict__.get('name')}.cl has no kernel '{name}'") from None
+
+
+def build(device: Device, name: str, **variant: int) -> Program:
+    """Build `kernels/<name>.cl` for `device`; `variant` becomes -D options (true variants only).
+
+    Raises GffeError with the compiler's log (file and line) when it does not build.
+    """
+    return Program(device, name, variant)
+
+
+def kernel_folder() -> Path:
+    """Where kernel sources are read from: `GFFE_KERNELS`, else the installed package."""
+    return Path(os.environ.get("GFFE_KERNELS") or str(files("gffe_cl.kernels")))
+
+
+def expand(name: str) -> str:
+    """Text of `kernels/<name>` with its includes in place and `#line` directives."""
+    return "\n".join(_expanded_lines(name, set())) + "\n"
+
+
+def _expanded_lines(name: str, seen: set[str]) -> list[str]:
+    seen.add(name)
+    path = kernel_folder() / name
+    try:
+        text = path.read_text()
+    except OSError as error:
+        raise GffeError(f"{path}: cannot read kernel source: {error.strerror}") from None
+    lines = [f'#line 1 "{name}"']
+    for number, line in enumerate(text.splitlines(), 1):
+        include = _INCLUDE.match(line)
+        if include is None:
+            lines.append(line)
+            continue
+        if include[1] not in seen:
+            lines += _expanded_lines(include[1], seen)
+        lines.append(f'#line {number + 1} "{name}"')
+    return lines
+
+
+def _log(error: Exception) -> str:
+    lines = [line for line in str(error).splitlines() if line.strip()]
+    return "\n".join(line for line in lines if not line.startswith(("(options:", "(source saved"))) or str(error)

@@ -1,0 +1,84 @@
+/* Shared by all kernels. Conventions: row-major images, origin top left, y down; the centre of pixel (i, j) is
+   (i + 0.5, j + 0.5); depth is planar view-space z, +inf for sky; half is storage, never arithmetic. */
+
+#pragma OPENCL FP_CONTRACT OFF
+
+#define INVALID_DEPTH(z) (!((z) > 0.0f))  /* NaN, zero, negative */
+#define HALF_MAX 65504.0f
+
+/* Pinhole intrinsics in pixels: (fx, fy, cx, cy). */
+typedef float4 Pinhole;
+
+/* View space of a source camera -> view space of a target camera, with both projections. Rows of a rigid 3x4. */
+typedef struct {
+    float4 row0, row1, row2;
+    float4 source;          /* fx, fy, cx, cy */
+    float4 source_inverse;  /* 1/fx, 1/fy, cx, cy */
+    float4 target;          /* fx, fy, cx, cy */
+} Reprojection;
+
+/* a / b, correctly rounded but for one case in millions, from a division that is good to a few ulp:
+   the remainder a - q b is computed exactly (Dekker's product) and its quotient added.
+   Plain division where a magnitude would leave the range in which that is exact. */
+inline float divide(const float a, const float b) {
+    const float q = a / b;
+    const float size = fabs(q), size_b = fabs(b);
+    if (!(size > 1e-15f && size < 1e15f && size_b > 1e-15f && size_b < 1e15f)) return q;
+    const float q_c = q * 4097.0f, b_c = b * 4097.0f;
+    const float q_hi = q_c - (q_c - q), b_hi = b_c - (b_c - b);
+    const float q_lo = q - q_hi, b_lo = b - b_hi;
+    const float product = q * b;
+    const float error = ((q_hi * b_hi - product) + q_hi * b_lo + q_lo * b_hi) + q_lo * b_lo;
+    const float remainder = (a - product) - error;
+    return q + remainder / b;
+}
+
+inline float2 pixel_centre(const int x, const int y) { return (float2)((float)x + 0.5f, (float)y + 0.5f); }
+
+inline bool inside(const int x, const int y, const int width, const int height) {
+    return x >= 0 && y >= 0 && x < width && y < height;
+}
+
+/* Pixel position and depth -> view space. For sky (z = inf) the direction with z = 1. */
+inline float3 unproject(const float2 px, const float z, const Pinhole inverse) {
+    const float scale = isinf(z) ? 1.0f : z;
+    return (float3)((px.x - inverse.z) * inverse.x * scale, (px.y - inverse.w) * inverse.y * scale, scale);
+}
+
+inline float3 rotate_to_target(const float3 v, const Reprojection r) {
+    return (float3)(r.row0.x * v.x + r.row0.y * v.y + r.row0.z * v.z,
+                    r.row1.x * v.x + r.row1.y * v.y + r.row1.z * v.z,
+                    r.row2.x * v.x + r.row2.y * v.y + r.row2.z * v.z);
+}
+
+inline float3 move_to_target(const float3 v, const Reprojection r) {
+    const float3 rotated = rotate_to_target(v, r);
+    return (float3)(rotated.x + r.row0.w, rotated.y + r.row1.w, rotated.z + r.row2.w);
+}
+
+/* View space -> pixel position; z must be > 0. */
+inline float2 project(const float3 v, const Pinhole camera) {
+    return (float2)(divide(camera.x * v.x, v.z) + camera.z, divide(camera.y * v.y, v.z) + camera.w);
+}
+
+/* Source pixel position and depth -> (target px, target z). Sky turns but does not move: z stays inf.
+   z <= 0 in the result: behind the target camera, px undefined. */
+inline float3 reproject(const float2 px, const float z, const Reprojection r) {
+    const float3 view_pos = unproject(px, z, r.source_inverse);
+    const bool sky = isinf(z);
+    const float3 target_pos = sky ? rotate_to_target(view_pos, r) : move_to_target(view_pos, r);
+    if (!(target_pos.z > 0.0f)) return (float3)(0.0f, 0.0f, -1.0f);
+    return (float3)(project(target_pos, r.target), sky ? INFINITY : target_pos.z);
+}
+
+/* Linear RGB of pixel i; NaN counts as 0, infinities are clamped. */
+inline float3 load_color(__global const half *color, const int i) {
+    const float3 c = vload_half4(i, color).xyz;
+    return (float3)(isnan(c.x) ? 0.0f : clamp(c.x, -HALF_MAX, HALF_MAX),
+                    isnan(c.y) ? 0.0f : clamp(c.y, -HALF_MAX, HALF_MAX),
+                    isnan(c.z) ? 0.0f : clamp(c.z, -HALF_MAX, HALF_MAX));
+}
+
+inline void store_color(const float3 c, __global half *color, const int i) {
+    vstore_half4_rte((float4)(clamp(c, -HALF_MAX, HALF_MAX), 0.0f), i, color);
+}
