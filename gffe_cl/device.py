@@ -37,6 +37,7 @@ class DeviceInfo:
     index: str  # "platform:device"
     name: str
     platform: str
+    version: str  # of the platform; names PoCL, which calls itself "Portable Computing Language"
     driver: str
     kind: str  # "gpu", "cpu" or "other"
     works: bool = False
@@ -45,9 +46,10 @@ class DeviceInfo:
     megapixels_per_second: float = 0.0  # of the probe kernel; only for ranking
 
     def matches(self, wanted: str) -> bool:
-        """`wanted`: an index ("0:1"), a kind ("gpu") or part of the platform's or device's name."""
+        """`wanted`: an index ("0:1"), a kind ("gpu") or part of the platform's or device's name
+        or of the platform's version ("pocl")."""
         wanted = wanted.strip().lower()
-        return wanted in (self.index, self.kind) or wanted in f"{self.platform} {self.name}".lower()
+        return wanted in (self.index, self.kind) or wanted in f"{self.platform} {self.version} {self.name}".lower()
 
 
 class Device:
@@ -158,7 +160,14 @@ def _probe_in_child(skip: set[str]) -> list[DeviceInfo]:
 
 def _probe(index: str, platform: cl.Platform, device: cl.Device) -> None:
     kind = "gpu" if device.type & cl.device_type.GPU else "cpu" if device.type & cl.device_type.CPU else "other"
-    info = DeviceInfo(index, device.name.strip(), platform.name.strip(), device.driver_version.strip(), kind)
+    info = DeviceInfo(
+        index,
+        device.name.strip(),
+        platform.name.strip(),
+        platform.version.strip(),
+        device.driver_version.strip(),
+        kind,
+    )
     print(json.dumps(asdict(info)), flush=True)  # names the culprit should the driver crash now
     try:
         context = cl.Context([device])

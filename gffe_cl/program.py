@@ -77,5 +77,6 @@ def _expanded_lines(name: str, seen: set[str]) -> list[str]:
 
 
 def _log(error: Exception) -> str:
-    lines = [line for line in str(error).splitlines() if line.strip()]
-    return "\n".join(line for line in lines if not line.startswith(("(options:", "(source saved"))) or str(error)
+    noise = ("clBuildProgram failed", "Build on", "(options:", "(source saved", "Compilation ")
+    lines = [line for line in str(error).splitlines() if line.strip() and not line.startswith(noise)]
+    return "\n".join(lines) or str(error)

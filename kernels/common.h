@@ -4,7 +4,7 @@
 #pragma OPENCL FP_CONTRACT OFF
 
 #define INVALID_DEPTH(z) (!((z) > 0.0f))  /* NaN, zero, negative */
-#define HALF_MAX 65504.0f
+#define COLOR_MAX 65504.0f
 
 /* Pinhole intrinsics in pixels: (fx, fy, cx, cy). */
 typedef float4 Pinhole;
@@ -74,11 +74,11 @@ inline float3 reproject(const float2 px, const float z, const Reprojection r) {
 /* Linear RGB of pixel i; NaN counts as 0, infinities are clamped. */
 inline float3 load_color(__global const half *color, const int i) {
     const float3 c = vload_half4(i, color).xyz;
-    return (float3)(isnan(c.x) ? 0.0f : clamp(c.x, -HALF_MAX, HALF_MAX),
-                    isnan(c.y) ? 0.0f : clamp(c.y, -HALF_MAX, HALF_MAX),
-                    isnan(c.z) ? 0.0f : clamp(c.z, -HALF_MAX, HALF_MAX));
+    return (float3)(isnan(c.x) ? 0.0f : clamp(c.x, -COLOR_MAX, COLOR_MAX),
+                    isnan(c.y) ? 0.0f : clamp(c.y, -COLOR_MAX, COLOR_MAX),
+                    isnan(c.z) ? 0.0f : clamp(c.z, -COLOR_MAX, COLOR_MAX));
 }
 
 inline void store_color(const float3 c, __global half *color, const int i) {
-    vstore_half4_rte((float4)(clamp(c, -HALF_MAX, HALF_MAX), 0.0f), i, color);
+    vstore_half4_rte((float4)(clamp(c, -COLOR_MAX, COLOR_MAX), 0.0f), i, color);
 }

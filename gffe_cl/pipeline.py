@@ -1,0 +1,268 @@
+"""The order of the stages, and the state between frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+import pyopencl.array
+
+from gffe_cl.camera import Camera, predict_camera
+from gffe_cl.device import Device
+from gffe_cl.errors import GffeError
+from gffe_cl.frame import BadPixels, PackedFrame, RenderedFrame, pack_frame
+from gffe_cl.stage import BufferSpec, Sizes, Stage
+from gffe_cl.stages.history import HistoryTracking
+from gffe_cl.stages.holes import HoleFilling
+from gffe_cl.stages.prediction import MAX_ORDER, PositionPrediction
+from gffe_cl.stages.warp import BY_HOLE_FILLING, Warp
+
+__all__ = ["BY_HOLE_FILLING", "DeviceFrame", "ExtrapolatedFrame", "Options", "Pipeline"]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the pipeline does; the defaults are the recommended settings.
+
+    Attributes
+    ----------
+    history : k, positions kept per fragment, the current one included (2 … 5)
+    order : m, degree of the position prediction; 1 is linear, at most k − 1
+    static_threshold : ε in pixels, or None to follow the noise of the data
+    motion : False treats everything as static
+    crack_closing : False splats single pixels, as in the paper
+    hole_filling : False leaves disoccluded pixels black at infinite depth
+    """
+
+    history: int = 2
+    order: int = 1
+    static_threshold: float | None = None
+    motion: bool = True
+    crack_closing: bool = True
+    hole_filling: bool = True
+
+    def __post_init__(self):
+        if not 2 <= self.history <= MAX_ORDER + 1:
+            raise GffeError(f"options: history must be 2 to {MAX_ORDER + 1} positions, got {self.history}")
+        if not 1 <= self.order < self.history:
+            raise GffeError(
+                f"options: order must be 1 to history − 1 = {self.history - 1}, got {self.order}"
+            )
+        if self.static_threshold is not None and not (0 <= self.static_threshold < float("inf")):
+            raise GffeError(
+                f"options: static threshold must be a number of pixels ≥ 0, got {self.static_threshold}"
+            )
+
+
+@dataclass
+class DeviceFrame:
+    """A rendered frame on the device: `color` half ×4, `depth` float, `motion` float ×2 (OpenCL buffers)."""
+
+    color: cl.Buffer
+    depth: cl.Buffer
+    motion: cl.Buffer
+    camera: Camera
+    display_camera: Camera
+    time: float
+
+
+@dataclass(frozen=True)
+class ExtrapolatedFrame:
+    """An extrapolated frame at t + α.
+
+    `color` (half ×4, linear RGB), `depth` (float, world units, +inf sky), `motion` (float ×2, pixels,
+    t + α → t, into the rendered image of t), `dynamic`, `disoccluded`, `filled_by` (uchar) are device buffers of
+    the pipeline: they hold this frame until its next `extrapolate`.
+    """
+
+    camera: Camera
+    time: float
+    alpha: float
+    source_time: float
+    color: cl.Buffer
+    depth: cl.Buffer
+    motion: cl.Buffer
+    dynamic: cl.Buffer
+    disoccluded: cl.Buffer
+    filled_by: cl.Buffer
+    _stage: Stage
+
+    def numpy(self, name: str) -> np.ndarray:
+        """Copy to the host: "color" (H, W, 3) float16, "depth" (H, W) float32, "motion" (H, W, 2) float32,
+        "dynamic", "disoccluded", "filled_by" (H, W) uint8."""
+        array = self._stage.read(name)
+        return array[..., :3] if name == "color" else array
+
+
+class Pipeline:
+    """Extrapolates frames from the rendered frames submitted so far.
+
+    Parameters
+    ----------
+    device : Device
+    width, height : int
+        Of the extrapolated (display) image, pixels.
+    options : Options
+    render_size : (int, int) or None
+        Width and height of the rendered images where they differ from the display's.
+    fps : float
+        Rendered frames per second, used for α until two frames are known.
+    int64_atomics : bool or None
+        Force or forbid the 64-bit path of the warp; None: as the device can. Both give the same bits.
+
+    Nothing is allocated or compiled after construction, but for uploads of host arrays.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        width: int,
+        height: int,
+        options: Options | None = None,
+        *,
+        render_size: tuple[int, int] | None = None,
+        fps: float = 30.0,
+        int64_atomics: bool | None = None,
+    ):
+        if width < 1 or height < 1:
+            raise GffeError(f"pipeline: size must be positive, got {width}×{height}")
+        self.device = device
+        self.options = options or Options()
+        self.sizes = Sizes(source=tuple(render_size or (width, height)), target=(width, height))
+        self.fps = fps
+        self.bad_pixels = BadPixels()
+        self.history = HistoryTracking(
+            device, self.sizes, self.options.history, self.options.static_threshold
+        )
+        self.prediction = PositionPrediction(device, self.sizes, self.options.order)
+        self.warp = Warp(device, self.sizes, self.options.crack_closing, int64_atomics)
+        self.holes = HoleFilling(device, self.sizes)
+        self.stages: tuple[Stage, ...] = (self.history, self.prediction, self.warp, self.holes)
+        self._slots: list[tuple[cl.Buffer, cl.Buffer, cl.Buffer]] = []
+        self._current: DeviceFrame | None = None
+        self._previous: DeviceFrame | None = None
+        self._times: list[float] = []  # of rendered frames since the last reset, newest first
+
+    # ---- rendered frames -------------------------------------------------------------------------------
+
+    def submit(self, frame: RenderedFrame, packed: PackedFrame | None = None) -> None:
+        """Take a rendered frame; frames must come in order of time.
+
+        Arrays may be NumPy arrays (copied to the device; bad pixels are added to `bad_pixels`) or device
+        buffers, which are used in place: do not overwrite them before two more frames have been submitted.
+        `packed` may bring the result of `pack_frame`, done ahead on another thread.
+
+        Raises GffeError for wrong shapes, missing motion, or a time that does not increase.
+        """
+        if not np.isfinite(frame.time) or (self._times and not frame.reset and frame.time <= self._times[0]):
+            raise GffeError(
+                f"frame: time {frame.time:g} s must be finite and after the previous rendered frame's"
+            )
+        buffers = self._device_buffers(frame, packed)
+        if frame.reset:
+            self._times.clear()
+            self._previous = None
+        else:
+            self._previous = self._current
+        self._current = DeviceFrame(*buffers, frame.camera, frame.shown_camera, frame.time)
+        self._times = [frame.time, *self._times[:MAX_ORDER]]
+        self.history.track(self._current, self._previous if self.options.motion else None)
+        self.warp.link(self._current, self.history)
+
+    def _device_buffers(self, frame: RenderedFrame, packed: PackedFrame | None) -> tuple:
+        given = [_as_buffer(array) for array in (frame.color, frame.depth, frame.motion)]
+        width, height = self.sizes.source
+        pixels = width * height
+        needed = (8 * pixels, 4 * pixels, 8 * pixels)
+        if all(given):
+            for name, buffer, size in zip(("color", "depth", "motion"), given, needed, strict=True):
+                if buffer.size < size:
+                    raise GffeError(
+                        f"frame: {name} buffer must hold {size} bytes ({width}×{height}), got {buffer.size}"
+                    )
+            return tuple(given)
+        if any(given):
+            raise GffeError("frame: color, depth and motion must be all NumPy arrays or all device buffers")
+        packed = packed or pack_frame(frame, height, width)
+        self.bad_pixels += packed.bad
+        if len(self._slots) < 2:
+            self._slots.append(tuple(self.device.buffer(size) for size in needed))
+        else:
+            self._slots.append(self._slots.pop(0))
+        for buffer, array in zip(
+            self._slots[-1], (packed.color, packed.depth, packed.motion), strict=True
+        ):
+            cl.enqueue_copy(self.device.queue, buffer, array)
+        return self._slots[-1]
+
+    # ---- extrapolated frames ---------------------------------------------------------------------------
+
+    @property
+    def interval(self) -> float:
+        """Seconds between the last two rendered frames; 1/fps after a reset."""
+        return self._times[0] - self._times[1] if len(self._times) > 1 else 1.0 / self.fps
+
+    def predict_camera(self, alpha: float) -> Camera:
+        """C̄ at t + α from the last two display cameras; the last one itself after a reset."""
+        self._need_frame()
+        if self._previous is None:
+            return self._current.display_camera
+        return predict_camera(self._previous.display_camera, self._current.display_camera, alpha)
+
+    def extrapolate(self, camera: Camera | None = None, time: float | None = None) -> ExtrapolatedFrame:
+        """Make the frame at `time` (seconds; default: half an interval ahead) seen by `camera` (default:
+        the predicted camera). Returns at once; reading a buffer waits.
+
+        Raises GffeError before the first `submit`, or for a time before the last rendered frame.
+        """
+        source = self._need_frame()
+        time = source.time + self.interval / 2 if time is None else float(time)
+        alpha = (time - source.time) / self.interval
+        if not (np.isfinite(alpha) and alpha >= 0):
+            raise GffeError(
+                f"extrapolate: time {time:g} s is before the last rendered frame's ({source.time:g} s)"
+            )
+        camera = camera or self.predict_camera(alpha)
+        self.prediction.predict(source, self.history, self._times, camera, time)
+        self.warp.warp(source, self.history, self.prediction, camera)
+        if self.options.hole_filling:
+            self.holes.fill_holes(source, self.warp, camera)
+        buffers = {
+            name: self.warp.buffer[name]
+            for name in ("color", "depth", "motion", "dynamic", "disoccluded", "filled_by")
+        }
+        return ExtrapolatedFrame(camera, time, alpha, source.time, **buffers, _stage=self.warp)
+
+    def _need_frame(self) -> DeviceFrame:
+        if self._current is None:
+            raise GffeError("extrapolate: submit a rendered frame first")
+        return self._current
+
+    # ---- looking inside --------------------------------------------------------------------------------
+
+    def named_buffers(self) -> Iterator[tuple[Stage, BufferSpec]]:
+        """Every named buffer of every stage; read one with `stage.read(spec.name)`."""
+        for stage in self.stages:
+            for spec in stage.buffers:
+                yield stage, spec
+
+    def take_timings(self) -> dict[str, float]:
+        """Milliseconds of kernel time per stage since the last call (waits for the device)."""
+        self.device.queue.finish()
+        return {
+            stage.name: sum(e.profile.end - e.profile.start for _, e in stage.take_events()) * 1e-6
+            for stage in self.stages
+        }
+
+
+def _as_buffer(array: Any) -> cl.Buffer | None:
+    if isinstance(array, cl.Buffer):
+        return array
+    if isinstance(array, cl.array.Array):
+        if array.offset or not array.flags.c_contiguous:
+            raise GffeError("frame: device arrays must be C-contiguous and start at offset 0 of their buffer")
+        return array.base_data
+    return None

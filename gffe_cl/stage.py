@@ -1,0 +1,121 @@
+"""The contract of a stage: it declares its named buffers, allocates them once, and launches kernels.
+
+What the stage dump writes, the viewer lists and the README tabulates comes from `Stage.buffers`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.camera import Camera
+from gffe_cl.device import Device
+from gffe_cl.program import build
+
+_ROW = 64  # work-items of a work-group, all in one row: rows stream better than squares on CPUs
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Width and height in pixels of rendered (source) and extrapolated (target) images."""
+
+    source: tuple[int, int]
+    target: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class BufferSpec:
+    """One named buffer of a stage.
+
+    `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "blocks"
+    (target / 32, rounded up) or "once" (no image).
+    """
+
+    name: str
+    dtype: type
+    channels: int
+    grid: str
+    description: str
+    planes: int = 1
+
+    def shape(self, sizes: Sizes) -> tuple[int, ...]:
+        """Shape of the NumPy array: (planes?, H, W, channels?)."""
+        width, height = {
+            "source": sizes.source,
+            "target": sizes.target,
+            "blocks": tuple(-(-n // 32) for n in sizes.target),
+            "once": (1, 1),
+        }[self.grid]
+        shape = (height, width) if self.grid != "once" else ()
+        return (
+            (self.planes,) * (self.planes > 1) + shape + (self.channels,) * (self.channels > 1 or not shape)
+        )
+
+    def nbytes(self, sizes: Sizes) -> int:
+        return int(np.prod(self.shape(sizes))) * np.dtype(self.dtype).itemsize
+
+
+class Stage:
+    """Base of all stages.
+
+    Subclasses set `name` (kernel file and module too), `buffers` (or override `declare`), and have methods
+    that launch their kernels. `events` collects the profiling events since the last `take_events`.
+    """
+
+    name = ""
+    buffers: tuple[BufferSpec, ...] = ()
+
+    def __init__(self, device: Device, sizes: Sizes, **variant: int):
+        self.device = device
+        self.sizes = sizes
+        self.program = build(device, self.name, **variant)
+        self.buffer = {spec.name: device.buffer(spec.nbytes(sizes)) for spec in self.buffers}
+        self.events: list[tuple[str, cl.Event]] = []
+
+    def launch(self, kernel: str, size: tuple[int, int], *args, group: int = _ROW) -> None:
+        """Enqueue `kernel` over a (width, height) grid in rows of `group` work-items.
+
+        The width is rounded up to whole groups: kernels guard against the padding.
+        """
+        width, height = size
+        grid = (-(-width // group) * group, height)
+        event = self.program.kernels[kernel](self.device.queue, grid, (group, 1), *args)
+        self.events.append((kernel, event))
+
+    def fill(self, buffer: cl.Buffer, byte: int) -> None:
+        """Enqueue setting every byte of `buffer`."""
+        event = cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint8(byte), 0, buffer.size)
+        self.events.append(("fill", event))
+
+    def take_events(self) -> list[tuple[str, cl.Event]]:
+        events, self.events = self.events, []
+        return events
+
+    def upload(self, name: str, values: np.ndarray) -> None:
+        """Copy host values into a named buffer."""
+        cl.enqueue_copy(self.device.queue, self.buffer[name], values)
+
+    def read(self, name: str) -> np.ndarray:
+        """Copy a named buffer to the host."""
+        spec = next(spec for spec in self.buffers if spec.name == name)
+        out = np.empty(spec.shape(self.sizes), spec.dtype)
+        cl.enqueue_copy(self.device.queue, out, self.buffer[name])
+        return out
+
+
+def reprojection(source: Camera, target: Camera) -> np.ndarray:
+    """The `Reprojection` struct of common.h, composed in float64: source view space → target view space."""
+    matrix = source.to_view_of(target)
+    packed = np.zeros((6, 4), np.float32)
+    packed[:3] = matrix[:3]
+    packed[3] = source.intrinsics
+    packed[4] = (1 / source.fx, 1 / source.fy, source.cx, source.cy)
+    packed[5] = target.intrinsics
+    return packed
+
+
+def int2(size: tuple[int, int]) -> tuple[np.int32, np.int32]:
+    """(width, height) as kernel arguments."""
+    return np.int32(size[0]), np.int32(size[1])

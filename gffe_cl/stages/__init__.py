@@ -1,0 +1,1 @@
+"""The stages of geometry-aware extrapolation: one module per kernel file."""

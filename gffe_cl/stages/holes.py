@@ -1,0 +1,53 @@
+"""Hole filling from the image downsampled 32 times (paper: 'Shading correction network')."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gffe_cl.camera import Camera
+from gffe_cl.stage import BufferSpec, Stage, int2, reprojection
+
+BLOCK = 32
+
+
+class HoleFilling(Stage):
+    """Fills, in place, what is still invalid in the warped frame; filled pixels carry depth and motion."""
+
+    name = "holes"
+    buffers = (
+        BufferSpec("block_color", np.float32, 4, "blocks", "sum of valid colour and weight per 32×32 block"),
+        BufferSpec("block_inverse_depth", np.float32, 1, "blocks", "sum of inverse depth per 32×32 block"),
+    )
+
+    def fill_holes(self, frame, warp: Stage, target: Camera) -> None:
+        color, depth, motion, disoccluded = (
+            warp.buffer[name] for name in ("color", "depth", "motion", "disoccluded")
+        )
+        blocks = tuple(-(-n // BLOCK) for n in self.sizes.target)
+        block_buffers = (self.buffer["block_color"], self.buffer["block_inverse_depth"])
+        self.launch(
+            "downsample",
+            (blocks[0] * BLOCK, blocks[1]),
+            *int2(self.sizes.target),
+            *int2(self.sizes.source),
+            np.int32(blocks[0]),
+            color,
+            depth,
+            disoccluded,
+            frame.color,
+            frame.depth,
+            *block_buffers,
+            group=BLOCK,
+        )
+        self.launch(
+            "fill_holes",
+            self.sizes.target,
+            *int2(self.sizes.target),
+            *int2(blocks),
+            disoccluded,
+            *block_buffers,
+            reprojection(target, frame.camera),
+            color,
+            depth,
+            motion,
+        )

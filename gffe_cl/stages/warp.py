@@ -1,0 +1,90 @@
+"""Warp with crack closing and sub-pixel resampling (paper: 'Warping')."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gffe_cl.camera import Camera
+from gffe_cl.device import Device
+from gffe_cl.stage import BufferSpec, Sizes, Stage, int2
+
+BY_WARP, BY_CRACK_CLOSING, BY_HOLE_FILLING = 0, 254, 255
+
+
+class Warp(Stage):
+    """Splats every fragment's footprint, nearest first, and resamples the rendered frame.
+
+    With 64-bit atomics one key holds depth and index; without, a second pass finds the least index among
+    the nearest. Both give the same bits.
+    """
+
+    name = "warp"
+    buffers = (
+        BufferSpec(
+            "links", np.uint8, 1, "source", "neighbours of the same surface: 1 right, 2 down, 4 left, 8 up"
+        ),
+        BufferSpec("color", np.float16, 4, "target", "colour of the extrapolated frame (Ī^GAE)"),
+        BufferSpec("depth", np.float32, 1, "target", "view depth in the target camera, world units (D̄)"),
+        BufferSpec("motion", np.float32, 2, "target", "t + α → t, pixels, into the rendered image (V̄)"),
+        BufferSpec("dynamic", np.uint8, 1, "target", "1 where the fragment shown is dynamic"),
+        BufferSpec("disoccluded", np.uint8, 1, "target", "1 where no fragment of the rendered frame lands"),
+        BufferSpec(
+            "filled_by", np.uint8, 1, "target", "0 warp, 254 crack closing, 255 hole filling (or nothing)"
+        ),
+    )
+
+    def __init__(self, device: Device, sizes: Sizes, close_cracks: bool = True, int64: bool | None = None):
+        """`int64`: use 64-bit atomics; None: if the device has them."""
+        self.close_cracks = close_cracks
+        self.int64 = device.int64_atomics if int64 is None else int64
+        super().__init__(device, sizes, **({"INT64_ATOMICS": 1} if self.int64 else {}))
+        pixels = sizes.target[0] * sizes.target[1]
+        self._keys = device.buffer(pixels * (8 if self.int64 else 4))
+        self._winners = device.buffer(1 if self.int64 else pixels * 4)
+
+    def link(self, frame, history: Stage) -> None:
+        """Find the surfaces of a rendered frame; once per rendered frame."""
+        self.launch(
+            "link_surfaces",
+            self.sizes.source,
+            *int2(self.sizes.source),
+            frame.depth,
+            history.buffer["dynamic_mask"],
+            self.buffer["links"],
+        )
+
+    def warp(self, frame, history: Stage, prediction: Stage, target: Camera) -> None:
+        zoom = np.array([target.fx / frame.camera.fx, target.fy / frame.camera.fy], np.float32)
+        sizes = (*int2(self.sizes.source), *int2(self.sizes.target))
+        target_position = prediction.buffer["target_position"]
+        self.fill(self._keys, 0xFF)
+        if not self.int64:
+            self.fill(self._winners, 0xFF)
+        for splat_pass in range(1 if self.int64 else 2):
+            self.launch(
+                "splat",
+                self.sizes.source,
+                *sizes,
+                np.int32(self.close_cracks),
+                np.int32(splat_pass),
+                zoom,
+                frame.depth,
+                self.buffer["links"],
+                target_position,
+                self._keys,
+                self._winners,
+            )
+        self.launch(
+            "resolve",
+            self.sizes.target,
+            *sizes,
+            zoom,
+            self._keys,
+            self._winners,
+            frame.color,
+            frame.depth,
+            history.buffer["dynamic_mask"],
+            self.buffer["links"],
+            target_position,
+            *(self.buffer[n] for n in ("color", "depth", "motion", "dynamic", "disoccluded", "filled_by")),
+        )

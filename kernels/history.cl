@@ -1,0 +1,149 @@
+/* History tracking (paper: 'Motion estimation', appendix Algorithm 1).
+   Positions are in the view space of the current rendered camera: P_0 is what depth gives, P_1 ... P_{k-1} are stored. */
+
+#include "common.h"
+
+#define RESIDUAL_BINS 64
+#define RESIDUAL_FIRST_BIN 214   /* bits of 2^-20 >> 22: the squared residual of the first bin, in px^2 */
+#define RESIDUAL_STRIDE 4        /* every 4th pixel of every 4th row is enough for a quantile */
+
+#define SEARCH_RADIUS 2          /* px around x' in which the right surface is looked for */
+#define DEPTH_TOLERANCE 0.03f    /* relative depth within which a surface is plausible for a fragment that stands ... */
+#define DEPTH_PER_MOTION 2.0f    /* ... and what is added per unit of its sideways motion */
+
+/* Where pixel (x, y) of depth z was if it is static: (px in the previous frame, z there). */
+inline float3 static_position(const int x, const int y, const float z, const Reprojection to_previous) {
+    return reproject(pixel_centre(x, y), z, to_previous);
+}
+
+inline float2 previous_position(const int x, const int y, const float2 mv_px) { return pixel_centre(x, y) + mv_px; }
+
+inline float squared_distance(const float2 a, const float2 b) {
+    const float dx = a.x - b.x, dy = a.y - b.y;
+    return dx * dx + dy * dy;
+}
+
+/* Histogram of the squared static residual, two bins per octave, over a subset of the pixels. */
+__kernel void residual_histogram(const int width, const int height,
+                                 __global const float *depth, __global const float2 *motion,
+                                 const Reprojection to_previous, __global int *histogram) {
+    const int x = get_global_id(0) * RESIDUAL_STRIDE, y = get_global_id(1) * RESIDUAL_STRIDE;
+    if (x >= width || y >= height) return;
+    const int i = y * width + x;
+    const float z = depth[i];
+    const float2 mv_px = motion[i];
+    if (INVALID_DEPTH(z) || isinf(z) || !isfinite(mv_px.x) || !isfinite(mv_px.y)) return;
+    const float3 px_static = static_position(x, y, z, to_previous);
+    if (px_static.z < 0.0f) return;
+    const float r2 = squared_distance(px_static.xy, previous_position(x, y, mv_px));
+    const int bin = (int)(as_uint(r2) >> 22) - RESIDUAL_FIRST_BIN;
+    atomic_inc(histogram + clamp(bin, 0, RESIDUAL_BINS - 1));
+}
+
+/* epsilon^2 from the noise floor: 4 times the lower quartile of the residual, within [low, high] (px).
+   The quartile belongs to static pixels as long as a quarter of the frame is static. */
+__kernel void noise_threshold(__global const int *histogram, const float low, const float high,
+                              __global float *threshold_squared) {
+    int total = 0;
+    for (int b = 0; b < RESIDUAL_BINS; ++b) total += histogram[b];
+    int below = 0, quartile = 0;
+    for (int b = 0; b < RESIDUAL_BINS; ++b) {
+        quartile = b;
+        below += histogram[b];
+        if (below * 4 >= total) break;
+    }
+    const float r2 = as_float((uint)(quartile + 1 + RESIDUAL_FIRST_BIN) << 22);
+    threshold_squared[0] = total ? clamp(16.0f * r2, low * low, high * high) : low * low;
+}
+
+inline bool plausible(const float z, const float z_expected, const float tolerance) {
+    return !INVALID_DEPTH(z) && !isinf(z) && fabs(z - z_expected) <= tolerance;
+}
+
+/* Depth of the fragment's surface at px_prev in the previous frame, or -1; *nearest is the pixel that has most of it. */
+inline float depth_met(const float2 px_prev, const float z_expected, const float tolerance, const int width,
+                       const int height, __global const float *depth_prev, int *nearest) {
+    if (!(px_prev.x > -4.0f && px_prev.y > -4.0f && px_prev.x < (float)width + 4.0f && px_prev.y < (float)height + 4.0f))
+        return -1.0f;
+    const float fx = px_prev.x - 0.5f, fy = px_prev.y - 0.5f;
+    const int x0 = (int)floor(fx), y0 = (int)floor(fy);
+    const float u = fx - (float)x0, v = fy - (float)y0;
+    float sum = 0.0f, weight_sum = 0.0f, heaviest = 0.0f;
+    for (int tap = 0; tap < 4; ++tap) {
+        const int x = x0 + (tap & 1), y = y0 + (tap >> 1);
+        if (!inside(x, y, width, height)) continue;
+        const float z = depth_prev[y * width + x];
+        if (!plausible(z, z_expected, tolerance)) continue;
+        const float weight = ((tap & 1) ? u : 1.0f - u) * ((tap >> 1) ? v : 1.0f - v);
+        sum += weight * z;
+        weight_sum += weight;
+        if (weight > heaviest) { heaviest = weight; *nearest = y * width + x; }
+    }
+    if (weight_sum > 0.0f) return divide(sum, weight_sum);
+
+    const int xc = (int)floor(px_prev.x), yc = (int)floor(px_prev.y);
+    float found = -1.0f, closest = INFINITY;
+    for (int dy = -SEARCH_RADIUS; dy <= SEARCH_RADIUS; ++dy)
+        for (int dx = -SEARCH_RADIUS; dx <= SEARCH_RADIUS; ++dx) {
+            const int x = xc + dx, y = yc + dy;
+            if (!inside(x, y, width, height)) continue;
+            const float z = depth_prev[y * width + x];
+            const float distance = squared_distance(pixel_centre(x, y), px_prev);
+            if (distance < closest && plausible(z, z_expected, tolerance)) {
+                closest = distance;
+                found = z;
+                *nearest = y * width + x;
+            }
+        }
+    return found;
+}
+
+/* Algorithm 1. history: k-1 planes of (P_i, 1), or (P_0, 0) where P_i is not known. */
+__kernel void track_history(const int width, const int height, const int positions /* k */, const int has_previous,
+                            __global const float *depth, __global const float2 *motion,
+                            __global const float *depth_prev, __global const uchar *dynamic_prev,
+                            __global const float4 *history_prev,
+                            const Reprojection to_previous, const Reprojection from_previous,
+                            __global const float *threshold_squared,
+                            __global uchar *dynamic_mask, __global float4 *history) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= width || y >= height) return;
+    const int i = y * width + x, plane = width * height;
+    const float z = depth[i];
+    const float3 p0 = unproject(pixel_centre(x, y), z, to_previous.source_inverse);
+
+    bool is_dynamic = false;
+    int known = 0;  /* how many of P_1 ... are known */
+    if (has_previous && !INVALID_DEPTH(z) && !isinf(z)) {
+        const float2 mv_px = motion[i];
+        const float2 px_prev = previous_position(x, y, mv_px);
+        const float3 px_static = static_position(x, y, z, to_previous);
+        const bool usable = isfinite(mv_px.x) && isfinite(mv_px.y);
+        const float r2 = squared_distance(px_static.xy, px_prev);
+        is_dynamic = !usable || px_static.z < 0.0f || !(r2 <= threshold_squared[0]);
+        if (is_dynamic && usable && px_static.z > 0.0f) {
+            const float sideways = (fabs(px_prev.x - px_static.x) + fabs(px_prev.y - px_static.y))
+                                   * from_previous.source_inverse.x * px_static.z;
+            const float tolerance = DEPTH_TOLERANCE * px_static.z + DEPTH_PER_MOTION * sideways;
+            int nearest = 0;
+            const float z_prev = depth_met(px_prev, px_static.z, tolerance, width, height, depth_prev, &nearest);
+            if (z_prev > 0.0f) {
+                const float3 p1_prev = unproject(px_prev, z_prev, from_previous.source_inverse);
+                history[i] = (float4)(move_to_target(p1_prev, from_previous), 1.0f);
+                known = 1;
+                /* P_i[x] = P'_{i-1}[x'], carried over with the offset between x' and the pixel it is read from. */
+                const float3 at_nearest = unproject(pixel_centre(nearest % width, nearest / width), depth_prev[nearest],
+                                                    from_previous.source_inverse);
+                const float3 offset = p1_prev - at_nearest;
+                for (; known < positions - 1; ++known) {
+                    float4 older = (float4)(at_nearest, 1.0f);
+                    if (dynamic_prev[nearest]) older = history_prev[(known - 1) * plane + nearest];
+                    if (older.w == 0.0f) break;
+                    history[known * plane + i] = (float4)(move_to_target(older.xyz + offset, from_previous), 1.0f);
+                }
+            }
+        }
+    }
+    dynamic_mask[i] = is_dynamic;
+    for (int k = known; k < positions - 1; ++k) history[k * plane + i] = (float4)(p0, is_dynamic ? 0.0f : 1.0f);
+}

@@ -1,0 +1,79 @@
+/* Hole filling: what is still invalid comes from the image downsampled 32 times (paper: 'Shading correction network'). */
+
+#include "common.h"
+
+#define BLOCK 32
+#define RENDERED_WEIGHT 0.0009765625f  /* of the rendered frame beside valid pixels: decides only where there are none */
+
+/* Adds a pixel to the sums; bright pixels weigh less, or one lamp would fill its whole block. */
+inline void add(float4 *sum, float *inverse_sum, const float pixel_weight, const float3 c, const float z) {
+    const float weight = divide(pixel_weight, 1.0f + fmax(fmax(c.x, fmax(c.y, c.z)), 0.0f));
+    *sum += weight * (float4)(c, 1.0f);
+    *inverse_sum += weight * (isinf(z) ? 0.0f : divide(1.0f, z));
+}
+
+/* Weighted sums over 32x32 blocks: (colour, 1) and inverse depth. One work-group of 32 per block, one column each. */
+__kernel void downsample(const int width, const int height, const int source_width, const int source_height,
+                         const int blocks_x, __global const half *color, __global const float *depth,
+                         __global const uchar *disoccluded, __global const half *source_color,
+                         __global const float *source_depth, __global float4 *block_color, __global float *block_inverse_depth) {
+    __local float4 column_color[BLOCK];
+    __local float column_inverse_depth[BLOCK];
+    const int lane = get_local_id(0);
+    const int bx = get_group_id(0), by = get_group_id(1);
+    const int x = bx * BLOCK + lane;
+    float4 sum = (float4)(0.0f);
+    float inverse_sum = 0.0f;
+    for (int k = 0; k < BLOCK; ++k) {
+        const int y = by * BLOCK + k;
+        if (x >= width || y >= height) break;
+        const int i = y * width + x;
+        if (!disoccluded[i]) {
+            add(&sum, &inverse_sum, 1.0f, load_color(color, i), depth[i]);
+        }
+        const int source = (y * source_height / height) * source_width + x * source_width / width;
+        const float z = source_depth[source];
+        if (!INVALID_DEPTH(z)) add(&sum, &inverse_sum, RENDERED_WEIGHT, load_color(source_color, source), z);
+    }
+    column_color[lane] = sum;
+    column_inverse_depth[lane] = inverse_sum;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (lane != 0) return;
+    for (int k = 1; k < BLOCK; ++k) {
+        sum += column_color[k];
+        inverse_sum += column_inverse_depth[k];
+    }
+    block_color[by * blocks_x + bx] = sum;
+    block_inverse_depth[by * blocks_x + bx] = inverse_sum;
+}
+
+/* Fills invalid pixels with the bilinear interpolation of the block means; motion of a static point at that depth. */
+__kernel void fill_holes(const int width, const int height, const int blocks_x, const int blocks_y,
+                         __global const uchar *disoccluded, __global const float4 *block_color,
+                         __global const float *block_inverse_depth, const Reprojection to_source,
+                         __global half *color, __global float *depth, __global float2 *motion) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= width || y >= height) return;
+    const int i = y * width + x;
+    if (!disoccluded[i]) return;
+    const float bx = ((float)x + 0.5f) * (1.0f / BLOCK) - 0.5f, by = ((float)y + 0.5f) * (1.0f / BLOCK) - 0.5f;
+    const int x0 = (int)floor(bx), y0 = (int)floor(by);
+    const float u = bx - (float)x0, v = by - (float)y0;
+    float4 sum = (float4)(0.0f);
+    float inverse_sum = 0.0f;
+    for (int tap = 0; tap < 4; ++tap) {
+        const int tx = clamp(x0 + (tap & 1), 0, blocks_x - 1), ty = clamp(y0 + (tap >> 1), 0, blocks_y - 1);
+        const float weight = ((tap & 1) ? u : 1.0f - u) * ((tap >> 1) ? v : 1.0f - v);
+        sum += weight * block_color[ty * blocks_x + tx];
+        inverse_sum += weight * block_inverse_depth[ty * blocks_x + tx];
+    }
+    const bool any = sum.w > 0.0f;
+    const float3 mean = any ? (float3)(divide(sum.x, sum.w), divide(sum.y, sum.w), divide(sum.z, sum.w)) : (float3)(0.0f);
+    const float inverse = any ? divide(inverse_sum, sum.w) : 0.0f;
+    const float z = inverse > 0.0f ? divide(1.0f, inverse) : INFINITY;
+    const float2 centre = pixel_centre(x, y);
+    const float3 px_source = reproject(centre, z, to_source);
+    store_color(mean, color, i);
+    depth[i] = z;
+    motion[i] = px_source.z > 0.0f ? px_source.xy - centre : (float2)(0.0f);
+}

@@ -1,0 +1,286 @@
+/* Warp (paper: 'Warping', with crack closing and resampling, design section 4).
+   A fragment covers, in the target image, the parallelogram to which its own pixel maps; the nearest fragment keeps a
+   target pixel, ties go to the smallest source index. */
+
+#include "common.h"
+
+#define LINK_RIGHT 1
+#define LINK_DOWN 2
+#define LINK_LEFT 4
+#define LINK_UP 8
+
+#define SURFACE_STEP 0.02f       /* relative step of inverse depth between neighbours of one surface ... */
+#define SURFACE_CURVATURE 0.005f /* ... or relative deviation from the plane through them, where they are steeper */
+#define FOOTPRINT_HALF 0.5625f   /* half a source pixel and a margin for second-order terms */
+#define FOOTPRINT_REACH 8        /* px: the most that a fragment covers to each side */
+#define STRETCH_MOST 4.0f        /* a footprint stretched more than this over what depth explains is not trusted */
+#define SUBPIXEL_STEPS 256.0f
+#define SAME_MOTION 0.5f         /* px: fragments that deviate less from the winner's motion are resampled with it */
+#define MOVES_AWAY 1.0f          /* px: a nearer neighbour that deviates more uncovers what it was mixed with */
+#define NEARER 0.97f
+
+#define EMPTY 0xFFFFFFFFu
+
+#define BY_WARP 0
+#define BY_CRACK_CLOSING 254
+#define BY_NOTHING 255
+
+/* ---- surfaces of the source frame ---------------------------------------------------------------------- */
+
+inline float inverse_depth_at(const int x, const int y, const int width, const int height, __global const float *depth) {
+    if (!inside(x, y, width, height)) return -1.0f;
+    const float z = depth[y * width + x];
+    if (INVALID_DEPTH(z)) return -1.0f;
+    return isinf(z) ? 0.0f : divide(1.0f, z);
+}
+
+/* Whether b, next to a, continues a's surface; a2 lies behind a, b2 behind b. Inverse depths, 0 sky, -1 none. */
+inline bool continues(const float a2, const float a, const float b, const float b2) {
+    if (a < 0.0f || b < 0.0f) return false;
+    if (a == 0.0f || b == 0.0f) return a == b;
+    const float size = fmax(a, b);
+    if (fabs(a - b) <= SURFACE_STEP * size) return true;
+    if (a2 > 0.0f && fabs((a - a2) - (b - a)) <= SURFACE_CURVATURE * size) return true;
+    return b2 > 0.0f && fabs((b2 - b) - (b - a)) <= SURFACE_CURVATURE * size;
+}
+
+/* links: which of the four neighbours belong to the same surface and are equally static or dynamic. */
+__kernel void link_surfaces(const int width, const int height, __global const float *depth,
+                            __global const uchar *dynamic_mask, __global uchar *links) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= width || y >= height) return;
+    const int i = y * width + x;
+    const uchar own = dynamic_mask[i];
+    const float a = inverse_depth_at(x, y, width, height, depth);
+    float w[4][3];
+    for (int k = 0; k < 4; ++k) {
+        const int dx = k == 0 ? 1 : k == 2 ? -1 : 0, dy = k == 1 ? 1 : k == 3 ? -1 : 0;
+        w[k][0] = inverse_depth_at(x + dx, y + dy, width, height, depth);
+        w[k][1] = inverse_depth_at(x + 2 * dx, y + 2 * dy, width, height, depth);
+        w[k][2] = inside(x + dx, y + dy, width, height) && dynamic_mask[i + dy * width + dx] == own ? 1.0f : 0.0f;
+    }
+    uchar bits = 0;
+    for (int k = 0; k < 4; ++k)
+        if (w[k][2] != 0.0f && continues(w[(k + 2) & 3][0], a, w[k][0], w[k][1])) bits |= 1 << k;
+    links[i] = bits;
+}
+
+/* ---- where a source pixel goes ---------------------------------------------------------------------------- */
+
+/* Target position as a linear function of the source position around one source pixel. */
+typedef struct {
+    float4 ddx, ddy;         /* change of (px, py, z) per source pixel to the right, down */
+    float inv_xx, inv_xy, inv_yx, inv_yy;  /* inverse of the 2x2 part: source px per target px */
+} Flow;
+
+inline float4 slope(const int bits, const int forward, const int backward, const float4 here, const int i,
+                    const int step, __global const float4 *target_position, bool *linked) {
+    float4 sum = (float4)(0.0f);
+    float count = 0.0f;
+    if (bits & forward) {
+        const float4 there = target_position[i + step];
+        if (there.z > 0.0f) { sum += there - here; count += 1.0f; }
+    }
+    if (bits & backward) {
+        const float4 there = target_position[i - step];
+        if (there.z > 0.0f) { sum += here - there; count += 1.0f; }
+    }
+    *linked = count > 0.0f;
+    if (isinf(here.z)) sum.z = 0.0f;
+    return count == 2.0f ? sum * 0.5f : sum;
+}
+
+/* From the linked neighbours; along a direction without any, what depth alone explains. */
+inline Flow flow_at(const int i, const int width, const float4 here, const float z_source, __global const uchar *links,
+                    __global const float4 *target_position, const float2 zoom) {
+    const int bits = links[i];
+    Flow flow;
+    bool linked_x, linked_y;
+    flow.ddx = slope(bits, LINK_RIGHT, LINK_LEFT, here, i, 1, target_position, &linked_x);
+    flow.ddy = slope(bits, LINK_DOWN, LINK_UP, here, i, width, target_position, &linked_y);
+    const float nearer = isinf(here.z) ? 1.0f : divide(z_source, here.z);
+    const float scale_x = zoom.x * nearer, scale_y = zoom.y * nearer;
+    const float most = STRETCH_MOST * fmax(scale_x, scale_y);
+    if (!linked_x || fabs(flow.ddx.x) > most || fabs(flow.ddx.y) > most) flow.ddx = (float4)(scale_x, 0.0f, 0.0f, 0.0f);
+    if (!linked_y || fabs(flow.ddy.x) > most || fabs(flow.ddy.y) > most) flow.ddy = (float4)(0.0f, scale_y, 0.0f, 0.0f);
+    float det = flow.ddx.x * flow.ddy.y - flow.ddy.x * flow.ddx.y;
+    if (!(det > 0.02f * scale_x * scale_y)) {  /* folded or edge-on: the neighbours say nothing about the footprint */
+        flow.ddx = (float4)(scale_x, 0.0f, 0.0f, 0.0f);
+        flow.ddy = (float4)(0.0f, scale_y, 0.0f, 0.0f);
+        det = scale_x * scale_y;
+    }
+    flow.inv_xx = divide(flow.ddy.y, det);
+    flow.inv_xy = divide(-flow.ddy.x, det);
+    flow.inv_yx = divide(-flow.ddx.y, det);
+    flow.inv_yy = divide(flow.ddx.x, det);
+    return flow;
+}
+
+inline float2 source_offset(const Flow flow, const float2 d) {
+    return (float2)(flow.inv_xx * d.x + flow.inv_xy * d.y, flow.inv_yx * d.x + flow.inv_yy * d.y);
+}
+
+/* ---- splat --------------------------------------------------------------------------------------------------- */
+
+#ifdef INT64_ATOMICS
+#pragma OPENCL EXTENSION cl_khr_int64_extended_atomics : enable
+typedef ulong Key;
+#define WINNER(keys, winners, c) ((uint)(keys)[c])
+#else
+typedef uint Key;
+#define WINNER(keys, winners, c) ((winners)[c])
+#endif
+
+/* One key for depth and index with 64-bit atomics; else pass 0 finds the least depth, pass 1 the least index of it. */
+inline void offer(const int pass, __global Key *keys, __global uint *winners, const int c, const uint depth_bits, const uint i) {
+#ifdef INT64_ATOMICS
+    atom_min(keys + c, ((ulong)depth_bits << 32) | i);
+#else
+    if (pass == 0) atomic_min(keys + c, depth_bits);
+    else if (keys[c] == depth_bits) atomic_min(winners + c, i);
+#endif
+}
+
+__kernel void splat(const int width, const int height, const int target_width, const int target_height,
+                    const int close_cracks, const int pass, const float2 zoom,
+                    __global const float *depth, __global const uchar *links, __global const float4 *target_position,
+                    __global Key *keys, __global uint *winners) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= width || y >= height) return;
+    const int i = y * width + x;
+    const float4 here = target_position[i];
+    const float reach = (float)FOOTPRINT_REACH;
+    if (!(here.z > 0.0f && here.x > -reach && here.y > -reach && here.x < (float)target_width + reach
+          && here.y < (float)target_height + reach)) return;
+    const uint depth_bits = as_uint(here.z);
+    const int own_x = (int)floor(here.x), own_y = (int)floor(here.y);
+    if (inside(own_x, own_y, target_width, target_height))
+        offer(pass, keys, winners, own_y * target_width + own_x, depth_bits, (uint)i);
+    if (!close_cracks) return;
+
+    const Flow flow = flow_at(i, width, here, depth[i], links, target_position, zoom);
+    const float half_x = fmin(FOOTPRINT_HALF * (fabs(flow.ddx.x) + fabs(flow.ddy.x)), reach);
+    const float half_y = fmin(FOOTPRINT_HALF * (fabs(flow.ddx.y) + fabs(flow.ddy.y)), reach);
+    const int x0 = max((int)ceil(here.x - half_x - 0.5f), 0), x1 = min((int)floor(here.x + half_x - 0.5f), target_width - 1);
+    const int y0 = max((int)ceil(here.y - half_y - 0.5f), 0), y1 = min((int)floor(here.y + half_y - 0.5f), target_height - 1);
+    for (int ty = y0; ty <= y1; ++ty)
+        for (int tx = x0; tx <= x1; ++tx) {
+            if (tx == own_x && ty == own_y) continue;
+            const float2 d = source_offset(flow, pixel_centre(tx, ty) - here.xy);
+            if (fabs(d.x) <= FOOTPRINT_HALF && fabs(d.y) <= FOOTPRINT_HALF)
+                offer(pass, keys, winners, ty * target_width + tx, depth_bits, (uint)i);
+        }
+}
+
+/* ---- resample ------------------------------------------------------------------------------------------------ */
+
+/* px by which the fragment at offset (dx, dy) from the winner deviates from the motion of the winner's surroundings. */
+inline float deviation(const float4 there, const int dx, const int dy, const float4 here, const Flow flow) {
+    if (!(there.z > 0.0f)) return INFINITY;
+    const float ex = there.x - here.x - flow.ddx.x * (float)dx - flow.ddy.x * (float)dy;
+    const float ey = there.y - here.y - flow.ddx.y * (float)dx - flow.ddy.y * (float)dy;
+    return fmax(fabs(ex), fabs(ey));
+}
+
+/* A pixel beside a nearer surface that moves away holds a mixture of both colours: the step, in source pixels,
+   to the neighbour that does not, if that one moves along. */
+inline int2 step_off_silhouette(const int sx, const int sy, const int width, const int height, const float4 here,
+                                const Flow flow, __global const float *depth, __global const float4 *target_position) {
+    const int s = sy * width + sx;
+    int2 step = (int2)(0, 0);
+    for (int k = 0; k < 4; ++k) {
+        const int dx = k == 0 ? 1 : k == 2 ? -1 : 0, dy = k == 1 ? 1 : k == 3 ? -1 : 0;
+        if (!inside(sx + dx, sy + dy, width, height)) continue;
+        const int q = s + dy * width + dx;
+        if (depth[q] < depth[s] * NEARER && deviation(target_position[q], dx, dy, here, flow) > MOVES_AWAY)
+            step -= (int2)(dx, dy);
+    }
+    if (!inside(sx + step.x, sy + step.y, width, height)) return (int2)(0, 0);
+    const float4 there = target_position[s + step.y * width + step.x];
+    return deviation(there, step.x, step.y, here, flow) <= SAME_MOTION ? step : (int2)(0, 0);
+}
+
+/* Catmull-Rom weights of the four taps around t in [0, 1). */
+inline float4 cubic_weights(const float t) {
+    const float t2 = t * t, t3 = t2 * t;
+    return (float4)(-0.5f * t + t2 - 0.5f * t3, 1.0f - 2.5f * t2 + 1.5f * t3, 0.5f * t + 2.0f * t2 - 1.5f * t3,
+                    0.5f * t3 - 0.5f * t2);
+}
+
+/* Colour at (sx, sy) + d of the source. Cubic, clamped to its taps, where the whole neighbourhood moves alike;
+   else bilinear over those of the four taps that do. */
+inline float3 resample(const int sx, const int sy, const float2 d, const int width, const int height, const float4 here,
+                       const Flow flow, __global const float4 *target_position, __global const half *color) {
+    if (d.x == 0.0f && d.y == 0.0f) return load_color(color, sy * width + sx);
+    const int ox = (int)floor(d.x), oy = (int)floor(d.y);
+    const float u = d.x - (float)ox, v = d.y - (float)oy;
+    int alike = 0;  /* bit per tap of the 4x4 neighbourhood */
+    for (int tap = 0; tap < 16; ++tap) {
+        const int dx = ox + (tap & 3) - 1, dy = oy + (tap >> 2) - 1;
+        const bool tap_alike = inside(sx + dx, sy + dy, width, height)
+            && deviation(target_position[(sy + dy) * width + sx + dx], dx, dy, here, flow) <= SAME_MOTION;
+        alike |= (int)tap_alike << tap;
+    }
+    if (alike == 0xFFFF) {
+        const float4 wx4 = cubic_weights(u), wy4 = cubic_weights(v);
+        const float wx[4] = {wx4.x, wx4.y, wx4.z, wx4.w}, wy[4] = {wy4.x, wy4.y, wy4.z, wy4.w};
+        float3 sum = (float3)(0.0f), low = (float3)(INFINITY), high = (float3)(-INFINITY);
+        for (int ty = 0; ty < 4; ++ty) {
+            float3 row = (float3)(0.0f);
+            for (int tx = 0; tx < 4; ++tx) {
+                const float3 c = load_color(color, (sy + oy + ty - 1) * width + sx + ox + tx - 1);
+                row += wx[tx] * c;
+                low = fmin(low, c);
+                high = fmax(high, c);
+            }
+            sum += wy[ty] * row;
+        }
+        return clamp(sum, low, high);
+    }
+    float3 sum = (float3)(0.0f);
+    float weight_sum = 0.0f;
+    for (int tap = 0; tap < 4; ++tap) {
+        const int tx = tap & 1, ty = tap >> 1;
+        if (!((alike >> ((ty + 1) * 4 + tx + 1)) & 1)) continue;
+        const float weight = (tx ? u : 1.0f - u) * (ty ? v : 1.0f - v);
+        sum += weight * load_color(color, (sy + oy + ty) * width + sx + ox + tx);
+        weight_sum += weight;
+    }
+    if (!(weight_sum > 0.01f)) return load_color(color, sy * width + sx);
+    return (float3)(divide(sum.x, weight_sum), divide(sum.y, weight_sum), divide(sum.z, weight_sum));
+}
+
+__kernel void resolve(const int width, const int height, const int target_width, const int target_height,
+                      const float2 zoom, __global const Key *keys, __global const uint *winners,
+                      __global const half *color, __global const float *depth, __global const uchar *dynamic_mask,
+                      __global const uchar *links, __global const float4 *target_position,
+                      __global half *out_color, __global float *out_depth, __global float2 *out_motion,
+                      __global uchar *out_dynamic, __global uchar *disoccluded, __global uchar *filled_by) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= target_width || y >= target_height) return;
+    const int c = y * target_width + x;
+    const uint s = WINNER(keys, winners, c);
+    if (s == EMPTY) {
+        store_color((float3)(0.0f), out_color, c);
+        out_depth[c] = INFINITY;
+        out_motion[c] = (float2)(0.0f);
+        out_dynamic[c] = 0;
+        disoccluded[c] = 1;
+        filled_by[c] = BY_NOTHING;
+        return;
+    }
+    const int sx = s % width, sy = s / width;
+    const float4 here = target_position[s];
+    const Flow flow = flow_at(s, width, here, depth[s], links, target_position, zoom);
+    const float2 centre = pixel_centre(x, y);
+    const float2 exact = clamp(source_offset(flow, centre - here.xy), -1.0f, 1.0f);
+    const float2 d = rint(exact * SUBPIXEL_STEPS) * (1.0f / SUBPIXEL_STEPS);
+    const int2 step = step_off_silhouette(sx, sy, width, height, here, flow, depth, target_position);
+    store_color(resample(sx, sy, d + convert_float2(step), width, height, here, flow, target_position, color), out_color, c);
+    const float z = here.z + flow.ddx.z * d.x + flow.ddy.z * d.y;
+    out_depth[c] = z > 0.0f ? z : here.z;
+    out_motion[c] = pixel_centre(sx, sy) + d - centre;
+    out_dynamic[c] = dynamic_mask[s];
+    disoccluded[c] = 0;
+    filled_by[c] = (int)floor(here.x) == x && (int)floor(here.y) == y ? BY_WARP : BY_CRACK_CLOSING;
+}
