@@ -45,11 +45,20 @@ class DeviceInfo:
     lacks: list[str] = field(default_factory=list)
     megapixels_per_second: float = 0.0  # of the probe kernel; only for ranking
 
-    def matches(self, wanted: str) -> bool:
-        """`wanted`: an index ("0:1"), a kind ("gpu") or part of the platform's or device's name
-        or of the platform's version ("pocl")."""
-        wanted = wanted.strip().lower()
-        return wanted in (self.index, self.kind) or wanted in f"{self.platform} {self.version} {self.name}".lower()
+
+def select(infos: list[DeviceInfo], wanted: str) -> list[DeviceInfo]:
+    """The devices that `wanted` means: an index ("0:1"), a kind ("gpu"), part of the platform's name or
+    version ("intel", "pocl"), or else part of the device's name ("xeon")."""
+    wanted = wanted.strip().lower()
+    for texts in (
+        lambda info: (info.index, info.kind),
+        lambda info: f"{info.platform} {info.version}".lower(),
+        lambda info: info.name.lower(),
+    ):
+        found = [info for info in infos if wanted in texts(info)]
+        if found:
+            return found
+    return []
 
 
 class Device:
@@ -92,7 +101,7 @@ def list_devices() -> list[DeviceInfo]:
 
 
 def open_device(wanted: str | None = None) -> Device:
-    """Open the device that matches `wanted` (see `DeviceInfo.matches`), or the default one.
+    """Open the device that matches `wanted` (see `select`), or the default one.
 
     Raises GffeError if no device works or none matches.
     """
@@ -102,7 +111,7 @@ def open_device(wanted: str | None = None) -> Device:
     if not working:
         seen = "; ".join(f"{info.name}: {info.problem}" for info in infos) or "no OpenCL platform found"
         raise GffeError(f"no OpenCL device runs a kernel ({seen}): {HOW_TO_GET_ONE}")
-    chosen = [info for info in working if wanted is None or info.matches(wanted)]
+    chosen = working if wanted is None else select(working, wanted)
     if not chosen:
         raise GffeError(
             f"no working device matches '{wanted}' (there is: "

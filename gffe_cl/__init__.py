@@ -1,0 +1,48 @@
+"""gffe-cl: G-buffer free frame extrapolation (GFFE) in portable OpenCL.
+
+    import gffe_cl as gffe
+
+    pipeline = gffe.Pipeline(gffe.open_device(), width, height)
+    pipeline.submit(gffe.RenderedFrame(color, depth, motion, camera, time))
+    frame = pipeline.extrapolate(next_camera, next_time)
+    frame.color                 # device buffer
+    frame.numpy("color")        # NumPy array
+"""
+
+from importlib import import_module
+
+__version__ = "0.1.0"
+
+# Loaded on first use: importing the package must not load a driver.
+_HOME = {
+    "Camera": "camera",
+    "predict_camera": "camera",
+    "Device": "device",
+    "DeviceInfo": "device",
+    "list_devices": "device",
+    "open_device": "device",
+    "GffeError": "errors",
+    "BadPixels": "frame",
+    "RenderedFrame": "frame",
+    "pack_frame": "frame",
+    "ExtrapolatedFrame": "pipeline",
+    "Options": "pipeline",
+    "Pipeline": "pipeline",
+    "Sequence": "sequence",
+    "SequenceWriter": "sequence",
+    "open_sequence": "sequence",
+}
+
+__all__ = ["__version__", *_HOME]
+
+
+def __getattr__(name):
+    if name not in _HOME:
+        raise AttributeError(f"module 'gffe_cl' has no attribute '{name}'")
+    value = getattr(import_module(f"gffe_cl.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__():
+    return sorted(set(globals()) | set(__all__))

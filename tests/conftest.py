@@ -1,0 +1,41 @@
+"""Fixtures: every usable OpenCL device once; `GFFE_DEVICE` narrows the choice."""
+
+import functools
+import os
+
+import pytest
+
+from gffe_cl.device import list_devices, open_info, select
+
+
+@functools.cache
+def _usable():
+    wanted = os.environ.get("GFFE_DEVICE")
+    working = [info for info in list_devices() if info.works]
+    return select(working, wanted) if wanted else working
+
+
+def pytest_generate_tests(metafunc):
+    if "device" in metafunc.fixturenames:
+        infos = _usable()
+        assert infos, "no usable OpenCL device: see `gffe devices`"
+        names = [f"{info.platform.split()[0]}-{info.index}" for info in infos]
+        metafunc.parametrize("device", infos, ids=names, indirect=True, scope="session")
+
+
+_opened = {}
+
+
+@pytest.fixture(scope="session")
+def device(request):
+    """An open Device; tests that take it run once per usable device."""
+    info = request.param
+    if info.index not in _opened:
+        _opened[info.index] = open_info(info)
+    return _opened[info.index]
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if "device" in getattr(item, "fixturenames", ()):
+            item.add_marker("device")

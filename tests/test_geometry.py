@@ -1,0 +1,447 @@
+"""What the geometry promises, on exact synthetic frames."""
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from synthetic import Rect, Rects, camera, psnr
+
+from gffe_cl import GffeError, Options, Pipeline, RenderedFrame
+
+W, H = 96, 64
+WALL = Rect((0, 0, 10), frequency=0.35)
+
+
+def half(image):
+    return image.astype(np.float16)
+
+
+def submit(pipeline, scene, cameras, times, width=W, height=H, reset_first=True, samples=1):
+    previous = None
+    for k, (cam, time) in enumerate(zip(cameras, times, strict=True)):
+        frame = scene.frame(cam, time, width, height, previous, reset=reset_first and k == 0, samples=samples)
+        pipeline.submit(frame)
+        previous = (cam, time)
+    return frame
+
+
+# ---- identity and resampling ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [(W, H), (61, 37)])
+@pytest.mark.parametrize("pose", [{}, {"position": (3e5, -2e5, 1e6), "yaw": 0.7, "pitch": 0.2, "roll": 0.4}])
+def test_identity_is_bit_exact(device, size, pose):
+    """Equal cameras and zero motion give colour and depth back bit for bit, sky and silhouettes included."""
+    cam = camera(*size, **pose)
+    rng = np.random.default_rng(1)
+    depth = rng.choice([2.0, 3.7, np.inf, 55.1], (size[1], size[0])).astype(np.float32)
+    color = half(rng.uniform(0, 300, (size[1], size[0], 3)))
+    still = np.zeros((size[1], size[0], 2), np.float32)
+    pipeline = Pipeline(device, *size)
+    for k in range(3):
+        pipeline.submit(RenderedFrame(color, depth, still, cam, k / 30, reset=k == 0))
+    out = pipeline.extrapolate(cam, 2.5 / 30)
+    assert out.numpy("color").tobytes() == color.tobytes()
+    assert out.numpy("depth").tobytes() == depth.tobytes()
+    assert not out.numpy("motion").any() and not out.numpy("dynamic").any() and not out.numpy("filled_by").any()
+
+
+@pytest.mark.parametrize("pan", [(0.25, 0.0), (0.5, 0.5), (0.37, -0.81), (1.5, 0.25)])
+def test_subpixel_pan_is_no_worse_than_bilinear(device, pan):
+    """PSNR against the analytic image, interior pixels."""
+    scene = Rects([Rect((0, 0, 10), frequency=0.9)])
+    still = camera(W, H)
+    shift = np.array([*pan, 0]) * 10 / still.fx
+    moved = camera(W, H, tuple(shift))
+    pipeline = Pipeline(device, W, H)
+    frame = submit(pipeline, scene, [still, still], [0, 1 / 30], samples=4)
+    got = pipeline.extrapolate(moved, 1.5 / 30).numpy("color").astype(np.float64)
+    truth = scene.color(moved, 0, W, H, 4)
+    y, x = np.mgrid[4 : H - 4, 4 : W - 4]
+    u, v = x + pan[0], y + pan[1]
+    x0, y0 = np.floor(u).astype(int), np.floor(v).astype(int)
+    fu, fv = (u - x0)[..., None], (v - y0)[..., None]
+    c = frame.color.astype(np.float64)
+    bilinear = (c[y0, x0] * (1 - fu) + c[y0, x0 + 1] * fu) * (1 - fv) + (
+        c[y0 + 1, x0] * (1 - fu) + c[y0 + 1, x0 + 1] * fu
+    ) * fv
+    inner = truth[4 : H - 4, 4 : W - 4]
+    assert psnr(got[4 : H - 4, 4 : W - 4], inner) >= psnr(bilinear, inner)
+
+
+MOVING = Rects(
+    [
+        Rect((0, 0, 14), frequency=0.3),
+        Rect((-0.5, 0.3, 6), (1, 1), velocity=(6, 1, 0), frequency=1.3, tint=(0.6, 0.3, 0.1)),
+    ]
+)
+
+
+def dolly(k, offset=(0, 0, 0)):
+    position = np.array([0.06 * k, 0.01 * k, 0.1 * k]) + offset
+    return camera(W, H, tuple(position), 0.01 * k, 0.003 * k, 0.004 * k)
+
+
+def test_far_from_the_origin_gives_the_same_picture(device):
+    """A scene shifted by 10⁶ units: within 0.05 dB of the unshifted one, both against the truth."""
+    figures = []
+    for offset in ((0, 0, 0), (1e6, -1e6, 1e6)):
+        scene = Rects(MOVING.rects, offset)
+        pipeline = Pipeline(device, W, H)
+        submit(pipeline, scene, [dolly(k, offset) for k in range(4)], [k / 30 for k in range(4)])
+        out = pipeline.extrapolate(dolly(3.5, offset), 3.5 / 30)
+        truth = scene.color(dolly(3.5, offset), 3.5 / 30, W, H)
+        figures.append(psnr(out.numpy("color"), truth))
+    assert abs(figures[0] - figures[1]) < 0.05, figures
+
+
+# ---- cracks --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("magnification", [1.05, 1.3, 1.9, 3.0])
+@pytest.mark.parametrize("roll", [0.0, 0.15])
+def test_approached_surface_has_no_cracks(device, magnification, roll):
+    """Also where the surface has something behind it that could shine through."""
+    scene = Rects([Rect((0, 0, 40), tint=(9, 9, 9)), Rect((0, 0, 10), (4.0, 2.4), frequency=0.4)])
+    start, end = camera(W, H), camera(W, H, (0, 0, 10 - 10 / magnification), roll=roll)
+    pipeline = Pipeline(device, W, H)
+    submit(pipeline, scene, [start, start], [0, 1 / 30])
+    out = pipeline.extrapolate(end, 1.5 / 30)
+    truth = scene.frame(end, 0, W, H).depth
+    surface = np.abs(truth - 10 / magnification) < 1e-3
+    for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        surface &= np.roll(np.abs(truth - 10 / magnification) < 1e-3, (dy, dx), (0, 1))
+    assert surface.sum() > 500
+    assert not out.numpy("disoccluded")[surface].any()
+    np.testing.assert_allclose(out.numpy("depth")[surface], truth[surface], rtol=1e-4)
+
+
+def test_slanted_floor_has_no_cracks(device):
+    """A ground plane seen at a grazing angle, rushing by: depth is steep there, yet one surface."""
+    y, x = np.mgrid[:H, :W] + 0.5
+    start = camera(W, H, pitch=0.0)
+    with np.errstate(divide="ignore"):
+        depth = np.where(y > H / 2 + 2, 1.5 * start.fy / (y - H / 2), np.inf).astype(np.float32)
+    color = half(np.stack([0.5 + 0.4 * np.sin(x / 3)] * 3, -1))
+    pipeline = Pipeline(device, W, H)
+    for k in range(2):
+        pipeline.submit(RenderedFrame(color, depth, np.zeros((H, W, 2), np.float32), start, k / 30, reset=k == 0))
+    out = pipeline.extrapolate(camera(W, H, (0, 0, 1.0)), 1.5 / 30)
+    floor = np.s_[H // 2 + 4 : H - 1, 8 : W - 8]
+    nearest_seen = depth[H - 1, 0] - 1.0  # what the source frame shows of the floor, in the new camera
+    visible = 1.5 * start.fy / (y[floor] - H / 2) > nearest_seen * 1.02
+    assert not out.numpy("disoccluded")[floor][visible].any()
+
+
+@pytest.mark.parametrize("magnification", [1.0, 1.2, 1.7])
+def test_thin_bar_stays_unbroken(device, magnification):
+    """A bar one pixel wide in front of a wall, dynamic or approached: present in every row."""
+    bar_depth = 5.0
+    for slant in (0.0, 0.3):
+        x = np.arange(W)
+        column = np.clip((W / 2 + slant * (np.arange(H) - H / 2)).astype(int), 0, W - 1)
+        depth = np.full((H, W), 20.0, np.float32)
+        depth[np.arange(H), column] = bar_depth
+        color = half(np.where((x[None] == column[:, None])[..., None], 1.0, 0.1) * np.ones(3))
+        cam = camera(W, H)
+        pipeline = Pipeline(device, W, H)
+        still = np.zeros((H, W, 2), np.float32)
+        for k in range(2):
+            pipeline.submit(RenderedFrame(color, depth, still, cam, k / 30, reset=k == 0))
+        end = camera(W, H, (0.013, 0, bar_depth * (1 - 1 / magnification)))
+        near = pipeline.extrapolate(end, 1.5 / 30).numpy("depth") < 6
+        assert near.any(1).all(), (magnification, slant)
+        rows = [np.flatnonzero(row) for row in near]
+        for upper, lower in zip(rows, rows[1:], strict=False):  # 8-connected down the image
+            assert lower.min() - upper.max() <= 1 and upper.min() - lower.max() <= 1
+
+
+# ---- motion --------------------------------------------------------------------------------------------
+
+
+def test_linear_motion_is_exact(device):
+    """An object in steady motion lands within 0.02 px of where it belongs, with depth; the wall stays."""
+    scene = Rects([Rect((0, 0, 14), frequency=0.3), Rect((-0.5, 0, 6), (1, 1), velocity=(3, 1, 9), frequency=1)])
+    pipeline = Pipeline(device, W, H)
+    submit(pipeline, scene, [dolly(k) for k in range(3)], [0, 1 / 30, 2 / 30])
+    out = pipeline.extrapolate(dolly(2.5), 2.5 / 30)
+    truth = scene.frame(dolly(2.5), 2.5 / 30, W, H, (dolly(2), 2 / 30))
+    shown = (out.numpy("disoccluded") == 0) & (np.abs(out.numpy("depth") - truth.depth) < 0.05 * truth.depth)
+    moving = out.numpy("dynamic") == 1
+    assert moving[shown].sum() > 150 and shown.mean() > 0.9
+    np.testing.assert_allclose(out.numpy("depth")[shown], truth.depth[shown], rtol=2e-3)
+    error = np.abs(out.numpy("motion") - truth.motion).max(-1)
+    assert np.quantile(error[shown], 0.99) < 0.02
+
+
+@pytest.mark.parametrize("times", [(0, 1, 2), (0, 1, 3), (0, 3, 4)])
+def test_varying_intervals(device, times):
+    """α follows the real times: an object in steady motion is met after uneven intervals too."""
+    times = [t / 30 for t in times]
+    pipeline = Pipeline(device, W, H)
+    cam = camera(W, H)
+    submit(pipeline, MOVING, [cam] * 3, times)
+    out = pipeline.extrapolate(cam, times[-1] + 0.5 / 30)
+    assert out.alpha == pytest.approx(0.5 / 30 / (times[2] - times[1]))
+    truth = MOVING.color(cam, times[-1] + 0.5 / 30, W, H)
+    assert psnr(out.numpy("color"), truth, out.numpy("disoccluded") == 0) > 30
+
+
+def test_seven_frames_from_one(device):
+    """n = 7: the motion of each extrapolated frame is that of its own time, on the wall and on the mover."""
+    pipeline = Pipeline(device, W, H)
+    submit(pipeline, MOVING, [dolly(k) for k in range(3)], [0, 1 / 30, 2 / 30])
+    for j in range(1, 8):
+        pose, time = dolly(2 + j / 8), (2 + j / 8) / 30
+        out = pipeline.extrapolate(pose, time)
+        assert out.alpha == pytest.approx(j / 8)
+        truth = MOVING.frame(pose, time, W, H, (dolly(2), 2 / 30))
+        for part in (out.numpy("dynamic") == 0, out.numpy("dynamic") == 1):
+            part &= out.numpy("disoccluded") == 0
+            error = np.abs(out.numpy("motion") - truth.motion).max(-1)[part]
+            assert part.sum() > 100 and np.median(error) < 0.01
+
+
+def test_polynomial_follows_acceleration(device):
+    """Constant acceleration: order 2 predicts what order 1 misses."""
+    cam = camera(W, H)
+
+    def frame(k, reset=False):
+        x = -1.5 + 0.012 * k * k
+        before = -1.5 + 0.012 * (k - 1) ** 2
+        scene = Rects([Rect((0, 0, 14), frequency=0.3), Rect((x, 0, 6), (1, 1), frequency=1)])
+        f = scene.frame(cam, k / 30, W, H, reset=reset)
+        f.motion[f.depth < 10] = ((before - x) * cam.fx / 6, 0)
+        return f, scene
+
+    errors = []
+    for options in (Options(history=3, order=1), Options(history=3, order=2)):
+        pipeline = Pipeline(device, W, H, options)
+        for k in range(6, 12):
+            pipeline.submit(frame(k, k == 6)[0])
+        out = pipeline.extrapolate(cam, 12 / 30)
+        near = out.numpy("depth") < 10
+        truth = frame(12)[0]
+        both = near & (truth.depth < 10)
+        errors.append(np.abs(out.numpy("motion") - truth.motion)[both].mean())
+    assert errors[1] < 0.02 and errors[0] > 0.1, errors
+
+
+def test_threshold_follows_quantised_motion(device):
+    """Motion rounded to 1.5 px must not make the static world dynamic; a mover stays dynamic."""
+    fractions = []
+    for step in (None, 1.5):
+        pipeline = Pipeline(device, W, H)
+        previous = None
+        scene = Rects([WALL, Rect((0, 0, 6), (0.8, 0.8), velocity=(12, 0, 0))])
+        for k in range(3):
+            cam = camera(W, H, (0.11 * k, 0.02 * k, 0.2 * k), 0.02 * k)
+            frame = scene.frame(cam, k / 30, W, H, previous, reset=k == 0)
+            if step:
+                frame.motion = (np.round(frame.motion / step) * step).astype(np.float32)
+            pipeline.submit(frame)
+            previous = (cam, k / 30)
+        dynamic = pipeline.history.read("dynamic_mask") > 0
+        mover = frame.depth < 7
+        fractions.append((dynamic[mover].mean(), dynamic[~mover].mean()))
+    for moving, static in fractions:
+        assert moving > 0.95 and static < 0.02, fractions
+
+
+def test_motion_onto_another_surface_means_no_motion(device):
+    """Where the motion vector meets no plausible surface, the fragment is dynamic and stays where it is."""
+    cam = camera(W, H)
+    pipeline = Pipeline(device, W, H, Options(static_threshold=0.5))
+    depth = np.full((H, W), 20, np.float32)
+    color = half(np.full((H, W, 3), 0.3))
+    still = np.zeros((H, W, 2), np.float32)
+    pipeline.submit(RenderedFrame(color, depth, still, cam, 0.0, reset=True))
+    depth2, motion2 = depth.copy(), still.copy()
+    depth2[20:30, 40:50] = 3.0  # appears from nowhere, claiming to come from 12 px to the left
+    motion2[20:30, 40:50] = (-12, 0)
+    pipeline.submit(RenderedFrame(color, depth2, motion2, cam, 1 / 30))
+    assert (pipeline.history.read("dynamic_mask")[20:30, 40:50] == 1).all()
+    out = pipeline.extrapolate(cam, 1.5 / 30)
+    assert np.array_equal(out.numpy("depth"), depth2)
+
+
+def test_sky_turns_but_does_not_move(device):
+    """Sky ignores V and the camera's translation; it is static and the farthest."""
+    cam, turned = camera(W, H), camera(W, H, (5, 1, 3), yaw=0.1)
+    y, x = np.mgrid[:H, :W] + 0.5
+    color = half(np.stack([0.5 + 0.3 * np.sin(x / 5), 0.5 + 0.3 * np.cos(y / 7), 0 * x + 0.5], -1))
+    depth = np.full((H, W), np.inf, np.float32)
+    motion = np.full((H, W, 2), 17.0, np.float32)
+    pipeline = Pipeline(device, W, H)
+    for k in range(2):
+        pipeline.submit(RenderedFrame(color, depth, motion, cam, k / 30, reset=k == 0))
+    out = pipeline.extrapolate(turned, 1.5 / 30)
+    assert not out.numpy("dynamic").any()
+    inside = out.numpy("disoccluded") == 0
+    assert 0.8 < inside.mean() < 0.99 and np.isinf(out.numpy("depth")[inside]).all()
+    px = np.stack([x, y], -1)
+    source = cam.project(turned.unproject(px, np.ones((H, W))) - turned.position)[0]
+    assert np.abs(out.numpy("motion") - (source - px))[inside].max() < 0.01
+
+
+def test_reset_forgets(device):
+    """After a reset everything is predicted as static, whatever the motion vectors say."""
+    pipeline = Pipeline(device, W, H)
+    cams = [camera(W, H)] * 3
+    submit(pipeline, MOVING, cams, [0, 1 / 30, 2 / 30])
+    assert pipeline.history.read("dynamic_mask").any()
+    frame = MOVING.frame(cams[0], 10.0, W, H, (cams[0], 10 - 1 / 30), reset=True)
+    pipeline.submit(frame)
+    assert not pipeline.history.read("dynamic_mask").any()
+    out = pipeline.extrapolate(cams[0], 10 + 0.5 / 30)
+    assert out.alpha == pytest.approx(0.5)
+    assert out.numpy("color").tobytes() == frame.color.tobytes()
+
+
+def test_no_motion_option_and_literal_splat(device):
+    for options in (Options(motion=False), Options(crack_closing=False), Options(hole_filling=False)):
+        pipeline = Pipeline(device, W, H, options)
+        submit(pipeline, MOVING, [dolly(k) for k in range(3)], [0, 1 / 30, 2 / 30])
+        out = pipeline.extrapolate(dolly(2.5), 2.5 / 30)
+        if not options.motion:
+            assert not out.numpy("dynamic").any()
+        if not options.crack_closing:
+            assert not (out.numpy("filled_by") == 254).any()
+        if not options.hole_filling:
+            holes = out.numpy("disoccluded") == 1
+            assert holes.any() and np.isinf(out.numpy("depth")[holes]).all()
+
+
+# ---- holes ---------------------------------------------------------------------------------------------
+
+
+def test_holes_are_filled_with_surroundings(device):
+    """Everything is finite, filled pixels are tagged, and carry the motion of a static point at their depth."""
+    pipeline = Pipeline(device, W, H)
+    submit(pipeline, MOVING, [dolly(k) for k in range(3)], [0, 1 / 30, 2 / 30])
+    end = camera(W, H, (1.5, 0, 0.3), 0.2)
+    out = pipeline.extrapolate(end, 2.5 / 30)
+    holes = out.numpy("disoccluded") == 1
+    assert holes.any() and (out.numpy("filled_by") == 255)[holes].all()
+    assert np.isfinite(out.numpy("color")).all() and (out.numpy("depth") > 0).all()
+    assert (out.numpy("color")[holes] > 0.05).all() and (out.numpy("depth")[holes] < 20).all()
+    y, x = np.mgrid[:H, :W] + 0.5
+    px = np.stack([x, y], -1)
+    source = dolly(2).project(end.unproject(px, out.numpy("depth")))[0]
+    assert np.abs(out.numpy("motion") - (source - px))[holes].max() < 1e-2
+
+
+def test_turning_away_fills_everything(device):
+    """Nothing of the rendered frame is in view: the frame is filled all the same, without NaN."""
+    pipeline = Pipeline(device, W, H)
+    submit(pipeline, MOVING, [dolly(0), dolly(1)], [0, 1 / 30])
+    out = pipeline.extrapolate(camera(W, H, yaw=np.pi), 1.5 / 30)
+    assert (out.numpy("disoccluded") == 1).all()
+    color = out.numpy("color")
+    assert np.isfinite(color).all() and (color > 0.01).all()
+    assert np.isfinite(out.numpy("motion")).all()
+
+
+# ---- bad pixels ----------------------------------------------------------------------------------------
+
+BAD = {
+    "motion": [np.nan, np.inf, -np.inf, 1e30, -1e9, 500.0],
+    "depth": [np.nan, 0.0, -1.0, -np.inf, 1e38, 1e-38],
+    "color": [np.nan, 1e6, np.inf, -np.inf],
+}
+
+
+@pytest.mark.parametrize(("kind", "value"), [(k, v) for k, values in BAD.items() for v in values])
+def test_bad_pixels_do_no_harm(device, kind, value):
+    """A few bad pixels are counted and spoil nothing but their own neighbourhood."""
+    outs = []
+    for spoil in (False, True):
+        pipeline = Pipeline(device, W, H)
+        previous = None
+        for k in range(4):
+            frame = MOVING.frame(dolly(k), k / 30, W, H, previous, reset=k == 0)
+            frame.color = frame.color.astype(np.float32)
+            if spoil:
+                for y, x in ((20, 30), (40, 50), (0, 0), (H - 1, W - 1)):
+                    getattr(frame, kind)[y, x] = value
+            pipeline.submit(frame)
+            previous = (dolly(k), k / 30)
+        out = pipeline.extrapolate(dolly(3.5), 3.5 / 30)
+        outs.append({name: out.numpy(name).astype(np.float64) for name in ("color", "depth", "motion")})
+        bad = pipeline.bad_pixels
+    for name, image in outs[1].items():
+        assert np.isfinite(image).all(), name
+    changed = (outs[0]["color"] != outs[1]["color"]).any(-1)
+    assert changed.mean() < 0.04
+    counted = {
+        "motion": 0 if np.isfinite(value) else 16,
+        "depth": 16 if not value > 0 else 0,
+        "color": 16 if not np.isfinite(value) else 0,
+    }[kind]
+    assert getattr(bad, kind) == counted
+    if kind == "color" and value == 1e6:
+        assert bad.clamped == 16
+
+
+def test_frames_of_nothing_but_bad_pixels(device):
+    for kind in ("depth", "motion", "color"):
+        pipeline = Pipeline(device, W, H)
+        for k in range(3):
+            frame = MOVING.frame(dolly(k), k / 30, W, H, (dolly(k - 1), (k - 1) / 30), reset=k == 0)
+            getattr(frame, kind)[:] = np.nan
+            pipeline.submit(frame)
+        out = pipeline.extrapolate(dolly(2.5), 2.5 / 30)
+        for name in ("color", "motion"):
+            assert np.isfinite(out.numpy(name)).all()
+        assert not np.isnan(out.numpy("depth")).any()
+
+
+# ---- the public interface ------------------------------------------------------------------------------
+
+
+def test_device_buffers_are_used_in_place(device):
+    """Frames given as device buffers give the same bits as NumPy arrays, and are not copied."""
+    results = []
+    for on_device in (False, True):
+        pipeline = Pipeline(device, W, H)
+        for k in range(3):
+            frame = MOVING.frame(dolly(k), k / 30, W, H, (dolly(k - 1), (k - 1) / 30), reset=k == 0)
+            if on_device:
+                flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+                color = np.zeros((H, W, 4), np.float16)
+                color[..., :3] = frame.color
+                for name, array in (("color", color), ("depth", frame.depth), ("motion", frame.motion)):
+                    buffer = cl.Buffer(device.context, flags, hostbuf=np.ascontiguousarray(array))
+                    setattr(frame, name, buffer)
+            pipeline.submit(frame)
+            if on_device:
+                assert pipeline._current.color is frame.color
+        out = pipeline.extrapolate(dolly(2.5), 2.5 / 30)
+        results.append([out.numpy(n).tobytes() for n in ("color", "depth", "motion", "filled_by")])
+        assert isinstance(out.color, cl.Buffer)
+    assert results[0] == results[1]
+
+
+def test_predicted_camera_is_used_when_none_is_given(device):
+    pipeline = Pipeline(device, W, H)
+    submit(pipeline, MOVING, [camera(W, H, (0.1 * k, 0, 0)) for k in range(3)], [0, 1 / 30, 2 / 30])
+    out = pipeline.extrapolate(time=2.5 / 30)
+    np.testing.assert_allclose(out.camera.position, (0.25, 0, 0), atol=1e-9)
+
+
+def test_misuse_is_refused(device):
+    pipeline = Pipeline(device, W, H)
+    with pytest.raises(GffeError, match="submit a rendered frame first"):
+        pipeline.extrapolate(camera(W, H), 0.0)
+    frame = MOVING.frame(dolly(0), 0.0, W, H, reset=True)
+    pipeline.submit(frame)
+    with pytest.raises(GffeError, match="after the previous"):
+        pipeline.submit(RenderedFrame(frame.color, frame.depth, frame.motion, frame.camera, 0.0))
+    with pytest.raises(GffeError, match="motion is missing"):
+        pipeline.submit(RenderedFrame(frame.color, frame.depth, None, frame.camera, 1.0))
+    with pytest.raises(GffeError, match=r"depth must have shape \(64, 96\), got \(96, 64\)"):
+        pipeline.submit(RenderedFrame(frame.color, frame.depth.T, frame.motion, frame.camera, 1.0))
+    with pytest.raises(GffeError, match="before the last rendered"):
+        pipeline.extrapolate(dolly(0), -1.0)
+    for bad in ({"history": 1}, {"order": 2}, {"static_threshold": -1}, {"static_threshold": float("nan")}):
+        with pytest.raises(GffeError, match="options"):
+            Options(**bad)

@@ -1,0 +1,148 @@
+"""Every kernel against its NumPy twin, on frames that hold everything: moving parts, sky, bad pixels."""
+
+import numpy as np
+import pytest
+import twins
+from synthetic import Rect, Rects, camera
+
+from gffe_cl.pipeline import Options, Pipeline
+from gffe_cl.stage import reprojection
+from gffe_cl.stages.prediction import polynomial_weights
+
+SCENE = Rects(
+    [
+        Rect((0, 0, 12), (9, 4), frequency=0.3),
+        Rect((-1, 0.5, 6), (0.8, 1.5), velocity=(9, 0, 0), frequency=1, tint=(0.7, 0.2, 0.1)),
+        Rect((1.5, -0.3, 5), (0.5, 0.5), velocity=(-3, 2, -12), frequency=2, tint=(4, 5, 90)),
+        Rect((0.2, 0, 4), (0.05, 3), frequency=2, tint=(0.1, 0.1, 0.1)),
+    ]
+)
+
+
+def frames(width, height, count=4, spoil=True):
+    rng = np.random.default_rng(5)
+    cameras = [
+        camera(width, height, (0.1 * k, 0.02 * k, 0.15 * k), 0.02 * k, 0.004 * k * k, 0.01 * k)
+        for k in range(count)
+    ]
+    previous = None
+    for k in range(count):
+        frame = SCENE.frame(cameras[k], k / 30, width, height, previous, reset=k == 0)
+        previous = (cameras[k], k / 30)
+        if spoil and k:
+            for array, values in (
+                (frame.depth, (np.nan, 0, -3, np.inf, 1e30)),
+                (frame.motion, (np.nan, np.inf, 1e9, -1e6, 300)),
+                (frame.color, (np.nan, np.inf, -np.inf, 60000, -5)),
+            ):
+                for value in values:
+                    y, x = rng.integers(height), rng.integers(width)
+                    array[y, x] = value
+            frame.motion += rng.uniform(-0.01, 0.01, frame.motion.shape).astype(np.float32)
+        yield frame
+
+
+def run(device, width, height, options, int64=None, target=None, spoil=True):
+    """Submit four frames; returns the pipeline, its last two host frames and the target camera and time."""
+    pipeline = Pipeline(device, *(target or (width, height)), options, render_size=(width, height), int64_atomics=int64)
+    seen = []
+    for frame in frames(width, height, spoil=spoil):
+        before = (pipeline.history.read("dynamic_mask"), pipeline.history.read("history")) if seen else None
+        pipeline.submit(frame)
+        seen.append(frame)
+    to = camera(*(target or (width, height)), (0.35, 0.07, 0.6), 0.075, 0.045, 0.035)
+    time = seen[-1].time + 0.02
+    extrapolated = pipeline.extrapolate(to, time)
+    return pipeline, seen, before, to, time, extrapolated
+
+
+OPTIONS = [Options(), Options(history=4, order=3), Options(crack_closing=False, static_threshold=0.7)]
+CASES = [((61, 37), None), ((48, 33), (64, 48)), ((64, 48), (40, 31))]
+
+
+@pytest.mark.parametrize("options", OPTIONS, ids=["default", "cubic", "literal"])
+@pytest.mark.parametrize(("size", "target"), CASES, ids=["odd", "larger", "smaller"])
+def test_stages_equal_their_twins(device, options, size, target):
+    """Masks, keys and links bit for bit; floats too, but for pixels where a rounding of the device's
+    division differs (at most 1 in 1000, and then by 1e-5 relative)."""
+    pipeline, seen, before, to, time, extrapolated = run(device, *size, options, target=target)
+    now, past = seen[-1], seen[-2]
+    color, depth, motion = now.color.copy(), now.depth, now.motion
+    to_previous = reprojection(now.camera, past.camera)
+
+    threshold = np.float32((options.static_threshold or 0) ** 2)
+    if options.static_threshold is None:
+        histogram = twins.residual_histogram(depth, motion, to_previous)
+        assert np.array_equal(pipeline.history.read("residual_histogram"), histogram)
+        threshold = twins.noise_threshold_squared(histogram)
+    assert pipeline.history.read("static_threshold_squared") == threshold
+
+    dynamic, history = twins.track_history(
+        depth, motion, options.history, threshold, to_previous, reprojection(past.camera, now.camera), past.depth, *_planes(*before)
+    )
+    assert np.array_equal(pipeline.history.read("dynamic_mask"), dynamic)
+    assert 0.02 < dynamic.mean() < 0.6
+    assert_close(_planes(dynamic, pipeline.history.read("history"))[1], history)
+
+    times = [f.time for f in reversed(seen)]
+    to_target = reprojection(now.camera, to)
+    weights = polynomial_weights(times, time, 4)
+    predicted = twins.predict_positions(depth, dynamic, history, options.order, weights, to_target)
+    got = pipeline.prediction.read("target_position")
+    assert np.array_equal(got[..., 2] > 0, predicted[..., 2] > 0)
+    assert_close(got, predicted)
+
+    links = twins.link_surfaces(depth, dynamic)
+    assert np.array_equal(pipeline.warp.read("links"), links)
+
+    # From here on the device's own positions, so that one rounding is not counted twice.
+    zoom = np.array([to.fx / now.camera.fx, to.fy / now.camera.fy], np.float32)
+    keys = twins.splat(got, depth, links, zoom, pipeline.sizes.target, options.crack_closing)
+    warped = twins.resolve(keys, got, color, depth, dynamic, links, zoom)
+    for name in ("dynamic", "disoccluded", "filled_by"):
+        assert np.array_equal(extrapolated.numpy(name), warped[name]), name
+    assert warped["disoccluded"].any()
+    sums = twins.downsample(warped, color, depth)
+    np.testing.assert_allclose(pipeline.holes.read("block_color"), sums[0], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(pipeline.holes.read("block_inverse_depth"), sums[1], rtol=1e-4, atol=1e-5)
+    filled = twins.fill_holes(warped, *sums, reprojection(to, now.camera))
+    holes = warped["disoccluded"] > 0
+    for name in ("color", "depth", "motion"):
+        got_image = pipeline.warp.read(name)
+        assert_close(got_image[~holes], filled[name][~holes])
+        # Block sums are float32 on the device and float64 in the twin.
+        np.testing.assert_allclose(
+            got_image[holes].astype(np.float32), filled[name][holes].astype(np.float32), rtol=2e-3, atol=2e-3
+        )
+
+
+def _planes(dynamic, history):
+    return dynamic, history if history.ndim == 4 else history[None]
+
+
+def assert_close(got, expected):
+    same = (got == expected) | (np.isnan(got) & np.isnan(expected))
+    assert same.mean() > 0.999, f"{(~same).sum()} of {same.size} values differ"
+    both = np.isfinite(got) & np.isfinite(expected)
+    np.testing.assert_allclose(got[both].astype(np.float64), expected[both].astype(np.float64), rtol=1e-5, atol=1e-5)
+    assert np.array_equal(np.isfinite(got), np.isfinite(expected))
+
+
+@pytest.mark.parametrize(("size", "target"), CASES, ids=["odd", "larger", "smaller"])
+def test_two_pass_path_gives_the_same_bits(device, size, target):
+    """The 32-bit path of the warp equals the 64-bit path, where the device has that."""
+    if not device.int64_atomics:
+        pytest.skip("device has no 64-bit atomics")
+    results = [run(device, *size, Options(), int64, target)[-1] for int64 in (True, False)]
+    for name in ("color", "depth", "motion", "dynamic", "disoccluded", "filled_by"):
+        a, b = (r.numpy(name) for r in results)
+        assert a.tobytes() == b.tobytes(), name
+
+
+def test_five_runs_give_the_same_bits(device):
+    first = None
+    for _ in range(5):
+        extrapolated = run(device, 61, 37, Options(history=3))[-1]
+        bits = [extrapolated.numpy(n).tobytes() for n in ("color", "depth", "motion", "dynamic", "filled_by")]
+        first = first or bits
+        assert bits == first
