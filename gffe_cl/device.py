@@ -118,8 +118,12 @@ def open_device(wanted: str | None = None) -> Device:
             + ", ".join(f"{info.index} {info.platform} / {info.name}" for info in working)
             + ")"
         )
-    best = max(chosen, key=lambda info: (info.kind == "gpu", info.megapixels_per_second))
-    return open_info(best)
+    return open_info(best_of(chosen))
+
+
+def best_of(infos: list[DeviceInfo]) -> DeviceInfo:
+    """The default among devices that work: a GPU, else the fastest."""
+    return max(infos, key=lambda info: (info.kind == "gpu", info.megapixels_per_second))
 
 
 def open_info(info: DeviceInfo) -> Device:

@@ -30,15 +30,19 @@ class BufferSpec:
     """One named buffer of a stage.
 
     `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "blocks"
-    (target / 32, rounded up) or "once" (no image).
+    (target / 32, rounded up) or "once" (no image). `components` name its channels; a single one goes without.
     """
 
     name: str
     dtype: type
-    channels: int
+    components: tuple[str, ...]
     grid: str
     description: str
     planes: int = 1
+
+    @property
+    def channels(self) -> int:
+        return max(len(self.components), 1)
 
     def shape(self, sizes: Sizes) -> tuple[int, ...]:
         """Shape of the NumPy array: (planes?, H, W, channels?)."""
@@ -55,6 +59,10 @@ class BufferSpec:
 
     def nbytes(self, sizes: Sizes) -> int:
         return int(np.prod(self.shape(sizes))) * np.dtype(self.dtype).itemsize
+
+
+RGBA = ("R", "G", "B", "A")
+XY = ("x", "y")
 
 
 class Stage:

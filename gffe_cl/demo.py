@@ -1,0 +1,98 @@
+"""The demonstration: render `corridor`, extrapolate it, measure it, show it (`gffe demo`)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from gffe_cl.device import Device
+from gffe_cl.evaluate import baseline_repeat, compare
+from gffe_cl.metrics import display_values
+from gffe_cl.pipeline import Options
+from gffe_cl.render import render_sequence
+from gffe_cl.report import contact_sheet, error_image, side_by_side, write_video
+from gffe_cl.run import run_sequence
+from gffe_cl.scenes import load_scene
+from gffe_cl.sequence import Sequence, open_sequence
+
+METHODS = {
+    "repeat": "repeat the last frame",
+    "static": "warp, all static",
+    "gae": "GAE",
+}
+_FRAMES = 16
+_SLOWDOWN = 4
+
+
+def demo(output: Path, device: Device, width: int, height: int, seed: int, step) -> dict:
+    """Fill the folder `output`: `rendered/`, `extrapolated/`, `contact_sheet.png`, `side_by_side.mp4`, `metrics.json`.
+
+    `step(text, total)` opens a progress step and returns a function to call after each unit of it.
+    Returns the metrics: {"repeat": {"psnr", "ssim"}, "static": {…}, "gae": {…}}.
+    """
+    scene = load_scene("corridor", seed)
+    rendered, extrapolated = output / "rendered", output / "extrapolated"
+    on_frame = step("Rendering the scene 'corridor'", 2 * _FRAMES)
+    render_sequence(
+        scene, rendered, device, width, height, _FRAMES, 30.0, ground_truth=True, on_frame=on_frame
+    )
+    source = open_sequence(rendered)
+    on_frame = step("Extrapolating, all static", _FRAMES)
+    static = output / "static"
+    run_sequence(source, static, device, Options(motion=False), [0.5], on_frame=on_frame)
+    on_frame = step("Extrapolating (GAE)", _FRAMES)
+    run_sequence(source, extrapolated, device, Options(), [0.5], on_frame=on_frame)
+
+    on_frame = step("Measuring against ground truth", 3 * _FRAMES)
+
+    def progress(done, total):
+        on_frame()
+
+    results = {
+        "repeat": baseline_repeat(source, progress),
+        "static": compare(open_sequence(static), source, progress=progress),
+        "gae": compare(open_sequence(extrapolated), source, progress=progress),
+    }
+    metrics = {name: result.to_json()["mean"] for name, result in results.items()}
+    (output / "metrics.json").write_text(json.dumps(metrics, indent=1) + "\n")
+
+    made = open_sequence(extrapolated)
+    on_frame = step("Drawing the contact sheet and the video", _FRAMES)
+    _contact_sheet(source, made).save(output / "contact_sheet.png")
+    write_video(output / "side_by_side.mp4", _video_frames(source, made, on_frame), 60.0)
+    return metrics
+
+
+def _contact_sheet(source: Sequence, made: Sequence):
+    rows = []
+    titles = ["rendered (t)", "extrapolated (t + ½)", "ground truth (t + ½)", "error ×4", "dynamic mask", "disocclusions"]
+    for index in np.linspace(_FRAMES // 4, _FRAMES - 1, 3).astype(int):
+        now, new, truth = source.rendered[index], made.extrapolated[index], source.ground_truth[index]
+        shown, predicted, wanted = (
+            display_values(s.read_color(e), source.exposure) for s, e in ((source, now), (made, new), (source, truth))
+        )
+        masks = made.read_channels(new, ["mask.dynamic", "mask.disoccluded"])
+        images = [shown, predicted, wanted, error_image(predicted, wanted)]
+        images += [masks[name].astype(np.float32) for name in ("mask.dynamic", "mask.disoccluded")]
+        rows.append((f"frame {index}, t = {now.time:.3f} s", images))
+    return contact_sheet(rows, titles)
+
+
+def _video_frames(source: Sequence, made: Sequence, on_frame) -> Iterator[np.ndarray]:
+    """Left the rendered frames at 30 Hz, right with the extrapolated ones at 60 Hz, slowed down."""
+
+    def pairs():
+        for now, new in zip(source.rendered, made.extrapolated, strict=True):
+            rendered = display_values(source.read_color(now), source.exposure)
+            extrapolated = display_values(made.read_color(new), source.exposure)
+            yield rendered, rendered
+            yield rendered, extrapolated
+            on_frame()
+
+    labels = (f"rendered, 30 Hz (1/{_SLOWDOWN} speed)", f"with extrapolated frames, 60 Hz (1/{_SLOWDOWN} speed)")
+    for image in side_by_side(pairs(), labels):
+        for _ in range(_SLOWDOWN):
+            yield image

@@ -1,0 +1,55 @@
+"""Rendering built-in scenes to sequences on disk (`gffe render`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from gffe_cl.device import Device
+from gffe_cl.errors import GffeError
+from gffe_cl.scenes import Scene, SceneRenderer, sequence_frames
+from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
+
+
+def render_sequence(
+    scene: Scene,
+    output: Path,
+    device: Device,
+    width: int,
+    height: int,
+    frames: int,
+    fps: float,
+    *,
+    ground_truth: bool = False,
+    per_frame: int = 1,
+    samples: int = 8,
+    on_frame: Callable[[], None] = lambda: None,
+) -> int:
+    """Render `frames` frames of `scene` at `fps` into the folder `output`; returns how many were written.
+
+    With `ground_truth`, also `per_frame` frames after each, with their own depth and motion (to the
+    rendered frame before), for measuring. `on_frame` is called after every frame.
+    """
+    if frames < 1:
+        raise GffeError(f"--frames must be at least 1, got {frames}")
+    if not 0 < fps < float("inf"):
+        raise GffeError(f"--fps must be positive, got {fps:g}")
+    renderer = SceneRenderer(device, scene, width, height, samples)
+    count = 0
+    with SequenceWriter(output, width, height, fps, scene.exposure) as writer:
+        for frame in sequence_frames(scene, width, height, frames, fps, ground_truth, per_frame):
+            image = renderer.render(frame.time, frame.camera, frame.previous_time, frame.previous_camera).numpy()
+            rendered = frame.kind == "rendered"
+            name = f"frame_{frame.source:06d}" if rendered else f"truth_{frame.source:06d}_{round(frame.alpha * 1000):04d}"
+            entry = FrameEntry(
+                file=f"{name}.exr",
+                time=frame.time,
+                kind=frame.kind,
+                reset=rendered and frame.reset,
+                render_camera=frame.camera if rendered else None,
+                display_camera=None if rendered else frame.camera,
+            )
+            writer.add(entry, named_channels(image.color, image.depth, image.motion))
+            count += 1
+            on_frame()
+    return count

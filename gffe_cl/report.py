@@ -1,0 +1,101 @@
+"""Pictures of results for people: contact sheet and side-by-side video. Display values are sRGB in [0, 1]."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from gffe_cl.errors import GffeError
+
+_MARGIN = 8
+_INK = (225, 225, 225)
+_PAPER = (24, 24, 26)
+
+
+def contact_sheet(rows: list[tuple[str, list[np.ndarray]]], titles: list[str], cell_width: int = 480):
+    """A PIL image of labelled rows of images (H, W, 3) or (H, W), values in [0, 1]."""
+    from PIL import Image, ImageDraw
+
+    height, width = rows[0][1][0].shape[:2]
+    cell = (cell_width, round(cell_width * height / width))
+    font, bar = _font(18), 30
+    sheet = Image.new(
+        "RGB",
+        (
+            _MARGIN + len(titles) * (cell[0] + _MARGIN),
+            bar + len(rows) * (cell[1] + bar) + _MARGIN,
+        ),
+        _PAPER,
+    )
+    draw = ImageDraw.Draw(sheet)
+    for column, title in enumerate(titles):
+        draw.text((_MARGIN + column * (cell[0] + _MARGIN) + 2, 6), title, _INK, font)
+    for row, (label, images) in enumerate(rows):
+        top = bar + row * (cell[1] + bar)
+        for column, image in enumerate(images):
+            picture = to_image(image).resize(cell, Image.Resampling.LANCZOS)
+            sheet.paste(picture, (_MARGIN + column * (cell[0] + _MARGIN), top))
+        draw.text((_MARGIN + 2, top + cell[1] + 4), label, (160, 160, 160), font)
+    return sheet
+
+
+def to_image(values: np.ndarray):
+    """(H, W, 3) or (H, W) display values in [0, 1] → PIL image."""
+    from PIL import Image
+
+    if values.ndim == 2:
+        values = np.repeat(values[..., None], 3, -1)
+    return Image.fromarray((np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8))
+
+
+def error_image(a: np.ndarray, b: np.ndarray, gain: float = 4.0) -> np.ndarray:
+    """Mean absolute difference of display values times `gain`, on a black–red–yellow–white scale (H, W, 3)."""
+    e = np.abs(a - b).mean(-1) * gain
+    return np.clip(np.stack([3 * e, 3 * e - 1, 3 * e - 2], -1), 0, 1)
+
+
+def side_by_side(pairs: Iterable[tuple[np.ndarray, np.ndarray]], labels: tuple[str, str]) -> Iterator[np.ndarray]:
+    """Join (left, right) display images with a label each; yields (H, 2W + gap, 3) uint8, sides even."""
+    from PIL import Image, ImageDraw
+
+    font = _font(20)
+    for left, right in pairs:
+        height, width = left.shape[:2]
+        frame = Image.new("RGB", (2 * width + 8 + (8 + 2 * width) % 2, height + 32 + height % 2), _PAPER)
+        draw = ImageDraw.Draw(frame)
+        for image, x, label in ((left, 0, labels[0]), (right, width + 8, labels[1])):
+            frame.paste(to_image(image), (x, 32))
+            draw.text((x + 8, 5), label, _INK, font)
+        yield np.asarray(frame)
+
+
+def write_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
+    """Write (H, W, 3) uint8 frames as H.264 MP4. Raises GffeError when the encoder fails."""
+    import imageio_ffmpeg
+
+    frames = iter(frames)
+    first = next(frames)
+    try:
+        writer = imageio_ffmpeg.write_frames(
+            str(path),
+            (first.shape[1], first.shape[0]),
+            fps=fps,
+            codec="libx264",
+            macro_block_size=1,
+            output_params=["-crf", "16", "-preset", "fast", "-pix_fmt", "yuv420p", "-movflags", "+faststart"],
+        )
+        writer.send(None)
+        writer.send(np.ascontiguousarray(first))
+        for frame in frames:
+            writer.send(np.ascontiguousarray(frame))
+        writer.close()
+    except (OSError, RuntimeError) as error:
+        raise GffeError(f"{path}: cannot write the video: {' '.join(str(error).split())[:200]}") from None
+
+
+def _font(size: int):
+    from PIL import ImageFont
+
+    return ImageFont.load_default(size)

@@ -1,0 +1,188 @@
+"""Extrapolating a sequence on disk into another one (`gffe run`)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from gffe_cl.camera import Camera
+from gffe_cl.device import Device
+from gffe_cl.errors import GffeError
+from gffe_cl.frame import BadPixels, pack_frame
+from gffe_cl.pipeline import ExtrapolatedFrame, Options, Pipeline
+from gffe_cl.sequence import (
+    FrameEntry,
+    Sequence,
+    SequenceWriter,
+    named_channels,
+    refuse_same_folder,
+    require_clean,
+)
+from gffe_cl.sequence.exr import write_channels
+
+MASKS = {"mask.dynamic": "dynamic", "mask.disoccluded": "disoccluded", "mask.filled_by": "filled_by"}
+
+
+@dataclass
+class RunReport:
+    """What a run did: frames made, bad pixels met, warnings, kernel milliseconds per stage and frame."""
+
+    extrapolated: int
+    bad_pixels: BadPixels
+    warnings: list[str]
+    milliseconds: dict[str, float]
+
+
+def alphas_for(n: int) -> list[float]:
+    """α = j/(n+1), j = 1 … n (paper: 'Position estimation')."""
+    if not 1 <= n <= 7:
+        raise GffeError(f"-n must be 1 to 7 extrapolated frames per rendered frame, got {n}")
+    return [j / (n + 1) for j in range(1, n + 1)]
+
+
+def run_sequence(
+    sequence: Sequence,
+    output: Path,
+    device: Device,
+    options: Options,
+    alphas: list[float],
+    *,
+    predicted_camera: bool = False,
+    strict: bool = False,
+    dump_stages: bool = False,
+    on_frame: Callable[[], None] = lambda: None,
+) -> RunReport:
+    """Extrapolate after every rendered frame of `sequence` and write the result to `output`.
+
+    The camera of an extrapolated frame is that of the ground-truth frame of the same time, unless there is
+    none or `predicted_camera` asks for C̄. `on_frame` is called after each extrapolated frame.
+
+    Raises GffeError for structural faults; then `output` holds no sequence.
+    """
+    alphas = sorted(alphas)
+    if not alphas or not all(np.isfinite(a) and 0 < a for a in alphas):
+        raise GffeError(f"alpha must be positive numbers, got {', '.join(f'{a:g}' for a in alphas) or 'none'}")
+    refuse_same_folder(output, sequence.path)
+    render_size = _common_render_size(sequence)
+    pipeline = Pipeline(
+        device, sequence.width, sequence.height, options, render_size=render_size, fps=sequence.fps
+    )
+    truth_cameras = _TruthCameras([] if predicted_camera else sequence.ground_truth)
+    report = RunReport(0, BadPixels(), sequence.warnings(), {})
+    timings = {stage.name: 0.0 for stage in pipeline.stages}
+
+    def read(entry: FrameEntry):
+        frame = sequence.read(entry)
+        packed = pack_frame(frame, render_size[1], render_size[0])
+        if strict:
+            require_clean(entry.file, packed.bad)
+        return frame, packed
+
+    with SequenceWriter(
+        output, sequence.width, sequence.height, sequence.fps, sequence.exposure
+    ) as writer:
+        for index, (entry, (frame, packed)) in enumerate(sequence.prefetch(sequence.rendered, read=read)):
+            pipeline.submit(frame, packed)
+            writer.link(entry, sequence.path / entry.file)
+            for alpha in alphas:
+                time = frame.time + alpha * pipeline.interval
+                camera = truth_cameras.at(time)
+                extrapolated = pipeline.extrapolate(camera, time)
+                made = FrameEntry(
+                    file=f"extrapolated_{_number_of(entry, index)}_{round(alpha * 1000):04d}.exr",
+                    time=time,
+                    kind="extrapolated",
+                    source=entry.file,
+                    alpha=alpha,
+                    display_camera=extrapolated.camera,
+                )
+                if dump_stages:
+                    dump(pipeline, output / "stages" / Path(made.file).stem)
+                writer.add(made, output_channels(extrapolated, frame.camera, frame.shown_camera, frame.color.dtype))
+                report.extrapolated += 1
+                on_frame()
+            for name, milliseconds in pipeline.take_timings().items():
+                timings[name] += milliseconds
+    report.bad_pixels = pipeline.bad_pixels
+    report.warnings = sequence.warnings()
+    report.milliseconds = {name: total / max(report.extrapolated, 1) for name, total in timings.items()}
+    return report
+
+
+def output_channels(
+    extrapolated: ExtrapolatedFrame, render_camera: Camera, display_camera: Camera, color_dtype=np.float16
+) -> dict[str, np.ndarray]:
+    """EXR channels of an extrapolated frame: R G B, Z, motion.x motion.y, mask.*, and `motion.display.*`
+    (pixels, into the source frame as displayed) where it was rendered through another window."""
+    motion = extrapolated.numpy("motion")
+    dtype = np.float32 if color_dtype == np.float32 else np.float16
+    channels = named_channels(extrapolated.numpy("color").astype(dtype), extrapolated.numpy("depth"), motion)
+    channels |= {channel: extrapolated.numpy(name) for channel, name in MASKS.items()}
+    if render_camera != display_camera:
+        height, width = motion.shape[:2]
+        for axis, name in enumerate("xy"):
+            centre = np.arange((width, height)[axis]) + 0.5
+            centre = centre[None, :] if axis == 0 else centre[:, None]
+            focal = [(c.fx, c.fy)[axis] for c in (render_camera, display_camera)]
+            middle = [(c.cx, c.cy)[axis] for c in (render_camera, display_camera)]
+            shown = (motion[..., axis] + centre - middle[0]) * (focal[1] / focal[0]) + middle[1]
+            channels[f"motion.display.{name}"] = (shown - centre).astype(np.float32)
+    return channels
+
+
+def dump(pipeline: Pipeline, folder: Path) -> None:
+    """Write every named buffer of every stage: `<stage>.<buffer>.exr`, and `once.json` for what is no image."""
+    once = {}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for stage, spec in pipeline.named_buffers():
+            array = stage.read(spec.name)
+            if spec.grid == "once":
+                once[f"{stage.name}.{spec.name}"] = array.tolist()
+                continue
+            planes = array if spec.planes > 1 else array[None]
+            channels = {}
+            for k, plane in enumerate(planes):
+                prefix = f"{k + 1}." if spec.planes > 1 else ""
+                for c, component in enumerate(spec.components or ("Y",)):
+                    image = plane[..., c] if spec.components else plane
+                    channels[prefix + component] = image if image.dtype == np.float16 else image.astype(np.float32)
+            write_channels(folder / f"{stage.name}.{spec.name}.exr", channels)
+        (folder / "once.json").write_text(json.dumps(once, indent=1))
+    except OSError as error:
+        raise GffeError(f"{folder}: cannot write the stage dump: {error.strerror}") from None
+
+
+def _common_render_size(sequence: Sequence) -> tuple[int, int]:
+    sizes = {sequence.size_of(entry): entry for entry in sequence.rendered}
+    if not sizes:
+        raise GffeError(f"{sequence.path}: no rendered frame to extrapolate from")
+    if len(sizes) > 1:
+        entries = [f"{e.file} is {w}×{h}" for (w, h), e in sizes.items()]
+        raise GffeError(f"{sequence.path}: rendered frames must have one size ({', '.join(entries[:2])})")
+    return next(iter(sizes))
+
+
+def _number_of(entry: FrameEntry, index: int) -> str:
+    """The number in the rendered frame's name (`frame_000012.exr` → `000012`), else its index."""
+    digits = Path(entry.file).stem.rpartition("_")[2]
+    return digits if digits.isdigit() else f"{index:06d}"
+
+
+class _TruthCameras:
+    """Cameras of ground-truth frames by time."""
+
+    def __init__(self, entries: list[FrameEntry]):
+        self._entries = [replace(e) for e in entries if e.display_camera or e.render_camera]
+        times = np.sort([e.time for e in self._entries])
+        self._tolerance = (np.diff(times).min() if len(times) > 1 else 1e-3) / 4
+
+    def at(self, time: float) -> Camera | None:
+        near = min(self._entries, key=lambda e: abs(e.time - time), default=None)
+        if near is None or abs(near.time - time) > self._tolerance:
+            return None
+        return near.display_camera or near.render_camera

@@ -1,0 +1,17 @@
+"""Sequences on disk: a folder with `sequence.json` and one OpenEXR file per frame."""
+
+from gffe_cl.sequence.checks import require_clean
+from gffe_cl.sequence.description import FrameEntry
+from gffe_cl.sequence.folder import refuse_same_folder
+from gffe_cl.sequence.reader import Sequence, open_sequence
+from gffe_cl.sequence.writer import SequenceWriter, named_channels
+
+__all__ = [
+    "FrameEntry",
+    "Sequence",
+    "SequenceWriter",
+    "named_channels",
+    "open_sequence",
+    "refuse_same_folder",
+    "require_clean",
+]

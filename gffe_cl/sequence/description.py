@@ -1,0 +1,244 @@
+"""What `sequence.json` says: frames and cameras, checked on the way in. No other file is touched here."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+from gffe_cl.camera import Camera
+from gffe_cl.errors import GffeError
+
+FILE_NAME = "sequence.json"
+FORMAT, VERSION = "gffe-sequence", 1
+KINDS = ("rendered", "ground_truth", "extrapolated")
+_MAX_SIDE = 1 << 16
+
+
+@dataclass
+class FrameEntry:
+    """One frame of a sequence.
+
+    Parameters
+    ----------
+    file : str
+        EXR file, relative to the sequence's folder.
+    time : float
+        Seconds.
+    kind : "rendered", "ground_truth" or "extrapolated"
+    reset : bool
+        Nothing before this rendered frame may be used; always true for the first one.
+    render_size : (width, height) or None
+        Pixels of the stored images; None means the display size.
+    render_camera : Camera or None
+        In render pixels. None for frames that are not rendered.
+    display_camera : Camera or None
+        In display pixels. For rendered frames None means the frustum of the render camera; in an opened
+        sequence it is always set for them, and None elsewhere if neither JSON nor EXR header has one.
+    source : str or None
+        The rendered frame that an extrapolated one was made from.
+    alpha : float or None
+        (time − source time) / (source time − time of the rendered frame before it).
+    """
+
+    file: str
+    time: float
+    kind: str = "rendered"
+    reset: bool = False
+    render_size: tuple[int, int] | None = None
+    render_camera: Camera | None = None
+    display_camera: Camera | None = None
+    source: str | None = None
+    alpha: float | None = None
+
+
+@dataclass
+class Description:
+    """Contents of `sequence.json`; sizes in pixels, times in seconds."""
+
+    width: int
+    height: int
+    fps: float
+    exposure: float
+    frames: list[FrameEntry]
+
+
+def parse_description(text: str, name: str = FILE_NAME) -> Description:
+    """Check everything in the JSON `text`. Raises GffeError naming the file `name` and the frame."""
+    try:
+        document = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise GffeError(f"{name}: not valid JSON ({reason})") from None
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise GffeError(f'{name}: not a sequence (expected "format": "{FORMAT}")')
+    if document.get("version") != VERSION or isinstance(document["version"], bool):
+        raise GffeError(f"{name}: unknown version {document.get('version')!r} (expected {VERSION})")
+    description = Description(
+        _whole(document.get("width"), name, "width"),
+        _whole(document.get("height"), name, "height"),
+        _positive(document.get("fps"), name, "fps"),
+        _positive(document.get("exposure", 1.0), name, "exposure"),
+        [],
+    )
+    frames = document.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise GffeError(f"{name}: frames must be a list of at least one frame")
+    for index, frame in enumerate(frames):
+        description.frames.append(_parse_frame(frame, index, name))
+    check_times(description.frames, name)
+    for entry in description.frames:
+        if entry.kind == "rendered":
+            entry.reset = True
+            break
+    return description
+
+
+def frame_label(index: int, file: str, name: str = FILE_NAME) -> str:
+    return f"{name}, frame {index} ({file})"
+
+
+def check_times(frames: list[FrameEntry], name: str = FILE_NAME) -> None:
+    """GffeError unless times increase. Extrapolated frames may coincide with others: with α ≥ 1 they reach
+    the time of the next rendered frame."""
+    last = {"any": -math.inf, "given": -math.inf}
+    for index, entry in enumerate(frames):
+        given = entry.kind != "extrapolated"
+        late = entry.time < last["any"] or (given and entry.time == last["given"])
+        if late:
+            raise GffeError(
+                f"{frame_label(index, entry.file, name)}: times must increase, got {entry.time:g} s"
+                f" after {last['any']:g} s"
+            )
+        last["any"] = entry.time
+        if given:
+            last["given"] = entry.time
+
+
+def check_file_name(file, label: str) -> str:
+    """`file` if it is a relative path that stays inside the sequence's folder, else GffeError."""
+    if not isinstance(file, str) or not file.strip() or "\0" in file or file in (".", FILE_NAME):
+        raise GffeError(f"{label}: file must be the name of an EXR file, got {file!r}")
+    for path in (PurePosixPath(file), PureWindowsPath(file)):
+        if path.is_absolute() or path.anchor or ".." in path.parts:
+            raise GffeError(f"{label}: file must stay inside the sequence's folder, got {file!r}")
+    return file
+
+
+def read_text(path: Path) -> str:
+    """Text of a `sequence.json`; GffeError if it cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise GffeError(f"{path.parent}: no {path.name} in this folder") from None
+    except OSError as error:
+        raise GffeError(f"{path}: cannot be read ({error.strerror or error})") from None
+    except UnicodeDecodeError:
+        raise GffeError(f"{path}: not valid JSON (not UTF-8 text)") from None
+
+
+def describe(description: Description, generator: str) -> str:
+    """The JSON text of a sequence; parse_description's inverse."""
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "generator": generator,
+        "width": description.width,
+        "height": description.height,
+        "fps": description.fps,
+        "exposure": description.exposure,
+    }
+    size = (description.width, description.height)
+    frames = [_frame_document(entry, size) for entry in description.frames]
+    return json.dumps({**document, "frames": frames}, indent=1) + "\n"
+
+
+def _frame_document(entry: FrameEntry, size) -> dict:
+    render_size = entry.render_size or size
+    document = {"file": entry.file, "time": float(entry.time), "kind": entry.kind}
+    if entry.kind == "rendered":
+        document["reset"] = bool(entry.reset)
+    if tuple(render_size) != tuple(size) or entry.kind == "rendered":
+        document["render_size"] = [int(n) for n in render_size]
+    if entry.source is not None:
+        document["source"] = entry.source
+    if entry.alpha is not None:
+        document["alpha"] = float(entry.alpha)
+    if entry.render_camera is not None:
+        document["render_camera"] = _camera_document(entry.render_camera)
+    same = tuple(render_size) == tuple(size) and entry.display_camera == entry.render_camera
+    if entry.display_camera is not None and not same:
+        document["display_camera"] = _camera_document(entry.display_camera)
+    return document
+
+
+def _camera_document(camera: Camera) -> dict:
+    fx, fy, cx, cy = camera.intrinsics
+    return {"world_to_view": camera.world_to_view.tolist(), "fx": fx, "fy": fy, "cx": cx, "cy": cy}
+
+
+def _parse_frame(frame, index, name) -> FrameEntry:
+    if not isinstance(frame, dict):
+        raise GffeError(f"{name}, frame {index}: must be an object, got {_shown(frame)}")
+    file = check_file_name(frame.get("file"), f"{name}, frame {index}")
+    label = frame_label(index, file, name)
+    kind = frame.get("kind")
+    if kind not in KINDS:
+        raise GffeError(f"{label}: kind must be one of {', '.join(KINDS)}, got {_shown(kind)}")
+    reset = frame.get("reset", False)
+    if not isinstance(reset, bool):
+        raise GffeError(f"{label}: reset must be true or false, got {_shown(reset)}")
+    entry = FrameEntry(file, _number(frame.get("time"), label, "time"), kind, reset)
+    if frame.get("render_size") is not None:
+        entry.render_size = _parse_size(frame["render_size"], label)
+    if frame.get("source") is not None:
+        entry.source = check_file_name(frame["source"], f"{label}, source")
+    if frame.get("alpha") is not None:
+        entry.alpha = _positive(frame["alpha"], label, "alpha")
+    for field in ("render_camera", "display_camera"):
+        if frame.get(field) is not None:
+            setattr(entry, field, _parse_camera(frame[field], f"{label}: {field}"))
+    return entry
+
+
+def _parse_camera(document, label) -> Camera:
+    fields = ("world_to_view", "fx", "fy", "cx", "cy")
+    if not isinstance(document, dict) or any(name not in document for name in fields):
+        raise GffeError(f"{label} must have {', '.join(fields)}")
+    try:
+        return Camera(**{name: document[name] for name in fields})
+    except GffeError as error:
+        raise GffeError(f"{label}: {str(error).removeprefix('camera: ')}") from None
+    except OverflowError:
+        raise GffeError(f"{label}: not finite") from None
+
+
+def _parse_size(value, label) -> tuple[int, int]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise GffeError(f"{label}: render_size must be [width, height], got {_shown(value)}")
+    return _whole(value[0], label, "render_size"), _whole(value[1], label, "render_size")
+
+
+def _number(value, label, what) -> float:
+    if isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e300:
+        return float(value)
+    raise GffeError(f"{label}: {what} must be a finite number, got {_shown(value)}")
+
+
+def _positive(value, label, what) -> float:
+    number = _number(value, label, what)
+    if number <= 0:
+        raise GffeError(f"{label}: {what} must be greater than 0, got {number:g}")
+    return number
+
+
+def _whole(value, label, what) -> int:
+    if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= _MAX_SIDE:
+        return value
+    raise GffeError(f"{label}: {what} must be whole pixels, 1 to {_MAX_SIDE}, got {_shown(value)}")
+
+
+def _shown(value) -> str:
+    text = "nothing" if value is None else json.dumps(value, default=repr)
+    return text if len(text) <= 60 else text[:59] + "…"

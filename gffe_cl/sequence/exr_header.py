@@ -1,0 +1,237 @@
+"""Headers of OpenEXR files, read without the OpenEXR library.
+
+The library prints to the console and hands back a file without parts where a file is cut off, and writes to a
+full disk without a word. So the header and the chunk offset table are looked at here first: cheap (no pixels
+are touched), and everything that a truncated file can do is found before the library sees it.
+Layout: https://openexr.com/en/latest/OpenEXRFileLayout.html
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from gffe_cl.errors import GffeError
+
+_MAGIC = b"\x76\x2f\x31\x01"
+_TILED, _NON_IMAGE, _MULTI_PART = 0x200, 0x800, 0x1000
+_MAX_HEADER = 1 << 26
+# Scan lines per chunk: no compression, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB, HTJ2K256, HTJ2K32
+_CHUNK_LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256, 256, 32)
+_PIXEL_TYPES = ("uint32", "float16", "float32")
+
+
+@dataclass
+class ExrPart:
+    """Header of one part. Windows are (x0, y0, x1, y1) in pixels, both ends included."""
+
+    name: str = ""
+    channels: dict[str, str] = field(default_factory=dict)  # name → NumPy type
+    data_window: tuple[int, int, int, int] = (0, 0, -1, -1)
+    display_window: tuple[int, int, int, int] = (0, 0, -1, -1)
+    compression: int = 0
+    chunk_count: int | None = None
+    tile: tuple[int, int, int] | None = None  # width, height, level mode
+    subsampled: bool = False
+    deep: bool = False
+    matrices: dict[str, np.ndarray] = field(default_factory=dict)  # name → (4, 4) float64, as stored
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the data window."""
+        x0, y0, x1, y1 = self.data_window
+        return x1 - x0 + 1, y1 - y0 + 1
+
+
+@dataclass
+class ExrHeader:
+    parts: list[ExrPart]
+
+    def find(self, channel: str) -> tuple[int, str] | None:
+        """(part, name there) of a channel: the first part that has it; `part.channel` names a part's own."""
+        for index, part in enumerate(self.parts):
+            if channel in part.channels:
+                return index, channel
+        for index, part in enumerate(self.parts):
+            name = channel.removeprefix(part.name + ".")
+            if part.name and name != channel and name in part.channels:
+                return index, name
+        return None
+
+    @property
+    def channels(self) -> list[str]:
+        return [name for part in self.parts for name in part.channels]
+
+
+class _Short(Exception):
+    """The bytes at hand end inside the header."""
+
+
+class _Cursor:
+    def __init__(self, data: bytes):
+        self.data, self.position = data, 0
+
+    def take(self, n: int) -> bytes:
+        taken = self.data[self.position : self.position + n]
+        if len(taken) < n:
+            raise _Short
+        self.position += n
+        return taken
+
+    def unpack(self, form: str):
+        return struct.unpack("<" + form, self.take(struct.calcsize("<" + form)))
+
+    def text(self) -> str:
+        end = self.data.find(b"\0", self.position)
+        if end < 0:
+            raise _Short
+        return self.take(end - self.position + 1)[:-1].decode("utf-8", "replace")
+
+
+def read_header(path: Path, label: str) -> ExrHeader:
+    """Header of the EXR file at `path`, checked to be complete; `label` names the file in errors.
+
+    Raises GffeError if the file is missing, no EXR, deep, or ends before its last chunk of pixels.
+    """
+    try:
+        with open(path, "rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            parts, table, multi_part = _read_parts(file, size, label)
+            _check_chunks(file, size, parts, table, multi_part, label)
+    except FileNotFoundError:
+        raise GffeError(f"{label}: no such file in {path.parent}") from None
+    except OSError as error:
+        raise GffeError(f"{label}: cannot be read ({error.strerror or error})") from None
+    return ExrHeader(parts)
+
+
+def _read_parts(file, size, label):
+    """→ (parts, position of the chunk offset table, is multi-part)"""
+    length = 1 << 14
+    while True:
+        file.seek(0)
+        data = file.read(length)
+        if not data.startswith(_MAGIC[: len(data)]):
+            raise GffeError(f"{label}: not an OpenEXR file")
+        try:
+            return _parse(_Cursor(data))
+        except _Short:
+            if length >= size:
+                raise GffeError(f"{label}: truncated, {size} bytes end inside the header") from None
+            if length >= _MAX_HEADER:
+                raise GffeError(f"{label}: damaged EXR header") from None
+            length *= 8
+        except (struct.error, ValueError, IndexError):
+            raise GffeError(f"{label}: damaged EXR header") from None
+
+
+def _parse(cursor):
+    cursor.take(4)
+    (version,) = cursor.unpack("I")
+    multi_part = bool(version & _MULTI_PART)
+    parts = []
+    while True:
+        part = _parse_part(cursor)
+        if part is None:
+            return parts, cursor.position, multi_part
+        part.deep |= bool(version & _NON_IMAGE) and not multi_part
+        if part.tile and not (multi_part or version & _TILED):
+            part.tile = None
+        if not part.channels or min(part.size) < 1:
+            raise ValueError
+        parts.append(part)
+        if not multi_part:
+            return parts, cursor.position, multi_part
+
+
+def _parse_part(cursor) -> ExrPart | None:
+    """The next header; None for the empty one that ends a multi-part list."""
+    part, kind = ExrPart(), ""
+    name = cursor.text()
+    if not name:
+        return None
+    while name:
+        form = cursor.text()
+        (size,) = cursor.unpack("i")
+        if size < 0:
+            raise ValueError
+        value = _Cursor(cursor.take(size))
+        try:
+            if (name, form) == ("channels", "chlist"):
+                _parse_channels(value, part)
+            elif (name, form) in (("dataWindow", "box2i"), ("displayWindow", "box2i")):
+                box = value.unpack("4i")
+                setattr(part, "data_window" if name == "dataWindow" else "display_window", box)
+            elif name == "compression":
+                part.compression = value.take(1)[0]
+            elif (name, form) == ("chunkCount", "int"):
+                (part.chunk_count,) = value.unpack("i")
+            elif name == "tiles":
+                part.tile = value.unpack("IIB")
+            elif (name, form) in (("name", "string"), ("type", "string")):
+                text = value.data.decode("utf-8", "replace")
+                part.name, kind = (text, kind) if name == "name" else (part.name, text)
+            elif form in ("m44f", "m44d"):
+                part.matrices[name] = np.array(value.unpack("16" + form[-1]), np.float64).reshape(4, 4)
+        except _Short:
+            raise ValueError from None
+        name = cursor.text()
+    part.deep = kind.startswith("deep")
+    if kind == "scanlineimage":
+        part.tile = None
+    return part
+
+
+def _parse_channels(value, part):
+    name = value.text()
+    while name:
+        kind, _, x_sampling, y_sampling = value.unpack("iIii")
+        part.channels[name] = _PIXEL_TYPES[kind]
+        part.subsampled |= (x_sampling, y_sampling) != (1, 1)
+        name = value.text()
+
+
+def _chunk_count(part: ExrPart) -> int | None:
+    """Number of chunks; None where only the library knows (mip maps, compressions not listed here)."""
+    if part.chunk_count is not None:
+        return part.chunk_count
+    width, height = part.size
+    if part.tile:
+        tile_width, tile_height, mode = part.tile
+        return -(-width // tile_width) * -(-height // tile_height) if mode & 15 == 0 else None
+    if part.compression >= len(_CHUNK_LINES):
+        return None
+    return -(-height // _CHUNK_LINES[part.compression])
+
+
+def _check_chunks(file, size, parts, table, multi_part, label):
+    """Every chunk must have been written, and the last one must end inside the file."""
+    for part in parts:
+        if part.deep:
+            raise GffeError(f"{label}: deep EXR data is not supported (expected flat images)")
+        count = _chunk_count(part)
+        if count is None:
+            return
+        if count < 0 or table + 8 * count > size:
+            raise GffeError(f"{label}: truncated, {size} bytes end inside the chunk table")
+        file.seek(table)
+        offsets = np.frombuffer(file.read(8 * count), "<u8")
+        table += 8 * count
+        missing = int((offsets == 0).sum())
+        if missing:
+            raise GffeError(f"{label}: incomplete, {missing} of {count} chunks were never written")
+        if not count:
+            continue
+        last = int(offsets.max())
+        before = 4 * multi_part + (16 if part.tile else 4)
+        end = last + before + 4
+        if end <= size:
+            file.seek(last + before)
+            (length,) = struct.unpack("<i", file.read(4))
+            end += max(length, 0)
+        if end > size:
+            raise GffeError(f"{label}: truncated, {size} bytes of at least {end}")

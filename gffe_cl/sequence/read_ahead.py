@@ -1,0 +1,30 @@
+"""Work on the next few items of a series while the consumer has the current one."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
+
+
+def read_ahead(items: Iterable, function: Callable, ahead: int = 2) -> Iterator[tuple]:
+    """Yield (item, function(item)) in order, `function` running on threads for the next `ahead`.
+
+    An exception of `function` is raised when its item's turn comes. Leaving the loop (break, exception,
+    Ctrl-C) drops what was not started and waits for what was.
+    """
+    ahead = max(1, ahead)
+    items = iter(items)
+    pool = ThreadPoolExecutor(ahead, thread_name_prefix="gffe-read")
+    try:
+        pending = deque((item, pool.submit(function, item)) for item in islice(items, ahead))
+        while pending:
+            item, future = pending.popleft()
+            result = future.result()
+            for following in islice(items, 1):
+                pending.append((following, pool.submit(function, following)))
+            yield item, result
+            del result, future
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)

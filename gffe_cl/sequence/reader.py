@@ -1,0 +1,212 @@
+"""Reading a sequence: everything about its files is checked on opening, pixels are read on demand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from gffe_cl.errors import GffeError
+from gffe_cl.frame import RenderedFrame
+from gffe_cl.sequence import exr
+from gffe_cl.sequence.checks import time_warnings, zero_motion_warning
+from gffe_cl.sequence.description import (
+    FILE_NAME,
+    Description,
+    FrameEntry,
+    frame_label,
+    parse_description,
+    read_text,
+)
+from gffe_cl.sequence.exr_header import ExrHeader, read_header
+from gffe_cl.sequence.header_camera import has_camera, header_cameras
+from gffe_cl.sequence.read_ahead import read_ahead
+
+COLOR = ("R", "G", "B")
+MOTION = ("motion.x", "motion.y")
+RENDERED = (*COLOR, "Z", *MOTION)
+
+
+class Sequence:
+    """An opened sequence; made by `open_sequence`.
+
+    Attributes
+    ----------
+    path : Path
+        The folder.
+    width, height : int
+        Display size in pixels.
+    fps, exposure : float
+    frames : list[FrameEntry]
+        By time; `rendered`, `ground_truth` and `extrapolated` are those of one kind.
+    """
+
+    def __init__(self, path: Path, description: Description):
+        self.path = path
+        self.width, self.height = description.width, description.height
+        self.fps, self.exposure = description.fps, description.exposure
+        self.frames = description.frames
+        self._previous = dict(zip([e.file for e in self.rendered[1:]], self.rendered, strict=False))
+        self._suspicions: dict[str, str] = {}  # sentence → file where it was met first
+
+    def __repr__(self):
+        return f"<Sequence {self.path}: {len(self.frames)} frames, {self.width}×{self.height}>"
+
+    @property
+    def rendered(self) -> list[FrameEntry]:
+        return [entry for entry in self.frames if entry.kind == "rendered"]
+
+    @property
+    def ground_truth(self) -> list[FrameEntry]:
+        return [entry for entry in self.frames if entry.kind == "ground_truth"]
+
+    @property
+    def extrapolated(self) -> list[FrameEntry]:
+        return [entry for entry in self.frames if entry.kind == "extrapolated"]
+
+    def size_of(self, entry: FrameEntry) -> tuple[int, int]:
+        """(width, height) of the images of `entry`, in pixels."""
+        return entry.render_size or (self.width, self.height)
+
+    def warnings(self) -> list[str]:
+        """Legal but suspicious: frame times, and what has been met in the frames read so far."""
+        met = [f"{file}: {text}" for text, file in self._suspicions.items()]
+        return time_warnings(self.rendered, self.fps) + met
+
+    def read(self, entry: FrameEntry) -> RenderedFrame:
+        """The rendered frame `entry`: color (H, W, 3) float16 or float32 as stored, depth (H, W) float32,
+        motion (H, W, 2) float32 or None. Raises GffeError if the file changed for the worse since opening."""
+        if entry.kind != "rendered":
+            raise GffeError(f"{entry.file}: kind is {entry.kind} (expected a rendered frame)")
+        path, size = self.path / entry.file, self.size_of(entry)
+        header = read_header(path, entry.file)
+        names = RENDERED if _has_motion(header) or not entry.reset else RENDERED[:4]
+        channels = exr.read_channels(path, names, entry.file, size)
+        depth = channels["Z"].astype(np.float32, copy=False)
+        motion = None
+        if len(names) == len(RENDERED):
+            motion = np.stack([channels[name] for name in MOTION], -1).astype(np.float32, copy=False)
+        camera = entry.render_camera
+        previous = self._previous.get(entry.file)
+        if previous and not entry.reset:
+            text = zero_motion_warning(motion, depth, camera, previous.render_camera)
+            if text:
+                self._suspicions.setdefault(text, entry.file)
+        shown_as_rendered = size == (self.width, self.height) and entry.display_camera == camera
+        return RenderedFrame(
+            _stack_color(channels),
+            depth,
+            motion,
+            camera,
+            entry.time,
+            display_camera=None if shown_as_rendered else entry.display_camera,
+            reset=entry.reset,
+        )
+
+    def read_channels(self, entry: FrameEntry, names: Iterable[str]) -> dict[str, np.ndarray]:
+        """Channels of any frame by name, (H, W) each, in the type stored (float16, float32 or uint32)."""
+        return exr.read_channels(self.path / entry.file, tuple(names), entry.file, self.size_of(entry))
+
+    def read_color(self, entry: FrameEntry) -> np.ndarray:
+        """Linear RGB of any frame: (H, W, 3), float16 or float32 as stored."""
+        return _stack_color(self.read_channels(entry, COLOR))
+
+    def prefetch(
+        self, entries: Iterable[FrameEntry], read: Callable | None = None, ahead: int = 2
+    ) -> Iterator[tuple]:
+        """Yield (entry, read(entry)) in order, reading the next `ahead` frames on threads.
+
+        `read` defaults to `self.read`. Errors are raised when their frame's turn comes; leaving the loop
+        stops the threads.
+        """
+        return read_ahead(entries, read or self.read, ahead)
+
+
+def open_sequence(path) -> Sequence:
+    """Open the sequence in the folder `path` (or whose `sequence.json` is `path`).
+
+    JSON, cameras and the headers of all files are checked here, so that no later work meets a missing
+    channel or file, a wrong size, or a truncated file. Raises GffeError.
+    """
+    path = Path(path)
+    try:
+        if not path.exists():
+            raise GffeError(f"{path}: no such folder (expected a sequence: a folder with {FILE_NAME})")
+        json_path = path / FILE_NAME if path.is_dir() else path
+    except OSError as error:
+        raise GffeError(f"{path}: cannot be read ({error.strerror or error})") from None
+    description = parse_description(read_text(json_path), json_path.name)
+    folder = json_path.parent
+
+    def sniff(item):
+        index, entry = item
+        header = read_header(folder / entry.file, entry.file)
+        _check_channels(entry, header)
+        _complete_cameras(entry, header, description, frame_label(index, entry.file, json_path.name))
+        size = entry.render_size or (description.width, description.height)
+        exr.require_size(header, RENDERED[:4] if entry.kind == "rendered" else COLOR, size, entry.file)
+
+    with ThreadPoolExecutor(4, thread_name_prefix="gffe-sniff") as pool:
+        futures = [pool.submit(sniff, item) for item in enumerate(description.frames)]
+        try:
+            for future in futures:
+                future.result()
+        finally:
+            for future in futures:
+                future.cancel()
+    return Sequence(folder, description)
+
+
+def _check_channels(entry, header):
+    if entry.kind != "rendered":
+        exr.require_channels(header, COLOR, entry.file)
+        return
+    # Half a motion vector is a fault even where none is allowed.
+    names = RENDERED if not entry.reset or any(header.find(n) for n in MOTION) else RENDERED[:4]
+    for name in names:
+        if header.find(name) is None:
+            needed = f"rendered frames need {', '.join(RENDERED)}"
+            raise GffeError(f"{entry.file}: no channel '{name}' ({needed})")
+
+
+def _complete_cameras(entry, header, description, label):
+    """Cameras that the JSON leaves out: from the EXR header, else (display) the render camera's frustum."""
+    size = (description.width, description.height)
+    wanted = entry.render_camera is None if entry.kind == "rendered" else entry.display_camera is None
+    part = header.parts[header.find("R")[0]]
+    if wanted and has_camera(part):
+        try:
+            render, display = header_cameras(part)
+        except GffeError as error:
+            raise GffeError(f"{label}: EXR header, {error}") from None
+        x0, y0, x1, y1 = part.display_window
+        display = display.scaled(size[0] / (x1 - x0 + 1), size[1] / (y1 - y0 + 1))
+        if entry.kind == "rendered":
+            entry.render_camera = render
+            entry.render_size = entry.render_size or part.size
+        entry.display_camera = entry.display_camera or display
+    if entry.kind == "rendered":
+        if entry.render_camera is None:
+            raise GffeError(
+                f"{label}: no render_camera, and no worldToCamera and worldToNDC in the EXR header"
+            )
+        if entry.display_camera is None:
+            entry.display_camera = _same_frustum(entry, size)
+
+
+def _same_frustum(entry, size):
+    render_size = entry.render_size or size
+    if tuple(render_size) == size:
+        return entry.render_camera
+    return entry.render_camera.scaled(size[0] / render_size[0], size[1] / render_size[1])
+
+
+def _has_motion(header: ExrHeader) -> bool:
+    return all(header.find(name) for name in MOTION)
+
+
+def _stack_color(channels) -> np.ndarray:
+    color = np.stack([channels[name] for name in COLOR], -1)
+    return color if color.dtype in (np.float16, np.float32) else color.astype(np.float32)

@@ -1,0 +1,187 @@
+"""Writing a sequence: all of it or, after an error, nothing; after Ctrl-C the frames that were finished."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from gffe_cl.errors import GffeError
+from gffe_cl.sequence import exr
+from gffe_cl.sequence.description import KINDS, Description, FrameEntry, describe
+from gffe_cl.sequence.folder import GENERATOR, OutputFolder
+from gffe_cl.sequence.header_camera import camera_attributes
+
+
+class SequenceWriter:
+    """Writes a sequence into the folder `path`; a context manager.
+
+    Parameters
+    ----------
+    path : path-like
+        The folder. It is created; an earlier output of gffe-cl in it is replaced, anything else stays.
+    width, height : int
+        Display size in pixels.
+    fps, exposure : float
+    threads : int
+        EXRs are compressed on so many threads; `add` waits while twice as many frames are under way.
+
+    Files are written under temporary names and renamed; `sequence.json` comes last, when the context is left.
+    Left by KeyboardInterrupt, it lists the frames that were finished. Left by any other exception, the files
+    and folders made here are removed. Errors of the threads surface in the next `add`, `link`, or on leaving.
+    All of them are GffeError; so are a full disk and a folder that cannot be written to.
+    """
+
+    def __init__(self, path, width: int, height: int, fps: float, exposure: float = 1.0, threads: int = 2):
+        self.path = Path(path)
+        self._description = Description(int(width), int(height), float(fps), float(exposure), [])
+        self._folder = OutputFolder(self.path)
+        self._pending: deque = deque()
+        self._times: set[float] = set()
+        self._threads = max(1, threads)
+        self._pool: ThreadPoolExecutor | None = None
+
+    def __enter__(self) -> SequenceWriter:
+        self._folder.open()
+        self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="gffe-write")
+        return self
+
+    def add(self, entry: FrameEntry, channels: dict[str, np.ndarray]) -> None:
+        """Write the frame `entry` from `channels`: channel name → (H, W) array, copied before this returns.
+
+        Half stays half, masks of bool and uint8 become half, `Z` and `motion.*` float32. (H, W) is the
+        entry's render size, else the display size.
+        """
+        if entry.kind == "rendered" and entry.render_camera is None:
+            raise GffeError(f"{entry.file}: no render_camera (rendered frames need one)")
+        width, height = self._size_of(entry)
+        stored = {}
+        for name, array in channels.items():
+            if np.shape(array) != (height, width):
+                shape = f"({height}, {width}), got {np.shape(array)}"
+                raise GffeError(f"{entry.file}: channel '{name}' must have shape {shape}")
+            stored[name] = exr.stored_type(name, array)
+        attributes = self._attributes(entry)
+        self._submit(entry, lambda path: exr.write_channels(path, stored, attributes))
+
+    def link(self, entry: FrameEntry, source_path) -> None:
+        """Let the frame `entry` be the existing EXR file `source_path`: a hard link, or else a copy."""
+        source = Path(os.path.realpath(source_path))
+        self._submit(entry, lambda path: _link_or_copy(source, path))
+
+    def __exit__(self, kind, error, trace) -> None:
+        interrupted = kind is not None and issubclass(kind, KeyboardInterrupt)
+        try:
+            if kind is not None and not interrupted:
+                self._stop()
+                self._folder.discard()
+                return
+            try:
+                self._finish(interrupted)
+            except KeyboardInterrupt:
+                self._finish(interrupted=True)
+                raise
+        except BaseException as failure:
+            if not isinstance(failure, KeyboardInterrupt):
+                self._stop()
+                self._folder.discard()
+            raise
+        finally:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def _finish(self, interrupted: bool) -> None:
+        while self._pending:
+            try:
+                self._pending[0].result()
+            except (GffeError, OSError):
+                if not interrupted:
+                    raise
+            self._pending.popleft()
+        frames = sorted(self._description.frames, key=lambda entry: (entry.time, KINDS.index(entry.kind)))
+        if not frames:
+            self._folder.discard()
+            if not interrupted:
+                raise GffeError(f"{self.path}: no frame was written (expected at least one)")
+            return
+        document = describe(replace(self._description, frames=frames), GENERATOR)
+        self._folder.keep(document, [entry.file for entry in frames])
+
+    def _stop(self) -> None:
+        self._pool.shutdown(wait=True, cancel_futures=True)
+        self._pending.clear()
+
+    def _submit(self, entry: FrameEntry, write) -> None:
+        if self._pool is None:
+            raise GffeError(f"{self.path}: not open (use `with SequenceWriter(…) as writer:`)")
+        while self._pending and (self._pending[0].done() or len(self._pending) >= 2 * self._threads):
+            self._pending.popleft().result()
+        entry = replace(entry)
+        if not np.isfinite(entry.time) or (entry.kind != "extrapolated" and entry.time in self._times):
+            raise GffeError(f"{entry.file}: time {entry.time:g} s (expected a finite one of its own)")
+        path = self._folder.claim(entry.file)
+        if entry.kind != "extrapolated":
+            self._times.add(entry.time)
+
+        def job():
+            try:
+                write(path)
+            except OSError as error:
+                raise GffeError(f"{path}: cannot be written ({error.strerror or error})") from None
+            self._description.frames.append(entry)
+
+        self._pending.append(self._pool.submit(job))
+
+    def _size_of(self, entry) -> tuple[int, int]:
+        return entry.render_size or (self._description.width, self._description.height)
+
+    def _attributes(self, entry) -> dict:
+        """Camera and windows. The display window is the display where the stored image is a crop or an
+        overscan of it in whole pixels; else both windows are the stored image."""
+        size = (self._description.width, self._description.height)
+        stored = self._size_of(entry)
+        if entry.render_camera is None:
+            return camera_attributes(entry.display_camera, *stored) if entry.display_camera else {}
+        render, display = entry.render_camera, entry.display_camera
+        if display is not None:
+            offset = (display.cx - render.cx, display.cy - render.cy)
+            left, top = (round(n) for n in offset)
+            same_scale = np.allclose((render.fx, render.fy), (display.fx, display.fy), rtol=1e-9)
+            same_pose = np.array_equal(render.world_to_view, display.world_to_view)
+            if same_scale and same_pose and np.abs(np.subtract(offset, (left, top))).max() < 1e-6:
+                windows = {"dataWindow": _box(left, top, *stored), "displayWindow": _box(0, 0, *size)}
+                return {**camera_attributes(display, *size), **windows}
+        return camera_attributes(render, *stored)
+
+
+def named_channels(color, depth=None, motion=None) -> dict[str, np.ndarray]:
+    """Channels for `SequenceWriter.add` from color (H, W, 3 or 4), depth (H, W) and motion (H, W, 2)."""
+    channels = dict(zip("RGB", np.moveaxis(np.asarray(color)[..., :3], -1, 0), strict=True))
+    if depth is not None:
+        channels["Z"] = np.asarray(depth)
+    if motion is not None:
+        channels["motion.x"], channels["motion.y"] = np.moveaxis(np.asarray(motion), -1, 0)
+    return channels
+
+
+def _box(left, top, width, height):
+    return (np.array([left, top], np.int32), np.array([left + width - 1, top + height - 1], np.int32))
+
+
+def _link_or_copy(source: Path, path: Path) -> None:
+    part_path = exr.partial_name(path)
+    try:
+        part_path.unlink(missing_ok=True)
+        try:
+            os.link(source, part_path)
+        except OSError:
+            shutil.copyfile(source, part_path)
+        os.replace(part_path, path)
+    finally:  # renaming one link over another of the same file leaves both
+        with contextlib.suppress(OSError):
+            part_path.unlink()
