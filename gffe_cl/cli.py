@@ -23,8 +23,10 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
-out = Console(highlight=False)
+out = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+_INTERRUPTED = 130
 
 DeviceOption = Annotated[
     str | None,
@@ -36,18 +38,18 @@ JsonOption = Annotated[Path | None, typer.Option("--json", help="Also write the 
 def main() -> None:
     """Entry point: structural faults become one line and exit code 2."""
     try:
-        app(standalone_mode=False)
+        code = app(standalone_mode=False)
     except GffeError as error:
         fail(str(error))
-    except KeyboardInterrupt:
-        err.print("interrupted: what was finished is kept")
-        sys.exit(130)
-    except typer.Exit as stop:
-        sys.exit(stop.exit_code)
+    except (KeyboardInterrupt, typer.Abort):
+        code = _INTERRUPTED
     except Exception as error:
         if hasattr(error, "format_message"):  # usage errors of the command line library
             fail(f"{error.format_message()} (see `gffe --help`)")
         raise
+    if code == _INTERRUPTED:
+        err.print("interrupted: what was finished is kept")
+    sys.exit(code or 0)
 
 
 def fail(message: str) -> None:
@@ -65,13 +67,16 @@ def _gffe(
 
 
 @app.command()
-def devices(json_path: JsonOption = None) -> None:
+def devices(
+    kind: Annotated[str | None, typer.Option(help="Only devices of this kind: gpu, cpu or other.")] = None,
+    json_path: JsonOption = None,
+) -> None:
     """List every OpenCL device: whether a kernel really runs on it, and what it lacks."""
     from dataclasses import asdict
 
     from gffe_cl.device import HOW_TO_GET_ONE, best_of, list_devices
 
-    infos = list_devices()
+    infos = [info for info in list_devices() if kind in (None, info.kind)]
     table = Table("", "index", "device", "platform", "kernel runs", "lacks", box=None, header_style="bold")
     working = [info for info in infos if info.works]
     default = best_of(working) if working else None
@@ -90,7 +95,7 @@ def devices(json_path: JsonOption = None) -> None:
         out.print("* the default; choose another with --device or GFFE_DEVICE")
     _write_json(json_path, {"devices": [asdict(i) | {"default": i is default} for i in infos]})
     if not working:
-        raise GffeError(f"no OpenCL device runs a kernel: {HOW_TO_GET_ONE}")
+        raise GffeError(f"no OpenCL device{f' of kind {kind}' if kind else ''} runs a kernel: {HOW_TO_GET_ONE}")
 
 
 @app.command()
@@ -245,6 +250,42 @@ def compare(
         raise typer.Exit(1)
 
 
+@app.command()
+def study(
+    scenes: Annotated[list[str] | None, typer.Argument(help="Built-in scenes [dim](default: all)[/].")] = None,
+    seeds: Annotated[int, typer.Option(help="Seeds 0 … N−1 of each.")] = 3,
+    size: Annotated[str, typer.Option(help="Width × height, pixels.")] = "480x270",
+    frames: Annotated[int, typer.Option(help="Rendered frames per scene and seed.")] = 10,
+    alpha: Annotated[float, typer.Option(help="Time of the extrapolated frames, in intervals.")] = 0.5,
+    device: DeviceOption = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Measure the parts of the method on built-in scenes, against an oracle that knows the true motion."""
+    from dataclasses import asdict
+
+    from gffe_cl.device import open_device
+    from gffe_cl.scenes import SCENES
+    from gffe_cl.study import METHODS, study_scene
+
+    width, height = parse_size(size)
+    opened = open_device(device)
+    names = scenes or list(SCENES)
+    with _progress() as progress:
+        advance = _steps(progress)("Measuring", len(names) * seeds * frames)
+        results = [
+            study_scene(opened, name, seed, width, height, frames, alpha=alpha, on_frame=advance)
+            for name in names
+            for seed in range(seeds)
+        ]
+    table = Table("scene", "seed", *METHODS, "gap closed", "disoccluded", "dynamic", box=None, header_style="bold")
+    for r in results:
+        figures = [f"{r.visible[m]:.2f}" for m in METHODS]
+        table.add_row(r.scene, str(r.seed), *figures, f"{r.share:.0%}", f"{r.disoccluded:.1%}", f"{r.dynamic:.1%}")
+    out.print(table)
+    out.print("PSNR in dB over pixels that are not disoccluded; whole-frame figures are in the --json report.")
+    _write_json(json_path, {"results": [asdict(r) | {"share": r.share} for r in results]})
+
+
 # ---- helpers -------------------------------------------------------------------------------------------
 
 
@@ -270,7 +311,7 @@ def parse_numbers(text: str, option: str) -> list[float]:
 @contextmanager
 def _progress():
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=err) as progress:
+    with Progress(*columns, console=err, disable=not err.is_terminal) as progress:
         yield progress
 
 

@@ -212,9 +212,18 @@ class Pipeline:
             return self._current.display_camera
         return predict_camera(self._previous.display_camera, self._current.display_camera, alpha)
 
-    def extrapolate(self, camera: Camera | None = None, time: float | None = None) -> ExtrapolatedFrame:
+    def extrapolate(
+        self,
+        camera: Camera | None = None,
+        time: float | None = None,
+        *,
+        target_position: np.ndarray | None = None,
+    ) -> ExtrapolatedFrame:
         """Make the frame at `time` (seconds; default: half an interval ahead) seen by `camera` (default:
         the predicted camera). Returns at once; reading a buffer waits.
+
+        `target_position` (H, W, 4) float32 replaces position prediction, for experiments: x, y in target
+        pixels, view depth there (−1: nothing), 0, for every pixel of the rendered frame.
 
         Raises GffeError before the first `submit`, or for a time before the last rendered frame.
         """
@@ -226,7 +235,10 @@ class Pipeline:
                 f"extrapolate: time {time:g} s is before the last rendered frame's ({source.time:g} s)"
             )
         camera = camera or self.predict_camera(alpha)
-        self.prediction.predict(source, self.history, self._times, camera, time)
+        if target_position is None:
+            self.prediction.predict(source, self.history, self._times, camera, time)
+        else:
+            self.prediction.upload("target_position", np.ascontiguousarray(target_position, np.float32))
         self.warp.warp(source, self.history, self.prediction, camera)
         if self.options.hole_filling:
             self.holes.fill_holes(source, self.warp, camera)

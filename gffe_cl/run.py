@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,6 +25,7 @@ from gffe_cl.sequence import (
     require_clean,
 )
 from gffe_cl.sequence.exr import write_channels
+from gffe_cl.stage import BufferSpec
 
 MASKS = {"mask.dynamic": "dynamic", "mask.disoccluded": "disoccluded", "mask.filled_by": "filled_by"}
 
@@ -82,9 +85,8 @@ def run_sequence(
             require_clean(entry.file, packed.bad)
         return frame, packed
 
-    with SequenceWriter(
-        output, sequence.width, sequence.height, sequence.fps, sequence.exposure
-    ) as writer:
+    writing = SequenceWriter(output, sequence.width, sequence.height, sequence.fps, sequence.exposure)
+    with writing as writer, stage_dump(output / "stages") as dump:
         for index, (entry, (frame, packed)) in enumerate(sequence.prefetch(sequence.rendered, read=read)):
             pipeline.submit(frame, packed)
             writer.link(entry, sequence.path / entry.file)
@@ -101,7 +103,7 @@ def run_sequence(
                     display_camera=extrapolated.camera,
                 )
                 if dump_stages:
-                    dump(pipeline, output / "stages" / Path(made.file).stem)
+                    dump(pipeline, Path(made.file).stem)
                 writer.add(made, output_channels(extrapolated, frame.camera, frame.shown_camera, frame.color.dtype))
                 report.extrapolated += 1
                 on_frame()
@@ -134,27 +136,41 @@ def output_channels(
     return channels
 
 
-def dump(pipeline: Pipeline, folder: Path) -> None:
-    """Write every named buffer of every stage: `<stage>.<buffer>.exr`, and `once.json` for what is no image."""
-    once = {}
+@contextmanager
+def stage_dump(folder: Path) -> Iterator[Callable[[Pipeline, str], None]]:
+    """Gives a function that writes every named buffer of every stage to `folder`/NAME: `<stage>.<buffer>.exr`,
+    and `once.json` for what is no image. After an error, `folder` is removed."""
+
+    def dump(pipeline: Pipeline, name: str) -> None:
+        once = {}
+        try:
+            (folder / name).mkdir(parents=True, exist_ok=True)
+            for stage, spec in pipeline.named_buffers():
+                array = stage.read(spec.name)
+                if spec.grid == "once":
+                    once[f"{stage.name}.{spec.name}"] = array.tolist()
+                else:
+                    write_channels(folder / name / f"{stage.name}.{spec.name}.exr", _dump_channels(spec, array))
+            (folder / name / "once.json").write_text(json.dumps(once, indent=1))
+        except OSError as error:
+            raise GffeError(f"{folder / name}: cannot write the stage dump: {error.strerror}") from None
+
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for stage, spec in pipeline.named_buffers():
-            array = stage.read(spec.name)
-            if spec.grid == "once":
-                once[f"{stage.name}.{spec.name}"] = array.tolist()
-                continue
-            planes = array if spec.planes > 1 else array[None]
-            channels = {}
-            for k, plane in enumerate(planes):
-                prefix = f"{k + 1}." if spec.planes > 1 else ""
-                for c, component in enumerate(spec.components or ("Y",)):
-                    image = plane[..., c] if spec.components else plane
-                    channels[prefix + component] = image if image.dtype == np.float16 else image.astype(np.float32)
-            write_channels(folder / f"{stage.name}.{spec.name}.exr", channels)
-        (folder / "once.json").write_text(json.dumps(once, indent=1))
-    except OSError as error:
-        raise GffeError(f"{folder}: cannot write the stage dump: {error.strerror}") from None
+        yield dump
+    except Exception:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def _dump_channels(spec: BufferSpec, array: np.ndarray) -> dict[str, np.ndarray]:
+    """Channels of a dumped buffer: its components ("Y" for a single one), numbered "1.x" … per plane."""
+    channels = {}
+    for k, plane in enumerate(array if spec.planes > 1 else array[None]):
+        prefix = f"{k + 1}." if spec.planes > 1 else ""
+        for c, component in enumerate(spec.components or ("Y",)):
+            image = plane[..., c] if spec.components else plane
+            channels[prefix + component] = image if image.dtype == np.float16 else image.astype(np.float32)
+    return channels
 
 
 def _common_render_size(sequence: Sequence) -> tuple[int, int]:

@@ -5,286 +5,281 @@
    Nothing here is random: soft shadows are closest-approach estimates, glossiness is a fixed fan of directions. */
 
 #include "common.h"
+#include "scene_geometry.h"
+#include "scene_textures.h"
 
-#define TILE 16
-#define BOX 0
-#define ELLIPSOID 1
-#define CAPSULE 2
-#define CONE 3
-#define MAX_BOUNCES 3
-#define CASTS_SHADOW 1
+/* ---- shading ---- */
 
-/* Records, in float4. */
-#define OBJECT_SIZE 7    /* bound (centre rel, radius); rel -> local rows; rel -> other view rows */
-#define MATERIAL_SIZE 5  /* colour, texture; colour2, scale; f0, roughness, mirror, transparency; emission, contrast; seed */
-#define LIGHT_SIZE 3     /* position or direction rel, size; colour, kind; axis, cos of the cone */
-#define SUN 0
-#define LAMP 1
-#define SPOT 2
-#define FILL 3
-
-/* Rows of the `frame` buffer. */
-#define VIEW_TO_REL 0
-#define PINHOLE_INVERSE 3
-#define OTHER_PINHOLE 4
-#define REL_TO_OTHER 5
-#define AMBIENT_UP 8
-#define AMBIENT_DOWN 9
-#define ZENITH 10        /* rgb, cloud cover */
-#define HORIZON 11       /* rgb, cloud seed */
-#define SUN_DISC 12      /* direction rel, cos of its angular radius */
-#define SUN_COLOR 13
-#define HAZE 14          /* rgb, density per metre */
-
-enum {
-    PLAIN, TILES, CHECKER, BRICKS, PLANKS, MARBLE, CARPET, STRIPES, BARK, LEAVES, GRASS, BOOKS, PICTURE, SIGN,
-    WALLPAPER, COBBLES, WATER
-};
-
-typedef struct {
-    __global const float4 *frame;
-    __global const float4 *objects;
-    __global const int4 *object_info;  /* first primitive, count, flags, 0 */
-    __global const float4 *prims;      /* a, b per primitive */
-    __global const int2 *prim_info;    /* type, material */
-    __global const float4 *materials;
-    __global const float4 *lights;
-    __global const int *order;         /* objects, nearest first */
-    int object_count, light_count;
-} World;
-
-typedef struct {
-    float t;
-    int object, prim;
-} Hit;
-
-inline float3 turn(const float4 r0, const float4 r1, const float4 r2, const float3 v) {
-    return (float3)(dot(r0.xyz, v), dot(r1.xyz, v), dot(r2.xyz, v));
-}
-
-inline float3 move(const float4 r0, const float4 r1, const float4 r2, const float3 v) {
-    return turn(r0, r1, r2, v) + (float3)(r0.w, r1.w, r2.w);
-}
-
-inline float3 nonzero(const float3 d) {
-    return (float3)(fabs(d.x) < 1e-18f ? 1e-18f : d.x, fabs(d.y) < 1e-18f ? 1e-18f : d.y,
-                    fabs(d.z) < 1e-18f ? 1e-18f : d.z);
-}
-
-/* ---- primitives: intersection and signed distance, all in local space ---- */
-
-inline float hit_box(const float4 a, const float4 b, const float3 o, const float3 d) {
-    const float3 inverse = 1.0f / nonzero(d);
-    const float3 middle = (a.xyz - o) * inverse;
-    const float3 reach = fabs(inverse) * b.xyz;
-    const float3 near = middle - reach, far = middle + reach;
-    const float enter = fmax(fmax(near.x, near.y), near.z);
-    const float leave = fmin(fmin(far.x, far.y), far.z);
-    return enter < leave ? enter : -INFINITY;
-}
-
-inline float hit_ellipsoid(const float4 a, const float4 b, const float3 o, const float3 d) {
-    const float3 p = (o - a.xyz) / b.xyz, v = d / b.xyz;
-    const float vv = dot(v, v);
-    const float closest = -dot(p, v) / vv;
-    const float3 q = p + closest * v;
-    const float h = 1.0f - dot(q, q);
-    return h > 0.0f ? closest - sqrt(h / vv) : -INFINITY;
-}
-
-inline float hit_capsule(const float4 a, const float4 b, const float3 o, const float3 d) {
-    const float3 ba = b.xyz - a.xyz, oa = o - a.xyz;
-    const float baba = dot(ba, ba), bad = dot(ba, d), baoa = dot(ba, oa), dd = dot(d, d);
-    const float3 dp = d - ba * (bad / baba), op = oa - ba * (baoa / baba);  /* perpendicular to the axis */
-    const float k2 = fmax(dot(dp, dp), 1e-12f * dd), k1 = dot(dp, op);
-    const float3 q = op - dp * (k1 / k2);
-    const float h = a.w * a.w - dot(q, q);
-    if (h < 0.0f) return -INFINITY;
-    const float t = -k1 / k2 - sqrt(h / k2);
-    const float y = baoa + t * bad;
-    if (y > 0.0f && y < baba) return t;
-    const float3 oc = y <= 0.0f ? oa : o - b.xyz;
-    const float closest = -dot(oc, d) / dd;
-    const float3 c = oc + closest * d;
-    const float hc = a.w * a.w - dot(c, c);
-    return hc > 0.0f ? closest - sqrt(hc / dd) : -INFINITY;
-}
-
-inline float hit_cone(const float4 a, const float4 b, const float3 o, const float3 d) {
-    const float3 ba = b.xyz - a.xyz, oa = o - a.xyz;
-    const float m0 = dot(ba, ba), m1 = dot(oa, ba), m2 = dot(d, ba);
-    const float slope = (a.w - b.w) / m0;
-    /* Caps: the one that faces the ray. */
-    const bool top = m2 < 0.0f;
-    const float cap = ((top ? m0 : 0.0f) - m1) / (fabs(m2) < 1e-18f ? 1e-18f : m2);
-    const float3 pc = oa + cap * d - (top ? ba : (float3)(0.0f));
-    const float rc = top ? b.w : a.w;
-    if (fabs(m2) > 1e-12f && dot(pc, pc) < rc * rc) return cap;
-    /* Side: |p perpendicular|^2 = (ra - slope y)^2. */
-    const float3 op = oa - ba * (m1 / m0), dp = d - ba * (m2 / m0);
-    const float r0 = a.w - slope * m1, r1 = -slope * m2;
-    const float k2 = dot(dp, dp) - r1 * r1, k1 = dot(dp, op) - r0 * r1, k0 = dot(op, op) - r0 * r0;
-    const float h = k1 * k1 - k2 * k0;
-    if (h < 0.0f || fabs(k2) < 1e-18f) return -INFINITY;
-    const float t = (-k1 - sqrt(h)) / k2;
-    const float y = m1 + t * m2;
-    return y > 0.0f && y < m0 ? t : -INFINITY;
-}
-
-inline float hit_prim(const int type, const float4 a, const float4 b, const float3 o, const float3 d) {
-    if (type == BOX) return hit_box(a, b, o, d);
-    if (type == ELLIPSOID) return hit_ellipsoid(a, b, o, d);
-    if (type == CAPSULE) return hit_capsule(a, b, o, d);
-    return hit_cone(a, b, o, d);
-}
-
-inline float3 prim_normal(const int type, const float4 a, const float4 b, const float3 p) {
-    if (type == BOX) {
-        const float3 q = p - a.xyz;
-        const float3 gap = fabs(fabs(q) - b.xyz);
-        if (gap.x <= gap.y && gap.x <= gap.z) return (float3)(copysign(1.0f, q.x), 0.0f, 0.0f);
-        if (gap.y <= gap.z) return (float3)(0.0f, copysign(1.0f, q.y), 0.0f);
-        return (float3)(0.0f, 0.0f, copysign(1.0f, q.z));
+inline float3 sky_color(const World w, const float3 d, const float fp) {
+    __global const float4 *frame = w.frame;
+    const float up = clamp(d.y, 0.0f, 1.0f);
+    float3 c = mix(frame[HORIZON].xyz, frame[ZENITH].xyz, pow(up, 0.55f));
+    const float3 sun = frame[SUN_DISC].xyz;
+    const float toward = clamp(dot(d, sun), 0.0f, 1.0f);
+    c += frame[SUN_COLOR].xyz * (0.04f * pow(toward, 12.0f) + 0.12f * pow(toward, 180.0f));
+    if (d.y > 0.02f) {
+        const float2 plane = d.xz / (d.y + 0.12f);
+        const float n = fbm((float3)(plane.x * 1.3f, frame[HORIZON].w, plane.y * 1.3f), fp * 1.5f / (d.y + 0.12f), 5);
+        const float cover = smoothstep(0.62f - 0.5f * frame[ZENITH].w, 0.85f - 0.5f * frame[ZENITH].w, n)
+                            * smoothstep(0.02f, 0.2f, d.y);
+        const float3 cloud = frame[HORIZON].xyz * 0.5f + frame[SUN_COLOR].xyz * (0.10f + 0.05f * toward) * (1.5f - n);
+        c = mix(c, cloud, 0.85f * cover);
     }
-    if (type == ELLIPSOID) return normalize((p - a.xyz) / (b.xyz * b.xyz));
-    const float3 ba = b.xyz - a.xyz, pa = p - a.xyz;
-    const float baba = dot(ba, ba), h = dot(pa, ba) / baba;
-    if (type == CAPSULE) return normalize(pa - ba * clamp(h, 0.0f, 1.0f));
-    const float3 radial = pa - ba * h;
-    const float r = length(radial), length_ba = sqrt(baba);
-    const float side = fabs(r - mix(a.w, b.w, h));
-    const float3 axis = ba / length_ba;
-    if (h * length_ba < side && h < 0.5f) return -axis;
-    if ((1.0f - h) * length_ba < side && h > 0.5f) return axis;
-    return normalize(radial / fmax(r, 1e-9f) * length_ba + axis * (a.w - b.w));
+    const float edge = fmax(fp, 2e-4f);
+    return c + frame[SUN_COLOR].xyz * 2.5f * smoothstep(-edge, edge, acos(frame[SUN_DISC].w) - acos(toward));
 }
 
-inline float distance_to(const int type, const float4 a, const float4 b, const float3 p) {
-    if (type == BOX) {
-        const float3 q = fabs(p - a.xyz) - b.xyz;
-        return length(fmax(q, 0.0f)) + fmin(fmax(q.x, fmax(q.y, q.z)), 0.0f);
+/* Radiance of the surface itself, reflections and what is seen through it left out. What has little `weight` in the pixel
+   is spared the shadows of lamps. */
+inline float3 surface_color(const World w, const int material_index, const float3 p, const float3 n, const float3 eye,
+                            const float3 p_local, const float3 n_local, const float fp,
+                            const int prim, const float weight) {
+    __global const float4 *material = w.materials + material_index * MATERIAL_SIZE;
+    const int type = w.prim_info[prim].x;
+    const float4 prim_a = w.prims[2 * prim], prim_b = w.prims[2 * prim + 1];
+    const bool solid = type == BOX || type == ELLIPSOID;
+    const float3 centre = solid ? prim_a.xyz : 0.5f * (prim_a.xyz + prim_b.xyz);
+    const float3 extent = solid ? prim_b.xyz : (float3)(prim_a.w, 0.5f * length(prim_b.xyz - prim_a.xyz), prim_a.w);
+    const float4 base = material[0], second = material[1], finish = material[2], glow = material[3];
+    const float3 albedo = texture_color((int)base.w, base.xyz, second.xyz, second.w, glow.w, material[4].xyz, p_local,
+                                        n_local, centre, extent, fp);
+    const float open = openness(w, p, n, prim);
+    const float3 ambient = mix(w.frame[AMBIENT_DOWN].xyz, w.frame[AMBIENT_UP].xyz, 0.5f + 0.5f * n.y)
+                           * (0.25f + 0.75f * open);
+    float3 diffuse = ambient, highlight = (float3)(0.0f);
+    const float power = 2.0f / fmax(finish.y * finish.y * finish.y, 1e-3f);
+    for (int k = 0; k < w.light_count; ++k) {
+        const float4 place = w.lights[k * LIGHT_SIZE], color = w.lights[k * LIGHT_SIZE + 1];
+        const float4 cone = w.lights[k * LIGHT_SIZE + 2];
+        const int kind = (int)color.w;
+        const float3 to_light = kind == SUN ? place.xyz : place.xyz - p;
+        const float range = length(to_light);
+        const float3 l = to_light / range;
+        float strength = kind == SUN ? 1.0f : 1.0f / (range * range + place.w * place.w);
+        if (kind == SPOT) strength *= smoothstep(cone.w, mix(cone.w, 1.0f, 0.35f), -dot(l, cone.xyz));
+        const float facing = dot(n, l);
+        if (kind == FILL) {
+            diffuse += color.xyz * strength * (0.5f + 0.5f * facing) * open;
+            continue;
+        }
+        if (facing <= 0.0f || strength * fmax(color.x, fmax(color.y, color.z)) < 6e-3f) continue;
+        if (kind == SUN || weight > 0.12f) {
+            strength *= visibility(w, p + n * 1e-3f, l, kind == SUN ? 1e4f : range - 1.2f * place.w,
+                                   kind == SUN ? place.w : place.w / range, fmax(fp, 2e-3f), prim);
+        }
+        diffuse += color.xyz * (strength * facing);
+        const float3 middle = normalize(l - eye);
+        highlight += color.xyz * (strength * facing * (power + 8.0f) * 0.04f * pow(fmax(dot(n, middle), 0.0f), power));
     }
-    if (type == ELLIPSOID) {
-        const float3 q = (p - a.xyz) / b.xyz;
-        const float k0 = length(q), k1 = length(q / b.xyz);
-        return k0 < 1e-4f ? -fmin(b.x, fmin(b.y, b.z)) : k0 * (k0 - 1.0f) / k1;
-    }
-    const float3 ba = b.xyz - a.xyz, pa = p - a.xyz;
-    const float baba = dot(ba, ba), h = dot(pa, ba) / baba;
-    if (type == CAPSULE) return length(pa - ba * clamp(h, 0.0f, 1.0f)) - a.w;
-    const float x = length(pa - ba * h), drop = b.w - a.w;
-    const float cap_x = fmax(0.0f, x - (h < 0.5f ? a.w : b.w)), cap_y = fabs(h - 0.5f) - 0.5f;
-    const float f = clamp((drop * (x - a.w) + h * baba) / (drop * drop + baba), 0.0f, 1.0f);
-    const float side_x = x - a.w - f * drop, side_y = h - f;
-    const float inside_sign = side_x < 0.0f && cap_y < 0.0f ? -1.0f : 1.0f;
-    return inside_sign * sqrt(fmin(cap_x * cap_x + cap_y * cap_y * baba, side_x * side_x + side_y * side_y * baba));
+    return albedo * diffuse * (1.0f - finish.w) + highlight * finish.x + glow.xyz * (0.4f + 0.6f * albedo / fmax(base.xyz, 0.02f));
 }
 
-/* Parameter at which the ray comes closest to the primitive (exact for spheres and capsules). */
-inline float closest_approach(const int type, const float4 a, const float4 b, const float3 o, const float3 d) {
-    if (type == BOX) {
-        const float3 inverse = 1.0f / nonzero(d);
-        const float3 middle = (a.xyz - o) * inverse, reach = fabs(inverse) * b.xyz;
-        const float3 near = middle - reach, far = middle + reach;
-        const float enter = fmax(fmax(near.x, near.y), near.z), leave = fmin(fmin(far.x, far.y), far.z);
-        return leave < 0.0f ? -1.0f : 0.5f * (fmax(enter, 0.0f) + leave);
-    }
-    if (type == ELLIPSOID) {
-        const float3 p = (o - a.xyz) / b.xyz, v = d / b.xyz;
-        return -dot(p, v) / dot(v, v);
-    }
-    const float3 ba = b.xyz - a.xyz, oa = o - a.xyz;
-    const float baba = dot(ba, ba), bad = dot(ba, d), baoa = dot(ba, oa), dd = dot(d, d), doa = dot(d, oa);
-    const float across = fmax(baba * dd - bad * bad, 1e-9f);
-    const float h = clamp((baoa * dd - bad * doa) / across, 0.0f, 1.0f);
-    return (h * bad - doa) / dd;
+inline World make_world(__global const float4 *frame, __global const float4 *objects,
+                        __global const int4 *object_info, __global const float4 *prims,
+                        __global const int2 *prim_info, __global const float4 *materials,
+                        __global const float4 *lights, __global const float4 *nodes, __global const int *leaf_of,
+                        const int node_count, const int light_count) {
+    const World w = {frame,  objects, object_info, prims,      prim_info,  materials,
+                     lights, nodes,   leaf_of,     node_count, light_count};
+    return w;
 }
 
-/* ---- traversal ---- */
+inline float3 primary_direction(__global const float4 *frame, const float2 px) {
+    const float4 inverse = frame[PINHOLE_INVERSE];
+    const float3 v = (float3)((px.x - inverse.z) * inverse.x, (px.y - inverse.w) * inverse.y, 1.0f);
+    return turn(frame[VIEW_TO_REL], frame[VIEW_TO_REL + 1], frame[VIEW_TO_REL + 2], v);
+}
 
-inline Hit trace(const World w, const float3 o, const float3 d, __global const int *list, const int count,
-                 const int skip) {
-    Hit best = {INFINITY, -1, -1};
-    const float inverse_dd = 1.0f / dot(d, d);
-    const float inverse_length = sqrt(inverse_dd);
-    for (int k = 0; k < count; ++k) {
-        const int i = list[k];
-        __global const float4 *object = w.objects + i * OBJECT_SIZE;
-        const float4 bound = object[0];
-        const float3 c = bound.xyz - o;
-        const float middle = dot(c, d) * inverse_dd;
-        const float3 miss = c - middle * d;
-        const float reach = bound.w * inverse_length;
-        if (dot(miss, miss) > bound.w * bound.w || middle + reach < 0.0f || middle - reach > best.t) continue;
-        /* Small objects are met from nearby: their quadratics would cancel from afar. */
-        const float start = bound.w < 8.0f ? fmax(middle - reach, 0.0f) : 0.0f;
-        const float3 o_local = move(object[1], object[2], object[3], o + start * d);
-        const float3 d_local = turn(object[1], object[2], object[3], d);
-        const int4 info = w.object_info[i];
-        for (int j = info.x; j < info.x + info.y; ++j) {
-            if (j == skip) continue;
-            const float t = start + hit_prim(w.prim_info[j].x, w.prims[2 * j], w.prims[2 * j + 1], o_local, d_local);
-            if (t > 1e-4f && t < best.t) {
-                best.t = t;
-                best.object = i;
-                best.prim = j;
+inline int surface_key(const World w, const Hit hit, const float3 o, const float3 d) {
+    if (hit.prim < 0) return -1;
+    __global const float4 *object = w.objects + hit.object * OBJECT_SIZE;
+    int face = 0;
+    if (w.prim_info[hit.prim].x == BOX) {
+        const float3 p = move(object[1], object[2], object[3], o + hit.t * d);
+        const float3 n = prim_normal(BOX, w.prims[2 * hit.prim], w.prims[2 * hit.prim + 1], p);
+        face = n.x > 0.5f ? 1 : n.x < -0.5f ? 2 : n.y > 0.5f ? 3 : n.y < -0.5f ? 4 : n.z > 0.5f ? 5 : 6;
+    }
+    return hit.prim * 8 + face;
+}
+
+#define WORLD_ARGUMENTS                                                                                     \
+    __global const float4 *frame, __global const float4 *objects, __global const int4 *object_info,         \
+    __global const float4 *prims, __global const int2 *prim_info, __global const float4 *materials,         \
+    __global const float4 *lights, __global const float4 *nodes, __global const int *leaf_of,               \
+    const int node_count, const int light_count, __global const int *tiles, const int tile_stride,          \
+    const int width, const int height
+#define WORLD                                                                                                \
+    make_world(frame, objects, object_info, prims, prim_info, materials, lights, nodes, leaf_of, node_count, \
+               light_count)
+
+/* Objects that may be seen in each tile of TILE x TILE pixels, in the given order. One work item per tile;
+   tiles: (count, objects ...) per tile, `tile_stride` wide. */
+__kernel void bin(__global const float4 *frame, __global const float4 *objects, __global const int *order,
+                  const int object_count, __global int *tiles, const int tile_stride, const int width,
+                  const int height) {
+    const int columns = (width + TILE - 1) / TILE, rows = (height + TILE - 1) / TILE;
+    const int i = get_global_id(0);
+    if (i >= columns * rows) return;
+    const float x0 = (float)(i % columns * TILE), y0 = (float)(i / columns * TILE);
+    const float x1 = x0 + TILE, y1 = y0 + TILE;
+    const float3 c00 = primary_direction(frame, (float2)(x0, y0)), c10 = primary_direction(frame, (float2)(x1, y0));
+    const float3 c01 = primary_direction(frame, (float2)(x0, y1)), c11 = primary_direction(frame, (float2)(x1, y1));
+    const float3 forward = primary_direction(frame, (float2)(0.5f * (x0 + x1), 0.5f * (y0 + y1)));
+    float3 side[4];
+    side[0] = cross(c00, c01);
+    side[1] = cross(c01, c11);
+    side[2] = cross(c11, c10);
+    side[3] = cross(c10, c00);
+    for (int k = 0; k < 4; ++k) side[k] = normalize(dot(side[k], forward) < 0.0f ? -side[k] : side[k]);
+    __global int *list = tiles + i * tile_stride;
+    int n = 0;
+    for (int k = 0; k < object_count; ++k) {
+        const float4 bound = objects[order[k] * OBJECT_SIZE];
+        const float grown = -1.001f * bound.w - 1e-4f;
+        bool seen = true;
+        for (int s = 0; s < 4; ++s) seen = seen && dot(side[s], bound.xyz) > grown;
+        if (seen) list[++n] = order[k];
+    }
+    list[0] = n;
+}
+
+/* What each pixel's centre sees. depth: view z, +inf for sky; motion: pixels, to the other camera at the other time;
+   position: (x, y, z, 1) in the other view space, for sky (x/z, y/z, +inf, z) of the direction there;
+   object_id: -1 for sky; keys: surface, for the antialiasing. */
+__kernel void surfaces(WORLD_ARGUMENTS, __global float *depth, __global float2 *motion, __global float4 *position,
+                       __global int *object_id, __global int *keys) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= width || y >= height) return;
+    const World w = WORLD;
+    const int i = y * width + x;
+    const float2 px = pixel_centre(x, y);
+    const float3 d = primary_direction(frame, px);
+    const int columns = (width + TILE - 1) / TILE;
+    __global const int *list = tiles + (y / TILE * columns + x / TILE) * tile_stride;
+    const Hit hit = trace(w, (float3)(0.0f), d, list, -1);
+    const bool sky = hit.prim < 0;
+    float3 other;
+    if (sky) {
+        other = turn(frame[REL_TO_OTHER], frame[REL_TO_OTHER + 1], frame[REL_TO_OTHER + 2], d);
+    } else {
+        __global const float4 *object = objects + hit.object * OBJECT_SIZE;
+        other = move(object[4], object[5], object[6], hit.t * d);
+    }
+    depth[i] = hit.t;
+    object_id[i] = hit.object;
+    keys[i] = surface_key(w, hit, (float3)(0.0f), d);
+    motion[i] = other.z > 0.0f ? project(other, frame[OTHER_PINHOLE]) - px : (float2)(NAN);
+    position[i] = sky ? (float4)(other.x / other.z, other.y / other.z, INFINITY, other.z) : (float4)(other, 1.0f);
+}
+
+/* Antialiased colour: `base` samples where the surroundings are one surface, `samples` elsewhere; a surface is shaded
+   once per pixel and its reflections once per sample. */
+__kernel void shade(WORLD_ARGUMENTS, __global const float *depth, __global const int *object_id,
+                    __global const int *keys, const int base, const int samples, __global half *color) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= width || y >= height) return;
+    const World w = WORLD;
+    const int i = y * width + x;
+    const int columns = (width + TILE - 1) / TILE;
+    __global const int *list = tiles + (y / TILE * columns + x / TILE) * tile_stride;
+    const float pixel_angle = frame[PINHOLE_INVERSE].y;
+
+    bool edge = false;
+    for (int k = 0; k < 9; ++k) {
+        const int near_x = clamp(x + k % 3 - 1, 0, width - 1), near_y = clamp(y + k / 3 - 1, 0, height - 1);
+        edge = edge || keys[near_y * width + near_x] != keys[i];
+    }
+    int count = edge ? samples : base;
+    int known_key[3] = {-2, -2, -2};
+    float3 known_color[3];
+    int oldest = 0;
+    float3 sum = (float3)(0.0f);
+    for (int s = 0; s < count; ++s) {
+        /* The R2 sequence, from the centre of the pixel. */
+        const float jx = 0.5f + 0.75487767f * (float)s, jy = 0.5f + 0.56984029f * (float)s;
+        const float2 px = (float2)((float)x + jx - floor(jx), (float)y + jy - floor(jy));
+        float3 o = (float3)(0.0f), d = primary_direction(frame, px), weight = (float3)(1.0f);
+        float travelled = 0.0f, spread = pixel_angle;
+        __global const int *seen = list;
+        int skip = -1;
+        bool flat_mirrors = true;
+        for (int bounce = 0; bounce < MAX_BOUNCES; ++bounce) {
+            const bool centre = s == 0 && bounce == 0;
+            Hit hit = {depth[i], object_id[i], keys[i] < 0 ? -1 : keys[i] / 8};
+            int key = keys[i];
+            if (!centre) {
+                hit = trace(w, o, d, seen, skip);
+                key = surface_key(w, hit, o, d);
             }
-        }
-    }
-    return best;
-}
+            if (bounce == 0 && key != keys[i]) count = samples;
+            const float3 eye = normalize(d);
+            if (hit.prim < 0) {
+                sum += weight * sky_color(w, eye, spread);
+                break;
+            }
+            const float range = hit.t * length(d);
+            travelled += range;
+            __global const float4 *object = objects + hit.object * OBJECT_SIZE;
+            const int type = prim_info[hit.prim].x, material_index = prim_info[hit.prim].y;
+            const float4 a = prims[2 * hit.prim], b = prims[2 * hit.prim + 1];
+            const float3 p = o + hit.t * d;
+            const float3 p_local = move(object[1], object[2], object[3], p);
+            const float3 n_local = prim_normal(type, a, b, p_local);
+            const float3 n = n_local.x * object[1].xyz + n_local.y * object[2].xyz + n_local.z * object[3].xyz;
+            const float facing = clamp(-dot(n, eye), 0.0f, 1.0f);
+            const float4 finish = materials[material_index * MATERIAL_SIZE + 2];
 
-/* Visibility in [0, 1] of a light of angular radius `spread` (tangent) in direction d (unit) up to `t_max`. */
-inline float visibility(const World w, const float3 o, const float3 d, const float t_max, const float spread,
-                        const float footprint, const int skip) {
-    float least = 1.0f;
-    for (int i = 0; i < w.object_count && least > -1.0f; ++i) {
-        const int4 info = w.object_info[i];
-        if (!(info.z & CASTS_SHADOW)) continue;
-        __global const float4 *object = w.objects + i * OBJECT_SIZE;
-        const float4 bound = object[0];
-        const float3 c = bound.xyz - o;
-        const float middle = clamp(dot(c, d), 0.0f, t_max);
-        const float3 miss = c - middle * d;
-        const float grown = bound.w + spread * (middle + bound.w) + footprint;
-        if (dot(miss, miss) > grown * grown) continue;
-        const float3 o_local = move(object[1], object[2], object[3], o);
-        const float3 d_local = turn(object[1], object[2], object[3], d);
-        for (int j = info.x; j < info.x + info.y; ++j) {
-            if (j == skip) continue;
-            const int type = w.prim_info[j].x;
-            const float4 a = w.prims[2 * j], b = w.prims[2 * j + 1];
-            const float t = closest_approach(type, a, b, o_local, d_local);
-            if (t <= 0.0f || t >= t_max) continue;
-            const float gap = distance_to(type, a, b, o_local + t * d_local);
-            least = fmin(least, gap / (t * spread + footprint));
+            float3 own = (float3)(0.0f);
+            bool known = false;
+            const int cache_key = key * 4 + bounce;
+            for (int k = 0; k < 3; ++k) {
+                if (known_key[k] == cache_key) {
+                    own = known_color[k];
+                    known = true;
+                }
+            }
+            if (!known) {
+                const float fp = travelled * spread / sqrt(fmax(facing, 0.04f));
+                own = surface_color(w, material_index, p, n, eye, p_local, n_local, fp, hit.prim,
+                                    fmax(weight.x, fmax(weight.y, weight.z)));
+                if (bounce == 0 || flat_mirrors) {
+                    known_key[oldest] = cache_key;
+                    known_color[oldest] = own;
+                    oldest = oldest == 2 ? 0 : oldest + 1;
+                }
+            }
+            const float haze = 1.0f - exp(-frame[HAZE].w * range);
+            const float grazing = 1.0f - facing;
+            const float fresnel = grazing * grazing * grazing * grazing * grazing;
+            sum += weight * (haze * frame[HAZE].xyz);
+            weight *= 1.0f - haze;
+            if (finish.w > 0.0f) {  /* glass: straight on, the reflection is the surroundings' mean */
+                const float mirrored = finish.z + (1.0f - finish.z) * fresnel;
+                sum += weight * (own + mirrored * frame[AMBIENT_UP].xyz);
+                weight *= finish.w * (1.0f - mirrored) * materials[material_index * MATERIAL_SIZE].xyz;
+                o = p;
+                skip = hit.prim;
+                seen = 0;
+                d = eye;
+                continue;
+            }
+            const float mirrored = finish.z * (finish.x + (1.0f - finish.x) * fresnel);
+            sum += weight * (1.0f - mirrored) * own;
+            if (mirrored < 0.015f) break;
+            weight *= mirrored * (finish.x > 0.5f ? materials[material_index * MATERIAL_SIZE].xyz : (float3)(1.0f));
+            if (finish.y < 0.05f) count = samples;
+            /* A fixed fan of directions for rough mirrors. */
+            const float turn_angle = 2.3999632f * (float)s, lean = finish.y * sqrt(((float)s + 0.5f) / (float)samples);
+            const float3 side = normalize(cross(n, fabs(n.y) < 0.9f ? (float3)(0.0f, 1.0f, 0.0f) : (float3)(1.0f, 0.0f, 0.0f)));
+            const float3 tilted = normalize(n + 0.5f * lean * (cos(turn_angle) * side + sin(turn_angle) * cross(n, side)));
+            d = eye - 2.0f * dot(eye, tilted) * tilted;
+            if (dot(d, n) < 0.01f) d = normalize(d + (0.01f - dot(d, n)) * n);
+            o = p;
+            skip = hit.prim;
+            seen = 0;
+            spread += finish.y * 0.3f + (type == BOX ? 0.0f : 0.01f);
+            flat_mirrors = flat_mirrors && type == BOX;
         }
     }
-    const float x = clamp(0.5f + 0.5f * least, 0.0f, 1.0f);
-    return x * x * (3.0f - 2.0f * x);
-}
-
-/* Openness in [0, 1] of the half space above a surface point, from distances at two heights. */
-inline float openness(const World w, const float3 p, const float3 n, const int skip) {
-    const float low = 0.12f, high = 0.7f;
-    float near = low, far = high;
-    const float3 p_high = p + high * n;
-    for (int i = 0; i < w.object_count; ++i) {
-        const int4 info = w.object_info[i];
-        __global const float4 *object = w.objects + i * OBJECT_SIZE;
-        const float4 bound = object[0];
-        const float3 c = bound.xyz - p_high;
-        const float grown = bound.w + high;
-        if (dot(c, c) > grown * grown) continue;
-        const float3 p_local = move(object[1], object[2], object[3], p);
-        const float3 n_local = turn(object[1], object[2], object[3], n);
-        for (int j = info.x; j < info.x + info.y; ++j) {
-            if (j == skip) continue;
-            const int type = w.prim_info[j].x;
-            const float4 a = w.prims[2 * j], b = w.prims[2 * j + 1];
-            near = fmin(near, distance_to(type, a, b, p_local + low * n_local));
-            far = fmin(far, distance_to(type, a, b, p_local + high * n_local));
-        }
-    }
-    return clamp(near / low, 0.0f, 1.0f) * 0.45f + clamp(far / high, 0.0f, 1.0f) * 0.55f;
+    store_color(sum / (float)count, color, i);
 }

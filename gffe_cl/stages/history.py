@@ -23,16 +23,16 @@ class HistoryTracking(Stage):
 
     name = "history"
     buffers = (
-        BufferSpec("dynamic_mask", np.uint8, 1, "source", "1 where the static test failed (M^dyn)"),
+        BufferSpec("dynamic_mask", np.uint8, (), "source", "1 where the static test failed (M^dyn)"),
         BufferSpec(
             "history",
             np.float32,
-            4,
+            ("x", "y", "z", "known"),
             "source",
-            "positions P_1 … P_{k−1} in the view space of the rendered camera, world units; w = 0: not known",
+            "positions P_1 … P_{k−1} in the view space of the rendered camera, world units; known = 0: not known, P_0 instead",
         ),
-        BufferSpec("static_threshold_squared", np.float32, 1, "once", "ε², px²"),
-        BufferSpec("residual_histogram", np.int32, _BINS, "once", "static residual, two bins per octave of r²"),
+        BufferSpec("static_threshold_squared", np.float32, (), "once", "ε², px²"),
+        BufferSpec("residual_histogram", np.int32, tuple(f"bin{b}" for b in range(_BINS)), "once", "static residual, two bins per octave of r²"),
     )
 
     def __init__(self, device: Device, sizes: Sizes, positions: int, static_threshold: float | None):

@@ -15,8 +15,8 @@ class HoleFilling(Stage):
 
     name = "holes"
     buffers = (
-        BufferSpec("block_color", np.float32, 4, "blocks", "sum of valid colour and weight per 32×32 block"),
-        BufferSpec("block_inverse_depth", np.float32, 1, "blocks", "sum of inverse depth per 32×32 block"),
+        BufferSpec("block_color", np.float32, ("R", "G", "B", "weight"), "blocks", "sum of valid colour and weight per 32×32 block"),
+        BufferSpec("block_inverse_depth", np.float32, (), "blocks", "sum of inverse depth per 32×32 block"),
     )
 
     def fill_holes(self, frame, warp: Stage, target: Camera) -> None:

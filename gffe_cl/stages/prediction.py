@@ -21,7 +21,7 @@ class PositionPrediction(Stage):
         BufferSpec(
             "target_position",
             np.float32,
-            4,
+            ("x", "y", "depth", "unused"),
             "source",
             "predicted position of each fragment: x, y in target pixels, view depth (−1: nothing to splat), 0",
         ),

@@ -6,7 +6,7 @@ import numpy as np
 
 from gffe_cl.camera import Camera
 from gffe_cl.device import Device
-from gffe_cl.stage import BufferSpec, Sizes, Stage, int2
+from gffe_cl.stage import RGBA, XY, BufferSpec, Sizes, Stage, int2
 
 BY_WARP, BY_CRACK_CLOSING, BY_HOLE_FILLING = 0, 254, 255
 
@@ -21,15 +21,15 @@ class Warp(Stage):
     name = "warp"
     buffers = (
         BufferSpec(
-            "links", np.uint8, 1, "source", "neighbours of the same surface: 1 right, 2 down, 4 left, 8 up"
+            "links", np.uint8, (), "source", "neighbours of the same surface: 1 right, 2 down, 4 left, 8 up"
         ),
-        BufferSpec("color", np.float16, 4, "target", "colour of the extrapolated frame (Ī^GAE)"),
-        BufferSpec("depth", np.float32, 1, "target", "view depth in the target camera, world units (D̄)"),
-        BufferSpec("motion", np.float32, 2, "target", "t + α → t, pixels, into the rendered image (V̄)"),
-        BufferSpec("dynamic", np.uint8, 1, "target", "1 where the fragment shown is dynamic"),
-        BufferSpec("disoccluded", np.uint8, 1, "target", "1 where no fragment of the rendered frame lands"),
+        BufferSpec("color", np.float16, RGBA, "target", "colour of the extrapolated frame (Ī^GAE)"),
+        BufferSpec("depth", np.float32, (), "target", "view depth in the target camera, world units (D̄)"),
+        BufferSpec("motion", np.float32, XY, "target", "t + α → t, pixels, into the rendered image (V̄)"),
+        BufferSpec("dynamic", np.uint8, (), "target", "1 where the fragment shown is dynamic"),
+        BufferSpec("disoccluded", np.uint8, (), "target", "1 where no fragment of the rendered frame lands"),
         BufferSpec(
-            "filled_by", np.uint8, 1, "target", "0 warp, 254 crack closing, 255 hole filling (or nothing)"
+            "filled_by", np.uint8, (), "target", "0 warp, 254 crack closing, 255 hole filling (or nothing)"
         ),
     )
 

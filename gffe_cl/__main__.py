@@ -1,0 +1,5 @@
+"""`python -m gffe_cl` is `gffe`."""
+
+from gffe_cl.cli import main
+
+main()

@@ -1,0 +1,186 @@
+"""Scene → the arrays that kernels/scene.cl reads. All transforms are composed in float64 relative to the camera."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gffe_cl.camera import Camera
+from gffe_cl.scenes.vocabulary import ELLIPSOID, TEXTURES, Group, Light, Material, Scene
+
+CASTS_SHADOW = 1
+_LIGHT_KINDS = {"sun": 0, "lamp": 1, "spot": 2, "fill": 3}
+
+
+class FlatScene:
+    """What does not change with time.
+
+    Attributes
+    ----------
+    prims : (P, 2, 4) float32; prim_info : (P, 2) int32, type and material
+    object_info : (N, 4) int32, first primitive, count, flags, 0
+    bounds : (N, 4) float64, centre and radius in the object's local space
+    boxes : (N, 2, 3) float64, centre and half size of its box there
+    materials : (M, 5, 4) float32
+    """
+
+    def __init__(self, scene: Scene):
+        self.scene = scene
+        materials: dict[Material, int] = {}
+        prims, prim_info, object_info, bounds, boxes = [], [], [], [], []
+        for group in scene.groups:
+            flags = CASTS_SHADOW if group.casts_shadow else 0
+            object_info.append((len(prims), len(group.primitives), flags, 0))
+            boxes.append(_bounding_box(group))
+            bounds.append(_bounding_sphere(group, *boxes[-1]))
+            for primitive in group.primitives:
+                prims.append((primitive.a, primitive.b))
+                index = materials.setdefault(primitive.material, len(materials))
+                prim_info.append((primitive.kind, index))
+        self.prims = np.array(prims, np.float32)
+        self.prim_info = np.array(prim_info, np.int32)
+        self.object_info = np.array(object_info, np.int32)
+        self.bounds = np.array(bounds, np.float64)
+        self.boxes = np.array(boxes, np.float64)
+        self.materials = np.array([_material_rows(m) for m in materials], np.float32)
+        self._still = {i: g.motion(0.0) for i, g in enumerate(scene.groups) if not g.motion.moves}
+
+    def poses(self, time: float) -> np.ndarray:
+        """(N, 4, 4) float64: local → world of every object."""
+        return np.stack(
+            [
+                self._still[i] if i in self._still else group.motion(time)
+                for i, group in enumerate(self.scene.groups)
+            ]
+        )
+
+    def objects(self, poses, camera: Camera, other_poses, other_camera: Camera, offset) -> np.ndarray:
+        """(N, 7, 4) float32: bound; rel → local; rel → view space of the other camera at the other time."""
+        to_rel, to_other_rel = offset - camera.position, offset - other_camera.position
+        rotation, origin = poses[:, :3, :3], poses[:, :3, 3] + to_rel
+        inverse = np.swapaxes(rotation, 1, 2)  # rel → local: p ↦ Rᵀ (p − origin)
+        records = np.empty((len(poses), 7, 4), np.float64)
+        records[:, 0, :3] = np.einsum("nij,nj->ni", rotation, self.bounds[:, :3]) + origin
+        records[:, 0, 3] = self.bounds[:, 3]
+        records[:, 1:4, :3] = inverse
+        records[:, 1:4, 3] = -np.einsum("nij,nj->ni", inverse, origin)
+        view = other_camera.world_to_view[:3, :3]
+        other_rotation = view @ other_poses[:, :3, :3]
+        other_origin = (other_poses[:, :3, 3] + to_other_rel) @ view.T
+        records[:, 4:7, :3] = other_rotation @ inverse
+        records[:, 4:7, 3] = other_origin + np.einsum("nij,nj->ni", other_rotation, records[:, 1:4, 3])
+        return records.astype(np.float32)
+
+    def rel_boxes(self, objects: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(N, 3) float64 each: lower and upper corners of the objects' boxes in rel, slightly grown."""
+        rotation = np.swapaxes(objects[:, 1:4, :3], 1, 2).astype(np.float64)
+        centre = np.einsum("nij,nj->ni", rotation, self.boxes[:, 0] - objects[:, 1:4, 3])
+        half = np.einsum("nij,nj->ni", np.abs(rotation), self.boxes[:, 1])
+        half += 5e-4 + 1e-6 * np.abs(centre)
+        return centre - half, centre + half
+
+    def lights(self, time: float, camera: Camera, offset) -> np.ndarray:
+        """(L, 3, 4) float32."""
+        to_rel = offset - camera.position
+        rows = [_light_rows(light, light.motion(time), to_rel) for light in self.scene.lights]
+        return np.array(rows, np.float64).astype(np.float32).reshape(-1, 3, 4)
+
+    def frame(self, camera: Camera, other_camera: Camera) -> np.ndarray:
+        """(15, 4) float32: the rows that kernels/scene.cl names."""
+        air = self.scene.air
+        suns = [light for light in self.scene.lights if light.kind == "sun"]
+        rows = np.zeros((15, 4), np.float64)
+        rows[0:3, :3] = camera.world_to_view[:3, :3].T
+        rows[3] = 1 / camera.fx, 1 / camera.fy, camera.cx, camera.cy
+        rows[4] = other_camera.intrinsics
+        rows[5:8, :3] = other_camera.world_to_view[:3, :3]
+        rows[8, :3], rows[9, :3] = air.ambient_up, air.ambient_down
+        rows[10] = *air.zenith, air.clouds
+        rows[11] = *air.horizon, self.scene.seed % 97 * 1.7
+        rows[12] = 0.0, -1.0, 0.0, 1.0
+        if suns:
+            rows[12, :3] = np.asarray(suns[0].position) / np.linalg.norm(suns[0].position)
+            rows[12, 3] = np.cos(np.arctan(suns[0].size))
+            rows[13, :3] = suns[0].color
+        rows[14] = *air.haze_color, air.haze
+        return rows.astype(np.float32)
+
+
+def nearest_first(objects: np.ndarray) -> np.ndarray:
+    """Indices of objects (N, 7, 4) by the distance of their bounding spheres from the camera."""
+    distance = np.linalg.norm(objects[:, 0, :3], axis=-1) - objects[:, 0, 3]
+    return np.argsort(distance, kind="stable").astype(np.int32)
+
+
+def build_tree(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A bounding-box tree over boxes (N, 3): nodes (M, 2, 4) float32 in depth-first order, and each box's leaf (N,) int32.
+
+    A node is (min, next node when missed), (max, box or −1); the integers are stored as their bits. Big boxes come
+    first, so that big occluders are met early.
+    """
+    nodes: list = []
+    leaves = np.zeros(len(low), np.int32)
+
+    def add(members):
+        index = len(nodes)
+        nodes.append([low[members].min(0), high[members].max(0), index + 1, -1])
+        if len(members) == 1:
+            leaves[members[0]], nodes[index][3] = index, members[0]
+            return
+        for part in _split(members, low, high):
+            add(part)
+        nodes[index][2] = len(nodes)
+
+    add(np.arange(len(low)))
+    table = np.zeros((len(nodes), 2, 4), np.float32)
+    table[:, 0, :3], table[:, 1, :3] = [n[0] for n in nodes], [n[1] for n in nodes]
+    bits = table.view(np.int32)
+    bits[:, 0, 3], bits[:, 1, 3] = [n[2] for n in nodes], [n[3] for n in nodes]
+    return table, leaves
+def _split(members: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two parts: one box that fills most of the whole and the rest, or halves along the longest side."""
+    size = high[members] - low[members]
+    whole = high[members].max(0) - low[members].min(0)
+    area = size[:, 0] * size[:, 1] + size[:, 1] * size[:, 2] + size[:, 2] * size[:, 0]
+    largest = int(np.argmax(area))
+    if area[largest] > 0.3 * (whole[0] * whole[1] + whole[1] * whole[2] + whole[2] * whole[0]):
+        return members[largest : largest + 1], np.delete(members, largest)
+    centre = (low[members] + high[members]) / 2
+    axis = int(np.argmax(centre.max(0) - centre.min(0)))
+    ranked = members[np.argsort(centre[:, axis], kind="stable")]
+    return ranked[: len(ranked) // 2], ranked[len(ranked) // 2 :]
+
+
+def _bounding_box(group: Group) -> tuple[np.ndarray, np.ndarray]:
+    low, high = (np.array(side) for side in zip(*(p.bounds() for p in group.primitives), strict=True))
+    return (low.min(0) + high.max(0)) / 2, (high.max(0) - low.min(0)) / 2
+
+
+def _bounding_sphere(group: Group, centre: np.ndarray, half_size: np.ndarray) -> tuple:
+    only = group.primitives[0]
+    lone_sphere = len(group.primitives) == 1 and only.kind == ELLIPSOID
+    radius = max(only.b[:3]) if lone_sphere else np.linalg.norm(half_size)
+    return (*centre, radius * 1.0005 + 1e-4)
+
+
+def _material_rows(m: Material) -> list:
+    spread = np.random.default_rng(m.seed).uniform(0, 64, 3)
+    return [
+        (*m.color, TEXTURES.index(m.texture)),
+        (*m.second, m.scale),
+        (m.specular, m.roughness, m.mirror, m.transparency),
+        (*m.emission, m.contrast),
+        (*spread, 0.0),
+    ]
+
+
+def _light_rows(light: Light, pose: np.ndarray, to_rel: np.ndarray) -> list:
+    if light.kind == "sun":
+        place = pose[:3, :3] @ (np.asarray(light.position) / np.linalg.norm(light.position))
+    else:
+        place = pose[:3, :3] @ np.asarray(light.position) + pose[:3, 3] + to_rel
+    axis = pose[:3, :3] @ (np.asarray(light.axis) / np.linalg.norm(light.axis))
+    return [
+        (*place, light.size),
+        (*light.color, _LIGHT_KINDS[light.kind]),
+        (*axis, np.cos(np.radians(light.angle))),
+    ]

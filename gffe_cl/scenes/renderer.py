@@ -1,0 +1,165 @@
+"""Rendering a built-in scene on an OpenCL device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.camera import Camera
+from gffe_cl.device import Device
+from gffe_cl.errors import GffeError
+from gffe_cl.program import build
+from gffe_cl.scenes.flatten import FlatScene, build_tree, nearest_first
+from gffe_cl.scenes.vocabulary import Scene
+
+_TILE = 16  # as in kernels/scene.cl
+_BASE_SAMPLES = 3
+
+
+@dataclass
+class SceneArrays:
+    """A rendering on the host; colour, depth and motion as in `gffe_cl.frame.RenderedFrame`.
+
+    color (H, W, 3) float16; depth (H, W) float32; motion (H, W, 2) float32; other_position (H, W, 4) float32;
+    object_id (H, W) int32.
+    """
+
+    color: np.ndarray
+    depth: np.ndarray
+    motion: np.ndarray
+    other_position: np.ndarray
+    object_id: np.ndarray
+
+
+@dataclass
+class SceneImage:
+    """A rendering on the device; the buffers are the renderer's own and hold until its next `render`.
+
+    Attributes
+    ----------
+    color : half ×4, linear RGB, antialiased
+    depth : float, view z at the pixel's centre, +inf for sky
+    motion : float ×2, pixels: where the surface at the pixel's centre was in the other image − here; NaN where that
+        lies behind the other camera
+    other_position : float ×4: that surface point at the other time in the other camera's view space (x, y, z, 1); for sky
+        the direction there as (x/z, y/z, +inf, z), so that x and y project the same way in both cases
+    object_id : int, index of the rigid group, −1 for sky
+    """
+
+    color: cl.Buffer
+    depth: cl.Buffer
+    motion: cl.Buffer
+    other_position: cl.Buffer
+    object_id: cl.Buffer
+    width: int
+    height: int
+    queue: cl.CommandQueue
+
+    def numpy(self) -> SceneArrays:
+        """Copies on the host."""
+        h, w = self.height, self.width
+        arrays = SceneArrays(
+            np.empty((h, w, 4), np.float16),
+            np.empty((h, w), np.float32),
+            np.empty((h, w, 2), np.float32),
+            np.empty((h, w, 4), np.float32),
+            np.empty((h, w), np.int32),
+        )
+        for name in SceneArrays.__dataclass_fields__:
+            cl.enqueue_copy(self.queue, getattr(arrays, name), getattr(self, name))
+        arrays.color = np.ascontiguousarray(arrays.color[..., :3])
+        return arrays
+
+
+class SceneRenderer:
+    """Renders `scene` at one image size.
+
+    Parameters
+    ----------
+    samples : int
+        Samples per pixel at edges and on mirrors; where a pixel's surroundings are one surface, a few do.
+    """
+
+    def __init__(self, device: Device, scene: Scene, width: int, height: int, samples: int = 8):
+        if width < 1 or height < 1 or samples < 1:
+            raise GffeError(f"scene renderer: width, height and samples must be ≥ 1, got {width}×{height}, {samples}")
+        self.device, self.scene = device, scene
+        self.width, self.height, self.samples = int(width), int(height), int(samples)
+        self.program = build(device, "scene")
+        self.flat = FlatScene(scene)
+        self._tiles = -(-self.width // _TILE) * -(-self.height // _TILE)
+        n, pixels = len(scene.groups), self.width * self.height
+        self._static = [
+            self._uploaded(array) for array in (self.flat.object_info, self.flat.prims, self.flat.prim_info, self.flat.materials)
+        ]
+        self._frame = device.buffer(15 * 16)
+        self._objects = device.buffer(n * 7 * 16)
+        self._order, self._leaf_of = device.buffer(n * 4), device.buffer(n * 4)
+        self._nodes = device.buffer((2 * n - 1) * 2 * 16)
+        self._lights = device.buffer(max(len(scene.lights), 1) * 3 * 16)
+        self._tile_lists = device.buffer(self._tiles * (n + 1) * 4)
+        self._keys = device.buffer(pixels * 4)
+        self.image = SceneImage(
+            *(device.buffer(pixels * size) for size in (8, 4, 8, 16, 4)), self.width, self.height, device.queue
+        )
+
+    def render(
+        self,
+        time: float,
+        camera: Camera,
+        other_time: float | None = None,
+        other_camera: Camera | None = None,
+        offset=(0.0, 0.0, 0.0),
+    ) -> SceneImage:
+        """Render at `time` through `camera` (pixels of this renderer's image, any principal point).
+
+        Parameters
+        ----------
+        other_time, other_camera
+            What motion and other_position refer to: normally the previous rendered frame, but any time before or
+            after will do. None: the same time; the same camera.
+        offset : (3,) world units
+            The whole world is moved by it; `camera` and `other_camera` stand in the moved world.
+        """
+        other_time = time if other_time is None else other_time
+        other_camera = camera if other_camera is None else other_camera
+        offset = np.asarray(offset, np.float64)
+        poses = self.flat.poses(time)
+        other_poses = poses if other_time == time else self.flat.poses(other_time)
+        objects = self.flat.objects(poses, camera, other_poses, other_camera, offset)
+        lights = self.flat.lights(time, camera, offset)
+        self._upload(self._objects, objects)
+        nodes, leaf_of = build_tree(*self.flat.rel_boxes(objects))
+        self._upload(self._order, nearest_first(objects))
+        self._upload(self._nodes, nodes)
+        self._upload(self._leaf_of, leaf_of)
+        self._upload(self._frame, self.flat.frame(camera, other_camera))
+        if len(lights):
+            self._upload(self._lights, lights)
+
+        queue, program, image = self.device.queue, self.program, self.image
+        info, prims, prim_info, materials = self._static
+        n, w, h = np.int32(len(objects)), np.int32(self.width), np.int32(self.height)
+        tiles = (self._tile_lists, np.int32(n + 1), w, h)
+        world = (
+            self._frame, self._objects, info, prims, prim_info, materials, self._lights, self._nodes, self._leaf_of,
+            np.int32(len(nodes)), np.int32(len(lights)), *tiles,
+        )  # fmt: skip
+        size = (self.width, self.height)
+        program.bin(queue, (self._tiles,), None, self._frame, self._objects, self._order, n, *tiles)
+        program.surfaces(
+            queue, size, None, *world, image.depth, image.motion, image.other_position, image.object_id, self._keys
+        )
+        base = np.int32(min(_BASE_SAMPLES, self.samples))
+        seen = (image.depth, image.object_id, self._keys)
+        program.shade(queue, size, None, *world, *seen, base, np.int32(self.samples), image.color)
+        return image
+
+    def _uploaded(self, array: np.ndarray) -> cl.Buffer:
+        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+        return cl.Buffer(self.device.context, flags, hostbuf=np.ascontiguousarray(array))
+
+    def _upload(self, buffer: cl.Buffer, array: np.ndarray) -> None:
+        cl.enqueue_copy(self.device.queue, buffer, np.ascontiguousarray(array), is_blocking=True)

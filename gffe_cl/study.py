@@ -1,0 +1,120 @@
+"""How good each part is on the built-in scenes, where the truth of everything is known (`gffe study`)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gffe_cl.device import Device
+from gffe_cl.frame import RenderedFrame, pack_frame
+from gffe_cl.metrics import display_values, psnr, ssim
+from gffe_cl.pipeline import Options, Pipeline
+from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
+
+# "oracle" is the same warp with every fragment's true position at t + α in place of the predicted one.
+METHODS: dict[str, Options | None] = {
+    "repeat": None,
+    "literal": Options(crack_closing=False),
+    "static": Options(motion=False),
+    "gae": Options(),
+    "oracle": Options(),
+}
+_NO_HISTORY = 2  # rendered frames after the reset that do not count
+
+
+@dataclass
+class SceneStudy:
+    """Means over the frames of one scene and seed.
+
+    `visible` is PSNR in dB over the pixels that no method but "repeat" and "literal" leaves disoccluded,
+    `whole` and `ssim` are over the whole frame; each maps the names of `METHODS` to a figure.
+    """
+
+    scene: str
+    seed: int
+    visible: dict[str, float]
+    whole: dict[str, float]
+    ssim: dict[str, float]
+    disoccluded: float  # share of the pixels that GAE leaves disoccluded
+    dynamic: float  # share of the pixels that are dynamic
+
+    @property
+    def share(self) -> float:
+        """Share of the gap between "repeat" and "oracle" that GAE closes, in dB over visible pixels."""
+        floor = self.visible["repeat"]
+        return (self.visible["gae"] - floor) / (self.visible["oracle"] - floor)
+
+
+def study_scene(
+    device: Device,
+    name: str,
+    seed: int,
+    width: int,
+    height: int,
+    frames: int,
+    fps: float = 30.0,
+    alpha: float = 0.5,
+    on_frame: Callable[[], None] = lambda: None,
+) -> SceneStudy:
+    """Extrapolate `frames` rendered frames of a built-in scene by every method and measure at t + α."""
+    scene = load_scene(name, seed)
+    renderer = SceneRenderer(device, scene, width, height)
+    pipelines = {
+        method: Pipeline(device, width, height, options, fps=fps)
+        for method, options in METHODS.items()
+        if options is not None
+    }
+    rows = []
+    for frame in sequence_frames(scene, width, height, frames, fps, ground_truth=False):
+        image = renderer.render(frame.time, frame.camera, frame.previous_time, frame.previous_camera).numpy()
+        rendered = RenderedFrame(
+            image.color, image.depth, image.motion, frame.camera, frame.time, reset=frame.reset
+        )
+        packed = pack_frame(rendered, height, width)
+        for pipeline in pipelines.values():
+            pipeline.submit(rendered, packed)
+        if frame.source >= _NO_HISTORY:
+            time = frame.time + alpha / fps
+            rows.append(_measure(renderer, pipelines, image, frame, time, scene.exposure))
+        on_frame()
+    mean = {key: {m: float(np.mean([row[key][m] for row in rows])) for m in METHODS} for key in ("visible", "whole", "ssim")}
+    shares = {key: float(np.mean([row[key] for row in rows])) for key in ("disoccluded", "dynamic")}
+    return SceneStudy(name, seed, **mean, **shares)
+
+
+def _measure(renderer, pipelines, image, frame, time, exposure) -> dict:
+    camera = renderer.scene.camera(time, renderer.width, renderer.height)
+    future = renderer.render(frame.time, frame.camera, time, camera).numpy()
+    truth = display_values(renderer.render(time, camera).numpy().color, exposure)
+    pictures = {"repeat": display_values(image.color, exposure)}
+    holes = np.zeros(truth.shape[:2], bool)
+    for method, pipeline in pipelines.items():
+        if method == "oracle":
+            made = pipeline.extrapolate(camera, time, target_position=true_positions(future))
+        else:
+            made = pipeline.extrapolate(camera, time)
+        pictures[method] = display_values(made.numpy("color"), exposure)
+        if method != "literal":
+            holes |= made.numpy("disoccluded") > 0
+        if method == "gae":
+            shares = {n: float(made.numpy(n).mean()) for n in ("disoccluded", "dynamic")}
+    return {
+        "visible": {m: psnr(p, truth, ~holes) for m, p in pictures.items()},
+        "whole": {m: psnr(p, truth) for m, p in pictures.items()},
+        "ssim": {m: ssim(p, truth) for m, p in pictures.items()},
+        **shares,
+    }
+
+
+def true_positions(future) -> np.ndarray:
+    """(H, W, 4) float32 `target_position` of every fragment from a rendering whose `other` is the target."""
+    height, width = future.depth.shape
+    y, x = np.mgrid[:height, :width].astype(np.float32) + np.float32(0.5)
+    position = np.zeros((height, width, 4), np.float32)
+    position[..., 0] = x + future.motion[..., 0]
+    position[..., 1] = y + future.motion[..., 1]
+    position[..., 2] = future.other_position[..., 2]
+    position[~np.isfinite(position[..., :2]).all(-1)] = (0, 0, -1, 0)
+    return position

@@ -1,0 +1,341 @@
+"""The command line: what users type, what they get, and what they are told when something is wrong."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import OpenEXR
+import pytest
+from synthetic import Rect, Rects, camera
+
+from gffe_cl import open_sequence
+from gffe_cl.cli import main
+from gffe_cl.run import alphas_for
+from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
+
+W, H = 64, 40
+SCENE = Rects([Rect((0, 0, 12), frequency=0.3), Rect((-1, 0, 6), (1, 1), velocity=(6, 0, 0), frequency=1)])
+
+
+def view(k):
+    return camera(W, H, (0.05 * k, 0, 0.1 * k), 0.01 * k)
+
+
+def write_scene(path, frames=4, truth=True):
+    previous = None
+    with SequenceWriter(path, W, H, 30.0) as writer:
+        for k in range(frames):
+            frame = SCENE.frame(view(k), k / 30, W, H, previous, reset=k == 0)
+            entry = FrameEntry(f"frame_{k:06d}.exr", k / 30, "rendered", k == 0, None, view(k))
+            writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
+            if truth:
+                color = SCENE.color(view(k + 0.5), (k + 0.5) / 30, W, H).astype(np.float16)
+                between = FrameEntry(
+                    f"truth_{k:06d}_0500.exr", (k + 0.5) / 30, "ground_truth", display_camera=view(k + 0.5)
+                )
+                writer.add(between, named_channels(color))
+            previous = (view(k), k / 30)
+    return path
+
+
+@pytest.fixture(scope="session")
+def pristine(tmp_path_factory):
+    return write_scene(tmp_path_factory.mktemp("scene") / "in")
+
+
+@pytest.fixture
+def scene(pristine, tmp_path):
+    return shutil.copytree(pristine, tmp_path / "in")
+
+
+@pytest.fixture
+def gffe(monkeypatch, capsys):
+    """Runs `gffe ARGS…` in this process: (exit code, stdout, stderr)."""
+
+    def call(*args):
+        monkeypatch.setattr(sys, "argv", ["gffe", *map(str, args)])
+        code = 0
+        try:
+            main()
+        except SystemExit as stop:
+            code = stop.code or 0
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+# ---- what works ----------------------------------------------------------------------------------------
+
+
+def test_run_and_compare(gffe, scene, tmp_path):
+    out = tmp_path / "out"
+    code, _, _ = gffe("run", scene, out, "--json", tmp_path / "run.json")
+    assert code == 0
+    assert json.loads((tmp_path / "run.json").read_text())["extrapolated"] == 4
+    made = open_sequence(out)
+    assert [len(made.rendered), len(made.extrapolated), len(made.ground_truth)] == [4, 4, 0]
+    for entry, truth in zip(made.extrapolated, open_sequence(scene).ground_truth, strict=True):
+        assert entry.time == pytest.approx(truth.time) and entry.alpha == 0.5
+        assert entry.display_camera == truth.display_camera
+        assert entry.source == f"frame_{round(truth.time * 30 - 0.5):06d}.exr"
+    channels = made.read_channels(
+        made.extrapolated[2],
+        ["R", "G", "B", "Z", "motion.x", "motion.y", "mask.dynamic", "mask.disoccluded", "mask.filled_by"],
+    )
+    assert channels["R"].dtype == np.float16 and channels["Z"].dtype == np.float32
+    assert set(np.unique(channels["mask.filled_by"])) <= {0, 254, 255}
+    code, text, _ = gffe("compare", out, scene, "--json", tmp_path / "c.json")
+    report = json.loads((tmp_path / "c.json").read_text())
+    assert code == 0 and "mean" in text and report["mean"]["psnr"] > 25 and len(report["frames"]) == 4
+    assert gffe("compare", out, scene, "--fail-under", "99")[0] == 1
+    assert gffe("compare", out, scene, "--fail-under", "20")[0] == 0
+    assert gffe("compare", out, scene, "--mask", "mask.dynamic")[0] == 0
+
+
+def test_output_can_be_fed_on(gffe, scene, tmp_path):
+    assert gffe("run", scene, tmp_path / "a")[0] == 0
+    assert gffe("run", tmp_path / "a", tmp_path / "b", "-n", "2")[0] == 0
+    assert len(open_sequence(tmp_path / "b").extrapolated) == 8
+
+
+@pytest.mark.parametrize("n", [1, 3, 7])
+def test_several_frames_per_frame(gffe, scene, tmp_path, n):
+    assert gffe("run", scene, tmp_path / "out", "-n", n)[0] == 0
+    made = open_sequence(tmp_path / "out")
+    assert [e.alpha for e in made.extrapolated[-n:]] == pytest.approx(alphas_for(n))
+    assert len(made.extrapolated) == 4 * n
+
+
+def test_alpha_list_beyond_one(gffe, scene, tmp_path):
+    assert gffe("run", scene, tmp_path / "out", "--alpha", "0.25,1.5")[0] == 0
+    made = [(e.source, e.alpha) for e in open_sequence(tmp_path / "out").extrapolated]
+    assert sorted(made)[:2] == [("frame_000000.exr", 0.25), ("frame_000000.exr", 1.5)]
+
+
+def test_predicted_camera(gffe, scene, tmp_path):
+    assert gffe("run", scene, tmp_path / "out", "--camera", "predicted")[0] == 0
+    last = open_sequence(tmp_path / "out").extrapolated[-1]
+    np.testing.assert_allclose(last.display_camera.position, (0.05 * 3.5, 0, 0.35), atol=1e-4)
+    assert last.display_camera != view(3.5)
+
+
+def test_nothing_of_later_frames_is_read(gffe, scene, tmp_path):
+    """Changing every later pixel changes nothing in the frames extrapolated before."""
+    assert gffe("run", scene, tmp_path / "a")[0] == 0
+    document = json.loads((scene / "sequence.json").read_text())
+    cut = write_scene(tmp_path / "short", frames=2)
+    assert gffe("run", cut, tmp_path / "b")[0] == 0
+    names = [f["file"] for f in document["frames"] if f["kind"] == "ground_truth"][:2]
+    for name in names:
+        file = name.replace("truth", "extrapolated")
+        assert _pixels(tmp_path / "a" / file) == _pixels(tmp_path / "b" / file)
+
+
+def _pixels(path):
+    channels = OpenEXR.File(str(path), separate_channels=True).channels()
+    return {name: channel.pixels.tobytes() for name, channel in channels.items()}
+
+
+def test_switches(gffe, scene, tmp_path):
+    for index, option in enumerate(
+        (["--no-motion"], ["--no-crack-closing"], ["--no-hole-filling"], ["--history", "4", "--order", "2"],
+         ["--static-threshold", "2.5"])  # fmt: skip
+    ):
+        assert gffe("run", scene, tmp_path / f"out{index}", *option)[0] == 0
+
+
+def test_dump_stages(gffe, scene, tmp_path):
+    from gffe_cl.stages.history import HistoryTracking
+    from gffe_cl.stages.holes import HoleFilling
+    from gffe_cl.stages.prediction import PositionPrediction
+    from gffe_cl.stages.warp import Warp
+
+    assert gffe("run", scene, tmp_path / "out", "--dump-stages", "--history", "3")[0] == 0
+    folder = tmp_path / "out" / "stages" / "extrapolated_000003_0500"
+    once = json.loads((folder / "once.json").read_text())
+    for stage in (HistoryTracking, PositionPrediction, Warp, HoleFilling):
+        for spec in stage.buffers:
+            name = f"{stage.name}.{spec.name}"
+            assert name in once or (folder / f"{name}.exr").is_file(), name
+    planes = OpenEXR.File(str(folder / "history.history.exr"), separate_channels=True).channels()
+    assert {"1.x", "2.known"} <= set(planes)
+
+
+def test_render_and_devices(gffe, tmp_path):
+    out = tmp_path / "scene"
+    assert gffe("render", "corridor", out, "--size", "33x21", "--frames", 2, "--ground-truth", "--seed", 4)[0] == 0
+    made = open_sequence(out)
+    assert (made.width, made.height) == (33, 21)
+    assert [len(made.rendered), len(made.ground_truth)] == [2, 2]
+    code, text, _ = gffe("devices", "--json", tmp_path / "d.json")
+    assert code == 0 and "yes" in text
+    assert any(d["works"] and d["default"] for d in json.loads((tmp_path / "d.json").read_text())["devices"])
+
+
+def test_bad_pixels_are_counted_once_and_strict_makes_them_errors(gffe, scene, tmp_path):
+    _spoil(scene / "frame_000002.exr", "motion.x", lambda a: a.__setitem__((3, 4), np.nan))
+    _spoil(scene / "frame_000003.exr", "Z", lambda a: a.__setitem__((5, 5), -1))
+    _spoil(scene / "frame_000003.exr", "G", lambda a: a.__setitem__((5, 6), np.nan))
+    code, _, err = gffe("run", scene, tmp_path / "out")
+    assert code == 0
+    warnings = [line for line in err.splitlines() if line.startswith("warning:")]
+    assert len(warnings) == 1
+    for text in ("1 × NaN or infinite motion", "1 × invalid depth", "1 × NaN or infinite colour"):
+        assert text in warnings[0]
+    code, _, err = gffe("run", scene, tmp_path / "strict", "--strict")
+    assert code == 2 and "frame_000002.exr: 1 × NaN or infinite motion" in err
+    assert not (tmp_path / "strict").exists()
+
+
+def _spoil(path, channel, change):
+    file = OpenEXR.File(str(path), separate_channels=True)
+    header = {k: v for k, v in file.header().items() if k != "channels"}
+    channels = {name: np.ascontiguousarray(c.pixels).copy() for name, c in file.channels().items()}
+    change(channels[channel])
+    OpenEXR.File(header, channels).write(str(path))
+
+
+# ---- what is wrong -------------------------------------------------------------------------------------
+
+
+def _json(change):
+    def apply(folder):
+        document = json.loads((folder / "sequence.json").read_text())
+        change(document)
+        (folder / "sequence.json").write_text(json.dumps(document))
+
+    return apply
+
+
+def _without(channel):
+    def apply(folder):
+        path = folder / "frame_000002.exr"
+        file = OpenEXR.File(str(path), separate_channels=True)
+        channels = {n: np.ascontiguousarray(c.pixels) for n, c in file.channels().items() if n != channel}
+        OpenEXR.File({}, channels).write(str(path))
+
+    return apply
+
+
+def _frame(index, **change):
+    return _json(lambda d: d["frames"][index].update(change))
+
+
+def _camera(index, **change):
+    return _json(lambda d: d["frames"][index]["render_camera"].update(change))
+
+
+def _truncate(folder):
+    path = folder / "frame_000002.exr"
+    path.write_bytes(path.read_bytes()[:-200])
+
+
+FAULTS = {
+    "truncated EXR": (_truncate, "frame_000002.exr"),
+    "empty EXR": (lambda f: (f / "frame_000001.exr").write_bytes(b""), "frame_000001.exr"),
+    "missing file": (lambda f: (f / "frame_000003.exr").unlink(), "frame_000003.exr"),
+    "missing depth": (_without("Z"), "'Z'"),
+    "missing motion": (_without("motion.y"), "'motion.y'"),
+    "missing colour": (_without("G"), "'G'"),
+    "singular camera": (_camera(4, world_to_view=np.zeros((4, 4)).tolist()), "singular"),
+    "flat camera": (_camera(4, fx=0.0), "singular"),
+    "non-finite camera": (_camera(2, cx=float("nan")), "finite"),
+    "3×3 camera": (_camera(2, world_to_view=np.eye(3).tolist()), "4×4"),
+    "wrong size": (_json(lambda d: d.update(width=W + 1)), f"{W + 1}"),
+    "unknown version": (_json(lambda d: d.update(version=7)), "version"),
+    "no format": (_json(lambda d: d.pop("format")), "gffe-sequence"),
+    "broken JSON": (lambda f: (f / "sequence.json").write_text('{"format": "gffe-seq'), "JSON"),
+    "no sequence.json": (lambda f: (f / "sequence.json").unlink(), "sequence.json"),
+    "times not increasing": (_frame(4, time=0.0), "times must increase"),
+    "path outside": (_frame(2, file="../x.exr"), "../x.exr"),
+    "no frames": (_json(lambda d: d.update(frames=[])), "frames"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda name: name.replace(" ", "-"))
+def test_structural_faults_end_with_one_line(gffe, scene, tmp_path, fault):
+    spoil, expected = FAULTS[fault]
+    spoil(scene)
+    code, text, err = gffe("run", scene, tmp_path / "out", "--dump-stages")
+    assert code == 2, text + err
+    lines = [line for line in err.splitlines() if line.startswith("error:")]
+    assert len(lines) == 1 and expected in lines[0], err
+    assert "Traceback" not in err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("args", "expected"),
+    [
+        (["--alpha", "0.5", "-n", "2"], "exclude each other"),
+        (["-n", "8"], "1 to 7"),
+        (["-n", "0"], "1 to 7"),
+        (["--alpha", "half"], "numbers"),
+        (["--alpha", "-0.5"], "positive"),
+        (["--device", "no such device"], "no working device matches"),
+        (["--history", "9"], "history"),
+        (["--history", "2", "--order", "2"], "order"),
+        (["--static-threshold", "-1"], "threshold"),
+        (["--camera", "mine"], "--camera"),
+        (["--frobnicate"], "--frobnicate"),
+    ],
+)
+def test_wrong_options(gffe, pristine, tmp_path, args, expected):
+    code, _, err = gffe("run", pristine, tmp_path / "out", *args)
+    assert code == 2 and expected in err and len(err.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_impossible_outputs(gffe, pristine, tmp_path):
+    (tmp_path / "file").write_text("x")
+    for output in (tmp_path / "file", tmp_path / "file" / "below", "/proc/nowhere", pristine):
+        code, _, err = gffe("run", pristine, output)
+        assert code == 2 and len(err.strip().splitlines()) == 1 and err.startswith("error:"), (output, err)
+    assert (pristine / "sequence.json").is_file() and (tmp_path / "file").read_text() == "x"
+    assert gffe("render", "nowhere", tmp_path / "s")[0] == 2
+    assert gffe("render", "corridor", tmp_path / "s", "--size", "big")[0] == 2
+    assert gffe("render", "corridor", tmp_path / "s", "--frames", 0)[0] == 2
+    assert not (tmp_path / "s").exists()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root writes everywhere")
+def test_read_only_output(gffe, pristine, tmp_path):
+    (tmp_path / "locked").mkdir(mode=0o555)
+    code, _, err = gffe("run", pristine, tmp_path / "locked")
+    assert code == 2 and "locked" in err and not list((tmp_path / "locked").iterdir())
+
+
+def test_no_device_says_how_to_get_one(tmp_path, pristine):
+    (tmp_path / "vendors").mkdir()
+    environment = os.environ | {"OCL_ICD_VENDORS": str(tmp_path / "vendors"), "OCL_ICD_FILENAMES": ""}
+    for args in (["run", str(pristine), str(tmp_path / "out")], ["devices"], ["demo", "-o", str(tmp_path / "d")]):
+        child = subprocess.run(
+            [sys.executable, "-m", "gffe_cl", *args], env=environment, capture_output=True, text=True
+        )
+        assert child.returncode == 2 and "pip install" in child.stderr, child.stderr
+        assert len(child.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "out").exists() and not (tmp_path / "d").exists()
+
+
+def test_interrupt_keeps_what_is_finished(tmp_path):
+    source = write_scene(tmp_path / "in", frames=80, truth=False)
+    out = tmp_path / "out"
+    child = subprocess.Popen(
+        [sys.executable, "-m", "gffe_cl", "run", str(source), str(out), "-n", "7"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    deadline = time.monotonic() + 60
+    while len(list(out.glob("extrapolated_*.exr"))) < 10 and time.monotonic() < deadline:
+        time.sleep(0.02)
+    child.send_signal(signal.SIGINT)
+    _, err = child.communicate(timeout=60)
+    assert child.returncode == 130 and "interrupted" in err and "Traceback" not in err, err
+    made = open_sequence(out)
+    assert 10 <= len(made.extrapolated) < 560
+    assert {p.name for p in out.glob("*.exr")} == {e.file for e in made.frames}
