@@ -68,7 +68,7 @@ def demo(output: Path, device: Device, width: int, height: int, seed: int, step)
 
 def _contact_sheet(source: Sequence, made: Sequence):
     rows = []
-    titles = ["rendered (t)", "extrapolated (t + ½)", "ground truth (t + ½)", "error ×4", "dynamic mask", "disocclusions"]
+    titles = ["rendered (t)", "extrapolated (t + 1/2)", "ground truth (t + 1/2)", "error x 4", "dynamic mask", "disocclusions"]
     for index in np.linspace(_FRAMES // 4, _FRAMES - 1, 3).astype(int):
         now, new, truth = source.rendered[index], made.extrapolated[index], source.ground_truth[index]
         shown, predicted, wanted = (

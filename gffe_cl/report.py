@@ -84,7 +84,8 @@ def write_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
             fps=fps,
             codec="libx264",
             macro_block_size=1,
-            output_params=["-crf", "16", "-preset", "fast", "-pix_fmt", "yuv420p", "-movflags", "+faststart"],
+            ffmpeg_log_level="error",
+            output_params=["-crf", "16", "-preset", "fast", "-movflags", "+faststart"],
         )
         writer.send(None)
         writer.send(np.ascontiguousarray(first))

@@ -66,14 +66,20 @@ inline float3 nonzero(const float3 d) {
 
 /* ---- primitives: intersection and signed distance, all in local space ---- */
 
+inline float lesser(const float a, const float b) { return a < b ? a : b; }
+inline float greater(const float a, const float b) { return a > b ? a : b; }
+
+/* Parameters at which a ray enters and leaves the box centre +- half. `inverse` is 1 / direction. */
+inline float2 box_span(const float3 centre, const float3 half_size, const float3 o, const float3 inverse) {
+    const float mx = (centre.x - o.x) * inverse.x, rx = half_size.x * fabs(inverse.x);
+    const float my = (centre.y - o.y) * inverse.y, ry = half_size.y * fabs(inverse.y);
+    const float mz = (centre.z - o.z) * inverse.z, rz = half_size.z * fabs(inverse.z);
+    return (float2)(greater(greater(mx - rx, my - ry), mz - rz), lesser(lesser(mx + rx, my + ry), mz + rz));
+}
+
 inline float hit_box(const float4 a, const float4 b, const float3 o, const float3 d) {
-    const float3 inverse = 1.0f / nonzero(d);
-    const float3 middle = (a.xyz - o) * inverse;
-    const float3 reach = fabs(inverse) * b.xyz;
-    const float3 near = middle - reach, far = middle + reach;
-    const float enter = fmax(fmax(near.x, near.y), near.z);
-    const float leave = fmin(fmin(far.x, far.y), far.z);
-    return enter < leave ? enter : -INFINITY;
+    const float2 span = box_span(a.xyz, b.xyz, o, 1.0f / nonzero(d));
+    return span.x < span.y ? span.x : -INFINITY;
 }
 
 inline float hit_ellipsoid(const float4 a, const float4 b, const float3 o, const float3 d) {
@@ -89,7 +95,7 @@ inline float hit_capsule(const float4 a, const float4 b, const float3 o, const f
     const float3 ba = b.xyz - a.xyz, oa = o - a.xyz;
     const float baba = dot(ba, ba), bad = dot(ba, d), baoa = dot(ba, oa), dd = dot(d, d);
     const float3 dp = d - ba * (bad / baba), op = oa - ba * (baoa / baba);  /* perpendicular to the axis */
-    const float k2 = fmax(dot(dp, dp), 1e-12f * dd), k1 = dot(dp, op);
+    const float k2 = greater(dot(dp, dp), 1e-12f * dd), k1 = dot(dp, op);
     const float3 q = op - dp * (k1 / k2);
     const float h = a.w * a.w - dot(q, q);
     if (h < 0.0f) return -INFINITY;
@@ -149,38 +155,36 @@ inline float3 prim_normal(const int type, const float4 a, const float4 b, const 
     const float3 axis = ba / length_ba;
     if (h * length_ba < side && h < 0.5f) return -axis;
     if ((1.0f - h) * length_ba < side && h > 0.5f) return axis;
-    return normalize(radial / fmax(r, 1e-9f) * length_ba + axis * (a.w - b.w));
+    return normalize(radial / greater(r, 1e-9f) * length_ba + axis * (a.w - b.w));
 }
 
 inline float distance_to(const int type, const float4 a, const float4 b, const float3 p) {
     if (type == BOX) {
-        const float3 q = fabs(p - a.xyz) - b.xyz;
-        return length(fmax(q, 0.0f)) + fmin(fmax(q.x, fmax(q.y, q.z)), 0.0f);
+        const float x = fabs(p.x - a.x) - b.x, y = fabs(p.y - a.y) - b.y, z = fabs(p.z - a.z) - b.z;
+        const float out_x = greater(x, 0.0f), out_y = greater(y, 0.0f), out_z = greater(z, 0.0f);
+        return sqrt(out_x * out_x + out_y * out_y + out_z * out_z) + lesser(greater(x, greater(y, z)), 0.0f);
     }
     if (type == ELLIPSOID) {
         const float3 q = (p - a.xyz) / b.xyz;
         const float k0 = length(q), k1 = length(q / b.xyz);
-        return k0 < 1e-4f ? -fmin(b.x, fmin(b.y, b.z)) : k0 * (k0 - 1.0f) / k1;
+        return k0 < 1e-4f ? -lesser(b.x, lesser(b.y, b.z)) : k0 * (k0 - 1.0f) / k1;
     }
     const float3 ba = b.xyz - a.xyz, pa = p - a.xyz;
     const float baba = dot(ba, ba), h = dot(pa, ba) / baba;
     if (type == CAPSULE) return length(pa - ba * clamp(h, 0.0f, 1.0f)) - a.w;
     const float x = length(pa - ba * h), drop = b.w - a.w;
-    const float cap_x = fmax(0.0f, x - (h < 0.5f ? a.w : b.w)), cap_y = fabs(h - 0.5f) - 0.5f;
+    const float cap_x = greater(0.0f, x - (h < 0.5f ? a.w : b.w)), cap_y = fabs(h - 0.5f) - 0.5f;
     const float f = clamp((drop * (x - a.w) + h * baba) / (drop * drop + baba), 0.0f, 1.0f);
     const float side_x = x - a.w - f * drop, side_y = h - f;
     const float inside_sign = side_x < 0.0f && cap_y < 0.0f ? -1.0f : 1.0f;
-    return inside_sign * sqrt(fmin(cap_x * cap_x + cap_y * cap_y * baba, side_x * side_x + side_y * side_y * baba));
+    return inside_sign * sqrt(lesser(cap_x * cap_x + cap_y * cap_y * baba, side_x * side_x + side_y * side_y * baba));
 }
 
 /* Parameter at which the ray comes closest to the primitive (exact for spheres and capsules). */
 inline float closest_approach(const int type, const float4 a, const float4 b, const float3 o, const float3 d) {
     if (type == BOX) {
-        const float3 inverse = 1.0f / nonzero(d);
-        const float3 middle = (a.xyz - o) * inverse, reach = fabs(inverse) * b.xyz;
-        const float3 near = middle - reach, far = middle + reach;
-        const float enter = fmax(fmax(near.x, near.y), near.z), leave = fmin(fmin(far.x, far.y), far.z);
-        return leave < 0.0f ? -1.0f : 0.5f * (fmax(enter, 0.0f) + leave);
+        const float2 span = box_span(a.xyz, b.xyz, o, 1.0f / nonzero(d));
+        return span.y < 0.0f ? -1.0f : 0.5f * (greater(span.x, 0.0f) + span.y);
     }
     if (type == ELLIPSOID) {
         const float3 p = (o - a.xyz) / b.xyz, v = d / b.xyz;
@@ -188,18 +192,20 @@ inline float closest_approach(const int type, const float4 a, const float4 b, co
     }
     const float3 ba = b.xyz - a.xyz, oa = o - a.xyz;
     const float baba = dot(ba, ba), bad = dot(ba, d), baoa = dot(ba, oa), dd = dot(d, d), doa = dot(d, oa);
-    const float across = fmax(baba * dd - bad * bad, 1e-9f);
+    const float across = greater(baba * dd - bad * bad, 1e-9f);
     const float h = clamp((baoa * dd - bad * doa) / across, 0.0f, 1.0f);
     return (h * bad - doa) / dd;
 }
 
 /* ---- traversal: `nodes` is a tree in depth-first order, (box min, next node if missed), (box max, object or -1) ---- */
 
+/* Whether a ray with 0 <= t <= t_max meets the box low .. high. */
 inline bool meets_box(const float3 low, const float3 high, const float3 o, const float3 inverse, const float t_max) {
-    const float3 t0 = (low - o) * inverse, t1 = (high - o) * inverse;
-    const float3 near = fmin(t0, t1), far = fmax(t0, t1);
-    const float enter = fmax(fmax(near.x, near.y), fmax(near.z, 0.0f));
-    const float leave = fmin(fmin(far.x, far.y), fmin(far.z, t_max));
+    const float ax = (low.x - o.x) * inverse.x, bx = (high.x - o.x) * inverse.x;
+    const float ay = (low.y - o.y) * inverse.y, by = (high.y - o.y) * inverse.y;
+    const float az = (low.z - o.z) * inverse.z, bz = (high.z - o.z) * inverse.z;
+    const float enter = greater(greater(lesser(ax, bx), lesser(ay, by)), greater(lesser(az, bz), 0.0f));
+    const float leave = lesser(lesser(greater(ax, bx), greater(ay, by)), lesser(greater(az, bz), t_max));
     return enter <= leave;
 }
 
@@ -210,7 +216,7 @@ inline Hit meet_object(const World w, const int i, const float3 o, const float3 
     const float4 bound = object[0];
     /* Small objects are met from nearby: their quadratics would cancel from afar. */
     const float dd = dot(d, d);
-    const float start = bound.w < 8.0f ? fmax((dot(bound.xyz - o, d) - bound.w * sqrt(dd)) / dd, 0.0f) : 0.0f;
+    const float start = bound.w < 8.0f ? greater((dot(bound.xyz - o, d) - bound.w * sqrt(dd)) / dd, 0.0f) : 0.0f;
     const float3 o_local = move(object[1], object[2], object[3], o + start * d);
     const float3 d_local = turn(object[1], object[2], object[3], d);
     const int4 info = w.object_info[i];
@@ -230,15 +236,25 @@ inline Hit meet_object(const World w, const int i, const float3 o, const float3 
 inline Hit trace(const World w, const float3 o, const float3 d, __global const int *list, const int skip) {
     Hit best = {INFINITY, -1, -1};
     const float3 inverse = 1.0f / nonzero(d);
-    const int count = list ? list[0] : w.node_count;
-    int k = 0;
-    while (k < count) {
-        const int node = list ? w.leaf_of[list[k + 1]] : k;
+    if (list) {
+        for (int k = 1; k <= list[0]; ++k) {
+            const int node = w.leaf_of[list[k]];
+            if (meets_box(w.nodes[2 * node].xyz, w.nodes[2 * node + 1].xyz, o, inverse, best.t)) {
+                best = meet_object(w, list[k], o, d, skip, best);
+            }
+        }
+        return best;
+    }
+    int node = 0;
+    while (node < w.node_count) {
         const float4 low = w.nodes[2 * node], high = w.nodes[2 * node + 1];
-        const bool met = meets_box(low.xyz, high.xyz, o, inverse, best.t);
         const int object = as_int(high.w);
-        if (met && object >= 0) best = meet_object(w, object, o, d, skip, best);
-        k = met || list ? k + 1 : as_int(low.w);
+        if (!meets_box(low.xyz, high.xyz, o, inverse, best.t)) {
+            node = as_int(low.w);
+            continue;
+        }
+        ++node;
+        if (object >= 0) best = meet_object(w, object, o, d, skip, best);
     }
     return best;
 }
@@ -253,8 +269,8 @@ inline float visibility(const World w, const float3 o, const float3 d, const flo
         const float4 low = w.nodes[2 * node], high = w.nodes[2 * node + 1];
         const int i = as_int(high.w);
         const float3 size = high.xyz - low.xyz;
-        const float ahead = fmax(dot(0.5f * (low.xyz + high.xyz) - o, d), 0.0f) + 0.5f * (size.x + size.y + size.z);
-        const float3 grown = (float3)(spread * fmin(ahead, t_max) + footprint);
+        const float ahead = greater(dot(0.5f * (low.xyz + high.xyz) - o, d), 0.0f) + 0.5f * (size.x + size.y + size.z);
+        const float3 grown = (float3)(spread * lesser(ahead, t_max) + footprint);
         if (!meets_box(low.xyz - grown, high.xyz + grown, o, inverse, t_max)) {
             node = as_int(low.w);
             continue;
@@ -273,7 +289,7 @@ inline float visibility(const World w, const float3 o, const float3 d, const flo
             const float t = closest_approach(type, a, b, o_local, d_local);
             if (t <= 0.0f || t >= t_max) continue;
             const float gap = distance_to(type, a, b, o_local + t * d_local);
-            least = fmin(least, gap / (t * spread + footprint));
+            least = lesser(least, gap / (t * spread + footprint));
         }
     }
     const float x = clamp(0.5f + 0.5f * least, 0.0f, 1.0f);
@@ -289,8 +305,10 @@ inline float openness(const World w, const float3 p, const float3 n, const int s
     while (node < w.node_count) {
         const float4 low = w.nodes[2 * node], high = w.nodes[2 * node + 1];
         const int i = as_int(high.w);
-        const float3 gap = p_high - clamp(p_high, low.xyz, high.xyz);
-        if (dot(gap, gap) > far * far) {
+        const float gap_x = greater(greater(low.x - p_high.x, p_high.x - high.x), 0.0f);
+        const float gap_y = greater(greater(low.y - p_high.y, p_high.y - high.y), 0.0f);
+        const float gap_z = greater(greater(low.z - p_high.z, p_high.z - high.z), 0.0f);
+        if (gap_x * gap_x + gap_y * gap_y + gap_z * gap_z > far * far) {
             node = as_int(low.w);
             continue;
         }
@@ -304,8 +322,8 @@ inline float openness(const World w, const float3 p, const float3 n, const int s
             if (j == skip) continue;
             const int type = w.prim_info[j].x;
             const float4 a = w.prims[2 * j], b = w.prims[2 * j + 1];
-            near = fmin(near, distance_to(type, a, b, p_local + low_height * n_local));
-            far = fmin(far, fmax(distance_to(type, a, b, p_local + high_height * n_local), 0.0f));
+            near = lesser(near, distance_to(type, a, b, p_local + low_height * n_local));
+            far = lesser(far, greater(distance_to(type, a, b, p_local + high_height * n_local), 0.0f));
         }
     }
     return clamp(near / low_height, 0.0f, 1.0f) * 0.45f + clamp(far / high_height, 0.0f, 1.0f) * 0.55f;

@@ -5,6 +5,7 @@ import pytest
 import twins
 from synthetic import Rect, Rects, camera
 
+from gffe_cl.device import list_devices, open_info
 from gffe_cl.pipeline import Options, Pipeline
 from gffe_cl.stage import reprojection
 from gffe_cl.stages.prediction import polynomial_weights
@@ -146,3 +147,17 @@ def test_five_runs_give_the_same_bits(device):
         bits = [extrapolated.numpy(n).tobytes() for n in ("color", "depth", "motion", "dynamic", "filled_by")]
         first = first or bits
         assert bits == first
+
+
+def test_devices_agree():
+    """All usable devices give the same bits in every buffer that can be compared."""
+    infos = [info for info in list_devices() if info.works and info.platform != "Oclgrind"]
+    if len(infos) < 2:
+        pytest.skip("needs two devices")
+    results = []
+    for info in infos:
+        pipeline = run(open_info(info), 96, 64, Options(history=3, order=2))[0]
+        results.append({f"{s.name}.{b.name}": s.read(b.name) for s, b in pipeline.named_buffers()})
+    for name, first in results[0].items():
+        for other in results[1:]:
+            assert first.tobytes() == other[name].tobytes(), name

@@ -1,0 +1,129 @@
+"""Devices and programs: choosing, probing in a child, build errors, and the shared helpers of kernels."""
+
+import json
+import subprocess
+from dataclasses import asdict
+
+import numpy as np
+import pyopencl as cl
+import pytest
+
+from gffe_cl import GffeError
+from gffe_cl import device as device_module
+from gffe_cl.device import DeviceInfo, best_of, select
+from gffe_cl.program import build, expand, kernel_folder
+
+
+def info(index, name, platform, kind="cpu", version="", works=True, speed=1.0):
+    return DeviceInfo(index, name, platform, version, "1", kind, works, megapixels_per_second=speed)
+
+
+POCL = info("0:0", "pthread-Intel(R) Xeon(R)", "Portable Computing Language", version="OpenCL 3.0 PoCL 3.1")
+INTEL = info("1:0", "Intel(R) Xeon(R)", "Intel(R) OpenCL", speed=4)
+GPU = info("2:0", "Some GPU", "Vendor", "gpu", speed=0.5)
+
+
+def test_selection():
+    assert select([POCL, INTEL, GPU], "intel") == [INTEL]
+    assert select([POCL, INTEL, GPU], "PoCL") == [POCL]
+    assert select([POCL, INTEL, GPU], "xeon") == [POCL, INTEL]
+    assert select([POCL, INTEL, GPU], "gpu") == [GPU]
+    assert select([POCL, INTEL, GPU], "0:0") == [POCL]
+    assert select([POCL], "nvidia") == []
+    assert best_of([POCL, INTEL]) is INTEL and best_of([POCL, INTEL, GPU]) is GPU
+
+
+def test_a_crashing_driver_is_blamed_and_survived(monkeypatch):
+    """The child dies at the second of three devices: that one is marked, the others are probed."""
+    calls = []
+
+    def child(command, **_):
+        skip = command[3:]
+        calls.append(skip)
+        unknown = {"works": False, "megapixels_per_second": 0.0}
+        lines, code = [], 0
+        for device in (POCL, INTEL, GPU):
+            if device.index in skip:
+                continue
+            lines.append(json.dumps(asdict(device) | unknown))
+            if device is INTEL:
+                code = -11
+                break
+            lines.append(json.dumps(asdict(device)))
+        return subprocess.CompletedProcess(command, code, "\n".join(lines), "")
+
+    monkeypatch.setattr(device_module.subprocess, "run", child)
+    found = {d.index: d for d in device_module.list_devices()}
+    assert found["0:0"].works and found["2:0"].works and not found["1:0"].works
+    assert "crashed" in found["1:0"].problem and len(calls) == 2
+
+
+def test_unknown_device_is_refused_by_name(device):
+    with pytest.raises(GffeError, match="no working device matches 'abacus'"):
+        device_module.open_device("abacus")
+
+
+@pytest.fixture
+def sources(tmp_path, monkeypatch):
+    """A folder of kernels of our own, with the real header."""
+    (tmp_path / "common.h").write_text((kernel_folder() / "common.h").read_text())
+    monkeypatch.setenv("GFFE_KERNELS", str(tmp_path))
+    return tmp_path
+
+
+def test_build_errors_name_file_and_line(device, sources):
+    (sources / "broken.cl").write_text(
+        '#include "common.h"\n\n__kernel void f(__global float *a) {\n    a[0] = nonsense;\n}\n'
+    )
+    with pytest.raises(GffeError) as caught:
+        build(device, "broken")
+    assert "kernels/broken.cl does not build" in str(caught.value)
+    assert "broken.cl:4" in str(caught.value) and "nonsense" in str(caught.value)
+
+
+def test_build_errors_in_the_header_too(device, sources):
+    text = (sources / "common.h").read_text().splitlines()
+    (sources / "common.h").write_text("\n".join([*text, "int half_a_declaration("]))
+    (sources / "fine.cl").write_text('#include "common.h"\n__kernel void f(__global float *a) { a[0] = 1.0f; }\n')
+    with pytest.raises(GffeError, match=r"common\.h:\d+|fine\.cl:\d+"):
+        build(device, "fine")
+
+
+def test_missing_source(sources):
+    with pytest.raises(GffeError, match=r"absent\.cl: cannot read"):
+        expand("absent.cl")
+
+
+ARITHMETIC = """
+#include "common.h"
+__kernel void quotients(const int n, __global const float *a, __global const float *b, __global float *q) {
+    const int i = get_global_id(0);
+    if (i < n) q[i] = divide(a[i], b[i]);
+}
+"""
+
+
+def test_division_is_correctly_rounded(device, sources):
+    """`divide` against NumPy's: equal, but for one in a hundred thousand that may be off by one ulp."""
+    (sources / "arithmetic.cl").write_text(ARITHMETIC)
+    program = build(device, "arithmetic")
+    rng = np.random.default_rng(3)
+    n = 400_000
+    a = (rng.normal(size=n) * 10 ** rng.uniform(-6, 6, n)).astype(np.float32)
+    b = (rng.normal(size=n) * 10 ** rng.uniform(-6, 6, n)).astype(np.float32)
+    a[:8], b[:8] = (0, 1, 3, 6, -7, 1e-30, 5, 1), (5, 3, 3, 3, 7, 1e5, np.inf, 1e-20)
+    flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+    buffers = [cl.Buffer(device.context, flags, hostbuf=x) for x in (a, b)]
+    out = device.buffer(4 * n)
+    program.quotients(device.queue, (n,), None, np.int32(n), *buffers, out)
+    q = np.empty(n, np.float32)
+    cl.enqueue_copy(device.queue, q, out)
+    different = q != a / b
+    assert different.sum() <= n // 100_000
+    np.testing.assert_allclose(q[different], (a / b)[different], rtol=2e-7)
+    assert q[2] == 1 and q[3] == 2 and q[4] == -1 and q[0] == 0 and q[6] == 0
+
+
+def test_too_large_an_allocation_is_one_line(device):
+    with pytest.raises(GffeError, match="cannot allocate"):
+        device.buffer(1 << 50)
