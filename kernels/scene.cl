@@ -25,12 +25,12 @@ inline float3 sky_color(const World w, const float3 d, const float fp) {
         const float3 cloud = frame[HORIZON].xyz * 0.5f + frame[SUN_COLOR].xyz * (0.10f + 0.05f * toward) * (1.5f - n);
         c = mix(c, cloud, 0.85f * cover);
     }
-    const float edge = fmax(fp, 2e-4f);
+    const float edge = max(fp, 2e-4f);
     return c + frame[SUN_COLOR].xyz * 2.5f * smoothstep(-edge, edge, acos(frame[SUN_DISC].w) - acos(toward));
 }
 
-/* Radiance of the surface itself, reflections and what is seen through it left out. What has little `weight` in the pixel
-   is spared the shadows of lamps. */
+/* Radiance of the surface itself, reflections and what is seen through it left out. Lamps that add
+   little, given the `weight` of the surface in the pixel, are taken as partly hidden. */
 inline float3 surface_color(const World w, const int material_index, const float3 p, const float3 n, const float3 eye,
                             const float3 p_local, const float3 n_local, const float fp,
                             const int prim, const float weight) {
@@ -47,7 +47,7 @@ inline float3 surface_color(const World w, const int material_index, const float
     const float3 ambient = mix(w.frame[AMBIENT_DOWN].xyz, w.frame[AMBIENT_UP].xyz, 0.5f + 0.5f * n.y)
                            * (0.25f + 0.75f * open);
     float3 diffuse = ambient, highlight = (float3)(0.0f);
-    const float power = 2.0f / fmax(finish.y * finish.y * finish.y, 1e-3f);
+    const float power = 2.0f / max(finish.y * finish.y * finish.y, 1e-3f);
     for (int k = 0; k < w.light_count; ++k) {
         const float4 place = w.lights[k * LIGHT_SIZE], color = w.lights[k * LIGHT_SIZE + 1];
         const float4 cone = w.lights[k * LIGHT_SIZE + 2];
@@ -62,16 +62,21 @@ inline float3 surface_color(const World w, const int material_index, const float
             diffuse += color.xyz * strength * (0.5f + 0.5f * facing) * open;
             continue;
         }
-        if (facing <= 0.0f || strength * fmax(color.x, fmax(color.y, color.z)) < 6e-3f) continue;
-        if (kind == SUN || weight > 0.12f) {
+        if (facing <= 0.0f || strength * max(color.x, max(color.y, color.z)) < 6e-3f) continue;
+        const float brightest = max(color.x, max(color.y, color.z)) * strength * facing;
+        const float so_far = max(diffuse.x, max(diffuse.y, diffuse.z));
+        if (kind == SUN || brightest * weight > 0.05f * so_far) {
             strength *= visibility(w, p + n * 1e-3f, l, kind == SUN ? 1e4f : range - 1.2f * place.w,
-                                   kind == SUN ? place.w : place.w / range, fmax(fp, 2e-3f), prim);
+                                   kind == SUN ? place.w : place.w / range, max(fp, 2e-3f), prim);
+        } else {
+            strength *= 0.7f;
         }
         diffuse += color.xyz * (strength * facing);
         const float3 middle = normalize(l - eye);
-        highlight += color.xyz * (strength * facing * (power + 8.0f) * 0.04f * pow(fmax(dot(n, middle), 0.0f), power));
+        highlight += color.xyz * (strength * facing * (power + 8.0f) * 0.04f * pow(max(dot(n, middle), 0.0f), power));
     }
-    return albedo * diffuse * (1.0f - finish.w) + highlight * finish.x + glow.xyz * (0.4f + 0.6f * albedo / fmax(base.xyz, 0.02f));
+    const float3 emitted = glow.xyz * (0.4f + 0.6f * albedo / max(base.xyz, 0.02f));
+    return albedo * diffuse * (1.0f - finish.w) + highlight * finish.x + emitted;
 }
 
 inline World make_world(__global const float4 *frame, __global const float4 *objects,
@@ -174,8 +179,9 @@ __kernel void surfaces(WORLD_ARGUMENTS, __global float *depth, __global float2 *
 
 /* Antialiased colour: `base` samples where the surroundings are one surface, `samples` elsewhere; a surface is shaded
    once per pixel and its reflections once per sample. */
-__kernel void shade(WORLD_ARGUMENTS, __global const float *depth, __global const int *object_id,
-                    __global const int *keys, const int base, const int samples, __global half *color) {
+__kernel __attribute__((vec_type_hint(float4))) /* scalar code: Intel's vectoriser makes this kernel 20 times slower */
+void shade(WORLD_ARGUMENTS, __global const float *depth, __global const int *object_id, __global const int *keys,
+           const int base, const int samples, __global half *color) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;
     const World w = WORLD;
@@ -239,9 +245,9 @@ __kernel void shade(WORLD_ARGUMENTS, __global const float *depth, __global const
                 }
             }
             if (!known) {
-                const float fp = travelled * spread / sqrt(fmax(facing, 0.04f));
+                const float fp = travelled * spread / sqrt(max(facing, 0.04f));
                 own = surface_color(w, material_index, p, n, eye, p_local, n_local, fp, hit.prim,
-                                    fmax(weight.x, fmax(weight.y, weight.z)));
+                                    max(weight.x, max(weight.y, weight.z)));
                 if (bounce == 0 || flat_mirrors) {
                     known_key[oldest] = cache_key;
                     known_color[oldest] = own;
@@ -270,8 +276,10 @@ __kernel void shade(WORLD_ARGUMENTS, __global const float *depth, __global const
             if (finish.y < 0.05f) count = samples;
             /* A fixed fan of directions for rough mirrors. */
             const float turn_angle = 2.3999632f * (float)s, lean = finish.y * sqrt(((float)s + 0.5f) / (float)samples);
-            const float3 side = normalize(cross(n, fabs(n.y) < 0.9f ? (float3)(0.0f, 1.0f, 0.0f) : (float3)(1.0f, 0.0f, 0.0f)));
-            const float3 tilted = normalize(n + 0.5f * lean * (cos(turn_angle) * side + sin(turn_angle) * cross(n, side)));
+            const bool upright = fabs(n.y) < 0.9f;
+            const float3 side = normalize(cross(n, (float3)(upright ? 0.0f : 1.0f, upright ? 1.0f : 0.0f, 0.0f)));
+            const float3 aside = cos(turn_angle) * side + sin(turn_angle) * cross(n, side);
+            const float3 tilted = normalize(n + 0.5f * lean * aside);
             d = eye - 2.0f * dot(eye, tilted) * tilted;
             if (dot(d, n) < 0.01f) d = normalize(d + (0.01f - dot(d, n)) * n);
             o = p;

@@ -13,7 +13,8 @@
 
 /* Records, in float4. */
 #define OBJECT_SIZE 7    /* bound (centre rel, radius); rel -> local rows; rel -> other view rows */
-#define MATERIAL_SIZE 5  /* colour, texture; colour2, scale; f0, roughness, mirror, transparency; emission, contrast; seed */
+#define MATERIAL_SIZE 5  /* colour, texture; colour2, scale; f0, roughness, mirror, transparency; emission, contrast;
+                            seed */
 #define LIGHT_SIZE 3     /* position or direction rel, size; colour, kind; axis, cos of the cone */
 #define SUN 0
 #define LAMP 1
@@ -197,7 +198,7 @@ inline float closest_approach(const int type, const float4 a, const float4 b, co
     return (h * bad - doa) / dd;
 }
 
-/* ---- traversal: `nodes` is a tree in depth-first order, (box min, next node if missed), (box max, object or -1) ---- */
+/* ---- traversal: `nodes` is a tree of boxes in depth-first order, (min, next node if missed), (max, object or -1) ---- */
 
 /* Whether a ray with 0 <= t <= t_max meets the box low .. high. */
 inline bool meets_box(const float3 low, const float3 high, const float3 o, const float3 inverse, const float t_max) {
@@ -232,7 +233,8 @@ inline Hit meet_object(const World w, const int i, const float3 o, const float3 
     return best;
 }
 
-/* Nearest hit along o + t d. A primary ray looks through its tile's `list` of objects, others (list 0) through the tree. */
+/* Nearest hit along o + t d. A primary ray looks through its tile's `list` of objects, others (list 0) through the
+   tree. */
 inline Hit trace(const World w, const float3 o, const float3 d, __global const int *list, const int skip) {
     Hit best = {INFINITY, -1, -1};
     const float3 inverse = 1.0f / nonzero(d);

@@ -44,7 +44,7 @@ inline float fbm(float3 p, float fp, const int octaves) {
 /* 1 on lines of half-width `half_width` at the integers, 0 between. */
 inline float lines(const float x, const float half_width, const float fp) {
     const float edge = 0.5f - fabs(x - floor(x) - 0.5f);
-    const float soft = fmax(0.6f * fp, 1e-4f);
+    const float soft = max(0.6f * fp, 1e-4f);
     const float line = 1.0f - smoothstep(half_width - soft, half_width + soft, edge);
     return mix(line, 2.0f * half_width, smoothstep(0.4f, 1.0f, fp));
 }
@@ -53,7 +53,7 @@ inline float lines(const float x, const float half_width, const float fp) {
 inline float square_wave(const float x, const float fp) {
     const float half_x = 0.5f * (x - 0.5f);
     const float tent = fabs(half_x - floor(half_x) - 0.5f) * 2.0f;  /* 1 amid even cells, 0 amid odd ones */
-    return clamp((tent - 0.5f) * 2.0f / fmax(fp, 1e-4f), -1.0f, 1.0f) * (1.0f - smoothstep(0.6f, 1.4f, fp));
+    return clamp((tent - 0.5f) * 2.0f / max(fp, 1e-4f), -1.0f, 1.0f) * (1.0f - smoothstep(0.6f, 1.4f, fp));
 }
 
 inline float disc(const float2 p, const float radius, const float fp) {
@@ -82,7 +82,10 @@ inline float3 texture_color(const int texture, const float3 color, const float3 
     /* One noise for every texture, stretched to suit it. */
     float3 noise_p = p / scale;
     float noise_fp = fp;
-    if (texture == PLANKS) noise_p *= a.x > fmax(a.y, a.z) ? (float3)(9.0f, 9.0f, 0.7f) : (float3)(0.7f, 9.0f, 9.0f), noise_fp *= 9.0f;
+    if (texture == PLANKS) {
+        noise_p *= a.x > max(a.y, a.z) ? (float3)(9.0f, 9.0f, 0.7f) : (float3)(0.7f, 9.0f, 9.0f);
+        noise_fp *= 9.0f;
+    }
     if (texture == BARK) noise_p *= (float3)(3.0f, 0.5f, 3.0f), noise_fp *= 3.0f;
     if (texture == BRICKS || texture == TILES || texture == COBBLES) noise_p *= 4.0f, noise_fp *= 4.0f;
     if (texture == LEAVES) noise_p *= 2.0f, noise_fp *= 2.0f;
@@ -92,13 +95,13 @@ inline float3 texture_color(const int texture, const float3 color, const float3 
 
     if (texture == PLAIN) return color * tone;
     if (texture == TILES) {
-        const float grout = fmax(lines(q.x, 0.018f, fp), lines(q.y, 0.018f, fp));
+        const float grout = max(lines(q.x, 0.018f, fp), lines(q.y, 0.018f, fp));
         const float h = hash_cell((int)floor(q.x), (int)floor(q.y), salt) - 0.5f;
         return mix(color * (tone + 0.22f * h * resolved(fp)), color2, grout);
     }
     if (texture == CHECKER) {
         const float wave = square_wave(q.x, fp) * square_wave(q.y, fp);
-        const float grout = fmax(lines(q.x, 0.008f, fp), lines(q.y, 0.008f, fp));
+        const float grout = max(lines(q.x, 0.008f, fp), lines(q.y, 0.008f, fp));
         return mix(color2, color, 0.5f + 0.5f * wave) * tone * (1.0f - 0.5f * grout);
     }
     if (texture == BRICKS || texture == COBBLES) {
@@ -107,11 +110,11 @@ inline float3 texture_color(const int texture, const float3 color, const float3 
         const float shift = 0.5f * row + (texture == COBBLES ? 0.35f * hash_cell((int)row, 3, salt) : 0.0f);
         const float x = q.x / aspect + shift;
         const float width = texture == BRICKS ? 0.06f : 0.085f;
-        float joint = fmax(lines(x, width / aspect, fp / aspect), lines(q.y, width, fp));
+        float joint = max(lines(x, width / aspect, fp / aspect), lines(q.y, width, fp));
         if (texture == COBBLES) {
             const float2 corner = (float2)(x - floor(x) - 0.5f, q.y - row - 0.5f) * 2.0f;
             const float round = pow(corner.x * corner.x, 3.0f) + pow(corner.y * corner.y, 3.0f);
-            joint = fmax(joint, smoothstep(0.55f, 0.8f, round) * resolved(fp * 2.0f));
+            joint = max(joint, smoothstep(0.55f, 0.8f, round) * resolved(fp * 2.0f));
         }
         const float h = hash_cell((int)floor(x), (int)row, salt) - 0.5f;
         return mix(color * (tone + 0.55f * h * resolved(fp)), color2 * (0.8f + 0.4f * noise), joint);
@@ -120,7 +123,7 @@ inline float3 texture_color(const int texture, const float3 color, const float3 
         const float across = q.y, along = q.x;
         const float row = floor(across);
         const float x = along * 0.13f + hash_cell((int)row, 7, salt);
-        const float joint = fmax(lines(across, 0.016f, fp), lines(x, 0.0022f, fp * 0.13f));
+        const float joint = max(lines(across, 0.016f, fp), lines(x, 0.0022f, fp * 0.13f));
         const float h = hash_cell((int)floor(x), (int)row, salt) - 0.5f;
         return mix(mix(color, color2, clamp(0.5f + contrast * 4.0f * (noise - 0.5f), 0.0f, 1.0f))
                    * (1.0f + 0.4f * h * resolved(fp)), color * 0.25f, joint);
@@ -131,7 +134,7 @@ inline float3 texture_color(const int texture, const float3 color, const float3 
     }
     if (texture == CARPET) {
         const float2 edge = (uv_extent - fabs(uv)) / scale;
-        const float border = fmin(edge.x, edge.y);
+        const float border = min(edge.x, edge.y);
         const float2 w = q * 3.14159f;
         const float ornament = sin(w.x * 2.0f) * sin(w.y * 2.0f) + 0.6f * cos(w.x * 4.0f) * cos(w.y * 4.0f);
         const float figure = smoothstep(-0.05f - fp * 4.0f, 0.05f + fp * 4.0f, ornament - 0.25f) * resolved(2.0f * fp);
@@ -151,13 +154,16 @@ inline float3 texture_color(const int texture, const float3 color, const float3 
         return mix(color2, color, ridge) * (0.75f + 0.5f * noise);
     }
     if (texture == LEAVES || texture == GRASS) {
-        const float fine = smoothstep(0.32f, 0.68f, noise);
-        float3 c = mix(color2, color, fine);
+        const bool leaves = texture == LEAVES;
+        float3 c = mix(color2, color, leaves ? smoothstep(0.32f, 0.68f, noise) : smoothstep(0.2f, 0.75f, noise));
+        if (leaves) c *= mix(1.0f, 0.45f + 1.1f * value_noise(p * 24.0f), resolved(fp_metres * 30.0f));
         if (texture == GRASS) {
             const float patch = value_noise(p * 0.35f + seed);
-            const float fallen = smoothstep(0.68f, 0.75f, value_noise(p * 7.0f + seed.yzx)) * resolved(fp_metres * 9.0f);
-            c = mix(c, c * (float3)(1.25f, 1.0f, 0.7f), patch) * (0.75f + 0.5f * patch);
-            c = mix(c, (float3)(0.42f, 0.25f, 0.09f) * (0.6f + noise), fallen * contrast);
+            const float blades = mix(1.0f, 0.55f + 0.9f * value_noise(p * (float3)(70.0f, 1.0f, 70.0f)),
+                                     resolved(fp_metres * 90.0f));
+            const float fallen = smoothstep(0.66f, 0.72f, value_noise(p * 19.0f + seed.yzx)) * resolved(fp_metres * 22.0f);
+            c = mix(c, c * (float3)(1.25f, 1.0f, 0.7f), patch) * ((0.75f + 0.5f * patch) * blades);
+            c = mix(c, (float3)(0.36f, 0.2f, 0.07f) * (0.5f + noise), mix(0.12f, 1.0f, fallen) * contrast);
         }
         return c * (0.7f + 0.6f * noise);
     }
@@ -166,7 +172,7 @@ inline float3 texture_color(const int texture, const float3 color, const float3 
         const float x = q.x * 9.0f + 3.0f * hash_cell((int)row, 1, salt);
         const float h = hash_cell((int)floor(x), (int)row, salt);
         const float top = 0.62f + 0.3f * hash_cell((int)floor(x), (int)row, salt + 1);
-        const float gap = fmax(lines(x, 0.05f, 9.0f * fp), smoothstep(top - fp, top + fp, y));
+        const float gap = max(lines(x, 0.05f, 9.0f * fp), smoothstep(top - fp, top + fp, y));
         const float title = lines(y * 2.0f + 0.1f + 0.3f * h, 0.09f, 2.0f * fp) * resolved(9.0f * fp);
         const float3 spine = mix(color, palette(h) * (0.25f + 0.5f * h), 0.65f) * (0.7f + 0.6f * noise);
         return mix(mix(mix(color, color2, 0.3f) * 0.5f, mix(spine, color2, 0.6f * title), resolved(6.0f * fp)),
@@ -174,14 +180,14 @@ inline float3 texture_color(const int texture, const float3 color, const float3 
     }
     if (texture == PICTURE || texture == SIGN) {
         const float2 edge = uv_extent - fabs(uv);
-        const float margin = fmin(edge.x, edge.y), soft = fp_metres;
+        const float margin = min(edge.x, edge.y), soft = fp_metres;
         float3 c = color;
         if (texture == PICTURE) {
             c = mix(color, color2, smoothstep(-0.5f, 0.5f, uv.y / uv_extent.y + 0.8f * (noise - 0.5f)));
             for (int k = 0; k < 5; ++k) {
                 const float h = hash_cell(k, salt, 5), g = hash_cell(k, salt, 6), r = hash_cell(k, salt, 7);
                 const float2 centre = ((float2)(h, g) - 0.5f) * 1.5f * uv_extent;
-                const float blob = disc(uv - centre, (0.1f + 0.35f * r) * fmin(uv_extent.x, uv_extent.y), soft);
+                const float blob = disc(uv - centre, (0.1f + 0.35f * r) * min(uv_extent.x, uv_extent.y), soft);
                 c = mix(c, palette(h + g + 0.3f) * (0.2f + 0.7f * r), blob * 0.85f);
             }
             c *= 0.75f + 0.5f * noise;
@@ -195,7 +201,7 @@ inline float3 texture_color(const int texture, const float3 color, const float3 
             const float word = step(0.18f, hash_cell((int)floor(x / 3.0f), (int)row, salt));
             c = mix(color, color2, mix(0.35f, letter, resolved(5.0f * fp)) * word * step(2.2f * scale * 0.2f, margin));
         }
-        const float rim = 0.06f * fmin(uv_extent.x, uv_extent.y);
+        const float rim = 0.06f * min(uv_extent.x, uv_extent.y);
         return mix(c, color2 * 0.4f, 1.0f - smoothstep(rim - soft, rim + soft, margin));
     }
     if (texture == WALLPAPER) {

@@ -9,8 +9,16 @@ import numpy as np
 from gffe_cl.scenes.motions import Motion, Path, rotation, translation
 from gffe_cl.scenes.vocabulary import Box, Capsule, Cone, Ellipsoid, Group, Material, Sphere, pick, vary
 
-_SHIRTS = ((0.5, 0.08, 0.07), (0.1, 0.2, 0.45), (0.65, 0.6, 0.5), (0.12, 0.32, 0.18), (0.62, 0.42, 0.08),
-           (0.3, 0.12, 0.34), (0.08, 0.36, 0.4), (0.7, 0.3, 0.12))  # fmt: skip
+_SHIRTS = (
+    (0.5, 0.08, 0.07),
+    (0.1, 0.2, 0.45),
+    (0.65, 0.6, 0.5),
+    (0.12, 0.32, 0.18),
+    (0.62, 0.42, 0.08),
+    (0.3, 0.12, 0.34),
+    (0.08, 0.36, 0.4),
+    (0.7, 0.3, 0.12),
+)
 _TROUSERS = ((0.06, 0.08, 0.16), (0.12, 0.1, 0.08), (0.3, 0.25, 0.17), (0.05, 0.05, 0.06), (0.2, 0.22, 0.26))
 _SKIN = ((0.55, 0.34, 0.24), (0.42, 0.24, 0.15), (0.2, 0.1, 0.06), (0.62, 0.42, 0.32))
 _HAIR = ((0.03, 0.02, 0.015), (0.12, 0.06, 0.025), (0.35, 0.24, 0.1), (0.3, 0.3, 0.3))
@@ -18,7 +26,9 @@ _HAIR = ((0.03, 0.02, 0.015), (0.12, 0.06, 0.025), (0.35, 0.24, 0.1), (0.3, 0.3,
 
 @dataclass(frozen=True)
 class _Joint(Motion):
-    """A limb: hangs from `offset` in its parent's space and swings about x by `angle(phase of the gait)` radians."""
+    """A limb: hangs from `offset` in its parent's space and swings about x by `angle(phase of the gait)`
+    radians.
+    """
 
     parent: Motion
     offset: tuple
@@ -53,8 +63,15 @@ def walker(path: Path, rng: np.random.Generator, height: float | None = None) ->
     h = (height or float(rng.uniform(1.58, 1.9))) / 1.75
     shirt_color = vary(rng, pick(rng, *_SHIRTS))
     seed = int(rng.integers(1 << 16))
-    shirt = Material(shirt_color, vary(rng, pick(rng, *_SHIRTS)), pick(rng, "plain", "stripes", "stripes"),
-                     scale=0.06, contrast=0.2, roughness=0.9, seed=seed)  # fmt: skip
+    shirt = Material(
+        shirt_color,
+        vary(rng, pick(rng, *_SHIRTS)),
+        pick(rng, "plain", "stripes", "stripes"),
+        scale=0.06,
+        contrast=0.2,
+        roughness=0.9,
+        seed=seed,
+    )
     trousers = Material(vary(rng, pick(rng, *_TROUSERS)), scale=0.1, contrast=0.3, roughness=0.9, seed=seed)
     skin = Material(pick(rng, *_SKIN), scale=0.3, contrast=0.08, roughness=0.5)
     hair = Material(pick(rng, *_HAIR), scale=0.02, contrast=0.4, roughness=0.4)
@@ -100,7 +117,9 @@ def walker(path: Path, rng: np.random.Generator, height: float | None = None) ->
     ]
     groups = [
         Group(torso, body, name="torso"),
-        Group(head, _Joint(body, (0, 0.61 * h, 0.01), lambda phase: 0.04 * np.sin(2 * phase), gait), name="head"),
+        Group(
+            head, _Joint(body, (0, 0.61 * h, 0.01), lambda phase: 0.04 * np.sin(2 * phase), gait), name="head"
+        ),
     ]
     for side, x in ((0.0, -1.0), (np.pi, 1.0)):
         thigh = _Joint(body, (0.1 * h * x, 0.02 * h, 0), leg(side), gait)
@@ -135,9 +154,15 @@ def walker(path: Path, rng: np.random.Generator, height: float | None = None) ->
 def animal(path: Path, rng: np.random.Generator, size: float = 1.0) -> list[Group]:
     """A four-legged animal (dog at size 0.6, deer at 1.0) trotting along `path`: six rigid groups."""
     coat = Material(
-        vary(rng, pick(rng, (0.34, 0.2, 0.09), (0.22, 0.17, 0.13), (0.5, 0.42, 0.32), (0.08, 0.07, 0.06)), 0.2),
-        (0.1, 0.06, 0.03), "bark", scale=0.15 * size, roughness=0.9, seed=int(rng.integers(1 << 16)),
-    )  # fmt: skip
+        vary(
+            rng, pick(rng, (0.34, 0.2, 0.09), (0.22, 0.17, 0.13), (0.5, 0.42, 0.32), (0.08, 0.07, 0.06)), 0.2
+        ),
+        (0.1, 0.06, 0.03),
+        "bark",
+        scale=0.15 * size,
+        roughness=0.9,
+        seed=int(rng.integers(1 << 16)),
+    )
     dark = Material((0.05, 0.04, 0.03), roughness=0.4)
     s, shift = size, float(rng.uniform(0, 2 * np.pi))
 
@@ -160,7 +185,9 @@ def animal(path: Path, rng: np.random.Generator, size: float = 1.0) -> list[Grou
                 Capsule((0, 0, 0), (0, 0.32 * s, 0.2 * s), 0.1 * s, coat),
                 Ellipsoid((0, 0.4 * s, 0.3 * s), (0.09 * s, 0.1 * s, 0.2 * s), coat),
                 Sphere((0, 0.37 * s, 0.5 * s), 0.035 * s, dark),
-                Cone((-0.06 * s, 0.46 * s, 0.18 * s), (-0.13 * s, 0.62 * s, 0.14 * s), 0.045 * s, 0.005, coat),
+                Cone(
+                    (-0.06 * s, 0.46 * s, 0.18 * s), (-0.13 * s, 0.62 * s, 0.14 * s), 0.045 * s, 0.005, coat
+                ),
                 Cone((0.06 * s, 0.46 * s, 0.18 * s), (0.13 * s, 0.62 * s, 0.14 * s), 0.045 * s, 0.005, coat),
             ],
             _Joint(body, (0, 0.1 * s, 0.42 * s), lambda phase: 0.1 * np.sin(2 * phase), gait),

@@ -1,4 +1,4 @@
-"""Scene → the arrays that kernels/scene.cl reads. All transforms are composed in float64 relative to the camera."""
+"""Scene → the arrays that kernels/scene.cl reads; float64 transforms, relative to the camera."""
 
 from __future__ import annotations
 
@@ -112,10 +112,10 @@ def nearest_first(objects: np.ndarray) -> np.ndarray:
 
 
 def build_tree(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A bounding-box tree over boxes (N, 3): nodes (M, 2, 4) float32 in depth-first order, and each box's leaf (N,) int32.
+    """A tree over boxes (N, 3): nodes (M, 2, 4) float32 in depth-first order, and each box's leaf (N,) int32.
 
-    A node is (min, next node when missed), (max, box or −1); the integers are stored as their bits. Big boxes come
-    first, so that big occluders are met early.
+    A node is (min, next node when missed), (max, box or −1); the integers are stored as their bits. The
+    larger half comes first, so that big occluders are met early.
     """
     nodes: list = []
     leaves = np.zeros(len(low), np.int32)
@@ -136,18 +136,30 @@ def build_tree(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarra
     bits = table.view(np.int32)
     bits[:, 0, 3], bits[:, 1, 3] = [n[2] for n in nodes], [n[3] for n in nodes]
     return table, leaves
+
+
 def _split(members: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two parts: one box that fills most of the whole and the rest, or halves along the longest side."""
-    size = high[members] - low[members]
-    whole = high[members].max(0) - low[members].min(0)
-    area = size[:, 0] * size[:, 1] + size[:, 1] * size[:, 2] + size[:, 2] * size[:, 0]
-    largest = int(np.argmax(area))
-    if area[largest] > 0.3 * (whole[0] * whole[1] + whole[1] * whole[2] + whole[2] * whole[0]):
-        return members[largest : largest + 1], np.delete(members, largest)
-    centre = (low[members] + high[members]) / 2
-    axis = int(np.argmax(centre.max(0) - centre.min(0)))
-    ranked = members[np.argsort(centre[:, axis], kind="stable")]
-    return ranked[: len(ranked) // 2], ranked[len(ranked) // 2 :]
+    """Two parts at the cheapest place along any axis by the surface area heuristic; the larger part first."""
+    low, high = low[members], high[members]
+    centre = low + high
+    best = (np.inf, None)
+    for axis in range(3):
+        rank = np.argsort(centre[:, axis], kind="stable")
+        left = _areas(low[rank], high[rank])
+        right = _areas(low[rank[::-1]], high[rank[::-1]])[::-1]
+        count = np.arange(1, len(rank))
+        cost = left[:-1] * count + right[1:] * count[::-1]
+        k = int(np.argmin(cost))
+        if cost[k] < best[0]:
+            best = cost[k], (rank[: k + 1], rank[k + 1 :], left[k] < right[k + 1])
+    first, second, swap = best[1]
+    return (members[second], members[first]) if swap else (members[first], members[second])
+
+
+def _areas(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Surface areas of the boxes around the first 1, 2, … of the boxes (N, 3)."""
+    size = np.maximum.accumulate(high) - np.minimum.accumulate(low)
+    return size[:, 0] * size[:, 1] + size[:, 1] * size[:, 2] + size[:, 2] * size[:, 0]
 
 
 def _bounding_box(group: Group) -> tuple[np.ndarray, np.ndarray]:

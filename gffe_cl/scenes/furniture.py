@@ -36,7 +36,7 @@ def railing(start, end, height, spacing, material, at: Motion | None = None, rad
     pieces = max(int(np.ceil(length / 2.5)), 1)
     for piece in range(pieces):
         a, b = (start + (end - start) * (piece + k) / pieces for k in (0, 1))
-        bars = max(int(round(length / pieces / spacing)), 1)
+        bars = max(round(length / pieces / spacing), 1)
         prims = [
             Capsule((a[0], height, a[1]), (b[0], height, b[1]), radius * 1.9, material),
             Capsule((a[0], 0.12, a[1]), (b[0], 0.12, b[1]), radius * 1.3, material),
@@ -49,8 +49,12 @@ def railing(start, end, height, spacing, material, at: Motion | None = None, rad
     return groups
 
 
-def wall_with_windows(x, z_start, z_end, height, sill, head, width, pitch, wall, frame, glass=True) -> list[Group]:
-    """Wall in the plane x, from z_start down to z_end, with a window every `pitch` metres; frames and panes included."""
+def wall_with_windows(
+    x, z_start, z_end, height, sill, head, width, pitch, wall, frame, glass=True
+) -> list[Group]:
+    """Wall in the plane x, from z_start down to z_end, with a window every `pitch` metres; frames and
+    panes included.
+    """
     thick = 0.22
     length = z_start - z_end
     middle = (z_start + z_end) / 2
@@ -95,7 +99,9 @@ def bench(at: Motion, wood: Material = WOOD, legs: Material = IRON) -> list[Grou
 
 def potted_plant(x, z, rng: np.random.Generator, height=1.1) -> list[Group]:
     """A pot on the ground and a crown that sways a little."""
-    pot = Material(vary(rng, pick(rng, (0.5, 0.22, 0.12), (0.55, 0.55, 0.52), (0.1, 0.18, 0.25)), 0.2), roughness=0.4)
+    pot = Material(
+        vary(rng, pick(rng, (0.5, 0.22, 0.12), (0.55, 0.55, 0.52), (0.1, 0.18, 0.25)), 0.2), roughness=0.4
+    )
     leaf = leaf_material(rng)
     soil = Material((0.05, 0.035, 0.02), roughness=1.0)
     crown = [Cone((0, 0.0, 0), (0, 0.45 * height, 0), 0.025, 0.015, soil)]
@@ -106,7 +112,10 @@ def potted_plant(x, z, rng: np.random.Generator, height=1.1) -> list[Group]:
         crown.append(Ellipsoid(tuple(out * (0.8, 1, 0.8)), (0.13, 0.17, 0.13), leaf))
         crown.append(Capsule((0, 0.05, 0), tuple(out), 0.008, leaf))
     return [
-        Group([Cone((x, 0, z), (x, 0.4, z), 0.17, 0.23, pot), Cylinder((x, 0.36, z), (x, 0.41, z), 0.245, pot)], name="pot"),
+        Group(
+            [Cone((x, 0, z), (x, 0.4, z), 0.17, 0.23, pot), Cylinder((x, 0.36, z), (x, 0.41, z), 0.245, pot)],
+            name="pot",
+        ),
         Group(crown, Place(x, 0.4, z) @ Swing("z", 1.6, rng.uniform(2.5, 4.5), rng.random()), name="plant"),
     ]
 
@@ -116,13 +125,24 @@ def leaf_material(rng: np.random.Generator, autumn=0.0) -> Material:
     green = np.array(vary(rng, (0.12, 0.24, 0.05), 0.35))
     turned = np.array(vary(rng, pick(rng, (0.5, 0.28, 0.04), (0.45, 0.14, 0.03), (0.5, 0.38, 0.06)), 0.2))
     color = tuple(green + (turned - green) * autumn)
-    return Material(color, tint(color, 0.28), "leaves", scale=0.22, roughness=0.8, specular=0.02,
-                    seed=int(rng.integers(1 << 16)))  # fmt: skip
+    return Material(
+        color,
+        tint(color, 0.28),
+        "leaves",
+        scale=0.4,
+        roughness=0.8,
+        specular=0.02,
+        seed=int(rng.integers(1 << 16)),
+    )
 
 
 def bark_material(rng: np.random.Generator) -> Material:
-    color = vary(rng, pick(rng, (0.26, 0.19, 0.13), (0.2, 0.16, 0.12), (0.34, 0.3, 0.25), (0.3, 0.17, 0.1)), 0.2)
-    return Material(color, tint(color, 0.35), "bark", scale=0.22, roughness=0.95, seed=int(rng.integers(1 << 16)))
+    color = vary(
+        rng, pick(rng, (0.26, 0.19, 0.13), (0.2, 0.16, 0.12), (0.34, 0.3, 0.25), (0.3, 0.17, 0.1)), 0.2
+    )
+    return Material(
+        color, tint(color, 0.35), "bark", scale=0.22, roughness=0.95, seed=int(rng.integers(1 << 16))
+    )
 
 
 def broad_tree(x, z, rng: np.random.Generator, height, bark, leaf, blobs=14) -> list[Group]:
@@ -137,7 +157,7 @@ def broad_tree(x, z, rng: np.random.Generator, height, bark, leaf, blobs=14) -> 
         angle = 2.4 * k + rng.uniform(-0.4, 0.4)
         level = (k + 0.5) / blobs
         reach = 0.24 * height * np.sqrt(np.sin(np.pi * (0.12 + 0.82 * level))) * rng.uniform(0.55, 1.0)
-        size = 0.115 * height * rng.uniform(0.75, 1.25)
+        size = 0.43 * height / np.sqrt(blobs) * rng.uniform(0.7, 1.2)
         centre = (np.cos(angle) * reach, height * (0.42 + 0.5 * level), np.sin(angle) * reach)
         radii = (size * rng.uniform(1, 1.35), size * rng.uniform(0.7, 0.9), size * rng.uniform(1, 1.35))
         crowns[k % 2].append(Ellipsoid(centre, radii, leaf))
@@ -160,7 +180,13 @@ def conifer(x, z, rng: np.random.Generator, height, bark, leaf) -> list[Group]:
     for k in range(tiers):
         low = height * (0.16 + 0.78 * k / tiers)
         prims.append(
-            Cone((0, low, 0), (0, low + 0.26 * height, 0), height * 0.19 * (1 - 0.8 * k / tiers), 0.012 * height, leaf)
+            Cone(
+                (0, low, 0),
+                (0, low + 0.26 * height, 0),
+                height * 0.19 * (1 - 0.8 * k / tiers),
+                0.012 * height,
+                leaf,
+            )
         )
     return [Group(prims, lean @ Swing("x", 0.35, rng.uniform(3, 5), rng.random()), name="conifer")]
 
@@ -171,6 +197,11 @@ def pendant(x, y, z, drop, color, swing: Motion, shade: Material) -> list[Group]
     at = Place(x, y, z) @ swing
     return [
         Group([Capsule((0, 0, 0), (0, 0.1 - drop, 0), 0.008, IRON)], at, casts_shadow=False, name="cord"),
-        Group([Cone((0, 0.02 - drop, 0), (0, 0.2 - drop, 0), 0.22, 0.05, shade)], at, casts_shadow=False, name="shade"),
+        Group(
+            [Cone((0, 0.02 - drop, 0), (0, 0.2 - drop, 0), 0.22, 0.05, shade)],
+            at,
+            casts_shadow=False,
+            name="shade",
+        ),
         Group([Sphere((0, -drop - 0.02, 0), 0.07, bulb)], at, casts_shadow=False, name="bulb"),
     ]

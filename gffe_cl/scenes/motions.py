@@ -1,7 +1,8 @@
 """Motions: rigid transforms as functions of time.
 
-A motion maps a time in seconds to a 4×4 float64 matrix (column vectors, local → parent). `a @ b` first applies
-`b`, then `a`: `Place(2, 0, 0) @ Spin("y", 90)` turns about its own axis, two metres to the right.
+A motion maps a time in seconds to a 4×4 float64 matrix (column vectors, local → parent). `a @ b`
+applies `b` first, then `a`: `Place(2, 0, 0) @ Spin("y", 90)` turns about its own axis, two metres to the
+right.
 World axes: x right, y up, z towards the viewer; metres, degrees, seconds.
 """
 

@@ -41,10 +41,11 @@ class SceneImage:
     ----------
     color : half ×4, linear RGB, antialiased
     depth : float, view z at the pixel's centre, +inf for sky
-    motion : float ×2, pixels: where the surface at the pixel's centre was in the other image − here; NaN where that
-        lies behind the other camera
-    other_position : float ×4: that surface point at the other time in the other camera's view space (x, y, z, 1); for sky
-        the direction there as (x/z, y/z, +inf, z), so that x and y project the same way in both cases
+    motion : float ×2, pixels: where the surface at the pixel's centre was in the other image − here; NaN
+        where that lies behind the other camera
+    other_position : float ×4: that surface point at the other time in the other camera's view space
+        (x, y, z, 1); for sky the direction there as (x/z, y/z, +inf, z): x and y project as those of a point
+        at z = 1
     object_id : int, index of the rigid group, −1 for sky
     """
 
@@ -84,7 +85,9 @@ class SceneRenderer:
 
     def __init__(self, device: Device, scene: Scene, width: int, height: int, samples: int = 8):
         if width < 1 or height < 1 or samples < 1:
-            raise GffeError(f"scene renderer: width, height and samples must be ≥ 1, got {width}×{height}, {samples}")
+            raise GffeError(
+                f"scene renderer: width, height and samples must be ≥ 1, got {width}×{height}, {samples}"
+            )
         self.device, self.scene = device, scene
         self.width, self.height, self.samples = int(width), int(height), int(samples)
         self.program = build(device, "scene")
@@ -92,7 +95,8 @@ class SceneRenderer:
         self._tiles = -(-self.width // _TILE) * -(-self.height // _TILE)
         n, pixels = len(scene.groups), self.width * self.height
         self._static = [
-            self._uploaded(array) for array in (self.flat.object_info, self.flat.prims, self.flat.prim_info, self.flat.materials)
+            self._uploaded(array)
+            for array in (self.flat.object_info, self.flat.prims, self.flat.prim_info, self.flat.materials)
         ]
         self._frame = device.buffer(15 * 16)
         self._objects = device.buffer(n * 7 * 16)
@@ -102,7 +106,10 @@ class SceneRenderer:
         self._tile_lists = device.buffer(self._tiles * (n + 1) * 4)
         self._keys = device.buffer(pixels * 4)
         self.image = SceneImage(
-            *(device.buffer(pixels * size) for size in (8, 4, 8, 16, 4)), self.width, self.height, device.queue
+            *(device.buffer(pixels * size) for size in (8, 4, 8, 16, 4)),
+            self.width,
+            self.height,
+            device.queue,
         )
 
     def render(
@@ -118,7 +125,8 @@ class SceneRenderer:
         Parameters
         ----------
         other_time, other_camera
-            What motion and other_position refer to: normally the previous rendered frame, but any time before or
+            What motion and other_position refer to: normally the previous rendered frame, but any time
+            before or
             after will do. None: the same time; the same camera.
         offset : (3,) world units
             The whole world is moved by it; `camera` and `other_camera` stand in the moved world.
@@ -144,13 +152,31 @@ class SceneRenderer:
         n, w, h = np.int32(len(objects)), np.int32(self.width), np.int32(self.height)
         tiles = (self._tile_lists, np.int32(n + 1), w, h)
         world = (
-            self._frame, self._objects, info, prims, prim_info, materials, self._lights, self._nodes, self._leaf_of,
-            np.int32(len(nodes)), np.int32(len(lights)), *tiles,
-        )  # fmt: skip
+            self._frame,
+            self._objects,
+            info,
+            prims,
+            prim_info,
+            materials,
+            self._lights,
+            self._nodes,
+            self._leaf_of,
+            np.int32(len(nodes)),
+            np.int32(len(lights)),
+            *tiles,
+        )
         size = (self.width, self.height)
         program.bin(queue, (self._tiles,), None, self._frame, self._objects, self._order, n, *tiles)
         program.surfaces(
-            queue, size, None, *world, image.depth, image.motion, image.other_position, image.object_id, self._keys
+            queue,
+            size,
+            None,
+            *world,
+            image.depth,
+            image.motion,
+            image.other_position,
+            image.object_id,
+            self._keys,
         )
         base = np.int32(min(_BASE_SAMPLES, self.samples))
         seen = (image.depth, image.object_id, self._keys)

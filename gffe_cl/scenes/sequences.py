@@ -14,9 +14,9 @@ from gffe_cl.scenes.vocabulary import Scene
 class SequenceFrame:
     """One frame to render.
 
-    `kind` is "rendered" or "ground_truth"; `source` is the number of the rendered frame before or at it; `previous_time` and
-    `previous_camera` are those of the last rendered frame before it, which its motion refers to (None in the first frame, a reset).
-    `alpha` is 0 for rendered frames.
+    `kind` is "rendered" or "ground_truth"; `source` is the number of the rendered frame before or at it.
+    `previous_time` and `previous_camera` are those of the last rendered frame before it, which its motion
+    refers to (None in the first frame, a reset). `alpha` is 0 for rendered frames.
     """
 
     kind: str

@@ -1,8 +1,8 @@
 """The words a scene is described with: primitives, materials, groups, lights, air, camera path, scene.
 
 World axes: x right, y up, z towards the viewer; metres, seconds. Colours are linear RGB; light colours are
-intensities (radiance at one metre) for lamps and irradiance for the sun, scaled so that a white surface facing
-a light of strength 1 shows radiance 1.
+intensities (radiance at one metre) for lamps and irradiance for the sun, scaled so that a white surface
+facing a light of strength 1 shows radiance 1.
 """
 
 from __future__ import annotations
@@ -16,10 +16,25 @@ from gffe_cl.camera import Camera
 from gffe_cl.scenes.motions import Motion, Place
 
 # Order as in kernels/scene_textures.h.
-TEXTURES = (
-    "plain tiles checker bricks planks marble carpet stripes bark leaves grass books picture sign wallpaper "
-    "cobbles water"
-).split()
+TEXTURES = [
+    "plain",
+    "tiles",
+    "checker",
+    "bricks",
+    "planks",
+    "marble",
+    "carpet",
+    "stripes",
+    "bark",
+    "leaves",
+    "grass",
+    "books",
+    "picture",
+    "sign",
+    "wallpaper",
+    "cobbles",
+    "water",
+]
 BOX, ELLIPSOID, CAPSULE, CONE = range(4)
 
 
@@ -83,28 +98,28 @@ class Primitive:
         )
 
 
-def Box(centre, size, material) -> Primitive:  # noqa: N802 (reads as a noun in scenes)
+def Box(centre, size, material) -> Primitive:
     """Axis-aligned box of full edge lengths `size`."""
     return Primitive(BOX, (*centre, 0.0), (*(0.5 * s for s in size), 0.0), material)
 
 
-def Sphere(centre, radius, material) -> Primitive:  # noqa: N802
+def Sphere(centre, radius, material) -> Primitive:
     return Primitive(ELLIPSOID, (*centre, 0.0), (radius, radius, radius, 0.0), material)
 
 
-def Ellipsoid(centre, radii, material) -> Primitive:  # noqa: N802
+def Ellipsoid(centre, radii, material) -> Primitive:
     return Primitive(ELLIPSOID, (*centre, 0.0), (*radii, 0.0), material)
 
 
-def Capsule(start, end, radius, material) -> Primitive:  # noqa: N802
+def Capsule(start, end, radius, material) -> Primitive:
     return Primitive(CAPSULE, (*start, radius), (*end, radius), material)
 
 
-def Cylinder(start, end, radius, material) -> Primitive:  # noqa: N802
+def Cylinder(start, end, radius, material) -> Primitive:
     return Primitive(CONE, (*start, radius), (*end, radius), material)
 
 
-def Cone(start, end, start_radius, end_radius, material) -> Primitive:  # noqa: N802
+def Cone(start, end, start_radius, end_radius, material) -> Primitive:
     """Truncated cone with flat caps."""
     return Primitive(CONE, (*start, start_radius), (*end, end_radius), material)
 
@@ -123,9 +138,10 @@ class Group:
 class Light:
     """A light source.
 
-    `kind` is "sun" (`position` is the direction towards it, `size` the tangent of its angular radius), "lamp" (a sphere of
-    radius `size`), "spot" (a lamp with an `axis` and a cone of `angle` degrees half width) or "fill" (no shadow: stands for
-    light bounced off large surfaces). `motion` moves position and axis.
+    `kind` is "sun" (`position` is the direction towards it, `size` the tangent of its angular radius),
+    "lamp" (a sphere of radius `size`), "spot" (a lamp with an `axis` and a cone of `angle` degrees half
+    width) or "fill" (no shadow: stands for light bounced off large surfaces). `motion` moves position and
+    axis.
     """
 
     kind: str

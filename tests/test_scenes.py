@@ -1,0 +1,224 @@
+"""Built-in scenes: geometry against a NumPy caster, motion, determinism, invariances, sensible places."""
+
+import numpy as np
+import pytest
+from scene_oracle import cast, clearance, followed
+
+from gffe_cl.camera import Camera
+from gffe_cl.device import list_devices, open_info
+from gffe_cl.errors import GffeError
+from gffe_cl.scenes import SCENES, SceneRenderer, load_scene, sequence_frames
+from gffe_cl.scenes.flatten import build_tree
+
+NAMES = list(SCENES)
+W, H = 48, 27
+TIME, STEP = 1.3, 1 / 30
+
+
+def rendered(
+    device,
+    scene,
+    time=TIME,
+    other_time=TIME - STEP,
+    width=W,
+    height=H,
+    samples=2,
+    offset=(0, 0, 0),
+    **cameras,
+):
+    camera = cameras.get("camera") or scene.camera(time, width, height)
+    other = cameras.get("other") or scene.camera(other_time, width, height)
+    renderer = SceneRenderer(device, scene, width, height, samples)
+    return renderer.render(time, camera, other_time, other, offset).numpy()
+
+
+# ---- pure ----
+
+
+def test_unknown_scene_lists_the_names():
+    with pytest.raises(GffeError, match="corridor, plaza, room, forest"):
+        load_scene("kitchen")
+    with pytest.raises(GffeError, match="seed"):
+        load_scene("room", -1)
+
+
+def test_motion_is_rigid_and_continuous():
+    for name in NAMES:
+        scene = load_scene(name, 1)
+        for group in scene.groups:
+            a, b = group.motion(2.0), group.motion(2.0 + 1e-4)
+            assert np.allclose(a[:3, :3] @ a[:3, :3].T, np.eye(3), atol=1e-9)
+            assert np.abs(a - b).max() < 5e-3, (name, group.name)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_camera_keeps_moving_and_clear_of_everything(name):
+    for seed in range(5):
+        scene = load_scene(name, seed)
+        times = np.linspace(0, 14, 36)
+        eyes = np.array([scene.eye(t) for t in times])
+        assert np.linalg.norm(np.diff(eyes, axis=0), axis=-1).max() > 0.1
+        assert np.all((eyes[:, 1] > 1.2) & (eyes[:, 1] < 2.0))
+        for time, eye in zip(times, eyes, strict=True):
+            assert clearance(scene, time, eye) > 0.12, (seed, time)
+
+
+def test_sequence_frames():
+    scene = load_scene("room")
+    frames = list(sequence_frames(scene, 16, 9, 3, fps=10, per_frame=2))
+    assert [f.kind for f in frames] == ["rendered", "ground_truth", "ground_truth"] * 3
+    assert np.allclose([f.time for f in frames], np.arange(9) / 30)
+    assert [f.reset for f in frames] == [True] + [False] * 8
+    assert frames[3].previous_time == frames[0].time and frames[3].previous_camera == frames[0].camera
+    assert frames[5].previous_time == frames[3].time and frames[5].alpha == pytest.approx(2 / 3)
+    assert len(list(sequence_frames(scene, 16, 9, 3, ground_truth=False))) == 3
+
+
+def test_tree_holds_every_box_once():
+    low = np.random.default_rng(0).uniform(-5, 5, (37, 3))
+    high = low + np.random.default_rng(1).uniform(0.1, 3, (37, 3))
+    nodes, leaves = build_tree(low, high)
+    bits = nodes.view(np.int32)
+    assert sorted(bits[leaves, 1, 3]) == list(range(37)) and (bits[:, 1, 3] >= 0).sum() == 37
+    for index in range(len(nodes)):
+        inside = [bits[k, 1, 3] for k in range(index, bits[index, 0, 3]) if bits[k, 1, 3] >= 0]
+        assert np.all(nodes[index, 0, :3] <= low[inside].min(0).astype(np.float32))
+        assert np.all(nodes[index, 1, :3] >= high[inside].max(0).astype(np.float32))
+
+
+# ---- device ----
+
+
+@pytest.mark.device
+@pytest.mark.parametrize("name", NAMES)
+def test_surfaces_match_the_oracle(device, name):
+    scene = load_scene(name, 2)
+    camera, other = scene.camera(TIME, W, H), scene.camera(TIME - STEP, W, H)
+    out = rendered(device, scene)
+    depth, object_id, position = cast(scene, TIME, camera)
+    same = out.object_id == object_id
+    assert same.mean() > 0.995  # the rest are silhouettes and surfaces that touch
+    assert np.array_equal(np.isinf(out.depth), out.object_id < 0)
+    solid = same & (object_id >= 0)
+    # Grazing rays turn float32's 1e-7 of position into more of depth.
+    error = np.abs(out.depth / np.where(solid, depth, 1) - 1)[solid]
+    assert np.median(error) < 1e-6 and np.quantile(error, 0.99) < 1e-5
+
+    there = followed(scene, TIME, TIME - STEP, other, object_id, position)
+    with np.errstate(invalid="ignore"):
+        px_there = there[..., :2] / there[..., 2:] * (other.fx, other.fy) + (other.cx, other.cy)
+    px = np.stack(np.meshgrid(np.arange(W) + 0.5, np.arange(H) + 0.5), -1)
+    motion_error = np.abs(out.motion - (px_there - px)).max(-1)
+    assert np.quantile(motion_error[same], 0.99) < 1e-3
+    assert np.quantile(np.abs(out.other_position[..., :3] - there)[solid], 0.99) < 1e-4
+    sky = same & (object_id < 0)
+    if sky.any():
+        assert np.isposinf(out.other_position[sky][:, 2]).all()
+        assert np.abs(out.other_position[sky][:, :2] - there[sky][:, :2] / there[sky][:, 2:]).max() < 1e-5
+
+
+@pytest.mark.device
+@pytest.mark.parametrize("name", NAMES)
+def test_static_pixels_reproject_and_something_moves(device, name):
+    scene = load_scene(name, 0)
+    camera, other = scene.camera(TIME, W, H), scene.camera(TIME - STEP, W, H)
+    out = rendered(device, scene)
+    moving = np.array([group.motion.moves for group in scene.groups])
+    static = (out.object_id >= 0) & ~moving[out.object_id]
+    px = np.stack(np.meshgrid(np.arange(W) + 0.5, np.arange(H) + 0.5), -1)
+    world = camera.unproject(px, np.where(static, out.depth, 1.0))
+    error = np.abs(other.project(world)[0] - px - out.motion).max(-1)
+    assert static.any() and error[static].max() < 1e-3
+    here = rendered(device, scene, other_time=TIME)
+    assert np.all(here.motion[np.isfinite(here.depth)] < 1e-3)
+    assert moving[out.object_id[out.object_id >= 0]].any()
+
+
+@pytest.mark.device
+def test_no_other_time_means_no_motion(device):
+    scene = load_scene("plaza")
+    renderer = SceneRenderer(device, scene, W, H, 1)
+    out = renderer.render(TIME, scene.camera(TIME, W, H)).numpy()
+    assert np.abs(out.motion).max() < 1e-3
+    assert np.allclose(out.other_position[..., 2], out.depth, rtol=1e-5)
+
+
+@pytest.mark.device
+@pytest.mark.parametrize("name", NAMES)
+def test_same_bits_twice_and_seeds_differ(device, name):
+    one, two = (rendered(device, load_scene(name, 4)) for _ in range(2))
+    for field in ("color", "depth", "motion", "other_position", "object_id"):
+        assert getattr(one, field).tobytes() == getattr(two, field).tobytes()
+    other = rendered(device, load_scene(name, 5))
+    assert (np.abs(other.color.astype(np.float32) - one.color.astype(np.float32)).max(-1) > 0.02).mean() > 0.5
+
+
+@pytest.mark.device
+@pytest.mark.parametrize("name", NAMES)
+def test_color_is_finite_and_well_exposed(device, name):
+    for seed in (0, 1):
+        out = rendered(device, load_scene(name, seed))
+        color = out.color.astype(np.float32)
+        assert np.isfinite(color).all() and color.min() >= 0
+        assert 0.04 < np.median(color) < 0.6
+
+
+@pytest.mark.device
+def test_shifted_world_gives_the_same_picture(device):
+    scene, offset = load_scene("plaza", 1), (1e6, -1e6, 2e6)
+    here = rendered(device, scene)
+    there = rendered(
+        device,
+        scene,
+        offset=offset,
+        camera=scene.camera(TIME, W, H).moved(offset),
+        other=scene.camera(TIME - STEP, W, H).moved(offset),
+    )
+    same = here.object_id == there.object_id
+    assert same.mean() > 0.998
+    finite = same & np.isfinite(here.depth)
+    assert np.allclose(here.depth[finite], there.depth[finite], rtol=1e-5)
+    assert np.abs(here.motion - there.motion)[same].max() < 1e-3
+    assert np.quantile(np.abs(here.color.astype(np.float32) - there.color.astype(np.float32)), 0.99) < 0.01
+
+
+@pytest.mark.device
+def test_window_equals_the_crop(device):
+    scene = load_scene("forest", 3)
+    big = rendered(device, scene, width=67, height=41)
+    x0, y0, w, h = 13, 9, 35, 21
+
+    def window(camera):
+        return Camera(camera.world_to_view, camera.fx, camera.fy, camera.cx - x0, camera.cy - y0)
+
+    cameras = {
+        "camera": window(scene.camera(TIME, 67, 41)),
+        "other": window(scene.camera(TIME - STEP, 67, 41)),
+    }
+    small = rendered(device, scene, width=w, height=h, **cameras)
+    crop = np.s_[y0 : y0 + h, x0 : x0 + w]
+    assert np.array_equal(small.object_id, big.object_id[crop])
+    assert np.allclose(small.depth, big.depth[crop], rtol=1e-6)
+    assert np.abs(small.motion - big.motion[crop]).max() < 1e-3
+
+
+@pytest.mark.device
+@pytest.mark.parametrize("size", [(1, 1), (7, 3), (33, 17)])
+def test_odd_sizes(device, size):
+    out = rendered(device, load_scene("room"), width=size[0], height=size[1])
+    assert out.color.shape == (size[1], size[0], 3) and np.isfinite(out.color.astype(np.float32)).all()
+
+
+@pytest.mark.device
+def test_runtimes_agree():
+    infos = [info for info in list_devices() if info.works]
+    if len(infos) < 2:
+        pytest.skip("only one usable OpenCL device")
+    scene = load_scene("room", 1)
+    one, two = (rendered(open_info(info), scene) for info in infos[:2])
+    same = one.object_id == two.object_id
+    assert same.mean() > 0.998
+    finite = same & np.isfinite(one.depth)
+    assert np.allclose(one.depth[finite], two.depth[finite], rtol=1e-4)
+    difference = np.abs(one.color.astype(np.float32) - two.color.astype(np.float32))
+    assert np.quantile(difference, 0.98) < 0.01
