@@ -1,12 +1,12 @@
 """gffe-cl: G-buffer free frame extrapolation (GFFE) in portable OpenCL.
 
-    import gffe_cl as gffe
+import gffe_cl as gffe
 
-    pipeline = gffe.Pipeline(gffe.open_device(), width, height)
-    pipeline.submit(gffe.RenderedFrame(color, depth, motion, camera, time))
-    frame = pipeline.extrapolate(next_camera, next_time)
-    frame.color                 # device buffer
-    frame.numpy("color")        # NumPy array
+pipeline = gffe.Pipeline(gffe.open_device(), width, height)
+pipeline.submit(gffe.RenderedFrame(color, depth, motion, camera, time))
+frame = pipeline.extrapolate(next_camera, next_time)
+frame.color                 # device buffer
+frame.numpy("color")        # NumPy array
 """
 
 from importlib import import_module

@@ -60,9 +60,7 @@ class Camera:
         if np.abs(matrix[3] - (0, 0, 0, 1)).max() > 1e-9:
             raise GffeError("camera: the last row of world_to_view must be 0 0 0 1 (column vectors)")
         if intrinsics[0] <= 0 or intrinsics[1] <= 0:
-            raise GffeError(
-                f"camera: singular projection, fx and fy must be positive, got {self.fx:g} and {self.fy:g}"
-            )
+            raise GffeError(f"camera: singular projection, fx and fy must be positive, got {self.fx:g} and {self.fy:g}")
         matrix.setflags(write=False)
         object.__setattr__(self, "world_to_view", matrix)
         for name, value in zip(("fx", "fy", "cx", "cy"), intrinsics, strict=True):
@@ -144,9 +142,7 @@ class Camera:
 
     def scaled(self, scale_x: float, scale_y: float) -> Camera:
         """The same frustum on an image whose sides are `scale_x`, `scale_y` times as many pixels."""
-        return replace(
-            self, fx=self.fx * scale_x, fy=self.fy * scale_y, cx=self.cx * scale_x, cy=self.cy * scale_y
-        )
+        return replace(self, fx=self.fx * scale_x, fy=self.fy * scale_y, cx=self.cx * scale_x, cy=self.cy * scale_y)
 
     def moved(self, offset) -> Camera:
         """The same camera after the whole world has moved by `offset` (3,) world units."""

@@ -30,7 +30,10 @@ _INTERRUPTED = 130
 
 DeviceOption = Annotated[
     str | None,
-    typer.Option("--device", help="Part of a device's or platform's name, its index (0:0), 'gpu' or 'cpu'; see `gffe devices`."),
+    typer.Option(
+        "--device",
+        help="Part of a device's or platform's name, its index (0:0), 'gpu' or 'cpu'; see `gffe devices`.",
+    ),
 ]
 JsonOption = Annotated[Path | None, typer.Option("--json", help="Also write the report to this file.")]
 
@@ -159,17 +162,28 @@ def render(
 def run(
     sequence: Annotated[Path, typer.Argument(help="Folder of the sequence to extrapolate.")],
     output: Annotated[Path, typer.Argument(help="Folder for the result, a sequence again.")],
-    n: Annotated[int | None, typer.Option("-n", help="Extrapolated frames per rendered frame, 1 to 7 [dim](default 1)[/].")] = None,
+    n: Annotated[
+        int | None,
+        typer.Option("-n", help="Extrapolated frames per rendered frame, 1 to 7 [dim](default 1)[/]."),
+    ] = None,
     alpha: Annotated[str | None, typer.Option(help="Times instead, in intervals after each frame: 0.25,0.5.")] = None,
     device: DeviceOption = None,
     history: Annotated[int, typer.Option(help="Positions kept per fragment, 2 to 5.")] = 2,
     order: Annotated[int, typer.Option(help="Degree of the position prediction, below --history.")] = 1,
-    static_threshold: Annotated[str, typer.Option(help="Pixels of motion from which a fragment is dynamic, or auto.")] = "auto",
+    static_threshold: Annotated[
+        str, typer.Option(help="Pixels of motion from which a fragment is dynamic, or auto.")
+    ] = "auto",
     no_motion: Annotated[bool, typer.Option("--no-motion", help="Treat everything as static.")] = False,
-    no_crack_closing: Annotated[bool, typer.Option("--no-crack-closing", help="Splat single pixels, as in the paper.")] = False,
+    no_crack_closing: Annotated[
+        bool, typer.Option("--no-crack-closing", help="Splat single pixels, as in the paper.")
+    ] = False,
     no_hole_filling: Annotated[bool, typer.Option("--no-hole-filling", help="Leave disoccluded pixels black.")] = False,
-    camera: Annotated[str, typer.Option(help="'truth': of the ground-truth frame where there is one; 'predicted'.")] = "truth",
-    dump_stages: Annotated[bool, typer.Option("--dump-stages", help="Write every buffer of every stage to OUTPUT/stages.")] = False,
+    camera: Annotated[
+        str, typer.Option(help="'truth': of the ground-truth frame where there is one; 'predicted'.")
+    ] = "truth",
+    dump_stages: Annotated[
+        bool, typer.Option("--dump-stages", help="Write every buffer of every stage to OUTPUT/stages.")
+    ] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Bad pixels are errors.")] = False,
     json_path: JsonOption = None,
 ) -> None:
@@ -184,10 +198,13 @@ def run(
     alphas = alphas_for(n if n is not None else 1) if alpha is None else parse_numbers(alpha, "--alpha")
     if camera not in ("truth", "predicted"):
         raise GffeError(f"--camera must be 'truth' or 'predicted', got '{camera}'")
+    threshold = None
+    if static_threshold != "auto":
+        threshold = parse_numbers(static_threshold, "--static-threshold")[0]
     options = Options(
         history=history,
         order=order,
-        static_threshold=None if static_threshold == "auto" else parse_numbers(static_threshold, "--static-threshold")[0],
+        static_threshold=threshold,
         motion=not no_motion,
         crack_closing=not no_crack_closing,
         hole_filling=not no_hole_filling,
@@ -223,7 +240,9 @@ def run(
 def compare(
     a: Annotated[Path, typer.Argument(help="Sequence with extrapolated frames.")],
     b: Annotated[Path, typer.Argument(help="Sequence with ground truth.")],
-    mask: Annotated[str | None, typer.Option(help="Take PSNR only where this channel of A is not 0 (mask.dynamic …).")] = None,
+    mask: Annotated[
+        str | None, typer.Option(help="Take PSNR only where this channel of A is not 0 (mask.dynamic …).")
+    ] = None,
     fail_under: Annotated[float | None, typer.Option(help="Exit with 1 if the mean PSNR is lower, dB.")] = None,
     json_path: JsonOption = None,
 ) -> None:

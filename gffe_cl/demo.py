@@ -36,9 +36,7 @@ def demo(output: Path, device: Device, width: int, height: int, seed: int, step)
     scene = load_scene("corridor", seed)
     rendered, extrapolated = output / "rendered", output / "extrapolated"
     on_frame = step("Rendering the scene 'corridor'", 2 * _FRAMES)
-    render_sequence(
-        scene, rendered, device, width, height, _FRAMES, 30.0, ground_truth=True, on_frame=on_frame
-    )
+    render_sequence(scene, rendered, device, width, height, _FRAMES, 30.0, ground_truth=True, on_frame=on_frame)
     source = open_sequence(rendered)
     on_frame = step("Extrapolating, all static", _FRAMES)
     static = output / "static"
@@ -68,7 +66,14 @@ def demo(output: Path, device: Device, width: int, height: int, seed: int, step)
 
 def _contact_sheet(source: Sequence, made: Sequence):
     rows = []
-    titles = ["rendered (t)", "extrapolated (t + 1/2)", "ground truth (t + 1/2)", "error x 4", "dynamic mask", "disocclusions"]
+    titles = [
+        "rendered (t)",
+        "extrapolated (t + 1/2)",
+        "ground truth (t + 1/2)",
+        "error x 4",
+        "dynamic mask",
+        "disocclusions",
+    ]
     for index in np.linspace(_FRAMES // 4, _FRAMES - 1, 3).astype(int):
         now, new, truth = source.rendered[index], made.extrapolated[index], source.ground_truth[index]
         shown, predicted, wanted = (
@@ -92,7 +97,10 @@ def _video_frames(source: Sequence, made: Sequence, on_frame) -> Iterator[np.nda
             yield rendered, extrapolated
             on_frame()
 
-    labels = (f"rendered, 30 Hz (1/{_SLOWDOWN} speed)", f"with extrapolated frames, 60 Hz (1/{_SLOWDOWN} speed)")
+    labels = (
+        f"rendered, 30 Hz (1/{_SLOWDOWN} speed)",
+        f"with extrapolated frames, 60 Hz (1/{_SLOWDOWN} speed)",
+    )
     for image in side_by_side(pairs(), labels):
         for _ in range(_SLOWDOWN):
             yield image

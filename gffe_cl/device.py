@@ -75,9 +75,7 @@ class Device:
         self.info = info
         self.cl_device = cl_device
         self.context = cl.Context([cl_device])
-        self.queue = cl.CommandQueue(
-            self.context, properties=cl.command_queue_properties.PROFILING_ENABLE
-        )
+        self.queue = cl.CommandQueue(self.context, properties=cl.command_queue_properties.PROFILING_ENABLE)
 
     def __repr__(self):
         return f"<Device {self.info.index} {self.info.name} ({self.info.platform})>"

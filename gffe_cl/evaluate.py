@@ -54,8 +54,7 @@ class Comparison:
         document = {
             "mean": {"psnr": _or_null(self.psnr), "ssim": _or_null(self.ssim)},
             "frames": [
-                {**asdict(frame), "psnr": _or_null(frame.psnr), "ssim": _or_null(frame.ssim)}
-                for frame in self.frames
+                {**asdict(frame), "psnr": _or_null(frame.psnr), "ssim": _or_null(frame.ssim)} for frame in self.frames
             ],
         }
         return {**document, "notes": list(self.notes)} if self.notes else document
@@ -204,9 +203,7 @@ def _smallest_step(*sequences: Sequence) -> float:
 
 def _require_same_size(a: Sequence, b: Sequence) -> None:
     if (a.width, a.height) != (b.width, b.height):
-        raise GffeError(
-            f"{a.path}: {a.width}×{a.height} pixels, expected {b.width}×{b.height} as in {b.path}"
-        )
+        raise GffeError(f"{a.path}: {a.width}×{a.height} pixels, expected {b.width}×{b.height} as in {b.path}")
 
 
 def _or_null(value: float) -> float | None:

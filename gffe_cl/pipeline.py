@@ -48,13 +48,9 @@ class Options:
         if not 2 <= self.history <= MAX_ORDER + 1:
             raise GffeError(f"options: history must be 2 to {MAX_ORDER + 1} positions, got {self.history}")
         if not 1 <= self.order < self.history:
-            raise GffeError(
-                f"options: order must be 1 to history − 1 = {self.history - 1}, got {self.order}"
-            )
+            raise GffeError(f"options: order must be 1 to history − 1 = {self.history - 1}, got {self.order}")
         if self.static_threshold is not None and not (0 <= self.static_threshold < float("inf")):
-            raise GffeError(
-                f"options: static threshold must be a number of pixels ≥ 0, got {self.static_threshold}"
-            )
+            raise GffeError(f"options: static threshold must be a number of pixels ≥ 0, got {self.static_threshold}")
 
 
 @dataclass
@@ -134,9 +130,7 @@ class Pipeline:
         self.sizes = Sizes(source=tuple(render_size or (width, height)), target=(width, height))
         self.fps = fps
         self.bad_pixels = BadPixels()
-        self.history = HistoryTracking(
-            device, self.sizes, self.options.history, self.options.static_threshold
-        )
+        self.history = HistoryTracking(device, self.sizes, self.options.history, self.options.static_threshold)
         self.prediction = PositionPrediction(device, self.sizes, self.options.order)
         self.warp = Warp(device, self.sizes, self.options.crack_closing, int64_atomics)
         self.holes = HoleFilling(device, self.sizes)
@@ -158,9 +152,7 @@ class Pipeline:
         Raises GffeError for wrong shapes, missing motion, or a time that does not increase.
         """
         if not np.isfinite(frame.time) or (self._times and not frame.reset and frame.time <= self._times[0]):
-            raise GffeError(
-                f"frame: time {frame.time:g} s must be finite and after the previous rendered frame's"
-            )
+            raise GffeError(f"frame: time {frame.time:g} s must be finite and after the previous rendered frame's")
         buffers = self._device_buffers(frame, packed)
         if frame.reset:
             self._times.clear()
@@ -192,9 +184,7 @@ class Pipeline:
             self._slots.append(tuple(self.device.buffer(size) for size in needed))
         else:
             self._slots.append(self._slots.pop(0))
-        for buffer, array in zip(
-            self._slots[-1], (packed.color, packed.depth, packed.motion), strict=True
-        ):
+        for buffer, array in zip(self._slots[-1], (packed.color, packed.depth, packed.motion), strict=True):
             cl.enqueue_copy(self.device.queue, buffer, array)
         return self._slots[-1]
 
@@ -231,9 +221,7 @@ class Pipeline:
         time = source.time + self.interval / 2 if time is None else float(time)
         alpha = (time - source.time) / self.interval
         if not (np.isfinite(alpha) and alpha >= 0):
-            raise GffeError(
-                f"extrapolate: time {time:g} s is before the last rendered frame's ({source.time:g} s)"
-            )
+            raise GffeError(f"extrapolate: time {time:g} s is before the last rendered frame's ({source.time:g} s)")
         camera = camera or self.predict_camera(alpha)
         if target_position is None:
             self.prediction.predict(source, self.history, self._times, camera, time)
@@ -243,8 +231,7 @@ class Pipeline:
         if self.options.hole_filling:
             self.holes.fill_holes(source, self.warp, camera)
         buffers = {
-            name: self.warp.buffer[name]
-            for name in ("color", "depth", "motion", "dynamic", "disoccluded", "filled_by")
+            name: self.warp.buffer[name] for name in ("color", "depth", "motion", "dynamic", "disoccluded", "filled_by")
         }
         return ExtrapolatedFrame(camera, time, alpha, source.time, **buffers, _stage=self.warp)
 

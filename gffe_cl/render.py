@@ -40,7 +40,9 @@ def render_sequence(
         for frame in sequence_frames(scene, width, height, frames, fps, ground_truth, per_frame):
             image = renderer.render(frame.time, frame.camera, frame.previous_time, frame.previous_camera).numpy()
             rendered = frame.kind == "rendered"
-            name = f"frame_{frame.source:06d}" if rendered else f"truth_{frame.source:06d}_{round(frame.alpha * 1000):04d}"
+            name = (
+                f"frame_{frame.source:06d}" if rendered else f"truth_{frame.source:06d}_{round(frame.alpha * 1000):04d}"
+            )
             entry = FrameEntry(
                 file=f"{name}.exr",
                 time=frame.time,

@@ -67,13 +67,11 @@ def run_sequence(
     Raises GffeError for structural faults; then `output` holds no sequence.
     """
     alphas = sorted(alphas)
-    if not alphas or not all(np.isfinite(a) and 0 < a for a in alphas):
+    if not alphas or not all(np.isfinite(a) and a > 0 for a in alphas):
         raise GffeError(f"alpha must be positive numbers, got {', '.join(f'{a:g}' for a in alphas) or 'none'}")
     refuse_same_folder(output, sequence.path)
     render_size = _common_render_size(sequence)
-    pipeline = Pipeline(
-        device, sequence.width, sequence.height, options, render_size=render_size, fps=sequence.fps
-    )
+    pipeline = Pipeline(device, sequence.width, sequence.height, options, render_size=render_size, fps=sequence.fps)
     truth_cameras = _TruthCameras([] if predicted_camera else sequence.ground_truth)
     report = RunReport(0, BadPixels(), sequence.warnings(), {})
     timings = {stage.name: 0.0 for stage in pipeline.stages}

@@ -53,9 +53,7 @@ class BufferSpec:
             "once": (1, 1),
         }[self.grid]
         shape = (height, width) if self.grid != "once" else ()
-        return (
-            (self.planes,) * (self.planes > 1) + shape + (self.channels,) * (self.channels > 1 or not shape)
-        )
+        return (self.planes,) * (self.planes > 1) + shape + (self.channels,) * (self.channels > 1 or not shape)
 
     def nbytes(self, sizes: Sizes) -> int:
         return int(np.prod(self.shape(sizes))) * np.dtype(self.dtype).itemsize

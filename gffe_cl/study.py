@@ -69,9 +69,7 @@ def study_scene(
     rows = []
     for frame in sequence_frames(scene, width, height, frames, fps, ground_truth=False):
         image = renderer.render(frame.time, frame.camera, frame.previous_time, frame.previous_camera).numpy()
-        rendered = RenderedFrame(
-            image.color, image.depth, image.motion, frame.camera, frame.time, reset=frame.reset
-        )
+        rendered = RenderedFrame(image.color, image.depth, image.motion, frame.camera, frame.time, reset=frame.reset)
         packed = pack_frame(rendered, height, width)
         for pipeline in pipelines.values():
             pipeline.submit(rendered, packed)
@@ -79,7 +77,9 @@ def study_scene(
             time = frame.time + alpha / fps
             rows.append(_measure(renderer, pipelines, image, frame, time, scene.exposure))
         on_frame()
-    mean = {key: {m: float(np.mean([row[key][m] for row in rows])) for m in METHODS} for key in ("visible", "whole", "ssim")}
+    mean = {
+        key: {m: float(np.mean([row[key][m] for row in rows])) for m in METHODS} for key in ("visible", "whole", "ssim")
+    }
     shares = {key: float(np.mean([row[key] for row in rows])) for key in ("disoccluded", "dynamic")}
     return SceneStudy(name, seed, **mean, **shares)
 

@@ -63,9 +63,7 @@ def cast(scene, time, camera):
     """
     height, width = round(camera.cy * 2), round(camera.cx * 2)
     x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-    view = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1).reshape(
-        -1, 3
-    )
+    view = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1).reshape(-1, 3)
     d = view @ camera.world_to_view[:3, :3]
     o = camera.position
     depth, object_id = np.full(len(d), np.inf), np.full(len(d), -1)
@@ -84,9 +82,7 @@ def cast(scene, time, camera):
                     t = _round_body(a, b, o_local, d_local, primitive.kind == CONE)
                 nearer = (t > 1e-4) & (t < depth)
                 depth[nearer], object_id[nearer] = t[nearer], index
-    position = np.where(
-        np.isfinite(depth)[:, None], o + d * np.where(np.isfinite(depth), depth, 1.0)[:, None], d
-    )
+    position = np.where(np.isfinite(depth)[:, None], o + d * np.where(np.isfinite(depth), depth, 1.0)[:, None], d)
     shape = (height, width)
     return depth.reshape(shape), object_id.reshape(shape), position.reshape(*shape, 3)
 

@@ -15,9 +15,7 @@ coordinate = st.floats(-100, 100)
 def cameras(draw):
     from synthetic import camera
 
-    made = camera(
-        320, 200, [draw(coordinate) for _ in range(3)], draw(angle), draw(st.floats(-1.4, 1.4)), draw(angle)
-    )
+    made = camera(320, 200, [draw(coordinate) for _ in range(3)], draw(angle), draw(st.floats(-1.4, 1.4)), draw(angle))
     return Camera(made.world_to_view, made.fx, 1.1 * made.fy, 150 + draw(coordinate), 90.5)
 
 

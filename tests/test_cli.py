@@ -144,8 +144,13 @@ def _pixels(path):
 
 def test_switches(gffe, scene, tmp_path):
     for index, option in enumerate(
-        (["--no-motion"], ["--no-crack-closing"], ["--no-hole-filling"], ["--history", "4", "--order", "2"],
-         ["--static-threshold", "2.5"])  # fmt: skip
+        (
+            ["--no-motion"],
+            ["--no-crack-closing"],
+            ["--no-hole-filling"],
+            ["--history", "4", "--order", "2"],
+            ["--static-threshold", "2.5"],
+        )
     ):
         assert gffe("run", scene, tmp_path / f"out{index}", *option)[0] == 0
 
@@ -314,7 +319,11 @@ def test_read_only_output(gffe, pristine, tmp_path):
 def test_no_device_says_how_to_get_one(tmp_path, pristine):
     (tmp_path / "vendors").mkdir()
     environment = os.environ | {"OCL_ICD_VENDORS": str(tmp_path / "vendors"), "OCL_ICD_FILENAMES": ""}
-    for args in (["run", str(pristine), str(tmp_path / "out")], ["devices"], ["demo", "-o", str(tmp_path / "d")]):
+    for args in (
+        ["run", str(pristine), str(tmp_path / "out")],
+        ["devices"],
+        ["demo", "-o", str(tmp_path / "d")],
+    ):
         child = subprocess.run(
             [sys.executable, "-m", "gffe_cl", *args], env=environment, capture_output=True, text=True
         )

@@ -64,8 +64,7 @@ def test_definition(tmp_path, truth):
     np.testing.assert_allclose([frame.psnr for frame in result.frames], expected, atol=1e-3)
     assert result.psnr == pytest.approx(np.mean(expected[2:]), abs=1e-3)
     similarity = [
-        ssim(display_values(color(x), 0.8), display_values(color(y), 0.8))
-        for x, y in zip(levels, TRUTH, strict=True)
+        ssim(display_values(color(x), 0.8), display_values(color(y), 0.8)) for x, y in zip(levels, TRUTH, strict=True)
     ]
     assert result.ssim == pytest.approx(np.mean(similarity[2:]), abs=1e-6)
     document = json.loads(json.dumps(result.to_json()))
@@ -107,9 +106,7 @@ def test_source_decides_about_history(tmp_path, truth):
 def test_all_excluded(tmp_path, truth):
     a = write(tmp_path / "a", "extrapolated", HALVES[:2], [0.5, 0.6], exposure=0.8)
     result = compare(a, truth)
-    assert result.psnr == pytest.approx(
-        np.mean([level_psnr(0.5, TRUTH[0]), level_psnr(0.6, TRUTH[1])]), abs=1e-3
-    )
+    assert result.psnr == pytest.approx(np.mean([level_psnr(0.5, TRUTH[0]), level_psnr(0.6, TRUTH[1])]), abs=1e-3)
     assert result.to_json()["notes"] == result.notes
 
 

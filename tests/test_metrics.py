@@ -17,9 +17,7 @@ def test_display_values():
 
 
 def test_display_values_does_not_overflow_half():
-    assert display_values(np.full((1, 1, 3), 60000, np.float16), exposure=4).max() == pytest.approx(
-        1, abs=1e-6
-    )
+    assert display_values(np.full((1, 1, 3), 60000, np.float16), exposure=4).max() == pytest.approx(1, abs=1e-6)
 
 
 def test_psnr():

@@ -148,9 +148,7 @@ def test_cameras_from_headers(folder):
     for i, entry in enumerate(sequence.rendered):
         np.testing.assert_allclose(entry.render_camera.world_to_view, camera(i).world_to_view, atol=1e-5)
         assert sequence.read(entry).display_camera is None
-    np.testing.assert_allclose(
-        sequence.ground_truth[0].display_camera.intrinsics, (12, 11, 6.2, 4.1), rtol=1e-5
-    )
+    np.testing.assert_allclose(sequence.ground_truth[0].display_camera.intrinsics, (12, 11, 6.2, 4.1), rtol=1e-5)
 
 
 # Other people's EXRs
@@ -182,9 +180,7 @@ def test_multi_part_types_and_shifted_window(folder):
     assert frame.color.dtype == np.float32 and (frame.color[..., 1] == 7).all()
     assert np.array_equal(frame.color[..., 0], red) and np.array_equal(frame.motion, motion)
     assert frame.depth.dtype == np.float32 and np.array_equal(frame.depth, depth.astype(np.float16))
-    assert np.array_equal(
-        sequence.read_channels(sequence.rendered[1], ["data.Z"])["data.Z"], depth.astype(np.float16)
-    )
+    assert np.array_equal(sequence.read_channels(sequence.rendered[1], ["data.Z"])["data.Z"], depth.astype(np.float16))
 
 
 # Warnings and strict

@@ -126,9 +126,7 @@ def test_broken_frame(folder, name):
     assert message.startswith("sequence.json, frame 2 (frame_1.exr)") and expected in message
 
 
-@pytest.mark.parametrize(
-    "file", ["../frame_1.exr", "/etc/passwd", "a/../../b.exr", "..\\b.exr", "C:\\b.exr", "", 7]
-)
+@pytest.mark.parametrize("file", ["../frame_1.exr", "/etc/passwd", "a/../../b.exr", "..\\b.exr", "C:\\b.exr", "", 7])
 def test_paths_stay_inside(folder, file):
     edit(folder, lambda d: d["frames"][2].update(file=file))
     message = fault(folder)
@@ -178,9 +176,7 @@ def test_extrapolated_frames_may_coincide(folder):
 
     def change(document):
         frames = document["frames"]
-        frames.insert(
-            3, {"file": "truth_0.exr", "kind": "extrapolated", "time": frames[2]["time"], "alpha": 1}
-        )
+        frames.insert(3, {"file": "truth_0.exr", "kind": "extrapolated", "time": frames[2]["time"], "alpha": 1})
 
     edit(folder, change)
     assert open_sequence(folder).extrapolated[0].alpha == 1

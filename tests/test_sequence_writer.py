@@ -175,9 +175,7 @@ def test_link(folder, tmp_path, monkeypatch):
     source = open_sequence(folder)
     for copying in (False, False, True):  # twice: a link over a link of the same file
         if copying:
-            monkeypatch.setattr(
-                os, "link", lambda *_: (_ for _ in ()).throw(OSError(errno.EXDEV, "other device"))
-            )
+            monkeypatch.setattr(os, "link", lambda *_: (_ for _ in ()).throw(OSError(errno.EXDEV, "other device")))
         with SequenceWriter(tmp_path / "out", W, H, 30) as writer:
             for entry in source.rendered:
                 writer.link(entry, folder / entry.file)

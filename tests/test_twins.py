@@ -23,8 +23,7 @@ SCENE = Rects(
 def frames(width, height, count=4, spoil=True):
     rng = np.random.default_rng(5)
     cameras = [
-        camera(width, height, (0.1 * k, 0.02 * k, 0.15 * k), 0.02 * k, 0.004 * k * k, 0.01 * k)
-        for k in range(count)
+        camera(width, height, (0.1 * k, 0.02 * k, 0.15 * k), 0.02 * k, 0.004 * k * k, 0.01 * k) for k in range(count)
     ]
     previous = None
     for k in range(count):
@@ -79,7 +78,14 @@ def test_stages_equal_their_twins(device, options, size, target):
     assert pipeline.history.read("static_threshold_squared") == threshold
 
     dynamic, history = twins.track_history(
-        depth, motion, options.history, threshold, to_previous, reprojection(past.camera, now.camera), past.depth, *_planes(*before)
+        depth,
+        motion,
+        options.history,
+        threshold,
+        to_previous,
+        reprojection(past.camera, now.camera),
+        past.depth,
+        *_planes(*before),
     )
     assert np.array_equal(pipeline.history.read("dynamic_mask"), dynamic)
     assert 0.02 < dynamic.mean() < 0.6

@@ -16,9 +16,7 @@ W, H = 13, 9
 
 
 def camera(x=0.0, **changes):
-    return Camera.look_at(
-        (x, 0.2, -3), (0.1, 0, 0), (0, 1, 0), **{**dict(fx=12, fy=11, cx=6.2, cy=4.1), **changes}
-    )
+    return Camera.look_at((x, 0.2, -3), (0.1, 0, 0), (0, 1, 0), **{**dict(fx=12, fy=11, cx=6.2, cy=4.1), **changes})
 
 
 def pixels(seed=0, height=H, width=W):
@@ -35,9 +33,7 @@ def write(path, frames=3, **options):
         for i in range(frames):
             motion_free = named_channels(*pixels(i)[:2])
             writer.add(rendered(i), named_channels(*pixels(i)) if i else motion_free)
-            truth = FrameEntry(
-                f"truth_{i}.exr", (i + 0.5) / 30, "ground_truth", display_camera=camera(i + 0.5)
-            )
+            truth = FrameEntry(f"truth_{i}.exr", (i + 0.5) / 30, "ground_truth", display_camera=camera(i + 0.5))
             writer.add(truth, named_channels(pixels(100 + i)[0]))
     return Path(path)
 

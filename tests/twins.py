@@ -123,7 +123,15 @@ def _depth_met(px, expected, tolerance, depth_prev):
 
 
 def track_history(
-    depth, motion, positions, threshold_squared, to_previous, from_previous, depth_prev, dynamic_prev, history_prev
+    depth,
+    motion,
+    positions,
+    threshold_squared,
+    to_previous,
+    from_previous,
+    depth_prev,
+    dynamic_prev,
+    history_prev,
 ):
     """Algorithm 1; `depth_prev` None after a reset. Returns dynamic mask (H, W) and history (k−1, H, W, 4)."""
     height, width = depth.shape
@@ -304,7 +312,12 @@ def _cubic_weights(t):
     t3 = t2 * t
     h = F(0.5)
     return np.stack(
-        [-h * t + t2 - h * t3, F(1) - F(2.5) * t2 + F(1.5) * t3, h * t + F(2) * t2 - F(1.5) * t3, h * t3 - h * t2]
+        [
+            -h * t + t2 - h * t3,
+            F(1) - F(2.5) * t2 + F(1.5) * t3,
+            h * t + F(2) * t2 - F(1.5) * t3,
+            h * t3 - h * t2,
+        ]
     )
 
 

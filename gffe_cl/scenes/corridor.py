@@ -69,12 +69,8 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
         Group([Box((HALF_WIDTH + 0.1, HEIGHT / 2, middle), (0.2, HEIGHT, length), plaster)], name="wall"),
         Group([Box((HALF_WIDTH - 0.03, 0.5, middle), (0.08, 1.0, length - 0.2), dado)], name="dado"),
         Group([Box((HALF_WIDTH - 0.04, 1.03, middle), (0.12, 0.07, length - 0.2), trim)], name="dado rail"),
-        Group(
-            [Box((0, HEIGHT / 2, FAR - 0.1), (2 * HALF_WIDTH + 0.4, HEIGHT, 0.2), plaster)], name="end wall"
-        ),
-        Group(
-            [Box((0, HEIGHT / 2, NEAR + 0.1), (2 * HALF_WIDTH + 0.4, HEIGHT, 0.2), plaster)], name="end wall"
-        ),
+        Group([Box((0, HEIGHT / 2, FAR - 0.1), (2 * HALF_WIDTH + 0.4, HEIGHT, 0.2), plaster)], name="end wall"),
+        Group([Box((0, HEIGHT / 2, NEAR + 0.1), (2 * HALF_WIDTH + 0.4, HEIGHT, 0.2), plaster)], name="end wall"),
     ]
     groups += wall_with_windows(-HALF_WIDTH - 0.1, NEAR, FAR, HEIGHT, 0.85, 2.55, 2.1, 3.9, plaster, trim)
     groups += railing((-2.05, 3.5), (-2.05, FAR + 4), 0.95, 0.16, pick(rng, STEEL, IRON, BRASS))
@@ -94,17 +90,13 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
     # A pendulum lamp sweeps its light, others stay.
     lights, shade = [], Material(vary(rng, (0.12, 0.2, 0.16), 0.5), roughness=0.3)
     sun = np.array((-1.0, rng.uniform(0.62, 1.05), rng.uniform(-0.35, 0.45)))
-    lights.append(
-        Light("sun", tuple(sun), tint(vary(rng, (1.0, 0.84, 0.64), 0.12), rng.uniform(2.6, 4.0)), size=0.012)
-    )
+    lights.append(Light("sun", tuple(sun), tint(vary(rng, (1.0, 0.84, 0.64), 0.12), rng.uniform(2.6, 4.0)), size=0.012))
     for k, z in enumerate((-7.3 + rng.uniform(-1, 1), -20.0 + rng.uniform(-2, 2))):
         swing = Swing("z" if k == 0 else "x", 24 if k == 0 else 10, rng.uniform(2.4, 3.4), rng.random())
         groups += pendant(0.0, HEIGHT - 0.02, z, 0.85, tint(lamp_color, 3), swing, shade)
         at = Place(0.0, HEIGHT - 0.02, z) @ swing
         lights.append(
-            Light(
-                "spot", (0, -0.9, 0), tint(lamp_color, rng.uniform(3.5, 5.5)), 0.07, (0, -1, 0), 78, motion=at
-            )
+            Light("spot", (0, -0.9, 0), tint(lamp_color, rng.uniform(3.5, 5.5)), 0.07, (0, -1, 0), 78, motion=at)
         )
     for z in (0.0, -12.0, -24.0):  # sunlight off the floor
         lights.append(Light("fill", (-0.6, 0.3, z), tint((1.0, 0.8, 0.58), rng.uniform(1.0, 1.5)), size=1.6))
@@ -209,14 +201,10 @@ def _outside(rng) -> list[Group]:
     bark = bark_material(rng)
     for k in range(4):
         x, z = -rng.uniform(8, 14), 3.0 - 11 * k + rng.uniform(-3, 3)
-        groups += broad_tree(
-            x, z, rng, rng.uniform(4.5, 6.5), bark, leaf_material(rng, 0.3 * rng.random()), blobs=8
-        )
+        groups += broad_tree(x, z, rng, rng.uniform(4.5, 6.5), bark, leaf_material(rng, 0.3 * rng.random()), blobs=8)
     board = Material(vary(rng, (0.5, 0.3, 0.12), 0.4), roughness=0.5)
     shutter = Place(-3.4, 1.9, -5.0) @ Slide((0, 0, 4.0), rng.uniform(5, 8), rng.random()) @ Spin("x", 40)
-    groups.append(
-        Group([Box((0, 0, 0), (0.04, 0.12, 1.6), board), Box((0, 0, 0), (0.04, 1.6, 0.12), board)], shutter)
-    )
+    groups.append(Group([Box((0, 0, 0), (0.04, 0.12, 1.6), board), Box((0, 0, 0), (0.04, 1.6, 0.12), board)], shutter))
     return groups
 
 
@@ -235,8 +223,6 @@ def _people(rng) -> list[Group]:
     for _ in range(int(rng.integers(2, 4))):
         z = -14.0 - rng.uniform(0, 5)
         w = rng.uniform(0.9, 1.4)
-        loop = Path(
-            ((-w, z), (w, z - 1.5), (w * 0.8, z - 6), (-w * 0.8, z - 5)), rng.uniform(0.9, 1.6), rng.random()
-        )
+        loop = Path(((-w, z), (w, z - 1.5), (w * 0.8, z - 6), (-w * 0.8, z - 5)), rng.uniform(0.9, 1.6), rng.random())
         groups += walker(loop, rng)
     return groups

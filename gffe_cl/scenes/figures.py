@@ -117,9 +117,7 @@ def walker(path: Path, rng: np.random.Generator, height: float | None = None) ->
     ]
     groups = [
         Group(torso, body, name="torso"),
-        Group(
-            head, _Joint(body, (0, 0.61 * h, 0.01), lambda phase: 0.04 * np.sin(2 * phase), gait), name="head"
-        ),
+        Group(head, _Joint(body, (0, 0.61 * h, 0.01), lambda phase: 0.04 * np.sin(2 * phase), gait), name="head"),
     ]
     for side, x in ((0.0, -1.0), (np.pi, 1.0)):
         thigh = _Joint(body, (0.1 * h * x, 0.02 * h, 0), leg(side), gait)
@@ -154,9 +152,7 @@ def walker(path: Path, rng: np.random.Generator, height: float | None = None) ->
 def animal(path: Path, rng: np.random.Generator, size: float = 1.0) -> list[Group]:
     """A four-legged animal (dog at size 0.6, deer at 1.0) trotting along `path`: six rigid groups."""
     coat = Material(
-        vary(
-            rng, pick(rng, (0.34, 0.2, 0.09), (0.22, 0.17, 0.13), (0.5, 0.42, 0.32), (0.08, 0.07, 0.06)), 0.2
-        ),
+        vary(rng, pick(rng, (0.34, 0.2, 0.09), (0.22, 0.17, 0.13), (0.5, 0.42, 0.32), (0.08, 0.07, 0.06)), 0.2),
         (0.1, 0.06, 0.03),
         "bark",
         scale=0.15 * size,
@@ -185,9 +181,7 @@ def animal(path: Path, rng: np.random.Generator, size: float = 1.0) -> list[Grou
                 Capsule((0, 0, 0), (0, 0.32 * s, 0.2 * s), 0.1 * s, coat),
                 Ellipsoid((0, 0.4 * s, 0.3 * s), (0.09 * s, 0.1 * s, 0.2 * s), coat),
                 Sphere((0, 0.37 * s, 0.5 * s), 0.035 * s, dark),
-                Cone(
-                    (-0.06 * s, 0.46 * s, 0.18 * s), (-0.13 * s, 0.62 * s, 0.14 * s), 0.045 * s, 0.005, coat
-                ),
+                Cone((-0.06 * s, 0.46 * s, 0.18 * s), (-0.13 * s, 0.62 * s, 0.14 * s), 0.045 * s, 0.005, coat),
                 Cone((0.06 * s, 0.46 * s, 0.18 * s), (0.13 * s, 0.62 * s, 0.14 * s), 0.045 * s, 0.005, coat),
             ],
             _Joint(body, (0, 0.1 * s, 0.42 * s), lambda phase: 0.1 * np.sin(2 * phase), gait),

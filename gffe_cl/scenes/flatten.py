@@ -47,10 +47,7 @@ class FlatScene:
     def poses(self, time: float) -> np.ndarray:
         """(N, 4, 4) float64: local → world of every object."""
         return np.stack(
-            [
-                self._still[i] if i in self._still else group.motion(time)
-                for i, group in enumerate(self.scene.groups)
-            ]
+            [self._still[i] if i in self._still else group.motion(time) for i, group in enumerate(self.scene.groups)]
         )
 
     def objects(self, poses, camera: Camera, other_poses, other_camera: Camera, offset) -> np.ndarray:

@@ -149,9 +149,7 @@ def _trees(rng, keep_clear, autumn) -> list[Group]:
         if rng.random() < wild and r > 5.0:
             groups += conifer(x, z, rng, rng.uniform(6, 11), bark, dark)
         elif rng.random() < 0.55:
-            groups += broad_tree(
-                x, z, rng, rng.uniform(6.5, 10), bark, pick(rng, *leaves), blobs=18 if r < 10 else 11
-            )
+            groups += broad_tree(x, z, rng, rng.uniform(6.5, 10), bark, pick(rng, *leaves), blobs=18 if r < 10 else 11)
         else:  # a tall trunk, its crown out of sight, some dead branches
             height, radius = rng.uniform(9, 13), rng.uniform(0.13, 0.3)
             prims = [
@@ -211,12 +209,8 @@ def _undergrowth(rng, keep_clear, autumn) -> list[Group]:
         for k in range(7):
             a, r = 2.4 * k, size * np.sqrt((k + 0.3) / 7) * 0.9
             s = size * rng.uniform(0.32, 0.5)
-            bush.append(
-                Ellipsoid((r * np.cos(a), s * rng.uniform(0.6, 1.4), r * np.sin(a)), (s, s * 0.85, s), leaf)
-            )
-        groups.append(
-            Group(bush, Place(x, 0, z) @ Swing("z", 0.8, rng.uniform(2, 4), rng.random()), name="bush")
-        )
+            bush.append(Ellipsoid((r * np.cos(a), s * rng.uniform(0.6, 1.4), r * np.sin(a)), (s, s * 0.85, s), leaf))
+        groups.append(Group(bush, Place(x, 0, z) @ Swing("z", 0.8, rng.uniform(2, 4), rng.random()), name="bush"))
     for x, z in _scatter(rng, 24, 2.2, 12, keep_clear, 0.75, apart=0.8):
         leaf, fronds = leaf_material(rng, 0.4 * autumn), []
         for k in range(8):
@@ -224,13 +218,9 @@ def _undergrowth(rng, keep_clear, autumn) -> list[Group]:
             mid = (0.5 * reach * np.cos(a), 0.36 * reach + 0.2, 0.5 * reach * np.sin(a))
             fronds.append(Cone((0, 0.02, 0), mid, 0.012, 0.032, leaf))
             fronds.append(Cone(mid, (reach * np.cos(a), 0.22, reach * np.sin(a)), 0.032, 0.004, leaf))
-        groups.append(
-            Group(fronds, Place(x, 0, z) @ Swing("x", 2.0, rng.uniform(1.8, 3.2), rng.random()), name="fern")
-        )
+        groups.append(Group(fronds, Place(x, 0, z) @ Swing("x", 2.0, rng.uniform(1.8, 3.2), rng.random()), name="fern"))
     for x, z in _scatter(rng, 12, 2.6, 14, keep_clear, 0.8, apart=1.0):
-        stone = Material(
-            vary(rng, (0.32, 0.31, 0.29), 0.25), (0.14, 0.18, 0.1), "bark", scale=0.4, roughness=0.95
-        )
+        stone = Material(vary(rng, (0.32, 0.31, 0.29), 0.25), (0.14, 0.18, 0.1), "bark", scale=0.4, roughness=0.95)
         r = rng.uniform(0.18, 0.5)
         rock = [
             Ellipsoid((0, 0.3 * r, 0), (r, 0.65 * r, 0.8 * r), stone),
@@ -269,10 +259,7 @@ def _small_life(rng) -> list[Group]:
     groups = []
     fur = Material(vary(rng, (0.34, 0.26, 0.17)), (0.2, 0.14, 0.09), "bark", scale=0.08, roughness=1.0)
     for k in range(2):
-        ring = [
-            ((3.3 + 0.5 * k) * np.cos(a), (3.3 + 0.5 * k) * np.sin(a))
-            for a in np.linspace(0, 2 * np.pi, 8)[:-1]
-        ]
+        ring = [((3.3 + 0.5 * k) * np.cos(a), (3.3 + 0.5 * k) * np.sin(a)) for a in np.linspace(0, 2 * np.pi, 8)[:-1]]
         path = Path(ring if k else ring[::-1], rng.uniform(1.2, 2.2), rng.random())
         hare = [
             Ellipsoid((0, 0.14, 0), (0.09, 0.11, 0.17), fur),
@@ -281,9 +268,7 @@ def _small_life(rng) -> list[Group]:
             Capsule((0.03, 0.31, 0.14), (0.05, 0.44, 0.1), 0.02, fur),
         ]
         groups.append(Group(hare, path @ Bounce(0.28, 0.45, rng.random()), name="hare"))
-    feather = Material(
-        vary(rng, pick(rng, (0.05, 0.05, 0.06), (0.4, 0.38, 0.36), (0.15, 0.22, 0.4))), roughness=0.6
-    )
+    feather = Material(vary(rng, pick(rng, (0.05, 0.05, 0.06), (0.4, 0.38, 0.36), (0.15, 0.22, 0.4))), roughness=0.6)
     for k in range(3):
         r = rng.uniform(3.5, 8)
         ring = [
@@ -303,19 +288,13 @@ def _small_life(rng) -> list[Group]:
         )
         for s in (-1, 1):
             flap = path @ Swing("z", 38 * s, 0.42, 0.3 * k, rest=8 * s) @ Place(0.03 * s, 0.02, 0)
-            groups.append(
-                Group([Ellipsoid((0.24 * s, 0, 0), (0.25, 0.015, 0.09), feather)], flap, name="wing")
-            )
+            groups.append(Group([Ellipsoid((0.24 * s, 0, 0), (0.25, 0.015, 0.09), feather)], flap, name="wing"))
     for _ in range(10):
         leaf = Material(pick(rng, (0.55, 0.3, 0.05), (0.5, 0.14, 0.04), (0.4, 0.36, 0.08)), roughness=0.8)
         a, r = rng.uniform(0, 2 * np.pi), rng.uniform(2.8, 8)
-        at = Place(r * np.cos(a), 0, r * np.sin(a)) @ _Fall(
-            rng.uniform(3, 5), rng.uniform(6, 10), rng.random()
-        )
+        at = Place(r * np.cos(a), 0, r * np.sin(a)) @ _Fall(rng.uniform(3, 5), rng.uniform(6, 10), rng.random())
         at = at @ Spin((rng.uniform(-1, 1), 1, rng.uniform(-1, 1)), rng.uniform(90, 220))
-        groups.append(
-            Group([Ellipsoid((0, 0, 0), (0.05, 0.006, 0.035), leaf)], at, casts_shadow=False, name="leaf")
-        )
+        groups.append(Group([Ellipsoid((0, 0, 0), (0.05, 0.006, 0.035), leaf)], at, casts_shadow=False, name="leaf"))
     return groups
 
 

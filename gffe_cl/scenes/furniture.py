@@ -49,9 +49,7 @@ def railing(start, end, height, spacing, material, at: Motion | None = None, rad
     return groups
 
 
-def wall_with_windows(
-    x, z_start, z_end, height, sill, head, width, pitch, wall, frame, glass=True
-) -> list[Group]:
+def wall_with_windows(x, z_start, z_end, height, sill, head, width, pitch, wall, frame, glass=True) -> list[Group]:
     """Wall in the plane x, from z_start down to z_end, with a window every `pitch` metres; frames and
     panes included.
     """
@@ -99,9 +97,7 @@ def bench(at: Motion, wood: Material = WOOD, legs: Material = IRON) -> list[Grou
 
 def potted_plant(x, z, rng: np.random.Generator, height=1.1) -> list[Group]:
     """A pot on the ground and a crown that sways a little."""
-    pot = Material(
-        vary(rng, pick(rng, (0.5, 0.22, 0.12), (0.55, 0.55, 0.52), (0.1, 0.18, 0.25)), 0.2), roughness=0.4
-    )
+    pot = Material(vary(rng, pick(rng, (0.5, 0.22, 0.12), (0.55, 0.55, 0.52), (0.1, 0.18, 0.25)), 0.2), roughness=0.4)
     leaf = leaf_material(rng)
     soil = Material((0.05, 0.035, 0.02), roughness=1.0)
     crown = [Cone((0, 0.0, 0), (0, 0.45 * height, 0), 0.025, 0.015, soil)]
@@ -137,12 +133,8 @@ def leaf_material(rng: np.random.Generator, autumn=0.0) -> Material:
 
 
 def bark_material(rng: np.random.Generator) -> Material:
-    color = vary(
-        rng, pick(rng, (0.26, 0.19, 0.13), (0.2, 0.16, 0.12), (0.34, 0.3, 0.25), (0.3, 0.17, 0.1)), 0.2
-    )
-    return Material(
-        color, tint(color, 0.35), "bark", scale=0.22, roughness=0.95, seed=int(rng.integers(1 << 16))
-    )
+    color = vary(rng, pick(rng, (0.26, 0.19, 0.13), (0.2, 0.16, 0.12), (0.34, 0.3, 0.25), (0.3, 0.17, 0.1)), 0.2)
+    return Material(color, tint(color, 0.35), "bark", scale=0.22, roughness=0.95, seed=int(rng.integers(1 << 16)))
 
 
 def broad_tree(x, z, rng: np.random.Generator, height, bark, leaf, blobs=14) -> list[Group]:

@@ -43,20 +43,14 @@ def sofa(at, fabric, rng, width) -> list[Group]:
     )
     w = width / 2
     prims = [Box((0, 0.25, 0), (width, 0.3, 0.8), fabric), Box((0, 0.58, -0.33), (width, 0.5, 0.18), fabric)]
-    prims += [
-        Capsule((s * (w + 0.09), 0.5, -0.36), (s * (w + 0.09), 0.5, 0.36), 0.12, fabric) for s in (-1, 1)
-    ]
+    prims += [Capsule((s * (w + 0.09), 0.5, -0.36), (s * (w + 0.09), 0.5, 0.36), 0.12, fabric) for s in (-1, 1)]
     prims += [Box((s * (w + 0.09), 0.29, 0), (0.2, 0.38, 0.78), fabric) for s in (-1, 1)]
     seats = max(round(width / 0.72), 1)
     for k in range(seats):
         x = (k + 0.5 - seats / 2) * width / seats
         prims.append(Ellipsoid((x, 0.41, 0.06), (0.48 * width / seats, 0.1, 0.36), fabric))
         prims.append(Ellipsoid((x, 0.62, -0.23), (0.44 * width / seats, 0.24, 0.12), fabric))
-    feet = [
-        Cylinder((s * w * 0.92, 0, d), (s * w * 0.92, 0.12, d), 0.03, IRON)
-        for s in (-1, 1)
-        for d in (-0.3, 0.3)
-    ]
+    feet = [Cylinder((s * w * 0.92, 0, d), (s * w * 0.92, 0.12, d), 0.03, IRON) for s in (-1, 1) for d in (-0.3, 0.3)]
     groups = [Group(prims + feet, at, name="sofa")]
     for s in (-1, 1)[: 1 if width < 1 else 2]:
         tilt = Place(s * w * 0.66, 0.66, -0.08, yaw=12 * s, pitch=-22)
@@ -68,9 +62,7 @@ def coffee_table(rng, wood) -> list[Group]:
     """Low table with a glass top, a bowl of fruit, books, a cup."""
     groups = []
     legs = [
-        Cylinder((sx * 0.5, 0, sz * 0.28), (sx * 0.5, 0.4, sz * 0.28), 0.025, STEEL)
-        for sx in (-1, 1)
-        for sz in (-1, 1)
+        Cylinder((sx * 0.5, 0, sz * 0.28), (sx * 0.5, 0.4, sz * 0.28), 0.025, STEEL) for sx in (-1, 1) for sz in (-1, 1)
     ]
     shelf = Box((0, 0.14, 0), (1.0, 0.025, 0.56), wood)
     groups.append(Group([*legs, shelf], Place(0, 0, -0.3), name="table"))
@@ -96,9 +88,7 @@ def coffee_table(rng, wood) -> list[Group]:
     pile = []
     for k in range(3):
         cover = Material(
-            vary(
-                rng, pick(rng, (0.45, 0.1, 0.08), (0.1, 0.22, 0.4), (0.5, 0.42, 0.2), (0.12, 0.3, 0.2)), 0.3
-            ),
+            vary(rng, pick(rng, (0.45, 0.1, 0.08), (0.1, 0.22, 0.4), (0.5, 0.42, 0.2), (0.12, 0.3, 0.2)), 0.3),
             roughness=0.5,
         )
         pile.append(Box((0.02 * k, 0.44 + 0.035 * k, -0.015 * k), (0.26 - 0.02 * k, 0.032, 0.19), cover))

@@ -125,9 +125,7 @@ def _fountain(rng) -> list[Group]:
         specular=0.3,
         roughness=0.35,
     )
-    water = Material(
-        (0.05, 0.16, 0.2), (0.1, 0.26, 0.3), "water", scale=0.5, specular=0.05, roughness=0.06, mirror=1.0
-    )
+    water = Material((0.05, 0.16, 0.2), (0.1, 0.26, 0.3), "water", scale=0.5, specular=0.05, roughness=0.06, mirror=1.0)
     x, z = FOUNTAIN
     basin = []
     for k in range(12):
@@ -327,10 +325,7 @@ def _people(rng) -> list[Group]:
         groups += walker(Path(ring, rng.uniform(0.9, 1.7), rng.random()), rng)
     for k in range(int(rng.integers(2, 4))):
         r = 4.1 + 0.9 * k
-        ring = [
-            (FOUNTAIN[0] + r * np.cos(a), FOUNTAIN[1] + r * np.sin(a))
-            for a in np.linspace(0, 2 * np.pi, 9)[:-1]
-        ]
+        ring = [(FOUNTAIN[0] + r * np.cos(a), FOUNTAIN[1] + r * np.sin(a)) for a in np.linspace(0, 2 * np.pi, 9)[:-1]]
         ring = ring if k % 2 else ring[::-1]
         groups += walker(Path(ring, rng.uniform(0.8, 1.5), rng.random()), rng)
     z = -4.6
@@ -343,9 +338,7 @@ def _people(rng) -> list[Group]:
         rng,
         0.55,
     )
-    rubber = Material(
-        vary(rng, (0.6, 0.12, 0.1), 0.4), (0.65, 0.6, 0.5), "stripes", scale=0.11, roughness=0.3
-    )
+    rubber = Material(vary(rng, (0.6, 0.12, 0.1), 0.4), (0.65, 0.6, 0.5), "stripes", scale=0.11, roughness=0.3)
     hop = (
         Place(0, 0.16, -3.2)
         @ Slide((3.5, 0, 0.4), rng.uniform(5, 8), rng.random())
@@ -360,9 +353,7 @@ def _people(rng) -> list[Group]:
             specular=0.06,
             contrast=0.03,
         )
-        at = Place(-7.2 + 0.35 * k, 2.6 + 0.25 * (k % 2), -7.0 + 0.2 * k) @ Swing(
-            "z", 5, 2.2 + 0.3 * k, rng.random()
-        )
+        at = Place(-7.2 + 0.35 * k, 2.6 + 0.25 * (k % 2), -7.0 + 0.2 * k) @ Swing("z", 5, 2.2 + 0.3 * k, rng.random())
         at = at @ Place(0, 0.4, 0)
         groups.append(
             Group(

@@ -85,9 +85,7 @@ class SceneRenderer:
 
     def __init__(self, device: Device, scene: Scene, width: int, height: int, samples: int = 8):
         if width < 1 or height < 1 or samples < 1:
-            raise GffeError(
-                f"scene renderer: width, height and samples must be ≥ 1, got {width}×{height}, {samples}"
-            )
+            raise GffeError(f"scene renderer: width, height and samples must be ≥ 1, got {width}×{height}, {samples}")
         self.device, self.scene = device, scene
         self.width, self.height, self.samples = int(width), int(height), int(samples)
         self.program = build(device, "scene")

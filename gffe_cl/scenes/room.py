@@ -56,9 +56,7 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
         roughness=1.0,
         seed=seed,
     )
-    wood_color = vary(
-        rng, pick(rng, (0.36, 0.19, 0.08), (0.5, 0.33, 0.17), (0.17, 0.09, 0.05), (0.42, 0.36, 0.28))
-    )
+    wood_color = vary(rng, pick(rng, (0.36, 0.19, 0.08), (0.5, 0.33, 0.17), (0.17, 0.09, 0.05), (0.42, 0.36, 0.28)))
     wood = Material(
         wood_color, tint(wood_color, 0.6), "planks", scale=0.14, contrast=0.5, roughness=0.35, seed=seed + 1
     )
@@ -84,13 +82,9 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
     night = rng.random() < 0.25
     sun = (1.0, rng.uniform(0.5, 0.9), rng.uniform(-0.6, 0.6))
     day = 0.05 if night else rng.uniform(0.8, 1.15)
-    lights.append(
-        Light("sun", sun, tint((1.0, 0.85, 0.66), 0.06 if night else rng.uniform(3.0, 5.0)), size=0.012)
-    )
+    lights.append(Light("sun", sun, tint((1.0, 0.85, 0.66), 0.06 if night else rng.uniform(3.0, 5.0)), size=0.012))
     if not night:  # sunlight off the floor
-        lights.append(
-            Light("fill", (1.6, 0.15, 0.0), tint((1.0, 0.78, 0.55), rng.uniform(1.0, 1.6)), size=1.4)
-        )
+        lights.append(Light("fill", (1.6, 0.15, 0.0), tint((1.0, 0.78, 0.55), rng.uniform(1.0, 1.6)), size=1.4))
     else:
         lights = [_stronger(light, 1.8) for light in lights]
     air = Air(
@@ -178,9 +172,7 @@ def _shell(rng, seed) -> list[Group]:
     for s in (-1, 1):
         width = z - half
         groups.append(
-            Group(
-                [Box((x + 0.1, y, s * (half + width / 2)), (0.198, head - sill, width), plain)], name="pier"
-            )
+            Group([Box((x + 0.1, y, s * (half + width / 2)), (0.198, head - sill, width), plain)], name="pier")
         )
     frame = [Box((x + 0.06, sill + 0.02, 0), (0.36, 0.05, 2 * half + 0.1), white)]
     frame += [Box((x + 0.1, y, half * k), (0.08, head - sill, 0.07), white) for k in (-1, -0.34, 0.34, 1)]
@@ -198,9 +190,7 @@ def _shell(rng, seed) -> list[Group]:
     )
     for s in (-1, 1):
         folds = [
-            Capsule(
-                (x - 0.12, 0.1, s * (half + 0.08 * k)), (x - 0.12, 2.5, s * (half + 0.07 * k)), 0.055, drape
-            )
+            Capsule((x - 0.12, 0.1, s * (half + 0.08 * k)), (x - 0.12, 2.5, s * (half + 0.07 * k)), 0.055, drape)
             for k in range(6)
         ]
         sway = Place(0, 2.5, 0) @ Swing("z", 0.7, rng.uniform(3, 5), rng.random()) @ Place(0, -2.5, 0)
@@ -244,9 +234,7 @@ def _shell(rng, seed) -> list[Group]:
             roughness=0.4,
             seed=int(rng.integers(1 << 16)),
         )
-        groups.append(
-            Group([Box((px, 1.72, -z + 0.02), (width, rng.uniform(0.6, 0.85), 0.05), art)], name="picture")
-        )
+        groups.append(Group([Box((px, 1.72, -z + 0.02), (width, rng.uniform(0.6, 0.85), 0.05), art)], name="picture"))
     gilt = pick(rng, BRASS, wood_frame(rng))
     mirror = [
         Box((-0.6, 1.55, z), (1.5, 1.25, 0.07), gilt),
@@ -295,25 +283,15 @@ def _toys(rng) -> list[Group]:
             ]
         else:
             prims.append(Sphere((0, 0.17, 0), 0.055, BRASS))
-        groups.append(
-            Group(prims, Place(0, 0.012, 0) @ Path(loop, speed, start - 0.29 * k / length), name="train")
-        )
-    rubber = Material(
-        vary(rng, (0.6, 0.15, 0.1), 0.5), (0.62, 0.6, 0.52), "stripes", scale=0.1, roughness=0.3
-    )
+        groups.append(Group(prims, Place(0, 0.012, 0) @ Path(loop, speed, start - 0.29 * k / length), name="train"))
+    rubber = Material(vary(rng, (0.6, 0.15, 0.1), 0.5), (0.62, 0.6, 0.52), "stripes", scale=0.1, roughness=0.3)
     track = Path(
         [(-1.9, 1.6), (0.4, 1.35), (2.0, 1.7), (2.3, 0.2), (1.9, -1.3), (1.75, 0.5), (0.2, 1.75)],
         rng.uniform(0.6, 1.1),
         rng.random(),
     )
-    groups.append(
-        Group([Sphere((0, 0, 0), 0.15, rubber)], Place(0, 0.15, 0) @ track @ Roll(track, 0.15), name="ball")
-    )
-    hop = (
-        Place(-1.9, 0.11, -0.9)
-        @ Bounce(rng.uniform(0.5, 0.9), rng.uniform(0.7, 0.9))
-        @ Spin((1, 0.3, 0.5), 130)
-    )
+    groups.append(Group([Sphere((0, 0, 0), 0.15, rubber)], Place(0, 0.15, 0) @ track @ Roll(track, 0.15), name="ball"))
+    hop = Place(-1.9, 0.11, -0.9) @ Bounce(rng.uniform(0.5, 0.9), rng.uniform(0.7, 0.9)) @ Spin((1, 0.3, 0.5), 130)
     dots = Material((0.65, 0.5, 0.06), (0.1, 0.3, 0.5), "checker", scale=0.055, roughness=0.3)
     groups.append(Group([Sphere((0, 0, 0), 0.11, dots)], hop, name="ball"))
 
@@ -339,9 +317,7 @@ def _toys(rng) -> list[Group]:
         Capsule((0, 0, 0), (0, -0.35, 0), 0.004, IRON),
     ]
     for s, drop in ((-1, 0.62), (1, 0.75)):
-        bead = Material(
-            vary(rng, pick(rng, (0.6, 0.12, 0.1), (0.1, 0.4, 0.5), (0.6, 0.45, 0.08)), 0.3), roughness=0.2
-        )
+        bead = Material(vary(rng, pick(rng, (0.6, 0.12, 0.1), (0.1, 0.4, 0.5), (0.6, 0.45, 0.08)), 0.3), roughness=0.2)
         parts += [
             Capsule((0.3 * s, -0.35, 0), (0.3 * s, -drop, 0), 0.003, IRON),
             Ellipsoid((0.3 * s, -drop, 0), (0.09, 0.06, 0.03), bead),
@@ -369,9 +345,7 @@ def _lights(rng, warm) -> tuple[list[Light], list[Group]]:
     cone = Material(vary(rng, (0.14, 0.2, 0.18), 0.6), roughness=0.25)
     groups += [
         Group([Capsule((0, 0, 0), (0, -0.5, 0), 0.006, IRON)], swing, casts_shadow=False, name="cord"),
-        Group(
-            [Cone((0, -0.68, 0), (0, -0.48, 0), 0.2, 0.04, cone)], swing, casts_shadow=False, name="pendant"
-        ),
+        Group([Cone((0, -0.68, 0), (0, -0.48, 0), 0.2, 0.04, cone)], swing, casts_shadow=False, name="pendant"),
         Group([Sphere((0, -0.68, 0), 0.055, bulb)], swing, casts_shadow=False, name="bulb"),
     ]
     color = tint(vary(rng, (1.0, 0.8, 0.56)), rng.uniform(1.8, 2.8))

@@ -196,9 +196,7 @@ class Scene:
     def camera(self, time: float, width: int, height: int) -> Camera:
         """The camera at `time` for an image of the given size, principal point in its middle."""
         focal = self.focal * height
-        return Camera.look_at(
-            self.eye(time), self.target(time), (0.0, 1.0, 0.0), focal, focal, width / 2, height / 2
-        )
+        return Camera.look_at(self.eye(time), self.target(time), (0.0, 1.0, 0.0), focal, focal, width / 2, height / 2)
 
 
 def wave(centre, amplitude, period, phase=0.0) -> Callable[[float], np.ndarray]:

@@ -42,9 +42,7 @@ def require_channels(header: ExrHeader, names, label: str) -> list[tuple[int, st
     for name, place in zip(names, places, strict=True):
         if place is None:
             held = _one_line(", ".join(header.channels[:12])) + (", …" if len(header.channels) > 12 else "")
-            raise GffeError(
-                f"{label}: no channel '{name}' (expected {', '.join(names)}; the file holds {held})"
-            )
+            raise GffeError(f"{label}: no channel '{name}' (expected {', '.join(names)}; the file holds {held})")
     return places
 
 

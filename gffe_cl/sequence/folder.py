@@ -102,9 +102,7 @@ class OutputFolder:
             except (ValueError, KeyError, TypeError):
                 ours = False
             if not ours:
-                raise GffeError(
-                    f"{json_path}: was not written by gffe-cl, so it stays (expected another folder)"
-                )
+                raise GffeError(f"{json_path}: was not written by gffe-cl, so it stays (expected another folder)")
         own = set()
         for name in names:
             with contextlib.suppress(GffeError):

@@ -113,9 +113,7 @@ class Sequence:
         """Linear RGB of any frame: (H, W, 3), float16 or float32 as stored."""
         return _stack_color(self.read_channels(entry, COLOR))
 
-    def prefetch(
-        self, entries: Iterable[FrameEntry], read: Callable | None = None, ahead: int = 2
-    ) -> Iterator[tuple]:
+    def prefetch(self, entries: Iterable[FrameEntry], read: Callable | None = None, ahead: int = 2) -> Iterator[tuple]:
         """Yield (entry, read(entry)) in order, reading the next `ahead` frames on threads.
 
         `read` defaults to `self.read`. Errors are raised when their frame's turn comes; leaving the loop
@@ -189,9 +187,7 @@ def _complete_cameras(entry, header, description, label):
         entry.display_camera = entry.display_camera or display
     if entry.kind == "rendered":
         if entry.render_camera is None:
-            raise GffeError(
-                f"{label}: no render_camera, and no worldToCamera and worldToNDC in the EXR header"
-            )
+            raise GffeError(f"{label}: no render_camera, and no worldToCamera and worldToNDC in the EXR header")
         if entry.display_camera is None:
             entry.display_camera = _same_frustum(entry, size)
 

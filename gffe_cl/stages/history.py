@@ -29,10 +29,16 @@ class HistoryTracking(Stage):
             np.float32,
             ("x", "y", "z", "known"),
             "source",
-            "positions P_1 … P_{k−1} in the view space of the rendered camera, world units; known = 0: not known, P_0 instead",
+            "positions P_1 … P_{k−1} in the view space of the rendered camera, world units; known = 0: P_0 instead",
         ),
         BufferSpec("static_threshold_squared", np.float32, (), "once", "ε², px²"),
-        BufferSpec("residual_histogram", np.int32, tuple(f"bin{b}" for b in range(_BINS)), "once", "static residual, two bins per octave of r²"),
+        BufferSpec(
+            "residual_histogram",
+            np.int32,
+            tuple(f"bin{b}" for b in range(_BINS)),
+            "once",
+            "static residual, two bins per octave of r²",
+        ),
     )
 
     def __init__(self, device: Device, sizes: Sizes, positions: int, static_threshold: float | None):

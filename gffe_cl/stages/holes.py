@@ -15,14 +15,18 @@ class HoleFilling(Stage):
 
     name = "holes"
     buffers = (
-        BufferSpec("block_color", np.float32, ("R", "G", "B", "weight"), "blocks", "sum of valid colour and weight per 32×32 block"),
+        BufferSpec(
+            "block_color",
+            np.float32,
+            ("R", "G", "B", "weight"),
+            "blocks",
+            "sum of valid colour and weight per 32×32 block",
+        ),
         BufferSpec("block_inverse_depth", np.float32, (), "blocks", "sum of inverse depth per 32×32 block"),
     )
 
     def fill_holes(self, frame, warp: Stage, target: Camera) -> None:
-        color, depth, motion, disoccluded = (
-            warp.buffer[name] for name in ("color", "depth", "motion", "disoccluded")
-        )
+        color, depth, motion, disoccluded = (warp.buffer[name] for name in ("color", "depth", "motion", "disoccluded"))
         blocks = tuple(-(-n // BLOCK) for n in self.sizes.target)
         block_buffers = (self.buffer["block_color"], self.buffer["block_inverse_depth"])
         self.launch(

@@ -20,17 +20,13 @@ class Warp(Stage):
 
     name = "warp"
     buffers = (
-        BufferSpec(
-            "links", np.uint8, (), "source", "neighbours of the same surface: 1 right, 2 down, 4 left, 8 up"
-        ),
+        BufferSpec("links", np.uint8, (), "source", "neighbours of the same surface: 1 right, 2 down, 4 left, 8 up"),
         BufferSpec("color", np.float16, RGBA, "target", "colour of the extrapolated frame (Ī^GAE)"),
         BufferSpec("depth", np.float32, (), "target", "view depth in the target camera, world units (D̄)"),
         BufferSpec("motion", np.float32, XY, "target", "t + α → t, pixels, into the rendered image (V̄)"),
         BufferSpec("dynamic", np.uint8, (), "target", "1 where the fragment shown is dynamic"),
         BufferSpec("disoccluded", np.uint8, (), "target", "1 where no fragment of the rendered frame lands"),
-        BufferSpec(
-            "filled_by", np.uint8, (), "target", "0 warp, 254 crack closing, 255 hole filling (or nothing)"
-        ),
+        BufferSpec("filled_by", np.uint8, (), "target", "0 warp, 254 crack closing, 255 hole filling (or nothing)"),
     )
 
     def __init__(self, device: Device, sizes: Sizes, close_cracks: bool = True, int64: bool | None = None):
