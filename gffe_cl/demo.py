@@ -65,25 +65,23 @@ def demo(output: Path, device: Device, width: int, height: int, seed: int, step)
 
 
 def _contact_sheet(source: Sequence, made: Sequence):
-    rows = []
-    titles = [
-        "rendered (t)",
-        "extrapolated (t + 1/2)",
-        "ground truth (t + 1/2)",
-        "error x 4",
-        "dynamic mask",
-        "disocclusions",
-    ]
+    groups = []
     for index in np.linspace(_FRAMES // 4, _FRAMES - 1, 3).astype(int):
         now, new, truth = source.rendered[index], made.extrapolated[index], source.ground_truth[index]
         shown, predicted, wanted = (
             display_values(s.read_color(e), source.exposure) for s, e in ((source, now), (made, new), (source, truth))
         )
         masks = made.read_channels(new, ["mask.dynamic", "mask.disoccluded"])
-        images = [shown, predicted, wanted, error_image(predicted, wanted)]
-        images += [masks[name].astype(np.float32) for name in ("mask.dynamic", "mask.disoccluded")]
-        rows.append((f"frame {index}, t = {now.time:.3f} s", images))
-    return contact_sheet(rows, titles)
+        images = [
+            ("rendered (t)", shown),
+            ("extrapolated (t + 1/2)", predicted),
+            ("ground truth (t + 1/2)", wanted),
+            ("error x 4", error_image(predicted, wanted)),
+            ("dynamic mask", masks["mask.dynamic"].astype(np.float32)),
+            ("disocclusions", masks["mask.disoccluded"].astype(np.float32)),
+        ]
+        groups.append((f"frame {index}, t = {now.time:.3f} s", images))
+    return contact_sheet(groups)
 
 
 def _video_frames(source: Sequence, made: Sequence, on_frame) -> Iterator[np.ndarray]:

@@ -11,33 +11,33 @@ from gffe_cl.errors import GffeError
 
 _MARGIN = 8
 _INK = (225, 225, 225)
+_FAINT = (165, 165, 165)
 _PAPER = (24, 24, 26)
 
 
-def contact_sheet(rows: list[tuple[str, list[np.ndarray]]], titles: list[str], cell_width: int = 480):
-    """A PIL image of labelled rows of images (H, W, 3) or (H, W), values in [0, 1]."""
+def contact_sheet(groups: list[tuple[str, list[tuple[str, np.ndarray]]]], columns: int = 3, cell_width: int = 640):
+    """A PIL image of groups of captioned images (H, W, 3) or (H, W), values in [0, 1], all of one size."""
     from PIL import Image, ImageDraw
 
-    height, width = rows[0][1][0].shape[:2]
+    height, width = groups[0][1][0][1].shape[:2]
     cell = (cell_width, round(cell_width * height / width))
-    font, bar = _font(18), 30
-    sheet = Image.new(
-        "RGB",
-        (
-            _MARGIN + len(titles) * (cell[0] + _MARGIN),
-            bar + len(rows) * (cell[1] + bar) + _MARGIN,
-        ),
-        _PAPER,
-    )
+    bar, font = 28, _font(18)
+    rows = sum(-(-len(images) // columns) for _, images in groups)
+    sheet_height = len(groups) * bar + rows * (cell[1] + bar)
+    sheet = Image.new("RGB", (_MARGIN + columns * (cell[0] + _MARGIN), sheet_height), _PAPER)
     draw = ImageDraw.Draw(sheet)
-    for column, title in enumerate(titles):
-        draw.text((_MARGIN + column * (cell[0] + _MARGIN) + 2, 6), title, _INK, font)
-    for row, (label, images) in enumerate(rows):
-        top = bar + row * (cell[1] + bar)
-        for column, image in enumerate(images):
-            picture = to_image(image).resize(cell, Image.Resampling.LANCZOS)
-            sheet.paste(picture, (_MARGIN + column * (cell[0] + _MARGIN), top))
-        draw.text((_MARGIN + 2, top + cell[1] + 4), label, (160, 160, 160), font)
+    top = 0
+    for label, images in groups:
+        draw.text((_MARGIN, top + 4), label, _INK, font)
+        top += bar
+        for index, (caption, image) in enumerate(images):
+            column = index % columns
+            if index and column == 0:
+                top += cell[1] + bar
+            x = _MARGIN + column * (cell[0] + _MARGIN)
+            sheet.paste(to_image(image).resize(cell, Image.Resampling.LANCZOS), (x, top))
+            draw.text((x, top + cell[1] + 3), caption, _FAINT, font)
+        top += cell[1] + bar
     return sheet
 
 
