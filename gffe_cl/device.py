@@ -10,7 +10,6 @@ import json
 import os
 import subprocess
 import sys
-import warnings
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 
@@ -20,8 +19,6 @@ from gffe_cl.runtimes import expose_installed_runtimes
 expose_installed_runtimes()
 
 import pyopencl as cl  # noqa: E402  (only after the runtimes have been made visible)
-
-warnings.filterwarnings("ignore", category=cl.CompilerWarning)
 
 HOW_TO_GET_ONE = (
     "install one with `pip install 'gffe-cl[intel]'` (x86-64 CPU, no root), "

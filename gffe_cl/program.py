@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import warnings
 from importlib.resources import files
 from pathlib import Path
 
@@ -27,7 +28,10 @@ class Program:
         options = [f"-D{key}={value}" for key, value in sorted(variant.items())]
         source = expand(f"{name}.cl")
         try:
-            built = cl.Program(device.context, source).build(options=options)
+            with warnings.catch_warnings():
+                if not os.environ.get("PYOPENCL_COMPILER_OUTPUT"):  # remarks on builds that succeed
+                    warnings.simplefilter("ignore", cl.CompilerWarning)
+                built = cl.Program(device.context, source).build(options=options)
         except cl.RuntimeError as error:
             raise GffeError(f"kernels/{name}.cl does not build on {device.info.name}:\n{_log(error)}") from None
         self.kernels = {kernel.function_name: kernel for kernel in built.all_kernels()}
