@@ -11,6 +11,10 @@ frame.numpy("color")        # NumPy array
 
 from importlib import import_module
 
+from gffe_cl.runtimes import expose_installed_runtimes
+
+expose_installed_runtimes()  # before anything imports pyopencl
+
 __version__ = "0.1.0"
 
 # Loaded on first use: importing the package must not load a driver.

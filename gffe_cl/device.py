@@ -10,15 +10,15 @@ import json
 import os
 import subprocess
 import sys
+import warnings
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 
+import pyopencl as cl
+
 from gffe_cl.errors import GffeError
-from gffe_cl.runtimes import expose_installed_runtimes
-
-expose_installed_runtimes()
-
-import pyopencl as cl  # noqa: E402  (only after the runtimes have been made visible)
+from gffe_cl.runtimes import HIDE_INSTALLED, installed_runtimes_are_exposed
 
 HOW_TO_GET_ONE = (
     "install one with `pip install 'gffe-cl[intel]'` (x86-64 CPU, no root), "
@@ -147,8 +147,9 @@ def _probe_in_child(skip: set[str]) -> list[DeviceInfo]:
     found: dict[str, DeviceInfo] = {}
     while True:
         command = [sys.executable, "-m", "gffe_cl.device", *sorted(skip | set(found))]
+        environment = os.environ | ({} if installed_runtimes_are_exposed() else {HIDE_INSTALLED: "1"})
         try:
-            child = subprocess.run(command, capture_output=True, text=True, timeout=_PROBE_SECONDS)
+            child = subprocess.run(command, capture_output=True, text=True, timeout=_PROBE_SECONDS, env=environment)
             output, failure = child.stdout, f"driver crashed (exit code {child.returncode})"
             finished = child.returncode == 0
         except subprocess.TimeoutExpired as error:
@@ -221,7 +222,8 @@ def _run_probe_kernel(context, queue) -> float:
     flags = cl.mem_flags
     a = cl.Buffer(context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=host)
     b = cl.Buffer(context, flags.WRITE_ONLY, 2 * n)
-    kernel = cl.Kernel(cl.Program(context, _PROBE_SOURCE).build(), "probe")
+    with quiet_builds():
+        kernel = cl.Kernel(cl.Program(context, _PROBE_SOURCE).build(), "probe")
     times = []
     for _ in range(5):
         event = kernel(queue, (n,), None, a, b, np.int32(n))
@@ -234,11 +236,21 @@ def _run_probe_kernel(context, queue) -> float:
     return n / max(min(times[1:]), 1) * 1e3
 
 
+@contextmanager
+def quiet_builds():
+    """Hides drivers' remarks on builds that succeed, unless PYOPENCL_COMPILER_OUTPUT=1 asks for them."""
+    with warnings.catch_warnings():
+        if not os.environ.get("PYOPENCL_COMPILER_OUTPUT"):
+            warnings.simplefilter("ignore", cl.CompilerWarning)
+        yield
+
+
 def _try_int64_atomics(context, queue) -> bool:
     import numpy as np
 
     try:
-        kernel = cl.Kernel(cl.Program(context, _INT64_SOURCE).build(), "least")
+        with quiet_builds():
+            kernel = cl.Kernel(cl.Program(context, _INT64_SOURCE).build(), "least")
         out = np.full(2, np.iinfo(np.uint64).max, np.uint64)
         buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR, hostbuf=out)
         kernel(queue, (64,), None, buffer)

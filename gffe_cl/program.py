@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import os
 import re
-import warnings
 from importlib.resources import files
 from pathlib import Path
 
 import pyopencl as cl
 
-from gffe_cl.device import Device
+from gffe_cl.device import Device, quiet_builds
 from gffe_cl.errors import GffeError
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
@@ -28,9 +27,7 @@ class Program:
         options = [f"-D{key}={value}" for key, value in sorted(variant.items())]
         source = expand(f"{name}.cl")
         try:
-            with warnings.catch_warnings():
-                if not os.environ.get("PYOPENCL_COMPILER_OUTPUT"):  # remarks on builds that succeed
-                    warnings.simplefilter("ignore", cl.CompilerWarning)
+            with quiet_builds():
                 built = cl.Program(device.context, source).build(options=options)
         except cl.RuntimeError as error:
             raise GffeError(f"kernels/{name}.cl does not build on {device.info.name}:\n{_log(error)}") from None

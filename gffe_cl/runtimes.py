@@ -1,8 +1,9 @@
 """Making OpenCL runtimes visible before pyopencl loads.
 
 The ICD loader reads its list of vendors once, so this must run before the first `import pyopencl`:
-`gffe_cl.device` does it. Runtimes that pip installed into the environment (Intel's CPU runtime) are not in
-the system's vendor folder; they are added to a folder of our own that repeats the system's entries.
+importing `gffe_cl` does it. Where pyopencl came first, only the system's runtimes are seen.
+Runtimes that pip installed into the environment (Intel's CPU runtime) are not in the system's vendor
+folder; they are added to a folder of our own that repeats the system's entries.
 """
 
 from __future__ import annotations
@@ -34,13 +35,24 @@ def cache_folder() -> Path:
     return folder
 
 
+HIDE_INSTALLED = "GFFE_HIDE_INSTALLED_RUNTIMES"  # set for children of a process that does not see them either
+_exposed = False
+
+
+def installed_runtimes_are_exposed() -> bool:
+    """Whether this process, and so a child that imports `gffe_cl`, sees runtimes installed by pip."""
+    return _exposed or "OCL_ICD_VENDORS" in os.environ
+
+
 def expose_installed_runtimes() -> None:
     """Add OpenCL runtimes of this Python environment to those the ICD loader will list.
 
     Does nothing if `OCL_ICD_VENDORS` is set (the user has chosen), if pyopencl is already loaded, or if
     there is no such runtime.
     """
-    if "OCL_ICD_VENDORS" in os.environ or "pyopencl" in sys.modules or not sys.platform.startswith("linux"):
+    global _exposed
+    chosen = "OCL_ICD_VENDORS" in os.environ or HIDE_INSTALLED in os.environ
+    if chosen or "pyopencl" in sys.modules or not sys.platform.startswith("linux"):
         return
     library = Path(sys.prefix) / "lib" / "libintelocl.so"
     if not library.exists():
@@ -55,6 +67,7 @@ def expose_installed_runtimes() -> None:
         for icd in sorted(_SYSTEM_VENDORS.glob("*.icd")):
             entries[icd.name] = icd.read_text()
     os.environ["OCL_ICD_VENDORS"] = str(_vendor_folder(entries))
+    _exposed = True
 
 
 def _vendor_folder(entries: dict[str, str]) -> Path:

@@ -1,7 +1,9 @@
 """Devices and programs: choosing, probing in a child, build errors, and the shared helpers of kernels."""
 
 import json
+import os
 import subprocess
+import sys
 from dataclasses import asdict
 
 import numpy as np
@@ -127,3 +129,17 @@ def test_division_is_correctly_rounded(device, sources):
 def test_too_large_an_allocation_is_one_line(device):
     with pytest.raises(GffeError, match="cannot allocate"):
         device.buffer(1 << 50)
+
+
+@pytest.mark.parametrize("first", ["gffe_cl", "gffe_cl.pipeline", "pyopencl"])
+def test_order_of_imports_does_not_matter(first):
+    """Devices are found, listed and opened alike in a fresh process, whatever was imported first."""
+    code = (
+        f"import {first}; import gffe_cl; from gffe_cl.device import list_devices, open_info;"
+        "[open_info(i) for i in list_devices() if i.works]; print(gffe_cl.open_device().info.name)"
+    )
+    environment = {k: v for k, v in os.environ.items() if k not in ("OCL_ICD_VENDORS", "GFFE_DEVICE")}
+    child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    if first == "pyopencl" and "no OpenCL" in child.stderr:
+        pytest.skip("no runtime but the installed one, which pyopencl cannot see")
+    assert child.returncode == 0, child.stderr
