@@ -15,6 +15,7 @@ from gffe_cl.device import Device
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import BadPixels, PackedFrame, RenderedFrame, pack_frame
 from gffe_cl.stage import BufferSpec, Sizes, Stage
+from gffe_cl.stages.background import MAX_LEVELS, Background
 from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.holes import HoleFilling
 from gffe_cl.stages.prediction import MAX_ORDER, PositionPrediction
@@ -34,6 +35,7 @@ class Options:
     static_threshold : ε in pixels, or None to follow the noise of the data
     motion : False treats everything as static
     crack_closing : False splats single pixels, as in the paper
+    levels : L, levels of the background; 0 goes without
     hole_filling : False leaves disoccluded pixels black at infinite depth
     """
 
@@ -42,13 +44,18 @@ class Options:
     static_threshold: float | None = None
     motion: bool = True
     crack_closing: bool = True
+    levels: int = 2
     hole_filling: bool = True
 
     def __post_init__(self):
         if not 2 <= self.history <= MAX_ORDER + 1:
             raise GffeError(f"options: history must be 2 to {MAX_ORDER + 1} positions, got {self.history}")
         if not 1 <= self.order < self.history:
-            raise GffeError(f"options: order must be 1 to history − 1 = {self.history - 1}, got {self.order}")
+            raise GffeError(
+                f"options: order must be 1 to history − 1 = {self.history - 1}, got {self.order}"
+            )
+        if not 0 <= self.levels <= MAX_LEVELS:
+            raise GffeError(f"options: levels must be 0 to {MAX_LEVELS}, got {self.levels}")
         if self.static_threshold is not None and not (0 <= self.static_threshold < float("inf")):
             raise GffeError(f"options: static threshold must be a number of pixels ≥ 0, got {self.static_threshold}")
 
@@ -134,7 +141,11 @@ class Pipeline:
         self.prediction = PositionPrediction(device, self.sizes, self.options.order)
         self.warp = Warp(device, self.sizes, self.options.crack_closing, int64_atomics)
         self.holes = HoleFilling(device, self.sizes)
-        self.stages: tuple[Stage, ...] = (self.history, self.prediction, self.warp, self.holes)
+        self.background = (
+            Background(device, self.sizes, self.options.levels, int64_atomics) if self.options.levels else None
+        )
+        stages = (self.history, self.prediction, self.warp, self.background, self.holes)
+        self.stages: tuple[Stage, ...] = tuple(stage for stage in stages if stage)
         self._slots: list[tuple[cl.Buffer, cl.Buffer, cl.Buffer]] = []
         self._current: DeviceFrame | None = None
         self._previous: DeviceFrame | None = None
@@ -163,6 +174,8 @@ class Pipeline:
         self._times = [frame.time, *self._times[:MAX_ORDER]]
         self.history.track(self._current, self._previous if self.options.motion else None)
         self.warp.link(self._current, self.history)
+        if self.background:
+            self.background.collect(self._current, self._previous, self.history, self.warp)
 
     def _device_buffers(self, frame: RenderedFrame, packed: PackedFrame | None) -> tuple:
         given = [_as_buffer(array) for array in (frame.color, frame.depth, frame.motion)]
@@ -228,6 +241,8 @@ class Pipeline:
         else:
             self.prediction.upload("target_position", np.ascontiguousarray(target_position, np.float32))
         self.warp.warp(source, self.history, self.prediction, camera)
+        if self.background:
+            self.background.project(source, self.warp, camera)
         if self.options.hole_filling:
             self.holes.fill_holes(source, self.warp, camera)
         buffers = {

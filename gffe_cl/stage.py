@@ -30,7 +30,7 @@ class BufferSpec:
     """One named buffer of a stage.
 
     `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "blocks"
-    (target / 32, rounded up) or "once" (no image). `components` name its channels; a single one goes without.
+    (target / 32, rounded up), "level0" … (source / 2^l, rounded up) or "once" (no image). `components` name its channels; a single one goes without.
     """
 
     name: str
@@ -44,14 +44,20 @@ class BufferSpec:
     def channels(self) -> int:
         return max(len(self.components), 1)
 
-    def shape(self, sizes: Sizes) -> tuple[int, ...]:
-        """Shape of the NumPy array: (planes?, H, W, channels?)."""
-        width, height = {
+    def size(self, sizes: Sizes) -> tuple[int, int]:
+        """Width and height in pixels or texels."""
+        if self.grid.startswith("level"):
+            return tuple(-(-n // (1 << int(self.grid[5:]))) for n in sizes.source)
+        return {
             "source": sizes.source,
             "target": sizes.target,
             "blocks": tuple(-(-n // 32) for n in sizes.target),
             "once": (1, 1),
         }[self.grid]
+
+    def shape(self, sizes: Sizes) -> tuple[int, ...]:
+        """Shape of the NumPy array: (planes?, H, W, channels?)."""
+        width, height = self.size(sizes)
         shape = (height, width) if self.grid != "once" else ()
         return (self.planes,) * (self.planes > 1) + shape + (self.channels,) * (self.channels > 1 or not shape)
 

@@ -3,6 +3,7 @@
 #include "common.h"
 
 #define BLOCK 32
+#define BY_NOTHING 255
 #define RENDERED_WEIGHT 0.0009765625f  /* of the rendered frame beside valid pixels: decides only where there are none */
 
 /* Adds a pixel to the sums; bright pixels weigh less, or one lamp would fill its whole block. */
@@ -15,7 +16,7 @@ inline void add(float4 *sum, float *inverse_sum, const float pixel_weight, const
 /* Weighted sums over 32x32 blocks: (colour, 1) and inverse depth. One work-group of 32 per block, one column each. */
 __kernel void downsample(const int width, const int height, const int source_width, const int source_height,
                          const int blocks_x, __global const half *color, __global const float *depth,
-                         __global const uchar *disoccluded, __global const half *source_color,
+                         __global const uchar *filled_by, __global const half *source_color,
                          __global const float *source_depth, __global float4 *block_color, __global float *block_inverse_depth) {
     __local float4 column_color[BLOCK];
     __local float column_inverse_depth[BLOCK];
@@ -28,7 +29,7 @@ __kernel void downsample(const int width, const int height, const int source_wid
         const int y = by * BLOCK + k;
         if (x >= width || y >= height) break;
         const int i = y * width + x;
-        if (!disoccluded[i]) {
+        if (filled_by[i] != BY_NOTHING) {
             add(&sum, &inverse_sum, 1.0f, load_color(color, i), depth[i]);
         }
         const int source = (y * source_height / height) * source_width + x * source_width / width;
@@ -49,13 +50,13 @@ __kernel void downsample(const int width, const int height, const int source_wid
 
 /* Fills invalid pixels with the bilinear interpolation of the block means; motion of a static point at that depth. */
 __kernel void fill_holes(const int width, const int height, const int blocks_x, const int blocks_y,
-                         __global const uchar *disoccluded, __global const float4 *block_color,
+                         __global const uchar *filled_by, __global const float4 *block_color,
                          __global const float *block_inverse_depth, const Reprojection to_source,
                          __global half *color, __global float *depth, __global float2 *motion) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;
     const int i = y * width + x;
-    if (!disoccluded[i]) return;
+    if (filled_by[i] != BY_NOTHING) return;
     const float bx = ((float)x + 0.5f) * (1.0f / BLOCK) - 0.5f, by = ((float)y + 0.5f) * (1.0f / BLOCK) - 0.5f;
     const int x0 = (int)floor(bx), y0 = (int)floor(by);
     const float u = bx - (float)x0, v = by - (float)y0;

@@ -3,6 +3,7 @@
    target pixel, ties go to the smallest source index. */
 
 #include "common.h"
+#include "nearest.h"
 
 #define LINK_RIGHT 1
 #define LINK_DOWN 2
@@ -18,8 +19,6 @@
 #define SAME_MOTION 0.5f         /* px: fragments that deviate less from the winner's motion are resampled with it */
 #define MOVES_AWAY 1.0f          /* px: a nearer neighbour that deviates more uncovers what it was mixed with */
 #define NEARER 0.97f
-
-#define EMPTY 0xFFFFFFFFu
 
 #define BY_WARP 0
 #define BY_CRACK_CLOSING 254
@@ -122,25 +121,6 @@ inline float2 source_offset(const Flow flow, const float2 d) {
 
 /* ---- splat --------------------------------------------------------------------------------------------------- */
 
-#ifdef INT64_ATOMICS
-#pragma OPENCL EXTENSION cl_khr_int64_extended_atomics : enable
-typedef ulong Key;
-#define WINNER(keys, winners, c) ((uint)(keys)[c])
-#else
-typedef uint Key;
-#define WINNER(keys, winners, c) ((winners)[c])
-#endif
-
-/* One key for depth and index with 64-bit atomics; else pass 0 finds the least depth, pass 1 the least index of it. */
-inline void offer(const int pass, __global Key *keys, __global uint *winners, const int c, const uint depth_bits, const uint i) {
-#ifdef INT64_ATOMICS
-    atom_min(keys + c, ((ulong)depth_bits << 32) | i);
-#else
-    if (pass == 0) atomic_min(keys + c, depth_bits);
-    else if (keys[c] == depth_bits) atomic_min(winners + c, i);
-#endif
-}
-
 __kernel void splat(const int width, const int height, const int target_width, const int target_height,
                     const int close_cracks, const int pass, const float2 zoom,
                     __global const float *depth, __global const uchar *links, __global const float4 *target_position,
@@ -152,10 +132,9 @@ __kernel void splat(const int width, const int height, const int target_width, c
     const float reach = (float)FOOTPRINT_REACH;
     if (!(here.z > 0.0f && here.x > -reach && here.y > -reach && here.x < (float)target_width + reach
           && here.y < (float)target_height + reach)) return;
-    const uint depth_bits = as_uint(here.z);
     const int own_x = (int)floor(here.x), own_y = (int)floor(here.y);
     if (inside(own_x, own_y, target_width, target_height))
-        offer(pass, keys, winners, own_y * target_width + own_x, depth_bits, (uint)i);
+        offer(pass, keys, winners, own_y * target_width + own_x, here.z, (uint)i);
     if (!close_cracks) return;
 
     const Flow flow = flow_at(i, width, here, depth[i], links, target_position, zoom);
@@ -168,7 +147,7 @@ __kernel void splat(const int width, const int height, const int target_width, c
             if (tx == own_x && ty == own_y) continue;
             const float2 d = source_offset(flow, pixel_centre(tx, ty) - here.xy);
             if (fabs(d.x) <= FOOTPRINT_HALF && fabs(d.y) <= FOOTPRINT_HALF)
-                offer(pass, keys, winners, ty * target_width + tx, depth_bits, (uint)i);
+                offer(pass, keys, winners, ty * target_width + tx, here.z, (uint)i);
         }
 }
 
@@ -259,8 +238,8 @@ __kernel void resolve(const int width, const int height, const int target_width,
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= target_width || y >= target_height) return;
     const int c = y * target_width + x;
-    const uint s = WINNER(keys, winners, c);
-    if (s == EMPTY) {
+    const uint s = winner_of(keys, winners, c);
+    if (s == NOBODY) {
         store_color((float3)(0.0f), out_color, c);
         out_depth[c] = INFINITY;
         out_motion[c] = (float2)(0.0f);

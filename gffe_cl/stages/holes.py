@@ -26,7 +26,9 @@ class HoleFilling(Stage):
     )
 
     def fill_holes(self, frame, warp: Stage, target: Camera) -> None:
-        color, depth, motion, disoccluded = (warp.buffer[name] for name in ("color", "depth", "motion", "disoccluded"))
+        color, depth, motion, filled_by = (
+            warp.buffer[name] for name in ("color", "depth", "motion", "filled_by")
+        )
         blocks = tuple(-(-n // BLOCK) for n in self.sizes.target)
         block_buffers = (self.buffer["block_color"], self.buffer["block_inverse_depth"])
         self.launch(
@@ -37,7 +39,7 @@ class HoleFilling(Stage):
             np.int32(blocks[0]),
             color,
             depth,
-            disoccluded,
+            filled_by,
             frame.color,
             frame.depth,
             *block_buffers,
@@ -48,7 +50,7 @@ class HoleFilling(Stage):
             self.sizes.target,
             *int2(self.sizes.target),
             *int2(blocks),
-            disoccluded,
+            filled_by,
             *block_buffers,
             reprojection(target, frame.camera),
             color,

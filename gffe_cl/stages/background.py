@@ -1,0 +1,145 @@
+"""Background collection and projection (paper: 'Hierarchical Background Collection')."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gffe_cl.camera import Camera
+from gffe_cl.device import Device
+from gffe_cl.stage import RGBA, XY, BufferSpec, Sizes, Stage, int2, reprojection
+
+MAX_LEVELS = 4
+_PER_LEVEL = ("color", "depth", "px", "state")
+
+
+def level_size(size: tuple[int, int], level: int) -> tuple[int, int]:
+    """(width, height) of a level: ceil(W / 2^l) × ceil(H / 2^l)."""
+    return tuple(-(-n // (1 << level)) for n in size)
+
+
+class Background(Stage):
+    """Remembers, in L levels, the static fragments that are hidden now, and fills disocclusions from them."""
+
+    name = "background"
+
+    def __init__(self, device: Device, sizes: Sizes, levels: int, int64: bool | None = None):
+        """`levels`: L, 1 … 4. `int64`: use 64-bit atomics; None: if the device has them."""
+        self.levels = levels
+        self.int64 = device.int64_atomics if int64 is None else int64
+        self.buffers = tuple(spec for level in range(levels) for spec in _level_buffers(level))
+        super().__init__(device, sizes, **({"INT64_ATOMICS": 1} if self.int64 else {}))
+        self._previous = {spec.name: device.buffer(spec.nbytes(sizes)) for spec in self.buffers}
+        pixels = sizes.source[0] * sizes.source[1]
+        self._fill, self._push = self._key_buffers(pixels), self._key_buffers(-(-pixels // 2))
+        self._target = self._key_buffers(sizes.target[0] * sizes.target[1])
+        self._passes = 1 if self.int64 else 2
+        self._empty = True
+
+    def collect(self, frame, previous, history: Stage, warp: Stage) -> None:
+        """Update the levels for rendered `frame`; `previous` is None after a reset: then nothing is kept,
+        nor collected, because what moves is not known yet."""
+        self.buffer, self._previous = self._previous, self.buffer
+        current = self._of_level(self.buffer, 0)
+        self.launch(
+            "collect_shown",
+            self.sizes.source,
+            *int2(self.sizes.source),
+            np.int32(previous is not None),
+            frame.color,
+            frame.depth,
+            history.buffer["dynamic_mask"],
+            *current,
+        )
+        if previous is None:
+            for level in range(1, self.levels):
+                self.fill(self.buffer[f"state_{level}"], 0)
+            return
+        to_current = reprojection(previous.camera, frame.camera)
+        for level in range(self.levels):
+            size = level_size(self.sizes.source, level)
+            current, old = (self._of_level(buffers, level) for buffers in (self.buffer, self._previous))
+            for keys in (*self._fill, *self._push):
+                self.fill(keys, 0xFF)
+            for scatter_pass in range(self._passes):
+                self.launch(
+                    "scatter_level",
+                    size,
+                    *int2(self.sizes.source),
+                    np.int32(level),
+                    np.int32(self.levels - 1),
+                    np.int32(scatter_pass),
+                    to_current,
+                    frame.depth,
+                    history.buffer["dynamic_mask"],
+                    warp.buffer["links"],
+                    *old[1:],
+                    current[1],
+                    current[3],
+                    *self._fill,
+                    *self._push,
+                )
+            self._settle(size, False, to_current, self._fill, old, current)
+            if level + 1 < self.levels:
+                below = self._of_level(self.buffer, level + 1)
+                self._settle(level_size(self.sizes.source, level + 1), True, to_current, self._push, old, below)
+
+    def _settle(self, size, restart, to_current, keys, old, current) -> None:
+        self.launch(
+            "settle_level", size, *int2(size), np.int32(restart), to_current, *keys, *old[:3], *current
+        )
+
+    def project(self, frame, warp: Stage, target: Camera) -> None:
+        """Fill the pixels that `warp` left invalid, nearest fragment of all levels first."""
+        zoom = np.array([target.fx / frame.camera.fx, target.fy / frame.camera.fy], np.float32)
+        to_target, to_source = reprojection(frame.camera, target), reprojection(target, frame.camera)
+        for keys in self._target:
+            self.fill(keys, 0xFF)
+        for project_pass in range(self._passes):
+            for level in range(self.levels):
+                self.launch(
+                    "project_level",
+                    level_size(self.sizes.source, level),
+                    *int2(self.sizes.source),
+                    np.int32(level),
+                    *int2(self.sizes.target),
+                    np.int32(project_pass),
+                    zoom,
+                    to_target,
+                    *self._of_level(self.buffer, level)[1:],
+                    warp.buffer["disoccluded"],
+                    *self._target,
+                )
+        for level in range(self.levels):
+            self.launch(
+                "fill_from_level",
+                self.sizes.target,
+                *int2(self.sizes.source),
+                np.int32(level),
+                *int2(self.sizes.target),
+                zoom,
+                to_target,
+                to_source,
+                *self._of_level(self.buffer, level),
+                warp.buffer["disoccluded"],
+                *self._target,
+                *(warp.buffer[name] for name in ("color", "depth", "motion", "filled_by")),
+            )
+
+    def _key_buffers(self, pixels: int) -> tuple:
+        return (
+            self.device.buffer(pixels * (8 if self.int64 else 4)),
+            self.device.buffer(4 if self.int64 else pixels * 4),
+        )
+
+    def _of_level(self, buffers: dict, level: int) -> list:
+        return [buffers[f"{name}_{level}"] for name in _PER_LEVEL]
+
+
+def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
+    grid = f"level{level}"
+    return (
+        BufferSpec(f"color_{level}", np.float16, RGBA, grid, f"colour of background level {level} (B_{level})"),
+        BufferSpec(f"depth_{level}", np.float32, (), grid, f"view depth of background level {level}, world units"),
+        BufferSpec(f"px_{level}", np.float32, XY, grid, "where its fragment lies in the rendered image, pixels"),
+        BufferSpec(f"state_{level}", np.uint8, (), grid, "0 empty, 1 shown by the current frame, 2 remembered"),
+    )

@@ -1,0 +1,196 @@
+/* Hierarchical background collection and projection (paper: 'Hierarchical Background Collection').
+   Level l has ceil(W / 2^l) x ceil(H / 2^l) texels over the rendered image. A texel holds one fragment: its colour, its view
+   depth and its pixel position (not the texel's centre) in the camera of the frame for which the level was collected. */
+
+#include "common.h"
+#include "nearest.h"
+
+#define EMPTY 0
+#define SHOWN 1        /* a static fragment of the current frame: the warp projects it */
+#define REMEMBERED 2   /* of an earlier frame */
+
+#define SAME_SURFACE 0.02f   /* relative depth within which two fragments may be of the same surface */
+#define GROW 2               /* px around dynamic fragments whose colours may be mixed with theirs */
+
+#define LINK_RIGHT 1
+#define LINK_DOWN 2
+#define LINK_LEFT 4
+#define LINK_UP 8
+
+inline int level_side(const int side, const int level) { return (side + (1 << level) - 1) >> level; }
+
+/* B_0 starts from the static fragments of the rendered frame. Left out are those whose colour may be mixed with that of a
+   dynamic or nearer neighbour. */
+__kernel void collect_shown(const int width, const int height, const int collect, __global const half *color,
+                            __global const float *depth, __global const uchar *dynamic_mask,
+                            __global half *level_color, __global float *level_depth, __global float2 *level_px,
+                            __global uchar *level_state) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= width || y >= height) return;
+    const int i = y * width + x;
+    const float z = depth[i];
+    bool keep = collect && !INVALID_DEPTH(z);
+    for (int dy = -GROW; dy <= GROW; ++dy)
+        for (int dx = -GROW; dx <= GROW; ++dx)
+            if (inside(x + dx, y + dy, width, height)) keep = keep && !dynamic_mask[i + dy * width + dx];
+    level_state[i] = keep ? SHOWN : EMPTY;
+    level_depth[i] = z;
+    level_px[i] = pixel_centre(x, y);
+    store_color(load_color(color, i), level_color, i);
+}
+
+/* How much the depth of the surface at pixel i changes within a pixel. */
+inline float slope_at(const int i, const int width, __global const float *depth, __global const uchar *links) {
+    const int bits = links[i];
+    const float z = depth[i];
+    float most = 0.0f;
+    if (isinf(z)) return 0.0f;
+    if (bits & LINK_RIGHT) most = fmax(most, fabs(depth[i + 1] - z));
+    if (bits & LINK_LEFT) most = fmax(most, fabs(depth[i - 1] - z));
+    if (bits & LINK_DOWN) most = fmax(most, fabs(depth[i + width] - z));
+    if (bits & LINK_UP) most = fmax(most, fabs(depth[i - width] - z));
+    return most;
+}
+
+/* Every fragment of B'_level is offered to B_level where that is still empty (case 1: fill_keys), or to the next level where
+   it lies behind what B_level holds (case 2: push_keys). Fragments that the current frame proves gone, or shows anyway, end. */
+__kernel void scatter_level(const int width, const int height, const int level, const int last_level, const int pass,
+                            const Reprojection to_current, __global const float *depth, __global const uchar *dynamic_mask,
+                            __global const uchar *links, __global const float *old_depth, __global const float2 *old_px,
+                            __global const uchar *old_state, __global const float *level_depth,
+                            __global const uchar *level_state, __global Key *fill_keys, __global uint *fill_winners,
+                            __global Key *push_keys, __global uint *push_winners) {
+    const int tx = get_global_id(0), ty = get_global_id(1);
+    const int level_width = level_side(width, level), level_height = level_side(height, level);
+    if (tx >= level_width || ty >= level_height) return;
+    const int i = ty * level_width + tx;
+    if (old_state[i] == EMPTY) return;
+    const float3 now = reproject(old_px[i], old_depth[i], to_current);
+    const float z = now.z;
+    if (!(z > 0.0f && now.x >= 0.0f && now.y >= 0.0f && now.x < (float)width && now.y < (float)height)) return;
+
+    const int x = (int)floor(now.x), y = (int)floor(now.y);
+    const int shown = y * width + x;
+    const float z_shown = depth[shown];
+    const float margin = SAME_SURFACE * z_shown + slope_at(shown, width, depth, links);
+    if (!INVALID_DEPTH(z_shown)) {
+        const bool behind = isinf(z) ? !isinf(z_shown) : z > z_shown + margin;
+        const bool before = isinf(z_shown) ? !isinf(z) : z < z_shown - margin;
+        if (before || (dynamic_mask[shown] && !behind)) return;  /* it would be seen, but is not: gone */
+        if (level > 0 && !behind) return;                          /* seen again: B_0 has it fresh */
+    }
+    const int c = (y >> level) * level_width + (x >> level);
+    if (level_state[c] == EMPTY) {
+        offer(pass, fill_keys, fill_winners, c, z, (uint)i);
+    } else if (level < last_level) {
+        const float z_level = level_depth[c];
+        const float level_margin = level == 0 ? margin : 2.0f * SAME_SURFACE * z_level;
+        if (isinf(z) ? !isinf(z_level) : z > z_level + level_margin) {
+            const int next_width = level_side(width, level + 1);
+            offer(pass, push_keys, push_winners, (y >> (level + 1)) * next_width + (x >> (level + 1)), z, (uint)i);
+        }
+    }
+}
+
+/* Writes the winners of fill_keys or push_keys, fragments of an old level, into a level; `restart` empties the rest. */
+__kernel void settle_level(const int level_width, const int level_height, const int restart, const Reprojection to_current,
+                           __global const Key *keys, __global const uint *winners, __global const half *old_color,
+                           __global const float *old_depth, __global const float2 *old_px, __global half *level_color,
+                           __global float *level_depth, __global float2 *level_px, __global uchar *level_state) {
+    const int tx = get_global_id(0), ty = get_global_id(1);
+    if (tx >= level_width || ty >= level_height) return;
+    const int c = ty * level_width + tx;
+    const uint i = winner_of(keys, winners, c);
+    if (i == NOBODY) {
+        if (restart) level_state[c] = EMPTY;
+        return;
+    }
+    const float3 now = reproject(old_px[i], old_depth[i], to_current);
+    level_state[c] = REMEMBERED;
+    level_depth[c] = now.z;
+    level_px[c] = now.xy;
+    vstore_half4_rte(vload_half4(i, old_color), c, level_color);
+}
+
+/* ---- projection --------------------------------------------------------------------------------------------- */
+
+#define LEVEL_SHIFT 28           /* of the level in the index of a projected fragment */
+#define REACH 16.0f              /* px: the most that a texel covers to each side */
+#define FOOTPRINT_HALF 0.75f     /* of a texel's side: neighbours overlap, their positions are irregular */
+
+/* Offers the remembered fragments of a level to the pixels that the warp left invalid. */
+__kernel void project_level(const int width, const int height, const int level, const int target_width,
+                            const int target_height, const int pass, const float2 zoom, const Reprojection to_target,
+                            __global const float *level_depth, __global const float2 *level_px,
+                            __global const uchar *level_state, __global const uchar *disoccluded,
+                            __global Key *keys, __global uint *winners) {
+    const int tx = get_global_id(0), ty = get_global_id(1);
+    const int level_width = level_side(width, level), level_height = level_side(height, level);
+    if (tx >= level_width || ty >= level_height) return;
+    const int i = ty * level_width + tx;
+    if (level_state[i] != REMEMBERED) return;
+    const float z_source = level_depth[i];
+    const float3 there = reproject(level_px[i], z_source, to_target);
+    if (!(there.z > 0.0f && there.x > -REACH && there.y > -REACH && there.x < (float)target_width + REACH
+          && there.y < (float)target_height + REACH)) return;
+    const float nearer = isinf(there.z) ? 1.0f : divide(z_source, there.z);
+    const float side = (float)(1 << level) * FOOTPRINT_HALF * nearer;
+    const float half_x = fmin(fmax(side * zoom.x, 0.5f), REACH), half_y = fmin(fmax(side * zoom.y, 0.5f), REACH);
+    const int x0 = max((int)ceil(there.x - half_x - 0.5f), 0), x1 = min((int)floor(there.x + half_x - 0.5f), target_width - 1);
+    const int y0 = max((int)ceil(there.y - half_y - 0.5f), 0), y1 = min((int)floor(there.y + half_y - 0.5f), target_height - 1);
+    for (int y = y0; y <= y1; ++y)
+        for (int x = x0; x <= x1; ++x)
+            if (disoccluded[y * target_width + x])
+                offer(pass, keys, winners, y * target_width + x, there.z, (uint)i | ((uint)level << LEVEL_SHIFT));
+}
+
+/* Fills the invalid pixels that fragments of this level won, from the level's texels around the winner: weighted by
+   their distance in the target image, of the winner's surface only. */
+__kernel void fill_from_level(const int width, const int height, const int level, const int target_width,
+                              const int target_height, const float2 zoom, const Reprojection to_target,
+                              const Reprojection to_source, __global const half *level_color,
+                              __global const float *level_depth, __global const float2 *level_px,
+                              __global const uchar *level_state, __global const uchar *disoccluded,
+                              __global const Key *keys, __global const uint *winners, __global half *color,
+                              __global float *out_depth, __global float2 *motion, __global uchar *filled_by) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= target_width || y >= target_height) return;
+    const int c = y * target_width + x;
+    if (!disoccluded[c]) return;
+    const uint winner = winner_of(keys, winners, c);
+    if (winner == NOBODY || (int)(winner >> LEVEL_SHIFT) != level) return;
+    const int i = winner & ((1u << LEVEL_SHIFT) - 1);
+    const int level_width = level_side(width, level), level_height = level_side(height, level);
+    const int tx = i % level_width, ty = i / level_width;
+    const float z_winner = level_depth[i];
+    const float2 centre = pixel_centre(x, y);
+
+    const float nearest_z = reproject(level_px[i], z_winner, to_target).z;
+    const float nearer = isinf(nearest_z) ? 1.0f : divide(z_winner, nearest_z);
+    const float side_x = (float)(1 << level) * nearer * zoom.x, side_y = (float)(1 << level) * nearer * zoom.y;
+    float3 sum = (float3)(0.0f);
+    float weight_sum = 0.0f;
+    for (int dy = -1; dy <= 1; ++dy)
+        for (int dx = -1; dx <= 1; ++dx) {
+            if (!inside(tx + dx, ty + dy, level_width, level_height)) continue;
+            const int n = i + dy * level_width + dx;
+            const float z = level_depth[n];
+            if (level_state[n] == EMPTY) continue;
+            if (isinf(z_winner) ? !isinf(z) : !(fabs(z - z_winner) <= 2.0f * SAME_SURFACE * z_winner)) continue;
+            const float3 there = reproject(level_px[n], z, to_target);
+            if (!(there.z > 0.0f)) continue;
+            const float wx = 1.0f - divide(fabs(there.x - centre.x), side_x);
+            const float wy = 1.0f - divide(fabs(there.y - centre.y), side_y);
+            if (!(wx > 0.0f && wy > 0.0f)) continue;
+            sum += wx * wy * load_color(level_color, n);
+            weight_sum += wx * wy;
+        }
+    const float3 mean = weight_sum > 0.01f
+        ? (float3)(divide(sum.x, weight_sum), divide(sum.y, weight_sum), divide(sum.z, weight_sum))
+        : load_color(level_color, i);
+    store_color(mean, color, c);
+    out_depth[c] = nearest_z;
+    const float3 px_source = reproject(centre, nearest_z, to_source);
+    motion[c] = px_source.z > 0.0f ? px_source.xy - centre : (float2)(0.0f);
+    filled_by[c] = (uchar)(1 + level);
+}

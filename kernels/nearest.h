@@ -1,0 +1,29 @@
+/* Keeping, per target pixel, the nearest of all fragments that are offered to it; ties go to the smallest index, so the
+   result does not depend on the order of execution. Keys and winners start with all bits set. */
+
+#define NOBODY 0xFFFFFFFFu
+
+#ifdef INT64_ATOMICS
+#pragma OPENCL EXTENSION cl_khr_int64_extended_atomics : enable
+typedef ulong Key;  /* depth bits << 32 | index */
+#else
+typedef uint Key;   /* depth bits; the index is found in a second pass */
+#endif
+
+/* One key for depth and index with 64-bit atomics; else pass 0 finds the least depth, pass 1 the least index of it. */
+inline void offer(const int pass, __global Key *keys, __global uint *winners, const int c, const float z, const uint i) {
+#ifdef INT64_ATOMICS
+    atom_min(keys + c, ((ulong)as_uint(z) << 32) | i);
+#else
+    if (pass == 0) atomic_min(keys + c, as_uint(z));
+    else if (keys[c] == as_uint(z)) atomic_min(winners + c, i);
+#endif
+}
+
+inline uint winner_of(__global const Key *keys, __global const uint *winners, const int c) {
+#ifdef INT64_ATOMICS
+    return (uint)keys[c];
+#else
+    return winners[c];
+#endif
+}
