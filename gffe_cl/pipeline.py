@@ -23,6 +23,8 @@ from gffe_cl.stages.warp import BY_HOLE_FILLING, Warp
 
 __all__ = ["BY_HOLE_FILLING", "DeviceFrame", "ExtrapolatedFrame", "Options", "Pipeline"]
 
+HOLE_FILLINGS = ("far-side", "downsample", "none")
+
 
 @dataclass(frozen=True)
 class Options:
@@ -36,7 +38,8 @@ class Options:
     motion : False treats everything as static
     crack_closing : False splats single pixels, as in the paper
     levels : L, levels of the background; 0 goes without
-    hole_filling : False leaves disoccluded pixels black at infinite depth
+    hole_filling : "far-side" continues the far side of disocclusions, "downsample" takes the image
+        downsampled 32× (the paper's), "none" leaves them black at infinite depth
     """
 
     history: int = 2
@@ -45,7 +48,7 @@ class Options:
     motion: bool = True
     crack_closing: bool = True
     levels: int = 2
-    hole_filling: bool = True
+    hole_filling: str = "far-side"
 
     def __post_init__(self):
         if not 2 <= self.history <= MAX_ORDER + 1:
@@ -56,6 +59,8 @@ class Options:
             )
         if not 0 <= self.levels <= MAX_LEVELS:
             raise GffeError(f"options: levels must be 0 to {MAX_LEVELS}, got {self.levels}")
+        if self.hole_filling not in HOLE_FILLINGS:
+            raise GffeError(f"options: hole filling must be {', '.join(HOLE_FILLINGS)}, got '{self.hole_filling}'")
         if self.static_threshold is not None and not (0 <= self.static_threshold < float("inf")):
             raise GffeError(f"options: static threshold must be a number of pixels ≥ 0, got {self.static_threshold}")
 
@@ -140,7 +145,7 @@ class Pipeline:
         self.history = HistoryTracking(device, self.sizes, self.options.history, self.options.static_threshold)
         self.prediction = PositionPrediction(device, self.sizes, self.options.order)
         self.warp = Warp(device, self.sizes, self.options.crack_closing, int64_atomics)
-        self.holes = HoleFilling(device, self.sizes)
+        self.holes = HoleFilling(device, self.sizes, self.options.hole_filling == "far-side")
         self.background = (
             Background(device, self.sizes, self.options.levels, int64_atomics) if self.options.levels else None
         )
@@ -243,7 +248,7 @@ class Pipeline:
         self.warp.warp(source, self.history, self.prediction, camera)
         if self.background:
             self.background.project(source, self.warp, camera)
-        if self.options.hole_filling:
+        if self.options.hole_filling != "none":
             self.holes.fill_holes(source, self.warp, camera)
         buffers = {
             name: self.warp.buffer[name] for name in ("color", "depth", "motion", "dynamic", "disoccluded", "filled_by")

@@ -1,4 +1,5 @@
-/* Hole filling: what is still invalid comes from the image downsampled 32 times (paper: 'Shading correction network'). */
+/* Hole filling: what is still invalid is continued from the far side of the disocclusion, or comes from the image
+   downsampled 32 times (paper: 'Shading correction network'). */
 
 #include "common.h"
 
@@ -48,15 +49,54 @@ __kernel void downsample(const int width, const int height, const int source_wid
     block_inverse_depth[by * blocks_x + bx] = inverse_sum;
 }
 
-/* Fills invalid pixels with the bilinear interpolation of the block means; motion of a static point at that depth. */
-__kernel void fill_holes(const int width, const int height, const int blocks_x, const int blocks_y,
-                         __global const uchar *filled_by, __global const float4 *block_color,
-                         __global const float *block_inverse_depth, const Reprojection to_source,
-                         __global half *color, __global float *depth, __global float2 *motion) {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height) return;
-    const int i = y * width + x;
-    if (filled_by[i] != BY_NOTHING) return;
+/* ---- far side ------------------------------------------------------------------------------------------------ */
+
+#define DIRECTIONS 8
+#define FAR_SIDE 1.15f           /* inverse depths up to this times the least belong to the far side */
+
+/* What a disocclusion shows is the surface on its far side, continued: of the first valid pixels in eight directions, up
+   to `reach` px away, the mean of those on the far side, weighted by the inverse of their distance.
+   Gives (colour, inverse depth); false where no direction meets a valid pixel. */
+inline bool far_side(const int x, const int y, const int width, const int height, const int reach,
+                     __global const uchar *filled_by, __global const half *color, __global const float *depth,
+                     float4 *mean) {
+    int met[DIRECTIONS];
+    float inverse[DIRECTIONS], weight[DIRECTIONS];
+    float least = INFINITY;
+    int count = 0;
+    for (int k = 0; k < DIRECTIONS; ++k) {
+        const int dx = k < 3 ? 1 : k < 6 ? -1 : 0, dy = k == 7 ? -1 : k == 6 ? 1 : k % 3 - 1;
+        const float step = dx && dy ? 1.41421356f : 1.0f;
+        for (int t = 1; (float)t * step <= (float)reach; ++t) {
+            const int qx = x + t * dx, qy = y + t * dy;
+            if (!inside(qx, qy, width, height)) break;
+            const int q = qy * width + qx;
+            if (filled_by[q] == BY_NOTHING) continue;
+            met[count] = q;
+            inverse[count] = isinf(depth[q]) ? 0.0f : divide(1.0f, depth[q]);
+            weight[count] = divide(1.0f, (float)t * step);
+            least = fmin(least, inverse[count]);
+            ++count;
+            break;
+        }
+    }
+    float4 sum = (float4)(0.0f);
+    float weight_sum = 0.0f;
+    for (int k = 0; k < count; ++k) {
+        if (inverse[k] > least * FAR_SIDE) continue;
+        sum += weight[k] * (float4)(load_color(color, met[k]), inverse[k]);
+        weight_sum += weight[k];
+    }
+    if (count == 0) return false;
+    *mean = (float4)(divide(sum.x, weight_sum), divide(sum.y, weight_sum), divide(sum.z, weight_sum), divide(sum.w, weight_sum));
+    return true;
+}
+
+/* ---- fill ------------------------------------------------------------------------------------------------------ */
+
+/* Bilinear interpolation of the block means: (colour, inverse depth). */
+inline float4 block_mean(const int x, const int y, const int blocks_x, const int blocks_y,
+                         __global const float4 *block_color, __global const float *block_inverse_depth) {
     const float bx = ((float)x + 0.5f) * (1.0f / BLOCK) - 0.5f, by = ((float)y + 0.5f) * (1.0f / BLOCK) - 0.5f;
     const int x0 = (int)floor(bx), y0 = (int)floor(by);
     const float u = bx - (float)x0, v = by - (float)y0;
@@ -68,13 +108,27 @@ __kernel void fill_holes(const int width, const int height, const int blocks_x, 
         sum += weight * block_color[ty * blocks_x + tx];
         inverse_sum += weight * block_inverse_depth[ty * blocks_x + tx];
     }
-    const bool any = sum.w > 0.0f;
-    const float3 mean = any ? (float3)(divide(sum.x, sum.w), divide(sum.y, sum.w), divide(sum.z, sum.w)) : (float3)(0.0f);
-    const float inverse = any ? divide(inverse_sum, sum.w) : 0.0f;
-    const float z = inverse > 0.0f ? divide(1.0f, inverse) : INFINITY;
+    if (!(sum.w > 0.0f)) return (float4)(0.0f);
+    return (float4)(divide(sum.x, sum.w), divide(sum.y, sum.w), divide(sum.z, sum.w), divide(inverse_sum, sum.w));
+}
+
+/* Fills what is still invalid, from the far side or from the block means; motion is that of a static point. Only pixels that
+   were valid before are read. */
+__kernel void fill_holes(const int width, const int height, const int blocks_x, const int blocks_y, const int reach,
+                         __global const uchar *filled_by, __global const float4 *block_color,
+                         __global const float *block_inverse_depth, const Reprojection to_source,
+                         __global half *color, __global float *depth, __global float2 *motion) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= width || y >= height) return;
+    const int i = y * width + x;
+    if (filled_by[i] != BY_NOTHING) return;
+    float4 mean;
+    if (!far_side(x, y, width, height, reach, filled_by, color, depth, &mean))
+        mean = block_mean(x, y, blocks_x, blocks_y, block_color, block_inverse_depth);
+    const float z = mean.w > 0.0f ? divide(1.0f, mean.w) : INFINITY;
     const float2 centre = pixel_centre(x, y);
     const float3 px_source = reproject(centre, z, to_source);
-    store_color(mean, color, i);
+    store_color(mean.xyz, color, i);
     depth[i] = z;
     motion[i] = px_source.z > 0.0f ? px_source.xy - centre : (float2)(0.0f);
 }

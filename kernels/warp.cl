@@ -186,7 +186,7 @@ inline float4 cubic_weights(const float t) {
                     0.5f * t3 - 0.5f * t2);
 }
 
-/* Colour at (sx, sy) + d of the source. Cubic, clamped to its taps, where the whole neighbourhood moves alike;
+/* Colour at (sx, sy) + d of the source. Cubic, clamped to its four inner taps, where the whole neighbourhood moves alike;
    else bilinear over those of the four taps that do. */
 inline float3 resample(const int sx, const int sy, const float2 d, const int width, const int height, const float4 here,
                        const Flow flow, __global const float4 *target_position, __global const half *color) {
@@ -209,6 +209,7 @@ inline float3 resample(const int sx, const int sy, const float2 d, const int wid
             for (int tx = 0; tx < 4; ++tx) {
                 const float3 c = load_color(color, (sy + oy + ty - 1) * width + sx + ox + tx - 1);
                 row += wx[tx] * c;
+                if (tx == 0 || tx == 3 || ty == 0 || ty == 3) continue;
                 low = fmin(low, c);
                 high = fmax(high, c);
             }

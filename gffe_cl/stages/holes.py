@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gffe_cl.camera import Camera
-from gffe_cl.stage import BufferSpec, Stage, int2, reprojection
+from gffe_cl.device import Device
+from gffe_cl.stage import BufferSpec, Sizes, Stage, int2, reprojection
 
 BLOCK = 32
 
@@ -24,6 +25,11 @@ class HoleFilling(Stage):
         ),
         BufferSpec("block_inverse_depth", np.float32, (), "blocks", "sum of inverse depth per 32×32 block"),
     )
+
+    def __init__(self, device: Device, sizes: Sizes, far_side: bool):
+        """`far_side`: continue the far side of disocclusions; else, and beyond its reach, block means."""
+        super().__init__(device, sizes)
+        self.reach = max(16, sizes.target[0] // 10) if far_side else 0
 
     def fill_holes(self, frame, warp: Stage, target: Camera) -> None:
         color, depth, motion, filled_by = (
@@ -50,6 +56,7 @@ class HoleFilling(Stage):
             self.sizes.target,
             *int2(self.sizes.target),
             *int2(blocks),
+            np.int32(self.reach),
             filled_by,
             *block_buffers,
             reprojection(target, frame.camera),
