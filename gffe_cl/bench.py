@@ -62,7 +62,9 @@ class Copier:
             "copy buffer": lambda: cl.enqueue_copy(queue, b, a),
             "scalar kernel": lambda: program.copy_scalar(queue, (floats,), None, a, b),
             "vector kernel": lambda: program.copy_vector(queue, (floats // 4,), None, a, b),
-            "run kernel": lambda: program.copy_run(queue, (floats // 16 // _COPY_RUN,), None, a, b, np.int32(_COPY_RUN)),
+            "run kernel": lambda: program.copy_run(
+                queue, (floats // 16 // _COPY_RUN,), None, a, b, np.int32(_COPY_RUN)
+            ),
         }
         cl.enqueue_fill_buffer(queue, a, np.uint8(1), 0, _COPY_BYTES)
         speeds = {name: max(self._gigabytes(way) for _ in range(3)) for name, way in self._ways.items()}

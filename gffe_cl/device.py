@@ -66,12 +66,15 @@ class Device:
     info : DeviceInfo
     context : pyopencl.Context
     queue : pyopencl.CommandQueue
+    allocated : int
+        Bytes of the buffers made by `buffer` so far.
     """
 
     def __init__(self, cl_device: cl.Device, info: DeviceInfo):
         self.info = info
         self.cl_device = cl_device
         self.context = cl.Context([cl_device])
+        self.allocated = 0
         self.queue = cl.CommandQueue(self.context, properties=cl.command_queue_properties.PROFILING_ENABLE)
 
     def __repr__(self):
@@ -84,8 +87,11 @@ class Device:
 
     def buffer(self, nbytes: int) -> cl.Buffer:
         """A new read-write device buffer of `nbytes` (at least 1)."""
+        size = max(int(nbytes), 1)
         try:
-            return cl.Buffer(self.context, cl.mem_flags.READ_WRITE, max(int(nbytes), 1))
+            made = cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
+            self.allocated += size
+            return made
         except cl.Error as error:
             raise GffeError(f"{self.info.name}: cannot allocate {nbytes / 2**20:.0f} MiB: {error}") from None
 

@@ -19,6 +19,7 @@ from gffe_cl.stages.background import MAX_LEVELS, Background
 from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.holes import HoleFilling
 from gffe_cl.stages.prediction import MAX_ORDER, PositionPrediction
+from gffe_cl.stages.shading import ShadingInputs
 from gffe_cl.stages.warp import BY_HOLE_FILLING, Warp
 
 __all__ = ["BY_HOLE_FILLING", "DeviceFrame", "ExtrapolatedFrame", "Options", "Pipeline"]
@@ -40,6 +41,7 @@ class Options:
     levels : L, levels of the background; 0 goes without
     hole_filling : "far-side" continues the far side of disocclusions, "downsample" takes the image
         downsampled 32× (the paper's), "none" leaves them black at infinite depth
+    shading_inputs : True also makes the inputs of the shading correction network
     """
 
     history: int = 2
@@ -49,14 +51,13 @@ class Options:
     crack_closing: bool = True
     levels: int = 2
     hole_filling: str = "far-side"
+    shading_inputs: bool = False
 
     def __post_init__(self):
         if not 2 <= self.history <= MAX_ORDER + 1:
             raise GffeError(f"options: history must be 2 to {MAX_ORDER + 1} positions, got {self.history}")
         if not 1 <= self.order < self.history:
-            raise GffeError(
-                f"options: order must be 1 to history − 1 = {self.history - 1}, got {self.order}"
-            )
+            raise GffeError(f"options: order must be 1 to history − 1 = {self.history - 1}, got {self.order}")
         if not 0 <= self.levels <= MAX_LEVELS:
             raise GffeError(f"options: levels must be 0 to {MAX_LEVELS}, got {self.levels}")
         if self.hole_filling not in HOLE_FILLINGS:
@@ -149,7 +150,8 @@ class Pipeline:
         self.background = (
             Background(device, self.sizes, self.options.levels, int64_atomics) if self.options.levels else None
         )
-        stages = (self.history, self.prediction, self.warp, self.background, self.holes)
+        self.shading = ShadingInputs(device, self.sizes) if self.options.shading_inputs else None
+        stages = (self.history, self.prediction, self.warp, self.background, self.holes, self.shading)
         self.stages: tuple[Stage, ...] = tuple(stage for stage in stages if stage)
         self._slots: list[tuple[cl.Buffer, cl.Buffer, cl.Buffer]] = []
         self._current: DeviceFrame | None = None
@@ -250,6 +252,8 @@ class Pipeline:
             self.background.project(source, self.warp, camera)
         if self.options.hole_filling != "none":
             self.holes.fill_holes(source, self.warp, camera)
+        if self.shading:
+            self.shading.prepare(source, self._previous, self.warp, camera)
         buffers = {
             name: self.warp.buffer[name] for name in ("color", "depth", "motion", "dynamic", "disoccluded", "filled_by")
         }

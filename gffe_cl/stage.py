@@ -5,6 +5,7 @@ What the stage dump writes, the viewer lists and the README tabulates comes from
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,8 +84,15 @@ class Stage:
         self.device = device
         self.sizes = sizes
         self.program = build(device, self.name, **variant)
-        self.buffer = {spec.name: device.buffer(spec.nbytes(sizes)) for spec in self.buffers}
+        self.buffer = self.allocate(self.buffers)
         self.events: list[tuple[str, cl.Event]] = []
+
+    def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
+        """New device buffers by name, all bits zero."""
+        made = {spec.name: self.device.buffer(spec.nbytes(self.sizes)) for spec in specs}
+        for buffer in made.values():
+            cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint8(0), 0, buffer.size)
+        return made
 
     def launch(self, kernel: str, size: tuple[int, int], *args, group: int = _ROW) -> None:
         """Enqueue `kernel` over a (width, height) grid in rows of `group` work-items.

@@ -10,7 +10,8 @@
 #define REMEMBERED 2   /* of an earlier frame */
 
 #define SAME_SURFACE 0.02f   /* relative depth within which two fragments may be of the same surface */
-#define GROW 2               /* px around dynamic fragments whose colours may be mixed with theirs */
+#define GROW 2               /* px around dynamic or nearer fragments where colours may be mixed with theirs */
+#define NEARER 0.9f
 
 #define LINK_RIGHT 1
 #define LINK_DOWN 2
@@ -31,8 +32,11 @@ __kernel void collect_shown(const int width, const int height, const int collect
     const float z = depth[i];
     bool keep = collect && !INVALID_DEPTH(z);
     for (int dy = -GROW; dy <= GROW; ++dy)
-        for (int dx = -GROW; dx <= GROW; ++dx)
-            if (inside(x + dx, y + dy, width, height)) keep = keep && !dynamic_mask[i + dy * width + dx];
+        for (int dx = -GROW; dx <= GROW; ++dx) {
+            if (!inside(x + dx, y + dy, width, height)) continue;
+            const int q = i + dy * width + dx;
+            keep = keep && !dynamic_mask[q] && !(depth[q] < z * NEARER);
+        }
     level_state[i] = keep ? SHOWN : EMPTY;
     level_depth[i] = z;
     level_px[i] = pixel_centre(x, y);
@@ -116,7 +120,7 @@ __kernel void settle_level(const int level_width, const int level_height, const 
 
 #define LEVEL_SHIFT 28           /* of the level in the index of a projected fragment */
 #define REACH 16.0f              /* px: the most that a texel covers to each side */
-#define FOOTPRINT_HALF 0.75f     /* of a texel's side: neighbours overlap, their positions are irregular */
+#define FOOTPRINT_HALF 1.25f     /* of a texel's side: neighbours overlap, their positions are irregular */
 
 /* Offers the remembered fragments of a level to the pixels that the warp left invalid. */
 __kernel void project_level(const int width, const int height, const int level, const int target_width,

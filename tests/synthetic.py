@@ -17,11 +17,14 @@ class Rect:
     velocity: tuple = (0, 0, 0)
     frequency: float = 1.0  # of the texture, cycles per world unit
     tint: tuple = (0.5, 0.4, 0.3)
+    ramp: bool = False  # red and green grow with x and y instead: colour tells the place
 
     def at(self, time):
         return np.asarray(self.centre, np.float64) + time * np.asarray(self.velocity, np.float64)
 
     def texture(self, uv):
+        if self.ramp:
+            return np.stack([0.5 + 0.05 * uv[..., 0], 0.5 + 0.05 * uv[..., 1], 0 * uv[..., 0]], -1)
         k = 2 * np.pi * self.frequency
         wave = np.sin(k * uv[..., 0]) * np.cos(0.8 * k * uv[..., 1] + 0.5)
         return np.asarray(self.tint) * (1 + 0.6 * wave[..., None])

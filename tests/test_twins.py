@@ -47,7 +47,7 @@ def run(device, width, height, options, int64=None, target=None, spoil=True):
     pipeline = Pipeline(device, *(target or (width, height)), options, render_size=(width, height), int64_atomics=int64)
     seen = []
     for frame in frames(width, height, spoil=spoil):
-        before = (pipeline.history.read("dynamic_mask"), pipeline.history.read("history")) if seen else None
+        before = _state(pipeline) if seen else None
         pipeline.submit(frame)
         seen.append(frame)
     to = camera(*(target or (width, height)), (0.35, 0.07, 0.6), 0.075, 0.045, 0.035)
@@ -56,7 +56,27 @@ def run(device, width, height, options, int64=None, target=None, spoil=True):
     return pipeline, seen, before, to, time, extrapolated
 
 
-OPTIONS = [Options(), Options(history=4, order=3), Options(crack_closing=False, static_threshold=0.7)]
+OPTIONS = [
+    Options(shading_inputs=True),
+    Options(history=4, order=3, levels=3),
+    Options(crack_closing=False, static_threshold=0.7, levels=0, hole_filling="downsample"),
+]
+
+
+def _state(pipeline):
+    """What the next frame starts from: dynamic mask, history, background levels."""
+    return pipeline.history.read("dynamic_mask"), pipeline.history.read("history"), _levels(pipeline)
+
+
+def _levels(pipeline):
+    if pipeline.background is None:
+        return []
+    return [
+        {name: pipeline.background.read(f"{name}_{level}") for name in ("color", "depth", "px", "state")}
+        for level in range(pipeline.options.levels)
+    ]
+
+
 CASES = [((61, 37), None), ((48, 33), (64, 48)), ((64, 48), (40, 31))]
 
 
@@ -77,6 +97,7 @@ def test_stages_equal_their_twins(device, options, size, target):
         threshold = twins.noise_threshold_squared(histogram)
     assert pipeline.history.read("static_threshold_squared") == threshold
 
+    dynamic_before, history_before, levels_before = before
     dynamic, history = twins.track_history(
         depth,
         motion,
@@ -85,7 +106,7 @@ def test_stages_equal_their_twins(device, options, size, target):
         to_previous,
         reprojection(past.camera, now.camera),
         past.depth,
-        *_planes(*before),
+        *_planes(dynamic_before, history_before),
     )
     assert np.array_equal(pipeline.history.read("dynamic_mask"), dynamic)
     assert 0.02 < dynamic.mean() < 0.6
@@ -106,14 +127,29 @@ def test_stages_equal_their_twins(device, options, size, target):
     zoom = np.array([to.fx / now.camera.fx, to.fy / now.camera.fy], np.float32)
     keys = twins.splat(got, depth, links, zoom, pipeline.sizes.target, options.crack_closing)
     warped = twins.resolve(keys, got, color, depth, dynamic, links, zoom)
-    for name in ("dynamic", "disoccluded", "filled_by"):
+    for name in ("dynamic", "disoccluded"):
         assert np.array_equal(extrapolated.numpy(name), warped[name]), name
     assert warped["disoccluded"].any()
+
+    if options.levels:
+        to_current = reprojection(past.camera, now.camera)
+        level0 = twins.collect_shown(color, depth, dynamic, True)
+        levels = twins.collect_levels(levels_before, level0, depth, dynamic, links, to_current)
+        for level, (got_level, expected) in enumerate(zip(_levels(pipeline), levels, strict=True)):
+            assert np.array_equal(got_level["state"], expected["state"]), level
+            kept = expected["state"] > 0
+            for name in ("color", "depth", "px"):
+                assert_close(got_level[name][kept], expected[name][kept])
+        assert (levels[0]["state"] == twins.REMEMBERED).any()
+        warped |= twins.project_background(warped, _levels(pipeline), zoom, to_target, reprojection(to, now.camera))
+        assert np.isin(warped["filled_by"], range(1, options.levels + 1)).any()
+    assert np.array_equal(extrapolated.numpy("filled_by"), warped["filled_by"])
+
     sums = twins.downsample(warped, color, depth)
     np.testing.assert_allclose(pipeline.holes.read("block_color"), sums[0], rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(pipeline.holes.read("block_inverse_depth"), sums[1], rtol=1e-4, atol=1e-5)
-    filled = twins.fill_holes(warped, *sums, reprojection(to, now.camera))
-    holes = warped["disoccluded"] > 0
+    filled = twins.fill_holes(warped, *sums, reprojection(to, now.camera), pipeline.holes.reach)
+    holes = warped["filled_by"] == 255
     for name in ("color", "depth", "motion"):
         got_image = pipeline.warp.read(name)
         assert_close(got_image[~holes], filled[name][~holes])
@@ -122,6 +158,13 @@ def test_stages_equal_their_twins(device, options, size, target):
             got_image[holes].astype(np.float32), filled[name][holes].astype(np.float32), rtol=2e-3, atol=2e-3
         )
 
+    if options.shading_inputs:
+        shown = {name: pipeline.warp.read(name) for name in ("color", "depth", "motion", "dynamic", "filled_by")}
+        previous, mask = twins.prepare_inputs(shown, motion, past.color, past.depth, reprojection(to, past.camera))
+        assert np.array_equal(pipeline.shading.read("input_mask"), mask)
+        assert_close(pipeline.shading.read("warped_previous"), previous)
+        assert 0.5 < previous[..., 3].mean() < 1
+
 
 def _planes(dynamic, history):
     return dynamic, history if history.ndim == 4 else history[None]
@@ -129,7 +172,7 @@ def _planes(dynamic, history):
 
 def assert_close(got, expected):
     same = (got == expected) | (np.isnan(got) & np.isnan(expected))
-    assert same.mean() > 0.999, f"{(~same).sum()} of {same.size} values differ"
+    assert (~same).sum() <= same.size // 1000, f"{(~same).sum()} of {same.size} values differ"
     both = np.isfinite(got) & np.isfinite(expected)
     np.testing.assert_allclose(got[both].astype(np.float64), expected[both].astype(np.float64), rtol=1e-5, atol=1e-5)
     assert np.array_equal(np.isfinite(got), np.isfinite(expected))

@@ -380,7 +380,7 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
         for tx in range(4):
             row = row + wx[tx][..., None] * taps[ty, tx]
         cubic = cubic + wy[ty][..., None] * row
-    stack = np.stack(list(taps.values()))
+    stack = np.stack([taps[ty, tx] for ty in (1, 2) for tx in (1, 2)])
     cubic = np.clip(cubic, stack.min(0), stack.max(0))
     linear, weights = np.zeros((height, width, 3), F), np.zeros((height, width), F)
     for tap in range(4):
@@ -424,7 +424,7 @@ def downsample(warped, source_color, source_depth):
     rendered = (load_color(source_color)[sy, sx], source_depth[sy, sx], 1 / 1024)
     warp = (load_color(warped["color"]), warped["depth"], 1.0)
     for (c, z, pixel_weight), use in (
-        (warp, warped["disoccluded"] == 0),
+        (warp, warped["filled_by"] != 255),
         (rendered, ~invalid(rendered[1])),
     ):
         c = c.astype(np.float64)
@@ -436,8 +436,36 @@ def downsample(warped, source_color, source_depth):
     return color_sum, inverse_sum
 
 
-def fill_holes(warped, color_sum, inverse_sum, to_source):
-    """Colour, depth, motion of the warped frame with its holes filled."""
+_DIRECTIONS = ((1, -1), (1, 0), (1, 1), (-1, -1), (-1, 0), (-1, 1), (0, 1), (0, -1))
+
+
+def far_side(warped, y, x, reach):
+    """(colour, inverse depth) of the far side around one hole, or None."""
+    height, width = warped["depth"].shape
+    met = []
+    for dx, dy in _DIRECTIONS:
+        step = F(1.41421356) if dx and dy else F(1)
+        t = 1
+        while F(t) * step <= F(reach):
+            qx, qy = x + t * dx, y + t * dy
+            if not (0 <= qx < width and 0 <= qy < height):
+                break
+            if warped["filled_by"][qy, qx] != 255:
+                z = warped["depth"][qy, qx]
+                inverse = F(0) if np.isinf(z) else F(1) / z
+                met.append((inverse, F(1) / (F(t) * step), load_color(warped["color"][qy, qx])))
+                break
+            t += 1
+    if not met:
+        return None
+    least = min(inverse for inverse, _, _ in met)
+    far = [(np.append(c, inverse), w) for inverse, w, c in met if not inverse > least * F(1.15)]
+    return sum(w * c for c, w in far) / sum(w for _, w in far)
+
+
+def fill_holes(warped, color_sum, inverse_sum, to_source, reach):
+    """Colour, depth, motion of the warped frame with its holes filled: from the far side within `reach` px,
+    else from the block sums."""
     height, width = warped["depth"].shape
     px = centres(height, width)
     b = px.astype(np.float64) / 32 - 0.5
@@ -452,11 +480,196 @@ def fill_holes(warped, color_sum, inverse_sum, to_source):
         inverse += weight * inverse_sum[y, x]
     with np.errstate(all="ignore"):
         mean = np.where(total[..., 3:] > 0, total[..., :3] / total[..., 3:], 0)
-        z = np.where(inverse > 0, total[..., 3] / inverse, np.inf).astype(F)
-    where = reproject(px, z, to_source)
-    motion = np.where((where[..., 2] > 0)[..., None], where[..., :2] - px, F(0))
-    holes = warped["disoccluded"] > 0
+        mean_inverse = np.where(total[..., 3] > 0, inverse / total[..., 3], 0)
+    holes = warped["filled_by"] == 255
+    for y, x in np.argwhere(holes):
+        found = far_side(warped, y, x, reach)
+        if found is not None:
+            mean[y, x], mean_inverse[y, x] = found[:3], found[3]
+    with np.errstate(all="ignore"):
+        z = np.where(mean_inverse > 0, 1 / mean_inverse, np.inf).astype(F)
     out = {name: warped[name].copy() for name in ("color", "depth", "motion")}
     out["color"][holes, :3] = mean[holes]
-    out["depth"][holes], out["motion"][holes] = z[holes], motion[holes]
+    out["depth"][holes], out["motion"][holes] = z[holes], static_motion(px, z, to_source)[holes]
     return out
+
+
+def static_motion(px, z, to_source):
+    """Motion into the source image of static points at depth z of the target."""
+    where = reproject(px, z, to_source)
+    return np.where((where[..., 2] > 0)[..., None], where[..., :2] - px, F(0))
+
+
+# ---- background ----------------------------------------------------------------------------------------
+
+EMPTY_TEXEL, SHOWN, REMEMBERED = 0, 1, 2
+
+
+def collect_shown(color, depth, dynamic, collect):
+    """Level 0 before anything is remembered: a dict of color (H, W, 4) float16, depth, px, state."""
+    height, width = depth.shape
+    keep = np.full((height, width), collect) & ~invalid(depth)
+    for dy in range(-2, 3):
+        for dx in range(-2, 3):
+            with np.errstate(invalid="ignore"):
+                nearer = _shifted(depth, dx, dy, np.inf) < depth * F(0.9)
+            keep &= ~(_shifted(dynamic, dx, dy, 0) > 0) & ~nearer
+    packed = np.zeros((height, width, 4), np.float16)
+    packed[..., :3] = load_color(color)
+    return {
+        "color": packed,
+        "depth": depth.copy(),
+        "px": centres(height, width),
+        "state": np.where(keep, SHOWN, EMPTY_TEXEL).astype(np.uint8),
+    }
+
+
+def _slopes(depth, links):
+    most = np.zeros(depth.shape, F)
+    for bit, (dx, dy) in enumerate(_STEPS):
+        with np.errstate(invalid="ignore"):
+            step = np.abs(_shifted(depth, dx, dy, np.nan) - depth)
+        most = np.where((links >> bit) & 1 > 0, np.fmax(most, step), most)
+    return np.where(np.isinf(depth), F(0), most)
+
+
+def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
+    """All levels of a rendered frame from those of the frame before (lists of dicts) and `level0`, its
+    `collect_shown`. Ties and order as in the kernels."""
+    height, width = depth.shape
+    count = len(levels_before)
+    slopes = _slopes(depth, links)
+    levels = [{name: array.copy() for name, array in level0.items()}]
+    for level, before in enumerate(levels_before):
+        now = reproject(before["px"].reshape(-1, 2), before["depth"].reshape(-1), to_current)
+        x, y, z = now.T
+        state = before["state"].reshape(-1)
+        if level + 1 < count:
+            levels.append({name: np.zeros_like(a) for name, a in levels_before[level + 1].items()})
+        current = levels[level]
+        base_state, base_depth = current["state"].copy(), current["depth"].copy()
+        best_fill, best_push = {}, {}
+        for i in np.flatnonzero(state != EMPTY_TEXEL):
+            if not (z[i] > 0 and 0 <= x[i] < width and 0 <= y[i] < height):
+                continue
+            sx, sy = int(np.floor(x[i])), int(np.floor(y[i]))
+            shown = depth[sy, sx]
+            margin = F(0.02) * shown + slopes[sy, sx]
+            if not invalid(shown):
+                behind = not np.isinf(shown) if np.isinf(z[i]) else z[i] > shown + margin
+                in_front = not np.isinf(z[i]) if np.isinf(shown) else z[i] < shown - margin
+                if in_front or (dynamic[sy, sx] and not behind) or (level > 0 and not behind):
+                    continue
+            cell = (sy >> level, sx >> level)
+            key = (z[i], i)
+            if base_state[cell] == EMPTY_TEXEL:
+                best_fill[cell] = min(best_fill.get(cell, (INF, 1 << 40)), key)
+            elif level + 1 < count:
+                base = base_depth[cell]
+                level_margin = margin if level == 0 else F(2) * F(0.02) * base
+                if not np.isinf(base) if np.isinf(z[i]) else z[i] > base + level_margin:
+                    below = (sy >> (level + 1), sx >> (level + 1))
+                    best_push[below] = min(best_push.get(below, (INF, 1 << 40)), key)
+        for best, into in ((best_fill, current), (best_push, levels[level + 1] if level + 1 < count else None)):
+            for cell, (_, i) in best.items():
+                into["state"][cell] = REMEMBERED
+                into["depth"][cell], into["px"][cell] = z[i], now[i, :2]
+                into["color"][cell] = before["color"].reshape(-1, 4)[i]
+    return levels
+
+
+def project_background(warped, levels, zoom, to_target, to_source):
+    """color, depth, motion and filled_by of the warped frame after background projection."""
+    out = {name: warped[name].copy() for name in ("color", "depth", "motion", "filled_by")}
+    height, width = warped["depth"].shape
+    holes = warped["disoccluded"] > 0
+    best: dict = {}
+    there = [reproject(level["px"], level["depth"], to_target) for level in levels]
+    for number, level in enumerate(levels):
+        wide = level["depth"].shape[1]
+        for ty, tx in np.argwhere(level["state"] == REMEMBERED):
+            x, y, z = there[number][ty, tx]
+            if not (z > 0 and -16 < x < width + 16 and -16 < y < height + 16):
+                continue
+            nearer = F(1) if np.isinf(z) else level["depth"][ty, tx] / z
+            side = F(1 << number) * F(0.75) * nearer
+            half = [min(max(side * zoom[k], F(0.5)), F(16)) for k in range(2)]
+            x0, x1 = max(int(np.ceil(x - half[0] - F(0.5))), 0), min(int(np.floor(x + half[0] - F(0.5))), width - 1)
+            y0, y1 = max(int(np.ceil(y - half[1] - F(0.5))), 0), min(int(np.floor(y + half[1] - F(0.5))), height - 1)
+            key = (z, number, ty * wide + tx)
+            for cell in ((cy, cx) for cy in range(y0, y1 + 1) for cx in range(x0, x1 + 1)):
+                if holes[cell]:
+                    best[cell] = min(best.get(cell, (INF, 99, 0)), key)
+    px = centres(height, width)
+    for (y, x), (z, number, i) in best.items():
+        level = levels[number]
+        level_height, level_width = level["depth"].shape
+        ty, tx = divmod(i, level_width)
+        winner = level["depth"][ty, tx]
+        nearer = F(1) if np.isinf(z) else winner / z
+        sides = [F(1 << number) * nearer * zoom[k] for k in range(2)]
+        total, weights = np.zeros(3, F), F(0)
+        for ny in range(max(ty - 1, 0), min(ty + 2, level_height)):
+            for nx in range(max(tx - 1, 0), min(tx + 2, level_width)):
+                d = level["depth"][ny, nx]
+                alike = np.isinf(d) if np.isinf(winner) else abs(d - winner) <= F(2) * F(0.02) * winner
+                if level["state"][ny, nx] == EMPTY_TEXEL or not alike or not there[number][ny, nx, 2] > 0:
+                    continue
+                wx, wy = (F(1) - abs(there[number][ny, nx, k] - px[y, x, k]) / sides[k] for k in range(2))
+                if wx > 0 and wy > 0:
+                    total = total + wx * wy * load_color(level["color"][ny, nx])
+                    weights = weights + wx * wy
+        out["color"][y, x, :3] = total / weights if weights > F(0.01) else load_color(level["color"][ty, tx])
+        out["depth"][y, x] = z
+        out["motion"][y, x] = static_motion(px[y, x][None], np.array([z], F), to_source)[0]
+        out["filled_by"][y, x] = 1 + number
+    return out
+
+
+# ---- shading inputs ------------------------------------------------------------------------------------
+
+
+def prepare_inputs(warped, motion, color_prev, depth_prev, to_previous):
+    """(warped previous (H, W, 4) float16, input mask (H, W) float16); `color_prev` None after a reset."""
+    height, width = warped["depth"].shape
+    source_height, source_width = motion.shape[:2]
+    own = np.isin(warped["filled_by"], (0, 254))
+    mask = np.where(warped["dynamic"] > 0, 1, np.where(own, 0.5, 0)).astype(np.float16)
+    gae = load_color(warped["color"])
+    out = np.concatenate([gae, np.zeros((height, width, 1), F)], -1).astype(np.float16)
+    if color_prev is None:
+        return out, mask
+    px = centres(height, width)
+    before = reproject(px, warped["depth"], to_previous)
+    tolerance = F(0.03) * before[..., 2]
+    for y, x in np.argwhere((warped["dynamic"] > 0) & (before[..., 2] > 0)):
+        now = px[y, x] + warped["motion"][y, x]
+        sx, sy = (int(np.floor(v)) for v in now)
+        inside = 0 <= sx < source_width and 0 <= sy < source_height
+        if not inside or not np.isfinite(motion[sy, sx]).all():
+            before[y, x] = (0, 0, -1)
+            continue
+        moved = now + motion[sy, sx]
+        sideways = np.abs(moved - before[y, x, :2]).sum() * (before[y, x, 2] / to_previous[5, 0])
+        tolerance[y, x] += F(2) * sideways
+        before[y, x, :2] = moved
+    rgb = load_color(color_prev)
+    for y, x in np.argwhere((before[..., 2] > 0) & (before[..., :2] > -1).all(-1)):
+        bx, by, z = before[y, x]
+        if not (bx < source_width + 1 and by < source_height + 1):
+            continue
+        x0, y0 = int(np.floor(bx - F(0.5))), int(np.floor(by - F(0.5)))
+        u, v = bx - F(0.5) - F(x0), by - F(0.5) - F(y0)
+        total, weights = np.zeros(3, F), F(0)
+        for tap in range(4):
+            tx, ty = x0 + (tap & 1), y0 + (tap >> 1)
+            if not (0 <= tx < source_width and 0 <= ty < source_height):
+                continue
+            d = depth_prev[ty, tx]
+            if not (np.isinf(d) if np.isinf(z) else abs(d - z) <= tolerance[y, x]):
+                continue
+            weight = (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
+            total, weights = total + weight * rgb[ty, tx], weights + weight
+        if weights >= F(0.25):
+            out[y, x] = (*np.clip(total / weights, F(-65504), F(65504)), 1)
+    return out, mask

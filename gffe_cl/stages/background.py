@@ -28,7 +28,7 @@ class Background(Stage):
         self.int64 = device.int64_atomics if int64 is None else int64
         self.buffers = tuple(spec for level in range(levels) for spec in _level_buffers(level))
         super().__init__(device, sizes, **({"INT64_ATOMICS": 1} if self.int64 else {}))
-        self._previous = {spec.name: device.buffer(spec.nbytes(sizes)) for spec in self.buffers}
+        self._previous = self.allocate(self.buffers)
         pixels = sizes.source[0] * sizes.source[1]
         self._fill, self._push = self._key_buffers(pixels), self._key_buffers(-(-pixels // 2))
         self._target = self._key_buffers(sizes.target[0] * sizes.target[1])
@@ -84,9 +84,7 @@ class Background(Stage):
                 self._settle(level_size(self.sizes.source, level + 1), True, to_current, self._push, old, below)
 
     def _settle(self, size, restart, to_current, keys, old, current) -> None:
-        self.launch(
-            "settle_level", size, *int2(size), np.int32(restart), to_current, *keys, *old[:3], *current
-        )
+        self.launch("settle_level", size, *int2(size), np.int32(restart), to_current, *keys, *old[:3], *current)
 
     def project(self, frame, warp: Stage, target: Camera) -> None:
         """Fill the pixels that `warp` left invalid, nearest fragment of all levels first."""

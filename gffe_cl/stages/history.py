@@ -49,11 +49,7 @@ class HistoryTracking(Stage):
             replace(spec, planes=positions - 1) if spec.name == "history" else spec for spec in self.buffers
         )
         super().__init__(device, sizes)
-        self._previous = {
-            spec.name: device.buffer(spec.nbytes(sizes))
-            for spec in self.buffers
-            if spec.name in ("dynamic_mask", "history")
-        }
+        self._previous = self.allocate(spec for spec in self.buffers if spec.name in ("dynamic_mask", "history"))
         if static_threshold is not None:
             self.upload("static_threshold_squared", np.array([static_threshold**2], np.float32))
 

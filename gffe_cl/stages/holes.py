@@ -32,9 +32,7 @@ class HoleFilling(Stage):
         self.reach = max(16, sizes.target[0] // 10) if far_side else 0
 
     def fill_holes(self, frame, warp: Stage, target: Camera) -> None:
-        color, depth, motion, filled_by = (
-            warp.buffer[name] for name in ("color", "depth", "motion", "filled_by")
-        )
+        color, depth, motion, filled_by = (warp.buffer[name] for name in ("color", "depth", "motion", "filled_by"))
         blocks = tuple(-(-n // BLOCK) for n in self.sizes.target)
         block_buffers = (self.buffer["block_color"], self.buffer["block_inverse_depth"])
         self.launch(

@@ -1,0 +1,151 @@
+"""How well disocclusions are filled on the built-in scenes (`gffe study --disocclusions`).
+
+A pixel that no fragment of the rendered frame reaches is *out of screen* if what it shows lies outside the rendered image,
+else a *static* disocclusion if treating everything as static leaves it empty too, else a *dynamic* one (paper: 'Disocclusions').
+It was *seen before* if its surface is static and shows in an earlier rendered frame from which backgrounds are collected.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gffe_cl.device import Device
+from gffe_cl.frame import RenderedFrame, pack_frame
+from gffe_cl.metrics import display_values
+from gffe_cl.pipeline import Options, Pipeline
+from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
+
+METHODS: dict[str, Options] = {
+    "downsample, L = 0": Options(levels=0, hole_filling="downsample"),
+    "downsample, L = 1": Options(levels=1, hole_filling="downsample"),
+    "downsample, L = 2": Options(levels=2, hole_filling="downsample"),
+    "downsample, L = 3": Options(levels=3, hole_filling="downsample"),
+    "far-side, L = 0": Options(levels=0),
+    "far-side, L = 1": Options(levels=1),
+    "far-side, L = 2": Options(levels=2),
+    "far-side, L = 3": Options(levels=3),
+}
+CATEGORIES = ("static", "dynamic", "out of screen", "seen before")
+_NO_HISTORY = 2
+_SAME_SURFACE = 0.01  # relative depth
+
+
+@dataclass
+class DisocclusionStudy:
+    """Pooled over the frames of one scene and seed, or over several of them.
+
+    `pixels`: how many pixels of each category, and "all" of the image; `squared_error`: summed squared error of display values
+    (mean over RGB), by method and category; `unfilled`: holes that the background left, by method, out of screen apart.
+    """
+
+    pixels: dict[str, int]
+    squared_error: dict[str, dict[str, float]]
+    unfilled: dict[str, int]
+
+    def psnr(self, method: str, category: str) -> float:
+        """dB over the pixels of a category; NaN if there are none."""
+        if not self.pixels[category]:
+            return float("nan")
+        return -10 * float(np.log10(self.squared_error[method][category] / self.pixels[category] + 1e-12))
+
+    @classmethod
+    def pooled(cls, studies: list[DisocclusionStudy]) -> DisocclusionStudy:
+        """The sum of several."""
+        return cls(
+            {c: sum(s.pixels[c] for s in studies) for c in (*CATEGORIES, "all")},
+            {m: {c: sum(s.squared_error[m][c] for s in studies) for c in CATEGORIES} for m in METHODS},
+            {m: sum(s.unfilled[m] for s in studies) for m in METHODS},
+        )
+
+
+def study_disocclusions(
+    device: Device,
+    name: str,
+    seed: int,
+    width: int,
+    height: int,
+    frames: int,
+    fps: float = 30.0,
+    alpha: float = 0.5,
+    on_frame: Callable[[], None] = lambda: None,
+) -> DisocclusionStudy:
+    """Extrapolate `frames` rendered frames of a built-in scene by every method and measure the disocclusions."""
+    scene = load_scene(name, seed)
+    moving = np.array([group.motion.moves for group in scene.groups] + [False])  # [-1] is the sky
+    renderer = SceneRenderer(device, scene, width, height)
+    pipelines = {method: Pipeline(device, width, height, options, fps=fps) for method, options in METHODS.items()}
+    all_static = Pipeline(device, width, height, Options(motion=False, levels=0), fps=fps)
+    pixels = dict.fromkeys((*CATEGORIES, "all"), 0)
+    errors: dict = {method: defaultdict(float) for method in METHODS}
+    unfilled = dict.fromkeys(METHODS, 0)
+    seen = []  # (camera, depth) of the rendered frames so far
+    for frame in sequence_frames(scene, width, height, frames, fps, ground_truth=False):
+        image = renderer.render(frame.time, frame.camera, frame.previous_time, frame.previous_camera).numpy()
+        rendered = RenderedFrame(image.color, image.depth, image.motion, frame.camera, frame.time, reset=frame.reset)
+        packed = pack_frame(rendered, height, width)
+        for pipeline in (*pipelines.values(), all_static):
+            pipeline.submit(rendered, packed)
+        if frame.source >= _NO_HISTORY:
+            time = frame.time + alpha / fps
+            camera = scene.camera(time, width, height)
+            future = renderer.render(time, camera).numpy()
+            truth = display_values(future.color, scene.exposure)
+            made = {method: pipeline.extrapolate(camera, time) for method, pipeline in pipelines.items()}
+            holes = made["far-side, L = 0"].numpy("disoccluded") > 0
+            static_holes = all_static.extrapolate(camera, time).numpy("disoccluded") > 0
+            masks = _categories(holes, static_holes, camera, future, moving, frame.camera, seen)
+            for category, mask in masks.items():
+                pixels[category] += int(mask.sum())
+            pixels["all"] += holes.size
+            for method, extrapolated in made.items():
+                shown = display_values(extrapolated.numpy("color"), scene.exposure)
+                squared = np.square(shown - truth).mean(-1)
+                for category, mask in masks.items():
+                    errors[method][category] += float(squared[mask].sum())
+                left = extrapolated.numpy("filled_by") == 255
+                unfilled[method] += int((left & ~masks["out of screen"]).sum())
+        if not frame.reset:
+            seen.append((frame.camera, image.depth))
+        on_frame()
+    return DisocclusionStudy(pixels, {m: {c: e[c] for c in CATEGORIES} for m, e in errors.items()}, unfilled)
+
+
+def _categories(holes, static_holes, camera, future, moving, source_camera, seen) -> dict[str, np.ndarray]:
+    height, width = holes.shape
+    y, x = np.nonzero(holes)
+    px = np.stack([x + 0.5, y + 0.5], -1)
+    depth = future.depth[holes].astype(np.float64)
+    sky = np.isinf(depth)
+    still = ~moving[future.object_id[holes]]
+    world = camera.unproject(px, np.where(sky, 1e7, depth))
+
+    def shows(other, other_depth=None):
+        at, z = other.project(world)
+        with np.errstate(invalid="ignore"):
+            inside = (z > 0) & (at >= 0).all(-1) & (at < (width, height)).all(-1)
+        if other_depth is None:
+            return inside
+        cell = np.where(inside[:, None], at, 0).astype(int)
+        d = other_depth[cell[:, 1], cell[:, 0]]
+        same = np.where(sky, np.isinf(d), np.abs(d - z) <= _SAME_SURFACE * z)
+        return inside & same
+
+    outside = ~shows(source_camera)
+    before = np.zeros(len(x), bool)
+    for other, other_depth in seen:
+        before |= shows(other, other_depth)
+    parts = {
+        "static": ~outside & static_holes[holes],
+        "dynamic": ~outside & ~static_holes[holes],
+        "out of screen": outside,
+        "seen before": ~outside & before & still,
+    }
+    masks = {}
+    for category, part in parts.items():
+        masks[category] = np.zeros_like(holes)
+        masks[category][y[part], x[part]] = True
+    return masks

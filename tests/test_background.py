@@ -1,0 +1,164 @@
+"""What the background promises, where the exact answer is known."""
+
+import numpy as np
+import pytest
+from synthetic import Rect, Rects, camera
+
+from gffe_cl import Options, Pipeline
+
+W, H = 128, 80
+WALL = Rect((0, 0, 10), frequency=0.25)
+
+
+def play(pipeline, scene, cameras, each=None, noise=0.0):
+    """Submit a frame per camera, 1/30 s apart; calls each(k) after it."""
+    rng = np.random.default_rng(2)
+    previous = None
+    for k, cam in enumerate(cameras):
+        frame = (scene(k) if callable(scene) else scene).frame(cam, k / 30, W, H, previous, reset=k == 0)
+        frame.depth *= 1 + noise * rng.standard_normal(frame.depth.shape).astype(np.float32)
+        pipeline.submit(frame)
+        previous = (cam, k / 30)
+        if each:
+            each(k)
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+def test_square_crossing_a_wall_leaves_no_wrong_pixel(device, levels):
+    """Every pixel that shows the wall at t + ½ has the wall's colour: no ghost, hole or rim of the square."""
+    scene = Rects([WALL, Rect((-1.5, 0, 6), (0.7, 0.7), velocity=(7, 0, 0), tint=(5, 0.1, 0.1))])
+    still = camera(W, H)
+    pipeline = Pipeline(device, W, H, Options(levels=levels))
+    play(pipeline, scene, [still] * 12)
+    out = pipeline.extrapolate(still, 11.5 / 30)
+    truth = scene.frame(still, 11.5 / 30, W, H)
+    wall = truth.depth > 9
+    holes = out.numpy("disoccluded") == 1
+    assert (holes & wall).sum() > 50 and (out.numpy("filled_by")[holes & wall] == 1).all()
+    error = np.abs(out.numpy("color").astype(np.float32) - truth.color.astype(np.float32)).max(-1)
+    assert (error[wall] < 0.01).all(), (error[wall] >= 0.01).sum()
+
+
+def test_wall_behind_a_fence_comes_from_level_one(device):
+    """A strafing camera, static bars: what they hid and uncover again is remembered one level down."""
+    bars = [Rect((x, 0, 4), (0.12, 9), frequency=0.2, tint=(0.05, 0.3, 0.1)) for x in np.arange(-4, 8, 0.8)]
+    scene = Rects([WALL, *bars])
+    cams = [camera(W, H, (0.09 * k, 0, 0)) for k in range(24)]
+    errors = {}
+    for levels in (1, 2):
+        pipeline = Pipeline(device, W, H, Options(levels=levels))
+        play(pipeline, scene, cams)
+        target = camera(W, H, (0.09 * 24, 0, 0))
+        out = pipeline.extrapolate(target, 24 / 30)
+        truth = scene.frame(target, 24 / 30, W, H)
+        holes = (out.numpy("disoccluded") == 1) & (truth.depth > 9)
+        holes[:, -8:] = False  # out of screen
+        assert holes.sum() > 200
+        errors[levels] = np.abs(out.numpy("color").astype(np.float32) - truth.color.astype(np.float32))[holes].mean()
+        if levels == 2:
+            assert (out.numpy("filled_by")[holes] == 2).mean() > 0.9
+    assert errors[2] < 0.03 and errors[2] < errors[1]
+
+
+def test_hidden_wall_does_not_creep(device):
+    """A wall hidden for 60 frames of a 0.4 px/frame pan reappears within half a pixel of where it belongs."""
+    wall = Rect((0, 0, 10), ramp=True)
+    still = camera(W, H)
+    step = 0.4 * 10 / still.fx  # world units per frame that shift the wall by 0.4 px
+
+    def scene(k):  # from frame 3 on a panel moves along with the camera, but for a slow drift that keeps it dynamic
+        x = 60.0 if k < 3 else step * k
+        return Rects([wall, Rect((x, 0.004 * k, 5), (0.9, 0.9), tint=(0, 0, 2))])
+
+    previous = None
+    pipeline = Pipeline(device, W, H, Options(levels=1, static_threshold=0.1))
+    for k in range(64):
+        cam = camera(W, H, (step * k, 0, 0))
+        frame = scene(k).frame(cam, k / 30, W, H, previous, reset=k == 0)
+        panel = frame.depth < 6
+        frame.motion[panel] = (0.0, -0.004 * still.fy / 5)
+        pipeline.submit(frame)
+        previous = (cam, k / 30)
+    assert pipeline.history.read("dynamic_mask")[panel].mean() > 0.95
+    state, px, color = (pipeline.background.read(f"{name}_0") for name in ("state", "px", "color"))
+    hidden = panel & (state == 2)
+    assert hidden[panel].mean() > 0.6
+    world = cam.unproject(px[hidden], np.full(hidden.sum(), 10.0))
+    where = (color[hidden][:, :2].astype(np.float64) - 0.5) / 0.05  # the ramp tells which point of the wall it is
+    error_px = np.abs(world[:, :2] - where) * still.fx / 10
+    assert np.quantile(error_px, 0.99) < 0.5, error_px.max()
+
+
+def test_depth_noise_does_not_push_the_surface_down(device):
+    """200 frames of a wall and a slanting floor under 0.5% depth noise and a slow camera: level 1 stays empty."""
+    rng = np.random.default_rng(4)
+    pipeline = Pipeline(device, W, H, Options(levels=2))
+    y, _ = np.mgrid[:H, :W] + 0.5
+    still = camera(W, H)
+    with np.errstate(divide="ignore"):
+        floor = np.where(y > H / 2, 1.5 * still.fy / np.maximum(y - H / 2, 1e-6), np.inf)
+    depth = np.minimum(floor, 12.0)
+    color = np.full((H, W, 3), 0.4, np.float16)
+    previous = None
+    from gffe_cl import RenderedFrame
+
+    for k in range(200):
+        cam = camera(W, H, (0.004 * np.sin(k / 9), 0, 0), yaw=0.002 * np.sin(k / 7))
+        noisy = (depth * (1 + 0.005 * rng.standard_normal(depth.shape))).astype(np.float32)
+        px = np.stack([_, y], -1)
+        motion = np.zeros((H, W, 2), np.float32)
+        if previous is not None:
+            motion = (previous.project(cam.unproject(px, noisy))[0] - px).astype(np.float32)
+        pipeline.submit(RenderedFrame(color, noisy, motion, cam, k / 30, reset=k == 0))
+        previous = cam
+    fill = (pipeline.background.read("state_1") > 0).mean()
+    assert fill < 0.01, fill
+
+
+def test_object_that_stood_still_leaves_no_ghost(device):
+    """Once it walks, no pixel that shows the wall has the object's colour, from its third moving frame on."""
+    still = camera(W, H)
+
+    def scene(k):
+        x = 0.25 * max(k - 10, 0)
+        return Rects([WALL, Rect((x - 1, 0, 6), (0.7, 0.7), tint=(5, 0.1, 0.1))])
+
+    pipeline = Pipeline(device, W, H, Options(levels=2))
+    ghosts = []
+    for k in range(18):
+        frame = scene(k).frame(still, k / 30, W, H, None, reset=k == 0)
+        moved = 0.25 if k > 10 else 0.0
+        frame.motion[frame.depth < 7] = (-moved * still.fx / 6, 0)
+        pipeline.submit(frame)
+        if k > 10:
+            out = pipeline.extrapolate(still, (k + 0.5) / 30)
+            truth = scene(k + 0.5).frame(still, k / 30, W, H)
+            red = out.numpy("color")[..., 0] > 2
+            ghosts.append(int((red & (truth.depth > 9)).sum()))
+    assert max(ghosts[2:]) == 0, ghosts
+
+
+def test_memory_stays_constant(device):
+    scene = Rects([WALL, Rect((-1.5, 0, 6), (0.7, 0.7), velocity=(3, 0, 0))])
+    pipeline = Pipeline(device, W, H, Options(levels=3))
+    sizes = []
+    play(pipeline, scene, [camera(W, H, (0.05 * k, 0, 0)) for k in range(8)], lambda k: sizes.append(device.allocated))
+    assert len(set(sizes[2:])) == 1
+
+
+def test_nothing_is_collected_after_a_reset(device):
+    scene = Rects([WALL, Rect((-1.5, 0, 6), (0.7, 0.7), velocity=(7, 0, 0), tint=(5, 0.1, 0.1))])
+    pipeline = Pipeline(device, W, H, Options(levels=2))
+    play(pipeline, scene, [camera(W, H)])
+    for level in range(2):
+        assert not pipeline.background.read(f"state_{level}").any()
+
+
+@pytest.mark.parametrize("levels", range(5))
+def test_any_number_of_levels(device, levels):
+    scene = Rects([WALL, Rect((-1.5, 0, 6), (0.7, 0.7), velocity=(7, 0, 0))])
+    pipeline = Pipeline(device, W - 1, H - 3, Options(levels=levels), render_size=(W, H))
+    play(pipeline, scene, [camera(W, H, (0.05 * k, 0, 0)) for k in range(6)])
+    out = pipeline.extrapolate(camera(W - 1, H - 3, (0.3, 0, 0)), 5.5 / 30)
+    assert set(np.unique(out.numpy("filled_by"))) <= {0, 254, 255, *range(1, levels + 1)}
+    assert np.isfinite(out.numpy("color")).all()
