@@ -56,11 +56,31 @@ inline float slope_at(const int i, const int width, __global const float *depth,
     return most;
 }
 
-/* Every fragment of B'_level is offered to B_level where that is still empty (case 1: fill_keys), or to the next level where
-   it lies behind what B_level holds (case 2: push_keys). Fragments that the current frame proves gone, or shows anyway, end. */
-__kernel void scatter_level(const int width, const int height, const int level, const int last_level, const int pass,
-                            const Reprojection to_current, __global const float *depth, __global const uchar *dynamic_mask,
-                            __global const uchar *links, __global const float *old_depth, __global const float2 *old_px,
+/* Whether the current frame allows a static fragment of depth z at pixel `shown`: not in front of what is seen there (it would
+   be seen, so it is gone), behind it where that is dynamic. *behind: hidden by it. */
+inline bool may_be_at(const int shown, const float z, const int width, __global const float *depth,
+                      __global const uchar *dynamic_mask, __global const uchar *links, float *margin, bool *behind) {
+    const float z_shown = depth[shown];
+    *margin = 0.0f;
+    *behind = true;
+    if (INVALID_DEPTH(z_shown)) return true;
+    *margin = SAME_SURFACE * z_shown + slope_at(shown, width, depth, links);
+    *behind = isinf(z) ? !isinf(z_shown) : z > z_shown + *margin;
+    const bool before = isinf(z_shown) ? !isinf(z) : z < z_shown - *margin;
+    return !before && (*behind || !dynamic_mask[shown]);
+}
+
+#define OWN_TEXEL 0
+#define TOUCHED_TEXELS 1
+
+/* Every fragment of B'_level is offered, where it lies now (phase OWN_TEXEL), to B_level if that is still empty there (case 1:
+   fill_keys), or to the next level if it lies behind what B_level holds (case 2: push_keys). Then (phase TOUCHED_TEXELS) to the
+   texels that are still empty and that it touches: without that, fragments that move by less than half a pixel per frame would
+   never get past the border of what the current frame shows, and fragments that met in one texel would leave a gap beside it. */
+__kernel void scatter_level(const int width, const int height, const int level, const int last_level, const int phase,
+                            const int pass, const Reprojection to_current, __global const float *depth,
+                            __global const uchar *dynamic_mask, __global const uchar *links,
+                            __global const float *old_depth, __global const float2 *old_px,
                             __global const uchar *old_state, __global const float *level_depth,
                             __global const uchar *level_state, __global Key *fill_keys, __global uint *fill_winners,
                             __global Key *push_keys, __global uint *push_winners) {
@@ -72,17 +92,25 @@ __kernel void scatter_level(const int width, const int height, const int level, 
     const float3 now = reproject(old_px[i], old_depth[i], to_current);
     const float z = now.z;
     if (!(z > 0.0f && now.x >= 0.0f && now.y >= 0.0f && now.x < (float)width && now.y < (float)height)) return;
-
     const int x = (int)floor(now.x), y = (int)floor(now.y);
-    const int shown = y * width + x;
-    const float z_shown = depth[shown];
-    const float margin = SAME_SURFACE * z_shown + slope_at(shown, width, depth, links);
-    if (!INVALID_DEPTH(z_shown)) {
-        const bool behind = isinf(z) ? !isinf(z_shown) : z > z_shown + margin;
-        const bool before = isinf(z_shown) ? !isinf(z) : z < z_shown - margin;
-        if (before || (dynamic_mask[shown] && !behind)) return;  /* it would be seen, but is not: gone */
-        if (level > 0 && !behind) return;                          /* seen again: B_0 has it fresh */
+    float margin;
+    bool behind;
+
+    if (phase == TOUCHED_TEXELS) {
+        const float texel = (float)(1 << level), reach = 0.499f * texel;
+        for (int k = 0; k < 4; ++k) {
+            const float px_x = now.x + ((k & 1) ? reach : -reach), px_y = now.y + ((k >> 1) ? reach : -reach);
+            const int qx = (int)floor(px_x), qy = (int)floor(px_y);
+            if (!inside(qx, qy, width, height)) continue;
+            const int c = (qy >> level) * level_width + (qx >> level);
+            if (level_state[c] != EMPTY) continue;
+            if (!may_be_at(qy * width + qx, z, width, depth, dynamic_mask, links, &margin, &behind)) continue;
+            if (level == 0 || behind) offer(pass, fill_keys, fill_winners, c, z, (uint)i);
+        }
+        return;
     }
+    if (!may_be_at(y * width + x, z, width, depth, dynamic_mask, links, &margin, &behind)) return;
+    if (level > 0 && !behind) return;  /* seen again: B_0 has it fresh */
     const int c = (y >> level) * level_width + (x >> level);
     if (level_state[c] == EMPTY) {
         offer(pass, fill_keys, fill_winners, c, z, (uint)i);
@@ -119,15 +147,18 @@ __kernel void settle_level(const int level_width, const int level_height, const 
 /* ---- projection --------------------------------------------------------------------------------------------- */
 
 #define LEVEL_SHIFT 28           /* of the level in the index of a projected fragment */
+#define ENOUGH_WEIGHT 0.5f
 #define REACH 16.0f              /* px: the most that a texel covers to each side */
-#define FOOTPRINT_HALF 1.25f     /* of a texel's side: neighbours overlap, their positions are irregular */
+#define FOOTPRINT_HALF 1.25f     /* of a texel's side: of fragments that met in a texel one is left, so gaps reach two texels */
 
-/* Offers the remembered fragments of a level to the pixels that the warp left invalid. */
+/* Offers the remembered fragments of a level to the pixels that the warp left invalid, and those of the same surface to
+   pixels whose own colour is a makeshift: their fragment's colour was mixed with that of a silhouette. */
 __kernel void project_level(const int width, const int height, const int level, const int target_width,
                             const int target_height, const int pass, const float2 zoom, const Reprojection to_target,
                             __global const float *level_depth, __global const float2 *level_px,
                             __global const uchar *level_state, __global const uchar *disoccluded,
-                            __global Key *keys, __global uint *winners) {
+                            __global const uchar *mixed, __global const float *depth, __global Key *keys,
+                            __global uint *winners) {
     const int tx = get_global_id(0), ty = get_global_id(1);
     const int level_width = level_side(width, level), level_height = level_side(height, level);
     if (tx >= level_width || ty >= level_height) return;
@@ -143,12 +174,16 @@ __kernel void project_level(const int width, const int height, const int level, 
     const int x0 = max((int)ceil(there.x - half_x - 0.5f), 0), x1 = min((int)floor(there.x + half_x - 0.5f), target_width - 1);
     const int y0 = max((int)ceil(there.y - half_y - 0.5f), 0), y1 = min((int)floor(there.y + half_y - 0.5f), target_height - 1);
     for (int y = y0; y <= y1; ++y)
-        for (int x = x0; x <= x1; ++x)
-            if (disoccluded[y * target_width + x])
-                offer(pass, keys, winners, y * target_width + x, there.z, (uint)i | ((uint)level << LEVEL_SHIFT));
+        for (int x = x0; x <= x1; ++x) {
+            const int c = y * target_width + x;
+            const float z = depth[c];
+            const bool alike = isinf(z) ? isinf(there.z) : fabs(there.z - z) <= SAME_SURFACE * z;
+            if (disoccluded[c] || (mixed[c] && alike))
+                offer(pass, keys, winners, c, there.z, (uint)i | ((uint)level << LEVEL_SHIFT));
+        }
 }
 
-/* Fills the invalid pixels that fragments of this level won, from the level's texels around the winner: weighted by
+/* Fills the pixels that fragments of this level won, from the level's texels around the winner: weighted by
    their distance in the target image, of the winner's surface only. */
 __kernel void fill_from_level(const int width, const int height, const int level, const int target_width,
                               const int target_height, const float2 zoom, const Reprojection to_target,
@@ -160,7 +195,6 @@ __kernel void fill_from_level(const int width, const int height, const int level
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= target_width || y >= target_height) return;
     const int c = y * target_width + x;
-    if (!disoccluded[c]) return;
     const uint winner = winner_of(keys, winners, c);
     if (winner == NOBODY || (int)(winner >> LEVEL_SHIFT) != level) return;
     const int i = winner & ((1u << LEVEL_SHIFT) - 1);
@@ -172,29 +206,37 @@ __kernel void fill_from_level(const int width, const int height, const int level
     const float nearest_z = reproject(level_px[i], z_winner, to_target).z;
     const float nearer = isinf(nearest_z) ? 1.0f : divide(z_winner, nearest_z);
     const float side_x = (float)(1 << level) * nearer * zoom.x, side_y = (float)(1 << level) * nearer * zoom.y;
-    float3 sum = (float3)(0.0f);
-    float weight_sum = 0.0f;
-    for (int dy = -1; dy <= 1; ++dy)
-        for (int dx = -1; dx <= 1; ++dx) {
-            if (!inside(tx + dx, ty + dy, level_width, level_height)) continue;
-            const int n = i + dy * level_width + dx;
-            const float z = level_depth[n];
-            if (level_state[n] == EMPTY) continue;
-            if (isinf(z_winner) ? !isinf(z) : !(fabs(z - z_winner) <= 2.0f * SAME_SURFACE * z_winner)) continue;
-            const float3 there = reproject(level_px[n], z, to_target);
-            if (!(there.z > 0.0f)) continue;
-            const float wx = 1.0f - divide(fabs(there.x - centre.x), side_x);
-            const float wy = 1.0f - divide(fabs(there.y - centre.y), side_y);
-            if (!(wx > 0.0f && wy > 0.0f)) continue;
-            sum += wx * wy * load_color(level_color, n);
-            weight_sum += wx * wy;
-        }
+    /* Within one texel's side; within two where that catches too little, as in the gaps between irregular fragments. */
+    float3 sum;
+    float weight_sum;
+    for (int reach = 1; reach <= 2; ++reach) {
+        sum = (float3)(0.0f);
+        weight_sum = 0.0f;
+        const float inverse_x = divide(1.0f, side_x * (float)reach), inverse_y = divide(1.0f, side_y * (float)reach);
+        for (int dy = -reach; dy <= reach; ++dy)
+            for (int dx = -reach; dx <= reach; ++dx) {
+                if (!inside(tx + dx, ty + dy, level_width, level_height)) continue;
+                const int n = i + dy * level_width + dx;
+                const float z = level_depth[n];
+                if (level_state[n] == EMPTY) continue;
+                if (isinf(z_winner) ? !isinf(z) : !(fabs(z - z_winner) <= 2.0f * SAME_SURFACE * z_winner)) continue;
+                const float3 there = reproject(level_px[n], z, to_target);
+                if (!(there.z > 0.0f)) continue;
+                const float wx = 1.0f - fabs(there.x - centre.x) * inverse_x;
+                const float wy = 1.0f - fabs(there.y - centre.y) * inverse_y;
+                if (!(wx > 0.0f && wy > 0.0f)) continue;
+                sum += wx * wy * load_color(level_color, n);
+                weight_sum += wx * wy;
+            }
+        if (weight_sum >= ENOUGH_WEIGHT) break;
+    }
     const float3 mean = weight_sum > 0.01f
         ? (float3)(divide(sum.x, weight_sum), divide(sum.y, weight_sum), divide(sum.z, weight_sum))
         : load_color(level_color, i);
     store_color(mean, color, c);
+    filled_by[c] = (uchar)(1 + level);
+    if (!disoccluded[c]) return;
     out_depth[c] = nearest_z;
     const float3 px_source = reproject(centre, nearest_z, to_source);
     motion[c] = px_source.z > 0.0f ? px_source.xy - centre : (float2)(0.0f);
-    filled_by[c] = (uchar)(1 + level);
 }

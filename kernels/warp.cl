@@ -235,7 +235,7 @@ __kernel void resolve(const int width, const int height, const int target_width,
                       __global const half *color, __global const float *depth, __global const uchar *dynamic_mask,
                       __global const uchar *links, __global const float4 *target_position,
                       __global half *out_color, __global float *out_depth, __global float2 *out_motion,
-                      __global uchar *out_dynamic, __global uchar *disoccluded, __global uchar *filled_by) {
+                      __global uchar *out_dynamic, __global uchar *disoccluded, __global uchar *filled_by, __global uchar *mixed) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= target_width || y >= target_height) return;
     const int c = y * target_width + x;
@@ -246,6 +246,7 @@ __kernel void resolve(const int width, const int height, const int target_width,
         out_motion[c] = (float2)(0.0f);
         out_dynamic[c] = 0;
         disoccluded[c] = 1;
+        mixed[c] = 0;
         filled_by[c] = BY_NOTHING;
         return;
     }
@@ -262,5 +263,6 @@ __kernel void resolve(const int width, const int height, const int target_width,
     out_motion[c] = pixel_centre(sx, sy) + d - centre;
     out_dynamic[c] = dynamic_mask[s];
     disoccluded[c] = 0;
+    mixed[c] = step.x != 0 || step.y != 0;
     filled_by[c] = (int)floor(here.x) == x && (int)floor(here.y) == y ? BY_WARP : BY_CRACK_CLOSING;
 }

@@ -127,8 +127,8 @@ def test_stages_equal_their_twins(device, options, size, target):
     zoom = np.array([to.fx / now.camera.fx, to.fy / now.camera.fy], np.float32)
     keys = twins.splat(got, depth, links, zoom, pipeline.sizes.target, options.crack_closing)
     warped = twins.resolve(keys, got, color, depth, dynamic, links, zoom)
-    for name in ("dynamic", "disoccluded"):
-        assert np.array_equal(extrapolated.numpy(name), warped[name]), name
+    for name in ("dynamic", "disoccluded", "mixed"):
+        assert np.array_equal(pipeline.warp.read(name), warped[name]), name
     assert warped["disoccluded"].any()
 
     if options.levels:

@@ -404,9 +404,17 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
         "motion": source_centre + d - centre,
         "dynamic": dynamic[sy, sx].copy(),
         "disoccluded": holes.astype(np.uint8),
+        "mixed": ((step_x != 0) | (step_y != 0)).astype(np.uint8),
         "filled_by": np.where(own_pixel, 0, 254).astype(np.uint8),
     }
-    for name, empty in (("color", 0), ("depth", INF), ("motion", 0), ("dynamic", 0), ("filled_by", 255)):
+    for name, empty in (
+        ("color", 0),
+        ("depth", INF),
+        ("motion", 0),
+        ("dynamic", 0),
+        ("mixed", 0),
+        ("filled_by", 255),
+    ):
         result[name][holes] = empty
     return result
 
@@ -539,42 +547,62 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
     height, width = depth.shape
     count = len(levels_before)
     slopes = _slopes(depth, links)
+
+    def may_be_at(sy, sx, z):
+        """(allowed, margin, behind) for a fragment of depth z."""
+        shown = depth[sy, sx]
+        if invalid(shown):
+            return True, F(0), True
+        margin = F(0.02) * shown + slopes[sy, sx]
+        behind = not np.isinf(shown) if np.isinf(z) else z > shown + margin
+        in_front = not np.isinf(z) if np.isinf(shown) else z < shown - margin
+        return not in_front and (behind or not dynamic[sy, sx]), margin, behind
+
+    def offer(best, cell, z, i):
+        best[cell] = min(best.get(cell, (INF, 1 << 40)), (z, i))
+
+    def settle(best, into, before, now):
+        for cell, (z, i) in best.items():
+            into["state"][cell], into["depth"][cell] = REMEMBERED, z
+            into["px"][cell], into["color"][cell] = now[i, :2], before["color"].reshape(-1, 4)[i]
+
     levels = [{name: array.copy() for name, array in level0.items()}]
     for level, before in enumerate(levels_before):
         now = reproject(before["px"].reshape(-1, 2), before["depth"].reshape(-1), to_current)
         x, y, z = now.T
-        state = before["state"].reshape(-1)
+        inside = (z > 0) & (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        fragments = np.flatnonzero((before["state"].reshape(-1) != EMPTY_TEXEL) & inside)
         if level + 1 < count:
             levels.append({name: np.zeros_like(a) for name, a in levels_before[level + 1].items()})
         current = levels[level]
-        base_state, base_depth = current["state"].copy(), current["depth"].copy()
-        best_fill, best_push = {}, {}
-        for i in np.flatnonzero(state != EMPTY_TEXEL):
-            if not (z[i] > 0 and 0 <= x[i] < width and 0 <= y[i] < height):
-                continue
+        fill, push, touched = {}, {}, {}
+        for i in fragments:
             sx, sy = int(np.floor(x[i])), int(np.floor(y[i]))
-            shown = depth[sy, sx]
-            margin = F(0.02) * shown + slopes[sy, sx]
-            if not invalid(shown):
-                behind = not np.isinf(shown) if np.isinf(z[i]) else z[i] > shown + margin
-                in_front = not np.isinf(z[i]) if np.isinf(shown) else z[i] < shown - margin
-                if in_front or (dynamic[sy, sx] and not behind) or (level > 0 and not behind):
-                    continue
+            allowed, margin, behind = may_be_at(sy, sx, z[i])
+            if not allowed or (level > 0 and not behind):
+                continue
             cell = (sy >> level, sx >> level)
-            key = (z[i], i)
-            if base_state[cell] == EMPTY_TEXEL:
-                best_fill[cell] = min(best_fill.get(cell, (INF, 1 << 40)), key)
+            if current["state"][cell] == EMPTY_TEXEL:
+                offer(fill, cell, z[i], i)
             elif level + 1 < count:
-                base = base_depth[cell]
+                base = current["depth"][cell]
                 level_margin = margin if level == 0 else F(2) * F(0.02) * base
                 if not np.isinf(base) if np.isinf(z[i]) else z[i] > base + level_margin:
-                    below = (sy >> (level + 1), sx >> (level + 1))
-                    best_push[below] = min(best_push.get(below, (INF, 1 << 40)), key)
-        for best, into in ((best_fill, current), (best_push, levels[level + 1] if level + 1 < count else None)):
-            for cell, (_, i) in best.items():
-                into["state"][cell] = REMEMBERED
-                into["depth"][cell], into["px"][cell] = z[i], now[i, :2]
-                into["color"][cell] = before["color"].reshape(-1, 4)[i]
+                    offer(push, (sy >> (level + 1), sx >> (level + 1)), z[i], i)
+        settle(fill, current, before, now)
+        if push:
+            settle(push, levels[level + 1], before, now)
+        reach = F(0.499) * F(1 << level)
+        for i in fragments:
+            for dx, dy in ((-reach, -reach), (reach, -reach), (-reach, reach), (reach, reach)):
+                sx, sy = int(np.floor(x[i] + dx)), int(np.floor(y[i] + dy))
+                cell = (sy >> level, sx >> level)
+                if not (0 <= sx < width and 0 <= sy < height) or current["state"][cell] != EMPTY_TEXEL:
+                    continue
+                allowed, _, behind = may_be_at(sy, sx, z[i])
+                if allowed and (level == 0 or behind):
+                    offer(touched, cell, z[i], i)
+        settle(touched, current, before, now)
     return levels
 
 
@@ -592,13 +620,15 @@ def project_background(warped, levels, zoom, to_target, to_source):
             if not (z > 0 and -16 < x < width + 16 and -16 < y < height + 16):
                 continue
             nearer = F(1) if np.isinf(z) else level["depth"][ty, tx] / z
-            side = F(1 << number) * F(0.75) * nearer
+            side = F(1 << number) * F(1.25) * nearer
             half = [min(max(side * zoom[k], F(0.5)), F(16)) for k in range(2)]
             x0, x1 = max(int(np.ceil(x - half[0] - F(0.5))), 0), min(int(np.floor(x + half[0] - F(0.5))), width - 1)
             y0, y1 = max(int(np.ceil(y - half[1] - F(0.5))), 0), min(int(np.floor(y + half[1] - F(0.5))), height - 1)
             key = (z, number, ty * wide + tx)
             for cell in ((cy, cx) for cy in range(y0, y1 + 1) for cx in range(x0, x1 + 1)):
-                if holes[cell]:
+                shown = warped["depth"][cell]
+                alike = np.isinf(z) if np.isinf(shown) else abs(z - shown) <= F(0.02) * shown
+                if holes[cell] or (warped["mixed"][cell] and alike):
                     best[cell] = min(best.get(cell, (INF, 99, 0)), key)
     px = centres(height, width)
     for (y, x), (z, number, i) in best.items():
@@ -608,21 +638,26 @@ def project_background(warped, levels, zoom, to_target, to_source):
         winner = level["depth"][ty, tx]
         nearer = F(1) if np.isinf(z) else winner / z
         sides = [F(1 << number) * nearer * zoom[k] for k in range(2)]
-        total, weights = np.zeros(3, F), F(0)
-        for ny in range(max(ty - 1, 0), min(ty + 2, level_height)):
-            for nx in range(max(tx - 1, 0), min(tx + 2, level_width)):
-                d = level["depth"][ny, nx]
-                alike = np.isinf(d) if np.isinf(winner) else abs(d - winner) <= F(2) * F(0.02) * winner
-                if level["state"][ny, nx] == EMPTY_TEXEL or not alike or not there[number][ny, nx, 2] > 0:
-                    continue
-                wx, wy = (F(1) - abs(there[number][ny, nx, k] - px[y, x, k]) / sides[k] for k in range(2))
-                if wx > 0 and wy > 0:
-                    total = total + wx * wy * load_color(level["color"][ny, nx])
-                    weights = weights + wx * wy
+        for reach in (1, 2):
+            total, weights = np.zeros(3, F), F(0)
+            for ny in range(max(ty - reach, 0), min(ty + reach + 1, level_height)):
+                for nx in range(max(tx - reach, 0), min(tx + reach + 1, level_width)):
+                    d = level["depth"][ny, nx]
+                    alike = np.isinf(d) if np.isinf(winner) else abs(d - winner) <= F(2) * F(0.02) * winner
+                    at = there[number][ny, nx]
+                    if level["state"][ny, nx] == EMPTY_TEXEL or not alike or not at[2] > 0:
+                        continue
+                    wx, wy = (F(1) - abs(at[k] - px[y, x, k]) * (F(1) / (sides[k] * F(reach))) for k in range(2))
+                    if wx > 0 and wy > 0:
+                        total = total + wx * wy * load_color(level["color"][ny, nx])
+                        weights = weights + wx * wy
+            if weights >= F(0.5):
+                break
         out["color"][y, x, :3] = total / weights if weights > F(0.01) else load_color(level["color"][ty, tx])
-        out["depth"][y, x] = z
-        out["motion"][y, x] = static_motion(px[y, x][None], np.array([z], F), to_source)[0]
         out["filled_by"][y, x] = 1 + number
+        if holes[y, x]:
+            out["depth"][y, x] = z
+            out["motion"][y, x] = static_motion(px[y, x][None], np.array([z], F), to_source)[0]
     return out
 
 

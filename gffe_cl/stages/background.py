@@ -9,6 +9,7 @@ from gffe_cl.device import Device
 from gffe_cl.stage import RGBA, XY, BufferSpec, Sizes, Stage, int2, reprojection
 
 MAX_LEVELS = 4
+_OWN_TEXEL, _TOUCHED_TEXELS = 0, 1  # phases of scatter_level
 _PER_LEVEL = ("color", "depth", "px", "state")
 
 
@@ -58,30 +59,39 @@ class Background(Stage):
         for level in range(self.levels):
             size = level_size(self.sizes.source, level)
             current, old = (self._of_level(buffers, level) for buffers in (self.buffer, self._previous))
-            for keys in (*self._fill, *self._push):
-                self.fill(keys, 0xFF)
-            for scatter_pass in range(self._passes):
-                self.launch(
-                    "scatter_level",
-                    size,
-                    *int2(self.sizes.source),
-                    np.int32(level),
-                    np.int32(self.levels - 1),
-                    np.int32(scatter_pass),
-                    to_current,
-                    frame.depth,
-                    history.buffer["dynamic_mask"],
-                    warp.buffer["links"],
-                    *old[1:],
-                    current[1],
-                    current[3],
-                    *self._fill,
-                    *self._push,
-                )
+            arguments = (
+                to_current,
+                frame.depth,
+                history.buffer["dynamic_mask"],
+                warp.buffer["links"],
+                *old[1:],
+                current[1],
+                current[3],
+            )
+            self._scatter(level, _OWN_TEXEL, arguments)
             self._settle(size, False, to_current, self._fill, old, current)
             if level + 1 < self.levels:
                 below = self._of_level(self.buffer, level + 1)
                 self._settle(level_size(self.sizes.source, level + 1), True, to_current, self._push, old, below)
+            self._scatter(level, _TOUCHED_TEXELS, arguments)
+            self._settle(size, False, to_current, self._fill, old, current)
+
+    def _scatter(self, level: int, phase: int, arguments: tuple) -> None:
+        for keys in (*self._fill, *self._push):
+            self.fill(keys, 0xFF)
+        for scatter_pass in range(self._passes):
+            self.launch(
+                "scatter_level",
+                level_size(self.sizes.source, level),
+                *int2(self.sizes.source),
+                np.int32(level),
+                np.int32(self.levels - 1),
+                np.int32(phase),
+                np.int32(scatter_pass),
+                *arguments,
+                *self._fill,
+                *self._push,
+            )
 
     def _settle(self, size, restart, to_current, keys, old, current) -> None:
         self.launch("settle_level", size, *int2(size), np.int32(restart), to_current, *keys, *old[:3], *current)
@@ -104,7 +114,7 @@ class Background(Stage):
                     zoom,
                     to_target,
                     *self._of_level(self.buffer, level)[1:],
-                    warp.buffer["disoccluded"],
+                    *(warp.buffer[name] for name in ("disoccluded", "mixed", "depth")),
                     *self._target,
                 )
         for level in range(self.levels):

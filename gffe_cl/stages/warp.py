@@ -26,7 +26,16 @@ class Warp(Stage):
         BufferSpec("motion", np.float32, XY, "target", "t + α → t, pixels, into the rendered image (V̄)"),
         BufferSpec("dynamic", np.uint8, (), "target", "1 where the fragment shown is dynamic"),
         BufferSpec("disoccluded", np.uint8, (), "target", "1 where no fragment of the rendered frame lands"),
-        BufferSpec("filled_by", np.uint8, (), "target", "0 warp, 254 crack closing, 255 hole filling (or nothing)"),
+        BufferSpec(
+            "filled_by", np.uint8, (), "target", "0 warp, 1 + l background level l, 254 crack closing, 255 hole filling"
+        ),
+        BufferSpec(
+            "mixed",
+            np.uint8,
+            (),
+            "target",
+            "1 where the fragment's colour was mixed with a silhouette's that moves away, and its neighbour's is shown",
+        ),
     )
 
     def __init__(self, device: Device, sizes: Sizes, close_cracks: bool = True, int64: bool | None = None):
@@ -82,5 +91,5 @@ class Warp(Stage):
             history.buffer["dynamic_mask"],
             self.buffer["links"],
             target_position,
-            *(self.buffer[n] for n in ("color", "depth", "motion", "dynamic", "disoccluded", "filled_by")),
+            *(self.buffer[n] for n in ("color", "depth", "motion", "dynamic", "disoccluded", "filled_by", "mixed")),
         )
