@@ -1,7 +1,8 @@
 """What each stage costs, in milliseconds and in bytes per pixel (`gffe bench`).
 
-Bytes per pixel = time × bandwidth ÷ display pixels; bandwidth is what copying reaches in between the timed frames, so the figure
-means the same on every machine. Stage times are sums of kernel event times; the wall time of the frame stands beside them.
+Bytes per pixel = time × bandwidth ÷ display pixels. Bandwidth is what copying reaches in between the timed
+frames, so the figure means the same on every machine. Stage times are sums of kernel event times; the wall
+time of a frame stands beside.
 """
 
 from __future__ import annotations
@@ -14,49 +15,52 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
+from gffe_cl.camera import Camera
 from gffe_cl.device import Device
-from gffe_cl.frame import RenderedFrame, pack_frame
+from gffe_cl.frame import RenderedFrame
 from gffe_cl.pipeline import Options, Pipeline
 from gffe_cl.program import build
-from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
+from gffe_cl.scenes import SceneRenderer, load_scene
 
-# Bytes per pixel at 1080p in the paper's table (RTX 4070 Ti Super, 672 GB/s), by stage of ours.
+# Bytes per pixel of the paper's table at 1080p (RTX 4070 Ti Super, 672 GB/s), by our parts.
 PAPER = {
     "history": 337,
+    "background, collection": 366,
     "prediction": 71,
     "warp": 259,
-    "background (collect)": 366,
-    "background (project)": 246,
-    "holes": 120,
+    "background, projection": 246,
+    "holes": None,
+    "misc": 120,
+    "GAE": 1400,
 }
 _COPY_BYTES = 256 << 20
 _COPY_RUN = 64
-_SCENE = "plaza"
+_SCENE, _START = "plaza", 1.0
 _WARM_UP = 3
 
 
 @dataclass
 class SizeBench:
-    """Medians for one size: `milliseconds` and `bytes_per_pixel` by stage, rendered-frame stages once per
-    extrapolated frame (n = 1); `wall` is milliseconds per frame pair from submit to finished."""
+    """Medians for one size: `milliseconds` and `bytes_per_pixel` by part, for one rendered frame with one
+    extrapolated frame; `wall` is milliseconds from submitting the one to having the other."""
 
     width: int
     height: int
     milliseconds: dict[str, float]
     bytes_per_pixel: dict[str, float]
     wall: float
-    bandwidth: float  # GB/s, read + write
-    memory: int  # bytes of device memory allocated for the pipeline and two rendered frames
+    bandwidth: float  # GB/s, read and written
+    memory: int  # bytes of device memory: the pipeline's buffers and two rendered frames
 
 
 class Copier:
-    """The fastest way of copying 256 MiB on a device."""
+    """The fastest way of copying 256 MiB on a device, by event times."""
 
     def __init__(self, device: Device):
-        self.device = device
         program = build(device, "copy")
-        a, b = (device.buffer(_COPY_BYTES) for _ in range(2))
         queue = device.queue
+        a, b = (cl.Buffer(device.context, cl.mem_flags.READ_WRITE, _COPY_BYTES) for _ in range(2))
+        cl.enqueue_fill_buffer(queue, a, np.uint8(1), 0, _COPY_BYTES)
         floats = _COPY_BYTES // 4
         self._ways = {
             "copy buffer": lambda: cl.enqueue_copy(queue, b, a),
@@ -66,56 +70,84 @@ class Copier:
                 queue, (floats // 16 // _COPY_RUN,), None, a, b, np.int32(_COPY_RUN)
             ),
         }
-        cl.enqueue_fill_buffer(queue, a, np.uint8(1), 0, _COPY_BYTES)
-        speeds = {name: max(self._gigabytes(way) for _ in range(3)) for name, way in self._ways.items()}
+        speeds = {name: max(self._gigabytes(name) for _ in range(3)) for name in self._ways}
         self.way = max(speeds, key=speeds.get)
 
     def bandwidth(self) -> float:
-        """GB/s (read + written) of one copy now."""
-        return self._gigabytes(self._ways[self.way])
+        """GB/s (read and written) of one copy now."""
+        return self._gigabytes(self.way)
 
-    def _gigabytes(self, way) -> float:
-        event = way()
+    def _gigabytes(self, name: str) -> float:
+        event = self._ways[name]()
         event.wait()
         return 2 * _COPY_BYTES / max(event.profile.end - event.profile.start, 1)
 
 
 def bench_size(
     device: Device,
+    copier: Copier,
     width: int,
     height: int,
     options: Options,
     repeats: int,
     on_frame: Callable[[], None] = lambda: None,
 ) -> SizeBench:
-    """Time `repeats` frame pairs (one submitted, one extrapolated) of a built-in scene at one size."""
-    frames = _scene_frames(device, width, height)
-    allocated = device.allocated
+    """Time `repeats` frame pairs (one submitted from device buffers, one extrapolated) of a built-in scene."""
+    before = device.allocated
+    frames, target = _scene_frames(device, width, height)
     pipeline = Pipeline(device, width, height, options)
-    copier = Copier(device) if not hasattr(device, "_copier") else device._copier
-    device._copier = copier
-    inputs = [_upload(device, frame, width, height) for frame in frames]
-    memory = device.allocated - allocated - (2 * _COPY_BYTES if copier is device._copier else 0)
+    memory = device.allocated - before
     samples: dict[str, list[float]] = {}
     walls, bandwidths = [], []
     for k in range(_WARM_UP + repeats):
-        source = inputs[k % 2]
-        source.time = k / 30
-        source.reset = k == 0
-        bandwidths.append(copier.bandwidth())
+        frame = frames[k % 2]
+        frame.time, frame.reset = k / 30, k == 0
+        bandwidth = copier.bandwidth()
         device.queue.finish()
         start = time.perf_counter()
-        pipeline.submit(source)
-        pipeline.extrapolate(frames[2].camera, source.time + 0.5 / 30)
+        pipeline.submit(frame)
+        collection = _milliseconds(pipeline, "background")
+        pipeline.extrapolate(target, frame.time + 0.5 / 30)
         device.queue.finish()
         wall = (time.perf_counter() - start) * 1e3
-        timings = pipeline.take_timings(split=True)
+        parts = {stage.name: _milliseconds(pipeline, stage.name) for stage in pipeline.stages}
+        if "background" in parts:
+            parts["background, collection"] = collection
+            parts["background, projection"] = parts.pop("background")
         if k >= _WARM_UP:
             walls.append(wall)
-            for name, milliseconds in timings.items():
+            bandwidths.append(bandwidth)
+            for name, milliseconds in parts.items():
                 samples.setdefault(name, []).append(milliseconds)
         on_frame()
-    bandwidth = statistics.median(bandwidths[_WARM_UP:])
-    milliseconds = {name: statistics.median(values) for name, values in samples.items()}
-    per_pixel = {name: ms * 1e-3 * bandwidth * 1e9 / (width * height) for name, ms in milliseconds.items()}
+    bandwidth = statistics.median(bandwidths)
+    order = [name for name in PAPER if name in samples] + [name for name in samples if name not in PAPER]
+    milliseconds = {name: statistics.median(samples[name]) for name in order}
+    milliseconds["GAE"] = sum(milliseconds.values())
+    per_pixel = {name: ms * 1e6 * bandwidth / (width * height) for name, ms in milliseconds.items()}
     return SizeBench(width, height, milliseconds, per_pixel, statistics.median(walls), bandwidth, memory)
+
+
+def _milliseconds(pipeline: Pipeline, name: str) -> float:
+    """Kernel time of the stage `name` since it was last asked; waits for the device."""
+    pipeline.device.queue.finish()
+    stage = next((stage for stage in pipeline.stages if stage.name == name), None)
+    return sum(e.profile.end - e.profile.start for _, e in stage.take_events()) * 1e-6 if stage else 0.0
+
+
+def _scene_frames(device: Device, width: int, height: int) -> tuple[list[RenderedFrame], Camera]:
+    """Two rendered frames, as device buffers, that are played back and forth, and the camera between them."""
+    scene = load_scene(_SCENE)
+    renderer = SceneRenderer(device, scene, width, height, samples=1)
+    times = [_START, _START + 1 / 30]
+    cameras = [scene.camera(t, width, height) for t in times]
+    frames = []
+    for k in range(2):
+        image = renderer.render(times[k], cameras[k], times[1 - k], cameras[1 - k])
+        buffers = []
+        for name, size in (("color", 8), ("depth", 4), ("motion", 8)):
+            buffer = device.buffer(size * width * height)
+            cl.enqueue_copy(device.queue, buffer, getattr(image, name), byte_count=buffer.size)
+            buffers.append(buffer)
+        frames.append(RenderedFrame(*buffers, cameras[k], times[k]))
+    return frames, scene.camera(_START + 0.5 / 30, width, height)

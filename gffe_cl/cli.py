@@ -177,7 +177,11 @@ def run(
     no_crack_closing: Annotated[
         bool, typer.Option("--no-crack-closing", help="Splat single pixels, as in the paper.")
     ] = False,
-    no_hole_filling: Annotated[bool, typer.Option("--no-hole-filling", help="Leave disoccluded pixels black.")] = False,
+    layers: Annotated[int, typer.Option(help="Levels of the background, 0 to 4.")] = 1,
+    no_background: Annotated[bool, typer.Option("--no-background", help="The same as --layers 0.")] = False,
+    hole_filling: Annotated[
+        str, typer.Option(help="What the background leaves: far-side, downsample (the paper's) or none.")
+    ] = "far-side",
     camera: Annotated[
         str, typer.Option(help="'truth': of the ground-truth frame where there is one; 'predicted'.")
     ] = "truth",
@@ -207,7 +211,9 @@ def run(
         static_threshold=threshold,
         motion=not no_motion,
         crack_closing=not no_crack_closing,
-        hole_filling=not no_hole_filling,
+        levels=0 if no_background else layers,
+        hole_filling=hole_filling,
+        shading_inputs=dump_stages,
     )  # fmt: skip
     source = open_sequence(sequence)
     opened = open_device(device)
@@ -276,6 +282,10 @@ def study(
     size: Annotated[str, typer.Option(help="Width × height, pixels.")] = "480x270",
     frames: Annotated[int, typer.Option(help="Rendered frames per scene and seed.")] = 10,
     alpha: Annotated[float, typer.Option(help="Time of the extrapolated frames, in intervals.")] = 0.5,
+    fps: Annotated[float, typer.Option(help="Rendered frames per second.")] = 30.0,
+    disocclusions: Annotated[
+        bool, typer.Option("--disocclusions", help="Measure how disocclusions are filled instead.")
+    ] = False,
     device: DeviceOption = None,
     json_path: JsonOption = None,
 ) -> None:
@@ -283,6 +293,8 @@ def study(
     from dataclasses import asdict
 
     from gffe_cl.device import open_device
+    from gffe_cl.disocclusion import CATEGORIES, DisocclusionStudy, study_disocclusions
+    from gffe_cl.disocclusion import METHODS as FILLINGS
     from gffe_cl.scenes import SCENES
     from gffe_cl.study import METHODS, study_scene
 
@@ -291,18 +303,80 @@ def study(
     names = scenes or list(SCENES)
     with _progress() as progress:
         advance = _steps(progress)("Measuring", len(names) * seeds * frames)
-        results = [
-            study_scene(opened, name, seed, width, height, frames, alpha=alpha, on_frame=advance)
+        measure = study_disocclusions if disocclusions else study_scene
+        results = {
+            name: [measure(opened, name, seed, width, height, frames, fps, alpha, advance) for seed in range(seeds)]
             for name in names
-            for seed in range(seeds)
-        ]
+        }
+    if disocclusions:
+        pooled = {name: DisocclusionStudy.pooled(studies) for name, studies in results.items()}
+        pooled["all"] = DisocclusionStudy.pooled([study for studies in results.values() for study in studies])
+        for name, r in pooled.items():
+            shares = {c: r.pixels[c] / r.pixels["all"] for c in CATEGORIES}
+            heads = [f"{c} ({share:.2%} of pixels)" for c, share in shares.items()]
+            table = Table(name, *heads, "left by the background", box=None, header_style="bold")
+            for method in FILLINGS:
+                left = f"{r.unfilled[method] / r.pixels['all']:.2%}"
+                table.add_row(method, *(f"{r.psnr(method, c):.2f}" for c in CATEGORIES), left)
+            out.print(table)
+        _write_json(json_path, {name: asdict(r) for name, r in pooled.items()})
+        return
     table = Table("scene", "seed", *METHODS, "gap closed", "disoccluded", "dynamic", box=None, header_style="bold")
-    for r in results:
+    for r in (study for studies in results.values() for study in studies):
         figures = [f"{r.visible[m]:.2f}" for m in METHODS]
         table.add_row(r.scene, str(r.seed), *figures, f"{r.share:.0%}", f"{r.disoccluded:.1%}", f"{r.dynamic:.1%}")
     out.print(table)
     out.print("PSNR in dB over pixels that are not disoccluded; whole-frame figures are in the --json report.")
-    _write_json(json_path, {"results": [asdict(r) | {"share": r.share} for r in results]})
+    _write_json(
+        json_path, {"results": [asdict(r) | {"share": r.share} for studies in results.values() for r in studies]}
+    )
+
+
+@app.command()
+def bench(
+    sizes: Annotated[
+        str, typer.Option(help="Width × height, separated by commas.")
+    ] = "960x540,1280x720,1920x1080,3840x2160",
+    repeats: Annotated[int, typer.Option(help="Timed frames per size.")] = 15,
+    layers: Annotated[int, typer.Option(help="Levels of the background, 0 to 4.")] = 1,
+    device: Annotated[
+        str | None, typer.Option("--device", help="One device [dim](default: every device that works)[/].")
+    ] = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Time every stage, in milliseconds and in bytes per pixel, beside the paper's table."""
+    from dataclasses import asdict
+
+    from gffe_cl.bench import PAPER, Copier, bench_size
+    from gffe_cl.device import list_devices, open_device, open_info
+    from gffe_cl.pipeline import Options
+
+    if repeats < 1:
+        raise GffeError(f"--repeats must be at least 1, got {repeats}")
+    options = Options(levels=layers)
+    parsed = [parse_size(text) for text in sizes.split(",")]
+    if device is None:
+        opened = [open_info(info) for info in list_devices() if info.works] or [open_device()]
+    else:
+        opened = [open_device(device)]
+    report = []
+    for one in opened:
+        with _progress() as progress:
+            advance = _steps(progress)(f"{one.info.name} ({one.info.platform})", len(parsed) * (repeats + 3))
+            copier = Copier(one)
+            results = [bench_size(one, copier, *size, options, repeats, advance) for size in parsed]
+        table = Table("bytes per pixel (ms)", *(f"{r.width}×{r.height}" for r in results), "paper, 1080p",
+                      title=f"{one.info.name} ({one.info.platform})", box=None, header_style="bold")  # fmt: skip
+        for name in results[0].milliseconds:
+            figures = [f"{r.bytes_per_pixel[name]:.0f} ({r.milliseconds[name]:.2f})" for r in results]
+            table.add_row(name, *figures, str(PAPER.get(name) or ""), style="bold" if name == "GAE" else None)
+        table.add_row("wall time, ms", *(f"{r.wall:.2f}" for r in results), "")
+        table.add_row("copy bandwidth, GB/s", *(f"{r.bandwidth:.1f}" for r in results), "672")
+        table.add_row("device memory, MiB", *(f"{r.memory / 2**20:.0f}" for r in results), "")
+        out.print(table)
+        report.append({"device": one.info.name, "platform": one.info.platform, "copied by": copier.way,
+                       "sizes": [asdict(r) for r in results]})  # fmt: skip
+    _write_json(json_path, {"devices": report, "paper": PAPER})
 
 
 # ---- helpers -------------------------------------------------------------------------------------------

@@ -1,8 +1,9 @@
 """How well disocclusions are filled on the built-in scenes (`gffe study --disocclusions`).
 
-A pixel that no fragment of the rendered frame reaches is *out of screen* if what it shows lies outside the rendered image,
-else a *static* disocclusion if treating everything as static leaves it empty too, else a *dynamic* one (paper: 'Disocclusions').
-It was *seen before* if its surface is static and shows in an earlier rendered frame from which backgrounds are collected.
+A pixel that no fragment of the rendered frame reaches is *out of screen* if what it shows lies outside the
+rendered image, else a *static* disocclusion if treating everything as static leaves it empty too, else a
+*dynamic* one (paper: 'Disocclusions'). It was *seen before* if its surface is static and shows in an earlier
+rendered frame from which backgrounds are collected.
 """
 
 from __future__ import annotations
@@ -38,8 +39,9 @@ _SAME_SURFACE = 0.01  # relative depth
 class DisocclusionStudy:
     """Pooled over the frames of one scene and seed, or over several of them.
 
-    `pixels`: how many pixels of each category, and "all" of the image; `squared_error`: summed squared error of display values
-    (mean over RGB), by method and category; `unfilled`: holes that the background left, by method, out of screen apart.
+    `pixels`: how many pixels of each category, and "all" of the image; `squared_error`: summed squared error
+    of display values (mean over RGB), by method and category; `unfilled`: holes that the background left, by
+    method, out of screen apart.
     """
 
     pixels: dict[str, int]

@@ -27,7 +27,7 @@ def play(pipeline, scene, cameras, each=None, noise=0.0):
 def test_square_crossing_a_wall_leaves_no_wrong_pixel(device, levels):
     """Every pixel that shows the wall at t + ½ has the wall's colour: no ghost, hole or rim of the square (whose own
     outline may be off by the pixel that a splat rounds to)."""
-    scene = Rects([WALL, Rect((-1.5, 0, 6), (0.7, 0.7), velocity=(7, 0, 0), tint=(5, 0.1, 0.1))])
+    scene = Rects([WALL, Rect((-2.2, 0, 6), (0.7, 0.7), velocity=(12, 0, 0), tint=(5, 0.1, 0.1))])
     still = camera(W, H)
     pipeline = Pipeline(device, W, H, Options(levels=levels))
     play(pipeline, scene, [still] * 12)

@@ -89,7 +89,7 @@ def test_run_and_compare(gffe, scene, tmp_path):
         ["R", "G", "B", "Z", "motion.x", "motion.y", "mask.dynamic", "mask.disoccluded", "mask.filled_by"],
     )
     assert channels["R"].dtype == np.float16 and channels["Z"].dtype == np.float32
-    assert set(np.unique(channels["mask.filled_by"])) <= {0, 254, 255}
+    assert set(np.unique(channels["mask.filled_by"])) <= {0, 1, 254, 255}
     code, text, _ = gffe("compare", out, scene, "--json", tmp_path / "c.json")
     report = json.loads((tmp_path / "c.json").read_text())
     assert code == 0 and "mean" in text and report["mean"]["psnr"] > 25 and len(report["frames"]) == 4
@@ -147,7 +147,10 @@ def test_switches(gffe, scene, tmp_path):
         (
             ["--no-motion"],
             ["--no-crack-closing"],
-            ["--no-hole-filling"],
+            ["--hole-filling", "downsample"],
+            ["--hole-filling", "none"],
+            ["--layers", "3"],
+            ["--no-background"],
             ["--history", "4", "--order", "2"],
             ["--static-threshold", "2.5"],
         )
@@ -156,18 +159,23 @@ def test_switches(gffe, scene, tmp_path):
 
 
 def test_dump_stages(gffe, scene, tmp_path):
-    from gffe_cl.stages.history import HistoryTracking
-    from gffe_cl.stages.holes import HoleFilling
-    from gffe_cl.stages.prediction import PositionPrediction
-    from gffe_cl.stages.warp import Warp
+    from gffe_cl import Options, Pipeline, open_device
 
     assert gffe("run", scene, tmp_path / "out", "--dump-stages", "--history", "3")[0] == 0
     folder = tmp_path / "out" / "stages" / "extrapolated_000003_0500"
     once = json.loads((folder / "once.json").read_text())
-    for stage in (HistoryTracking, PositionPrediction, Warp, HoleFilling):
-        for spec in stage.buffers:
-            name = f"{stage.name}.{spec.name}"
-            assert name in once or (folder / f"{name}.exr").is_file(), name
+    pipeline = Pipeline(open_device(), 8, 8, Options(history=3, shading_inputs=True))
+    assert {stage.name for stage in pipeline.stages} >= {
+        "history",
+        "prediction",
+        "warp",
+        "background",
+        "holes",
+        "shading",
+    }
+    for stage, spec in pipeline.named_buffers():
+        name = f"{stage.name}.{spec.name}"
+        assert name in once or (folder / f"{name}.exr").is_file(), name
     planes = OpenEXR.File(str(folder / "history.history.exr"), separate_channels=True).channels()
     assert {"1.x", "2.known"} <= set(planes)
 

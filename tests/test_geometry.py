@@ -298,7 +298,7 @@ def test_reset_forgets(device):
 
 
 def test_no_motion_option_and_literal_splat(device):
-    for options in (Options(motion=False), Options(crack_closing=False), Options(hole_filling=False)):
+    for options in (Options(motion=False), Options(crack_closing=False), Options(hole_filling="none", levels=0)):
         pipeline = Pipeline(device, W, H, options)
         submit(pipeline, MOVING, [dolly(k) for k in range(3)], [0, 1 / 30, 2 / 30])
         out = pipeline.extrapolate(dolly(2.5), 2.5 / 30)
@@ -306,7 +306,7 @@ def test_no_motion_option_and_literal_splat(device):
             assert not out.numpy("dynamic").any()
         if not options.crack_closing:
             assert not (out.numpy("filled_by") == 254).any()
-        if not options.hole_filling:
+        if options.hole_filling == "none":
             holes = out.numpy("disoccluded") == 1
             assert holes.any() and np.isinf(out.numpy("depth")[holes]).all()
 
