@@ -31,7 +31,8 @@ class BufferSpec:
     """One named buffer of a stage.
 
     `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "blocks"
-    (target / 32, rounded up), "level0" … (source / 2^l, rounded up) or "once" (no image). `components` name its channels; a single one goes without.
+    (target / 32, rounded up), "level0" … (source / 2^l, rounded up) or "once" (no image). `components` name its
+    channels; a single one goes without.
     """
 
     name: str
