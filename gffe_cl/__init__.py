@@ -11,8 +11,9 @@ frame.numpy("color")        # NumPy array
 
 from importlib import import_module
 
-from gffe_cl.runtimes import expose_installed_runtimes
+from gffe_cl.runtimes import expose_installed_runtimes, redirect_unwritable_caches
 
+redirect_unwritable_caches()
 expose_installed_runtimes()  # before anything imports pyopencl
 
 __version__ = "0.1.0"
@@ -32,8 +33,10 @@ _HOME = {
     "ExtrapolatedFrame": "pipeline",
     "Options": "pipeline",
     "Pipeline": "pipeline",
+    "FrameEntry": "sequence",
     "Sequence": "sequence",
     "SequenceWriter": "sequence",
+    "named_channels": "sequence",
     "open_sequence": "sequence",
 }
 

@@ -14,6 +14,8 @@ import numpy as np
 from gffe_cl.errors import GffeError
 
 _RIGIDITY_TOLERANCE = 1e-3
+_MOST_FOCAL = 1e9
+_MOST_DISTANCE = 1e15
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +63,10 @@ class Camera:
             raise GffeError("camera: the last row of world_to_view must be 0 0 0 1 (column vectors)")
         if intrinsics[0] <= 0 or intrinsics[1] <= 0:
             raise GffeError(f"camera: singular projection, fx and fy must be positive, got {self.fx:g} and {self.fy:g}")
+        if max(intrinsics[:2]) > _MOST_FOCAL or min(intrinsics[:2]) < 1 / _MOST_FOCAL:
+            raise GffeError(f"camera: fx and fy must be within 1e-9 and 1e9 pixels, got {self.fx:g} and {self.fy:g}")
+        if max(map(abs, intrinsics[2:])) > _MOST_FOCAL or np.abs(matrix[:3, 3]).max() > _MOST_DISTANCE:
+            raise GffeError("camera: cx, cy must be within 1e9 pixels and the position within 1e15 world units")
         matrix.setflags(write=False)
         object.__setattr__(self, "world_to_view", matrix)
         for name, value in zip(("fx", "fy", "cx", "cy"), intrinsics, strict=True):

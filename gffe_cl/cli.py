@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from contextlib import contextmanager
 from pathlib import Path
@@ -35,15 +36,30 @@ DeviceOption = Annotated[
         help="Part of a device's or platform's name, its index (0:0), 'gpu' or 'cpu'; see `gffe devices`.",
     ),
 ]
-JsonOption = Annotated[Path | None, typer.Option("--json", help="Also write the report to this file.")]
+
+
+def _json_path(path: Path | None) -> Path | None:
+    """Checked before the work, not after it."""
+    if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
+        raise GffeError(f"--json {path}: must be a file in a folder that exists")
+    return path
+
+
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", help="Also write the report to this file.", callback=_json_path)
+]
 
 
 def main() -> None:
     """Entry point: structural faults become one line and exit code 2."""
     try:
-        code = app(standalone_mode=False)
+        code = app(args=sys.argv[1:] or ["--help"], standalone_mode=False)
     except GffeError as error:
         fail(str(error))
+    except MemoryError:
+        fail("not enough memory (expected smaller images)")
+    except (OSError, UnicodeError) as error:
+        fail(f"{getattr(error, 'filename', None) or 'system'}: {getattr(error, 'strerror', None) or error}")
     except (KeyboardInterrupt, typer.Abort):
         code = _INTERRUPTED
     except Exception as error:
@@ -114,6 +130,8 @@ def demo(
     from gffe_cl.device import open_device
 
     width, height = parse_size(size)
+    if min(width, height) < 32 or max(width, height) > 4096:
+        raise GffeError(f"demo: --size must be 32 to 4096 pixels each way, got '{size}'")
     opened = open_device(device)
     out.print(f"Device: {opened.info.name} ({opened.info.platform})")
     with _progress() as progress:
@@ -204,7 +222,10 @@ def run(
         raise GffeError(f"--camera must be 'truth' or 'predicted', got '{camera}'")
     threshold = None
     if static_threshold != "auto":
-        threshold = parse_numbers(static_threshold, "--static-threshold")[0]
+        numbers = parse_numbers(static_threshold, "--static-threshold")
+        if len(numbers) != 1 or not 0 <= numbers[0] <= 1e6:
+            raise GffeError(f"--static-threshold must be one number of pixels or auto, got '{static_threshold}'")
+        threshold = numbers[0]
     options = Options(
         history=history,
         order=order,
@@ -299,6 +320,8 @@ def study(
     from gffe_cl.study import METHODS, study_scene
 
     width, height = parse_size(size)
+    if min(width, height) < 16 or seeds < 1 or frames < 4 or not 0 < alpha <= 8:
+        raise GffeError("study: --size must be at least 16x16, --seeds 1, --frames 4, and --alpha within 0 and 8")
     opened = open_device(device)
     names = scenes or list(SCENES)
     with _progress() as progress:
@@ -422,9 +445,18 @@ def _write_json(path: Path | None, document: dict) -> None:
     if path is None:
         return
     try:
-        path.write_text(json.dumps(document, indent=1) + "\n")
+        path.write_text(json.dumps(_finite(document), indent=1, allow_nan=False) + "\n")
     except OSError as error:
         raise GffeError(f"{path}: cannot write: {error.strerror}") from None
+
+
+def _finite(value):
+    """`value` with null for numbers that JSON cannot hold."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _plain(text: str) -> str:

@@ -47,6 +47,8 @@ def select(infos: list[DeviceInfo], wanted: str) -> list[DeviceInfo]:
     """The devices that `wanted` means: an index ("0:1"), a kind ("gpu"), part of the platform's name or
     version ("intel", "pocl"), or else part of the device's name ("xeon")."""
     wanted = wanted.strip().lower()
+    if not any(letter.isalpha() for letter in wanted):
+        return [info for info in infos if info.index == wanted]
     for texts in (
         lambda info: (info.index, info.kind),
         lambda info: f"{info.platform} {info.version}".lower(),

@@ -122,7 +122,8 @@ class Pipeline:
     int64_atomics : bool or None
         Force or forbid the 64-bit path of the warp; None: as the device can. Both give the same bits.
 
-    Nothing is allocated or compiled after construction, but for uploads of host arrays.
+    Nothing is allocated on the device or compiled after construction, but for the first uploads of host arrays.
+    Device buffers must have been written on `device.queue`, or be finished, before they are submitted.
     """
 
     def __init__(
@@ -177,12 +178,19 @@ class Pipeline:
             self._previous = None
         else:
             self._previous = self._current
-        self._current = DeviceFrame(*buffers, frame.camera, frame.shown_camera, frame.time)
+        display_camera = frame.display_camera or self._scaled_to_display(frame.camera)
+        self._current = DeviceFrame(*buffers, frame.camera, display_camera, frame.time)
         self._times = [frame.time, *self._times[:MAX_ORDER]]
         self.history.track(self._current, self._previous if self.options.motion else None)
         self.warp.link(self._current, self.history)
         if self.background:
             self.background.collect(self._current, self._previous, self.history, self.warp)
+
+    def _scaled_to_display(self, camera: Camera) -> Camera:
+        """The same frustum in display pixels."""
+        if self.sizes.source == self.sizes.target:
+            return camera
+        return camera.scaled(*(t / s for s, t in zip(self.sizes.source, self.sizes.target, strict=True)))
 
     def _device_buffers(self, frame: RenderedFrame, packed: PackedFrame | None) -> tuple:
         given = [_as_buffer(array) for array in (frame.color, frame.depth, frame.motion)]
@@ -245,6 +253,11 @@ class Pipeline:
         camera = camera or self.predict_camera(alpha)
         if target_position is None:
             self.prediction.predict(source, self.history, self._times, camera, time)
+        elif np.shape(target_position) != (*reversed(self.sizes.source), 4):
+            raise GffeError(
+                f"extrapolate: target_position must have shape {(*reversed(self.sizes.source), 4)},"
+                f" got {np.shape(target_position)}"
+            )
         else:
             self.prediction.upload("target_position", np.ascontiguousarray(target_position, np.float32))
         self.warp.warp(source, self.history, self.prediction, camera)

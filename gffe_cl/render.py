@@ -36,7 +36,7 @@ def render_sequence(
         raise GffeError(f"--fps must be positive, got {fps:g}")
     renderer = SceneRenderer(device, scene, width, height, samples)
     count = 0
-    with SequenceWriter(output, width, height, fps, scene.exposure) as writer:
+    with SequenceWriter(output, width, height, fps, scene.exposure, generator="gffe-cl render") as writer:
         for frame in sequence_frames(scene, width, height, frames, fps, ground_truth, per_frame):
             image = renderer.render(frame.time, frame.camera, frame.previous_time, frame.previous_camera).numpy()
             rendered = frame.kind == "rendered"

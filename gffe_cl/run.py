@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,6 +27,7 @@ from gffe_cl.sequence import (
 from gffe_cl.sequence.exr import write_channels
 from gffe_cl.stage import BufferSpec
 
+_MOST_ALPHA = 100
 MASKS = {"mask.dynamic": "dynamic", "mask.disoccluded": "disoccluded", "mask.filled_by": "filled_by"}
 
 
@@ -66,13 +67,15 @@ def run_sequence(
 
     Raises GffeError for structural faults; then `output` holds no sequence.
     """
-    alphas = sorted(alphas)
-    if not alphas or not all(np.isfinite(a) and a > 0 for a in alphas):
-        raise GffeError(f"alpha must be positive numbers, got {', '.join(f'{a:g}' for a in alphas) or 'none'}")
+    alphas = sorted(set(alphas))
+    if not alphas or not all(0 < a <= _MOST_ALPHA for a in alphas):
+        given = ", ".join(f"{a:g}" for a in alphas) or "none"
+        raise GffeError(f"alpha must be positive numbers up to {_MOST_ALPHA}, got {given}")
     refuse_same_folder(output, sequence.path)
     render_size = _common_render_size(sequence)
     pipeline = Pipeline(device, sequence.width, sequence.height, options, render_size=render_size, fps=sequence.fps)
     truth_cameras = _TruthCameras([] if predicted_camera else sequence.ground_truth)
+    numbers, suffixes = _numbers(sequence.rendered), _suffixes(alphas)
     report = RunReport(0, BadPixels(), sequence.warnings(), {})
     timings = {stage.name: 0.0 for stage in pipeline.stages}
 
@@ -83,8 +86,10 @@ def run_sequence(
             require_clean(entry.file, packed.bad)
         return frame, packed
 
-    writing = SequenceWriter(output, sequence.width, sequence.height, sequence.fps, sequence.exposure)
-    with writing as writer, stage_dump(output / "stages") as dump:
+    writing = SequenceWriter(
+        output, sequence.width, sequence.height, sequence.fps, sequence.exposure, generator="gffe-cl run"
+    )
+    with writing as writer, stage_dump(output / "stages" if dump_stages else None) as dump:
         for index, (entry, (frame, packed)) in enumerate(sequence.prefetch(sequence.rendered, read=read)):
             pipeline.submit(frame, packed)
             writer.link(entry, sequence.path / entry.file)
@@ -93,15 +98,14 @@ def run_sequence(
                 camera = truth_cameras.at(time)
                 extrapolated = pipeline.extrapolate(camera, time)
                 made = FrameEntry(
-                    file=f"extrapolated_{_number_of(entry, index)}_{round(alpha * 1000):04d}.exr",
+                    file=f"extrapolated_{numbers[index]}_{suffixes[alpha]}.exr",
                     time=time,
                     kind="extrapolated",
                     source=entry.file,
                     alpha=alpha,
                     display_camera=extrapolated.camera,
                 )
-                if dump_stages:
-                    dump(pipeline, Path(made.file).stem)
+                dump(pipeline, Path(made.file).stem)
                 writer.add(made, output_channels(extrapolated, frame.camera, frame.shown_camera, frame.color.dtype))
                 report.extrapolated += 1
                 on_frame()
@@ -135,12 +139,16 @@ def output_channels(
 
 
 @contextmanager
-def stage_dump(folder: Path) -> Iterator[Callable[[Pipeline, str], None]]:
+def stage_dump(folder: Path | None) -> Iterator[Callable[[Pipeline, str], None]]:
     """Gives a function that writes every named buffer of every stage to `folder`/NAME: `<stage>.<buffer>.exr`,
-    and `once.json` for what is no image. After an error, `folder` is removed."""
+    and `once.json` for what is no image; nothing if `folder` is None. After an error, what it wrote is removed."""
+    written: list[Path] = []
 
     def dump(pipeline: Pipeline, name: str) -> None:
+        if folder is None:
+            return
         once = {}
+        written.append(folder / name)
         try:
             (folder / name).mkdir(parents=True, exist_ok=True)
             for stage, spec in pipeline.named_buffers():
@@ -156,7 +164,11 @@ def stage_dump(folder: Path) -> Iterator[Callable[[Pipeline, str], None]]:
     try:
         yield dump
     except Exception:
-        shutil.rmtree(folder, ignore_errors=True)
+        for made in written:
+            shutil.rmtree(made, ignore_errors=True)
+        if written:
+            with suppress(OSError):
+                folder.rmdir()
         raise
 
 
@@ -181,10 +193,20 @@ def _common_render_size(sequence: Sequence) -> tuple[int, int]:
     return next(iter(sizes))
 
 
-def _number_of(entry: FrameEntry, index: int) -> str:
-    """The number in the rendered frame's name (`frame_000012.exr` → `000012`), else its index."""
-    digits = Path(entry.file).stem.rpartition("_")[2]
-    return digits if digits.isdigit() else f"{index:06d}"
+def _numbers(entries: list[FrameEntry]) -> list[str]:
+    """Numbers in the frames' names (`frame_000012.exr` → `000012`); their indices unless each has one of its own."""
+    numbers = [Path(entry.file).stem.rpartition("_")[2] for entry in entries]
+    own = all(n.isdigit() and n.isascii() for n in numbers) and len(set(numbers)) == len(numbers)
+    return numbers if own else [f"{index:06d}" for index in range(len(entries))]
+
+
+def _suffixes(alphas: list[float]) -> dict[float, str]:
+    """α in thousandths (0.5 → `0500`), in smaller units where that would not tell them apart."""
+    for digits in range(3, 18):
+        suffixes = {alpha: f"{round(alpha * 10**digits):0{digits + 1}d}" for alpha in alphas}
+        if len(set(suffixes.values())) == len(alphas):
+            break
+    return suffixes
 
 
 class _TruthCameras:

@@ -70,6 +70,19 @@ def expose_installed_runtimes() -> None:
     _exposed = True
 
 
+def redirect_unwritable_caches() -> None:
+    """Let PoCL and pyopencl keep their caches where they can be written, for homes that cannot.
+
+    Both fail to build anything otherwise. Does nothing for a variable that the user has set.
+    """
+    home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+    while not home.exists() and home != home.parent:
+        home = home.parent
+    if not os.access(home, os.W_OK) or str(home).startswith("/proc"):
+        os.environ.setdefault("POCL_CACHE_DIR", str(cache_folder() / "pocl"))
+        os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
+
+
 def _vendor_folder(entries: dict[str, str]) -> Path:
     digest = hashlib.sha256(repr(sorted(entries.items())).encode()).hexdigest()[:16]
     folder = cache_folder() / f"vendors-{digest}"

@@ -5,6 +5,7 @@ What the stage dump writes, the viewer lists and the README tabulates comes from
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ from gffe_cl.camera import Camera
 from gffe_cl.device import Device
 from gffe_cl.program import build
 
+_EVENTS = 1024  # kept per stage for whoever asks for timings
 _ROW = 64  # work-items of a work-group, all in one row: rows stream better than squares on CPUs
 
 
@@ -75,7 +77,7 @@ class Stage:
     """Base of all stages.
 
     Subclasses set `name` (kernel file and module too), `buffers` (or override `declare`), and have methods
-    that launch their kernels. `events` collects the profiling events since the last `take_events`.
+    that launch their kernels. `events` holds the latest profiling events since the last `take_events`.
     """
 
     name = ""
@@ -86,7 +88,7 @@ class Stage:
         self.sizes = sizes
         self.program = build(device, self.name, **variant)
         self.buffer = self.allocate(self.buffers)
-        self.events: list[tuple[str, cl.Event]] = []
+        self.events: deque[tuple[str, cl.Event]] = deque(maxlen=_EVENTS)
 
     def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
         """New device buffers by name, all bits zero."""
@@ -111,7 +113,8 @@ class Stage:
         self.events.append(("fill", event))
 
     def take_events(self) -> list[tuple[str, cl.Event]]:
-        events, self.events = self.events, []
+        events = list(self.events)
+        self.events.clear()
         return events
 
     def upload(self, name: str, values: np.ndarray) -> None:

@@ -44,7 +44,8 @@ class SceneStudy:
     def share(self) -> float:
         """Share of the gap between "repeat" and "oracle" that GAE closes, in dB over visible pixels."""
         floor = self.visible["repeat"]
-        return (self.visible["gae"] - floor) / (self.visible["oracle"] - floor)
+        gap = self.visible["oracle"] - floor
+        return (self.visible["gae"] - floor) / gap if gap else float("nan")
 
 
 def study_scene(

@@ -356,3 +356,46 @@ def test_interrupt_keeps_what_is_finished(tmp_path):
     made = open_sequence(out)
     assert 10 <= len(made.extrapolated) < 560
     assert {p.name for p in out.glob("*.exr")} == {e.file for e in made.frames}
+
+
+def test_failed_run_leaves_other_files_alone(gffe, scene, tmp_path):
+    """A `stages` folder of the user's, and sequences that are no output of `gffe run`, survive."""
+    out = tmp_path / "out"
+    (out / "stages").mkdir(parents=True)
+    (out / "stages" / "notes.txt").write_text("mine")
+    _spoil(scene / "frame_000002.exr", "Z", lambda a: a.__setitem__((3, 4), np.nan))
+    for extra in ([], ["--dump-stages"]):
+        assert gffe("run", scene, out, "--strict", *extra)[0] == 2
+        assert [p.name for p in (out / "stages").iterdir()] == ["notes.txt"]
+    assert gffe("run", scene, tmp_path / "made")[0] == 0
+    code, _, err = gffe("run", tmp_path / "made", scene)  # arguments swapped
+    assert code == 2 and "so it stays" in err
+    assert len(open_sequence(scene).ground_truth) == 4
+
+
+def test_names_are_unique(gffe, scene, tmp_path):
+    assert gffe("run", scene, tmp_path / "out", "--alpha", "0.5,0.3333,0.33331,0.5")[0] == 0
+    assert len(open_sequence(tmp_path / "out").extrapolated) == 12
+    document = json.loads((scene / "sequence.json").read_text())
+    for index, frame in enumerate(document["frames"]):
+        if frame["kind"] == "rendered":
+            (scene / frame["file"]).rename(scene / f"shot{index}_0001.exr")
+            frame["file"] = f"shot{index}_0001.exr"
+    (scene / "sequence.json").write_text(json.dumps(document))
+    assert gffe("run", scene, tmp_path / "shots")[0] == 0
+
+
+def test_unwritable_home(tmp_path):
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("XDG_", "POCL_", "PYOPENCL_"))}
+    child = subprocess.run(
+        [sys.executable, "-m", "gffe_cl", "devices"],
+        env=environment | {"HOME": "/proc"},
+        capture_output=True,
+        text=True,
+    )
+    assert child.returncode == 0 and "no:" not in child.stdout, child.stdout + child.stderr
+
+
+def test_no_arguments_show_help(gffe):
+    code, text, err = gffe()
+    assert code == 0 and "Commands" in text and not err

@@ -28,8 +28,8 @@ def refuse_same_folder(output, source) -> None:
 class OutputFolder:
     """Takes possession of `path` in `open` (GffeError if it cannot), ends in `keep` or `discard`."""
 
-    def __init__(self, path: Path):
-        self.path = path
+    def __init__(self, path: Path, generator: str = GENERATOR):
+        self.path, self.generator = path, generator
         self._own: set[str] = set()  # left by an earlier run, may be replaced
         self._claimed: set[str] = set()
         self._made_folders: list[Path] = []
@@ -97,12 +97,14 @@ class OutputFolder:
         if json_path.exists():
             try:
                 document = json.loads(json_path.read_text("utf-8"))
-                ours = str(document["generator"]).startswith(GENERATOR)
+                ours = document["generator"] == self.generator
                 names += [frame["file"] for frame in document["frames"]]
             except (ValueError, KeyError, TypeError):
                 ours = False
             if not ours:
-                raise GffeError(f"{json_path}: was not written by gffe-cl, so it stays (expected another folder)")
+                raise GffeError(
+                    f"{json_path}: was not written by {self.generator}, so it stays (expected another folder)"
+                )
         own = set()
         for name in names:
             with contextlib.suppress(GffeError):

@@ -14,7 +14,7 @@ import numpy as np
 
 from gffe_cl.errors import GffeError
 from gffe_cl.sequence import exr
-from gffe_cl.sequence.description import KINDS, Description, FrameEntry, describe
+from gffe_cl.sequence.description import KINDS, Description, FrameEntry, describe, parse_description
 from gffe_cl.sequence.folder import GENERATOR, OutputFolder
 from gffe_cl.sequence.header_camera import camera_attributes
 
@@ -31,6 +31,8 @@ class SequenceWriter:
     fps, exposure : float
     threads : int
         EXRs are compressed on so many threads; `add` waits while twice as many frames are under way.
+    generator : str
+        Who writes; only an earlier output of the same generator is replaced.
 
     Files are written under temporary names and renamed; `sequence.json` comes last, when the context is left.
     Left by KeyboardInterrupt, it lists the frames that were finished. Left by any other exception, the files
@@ -38,10 +40,20 @@ class SequenceWriter:
     All of them are GffeError; so are a full disk and a folder that cannot be written to.
     """
 
-    def __init__(self, path, width: int, height: int, fps: float, exposure: float = 1.0, threads: int = 2):
+    def __init__(
+        self,
+        path,
+        width: int,
+        height: int,
+        fps: float,
+        exposure: float = 1.0,
+        threads: int = 2,
+        generator: str = GENERATOR,
+    ):
         self.path = Path(path)
         self._description = Description(int(width), int(height), float(fps), float(exposure), [])
-        self._folder = OutputFolder(self.path)
+        self._generator = generator
+        self._folder = OutputFolder(self.path, generator)
         self._pending: deque = deque()
         self._times: set[float] = set()
         self._threads = max(1, threads)
@@ -109,7 +121,8 @@ class SequenceWriter:
             if not interrupted:
                 raise GffeError(f"{self.path}: no frame was written (expected at least one)")
             return
-        document = describe(replace(self._description, frames=frames), GENERATOR)
+        document = describe(replace(self._description, frames=frames), self._generator)
+        parse_description(document)  # what would not open again must not be written
         self._folder.keep(document, [entry.file for entry in frames])
 
     def _stop(self) -> None:
