@@ -6,10 +6,12 @@
 #define RESIDUAL_BINS 64
 #define RESIDUAL_FIRST_BIN 214   /* bits of 2^-20 >> 22: the squared residual of the first bin, in px^2 */
 #define RESIDUAL_STRIDE 4        /* every 4th pixel of every 4th row is enough for a quantile */
+#define SCATTER_DISTANCE 8       /* px, diagonally: far enough for quantisation errors to differ, near enough for one surface */
 
 #define SEARCH_RADIUS 2          /* px around x' in which the right surface is looked for */
 #define DEPTH_TOLERANCE 0.03f    /* relative depth within which a surface is plausible for a fragment that stands ... */
 #define DEPTH_PER_MOTION 2.0f    /* ... and what is added per unit of its sideways motion */
+#define DEPTH_CHANGE_MOST 0.12f  /* relative change within an interval of a surface that fills the neighbourhood of x' */
 
 /* Where pixel (x, y) of depth z was if it is static: (px in the previous frame, z there). */
 inline float3 static_position(const int x, const int y, const float z, const Reprojection to_previous) {
@@ -23,37 +25,60 @@ inline float squared_distance(const float2 a, const float2 b) {
     return dx * dx + dy * dy;
 }
 
-/* Histogram of the squared static residual, two bins per octave, over a subset of the pixels. */
+/* Residual x^ - x' of the static test at a pixel; false where it does not apply. */
+inline bool static_residual(const int x, const int y, const int width, __global const float *depth,
+                            __global const float2 *motion, const Reprojection to_previous, float2 *residual) {
+    const float z = depth[y * width + x];
+    const float2 mv_px = motion[y * width + x];
+    if (INVALID_DEPTH(z) || isinf(z) || !isfinite(mv_px.x) || !isfinite(mv_px.y)) return false;
+    const float3 px_static = static_position(x, y, z, to_previous);
+    *residual = px_static.xy - previous_position(x, y, mv_px);
+    return px_static.z > 0.0f;
+}
+
+inline int residual_bin(const float2 residual) {
+    const float r2 = residual.x * residual.x + residual.y * residual.y;
+    return clamp((int)(as_uint(r2) >> 22) - RESIDUAL_FIRST_BIN, 0, RESIDUAL_BINS - 1);
+}
+
+/* Two histograms over a subset of the pixels, two bins per octave: of the squared residual, and of its squared change over a
+   short distance. */
 __kernel void residual_histogram(const int width, const int height,
                                  __global const float *depth, __global const float2 *motion,
                                  const Reprojection to_previous, __global int *histogram) {
     const int x = get_global_id(0) * RESIDUAL_STRIDE, y = get_global_id(1) * RESIDUAL_STRIDE;
     if (x >= width || y >= height) return;
-    const int i = y * width + x;
-    const float z = depth[i];
-    const float2 mv_px = motion[i];
-    if (INVALID_DEPTH(z) || isinf(z) || !isfinite(mv_px.x) || !isfinite(mv_px.y)) return;
-    const float3 px_static = static_position(x, y, z, to_previous);
-    if (px_static.z < 0.0f) return;
-    const float r2 = squared_distance(px_static.xy, previous_position(x, y, mv_px));
-    const int bin = (int)(as_uint(r2) >> 22) - RESIDUAL_FIRST_BIN;
-    atomic_inc(histogram + clamp(bin, 0, RESIDUAL_BINS - 1));
+    float2 here, there;
+    if (!static_residual(x, y, width, depth, motion, to_previous, &here)) return;
+    atomic_inc(histogram + residual_bin(here));
+    const int near_x = x + SCATTER_DISTANCE, near_y = y + SCATTER_DISTANCE;
+    if (near_x < width && near_y < height && static_residual(near_x, near_y, width, depth, motion, to_previous, &there))
+        atomic_inc(histogram + RESIDUAL_BINS + residual_bin(here - there));
 }
 
-/* epsilon^2 from the noise floor: 4 times the lower quartile of the residual, within [low, high] (px).
-   The quartile belongs to static pixels as long as a quarter of the frame is static. */
+/* Upper bound of the bin below which `share` of a histogram's counts lie; *total is their number. */
+inline float quantile(__global const int *histogram, const float share, int *total) {
+    *total = 0;
+    for (int b = 0; b < RESIDUAL_BINS; ++b) *total += histogram[b];
+    int below = 0, bin = 0;
+    for (int b = 0; b < RESIDUAL_BINS; ++b) {
+        bin = b;
+        below += histogram[b];
+        if ((float)below >= share * (float)*total) break;
+    }
+    return as_float((uint)(bin + 1 + RESIDUAL_FIRST_BIN) << 22);
+}
+
+/* epsilon from the noise floor: 4 times the lower quartile of the residual, or the median of its change if that is less,
+   within [low, high] px. The quartile belongs to static pixels as long as a quarter of the frame is static; where a mover
+   fills more, its residual is large but does not change from pixel to pixel, as noise does. */
 __kernel void noise_threshold(__global const int *histogram, const float low, const float high,
                               __global float *threshold_squared) {
-    int total = 0;
-    for (int b = 0; b < RESIDUAL_BINS; ++b) total += histogram[b];
-    int below = 0, quartile = 0;
-    for (int b = 0; b < RESIDUAL_BINS; ++b) {
-        quartile = b;
-        below += histogram[b];
-        if (below * 4 >= total) break;
-    }
-    const float r2 = as_float((uint)(quartile + 1 + RESIDUAL_FIRST_BIN) << 22);
-    threshold_squared[0] = total ? clamp(16.0f * r2, low * low, high * high) : low * low;
+    int total, pairs;
+    const float residual = quantile(histogram, 0.25f, &total);
+    const float change = quantile(histogram + RESIDUAL_BINS, 0.5f, &pairs);
+    const float noise = pairs ? fmin(residual, change) : residual;
+    threshold_squared[0] = total ? clamp(16.0f * noise, low * low, high * high) : low * low;
 }
 
 inline bool plausible(const float z, const float z_expected, const float tolerance) {
@@ -95,7 +120,22 @@ inline float depth_met(const float2 px_prev, const float z_expected, const float
                 *nearest = y * width + x;
             }
         }
-    return found;
+    if (found > 0.0f) return found;
+
+    /* A surface that comes straight towards the camera: its depth changes without sideways motion. Believed where all
+       four taps agree among themselves, so that x' cannot have slipped off an edge. */
+    float low = INFINITY, high = -INFINITY;
+    for (int tap = 0; tap < 4; ++tap) {
+        const int x = x0 + (tap & 1), y = y0 + (tap >> 1);
+        if (!inside(x, y, width, height)) return -1.0f;
+        const float z = depth_prev[y * width + x];
+        if (!plausible(z, z_expected, DEPTH_CHANGE_MOST * z_expected)) return -1.0f;
+        low = fmin(low, z);
+        high = fmax(high, z);
+        sum += ((tap & 1) ? u : 1.0f - u) * ((tap >> 1) ? v : 1.0f - v) * z;
+    }
+    *nearest = (u < 0.5f ? y0 * width + x0 : y0 * width + x0 + 1) + (v < 0.5f ? 0 : width);
+    return high - low <= DEPTH_TOLERANCE * low ? sum : -1.0f;
 }
 
 /* Algorithm 1. history: k-1 planes of (P_i, 1), or (P_0, 0) where P_i is not known. */

@@ -247,6 +247,47 @@ def test_threshold_follows_quantised_motion(device):
         assert moving > 0.95 and static < 0.02, fractions
 
 
+@pytest.mark.parametrize("speed", [1.0, 2.0, 3.9])
+def test_a_mover_that_fills_the_frame_is_no_noise(device, speed):
+    """Nothing but sky and one mover: its residual is large everywhere, but it is motion all the same."""
+    cam = camera(W, H)
+    pipeline = Pipeline(device, W, H)
+    y, x = np.mgrid[:H, :W]
+    for k in range(3):
+        mover = (np.abs(x - 30 - speed * k) < 20) & (np.abs(y - H / 2) < 24)
+        depth = np.where(mover, 6.0, np.inf).astype(np.float32)
+        motion = np.zeros((H, W, 2), np.float32)
+        motion[mover] = (-speed, 0)
+        color = half(np.where(mover[..., None], (0.8, 0.2, 0.1), (0.3, 0.4, 0.9)))
+        pipeline.submit(RenderedFrame(color, depth, motion, cam, k / 30, reset=k == 0))
+    assert pipeline.history.read("dynamic_mask")[mover].all()
+    shown = np.flatnonzero(pipeline.extrapolate(cam, 3 / 30).numpy("color")[H // 2, :, 0] > 0.6)
+    assert abs(shown.min() - (30 + speed * 3 - 19.5)) <= 1 and abs(shown.max() - (30 + speed * 3 + 19.5)) <= 1
+
+
+@pytest.mark.parametrize("approach", [0.04, 0.06, 0.1])
+def test_an_object_coming_straight_at_the_camera(device, approach):
+    """Depth shrinks by up to 10% per frame with hardly any sideways motion: its history is known, it grows."""
+    cam = camera(W, H)
+    pipeline = Pipeline(device, W, H)
+
+    def scene(k):
+        return Rects([Rect((0, 0, 30), frequency=0.1), Rect((0, 0, 8 * (1 - approach) ** k), (1.5, 1.0))])
+
+    for k in range(4):
+        frame = scene(k).frame(cam, k / 30, W, H, reset=k == 0)
+        y, x = np.nonzero(frame.depth < 20)
+        away = np.stack([x + 0.5 - W / 2, y + 0.5 - H / 2], -1)
+        frame.motion[y, x] = away * (1 - approach) - away
+        pipeline.submit(frame)
+    dynamic = pipeline.history.read("dynamic_mask") == 1
+    known = pipeline.history.read("history")[..., 3] == 1
+    assert dynamic.sum() > 150 and known[dynamic].mean() > 0.9
+    out = pipeline.extrapolate(cam, 3.5 / 30)
+    expected = 8 * ((1 - approach) ** 3 + 0.5 * ((1 - approach) ** 3 - (1 - approach) ** 2))
+    assert out.numpy("depth")[H // 2, W // 2 + 11] == pytest.approx(expected, rel=0.01)
+
+
 def test_motion_onto_another_surface_means_no_motion(device):
     """Where the motion vector meets no plausible surface, the fragment is dynamic and stays where it is."""
     cam = camera(W, H)

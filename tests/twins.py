@@ -68,20 +68,38 @@ def static_residual_squared(depth, motion, to_previous):
 
 
 def residual_histogram(depth, motion, to_previous):
-    r2, where = static_residual_squared(depth, motion, to_previous)
-    use = ~invalid(depth) & ~np.isinf(depth) & np.isfinite(motion).all(-1) & (where[..., 2] >= 0)
-    r2 = r2[::4, ::4][use[::4, ::4]]
-    bins = np.clip((r2.view(np.uint32) >> 22).astype(int) - 214, 0, 63)
-    return np.bincount(bins, minlength=64).astype(np.int32)
+    """(2, 64) int32: of the squared residual, and of its squared change over 8 px diagonally."""
+    height, width = depth.shape
+    px = centres(height, width)
+    where = reproject(px, depth, to_previous)
+    with np.errstate(invalid="ignore", over="ignore"):
+        residual = where[..., :2] - (px + motion)
+    use = ~invalid(depth) & ~np.isinf(depth) & np.isfinite(motion).all(-1) & (where[..., 2] > 0)
+
+    def histogram(vectors):
+        r2 = vectors[:, 0] * vectors[:, 0] + vectors[:, 1] * vectors[:, 1]
+        bins = np.clip((r2.view(np.uint32) >> 22).astype(int) - 214, 0, 63)
+        return np.bincount(bins, minlength=64)
+
+    sampled = np.zeros_like(use)
+    sampled[::4, ::4] = True
+    near, near_use = _shifted(residual, 8, 8, np.nan), _shifted(use, 8, 8, False)
+    with np.errstate(over="ignore"):
+        counts = histogram(residual[sampled & use]), histogram((residual - near)[sampled & use & near_use])
+    return np.stack(counts).astype(np.int32)
 
 
 def noise_threshold_squared(histogram, low=0.25, high=4.0):
-    total = histogram.sum()
-    if total == 0:
+    def quantile(counts, share):
+        bin_ = int(np.argmax(np.cumsum(counts) >= share * counts.sum()))
+        return np.array([(bin_ + 215) << 22], np.uint32).view(F)[0]
+
+    if histogram[0].sum() == 0:
         return F(low * low)
-    quartile = int(np.argmax(np.cumsum(histogram) * 4 >= total))
-    r2 = np.array([(quartile + 215) << 22], np.uint32).view(F)[0]
-    return np.clip(F(16) * r2, F(low * low), F(high * high))
+    noise = quantile(histogram[0], 0.25)
+    if histogram[1].sum():
+        noise = min(noise, quantile(histogram[1], 0.5))
+    return np.clip(F(16) * noise, F(low * low), F(high * high))
 
 
 def _depth_met(px, expected, tolerance, depth_prev):
@@ -119,7 +137,20 @@ def _depth_met(px, expected, tolerance, depth_prev):
             distance = dx * dx + dy * dy
             if distance < closest and plausible(depth_prev[y, x]):
                 closest, found, nearest = distance, depth_prev[y, x], y * width + x
-    return found, nearest
+    if found > 0:
+        return found, nearest
+    taps = []
+    for tap in range(4):
+        x, y = x0 + (tap & 1), y0 + (tap >> 1)
+        if not (0 <= x < width and 0 <= y < height):
+            return F(-1), nearest
+        z = depth_prev[y, x]
+        if not (z > 0 and not np.isinf(z) and abs(z - expected) <= F(0.12) * expected):
+            return F(-1), nearest
+        taps.append(z)
+        total = total + (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v) * z
+    nearest = (y0 + (v >= 0.5)) * width + x0 + (u >= 0.5)
+    return (total if max(taps) - min(taps) <= F(0.03) * min(taps) else F(-1)), nearest
 
 
 def track_history(

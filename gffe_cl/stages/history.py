@@ -37,7 +37,8 @@ class HistoryTracking(Stage):
             np.int32,
             tuple(f"bin{b}" for b in range(_BINS)),
             "once",
-            "static residual, two bins per octave of r²",
+            "squared static residual, and its squared change over 8 px; two bins per octave",
+            planes=2,
         ),
     )
 
