@@ -186,42 +186,54 @@ inline float4 cubic_weights(const float t) {
                     0.5f * t3 - 0.5f * t2);
 }
 
-/* Colour at (sx, sy) + d of the source. Cubic, clamped to its four inner taps, where the whole neighbourhood moves alike;
-   else bilinear over those of the four taps that do. */
+/* Cubic interpolation of the 4x4 taps from (x0, y0) on, clamped to the four inner ones. `checked` taps are made finite;
+   others are taken as they are, and so is what comes of them. */
+inline float3 cubic(const int x0, const int y0, const float u, const float v, const int width, const bool checked,
+                    __global const half *color) {
+    const float4 wx4 = cubic_weights(u), wy4 = cubic_weights(v);
+    const float wx[4] = {wx4.x, wx4.y, wx4.z, wx4.w}, wy[4] = {wy4.x, wy4.y, wy4.z, wy4.w};
+    float3 sum = (float3)(0.0f), low = (float3)(INFINITY), high = (float3)(-INFINITY);
+    for (int ty = 0; ty < 4; ++ty) {
+        float3 row = (float3)(0.0f);
+        for (int tx = 0; tx < 4; ++tx) {
+            const int i = (y0 + ty) * width + x0 + tx;
+            const float3 c = checked ? load_color(color, i) : vload_half4(i, color).xyz;
+            row += wx[tx] * c;
+            if (tx == 0 || tx == 3 || ty == 0 || ty == 3) continue;
+            low = fmin(low, c);
+            high = fmax(high, c);
+        }
+        sum += wy[ty] * row;
+    }
+    if (!checked && !(isfinite(sum.x) && isfinite(sum.y) && isfinite(sum.z))) return sum;
+    return clamp(sum, low, high);
+}
+
+/* Colour at (sx, sy) + d of the source. Cubic where the neighbourhood moves alike, which its four inner taps and its corners
+   tell; else bilinear over those of the four taps that move alike. */
 inline float3 resample(const int sx, const int sy, const float2 d, const int width, const int height, const float4 here,
                        const Flow flow, __global const float4 *target_position, __global const half *color) {
     if (d.x == 0.0f && d.y == 0.0f) return load_color(color, sy * width + sx);
     const int ox = (int)floor(d.x), oy = (int)floor(d.y);
     const float u = d.x - (float)ox, v = d.y - (float)oy;
-    int alike = 0;  /* bit per tap of the 4x4 neighbourhood */
-    for (int tap = 0; tap < 16; ++tap) {
-        const int dx = ox + (tap & 3) - 1, dy = oy + (tap >> 2) - 1;
+    int alike = 0;  /* bits 0 to 3: the inner taps; 4 to 7: the corners */
+    for (int k = 0; k < 8; ++k) {
+        const int dx = ox + (k < 4 ? (k & 1) : 3 * (k & 1) - 1), dy = oy + (k < 4 ? (k >> 1) : 3 * ((k >> 1) & 1) - 1);
         const bool tap_alike = inside(sx + dx, sy + dy, width, height)
             && deviation(target_position[(sy + dy) * width + sx + dx], dx, dy, here, flow) <= SAME_MOTION;
-        alike |= (int)tap_alike << tap;
+        alike |= (int)tap_alike << k;
     }
-    if (alike == 0xFFFF) {
-        const float4 wx4 = cubic_weights(u), wy4 = cubic_weights(v);
-        const float wx[4] = {wx4.x, wx4.y, wx4.z, wx4.w}, wy[4] = {wy4.x, wy4.y, wy4.z, wy4.w};
-        float3 sum = (float3)(0.0f), low = (float3)(INFINITY), high = (float3)(-INFINITY);
-        for (int ty = 0; ty < 4; ++ty) {
-            float3 row = (float3)(0.0f);
-            for (int tx = 0; tx < 4; ++tx) {
-                const float3 c = load_color(color, (sy + oy + ty - 1) * width + sx + ox + tx - 1);
-                row += wx[tx] * c;
-                if (tx == 0 || tx == 3 || ty == 0 || ty == 3) continue;
-                low = fmin(low, c);
-                high = fmax(high, c);
-            }
-            sum += wy[ty] * row;
-        }
-        return clamp(sum, low, high);
+    if (alike == 0xFF) {
+        const int x0 = sx + ox - 1, y0 = sy + oy - 1;
+        const float3 c = cubic(x0, y0, u, v, width, false, color);
+        if (isfinite(c.x) && isfinite(c.y) && isfinite(c.z)) return c;
+        return cubic(x0, y0, u, v, width, true, color);
     }
     float3 sum = (float3)(0.0f);
     float weight_sum = 0.0f;
     for (int tap = 0; tap < 4; ++tap) {
         const int tx = tap & 1, ty = tap >> 1;
-        if (!((alike >> ((ty + 1) * 4 + tx + 1)) & 1)) continue;
+        if (!((alike >> tap) & 1)) continue;
         const float weight = (tx ? u : 1.0f - u) * (ty ? v : 1.0f - v);
         sum += weight * load_color(color, (sy + oy + ty) * width + sx + ox + tx);
         weight_sum += weight;

@@ -399,3 +399,26 @@ def test_unwritable_home(tmp_path):
 def test_no_arguments_show_help(gffe):
     code, text, err = gffe()
     assert code == 0 and "Commands" in text and not err
+
+
+def test_bench(gffe, tmp_path):
+    code, text, _ = gffe("bench", "--sizes", "64x48,33x20", "--repeats", 1, "--json", tmp_path / "b.json")
+    assert code == 0 and "bytes per pixel" in text
+    report = json.loads((tmp_path / "b.json").read_text())
+    for one in report["devices"]:
+        for size in one["sizes"]:
+            parts = {"history", "prediction", "warp", "background, collection", "background, projection", "holes"}
+            assert parts | {"GAE"} == set(size["milliseconds"]) and size["bandwidth"] > 0 and size["memory"] > 0
+            total = sum(ms for name, ms in size["milliseconds"].items() if name != "GAE")
+            assert size["milliseconds"]["GAE"] == pytest.approx(total)
+            per_pixel = size["bytes_per_pixel"]["warp"] * size["width"] * size["height"]
+            assert per_pixel == pytest.approx(size["milliseconds"]["warp"] * 1e6 * size["bandwidth"])
+
+
+def test_study(gffe, tmp_path):
+    sizes = ("--size", "48x27", "--frames", 5, "--seeds", 1)
+    assert gffe("study", "room", *sizes, "--json", tmp_path / "s.json")[0] == 0
+    result = json.loads((tmp_path / "s.json").read_text())["results"][0]
+    assert result["visible"]["gae"] > result["visible"]["repeat"]
+    assert gffe("study", "room", *sizes, "--disocclusions", "--json", tmp_path / "d.json")[0] == 0
+    assert set(json.loads((tmp_path / "d.json").read_text())) == {"room", "all"}
