@@ -349,7 +349,12 @@ def study(
         figures = [f"{r.visible[m]:.2f}" for m in METHODS]
         table.add_row(r.scene, str(r.seed), *figures, f"{r.share:.0%}", f"{r.disoccluded:.1%}", f"{r.dynamic:.1%}")
     out.print(table)
-    out.print("PSNR in dB over pixels that are not disoccluded; whole-frame figures are in the --json report.")
+    out.print("PSNR in dB over pixels that are not disoccluded.")
+    table = Table("whole frame", "seed", *METHODS, box=None, header_style="bold")
+    for r in (study for studies in results.values() for study in studies):
+        table.add_row(r.scene, str(r.seed), *(f"{r.whole[m]:.2f} {r.ssim[m]:.4f}" for m in METHODS))
+    out.print(table)
+    out.print("PSNR in dB and SSIM.")
     _write_json(
         json_path, {"results": [asdict(r) | {"share": r.share} for studies in results.values() for r in studies]}
     )

@@ -52,7 +52,7 @@ __kernel void downsample(const int width, const int height, const int source_wid
 /* ---- far side ------------------------------------------------------------------------------------------------ */
 
 #define DIRECTIONS 8
-#define FAR_SIDE 1.15f           /* inverse depths up to this times the least belong to the far side */
+#define FAR_SIDE 1.3f            /* inverse depths up to this times the least belong to the far side */
 
 /* What a disocclusion shows is the surface on its far side, continued: of the first valid pixels in eight directions, up
    to `reach` px away, the mean of those on the far side, weighted by the inverse of their distance.

@@ -12,7 +12,7 @@
 
 #define SURFACE_STEP 0.02f       /* relative step of inverse depth between neighbours of one surface ... */
 #define SURFACE_CURVATURE 0.005f /* ... or relative deviation from the plane through them, where they are steeper */
-#define FOOTPRINT_HALF 0.5625f   /* half a source pixel and a margin for second-order terms */
+#define FOOTPRINT_HALF 0.65f     /* half a source pixel and a margin for second-order terms */
 #define FOOTPRINT_REACH 8        /* px: the most that a fragment covers to each side */
 #define STRETCH_MOST 4.0f        /* a footprint stretched more than this over what depth explains is not trusted */
 #define SUBPIXEL_STEPS 256.0f

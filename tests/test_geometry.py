@@ -342,7 +342,7 @@ def test_no_motion_option_and_literal_splat(device):
     for options in (Options(motion=False), Options(crack_closing=False), Options(hole_filling="none", levels=0)):
         pipeline = Pipeline(device, W, H, options)
         submit(pipeline, MOVING, [dolly(k) for k in range(3)], [0, 1 / 30, 2 / 30])
-        out = pipeline.extrapolate(dolly(2.5), 2.5 / 30)
+        out = pipeline.extrapolate(dolly(4), 3 / 30)
         if not options.motion:
             assert not out.numpy("dynamic").any()
         if not options.crack_closing:

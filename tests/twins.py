@@ -322,14 +322,14 @@ def splat(target_position, depth, links, zoom, target_size, close_cracks):
 
     offer(own[:, 0], own[:, 1], np.ones(len(own), bool))
     if close_cracks:
-        half = np.minimum(F(0.5625) * (np.abs(ddx[:, :2]) + np.abs(ddy[:, :2])), reach)
+        half = np.minimum(F(0.65) * (np.abs(ddx[:, :2]) + np.abs(ddy[:, :2])), reach)
         first = np.ceil(here[:, :2] - half - F(0.5)).astype(int)
         last = np.floor(here[:, :2] + half - F(0.5)).astype(int)
         for oy in range(int((last - first)[:, 1].max(initial=-1)) + 1):
             for ox in range(int((last - first)[:, 0].max(initial=-1)) + 1):
                 t = first + (ox, oy)
                 d = np.abs(_source_offset(inverse, (t.astype(F) + F(0.5)) - here[:, :2]))
-                offer(t[:, 0], t[:, 1], (t <= last).all(1) & (t != own).any(1) & (d <= F(0.5625)).all(1))
+                offer(t[:, 0], t[:, 1], (t <= last).all(1) & (t != own).any(1) & (d <= F(0.65)).all(1))
     return keys.reshape(height, width)
 
 
@@ -499,7 +499,7 @@ def far_side(warped, y, x, reach):
     if not met:
         return None
     least = min(inverse for inverse, _, _ in met)
-    far = [(np.append(c, inverse), w) for inverse, w, c in met if not inverse > least * F(1.15)]
+    far = [(np.append(c, inverse), w) for inverse, w, c in met if not inverse > least * F(1.3)]
     return sum(w * c for c, w in far) / sum(w for _, w in far)
 
 
