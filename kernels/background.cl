@@ -183,6 +183,33 @@ __kernel void project_level(const int width, const int height, const int level, 
         }
 }
 
+#define INSIDE_REACH 8           /* px to each side between which a hole counts as inside a moving object */
+#define ONE_OBJECT 0.05f         /* relative depth within which two dynamic fragments are of one object */
+
+/* Depth of the first pixel that is not disoccluded from (x, y) in a direction, if it is dynamic; else -1. */
+inline float dynamic_beside(const int x, const int y, const int dx, const int dy, const int width, const int height,
+                            __global const uchar *disoccluded, __global const uchar *is_dynamic, __global const float *depth) {
+    for (int t = 1; t <= INSIDE_REACH; ++t) {
+        const int qx = x + t * dx, qy = y + t * dy;
+        if (!inside(qx, qy, width, height)) return -1.0f;
+        const int q = qy * width + qx;
+        if (!disoccluded[q]) return is_dynamic[q] ? depth[q] : -1.0f;
+    }
+    return -1.0f;
+}
+
+/* Whether the hole at (x, y) lies between two parts of one moving object: then it is the object's, not the background's. */
+inline bool inside_mover(const int x, const int y, const int width, const int height, __global const uchar *disoccluded,
+                         __global const uchar *is_dynamic, __global const float *depth) {
+    for (int axis = 0; axis < 2; ++axis) {
+        const int dx = axis == 0, dy = axis == 1;
+        const float a = dynamic_beside(x, y, dx, dy, width, height, disoccluded, is_dynamic, depth);
+        const float b = dynamic_beside(x, y, -dx, -dy, width, height, disoccluded, is_dynamic, depth);
+        if (a > 0.0f && b > 0.0f && fabs(a - b) <= ONE_OBJECT * fmin(a, b)) return true;
+    }
+    return false;
+}
+
 /* Fills the pixels that fragments of this level won, from the level's texels around the winner: weighted by
    their distance in the target image, of the winner's surface only. */
 __kernel void fill_from_level(const int width, const int height, const int level, const int target_width,
@@ -190,13 +217,14 @@ __kernel void fill_from_level(const int width, const int height, const int level
                               const Reprojection to_source, __global const half *level_color,
                               __global const float *level_depth, __global const float2 *level_px,
                               __global const uchar *level_state, __global const uchar *disoccluded,
-                              __global const Key *keys, __global const uint *winners, __global half *color,
+                              __global const uchar *is_dynamic, __global const Key *keys, __global const uint *winners, __global half *color,
                               __global float *out_depth, __global float2 *motion, __global uchar *filled_by) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= target_width || y >= target_height) return;
     const int c = y * target_width + x;
     const uint winner = winner_of(keys, winners, c);
     if (winner == NOBODY || (int)(winner >> LEVEL_SHIFT) != level) return;
+    if (disoccluded[c] && inside_mover(x, y, target_width, target_height, disoccluded, is_dynamic, out_depth)) return;
     const int i = winner & ((1u << LEVEL_SHIFT) - 1);
     const int level_width = level_side(width, level), level_height = level_side(height, level);
     const int tx = i % level_width, ty = i / level_width;

@@ -142,6 +142,27 @@ def test_object_that_stood_still_leaves_no_ghost(device):
     assert max(ghosts[2:]) == 0, ghosts
 
 
+def test_hole_inside_a_moving_object_is_not_the_backgrounds(device):
+    """Fragments of a mover that are missing (bad depth) are filled with the mover, though the wall behind is known."""
+    scene = Rects([WALL, Rect((-1.5, 0, 6), (0.9, 0.9), velocity=(6, 0, 0), frequency=0.1, tint=(5, 0.1, 0.1))])
+    still = camera(W, H)
+    pipeline = Pipeline(device, W, H, Options(levels=1))
+    previous = None
+    for k in range(8):
+        frame = scene.frame(still, k / 30, W, H, previous, reset=k == 0)
+        if k == 7:
+            y, x = (int(v.mean()) for v in np.nonzero(frame.depth < 7))
+            frame.depth[y - 2 : y + 2, x - 2 : x + 2] = np.nan
+        pipeline.submit(frame)
+        previous = (still, k / 30)
+    out = pipeline.extrapolate(still, 7.5 / 30)
+    truth = scene.frame(still, 7.5 / 30, W, H)
+    inside = (out.numpy("disoccluded") == 1) & (truth.depth < 7)
+    inside[:, : int(np.nonzero(truth.depth < 7)[1].min()) + 3] = False  # the trailing edge is no hole inside
+    assert 9 <= inside.sum() <= 30 and (out.numpy("filled_by")[inside] == 255).all()
+    assert (out.numpy("color")[inside, 0] > 2).all()
+
+
 def test_memory_stays_constant(device):
     scene = Rects([WALL, Rect((-1.5, 0, 6), (0.7, 0.7), velocity=(3, 0, 0))])
     pipeline = Pipeline(device, W, H, Options(levels=3))

@@ -663,7 +663,26 @@ def project_background(warped, levels, zoom, to_target, to_source):
                 if holes[cell] or (warped["mixed"][cell] and alike):
                     best[cell] = min(best.get(cell, (INF, 99, 0)), key)
     px = centres(height, width)
+
+    def beside(y, x, dx, dy):
+        for t in range(1, 9):
+            qx, qy = x + t * dx, y + t * dy
+            if not (0 <= qx < width and 0 <= qy < height):
+                return F(-1)
+            if not holes[qy, qx]:
+                return warped["depth"][qy, qx] if warped["dynamic"][qy, qx] else F(-1)
+        return F(-1)
+
+    def inside_mover(y, x):
+        for dx, dy in ((1, 0), (0, 1)):
+            a, b = beside(y, x, dx, dy), beside(y, x, -dx, -dy)
+            if a > 0 and b > 0 and abs(a - b) <= F(0.05) * min(a, b):
+                return True
+        return False
+
     for (y, x), (z, number, i) in best.items():
+        if holes[y, x] and inside_mover(y, x):
+            continue
         level = levels[number]
         level_height, level_width = level["depth"].shape
         ty, tx = divmod(i, level_width)

@@ -129,6 +129,7 @@ class Background(Stage):
                 to_source,
                 *self._of_level(self.buffer, level),
                 warp.buffer["disoccluded"],
+                warp.buffer["dynamic"],
                 *self._target,
                 *(warp.buffer[name] for name in ("color", "depth", "motion", "filled_by")),
             )
