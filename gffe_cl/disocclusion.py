@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gffe_cl.device import Device
-from gffe_cl.frame import RenderedFrame, pack_frame
 from gffe_cl.metrics import display_values
 from gffe_cl.pipeline import Options, Pipeline
-from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
+from gffe_cl.scenes import SceneRenderer, load_scene
+from gffe_cl.study import submitted_frames
 
 METHODS: dict[str, Options] = {
     "downsample, L = 0": Options(levels=0, hole_filling="downsample"),
@@ -31,7 +31,6 @@ METHODS: dict[str, Options] = {
     "far-side, L = 3": Options(levels=3),
 }
 CATEGORIES = ("static", "dynamic", "out of screen", "seen before")
-_NO_HISTORY = 2
 _SAME_SURFACE = 0.01  # relative depth
 
 
@@ -85,14 +84,9 @@ def study_disocclusions(
     errors: dict = {method: defaultdict(float) for method in METHODS}
     unfilled = dict.fromkeys(METHODS, 0)
     seen = []  # (camera, depth) of the rendered frames so far
-    for frame in sequence_frames(scene, width, height, frames, fps, ground_truth=False):
-        image = renderer.render(frame.time, frame.camera, frame.previous_time, frame.previous_camera).numpy()
-        rendered = RenderedFrame(image.color, image.depth, image.motion, frame.camera, frame.time, reset=frame.reset)
-        packed = pack_frame(rendered, height, width)
-        for pipeline in (*pipelines.values(), all_static):
-            pipeline.submit(rendered, packed)
-        if frame.source >= _NO_HISTORY:
-            time = frame.time + alpha / fps
+    everyone = (*pipelines.values(), all_static)
+    for frame, image, time in submitted_frames(renderer, everyone, frames, fps, alpha, on_frame):
+        if time is not None:
             camera = scene.camera(time, width, height)
             future = renderer.render(time, camera).numpy()
             truth = display_values(future.color, scene.exposure)
@@ -112,7 +106,6 @@ def study_disocclusions(
                 unfilled[method] += int((left & ~masks["out of screen"]).sum())
         if not frame.reset:
             seen.append((frame.camera, image.depth))
-        on_frame()
     return DisocclusionStudy(pixels, {m: {c: e[c] for c in CATEGORIES} for m, e in errors.items()}, unfilled)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from gffe_cl.device import Device
 from gffe_cl.frame import RenderedFrame, pack_frame
 from gffe_cl.metrics import display_values, psnr, ssim
 from gffe_cl.pipeline import Options, Pipeline
-from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
+from gffe_cl.scenes import SceneArrays, SceneRenderer, SequenceFrame, load_scene, sequence_frames
 
 # "literal" is the paper taken at its word: single-pixel splats, no crack closing, 32× hole filling.
 # "oracle" is the same warp with every fragment's true position at t + α in place of the predicted one.
@@ -69,21 +69,35 @@ def study_scene(
         if options is not None
     }
     rows = []
-    for frame in sequence_frames(scene, width, height, frames, fps, ground_truth=False):
-        image = renderer.render(frame.time, frame.camera, frame.previous_time, frame.previous_camera).numpy()
-        rendered = RenderedFrame(image.color, image.depth, image.motion, frame.camera, frame.time, reset=frame.reset)
-        packed = pack_frame(rendered, height, width)
-        for pipeline in pipelines.values():
-            pipeline.submit(rendered, packed)
-        if frame.source >= _NO_HISTORY:
-            time = frame.time + alpha / fps
+    for frame, image, time in submitted_frames(renderer, pipelines.values(), frames, fps, alpha, on_frame):
+        if time is not None:
             rows.append(_measure(renderer, pipelines, image, frame, time, scene.exposure))
-        on_frame()
     mean = {
         key: {m: float(np.mean([row[key][m] for row in rows])) for m in METHODS} for key in ("visible", "whole", "ssim")
     }
     shares = {key: float(np.mean([row[key] for row in rows])) for key in ("disoccluded", "dynamic")}
     return SceneStudy(name, seed, **mean, **shares)
+
+
+def submitted_frames(
+    renderer: SceneRenderer,
+    pipelines: Iterable[Pipeline],
+    frames: int,
+    fps: float,
+    alpha: float,
+    on_frame: Callable[[], None],
+) -> Iterator[tuple[SequenceFrame, SceneArrays, float | None]]:
+    """Render a scene's frames and submit each to all pipelines. Yields the frame, its rendering, and the time t + α to
+    measure at, None for frames with too little history."""
+    pipelines = list(pipelines)
+    for frame in sequence_frames(renderer.scene, renderer.width, renderer.height, frames, fps, ground_truth=False):
+        image = renderer.render(frame.time, frame.camera, frame.previous_time, frame.previous_camera).numpy()
+        rendered = RenderedFrame(image.color, image.depth, image.motion, frame.camera, frame.time, reset=frame.reset)
+        packed = pack_frame(rendered, renderer.height, renderer.width)
+        for pipeline in pipelines:
+            pipeline.submit(rendered, packed)
+        yield frame, image, frame.time + alpha / fps if frame.source >= _NO_HISTORY else None
+        on_frame()
 
 
 def _measure(renderer, pipelines, image, frame, time, exposure) -> dict:

@@ -13,11 +13,6 @@
 #define GROW 2               /* px around dynamic or nearer fragments where colours may be mixed with theirs */
 #define NEARER 0.9f
 
-#define LINK_RIGHT 1
-#define LINK_DOWN 2
-#define LINK_LEFT 4
-#define LINK_UP 8
-
 inline int level_side(const int side, const int level) { return (side + (1 << level) - 1) >> level; }
 
 /* B_0 starts from the static fragments of the rendered frame. Left out are those whose colour may be mixed with that of a

@@ -6,6 +6,17 @@
 #define INVALID_DEPTH(z) (!((z) > 0.0f))  /* NaN, zero, negative */
 #define COLOR_MAX 65504.0f
 
+/* Bits of `links`: which neighbours of a pixel are of the same surface. */
+#define LINK_RIGHT 1
+#define LINK_DOWN 2
+#define LINK_LEFT 4
+#define LINK_UP 8
+
+/* Values of `filled_by`, what a pixel of an extrapolated frame shows; 1 + l is level l of the background. */
+#define BY_WARP 0
+#define BY_CRACK_CLOSING 254
+#define BY_NOTHING 255  /* what hole filling fills in the end */
+
 /* Pinhole intrinsics in pixels: (fx, fy, cx, cy). */
 typedef float4 Pinhole;
 

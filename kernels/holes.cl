@@ -4,7 +4,6 @@
 #include "common.h"
 
 #define BLOCK 32
-#define BY_NOTHING 255
 #define RENDERED_WEIGHT 0.0009765625f  /* of the rendered frame beside valid pixels: decides only where there are none */
 
 /* Adds a pixel to the sums; bright pixels weigh less, or one lamp would fill its whole block. */

@@ -3,9 +3,6 @@
 
 #include "common.h"
 
-#define BY_WARP 0
-#define BY_CRACK_CLOSING 254
-
 #define SAME_SURFACE 0.03f      /* relative depth within which the surface met in the previous frame is the fragment's ... */
 #define DEPTH_PER_MOTION 2.0f   /* ... and what is added per unit of its sideways motion, as in history tracking */
 #define MASK_DYNAMIC 1.0f

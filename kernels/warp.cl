@@ -5,11 +5,6 @@
 #include "common.h"
 #include "nearest.h"
 
-#define LINK_RIGHT 1
-#define LINK_DOWN 2
-#define LINK_LEFT 4
-#define LINK_UP 8
-
 #define SURFACE_STEP 0.02f       /* relative step of inverse depth between neighbours of one surface ... */
 #define SURFACE_CURVATURE 0.005f /* ... or relative deviation from the plane through them, where they are steeper */
 #define FOOTPRINT_HALF 0.65f     /* half a source pixel and a margin for second-order terms */
@@ -19,10 +14,6 @@
 #define SAME_MOTION 0.5f         /* px: fragments that deviate less from the winner's motion are resampled with it */
 #define MOVES_AWAY 1.0f          /* px: a nearer neighbour that deviates more uncovers what it was mixed with */
 #define NEARER 0.97f
-
-#define BY_WARP 0
-#define BY_CRACK_CLOSING 254
-#define BY_NOTHING 255
 
 /* ---- surfaces of the source frame ---------------------------------------------------------------------- */
 
