@@ -195,7 +195,7 @@ def run(
     no_crack_closing: Annotated[
         bool, typer.Option("--no-crack-closing", help="Splat single pixels, as in the paper.")
     ] = False,
-    layers: Annotated[int, typer.Option(help="Levels of the background, 0 to 4.")] = 1,
+    layers: Annotated[int, typer.Option(help="Levels of the background, 0 to 4.")] = 2,
     no_background: Annotated[bool, typer.Option("--no-background", help="The same as --layers 0.")] = False,
     hole_filling: Annotated[
         str, typer.Option(help="What the background leaves: far-side, downsample (the paper's) or none.")
@@ -366,7 +366,7 @@ def bench(
         str, typer.Option(help="Width × height, separated by commas.")
     ] = "960x540,1280x720,1920x1080,3840x2160",
     repeats: Annotated[int, typer.Option(help="Timed frames per size.")] = 15,
-    layers: Annotated[int, typer.Option(help="Levels of the background, 0 to 4.")] = 1,
+    layers: Annotated[int, typer.Option(help="Levels of the background, 0 to 4.")] = 2,
     device: Annotated[
         str | None, typer.Option("--device", help="One device [dim](default: every device that works)[/].")
     ] = None,

@@ -49,7 +49,7 @@ class Options:
     static_threshold: float | None = None
     motion: bool = True
     crack_closing: bool = True
-    levels: int = 1
+    levels: int = 2
     hole_filling: str = "far-side"
     shading_inputs: bool = False
 

@@ -227,6 +227,9 @@ __kernel void fill_from_level(const int width, const int height, const int level
     const float2 centre = pixel_centre(x, y);
 
     const float nearest_z = reproject(level_px[i], z_winner, to_target).z;
+    const float3 px_source = reproject(centre, nearest_z, to_source);
+    if (!(px_source.z > 0.0f && px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)width
+          && px_source.y < (float)height)) return;  /* out of screen: only the footprint reaches there */
     const float nearer = isinf(nearest_z) ? 1.0f : divide(z_winner, nearest_z);
     const float side_x = (float)(1 << level) * nearer * zoom.x, side_y = (float)(1 << level) * nearer * zoom.y;
     /* Within one texel's side; within two where that catches too little, as in the gaps between irregular fragments. */
@@ -260,6 +263,5 @@ __kernel void fill_from_level(const int width, const int height, const int level
     filled_by[c] = (uchar)(1 + level);
     if (!disoccluded[c]) return;
     out_depth[c] = nearest_z;
-    const float3 px_source = reproject(centre, nearest_z, to_source);
-    motion[c] = px_source.z > 0.0f ? px_source.xy - centre : (float2)(0.0f);
+    motion[c] = px_source.xy - centre;
 }

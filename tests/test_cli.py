@@ -89,7 +89,7 @@ def test_run_and_compare(gffe, scene, tmp_path):
         ["R", "G", "B", "Z", "motion.x", "motion.y", "mask.dynamic", "mask.disoccluded", "mask.filled_by"],
     )
     assert channels["R"].dtype == np.float16 and channels["Z"].dtype == np.float32
-    assert set(np.unique(channels["mask.filled_by"])) <= {0, 1, 254, 255}
+    assert set(np.unique(channels["mask.filled_by"])) <= {0, 1, 2, 254, 255}
     code, text, _ = gffe("compare", out, scene, "--json", tmp_path / "c.json")
     report = json.loads((tmp_path / "c.json").read_text())
     assert code == 0 and "mean" in text and report["mean"]["psnr"] > 25 and len(report["frames"]) == 4

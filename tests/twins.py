@@ -642,6 +642,7 @@ def project_background(warped, levels, zoom, to_target, to_source):
     """color, depth, motion and filled_by of the warped frame after background projection."""
     out = {name: warped[name].copy() for name in ("color", "depth", "motion", "filled_by")}
     height, width = warped["depth"].shape
+    source_size = levels[0]["depth"].shape[::-1]
     holes = warped["disoccluded"] > 0
     best: dict = {}
     there = [reproject(level["px"], level["depth"], to_target) for level in levels]
@@ -682,6 +683,9 @@ def project_background(warped, levels, zoom, to_target, to_source):
 
     for (y, x), (z, number, i) in best.items():
         if holes[y, x] and inside_mover(y, x):
+            continue
+        at = reproject(px[y, x][None], np.array([z], F), to_source)[0]
+        if not (at[2] > 0 and 0 <= at[0] < source_size[0] and 0 <= at[1] < source_size[1]):
             continue
         level = levels[number]
         level_height, level_width = level["depth"].shape
