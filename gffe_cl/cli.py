@@ -198,7 +198,7 @@ def run(
     layers: Annotated[int, typer.Option(help="Levels of the background, 0 to 4.")] = 2,
     no_background: Annotated[bool, typer.Option("--no-background", help="The same as --layers 0.")] = False,
     hole_filling: Annotated[
-        str, typer.Option(help="What the background leaves: far-side, downsample (the paper's) or none.")
+        str, typer.Option(help="What the background leaves: far-side, push-pull, downsample (the paper's) or none.")
     ] = "far-side",
     camera: Annotated[
         str, typer.Option(help="'truth': of the ground-truth frame where there is one; 'predicted'.")

@@ -25,6 +25,8 @@ METHODS: dict[str, Options] = {
     "downsample, L = 1": Options(levels=1, hole_filling="downsample"),
     "downsample, L = 2": Options(levels=2, hole_filling="downsample"),
     "downsample, L = 3": Options(levels=3, hole_filling="downsample"),
+    "push-pull, L = 0": Options(levels=0, hole_filling="push-pull"),
+    "push-pull, L = 2": Options(levels=2, hole_filling="push-pull"),
     "far-side, L = 0": Options(levels=0),
     "far-side, L = 1": Options(levels=1),
     "far-side, L = 2": Options(levels=2),

@@ -17,14 +17,14 @@ from gffe_cl.frame import BadPixels, PackedFrame, RenderedFrame, pack_frame
 from gffe_cl.stage import BufferSpec, Sizes, Stage
 from gffe_cl.stages.background import MAX_LEVELS, Background
 from gffe_cl.stages.history import HistoryTracking
-from gffe_cl.stages.holes import HoleFilling
+from gffe_cl.stages.holes import METHODS, HoleFilling
 from gffe_cl.stages.prediction import MAX_ORDER, PositionPrediction
 from gffe_cl.stages.shading import ShadingInputs
 from gffe_cl.stages.warp import BY_HOLE_FILLING, Warp
 
 __all__ = ["BY_HOLE_FILLING", "DeviceFrame", "ExtrapolatedFrame", "Options", "Pipeline"]
 
-HOLE_FILLINGS = ("far-side", "downsample", "none")
+HOLE_FILLINGS = (*METHODS, "none")
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class Options:
     motion : False treats everything as static
     crack_closing : False splats single pixels, as in the paper
     levels : L, levels of the background; 0 goes without
-    hole_filling : "far-side" continues the far side of disocclusions, "downsample" takes the image
-        downsampled 32× (the paper's), "none" leaves them black at infinite depth
+    hole_filling : "far-side" continues the far side of disocclusions, "push-pull" takes a pyramid of means,
+        "downsample" the image downsampled 32× (the paper's), "none" leaves them black at infinite depth
     shading_inputs : True also makes the inputs of the shading correction network
     """
 
@@ -147,7 +147,7 @@ class Pipeline:
         self.history = HistoryTracking(device, self.sizes, self.options.history, self.options.static_threshold)
         self.prediction = PositionPrediction(device, self.sizes, self.options.order)
         self.warp = Warp(device, self.sizes, self.options.crack_closing, int64_atomics)
-        self.holes = HoleFilling(device, self.sizes, self.options.hole_filling == "far-side")
+        self.holes = HoleFilling(device, self.sizes, self.options.hole_filling)
         self.background = (
             Background(device, self.sizes, self.options.levels, int64_atomics) if self.options.levels else None
         )

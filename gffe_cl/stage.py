@@ -33,8 +33,8 @@ class BufferSpec:
     """One named buffer of a stage.
 
     `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "blocks"
-    (target / 32, rounded up), "level0" … (source / 2^l, rounded up) or "once" (no image). `components` name its
-    channels; a single one goes without.
+    (target / 32, rounded up), "level0" … (source / 2^l, rounded up), "mip1" … (target / 2^l, rounded up) or
+    "once" (no image). `components` name its channels; a single one goes without.
     """
 
     name: str
@@ -50,6 +50,8 @@ class BufferSpec:
 
     def size(self, sizes: Sizes) -> tuple[int, int]:
         """Width and height in pixels or texels."""
+        if self.grid.startswith("mip"):
+            return tuple(-(-n // (1 << int(self.grid[3:]))) for n in sizes.target)
         if self.grid.startswith("level"):
             return tuple(-(-n // (1 << int(self.grid[5:]))) for n in sizes.source)
         return {

@@ -91,6 +91,69 @@ inline bool far_side(const int x, const int y, const int width, const int height
     return true;
 }
 
+/* ---- push-pull (Gortler et al., The Lumigraph, 1996) ------------------------------------------------------------ */
+
+/* Mean (colour, inverse depth) and weight, 0 or 1, of the valid pixels among the 2x2 under each texel of level 1. */
+__kernel void push_image(const int width, const int height, const int level_width, const int level_height,
+                         __global const uchar *filled_by, __global const half *color, __global const float *depth,
+                         __global float4 *mean, __global float *weight) {
+    const int tx = get_global_id(0), ty = get_global_id(1);
+    if (tx >= level_width || ty >= level_height) return;
+    float4 sum = (float4)(0.0f);
+    float inverse_sum = 0.0f;
+    for (int k = 0; k < 4; ++k) {
+        const int x = 2 * tx + (k & 1), y = 2 * ty + (k >> 1);
+        if (!inside(x, y, width, height) || filled_by[y * width + x] == BY_NOTHING) continue;
+        add(&sum, &inverse_sum, 1.0f, load_color(color, y * width + x), depth[y * width + x]);
+    }
+    const bool any = sum.w > 0.0f;
+    const float size = any ? divide(1.0f, sum.w) : 0.0f;
+    mean[ty * level_width + tx] = (float4)(sum.x * size, sum.y * size, sum.z * size, inverse_sum * size);
+    weight[ty * level_width + tx] = any ? 1.0f : 0.0f;
+}
+
+/* The same from one level to the next; weights add up to at most 1. */
+__kernel void push_level(const int fine_width, const int fine_height, const int width, const int height,
+                         __global const float4 *fine_mean, __global const float *fine_weight, __global float4 *mean,
+                         __global float *weight) {
+    const int tx = get_global_id(0), ty = get_global_id(1);
+    if (tx >= width || ty >= height) return;
+    float4 sum = (float4)(0.0f);
+    float weight_sum = 0.0f;
+    for (int k = 0; k < 4; ++k) {
+        const int x = 2 * tx + (k & 1), y = 2 * ty + (k >> 1);
+        if (!inside(x, y, fine_width, fine_height)) continue;
+        const float w = fine_weight[y * fine_width + x];
+        sum += w * fine_mean[y * fine_width + x];
+        weight_sum += w;
+    }
+    const float size = weight_sum > 0.0f ? divide(1.0f, weight_sum) : 0.0f;
+    mean[ty * width + tx] = sum * size;
+    weight[ty * width + tx] = fmin(weight_sum, 1.0f);
+}
+
+/* Bilinear interpolation of a level at texel position (x + 0.5, y + 0.5) / 2 of the next finer one. */
+inline float4 upsampled(const int x, const int y, const int width, const int height, __global const float4 *mean) {
+    const float u = (x & 1) ? 0.25f : 0.75f, v = (y & 1) ? 0.25f : 0.75f;
+    const int x0 = (x - 1) >> 1, y0 = (y - 1) >> 1;
+    float4 sum = (float4)(0.0f);
+    for (int tap = 0; tap < 4; ++tap) {
+        const int tx = clamp(x0 + (tap & 1), 0, width - 1), ty = clamp(y0 + (tap >> 1), 0, height - 1);
+        sum += ((tap & 1) ? u : 1.0f - u) * ((tap >> 1) ? v : 1.0f - v) * mean[ty * width + tx];
+    }
+    return sum;
+}
+
+/* Completes a level, in place, where it is not full, from the coarser one. */
+__kernel void pull_level(const int width, const int height, const int coarse_width, const int coarse_height,
+                         __global const float4 *coarse_mean, __global float4 *mean, __global const float *weight) {
+    const int tx = get_global_id(0), ty = get_global_id(1);
+    if (tx >= width || ty >= height) return;
+    const int i = ty * width + tx;
+    const float w = weight[i];
+    if (w < 1.0f) mean[i] = w * mean[i] + (1.0f - w) * upsampled(tx, ty, coarse_width, coarse_height, coarse_mean);
+}
+
 /* ---- fill ------------------------------------------------------------------------------------------------------ */
 
 /* Bilinear interpolation of the block means: (colour, inverse depth). */
@@ -111,6 +174,16 @@ inline float4 block_mean(const int x, const int y, const int blocks_x, const int
     return (float4)(divide(sum.x, sum.w), divide(sum.y, sum.w), divide(sum.z, sum.w), divide(inverse_sum, sum.w));
 }
 
+inline void fill_pixel(const int x, const int y, const int i, const float4 mean, const Reprojection to_source,
+                       __global half *color, __global float *depth, __global float2 *motion) {
+    const float z = mean.w > 0.0f ? divide(1.0f, mean.w) : INFINITY;
+    const float2 centre = pixel_centre(x, y);
+    const float3 px_source = reproject(centre, z, to_source);
+    store_color(mean.xyz, color, i);
+    depth[i] = z;
+    motion[i] = px_source.z > 0.0f ? px_source.xy - centre : (float2)(0.0f);
+}
+
 /* Fills what is still invalid, from the far side or from the block means; motion is that of a static point. Only pixels that
    were valid before are read. */
 __kernel void fill_holes(const int width, const int height, const int blocks_x, const int blocks_y, const int reach,
@@ -124,10 +197,17 @@ __kernel void fill_holes(const int width, const int height, const int blocks_x, 
     float4 mean;
     if (!far_side(x, y, width, height, reach, filled_by, color, depth, &mean))
         mean = block_mean(x, y, blocks_x, blocks_y, block_color, block_inverse_depth);
-    const float z = mean.w > 0.0f ? divide(1.0f, mean.w) : INFINITY;
-    const float2 centre = pixel_centre(x, y);
-    const float3 px_source = reproject(centre, z, to_source);
-    store_color(mean.xyz, color, i);
-    depth[i] = z;
-    motion[i] = px_source.z > 0.0f ? px_source.xy - centre : (float2)(0.0f);
+    fill_pixel(x, y, i, mean, to_source, color, depth, motion);
+}
+
+/* The same from the completed level 1 of push-pull. */
+__kernel void fill_from_pyramid(const int width, const int height, const int level_width, const int level_height,
+                                __global const uchar *filled_by, __global const float4 *level_mean,
+                                const Reprojection to_source, __global half *color, __global float *depth,
+                                __global float2 *motion) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= width || y >= height) return;
+    const int i = y * width + x;
+    if (filled_by[i] != BY_NOTHING) return;
+    fill_pixel(x, y, i, upsampled(x, y, level_width, level_height, level_mean), to_source, color, depth, motion);
 }

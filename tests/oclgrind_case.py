@@ -12,7 +12,8 @@ WIDTH, HEIGHT = 64, 48
 
 def stages(device, int64):
     """All kernels of the pipeline, in the path with 64-bit atomics or the one without."""
-    run(device, WIDTH, HEIGHT, Options(history=3, order=2), int64)[-1].numpy("color")
+    for options in (Options(history=3, order=2, shading_inputs=True), Options(hole_filling="push-pull")):
+        run(device, WIDTH, HEIGHT, options, int64)[-1].numpy("color")
 
 
 def scene(device):

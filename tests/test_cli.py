@@ -148,6 +148,7 @@ def test_switches(gffe, scene, tmp_path):
             ["--no-motion"],
             ["--no-crack-closing"],
             ["--hole-filling", "downsample"],
+            ["--hole-filling", "push-pull"],
             ["--hole-filling", "none"],
             ["--layers", "3"],
             ["--no-background"],

@@ -1,4 +1,4 @@
-"""Hole filling from the image downsampled 32 times (paper: 'Shading correction network')."""
+"""Hole filling: what neither the rendered frame nor the background shows (paper: 'Shading correction network')."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from gffe_cl.device import Device
 from gffe_cl.stage import BufferSpec, Sizes, Stage, int2, reprojection
 
 BLOCK = 32
+METHODS = ("far-side", "push-pull", "downsample")
 
 
 class HoleFilling(Stage):
@@ -21,17 +22,29 @@ class HoleFilling(Stage):
             np.float32,
             ("R", "G", "B", "weight"),
             "blocks",
-            "sum of valid colour and weight per 32×32 block",
+            "weighted sum of valid colour per 32×32 block",
         ),
-        BufferSpec("block_inverse_depth", np.float32, (), "blocks", "sum of inverse depth per 32×32 block"),
+        BufferSpec(
+            "block_inverse_depth", np.float32, (), "blocks", "weighted sum of inverse depth per block, 1/world units"
+        ),
     )
 
-    def __init__(self, device: Device, sizes: Sizes, far_side: bool):
-        """`far_side`: continue the far side of disocclusions; else, and beyond its reach, block means."""
+    def __init__(self, device: Device, sizes: Sizes, method: str):
+        """`method`: "far-side" continues the far side of a disocclusion and takes block means beyond its reach;
+        "downsample" takes block means (the paper's); "push-pull" a pyramid of means."""
+        self.reach = max(16, sizes.target[0] // 10) if method == "far-side" else 0
+        self.levels = _level_count(sizes) if method == "push-pull" else 0
+        if self.levels:
+            self.buffers = tuple(spec for level in range(1, self.levels + 1) for spec in _level_buffers(level))
         super().__init__(device, sizes)
-        self.reach = max(16, sizes.target[0] // 10) if far_side else 0
 
     def fill_holes(self, frame, warp: Stage, target: Camera) -> None:
+        if self.levels:
+            self._push_pull(frame, warp, target)
+        else:
+            self._blocks(frame, warp, target)
+
+    def _blocks(self, frame, warp: Stage, target: Camera) -> None:
         color, depth, motion, filled_by = (warp.buffer[name] for name in ("color", "depth", "motion", "filled_by"))
         blocks = tuple(-(-n // BLOCK) for n in self.sizes.target)
         block_buffers = (self.buffer["block_color"], self.buffer["block_inverse_depth"])
@@ -62,3 +75,53 @@ class HoleFilling(Stage):
             depth,
             motion,
         )
+
+    def _push_pull(self, frame, warp: Stage, target: Camera) -> None:
+        color, depth, motion, filled_by = (warp.buffer[name] for name in ("color", "depth", "motion", "filled_by"))
+        sizes = {spec.name: spec.size(self.sizes) for spec in self.buffers}
+
+        def level(number: int) -> tuple:
+            return sizes[f"mean_{number}"], self.buffer[f"mean_{number}"], self.buffer[f"weight_{number}"]
+
+        size, mean, weight = level(1)
+        self.launch("push_image", size, *int2(self.sizes.target), *int2(size), filled_by, color, depth, mean, weight)
+        for number in range(1, self.levels):
+            (fine, *fine_buffers), (size, *buffers) = level(number), level(number + 1)
+            self.launch("push_level", size, *int2(fine), *int2(size), *fine_buffers, *buffers)
+        for number in range(self.levels - 1, 0, -1):
+            (size, mean, weight), (coarse, coarse_mean, _) = level(number), level(number + 1)
+            self.launch("pull_level", size, *int2(size), *int2(coarse), coarse_mean, mean, weight)
+        size, mean, _ = level(1)
+        self.launch(
+            "fill_from_pyramid",
+            self.sizes.target,
+            *int2(self.sizes.target),
+            *int2(size),
+            filled_by,
+            mean,
+            reprojection(target, frame.camera),
+            color,
+            depth,
+            motion,
+        )
+
+
+def _level_count(sizes: Sizes) -> int:
+    """Levels of halving until one texel is left; at least one."""
+    return max(1, (max(sizes.target) - 1).bit_length())
+
+
+def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
+    grid = f"mip{level}"
+    return (
+        BufferSpec(
+            f"mean_{level}",
+            np.float32,
+            ("R", "G", "B", "inverse_depth"),
+            grid,
+            f"push-pull level {level}: completed means",
+        ),
+        BufferSpec(
+            f"weight_{level}", np.float32, (), grid, f"push-pull level {level}: how much of it was valid, 0 to 1"
+        ),
+    )
