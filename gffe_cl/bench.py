@@ -132,7 +132,7 @@ def _milliseconds(pipeline: Pipeline, name: str) -> float:
     """Kernel time of the stage `name` since it was last asked; waits for the device."""
     pipeline.device.queue.finish()
     stage = next((stage for stage in pipeline.stages if stage.name == name), None)
-    return sum(e.profile.end - e.profile.start for _, e in stage.take_events()) * 1e-6 if stage else 0.0
+    return stage.take_milliseconds() if stage else 0.0
 
 
 def _scene_frames(device: Device, width: int, height: int) -> tuple[list[RenderedFrame], Camera]:

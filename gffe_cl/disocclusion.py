@@ -18,6 +18,7 @@ from gffe_cl.device import Device
 from gffe_cl.metrics import display_values
 from gffe_cl.pipeline import Options, Pipeline
 from gffe_cl.scenes import SceneRenderer, load_scene
+from gffe_cl.stages.warp import BY_HOLE_FILLING
 from gffe_cl.study import submitted_frames
 
 METHODS: dict[str, Options] = {
@@ -104,7 +105,7 @@ def study_disocclusions(
                 squared = np.square(shown - truth).mean(-1)
                 for category, mask in masks.items():
                     errors[method][category] += float(squared[mask].sum())
-                left = extrapolated.numpy("filled_by") == 255
+                left = extrapolated.numpy("filled_by") == BY_HOLE_FILLING
                 unfilled[method] += int((left & ~masks["out of screen"]).sum())
         if not frame.reset:
             seen.append((frame.camera, image.depth))

@@ -20,9 +20,7 @@ from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.holes import METHODS, HoleFilling
 from gffe_cl.stages.prediction import MAX_ORDER, PositionPrediction
 from gffe_cl.stages.shading import ShadingInputs
-from gffe_cl.stages.warp import BY_HOLE_FILLING, Warp
-
-__all__ = ["BY_HOLE_FILLING", "DeviceFrame", "ExtrapolatedFrame", "Options", "Pipeline"]
+from gffe_cl.stages.warp import Warp
 
 HOLE_FILLINGS = (*METHODS, "none")
 
@@ -288,10 +286,7 @@ class Pipeline:
     def take_timings(self) -> dict[str, float]:
         """Milliseconds of kernel time per stage since the last call (waits for the device)."""
         self.device.queue.finish()
-        return {
-            stage.name: sum(e.profile.end - e.profile.start for _, e in stage.take_events()) * 1e-6
-            for stage in self.stages
-        }
+        return {stage.name: stage.take_milliseconds() for stage in self.stages}
 
 
 def _as_buffer(array: Any) -> cl.Buffer | None:

@@ -51,13 +51,13 @@ class BufferSpec:
     def size(self, sizes: Sizes) -> tuple[int, int]:
         """Width and height in pixels or texels."""
         if self.grid.startswith("mip"):
-            return tuple(-(-n // (1 << int(self.grid[3:]))) for n in sizes.target)
+            return halved(sizes.target, int(self.grid[3:]))
         if self.grid.startswith("level"):
-            return tuple(-(-n // (1 << int(self.grid[5:]))) for n in sizes.source)
+            return halved(sizes.source, int(self.grid[5:]))
         return {
             "source": sizes.source,
             "target": sizes.target,
-            "blocks": tuple(-(-n // 32) for n in sizes.target),
+            "blocks": halved(sizes.target, 5),
             "once": (1, 1),
         }[self.grid]
 
@@ -109,10 +109,14 @@ class Stage:
         event = self.program.kernels[kernel](self.device.queue, grid, (group, 1), *args)
         self.events.append((kernel, event))
 
-    def fill(self, buffer: cl.Buffer, byte: int) -> None:
-        """Enqueue setting every byte of `buffer`."""
-        event = cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint8(byte), 0, buffer.size)
+    def fill(self, buffer: cl.Buffer, byte: int, nbytes: int | None = None) -> None:
+        """Enqueue setting the first `nbytes` bytes of `buffer`, or all of them."""
+        event = cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint8(byte), 0, nbytes or buffer.size)
         self.events.append(("fill", event))
+
+    def take_milliseconds(self) -> float:
+        """Kernel time since events were last taken; the device must have finished."""
+        return sum(e.profile.end - e.profile.start for _, e in self.take_events()) * 1e-6
 
     def take_events(self) -> list[tuple[str, cl.Event]]:
         events = list(self.events)
@@ -129,6 +133,43 @@ class Stage:
         out = np.empty(spec.shape(self.sizes), spec.dtype)
         cl.enqueue_copy(self.device.queue, out, self.buffer[name])
         return out
+
+
+class NearestStage(Stage):
+    """A stage that keeps the nearest of several fragments per pixel (nearest.h).
+
+    With 64-bit atomics one key holds depth and index; without, a second pass finds the least index among the
+    nearest. Both give the same bits. A kernel that offers fragments is launched once for each of `passes`.
+    """
+
+    def __init__(self, device: Device, sizes: Sizes, int64: bool | None):
+        """`int64`: use 64-bit atomics; None: if the device has them."""
+        self.int64 = device.int64_atomics if int64 is None else int64
+        self.passes = range(1 if self.int64 else 2)
+        super().__init__(device, sizes, **({"INT64_ATOMICS": 1} if self.int64 else {}))
+
+    def key_buffers(self, pixels: int) -> tuple[cl.Buffer, cl.Buffer]:
+        """Keys and winners for so many pixels."""
+        return self.device.buffer(pixels * (8 if self.int64 else 4)), self.device.buffer(
+            4 if self.int64 else pixels * 4
+        )
+
+    def clear_keys(self, keys: tuple[cl.Buffer, cl.Buffer], size: tuple[int, int]) -> None:
+        """Enqueue emptying the keys of an image of (width, height), before fragments are offered."""
+        pixels = size[0] * size[1]
+        self.fill(keys[0], 0xFF, pixels * (8 if self.int64 else 4))
+        if not self.int64:
+            self.fill(keys[1], 0xFF, pixels * 4)
+
+
+def zoom(source: Camera, target: Camera) -> np.ndarray:
+    """(2,) float32: target pixels per source pixel of what is equally far from both cameras."""
+    return np.array([target.fx / source.fx, target.fy / source.fy], np.float32)
+
+
+def halved(size: tuple[int, int], times: int) -> tuple[int, int]:
+    """(ceil(W / 2^times), ceil(H / 2^times))."""
+    return tuple(-(-n // (1 << times)) for n in size)
 
 
 def reprojection(source: Camera, target: Camera) -> np.ndarray:

@@ -6,19 +6,14 @@ import numpy as np
 
 from gffe_cl.camera import Camera
 from gffe_cl.device import Device
-from gffe_cl.stage import RGBA, XY, BufferSpec, Sizes, Stage, int2, reprojection
+from gffe_cl.stage import RGBA, XY, BufferSpec, NearestStage, Sizes, Stage, halved, int2, reprojection, zoom
 
 MAX_LEVELS = 4
 _OWN_TEXEL, _TOUCHED_TEXELS = 0, 1  # phases of scatter_level
 _PER_LEVEL = ("color", "depth", "px", "state")
 
 
-def level_size(size: tuple[int, int], level: int) -> tuple[int, int]:
-    """(width, height) of a level: ceil(W / 2^l) × ceil(H / 2^l)."""
-    return tuple(-(-n // (1 << level)) for n in size)
-
-
-class Background(Stage):
+class Background(NearestStage):
     """Remembers, in L levels, the static fragments that are hidden now, and fills disocclusions from them."""
 
     name = "background"
@@ -26,15 +21,12 @@ class Background(Stage):
     def __init__(self, device: Device, sizes: Sizes, levels: int, int64: bool | None = None):
         """`levels`: L, 1 … 4. `int64`: use 64-bit atomics; None: if the device has them."""
         self.levels = levels
-        self.int64 = device.int64_atomics if int64 is None else int64
         self.buffers = tuple(spec for level in range(levels) for spec in _level_buffers(level))
-        super().__init__(device, sizes, **({"INT64_ATOMICS": 1} if self.int64 else {}))
+        super().__init__(device, sizes, int64)
         self._previous = self.allocate(self.buffers)
         pixels = sizes.source[0] * sizes.source[1]
-        self._fill, self._push = self._key_buffers(pixels), self._key_buffers(-(-pixels // 2))
-        self._target = self._key_buffers(sizes.target[0] * sizes.target[1])
-        self._passes = 1 if self.int64 else 2
-        self._empty = True
+        self._fill, self._push = self.key_buffers(pixels), self.key_buffers(-(-pixels // 2))
+        self._target = self.key_buffers(sizes.target[0] * sizes.target[1])
 
     def collect(self, frame, previous, history: Stage, warp: Stage) -> None:
         """Update the levels for rendered `frame`; `previous` is None after a reset: then nothing is kept,
@@ -57,7 +49,7 @@ class Background(Stage):
             return
         to_current = reprojection(previous.camera, frame.camera)
         for level in range(self.levels):
-            size = level_size(self.sizes.source, level)
+            size, size_below = (halved(self.sizes.source, number) for number in (level, level + 1))
             current, old = (self._of_level(buffers, level) for buffers in (self.buffer, self._previous))
             arguments = (
                 to_current,
@@ -68,21 +60,22 @@ class Background(Stage):
                 current[1],
                 current[3],
             )
+            self.clear_keys(self._push, size_below)
             self._scatter(level, _OWN_TEXEL, arguments)
             self._settle(size, False, to_current, self._fill, old, current)
             if level + 1 < self.levels:
                 below = self._of_level(self.buffer, level + 1)
-                self._settle(level_size(self.sizes.source, level + 1), True, to_current, self._push, old, below)
+                self._settle(size_below, True, to_current, self._push, old, below)
             self._scatter(level, _TOUCHED_TEXELS, arguments)
             self._settle(size, False, to_current, self._fill, old, current)
 
     def _scatter(self, level: int, phase: int, arguments: tuple) -> None:
-        for keys in (*self._fill, *self._push):
-            self.fill(keys, 0xFF)
-        for scatter_pass in range(self._passes):
+        size = halved(self.sizes.source, level)
+        self.clear_keys(self._fill, size)
+        for scatter_pass in self.passes:
             self.launch(
                 "scatter_level",
-                level_size(self.sizes.source, level),
+                size,
                 *int2(self.sizes.source),
                 np.int32(level),
                 np.int32(self.levels - 1),
@@ -98,20 +91,19 @@ class Background(Stage):
 
     def project(self, frame, warp: Stage, target: Camera) -> None:
         """Fill the pixels that `warp` left invalid, nearest fragment of all levels first."""
-        zoom = np.array([target.fx / frame.camera.fx, target.fy / frame.camera.fy], np.float32)
+        magnification = zoom(frame.camera, target)
         to_target, to_source = reprojection(frame.camera, target), reprojection(target, frame.camera)
-        for keys in self._target:
-            self.fill(keys, 0xFF)
-        for project_pass in range(self._passes):
+        self.clear_keys(self._target, self.sizes.target)
+        for project_pass in self.passes:
             for level in range(self.levels):
                 self.launch(
                     "project_level",
-                    level_size(self.sizes.source, level),
+                    halved(self.sizes.source, level),
                     *int2(self.sizes.source),
                     np.int32(level),
                     *int2(self.sizes.target),
                     np.int32(project_pass),
-                    zoom,
+                    magnification,
                     to_target,
                     *self._of_level(self.buffer, level)[1:],
                     *(warp.buffer[name] for name in ("disoccluded", "mixed", "depth")),
@@ -124,7 +116,7 @@ class Background(Stage):
                 *int2(self.sizes.source),
                 np.int32(level),
                 *int2(self.sizes.target),
-                zoom,
+                magnification,
                 to_target,
                 to_source,
                 *self._of_level(self.buffer, level),
@@ -133,12 +125,6 @@ class Background(Stage):
                 *self._target,
                 *(warp.buffer[name] for name in ("color", "depth", "motion", "filled_by")),
             )
-
-    def _key_buffers(self, pixels: int) -> tuple:
-        return (
-            self.device.buffer(pixels * (8 if self.int64 else 4)),
-            self.device.buffer(4 if self.int64 else pixels * 4),
-        )
 
     def _of_level(self, buffers: dict, level: int) -> list:
         return [buffers[f"{name}_{level}"] for name in _PER_LEVEL]

@@ -46,7 +46,7 @@ class HoleFilling(Stage):
 
     def _blocks(self, frame, warp: Stage, target: Camera) -> None:
         color, depth, motion, filled_by = (warp.buffer[name] for name in ("color", "depth", "motion", "filled_by"))
-        blocks = tuple(-(-n // BLOCK) for n in self.sizes.target)
+        blocks = self.buffers[0].size(self.sizes)
         block_buffers = (self.buffer["block_color"], self.buffer["block_inverse_depth"])
         self.launch(
             "downsample",

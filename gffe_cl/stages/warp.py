@@ -6,17 +6,13 @@ import numpy as np
 
 from gffe_cl.camera import Camera
 from gffe_cl.device import Device
-from gffe_cl.stage import RGBA, XY, BufferSpec, Sizes, Stage, int2
+from gffe_cl.stage import RGBA, XY, BufferSpec, NearestStage, Sizes, Stage, int2, zoom
 
-BY_WARP, BY_CRACK_CLOSING, BY_HOLE_FILLING = 0, 254, 255
+BY_HOLE_FILLING = 255  # in `filled_by`
 
 
-class Warp(Stage):
-    """Splats every fragment's footprint, nearest first, and resamples the rendered frame.
-
-    With 64-bit atomics one key holds depth and index; without, a second pass finds the least index among
-    the nearest. Both give the same bits.
-    """
+class Warp(NearestStage):
+    """Splats every fragment's footprint, nearest first, and resamples the rendered frame."""
 
     name = "warp"
     buffers = (
@@ -40,12 +36,9 @@ class Warp(Stage):
 
     def __init__(self, device: Device, sizes: Sizes, close_cracks: bool = True, int64: bool | None = None):
         """`int64`: use 64-bit atomics; None: if the device has them."""
+        super().__init__(device, sizes, int64)
         self.close_cracks = close_cracks
-        self.int64 = device.int64_atomics if int64 is None else int64
-        super().__init__(device, sizes, **({"INT64_ATOMICS": 1} if self.int64 else {}))
-        pixels = sizes.target[0] * sizes.target[1]
-        self._keys = device.buffer(pixels * (8 if self.int64 else 4))
-        self._winners = device.buffer(1 if self.int64 else pixels * 4)
+        self._keys = self.key_buffers(sizes.target[0] * sizes.target[1])
 
     def link(self, frame, history: Stage) -> None:
         """Find the surfaces of a rendered frame; once per rendered frame."""
@@ -59,33 +52,28 @@ class Warp(Stage):
         )
 
     def warp(self, frame, history: Stage, prediction: Stage, target: Camera) -> None:
-        zoom = np.array([target.fx / frame.camera.fx, target.fy / frame.camera.fy], np.float32)
         sizes = (*int2(self.sizes.source), *int2(self.sizes.target))
         target_position = prediction.buffer["target_position"]
-        self.fill(self._keys, 0xFF)
-        if not self.int64:
-            self.fill(self._winners, 0xFF)
-        for splat_pass in range(1 if self.int64 else 2):
+        self.clear_keys(self._keys, self.sizes.target)
+        for splat_pass in self.passes:
             self.launch(
                 "splat",
                 self.sizes.source,
                 *sizes,
                 np.int32(self.close_cracks),
                 np.int32(splat_pass),
-                zoom,
+                zoom(frame.camera, target),
                 frame.depth,
                 self.buffer["links"],
                 target_position,
-                self._keys,
-                self._winners,
+                *self._keys,
             )
         self.launch(
             "resolve",
             self.sizes.target,
             *sizes,
-            zoom,
-            self._keys,
-            self._winners,
+            zoom(frame.camera, target),
+            *self._keys,
             frame.color,
             frame.depth,
             history.buffer["dynamic_mask"],
