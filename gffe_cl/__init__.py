@@ -38,6 +38,11 @@ _HOME = {
     "SequenceWriter": "sequence",
     "named_channels": "sequence",
     "open_sequence": "sequence",
+    "present": "stages.presentation",
+    "Window": "window",
+    "adaptive_window": "window",
+    "fixed_window": "window",
+    "nearest_depth": "window",
 }
 
 __all__ = ["__version__", *_HOME]

@@ -16,6 +16,7 @@ from gffe_cl.errors import GffeError
 _RIGIDITY_TOLERANCE = 1e-3
 _MOST_FOCAL = 1e9
 _MOST_DISTANCE = 1e15
+_VIEW_AXES = {"opengl": (1.0, -1.0, -1.0), "direct3d": (1.0, -1.0, 1.0), "vulkan": (1.0, 1.0, 1.0)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +141,46 @@ class Camera:
         matrix = self.view_to_world
         return view_pos @ matrix[:3, :3].T + matrix[:3, 3]
 
+    def view_matrix(self, api: str) -> np.ndarray:
+        """(4, 4) float64, column vectors: world → the view space that `projection_matrix` of the same `api` takes.
+
+        "opengl": x right, y up, z backward; "direct3d": x right, y up, z forward; "vulkan": x right, y down, z forward.
+        For row vectors (v·M) transpose it.
+        """
+        _require_api(api)
+        return np.diag([*_VIEW_AXES[api], 1.0]) @ self.world_to_view
+
+    def projection_matrix(
+        self, api: str, width: float, height: float, near: float, far: float = np.inf, reverse_depth: bool = False
+    ) -> np.ndarray:
+        """(4, 4) float64, column vectors: view space of `view_matrix(api)` → clip space.
+
+        Off-centre (jitter and windows included), for an image of `width` × `height` pixels. Depth from `near` to
+        `far` (world units, `far` may be infinite) becomes, after division by w, −1 … 1 for "opengl" and 0 … 1 for
+        "direct3d" and "vulkan"; with `reverse_depth` 1 … 0 for all (OpenGL: glClipControl(…, GL_ZERO_TO_ONE)).
+
+        Raises GffeError for an unknown api, an empty image, or planes not within 0 < near < far.
+        """
+        _require_api(api)
+        if not (0 < near < far and near < np.inf):
+            raise GffeError(f"camera: expected 0 < near < far, got {near:g} and {far:g}")
+        if not (width > 0 and height > 0):
+            raise GffeError(f"camera: the image must not be empty, got {width:g}×{height:g}")
+        ends = (1.0, 0.0) if reverse_depth else (-1.0, 1.0) if api == "opengl" else (0.0, 1.0)
+        scale = (ends[1] - ends[0] * near / far) / (1 - near / far)  # clip z = scale · z + offset
+        offset = (ends[0] - scale) * near
+        matrix = np.array(
+            [
+                [2 * self.fx / width, 0, 2 * self.cx / width - 1, 0],
+                [0, 2 * self.fy / height, 2 * self.cy / height - 1, 0],
+                [0, 0, scale, offset],
+                [0, 0, 1, 0],
+            ]
+        )
+        if api != "vulkan":
+            matrix[1] *= -1  # normalised device coordinates go up
+        return matrix @ np.diag([*_VIEW_AXES[api], 1.0])
+
     def to_view_of(self, other: Camera) -> np.ndarray:
         """(4, 4) float64: view space of this camera → view space of `other`; exactly 1 for equal poses."""
         if np.array_equal(self.world_to_view, other.world_to_view):
@@ -168,9 +209,8 @@ def predict_camera(previous: Camera, current: Camera, alpha: float) -> Camera:
         return b + alpha * (b - a)
 
     direction = ahead(previous.direction, current.direction)
-    up = ahead(previous.up, current.up)
-    if np.linalg.norm(np.cross(direction, up)) < 1e-6 * np.linalg.norm(direction) * np.linalg.norm(up):
-        up = current.up
+    ups = (ahead(previous.up, current.up), current.up, -current.direction)  # the last two cannot both be parallel to it
+    up = next(up for up in ups if np.linalg.norm(np.cross(direction, up)) > 1e-6 * np.linalg.norm(direction))
     predicted = Camera.from_pose(
         ahead(previous.position, current.position),
         direction,
@@ -180,11 +220,18 @@ def predict_camera(previous: Camera, current: Camera, alpha: float) -> Camera:
         current.cx,
         current.cy,
     )
+    if np.array_equal(previous.world_to_view, current.world_to_view):
+        return replace(predicted, world_to_view=current.world_to_view)
     if np.linalg.det(current.world_to_view[:3, :3]) < 0:  # left-handed world
         matrix = predicted.world_to_view.copy()
         matrix[0] *= -1
         predicted = replace(predicted, world_to_view=matrix)
     return predicted
+
+
+def _require_api(api: str) -> None:
+    if api not in _VIEW_AXES:
+        raise GffeError(f"camera: api must be {', '.join(_VIEW_AXES)}, got '{api}'")
 
 
 def _normalised(vector, name) -> np.ndarray:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.device import Device
-from gffe_cl.evaluate import baseline_repeat, compare
+from gffe_cl.evaluate import baseline_repeat, compare, shown_color
 from gffe_cl.metrics import display_values
 from gffe_cl.pipeline import Options
 from gffe_cl.render import render_sequence
@@ -17,6 +17,7 @@ from gffe_cl.report import contact_sheet, error_image, side_by_side, write_video
 from gffe_cl.run import run_sequence
 from gffe_cl.scenes import load_scene
 from gffe_cl.sequence import Sequence, open_sequence
+from gffe_cl.source import Recorded
 
 METHODS = {
     "repeat": "repeat the last frame",
@@ -27,22 +28,25 @@ _FRAMES = 16
 _SLOWDOWN = 4
 
 
-def demo(output: Path, device: Device, width: int, height: int, seed: int, step) -> dict:
+def demo(output: Path, device: Device, width: int, height: int, seed: int, window: str, step) -> dict:
     """Fill the folder `output`: `rendered/`, `extrapolated/`, `contact_sheet.png`, `side_by_side.mp4`, `metrics.json`.
 
+    `window` is the rendering window: "adaptive", "fixed:FACTOR" or "off".
     `step(text, total)` opens a progress step and returns a function to call after each unit of it.
     Returns the metrics: {"repeat": {"psnr", "ssim"}, "static": {…}, "gae": {…}}.
     """
     scene = load_scene("corridor", seed)
     rendered, extrapolated = output / "rendered", output / "extrapolated"
     on_frame = step("Rendering the scene 'corridor'", 2 * _FRAMES)
-    render_sequence(scene, rendered, device, width, height, _FRAMES, 30.0, ground_truth=True, on_frame=on_frame)
+    render_sequence(
+        scene, rendered, device, width, height, _FRAMES, 30.0, ground_truth=True, window=window, on_frame=on_frame
+    )
     source = open_sequence(rendered)
     on_frame = step("Extrapolating, all static", _FRAMES)
     static = output / "static"
-    run_sequence(source, static, device, Options(motion=False), [0.5], on_frame=on_frame)
+    run_sequence(Recorded(source, device), static, device, Options(motion=False), [0.5], on_frame=on_frame)
     on_frame = step("Extrapolating (GAE)", _FRAMES)
-    run_sequence(source, extrapolated, device, Options(), [0.5], on_frame=on_frame)
+    run_sequence(Recorded(source, device), extrapolated, device, Options(), [0.5], on_frame=on_frame)
 
     on_frame = step("Measuring against ground truth", 3 * _FRAMES)
 
@@ -50,7 +54,7 @@ def demo(output: Path, device: Device, width: int, height: int, seed: int, step)
         on_frame()
 
     results = {
-        "repeat": baseline_repeat(source, progress),
+        "repeat": baseline_repeat(source, progress, device),
         "static": compare(open_sequence(static), source, progress=progress),
         "gae": compare(open_sequence(extrapolated), source, progress=progress),
     }
@@ -59,17 +63,18 @@ def demo(output: Path, device: Device, width: int, height: int, seed: int, step)
 
     made = open_sequence(extrapolated)
     on_frame = step("Drawing the contact sheet and the video", _FRAMES)
-    _contact_sheet(source, made).save(output / "contact_sheet.png")
-    write_video(output / "side_by_side.mp4", _video_frames(source, made, on_frame), 60.0)
+    _contact_sheet(source, made, device).save(output / "contact_sheet.png")
+    write_video(output / "side_by_side.mp4", _video_frames(source, made, device, on_frame), 60.0)
     return metrics
 
 
-def _contact_sheet(source: Sequence, made: Sequence):
+def _contact_sheet(source: Sequence, made: Sequence, device: Device):
     groups = []
     for index in np.linspace(_FRAMES // 4, _FRAMES - 1, 3).astype(int):
         now, new, truth = source.rendered[index], made.extrapolated[index], source.ground_truth[index]
         shown, predicted, wanted = (
-            display_values(s.read_color(e), source.exposure) for s, e in ((source, now), (made, new), (source, truth))
+            display_values(shown_color(s, e, device), source.exposure)
+            for s, e in ((source, now), (made, new), (source, truth))
         )
         masks = made.read_channels(new, ["mask.dynamic", "mask.disoccluded"])
         images = [
@@ -84,12 +89,12 @@ def _contact_sheet(source: Sequence, made: Sequence):
     return contact_sheet(groups)
 
 
-def _video_frames(source: Sequence, made: Sequence, on_frame) -> Iterator[np.ndarray]:
+def _video_frames(source: Sequence, made: Sequence, device: Device, on_frame) -> Iterator[np.ndarray]:
     """Left the rendered frames at 30 Hz, right with the extrapolated ones at 60 Hz, slowed down."""
 
     def pairs():
         for now, new in zip(source.rendered, made.extrapolated, strict=True):
-            rendered = display_values(source.read_color(now), source.exposure)
+            rendered = display_values(shown_color(source, now, device), source.exposure)
             extrapolated = display_values(made.read_color(new), source.exposure)
             yield rendered, rendered
             yield rendered, extrapolated

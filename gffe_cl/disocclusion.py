@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gffe_cl.camera import Camera
 from gffe_cl.device import Device
 from gffe_cl.metrics import display_values
 from gffe_cl.pipeline import Options, Pipeline
@@ -35,6 +36,7 @@ METHODS: dict[str, Options] = {
 }
 CATEGORIES = ("static", "dynamic", "out of screen", "seen before")
 _SAME_SURFACE = 0.01  # relative depth
+_SKY = 1e7  # world units
 
 
 @dataclass
@@ -112,30 +114,39 @@ def study_disocclusions(
     return DisocclusionStudy(pixels, {m: {c: e[c] for c in CATEGORIES} for m, e in errors.items()}, unfilled)
 
 
+def shows(camera: Camera, width: int, height: int, world_pos: np.ndarray) -> np.ndarray:
+    """(N,) bool: whether world positions (N, 3) lie before `camera` and within its image, hidden or not."""
+    px, depth = camera.project(world_pos)
+    with np.errstate(invalid="ignore"):
+        return (depth > 0) & (px >= 0).all(-1) & (px < (width, height)).all(-1)
+
+
+def world_positions(camera: Camera, depth: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """(N, 3) of the pixels of `mask`; sky is put very far away."""
+    y, x = np.nonzero(mask)
+    z = depth[mask].astype(np.float64)
+    return camera.unproject(np.stack([x + 0.5, y + 0.5], -1), np.where(np.isinf(z), _SKY, z))
+
+
 def _categories(holes, static_holes, camera, future, moving, source_camera, seen) -> dict[str, np.ndarray]:
     height, width = holes.shape
     y, x = np.nonzero(holes)
-    px = np.stack([x + 0.5, y + 0.5], -1)
-    depth = future.depth[holes].astype(np.float64)
-    sky = np.isinf(depth)
+    sky = np.isinf(future.depth[holes])
     still = ~moving[future.object_id[holes]]
-    world = camera.unproject(px, np.where(sky, 1e7, depth))
+    world = world_positions(camera, future.depth, holes)
 
-    def shows(other, other_depth=None):
+    def seen_in(other, other_depth):
         at, z = other.project(world)
-        with np.errstate(invalid="ignore"):
-            inside = (z > 0) & (at >= 0).all(-1) & (at < (width, height)).all(-1)
-        if other_depth is None:
-            return inside
+        inside = shows(other, width, height, world)
         cell = np.where(inside[:, None], at, 0).astype(int)
         d = other_depth[cell[:, 1], cell[:, 0]]
         same = np.where(sky, np.isinf(d), np.abs(d - z) <= _SAME_SURFACE * z)
         return inside & same
 
-    outside = ~shows(source_camera)
+    outside = ~shows(source_camera, width, height, world)
     before = np.zeros(len(x), bool)
     for other, other_depth in seen:
-        before |= shows(other, other_depth)
+        before |= seen_in(other, other_depth)
     parts = {
         "static": ~outside & static_holes[holes],
         "dynamic": ~outside & ~static_holes[holes],

@@ -9,10 +9,13 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
+from gffe_cl.device import Device
 from gffe_cl.errors import GffeError
+from gffe_cl.frame import is_shown_whole
 from gffe_cl.metrics import display_values, psnr, ssim
 from gffe_cl.sequence import FrameEntry, Sequence
 from gffe_cl.sequence.read_ahead import read_ahead
+from gffe_cl.stages.presentation import present
 
 _THREADS = 2
 _NO_HISTORY = 2  # rendered frames after a reset, itself included, that are followed by no counted frame
@@ -113,11 +116,13 @@ def compare(
     return _score(pairs, a, b, mask, progress)
 
 
-def baseline_repeat(sequence: Sequence, progress: Callable[[int, int], None] | None = None) -> Comparison:
+def baseline_repeat(
+    sequence: Sequence, progress: Callable[[int, int], None] | None = None, device: Device | None = None
+) -> Comparison:
     """The last rendered frame, shown again, against each ground-truth frame of the same sequence.
 
-    The floor of any extrapolation, by the definition of `compare`. Rendered frames must be as large as the
-    display; they are taken for what is shown. Raises GffeError.
+    The floor of any extrapolation, by the definition of `compare`. Frames rendered through a window are presented on
+    `device` (the default one if None). Raises GffeError.
     """
     rendered = sequence.rendered
     times = [entry.time for entry in rendered]
@@ -129,10 +134,20 @@ def baseline_repeat(sequence: Sequence, progress: Callable[[int, int], None] | N
             pairs.append(_Pair(rendered[index], truth, history.suffices(rendered[index])))
     if not pairs:
         raise GffeError(f"{sequence.path}: no ground truth after a rendered frame")
-    return _score(pairs, sequence, sequence, None, progress)
+    return _score(pairs, sequence, sequence, None, progress, device)
 
 
-def _score(pairs, a, b, mask, progress) -> Comparison:
+def shown_color(sequence: Sequence, entry: FrameEntry, device: Device | None = None) -> np.ndarray:
+    """Linear RGB (H, W, 3) of a frame as displayed: the display part of a frame rendered through a window."""
+    size = (sequence.width, sequence.height)
+    if entry.kind != "rendered" or (
+        sequence.size_of(entry) == size and is_shown_whole(entry.render_camera, entry.display_camera)
+    ):
+        return sequence.read_color(entry)
+    return present(sequence.read(entry), size=size, device=device).color
+
+
+def _score(pairs, a, b, mask, progress, device=None) -> Comparison:
     import skimage.metrics  # noqa: F401  slow to import: once, before the threads
 
     notes = []
@@ -144,7 +159,7 @@ def _score(pairs, a, b, mask, progress) -> Comparison:
             pair.counted = True
 
     def score(pair):
-        shown = display_values(a.read_color(pair.entry), b.exposure)
+        shown = display_values(shown_color(a, pair.entry, device), b.exposure)
         truth = display_values(b.read_color(pair.truth), b.exposure)
         if shown.shape != truth.shape:
             raise GffeError(

@@ -16,6 +16,8 @@ from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 
 HALF_MAX = 65504.0
+_SAME_POSE = 1e-6
+BYTES_PER_PIXEL = (8, 4, 8)  # of colour, depth and motion on the device
 
 
 @dataclass
@@ -49,6 +51,25 @@ class RenderedFrame:
     @property
     def shown_camera(self) -> Camera:
         return self.display_camera or self.camera
+
+
+def display_camera_of(frame: RenderedFrame, render_size: tuple[int, int], size: tuple[int, int]) -> Camera:
+    """The camera of what is shown, in pixels of a display of `size`: by default the rendered frustum."""
+    if frame.display_camera or render_size == size:
+        return frame.display_camera or frame.camera
+    return frame.camera.scaled(*(s / r for r, s in zip(render_size, size, strict=True)))
+
+
+def require_one_pose(render: Camera, display: Camera) -> None:
+    """GffeError unless both cameras stand in one place and look one way: a window is a part of an image."""
+    difference = np.abs(render.world_to_view - display.world_to_view).max()
+    if difference > _SAME_POSE * (1 + np.abs(render.world_to_view).max()):
+        raise GffeError("frame: display_camera must have the pose of the render camera (expected equal world_to_view)")
+
+
+def is_shown_whole(camera: Camera, display_camera: Camera) -> bool:
+    """Whether the rendered image is what is shown, pixel for pixel, where both have one size."""
+    return camera.intrinsics == display_camera.intrinsics
 
 
 @dataclass

@@ -13,12 +13,22 @@ import pyopencl.array
 from gffe_cl.camera import Camera, predict_camera
 from gffe_cl.device import Device
 from gffe_cl.errors import GffeError
-from gffe_cl.frame import BadPixels, PackedFrame, RenderedFrame, pack_frame
-from gffe_cl.stage import BufferSpec, Sizes, Stage
+from gffe_cl.frame import (
+    BYTES_PER_PIXEL,
+    BadPixels,
+    PackedFrame,
+    RenderedFrame,
+    display_camera_of,
+    is_shown_whole,
+    pack_frame,
+    require_one_pose,
+)
+from gffe_cl.stage import BufferSpec, DeviceFrame, Sizes, Stage
 from gffe_cl.stages.background import MAX_LEVELS, Background
 from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.holes import METHODS, HoleFilling
 from gffe_cl.stages.prediction import MAX_ORDER, PositionPrediction
+from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import ShadingInputs
 from gffe_cl.stages.warp import Warp
 
@@ -64,16 +74,29 @@ class Options:
             raise GffeError(f"options: static threshold must be a number of pixels ≥ 0, got {self.static_threshold}")
 
 
-@dataclass
-class DeviceFrame:
-    """A rendered frame on the device: `color` half ×4, `depth` float, `motion` float ×2 (OpenCL buffers)."""
+@dataclass(frozen=True)
+class PresentedFrame:
+    """What is shown of the rendered frame at t: its display part, in display pixels.
 
+    `color` (half ×4, linear RGB), `depth` (float, world units, +inf sky), `motion` (float ×2, pixels, t → t−1 between
+    the displayed images) are device buffers that hold this frame until the next `submit`: the rendered frame's own, bit
+    for bit, where all of it is shown.
+    """
+
+    camera: Camera
+    time: float
     color: cl.Buffer
     depth: cl.Buffer
     motion: cl.Buffer
-    camera: Camera
-    display_camera: Camera
-    time: float
+    _device: Device
+    _size: tuple[int, int]
+
+    def numpy(self, name: str) -> np.ndarray:
+        """Copy to the host: "color" (H, W, 3) float16, "depth" (H, W) float32, "motion" (H, W, 2) float32."""
+        channels, dtype = {"color": ((4,), np.float16), "depth": ((), np.float32), "motion": ((2,), np.float32)}[name]
+        out = np.empty((*reversed(self._size), *channels), dtype)
+        cl.enqueue_copy(self._device.queue, out, getattr(self, name))
+        return out[..., :3] if name == "color" else out
 
 
 @dataclass(frozen=True)
@@ -120,7 +143,8 @@ class Pipeline:
     int64_atomics : bool or None
         Force or forbid the 64-bit path of the warp; None: as the device can. Both give the same bits.
 
-    Nothing is allocated on the device or compiled after construction, but for the first uploads of host arrays.
+    Nothing is allocated on the device or compiled after construction, but for the first uploads of host arrays and
+    with the first frame that is rendered through a window.
     Device buffers must have been written on `device.queue`, or be finished, before they are submitted.
     """
 
@@ -152,7 +176,8 @@ class Pipeline:
         self.shading = ShadingInputs(device, self.sizes) if self.options.shading_inputs else None
         stages = (self.history, self.prediction, self.warp, self.background, self.holes, self.shading)
         self.stages: tuple[Stage, ...] = tuple(stage for stage in stages if stage)
-        self._slots: list[tuple[cl.Buffer, cl.Buffer, cl.Buffer]] = []
+        self.presentation: Presentation | None = None  # made, and added to `stages`, with the first windowed frame
+        self._slots: list[DeviceFrame] = []
         self._current: DeviceFrame | None = None
         self._previous: DeviceFrame | None = None
         self._times: list[float] = []  # of rendered frames since the last reset, newest first
@@ -170,49 +195,61 @@ class Pipeline:
         """
         if not np.isfinite(frame.time) or (self._times and not frame.reset and frame.time <= self._times[0]):
             raise GffeError(f"frame: time {frame.time:g} s must be finite and after the previous rendered frame's")
-        buffers = self._device_buffers(frame, packed)
+        on_device = self._on_device(frame, packed)
         if frame.reset:
             self._times.clear()
             self._previous = None
         else:
             self._previous = self._current
-        display_camera = frame.display_camera or self._scaled_to_display(frame.camera)
-        self._current = DeviceFrame(*buffers, frame.camera, display_camera, frame.time)
+        self._current = on_device
         self._times = [frame.time, *self._times[:MAX_ORDER]]
         self.history.track(self._current, self._previous if self.options.motion else None)
         self.warp.link(self._current, self.history)
         if self.background:
             self.background.collect(self._current, self._previous, self.history, self.warp)
+        if self.presentation is None and not self._shown_whole(on_device):
+            self.presentation = Presentation(self.device, self.sizes)
+            self.stages += (self.presentation,)
 
-    def _scaled_to_display(self, camera: Camera) -> Camera:
-        """The same frustum in display pixels."""
-        if self.sizes.source == self.sizes.target:
-            return camera
-        return camera.scaled(*(t / s for s, t in zip(self.sizes.source, self.sizes.target, strict=True)))
+    def present(self) -> PresentedFrame:
+        """What is shown of the last submitted frame; resamples it where it was rendered through a window, or where the
+        frame before was and motion must be converted. Returns at once. Raises GffeError before the first `submit`."""
+        frame = self._need_frame()
+        if not (self._shown_whole(frame) and (self._previous is None or self._shown_whole(self._previous))):
+            self.presentation.present(frame, self._previous)
+            buffers = tuple(self.presentation.buffer[name] for name in ("color", "depth", "motion"))
+        else:
+            buffers = frame.buffers
+        return PresentedFrame(frame.display_camera, frame.time, *buffers, self.device, self.sizes.target)
 
-    def _device_buffers(self, frame: RenderedFrame, packed: PackedFrame | None) -> tuple:
+    def _shown_whole(self, frame: DeviceFrame) -> bool:
+        return self.sizes.source == self.sizes.target and is_shown_whole(frame.camera, frame.display_camera)
+
+    def _on_device(self, frame: RenderedFrame, packed: PackedFrame | None) -> DeviceFrame:
+        display_camera = display_camera_of(frame, self.sizes.source, self.sizes.target)
+        require_one_pose(frame.camera, display_camera)
         given = [_as_buffer(array) for array in (frame.color, frame.depth, frame.motion)]
         width, height = self.sizes.source
-        pixels = width * height
-        needed = (8 * pixels, 4 * pixels, 8 * pixels)
         if all(given):
-            for name, buffer, size in zip(("color", "depth", "motion"), given, needed, strict=True):
-                if buffer.size < size:
+            for name, buffer, bytes_per_pixel in zip(("color", "depth", "motion"), given, BYTES_PER_PIXEL, strict=True):
+                if buffer.size < bytes_per_pixel * width * height:
                     raise GffeError(
-                        f"frame: {name} buffer must hold {size} bytes ({width}×{height}), got {buffer.size}"
+                        f"frame: {name} buffer must hold {bytes_per_pixel * width * height} bytes ({width}×{height}),"
+                        f" got {buffer.size}"
                     )
-            return tuple(given)
+            return DeviceFrame(*given, frame.camera, display_camera, frame.time)
         if any(given):
             raise GffeError("frame: color, depth and motion must be all NumPy arrays or all device buffers")
         packed = packed or pack_frame(frame, height, width)
         self.bad_pixels += packed.bad
         if len(self._slots) < 2:
-            self._slots.append(tuple(self.device.buffer(size) for size in needed))
+            cameras = (frame.camera, display_camera, frame.time)
+            self._slots.append(DeviceFrame.allocate(self.device, self.sizes.source, *cameras))
         else:
             self._slots.append(self._slots.pop(0))
-        for buffer, array in zip(self._slots[-1], (packed.color, packed.depth, packed.motion), strict=True):
-            cl.enqueue_copy(self.device.queue, buffer, array)
-        return self._slots[-1]
+        slot = self._slots[-1]
+        slot.upload(self.device, packed)
+        return DeviceFrame(*slot.buffers, frame.camera, display_camera, frame.time)
 
     # ---- extrapolated frames ---------------------------------------------------------------------------
 

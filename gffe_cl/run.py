@@ -1,12 +1,13 @@
-"""Extrapolating a sequence on disk into another one (`gffe run`)."""
+"""Extrapolating a sequence, on disk or rendered meanwhile, into another one (`gffe run`)."""
 
 from __future__ import annotations
 
 import json
 import shutil
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,17 +15,11 @@ import numpy as np
 from gffe_cl.camera import Camera
 from gffe_cl.device import Device
 from gffe_cl.errors import GffeError
-from gffe_cl.frame import BadPixels, pack_frame
+from gffe_cl.frame import BadPixels
 from gffe_cl.pipeline import ExtrapolatedFrame, Options, Pipeline
-from gffe_cl.sequence import (
-    FrameEntry,
-    Sequence,
-    SequenceWriter,
-    named_channels,
-    refuse_same_folder,
-    require_clean,
-)
+from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
 from gffe_cl.sequence.exr import write_channels
+from gffe_cl.source import Source
 from gffe_cl.stage import BufferSpec
 
 _MOST_ALPHA = 100
@@ -49,7 +44,7 @@ def alphas_for(n: int) -> list[float]:
 
 
 def run_sequence(
-    sequence: Sequence,
+    source: Source,
     output: Path,
     device: Device,
     options: Options,
@@ -60,10 +55,10 @@ def run_sequence(
     dump_stages: bool = False,
     on_frame: Callable[[], None] = lambda: None,
 ) -> RunReport:
-    """Extrapolate after every rendered frame of `sequence` and write the result to `output`.
+    """Extrapolate after every rendered frame of `source` and write the result to `output`.
 
-    The camera of an extrapolated frame is that of the ground-truth frame of the same time, unless there is
-    none or `predicted_camera` asks for C̄. `on_frame` is called after each extrapolated frame.
+    The camera of an extrapolated frame is the one that `source` knows for its time, unless there is none or
+    `predicted_camera` asks for C̄. `on_frame` is called after each extrapolated frame.
 
     Raises GffeError for structural faults; then `output` holds no sequence.
     """
@@ -71,34 +66,25 @@ def run_sequence(
     if not alphas or not all(0 < a <= _MOST_ALPHA for a in alphas):
         given = ", ".join(f"{a:g}" for a in alphas) or "none"
         raise GffeError(f"alpha must be positive numbers up to {_MOST_ALPHA}, got {given}")
-    refuse_same_folder(output, sequence.path)
-    render_size = _common_render_size(sequence)
-    pipeline = Pipeline(device, sequence.width, sequence.height, options, render_size=render_size, fps=sequence.fps)
-    truth_cameras = _TruthCameras([] if predicted_camera else sequence.ground_truth)
-    numbers, suffixes = _numbers(sequence.rendered), _suffixes(alphas)
-    report = RunReport(0, BadPixels(), sequence.warnings(), {})
-    timings = {stage.name: 0.0 for stage in pipeline.stages}
-
-    def read(entry: FrameEntry):
-        frame = sequence.read(entry)
-        packed = pack_frame(frame, render_size[1], render_size[0])
-        if strict:
-            require_clean(entry.file, packed.bad)
-        return frame, packed
-
-    writing = SequenceWriter(
-        output, sequence.width, sequence.height, sequence.fps, sequence.exposure, generator="gffe-cl run"
-    )
+    source.refuse(output)
+    size = (source.width, source.height)
+    pipeline = Pipeline(device, *size, options, render_size=source.render_size, fps=source.fps)
+    suffixes = _suffixes(alphas)
+    report = RunReport(0, BadPixels(), [], {})
+    timings: dict[str, float] = defaultdict(float)
+    writing = SequenceWriter(output, *size, source.fps, source.exposure, generator="gffe-cl run")
     with writing as writer, stage_dump(output / "stages" if dump_stages else None) as dump:
-        for index, (entry, (frame, packed)) in enumerate(sequence.prefetch(sequence.rendered, read=read)):
+        for entry, frame, packed in source.frames(alphas, strict):
             pipeline.submit(frame, packed)
-            writer.link(entry, sequence.path / entry.file)
+            source.store(writer, entry, frame)
+            if dump_stages:
+                pipeline.present()
             for alpha in alphas:
                 time = frame.time + alpha * pipeline.interval
-                camera = truth_cameras.at(time)
+                camera = None if predicted_camera else source.camera_at(time)
                 extrapolated = pipeline.extrapolate(camera, time)
                 made = FrameEntry(
-                    file=f"extrapolated_{numbers[index]}_{suffixes[alpha]}.exr",
+                    file=f"extrapolated_{source.number_of(entry)}_{suffixes[alpha]}.exr",
                     time=time,
                     kind="extrapolated",
                     source=entry.file,
@@ -112,7 +98,7 @@ def run_sequence(
             for name, milliseconds in pipeline.take_timings().items():
                 timings[name] += milliseconds
     report.bad_pixels = pipeline.bad_pixels
-    report.warnings = sequence.warnings()
+    report.warnings = source.warnings()
     report.milliseconds = {name: total / max(report.extrapolated, 1) for name, total in timings.items()}
     return report
 
@@ -183,23 +169,6 @@ def _dump_channels(spec: BufferSpec, array: np.ndarray) -> dict[str, np.ndarray]
     return channels
 
 
-def _common_render_size(sequence: Sequence) -> tuple[int, int]:
-    sizes = {sequence.size_of(entry): entry for entry in sequence.rendered}
-    if not sizes:
-        raise GffeError(f"{sequence.path}: no rendered frame to extrapolate from")
-    if len(sizes) > 1:
-        entries = [f"{e.file} is {w}×{h}" for (w, h), e in sizes.items()]
-        raise GffeError(f"{sequence.path}: rendered frames must have one size ({', '.join(entries[:2])})")
-    return next(iter(sizes))
-
-
-def _numbers(entries: list[FrameEntry]) -> list[str]:
-    """Numbers in the frames' names (`frame_000012.exr` → `000012`); their indices unless each has one of its own."""
-    numbers = [Path(entry.file).stem.rpartition("_")[2] for entry in entries]
-    own = all(n.isdigit() and n.isascii() for n in numbers) and len(set(numbers)) == len(numbers)
-    return numbers if own else [f"{index:06d}" for index in range(len(entries))]
-
-
 def _suffixes(alphas: list[float]) -> dict[float, str]:
     """α in thousandths (0.5 → `0500`), in smaller units where that would not tell them apart."""
     for digits in range(3, 18):
@@ -207,18 +176,3 @@ def _suffixes(alphas: list[float]) -> dict[float, str]:
         if len(set(suffixes.values())) == len(alphas):
             break
     return suffixes
-
-
-class _TruthCameras:
-    """Cameras of ground-truth frames by time."""
-
-    def __init__(self, entries: list[FrameEntry]):
-        self._entries = [replace(e) for e in entries if e.display_camera or e.render_camera]
-        times = np.sort([e.time for e in self._entries])
-        self._tolerance = (np.diff(times).min() if len(times) > 1 else 1e-3) / 4
-
-    def at(self, time: float) -> Camera | None:
-        near = min(self._entries, key=lambda e: abs(e.time - time), default=None)
-        if near is None or abs(near.time - time) > self._tolerance:
-            return None
-        return near.display_camera or near.render_camera

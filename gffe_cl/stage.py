@@ -14,6 +14,7 @@ import pyopencl as cl
 
 from gffe_cl.camera import Camera
 from gffe_cl.device import Device
+from gffe_cl.frame import BYTES_PER_PIXEL, PackedFrame
 from gffe_cl.program import build
 
 _EVENTS = 1024  # kept per stage for whoever asks for timings
@@ -69,6 +70,34 @@ class BufferSpec:
 
     def nbytes(self, sizes: Sizes) -> int:
         return int(np.prod(self.shape(sizes))) * np.dtype(self.dtype).itemsize
+
+
+@dataclass
+class DeviceFrame:
+    """A rendered frame on the device: `color` half ×4, `depth` float, `motion` float ×2 (OpenCL buffers); `camera` in
+    pixels of these images, `display_camera` in pixels of the display."""
+
+    color: cl.Buffer
+    depth: cl.Buffer
+    motion: cl.Buffer
+    camera: Camera
+    display_camera: Camera
+    time: float
+
+    @classmethod
+    def allocate(cls, device: Device, size: tuple[int, int], camera, display_camera, time) -> DeviceFrame:
+        """New buffers for images of `size` (width, height)."""
+        pixels = size[0] * size[1]
+        return cls(*(device.buffer(pixels * n) for n in BYTES_PER_PIXEL), camera, display_camera, time)
+
+    def upload(self, device: Device, packed: PackedFrame) -> None:
+        """Copy host arrays in."""
+        for buffer, array in zip(self.buffers, (packed.color, packed.depth, packed.motion), strict=True):
+            cl.enqueue_copy(device.queue, buffer, array)
+
+    @property
+    def buffers(self) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer]:
+        return self.color, self.depth, self.motion
 
 
 RGBA = ("R", "G", "B", "A")

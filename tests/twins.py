@@ -816,3 +816,34 @@ def prepare_inputs(warped, motion, color_prev, depth_prev, to_previous):
         if weights >= F(0.25):
             out[y, x] = (*np.clip(total / weights, F(-65504), F(65504)), 1)
     return out, mask
+
+
+# ---- presentation --------------------------------------------------------------------------------------
+
+
+def present(color, depth, motion, size, to_render, to_display, to_previous_display):
+    """Displayed colour, depth and motion; mappings are (scale x, scale y, offset x, offset y) float32."""
+    height, width = depth.shape
+    px = centres(size[1], size[0]) * to_render[:2] + to_render[2:]
+    corner = np.floor(px - F(0.5))
+    u, v = np.moveaxis(px - F(0.5) - corner, -1, 0)
+    x0, y0 = np.moveaxis(corner.astype(int) - 1, -1, 0)
+    rgb = load_color(color)
+    wx, wy = _cubic_weights(u), _cubic_weights(v)
+    total, inner = np.zeros((*u.shape, 3), F), []
+    for ty in range(4):
+        row = np.zeros((*u.shape, 3), F)
+        for tx in range(4):
+            tap = rgb[np.clip(y0 + ty, 0, height - 1), np.clip(x0 + tx, 0, width - 1)]
+            row = row + wx[tx][..., None] * tap
+            if tx in (1, 2) and ty in (1, 2):
+                inner.append(tap)
+        total = total + wy[ty][..., None] * row
+    total = np.clip(total, np.min(inner, 0), np.max(inner, 0))
+    sx = np.clip(np.floor(px[..., 0]).astype(int), 0, width - 1)
+    sy = np.clip(np.floor(px[..., 1]).astype(int), 0, height - 1)
+    centre = np.stack([sx, sy], -1).astype(F) + F(0.5)
+    with np.errstate(invalid="ignore"):
+        before = (centre + motion[sy, sx]) * to_previous_display[:2] + to_previous_display[2:]
+    shown = np.concatenate([total, np.zeros((*u.shape, 1), F)], -1).astype(np.float16)
+    return shown, depth[sy, sx], before - (centre * to_display[:2] + to_display[2:])

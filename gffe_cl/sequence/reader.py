@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.errors import GffeError
-from gffe_cl.frame import RenderedFrame
+from gffe_cl.frame import RenderedFrame, require_one_pose
 from gffe_cl.sequence import exr
 from gffe_cl.sequence.checks import time_warnings, zero_motion_warning
 from gffe_cl.sequence.description import (
@@ -190,6 +190,10 @@ def _complete_cameras(entry, header, description, label):
             raise GffeError(f"{label}: no render_camera, and no worldToCamera and worldToNDC in the EXR header")
         if entry.display_camera is None:
             entry.display_camera = _same_frustum(entry, size)
+        try:
+            require_one_pose(entry.render_camera, entry.display_camera)
+        except GffeError as error:
+            raise GffeError(f"{label}: {str(error).removeprefix('frame: ')}") from None
 
 
 def _same_frustum(entry, size):

@@ -1,0 +1,249 @@
+"""The commands that make frames: devices, demo, render, run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import typer
+from rich.table import Table
+
+from gffe_cl.cli.common import (
+    DeviceOption,
+    JsonOption,
+    WindowOption,
+    app,
+    err,
+    out,
+    parse_numbers,
+    parse_size,
+    plain,
+    progress_bars,
+    steps,
+    write_json,
+)
+from gffe_cl.errors import GffeError
+
+if TYPE_CHECKING:
+    from gffe_cl.device import Device, DeviceInfo
+    from gffe_cl.run import RunReport
+    from gffe_cl.source import Live, Recorded
+
+
+@app.command()
+def devices(
+    kind: Annotated[str | None, typer.Option(help="Only devices of this kind: gpu, cpu or other.")] = None,
+    json_path: JsonOption = None,
+) -> None:
+    """List every OpenCL device: whether a kernel really runs on it, and what it lacks."""
+    from dataclasses import asdict
+
+    from gffe_cl.device import HOW_TO_GET_ONE, best_of, list_devices
+
+    infos = [info for info in list_devices() if kind in (None, info.kind)]
+    table = Table("", "index", "device", "platform", "kernel runs", "lacks", box=None, header_style="bold")
+    working = [info for info in infos if info.works]
+    default = best_of(working) if working else None
+    for info in infos:
+        table.add_row(
+            "*" if info is default else "",
+            info.index,
+            info.name,
+            f"{info.platform} ({info.driver})",
+            "[green]yes[/]" if info.works else f"[red]no[/]: {plain(info.problem)}",
+            ", ".join(info.lacks) or "nothing",
+        )
+    if infos:
+        out.print(table)
+    if default:
+        out.print("* the default; choose another with --device or GFFE_DEVICE")
+    write_json(json_path, {"devices": [asdict(i) | {"default": i is default} for i in infos]})
+    if not working:
+        raise GffeError(f"no OpenCL device{f' of kind {kind}' if kind else ''} runs a kernel: {HOW_TO_GET_ONE}")
+
+
+@app.command()
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("out/demo"),
+    size: Annotated[str, typer.Option(help="Width × height, pixels.")] = "960x540",
+    seed: Annotated[int, typer.Option(help="Variation of the scene.")] = 0,
+    window: WindowOption = "off",
+    device: DeviceOption = None,
+) -> None:
+    """Render the scene 'corridor', extrapolate it, and measure the result against ground truth."""
+    from gffe_cl.demo import METHODS
+    from gffe_cl.demo import demo as run_demo
+    from gffe_cl.device import open_device
+
+    width, height = parse_size(size)
+    if min(width, height) < 32 or max(width, height) > 4096:
+        raise GffeError(f"demo: --size must be 32 to 4096 pixels each way, got '{size}'")
+    opened = open_device(device)
+    out.print(f"Device: {opened.info.name} ({opened.info.platform})")
+    with progress_bars() as progress:
+        metrics = run_demo(output, opened, width, height, seed, window, steps(progress))
+    table = Table("against ground truth at t + ½", "PSNR, dB", "SSIM", box=None, header_style="bold")
+    for name, text in METHODS.items():
+        table.add_row(text, f"{metrics[name]['psnr']:.2f}", f"{metrics[name]['ssim']:.4f}")
+    out.print(table)
+    out.print(f"Results are in {output}: contact_sheet.png, side_by_side.mp4, metrics.json, extrapolated/")
+
+
+@app.command()
+def render(
+    scene: Annotated[str, typer.Argument(help="Name of a built-in scene: corridor, plaza, room, forest.")],
+    output: Annotated[Path, typer.Argument(help="Folder for the sequence.")],
+    size: Annotated[str, typer.Option(help="Width × height, pixels.")] = "960x540",
+    frames: Annotated[int, typer.Option(help="Rendered frames.")] = 30,
+    fps: Annotated[float, typer.Option(help="Rendered frames per second.")] = 30.0,
+    seed: Annotated[int, typer.Option(help="Variation of layout, textures, lights and camera path.")] = 0,
+    ground_truth: Annotated[
+        bool, typer.Option("--ground-truth", help="Also the frames in between, for measuring.")
+    ] = False,
+    per_frame: Annotated[int, typer.Option("-n", help="Ground-truth frames per rendered frame.")] = 1,
+    samples: Annotated[int, typer.Option(help="Colour samples per pixel at edges.")] = 8,
+    window: WindowOption = "off",
+    device: DeviceOption = None,
+) -> None:
+    """Render a built-in scene to a sequence: colour, depth, motion vectors and cameras."""
+    from gffe_cl.device import open_device
+    from gffe_cl.render import render_sequence
+    from gffe_cl.scenes import load_scene
+
+    width, height = parse_size(size)
+    built = load_scene(scene, seed)
+    opened = open_device(device)
+    with progress_bars() as progress:
+        total = frames * (1 + per_frame * ground_truth)
+        count = render_sequence(
+            built, output, opened, width, height, frames, fps,
+            ground_truth=ground_truth, per_frame=per_frame, samples=samples, window=window,
+            on_frame=steps(progress)(f"Rendering '{scene}'", total),
+        )  # fmt: skip
+    out.print(f"{count} frames in {output}")
+
+
+@app.command()
+def run(
+    sequence: Annotated[Path, typer.Argument(help="Folder of a sequence, or the name of a built-in scene.")],
+    output: Annotated[Path, typer.Argument(help="Folder for the result, a sequence again.")],
+    n: Annotated[
+        int | None,
+        typer.Option("-n", help="Extrapolated frames per rendered frame, 1 to 7 [dim](default 1)[/]."),
+    ] = None,
+    alpha: Annotated[str | None, typer.Option(help="Times instead, in intervals after each frame: 0.25,0.5.")] = None,
+    device: DeviceOption = None,
+    history: Annotated[int, typer.Option(help="Positions kept per fragment, 2 to 5.")] = 2,
+    order: Annotated[int, typer.Option(help="Degree of the position prediction, below --history.")] = 1,
+    static_threshold: Annotated[
+        str, typer.Option(help="Pixels of motion from which a fragment is dynamic, or auto.")
+    ] = "auto",
+    no_motion: Annotated[bool, typer.Option("--no-motion", help="Treat everything as static.")] = False,
+    no_crack_closing: Annotated[
+        bool, typer.Option("--no-crack-closing", help="Splat single pixels, as in the paper.")
+    ] = False,
+    layers: Annotated[int, typer.Option(help="Levels of the background, 0 to 4.")] = 2,
+    no_background: Annotated[bool, typer.Option("--no-background", help="The same as --layers 0.")] = False,
+    hole_filling: Annotated[
+        str, typer.Option(help="What the background leaves: far-side, push-pull, downsample (the paper's) or none.")
+    ] = "far-side",
+    camera: Annotated[
+        str, typer.Option(help="'truth': of the ground-truth frame where there is one; 'predicted'.")
+    ] = "truth",
+    dump_stages: Annotated[
+        bool, typer.Option("--dump-stages", help="Write every buffer of every stage to OUTPUT/stages.")
+    ] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Bad pixels are errors.")] = False,
+    window: Annotated[
+        str | None,
+        typer.Option(
+            help="Rendering window of a built-in scene: adaptive, fixed:1.2 or off. Of a recorded sequence: as"
+            " recorded, or off to use its display part only."
+        ),
+    ] = None,
+    size: Annotated[str, typer.Option(help="Of a built-in scene: width × height, pixels.")] = "960x540",
+    frames: Annotated[int, typer.Option(help="Of a built-in scene: rendered frames.")] = 30,
+    fps: Annotated[float, typer.Option(help="Of a built-in scene: rendered frames per second.")] = 30.0,
+    seed: Annotated[int, typer.Option(help="Of a built-in scene: its variation.")] = 0,
+    json_path: JsonOption = None,
+) -> None:
+    """Extrapolate after every rendered frame of a sequence, or of a built-in scene that is rendered meanwhile."""
+    from gffe_cl.pipeline import Options
+    from gffe_cl.run import alphas_for, run_sequence
+
+    if n is not None and alpha is not None:
+        raise GffeError("-n and --alpha exclude each other")
+    alphas = alphas_for(n if n is not None else 1) if alpha is None else parse_numbers(alpha, "--alpha")
+    if camera not in ("truth", "predicted"):
+        raise GffeError(f"--camera must be 'truth' or 'predicted', got '{camera}'")
+    options = Options(
+        history=history, order=order, static_threshold=_threshold(static_threshold), motion=not no_motion,
+        crack_closing=not no_crack_closing, levels=0 if no_background else layers, hole_filling=hole_filling,
+        shading_inputs=dump_stages,
+    )  # fmt: skip
+    live = LiveOptions(*parse_size(size), frames, fps, seed)
+    opened, source = _open_source(sequence, window, device, live)
+    with progress_bars() as progress:
+        report = run_sequence(
+            source, output, opened, options, alphas,
+            predicted_camera=camera == "predicted", strict=strict, dump_stages=dump_stages,
+            on_frame=steps(progress)("Extrapolating", source.count * len(alphas)),
+        )  # fmt: skip
+    _print_report(report, output)
+    write_json(json_path, _report_json(report, opened.info))
+
+
+class LiveOptions(NamedTuple):
+    """How a built-in scene is rendered."""
+
+    width: int
+    height: int
+    frames: int
+    fps: float
+    seed: int
+
+
+def _open_source(
+    sequence: Path, window: str | None, device: str | None, live: LiveOptions
+) -> tuple[Device, Recorded | Live]:
+    """A folder is a sequence; what is none may be the name of a scene."""
+    from gffe_cl.device import open_device
+    from gffe_cl.scenes import SCENES, load_scene
+    from gffe_cl.sequence import open_sequence
+    from gffe_cl.source import Live, Recorded
+
+    if str(sequence) in SCENES and not sequence.exists():
+        scene, opened = load_scene(str(sequence), live.seed), open_device(device)
+        return opened, Live(scene, opened, live.width, live.height, live.frames, live.fps, window or "off")
+    recorded, opened = open_sequence(sequence), open_device(device)
+    return opened, Recorded(recorded, opened, window)
+
+
+def _threshold(text: str) -> float | None:
+    """'2.5' → 2.5, 'auto' → None."""
+    if text == "auto":
+        return None
+    numbers = parse_numbers(text, "--static-threshold")
+    if len(numbers) != 1 or not 0 <= numbers[0] <= 1e6:
+        raise GffeError(f"--static-threshold must be one number of pixels or auto, got '{text}'")
+    return numbers[0]
+
+
+def _print_report(report: RunReport, output: Path) -> None:
+    for warning in report.warnings:
+        err.print(f"[yellow]warning:[/] {plain(warning)}")
+    if report.bad_pixels:
+        err.print(f"[yellow]warning:[/] bad pixels in the input, survived: {report.bad_pixels}")
+    times = ", ".join(f"{name} {ms:.1f}" for name, ms in report.milliseconds.items())
+    out.print(f"{report.extrapolated} extrapolated frames in {output} (kernel ms per frame: {times})")
+
+
+def _report_json(report: RunReport, info: DeviceInfo) -> dict:
+    return {
+        "extrapolated": report.extrapolated,
+        "device": info.name,
+        "platform": info.platform,
+        "milliseconds": report.milliseconds,
+        "bad_pixels": vars(report.bad_pixels),
+        "warnings": report.warnings,
+    }

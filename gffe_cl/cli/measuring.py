@@ -1,0 +1,213 @@
+"""The commands that measure: compare, study, bench."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from gffe_cl.cli.common import DeviceOption, JsonOption, app, out, parse_size, plain, progress_bars, steps, write_json
+from gffe_cl.errors import GffeError
+
+if TYPE_CHECKING:
+    from gffe_cl.bench import SizeBench
+    from gffe_cl.device import DeviceInfo
+    from gffe_cl.disocclusion import DisocclusionStudy
+    from gffe_cl.study import SceneStudy
+    from gffe_cl.window_study import WindowStudy
+
+
+@app.command()
+def compare(
+    a: Annotated[Path, typer.Argument(help="Sequence with extrapolated frames.")],
+    b: Annotated[Path, typer.Argument(help="Sequence with ground truth.")],
+    mask: Annotated[
+        str | None, typer.Option(help="Take PSNR only where this channel of A is not 0 (mask.dynamic …).")
+    ] = None,
+    fail_under: Annotated[float | None, typer.Option(help="Exit with 1 if the mean PSNR is lower, dB.")] = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Measure extrapolated frames of A against the ground truth of B."""
+    from gffe_cl.evaluate import compare as compare_sequences
+    from gffe_cl.sequence import open_sequence
+
+    first, second = open_sequence(a), open_sequence(b)
+    with progress_bars() as progress:
+        advance = steps(progress)("Comparing", len(first.extrapolated))
+        result = compare_sequences(first, second, mask, lambda done, total: advance())
+    table = Table("frame", "PSNR, dB", "SSIM", box=None, header_style="bold")
+    for frame in result.frames:
+        style = None if frame.counted else "dim"
+        table.add_row(frame.file, f"{frame.psnr:.2f}", f"{frame.ssim:.4f}", style=style)
+    out.print(table)
+    for note in result.notes:
+        out.print(plain(note))
+    left_out = sum(not frame.counted for frame in result.frames)
+    dim = f" ({left_out} frames without history left out)" if left_out else ""
+    out.print(f"[bold]mean[/]{dim}: PSNR {result.psnr:.2f} dB, SSIM {result.ssim:.4f}")
+    write_json(json_path, result.to_json())
+    if fail_under is not None and not result.psnr >= fail_under:
+        raise typer.Exit(1)
+
+
+@app.command()
+def study(
+    scenes: Annotated[list[str] | None, typer.Argument(help="Built-in scenes [dim](default: all)[/].")] = None,
+    seeds: Annotated[int, typer.Option(help="Seeds 0 … N−1 of each.")] = 3,
+    size: Annotated[str, typer.Option(help="Width × height, pixels.")] = "480x270",
+    frames: Annotated[int, typer.Option(help="Rendered frames per scene and seed.")] = 10,
+    alpha: Annotated[float, typer.Option(help="Time of the extrapolated frames, in intervals.")] = 0.5,
+    fps: Annotated[float, typer.Option(help="Rendered frames per second.")] = 30.0,
+    disocclusions: Annotated[
+        bool, typer.Option("--disocclusions", help="Measure how disocclusions are filled instead.")
+    ] = False,
+    windows: Annotated[
+        bool, typer.Option("--windows", help="Measure rendering windows instead, the camera turning quickly.")
+    ] = False,
+    rate: Annotated[float, typer.Option(help="With --windows: degrees per second.")] = 150.0,
+    device: DeviceOption = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Measure the parts of the method on built-in scenes, against an oracle that knows the true motion."""
+    from dataclasses import asdict
+
+    from gffe_cl.device import open_device
+    from gffe_cl.disocclusion import DisocclusionStudy, study_disocclusions
+    from gffe_cl.scenes import SCENES
+    from gffe_cl.study import study_scene
+    from gffe_cl.window_study import study_windows
+
+    if disocclusions and windows:
+        raise GffeError("study: --disocclusions and --windows exclude each other")
+    width, height = parse_size(size)
+    if min(width, height) < 16 or seeds < 1 or frames < 4 or not 0 < alpha <= 8:
+        raise GffeError("study: --size must be at least 16x16, --seeds 1, --frames 4, and --alpha within 0 and 8")
+    opened = open_device(device)
+    names = scenes or list(SCENES)
+    with progress_bars() as progress:
+        advance = steps(progress)("Measuring", len(names) * seeds * frames)
+        measure = (
+            study_disocclusions if disocclusions else partial(study_windows, rate=rate) if windows else study_scene
+        )
+        results = {
+            name: [measure(opened, name, seed, width, height, frames, fps, alpha, advance) for seed in range(seeds)]
+            for name in names
+        }
+    flat = [study for studies in results.values() for study in studies]
+    if disocclusions:
+        pooled = {name: DisocclusionStudy.pooled(studies) for name, studies in results.items()}
+        pooled["all"] = DisocclusionStudy.pooled(flat)
+        _print_disocclusions(pooled)
+        write_json(json_path, {name: asdict(r) for name, r in pooled.items()})
+    elif windows:
+        _print_windows(flat)
+        write_json(json_path, {"results": [asdict(r) for r in flat]})
+    else:
+        _print_studies(flat)
+        write_json(json_path, {"results": [asdict(r) | {"share": r.share} for r in flat]})
+
+
+def _print_disocclusions(pooled: dict[str, DisocclusionStudy]) -> None:
+    from gffe_cl.disocclusion import CATEGORIES, METHODS
+
+    for name, r in pooled.items():
+        shares = {c: r.pixels[c] / r.pixels["all"] for c in CATEGORIES}
+        heads = [f"{c} ({share:.2%} of pixels)" for c, share in shares.items()]
+        table = Table(name, *heads, "left by the background", box=None, header_style="bold")
+        for method in METHODS:
+            left = f"{r.unfilled[method] / r.pixels['all']:.2%}"
+            table.add_row(method, *(f"{r.psnr(method, c):.2f}" for c in CATEGORIES), left)
+        out.print(table)
+
+
+def _print_windows(studies: list[WindowStudy]) -> None:
+    import numpy as np
+
+    heads = ("out-of-screen holes", "PSNR", "PSNR, interior", "PSNR of rendered frames, as shown", "texel, px")
+    for part, title in (("steady", "turning steadily"), ("reversing", "within an interval of a reversal")):
+        table = Table(title, *heads, box=None, header_style="bold")
+        for mode in getattr(studies[0], part):
+            figures = [getattr(study, part)[mode] for study in studies]
+            mean = {name: np.mean([getattr(f, name) for f in figures]) for name in vars(figures[0])}
+            table.add_row(
+                mode,
+                f"{mean['holes']:.2%} (most {max(f.holes for f in figures):.2%})",
+                *(f"{mean[name]:.2f}" for name in ("whole", "interior", "shown")),
+                f"{mean['texel']:.3f}",
+            )
+        out.print(table)
+    out.print(
+        "Means over scenes and seeds; PSNR in dB. 'wide' has 1.5² times the pixels, all others as many as the display."
+    )
+
+
+def _print_studies(studies: list[SceneStudy]) -> None:
+    from gffe_cl.study import METHODS
+
+    table = Table("scene", "seed", *METHODS, "gap closed", "disoccluded", "dynamic", box=None, header_style="bold")
+    for r in studies:
+        figures = [f"{r.visible[m]:.2f}" for m in METHODS]
+        table.add_row(r.scene, str(r.seed), *figures, f"{r.share:.0%}", f"{r.disoccluded:.1%}", f"{r.dynamic:.1%}")
+    out.print(table)
+    out.print("PSNR in dB over pixels that are not disoccluded.")
+    table = Table("whole frame", "seed", *METHODS, box=None, header_style="bold")
+    for r in studies:
+        table.add_row(r.scene, str(r.seed), *(f"{r.whole[m]:.2f} {r.ssim[m]:.4f}" for m in METHODS))
+    out.print(table)
+    out.print("PSNR in dB and SSIM.")
+
+
+@app.command()
+def bench(
+    sizes: Annotated[
+        str, typer.Option(help="Width × height, separated by commas.")
+    ] = "960x540,1280x720,1920x1080,3840x2160",
+    repeats: Annotated[int, typer.Option(help="Timed frames per size.")] = 15,
+    layers: Annotated[int, typer.Option(help="Levels of the background, 0 to 4.")] = 2,
+    device: Annotated[
+        str | None, typer.Option("--device", help="One device [dim](default: every device that works)[/].")
+    ] = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Time every stage, in milliseconds and in bytes per pixel, beside the paper's table."""
+    from dataclasses import asdict
+
+    from gffe_cl.bench import PAPER, Copier, bench_size
+    from gffe_cl.device import list_devices, open_device, open_info
+    from gffe_cl.pipeline import Options
+
+    if repeats < 1:
+        raise GffeError(f"--repeats must be at least 1, got {repeats}")
+    options = Options(levels=layers)
+    parsed = [parse_size(text) for text in sizes.split(",")]
+    if device is None:
+        opened = [open_info(info) for info in list_devices() if info.works] or [open_device()]
+    else:
+        opened = [open_device(device)]
+    report = []
+    for one in opened:
+        with progress_bars() as progress:
+            advance = steps(progress)(f"{one.info.name} ({one.info.platform})", len(parsed) * (repeats + 3))
+            copier = Copier(one)
+            results = [bench_size(one, copier, *size, options, repeats, advance) for size in parsed]
+        _print_bench(one.info, results)
+        report.append({"device": one.info.name, "platform": one.info.platform, "copied by": copier.way,
+                       "sizes": [asdict(r) for r in results]})  # fmt: skip
+    write_json(json_path, {"devices": report, "paper": PAPER})
+
+
+def _print_bench(info: DeviceInfo, results: list[SizeBench]) -> None:
+    from gffe_cl.bench import PAPER
+
+    table = Table("bytes per pixel (ms)", *(f"{r.width}×{r.height}" for r in results), "paper, 1080p",
+                  title=f"{info.name} ({info.platform})", box=None, header_style="bold")  # fmt: skip
+    for name in results[0].milliseconds:
+        figures = [f"{r.bytes_per_pixel[name]:.0f} ({r.milliseconds[name]:.2f})" for r in results]
+        table.add_row(name, *figures, str(PAPER.get(name) or ""), style="bold" if name == "GAE" else None)
+    table.add_row("wall time, ms", *(f"{r.wall:.2f}" for r in results), "")
+    table.add_row("copy bandwidth, GB/s", *(f"{r.bandwidth:.1f}" for r in results), "672")
+    table.add_row("device memory, MiB", *(f"{r.memory / 2**20:.0f}" for r in results), "")
+    out.print(table)

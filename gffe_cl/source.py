@@ -1,0 +1,187 @@
+"""What a run extrapolates from: a sequence on disk, or a built-in scene that is rendered meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from gffe_cl.camera import Camera
+from gffe_cl.device import Device
+from gffe_cl.errors import GffeError
+from gffe_cl.frame import PackedFrame, RenderedFrame, pack_frame
+from gffe_cl.scenes import Scene, SceneRenderer, sequence_frames
+from gffe_cl.sequence import (
+    FrameEntry,
+    Sequence,
+    SequenceWriter,
+    named_channels,
+    refuse_same_folder,
+    require_clean,
+)
+from gffe_cl.stages.presentation import present
+from gffe_cl.window import WindowChooser
+
+
+class Source(Protocol):
+    """Rendered frames in order of time.
+
+    `width`, `height`: of the display, pixels; `render_size`: of the rendered frames; `count`: how many there are.
+    """
+
+    width: int
+    height: int
+    render_size: tuple[int, int]
+    fps: float
+    exposure: float
+    count: int
+
+    def frames(self, alphas: list[float], strict: bool) -> Iterator[tuple[FrameEntry, RenderedFrame, PackedFrame]]:
+        """Each rendered frame; `alphas` are the times that will be extrapolated after it, in intervals. With `strict`
+        GffeError for bad pixels."""
+
+    def store(self, writer: SequenceWriter, entry: FrameEntry, frame: RenderedFrame) -> None:
+        """Put a rendered frame into an output."""
+
+    def camera_at(self, time: float) -> Camera | None:
+        """The display camera at `time` (seconds), if it is known."""
+
+    def number_of(self, entry: FrameEntry) -> str:
+        """What tells the rendered frame's file from others."""
+
+    def refuse(self, output: Path) -> None:
+        """GffeError if `output` must not be written to."""
+
+    def warnings(self) -> list[str]:
+        """Legal but suspicious things met so far."""
+
+
+class Recorded:
+    """A sequence on disk. Frames with overscan (render camera wider than the display camera) are taken as rendered
+    through a window; with `window` "off" only their display part is used, resampled on `device`.
+
+    Raises GffeError for other windows than that, for a sequence without rendered frames, and for one whose rendered
+    frames have several sizes.
+    """
+
+    def __init__(self, sequence: Sequence, device: Device, window: str | None = None):
+        if window not in (None, "off"):
+            raise GffeError(
+                f"window '{window}': {sequence.path} has the window that it was rendered through (expected off, or the"
+                " name of a built-in scene)"
+            )
+        self.sequence, self._device = sequence, device
+        self.width, self.height, self.fps = sequence.width, sequence.height, sequence.fps
+        self.exposure, self.count, self.warnings = sequence.exposure, len(sequence.rendered), sequence.warnings
+        stored = _common_render_size(sequence)
+        size = (self.width, self.height)
+        whole = stored == size and all(e.display_camera == e.render_camera for e in sequence.rendered)
+        self._cut = window == "off" and not whole
+        self.render_size = size if self._cut else stored
+        self._numbers = dict(zip((e.file for e in sequence.rendered), _numbers(sequence.rendered), strict=True))
+        self._truth = [e for e in sequence.ground_truth if e.display_camera or e.render_camera]
+        times = np.sort([e.time for e in self._truth])
+        self._tolerance = (np.diff(times).min() if len(times) > 1 else 1e-3) / 4
+
+    def frames(self, alphas, strict):
+        def read(entry: FrameEntry):
+            frame = self.sequence.read(entry)
+            packed = pack_frame(frame, *np.shape(frame.depth))
+            if strict:
+                require_clean(entry.file, packed.bad)
+            return frame, packed
+
+        before = None
+        for entry, (frame, packed) in self.sequence.prefetch(self.sequence.rendered, read=read):
+            if not self._cut:
+                yield entry, frame, packed
+                continue
+            shown = present(frame, before or frame, size=self.render_size, device=self._device)
+            before = frame
+            cut = replace(entry, render_size=None, render_camera=shown.camera, display_camera=None)
+            yield cut, shown, pack_frame(shown, self.height, self.width)
+
+    def store(self, writer, entry, frame):
+        if self._cut:
+            writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
+        else:
+            writer.link(entry, self.sequence.path / entry.file)
+
+    def camera_at(self, time):
+        near = min(self._truth, key=lambda e: abs(e.time - time), default=None)
+        if near is None or abs(near.time - time) > self._tolerance:
+            return None
+        return near.display_camera or near.render_camera
+
+    def number_of(self, entry):
+        return self._numbers[entry.file]
+
+    def refuse(self, output):
+        refuse_same_folder(output, self.sequence.path)
+
+
+class Live:
+    """`count` frames of a built-in scene, rendered through `window` ("adaptive", "fixed:FACTOR" or "off")."""
+
+    def __init__(self, scene: Scene, device: Device, width: int, height: int, count: int, fps: float, window="off"):
+        if count < 1 or not 0 < fps < float("inf"):
+            raise GffeError(f"a built-in scene needs at least 1 frame and positive fps, got {count} and {fps:g}")
+        self.scene, self.width, self.height, self.count, self.fps = scene, width, height, count, fps
+        self.render_size, self.exposure, self._window = (width, height), scene.exposure, window
+        WindowChooser(window, self.render_size, [])
+        self._renderer = SceneRenderer(device, scene, width, height)
+
+    def frames(self, alphas, strict):
+        windows = WindowChooser(self._window, self.render_size, alphas)
+        plan = sequence_frames(
+            self.scene, self.width, self.height, self.count, self.fps, ground_truth=False, windows=windows
+        )
+        for step in plan:
+            image = self._renderer.render(step.time, step.camera, step.previous_time, step.previous_camera).numpy()
+            windows.observe(image.depth)
+            frame = RenderedFrame(
+                image.color, image.depth, image.motion, step.camera, step.time, step.display_camera, step.reset
+            )
+            entry = FrameEntry(
+                f"frame_{step.source:06d}.exr",
+                step.time,
+                reset=step.reset,
+                render_camera=step.camera,
+                display_camera=step.display_camera,
+            )
+            yield entry, frame, pack_frame(frame, self.height, self.width)
+
+    def store(self, writer, entry, frame):
+        writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
+
+    def camera_at(self, time):
+        return self.scene.camera(time, self.width, self.height)
+
+    def number_of(self, entry):
+        return Path(entry.file).stem.removeprefix("frame_")
+
+    def refuse(self, output):
+        return
+
+    def warnings(self):
+        return []
+
+
+def _common_render_size(sequence: Sequence) -> tuple[int, int]:
+    sizes = {sequence.size_of(entry): entry for entry in sequence.rendered}
+    if not sizes:
+        raise GffeError(f"{sequence.path}: no rendered frame to extrapolate from")
+    if len(sizes) > 1:
+        entries = [f"{e.file} is {w}×{h}" for (w, h), e in sizes.items()]
+        raise GffeError(f"{sequence.path}: rendered frames must have one size ({', '.join(entries[:2])})")
+    return next(iter(sizes))
+
+
+def _numbers(entries: list[FrameEntry]) -> list[str]:
+    """Numbers in the frames' names (`frame_000012.exr` → `000012`); their indices unless each has one of its own."""
+    numbers = [Path(entry.file).stem.rpartition("_")[2] for entry in entries]
+    own = all(n.isdigit() and n.isascii() for n in numbers) and len(set(numbers)) == len(numbers)
+    return numbers if own else [f"{index:06d}" for index in range(len(entries))]

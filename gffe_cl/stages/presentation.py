@@ -1,0 +1,102 @@
+"""Presentation: the display part of a rendered frame (paper: 'Adaptive rendering window')."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from gffe_cl.camera import Camera
+from gffe_cl.device import Device, open_device
+from gffe_cl.frame import RenderedFrame, display_camera_of, is_shown_whole, pack_frame, require_one_pose
+from gffe_cl.stage import RGBA, XY, BufferSpec, DeviceFrame, Sizes, Stage, int2
+
+_ONE_AT_A_TIME = threading.Lock()  # the cached stages of `present` serve all threads
+
+
+class Presentation(Stage):
+    """Resamples a frame that was rendered through a window to its display camera."""
+
+    name = "presentation"
+    buffers = (
+        BufferSpec("color", np.float16, RGBA, "target", "colour of the rendered frame as displayed, linear RGB"),
+        BufferSpec("depth", np.float32, (), "target", "its view depth, world units, +inf sky"),
+        BufferSpec("motion", np.float32, XY, "target", "its motion t → t−1 between the displayed images, pixels"),
+    )
+
+    def present(self, frame: DeviceFrame, previous: DeviceFrame | None) -> None:
+        """`previous`: the rendered frame before, of which the cameras count; None after a reset."""
+        before = previous or frame
+        self.launch(
+            "present",
+            self.sizes.target,
+            *int2(self.sizes.target),
+            *int2(self.sizes.source),
+            mapping(frame.display_camera, frame.camera),
+            mapping(frame.camera, frame.display_camera),
+            mapping(before.camera, before.display_camera),
+            frame.color,
+            frame.depth,
+            frame.motion,
+            *(self.buffer[name] for name in ("color", "depth", "motion")),
+        )
+
+
+def mapping(a: Camera, b: Camera) -> np.ndarray:
+    """(4,) float32: scale x, scale y, offset x, offset y from pixels of `a` to pixels of `b`; both have one pose."""
+    scale = np.array([b.fx / a.fx, b.fy / a.fy])
+    return np.concatenate([scale, (b.cx, b.cy) - scale * (a.cx, a.cy)]).astype(np.float32)
+
+
+def present(
+    frame: RenderedFrame,
+    previous: RenderedFrame | None = None,
+    *,
+    size: tuple[int, int] | None = None,
+    device: Device | None = None,
+) -> RenderedFrame:
+    """What is shown of a rendered frame: its display part, at display resolution.
+
+    Parameters
+    ----------
+    frame : RenderedFrame of NumPy arrays
+        With the `display_camera` in pixels of an image of `size`.
+    previous : RenderedFrame or None
+        The rendered frame before, for motion between the images as displayed (only its cameras are used).
+    size : (width, height) or None
+        Of the display, pixels; that of the arrays if None.
+    device : Device or None
+        The default one if None. In a running `Pipeline`, `Pipeline.present` does the same from device to device.
+
+    Returns
+    -------
+    RenderedFrame
+        color (H, W, 3) in the type given, resampled (cubic); depth (H, W) float32 and motion (H, W, 2) float32 of the
+        nearest rendered pixel, motion None without `previous`; `camera` is the display camera. A frame that was not
+        rendered through a window comes back bit for bit.
+
+    Raises GffeError if the display camera has another pose than the render camera, or for wrong shapes.
+    """
+    height, width = np.shape(frame.depth)
+    render_size, size = (width, height), tuple(size or (width, height))
+    display = display_camera_of(frame, render_size, size)
+    require_one_pose(frame.camera, display)
+    before = previous and (previous.camera, display_camera_of(previous, render_size, size))
+    if size == render_size and is_shown_whole(frame.camera, display) and (not before or is_shown_whole(*before)):
+        return replace(frame, display_camera=None, motion=frame.motion if previous else None)
+    stage = _stage(device or open_device(), Sizes(render_size, size))
+    packed = pack_frame(replace(frame, reset=frame.reset or previous is None), height, width)
+    on_device = DeviceFrame.allocate(stage.device, render_size, frame.camera, display, frame.time)
+    with _ONE_AT_A_TIME:
+        on_device.upload(stage.device, packed)
+        stage.present(on_device, before and replace(on_device, camera=before[0], display_camera=before[1]))
+        color, depth, motion = (stage.read(name) for name in ("color", "depth", "motion"))
+    color = color[..., :3].astype(np.float32 if np.asarray(frame.color).dtype == np.float32 else np.float16)
+    return RenderedFrame(color, depth, motion if previous else None, display, frame.time, reset=frame.reset)
+
+
+@lru_cache(maxsize=2)
+def _stage(device: Device, sizes: Sizes) -> Presentation:
+    return Presentation(device, sizes)

@@ -1,0 +1,226 @@
+"""Adaptive rendering window (paper: 'Adaptive rendering window' and its appendix).
+
+A renderer that draws a little more than it shows has what turns into view until its next frame. Before rendering
+frame t an engine does this:
+
+    predicted = [predict_camera(previous, current, alpha) for alpha in (0.25, 0.5, 0.75)]
+    window = adaptive_window(current, predicted, size=(1920, 1080), distance=2.0)
+    camera = window.camera(current, (1920, 1080))            # an off-centre pinhole: render through it,
+    matrix = camera.projection_matrix("vulkan", 1920, 1080, near=0.1)  # at the same resolution
+    frame = RenderedFrame(color, depth, motion, camera, time, display_camera=current)
+    shown = present(frame)                                   # the display part
+
+A window is given in the coordinates of the displayed image, which is (−1, −1, 1, 1); u to the right, v down.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from gffe_cl.camera import Camera, predict_camera
+from gffe_cl.errors import GffeError
+
+MAX_ENLARGEMENT = 1.5
+_NEAR_QUANTILE = 0.05  # of depth: nearer content may leave holes
+_NEAR_STRIDE = 4  # every 4th pixel of every 4th row is enough for it
+_MARGIN = 2.0  # display pixels beyond a predicted edge: taps of resampling, and the error of the prediction
+_AT_REST = 1e-4  # display pixels: rounding of a camera that does not move
+_HORIZON = 1e-6  # least z of a direction, relative to its length, that meets the virtual plane
+
+
+class Window(NamedTuple):
+    """What is rendered, ⊇ (−1, −1, 1, 1), what is shown. `clamped`: a predicted frustum does not fit, because of the
+    maximum enlargement or because a corner of it points behind the virtual plane."""
+
+    u0: float
+    v0: float
+    u1: float
+    v1: float
+    clamped: bool = False
+
+    @property
+    def enlargement(self) -> tuple[float, float]:
+        """Width and height in those of the display."""
+        return (self.u1 - self.u0) / 2, (self.v1 - self.v0) / 2
+
+    @property
+    def texel_size(self) -> float:
+        """Side of a rendered pixel on the display, in display pixels, where both images have one size."""
+        return math.sqrt(math.prod(self.enlargement))
+
+    def camera(self, display: Camera, size: tuple[int, int], render_size: tuple[int, int] | None = None) -> Camera:
+        """The off-centre pinhole to render through, in pixels of the rendered image.
+
+        `display` is the camera of what is shown, in pixels of an image of `size` (width, height); `render_size` is
+        the rendered image's, the same if None.
+        """
+        render_size = render_size or size
+        scale_x, scale_y = (r / (s * e) for r, s, e in zip(render_size, size, self.enlargement, strict=True))
+        left, top = (self.u0 + 1) / 2 * size[0], (self.v0 + 1) / 2 * size[1]
+        return replace(
+            display,
+            fx=display.fx * scale_x,
+            fy=display.fy * scale_y,
+            cx=(display.cx - left) * scale_x,
+            cy=(display.cy - top) * scale_y,
+        )
+
+
+FULL = Window(-1.0, -1.0, 1.0, 1.0)
+
+
+def fixed_window(factor: float) -> Window:
+    """The display enlarged by `factor` ≥ 1 about its middle."""
+    if not 1 <= factor < math.inf:
+        raise GffeError(f"window: a fixed window must be at least 1 times the display, got {factor:g}")
+    return Window(-factor, -factor, factor, factor)
+
+
+def adaptive_window(
+    current: Camera,
+    predicted: Camera | Iterable[Camera],
+    max_enlargement: float = MAX_ENLARGEMENT,
+    *,
+    size: tuple[float, float] | None = None,
+    distance: float = math.inf,
+    margin: float = _MARGIN,
+) -> Window:
+    """The window through which to render the frame of `current` so that it covers all of `predicted`.
+
+    The appendix's formula, generalised to off-centre pinholes: the edges of each predicted frustum are intersected
+    with the virtual plane at `distance` before the current camera; the window is the bounding box of the
+    intersections and the display. Whatever is farther than the plane is covered too: the edges' vanishing points
+    are in the box.
+
+    Parameters
+    ----------
+    current : Camera
+        What will be shown, in display pixels.
+    predicted : Camera, or several
+        `predict_camera` at every α that will be extrapolated, in display pixels.
+    max_enlargement : float ≥ 1
+        Of the window's width and height, in those of the display. Where both sides ask for more, the side that asks
+        for less has precedence, up to half of what there is. A corner that points behind the virtual plane asks for
+        infinitely much.
+    size : (width, height) or None
+        Of the displayed image, pixels. None: twice the principal point, right for centred pinholes only.
+    distance : float
+        World units; nearer content may leave holes. A low quantile of the last frame's depth is a good choice
+        (`nearest_depth`); infinite: only turning and zooming are covered.
+    margin : float
+        Display pixels added beyond sides that are enlarged.
+
+    Raises GffeError for a maximum below 1, a distance that is not positive, or a camera without size.
+    """
+    if not 1 <= max_enlargement < math.inf:
+        raise GffeError(f"window: the maximum enlargement must be at least 1, got {max_enlargement:g}")
+    if not distance > 0:
+        raise GffeError(f"window: the distance of the virtual plane must be positive, got {distance:g}")
+    size = size or (2 * current.cx, 2 * current.cy)
+    if not min(size) > 0:
+        raise GffeError(f"window: the size of the display must be positive, got {size[0]:g}×{size[1]:g}")
+    size = np.asarray(size, np.float64)
+    low, high, clamped = -np.ones(2), np.ones(2), False
+    for camera in [predicted] if isinstance(predicted, Camera) else predicted:
+        points, clipped = _edges_on_plane(current, camera, size, distance)
+        uv = 2 * points / size - 1
+        low, high = np.minimum(low, uv.min(0)), np.maximum(high, uv.max(0))
+        clamped |= clipped
+    more, rest = 2 * margin / size, 2 * _AT_REST / size
+    low, high = np.where(low < -1 - rest, low - more, -1.0), np.where(high > 1 + rest, high + more, 1.0)
+    bounds = [_limited(-1 - low[k], high[k] - 1, 2 * (max_enlargement - 1)) for k in range(2)]
+    (left, right, cut_u), (above, below, cut_v) = bounds
+    edges = (float(edge) for edge in (-1 - left, -1 - above, 1 + right, 1 + below))
+    return Window(*edges, bool(clamped or cut_u or cut_v))
+
+
+def nearest_depth(depth: np.ndarray) -> float:
+    """A `distance` for `adaptive_window`: the lower 5% quantile of depth (H, W), world units; infinite without any."""
+    some = np.asarray(depth)[::_NEAR_STRIDE, ::_NEAR_STRIDE]
+    some = some[np.isfinite(some) & (some > 0)]
+    return float(np.quantile(some, _NEAR_QUANTILE)) if some.size else math.inf
+
+
+class WindowChooser:
+    """Chooses the window of each rendered frame in turn, as an engine would.
+
+    Parameters
+    ----------
+    mode : "adaptive", "fixed:FACTOR" or "off"
+    alphas : times of the frames that will be extrapolated, in intervals
+    """
+
+    def __init__(self, mode: str, size: tuple[int, int], alphas: Iterable[float], max_enlargement=MAX_ENLARGEMENT):
+        kind, _, factor = mode.partition(":")
+        try:
+            self._fixed = {"off": FULL, "adaptive": None, "fixed": None}[kind]
+            if kind == "fixed":
+                self._fixed = fixed_window(float(factor))
+            elif factor:
+                raise ValueError
+        except (KeyError, ValueError):
+            raise GffeError(f"window must be adaptive, fixed:FACTOR (fixed:1.2) or off, got '{mode}'") from None
+        self.size, self.alphas, self.max_enlargement = size, sorted(set(alphas)), max_enlargement
+        self._distance = math.inf
+
+    def choose(self, current: Camera, previous: Camera | None) -> Window:
+        """For the frame shown by `current`, after the one shown by `previous` (None: after a reset)."""
+        if self._fixed:
+            return self._fixed
+        if previous is None:
+            return FULL
+        predicted = [predict_camera(previous, current, alpha) for alpha in self.alphas]
+        return adaptive_window(current, predicted, self.max_enlargement, size=self.size, distance=self._distance)
+
+    def observe(self, depth: np.ndarray) -> None:
+        """Take (H, W) depth of a rendered frame as a guide for the next."""
+        if self._fixed is None:
+            self._distance = nearest_depth(depth)
+
+
+def _edges_on_plane(current: Camera, camera: Camera, size, distance: float) -> tuple[np.ndarray, bool]:
+    """(N, 2) positions, in pixels of `current`, where the edges of the frustum of `camera` meet the virtual plane, and
+    of their vanishing points; whether a corner points behind the plane."""
+    px = np.array([(0, 0), (size[0], 0), size, (0, size[1])], np.float64)
+    corners = np.stack([(px[:, 0] - camera.cx) / camera.fx, (px[:, 1] - camera.cy) / camera.fy, np.ones(4)], -1)
+    transform = camera.to_view_of(current)
+    rays, clipped = _in_front(corners @ transform[:3, :3].T)
+    origin = transform[:3, 3]
+    points = rays / rays[:, 2:]
+    if math.isfinite(distance):
+        along = np.maximum(distance - origin[2], 0.0)
+        met = origin + along * points
+        points = np.concatenate([points, met / max(distance, origin[2])])
+    return points[:, :2] * (current.fx, current.fy) + (current.cx, current.cy), clipped
+
+
+def _in_front(rays: np.ndarray) -> tuple[np.ndarray, bool]:
+    """The cone of four edges (4, 3) clipped to directions that meet the virtual plane; whether anything was cut off."""
+    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    z = rays[:, 2] - _HORIZON
+    if (z > 0).all():
+        return rays, False
+    kept = []
+    for k in range(4):
+        j = (k + 1) % 4
+        if z[k] > 0:
+            kept.append(rays[k])
+        if (z[k] > 0) != (z[j] > 0):
+            kept.append(rays[k] + (rays[j] - rays[k]) * (z[k] / (z[k] - z[j])))
+    if not kept:  # nothing of it lies ahead: as far as may be, to the side it has turned to
+        kept = [(x, y, _HORIZON) for x, y, _ in rays]
+    return np.maximum(np.array(kept), (-np.inf, -np.inf, _HORIZON)), True
+
+
+def _limited(low: float, high: float, most: float) -> tuple[float, float, bool]:
+    """How much to enlarge on the two sides where they ask for `low` and `high`; whether that is less."""
+    if low + high <= most:
+        return low, high, False
+    less = min(low, high, most / 2)
+    rest = most - less
+    return (less, rest, True) if low <= high else (rest, less, True)

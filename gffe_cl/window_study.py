@@ -1,0 +1,134 @@
+"""What the rendering window is worth while the camera turns quickly (`gffe study --windows`; paper: 'Ablation Study')."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gffe_cl.device import Device
+from gffe_cl.disocclusion import shows, world_positions
+from gffe_cl.frame import RenderedFrame
+from gffe_cl.metrics import display_values, psnr
+from gffe_cl.pipeline import Pipeline
+from gffe_cl.scenes import Scene, SceneRenderer, load_scene, sequence_frames
+from gffe_cl.window import WindowChooser
+
+MODES = ("off", "fixed:1.1", "fixed:1.2", "fixed:1.4", "adaptive")
+WIDE = "wide"  # 1.5 times the display at the display's own density: what any of them would give if pixels cost nothing
+_WIDE = 1.5
+_NO_HISTORY = 2  # rendered frames after the reset that do not count
+
+
+@dataclass
+class WindowFigures:
+    """Means over frames. `holes`: share of the extrapolated pixels that lay outside of the rendered image; PSNR in dB of
+    extrapolated frames, whole and over the `interior`, the pixels that no mode has disoccluded; `shown`: PSNR of rendered
+    frames as displayed; `texel`: display pixels per rendered pixel, along one side."""
+
+    frames: int
+    holes: float
+    whole: float
+    interior: float
+    shown: float
+    texel: float
+
+
+@dataclass
+class WindowStudy:
+    """Of one scene and seed: figures by mode, while the camera turns steadily, and for frames within an interval of a
+    reversal, which no prediction foresees."""
+
+    scene: str
+    seed: int
+    steady: dict[str, WindowFigures]
+    reversing: dict[str, WindowFigures]
+
+
+def study_windows(
+    device: Device,
+    name: str,
+    seed: int,
+    width: int,
+    height: int,
+    frames: int,
+    fps: float = 30.0,
+    alpha: float = 0.5,
+    on_frame: Callable[[], None] = lambda: None,
+    rate: float = 150.0,
+) -> WindowStudy:
+    """Turn the camera of a built-in scene at `rate` degrees per second, back after half of the `frames`, and extrapolate
+    through every kind of window."""
+    half = (frames // 2) / fps
+    scene = _turning(load_scene(name, seed), rate, half)
+    truths = {}
+    renderer = SceneRenderer(device, scene, width, height)
+    for step in range(frames):
+        for time in (step / fps, (step + alpha) / fps):
+            image = renderer.render(time, scene.camera(time, width, height)).numpy()
+            truths[time] = display_values(image.color, scene.exposure), image.depth
+    rows = {mode: _rows(device, scene, mode, (width, height), frames, fps, alpha, truths) for mode in (*MODES, WIDE)}
+    for _ in range(frames):
+        on_frame()
+    figures = []
+    for reversing in (False, True):
+        kept = [k for k in range(_NO_HISTORY, frames) if ((k - 1) / fps < half < (k + alpha) / fps) == reversing]
+        figures.append({mode: _figures([rows[mode][k] for k in kept], kept, rows) for mode in rows})
+    return WindowStudy(name, seed, *figures)
+
+
+def _rows(device, scene, mode, size, frames, fps, alpha, truths) -> list[dict]:
+    """What one mode gives after each rendered frame."""
+    render_size = tuple(round(_WIDE * n) for n in size) if mode == WIDE else size
+    windows = WindowChooser(f"fixed:{_WIDE}" if mode == WIDE else mode, size, [alpha])
+    renderer = SceneRenderer(device, scene, *render_size)
+    pipeline = Pipeline(device, *size, render_size=render_size, fps=fps)
+    rows = []
+    for step in sequence_frames(
+        scene, *size, frames, fps, ground_truth=False, windows=windows, render_size=render_size
+    ):
+        image = renderer.render(step.time, step.camera, step.previous_time, step.previous_camera).numpy()
+        windows.observe(image.depth)
+        arrays = (image.color, image.depth, image.motion)
+        pipeline.submit(RenderedFrame(*arrays, step.camera, step.time, step.display_camera, step.reset))
+        time = (step.source + alpha) / fps
+        camera = scene.camera(time, *size)
+        made = pipeline.extrapolate(camera, time)
+        truth, depth = truths[time]
+        disoccluded = made.numpy("disoccluded") > 0
+        outside = ~shows(step.camera, *render_size, world_positions(camera, depth, disoccluded))
+        shown = display_values(pipeline.present().numpy("color"), scene.exposure)
+        texel = np.sqrt(step.display_camera.fx / step.camera.fx * step.display_camera.fy / step.camera.fy)
+        rows.append(
+            {
+                "image": display_values(made.numpy("color"), scene.exposure),
+                "truth": truth,
+                "disoccluded": disoccluded,
+                "holes": outside.sum() / disoccluded.size,
+                "shown": psnr(shown, truths[step.source / fps][0]),
+                "texel": texel,
+            }
+        )
+    return rows
+
+
+def _figures(own: list[dict], kept: list[int], rows: dict[str, list[dict]]) -> WindowFigures:
+    seen = [~np.any([of_mode[k]["disoccluded"] for of_mode in rows.values()], axis=0) for k in kept]
+    interior = [psnr(r["image"], r["truth"], mask) for r, mask in zip(own, seen, strict=True)]
+    whole = [psnr(r["image"], r["truth"]) for r in own]
+    means = (np.mean([r["holes"] for r in own]), np.mean(whole), np.mean(interior))
+    return WindowFigures(len(own), *map(float, (*means, *(np.mean([r[n] for r in own]) for n in ("shown", "texel")))))
+
+
+def _turning(scene: Scene, rate: float, half: float) -> Scene:
+    """The same scene with a camera that turns to the right until `half` (seconds), then back."""
+    forward = scene.target(0.0) - scene.eye(0.0)
+    start = np.arctan2(forward[0], -forward[2])
+    level = np.hypot(forward[0], forward[2])
+
+    def target(time):
+        angle = start + np.radians(rate) * (half - abs(half - time))
+        return scene.eye(time) + np.array((level * np.sin(angle), forward[1], -level * np.cos(angle)))
+
+    return replace(scene, target=target)
