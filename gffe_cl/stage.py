@@ -191,6 +191,24 @@ class NearestStage(Stage):
             self.fill(keys[1], 0xFF, pixels * 4)
 
 
+def read_some_rows(device: Device, depth: cl.Buffer, size: tuple[int, int], every: int = 16) -> np.ndarray:
+    """(ceil(H / every), W) float32: each `every`-th row of a depth buffer of `size` (width, height)."""
+    width, height = size
+    rows = np.empty((-(-height // every), width), np.float32)
+    pitch = width * rows.itemsize
+    cl.enqueue_copy(
+        device.queue,
+        rows,
+        depth,
+        buffer_origin=(0, 0, 0),
+        host_origin=(0, 0, 0),
+        region=(pitch, len(rows), 1),
+        buffer_pitches=(pitch * every, 0),
+        host_pitches=(pitch, 0),
+    )
+    return rows
+
+
 def zoom(source: Camera, target: Camera) -> np.ndarray:
     """(2,) float32: target pixels per source pixel of what is equally far from both cameras."""
     return np.array([target.fx / source.fx, target.fy / source.fy], np.float32)

@@ -27,8 +27,8 @@ from gffe_cl.errors import GffeError
 
 MAX_ENLARGEMENT = 1.5
 _NEAR_QUANTILE = 0.05  # of depth: nearer content may leave holes
-_NEAR_STRIDE = 4  # every 4th pixel of every 4th row is enough for it
-_MARGIN = 2.0  # display pixels beyond a predicted edge: taps of resampling, and the error of the prediction
+_NEAR_SAMPLES = 8192  # pixels are enough for it
+_MARGIN = 1.0  # display pixels beyond a predicted edge: taps of resampling, and the error of the prediction
 _AT_REST = 1e-4  # display pixels: rounding of a camera that does not move
 _HORIZON = 1e-6  # least z of a direction, relative to its length, that meets the virtual plane
 
@@ -141,9 +141,11 @@ def adaptive_window(
 
 def nearest_depth(depth: np.ndarray) -> float:
     """A `distance` for `adaptive_window`: the lower 5% quantile of depth (H, W), world units; infinite without any."""
-    some = np.asarray(depth)[::_NEAR_STRIDE, ::_NEAR_STRIDE]
+    depth = np.asarray(depth)
+    stride = max(1, math.isqrt(depth.size // _NEAR_SAMPLES))
+    some = depth[::stride, ::stride]
     some = some[np.isfinite(some) & (some > 0)]
-    return float(np.quantile(some, _NEAR_QUANTILE)) if some.size else math.inf
+    return float(np.partition(some, rank := int(some.size * _NEAR_QUANTILE))[rank]) if some.size else math.inf
 
 
 class WindowChooser:

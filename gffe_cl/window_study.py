@@ -1,4 +1,4 @@
-"""What the rendering window is worth while the camera turns quickly (`gffe study --windows`; paper: 'Ablation Study')."""
+"""What rendering windows are worth while the camera turns quickly (`gffe study --windows`; paper: 'Ablation Study')."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from gffe_cl.frame import RenderedFrame
 from gffe_cl.metrics import display_values, psnr
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import Scene, SceneRenderer, load_scene, sequence_frames
-from gffe_cl.window import WindowChooser
+from gffe_cl.window import Window, WindowChooser
 
-MODES = ("off", "fixed:1.1", "fixed:1.2", "fixed:1.4", "adaptive")
-WIDE = "wide"  # 1.5 times the display at the display's own density: what any of them would give if pixels cost nothing
-_WIDE = 1.5
+# The last two have rendered pixels as small as the display's, and more of them.
+MODES = ("off", "fixed:1.1", "fixed:1.2", "fixed:1.4", "adaptive", "adaptive, dense", "wide")
+_DENSER = {"adaptive, dense": 1.2, "wide": 1.5}  # times the display, each way
 _NO_HISTORY = 2  # rendered frames after the reset that do not count
 
 
 @dataclass
 class WindowFigures:
-    """Means over frames. `holes`: share of the extrapolated pixels that lay outside of the rendered image; PSNR in dB of
-    extrapolated frames, whole and over the `interior`, the pixels that no mode has disoccluded; `shown`: PSNR of rendered
-    frames as displayed; `texel`: display pixels per rendered pixel, along one side."""
+    """Means over frames. `holes`: share of the extrapolated pixels that lay outside of the rendered image; PSNR in dB
+    of extrapolated frames, `whole` and over the `interior`, the pixels that no mode has disoccluded; `shown`: PSNR of
+    rendered frames as displayed; `texel`: display pixels per rendered pixel, along one side."""
 
     frames: int
     holes: float
@@ -58,8 +58,8 @@ def study_windows(
     on_frame: Callable[[], None] = lambda: None,
     rate: float = 150.0,
 ) -> WindowStudy:
-    """Turn the camera of a built-in scene at `rate` degrees per second, back after half of the `frames`, and extrapolate
-    through every kind of window."""
+    """Turn the camera of a built-in scene at `rate` degrees per second, back after half of the `frames`, and
+    extrapolate through every kind of window."""
     half = (frames // 2) / fps
     scene = _turning(load_scene(name, seed), rate, half)
     truths = {}
@@ -68,7 +68,7 @@ def study_windows(
         for time in (step / fps, (step + alpha) / fps):
             image = renderer.render(time, scene.camera(time, width, height)).numpy()
             truths[time] = display_values(image.color, scene.exposure), image.depth
-    rows = {mode: _rows(device, scene, mode, (width, height), frames, fps, alpha, truths) for mode in (*MODES, WIDE)}
+    rows = {mode: _rows(device, scene, mode, (width, height), frames, fps, alpha, truths) for mode in MODES}
     for _ in range(frames):
         on_frame()
     figures = []
@@ -78,10 +78,25 @@ def study_windows(
     return WindowStudy(name, seed, *figures)
 
 
+class _Grown(WindowChooser):
+    """The adaptive window, grown evenly to the size at which rendered pixels are as large as the display's."""
+
+    def __init__(self, size, render_size, alphas):
+        super().__init__("adaptive", size, alphas)
+        self._most = [r / s for r, s in zip(render_size, size, strict=True)]
+
+    def choose(self, current, previous):
+        window = super().choose(current, previous)
+        u, v = (most - given for most, given in zip(self._most, window.enlargement, strict=True))
+        return Window(window.u0 - u, window.v0 - v, window.u1 + u, window.v1 + v)
+
+
 def _rows(device, scene, mode, size, frames, fps, alpha, truths) -> list[dict]:
     """What one mode gives after each rendered frame."""
-    render_size = tuple(round(_WIDE * n) for n in size) if mode == WIDE else size
-    windows = WindowChooser(f"fixed:{_WIDE}" if mode == WIDE else mode, size, [alpha])
+    render_size = tuple(round(_DENSER.get(mode, 1) * n) for n in size)
+    windows = _Grown(size, render_size, [alpha]) if mode in _DENSER else WindowChooser(mode, size, [alpha])
+    if mode == "wide":
+        windows = WindowChooser(f"fixed:{_DENSER[mode]}", size, [alpha])
     renderer = SceneRenderer(device, scene, *render_size)
     pipeline = Pipeline(device, *size, render_size=render_size, fps=fps)
     rows = []

@@ -4,54 +4,84 @@
 #include "common.h"
 #include "cubic.h"
 
-inline float2 mapped(const float2 px, const float4 mapping) { return px * mapping.xy + mapping.zw; }
+#define STRIP 16  /* rows per work-item: rows filtered horizontally serve several of them */
 
-/* As `cubic`, beyond the image too: its border goes on. */
-inline float3 cubic_at_border(const int x0, const int y0, const float u, const float v, const int width, const int height,
-                              __global const half *color) {
-    const float4 wx4 = cubic_weights(u), wy4 = cubic_weights(v);
-    const float wx[4] = {wx4.x, wx4.y, wx4.z, wx4.w}, wy[4] = {wy4.x, wy4.y, wy4.z, wy4.w};
-    float3 sum = (float3)(0.0f), low = (float3)(INFINITY), high = (float3)(-INFINITY);
-    for (int ty = 0; ty < 4; ++ty) {
-        float3 row = (float3)(0.0f);
-        for (int tx = 0; tx < 4; ++tx) {
-            const int x = clamp(x0 + tx, 0, width - 1), y = clamp(y0 + ty, 0, height - 1);
-            const float3 c = load_color(color, y * width + x);
-            row += wx[tx] * c;
-            if (tx == 0 || tx == 3 || ty == 0 || ty == 3) continue;
-            low = fmin(low, c);
-            high = fmax(high, c);
-        }
-        sum += wy[ty] * row;
-    }
-    return clamp(sum, low, high);
+/* Three scalars, which compilers for CPUs spread over SIMD lanes three times better than a float3. */
+typedef struct { float r, g, b; } Rgb;
+
+/* The half in the low 16 bits of `bits`; NaN counts as 0, infinities are clamped. */
+inline float unpack_half(const uint bits) {
+    const uint size = bits & 0x7fffu, finite = size > 0x7c00u ? 0u : min(size, 0x7bffu);
+    return as_float(((bits & 0x8000u) << 16) | (finite << 13)) * 0x1p112f;
 }
 
-/* Colour is resampled; depth and motion are those of the nearest rendered pixel, motion from its own position on the display
-   to where that surface was on the previous display. */
-__kernel void present(const int width, const int height, const int source_width, const int source_height,
-                      const float4 to_render, const float4 to_display, const float4 to_previous_display,
-                      __global const half *color, __global const float *depth, __global const float2 *motion,
-                      __global half *out_color, __global float *out_depth, __global float2 *out_motion) {
+inline Rgb load_rgb(__global const uint2 *color, const int i) {
+    const uint2 bits = color[i];
+    const Rgb c = {unpack_half(bits.x), unpack_half(bits.x >> 16), unpack_half(bits.y)};
+    return c;
+}
+
+/* Of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN. */
+inline float clamp_between(const float value, const float a, const float b) {
+    const float low = a < b ? a : b, high = a < b ? b : a, raised = value < low ? low : value;
+    return raised > high ? high : raised;
+}
+
+inline float cubic_1d(const float4 w, const float a, const float b, const float c, const float d) {
+    return clamp_between(w.x * a + w.y * b + w.z * c + w.w * d, b, c);
+}
+
+inline Rgb cubic_rgb(const float4 w, const Rgb a, const Rgb b, const Rgb c, const Rgb d) {
+    const Rgb made = {cubic_1d(w, a.r, b.r, c.r, d.r), cubic_1d(w, a.g, b.g, c.g, d.g), cubic_1d(w, a.b, b.b, c.b, d.b)};
+    return made;
+}
+
+inline float2 mapped(const float2 px, const float4 mapping) { return px * mapping.xy + mapping.zw; }
+
+/* Colour, resampled: cubic along rows, then along columns, each clamped to the two taps between; beyond the image its
+   border goes on. */
+__kernel void present_color(const int width, const int height, const int source_width, const int source_height,
+                            const float4 to_render, __global const uint2 *color /* half x4 */, __global half *out_color) {
+    const int x = get_global_id(0), first = get_global_id(1) * STRIP;
+    if (x >= width) return;
+    const float px_render = ((float)x + 0.5f) * to_render.x + to_render.z;
+    const float left = floor(px_render - 0.5f);
+    const float4 weights_x = cubic_weights(px_render - 0.5f - left);
+    const int right = source_width - 1, x0 = (int)left - 1;
+    const int4 tap = (int4)(clamp(x0, 0, right), clamp(x0 + 1, 0, right), clamp(x0 + 2, 0, right), clamp(x0 + 3, 0, right));
+
+    Rgb row0 = {0.0f, 0.0f, 0.0f}, row1 = row0, row2 = row0, row3 = row0;
+    int held = INT_MIN / 2;  /* the row of row0 */
+    for (int y = first; y < min(first + STRIP, height); ++y) {
+        const float py_render = ((float)y + 0.5f) * to_render.y + to_render.w;
+        const float top = floor(py_render - 0.5f);
+        const int y0 = (int)top - 1, kept = clamp(held + 4 - y0, 0, 4);
+        for (int k = y0 >= held ? kept : 0; k < 4; ++k) {
+            const int row = clamp(y0 + k, 0, source_height - 1) * source_width;
+            row0 = row1;
+            row1 = row2;
+            row2 = row3;
+            row3 = cubic_rgb(weights_x, load_rgb(color, row + tap.x), load_rgb(color, row + tap.y),
+                             load_rgb(color, row + tap.z), load_rgb(color, row + tap.w));
+        }
+        held = y0;
+        const Rgb c = cubic_rgb(cubic_weights(py_render - 0.5f - top), row0, row1, row2, row3);
+        vstore_half4_rte((float4)(c.r, c.g, c.b, 0.0f), y * width + x, out_color);
+    }
+}
+
+/* Depth and motion of the nearest rendered pixel; motion from its own position on the display to where that surface was on
+   the previous display. */
+__kernel void present_geometry(const int width, const int height, const int source_width, const int source_height,
+                               const float4 to_render, const float4 to_display, const float4 to_previous_display,
+                               __global const float *depth, __global const float2 *motion,
+                               __global float *out_depth, __global float2 *out_motion) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;
-    const int i = y * width + x;
     const float2 px_render = mapped(pixel_centre(x, y), to_render);
-    const float2 corner = floor(px_render - 0.5f);
-    const float2 weight = px_render - 0.5f - corner;
-    const int x0 = (int)corner.x - 1, y0 = (int)corner.y - 1;
-    const bool within = x0 >= 0 && y0 >= 0 && x0 + 3 < source_width && y0 + 3 < source_height;
-    float3 c = (float3)(NAN);
-    if (within) c = cubic(x0, y0, weight.x, weight.y, source_width, false, color);
-    if (isfinite(c.x) && isfinite(c.y) && isfinite(c.z)) {
-        store_color(c, out_color, i);
-    } else {
-        store_color(cubic_at_border(x0, y0, weight.x, weight.y, source_width, source_height, color), out_color, i);
-    }
-
     const int sx = clamp((int)floor(px_render.x), 0, source_width - 1);
     const int sy = clamp((int)floor(px_render.y), 0, source_height - 1);
-    const int s = sy * source_width + sx;
+    const int s = sy * source_width + sx, i = y * width + x;
     const float2 centre = pixel_centre(sx, sy);
     out_depth[i] = depth[s];
     out_motion[i] = mapped(centre + motion[s], to_previous_display) - mapped(centre, to_display);

@@ -13,7 +13,9 @@ WIDTH, HEIGHT = 64, 48
 def stages(device, int64):
     """All kernels of the pipeline, in the path with 64-bit atomics or the one without."""
     for options in (Options(history=3, order=2, shading_inputs=True), Options(hole_filling="push-pull")):
-        run(device, WIDTH, HEIGHT, options, int64)[-1].numpy("color")
+        pipeline, *_, made = run(device, WIDTH, HEIGHT, options, int64, target=(WIDTH - 3, HEIGHT + 5))
+        made.numpy("color")
+        pipeline.present().numpy("motion")
 
 
 def scene(device):

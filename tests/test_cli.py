@@ -181,6 +181,68 @@ def test_dump_stages(gffe, scene, tmp_path):
     assert {"1.x", "2.known"} <= set(planes)
 
 
+@pytest.mark.parametrize("window", ["adaptive", "fixed:1.2", "off"])
+def test_windows(gffe, tmp_path, window):
+    """Rendered through a window, extrapolated, compared; live the same frames come out as from disk."""
+    options = ("--size", "64x36", "--frames", 4, "--window", window)
+    assert gffe("render", "forest", tmp_path / "in", *options, "--ground-truth")[0] == 0
+    recorded = open_sequence(tmp_path / "in")
+    windowed = [entry.display_camera != entry.render_camera for entry in recorded.rendered]
+    assert windowed == {"off": [False] * 4, "fixed:1.2": [True] * 4, "adaptive": [False] + [True] * 3}[window]
+    assert gffe("run", tmp_path / "in", tmp_path / "out")[0] == 0
+    assert gffe("run", "forest", tmp_path / "live", *options)[0] == 0
+    for name in ("extrapolated_000003_0500.exr", "frame_000003.exr"):
+        assert _pixels(tmp_path / "live" / name) == _pixels(tmp_path / "out" / name)
+    has_display_motion = "motion.display.x" in _pixels(tmp_path / "out" / "extrapolated_000003_0500.exr")
+    assert has_display_motion == (window != "off")
+    assert gffe("compare", tmp_path / "live", tmp_path / "in")[0] == 0
+
+
+def test_display_part_of_a_recorded_window(gffe, tmp_path):
+    """`--window off` uses what was shown: the output has no windows, and its rendered frames are the display part."""
+    options = ("--size", "64x36", "--frames", 4, "--ground-truth")
+    assert gffe("render", "plaza", tmp_path / "wide", *options, "--window", "fixed:1.3")[0] == 0
+    assert gffe("run", tmp_path / "wide", tmp_path / "cut", "--window", "off")[0] == 0
+    wide, cut = open_sequence(tmp_path / "wide"), open_sequence(tmp_path / "cut")
+    assert all(entry.display_camera == entry.render_camera for entry in cut.rendered)
+    assert [e.render_camera for e in cut.rendered] == [e.display_camera for e in wide.rendered]
+    from gffe_cl import present
+
+    shown = present(wide.read(wide.rendered[2]), wide.read(wide.rendered[1]))
+    assert cut.read(cut.rendered[2]).color.tobytes() == shown.color.tobytes()
+    assert cut.read(cut.rendered[2]).motion.tobytes() == shown.motion.tobytes()
+    code, _, err = gffe("run", tmp_path / "wide", tmp_path / "x", "--window", "fixed:1.1")
+    assert code == 2 and "has the window that it was rendered through" in err
+
+
+@pytest.mark.parametrize("arguments", [("render", "plaza"), ("run", "plaza"), ("demo", "-o")])
+def test_a_window_that_is_none(gffe, tmp_path, arguments):
+    code, _, err = gffe(*arguments, tmp_path / "out", "--size", "64x36", "--window", "wide")
+    assert code == 2 and "window must be adaptive, fixed:FACTOR (fixed:1.2) or off" in err
+    assert not list(tmp_path.glob("out/*"))
+
+
+def test_study_of_windows(gffe, tmp_path):
+    """Off leaves holes beside a turning camera, adaptive none while it turns steadily, with smaller texels than the
+    fixed window that covers as much."""
+    report = tmp_path / "w.json"
+    options = ("--windows", "--seeds", 1, "--size", "96x54", "--frames", 8, "--json", report)
+    assert gffe("study", "forest", *options)[0] == 0
+    (result,) = json.loads(report.read_text())["results"]
+    steady = result["steady"]
+    assert steady["off"]["holes"] > 0.03 and steady["adaptive"]["holes"] < 0.002
+    assert result["reversing"]["adaptive"]["holes"] > 0.01  # no prediction foresees it
+    assert 1 < steady["adaptive"]["texel"] < steady["fixed:1.2"]["texel"]
+    assert steady["adaptive"]["interior"] > steady["fixed:1.2"]["interior"]
+    code, _, err = gffe("study", "forest", "--windows", "--disocclusions")
+    assert code == 2 and "exclude each other" in err
+
+
+def test_version(gffe):
+    code, text, _ = gffe("--version")
+    assert code == 0 and text.startswith("gffe-cl ")
+
+
 def test_render_and_devices(gffe, tmp_path):
     out = tmp_path / "scene"
     assert gffe("render", "corridor", out, "--size", "33x21", "--frames", 2, "--ground-truth", "--seed", 4)[0] == 0
@@ -408,7 +470,15 @@ def test_bench(gffe, tmp_path):
     report = json.loads((tmp_path / "b.json").read_text())
     for one in report["devices"]:
         for size in one["sizes"]:
-            parts = {"history", "prediction", "warp", "background, collection", "background, projection", "holes"}
+            parts = {
+                "history",
+                "prediction",
+                "warp",
+                "background, collection",
+                "background, projection",
+                "holes",
+                "misc",
+            }
             assert parts | {"GAE"} == set(size["milliseconds"]) and size["bandwidth"] > 0 and size["memory"] > 0
             total = sum(ms for name, ms in size["milliseconds"].items() if name != "GAE")
             assert size["milliseconds"]["GAE"] == pytest.approx(total)

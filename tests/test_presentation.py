@@ -42,6 +42,7 @@ def test_kernel_equals_its_twin(device, size, render_size, window):
     width, height = render_size
     color = rng.uniform(0, 9, (height, width, 4)).astype(np.float16)
     color[5, 7], color[9, 3], color[20, 20] = np.nan, np.inf, -np.inf
+    color[30:36, 30:40] *= -1e-7  # negative, and denormal as half
     depth = rng.choice([1.5, 7.0, np.inf, np.nan], (height, width)).astype(np.float32)
     motion = rng.uniform(-9, 9, (height, width, 2)).astype(np.float32)
     motion[3, 3] = np.nan

@@ -830,16 +830,15 @@ def present(color, depth, motion, size, to_render, to_display, to_previous_displ
     x0, y0 = np.moveaxis(corner.astype(int) - 1, -1, 0)
     rgb = load_color(color)
     wx, wy = _cubic_weights(u), _cubic_weights(v)
-    total, inner = np.zeros((*u.shape, 3), F), []
-    for ty in range(4):
-        row = np.zeros((*u.shape, 3), F)
-        for tx in range(4):
-            tap = rgb[np.clip(y0 + ty, 0, height - 1), np.clip(x0 + tx, 0, width - 1)]
-            row = row + wx[tx][..., None] * tap
-            if tx in (1, 2) and ty in (1, 2):
-                inner.append(tap)
-        total = total + wy[ty][..., None] * row
-    total = np.clip(total, np.min(inner, 0), np.max(inner, 0))
+
+    def cubic(weights, taps):
+        a, b, c, d = (weights[k][..., None] * taps[k] for k in range(4))
+        return np.clip(a + b + c + d, np.minimum(taps[1], taps[2]), np.maximum(taps[1], taps[2]))
+
+    def tap(tx, ty):
+        return rgb[np.clip(y0 + ty, 0, height - 1), np.clip(x0 + tx, 0, width - 1)]
+
+    total = cubic(wy, [cubic(wx, [tap(tx, ty) for tx in range(4)]) for ty in range(4)])
     sx = np.clip(np.floor(px[..., 0]).astype(int), 0, width - 1)
     sy = np.clip(np.floor(px[..., 1]).astype(int), 0, height - 1)
     centre = np.stack([sx, sy], -1).astype(F) + F(0.5)

@@ -89,9 +89,11 @@ def study(
     names = scenes or list(SCENES)
     with progress_bars() as progress:
         advance = steps(progress)("Measuring", len(names) * seeds * frames)
-        measure = (
-            study_disocclusions if disocclusions else partial(study_windows, rate=rate) if windows else study_scene
-        )
+        measure = study_scene
+        if windows:
+            measure = partial(study_windows, rate=rate)
+        elif disocclusions:
+            measure = study_disocclusions
         results = {
             name: [measure(opened, name, seed, width, height, frames, fps, alpha, advance) for seed in range(seeds)]
             for name in names
@@ -139,9 +141,7 @@ def _print_windows(studies: list[WindowStudy]) -> None:
                 f"{mean['texel']:.3f}",
             )
         out.print(table)
-    out.print(
-        "Means over scenes and seeds; PSNR in dB. 'wide' has 1.5² times the pixels, all others as many as the display."
-    )
+    out.print("Means over scenes and seeds; PSNR in dB. The last two render more pixels, as small as the display's.")
 
 
 def _print_studies(studies: list[SceneStudy]) -> None:

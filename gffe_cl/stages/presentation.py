@@ -13,6 +13,7 @@ from gffe_cl.device import Device, open_device
 from gffe_cl.frame import RenderedFrame, display_camera_of, is_shown_whole, pack_frame, require_one_pose
 from gffe_cl.stage import RGBA, XY, BufferSpec, DeviceFrame, Sizes, Stage, int2
 
+_STRIP = 16  # as in presentation.cl
 _ONE_AT_A_TIME = threading.Lock()  # the cached stages of `present` serve all threads
 
 
@@ -29,18 +30,22 @@ class Presentation(Stage):
     def present(self, frame: DeviceFrame, previous: DeviceFrame | None) -> None:
         """`previous`: the rendered frame before, of which the cameras count; None after a reset."""
         before = previous or frame
+        width, height = self.sizes.target
+        sizes = (*int2(self.sizes.target), *int2(self.sizes.source))
+        to_render = mapping(frame.display_camera, frame.camera)
+        strips = (width, -(-height // _STRIP))
+        self.launch("present_color", strips, *sizes, to_render, frame.color, self.buffer["color"])
         self.launch(
-            "present",
+            "present_geometry",
             self.sizes.target,
-            *int2(self.sizes.target),
-            *int2(self.sizes.source),
-            mapping(frame.display_camera, frame.camera),
+            *sizes,
+            to_render,
             mapping(frame.camera, frame.display_camera),
             mapping(before.camera, before.display_camera),
-            frame.color,
             frame.depth,
             frame.motion,
-            *(self.buffer[name] for name in ("color", "depth", "motion")),
+            self.buffer["depth"],
+            self.buffer["motion"],
         )
 
 
