@@ -16,13 +16,14 @@ EXAMPLES = re.findall(r"<!-- run by tests/test_readme.py -->\n```python\n(.*?)``
 @pytest.mark.parametrize(
     ("index", "expected"),
     [
-        (0, "['frame_000000.exr', 'frame_000001.exr', 'frame_000002.exr']"),
-        (1, "0.5 (180, 320, 3) 10.0 0.0"),
+        (0, "-1.00 1.08 False (180, 320, 3)"),
+        (1, "['frame_000000.exr', 'frame_000001.exr', 'frame_000002.exr']"),
+        (2, "0.5 (180, 320, 3) 10.0 0.0"),
     ],
 )
 def test_python_examples_run(index, expected, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert len(EXAMPLES) == 2 and len(EXAMPLES[index].strip().splitlines()) <= 13
+    assert len(EXAMPLES) == 3 and len(EXAMPLES[index].strip().splitlines()) <= 16
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
         exec(compile(EXAMPLES[index], "README.md", "exec"), {})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -91,7 +91,7 @@ def present(
     before = previous and (previous.camera, display_camera_of(previous, render_size, size))
     if size == render_size and is_shown_whole(frame.camera, display) and (not before or is_shown_whole(*before)):
         return replace(frame, display_camera=None, motion=frame.motion if previous else None)
-    stage = _stage(device or open_device(), Sizes(render_size, size))
+    stage = _stage(device or _default_device(), Sizes(render_size, size))
     packed = pack_frame(replace(frame, reset=frame.reset or previous is None), height, width)
     on_device = DeviceFrame.allocate(stage.device, render_size, frame.camera, display, frame.time)
     with _ONE_AT_A_TIME:
@@ -100,6 +100,11 @@ def present(
         color, depth, motion = (stage.read(name) for name in ("color", "depth", "motion"))
     color = color[..., :3].astype(np.float32 if np.asarray(frame.color).dtype == np.float32 else np.float16)
     return RenderedFrame(color, depth, motion if previous else None, display, frame.time, reset=frame.reset)
+
+
+@cache
+def _default_device() -> Device:
+    return open_device()
 
 
 @lru_cache(maxsize=2)
