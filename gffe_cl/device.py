@@ -77,6 +77,7 @@ class Device:
         self.cl_device = cl_device
         self.context = cl.Context([cl_device])
         self.allocated = 0
+        self.programs: dict = {}  # built so far, by program.build
         self.queue = cl.CommandQueue(self.context, properties=cl.command_queue_properties.PROFILING_ENABLE)
 
     def __repr__(self):

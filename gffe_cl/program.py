@@ -22,10 +22,9 @@ _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
 class Program:
     """The kernels of one file; each kernel object is made once and is an attribute: `program.splat(…)`."""
 
-    def __init__(self, device: Device, name: str, variant: dict[str, int]):
+    def __init__(self, device: Device, name: str, source: str, variant: dict[str, int]):
         self.name = name
         options = [f"-D{key}={value}" for key, value in sorted(variant.items())]
-        source = expand(f"{name}.cl")
         try:
             with quiet_builds():
                 built = cl.Program(device.context, source).build(options=options)
@@ -43,9 +42,14 @@ class Program:
 def build(device: Device, name: str, **variant: int) -> Program:
     """Build `kernels/<name>.cl` for `device`; `variant` becomes -D options (true variants only).
 
-    Raises GffeError with the compiler's log (file and line) when it does not build.
+    What has been built before, from the same text, is not built again: pipelines of one device share kernels, so use
+    them from one thread. Raises GffeError with the compiler's log (file and line) when it does not build.
     """
-    return Program(device, name, variant)
+    source = expand(f"{name}.cl")
+    key = (name, source, *sorted(variant.items()))
+    if key not in device.programs:
+        device.programs[key] = Program(device, name, source, variant)
+    return device.programs[key]
 
 
 def kernel_folder() -> Path:

@@ -10,6 +10,7 @@ from gffe_cl.stage import RGBA, XY, BufferSpec, NearestStage, Sizes, Stage, halv
 
 MAX_LEVELS = 4
 _OWN_TEXEL, _TOUCHED_TEXELS = 0, 1  # phases of scatter_level
+_STATES = ((0, "empty"), (1, "shown by the current frame"), (2, "remembered"))
 _PER_LEVEL = ("color", "depth", "px", "state")
 
 
@@ -133,8 +134,14 @@ class Background(NearestStage):
 def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
     grid = f"level{level}"
     return (
-        BufferSpec(f"color_{level}", np.float16, RGBA, grid, f"colour of background level {level} (B_{level})"),
-        BufferSpec(f"depth_{level}", np.float32, (), grid, f"view depth of background level {level}, world units"),
-        BufferSpec(f"px_{level}", np.float32, XY, grid, "where its fragment lies in the rendered image, pixels"),
-        BufferSpec(f"state_{level}", np.uint8, (), grid, "0 empty, 1 shown by the current frame, 2 remembered"),
+        BufferSpec(
+            f"color_{level}", np.float16, RGBA, grid, f"colour of background level {level} (B_{level})", "color"
+        ),
+        BufferSpec(
+            f"depth_{level}", np.float32, (), grid, f"view depth of background level {level}, world units", "depth"
+        ),
+        BufferSpec(
+            f"px_{level}", np.float32, XY, grid, "where its fragment lies in the rendered image, pixels", "place"
+        ),
+        BufferSpec(f"state_{level}", np.uint8, (), grid, "what the level knows there", "label", labels=_STATES),
     )

@@ -23,13 +23,14 @@ class HistoryTracking(Stage):
 
     name = "history"
     buffers = (
-        BufferSpec("dynamic_mask", np.uint8, (), "source", "1 where the static test failed (M^dyn)"),
+        BufferSpec("dynamic_mask", np.uint8, (), "source", "1 where the static test failed (M^dyn)", "mask"),
         BufferSpec(
             "history",
             np.float32,
             ("x", "y", "z", "known"),
             "source",
             "positions P_1 … P_{k−1} in the view space of the rendered camera, world units; known = 0: P_0 instead",
+            "world",
         ),
         BufferSpec("static_threshold_squared", np.float32, (), "once", "ε², px²"),
         BufferSpec(

@@ -23,6 +23,7 @@ class HoleFilling(Stage):
             ("R", "G", "B", "weight"),
             "blocks",
             "weighted sum of valid colour per 32×32 block",
+            "color",
         ),
         BufferSpec(
             "block_inverse_depth", np.float32, (), "blocks", "weighted sum of inverse depth per block, 1/world units"
@@ -120,6 +121,7 @@ def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
             ("R", "G", "B", "inverse_depth"),
             grid,
             f"push-pull level {level}: completed means",
+            "color",
         ),
         BufferSpec(
             f"weight_{level}", np.float32, (), grid, f"push-pull level {level}: how much of it was valid, 0 to 1"

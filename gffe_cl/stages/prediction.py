@@ -24,6 +24,7 @@ class PositionPrediction(Stage):
             ("x", "y", "depth", "unused"),
             "source",
             "predicted position of each fragment: x, y in target pixels, view depth (−1: nothing to splat), 0",
+            "place",
         ),
     )
 

@@ -22,9 +22,13 @@ class Presentation(Stage):
 
     name = "presentation"
     buffers = (
-        BufferSpec("color", np.float16, RGBA, "target", "colour of the rendered frame as displayed, linear RGB"),
-        BufferSpec("depth", np.float32, (), "target", "its view depth, world units, +inf sky"),
-        BufferSpec("motion", np.float32, XY, "target", "its motion t → t−1 between the displayed images, pixels"),
+        BufferSpec(
+            "color", np.float16, RGBA, "target", "colour of the rendered frame as displayed, linear RGB", "color"
+        ),
+        BufferSpec("depth", np.float32, (), "target", "its view depth, world units, +inf sky", "depth"),
+        BufferSpec(
+            "motion", np.float32, XY, "target", "its motion t → t−1 between the displayed images, pixels", "motion"
+        ),
     )
 
     def present(self, frame: DeviceFrame, previous: DeviceFrame | None) -> None:

@@ -19,6 +19,7 @@ class ShadingInputs(Stage):
             ("R", "G", "B", "valid"),
             "target",
             "frame t−1 warped backward to t + α (I^w); valid = 0: hidden then, GAE colour instead",
+            "color",
         ),
         BufferSpec("input_mask", np.float16, (), "target", "1 dynamic, 0 disoccluded, 0.5 the rest (M^input)"),
     )

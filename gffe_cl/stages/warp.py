@@ -9,6 +9,12 @@ from gffe_cl.device import Device
 from gffe_cl.stage import RGBA, XY, BufferSpec, NearestStage, Sizes, Stage, int2, zoom
 
 BY_HOLE_FILLING = 255  # in `filled_by`
+FILLED_BY = (
+    (0, "its own fragment"),
+    *((1 + level, f"background level {level}") for level in range(4)),
+    (254, "crack closing"),
+    (BY_HOLE_FILLING, "hole filling"),
+)
 
 
 class Warp(NearestStage):
@@ -16,21 +22,22 @@ class Warp(NearestStage):
 
     name = "warp"
     buffers = (
-        BufferSpec("links", np.uint8, (), "source", "neighbours of the same surface: 1 right, 2 down, 4 left, 8 up"),
-        BufferSpec("color", np.float16, RGBA, "target", "colour of the extrapolated frame (Ī^GAE)"),
-        BufferSpec("depth", np.float32, (), "target", "view depth in the target camera, world units (D̄)"),
-        BufferSpec("motion", np.float32, XY, "target", "t + α → t, pixels, into the rendered image (V̄)"),
-        BufferSpec("dynamic", np.uint8, (), "target", "1 where the fragment shown is dynamic"),
-        BufferSpec("disoccluded", np.uint8, (), "target", "1 where no fragment of the rendered frame lands"),
         BufferSpec(
-            "filled_by", np.uint8, (), "target", "0 warp, 1 + l background level l, 254 crack closing, 255 hole filling"
+            "links", np.uint8, (), "source", "neighbours of the same surface: 1 right, 2 down, 4 left, 8 up", "label"
         ),
+        BufferSpec("color", np.float16, RGBA, "target", "colour of the extrapolated frame (Ī^GAE)", "color"),
+        BufferSpec("depth", np.float32, (), "target", "view depth in the target camera, world units (D̄)", "depth"),
+        BufferSpec("motion", np.float32, XY, "target", "t + α → t, pixels, into the rendered image (V̄)", "motion"),
+        BufferSpec("dynamic", np.uint8, (), "target", "1 where the fragment shown is dynamic", "mask"),
+        BufferSpec("disoccluded", np.uint8, (), "target", "1 where no fragment of the rendered frame lands", "mask"),
+        BufferSpec("filled_by", np.uint8, (), "target", "what the pixel comes from", "label", labels=FILLED_BY),
         BufferSpec(
             "mixed",
             np.uint8,
             (),
             "target",
             "1 where the fragment's colour was mixed with a silhouette's that moves away, and its neighbour's is shown",
+            "mask",
         ),
     )
 
