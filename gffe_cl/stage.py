@@ -35,9 +35,10 @@ class BufferSpec:
 
     `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "blocks"
     (target / 32, rounded up), "level0" … (source / 2^l, rounded up), "mip1" … (target / 2^l, rounded up) or
-    "once" (no image). `components` name its channels; a single one goes without. `view` says what it means, and so how to
-    show it: "color" (linear RGB), "depth" (view z), "motion" (pixels, from here), "place" (position in pixels), "world"
-    (position in the view space of the rendered camera), "mask" (0 or 1), "label" (`labels` name its values), "scalar".
+    "once" (no image). `components` name its channels; a single one goes without. `view` says what it means, and so
+    how to show it: "color" (linear RGB), "depth" (view z), "motion" (pixels, from here), "place" (position in pixels),
+    "world" (position in the view space of the rendered camera), "mask" (0 or 1), "label" (`labels` name its values),
+    "scalar".
     """
 
     name: str
