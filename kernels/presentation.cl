@@ -6,29 +6,8 @@
 
 #define STRIP 16  /* rows per work-item: rows filtered horizontally serve several of them */
 
-/* Three scalars, which compilers for CPUs spread over SIMD lanes three times better than a float3. */
-typedef struct { float r, g, b; } Rgb;
-
-/* The half in the low 16 bits of `bits`; NaN counts as 0, infinities are clamped. */
-inline float unpack_half(const uint bits) {
-    const uint size = bits & 0x7fffu, finite = size > 0x7c00u ? 0u : min(size, 0x7bffu);
-    return as_float(((bits & 0x8000u) << 16) | (finite << 13)) * 0x1p112f;
-}
-
-inline Rgb load_rgb(__global const uint2 *color, const int i) {
-    const uint2 bits = color[i];
-    const Rgb c = {unpack_half(bits.x), unpack_half(bits.x >> 16), unpack_half(bits.y)};
-    return c;
-}
-
-/* Of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN. */
-inline float clamp_between(const float value, const float a, const float b) {
-    const float low = a < b ? a : b, high = a < b ? b : a, raised = value < low ? low : value;
-    return raised > high ? high : raised;
-}
-
 inline float cubic_1d(const float4 w, const float a, const float b, const float c, const float d) {
-    return clamp_between(w.x * a + w.y * b + w.z * c + w.w * d, b, c);
+    return least(most(w.x * a + w.y * b + w.z * c + w.w * d, least(b, c)), most(b, c));
 }
 
 inline Rgb cubic_rgb(const float4 w, const Rgb a, const Rgb b, const Rgb c, const Rgb d) {

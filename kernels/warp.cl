@@ -185,12 +185,7 @@ inline float3 resample(const int sx, const int sy, const float2 d, const int wid
             && deviation(target_position[(sy + dy) * width + sx + dx], dx, dy, here, flow) <= SAME_MOTION;
         alike |= (int)tap_alike << k;
     }
-    if (alike == 0xFF) {
-        const int x0 = sx + ox - 1, y0 = sy + oy - 1;
-        const float3 c = cubic(x0, y0, u, v, width, false, color);
-        if (isfinite(c.x) && isfinite(c.y) && isfinite(c.z)) return c;
-        return cubic(x0, y0, u, v, width, true, color);
-    }
+    if (alike == 0xFF) return cubic(sx + ox - 1, sy + oy - 1, u, v, width, (__global const uint2 *)color);
     float3 sum = (float3)(0.0f);
     float weight_sum = 0.0f;
     for (int tap = 0; tap < 4; ++tap) {
