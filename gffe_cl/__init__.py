@@ -33,6 +33,7 @@ _HOME = {
     "ExtrapolatedFrame": "pipeline",
     "Options": "pipeline",
     "Pipeline": "pipeline",
+    "PresentedFrame": "pipeline",
     "FrameEntry": "sequence",
     "Sequence": "sequence",
     "SequenceWriter": "sequence",

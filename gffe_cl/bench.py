@@ -102,8 +102,8 @@ def bench_size(
     before = device.allocated
     frames, target = _scene_frames(device, width, height)
     pipeline = Pipeline(device, width, height, options)
-    presentation = Presentation(device, pipeline.sizes)
     memory = device.allocated - before
+    presentation = Presentation(device, pipeline.sizes)
     samples: dict[str, list[float]] = {}
     walls, bandwidths = [], []
     for k in range(_WARM_UP + repeats):

@@ -202,8 +202,12 @@ def predict_camera(previous: Camera, current: Camera, alpha: float) -> Camera:
     """C̄ = C_t + α (C_t − C_{t−1}), the predicted camera at t + α.
 
     Per pose vector (position, direction, up), re-orthonormalised, and likewise fx and fy; cx and cy stay.
-    Paper: 'Adaptive rendering window'. `alpha` is in intervals between rendered frames and may exceed 1.
+    Paper: 'Adaptive rendering window'. `alpha` is in intervals between rendered frames and may exceed 1. Give cameras
+    without jitter: its next value is known to the renderer only. Raises GffeError if `alpha` is not finite.
     """
+
+    if not np.isfinite(alpha):
+        raise GffeError(f"camera: alpha must be a finite number of intervals, got {alpha}")
 
     def ahead(a, b):
         return b + alpha * (b - a)

@@ -62,8 +62,9 @@ def display_camera_of(frame: RenderedFrame, render_size: tuple[int, int], size: 
 
 def require_one_pose(render: Camera, display: Camera) -> None:
     """GffeError unless both cameras stand in one place and look one way: a window is a part of an image."""
-    difference = np.abs(render.world_to_view - display.world_to_view).max()
-    if difference > _SAME_POSE * (1 + np.abs(render.world_to_view).max()):
+    turned = np.abs(render.world_to_view[:3, :3] - display.world_to_view[:3, :3]).max()
+    apart = np.abs(render.world_to_view[:3, 3] - display.world_to_view[:3, 3]).max()
+    if turned > _SAME_POSE or apart > _SAME_POSE * (1 + np.abs(render.world_to_view[:3, 3]).max()):
         raise GffeError("frame: display_camera must have the pose of the render camera (expected equal world_to_view)")
 
 

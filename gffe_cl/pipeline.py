@@ -215,12 +215,16 @@ class Pipeline:
         """What is shown of the last submitted frame; resamples it where it was rendered through a window, or where the
         frame before was and motion must be converted. Returns at once. Raises GffeError before the first `submit`."""
         frame = self._need_frame()
-        if not (self._shown_whole(frame) and (self._previous is None or self._shown_whole(self._previous))):
+        if self._needs_presentation:
             self.presentation.present(frame, self._previous)
             buffers = tuple(self.presentation.buffer[name] for name in ("color", "depth", "motion"))
         else:
             buffers = frame.buffers
         return PresentedFrame(frame.display_camera, frame.time, *buffers, self.device, self.sizes.target)
+
+    @property
+    def _needs_presentation(self) -> bool:
+        return any(frame and not self._shown_whole(frame) for frame in (self._current, self._previous))
 
     def _shown_whole(self, frame: DeviceFrame) -> bool:
         return self.sizes.source == self.sizes.target and is_shown_whole(frame.camera, frame.display_camera)
@@ -315,8 +319,10 @@ class Pipeline:
     # ---- looking inside --------------------------------------------------------------------------------
 
     def named_buffers(self) -> Iterator[tuple[Stage, BufferSpec]]:
-        """Every named buffer of every stage; read one with `stage.read(spec.name)`."""
+        """Every named buffer of every stage that works on the present frame; read one with `stage.read(spec.name)`."""
         for stage in self.stages:
+            if stage is self.presentation and not self._needs_presentation:
+                continue
             for spec in stage.buffers:
                 yield stage, spec
 

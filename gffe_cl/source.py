@@ -70,8 +70,8 @@ class Recorded:
     def __init__(self, sequence: Sequence, device: Device, window: str | None = None):
         if window not in (None, "off"):
             raise GffeError(
-                f"window '{window}': {sequence.path} has the window that it was rendered through (expected off, or the"
-                " name of a built-in scene)"
+                f"--window {window}: only built-in scenes are rendered through a chosen window, {sequence.path} is a"
+                " recorded sequence (expected off, or no --window)"
             )
         self.sequence, self._device = sequence, device
         self.width, self.height, self.fps = sequence.width, sequence.height, sequence.fps
@@ -99,10 +99,10 @@ class Recorded:
             if not self._cut:
                 yield entry, frame, packed
                 continue
-            shown = present(frame, before or frame, size=self.render_size, device=self._device)
+            shown = present(frame, before, size=self.render_size, device=self._device)
             before = frame
             cut = replace(entry, render_size=None, render_camera=shown.camera, display_camera=None)
-            yield cut, shown, pack_frame(shown, self.height, self.width)
+            yield cut, shown, replace(pack_frame(shown, self.height, self.width), bad=packed.bad)
 
     def store(self, writer, entry, frame):
         if self._cut:

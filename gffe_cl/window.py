@@ -26,9 +26,11 @@ from gffe_cl.camera import Camera, predict_camera
 from gffe_cl.errors import GffeError
 
 MAX_ENLARGEMENT = 1.5
+_MOST_FIXED = 16
 _NEAR_QUANTILE = 0.05  # of depth: nearer content may leave holes
 _NEAR_SAMPLES = 8192  # pixels are enough for it
 _MARGIN = 1.0  # display pixels beyond a predicted edge: taps of resampling, and the error of the prediction
+_LEAST = 0.0005  # of the display's side: what four sides leave open is less than 0.2% of the display
 _AT_REST = 1e-4  # display pixels: rounding of a camera that does not move
 _HORIZON = 1e-6  # least z of a direction, relative to its length, that meets the virtual plane
 
@@ -47,11 +49,6 @@ class Window(NamedTuple):
     def enlargement(self) -> tuple[float, float]:
         """Width and height in those of the display."""
         return (self.u1 - self.u0) / 2, (self.v1 - self.v0) / 2
-
-    @property
-    def texel_size(self) -> float:
-        """Side of a rendered pixel on the display, in display pixels, where both images have one size."""
-        return math.sqrt(math.prod(self.enlargement))
 
     def camera(self, display: Camera, size: tuple[int, int], render_size: tuple[int, int] | None = None) -> Camera:
         """The off-centre pinhole to render through, in pixels of the rendered image.
@@ -76,8 +73,8 @@ FULL = Window(-1.0, -1.0, 1.0, 1.0)
 
 def fixed_window(factor: float) -> Window:
     """The display enlarged by `factor` ≥ 1 about its middle."""
-    if not 1 <= factor < math.inf:
-        raise GffeError(f"window: a fixed window must be at least 1 times the display, got {factor:g}")
+    if not 1 <= factor <= _MOST_FIXED:
+        raise GffeError(f"window: a fixed window must be 1 to {_MOST_FIXED} times the display, got {factor:g}")
     return Window(-factor, -factor, factor, factor)
 
 
@@ -89,6 +86,7 @@ def adaptive_window(
     size: tuple[float, float] | None = None,
     distance: float = math.inf,
     margin: float = _MARGIN,
+    least: float = 0.0,
 ) -> Window:
     """The window through which to render the frame of `current` so that it covers all of `predicted`.
 
@@ -114,15 +112,20 @@ def adaptive_window(
         (`nearest_depth`); infinite: only turning and zooming are covered.
     margin : float
         Display pixels added beyond sides that are enlarged.
+    least : float
+        Share of the display's side: a side that asks for less stays as it is, because a window costs sharpness.
 
-    Raises GffeError for a maximum below 1, a distance that is not positive, or a camera without size.
+    Give cameras without jitter, and add it to the camera to render through: then what is shown has none. Raises
+    GffeError for a maximum below 1, a distance that is not positive, an empty display, a negative margin or least.
     """
     if not 1 <= max_enlargement < math.inf:
         raise GffeError(f"window: the maximum enlargement must be at least 1, got {max_enlargement:g}")
     if not distance > 0:
         raise GffeError(f"window: the distance of the virtual plane must be positive, got {distance:g}")
     size = size or (2 * current.cx, 2 * current.cy)
-    if not min(size) > 0:
+    if not (0 <= margin < math.inf and 0 <= least < 1):
+        raise GffeError(f"window: margin and least must not be negative, got {margin:g} and {least:g}")
+    if not all(0 < n < math.inf for n in size):
         raise GffeError(f"window: the size of the display must be positive, got {size[0]:g}×{size[1]:g}")
     size = np.asarray(size, np.float64)
     low, high, clamped = -np.ones(2), np.ones(2), False
@@ -131,7 +134,7 @@ def adaptive_window(
         uv = 2 * points / size - 1
         low, high = np.minimum(low, uv.min(0)), np.maximum(high, uv.max(0))
         clamped |= clipped
-    more, rest = 2 * margin / size, 2 * _AT_REST / size
+    more, rest = 2 * margin / size, 2 * np.maximum(_AT_REST / size, least)
     low, high = np.where(low < -1 - rest, low - more, -1.0), np.where(high > 1 + rest, high + more, 1.0)
     bounds = [_limited(-1 - low[k], high[k] - 1, 2 * (max_enlargement - 1)) for k in range(2)]
     (left, right, cut_u), (above, below, cut_v) = bounds
@@ -160,11 +163,7 @@ class WindowChooser:
     def __init__(self, mode: str, size: tuple[int, int], alphas: Iterable[float], max_enlargement=MAX_ENLARGEMENT):
         kind, _, factor = mode.partition(":")
         try:
-            self._fixed = {"off": FULL, "adaptive": None, "fixed": None}[kind]
-            if kind == "fixed":
-                self._fixed = fixed_window(float(factor))
-            elif factor:
-                raise ValueError
+            self._fixed = fixed_window(float(factor)) if kind == "fixed" else {"off": FULL, "adaptive": None}[mode]
         except (KeyError, ValueError):
             raise GffeError(f"window must be adaptive, fixed:FACTOR (fixed:1.2) or off, got '{mode}'") from None
         self.size, self.alphas, self.max_enlargement = size, sorted(set(alphas)), max_enlargement
@@ -177,7 +176,9 @@ class WindowChooser:
         if previous is None:
             return FULL
         predicted = [predict_camera(previous, current, alpha) for alpha in self.alphas]
-        return adaptive_window(current, predicted, self.max_enlargement, size=self.size, distance=self._distance)
+        return adaptive_window(
+            current, predicted, self.max_enlargement, size=self.size, distance=self._distance, least=_LEAST
+        )
 
     def observe(self, depth: np.ndarray) -> None:
         """Take (H, W) depth of a rendered frame as a guide for the next."""

@@ -68,9 +68,7 @@ def study_windows(
         for time in (step / fps, (step + alpha) / fps):
             image = renderer.render(time, scene.camera(time, width, height)).numpy()
             truths[time] = display_values(image.color, scene.exposure), image.depth
-    rows = {mode: _rows(device, scene, mode, (width, height), frames, fps, alpha, truths) for mode in MODES}
-    for _ in range(frames):
-        on_frame()
+    rows = {mode: _rows(device, scene, mode, (width, height), frames, fps, alpha, truths, on_frame) for mode in MODES}
     figures = []
     for reversing in (False, True):
         kept = [k for k in range(_NO_HISTORY, frames) if ((k - 1) / fps < half < (k + alpha) / fps) == reversing]
@@ -79,24 +77,30 @@ def study_windows(
 
 
 class _Grown(WindowChooser):
-    """The adaptive window, grown evenly to the size at which rendered pixels are as large as the display's."""
+    """The adaptive window, or for "wide" none, grown evenly to the size at which rendered pixels are the display's."""
 
-    def __init__(self, size, render_size, alphas):
-        super().__init__("adaptive", size, alphas)
-        self._most = [r / s for r, s in zip(render_size, size, strict=True)]
+    def __init__(self, mode, size, render_size, alphas):
+        self._render_size = render_size
+        most = min(r / s for r, s in zip(render_size, size, strict=True))
+        super().__init__("off" if mode == "wide" else "adaptive", size, alphas, most)
 
     def choose(self, current, previous):
         window = super().choose(current, previous)
-        u, v = (most - given for most, given in zip(self._most, window.enlargement, strict=True))
-        return Window(window.u0 - u, window.v0 - v, window.u1 + u, window.v1 + v)
+        low, high = [], []
+        for k in range(2):
+            shown, rendered = self.size[k], self._render_size[k]
+            middle = (window[k] + window[k + 2]) / 4 * shown + shown / 2  # display pixels
+            start = min(max(round(middle - rendered / 2), shown - rendered), 0)
+            low.append(2 * start / shown - 1)
+            high.append(2 * (start + rendered) / shown - 1)
+        return Window(*low, *high)
 
 
-def _rows(device, scene, mode, size, frames, fps, alpha, truths) -> list[dict]:
+def _rows(device, scene, mode, size, frames, fps, alpha, truths, on_frame) -> list[dict]:
     """What one mode gives after each rendered frame."""
-    render_size = tuple(round(_DENSER.get(mode, 1) * n) for n in size)
-    windows = _Grown(size, render_size, [alpha]) if mode in _DENSER else WindowChooser(mode, size, [alpha])
-    if mode == "wide":
-        windows = WindowChooser(f"fixed:{_DENSER[mode]}", size, [alpha])
+    # Grown by whole pixels on both sides: rendered pixels lie on those of the display.
+    render_size = tuple(n + 2 * round((_DENSER.get(mode, 1) - 1) / 2 * n) for n in size)
+    windows = _Grown(mode, size, render_size, [alpha]) if mode in _DENSER else WindowChooser(mode, size, [alpha])
     renderer = SceneRenderer(device, scene, *render_size)
     pipeline = Pipeline(device, *size, render_size=render_size, fps=fps)
     rows = []
@@ -125,6 +129,7 @@ def _rows(device, scene, mode, size, frames, fps, alpha, truths) -> list[dict]:
                 "texel": texel,
             }
         )
+        on_frame()
     return rows
 
 

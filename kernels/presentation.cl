@@ -34,8 +34,8 @@ __kernel void present_color(const int width, const int height, const int source_
     for (int y = first; y < min(first + STRIP, height); ++y) {
         const float py_render = ((float)y + 0.5f) * to_render.y + to_render.w;
         const float top = floor(py_render - 0.5f);
-        const int y0 = (int)top - 1, kept = clamp(held + 4 - y0, 0, 4);
-        for (int k = y0 >= held ? kept : 0; k < 4; ++k) {
+        const int y0 = (int)top - 1;
+        for (int k = clamp(held + 4 - y0, 0, 4); k < 4; ++k) {
             const int row = clamp(y0 + k, 0, source_height - 1) * source_width;
             row0 = row1;
             row1 = row2;

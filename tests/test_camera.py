@@ -69,6 +69,26 @@ def test_prediction_keeps_handedness():
     np.testing.assert_allclose(predict_camera(camera, camera, 0.5).world_to_view, left_handed, atol=1e-12)
 
 
+@pytest.mark.parametrize("alpha", [0.5, 2.0])
+def test_prediction_of_a_moving_left_handed_camera(alpha):
+    """Mirrored, it predicts the mirror image of the right-handed prediction."""
+    from synthetic import camera
+
+    mirror = np.diag([-1.0, 1, 1, 1])
+    pair = camera(64, 48, yaw=0.1), camera(64, 48, (0.3, 0, 0.1), yaw=0.15, roll=0.1)
+    expected = mirror @ predict_camera(*pair, alpha).world_to_view
+    mirrored = [Camera(mirror @ c.world_to_view, c.fx, c.fy, c.cx, c.cy) for c in pair]
+    np.testing.assert_allclose(predict_camera(*mirrored, alpha).world_to_view, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("alpha", [np.nan, np.inf])
+def test_alpha_must_be_finite(alpha):
+    from synthetic import camera
+
+    with pytest.raises(GffeError, match="alpha"):
+        predict_camera(camera(64, 48), camera(64, 48, yaw=0.1), alpha)
+
+
 def test_turning_steadily():
     from synthetic import camera
 

@@ -179,6 +179,9 @@ def test_dump_stages(gffe, scene, tmp_path):
         assert name in once or (folder / f"{name}.exr").is_file(), name
     planes = OpenEXR.File(str(folder / "history.history.exr"), separate_channels=True).channels()
     assert {"1.x", "2.known"} <= set(planes)
+    dumped = _pixels(folder / "warp.color.exr")
+    made = _pixels(tmp_path / "out" / "extrapolated_000003_0500.exr")
+    assert all(dumped[name] == made[name] for name in "RGB")
 
 
 @pytest.mark.parametrize("window", ["adaptive", "fixed:1.2", "off"])
@@ -212,7 +215,105 @@ def test_display_part_of_a_recorded_window(gffe, tmp_path):
     assert cut.read(cut.rendered[2]).color.tobytes() == shown.color.tobytes()
     assert cut.read(cut.rendered[2]).motion.tobytes() == shown.motion.tobytes()
     code, _, err = gffe("run", tmp_path / "wide", tmp_path / "x", "--window", "fixed:1.1")
-    assert code == 2 and "has the window that it was rendered through" in err
+    assert code == 2 and "only built-in scenes are rendered through a chosen window" in err
+
+
+def test_display_motion(gffe, tmp_path):
+    """`motion.display.*` points into the source frame as displayed, whatever it was rendered through."""
+    options = ("--size", "64x36", "--frames", 4, "--window", "adaptive")
+    assert gffe("run", "forest", tmp_path / "out", *options)[0] == 0
+    made = open_sequence(tmp_path / "out")
+    entry, source = made.extrapolated[3], made.rendered[3]
+    names = ["motion.x", "motion.y", "motion.display.x", "motion.display.y", "mask.dynamic", "mask.filled_by", "Z"]
+    channels = made.read_channels(entry, names)
+    static = (channels["mask.dynamic"] == 0) & (channels["mask.filled_by"] == 0) & np.isfinite(channels["Z"])
+    y, x = np.nonzero(static)
+    px = np.stack([x + 0.5, y + 0.5], -1)
+    world = entry.display_camera.unproject(px, channels["Z"][static])
+    for prefix, seen_by in (("motion.", source.render_camera), ("motion.display.", source.display_camera)):
+        motion = np.stack([channels[f"{prefix}{axis}"][static] for axis in "xy"], -1)
+        off = np.abs(px + motion - seen_by.project(world)[0]).max(-1)
+        assert np.quantile(off, 0.95) < 0.05
+
+
+def test_display_part_motion_of_changing_windows(gffe, tmp_path):
+    """`--window off` converts motion between the displays of two frames with different windows."""
+    options = ("--size", "64x36", "--frames", 4)
+    assert gffe("render", "forest", tmp_path / "in", *options, "--window", "adaptive")[0] == 0
+    assert gffe("render", "forest", tmp_path / "plain", *options)[0] == 0
+    assert gffe("run", tmp_path / "in", tmp_path / "cut", "--window", "off")[0] == 0
+    cut, plain = open_sequence(tmp_path / "cut"), open_sequence(tmp_path / "plain")
+    for k in (1, 3):
+        got, exact = cut.read(cut.rendered[k]), plain.read(plain.rendered[k])
+        same = np.isclose(got.depth, exact.depth, rtol=0.01) & np.isfinite(exact.depth)
+        assert np.quantile(np.abs(got.motion - exact.motion)[same], 0.9) < 0.3
+
+
+def test_bad_pixels_of_a_display_part_are_counted(gffe, tmp_path):
+    options = ("--size", "64x36", "--frames", 3, "--window", "fixed:1.2")
+    assert gffe("render", "room", tmp_path / "in", *options)[0] == 0
+    _spoil(tmp_path / "in" / "frame_000001.exr", "G", lambda a: a.__setitem__((15, 26), np.nan))
+    assert "1 × NaN or infinite colour" in gffe("run", tmp_path / "in", tmp_path / "out", "--window", "off")[2]
+
+
+def test_overscan_from_the_header(gffe, tmp_path):
+    """An EXR data window larger than the display window is a rendering window, also where the JSON has the camera."""
+    from gffe_cl import fixed_window
+
+    render_size, window = (W + 16, H + 10), fixed_window(1.0)
+    window = window._replace(u0=-1 - 16 / W, u1=1 + 16 / W, v0=-1 - 10 / H, v1=1 + 10 / H)
+    previous = None
+    with SequenceWriter(tmp_path / "in", W, H, 30.0) as writer:
+        for k in range(4):
+            through = window.camera(view(k), (W, H), render_size)
+            frame = SCENE.frame(through, k / 30, *render_size, previous, reset=k == 0)
+            entry = FrameEntry(f"frame_{k:06d}.exr", k / 30, "rendered", k == 0, render_size, through, view(k))
+            writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
+            previous = (through, k / 30)
+    path = tmp_path / "in" / "sequence.json"
+    whole = open_sequence(tmp_path / "in")
+    document = json.loads(path.read_text())
+    for keys in (("display_camera",), ("render_size",)):
+        for frame in document["frames"]:
+            for key in keys:
+                frame.pop(key)
+        path.write_text(json.dumps(document))
+        opened = open_sequence(tmp_path / "in")
+        for got, expected in zip(opened.rendered, whole.rendered, strict=True):
+            assert got.render_size == render_size
+            np.testing.assert_allclose(got.display_camera.intrinsics, expected.display_camera.intrinsics)
+        assert not opened.warnings()
+
+
+def test_a_display_beyond_what_was_rendered_is_warned_about(gffe, scene, tmp_path):
+    document = json.loads((scene / "sequence.json").read_text())
+    for frame in document["frames"]:
+        if frame["kind"] == "rendered":
+            frame["display_camera"] = frame["render_camera"] | {"cx": frame["render_camera"]["cx"] + 5}
+    (scene / "sequence.json").write_text(json.dumps(document))
+    code, _, err = gffe("run", scene, tmp_path / "out")
+    assert code == 0 and "beyond what was rendered" in err
+
+
+def test_options_of_scenes_are_refused_for_sequences(gffe, scene, tmp_path):
+    code, _, err = gffe("run", scene, tmp_path / "out", "--seed", 3)
+    assert code == 2 and "--seed is for built-in scenes" in err
+    code, _, err = gffe("study", "forest", "--rate", 90)
+    assert code == 2 and "--rate goes with --windows" in err
+
+
+def test_baseline_of_a_windowed_sequence_is_its_display_part(gffe, tmp_path):
+    from gffe_cl.evaluate import baseline_repeat, shown_color
+    from gffe_cl.metrics import display_values, psnr
+
+    options = ("--size", "96x54", "--frames", 4, "--ground-truth", "--window", "fixed:1.3")
+    assert gffe("render", "room", tmp_path / "in", *options)[0] == 0
+    wide = open_sequence(tmp_path / "in")
+    truth = display_values(wide.read_color(wide.ground_truth[3]), wide.exposure)
+    whole = psnr(display_values(wide.read_color(wide.rendered[3]), wide.exposure), truth)
+    shown = psnr(display_values(shown_color(wide, wide.rendered[3]), wide.exposure), truth)
+    assert shown > whole + 5
+    assert baseline_repeat(wide).frames[3].psnr == pytest.approx(shown)
 
 
 @pytest.mark.parametrize("arguments", [("render", "plaza"), ("run", "plaza"), ("demo", "-o")])

@@ -9,6 +9,7 @@ from synthetic import Rect, Rects, camera, psnr
 from test_twins import assert_close
 
 from gffe_cl import Camera, GffeError, Options, Pipeline, RenderedFrame, fixed_window, present
+from gffe_cl.frame import require_one_pose
 from gffe_cl.stage import Sizes
 from gffe_cl.stages.presentation import Presentation, mapping
 from gffe_cl.window import FULL, Window
@@ -194,6 +195,59 @@ def test_a_display_camera_elsewhere_is_refused(device):
         Pipeline(device, W, H).submit(frame)
     with pytest.raises(GffeError, match="display_camera must have the pose"):
         present(frame, device=device)
+
+
+@pytest.mark.parametrize("distance", [0.0, 1e6])
+def test_another_pose_is_refused_far_from_the_origin_too(distance):
+    made, turned = camera(W, H, (0, distance, 0)), camera(W, H, (0, distance, 0), yaw=1e-3)
+    for display in (turned, camera(W, H, (0.01 * (1 + distance), distance, 0))):
+        with pytest.raises(GffeError, match="display_camera must have the pose"):
+            require_one_pose(made, display)
+    require_one_pose(made, made.scaled(2, 3))
+
+
+def test_a_whole_frame_after_a_windowed_one(device):
+    """Its motion is converted all the same: the frame before was shown elsewhere than it was rendered."""
+    first = rendered(MOVING, turning(0), fixed_window(1.3), 0.0, reset=True)
+    second = rendered(MOVING, turning(1), FULL, 1 / 30, (first.camera, 0.0))
+    exact = MOVING.frame(turning(1), 1 / 30, W, H, (turning(0), 0.0)).motion
+    pipeline = Pipeline(device, W, H)
+    pipeline.submit(first)
+    pipeline.submit(second)
+    for motion in (present(second, first, device=device).motion, pipeline.present().numpy("motion")):
+        np.testing.assert_allclose(motion, exact, atol=1e-3)
+    pipeline.submit(rendered(MOVING, turning(2), FULL, 2 / 30, (second.camera, 1 / 30)))
+    assert "presentation" not in {stage.name for stage, _ in pipeline.named_buffers()}
+
+
+def test_a_reset_has_no_motion(device):
+    first = rendered(MOVING, turning(0), fixed_window(1.3), 0.0)
+    cut = replace(rendered(MOVING, turning(1), fixed_window(1.2), 1 / 30), reset=True, motion=None)
+    assert present(cut, first, device=device).motion is None
+
+
+def test_the_frame_before_may_have_another_size(device):
+    first = rendered(MOVING, turning(0), FULL, 0.0, render_size=(W // 2, H // 2))
+    first = replace(first, display_camera=None)
+    second = rendered(MOVING, turning(1), fixed_window(1.2), 1 / 30, (first.camera, 0.0))
+    shown = present(second, first, device=device)
+    exact = MOVING.frame(turning(1), 1 / 30, W, H, (turning(0), 0.0))
+    same = np.abs(shown.depth / exact.depth - 1) < 0.01
+    np.testing.assert_allclose(shown.motion[same], exact.motion[same], atol=0.15)
+
+
+def test_what_present_refuses(device):
+    frame = rendered(SCENE, camera(W, H), fixed_window(1.1), 0.0)
+    for wrong in (
+        replace(frame, color=frame.color[:5]),
+        replace(frame, depth=frame.depth[..., None]),
+        replace(frame, color=None),
+    ):
+        with pytest.raises(GffeError):
+            present(wrong, device=device)
+    for size in ((0, 0), (-4, 5), (3.5, 2), (1, 2, 3)):
+        with pytest.raises(GffeError, match="whole numbers"):
+            present(frame, size=size, device=device)
 
 
 def test_presenting_before_submitting_is_refused(device):

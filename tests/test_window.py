@@ -123,12 +123,14 @@ def test_grows_where_the_camera_goes(motion, grows):
 
 def test_turning_past_the_plane_is_clamped():
     current = camera(*SIZE)
-    for yaw, at_least in ((1.0, 0.0), (1.7, 0.0), (2.5, 1.0), (3.14, 1.0)):
+    for yaw in (1.0, 1.7, 2.3):
         for side in (-1, 1):
             window = adaptive_window(current, camera(*SIZE, yaw=side * yaw), 2.0, size=SIZE)
             assert window.clamped and math.isclose(window.enlargement[0], 2.0)
             wanted, other = (window.u1, window.u0) if side > 0 else (window.u0, window.u1)
-            assert abs(wanted) > abs(other) or at_least
+            assert abs(wanted) > abs(other)
+    behind = adaptive_window(current, camera(*SIZE, yaw=math.pi), 2.0, size=SIZE)
+    assert behind.clamped and math.isclose(behind.enlargement[0], 2.0)
     # Extrapolated from one turn by more than 90° to the next.
     current = camera(*SIZE, yaw=1.7)
     window = adaptive_window(current, predict_camera(camera(*SIZE), current, 8.0), 2.0, size=SIZE)
@@ -165,6 +167,10 @@ def test_modes():
     still, turned = camera(*SIZE), camera(*SIZE, yaw=0.05)
     assert WindowChooser("off", SIZE, [0.5]).choose(turned, still) == FULL
     assert WindowChooser("fixed:1.2", SIZE, [0.5]).choose(turned, None) == fixed_window(1.2)
+    # Frames at every α are covered, and a movement that leaves less than 0.05% of a side open is not worth a window.
+    far = WindowChooser("adaptive", SIZE, [0.25, 1.5]).choose(turned, still)
+    assert far.u1 > WindowChooser("adaptive", SIZE, [0.25]).choose(turned, still).u1 + 0.03
+    assert WindowChooser("adaptive", SIZE, [0.5]).choose(camera(*SIZE, yaw=2e-4), still) == FULL
     chooser = WindowChooser("adaptive", SIZE, [0.5, 0.25])
     assert chooser.choose(turned, None) == FULL  # after a reset nothing is known
     turning = chooser.choose(turned, still)
@@ -173,9 +179,44 @@ def test_modes():
     assert chooser.choose(sideways, still) == FULL  # as far as is known, everything is far away
     chooser.observe(np.full((9, 9), 3.0, np.float32))
     assert chooser.choose(sideways, still).u1 > 1.01
-    for wrong in ("", "on", "fixed", "fixed:", "fixed:0.5", "fixed:nan", "fixed:inf", "adaptive:2", "off:1"):
+    for wrong in (
+        "",
+        "off:",
+        "adaptive:",
+        "fixed:1e12",
+        "on",
+        "fixed",
+        "fixed:",
+        "fixed:0.5",
+        "fixed:nan",
+        "fixed:inf",
+        "adaptive:2",
+        "off:1",
+    ):
         with pytest.raises(GffeError, match="window"):
             WindowChooser(wrong, SIZE, [0.5])
+
+
+def test_margin_and_zoom():
+    """A pixel beyond enlarged sides, and none beyond others; zooming out is covered too."""
+    still, turned = camera(*SIZE), camera(*SIZE, yaw=0.05)
+    predicted = predict_camera(still, turned, 0.5)
+    bare, usual = (adaptive_window(turned, predicted, size=SIZE, **m) for m in ({"margin": 0}, {}))
+    np.testing.assert_allclose(usual.u1 - bare.u1, 2 / SIZE[0])
+    assert usual.u0 == -1
+    wider = Camera(still.world_to_view, still.fx * 0.9, still.fy * 0.8, still.cx, still.cy)
+    zoomed = predict_camera(still, wider, 0.5)
+    assert (zoomed.fx, zoomed.fy) == (pytest.approx(still.fx * 0.85), pytest.approx(still.fy * 0.7))
+    window = adaptive_window(wider, zoomed, size=SIZE, margin=0)
+    np.testing.assert_allclose(window[:4], (-0.9 / 0.85, -0.8 / 0.7, 0.9 / 0.85, 0.8 / 0.7))
+
+
+def test_moving_past_the_plane():
+    """The predicted camera stands beyond the virtual plane: what lies ahead of it is covered."""
+    current = camera(*SIZE)
+    beyond = camera(*SIZE, (2.0, 0, 5.0))
+    window = adaptive_window(current, beyond, 9.0, size=SIZE, distance=1.0)
+    assert np.abs(frustum_in_window(current, beyond, window, 5.0)).max() <= 1 + 1e-6 and not window.clamped
 
 
 def test_nearest_depth_skips_what_is_no_depth():
@@ -183,6 +224,7 @@ def test_nearest_depth_skips_what_is_no_depth():
     depth[:20] = np.inf
     depth[0, 0], depth[4, 4], depth[8, 8] = np.nan, -3, 0
     assert nearest_depth(depth) == 7
+    assert nearest_depth(np.linspace(1, 101, 10201, dtype=np.float32).reshape(101, 101)) == pytest.approx(6, abs=0.1)
     assert nearest_depth(np.full((4, 4), np.inf)) == math.inf
 
 
@@ -194,6 +236,10 @@ def test_nearest_depth_skips_what_is_no_depth():
         ({"distance": 0.0}, "must be positive"),
         ({"distance": math.nan}, "must be positive"),
         ({"size": (0, 10)}, "must be positive"),
+        ({"size": (5, math.nan)}, "must be positive"),
+        ({"margin": math.nan}, "must not be negative"),
+        ({"margin": -100.0}, "must not be negative"),
+        ({"least": -1.0}, "must not be negative"),
     ],
 )
 def test_refused(arguments, message):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
@@ -100,9 +100,16 @@ def render(
     ground_truth: Annotated[
         bool, typer.Option("--ground-truth", help="Also the frames in between, for measuring.")
     ] = False,
-    per_frame: Annotated[int, typer.Option("-n", help="Ground-truth frames per rendered frame.")] = 1,
+    per_frame: Annotated[
+        int, typer.Option("-n", help="Frames in between per rendered frame, for --ground-truth and --window adaptive.")
+    ] = 1,
     samples: Annotated[int, typer.Option(help="Colour samples per pixel at edges.")] = 8,
-    window: WindowOption = "off",
+    window: Annotated[
+        str,
+        typer.Option(
+            help="Rendering window: adaptive (covers frames in between, see -n), fixed:1.2 (times the display) or off."
+        ),
+    ] = "off",
     device: DeviceOption = None,
 ) -> None:
     """Render a built-in scene to a sequence: colour, depth, motion vectors and cameras."""
@@ -161,10 +168,16 @@ def run(
             " recorded, or off to use its display part only."
         ),
     ] = None,
-    size: Annotated[str, typer.Option(help="Of a built-in scene: width × height, pixels.")] = "960x540",
-    frames: Annotated[int, typer.Option(help="Of a built-in scene: rendered frames.")] = 30,
-    fps: Annotated[float, typer.Option(help="Of a built-in scene: rendered frames per second.")] = 30.0,
-    seed: Annotated[int, typer.Option(help="Of a built-in scene: its variation.")] = 0,
+    size: Annotated[
+        str | None, typer.Option(help="Of a built-in scene: width × height, pixels [dim](default 960x540)[/].")
+    ] = None,
+    frames: Annotated[
+        int | None, typer.Option(help="Of a built-in scene: rendered frames [dim](default 30)[/].")
+    ] = None,
+    fps: Annotated[
+        float | None, typer.Option(help="Of a built-in scene: rendered frames per second [dim](default 30)[/].")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Of a built-in scene: its variation [dim](default 0)[/].")] = None,
     json_path: JsonOption = None,
 ) -> None:
     """Extrapolate after every rendered frame of a sequence, or of a built-in scene that is rendered meanwhile."""
@@ -181,7 +194,7 @@ def run(
         crack_closing=not no_crack_closing, levels=0 if no_background else layers, hole_filling=hole_filling,
         shading_inputs=dump_stages,
     )  # fmt: skip
-    live = LiveOptions(*parse_size(size), frames, fps, seed)
+    live = {"--size": size, "--frames": frames, "--fps": fps, "--seed": seed}
     opened, source = _open_source(sequence, window, device, live)
     with progress_bars() as progress:
         report = run_sequence(
@@ -193,28 +206,24 @@ def run(
     write_json(json_path, _report_json(report, opened.info))
 
 
-class LiveOptions(NamedTuple):
-    """How a built-in scene is rendered."""
-
-    width: int
-    height: int
-    frames: int
-    fps: float
-    seed: int
-
-
 def _open_source(
-    sequence: Path, window: str | None, device: str | None, live: LiveOptions
+    sequence: Path, window: str | None, device: str | None, live: dict[str, str | float | None]
 ) -> tuple[Device, Recorded | Live]:
-    """A folder is a sequence; what is none may be the name of a scene."""
+    """A folder is a sequence; what is none may be the name of a scene, which `live` says how to render."""
     from gffe_cl.device import open_device
     from gffe_cl.scenes import SCENES, load_scene
     from gffe_cl.sequence import open_sequence
     from gffe_cl.source import Live, Recorded
 
     if str(sequence) in SCENES and not sequence.exists():
-        scene, opened = load_scene(str(sequence), live.seed), open_device(device)
-        return opened, Live(scene, opened, live.width, live.height, live.frames, live.fps, window or "off")
+        size, frames, fps, seed = live.values()
+        size = parse_size("960x540" if size is None else size)
+        scene, opened = load_scene(str(sequence), seed or 0), open_device(device)
+        frames, fps = 30 if frames is None else frames, 30.0 if fps is None else fps
+        return opened, Live(scene, opened, *size, frames, fps, window or "off")
+    given = [option for option, value in live.items() if value is not None]
+    if given:
+        raise GffeError(f"{given[0]} is for built-in scenes ({', '.join(SCENES)}), {sequence} is none")
     recorded, opened = open_sequence(sequence), open_device(device)
     return opened, Recorded(recorded, opened, window)
 
@@ -234,7 +243,7 @@ def _print_report(report: RunReport, output: Path) -> None:
         err.print(f"[yellow]warning:[/] {plain(warning)}")
     if report.bad_pixels:
         err.print(f"[yellow]warning:[/] bad pixels in the input, survived: {report.bad_pixels}")
-    times = ", ".join(f"{name} {ms:.1f}" for name, ms in report.milliseconds.items())
+    times = ", ".join(f"{name} {ms:.1f}" for name, ms in report.milliseconds.items() if ms)
     out.print(f"{report.extrapolated} extrapolated frames in {output} (kernel ms per frame: {times})")
 
 

@@ -67,7 +67,9 @@ def study(
     windows: Annotated[
         bool, typer.Option("--windows", help="Measure rendering windows instead, the camera turning quickly.")
     ] = False,
-    rate: Annotated[float, typer.Option(help="With --windows: degrees per second.")] = 150.0,
+    rate: Annotated[
+        float | None, typer.Option(help="With --windows: degrees per second [dim](default 150)[/].")
+    ] = None,
     device: DeviceOption = None,
     json_path: JsonOption = None,
 ) -> None:
@@ -78,20 +80,22 @@ def study(
     from gffe_cl.disocclusion import DisocclusionStudy, study_disocclusions
     from gffe_cl.scenes import SCENES
     from gffe_cl.study import study_scene
-    from gffe_cl.window_study import study_windows
+    from gffe_cl.window_study import MODES, study_windows
 
     if disocclusions and windows:
         raise GffeError("study: --disocclusions and --windows exclude each other")
+    if rate is not None and not (windows and 0 < rate <= 1000):
+        raise GffeError(f"study: --rate goes with --windows and must be within 0 and 1000 degrees/s, got {rate:g}")
     width, height = parse_size(size)
     if min(width, height) < 16 or seeds < 1 or frames < 4 or not 0 < alpha <= 8:
         raise GffeError("study: --size must be at least 16x16, --seeds 1, --frames 4, and --alpha within 0 and 8")
     opened = open_device(device)
     names = scenes or list(SCENES)
     with progress_bars() as progress:
-        advance = steps(progress)("Measuring", len(names) * seeds * frames)
+        advance = steps(progress)("Measuring", len(names) * seeds * frames * (len(MODES) if windows else 1))
         measure = study_scene
         if windows:
-            measure = partial(study_windows, rate=rate)
+            measure = partial(study_windows, rate=rate or 150.0)
         elif disocclusions:
             measure = study_disocclusions
         results = {

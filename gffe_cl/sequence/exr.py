@@ -78,7 +78,9 @@ def write_channels(path: Path, channels: dict[str, np.ndarray], attributes: dict
     part_path = partial_name(path)
     try:
         try:
-            OpenEXR.File(header, dict(channels)).write(str(part_path))
+            # The library takes any array for a contiguous one.
+            contiguous = {name: np.ascontiguousarray(channel) for name, channel in channels.items()}
+            OpenEXR.File(header, contiguous).write(str(part_path))
         except RuntimeError as error:
             code = errno.ENOSPC if os.strerror(errno.ENOSPC) in str(error) else errno.EIO
             raise OSError(code, _one_line(error) if code == errno.EIO else os.strerror(code)) from None

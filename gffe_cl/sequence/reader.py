@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,7 +74,18 @@ class Sequence:
     def warnings(self) -> list[str]:
         """Legal but suspicious: frame times, and what has been met in the frames read so far."""
         met = [f"{file}: {text}" for text, file in self._suspicions.items()]
-        return time_warnings(self.rendered, self.fps) + met
+        outside = [entry.file for entry in self.rendered if not self._covers_display(entry)]
+        cut = [f"{outside[0]}: the display reaches beyond what was rendered (display_camera)"] if outside else []
+        return time_warnings(self.rendered, self.fps) + cut + met
+
+    def _covers_display(self, entry: FrameEntry) -> bool:
+        """Whether all that is shown was rendered, to half a pixel of the display."""
+        width, height = self.size_of(entry)
+        display, render = entry.display_camera, entry.render_camera
+        corners = np.array([(0.5, 0.5), (self.width - 0.5, self.height - 0.5)])
+        scale = np.array([render.fx / display.fx, render.fy / display.fy])
+        at = (corners - (display.cx, display.cy)) * scale + (render.cx, render.cy)
+        return bool((at >= 0).all() and (at <= (width, height)).all())
 
     def read(self, entry: FrameEntry) -> RenderedFrame:
         """The rendered frame `entry`: color (H, W, 3) float16 or float32 as stored, depth (H, W) float32,
@@ -172,6 +184,8 @@ def _check_channels(entry, header):
 def _complete_cameras(entry, header, description, label):
     """Cameras that the JSON leaves out: from the EXR header, else (display) the render camera's frustum."""
     size = (description.width, description.height)
+    if entry.kind == "rendered" and entry.render_camera is not None:
+        _complete_overscan(entry, header.parts[header.find("R")[0]], size)
     wanted = entry.render_camera is None if entry.kind == "rendered" else entry.display_camera is None
     part = header.parts[header.find("R")[0]]
     if wanted and has_camera(part):
@@ -194,6 +208,21 @@ def _complete_cameras(entry, header, description, label):
             require_one_pose(entry.render_camera, entry.display_camera)
         except GffeError as error:
             raise GffeError(f"{label}: {str(error).removeprefix('frame: ')}") from None
+
+
+def _complete_overscan(entry, part, size):
+    """Render size and display camera that the JSON leaves out, where the stored image is more or less than the display
+    window of its EXR header."""
+    x0, y0, x1, y1 = part.display_window
+    shown = (x1 - x0 + 1, y1 - y0 + 1)
+    left, top = part.data_window[0] - x0, part.data_window[1] - y0
+    if shown == part.size and not (left or top):
+        return
+    entry.render_size = entry.render_size or part.size
+    if entry.display_camera is None and tuple(entry.render_size) == part.size:
+        camera = entry.render_camera
+        whole = replace(camera, cx=camera.cx + left, cy=camera.cy + top)
+        entry.display_camera = whole.scaled(size[0] / shown[0], size[1] / shown[1])
 
 
 def _same_frustum(entry, size):

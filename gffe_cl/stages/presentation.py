@@ -10,6 +10,7 @@ import numpy as np
 
 from gffe_cl.camera import Camera
 from gffe_cl.device import Device, open_device
+from gffe_cl.errors import GffeError
 from gffe_cl.frame import RenderedFrame, display_camera_of, is_shown_whole, pack_frame, require_one_pose
 from gffe_cl.stage import RGBA, XY, BufferSpec, DeviceFrame, Sizes, Stage, int2
 
@@ -82,28 +83,50 @@ def present(
     Returns
     -------
     RenderedFrame
-        color (H, W, 3) in the type given, resampled (cubic); depth (H, W) float32 and motion (H, W, 2) float32 of the
-        nearest rendered pixel, motion None without `previous`; `camera` is the display camera. A frame that was not
-        rendered through a window comes back bit for bit.
+        color (H, W, 3) float32 where float32 or float64 is given, else float16, resampled (cubic); depth (H, W) float32
+        and motion (H, W, 2) float32 of the nearest rendered pixel, motion None for a reset or without `previous`;
+        `camera` is the display camera. A frame that was not rendered through a window keeps its bits. Where the display
+        reaches beyond the rendered image, the image's border goes on. Motion of sky is converted like all other: it
+        must follow the camera, windows included.
 
-    Raises GffeError if the display camera has another pose than the render camera, or for wrong shapes.
+    Raises GffeError if the display camera has another pose than the render camera, for wrong shapes, or for device
+    buffers.
     """
-    height, width = np.shape(frame.depth)
-    render_size, size = (width, height), tuple(size or (width, height))
+    for array in (frame.color, frame.depth):
+        if not isinstance(array, np.ndarray):
+            raise GffeError("present: expected NumPy arrays (in a pipeline: Pipeline.present)")
+    packed = pack_frame(replace(frame, reset=frame.reset or previous is None), *_two(np.shape(frame.depth)))
+    height, width = packed.depth.shape
+    render_size, size = (width, height), _two(size or (width, height))
     display = display_camera_of(frame, render_size, size)
     require_one_pose(frame.camera, display)
-    before = previous and (previous.camera, display_camera_of(previous, render_size, size))
-    if size == render_size and is_shown_whole(frame.camera, display) and (not before or is_shown_whole(*before)):
-        return replace(frame, display_camera=None, motion=frame.motion if previous else None)
-    stage = _stage(device or _default_device(), Sizes(render_size, size))
-    packed = pack_frame(replace(frame, reset=frame.reset or previous is None), height, width)
-    on_device = DeviceFrame.allocate(stage.device, render_size, frame.camera, display, frame.time)
-    with _ONE_AT_A_TIME:
-        on_device.upload(stage.device, packed)
-        stage.present(on_device, before and replace(on_device, camera=before[0], display_camera=before[1]))
-        color, depth, motion = (stage.read(name) for name in ("color", "depth", "motion"))
-    color = color[..., :3].astype(np.float32 if np.asarray(frame.color).dtype == np.float32 else np.float16)
-    return RenderedFrame(color, depth, motion if previous else None, display, frame.time, reset=frame.reset)
+    before = None if frame.reset else previous and _cameras_of(previous, size)
+    color = np.asarray(frame.color)[..., :3]
+    color = color.astype(np.float32 if color.dtype.itemsize > 2 else np.float16, copy=False)
+    depth, motion = packed.depth, packed.motion
+    if size != render_size or not is_shown_whole(frame.camera, display) or (before and not is_shown_whole(*before)):
+        stage = _stage(device or _default_device(), Sizes(render_size, size))
+        on_device = DeviceFrame.allocate(stage.device, render_size, frame.camera, display, frame.time)
+        with _ONE_AT_A_TIME:
+            on_device.upload(stage.device, packed)
+            stage.present(on_device, before and replace(on_device, camera=before[0], display_camera=before[1]))
+            shown, depth, motion = (stage.read(name) for name in ("color", "depth", "motion"))
+        color = shown[..., :3].astype(color.dtype)
+    return RenderedFrame(color, depth, motion if before else None, display, frame.time, reset=frame.reset)
+
+
+def _cameras_of(frame: RenderedFrame, size: tuple[int, int]) -> tuple[Camera, Camera]:
+    """Render camera and display camera of the frame before."""
+    height, width = _two(np.shape(frame.depth))
+    display = display_camera_of(frame, (width, height), size)
+    require_one_pose(frame.camera, display)
+    return frame.camera, display
+
+
+def _two(numbers) -> tuple[int, int]:
+    if len(numbers) != 2 or not all(n >= 1 and n == int(n) for n in numbers):
+        raise GffeError(f"present: expected two whole numbers of pixels, got {tuple(numbers)}")
+    return int(numbers[0]), int(numbers[1])
 
 
 @cache

@@ -1,0 +1,89 @@
+"""The command that shows: view."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gffe_cl.cli.common import DeviceOption, JsonOption, app, out, parse_size, write_json
+from gffe_cl.errors import GffeError
+
+
+@app.command()
+def view(
+    target: Annotated[
+        str | None,
+        typer.Argument(help="Folder of a sequence, or the name of a built-in scene [dim](default: none)[/]."),
+    ] = None,
+    n: Annotated[int, typer.Option("-n", help="Generated frames per rendered frame, 1 to 7.")] = 1,
+    window: Annotated[
+        str | None, typer.Option("--window", help="Rendering window: adaptive, fixed:1.2 or off; see `gffe run`.")
+    ] = None,
+    size: Annotated[str, typer.Option(help="Of a built-in scene: width × height, pixels.")] = "480x270",
+    seed: Annotated[int, typer.Option(help="Of a built-in scene: its variation.")] = 0,
+    device: DeviceOption = None,
+    window_size: Annotated[str, typer.Option(help="Of the viewer's own window, pixels.")] = "1600x900",
+    screenshot: Annotated[
+        Path | None, typer.Option(help="Write one picture of the whole window to this PNG, and exit.")
+    ] = None,
+    frame: Annotated[int, typer.Option(help="Screenshot: which one of the frames shown, generated ones counted.")] = 0,
+    layer: Annotated[
+        str, typer.Option(help="Screenshot: layer shown, such as final, disoccluded, history.dynamic_mask.")
+    ] = "final",
+    other: Annotated[str | None, typer.Option("--with", help="Screenshot: layer compared with.")] = None,
+    compare: Annotated[str, typer.Option(help="Screenshot: off, split, difference, error or 'flip error'.")] = "off",
+    pixel: Annotated[str | None, typer.Option(help="Screenshot: pixel whose story is told, as 120,45.")] = None,
+    overview: Annotated[bool, typer.Option("--overview", help="Screenshot: all layers as tiles.")] = False,
+    measure: Annotated[
+        float | None, typer.Option(help="Play every frame for so many seconds, print how fast that was, and exit.")
+    ] = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Open the viewer: play, look into every stage, find out why a pixel is wrong."""
+    from gffe_cl.viewer.model import Model, ScenePlan
+    from gffe_cl.viewer.settings import Settings
+    from gffe_cl.viewer.start import Shot, require_display
+    from gffe_cl.viewer.start import measure as measure_playback
+    from gffe_cl.viewer.start import view as run_viewer
+
+    if not 1 <= n <= 7:
+        raise GffeError(f"-n must be 1 to 7 generated frames per rendered frame, got {n}")
+    if target is None and (screenshot is not None or measure is not None):
+        raise GffeError("--screenshot and --measure need a sequence or a scene")
+    if measure is not None and not 0 < measure <= 3600:
+        raise GffeError(f"--measure must be seconds, up to 3600, got {measure:g}")
+    plan = ScenePlan(*parse_size(size), seed)
+    viewer_size = parse_size(window_size)
+    shot = None
+    if screenshot is not None:
+        shot = Shot(screenshot, frame, layer, compare, other, _pixel(pixel), overview)
+    require_display()
+    by_hand = shot is None and measure is None
+    settings, warning = Settings.load() if by_hand else (Settings(), None)
+    model = Model(settings, device=device, n=n, window=window, plan=plan, save_settings=by_hand)
+    if warning:
+        model.say(warning)
+    try:
+        if target is not None:
+            model.open(target)
+        if measure is None:
+            run_viewer(model, viewer_size, shot)
+            return
+        figures = measure_playback(model, measure, viewer_size)
+        for name, value in figures.items():
+            out.print(f"{name}: {value:.1f}")
+        write_json(json_path, figures | {"device": model.engine.device_name})
+    finally:
+        model.close()
+
+
+def _pixel(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    try:
+        x, y = (int(part) for part in text.split(","))
+    except ValueError:
+        raise GffeError(f"--pixel must look like 120,45, got '{text}'") from None
+    return x, y
