@@ -39,3 +39,4 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if "device" in getattr(item, "fixturenames", ()):
             item.add_marker("device")
+    items.sort(key=lambda item: item.get_closest_marker("limits") is None)

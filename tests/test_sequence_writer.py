@@ -87,6 +87,7 @@ def test_unwritable_output():
             pass
 
 
+@pytest.mark.limits
 def test_disk_full(tmp_path):
     """The last bytes do not reach the disk: a limit on the size of files stands in for a full one."""
     limit = 12_000

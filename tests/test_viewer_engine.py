@@ -1,0 +1,780 @@
+"""The viewer's engine: what it shows is what a pipeline gives, however one gets there; nothing stops it."""
+
+import functools
+import shutil
+import sys
+import threading
+import time
+import types
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from synthetic import Rect, Rects, camera
+
+from gffe_cl import (
+    FrameEntry,
+    GffeError,
+    Options,
+    Pipeline,
+    RenderedFrame,
+    SequenceWriter,
+    fixed_window,
+    named_channels,
+    open_sequence,
+)
+from gffe_cl import bench as bench_module
+from gffe_cl.device import Device
+from gffe_cl.frame import pack_frame
+from gffe_cl.metrics import display_values, psnr, ssim
+from gffe_cl.program import kernel_folder
+from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
+from gffe_cl.source import Recorded
+from gffe_cl.viewer.engine import Engine, open_viewer_device
+from gffe_cl.viewer.messages import EngineError, Request, Result, Setup
+from gffe_cl.viewer.scoring import flip_available
+from gffe_cl.viewer.sources import FrameSource, RecordedSource, SceneSource
+from gffe_cl.window import WindowChooser
+
+W, H, COUNT, FPS = 96, 64, 14, 30.0
+ALL = Options(shading_inputs=True)
+PATIENCE = 60.0
+
+
+@dataclass
+class Falling(Rect):
+    """A rectangle that accelerates."""
+
+    def at(self, time):
+        return super().at(time) + np.array((6.0, 9.0, 0.0)) * time**2
+
+
+SCENE = Rects(
+    [
+        Rect((0, 0, 14), (9, 20), frequency=0.12),
+        Rect((-2.2, 0.3, 6), (0.6, 1), frequency=0.5, tint=(0.6, 0.3, 0.1)),
+        Falling((0.2, -0.8, 4), (0.5, 0.4), velocity=(2, 0.5, -1), frequency=0.8, tint=(0.2, 0.5, 0.3)),
+    ]
+)
+MOVER = 2
+
+
+def pose(at):
+    """Display camera `at` rendered frames from the start."""
+    return camera(W, H, (0.1 * at, 0.01 * at, 0.02 * at), yaw=0.015 * at)
+
+
+@functools.cache
+def frames():
+    made = []
+    for k in range(COUNT):
+        before = (pose(k - 1), (k - 1) / FPS) if k else None
+        made.append(SCENE.frame(pose(k), k / FPS, W, H, before, reset=k == 0))
+    return made
+
+
+class Clip(FrameSource):
+    """Frames in memory; `faults` cannot be read, `asked` says which were, `gate` holds them up."""
+
+    name, width, height, render_size, fps, exposure, count = "clip", W, H, (W, H), FPS, 1.0, COUNT
+    has_truth = True
+
+    def __init__(self, faults=(), delay=0.0, reset=0, back=0.0):
+        self.faults, self.delay, self.asked, self.gate = set(faults), delay, [], threading.Event()
+        self.reset, self.back = reset, back
+        self.gate.set()
+
+    def configure(self, window, n):
+        return False
+
+    def rendered(self, k):
+        self.asked.append(k)
+        assert self.gate.wait(PATIENCE)
+        time.sleep(self.delay)
+        if k in self.faults:
+            raise GffeError(f"frame_{k}.exr: truncated")
+        return replace(frames()[k], reset=k in (0, self.reset))
+
+    def packed(self, k):
+        return pack_frame(frames()[k], H, W)
+
+    def reset_before(self, k):
+        return self.reset if k >= self.reset else 0
+
+    def camera(self, k, alpha):
+        return pose(k + alpha).moved((0, 0, -self.back))
+
+    def truth(self, k, alpha):
+        return SCENE.color(pose(k + alpha), self.time(k, alpha), W, H).astype(np.float32)
+
+    def time(self, k, alpha=0.0):
+        return k / FPS + alpha * (k / FPS - (k - 1) / FPS if k else 1 / FPS)
+
+
+@contextmanager
+def running(device, source=None):
+    engine = Engine(device if callable(device) else lambda: device)
+    engine.start()
+    try:
+        if source is not None:
+            engine.open_source(source if callable(source) else lambda _: source)
+            wait_for(lambda: engine.source is not None)
+        yield engine
+    finally:
+        engine.close()
+
+
+def wait_for(happens):
+    until = time.monotonic() + PATIENCE
+    while not (answer := happens()):
+        assert time.monotonic() < until, "nothing happened"
+        time.sleep(0.002)
+    return answer
+
+
+_serials = iter(range(1, 1 << 30))
+
+
+def ask(engine, slot, setup, layers=(), metrics=False):
+    """The answer to a request, a Result or an EngineError; `layers` "all" for every one."""
+    serial = next(_serials)
+    if layers == "all":
+        layers = ask(engine, slot, setup).specs
+    engine.submit(Request(slot, setup, frozenset(layers), serial, metrics))
+
+    def answered():
+        answer = engine.poll()
+        number = getattr(answer, "serial", None) or (isinstance(answer, Result) and answer.request.serial)
+        return answer if number == serial else None
+
+    return wait_for(answered)
+
+
+def slots(setup, *pairs):
+    """Numbers of the slots (k, j)."""
+    return [k * (setup.n + 1) + j for k, j in pairs]
+
+
+def plain_run(device, source_frames, setup, wanted, camera_at=pose, size=(W, H), **given):
+    """(slot → layers) of a pipeline that plays all frames in order; `wanted` slots (k, j)."""
+    pipeline = Pipeline(device, *size, setup.options, fps=FPS, **given)
+    kept = {}
+    for k, frame in enumerate(source_frames):
+        pipeline.submit(frame)
+        shown = pipeline.present()
+        for j in range(setup.n + 1):
+            time = frame.time + j / (setup.n + 1) * pipeline.interval
+            made = pipeline.extrapolate(camera_at(k + j / (setup.n + 1)), time) if j else shown
+            if (k, j) in wanted:
+                layers = {
+                    f"{stage.name}.{spec.name}": stage.read(spec.name)
+                    for stage, spec in pipeline.named_buffers()
+                    if spec.grid != "once"
+                }
+                kept[k, j] = layers | {"final": made.numpy("color")}
+        if len(kept) == len(wanted):
+            return kept
+
+
+def assert_same(images, expected, names=None):
+    for name in names or expected:
+        mine = images[name][..., :3] if name == "final" else images[name]
+        assert mine.dtype == expected[name].dtype and mine.shape == expected[name].shape, name
+        assert mine.tobytes() == expected[name].tobytes(), name
+
+
+# ---- what is shown ---------------------------------------------------------------------------------------
+
+
+def test_every_layer_equals_a_plain_run(device):
+    """Played slot by slot, and in real time with frames skipped: all layers, bit for bit."""
+    setup = Setup(replace(ALL, history=3, order=2), n=2)
+    played = [(k, j) for k in range(6) for j in range(3)]
+    expected = plain_run(device, frames(), setup, played)
+    with running(device, Clip()) as engine:
+        for at, slot in zip(played, slots(setup, *played), strict=True):
+            result = ask(engine, slot, setup, expected[at])
+            assert (result.k, result.alpha, result.request.slot) == (at[0], at[1] / 3, slot)
+            assert_same(result.images, expected[at])
+            assert result.camera == pose(at[0] + at[1] / 3) and result.source_camera == pose(at[0])
+            assert result.previous_camera == (pose(at[0] - 1) if at[0] else None)
+    with running(device, source := Clip()) as engine:
+        for at in ((0, 1), (3, 1), (3, 2), (5, 1)):
+            result = ask(engine, *slots(setup, at), setup, expected[at])
+            assert_same(result.images, expected[at])
+        assert source.asked == [0, 1, 2, 3, 4, 5]
+        assert set(result.milliseconds) == {
+            "history", "prediction", "warp", "background", "holes", "shading"
+        }  # fmt: skip
+        assert min(result.milliseconds.values()) > 0 and result.wall_ms > result.readback_ms > 0
+
+
+def test_seeking_equals_playing(device):
+    """As long as the warm-up covers the whole past; else it starts eight frames before."""
+    setup = Setup(ALL, n=2)
+    sought = [(8, 1), (3, 2), (7, 1), (0, 1), (5, 2)]
+    expected = plain_run(device, frames(), setup, sought)
+    with running(device, source := Clip()) as engine:
+        for at in sought:
+            result = ask(engine, *slots(setup, at), setup, expected[at])
+            assert_same(result.images, expected[at])
+        source.asked.clear()
+        ask(engine, *slots(setup, (13, 2)), setup)
+        assert source.asked == list(range(6, 14))  # at most eight ahead: goes on
+        ask(engine, *slots(setup, (0, 0)), setup)
+        ask(engine, *slots(setup, (11, 0)), setup)
+        assert source.asked[8:] == [0, *range(3, 12)]
+
+
+def test_nothing_before_a_reset_is_used(device):
+    setup = Setup(n=1)
+    with running(device, source := Clip(reset=4)) as engine:
+        for k in range(6):
+            result = ask(engine, 2 * k, setup)
+            assert (result.previous_camera is None) == (k in (0, 4))
+        played = ask(engine, 11, setup, ("final",)).images["final"]
+        ask(engine, 0, setup)
+        source.asked.clear()
+        assert (ask(engine, 11, setup, ("final",)).images["final"] == played).all()
+        assert source.asked == [4, 5]
+
+
+def test_rendered_slots_and_the_frames_own_layers(device):
+    setup = Setup(n=1)
+    names = ("final", "truth", "rendered.color", "rendered.depth", "rendered.motion", "no.such")
+    with running(device, Clip()) as engine:
+        result = ask(engine, 8, setup, names)
+        frame = frames()[4]
+        assert set(result.images) == set(names[:5]) and result.alpha == 0
+        assert result.images["final"].shape == (H, W, 4) and result.images["final"].dtype == np.float16
+        for name in ("final", "truth", "rendered.color"):
+            assert (result.images[name][..., :3] == frame.color).all()
+        assert (result.images["rendered.depth"] == frame.depth).all()
+        assert (result.images["rendered.motion"] == frame.motion).all()
+        result = ask(engine, 9, setup, ("truth",))
+        np.testing.assert_array_equal(result.images["truth"][..., :3], Clip().truth(4, 0.5).astype(np.float16))
+        again = ask(engine, 9, setup, ("truth", "final"))
+        assert not np.shares_memory(again.images["truth"], result.images["truth"])
+
+
+def test_options_change_what_they_should(device):
+    """Each option, switched at one slot: some layers change, others do not, some come or go."""
+    first = Setup(ALL, n=1)
+    upto_submit = {"history.dynamic_mask", "warp.links", "background.color_0", "background.state_0", "rendered.depth"}
+    cases = {
+        "crack_closing": (False, {"final", "warp.filled_by", "warp.disoccluded"}, upto_submit),
+        "hole_filling": ("push-pull", {"final", "warp.color", "warp.depth"}, upto_submit | {"warp.filled_by"}),
+        "motion": (False, {"final", "history.dynamic_mask", "prediction.target_position"}, {"rendered.depth"}),
+        "static_threshold": (40.0, {"history.dynamic_mask", "warp.dynamic"}, {"rendered.motion"}),
+        "history": (4, set(), upto_submit | {"final"}),
+        "levels": (1, set(), {"history.history", "warp.links", "background.color_0", "background.px_0"}),
+        "shading_inputs": (False, set(), upto_submit | {"final", "background.color_1"}),
+    }
+    with running(device, Clip()) as engine:
+        before = ask(engine, 13, first, "all").images
+        assert "holes.block_color" in before and "shading.input_mask" in before
+        seen = {}
+        for name, (value, different, same) in cases.items():
+            after = ask(engine, 13, replace(first, options=replace(ALL, **{name: value})), "all").images
+            for layer in different:
+                assert after[layer].tobytes() != before[layer].tobytes(), (name, layer)
+            for layer in same:
+                assert after[layer].tobytes() == before[layer].tobytes(), (name, layer)
+            seen[name] = set(after)
+        order = Options(history=4, order=2)
+        assert ask(engine, 13, Setup(replace(order, order=1)), "all").images["history.history"].shape == (3, H, W, 4)
+        predicted = [ask(engine, 13, Setup(replace(order, order=o)), "all").images for o in (1, 2)]
+        assert np.abs(np.subtract(*(p["prediction.target_position"][..., :2] for p in predicted))).max() > 0.01
+        assert {"holes.mean_1"} == seen["hole_filling"] & {"holes.mean_1", "holes.block_color"}
+        assert set(before) - seen["levels"] == {f"background.{n}_1" for n in ("color", "depth", "px", "state")}
+        assert set(before) - seen["shading_inputs"] == {"shading.warped_previous", "shading.input_mask"}
+        assert_same(ask(engine, 13, first, before).images, before, set(before) - {"final"})  # and back
+
+
+# ---- requests and answers ----------------------------------------------------------------------------------
+
+
+def test_the_newest_request_wins(device):
+    with running(device, source := Clip()) as engine:
+        ask(engine, 0, Setup())
+        source.gate.clear()
+        engine.submit(Request(2, Setup(), frozenset(), 1001))
+        wait_for(lambda: source.asked[-1:] == [1])
+        assert engine.busy
+        for serial, slot in ((1002, 9), (1003, 11), (1004, 4)):
+            engine.submit(Request(slot, Setup(), frozenset(), serial))
+        source.gate.set()
+        answers = []
+        wait_for(lambda: ((answer := engine.poll()) and answers.append(answer.request.serial)) or 1004 in answers)
+        assert answers in ([1001, 1004], [1004])  # two results may meet in the box
+        wait_for(lambda: not engine.busy)
+        assert engine.poll() is None and max(source.asked) == 2
+
+
+def test_inspection_equals_the_whole_buffers(device):
+    setup = Setup(replace(ALL, history=3), n=1)
+    with running(device, Clip()) as engine:
+        specs = ask(engine, 13, setup).specs
+        images = ask(engine, 13, setup, specs).images
+        rng = np.random.default_rng(0)
+        holes, moving = (np.argwhere(images[name] > 0) for name in ("warp.filled_by", "warp.dynamic"))
+        for y, x in [(0, 0), (H - 1, W - 1), *holes[:3], *moving[::40], *rng.integers((H, W), size=(6, 2))]:
+            x, y = int(x), int(y)
+            engine.inspect(x, y)
+            seen = wait_for(engine.poll_inspection)
+            source = images["warp.motion"][y, x] + (x + 0.5, y + 0.5)
+            assert seen.pixel == (x, y) and seen.slot == 13 and seen.source == pytest.approx(source, abs=1e-4)
+            sx, sy = np.floor(seen.source).astype(int)
+            places = {"target": (x, y), "source": (sx, sy), "level0": (sx, sy), "level1": (sx >> 1, sy >> 1)}
+            places["blocks"] = (x // 32, y // 32)
+            outside = not (0 <= sx < W and 0 <= sy < H)
+            for name, image in images.items():
+                spec = specs[name]
+                if outside and spec.grid in ("source", "level0", "level1"):
+                    assert name not in seen.values
+                    continue
+                px, py = places[spec.grid]
+                expected = image[:, py, px] if spec.planes > 1 else image[py, px]
+                np.testing.assert_array_equal(seen.values[name], np.reshape(expected, seen.values[name].shape), name)
+        ask(engine, 13, setup, ("truth",))
+        engine.inspect(3, 4, frozenset({"final", "truth"}))
+        seen = wait_for(engine.poll_inspection)
+        assert set(seen.values) == {"final", "truth"}
+        np.testing.assert_array_equal(seen.values["truth"], images["truth"][4, 3])
+        ask(engine, 12, setup)
+        engine.inspect(5, 6)
+        seen = wait_for(engine.poll_inspection)
+        assert seen.source == (5.5, 6.5) and seen.slot == 12
+        np.testing.assert_array_equal(seen.values["rendered.color"][:3], frames()[6].color[6, 5])
+
+
+def test_metrics_come_later_and_are_remembered(device):
+    with running(device, Clip()) as engine:
+        result = ask(engine, 13, Setup(), ("final", "truth"), metrics=True)
+        told = [wait_for(engine.poll_metrics), wait_for(engine.poll_metrics)]
+        shown, true = (display_values(result.images[name][..., :3], 1.0) for name in ("final", "truth"))
+        assert told[0].ssim is None and (told[1].slot, told[1].setup) == (13, Setup())
+        assert told[1].psnr == pytest.approx(psnr(shown, true), abs=1e-3)
+        assert told[1].ssim == pytest.approx(ssim(shown, true), abs=1e-4)
+        again = ask(engine, 13, Setup(), metrics=True)
+        assert (again.psnr, again.ssim) == (told[1].psnr, told[1].ssim) and not again.images
+        assert ask(engine, 12, Setup(), metrics=True).psnr is None
+        assert ask(engine, 13, Setup(n=3), metrics=True).psnr is None  # another time
+
+
+def test_flip_is_measured_where_it_is_installed(device, monkeypatch):
+    monkeypatch.setitem(sys.modules, "flip_evaluator", None)
+    assert "flip-evaluator" in flip_available()
+    package = types.ModuleType("flip_evaluator")
+    package.evaluate = lambda reference, test, kind, applyMagma: (None, float(np.abs(reference - test).mean()), {})
+    monkeypatch.setitem(sys.modules, "flip_evaluator", package)
+    assert flip_available() is None
+    with running(device, Clip()) as engine:
+        ask(engine, 13, Setup(), metrics=True)
+        told = [wait_for(engine.poll_metrics) for _ in range(3)]
+        assert [m.flip is None for m in told] == [True, True, False] and 0 < told[2].flip < 0.1
+        package.evaluate = None
+        engine.submit(Request(15, Setup(), frozenset(), 15, metrics=True))
+        error = wait_for(lambda: isinstance(answer := engine.poll(), EngineError) and answer)
+        assert error.during == "metrics" and "TypeError" in error.message
+        ask(engine, 17, Setup(), metrics=True)
+        wait_for(lambda: (m := engine.poll_metrics()) and m.slot == 17)
+
+
+def test_an_unreadable_frame_is_an_error_and_the_engine_goes_on(device):
+    with running(device, source := Clip(faults={3})) as engine:
+        assert isinstance(ask(engine, 4, Setup()), Result)
+        error = ask(engine, 6, Setup())
+        assert isinstance(error, EngineError) and error.message == "frame_3.exr: truncated"
+        engine.inspect(1, 1)
+        result = ask(engine, 9, Setup(), ("final",))
+        assert engine.poll_inspection() is None  # there was no slot
+        assert result.k == 4 and "frame 3 is left out: frame_3.exr: truncated" in result.warnings[0]
+        assert result.previous_camera is None  # as after a reset
+        source.faults.clear()
+        assert not ask(engine, 11, Setup()).warnings
+        for slot, setup, message in (
+            (999, Setup(), "expected 0 to 27"),
+            (-1, Setup(), "slot -1"),
+            (0, Setup(n=9), "-n"),
+        ):
+            error = ask(engine, slot, setup)
+            assert isinstance(error, EngineError) and message in error.message
+        assert isinstance(ask(engine, 27, Setup()), Result)
+
+
+def test_what_cannot_be_opened_is_an_error(device):
+    def fails(_):
+        raise ValueError("out of luck")
+
+    with running(lambda: fails(None)) as engine:
+        assert wait_for(engine.poll) == EngineError("ValueError: out of luck", 0, "device")
+        error = ask(engine, 0, Setup())
+        assert error.message == "ValueError: out of luck"
+    with running(device) as engine:
+        assert "nothing is open" in ask(engine, 0, Setup()).message
+        engine.inspect(1, 1)
+        engine.open_source(lambda _: Clip(), 1)
+        first = wait_for(lambda: engine.source)
+        engine.open_source(fails, 77)
+        assert wait_for(engine.poll) == EngineError("ValueError: out of luck", 77, "source")
+        assert engine.source is first and isinstance(ask(engine, 3, Setup()), Result)
+        assert engine.device_name == device.info.name
+
+
+def test_close_while_work_runs(device):
+    source = Clip(delay=0.2)
+    with running(device, source) as engine:
+        engine.submit(Request(27, Setup(), frozenset(), 1))
+        wait_for(lambda: len(source.asked) > 1)
+        start = time.monotonic()
+        engine.close()
+        assert time.monotonic() - start < 2 and not engine._thread.is_alive()
+        assert len(source.asked) < 8
+
+
+def test_bandwidth(device, monkeypatch):
+    monkeypatch.setattr(bench_module, "_COPY_BYTES", 1 << 22)
+    with running(device) as engine:
+        assert engine.bandwidth is None
+        engine.measure_bandwidth()
+        assert wait_for(lambda: engine.bandwidth) > 0
+
+
+# ---- kernels ----------------------------------------------------------------------------------------------
+
+
+def test_kernels_are_reloaded_and_broken_ones_survived(device, tmp_path, monkeypatch):
+    """A broken kernel: the last good ones go on, whatever is switched; repaired, the new text is in use."""
+    folder = tmp_path / "kernels"
+    shutil.copytree(kernel_folder(), folder)
+    monkeypatch.setenv("GFFE_KERNELS", str(folder))
+    setup, text = Setup(), (folder / "holes.cl").read_text()
+    other = Setup(Options(hole_filling="push-pull"))
+    line = text.count("\n") + 1
+    with running(lambda: Device(device.cl_device, device.info), Clip()) as engine:
+        good = ask(engine, 13, setup, ("final",)).images["final"]
+        (folder / "holes.cl").write_text(text + "__kernel void broken() { nonsense; }\n")
+        wait_for(lambda: engine.build_error)
+        assert f"holes.cl:{line}" in engine.build_error and "nonsense" in engine.build_error
+        assert isinstance(ask(engine, 14, setup), Result) and isinstance(ask(engine, 13, other), Result)
+        assert (ask(engine, 13, setup, ("final",)).images["final"] == good).all()
+        while engine.poll():
+            pass
+        (folder / "holes.cl").write_text(text.replace("store_color(mean.xyz,", "store_color(9.0f + mean.xyz,"))
+        result = wait_for(engine.poll)  # of its own accord
+        assert engine.build_error is None and result.request.slot == 13
+        changed = result.images["final"] != good
+        assert changed.any() and not changed.all()
+        (folder / "holes.cl").write_text(text)
+        engine.reload_kernels()
+        assert (wait_for(engine.poll).images["final"] == good).all()
+    warp = (folder / "warp.cl").read_text()
+    (folder / "warp.cl").write_text("nonsense\n")  # from the start
+    with running(lambda: Device(device.cl_device, device.info), Clip()) as engine:
+        assert "warp.cl" in ask(engine, 13, setup, ("final",)).message and "warp.cl" in engine.build_error
+        (folder / "warp.cl").write_text(warp)
+        assert (wait_for(engine.poll).images["final"] == good).all() and engine.build_error is None
+
+
+# ---- sources ----------------------------------------------------------------------------------------------
+
+
+def write(folder, window=None, render_size=None, count=6):
+    """The clip as a sequence on disk with truth at α = 0.5; `window(k)` is what frame k is rendered through."""
+    with SequenceWriter(folder, W, H, FPS) as writer:
+        before = None
+        for k in range(count):
+            shown = pose(k)
+            through = window(k).camera(shown, (W, H), render_size) if window else shown
+            frame = SCENE.frame(through, k / FPS, *(render_size or (W, H)), before, reset=k == 0)
+            before = (through, k / FPS)
+            entry = FrameEntry(
+                f"frame_{k}.exr", k / FPS, "rendered", k == 0, render_size, through, display_camera=shown
+            )
+            writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
+            between = (k + 0.5) / FPS
+            color = SCENE.color(pose(k + 0.5), between, W, H).astype(np.float16)
+            writer.add(
+                FrameEntry(f"truth_{k}.exr", between, "ground_truth", display_camera=pose(k + 0.5)),
+                named_channels(color),
+            )
+    return open_sequence(folder)
+
+
+def breathing(k):
+    return fixed_window(1.15 + 0.05 * (k % 3))
+
+
+@pytest.mark.parametrize("render_size", [None, (112, 72)])
+@pytest.mark.parametrize("window", [None, "off"])
+def test_a_recorded_sequence_is_shown_as_a_run_extrapolates_it(device, tmp_path, window, render_size):
+    sequence = write(tmp_path / "s", render_size and breathing, render_size)
+    setup, wanted = Setup(window=window), [(k, j) for k in range(6) for j in range(2)]
+    plain = Recorded(sequence, device, window)
+    given = [frame for _, frame, _ in plain.frames([0.5], False)]
+    expected = plain_run(
+        device, given, setup, wanted, lambda at: plain.camera_at(at / FPS), render_size=plain.render_size
+    )
+    with running(device, lambda d: RecordedSource(sequence, d, cache_bytes=1)) as engine:
+        assert engine.source.windowed == bool(render_size)
+        for at in (*wanted, (2, 1), (5, 1)):
+            result = ask(engine, *slots(setup, at), setup, expected[at] if at[1] else ("final",), metrics=True)
+            assert_same(result.images, expected[at], None if at[1] else ["final"])
+        if render_size and window is None:
+            whole = ask(engine, 10, replace(setup, show_window=True), ("final", "rendered.color")).images
+            assert whole["final"].shape == (72, 112, 4) and (whole["final"] == whole["rendered.color"]).all()
+        assert wait_for(engine.poll_metrics).psnr > 20
+        error = ask(engine, 3, replace(setup, window="adaptive"))
+        assert "adaptive" in error.message and isinstance(ask(engine, 3, setup), Result)
+
+
+def test_a_damaged_file_is_reported_when_its_turn_comes(device, tmp_path):
+    sequence = write(tmp_path / "s")
+    with running(device, lambda d: RecordedSource(sequence, d)) as engine:
+        path = tmp_path / "s" / "frame_2.exr"
+        whole = path.read_bytes()
+        path.write_bytes(whole[: len(whole) // 2])
+        assert isinstance(ask(engine, 3, Setup()), Result)
+        error = ask(engine, 5, Setup())
+        assert isinstance(error, EngineError) and "frame_2.exr" in error.message
+        assert "frame_2.exr" in ask(engine, 7, Setup()).warnings[-1]
+        (tmp_path / "s" / "truth_4.exr").write_bytes(b"nothing")
+        result = ask(engine, 9, Setup(), ("final", "truth"))
+        assert "final" in result.images and "truth" not in result.images and "truth_4.exr" in result.warnings[-1]
+        path.write_bytes(whole)
+        assert isinstance(ask(engine, 5, Setup()), Result)
+
+
+def test_frames_are_read_ahead_and_once(device, tmp_path):
+    sequence, read = write(tmp_path / "s"), []
+    whole = sequence.read
+
+    def reading(entry):
+        read.append((entry.file, threading.current_thread().name))
+        return whole(entry)
+
+    sequence.read = reading
+    with running(device, lambda d: RecordedSource(sequence, d)) as engine:
+        ask(engine, 0, Setup())
+        wait_for(lambda: len(read) == 3)
+        assert [name.startswith("gffe-viewer-read") for _, name in read] == [False, True, True]
+        for slot in range(2, 12):
+            ask(engine, slot, Setup())
+        ask(engine, 3, Setup())
+        assert sorted(file for file, _ in read) == [f"frame_{k}.exr" for k in range(6)]
+
+
+SMALL = (64, 40)
+
+
+def scene_source(device, **given):
+    return SceneSource(load_scene("plaza"), device, *SMALL, samples=1, **given)
+
+
+@pytest.mark.parametrize("kept", [0, 1 << 30])
+def test_a_scene_is_rendered_as_a_run_renders_it(device, kept):
+    """Through an adaptive window: the same frames and the same extrapolation, at first and when frames are kept."""
+    setup, wanted = Setup(window="adaptive"), [(4, 0), (4, 1)]
+    scene = load_scene("plaza")
+    renderer, windows = SceneRenderer(device, scene, *SMALL, samples=1), WindowChooser("adaptive", SMALL, [0.5])
+    given = []
+    for step in sequence_frames(scene, *SMALL, 5, 30.0, ground_truth=False, windows=windows):
+        image = renderer.render(step.time, step.camera, step.previous_time, step.previous_camera).numpy()
+        windows.observe(image.depth[::16])
+        arrays = (image.color, image.depth, image.motion)
+        given.append(RenderedFrame(*arrays, step.camera, step.time, step.display_camera, step.reset))
+    assert given[4].camera != given[4].display_camera
+    expected = plain_run(device, given, setup, wanted, lambda at: scene.camera(at / 30, *SMALL), size=SMALL)
+    with running(device, lambda d: scene_source(d, cache_bytes=kept)) as engine:
+        ask(engine, 22, setup)  # frame 3 begins a warm-up
+        for _ in range(2):
+            ask(engine, 0, setup)
+            for at, slot in zip(wanted, (8, 9), strict=True):
+                result = ask(engine, slot, setup, ("final", "rendered.color", "rendered.depth", "rendered.motion"))
+                assert_same(result.images, expected[at], ["final"])
+                assert result.source_camera == given[4].camera and result.display_camera == given[4].display_camera
+                assert result.previous_camera == given[3].camera and result.time == result.alpha / 30 + given[4].time
+                assert (result.images["rendered.color"][..., :3] == given[4].color).all()
+                assert (result.images["rendered.depth"] == given[4].depth).all()
+                assert result.images["rendered.motion"].tobytes() == given[4].motion.tobytes()
+
+
+def test_flown_poses_are_replayed(device):
+    setup = Setup(n=1)
+    with running(device, scene_source) as engine:
+        source = engine.source
+        path = [replace_position(source.camera(0, 0.0), 0.04 * s) for s in range(8)]
+        flown, own = {}, ask(engine, 5, setup, ("final",)).images["final"]
+        for slot in range(8):
+            source.fly(slot // 2, slot % 2 / 2, path[slot])
+            result = ask(engine, slot, setup, ("final", "truth"))
+            assert result.camera == path[slot]
+            flown[slot] = result.images
+        assert (flown[5]["final"] != own).any()
+        ask(engine, 7, setup, metrics=True)
+        wait_for(engine.poll_metrics)
+        assert ask(engine, 7, setup, metrics=True).psnr is not None
+        source.fly(3, 0.5, path[6])
+        assert ask(engine, 7, setup, metrics=True).psnr is None  # of another picture
+        source.fly(3, 0.5, path[7])
+        for slot in (5, 2, 0, 1, 7):
+            again = ask(engine, slot, setup, ("final", "truth")).images
+            assert all((again[name] == flown[slot][name]).all() for name in again)
+        source.fly(3, 0.0, path[0])  # too late for slot 7 ...
+        assert (ask(engine, 7, setup, ("final",)).images["final"] == flown[7]["final"]).all()
+        assert source.camera(3, 0.0) == path[6]
+        source.fly(3, 0.0, path[0])  # ... but not for the frame itself
+        assert ask(engine, 6, setup).camera == path[0]
+        assert (ask(engine, 7, setup, ("final",)).images["final"] != flown[7]["final"]).any()
+        source.forget_flight()
+        assert (ask(engine, 5, setup, ("final",)).images["final"] == own).all()
+
+
+def test_a_flight_goes_evenly_over_what_was_skipped(device):
+    source = scene_source(device)
+    path = [replace_position(source.camera(0, 0.0), 0.1 * k) for k in range(12)]
+    for k in range(3):
+        source.fly(k, 0.0, path[0])
+    source.fly(0, 0.0, path[0])
+    source.fly(2, 0.0, path[2])  # again, in larger steps
+    assert source.camera(1, 0.0).position == pytest.approx(path[1].position)
+    source.rendered(1)
+    source.fly(2, 0.0, path[8])
+    assert source.camera(1, 0.0).position == pytest.approx(path[1].position)  # as it was rendered
+    source.fly(11, 0.0, path[11])  # too far to be of that flight
+    assert source.camera(5, 0.0) == source.scene.camera(source.time(5), *SMALL)
+    assert source.camera(12, 0.0) == source.scene.camera(source.time(12), *SMALL)
+
+
+def replace_position(at, x):
+    return at.moved((-x, 0.0, 0.3 * x))
+
+
+def test_the_interface_keeps_a_core(device):
+    """The viewer's device gives the same bits."""
+    mine = open_viewer_device(device.info.index)
+    units = device.cl_device.max_compute_units
+    if device.info.kind == "cpu" and units > 1:
+        assert mine.cl_device.max_compute_units == units - 1
+    expected = plain_run(device, frames(), Setup(), [(2, 1)])
+    with running(mine, Clip()) as engine:
+        assert_same(ask(engine, 5, Setup(), ("final",)).images, expected[2, 1], ["final"])
+
+
+# ---- stories ----------------------------------------------------------------------------------------------
+
+
+def stories(engine, setup, slot, mask_of, most=12):
+    """The stories of about `most` pixels of the slot where `mask_of(images)` holds."""
+    images = ask(engine, slot, setup, "all").images
+    found = np.argwhere(mask_of(images))
+    assert len(found), "no such pixel"
+    told = []
+    for y, x in found[:: max(1, len(found) // most)]:
+        engine.inspect(int(x), int(y))
+        told.append(wait_for(engine.poll_inspection).story)
+    return told
+
+
+def surface_at(at, pixel):
+    """Which rectangle display pixel `pixel` shows `at` rendered frames from the start, and its place on it."""
+    which, _, local = SCENE._hit(pose(at), at / FPS, np.array(pixel) + 0.5)
+    return int(which), local
+
+
+def place_of(which, local, k):
+    """Where a place on a rectangle lies on the display at rendered frame k; None if something else is seen there."""
+    px = pose(k).project(local + SCENE.rects[which].at(k / FPS))[0]
+    return px if surface_at(k, px - 0.5)[0] == which else None
+
+
+@pytest.mark.parametrize("windowed", [False, True])
+def test_stories_of_fragments(device, tmp_path, windowed):
+    """Trajectories lead over the display positions of the surface that is seen."""
+    setup, k, slot = Setup(Options(history=3, order=2)), 4, 9
+    sequence = windowed and write(tmp_path / "s", breathing, (112, 72))
+    with running(device, (lambda d: RecordedSource(sequence, d)) if windowed else Clip()) as engine:
+
+        def told(dynamic):
+            for story in stories(
+                engine, setup, slot, lambda i: (i["warp.filled_by"] == 0) & (i["warp.dynamic"] == dynamic)
+            ):
+                assert story.filled_by == "its own fragment" and story.dynamic == dynamic
+                np.testing.assert_allclose(story.trajectory[-1], np.add(story.pixel, 0.5), atol=0.5001)
+                which, local = surface_at(k + 0.5, story.pixel)
+                if which >= 0 and (which == MOVER) == dynamic:
+                    yield story, which, local
+
+        checked = 0
+        for story, which, local in told(False):
+            assert story.residual <= story.threshold and "Static" in story.sentences[1] and len(story.trajectory) == 2
+            place = place_of(which, local, k)
+            if place is not None:
+                np.testing.assert_allclose(story.trajectory[0], place, atol=1.0)
+                checked += 1
+        assert checked > 5
+        checked = 0
+        for story, which, local in told(True):
+            assert story.residual > story.threshold and "Dynamic" in story.sentences[1] and len(story.trajectory) == 4
+            assert "by a polynomial of order 2 from its last 3 positions" in story.sentences[2]
+            if all(place_of(which, local, m) is not None for m in (k - 2, k - 1, k)):
+                were = [local + SCENE.rects[MOVER].at(m / FPS) for m in (k - 2, k - 1, k)]
+                np.testing.assert_allclose(story.trajectory[:3], pose(k).project(were)[0], atol=1.0)
+                checked += 1
+        assert checked > 5
+        sky = stories(engine, setup, slot, lambda i: (i["warp.filled_by"] == 0) & np.isinf(i["warp.depth"]))
+        assert all("Sky" in story.sentences[1] and len(story.trajectory) == 2 for story in sky)
+
+
+def test_stories_tell_of_the_fragment_that_landed(device):
+    """Seen from farther back several source pixels meet in one: it is of the surface that is shown."""
+
+    def at_silhouettes(images):
+        dynamic = images["warp.dynamic"].astype(int)
+        edge = sum(np.abs(dynamic - np.roll(dynamic, 1, axis)) for axis in (0, 1)) > 0
+        return edge & (images["warp.filled_by"] == 0)
+
+    with running(device, Clip(back=4.0)) as engine:
+        dynamic = ask(engine, 9, Setup(), ("warp.dynamic",)).images["warp.dynamic"]
+        told = stories(engine, Setup(), 9, at_silhouettes, most=150)
+        assert len(told) > 10
+        for story in told:
+            assert story.dynamic == bool(dynamic[story.pixel[1], story.pixel[0]])
+            np.testing.assert_allclose(story.trajectory[-1], np.add(story.pixel, 0.5), atol=0.5001)
+
+
+def test_stories_of_cracks_rendered_frames_and_no_motion(device):
+    with running(device, Clip()) as engine:
+        for story in stories(engine, Setup(), 13, lambda i: i["warp.filled_by"] == 254):
+            assert "Crack closing" in story.sentences[0] and len(story.trajectory) >= 2
+            assert np.linalg.norm(np.subtract(story.trajectory[-1], story.pixel) - 0.5) < 2
+        still = stories(engine, Setup(Options(motion=False)), 13, lambda i: i["warp.filled_by"] == 0)
+        assert all(s.residual is None and ("off" in s.sentences[1] or "Sky" in s.sentences[1]) for s in still)
+        for story in stories(engine, Setup(), 12, lambda i: i["history.dynamic_mask"] == 1):
+            assert story.filled_by == "rendered frame" and story.dynamic
+            np.testing.assert_allclose(story.trajectory[-1], np.add(story.pixel, 0.5))
+        first = stories(engine, Setup(), 0, lambda i: i["rendered.depth"] < 9)
+        assert all("No frame before" in story.sentences[1] for story in first)
+
+
+def test_stories_of_holes_and_of_the_background(device):
+    setup, k = Setup(), 6
+    with running(device, Clip()) as engine:
+        behind = stories(engine, setup, 13, lambda i: (i["warp.filled_by"] == 1) & (i["warp.disoccluded"] == 1))
+        right = 0
+        for story in behind:
+            assert story.level == 0 and story.filled_by == "background level 0" and story.dynamic is None
+            assert "hidden now, last at (" in story.sentences[0] and len(story.trajectory) == 2
+            which, local = surface_at(6.5, story.pixel)
+            if which == 0:
+                expected = pose(k).project(local + SCENE.rects[0].at(0))[0]
+                right += np.abs(expected - story.level_px).max() < 2.5
+            np.testing.assert_allclose(story.trajectory[0], story.level_px, atol=1e-4)
+        assert right > len(behind) / 2
+        holes = stories(engine, setup, 13, lambda i: i["warp.filled_by"] == 255)
+        assert all("far side" in s.sentences[1] and s.filled_by == "hole filling" for s in holes)
+        assert any("outside the rendered image" in s.sentences[-1] for s in holes)
+        empty = stories(engine, Setup(Options(hole_filling="none", levels=0)), 13, lambda i: i["warp.filled_by"] == 255)
+        assert all("Hole filling is off" in s.sentences[1] and "no background" in s.sentences[0] for s in empty)

@@ -1,0 +1,349 @@
+"""Layers of the viewer: what there is, ranges, legends, texts, settings. No OpenGL."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gffe_cl import Camera, Options, Pipeline
+from gffe_cl.stage import Sizes, Stage
+from gffe_cl.stages.background import Background, _level_buffers
+from gffe_cl.stages.history import HistoryTracking
+from gffe_cl.stages.holes import HoleFilling
+from gffe_cl.stages.prediction import PositionPrediction
+from gffe_cl.stages.presentation import Presentation
+from gffe_cl.stages.shading import ShadingInputs
+from gffe_cl.stages.warp import FILLED_BY, Warp
+from gffe_cl.viewer.layers import (
+    COLOR_MAPS,
+    FRAME_LAYERS,
+    LABEL_COLORS,
+    SKY,
+    TONE_MAPS,
+    VIEWS,
+    Display,
+    FrameInfo,
+    LayerSpec,
+    area_of,
+    color_table,
+    default_display,
+    fitted,
+    layer_of,
+    layers_of,
+    legend,
+    shown_as,
+    value_text,
+    wheel_color,
+)
+
+DEPTH, MOTION, FINAL = (FRAME_LAYERS[name] for name in ("rendered.depth", "rendered.motion", "final"))
+STAGES: tuple[type[Stage], ...] = (
+    HistoryTracking,
+    PositionPrediction,
+    Warp,
+    Presentation,
+    HoleFilling,
+    ShadingInputs,
+)
+SPECS = [layer_of(stage.name, spec) for stage in STAGES for spec in stage.buffers if spec.grid != "once"]
+SPECS += [layer_of(Background.name, spec) for spec in _level_buffers(1)]
+BY_NAME = {spec.name: spec for spec in SPECS} | FRAME_LAYERS
+CAMERA = Camera(np.eye(4), 100.0, 110.0, 32.0, 24.0)
+
+
+def ranged(spec, image, display=None, **known):
+    return fitted(spec, np.asarray(image, np.float32), display or default_display(spec), **known)
+
+
+def test_stage_buffers_become_layers():
+    spec = BY_NAME["warp.filled_by"]
+    assert (spec.label, spec.group, spec.view, spec.grid) == ("Filled by", "warp", "label", "target")
+    assert spec.labels == FILLED_BY and spec.channels == ("value",)
+    assert BY_NAME["prediction.target_position"].places_in == "target"
+    assert BY_NAME["background.px_1"].places_in == "rendered"
+    assert all(spec.description and spec.view in VIEWS for spec in BY_NAME.values())
+
+
+def test_layers_of_a_pipeline_come_in_its_order(device):
+    layers = layers_of(Pipeline(device, 64, 48, Options(shading_inputs=True)))
+    groups = list(dict.fromkeys(spec.group for spec in layers.values()))
+    assert groups == ["frame", "history", "prediction", "warp", "background", "holes", "shading"]
+    assert list(layers)[: len(FRAME_LAYERS)] == list(FRAME_LAYERS)
+    assert "history.static_threshold_squared" not in layers  # no image
+
+
+@pytest.mark.parametrize(
+    ("name", "channel", "expected"),
+    [
+        ("final", "RGB", ("color", -1)),
+        ("final", "nonsense", ("color", -1)),
+        ("final", "G", ("color", 1)),
+        ("final", "A", ("scalar", 3)),
+        ("shading.warped_previous", "valid", ("scalar", 3)),
+        ("rendered.depth", "", ("depth", 0)),
+        ("rendered.motion", "vector", ("motion", -1)),
+        ("rendered.motion", "y", ("scalar", 1)),
+        ("prediction.target_position", "depth", ("depth", 2)),
+        ("history.history", "known", ("mask", 3)),
+        ("history.history", "z", ("scalar", 2)),
+    ],
+)
+def test_channel_decides_how_it_is_shown(name, channel, expected):
+    assert shown_as(BY_NAME[name], Display(channel=channel)) == expected
+
+
+displays = st.builds(
+    Display,
+    exposure=st.floats(-20, 20),
+    tone_map=st.sampled_from(TONE_MAPS),
+    channel=st.sampled_from(["RGB", "A", "vector", ""]),
+    low=st.floats(-1e6, 1e6),
+    high=st.floats(-1e6, 1e6),
+    color_map=st.sampled_from(COLOR_MAPS),
+    inverse=st.booleans(),
+    motion_scale=st.floats(1e-3, 1e4),
+    reverse=st.booleans(),
+    plane=st.integers(0, 3),
+    tint=st.tuples(*[st.floats(0, 1)] * 3),
+)
+
+
+@given(displays)
+@settings(max_examples=50, deadline=None)
+def test_display_survives_json(display):
+    assert Display.from_dict(json.loads(json.dumps(display.to_dict()))) == display
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"exposure": "bright"},
+        {"exposure": float("nan")},
+        {"tone_map": "filmic"},
+        {"color_map": 3},
+        {"plane": -1},
+        {"motion_scale": 0},
+        {"tint": [1, 2]},
+        {"inverse": 1},
+        {"unknown": 1},
+        {"low": None},
+    ],
+)
+def test_damaged_settings_fall_back(damage):
+    assert Display.from_dict({"high": 7} | damage) == Display(high=7.0)
+
+
+def test_settings_that_are_no_dictionary():
+    assert Display.from_dict([1, 2]) == Display()
+
+
+# ---- ranges --------------------------------------------------------------------------------------------
+
+
+def test_depth_range_skips_sky_invalid_and_outliers():
+    depth = np.random.default_rng(1).uniform(2, 10, (60, 80))
+    depth[0, :6] = (np.inf, np.nan, 0, -5, 1e9, 1e-9)
+    made = ranged(DEPTH, depth)
+    valid = depth[np.isfinite(depth) & (depth > 0)]
+    assert (made.low, made.high) == pytest.approx(tuple(np.quantile(valid, (0.01, 0.99))), rel=1e-5)
+
+
+def test_range_of_nothing_is_left_alone():
+    display = Display(low=3, high=4, motion_scale=5)
+    assert ranged(DEPTH, np.full((4, 4), np.inf), display) == display
+    assert ranged(MOTION, np.full((4, 4, 2), np.nan), display) == display
+    assert ranged(DEPTH, np.zeros((0, 4)), display) == display
+    assert ranged(FINAL, np.ones((4, 4, 4)), display) == display
+
+
+@pytest.mark.parametrize("value", [0.0, 1.0, -3.0])
+def test_range_of_one_value_holds_zero_and_is_not_empty(value):
+    made = ranged(BY_NAME["shading.input_mask"], np.full((9, 9), value))
+    assert made.low <= min(value, 0) and made.high >= max(value, 0) and made.high > made.low
+
+
+def test_range_shows_the_few_that_differ():
+    values = np.full((100, 100), 0.5)
+    values[50, :20] = 1
+    assert (ranged(BY_NAME["shading.input_mask"], values).low, ranged(BY_NAME["shading.input_mask"], values).high) == (
+        0,
+        1,
+    )
+
+
+@pytest.mark.parametrize("width", [512, 640, 1000])
+def test_samples_are_few_and_from_all_columns(width, monkeypatch):
+    seen = []
+    quantile = np.quantile
+    monkeypatch.setattr(np, "quantile", lambda values, at: (seen.append(len(values)), quantile(values, at))[1])
+    across = np.broadcast_to(np.arange(1, width + 1, dtype=np.float32), (800, width))
+    made = ranged(DEPTH, across)
+    assert max(seen) <= 65536
+    assert made.low == pytest.approx(0.01 * width, abs=0.01 * width)
+    assert made.high == pytest.approx(0.99 * width, rel=0.01)
+
+
+def test_motion_scale_is_a_high_quantile_of_length():
+    motion = np.random.default_rng(2).normal(0, 3, (50, 70, 2))
+    motion[0, 0] = np.inf
+    expected = np.quantile(np.hypot(*motion.reshape(-1, 2)[1:].T), 0.99)
+    assert ranged(MOTION, motion).motion_scale == pytest.approx(expected, rel=1e-5)
+
+
+def test_place_scale_counts_from_the_own_position():
+    x, y = np.meshgrid(np.arange(40) + 0.5, np.arange(30) + 0.5)
+    spec = BY_NAME["background.px_1"]
+    px = np.stack([2 * x + 3, 2 * y - 4], -1)  # 5 px away in a rendered image of twice the size
+    px[0, 0] = 0  # nothing there
+    assert ranged(spec, px, frame=FrameInfo((160, 120), render_size=(80, 60))).motion_scale == pytest.approx(
+        5, rel=1e-4
+    )
+
+
+def test_target_places_count_in_the_target_image():
+    x, y = np.meshgrid((np.arange(40) + 0.5) / 40, (np.arange(30) + 0.5) / 30)
+    ahead = np.stack([x * 160 + 6, y * 120, np.ones_like(x), np.zeros_like(x)], -1)
+    ahead[1, 1] = (1e6, 0, -1, 0)  # nothing to splat
+    frame = FrameInfo((160, 120), render_size=(40, 30))
+    assert ranged(BY_NAME["prediction.target_position"], ahead, frame=frame).motion_scale == pytest.approx(6, rel=1e-4)
+
+
+def test_world_range_is_of_distances_from_the_own_fragment():
+    depth = np.full((48, 64), 5.0, np.float32)
+    x, y = np.meshgrid(np.arange(64) + 0.5, np.arange(48) + 0.5)
+    own = CAMERA.unproject(np.stack([x, y], -1), depth)
+    history = np.concatenate([own, np.ones((48, 64, 1))], -1)
+    history[10:20, 10:20, :3] += (0, 2, 0)
+    history[30, 30] = (9e9, 0, 0, 0)  # not known
+    spec = BY_NAME["history.history"]
+    made = ranged(spec, history, frame=FrameInfo((64, 48), source=CAMERA), depth=depth)
+    assert (made.low, made.high) == (0, pytest.approx(2, rel=2e-3))
+    assert ranged(spec, history) == default_display(spec)  # unknown without depth and camera
+
+
+def test_plane_is_ranged_on_its_own():
+    spec = replace(BY_NAME["shading.input_mask"], planes=2)
+    image = np.stack([np.linspace(0, 1, 400).reshape(20, 20), np.linspace(5, 9, 400).reshape(20, 20)])
+    assert ranged(spec, image, Display(plane=1)).low > 5
+
+
+# ---- geometry ------------------------------------------------------------------------------------------
+
+
+def test_area_of_a_window():
+    display = Camera(np.eye(4), 100.0, 100.0, 50.0, 40.0)
+    render = Camera(np.eye(4), 80.0, 90.0, 55.0, 38.0)
+    area = area_of(render, (100, 80), display, (100, 80))
+    corner = display.unproject(np.array([[0.0, 0.0], [100.0, 80.0]]), np.ones(2))
+    px = render.project(corner)[0] / (100, 80)
+    np.testing.assert_allclose(area, px.ravel())
+
+
+def test_own_place_in_the_target_seen_through_a_window():
+    """A texel in the middle of the part of the rendered image that is shown lies in the middle of the target."""
+    frame = FrameInfo((100, 80), target_size=(200, 160), source_area=(0.1, 0.2, 0.7, 0.9))
+    scale_x, scale_y, offset_x, offset_y = frame.own_place(BY_NAME["prediction.target_position"])
+    assert (0.4 * scale_x + offset_x, 0.55 * scale_y + offset_y) == pytest.approx((100, 80))
+    assert frame.own_place(BY_NAME["background.px_1"]) == (100, 80, 0, 0)
+
+
+# ---- colours, legends, texts ---------------------------------------------------------------------------
+
+
+def test_color_maps_run_as_they_should():
+    ends = {
+        "turbo": ("30123b", "7a0403"),
+        "viridis": ("440154", "fde725"),
+        "grey": ("000000", "ffffff"),
+        "heat": ("000000", "ffffff"),
+    }
+    for name in COLOR_MAPS:
+        table = color_table(name)
+        assert table.shape == (256, 3) and table.min() >= 0 and table.max() <= 1
+        expected = [[byte / 255 for byte in bytes.fromhex(end)] for end in ends[name]]
+        np.testing.assert_allclose(table[[0, -1]], expected, atol=0.13)  # the polynomials' error at turbo's ends
+        if name != "turbo":
+            assert (np.diff(table @ (0.2126, 0.7152, 0.0722)) >= -1e-6).all(), name
+    np.testing.assert_allclose(color_table("viridis")[128], (0.128, 0.567, 0.551), atol=0.02)
+
+
+def test_labels_can_be_told_apart():
+    colors = np.array(LABEL_COLORS)
+    assert colors.shape == (16, 3)
+    apart = np.linalg.norm(colors[:, None] - colors[None], axis=-1) + np.eye(16)
+    assert apart.min() > 0.15
+    shown = legend(BY_NAME["warp.filled_by"], Display()).labels
+    assert [text for text, _ in shown] == [text for _, text in FILLED_BY]
+    rgb = np.array([color for _, color in shown])
+    assert (np.linalg.norm(rgb[:, None] - rgb[None], axis=-1) + np.eye(len(rgb))).min() > 0.35
+
+
+def test_the_full_set_of_bits_is_calm():
+    shown = dict(legend(BY_NAME["warp.links"], Display()).labels)
+    assert shown["15"] == LABEL_COLORS[0] and shown["0"] == LABEL_COLORS[15]
+
+
+def test_ramp_legend():
+    made = legend(DEPTH, Display(low=2, high=10, color_map="viridis"))
+    assert [text for _, text, _ in made.ticks] == ["2", "4", "6", "8", "10"]
+    assert made.labels == (("sky", SKY),) and made.unit == "world units"
+    np.testing.assert_allclose(made.ticks[0][2], color_table("viridis")[0])
+    inverse = legend(DEPTH, Display(low=2, high=10, inverse=True)).ticks
+    assert float(inverse[2][1]) == pytest.approx(1 / (0.5 * (1 / 2 + 1 / 10)), rel=1e-3)
+
+
+def test_wheel_legend_and_colors():
+    made = legend(MOTION, Display(motion_scale=8))
+    assert made.kind == "wheel" and made.unit == "full colour from 8 px" and len(made.ticks) == 8
+    assert wheel_color(0, 1) == (1, 0, 0) and wheel_color(0.5, 5) == (0, 1, 1)
+    assert wheel_color(0.3, 0) == (0.08,) * 3
+
+
+def test_channel_of_a_vector_has_a_ramp():
+    assert legend(MOTION, Display(channel="x")).kind == "ramp" and legend(FINAL, Display()).kind == "none"
+    assert legend(BY_NAME["warp.mixed"], Display(tint=(1, 0, 0))).labels[1] == ("1", (1, 0, 0))
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "text"),
+    [
+        ("final", (0.5, 0.25, 12.345, 0), "R 0.5  G 0.25  B 12.35"),
+        ("final", (np.nan, np.inf, 0), "R NaN  G inf  B 0"),
+        ("shading.warped_previous", (1, 2, 3, 0), "R 1  G 2  B 3  valid 0"),
+        ("rendered.depth", np.float32(3.25), "3.25 world units"),
+        ("rendered.depth", np.inf, "sky"),
+        ("rendered.depth", -1, "no depth (-1)"),
+        ("rendered.depth", np.nan, "no depth (NaN)"),
+        ("rendered.motion", (3, -4), "(+3.00, -4.00) px, 5.00 px long"),
+        ("prediction.target_position", (1.5, 2, 7, 0), "(1.50, 2.00) px, depth 7"),
+        ("prediction.target_position", (1.5, 2, np.inf, 0), "(1.50, 2.00) px, depth sky"),
+        ("prediction.target_position", (0, 0, -1, 0), "nothing"),
+        ("background.px_1", (0, 0), "nothing"),
+        ("history.history", (1, 2, 3, 1), "(1, 2, 3) world units"),
+        ("history.history", (1, 2, 3, 0), "not known"),
+        ("warp.dynamic", np.uint8(1), "yes"),
+        ("warp.filled_by", np.uint8(254), "254: crack closing"),
+        ("warp.filled_by", np.uint8(77), "77"),
+        ("warp.links", np.uint8(15), "15"),
+        ("holes.block_inverse_depth", 0.123456, "0.1235"),
+    ],
+)
+def test_value_texts(name, values, text):
+    assert value_text(BY_NAME[name], values) == text
+
+
+def test_every_buffer_of_the_stages_has_a_display_and_texts():
+    sizes = Sizes((64, 48), (64, 48))
+    stages = [*STAGES, Background]
+    for stage in stages:
+        buffers = _level_buffers(1) if stage is Background else stage.buffers
+        for buffer in (spec for spec in buffers if spec.grid != "once"):
+            spec, array = layer_of(stage.name, buffer), np.ones(buffer.shape(sizes), buffer.dtype)
+            assert isinstance(spec, LayerSpec)
+            for channel in spec.channels:
+                display = fitted(spec, array, replace(default_display(spec), channel=channel), FrameInfo((64, 48)))
+                assert legend(spec, display).kind in ("none", "ramp", "wheel")
+            assert value_text(spec, array[0, 0])

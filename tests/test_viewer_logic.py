@@ -1,0 +1,873 @@
+"""The viewer's parts that need neither a window nor a device: playback, actions, settings, export."""
+
+import contextlib
+import json
+import os
+import resource
+import string
+import subprocess
+import sys
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from gffe_cl.errors import GffeError
+from gffe_cl.sequence.exr import read_channels
+from gffe_cl.viewer.actions import IMGUI_KEYS, MODIFIERS, Action, Actions, parse_shortcut, shortcut_text
+from gffe_cl.viewer.export import export_video, save_layers_exr, save_png, unused_name
+from gffe_cl.viewer.layers import LayerSpec
+from gffe_cl.viewer.playback import EVERY_FRAME, MODES, REAL_TIME, Playback
+from gffe_cl.viewer.settings import Settings, default_path
+
+cases = settings(deadline=None, max_examples=100)
+
+# -- playback --------------------------------------------------------------------------------------------------------
+
+
+class Engine:
+    """Answers the newest request after `latency` seconds, one at a time."""
+
+    def __init__(self, latency, ready):
+        self.latency, self.ready, self.asked, self.working, self.done = latency, ready, ready, None, 0.0
+
+    def submit(self, now, slot):
+        self.asked = slot
+        self._begin(now)
+
+    def poll(self, now):
+        while self.working is not None and self.done <= now:
+            self.ready, self.working = self.working, None
+            self._begin(self.done)
+        return self.ready
+
+    def _begin(self, now):
+        if self.working is None and self.asked != self.ready:
+            self.working, self.done = self.asked, now + self.latency
+
+
+def played(playback, ticks, latency=0.0, start=1000.0):
+    """(now, slot, visible) after each tick; `ticks`: seconds between them. What is visible at first was delivered."""
+    playback.tick(start, playback.slot)
+    engine = Engine(latency, playback.slot)
+    playback.play()
+    now = start
+    for seconds in (0.0, *ticks):
+        now += seconds
+        tick = playback.tick(now, engine.poll(now))
+        engine.submit(now, tick.request)
+        yield now, *tick
+
+
+ticks = st.lists(st.floats(0, 0.3), min_size=1, max_size=60)
+latencies = st.floats(0, 0.5)
+increasing = st.lists(st.floats(1e-3, 0.5), min_size=1, max_size=8).map(lambda gaps: list(np.cumsum(gaps)))
+
+
+@st.composite
+def playbacks(draw, loop=None, mode=None):
+    times = draw(st.none() | increasing)
+    count = len(times) if times else draw(st.integers(1, 9))
+    playback = Playback(count, draw(st.sampled_from((5.0, 30.0, 60.0))), draw(st.integers(0, 4)), times)
+    playback.loop = draw(st.booleans()) if loop is None else loop
+    playback.mode = draw(st.sampled_from(MODES)) if mode is None else mode
+    playback.speed = draw(st.floats(0.1, 4))
+    first, last = sorted(draw(st.tuples(*[st.integers(0, playback.slots - 1)] * 2)))
+    playback.set_in(first)
+    playback.set_out(last)
+    playback.seek(draw(st.integers(first, last)))
+    if not playback.loop and playback.slot == last:
+        playback.seek(first)
+    return playback
+
+
+@cases
+@given(playbacks(), ticks, latencies)
+def test_playback_stays_between_the_points_and_counts_every_slot(playback, ticks, latency):
+    for _, slot, visible in played(playback, ticks, latency):
+        assert playback.first <= slot <= playback.last and playback.first <= visible <= playback.last
+        assert playback.due == playback.shown + playback.dropped + playback.waiting
+    playback.pause()
+    assert playback.due == playback.shown + playback.dropped and playback.waiting == 0
+
+
+@cases
+@given(playbacks(loop=False, mode=REAL_TIME), ticks, latencies)
+def test_real_time_never_goes_back(playback, ticks, latency):
+    slots, visibles = zip(*[(slot, visible) for _, slot, visible in played(playback, ticks, latency)], strict=True)
+    assert list(slots) == sorted(slots) and list(visibles) == sorted(visibles)
+    assert playback.shown == len(set(visibles)) - 1  # the first one was there before
+    assert playback.due <= slots[-1] - slots[0]
+    assert all(visible <= slot for slot, visible in zip(slots, visibles, strict=True))
+
+
+@cases
+@given(playbacks(loop=True, mode=REAL_TIME), ticks)
+def test_real_time_follows_the_clock_through_laps(playback, ticks):
+    start = playback.time_of(playback.first)
+    length = playback.time_of(playback.last + 1) - start
+    at = playback.time_of(playback.slot) - start
+    for now, slot, _ in played(playback, ticks):
+        due = start + (at + (now - 1000.0) * playback.speed) % length
+        laps = np.array([due - length, due, due + length])
+        assert np.abs(laps - np.clip(laps, playback.time_of(slot), playback.time_of(slot + 1))).min() < 1e-5
+
+
+@cases
+@given(playbacks(mode=EVERY_FRAME), ticks, latencies)
+def test_every_frame_shows_every_slot_but_none_too_early(playback, ticks, latency):
+    start, length = playback.slot, playback.last - playback.first + 1
+    history = list(played(playback, ticks, latency))
+    shown = [history[0][2]]
+    for (_, _, before), (_, _, visible) in zip(history, history[1:], strict=False):
+        if visible != before:
+            shown.append(visible)
+    assert shown == [playback.first + (start - playback.first + i) % length for i in range(len(shown))]
+    assert playback.dropped == 0
+    if length > 1:
+        assert playback.shown == len(shown) - 1
+    asked = [now for (_, before, _), (now, slot, _) in zip(history, history[1:], strict=False) if slot != before]
+    least = min(playback.time_of(s + 1) - playback.time_of(s) for s in range(playback.first, playback.last + 1))
+    assert len(asked) <= (history[-1][0] - history[0][0]) * playback.speed / least + 1.001
+
+
+BY_HAND = [
+    lambda playback, number: playback.seek(number),
+    lambda playback, number: playback.step(number),
+    lambda playback, number: playback.step_rendered(-1 if number % 2 else 1),
+    lambda playback, number: playback.home(),
+    lambda playback, number: playback.end(),
+]
+OTHERWISE = [
+    lambda playback, number: setattr(playback, "scrubbing", number > 20),
+    lambda playback, number: setattr(playback, "n", number % 8),
+    lambda playback, number: setattr(playback, "loop", not playback.loop),
+    lambda playback, number: setattr(playback, "mode", MODES[number % 2]),
+    lambda playback, number: setattr(playback, "speed", number / 10),
+    lambda playback, number: playback.set_in(number),
+    lambda playback, number: playback.set_out(number),
+    lambda playback, number: playback.clear_points(),
+    lambda playback, number: playback.toggle(),
+    lambda playback, number: playback.play(),
+    lambda playback, number: playback.play(),
+]
+uses = st.tuples(st.sampled_from(BY_HAND + OTHERWISE), st.integers(-3, 40), st.floats(0, 0.2))
+
+
+@cases
+@given(playbacks(), st.lists(uses, max_size=40))
+def test_any_use_of_playback_is_sound(playback, uses):
+    now = 5.0
+    for use, number, seconds in uses:
+        use(playback, number)
+        assert not (playback.playing and (use in BY_HAND or playback.scrubbing))
+        visible, was_playing = playback.visible, playback.playing
+        now += seconds
+        tick = playback.tick(now, number)
+        assert tick == (playback.slot, playback.visible)
+        assert 0 <= tick.request < playback.slots and 0 <= playback.first <= playback.last < playback.slots
+        if was_playing:
+            assert playback.first <= tick.request <= playback.last
+            assert tick.visible == visible or playback.first <= tick.visible <= playback.last
+        assert playback.due == playback.shown + playback.dropped + playback.waiting
+        assert min(playback.due, playback.shown, playback.dropped, playback.waiting) >= 0
+
+
+def test_real_time_drops_what_is_late_and_reports_rates():
+    playback = Playback(100, 30.0, 1)
+    playback.loop = False
+    fast = list(played(playback, [1 / 60] * 90, latency=0.001))
+    assert (playback.dropped, playback.target_rate) == (0, 60) and playback.rate == pytest.approx(60, abs=1.1)
+    assert fast[-1][1:] == (90, 89)
+    playback.home()
+    list(played(playback, [1 / 60] * 120, latency=0.045))  # 22.2 slots a second
+    assert playback.rate == pytest.approx(22.2, abs=1.1)
+    assert playback.due == 120 and playback.shown == pytest.approx(44.4, abs=2) and playback.dropped > 70
+
+
+def test_every_frame_keeps_the_pace_between_ticks_but_does_not_catch_up():
+    playback = Playback(1000, 50.0, 0)
+    playback.mode = EVERY_FRAME
+    assert list(played(playback, [1 / 60] * 120, latency=0.005))[-1][1] == 100
+    playback.home()
+    late = [slot for _, slot, _ in played(playback, [0.001] * 10 + [0.9] + [0.001] * 90)]
+    assert late[10:14] == [0, 1, 2, 2] and late[-1] == 6  # a slot each 20 ms, one of them early
+
+
+def test_nothing_counts_as_shown_that_was_not_delivered():
+    playback = Playback(10, 10.0, 0)
+    playback.play()
+    for now in range(0, 65):  # nothing comes: the first slot stays asked for in "every frame", not in real time
+        assert playback.tick(now / 20, None) == (now // 2 % 10, None)
+    assert (playback.shown, playback.dropped, playback.due, playback.waiting) == (0, 0, 33, 33)
+    playback.mode = EVERY_FRAME
+    assert [playback.tick(4 + i, None).request for i in range(3)] == [2, 2, 2]
+    assert [playback.tick(7 + i, 2).request for i in range(2)] == [3, 3]
+    playback.mode = REAL_TIME
+    for now in range(40):  # the engine hangs: the slot shown comes round again, and is what is due
+        playback.tick(8.0 + now / 20, 2)
+    assert playback.shown == 1 + 2 and playback.due == playback.shown + playback.dropped + playback.waiting
+    playback.speed = 3.0  # each third slot: in 9 laps the one shown is due at a tick every third time
+    assert {playback.tick(9.95 + now / 10, 2).request for now in range(32)} == set(range(10))
+    assert playback.shown == 3 + 3
+
+
+def test_speed_and_stalls():
+    playback = Playback(1000, 10.0, 0)
+    playback.speed = 0.01
+    assert playback.speed == 0.1
+    playback.speed = 9
+    assert playback.speed == 4 and playback.target_rate == 40
+    assert [slot for _, slot, _ in played(playback, [0.5, 0.25])] == [0, 20, 30]
+    playback.tick(5000.0, None)  # the machine was asleep
+    assert playback.slot == 70
+    playback.tick(4000.0, None)
+    assert playback.slot == 70
+    with pytest.raises(GffeError, match="speed"):
+        playback.speed = float("nan")
+
+
+def test_stops_at_the_out_point_or_loops():
+    playback = Playback(10, 10.0, 0)
+    playback.loop = False
+    playback.set_in(2)
+    playback.set_out(5)
+    assert [slot for _, slot, _ in played(playback, [0.1] * 7)] == [2, 3, 4, 5, 5, 5, 5, 5] and not playback.playing
+    playback.loop = True
+    assert [slot for _, slot, _ in played(playback, [0.1] * 7)] == [5, 2, 3, 4, 5, 2, 3, 4]
+    playback.loop = False
+    playback.seek(8)
+    assert next(played(playback, []))[1] == 2
+    playback.seek(5)
+    playback.mode = EVERY_FRAME
+    assert [slot for _, slot, _ in played(playback, [0.1] * 5)] == [2, 3, 4, 5, 5, 5] and not playback.playing
+
+
+def test_moving_by_hand_clamps_and_pauses():
+    playback = Playback(5, 30.0, 2)
+    for move, argument, slot in (
+        ("seek", -4, 0),
+        ("step", -1, 0),
+        ("step_rendered", -1, 0),
+        ("step", 4, 4),
+        ("step_rendered", -1, 3),
+        ("step_rendered", -1, 0),
+        ("step_rendered", 1, 3),
+        ("seek", 11, 11),
+        ("step_rendered", 1, 12),
+        ("seek", 99, 14),
+        ("step_rendered", 1, 14),
+        ("step", 1, 14),
+    ):
+        playback.play()
+        getattr(playback, move)(argument)
+        assert playback.slot == slot and not playback.playing
+    playback.set_in(4)
+    playback.set_out(9)
+    for move, slot in (("home", 4), ("home", 0), ("end", 9), ("end", 14), ("end", 14)):
+        getattr(playback, move)()
+        assert playback.slot == slot
+
+
+def test_points_push_each_other_out():
+    playback = Playback(10, 30.0, 0)
+    playback.set_out(4)
+    playback.set_in(6)
+    assert (playback.in_point, playback.out_point, playback.first, playback.last) == (6, None, 6, 9)
+    playback.set_out(2)
+    assert (playback.in_point, playback.out_point, playback.first, playback.last) == (None, 2, 0, 2)
+    playback.clear_points()
+    assert (playback.first, playback.last) == (0, 9)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_points_set_while_playing(mode):
+    playback = Playback(10, 10.0, 0)
+    playback.mode = mode
+    assert list(played(playback, [0.1] * 3))[-1][1] == 3
+    playback.set_in(6)
+    playback.set_out(7)
+    assert playback.playing and [playback.tick(1000.3, 3).request for _ in range(2)] == [6, 6]
+    assert playback.due == playback.shown + playback.dropped + 1
+    later = [playback.tick(1000.35 + i / 10, None).request for i in range(3)]
+    assert later == ([6, 7, 6] if mode == REAL_TIME else [6, 6, 6])  # not delivered
+
+
+def test_scrubbing_stands_still_and_stays_paused():
+    playback = Playback(10, 30.0, 0)
+    playback.play()
+    playback.scrubbing = True
+    playback.seek(4)
+    playback.toggle()
+    assert [playback.tick(t, 4).request for t in (0.0, 0.5, 1.0)] == [4, 4, 4]
+    playback.scrubbing = False
+    assert playback.tick(2.0, 4).request == 4 and not playback.playing
+
+
+def test_n_changes_live_and_keeps_the_time():
+    playback = Playback(10, 30.0, 3)
+    playback.set_in(8)
+    playback.set_out(31)
+    playback.seek(22)  # frame 5, α = 1/2
+    playback.tick(0.0, 22)
+    found = []
+    for n in (0, 1, 2, 7, 3):
+        playback.n = n
+        found.append((playback.slot, playback.visible, playback.first, playback.last))
+    assert found == [(5, 5, 2, 7), (11, 10, 4, 15), (16, 15, 6, 23), (44, 40, 16, 62), (22, 20, 8, 31)]
+    playback.play()
+    playback.tick(0.0, 22)
+    playback.tick(0.01, 22)
+    playback.n = 0
+    assert playback.playing and playback.slot == 5 and playback.tick(0.031, None).request == 6
+    with pytest.raises(GffeError, match="n must be"):
+        playback.n = 8
+
+
+def test_gaps_in_time_are_waited_for():
+    playback = Playback(4, 10.0, 1, [5.0, 5.1, 5.6, 5.7])
+    playback.loop = False
+    assert [playback.time_of(s) for s in range(9)] == pytest.approx([5, 5.05, 5.1, 5.15, 5.6, 5.65, 5.7, 5.75, 5.8])
+    slots = [slot for _, slot, _ in played(playback, [0.05] * 15)]
+    assert slots == [0, 1, 2, *[3] * 9, 4, 5, 6, 7]
+    playback.home()
+    playback.mode = EVERY_FRAME
+    assert [slot for _, slot, _ in played(playback, [0.05] * 15)] == slots
+    for times in ([0, 1, 2], [0, 1, 1, 2], [0, 1, float("nan"), 2]):
+        with pytest.raises(GffeError, match="times"):
+            playback.open(4, 10.0, times)
+    assert playback.slot == 7
+
+
+def test_another_sequence():
+    playback = Playback(10, 30.0, 1)
+    playback.set_in(6)
+    playback.seek(14)
+    playback.open(8, 30.0, keep=True)
+    assert (playback.slot, playback.in_point, playback.count, playback.slots) == (14, 6, 8, 16)
+    playback.open(3, 30.0, keep=True)
+    assert (playback.slot, playback.in_point, playback.last) == (5, 5, 5)
+    playback.play()
+    playback.open(20, 24.0)
+    assert (playback.slot, playback.in_point, playback.fps, playback.visible) == (0, None, 24.0, None)
+    assert not playback.playing
+    with pytest.raises(GffeError, match="at least one"):
+        playback.open(0, 30.0)
+
+
+def test_preferences_come_back_and_damaged_ones_do_not():
+    playback, other = Playback(), Playback()
+    playback.mode, playback.speed, playback.loop = EVERY_FRAME, 0.5, False
+    other.restore(json.loads(json.dumps(playback.preferences())))
+    assert other.preferences() == {"mode": EVERY_FRAME, "speed": 0.5, "loop": False}
+    other.restore({"mode": ["x"], "speed": "fast", "loop": 1, "more": None})
+    assert other.preferences() == playback.preferences()
+
+
+# -- actions ---------------------------------------------------------------------------------------------------------
+
+
+def make(*rows):
+    """Actions from (label, shortcut, reason or None), ids and what ran."""
+    actions, ran = Actions(), []
+    for label, shortcut, reason in rows:
+        id = label.lower().replace(" ", "_")
+        actions.register(
+            Action(id, label, "Group", shortcut, lambda id=id: ran.append(id), lambda reason=reason: reason)
+        )
+    return actions, ran
+
+
+@pytest.mark.parametrize(
+    ("text", "modifiers", "key"),
+    [
+        ("Ctrl+O", {"Ctrl"}, "O"),
+        ("shift + e", {"Shift"}, "E"),
+        ("Space", set(), "Space"),
+        ("f5", set(), "F5"),
+        ("Left", set(), "Left"),
+        ("1", set(), "1"),
+        ("Shift+1", {"Shift"}, "1"),
+        ("?", set(), "?"),
+        ("Shift+/", set(), "?"),
+        ("Shift+?", set(), "?"),
+        ("Ctrl++", {"Ctrl"}, "+"),
+        ("+", set(), "+"),
+        ("Super+Alt+Esc", {"Super", "Alt"}, "Escape"),
+        ("PgUp", set(), "PageUp"),
+    ],
+)
+def test_shortcuts_are_read(text, modifiers, key):
+    assert parse_shortcut(text) == (modifiers, key)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no key"),
+        ("Ctrl+", r"no key after Ctrl\+"),
+        ("Ctrl", "no key"),
+        ("Ctrl+Shift", "no key"),
+        ("Hyper+X", "'Hyper' is none of the modifiers"),
+        ("O+Ctrl", "'O' is none of the modifiers"),
+        ("Ctrl+Ctrl+O", "Ctrl twice"),
+        ("Leftt", "no key is called 'Leftt'"),
+        ("F25", "no key is called 'F25'"),
+        ("++", "'' is none of the modifiers"),
+        ("+O", "'' is none of the modifiers"),
+        ("É", "no key is called"),
+    ],
+)
+def test_nonsense_shortcuts_are_refused(text, message):
+    with pytest.raises(ValueError, match=message) as info:
+        parse_shortcut(text)
+    assert repr(text) in str(info.value)
+
+
+@cases
+@given(st.sets(st.sampled_from(MODIFIERS)), st.sampled_from(sorted(set(IMGUI_KEYS.values()) - {"*"})))
+def test_shortcut_texts_are_read_back(modifiers, key):
+    shortcut = parse_shortcut("+".join([*sorted(modifiers), key]))
+    assert parse_shortcut(shortcut_text(shortcut)) == shortcut
+    assert shortcut[0] | {"Shift"} == modifiers | {"Shift"}
+
+
+def test_every_key_is_one_of_imgui():
+    code = "import sys; from imgui_bundle import imgui; print(*[n for n in sys.argv[1:] if not hasattr(imgui.Key, n)])"
+    unknown = subprocess.run([sys.executable, "-c", code, *IMGUI_KEYS], capture_output=True, text=True, check=True)
+    assert unknown.stdout.split() == []
+    assert {"A", "0", "F12", "Space", "/", "Left", "Escape"} <= set(IMGUI_KEYS.values())
+
+
+def test_dispatch_runs_what_is_enabled():
+    actions, ran = make(("Open", "Ctrl+O", None), ("Save", "Ctrl+S", "nothing is open"), ("Help", "?", None))
+    assert actions.dispatch({"Ctrl"}, "O") == "open"
+    assert actions.dispatch(set(), "O") is None and actions.last_refusal is None
+    assert actions.dispatch({"Ctrl", "Shift"}, "O") is None
+    assert actions.dispatch({"Ctrl"}, "S") is None and actions.last_refusal == "nothing is open"
+    assert actions.dispatch({"Shift"}, "/") == "help" and actions.last_refusal is None
+    assert actions.dispatch({"Ctrl"}, "O", repeated=True) is None
+    assert actions.run("open") and not actions.run("save") and actions.last_refusal == "nothing is open"
+    assert ran == ["open", "help", "open"]
+    with pytest.raises(KeyError, match="'opne'"):
+        actions["opne"]
+
+
+def test_held_keys():
+    actions, state, steps = Actions(), [], []
+    reason = []
+    actions.register(
+        Action("flip", "Flip", "Compare", "Shift+R", state.append, lambda: reason[0] if reason else None, hold=True)
+    )
+    actions.register(Action("step", "Step", "Playback", "Right", lambda: steps.append(1), repeat=True))
+    assert actions.dispatch({"Shift"}, "R") == "flip" and actions.held("flip")
+    assert actions.dispatch({"Shift"}, "R", repeated=True) is None and state == [True]
+    reason.append("no reference")  # what is held is let go all the same
+    assert actions.release("X") is None and actions.release("R") == "flip" and state == [True, False]
+    assert actions.release("R") is None
+    assert actions.dispatch({"Shift"}, "R") is None and actions.last_refusal == "no reference"
+    reason.clear()
+    assert actions.run("flip") and actions.run("flip") and state == [True, False] * 2
+    actions.run("flip")
+    actions.release_all()
+    assert state == [True, False] * 3
+    for _ in range(3):
+        assert actions.dispatch(set(), "Right", repeated=True) == "step"
+    assert len(steps) == 3
+    actions.register(Action("what", "What", "Help", "?", state.append, hold=True))
+    assert actions.dispatch({"Shift"}, "/") == "what" and actions.release("/") == "what"
+    assert actions.dispatch(set(), "?") == "what" and actions.release("/") == "what"  # Shift went up first
+    actions.run("what")
+    assert actions.dispatch(set(), "?") == "what" and actions.release("?") == "what" and not actions.held("what")
+
+
+def test_duplicates_are_refused():
+    actions, _ = make(("Open", "Ctrl+O", None), ("Help", "?", None))
+    for id, shortcut, also, words in (
+        ("open", "", (), ["'open'", "Open", "Other"]),
+        ("other", "ctrl+o", (), ["Ctrl+O", "'open'", "'other'"]),
+        ("other", "Shift+/", (), ["?", "'help'", "'other'"]),
+        ("other", "F1", ("Ctrl+O",), ["Ctrl+O", "'open'", "'other'"]),
+        ("other", "F1", ("f1",), ["F1", "'other'"]),
+        ("other", "Ctrl+Nope", (), ["Nope", "'other'"]),
+    ):
+        with pytest.raises(ValueError) as info:
+            actions.register(Action(id, "Other", "Group", shortcut, print, also=also))
+        assert all(word in str(info.value) for word in words) and len(actions) == 2
+    actions.register(Action("other", "Other", "Group", "F1", print))
+    assert actions.dispatch({"Ctrl"}, "O") == "open"
+
+
+def test_groups_and_the_table_of_shortcuts():
+    actions = Actions()
+    for id, label, group, shortcut, more in (
+        ("open", "Open …", "File", "ctrl+shift+o", {}),
+        ("play", "Play", "Playback", "Space", {"also": ("k",)}),
+        ("flip", "Reference", "Playback", "R", {"hold": True}),
+        ("quit", "Quit", "File", "", {}),
+        ("about", "About", "Help", "", {}),
+    ):
+        actions.register(Action(id, label, group, shortcut, print, **more))
+    grouped = {group: [a.id for a in found] for group, found in actions.grouped().items()}
+    assert grouped == {"File": ["open", "quit"], "Playback": ["play", "flip"], "Help": ["about"]}
+    assert actions.shortcut_table() == [
+        ("File", [("Ctrl+Shift+O", "Open …")]),
+        ("Playback", [("Space or K", "Play"), ("hold R", "Reference")]),
+    ]
+    assert actions["open"].shortcut == "Ctrl+Shift+O"
+
+
+def test_search():
+    actions, _ = make(
+        ("Reload frames", "", None),
+        ("Toggle loop", "", "nothing is open"),
+        ("Load settings", "", None),
+        ("Loop", "", None),
+        ("Step to the next rendered frame", "", None),
+    )
+
+    def found(text):
+        return [action.label for action in actions.search(text)]
+
+    assert found("loop") == ["Loop", "Toggle loop"]
+    assert found("load") == ["Load settings", "Reload frames"]
+    assert found("LO")[0] == "Loop" and found("LO")[-1] == "Toggle loop"
+    assert found("frame step") == ["Step to the next rendered frame"]
+    assert found("tgl") == ["Toggle loop"] and found("rf")[0] == "Reload frames"
+    assert len(found("group load")) == 2 and found("grou")[0] == "Loop"
+    assert found("xyzzy") == [] and len(found("")) == 5 and found(" … ")[-1] == "Toggle loop"
+
+
+labels = st.lists(st.text(string.ascii_letters + " ", min_size=1).filter(str.strip), min_size=1, max_size=6)
+
+
+@cases
+@given(
+    st.lists(st.tuples(labels.map(" ".join), st.booleans()), max_size=8),
+    st.text(string.ascii_letters + " ", max_size=6),
+)
+def test_search_finds_labels_and_puts_the_enabled_first(rows, text):
+    actions = Actions()
+    for i, (label, enabled) in enumerate(rows):
+        actions.register(Action(str(i), label, "", "", print, lambda enabled=enabled: None if enabled else "not now"))
+    found = actions.search(text)
+    refused = [action.enabled() is not None for action in found]
+    assert refused == sorted(refused) and len({action.id for action in found}) == len(found)
+    letters = set(text.casefold()) - {" "}
+    assert all(letters <= set(action.label.casefold()) for action in found)
+    for action in actions:
+        assert action in actions.search(action.label)
+        assert action in actions.search(action.label.split()[0][:3])
+
+
+# -- settings --------------------------------------------------------------------------------------------------------
+
+plain = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=6,
+)
+sound = {
+    "recent": ["/a", "/b"],
+    "theme": "light",
+    "ui_scale": 1.5,
+    "window_size": [800, 600],
+    "displays": {"final": {"exposure": 1.0}},
+    "playback": {"loop": False},
+    "options": {"order": 2},
+    "compare": {"b": "truth"},
+    "panels": {"timings": True},
+    "layout": 3,
+}
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory):
+    return tmp_path_factory.mktemp("viewer")
+
+
+@cases
+@given(
+    damage=st.dictionaries(st.sampled_from(sorted(sound)), plain), unknown=st.dictionaries(st.text(), plain, max_size=2)
+)
+def test_damaged_settings_cost_only_themselves(scratch, damage, unknown):
+    path = scratch / "viewer.json"
+    path.write_text(json.dumps(unknown | sound | damage))
+    loaded, warning = Settings.load(path)
+    again = loaded.to_json()
+    for name in set(sound) - set(damage):
+        assert again[name] == sound[name]
+    for name, value in unknown.items():
+        assert name in sound or again[name] == value
+    for name in damage:  # either taken as it is, or of the right type
+        assert type(again[name]) is type(sound[name])
+    if damage and all(isinstance(value, str) for value in damage.values()) and "theme" not in damage:
+        assert warning is not None and all(name in warning for name in damage)
+    assert loaded.save(path) is None
+    assert Settings.load(path) == (loaded, None)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("ui_scale", [-1, 9, True, "2", None, float("nan"), 10**400]),
+        ("window_size", [[800], [0, 600], [1e3, 600.5], [800, 99999], [True, 600], "ab", {}]),
+        ("theme", ["blue", ["dark"], None]),
+        ("layout", [-1, 1.5, True]),
+        ("recent", ["/a", {"/a": 1}]),
+        ("panels", [[True], {"timings": 1}]),
+        ("displays", [[1], {"final": 3}]),
+    ],
+)
+def test_wrong_types_have_their_defaults(tmp_path, name, values):
+    path = tmp_path / "viewer.json"
+    for value in values:
+        path.write_text(json.dumps({name: value, "playback": {"speed": 2}}))
+        loaded, warning = Settings.load(path)
+        assert loaded == Settings(playback={"speed": 2}) and warning.endswith(name)
+    path.write_text(json.dumps({"panels": {"a": 1, "b": True}, "recent": ["/a", 3, "/a", ""]}))
+    loaded, warning = Settings.load(path)
+    assert (loaded.panels, loaded.recent) == ({"b": True}, ["/a"]) and warning.endswith("some of panels")
+
+
+@cases
+@given(
+    st.binary(max_size=40) | st.sampled_from([b"[" * 100000, b'{"ui_scale": 1e999}', b"\xff\xfe{", b"[]", b"9" * 5000])
+)
+def test_any_file_gives_settings(scratch, data):
+    path = scratch / "any.json"
+    path.write_bytes(data)
+    loaded, warning = Settings.load(path)
+    if warning is not None:
+        assert str(path) in warning and "\n" not in warning
+        assert loaded == Settings(unknown=loaded.unknown)
+
+
+def test_settings_without_a_file_or_a_folder(tmp_path, monkeypatch):
+    assert Settings.load(tmp_path / "none.json") == (Settings(), None)
+    assert "cannot read" in Settings.load(tmp_path)[1]
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "file" / "viewer.json", tmp_path):
+        warning = Settings().save(path)
+        assert str(path) in warning and "cannot be saved" in warning
+    assert os.listdir(tmp_path) == ["file"]
+    assert "cannot be saved" in Settings(options={"x": object()}).save(tmp_path / "x.json")
+    assert os.listdir(tmp_path) == ["file"]
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    assert Settings(theme="light").save() is None
+    assert default_path() == tmp_path / "config" / "gffe-cl" / "viewer.json"
+    assert Settings.load()[0].theme == "light" and len(os.listdir(default_path().parent)) == 1
+    monkeypatch.setenv("XDG_CONFIG_HOME", "relative")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert default_path() == tmp_path / ".config" / "gffe-cl" / "viewer.json"
+
+
+def test_linked_settings_stay_linked(tmp_path):
+    link = tmp_path / "viewer.json"
+    link.symlink_to(tmp_path / "dotfiles" / "viewer.json")
+    assert Settings(theme="light").save(link) is None
+    assert link.is_symlink() and Settings.load(tmp_path / "dotfiles" / "viewer.json")[0].theme == "light"
+
+
+@pytest.mark.limits
+def test_a_full_disk_keeps_the_old_settings(tmp_path):
+    path = tmp_path / "viewer.json"
+    Settings(theme="light").save(path)
+    with limited(100):
+        warning = Settings(recent=["/" + "x" * 500]).save(path)
+    assert "cannot be saved" in warning and os.listdir(tmp_path) == ["viewer.json"]
+    assert Settings.load(path) == (Settings(theme="light"), None)
+
+
+def test_recent_paths(tmp_path):
+    remembered = Settings()
+    for i in range(15):
+        remembered.add_recent(tmp_path / str(i))
+    remembered.add_recent(tmp_path / "9")
+    names = [os.path.basename(path) for path in remembered.recent]
+    assert names == ["9", "14", "13", "12", "11", "10", "8", "7", "6", "5", "4", "3"]
+    remembered.forget_recent(tmp_path / "14")
+    assert len(remembered.recent) == 11 and str(tmp_path / "14") not in remembered.recent
+
+
+# -- export ----------------------------------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def limited(nbytes):
+    """No file may grow beyond `nbytes`, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (nbytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def noise(height, width, channels=3, seed=1):
+    return np.random.default_rng(seed).integers(0, 256, (height, width, channels), np.uint8)
+
+
+def fault(path, call, *arguments):
+    """The one line of the GffeError, which names `path`; nothing new is left beside it."""
+    before = sorted(os.listdir(path.parent)) if path.parent.is_dir() else None
+    with pytest.raises(GffeError) as info:
+        call(path, *arguments)
+    assert str(path) in str(info.value) and "\n" not in str(info.value)
+    assert before == (sorted(os.listdir(path.parent)) if path.parent.is_dir() else None)
+    return str(info.value)
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_png(tmp_path, channels):
+    image = noise(6, 9, channels)[::-1, :, :]
+    save_png(tmp_path / "a.png", image)
+    np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "a.png")), image)
+    assert os.listdir(tmp_path) == ["a.png"]
+
+
+@pytest.mark.limits
+def test_png_faults(tmp_path):
+    assert "No such file" in fault(tmp_path / "none" / "a.png", save_png, noise(2, 2))
+    (tmp_path / "folder.png").mkdir()
+    assert "folder" in fault(tmp_path / "folder.png", save_png, noise(2, 2))
+    for wrong in (noise(2, 2)[..., :2], noise(2, 2)[..., 0], noise(2, 2).astype(np.float32), noise(0, 2), None):
+        assert "expected (H, W, 3 or 4) uint8" in fault(tmp_path / "a.png", save_png, wrong)
+    save_png(tmp_path / "a.png", noise(2, 2))
+    with limited(1000):
+        assert "File too large" in fault(tmp_path / "a.png", save_png, noise(64, 64))
+    np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "a.png")), noise(2, 2))
+
+
+def layers():
+    rng = np.random.default_rng(2)
+
+    def spec(name, components=(), planes=1):
+        return LayerSpec(name, name, "group", "scalar", components, planes)
+
+    images = {
+        "final": rng.random((5, 7, 4)).astype(np.float16),
+        "rendered.depth": np.where(rng.random((5, 7)) < 0.3, np.inf, rng.random((5, 7))).astype(np.float32),
+        "one.named": rng.random((3, 2)).astype(np.float32),
+        "holes.filled_by": rng.integers(0, 5, (5, 7), np.uint8),
+        "history.positions": rng.random((2, 5, 7, 2)).astype(np.float32),
+    }
+    components = {"final": tuple("RGBA"), "one.named": ("depth",), "history.positions": ("x", "y")}
+    specs = {name: spec(name, components.get(name, ()), 2 if name.startswith("history") else 1) for name in images}
+    return images, specs
+
+
+def test_layers_as_exr(tmp_path):
+    images, specs = layers()
+    folder = tmp_path / "layers"
+    paths = save_layers_exr(folder, images, specs)
+    assert paths == [folder / f"{name}.exr" for name in images] and sorted(paths) == sorted(folder.iterdir())
+
+    def read(name, channels, size=(7, 5)):
+        return list(read_channels(folder / f"{name}.exr", channels, name, size).values())
+
+    final = np.stack(read("final", "RGBA"), -1)
+    assert final.dtype == np.float16
+    np.testing.assert_array_equal(final, images["final"])
+    np.testing.assert_array_equal(read("rendered.depth", ["Y"])[0], images["rendered.depth"])
+    np.testing.assert_array_equal(read("one.named", ["depth"], (2, 3))[0], images["one.named"])
+    np.testing.assert_array_equal(read("holes.filled_by", ["Y"])[0], images["holes.filled_by"])
+    planes = np.stack(read("history.positions", ["1.x", "1.y", "2.x", "2.y"]), -1).reshape(5, 7, 2, 2)
+    np.testing.assert_array_equal(np.moveaxis(planes, 2, 0), images["history.positions"])
+
+
+@pytest.mark.limits
+def test_layers_are_all_written_or_none(tmp_path):
+    images, specs = layers()
+    images["large"], specs["large"] = np.random.default_rng(3).random((99, 99)), specs["rendered.depth"]
+    assert "No such file" in fault(tmp_path / "none" / "layers", save_layers_exr, images, specs)
+    assert "no layers" in fault(tmp_path / "layers", save_layers_exr, {}, specs)
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "final.exr").write_text("old")
+    for name in ("layers", "old"):
+        with limited(4000):
+            fault(tmp_path / name, save_layers_exr, images, specs)
+    assert os.listdir(tmp_path / "old") == ["final.exr"]
+    assert (tmp_path / "old" / "final.exr").read_text() == "old"
+    save_layers_exr(tmp_path / "old", images, specs)
+    assert len(os.listdir(tmp_path / "old")) == len(images)
+
+
+@pytest.mark.parametrize(("height", "width", "suffix"), [(33, 47, "mp4"), (32, 46, "mkv")])
+def test_video(tmp_path, height, width, suffix):
+    path, progress = tmp_path / f"video.{suffix}", []
+    levels = [40, 120, 200, 80, 160]
+    frames = (np.full((height, width, 3), level, np.uint8) for level in levels)
+    assert export_video(path, frames, 24, 5, lambda done, total: progress.append((done, total)))
+    assert progress == [(i, 5) for i in range(1, 6)] and os.listdir(tmp_path) == [path.name]
+    reader = imageio_ffmpeg.read_frames(str(path))
+    meta = next(reader)
+    assert meta["size"] == (width + width % 2, height + height % 2) and meta["fps"] == 24
+    read = [np.frombuffer(frame, np.uint8).mean() for frame in reader]
+    assert read == pytest.approx(levels, abs=3)  # 8-bit limited-range YUV; the padding does not darken
+
+
+@pytest.mark.parametrize("after", [0, 1, 3])
+def test_cancelled_video_leaves_nothing(tmp_path, after):
+    made = []
+
+    def frames():
+        for i in range(9):
+            made.append(i)
+            yield noise(32, 32, seed=i)
+
+    assert export_video(tmp_path / "v.mp4", frames(), 30, 9, cancelled=lambda: len(made) == after) is False
+    assert os.listdir(tmp_path) == [] and len(made) == after
+
+
+def test_video_cancelled_while_a_frame_is_awaited(tmp_path):
+    cancelled = []
+
+    def frames():
+        yield noise(32, 32)
+        cancelled.append(True)  # what makes the frames gives up too, and ends
+
+    assert export_video(tmp_path / "v.mp4", frames(), 30, 9, cancelled=lambda: bool(cancelled)) is False
+    assert os.listdir(tmp_path) == []
+
+
+def broken(error, good=2):
+    for i in range(good):
+        yield noise(32, 32, seed=i)
+    raise error
+
+
+@pytest.mark.limits
+def test_video_faults(tmp_path, capfd):
+    path = tmp_path / "v.mp4"
+    path.write_text("old")
+    assert "No such file" in fault(tmp_path / "none" / "v.mp4", export_video, broken(None), 30, 1)
+    assert "must end in" in fault(tmp_path / "v.gif", export_video, broken(None), 30, 1)
+    assert "no frames" in fault(path, export_video, iter(()), 30, 1)
+    assert "per second" in fault(path, export_video, broken(None), 0, 1)
+    assert "frame 1 is 4×2, not 32×32" in fault(path, export_video, iter([noise(32, 32), noise(2, 4)]), 30, 2)
+    assert "uint8" in fault(path, export_video, iter([noise(4, 4, 4)]), 30, 1)
+    assert "cannot make frame 2: gone" in fault(path, export_video, broken(OSError("gone")), 30, 9)
+    with pytest.raises(GffeError, match=r"^frame_7\.exr: damaged$"):
+        export_video(path, broken(GffeError("frame_7.exr: damaged")), 30, 9)
+    with pytest.raises(ZeroDivisionError):
+        export_video(path, broken(ZeroDivisionError(), 0), 30, 9)
+    with limited(20000):  # ends the encoder with its input half read, or unheard at the very end
+        for count in (3, 60):
+            assert "encoder" in fault(path, export_video, (noise(128, 128, seed=i) for i in range(count)), 30, count)
+    assert os.listdir(tmp_path) == ["v.mp4"] and path.read_text() == "old"
+
+
+def test_unused_names(tmp_path):
+    assert unused_name(tmp_path, "warp.color", ".png") == tmp_path / "warp.color.png"
+    for expected in ("a", "a_2", "a_3"):
+        path = unused_name(tmp_path, "a", ".exr")
+        assert path.stem == expected
+        path.write_text("")
+    (tmp_path / "link.png").symlink_to(tmp_path / "nowhere")
+    assert unused_name(tmp_path, "link", ".png").name == "link_2.png"
+    assert unused_name(tmp_path, "../x y\n/z", "").name == "_x_y_z"
+    assert unused_name(tmp_path, "..", ".png").name == "image.png"

@@ -1,0 +1,299 @@
+"""What a user can do, written down once: menus, shortcuts, help and the command palette all come from `Actions`."""
+
+from __future__ import annotations
+
+import re
+import string
+from collections.abc import Callable
+from dataclasses import dataclass
+
+MODIFIERS = ("Ctrl", "Alt", "Shift", "Super")  # in the order in which they are written
+_NAMED = {
+    "Space": "space",
+    "Left": "left_arrow",
+    "Right": "right_arrow",
+    "Up": "up_arrow",
+    "Down": "down_arrow",
+    "Home": "home",
+    "End": "end",
+    "PageUp": "page_up",
+    "PageDown": "page_down",
+    "Insert": "insert",
+    "Delete": "delete",
+    "Backspace": "backspace",
+    "Enter": "enter",
+    "Escape": "escape",
+    "Tab": "tab",
+}
+_SYMBOLS = {
+    "'": "apostrophe",
+    ",": "comma",
+    "-": "minus",
+    ".": "period",
+    "/": "slash",
+    ";": "semicolon",
+    "=": "equal",
+    "[": "left_bracket",
+    "\\": "backslash",
+    "]": "right_bracket",
+    "`": "grave_accent",
+}
+_KEYPAD = {"add": "+", "subtract": "-", "multiply": "*", "divide": "/", "decimal": ".", "enter": "Enter", "equal": "="}
+# with Shift, as on a US keyboard: there "?" and "Shift+/" are one shortcut
+_SHIFTED = dict(zip("',-./;=[\\]`", '"<_>?:+{|}~', strict=True))
+_UNSHIFTED = {shifted: plain for plain, shifted in _SHIFTED.items()}
+_ALIASES = {"esc": "Escape", "return": "Enter", "del": "Delete", "ins": "Insert", "pgup": "PageUp", "pgdn": "PageDown"}
+
+# attribute of imgui.Key → the name of the key as `Actions.dispatch` takes it
+IMGUI_KEYS: dict[str, str] = (
+    {attribute: name for name, attribute in (_NAMED | _SYMBOLS).items()}
+    | {letter: letter.upper() for letter in string.ascii_lowercase}
+    | {f"_{digit}": digit for digit in string.digits}
+    | {f"f{i}": f"F{i}" for i in range(1, 25)}
+    | {f"keypad{digit}": digit for digit in string.digits}
+    | {f"keypad_{name}": key for name, key in _KEYPAD.items()}
+)
+_KEYS = set(IMGUI_KEYS.values()) | set(_UNSHIFTED)
+_BY_FOLDED = {key.casefold(): key for key in _KEYS} | _ALIASES
+_MODIFIER_BY_FOLDED = {name.casefold(): name for name in MODIFIERS}
+
+Shortcut = tuple[frozenset[str], str]
+
+
+def parse_shortcut(text: str) -> Shortcut:
+    """(modifiers, key) of a shortcut such as "Ctrl+O", "Shift+E", "Space", "F5", "1" or "?"; case does not matter.
+
+    Shift is part of a symbol that is typed with it: "?" and "Shift+/" both give (no modifiers, "?"). Raises
+    ValueError that says what is wrong.
+    """
+    stripped = text.strip()
+    if stripped == "+":
+        parts, key_text = [], "+"
+    elif stripped.endswith("++"):
+        parts, key_text = stripped[:-2].split("+"), "+"
+    else:
+        *parts, key_text = stripped.split("+")
+    modifiers = []
+    for part in parts:
+        name = _MODIFIER_BY_FOLDED.get(part.strip().casefold())
+        if name is None:
+            raise ValueError(f"shortcut {text!r}: {part.strip()!r} is none of the modifiers {', '.join(MODIFIERS)}")
+        if name in modifiers:
+            raise ValueError(f"shortcut {text!r}: {name} twice")
+        modifiers.append(name)
+    key_text = key_text.strip()
+    if not key_text or key_text.casefold() in _MODIFIER_BY_FOLDED:
+        raise ValueError(f"shortcut {text!r}: no key" + (f" after {'+'.join(modifiers)}+" if modifiers else ""))
+    key = _BY_FOLDED.get(key_text.casefold())
+    if key is None:
+        raise ValueError(f"shortcut {text!r}: no key is called {key_text!r} (such as A, 1, F5, Space, Left, PageUp, ?)")
+    return canonical(frozenset(modifiers), key)
+
+
+def canonical(modifiers: frozenset[str], key: str) -> Shortcut:
+    """The one form of a shortcut: Shift is dropped where it is part of the symbol."""
+    if "Shift" in modifiers and key in _SHIFTED:
+        key = _SHIFTED[key]
+    return frozenset(modifiers) - ({"Shift"} if key in _UNSHIFTED else set()), key
+
+
+def shortcut_text(shortcut: Shortcut) -> str:
+    """A parsed shortcut as it is written: "Ctrl+Shift+P"."""
+    modifiers, key = shortcut
+    return "+".join([name for name in MODIFIERS if name in modifiers] + [key])
+
+
+@dataclass(frozen=True)
+class Action:
+    """Something that the user can do.
+
+    `id` names it in the program, `label` and `group` for people. `shortcut` is text ("Ctrl+O") or "", `also` holds
+    further ones. `enabled` gives the reason why it cannot run now, None if it can; `checked` the state of a switch,
+    None for no switch. `run` takes nothing, or with `hold`, whether the key went down (True) or up (False). `repeat`:
+    a key that is kept down runs it again and again.
+    """
+
+    id: str
+    label: str
+    group: str
+    shortcut: str
+    run: Callable[..., object]
+    enabled: Callable[[], str | None] = lambda: None
+    checked: Callable[[], bool | None] = lambda: None
+    tooltip: str = ""
+    hold: bool = False
+    repeat: bool = False
+    also: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        if not self.id or not self.label.strip():
+            raise ValueError(f"action {self.id!r} ({self.label!r}): needs an id and a label")
+        if self.hold and self.repeat:
+            raise ValueError(f"action {self.id!r}: hold and repeat exclude each other")
+        try:
+            texts = [shortcut_text(parse_shortcut(text)) for text in (self.shortcut, *self.also) if text]
+        except ValueError as error:
+            raise ValueError(f"action {self.id!r}: {error}") from None
+        if self.shortcut:
+            object.__setattr__(self, "shortcut", texts.pop(0))
+        object.__setattr__(self, "also", tuple(texts))
+
+    @property
+    def shortcuts(self) -> list[Shortcut]:
+        return [parse_shortcut(text) for text in (self.shortcut, *self.also) if text]
+
+
+class Actions:
+    """All actions, in the order in which they were registered."""
+
+    def __init__(self):
+        self._actions: dict[str, Action] = {}
+        self._by_shortcut: dict[Shortcut, Action] = {}
+        self._held: dict[str, str | None] = {}  # action id → the key that holds it; None: switched on without a key
+        self.last_refusal: str | None = None  # why the latest `dispatch` or `run` did nothing
+
+    def __iter__(self):
+        return iter(self._actions.values())
+
+    def __len__(self) -> int:
+        return len(self._actions)
+
+    def __contains__(self, id: str) -> bool:
+        return id in self._actions
+
+    def __getitem__(self, id: str) -> Action:
+        try:
+            return self._actions[id]
+        except KeyError:
+            raise KeyError(f"no action is called {id!r}") from None
+
+    def register(self, action: Action) -> Action:
+        """Add an action. Raises ValueError if its id or a shortcut is taken."""
+        if action.id in self._actions:
+            other = self._actions[action.id]
+            raise ValueError(f"action {action.id!r} ({action.label}) is registered already ({other.label})")
+        for shortcut in action.shortcuts:
+            other = self._by_shortcut.get(shortcut)
+            if other is not None or action.shortcuts.count(shortcut) > 1:
+                text, taken = shortcut_text(shortcut), (other or action).id
+                raise ValueError(f"shortcut {text} of action {action.id!r} is taken by {taken!r}")
+        self._actions[action.id] = action
+        self._by_shortcut |= dict.fromkeys(action.shortcuts, action)
+        return action
+
+    def grouped(self) -> dict[str, list[Action]]:
+        """Actions by group, both in the order of registration."""
+        groups: dict[str, list[Action]] = {}
+        for action in self:
+            groups.setdefault(action.group, []).append(action)
+        return groups
+
+    def shortcut_table(self) -> list[tuple[str, list[tuple[str, str]]]]:
+        """(group, [(shortcuts, label)]) of all that have a shortcut, for the help."""
+        table = []
+        for group, actions in self.grouped().items():
+            rows = []
+            for action in actions:
+                text = " or ".join(filter(None, (action.shortcut, *action.also)))
+                if text:
+                    rows.append((f"hold {text}" if action.hold else text, action.label))
+            if rows:
+                table.append((group, rows))
+        return table
+
+    def run(self, id: str) -> bool:
+        """Run an action, as menus and buttons do; False if it is disabled (`last_refusal` says why). A click cannot
+        be held: it switches a `hold` action on, and off again."""
+        action = self[id]
+        self.last_refusal = None
+        if action.hold and id in self._held:
+            self._let_go(id)
+            return True
+        return self._start(action, None)
+
+    def dispatch(self, modifiers: frozenset[str], key: str, *, repeated: bool = False) -> str | None:
+        """A key went down: run the action of that shortcut and return its id; None if there is none or it is
+        disabled (`last_refusal` says why). `repeated`: the key is being kept down."""
+        self.last_refusal = None
+        action = self._by_shortcut.get(canonical(frozenset(modifiers), key))
+        if action is None or (repeated and not action.repeat):
+            return None
+        if action.id in self._held:  # from now on this key holds it
+            self._held[action.id] = key
+            return action.id
+        return action.id if self._start(action, key) else None
+
+    def release(self, key: str) -> str | None:
+        """A key went up, whatever the modifiers: let go of what it holds, and return the id of the last one."""
+        plain, released = _UNSHIFTED.get(key, key), None
+        for id, by in list(self._held.items()):
+            if by is not None and _UNSHIFTED.get(by, by) == plain:
+                self._let_go(id)
+                released = id
+        return released
+
+    def release_all(self) -> None:
+        """Let go of everything: the window lost the keyboard."""
+        for id in list(self._held):
+            self._let_go(id)
+
+    def held(self, id: str) -> bool:
+        return id in self._held
+
+    def _start(self, action: Action, key: str | None) -> bool:
+        self.last_refusal = action.enabled()
+        if self.last_refusal is not None:
+            return False
+        if action.hold:
+            self._held[action.id] = key
+            action.run(True)
+        else:
+            action.run()
+        return True
+
+    def _let_go(self, id: str) -> None:
+        del self._held[id]
+        self._actions[id].run(False)
+
+    def search(self, text: str) -> list[Action]:
+        """Actions that match every word of `text`, those that can run first, best first; all for no text.
+
+        A word matches a word of the label or, less well, of the group: whole, its beginning, a part, or letters of
+        the label in their order ("tgl" finds Toggle). Of equals the shorter label comes first.
+        """
+        words = _words(text)
+        found = []
+        for place, action in enumerate(self):
+            scores = [_score(word, action) for word in words]
+            if all(scores):
+                length = len(action.label) if words else 0
+                found.append((action.enabled() is not None, -sum(scores), length, place, action))
+        return [action for *_, action in sorted(found, key=lambda entry: entry[:-1])]
+
+
+def _words(text: str) -> list[str]:
+    return re.findall(r"[^\W_]+", text.casefold())
+
+
+def _score(word: str, action: Action) -> float:
+    """How well a word matches an action, 0 to 100."""
+    label, group = _words(action.label), _words(action.group)
+    best = max((_match(word, other) for other in label), default=0)
+    best = max(best, *(_match(word, other) / 2 for other in group), 0)
+    initials = "".join(other[0] for other in label)
+    if len(word) > 1 and initials.startswith(word):
+        best = max(best, 60)
+    return best or (10 if _in_order(word, "".join(label)) else 0)
+
+
+def _match(word: str, other: str) -> float:
+    if word == other:
+        return 100
+    if other.startswith(word):
+        return 70 + 20 * len(word) / len(other)
+    return 40 if word in other else 0
+
+
+def _in_order(letters: str, text: str) -> bool:
+    rest = iter(text)
+    return all(letter in rest for letter in letters)

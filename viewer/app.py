@@ -1,0 +1,278 @@
+"""The application: window, docking, menus, keys, drops; one frame of the interface after the other."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from pathlib import Path
+
+from imgui_bundle import hello_imgui, imgui, immapp, implot  # before glfw
+from imgui_bundle import portable_file_dialogs as dialogs
+
+from gffe_cl.viewer import commands, keys
+from gffe_cl.viewer.actions import Actions
+from gffe_cl.viewer.model import Model
+from gffe_cl.viewer.panels import compare, inspector, kernels, layer_list, modules, picture, timeline, timings
+
+_TITLE = "gffe-cl"
+_LAYOUT_VERSION = 1
+_PANELS = {
+    "Picture": (picture.draw, "MainDockSpace"),
+    "Layers": (layer_list.draw, "Left"),
+    "Modules": (modules.draw, "Right"),
+    "Compare": (compare.draw, "Right"),
+    "Inspector": (inspector.draw, "RightBottom"),
+    "Timings": (timings.draw, "RightBottom"),
+    "Kernels": (kernels.draw, "RightBottom"),
+    "Timeline": (timeline.draw, "Bottom"),
+}
+SIDE_PANELS = tuple(name for name in _PANELS if name not in ("Picture", "Timeline"))  # those that are hidden together
+_TIMELINE_HEIGHT = 110.0  # pixels at the usual size of letters
+_DARK = hello_imgui.ImGuiTheme_.darcula_darker
+_LIGHT = hello_imgui.ImGuiTheme_.light_rounded
+_MESSAGE_SECONDS = 8.0
+
+
+def apply_theme(name: str) -> None:
+    """ "light" or "dark"."""
+    hello_imgui.apply_theme(_LIGHT if name == "light" else _DARK)
+
+
+class App:
+    """Ties the model to ImGui and GL.
+
+    `on_frame(app)`, if given, is called once per interface frame: screenshots and tests hook in there.
+    """
+
+    def __init__(self, model: Model, on_frame=None):
+        self.model = model
+        self.on_frame = on_frame
+        self.canvas = None  # made when there is a GL context
+        self.panels_hidden = False
+        self._before_hiding: list[str] = []
+        self.actions = Actions()
+        self.panel_names = tuple(_PANELS)
+        commands.register(self)
+        self._dropped: list[str] = []
+        self._dialog = None
+        self.palette_text: str | None = None  # of the command palette while it is open
+        self.help_open = False
+        self.display_height = 200.0  # of the display settings below the list of layers, as last drawn
+        self.path_text: str | None = None  # of "open by path" while it is open
+        self._params: hello_imgui.RunnerParams | None = None
+        self._drawn = self._texture = None
+        self.drags, self.pressed_at = "nothing", None  # by the mouse, in the picture
+
+    # ---- running -----------------------------------------------------------------------------------------
+
+    def run(self, size: tuple[int, int] | None = None, test=None) -> None:
+        """Opens the window, as large as last time if no `size` is given, and returns when it is closed. `test`
+        registers tests of ImGui's test engine."""
+        params = hello_imgui.RunnerParams()
+        size = size or self.model.settings.window_size
+        self._params = params
+        params.app_window_params.window_title = _TITLE
+        params.app_window_params.window_geometry.size = size
+        params.app_window_params.restore_previous_geometry = False
+        params.imgui_window_params.default_imgui_window_type = (
+            hello_imgui.DefaultImGuiWindowType.provide_full_screen_dock_space
+        )
+        params.imgui_window_params.show_menu_bar = True
+        params.imgui_window_params.show_menu_app = False
+        params.imgui_window_params.show_menu_view = False
+        params.imgui_window_params.show_status_bar = True
+        params.imgui_window_params.show_status_fps = False
+        params.imgui_window_params.remember_theme = False
+        params.imgui_window_params.tweaked_theme.theme = _LIGHT if self.model.settings.theme == "light" else _DARK
+        # ImGui smooths its edges itself; eight samples per pixel would cost a software renderer most of its time.
+        params.renderer_backend_options.open_gl_options.anti_aliasing_samples = 0
+        params.ini_disable = test is not None
+        params.ini_folder_type = hello_imgui.IniFolderType.app_user_config_folder
+        params.ini_filename = f"gffe-cl/layout{_LAYOUT_VERSION}.ini"
+        params.docking_params = self._docking(size)
+        callbacks = params.callbacks
+        callbacks.default_icon_font = hello_imgui.DefaultIconFont.font_awesome6
+        callbacks.post_init = self._post_init
+        callbacks.pre_new_frame = self._before_frame
+        callbacks.show_menus = lambda: commands.menus(self)
+        callbacks.show_status = self._status
+        callbacks.show_gui = self._windows
+        callbacks.before_exit = self._before_exit
+        if test is not None:
+            params.use_imgui_test_engine = True
+            callbacks.register_tests = lambda: test(self)
+        immapp.run(params, immapp.AddOnsParams(with_implot=True))
+
+    def close(self) -> None:
+        if self._params is not None:
+            self._params.app_shall_exit = True
+
+    def _docking(self, size: tuple[int, int]) -> hello_imgui.DockingParams:
+        docking = hello_imgui.DockingParams()
+        bottom = _TIMELINE_HEIGHT * (self.model.settings.ui_scale or 1.0) / size[1]
+        docking.docking_splits = [
+            hello_imgui.DockingSplit("MainDockSpace", "Bottom", imgui.Dir.down, min(bottom, 0.4)),
+            hello_imgui.DockingSplit("MainDockSpace", "Left", imgui.Dir.left, 0.2),
+            hello_imgui.DockingSplit("MainDockSpace", "Right", imgui.Dir.right, 0.29),
+            hello_imgui.DockingSplit("Right", "RightBottom", imgui.Dir.down, 0.45),
+        ]
+        docking.dockable_windows = [self._panel(name, *panel) for name, panel in _PANELS.items()]
+        return docking
+
+    def _panel(self, name: str, draw, space: str) -> hello_imgui.DockableWindow:
+        window = hello_imgui.DockableWindow(name, space, can_be_closed_=name != "Picture")
+        window.is_visible = self.model.settings.panels.get(name, True)
+
+        def draw_it():
+            # what it is docked in has filled the background already: on a CPU that takes as long as all else
+            window.imgui_window_flags = imgui.WindowFlags_.no_background.value if imgui.is_window_docked() else 0
+            try:
+                draw(self)
+            except Exception:
+                traceback.print_exc()  # ImGui, in the middle of something, will end the program
+                raise
+
+        window.gui_function = draw_it
+        return window
+
+    def panel(self, name: str) -> hello_imgui.DockableWindow:
+        return next(window for window in self._params.docking_params.dockable_windows if window.label == name)
+
+    def toggle_panel(self, name: str) -> None:
+        window = self.panel(name)
+        window.is_visible = not window.is_visible
+        self.panels_hidden = False
+
+    def hide_panels(self) -> None:
+        """Leave the picture and the timeline alone, and bring back what was there."""
+        self.panels_hidden = not self.panels_hidden
+        if self.panels_hidden:
+            self._before_hiding = [name for name in SIDE_PANELS if self.panel(name).is_visible]
+        for name in self._before_hiding or SIDE_PANELS:
+            self.panel(name).is_visible = not self.panels_hidden
+
+    def _post_init(self) -> None:
+        import glfw
+        import moderngl
+        from imgui_bundle import glfw_utils
+
+        from gffe_cl.viewer.canvas import Canvas
+
+        self.canvas = Canvas(moderngl.create_context())
+        window = glfw_utils.glfw_window_hello_imgui()
+        glfw.set_drop_callback(window, lambda _window, paths: self.drop(paths))
+        if self.model.settings.ui_scale:
+            imgui.get_style().font_scale_main = self.model.settings.ui_scale
+        implot.get_style().use_local_time = False
+
+    def _before_frame(self) -> None:
+        model = self.model
+        model.update(time.perf_counter(), self.canvas)
+        model.fly(commands.flight(self))
+        at_work = model.playback.playing or model.flying or model.export is not None or not model.settled
+        self._params.fps_idling.enable_idling = not (at_work or self._params.use_imgui_test_engine)
+
+    def _before_exit(self) -> None:
+        import glfw
+        from imgui_bundle import glfw_utils
+
+        shown = {name: self.panel(name).is_visible for name in _PANELS}
+        if self.panels_hidden:
+            shown |= dict.fromkeys(self._before_hiding, True)
+        self.model.settings.panels = shown
+        self.model.remember(glfw.get_window_size(glfw_utils.glfw_window_hello_imgui()))
+        self.model.close()
+
+    def default_layout(self) -> None:
+        for name in _PANELS:
+            self.panel(name).is_visible = True
+        self.panels_hidden = False
+        self._params.docking_params.layout_reset = True
+
+    def drawn(self, view, size: tuple[int, int]):
+        """Texture of the canvas, drawn anew only if something changed."""
+        what = (view, size, self.model.taken, self.model.comparison.ready)
+        if what != self._drawn:
+            self._drawn, self._texture = what, self.canvas.draw(view, size)
+        return self._texture
+
+    # ---- windows that come and go ------------------------------------------------------------------------
+
+    def _windows(self) -> None:
+        keys.dispatch(self.actions, commands.FLIGHT_KEYS if self.model.flying else frozenset())
+        for path in self._dropped:
+            self.model.open(path)
+        self._dropped.clear()
+        if self._dialog is not None and self._dialog.ready():
+            chosen = self._dialog.result()
+            chosen = chosen[0] if isinstance(chosen, list) and chosen else chosen
+            self._dialog = None
+            if chosen:
+                self.model.open(chosen)
+        commands.palette(self)
+        commands.help_window(self)
+        commands.path_window(self)
+        self._progress()
+        self._messages()
+        if self.on_frame is not None:
+            self.on_frame(self)
+
+    def drop(self, paths: list[str]) -> None:
+        """Paths dropped onto the window; opened in the next frame."""
+        self._dropped += paths[:1]
+
+    def open_dialog(self) -> None:
+        """The system's folder dialog where there is one, else a field for the path."""
+        if dialogs.settings.available():
+            self._dialog = dialogs.select_folder("Open a sequence", str(Path.cwd()))
+        else:
+            self.path_text = ""
+
+    def _messages(self) -> None:
+        """What went wrong or was finished lately, in the lower right corner."""
+        now = time.perf_counter()
+        shown = [m for m in self.model.messages if now - m.time < _MESSAGE_SECONDS or m.sticky]
+        if not shown:
+            return
+        viewport = imgui.get_main_viewport()
+        corner = (viewport.pos.x + viewport.size.x - 16, viewport.pos.y + viewport.size.y - hello_imgui.em_size(8))
+        imgui.set_next_window_pos(corner, imgui.Cond_.always.value, (1.0, 1.0))
+        flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
+        flags |= imgui.WindowFlags_.no_focus_on_appearing | imgui.WindowFlags_.no_nav
+        imgui.begin("###messages", None, int(flags))
+        imgui.push_text_wrap_pos(hello_imgui.em_size(36))
+        for message in shown[-4:]:
+            if message.error:
+                imgui.text_colored((0.97, 0.5, 0.45, 1.0), "error")
+                imgui.same_line()
+            imgui.text_unformatted(message.text)
+        imgui.pop_text_wrap_pos()
+        imgui.end()
+
+    def _progress(self) -> None:
+        """The export that is under way, with a button to stop it."""
+        work = self.model.export
+        if work is None:
+            return
+        center = imgui.get_main_viewport().get_center()
+        imgui.set_next_window_pos(center, imgui.Cond_.appearing.value, (0.5, 0.5))
+        flags = imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_docking
+        imgui.begin("Saving###export", None, int(flags))
+        imgui.text(work.label)
+        imgui.progress_bar(work.done / max(work.total, 1), (hello_imgui.em_size(22), 0), f"{work.done} of {work.total}")
+        if imgui.button("cancel###cancel_export"):
+            work.cancel()
+        imgui.end()
+
+    def _status(self) -> None:
+        model = self.model
+        parts = [model.engine.device_name or "opening the device …"]
+        if model.info is not None:
+            info = model.info
+            parts.append(f"{info.name}   {info.width}×{info.height}")
+            if info.render_size != (info.width, info.height):
+                parts.append(f"rendered {info.render_size[0]}×{info.render_size[1]}")
+        if model.result is not None:
+            parts.append(f"slot {model.result.wall_ms:.0f} ms")
+        parts += model.warnings
+        imgui.text("     ".join(parts))

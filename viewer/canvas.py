@@ -1,0 +1,397 @@
+"""Drawing layers with OpenGL: uploads through pixel-buffer objects, and one shader that does the rest.
+
+Row 0 of an array is the top of the picture, row 0 of a layer's texture, and the first row in memory of the texture that
+`Canvas.draw` returns: uv (0, 0), which is the upper left corner in Dear ImGui. Nothing is flipped anywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+import moderngl
+import numpy as np
+
+from gffe_cl.stage import reprojection
+from gffe_cl.viewer import layers as known
+from gffe_cl.viewer.layers import Display, FrameInfo, LayerSpec, Rgb
+
+COMPARISONS = ("off", "split", "difference", "flip", "error")  # "flip": the caller shows b as a
+OVERLAYS = ("none", "edges", "residual motion")
+ERRORS = ("absolute", "squared")
+_DTYPES = {"uint8": "f1", "float16": "f2", "float32": "f4"}
+_VARIANT = ("VIEW_A", "SMOOTH_A", "VIEW_B", "SMOOTH_B", "COMPARE", "OVERLAY")  # macros of display.frag
+_RING = 3  # pixel buffers per size, so that none is rewritten while the driver still reads it
+_RINGS = 12  # sizes that are kept
+_RENDERED = {"depth": "rendered.depth", "motion": "rendered.motion", "color": "rendered.color"}
+_UNITS = {"texels_a": 0, "texels_b": 1, "rendered_depth": 2, "rendered_motion": 3, "rendered_color": 4, "color_maps": 5}
+
+Size = tuple[int, int]
+
+
+@dataclass
+class View:
+    """What a canvas shows.
+
+    Attributes
+    ----------
+    a, b : names of layers; one that is not uploaded shows the background
+    compare : "off" and "flip" show a; "split" a left of `split` (fraction of the canvas' width) and b right of it;
+        "difference" |a − b| of display values times `gain`; "error" an error map, `error` of ERRORS up to `error_high`
+    zoom : screen pixels per display pixel
+    centre : display pixel (x, y) in the middle of the canvas
+    overlay : one of OVERLAYS, over whatever is compared; residual motion has full colour at `residual_scale` pixels
+    grid : lines between pixels when zoomed in
+    """
+
+    a: str
+    a_display: Display
+    b: str | None = None
+    b_display: Display | None = None
+    compare: str = "off"
+    split: float = 0.5
+    zoom: float = 1.0
+    centre: tuple[float, float] = (0.0, 0.0)
+    overlay: str = "none"
+    background: Rgb = (0.11, 0.11, 0.12)
+    gain: float = 4.0
+    error: str = "absolute"
+    error_high: float = 0.1
+    residual_scale: float = 4.0
+    grid: bool = True
+
+    def display_at(self, size: Size, x: float, y: float) -> tuple[float, float]:
+        """Display pixel under the screen position (x, y) of a canvas of `size`."""
+        return tuple(c + (p - s / 2) / self.zoom for c, p, s in zip(self.centre, (x, y), size, strict=True))
+
+    def screen_at(self, size: Size, x: float, y: float) -> tuple[float, float]:
+        """Screen position of the display pixel position (x, y) on a canvas of `size`."""
+        return tuple(s / 2 + (p - c) * self.zoom for c, p, s in zip(self.centre, (x, y), size, strict=True))
+
+    def fit(self, size: Size, display_size: Size) -> None:
+        """Zoom and centre so that the whole display fits a canvas of `size`."""
+        self.zoom = max(min(s / d for s, d in zip(size, display_size, strict=True)), 1e-6)
+        self.centre = (display_size[0] / 2, display_size[1] / 2)
+
+
+@dataclass(frozen=True)
+class Tile:
+    """Where an overview shows a layer: a rectangle in its pixels, from the upper left corner."""
+
+    name: str
+    x: int
+    y: int
+    width: int
+    height: int
+
+
+class _Texture:
+    """A layer on the GPU: (planes, H, W, components) texels."""
+
+    def __init__(self, ctx: moderngl.Context, texels: np.ndarray):
+        planes, height, width, self.components = texels.shape
+        self.size, self.format = (width, height), (texels.shape, texels.dtype)
+        dtype = _DTYPES[texels.dtype.name]
+        self.texels = ctx.texture_array((width, height, planes), self.components, alignment=1, dtype=dtype)
+        self.texels.repeat_x = self.texels.repeat_y = False
+        self.texels.filter = (moderngl.LINEAR, moderngl.LINEAR)
+        self.planes, self.unit = planes, 255.0 if dtype == "f1" else 1.0
+        self.has_mipmaps = False
+        self.spec: LayerSpec | None = None
+
+    def smooth(self) -> None:
+        """Have mipmaps of the present texels."""
+        if not self.has_mipmaps:
+            self.texels.build_mipmaps()
+            self.has_mipmaps = True
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """A layer as the shader takes it; `variant`: its view and whether it is drawn from mipmaps."""
+
+    texture: _Texture
+    variant: tuple[int, int]
+    uniforms: dict[str, Any]
+
+
+class _Program:
+    """The shader for one choice of _VARIANT."""
+
+    def __init__(self, ctx: moderngl.Context, choice: tuple[int, ...]):
+        vertex, fragment = (
+            files("gffe_cl.viewer").joinpath(f"display.{kind}").read_text("utf-8") for kind in ("vert", "frag")
+        )
+        version, rest = fragment.split("\n", 1)
+        macros = (f"#define {name} {value}" for name, value in zip(_VARIANT, choice, strict=True))
+        fragment = "\n".join((version, *macros, "#line 2", rest))
+        self._program = ctx.program(vertex_shader=vertex, fragment_shader=fragment)
+        self._uniforms = {name: self._program[name] for name in self._program}
+        self.triangle = ctx.vertex_array(self._program, [])
+        colors = {
+            **{"label_colors": known.LABEL_COLORS, "sky": known.SKY, "mask_off": known.MASK_OFF},
+            "wheel_centre": known.WHEEL_CENTRE,
+        }
+        self.set("", _UNITS | colors)
+
+    def set(self, prefix: str, values: Mapping[str, Any]) -> None:
+        for name, value in values.items():
+            uniform = self._uniforms.get(prefix + name)
+            if uniform is not None:  # this variant may do without
+                uniform.value = value
+
+    def release(self) -> None:
+        self.triangle.release()
+        self._program.release()
+
+
+class Canvas:
+    """Draws layers in a context of OpenGL ≥ 3.3; use it from that context's thread.
+
+    `frame` says what the layers refer to: set it with every new set of layers. Textures that `draw` and `overview`
+    return are drawn into again by the next call of the same name and `target`.
+    """
+
+    def __init__(self, ctx: moderngl.Context):
+        self.ctx = ctx
+        self.frame = FrameInfo((1, 1))
+        self._programs: dict[tuple[int, ...], _Program] = {}
+        self._layers: dict[str, _Texture] = {}
+        self._rings: dict[int, list[moderngl.Buffer]] = {}
+        self._targets: dict[str, moderngl.Framebuffer] = {}
+        self._nothing = _Shown(_Texture(ctx, np.zeros((1, 1, 1, 1), np.uint8)), (-1, 0), {})
+        tables = np.stack([known.color_table(name) for name in known.COLOR_MAPS])
+        self._color_maps = ctx.texture((256, len(known.COLOR_MAPS)), 3, tables.tobytes(), alignment=1, dtype="f4")
+        self._color_maps.repeat_x = self._color_maps.repeat_y = False
+
+    # ---- layers ----------------------------------------------------------------------------------------
+
+    def upload(self, name: str, array: np.ndarray, spec: LayerSpec) -> None:
+        """Put an image under `name`: (H, W), (H, W, C) or, with `spec.planes` > 1, (planes, H, W[, C]); C ≤ 4.
+
+        float16, float32 and uint8 go as they are (fastest when C-contiguous), other types as float32. An image wider
+        or higher than the GPU's largest texture goes with every n-th pixel. An empty one is ignored.
+        """
+        texels = _texels(array, spec, self.ctx.info["GL_MAX_TEXTURE_SIZE"])
+        if texels is None:
+            return
+        layer = self._layers.get(name)
+        if layer is None or layer.format != (texels.shape, texels.dtype):
+            self.forget([name])
+            layer = self._layers[name] = _Texture(self.ctx, texels)
+        buffer = self._next_buffer(texels.nbytes)
+        buffer.write(texels)
+        layer.texels.write(buffer, alignment=1)
+        layer.spec, layer.has_mipmaps = spec, False
+
+    def _next_buffer(self, nbytes: int) -> moderngl.Buffer:
+        ring = self._rings.pop(nbytes, [])
+        self._rings[nbytes] = ring  # the latest used is the last
+        if len(ring) < _RING:
+            ring.append(self.ctx.buffer(reserve=nbytes, dynamic=True))
+        else:
+            ring.append(ring.pop(0))
+            ring[-1].orphan()
+        while len(self._rings) > _RINGS:
+            for buffer in self._rings.pop(next(iter(self._rings))):
+                buffer.release()
+        return ring[-1]
+
+    @property
+    def layers(self) -> dict[str, LayerSpec]:
+        """What has been uploaded."""
+        return {name: layer.spec for name, layer in self._layers.items()}
+
+    @property
+    def pixel_buffers(self) -> list[int]:
+        """Sizes in bytes of the pixel buffers in use."""
+        return [buffer.size for ring in self._rings.values() for buffer in ring]
+
+    def forget(self, names: Iterable[str]) -> None:
+        """Release these layers, if they are there."""
+        for name in names:
+            layer = self._layers.pop(name, None)
+            if layer:
+                layer.texels.release()
+
+    def release(self) -> None:
+        """Release everything; the canvas must not be used any more."""
+        self.forget(list(self._layers))
+        for buffer in (buffer for ring in self._rings.values() for buffer in ring):
+            buffer.release()
+        for framebuffer in self._targets.values():
+            _release(framebuffer)
+        for program in self._programs.values():
+            program.release()
+        self._nothing.texture.texels.release()
+        self._color_maps.release()
+        self._rings, self._targets, self._programs = {}, {}, {}
+
+    # ---- drawing ---------------------------------------------------------------------------------------
+
+    def draw(self, view: View, size: Size, target: str = "canvas") -> moderngl.Texture:
+        """Draw `view` at `size` (width, height); returns RGBA8, opaque, first row on top. `target` tells apart pictures
+        that are needed at the same time."""
+        framebuffer = self._target(target, size)
+        with self.ctx.scope(framebuffer, moderngl.NOTHING):
+            self._draw(view, (0, 0), framebuffer.size)
+        return framebuffer.color_attachments[0]
+
+    def overview(
+        self,
+        tiles: Sequence[tuple[str, Display]],
+        size: Size,
+        *,
+        caption: int = 20,
+        gap: int = 6,
+        background: Rgb = (0.11, 0.11, 0.12),
+    ) -> tuple[moderngl.Texture, tuple[Tile, ...]]:
+        """Draw many layers as a grid as large as fits `size`, with `caption` pixels left free under each.
+
+        Returns the picture, and where which layer is.
+        """
+        framebuffer = self._target("overview", size)
+        places = _grid(len(tiles), framebuffer.size, self.frame.display_size, caption, gap)
+        placed = tuple(Tile(name, *place) for (name, _), place in zip(tiles, places, strict=True))
+        with self.ctx.scope(framebuffer, moderngl.NOTHING):
+            framebuffer.clear(*background, 1.0)
+            for tile, (name, display) in zip(placed, tiles, strict=True):
+                view = View(name, display, background=background, grid=False)
+                view.fit((tile.width, tile.height), self.frame.display_size)
+                framebuffer.viewport = (tile.x, tile.y, tile.width, tile.height)
+                self._draw(view, (tile.x, tile.y), (tile.width, tile.height))
+            framebuffer.viewport = (0, 0, *framebuffer.size)
+        return framebuffer.color_attachments[0], placed
+
+    def _target(self, name: str, size: Size) -> moderngl.Framebuffer:
+        size = tuple(max(int(n), 1) for n in size)
+        old = self._targets.get(name)
+        if old is not None and old.size == size:
+            return old
+        if old is not None:
+            _release(old)
+        self._targets[name] = self.ctx.framebuffer([self.ctx.texture(size, 4)])
+        return self._targets[name]
+
+    def _draw(self, view: View, corner: tuple[int, int], size: Size) -> None:
+        b = None if view.compare in ("off", "flip") else view.b
+        shown = [self._shown(view.a, view.a_display, view.zoom), self._shown(b, view.b_display, view.zoom)]
+        program = self._program(
+            *(layer.variant for layer in shown), COMPARISONS.index(view.compare), OVERLAYS.index(view.overlay)
+        )
+        for index, layer in enumerate(shown):
+            program.set(f"layer[{index}].", layer.uniforms)
+        rendered = {key: self._layers.get(name) for key, name in _RENDERED.items()}
+        for unit, texture in enumerate((*(layer.texture for layer in shown), *rendered.values())):
+            (texture or self._nothing.texture).texels.use(unit)
+        self._color_maps.use(_UNITS["color_maps"])
+        program.set("", {f"has_{key}": layer is not None for key, layer in rendered.items()} | self._frame_uniforms())
+        values = {name: getattr(view, name) for name in ("centre", "zoom", "background", "grid", "split")}
+        values |= {
+            "corner": corner,
+            "size": size,
+            "difference_gain": view.gain,
+            "error_squared": view.error == "squared",
+            "error_high": max(view.error_high, 1e-12),
+            "residual_scale": max(view.residual_scale, 1e-6),
+        }
+        program.set("", values)
+        program.triangle.render(moderngl.TRIANGLES, vertices=3)
+
+    def _program(self, variant_a: tuple[int, int], variant_b: tuple[int, int], compare: int, overlay: int) -> _Program:
+        key = (*variant_a, *variant_b, compare, overlay)
+        if key not in self._programs:
+            self._programs[key] = _Program(self.ctx, key)
+        return self._programs[key]
+
+    def _frame_uniforms(self) -> dict[str, Any]:
+        frame = self.frame
+        values = {
+            "display_size": frame.display_size,
+            "has_source": frame.source is not None,
+            "has_previous": frame.source is not None and frame.previous is not None,
+            "rendered_area": frame.source_area,
+            "rendered_gain": frame.exposure,
+        }
+        if frame.source is not None:
+            matrix = reprojection(frame.source, frame.previous or frame.source)
+            values |= {"to_previous": matrix[:3].ravel(), "source_inverse": matrix[4], "previous_pinhole": matrix[5]}
+        return values
+
+    def _shown(self, name: str | None, display: Display | None, zoom: float) -> _Shown:
+        """Layer a or b at this zoom."""
+        layer = self._layers.get(name)
+        if layer is None or display is None:
+            return self._nothing
+        spec, frame = layer.spec, self.frame
+        view, channel = known.shown_as(spec, display)
+        area = frame.area(spec)
+        texel = [zoom * frame.display_size[i] / (layer.size[i] * abs(area[i + 2] - area[i])) for i in (0, 1)]
+        smooth = view == "color" and min(texel) < 1.0
+        if smooth:
+            layer.smooth()
+        low, high = display.low, display.high
+        uniforms = {
+            "channel": min(channel, layer.components - 1),
+            "components": layer.components,
+            "plane": min(max(display.plane, 0), layer.planes - 1),
+            "unit": layer.unit,
+            "area": area,
+            "own": frame.own_place(spec),
+            "texel": texel,
+            "weighted": spec.view == "color" and spec.components[3:] == ("weight",),
+            "gain": 2.0**display.exposure * frame.exposure,
+            "tone_map": known.TONE_MAPS.index(display.tone_map),
+            "color_map": known.COLOR_MAPS.index(display.color_map),
+            "range": (low, high if high != low else low + abs(low) * 1e-6 + 1e-12),
+            "inverse": display.inverse,
+            "motion_scale": max(display.motion_scale, 1e-6) * (-1 if display.reverse else 1),
+            "tint": display.tint,
+            "label_flip": known.label_flip(spec),
+        }
+        return _Shown(layer, (known.VIEWS.index(view), int(smooth)), uniforms)
+
+
+def read(texture: moderngl.Texture) -> np.ndarray:
+    """(H, W, 4) uint8 of what `Canvas` has drawn, top row first."""
+    width, height = texture.size
+    return np.frombuffer(texture.read(alignment=1), np.uint8).reshape(height, width, 4)
+
+
+def _release(framebuffer: moderngl.Framebuffer) -> None:
+    for texture in framebuffer.color_attachments:
+        texture.release()
+    framebuffer.release()
+
+
+def _texels(array: np.ndarray, spec: LayerSpec, most: int) -> np.ndarray | None:
+    """(planes, H, W, C) of one of _DTYPES, C-contiguous; None if there is nothing in it."""
+    array = np.asarray(array)
+    if spec.planes == 1 and array.ndim < 4:
+        array = array[None]
+    array = array[..., None] if array.ndim == 3 else array[..., :4]
+    if array.ndim != 4 or not array.size:
+        return None
+    step = math.ceil(max(array.shape[1:3]) / most)
+    array = array[:, ::step, ::step]
+    return np.ascontiguousarray(array, array.dtype if array.dtype.name in _DTYPES else np.float32)
+
+
+def _grid(count: int, size: Size, picture: Size, caption: int, gap: int) -> list[tuple[int, int, int, int]]:
+    """(x, y, width, height) of `count` pictures of the aspect of `picture`, as large as fits `size`."""
+    best, best_columns = (0, 0), 1
+    for columns in range(1, count + 1):
+        rows = math.ceil(count / columns)
+        width = (size[0] - gap * (columns + 1)) / columns
+        height = (size[1] - gap * (rows + 1)) / rows - caption
+        scale = min(width / picture[0], height / picture[1])
+        fitting = tuple(max(int(n * scale), 1) for n in picture)
+        if fitting[0] > best[0]:
+            best, best_columns = fitting, columns
+    width, height = max(best[0], 1), max(best[1], 1)
+    left = max((size[0] - best_columns * (width + gap) + gap) // 2, 0)
+    steps = ((index % best_columns, index // best_columns) for index in range(count))
+    return [(left + i * (width + gap), gap + j * (height + caption + gap), width, height) for i, j in steps]

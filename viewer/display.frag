@@ -1,0 +1,312 @@
+#version 330 core
+/* All that the canvas shows, chosen by uniforms. y goes down: row 0 of a layer is the top of the picture, and so is the
+   first row of what is drawn. Layers are addressed by uv, fractions of the display. Colours are display values unless
+   called linear.
+
+   What the canvas shows is chosen by macros, because llvmpipe runs both sides of every branch: VIEW_A and VIEW_B (-1:
+   no such layer), SMOOTH_A and SMOOTH_B (1: drawn smaller, from mipmaps), COMPARE, OVERLAY. All else is uniforms. */
+
+/* Order of VIEWS, TONE_MAPS, COLOR_MAPS (layers.py), COMPARISONS and OVERLAYS (canvas.py). */
+#define COLOR 0
+#define DEPTH 1
+#define MOTION 2
+#define PLACE 3
+#define WORLD 4
+#define MASK 5
+#define LABEL 6
+#define SCALAR 7
+#define TONE_REINHARD 1
+#define TONE_ACES 2
+#define TONE_LINEAR 3
+#define MAP_HEAT 3
+#define MAPS 4
+#define SPLIT 1
+#define DIFFERENCE 2
+#define ERROR 4
+#define EDGES 1
+#define RESIDUAL 2
+
+#define GRID_FROM 8.0    /* screen pixels per texel, and per display pixel, from which grid lines show */
+#define GRID_FULL 24.0
+
+/* Edges, from where they begin to show to where they are full: second difference of inverse depth, relative (planes
+   have none), and of motion, pixels; first difference of displayed brightness. */
+#define DEPTH_EDGE vec2(0.03, 0.12)
+#define MOTION_EDGE vec2(0.05, 0.3)
+#define COLOR_EDGE vec2(0.08, 0.25)
+
+struct Layer {
+    int channel;          /* -1: all */
+    int components, plane;
+    float unit;           /* values per texel value: 255 for bytes */
+    vec4 area, own;       /* see FrameInfo.area, FrameInfo.own_place */
+    vec2 texel;           /* screen pixels per texel */
+    bool weighted;        /* colour is a sum, its weight the fourth channel */
+    float gain;           /* of linear colour */
+    int tone_map, color_map;
+    vec2 range;
+    bool inverse;
+    float motion_scale;   /* negative: reversed */
+    vec3 tint;
+    int label_flip;       /* 15: the usual label is 15, not 0 */
+};
+
+uniform Layer layer[2];
+uniform sampler2DArray texels_a, texels_b, rendered_depth, rendered_motion, rendered_color;
+uniform sampler2D color_maps;   /* a row each */
+uniform vec3 label_colors[16], sky, mask_off;
+uniform float wheel_centre;
+
+uniform vec2 corner, size;      /* of what is drawn, in the framebuffer */
+uniform vec2 centre, display_size;
+uniform float zoom;
+uniform vec3 background;
+uniform bool grid;
+uniform float split, difference_gain, error_high;
+uniform bool error_squared;
+
+uniform bool has_depth, has_motion, has_color, has_source, has_previous;
+uniform vec4 rendered_area;
+uniform float rendered_gain;
+uniform mat3x4 to_previous;     /* view space of the rendered camera -> of the one before; its columns are rows */
+uniform vec4 source_inverse;    /* 1/fx, 1/fy, cx, cy of the rendered camera */
+uniform vec4 previous_pinhole;  /* fx, fy, cx, cy of the one before */
+uniform float residual_scale;
+
+out vec4 pixel;
+
+/* isnan and isinf may be optimised away. */
+bool is_nan(const float v) { return (floatBitsToUint(v) & 0x7fffffffu) > 0x7f800000u; }
+bool is_bad(const float v) { return (floatBitsToUint(v) & 0x7fffffffu) >= 0x7f800000u; }
+bool is_bad(const vec3 v) { return is_bad(v.x) || is_bad(v.y) || is_bad(v.z); }
+bool is_sky(const float z) { return floatBitsToUint(z) == 0x7f800000u; }
+bool inside(const vec2 uv) { return uv.x >= 0.0 && uv.y >= 0.0 && uv.x < 1.0 && uv.y < 1.0; }
+
+/* NaN or infinite. */
+vec3 checker() {
+    ivec2 cell = ivec2(gl_FragCoord.xy) / 4;
+    return ((cell.x + cell.y) & 1) == 0 ? vec3(1.0, 0.0, 1.0) : vec3(0.05);
+}
+
+/* Nothing is known here. */
+vec3 hatch() {
+    ivec2 at = ivec2(gl_FragCoord.xy);
+    return vec3(((at.x + at.y) & 7) < 2 ? 0.30 : 0.12);
+}
+
+ivec2 texel_at(const vec2 uv, const ivec2 texels) {
+    return clamp(ivec2(floor(uv * vec2(texels))), ivec2(0), texels - 1);
+}
+
+/* The layer's number is a constant wherever these are called. */
+int view_of(const int i) { return i == 0 ? VIEW_A : VIEW_B; }
+
+vec4 load_from(sampler2DArray texels, const Layer l, const bool smooth_it, const vec2 uv) {
+    if (smooth_it) return l.unit * textureLod(texels, vec3(uv, float(l.plane)), -log2(min(l.texel.x, l.texel.y)));
+    return l.unit * texelFetch(texels, ivec3(texel_at(uv, textureSize(texels, 0).xy), l.plane), 0);
+}
+
+vec4 load(const int i, const vec2 uv) {
+    return i == 0 ? load_from(texels_a, layer[0], SMOOTH_A == 1, uv) : load_from(texels_b, layer[1], SMOOTH_B == 1, uv);
+}
+
+vec2 size_of(const int i) { return vec2(i == 0 ? textureSize(texels_a, 0).xy : textureSize(texels_b, 0).xy); }
+
+vec2 uv_of(const int i, const vec2 uv) { return mix(layer[i].area.xy, layer[i].area.zw, uv); }
+
+bool covers(const int i, const vec2 uv) { return view_of(i) >= 0 && inside(uv_of(i, uv)); }
+
+vec3 srgb(const vec3 linear) {
+    vec3 c = clamp(linear, 0.0, 1.0);
+    return mix(1.055 * pow(max(c, 0.0031308), vec3(1.0 / 2.4)) - 0.055, 12.92 * c, lessThanEqual(c, vec3(0.0031308)));
+}
+
+vec3 tone_mapped(const vec3 linear, const int tone_map) {
+    vec3 c = max(linear, 0.0);
+    if (tone_map == TONE_LINEAR) return min(c, 1.0);
+    if (tone_map == TONE_REINHARD) c = c / (1.0 + c);
+    if (tone_map == TONE_ACES) c = (c * (2.51 * c + 0.03)) / (c * (2.43 * c + 0.59) + 0.14);  /* K. Narkowicz's fit */
+    return srgb(c);
+}
+
+vec3 mapped(const float t, const int color_map) {
+    vec2 at = vec2(clamp(t, 0.0, 1.0) * 255.0, float(color_map)) + 0.5;
+    return textureLod(color_maps, at / vec2(256.0, float(MAPS)), 0.0).rgb;
+}
+
+vec3 hue_of(const vec2 v) {
+    float turns = v == vec2(0.0) ? 0.0 : atan(v.y, v.x) / 6.28318530718;
+    return clamp(abs(mod(turns * 6.0 + vec3(0.0, 4.0, 2.0), 6.0) - 3.0) - 1.0, 0.0, 1.0);
+}
+
+float share_of(const vec2 v, const float scale) { return sqrt(min(length(v) / scale, 1.0)); }
+
+vec3 wheel(const vec2 v, const float scale) {
+    return mix(vec3(wheel_centre), hue_of(v * sign(scale)), share_of(v, abs(scale)));
+}
+
+float ramp_position(const int view, const Layer l, const float v) {
+    if (view == DEPTH && l.inverse) {
+        float low = max(l.range.x, 1e-6), high = max(l.range.y, 2e-6);
+        return (1.0 / v - 1.0 / low) / (1.0 / high - 1.0 / low);
+    }
+    return (v - l.range.x) / (l.range.y - l.range.x);
+}
+
+vec3 unproject(const vec2 px, const float z, const vec4 inverse) {
+    return vec3((px - inverse.zw) * inverse.xy, 1.0) * z;
+}
+
+/* Value of layer i as a vector: its one value, or the vector that is shown, in xyz; w = 0 where there is none. */
+vec4 vector_of(const int i, const vec2 layer_uv, const vec4 v) {
+    Layer l = layer[i];
+    if (view_of(i) == MOTION) return vec4(v.xy, 0.0, 1.0);
+    if (view_of(i) == PLACE) {
+        bool there = l.components > 2 ? v.z > 0.0 : v.xy != vec2(0.0);
+        vec2 texel_centre = (floor(layer_uv * size_of(i)) + 0.5) / size_of(i);
+        return vec4(v.xy - (texel_centre * l.own.xy + l.own.zw), 0.0, there ? 1.0 : 0.0);
+    }
+    if (view_of(i) == WORLD) {
+        ivec2 texels = textureSize(rendered_depth, 0).xy, at = texel_at(layer_uv, texels);
+        float z = texelFetch(rendered_depth, ivec3(at, 0), 0).r;
+        bool there = has_depth && has_source && v.w != 0.0 && !is_bad(z);
+        return vec4(v.xyz - unproject(vec2(at) + 0.5, z, source_inverse), there ? 1.0 : 0.0);
+    }
+    return vec4(v[max(l.channel, 0)], 0.0, 0.0, 1.0);
+}
+
+vec3 show_color(const Layer l, vec4 c) {
+    if (l.weighted) {
+        if (c.a == 0.0) return hatch();
+        c.rgb /= c.a;
+    }
+    if (l.channel >= 0) c.rgb = vec3(c[l.channel]);
+    if (is_bad(c.rgb)) return checker();
+    return tone_mapped(c.rgb * l.gain, l.tone_map);
+}
+
+/* What layer i looks like at `uv` of the display. */
+vec3 show(const int i, const vec2 uv) {
+    if (!covers(i, uv)) return background;
+    Layer l = layer[i];
+    int view = view_of(i);
+    vec2 layer_uv = uv_of(i, uv);
+    vec4 texel = load(i, layer_uv);
+    if (view == COLOR) return show_color(l, texel);
+    vec4 v = vector_of(i, layer_uv, texel);
+    if (v.w == 0.0) return hatch();
+    if (view == LABEL) return label_colors[(int(v.x + 0.5) & 15) ^ l.label_flip];
+    if (view == MASK) return v.x != 0.0 ? l.tint : mask_off;
+    if (view == DEPTH && is_sky(v.x)) return sky;
+    if (view == DEPTH && v.x <= 0.0) return hatch();
+    if (is_bad(v.xyz)) return checker();
+    if (view == MOTION || view == PLACE) return wheel(v.xy, l.motion_scale);
+    return mapped(ramp_position(view, l, view == WORLD ? length(v.xyz) : v.x), l.color_map);
+}
+
+vec3 show_difference(const vec2 uv) {
+    if (!covers(0, uv) || !covers(1, uv)) return background;
+    return abs(show(0, uv) - show(1, uv)) * difference_gain;
+}
+
+/* Error between both layers: of display values where they are colour or differ in kind, of the values elsewhere. */
+vec3 show_error(const vec2 uv) {
+    if (!covers(0, uv) || !covers(1, uv)) return background;
+    vec4 a = load(0, uv_of(0, uv)), b = load(1, uv_of(1, uv));
+    float error, square;
+    if (VIEW_A == COLOR || VIEW_A != VIEW_B) {
+        if (is_bad(a.rgb) || is_bad(b.rgb)) return checker();
+        vec3 d = abs(show(0, uv) - show(1, uv));
+        error = (d.x + d.y + d.z) / 3.0;
+        square = dot(d, d) / 3.0;
+    } else {
+        vec4 va = vector_of(0, uv_of(0, uv), a), vb = vector_of(1, uv_of(1, uv), b);
+        if (va.w == 0.0 || vb.w == 0.0) return hatch();
+        if (is_nan(dot(va, va)) || is_nan(dot(vb, vb))) return checker();
+        bool named = VIEW_A == LABEL || VIEW_A == MASK;
+        error = va == vb ? 0.0 : named ? error_high : min(length(va.xyz - vb.xyz), 1e18);  /* inf if one is: largest */
+        square = named ? error : error * error;
+    }
+    return mapped((error_squared ? square : error) / error_high, MAP_HEAT);
+}
+
+float inverse_depth(const ivec2 p) {
+    float z = texelFetch(rendered_depth, ivec3(p, 0), 0).r;
+    return z > 0.0 && !is_bad(z) ? 1.0 / z : 0.0;
+}
+vec2 motion_at(const ivec2 p) { return texelFetch(rendered_motion, ivec3(p, 0), 0).rg; }
+float brightness(const ivec2 p) {
+    return dot(srgb(rendered_gain * texelFetch(rendered_color, ivec3(p, 0), 0).rgb), vec3(0.2126, 0.7152, 0.0722));
+}
+
+/* How much of an edge of (depth, motion, colour) there is between a pixel and both its neighbours along `step`. */
+vec3 edges_along(const vec2 uv, const ivec2 step) {
+    vec3 found = vec3(0.0);
+    ivec2 texels = textureSize(rendered_depth, 0).xy, p = texel_at(uv, texels), q = p - step, r = p + step;
+    if (has_depth && all(greaterThanEqual(q, ivec2(0))) && all(lessThan(r, texels))) {
+        float a = inverse_depth(q), b = inverse_depth(p), c = inverse_depth(r);
+        found.x = smoothstep(DEPTH_EDGE.x, DEPTH_EDGE.y, abs(a + c - 2.0 * b) / max(max(a, c), max(b, 1e-20)));
+    }
+    texels = textureSize(rendered_motion, 0).xy, p = texel_at(uv, texels), q = p - step, r = p + step;
+    if (has_motion && all(greaterThanEqual(q, ivec2(0))) && all(lessThan(r, texels)))
+        found.y = smoothstep(MOTION_EDGE.x, MOTION_EDGE.y, length(motion_at(q) + motion_at(r) - 2.0 * motion_at(p)));
+    texels = textureSize(rendered_color, 0).xy, p = texel_at(uv, texels), q = p - step, r = p + step;
+    if (has_color && all(greaterThanEqual(q, ivec2(0))) && all(lessThan(r, texels))) {
+        float here = brightness(p);
+        found.z = smoothstep(COLOR_EDGE.x, COLOR_EDGE.y, max(abs(here - brightness(q)), abs(here - brightness(r))));
+    }
+    return found;
+}
+
+/* Motion of the rendered frame that its camera does not explain, pixels; false where that is unknown. */
+bool residual_motion(const vec2 uv, out vec2 residual) {
+    ivec2 texels = textureSize(rendered_depth, 0).xy, at = texel_at(uv, texels);
+    float z = texelFetch(rendered_depth, ivec3(at, 0), 0).r;
+    vec2 px = vec2(at) + 0.5, mv_px = motion_at(texel_at(uv, textureSize(rendered_motion, 0).xy));
+    bool far = is_sky(z);
+    vec4 view_pos = vec4(unproject(px, far ? 1.0 : z, source_inverse), far ? 0.0 : 1.0);
+    vec3 before = view_pos * to_previous;
+    residual = mv_px - (previous_pinhole.xy * before.xy / before.z + previous_pinhole.zw - px);
+    return z > 0.0 && before.z > 0.0 && !is_bad(residual.x) && !is_bad(residual.y);
+}
+
+vec3 overlaid(const vec3 picture, const vec2 uv) {
+    vec2 rendered_uv = mix(rendered_area.xy, rendered_area.zw, uv);
+    vec3 dimmed = vec3(0.35 * dot(picture, vec3(0.2126, 0.7152, 0.0722)));
+    if (OVERLAY == 0 || !inside(rendered_uv)) return picture;
+    if (OVERLAY == EDGES) {
+        vec3 found = max(edges_along(rendered_uv, ivec2(1, 0)), edges_along(rendered_uv, ivec2(0, 1)));
+        return mix(dimmed, found, max(found.x, max(found.y, found.z)));
+    }
+    vec2 residual;
+    if (!(has_depth && has_motion && has_previous) || !residual_motion(rendered_uv, residual)) return dimmed;
+    return mix(dimmed, hue_of(residual), share_of(residual, residual_scale));
+}
+
+vec3 with_grid(const vec3 c, const int i, const vec2 uv) {
+    vec2 texel = layer[i].texel;
+    float narrow = min(min(texel.x, texel.y), zoom);
+    if (!grid || narrow < GRID_FROM || !covers(i, uv)) return c;
+    vec2 from_line = fract(uv_of(i, uv) * size_of(i)) * texel;
+    if (min(from_line.x, from_line.y) >= 1.0) return c;
+    float contrast = dot(c, vec3(0.2126, 0.7152, 0.0722)) > 0.45 ? 0.0 : 1.0;
+    return mix(c, vec3(contrast), 0.25 * smoothstep(GRID_FROM, GRID_FULL, narrow) + 0.08);
+}
+
+void main() {
+    vec2 frag = gl_FragCoord.xy - corner;
+    vec2 uv = (centre + (frag - 0.5 * size) / zoom) / display_size;
+    float split_x = split * size.x;
+    bool right = COMPARE == SPLIT && frag.x >= split_x;
+    vec3 c = background;
+    if (inside(uv)) {
+        if (COMPARE == DIFFERENCE) c = show_difference(uv);
+        else if (COMPARE == ERROR) c = show_error(uv);
+        else c = show(0, uv);
+        if (right) c = show(1, uv);
+        c = overlaid(c, uv);
+        c = right ? with_grid(c, 1, uv) : with_grid(c, 0, uv);
+    }
+    if (COMPARE == SPLIT && abs(frag.x - split_x) < 1.0) c = vec3(1.0);
+    pixel = vec4(c, 1.0);
+}

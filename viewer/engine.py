@@ -1,0 +1,344 @@
+"""The engine thread: owns the device, the source of frames and the pipeline, and computes slots for the interface.
+
+Slot s shows rendered frame k = s // (n + 1) if j = s % (n + 1) is 0, else the frame extrapolated from it at
+α = j / (n + 1). The interface posts requests and polls for answers; neither ever waits.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.bench import Copier
+from gffe_cl.device import Device, open_device
+from gffe_cl.errors import GffeError
+from gffe_cl.frame import HALF_MAX
+from gffe_cl.run import alphas_for
+from gffe_cl.viewer.layers import layers_of
+from gffe_cl.viewer.messages import Closing, EngineError, Inspection, Metrics, Request, Result
+from gffe_cl.viewer.player import Player
+from gffe_cl.viewer.reloading import WATCH_SECONDS, Kernels
+from gffe_cl.viewer.scoring import Scorer
+from gffe_cl.viewer.sources import FrameSource
+from gffe_cl.viewer.story import device_layers, pixel_story, pixel_values, read_layers
+
+_CLOSE_SECONDS = 2.0
+_KINDS = {  # of what is posted, and the activity meanwhile
+    "source": "opening",
+    "kernels": "building kernels",
+    "slot": "computing",
+    "inspection": "",
+    "bandwidth": "measuring bandwidth",
+}
+
+
+def open_viewer_device(wanted: str | None = None) -> Device:
+    """The device that `open_device` opens; of a CPU all compute units but one, which is left to the interface."""
+    device = open_device(wanted)
+    cl_device = device.cl_device
+    if device.info.kind != "cpu" or cl_device.max_compute_units < 2:
+        return device
+    counts = [cl.device_partition_property.BY_COUNTS, cl_device.max_compute_units - 1]
+    with suppress(cl.Error):
+        return Device(cl_device.create_sub_devices(counts)[0], device.info)
+    return device
+
+
+class Engine:
+    """The viewer's computing thread.
+
+    Parameters
+    ----------
+    open_the_device : callable
+        Opens the device, on the thread.
+    notify : callable
+        Called on the engine's threads whenever there is something to poll.
+
+    Attributes
+    ----------
+    source : FrameSource or None
+        What was opened last.
+    device_name : str
+        Empty until it is open.
+    build_error : str or None
+        Why the kernels on disk do not build, with file and line; the last good ones go on.
+    bandwidth : float or None
+        GB/s of copying, once measured.
+    activity : str
+        What is being done; empty if nothing, or something short.
+    """
+
+    def __init__(
+        self, open_the_device: Callable[[], Device] = open_viewer_device, notify: Callable[[], None] = lambda: None
+    ):
+        self._open_the_device, self._notify = open_the_device, notify
+        self.source: FrameSource | None = None
+        self.device_name, self.activity = "", "opening the device"
+        self.build_error: str | None = None
+        self.bandwidth: float | None = None
+        self._thread = threading.Thread(target=self._run, name="gffe-viewer-engine", daemon=True)
+        self._news = threading.Condition()
+        self._posted: dict[str, Any] = {}
+        self._closing = False
+        self._result: Result | None = None
+        self._errors: deque[EngineError] = deque(maxlen=16)
+        self._inspection: Inspection | None = None
+        self._device: Device | None = None
+        self._problem = ""  # of opening the device
+        self._kernels: Kernels | None = None
+        self._player: Player | None = None
+        self._scorer = Scorer(notify, lambda error: self._fail(error, "metrics", None))
+        self._last: Request | None = None  # computed last
+
+    @property
+    def busy(self) -> bool:
+        """Whether anything but an inspection is under way or waits."""
+        with self._news:
+            return bool(self.activity or self._posted.keys() - {"inspection"})
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def close(self) -> None:
+        """Ends the thread; returns within two seconds even if a kernel takes longer."""
+        with self._news:
+            self._closing = True
+            self._news.notify()
+        self._scorer.close()
+        if self._thread.is_alive():
+            self._thread.join(_CLOSE_SECONDS)
+
+    # ---- posting and polling -----------------------------------------------------------------------------
+
+    def open_source(self, make: Callable[[Device], FrameSource], serial: int = 0) -> None:
+        """Have `make` open a source on the thread; `source` is it then, and what was asked before is given up. If it
+        fails the old one stays."""
+        self._post("source", (make, serial))
+
+    def submit(self, request: Request) -> None:
+        """Ask for a slot; replaces a request that was not taken up yet."""
+        self._post("slot", request)
+
+    def inspect(self, x: int, y: int, layers: frozenset[str] | None = None) -> None:
+        """Ask what the slot last computed holds at display pixel (x, y); `layers`: None for all."""
+        self._post("inspection", (x, y, layers))
+
+    def reload_kernels(self) -> None:
+        """Build the kernels anew if their text changed, and the last slot with them."""
+        self._post("kernels", None)
+
+    def measure_bandwidth(self) -> None:
+        """Measure `bandwidth`, once; takes a second, and 512 MiB on the device."""
+        if self.bandwidth is None:
+            self._post("bandwidth", None)
+
+    def poll(self) -> Result | EngineError | None:
+        """What went wrong, oldest first, else the newest result; each once."""
+        with self._news:
+            if self._errors:
+                return self._errors.popleft()
+            result, self._result = self._result, None
+        return result
+
+    def poll_inspection(self) -> Inspection | None:
+        with self._news:
+            inspection, self._inspection = self._inspection, None
+        return inspection
+
+    def poll_metrics(self) -> Metrics | None:
+        """The next metrics that became known: first with `psnr` alone, then with the rest."""
+        return self._scorer.take()
+
+    def _post(self, kind: str, content: Any) -> None:
+        with self._news:
+            self._posted[kind] = content
+            self._news.notify()
+
+    # ---- on the thread -----------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        kind, content = "device", None
+        while kind:
+            try:
+                getattr(self, f"_do_{kind}")(content)
+            except Closing:
+                break
+            except Exception as error:
+                self._fail(error, kind, content)
+            self.activity = ""
+            kind, content = self._next(kind)
+        self._player = self._last = None
+        if self.source:
+            self.source.close()
+        if self._kernels:
+            self._kernels.release()
+
+    def _next(self, last: str) -> tuple[str, Any]:
+        """What to do next, kinds taking turns; an empty kind to end."""
+        kinds = list(_KINDS)
+        turns = kinds[kinds.index(last) + 1 :] + kinds if last in kinds else kinds
+        with self._news:
+            while not self._closing:
+                if self._kernels and time.monotonic() >= self._kernels.look_again_at:
+                    return "watch", None
+                for kind in turns:
+                    if kind in self._posted:
+                        self.activity = _KINDS[kind]
+                        return kind, self._posted.pop(kind)
+                self._news.wait(WATCH_SECONDS)
+        return "", None
+
+    def _fail(self, error: Exception, kind: str, content: Any) -> None:
+        message = str(error) if isinstance(error, GffeError) else f"{type(error).__name__}: {error}"
+        serial = {"slot": lambda: content.serial, "source": lambda: content[1]}.get(kind, lambda: 0)()
+        if kind == "device":
+            self._problem, self.device_name = message, "no device"
+        self._errors.append(EngineError(message, serial, kind))
+        self._notify()
+
+    def _do_device(self, _) -> None:
+        self._device = self._open_the_device()
+        self.device_name = self._device.info.name
+        self.activity = "building kernels"
+        self._kernels = Kernels(self._device)
+        self._do_kernels(None)
+
+    def _need_device(self) -> Device:
+        if self._device is None:
+            raise GffeError(self._problem)
+        return self._device
+
+    def _do_source(self, content) -> None:
+        source = content[0](self._need_device())
+        if self.source:
+            self.source.close()
+        self._player, self._last = Player(self._device, source, lambda: self._closing), None
+        self._scorer.clear()
+        with self._news:
+            self._posted.pop("slot", None)
+            self._posted.pop("inspection", None)
+            self._result = self._inspection = None
+            self.source = source
+        self._notify()
+
+    def _do_watch(self, _) -> None:
+        if self._kernels.have_changed():
+            self._do_kernels(None)
+
+    def _do_kernels(self, _) -> None:
+        self._need_device()
+        self.activity = "building kernels"
+        changed = self._kernels.reload()
+        self.build_error = self._kernels.error
+        if changed and self._player:
+            self._player.drop()
+            self._scorer.clear()
+            with self._news:
+                if self._last:
+                    self._posted.setdefault("slot", self._last)
+        self._notify()
+
+    def _do_bandwidth(self, _) -> None:
+        if self.bandwidth is None:
+            self.bandwidth = Copier(self._need_device()).bandwidth()
+            self._notify()
+
+    def _do_inspection(self, content) -> None:
+        x, y, layers = content
+        player = self._player
+        if not (player and player.shot and 0 <= x < self.source.width and 0 <= y < self.source.height):
+            return
+        pipeline, shot = player.pipeline, player.shot
+        values = pixel_values(pipeline, shot, x, y)
+        story = pixel_story(pipeline, shot, x, y, values)
+        if player.truth is not None:
+            values["truth"] = _rgba(player.truth[y : y + 1, x : x + 1])[0, 0]
+        if layers is not None:
+            values = {name: value for name, value in values.items() if name in layers}
+        inspection = Inspection((x, y), self._last.slot, story.source, values, story)
+        with self._news:
+            self._inspection = inspection
+        self._notify()
+
+    def _do_slot(self, request: Request) -> None:
+        start = time.perf_counter()
+        self._need_device()
+        if self._player is None:
+            raise GffeError("nothing is open: expected a sequence or a built-in scene")
+        player, alphas = self._player, (0.0, *alphas_for(request.setup.n))
+        k, j = divmod(request.slot, len(alphas))
+        if not 0 <= k < self.source.count:
+            raise GffeError(f"slot {request.slot}: expected 0 to {self.source.count * len(alphas) - 1}")
+        self._last = request
+        try:
+            result = self._computed(player, request, k, alphas[j], start)
+        except Exception:
+            player.drop()
+            raise
+        with self._news:
+            self._result = result
+        self._notify()
+
+    def _computed(self, player: Player, request: Request, k: int, alpha: float, start: float) -> Result:
+        player.prepare(request.setup)
+        notes = player.go_to(k, alpha)
+        shot = player.shoot(k, alpha, request.setup.show_window)
+        pipeline = player.pipeline
+        specs = layers_of(pipeline)
+        if not self.source.has_truth:
+            del specs["truth"]
+        milliseconds = pipeline.take_timings()
+        reading = time.perf_counter()
+        measure = request.metrics and alpha > 0 and self.source.has_truth
+        names = (request.layers | ({"final"} if measure else set())) & specs.keys()
+        images = read_layers(pipeline, device_layers(pipeline, shot), names)
+        readback_ms = (time.perf_counter() - reading) * 1e3
+        known = Metrics(request.slot, request.setup)
+        if alpha and self.source.has_truth and (measure or "truth" in names):
+            player.truth = truth = self._truth(k, alpha, notes)
+            if truth is not None and "truth" in names:
+                images["truth"] = _rgba(truth)
+            if truth is not None and measure:
+                known = self._scorer.score(known, shot, images["final"], truth, self.source.exposure)
+        return Result(
+            request,
+            k,
+            alpha,
+            shot.time,
+            camera=shot.camera,
+            source_camera=shot.render_camera,
+            display_camera=shot.display_camera,
+            previous_camera=shot.previous_camera,
+            images={name: image for name, image in images.items() if name in request.layers},
+            specs=specs,
+            milliseconds=milliseconds,
+            wall_ms=(time.perf_counter() - start) * 1e3,
+            readback_ms=readback_ms,
+            warnings=(*self.source.warnings(), *notes),
+            bad_pixels=player.bad_pixels,
+            psnr=known.psnr,
+            ssim=known.ssim,
+            flip=known.flip,
+        )
+
+    def _truth(self, k: int, alpha: float, notes: list[str]) -> np.ndarray | None:
+        """A fault of the truth is a warning: the slot itself can be shown."""
+        try:
+            return self.source.truth(k, alpha)
+        except GffeError as error:
+            notes.append(str(error))
+            return None
+
+
+def _rgba(color: np.ndarray) -> np.ndarray:
+    """(H, W, 4) float16 of (H, W, 3)."""
+    out = np.zeros((*color.shape[:2], 4), np.float16)
+    out[..., :3] = color if color.dtype == np.float16 else np.clip(color, -HALF_MAX, HALF_MAX)
+    return out

@@ -1,0 +1,26 @@
+"""Opening what the user names: a sequence's folder or a built-in scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+from gffe_cl.scenes import SCENES, load_scene
+from gffe_cl.sequence import open_sequence
+from gffe_cl.viewer.sources import FrameSource, RecordedSource, SceneSource
+
+
+class ScenePlan(NamedTuple):
+    """How built-in scenes are rendered."""
+
+    width: int
+    height: int
+    seed: int
+
+
+def make_source(target: str, window: str | None, plan: ScenePlan, device) -> FrameSource:
+    """The sequence in the folder `target` (or of its sequence.json), else the scene of that name. Raises GffeError."""
+    path = Path(target).expanduser()
+    if target in SCENES and not path.exists():
+        return SceneSource(load_scene(target, plan.seed), device, plan.width, plan.height, window=window)
+    return RecordedSource(open_sequence(path), device, window if window == "off" else None)

@@ -1,0 +1,77 @@
+"""Compare: two layers by wipe, flip, difference or error; quality against ground truth over the sequence."""
+
+from __future__ import annotations
+
+import numpy as np
+from imgui_bundle import ImVec2, hello_imgui, imgui, implot
+
+from gffe_cl.viewer import widgets
+
+_WAYS = {
+    "off": "off",
+    "split": "split wipe",
+    "flip": "flip (hold B)",
+    "difference": "difference",
+    "error": "error map",
+    "flip error": "FLIP error",
+}
+
+
+def draw(app) -> None:
+    model = app.model
+    view = model.view
+    widgets.heading("Compare")
+    for name, text in _WAYS.items():
+        reason = model.comparison.why_not(name)
+        imgui.begin_disabled(reason is not None)
+        if imgui.radio_button(f"{text}###compare {name}", view.compare == name):
+            model.comparison.set(name)
+        imgui.end_disabled()
+        widgets.tooltip(reason or "")
+        if name not in ("flip", "flip error"):
+            imgui.same_line()
+    names = {spec.name: f"{spec.group}: {spec.label}" for spec in model.layers if model.why_not(spec.name) is None}
+    widgets.choice("A", view.a, names, model.show_layer)
+    widgets.choice("B", view.b or "", names, lambda name: setattr(view, "b", name))
+    if view.compare == "split":
+        widgets.slider("split", view.split, 0.0, 1.0, 0.5, lambda v: setattr(view, "split", v))
+    if view.compare in ("difference", "error"):
+        widgets.slider("gain", view.gain, 1.0, 32.0, 4.0, lambda v: setattr(view, "gain", v), "%.1f×")
+    _quality(model)
+
+
+def _quality(model) -> None:
+    widgets.heading("Against ground truth")
+    reason = model.why_not("truth")
+    if reason:
+        imgui.text_disabled(reason)
+        return
+    widgets.toggle(
+        "measure", model.measuring, model.set_measuring, "PSNR and SSIM of every generated frame that is shown"
+    )
+    score = model.metrics.get(model.slot)
+    if score is not None:
+        ssim = "…" if score.ssim is None else f"{score.ssim:.4f}"
+        imgui.text(f"PSNR {score.psnr:.2f} dB   SSIM {ssim}")
+    elif model.measuring and model.slot % (model.n + 1) == 0:
+        imgui.text_disabled("rendered frame")
+    if implot.begin_plot("###quality", ImVec2(-1, hello_imgui.em_size(10)), implot.Flags_.no_mouse_text.value):
+        slots = np.array(sorted(model.metrics), np.float64)
+        psnr = np.array([model.metrics[int(slot)].psnr for slot in slots], np.float64)
+        known = [
+            (slot, model.metrics[slot].ssim) for slot in sorted(model.metrics) if model.metrics[slot].ssim is not None
+        ]
+        implot.setup_axes("frame", "dB", 0, implot.AxisFlags_.auto_fit.value)
+        implot.setup_axis(
+            implot.ImAxis_.y2, "SSIM", implot.AxisFlags_.aux_default.value | implot.AxisFlags_.auto_fit.value
+        )
+        implot.setup_axis_limits(implot.ImAxis_.x1, 0, max(model.playback.slots, 1), imgui.Cond_.always.value)
+        if len(slots):
+            implot.plot_line("PSNR", slots, psnr)
+        if known:
+            xs, ys = (np.array(values, np.float64) for values in zip(*known, strict=True))
+            implot.set_axes(implot.ImAxis_.x1, implot.ImAxis_.y2)
+            implot.plot_line("SSIM", xs, ys)
+            implot.set_axes(implot.ImAxis_.x1, implot.ImAxis_.y1)
+        implot.plot_inf_lines("###now", np.array([float(model.slot)]))
+        implot.end_plot()

@@ -1,0 +1,48 @@
+"""Inspector: the values of all layers under the cursor, and the story of a pixel that was clicked."""
+
+from __future__ import annotations
+
+from imgui_bundle import icons_fontawesome_6 as icons
+from imgui_bundle import imgui
+
+from gffe_cl.viewer import widgets
+from gffe_cl.viewer.layers import value_text
+
+
+def draw(app) -> None:
+    model = app.model
+    if model.story is not None:
+        _story(model)
+    widgets.heading("Values")
+    inspection = model.inspection
+    if inspection is None:
+        imgui.text_disabled("Move over the picture; click a pixel for its story")
+        return
+    x, y = inspection.pixel
+    at = f"pixel ({x}, {y})"
+    if inspection.source is not None:
+        at += f"   from ({inspection.source[0]:.2f}, {inspection.source[1]:.2f}) of the rendered frame"
+    imgui.text_wrapped(at)
+    flags = imgui.TableFlags_.row_bg.value | imgui.TableFlags_.sizing_stretch_prop.value
+    if imgui.begin_table("###values", 2, flags):
+        for spec in model.layers:
+            if spec.name not in inspection.values:
+                continue
+            imgui.table_next_row()
+            imgui.table_next_column()
+            imgui.text(f"{spec.group}: {spec.label}")
+            widgets.tooltip(spec.description)
+            imgui.table_next_column()
+            imgui.text_wrapped(value_text(spec, inspection.values[spec.name]))
+        imgui.end_table()
+
+
+def _story(model) -> None:
+    story = model.story
+    widgets.heading(f"Story of pixel ({story.pixel[0]}, {story.pixel[1]})")
+    for sentence in story.sentences:
+        imgui.bullet()
+        imgui.same_line()
+        imgui.text_wrapped(sentence)
+    if imgui.button(f"{icons.ICON_FA_XMARK} forget###forget_story"):
+        model.pick(None)

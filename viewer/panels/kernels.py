@@ -1,0 +1,28 @@
+"""Kernels: reloading them while the viewer runs, and what the compiler says."""
+
+from __future__ import annotations
+
+from imgui_bundle import icons_fontawesome_6 as icons
+from imgui_bundle import imgui
+
+from gffe_cl.program import kernel_folder
+from gffe_cl.viewer import widgets
+
+_RED, _GREEN = (0.95, 0.45, 0.4, 1.0), (0.5, 0.85, 0.5, 1.0)
+
+
+def draw(app) -> None:
+    engine = app.model.engine
+    imgui.text_wrapped(f"{kernel_folder()}")
+    widgets.action_button(app.actions, "reload_kernels", icons.ICON_FA_ARROWS_ROTATE)
+    imgui.same_line()
+    if engine.build_error:
+        imgui.text_colored(_RED, "does not build; the last good kernels are running")
+        imgui.push_text_wrap_pos(0.0)
+        imgui.text_unformatted(engine.build_error)
+        imgui.pop_text_wrap_pos()
+        if imgui.button("copy###copy_build_error"):
+            imgui.set_clipboard_text(engine.build_error)
+    else:
+        imgui.text_colored(_GREEN, "built")
+        imgui.text_disabled("Save a .cl file: it is rebuilt at once")

@@ -1,0 +1,239 @@
+"""The picture: zoom at the cursor, pan, wipe, pick a pixel; what is drawn over it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from imgui_bundle import ImVec2, hello_imgui, imgui
+
+_ZOOM_STEP = 1.2
+_LEAST_ZOOM, _MOST_ZOOM = 0.05, 128.0
+_DRAG = 4.0  # screen pixels: less is a click
+_GRIP = 10.0  # screen pixels on both sides of the wipe's line
+_NUMBERS = 64.0  # zoom from which values are written into the pixels ...
+_VALUES = 3  # ... so many of each
+_ARROW_SPACING = 24.0  # screen pixels
+_ACCENT = (0.35, 0.85, 1.0, 1.0)
+_WARM = (1.0, 0.7, 0.25, 1.0)
+
+
+def draw(app) -> None:
+    model = app.model
+    size = imgui.get_content_region_avail()
+    width, height = max(int(size.x), 16), max(int(size.y), 16)
+    origin = imgui.get_cursor_screen_pos()
+    if model.info is None:
+        _welcome(app, size)
+        return
+    if model.fit_pending:
+        model.fit((width, height))
+    if model.overview:
+        _overview(app, origin, (width, height))
+        return
+    texture = app.drawn(model.comparison.shown(), (width, height))
+    imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(width, height))
+    imgui.set_cursor_screen_pos(origin)
+    imgui.invisible_button("###picture", ImVec2(width, height), imgui.ButtonFlags_.mouse_button_left.value
+                           | imgui.ButtonFlags_.mouse_button_middle.value)  # fmt: skip
+    place = Placement(model, origin, (width, height))
+    _mouse(app, place)
+    marks = imgui.get_window_draw_list()
+    marks.push_clip_rect(origin, ImVec2(origin.x + width, origin.y + height), True)
+    if model.arrows:
+        _arrows(model, place, marks)
+    if model.view.zoom >= _NUMBERS:
+        _numbers(model, place, marks)
+    _trajectory(model, place, marks)
+    marks.pop_clip_rect()
+    _caption(model, origin, width, height, marks)
+
+
+class Placement:
+    """Where display pixels are on the screen."""
+
+    def __init__(self, model, origin, size):
+        self.view, self.origin, self.size = model.view, origin, size
+
+    def to_screen(self, x: float, y: float) -> ImVec2:
+        cx, cy = self.view.centre
+        return ImVec2(
+            self.origin.x + self.size[0] / 2 + (x - cx) * self.view.zoom,
+            self.origin.y + self.size[1] / 2 + (y - cy) * self.view.zoom,
+        )
+
+    def to_display(self, at) -> tuple[float, float]:
+        cx, cy = self.view.centre
+        return (
+            cx + (at.x - self.origin.x - self.size[0] / 2) / self.view.zoom,
+            cy + (at.y - self.origin.y - self.size[1] / 2) / self.view.zoom,
+        )
+
+
+def _welcome(app, size) -> None:
+    text = app.model.notice or "Drop a sequence here, or open one (Ctrl+O), or a built-in scene (File menu)"
+    wide = imgui.calc_text_size(text)
+    imgui.set_cursor_pos(ImVec2(max((size.x - wide.x) / 2, 0), max((size.y - wide.y) / 2, 0)))
+    imgui.text_disabled(text)
+
+
+def _mouse(app, place) -> None:
+    """Of the item drawn last: hover, zoom at the cursor, drag the wipe's line or the picture, click a pixel."""
+    model, io, view = app.model, imgui.get_io(), app.model.view
+    at = imgui.get_mouse_pos()
+    hovered = imgui.is_item_hovered()
+    model.hover(place.to_display(at) if hovered else None)
+    if hovered and io.mouse_wheel and not io.key_ctrl:
+        before = place.to_display(at)
+        view.zoom = min(max(view.zoom * _ZOOM_STEP**io.mouse_wheel, _LEAST_ZOOM), _MOST_ZOOM)
+        after = place.to_display(at)
+        view.centre = (view.centre[0] + before[0] - after[0], view.centre[1] + before[1] - after[1])
+    line = place.origin.x + view.split * place.size[0]
+    on_line = view.compare == "split" and not model.comparison.flipped and abs(at.x - line) < _GRIP
+    if (hovered and on_line and not imgui.is_item_active()) or app.drags == "line":
+        imgui.set_mouse_cursor(imgui.MouseCursor_.resize_ew.value)
+    if imgui.is_item_activated():
+        left = imgui.is_mouse_down(imgui.MouseButton_.left)
+        app.pressed_at = at
+        app.drags = "picture" if not left else "line" if on_line else "nothing yet"
+    if imgui.is_item_active():
+        print(app.drags,on_line,at.x,line,view.compare)
+        if app.drags == "nothing yet" and _distance(at, app.pressed_at) >= _DRAG:
+            app.drags = "picture"
+        if app.drags == "line":
+            view.split = min(max((at.x - place.origin.x) / place.size[0], 0.0), 1.0)
+        elif app.drags == "picture":
+            delta = io.mouse_delta
+            view.centre = (view.centre[0] - delta.x / view.zoom, view.centre[1] - delta.y / view.zoom)
+    if imgui.is_item_deactivated():
+        if app.drags == "nothing yet":
+            model.pick(tuple(math.floor(c) for c in place.to_display(at)))
+        app.drags = "nothing"
+
+
+def _distance(a, b) -> float:
+    return math.hypot(a.x - b.x, a.y - b.y)
+
+
+def _arrows(model, place, marks) -> None:
+    """Motion of the layer A at a grid of places."""
+    spec, image = model.spec_of(model.view.a), model.image_of(model.view.a)
+    if spec is None or image is None or spec.view != "motion":
+        return
+    height, width = image.shape[:2]
+    scale = (model.info.width / width, model.info.height / height)
+    step = max(_ARROW_SPACING / place.view.zoom, 1.0)
+    (left, top), (right, bottom) = place.to_display(place.origin), place.to_display(
+        ImVec2(place.origin.x + place.size[0], place.origin.y + place.size[1])
+    )  # fmt: skip
+    xs = np.arange(max(left, 0) + step / 2, min(right, model.info.width), step)
+    ys = np.arange(max(top, 0) + step / 2, min(bottom, model.info.height), step)
+    color = imgui.get_color_u32((1.0, 1.0, 1.0, 0.9))
+    sign = -1.0 if model.looks.of(spec.name).reverse else 1.0
+    for y in ys:
+        for x in xs:
+            mx, my = image[min(int(y / scale[1]), height - 1), min(int(x / scale[0]), width - 1), :2]
+            if not (math.isfinite(mx) and math.isfinite(my)) or mx * mx + my * my < 0.01:
+                continue
+            start, end = place.to_screen(x, y), place.to_screen(x + sign * mx * scale[0], y + sign * my * scale[1])
+            marks.add_line(start, end, color, 1.0)
+            length = math.hypot(end.x - start.x, end.y - start.y)
+            if length > 3:
+                ux, uy = (end.x - start.x) / length * 4, (end.y - start.y) / length * 4
+                tips = (
+                    ImVec2(end.x - ux - uy / 2, end.y - uy + ux / 2),
+                    ImVec2(end.x - ux + uy / 2, end.y - uy - ux / 2),
+                )
+                marks.add_triangle_filled(end, *tips, color)
+
+
+def _numbers(model, place, marks) -> None:
+    spec, image = model.spec_of(model.view.a), model.image_of(model.view.a)
+    if spec is None or image is None or spec.planes > 1:
+        return
+    height, width = image.shape[:2]
+    scale = (model.info.width / width, model.info.height / height)
+    left, top = place.to_display(place.origin)
+    right, bottom = place.to_display(ImVec2(place.origin.x + place.size[0], place.origin.y + place.size[1]))
+    ink, shade = imgui.get_color_u32((1, 1, 1, 1)), imgui.get_color_u32((0, 0, 0, 0.8))
+    for row in range(max(int(top / scale[1]), 0), min(int(bottom / scale[1]) + 1, height)):
+        for column in range(max(int(left / scale[0]), 0), min(int(right / scale[0]) + 1, width)):
+            text = "\n".join(f"{value:.3g}" for value in np.ravel(image[row, column])[:_VALUES])
+            at = place.to_screen(column * scale[0], row * scale[1])
+            for offset, color in ((1, shade), (0, ink)):
+                marks.add_text(ImVec2(at.x + 3 + offset, at.y + 2 + offset), color, text)
+
+
+def _trajectory(model, place, marks) -> None:
+    """The picked pixel, and where what it shows came from."""
+    if model.picked is None:
+        return
+    x, y = model.picked
+    accent, warm = imgui.get_color_u32(_ACCENT), imgui.get_color_u32(_WARM)
+    half = max(model.view.zoom / 2, 4.0)
+    middle = place.to_screen(x + 0.5, y + 0.5)
+    marks.add_rect(ImVec2(middle.x - half, middle.y - half), ImVec2(middle.x + half, middle.y + half), accent, 0, 2.0)
+    story = model.story
+    if story is None or len(story.trajectory) < 2:
+        return
+    points = [place.to_screen(*point) for point in story.trajectory]
+    for a, b in zip(points, points[1:], strict=False):
+        marks.add_line(a, b, warm, 2.0)
+    for index, point in enumerate(points):
+        marks.add_circle_filled(
+            point, 4.0 if index == len(points) - 1 else 3.0, accent if index == len(points) - 1 else warm
+        )
+
+
+def _caption(model, origin, width, height, marks) -> None:
+    """Layer names and what changes their look, in the corners."""
+    view = model.view
+    spec = model.spec_of(view.a)
+    if spec is None:
+        return
+    text = f"{spec.group}: {spec.label}"
+    display = model.looks.of(spec.name)
+    if spec.view == "color" and display.exposure:
+        text += f"   {display.exposure:+.1f} EV"
+    if view.compare in ("split", "flip", "difference", "error", "flip error") and view.b and model.spec_of(view.b):
+        other = model.spec_of(view.b)
+        text = f"A  {text}"
+        _label(marks, f"B  {other.group}: {other.label}", origin.x + width - 10, origin.y + 8, right=True)
+    _label(marks, text, origin.x + 10, origin.y + 8)
+    k, j = divmod(model.slot, model.n + 1)
+    kind = f"rendered frame {k}" if j == 0 else f"generated: frame {k} + {j}/{model.n + 1}"
+    _label(marks, f"{kind}   {view.zoom * 100:.0f} %", origin.x + 10, origin.y + height - hello_imgui.em_size(1.6))
+    if model.engine.busy and not model.playback.playing:
+        _label(marks, "computing …", origin.x + width - 10, origin.y + height - hello_imgui.em_size(1.6), right=True)
+
+
+def _label(marks, text: str, x: float, y: float, right: bool = False) -> None:
+    size = imgui.calc_text_size(text)
+    x = x - size.x if right else x
+    marks.add_rect_filled(
+        ImVec2(x - 5, y - 3), ImVec2(x + size.x + 5, y + size.y + 3), imgui.get_color_u32((0, 0, 0, 0.6)), 4
+    )
+    marks.add_text(ImVec2(x, y), imgui.get_color_u32((1, 1, 1, 0.95)), text)
+
+
+def _overview(app, origin, size) -> None:
+    """All layers as tiles; a click opens one."""
+    model = app.model
+    caption = round(imgui.get_text_line_height() + 3)
+    texture, tiles = app.canvas.overview(model.overview_tiles(), size, caption=caption)
+    imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(*size))
+    imgui.set_cursor_screen_pos(origin)
+    clicked = imgui.invisible_button("###overview", ImVec2(*size))
+    at = imgui.get_mouse_pos()
+    marks = imgui.get_window_draw_list()
+    for tile in tiles:
+        name, width, height = tile.name, tile.width, tile.height
+        left, top = origin.x + tile.x, origin.y + tile.y
+        spec = model.spec_of(name)
+        ink = imgui.get_color_u32((0.8, 0.8, 0.82, 1.0))
+        marks.add_text(ImVec2(left + 2, top + height + 1), ink, f"{spec.group}: {spec.label}")
+        if left <= at.x < left + width and top <= at.y < top + height and imgui.is_item_hovered():
+            marks.add_rect(ImVec2(left, top), ImVec2(left + width, top + height), imgui.get_color_u32(_ACCENT), 0, 2.0)
+            if clicked:
+                model.set_overview(False)
+                model.show_layer(name)

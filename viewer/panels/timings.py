@@ -1,0 +1,42 @@
+"""Timings of the stages: milliseconds and bytes per pixel, and how they went over the last frames."""
+
+from __future__ import annotations
+
+import numpy as np
+from imgui_bundle import ImVec2, hello_imgui, imgui, implot
+
+from gffe_cl.viewer import widgets
+
+
+def draw(app) -> None:
+    model = app.model
+    means = model.timings.means()
+    if not means:
+        imgui.text_disabled("nothing computed yet")
+        return
+    imgui.text(
+        f"interface {imgui.get_io().framerate:.0f} frames/s   slot {model.timings.wall():.1f} ms"
+        f"   reading back {model.timings.readback():.1f} ms   upload {model.upload_ms:.1f} ms"
+    )
+    bandwidth = model.engine.bandwidth
+    if imgui.begin_table("###timings", 3, imgui.TableFlags_.row_bg.value | imgui.TableFlags_.sizing_stretch_same.value):
+        for title in ("stage", "ms", "bytes per pixel"):
+            imgui.table_setup_column(title)
+        imgui.table_headers_row()
+        for name, milliseconds in (*means.items(), ("all", sum(means.values()))):
+            per_pixel = f"{milliseconds * 1e6 * bandwidth / model.pixels:.0f}" if bandwidth else "–"
+            for text in (name, f"{milliseconds:.2f}", per_pixel):
+                imgui.table_next_column()
+                imgui.text(text)
+        imgui.end_table()
+    if bandwidth:
+        imgui.text_disabled(f"bytes per pixel = time × {bandwidth:.1f} GB/s of copying ÷ pixels")
+    elif imgui.button("measure bandwidth###bandwidth"):
+        model.engine.measure_bandwidth()
+    widgets.tooltip("As in `gffe bench`; takes a second and 512 MiB on the device")
+    if implot.begin_plot("###history", ImVec2(-1, hello_imgui.em_size(10)), implot.Flags_.no_mouse_text.value):
+        flags = implot.AxisFlags_.auto_fit.value
+        implot.setup_axes("computed frame", "ms", flags, flags)
+        for name, values in model.timings.stages.items():
+            implot.plot_line(name, np.array(values, np.float64))
+        implot.end_plot()

@@ -1,0 +1,399 @@
+"""Playback: which slot is due, asked for and shown. The wall clock is handed in; nothing here waits.
+
+A sequence of `count` rendered frames with `n` generated frames after each has count·(n+1) slots.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from gffe_cl.errors import GffeError
+
+REAL_TIME = "real time"
+EVERY_FRAME = "every frame"
+MODES = (REAL_TIME, EVERY_FRAME)
+SPEEDS = (0.1, 4.0)
+MOST_GENERATED = 7
+_ROUNDING = 1e-6  # seconds by which a slot may be early: clocks are sums of many small steps
+_LONGEST_STALL = 1.0  # seconds: a longer pause between two ticks (suspended machine) is not played over
+_RATE_WINDOW = 1.0  # seconds
+
+
+class Tick(NamedTuple):
+    """`request`: slot to ask the engine for; `visible`: slot to have on screen, None before the first delivery."""
+
+    request: int
+    visible: int | None
+
+
+@dataclass(frozen=True)
+class Timing:
+    """When slots are due, in seconds of the sequence.
+
+    Without `times` rendered frames are 1/fps apart. With them (seconds, one per rendered frame, increasing) the frames
+    generated after one are spread over the interval before it, as the pipeline extrapolates, or over the one
+    after it where that is shorter; so nothing new is due during a gap.
+    """
+
+    count: int = 1
+    fps: float = 30.0
+    n: int = 1
+    times: tuple[float, ...] | None = None
+
+    def __post_init__(self):
+        if self.count < 1:
+            raise GffeError(f"playback: a sequence has at least one rendered frame, got {self.count}")
+        if not (math.isfinite(self.fps) and self.fps > 0):
+            raise GffeError(f"playback: fps must be positive, got {self.fps}")
+        if not 0 <= self.n <= MOST_GENERATED:
+            raise GffeError(f"playback: n must be 0 to {MOST_GENERATED} generated frames, got {self.n}")
+        times = self.times
+        if times is not None and len(times) != self.count:
+            raise GffeError(f"playback: {len(times)} times for {self.count} rendered frames")
+        if times is not None and not all(a < b < math.inf for a, b in zip((-math.inf, *times), times, strict=False)):
+            raise GffeError("playback: times must be finite and increase")
+
+    @property
+    def slots(self) -> int:
+        return self.count * (self.n + 1)
+
+    @property
+    def rate(self) -> float:
+        """Slots per second at normal speed, on average."""
+        if self.times is None or self.count == 1:
+            return self.fps * (self.n + 1)
+        return (self.n + 1) * (self.count - 1) / (self.times[-1] - self.times[0])
+
+    def time_of(self, slot: int) -> float:
+        """When `slot` is due; for the slot after the last one, when that one has been shown long enough."""
+        k = min(slot // (self.n + 1), self.count - 1)
+        return self._rendered(k) + self._span(k) * ((slot - k * (self.n + 1)) / (self.n + 1))
+
+    def slot_at(self, time: float) -> int:
+        """The last slot that is due at `time`; the first one before its time."""
+        return max(bisect_right(range(self.slots), time + _ROUNDING, key=self.time_of) - 1, 0)
+
+    def duration(self, slot: int) -> float:
+        """Seconds from `slot` until the next one is due."""
+        return self.time_of(slot + 1) - self.time_of(slot)
+
+    def _rendered(self, k: int) -> float:
+        return k / self.fps if self.times is None else self.times[k]
+
+    def _span(self, k: int) -> float:
+        if self.times is None:
+            return 1 / self.fps
+        before = self.times[k] - self.times[k - 1] if k else 1 / self.fps
+        return before if k == self.count - 1 else min(before, self.times[k + 1] - self.times[k])
+
+
+class Playback:
+    """Position in a sequence, moved by hand or by the clock.
+
+    "real time": slots are due by the clock, those that come too late are dropped and counted. "every frame":
+    the next slot is asked for as soon as the present one has been delivered, but not before it is due.
+
+    Counted since `play`: `due` = `shown` + `dropped` + `waiting`, where `waiting` are those that are due and
+    neither delivered nor overtaken by a later one. A slot that is still awaited when playback stops stays
+    requested as a still image and is not counted.
+    """
+
+    def __init__(self, count: int = 1, fps: float = 30.0, n: int = 1, times: Sequence[float] | None = None):
+        self._timing = Timing(count, fps, n, None if times is None else tuple(map(float, times)))
+        self._mode, self._speed, self._loop = REAL_TIME, 1.0, True
+        self._in: float | None = None  # seconds: points stay where they are when n changes
+        self._out: float | None = None
+        self._playing = self._scrubbing = False
+        self.slot = 0
+        self.visible: int | None = None
+        self.due = self.shown = self.dropped = self.waiting = 0
+        self.rate = 0.0
+        self._time = self._timing.time_of(0)
+        self._spent = 0.0  # seconds of the sequence since the present slot was asked for ("every frame")
+        self._ready: int | None = None
+        self._now: float | None = None
+        self._started = 0.0
+        self._stamps: deque[float] = deque()  # when slots were shown, during the last second
+
+    def open(self, count: int, fps: float, times: Sequence[float] | None = None, *, keep: bool = False) -> None:
+        """Another sequence: stop at its start without in and out points. `keep`: the same one reloaded, stay."""
+        timing = Timing(count, fps, self.n, None if times is None else tuple(map(float, times)))
+        self.pause()
+        self._timing, self._ready, self.visible = timing, None, None
+        if not keep:
+            self._in = self._out = None
+        self._place(timing.slot_at(self._time) if keep else 0)
+
+    @property
+    def count(self) -> int:
+        """Rendered frames."""
+        return self._timing.count
+
+    @property
+    def fps(self) -> float:
+        """Rendered frames per second."""
+        return self._timing.fps
+
+    @property
+    def slots(self) -> int:
+        return self._timing.slots
+
+    @property
+    def n(self) -> int:
+        """Generated frames after each rendered one. Setting it keeps the time, and goes on playing."""
+        return self._timing.n
+
+    @n.setter
+    def n(self, n: int) -> None:
+        if n == self.n:
+            return
+        old = self._timing
+        self._timing = Timing(old.count, old.fps, n, old.times)
+        self._ready = None
+        if self.visible is not None:
+            self.visible = self._timing.slot_at(old.time_of(self.visible))
+        time = self._time  # stays exact: going back to the old n restores the slot
+        self.slot = self._timing.slot_at(time)
+        if self._playing:
+            self._jump(min(max(self.slot, self.first), self.last))
+        self._time = max(self._time, time)
+
+    def time_of(self, slot: int) -> float:
+        """Seconds of the sequence at which `slot` is due."""
+        return self._timing.time_of(slot)
+
+    @property
+    def target_rate(self) -> float:
+        """Slots per second that are due, on average."""
+        return self._timing.rate * self._speed
+
+    @property
+    def mode(self) -> str:
+        return self._mode
+
+    @mode.setter
+    def mode(self, mode: str) -> None:
+        if mode not in MODES:
+            raise GffeError(f"playback: mode must be one of {', '.join(MODES)}, got {mode!r}")
+        self._overtake()
+        self._mode = mode
+
+    @property
+    def speed(self) -> float:
+        """Seconds of the sequence per second, 0.1 to 4; other numbers are clamped."""
+        return self._speed
+
+    @speed.setter
+    def speed(self, speed: float) -> None:
+        if not math.isfinite(speed):
+            raise GffeError(f"playback: speed must be a number, got {speed}")
+        self._speed = min(max(float(speed), SPEEDS[0]), SPEEDS[1])
+
+    @property
+    def loop(self) -> bool:
+        """On: playback wraps from out to in; off: it stops at out."""
+        return self._loop
+
+    @loop.setter
+    def loop(self, loop: bool) -> None:
+        self._overtake()
+        self._loop = bool(loop)
+
+    def preferences(self) -> dict:
+        """How it plays, as plain JSON to remember."""
+        return {"mode": self._mode, "speed": self._speed, "loop": self._loop}
+
+    def restore(self, preferences: dict) -> None:
+        """Take over what `preferences` returned once; whatever is damaged stays as it is."""
+        for name in self.preferences():
+            value = preferences.get(name)
+            if name != "loop" or isinstance(value, bool):
+                with suppress(GffeError, TypeError):
+                    setattr(self, name, value)
+
+    @property
+    def playing(self) -> bool:
+        return self._playing
+
+    def play(self) -> None:
+        """Play from here; from the in point if this is outside of the points or, without a loop, at the end."""
+        if self._playing or self._scrubbing:
+            return
+        outside = not self.first <= self.slot <= self.last
+        self._place(self.first if outside or (self.slot == self.last and not self._loop) else self.slot)
+        self.waiting = int(self.visible != self.slot)
+        self.due, self.shown, self.dropped = self.waiting, 0, 0
+        self._spent, self._now = 0.0, None
+        self._stamps.clear()
+        self._playing = True
+
+    def pause(self) -> None:
+        """Stay at the slot that is due now."""
+        if self._playing:
+            self._overtake()
+            self.due -= self.waiting
+            self.waiting, self.rate, self._playing = 0, 0.0, False
+            self._place(self.slot)
+
+    def toggle(self) -> None:
+        """Play or pause."""
+        (self.pause if self._playing else self.play)()
+
+    @property
+    def scrubbing(self) -> bool:
+        """While true nothing plays; playback stays paused afterwards."""
+        return self._scrubbing
+
+    @scrubbing.setter
+    def scrubbing(self, scrubbing: bool) -> None:
+        self._scrubbing = bool(scrubbing)
+        if scrubbing:
+            self.pause()
+
+    def seek(self, slot: int) -> None:
+        """To `slot`. Like all moves by hand it pauses, and goes no further than the ends of the sequence."""
+        self.pause()
+        self._place(self._clamped(slot))
+
+    def step(self, slots: int = 1) -> None:
+        self.seek(self.slot + slots)
+
+    def step_rendered(self, frames: int = 1) -> None:
+        """To the next (1) or previous (−1) rendered frame; from a generated one, back to the frame it was made of."""
+        k, j = divmod(self.slot, self.n + 1)
+        target = min(max(k + frames + (j > 0 and frames < 0), 0), self.count - 1) * (self.n + 1)
+        self.seek(target if frames < 0 else max(target, self.slot))
+
+    def home(self) -> None:
+        """To the in point; from there, or before it, to the first slot."""
+        self.seek(self.first if self.slot > self.first else 0)
+
+    def end(self) -> None:
+        """To the out point; from there, or after it, to the last slot."""
+        self.seek(self.last if self.slot < self.last else self.slots - 1)
+
+    @property
+    def in_point(self) -> int | None:
+        return None if self._in is None else self._timing.slot_at(self._in)
+
+    @property
+    def out_point(self) -> int | None:
+        return None if self._out is None else self._timing.slot_at(self._out)
+
+    @property
+    def first(self) -> int:
+        """First slot that is played."""
+        return self.in_point or 0
+
+    @property
+    def last(self) -> int:
+        """Last slot that is played."""
+        return self.slots - 1 if self._out is None else self.out_point
+
+    def set_in(self, slot: int | None = None) -> None:
+        """Play from `slot` (default: this one) on. An out point before it is cleared."""
+        slot = self._clamped(self.slot if slot is None else slot)
+        self._points(self.time_of(slot), None if slot > self.last else self._out)
+
+    def set_out(self, slot: int | None = None) -> None:
+        """Play up to and including `slot` (default: this one). An in point after it is cleared."""
+        slot = self._clamped(self.slot if slot is None else slot)
+        self._points(None if slot < self.first else self._in, self.time_of(slot))
+
+    def clear_points(self) -> None:
+        """Play the whole sequence."""
+        self._points(None, None)
+
+    def tick(self, now: float, ready: int | None) -> Tick:
+        """Once per UI frame. `now`: wall clock in seconds; `ready`: slot that the engine has delivered last, counted
+        with the present n and in the present sequence (None: nothing yet)."""
+        if self._now is None:
+            self._started = self._now = now
+        elapsed = min(max(now - self._now, 0.0), _LONGEST_STALL)
+        self._now = now
+        news, self._ready = ready != self._ready, ready
+        if self._playing:
+            if ready is not None and self.first <= ready <= self.last:
+                self._deliver(now, ready, news)
+            while self._stamps and self._stamps[0] <= now - _RATE_WINDOW:
+                self._stamps.popleft()
+            self.rate = len(self._stamps) / min(max(now - self._started, _RATE_WINDOW / 4), _RATE_WINDOW)
+            advance = self._advance_real_time if self._mode == REAL_TIME else self._advance_every_frame
+            advance(elapsed * self._speed)
+        elif ready is not None and 0 <= ready < self.slots:
+            self.visible = ready
+        return Tick(self.slot, self.visible)
+
+    def _deliver(self, now: float, ready: int, news: bool) -> None:
+        """`ready` is there, between the points; `news`: it was not yet at the last tick."""
+        behind = self.slot - ready
+        if self._loop:
+            behind %= self.last - self.first + 1
+        if behind == 0:
+            self.visible = ready
+        # an old delivery must not pass for the same slot of a later lap, unless that is the one due
+        if 0 <= behind < self.waiting and (news or behind == 0):
+            self.visible = ready
+            self.shown += 1
+            self.dropped += self.waiting - 1 - behind
+            self.waiting = behind
+            self._stamps.append(now)
+
+    def _advance_real_time(self, seconds: float) -> None:
+        first, last = self.first, self.last
+        start, end = self.time_of(first), self.time_of(last + 1)
+        time, laps = self._time + seconds, 0
+        if time >= end - _ROUNDING and self._loop:
+            laps = max(int((time - start) / (end - start)), 1)
+            time = max(time - laps * (end - start), start)
+        slot = min(max(self._timing.slot_at(time), first), last)
+        passed = laps * (last - first + 1) + slot - self.slot
+        self.due, self.waiting = self.due + passed, self.waiting + passed
+        self.slot, self._time = slot, min(time, end)
+        if slot == last and not self._loop and not self.waiting:
+            self.pause()
+
+    def _advance_every_frame(self, seconds: float) -> None:
+        self._spent += seconds
+        over = self._spent - self._timing.duration(self.slot)
+        if self.waiting or over < -_ROUNDING:
+            return
+        if self.slot >= self.last and not self._loop:
+            self.pause()
+            return
+        self._place(self.slot + 1 if self.slot < self.last else self.first)
+        self.due, self.waiting = self.due + 1, 1
+        # what ticks overshoot is made good by the next slot, what the engine loses is not
+        self._spent = min(max(over, 0.0), seconds, self._timing.duration(self.slot))
+
+    def _clamped(self, slot: int) -> int:
+        return min(max(int(slot), 0), self.slots - 1)
+
+    def _place(self, slot: int) -> None:
+        self.slot, self._time = slot, self._timing.time_of(slot)
+
+    def _points(self, first: float | None, last: float | None) -> None:
+        self._overtake()
+        self._in, self._out = first, last
+        if self._playing and not self.first <= self.slot <= self.last:
+            self._jump(self.first)
+
+    def _overtake(self) -> None:
+        """Of the slots waited for, only the one due now can still come."""
+        self.dropped += max(self.waiting - 1, 0)
+        self.waiting = min(self.waiting, 1)
+        self._spent = 0.0
+
+    def _jump(self, slot: int) -> None:
+        """Go on playing elsewhere."""
+        self.dropped += self.waiting
+        self._place(slot)
+        self.waiting = int(self.visible != self.slot)
+        self.due += self.waiting
+        self._spent = 0.0

@@ -1,0 +1,113 @@
+"""Bringing the pipeline to any slot: going on from where it is, or warming up a new one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from gffe_cl.camera import Camera
+from gffe_cl.device import Device
+from gffe_cl.errors import GffeError
+from gffe_cl.frame import BadPixels, RenderedFrame
+from gffe_cl.pipeline import Options, Pipeline
+from gffe_cl.stage import DeviceFrame
+from gffe_cl.viewer.messages import Closing, Setup
+from gffe_cl.viewer.sources import FrameSource
+from gffe_cl.viewer.story import Shot
+
+WARM_UP = 8  # rendered frames submitted before the one that is wanted
+
+
+class Player:
+    """The pipeline, and how far it has come."""
+
+    def __init__(self, device: Device, source: FrameSource, closing: Callable[[], bool]):
+        self.device, self.source, self._is_closing = device, source, closing
+        self._options: Options | None = None
+        self._ring: list[DeviceFrame] = []  # what host frames are uploaded into: the pipeline uses two in place
+        self.drop()
+
+    def drop(self) -> None:
+        """Forget the pipeline; the next slot makes a new one."""
+        self.pipeline: Pipeline | None = None
+        self.shot: Shot | None = None
+        self.truth: np.ndarray | None = None  # of the shot, (H, W, 3), if it was asked for
+        self.bad_pixels = BadPixels()
+        self._at: int | None = None  # the frame submitted last
+        self._frame: RenderedFrame | None = None
+        self._before: Camera | None = None  # render camera of the frame before
+        self._presented = None
+
+    def prepare(self, setup: Setup) -> None:
+        if self.source.configure(setup.window, setup.n) or setup.options != self._options:
+            self.drop()
+        self._options = setup.options
+
+    def go_to(self, k: int, alpha: float) -> list[str]:
+        """Submit what is missing up to rendered frame `k`, from a new pipeline on unless that is a little ahead.
+        Frames that cannot be read are left out, but for `k` itself; returns sentences about them."""
+        source, at = self.source, self._at
+        if at is not None and at <= k <= at + WARM_UP and not source.outdated(k, alpha):
+            frames = range(max(at + 1, source.reset_before(k)), k + 1)
+        else:
+            frames = range(max(k - WARM_UP, source.reset_before(k), 0), k + 1)
+            self._restart()
+        notes = []
+        for m in frames:
+            if self._is_closing():
+                raise Closing
+            try:
+                self._submit(m, last=m == k)
+            except GffeError as error:
+                if m == k:
+                    raise
+                notes.append(f"rendered frame {m} is left out: {error}")
+                self._restart()
+        if frames:
+            self._presented = self.pipeline.present()
+        return notes
+
+    def shoot(self, k: int, alpha: float, whole: bool) -> Shot:
+        """Make the slot of rendered frame `k`, submitted last, and `alpha`."""
+        frame, shown, self.truth = self._frame, self._presented, None
+        buffers = {f"rendered.{name}": getattr(frame, name) for name in ("color", "depth", "motion")}
+        cameras = (frame.camera, shown.camera, self._before)
+        if alpha:
+            made = self.pipeline.extrapolate(self.source.camera(k, alpha), self.source.time(k, alpha))
+            self.shot = Shot(k, alpha, made.time, made.camera, *cameras, False, buffers | {"final": made.color})
+        else:
+            buffers["final"] = frame.color if whole else shown.color
+            if self.source.has_truth:
+                buffers["truth"] = shown.color
+            self.shot = Shot(k, 0.0, frame.time, shown.camera, *cameras, whole, buffers)
+        return self.shot
+
+    def _restart(self) -> None:
+        self.drop()  # before as much is allocated again
+        source = self.source
+        self.pipeline = Pipeline(
+            self.device, source.width, source.height, self._options, render_size=source.render_size, fps=source.fps
+        )
+        if not self._ring or self._ring[0].color.size != 8 * source.render_size[0] * source.render_size[1]:
+            self._ring = []
+        source.restart()
+
+    def _submit(self, m: int, last: bool) -> None:
+        source, before = self.source, self._frame
+        frame, packed = source.rendered(m), source.packed(m)
+        if packed:
+            if len(self._ring) < 3:
+                self._ring.append(DeviceFrame.allocate(self.device, source.render_size, None, None, 0.0))
+            else:
+                self._ring.append(self._ring.pop(0))
+            self._ring[-1].upload(self.device, packed)
+            color, depth, motion = self._ring[-1].buffers
+            frame = replace(frame, color=color, depth=depth, motion=motion)
+        if last:
+            self.pipeline.take_timings()  # of the warm-up: not this slot's
+        self.pipeline.submit(frame)
+        self._at, self._frame = m, frame
+        self._before = before.camera if before and not frame.reset else None
+        self.bad_pixels = packed.bad if packed else BadPixels()

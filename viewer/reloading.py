@@ -1,0 +1,77 @@
+"""Rebuilding kernels whose files change while the viewer runs."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+
+from gffe_cl.device import Device
+from gffe_cl.pipeline import Options, Pipeline
+from gffe_cl.program import Program, expand, kernel_folder
+from gffe_cl.stage import Sizes
+from gffe_cl.stages.presentation import Presentation
+
+WATCH_SECONDS = 0.5  # between looks at the kernels' files
+_STAGE_KERNELS = ("history", "prediction", "warp", "background", "holes", "shading", "presentation")
+
+
+class Kernels(dict):
+    """`Device.programs` that holds on to the last texts that built: while what is on disk does not build, new pipelines
+    take the programs of those texts."""
+
+    def __init__(self, device: Device):
+        super().__init__(device.programs)
+        self._device, self._texts, self._before = device, {}, device.programs
+        self.error: str | None = None
+        self.look_again_at, self._files = time.monotonic() + WATCH_SECONDS, _files()
+        device.programs = self
+
+    def release(self) -> None:
+        self._before.update(self)
+        self._device.programs = self._before
+
+    def have_changed(self) -> bool:
+        """Whether files changed since this was asked last."""
+        self.look_again_at = time.monotonic() + WATCH_SECONDS
+        before, self._files = self._files, _files()
+        return self._files != before
+
+    def reload(self) -> bool:
+        """Build all stages from the texts on disk; whether other kernels are in use now. Sets `error`."""
+        before = self._texts
+        try:
+            texts = {name: expand(f"{name}.cl") for name in _STAGE_KERNELS}
+            if texts == before:
+                self.error = None
+                return False
+            self._texts = texts
+            Pipeline(self._device, 1, 1, Options(shading_inputs=True))
+            Presentation(self._device, Sizes((1, 1), (1, 1)))
+        except Exception as error:
+            self._texts, self.error = before, str(error)
+            return False
+        self.error = None
+        for key in [key for key in self if key[0] in texts and key[1] != texts[key[0]]]:
+            del self[key]
+        return True
+
+    def __contains__(self, key) -> bool:
+        name, text, *variant = key = self._held(key)
+        if not super().__contains__(key) and name in self._texts:
+            self[key] = Program(self._device, name, text, dict(variant))
+        return super().__contains__(key)
+
+    def __getitem__(self, key):
+        return super().__getitem__(self._held(key))
+
+    def _held(self, key: tuple) -> tuple:
+        return (key[0], self._texts.get(key[0], key[1]), *key[2:])
+
+
+def _files() -> list[tuple]:
+    """Names, times of change and sizes of the kernels' files."""
+    found = []
+    for path in sorted(kernel_folder().glob("*.[ch]*")):
+        with suppress(OSError):
+            found.append((path.name, path.stat().st_mtime_ns, path.stat().st_size))
+    return found

@@ -1,0 +1,108 @@
+"""Measuring slots against ground truth, beside everything else."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from gffe_cl.metrics import display_values, psnr, ssim
+from gffe_cl.viewer.messages import Metrics
+from gffe_cl.viewer.story import Shot
+
+_TO_MEASURE = 256 << 20  # bytes of slots that wait for their metrics; beyond that the oldest are given up
+
+
+def flip_available() -> str | None:
+    """None if FLIP can be measured, else why not."""
+    try:
+        import flip_evaluator  # noqa: F401
+    except Exception as error:  # whatever a binary package throws
+        return f"FLIP needs the package flip-evaluator ({error})"
+    return None
+
+
+class Scorer:
+    """Measures slots on a thread of its own, the latest first; what it measured it remembers."""
+
+    def __init__(self, notify: Callable[[], None], report: Callable[[Exception], None]):
+        self._notify, self._report = notify, report
+        self._news = threading.Condition()
+        self._known: dict[tuple, Metrics] = {}
+        self._waiting: deque[tuple] = deque()
+        self._busy_with: tuple | None = None
+        self._made: deque[Metrics] = deque()
+        self._closing = False
+        self._thread: threading.Thread | None = None
+        self._with_flip = False
+
+    def score(self, metrics: Metrics, shot: Shot, final: np.ndarray, truth: np.ndarray, exposure: float) -> Metrics:
+        """What is known of the slot of `metrics` as `shot`; the rest will be measured."""
+        key = (metrics.slot, metrics.setup, shot.camera.world_to_view.tobytes(), shot.camera.intrinsics)
+        with self._news:
+            known = self._known.get(key, metrics)
+            complete = known.ssim is not None and (known.flip is not None or not self._with_flip)
+            if not complete and key != self._busy_with and all(key != job[0] for job in self._waiting):
+                self._waiting.append((key, known, final, truth, exposure))
+                while len(self._waiting) > _TO_MEASURE // (final.nbytes + truth.nbytes) + 1:
+                    self._waiting.popleft()
+                if self._thread is None:
+                    self._thread = threading.Thread(target=self._run, name="gffe-viewer-metrics", daemon=True)
+                    self._thread.start()
+                self._news.notify()
+        return known
+
+    def take(self) -> Metrics | None:
+        with self._news:
+            return self._made.popleft() if self._made else None
+
+    def clear(self) -> None:
+        with self._news:
+            self._known, self._busy_with = {}, None
+            self._waiting.clear()
+            self._made.clear()
+
+    def close(self) -> None:
+        with self._news:
+            self._closing = True
+            self._news.notify()
+
+    def _run(self) -> None:
+        self._with_flip = flip_available() is None
+        while True:
+            with self._news:
+                while not (self._waiting or self._closing):
+                    self._news.wait()
+                if self._closing:
+                    return
+                job = self._waiting.pop()
+                self._busy_with = job[0]
+            try:
+                self._measure(*job)
+            except Exception as error:
+                self._report(error)
+            with self._news:
+                self._busy_with = None
+
+    def _measure(self, key: tuple, known: Metrics, final: np.ndarray, truth: np.ndarray, exposure: float) -> None:
+        shown, true = (display_values(color[..., :3], exposure) for color in (final, truth))
+        if known.ssim is None:
+            known = replace(known, psnr=psnr(shown, true))
+            self._tell(key, known)
+            known = replace(known, ssim=ssim(shown, true))
+            self._tell(key, known)
+        if self._with_flip and not self._waiting:  # it takes long
+            from flip_evaluator import evaluate
+
+            error = evaluate(true, shown, "LDR", applyMagma=False)[1]
+            self._tell(key, replace(known, flip=float(error)))
+
+    def _tell(self, key: tuple, metrics: Metrics) -> None:
+        with self._news:
+            if self._busy_with == key:  # not forgotten meanwhile
+                self._known[key] = metrics
+                self._made.append(metrics)
+        self._notify()

@@ -1,0 +1,163 @@
+"""What the viewer remembers from one start to the next: plain JSON in the user's configuration folder."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+_MOST_RECENT = 12
+_LEAST_WINDOW, _LARGEST_WINDOW = 200, 16384  # pixels
+_LARGEST_SCALE = 8.0
+LAYOUT = 1  # version of the arrangement of panels
+THEMES = ("dark", "light")
+
+
+def default_path() -> Path | None:
+    """$XDG_CONFIG_HOME or ~/.config, then gffe-cl/viewer.json; None if the user has no home folder."""
+    given = os.environ.get("XDG_CONFIG_HOME", "")
+    folder = given if os.path.isabs(given) else os.path.expanduser(os.path.join("~", ".config"))
+    return Path(folder) / "gffe-cl" / "viewer.json" if os.path.isabs(folder) else None
+
+
+@dataclass
+class Settings:
+    """Remembered choices; every field is plain JSON.
+
+    `recent`: paths, newest first. `ui_scale`: 0 = automatic. `window_size`: (width, height) pixels. `displays`: how
+    each layer is shown, by its name. `panels`: which are open. `layout`: version of the arrangement of panels;
+    another one starts from the default arrangement. `unknown`: what a newer version wrote, kept as it is.
+    """
+
+    recent: list[str] = field(default_factory=list)
+    theme: str = "dark"
+    ui_scale: float = 0.0
+    window_size: tuple[int, int] = (1600, 1000)
+    displays: dict[str, dict] = field(default_factory=dict)
+    playback: dict = field(default_factory=dict)
+    options: dict = field(default_factory=dict)
+    compare: dict = field(default_factory=dict)
+    panels: dict[str, bool] = field(default_factory=dict)
+    layout: int = LAYOUT
+    unknown: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def load(cls, path: Path | None = None) -> tuple[Settings, str | None]:
+        """(settings, warning or None) from `path`, or from the user's file. Whatever is missing or damaged has its
+        default; a damaged entry costs only itself."""
+        settings = cls()
+        path = path or default_path()
+        if path is None:
+            return settings, None
+        try:
+            document = json.loads(Path(path).read_bytes())
+        except FileNotFoundError:
+            return settings, None
+        except OSError as error:
+            return settings, f"{path}: cannot read the settings: {error.strerror or error}"
+        except (ValueError, RecursionError):
+            return settings, f"{path}: the settings are damaged, the defaults are used"
+        if not isinstance(document, dict):
+            return settings, f"{path}: the settings are damaged, the defaults are used"
+        damaged = settings._take(document)
+        listed = ", ".join(damaged)
+        return settings, f"{path}: damaged settings have their defaults: {listed}" if damaged else None
+
+    def save(self, path: Path | None = None) -> str | None:
+        """Write to `path`, or to the user's file, whole or not at all; a warning if that is not possible."""
+        path = path or default_path()
+        if path is None:
+            return "the settings cannot be saved: there is no home folder"
+        try:
+            text = json.dumps(self.to_json(), indent=1)
+        except (TypeError, ValueError, RecursionError) as error:
+            return f"{path}: the settings cannot be saved: {error}"
+        try:
+            _replace(Path(os.path.realpath(path)), text + "\n")
+        except OSError as error:
+            return f"{path}: the settings cannot be saved: {error.strerror or error}"
+        return None
+
+    def to_json(self) -> dict[str, Any]:
+        known = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "unknown"}
+        return self.unknown | known | {"window_size": list(self.window_size)}
+
+    def add_recent(self, path: str | Path) -> None:
+        """Put `path` first."""
+        self.recent = _recent([os.path.abspath(path), *self.recent])
+
+    def forget_recent(self, path: str | Path) -> None:
+        """Take `path` out, because there is nothing any more."""
+        self.recent = [p for p in self.recent if p not in (str(path), os.path.abspath(path))]
+
+    def _take(self, document: dict[str, Any]) -> list[str]:
+        """Take over what is sound; the names of what is not."""
+        damaged = []
+        for name, value in document.items():
+            if name not in _CHECKS:
+                self.unknown[name] = value
+                continue
+            sound = _CHECKS[name](value)
+            if sound is None:
+                damaged.append(name)
+                continue
+            setattr(self, name, sound)
+            if isinstance(sound, dict) and len(sound) < len(value):
+                damaged.append(f"some of {name}")
+        return damaged
+
+
+def _recent(value: Any) -> list[str] | None:
+    if not isinstance(value, list):
+        return None
+    return list(dict.fromkeys(path for path in value if isinstance(path, str) and path))[:_MOST_RECENT]
+
+
+def _window_size(value: Any) -> tuple[int, int] | None:
+    if not isinstance(value, list) or len(value) != 2 or not all(type(v) is int for v in value):
+        return None
+    return tuple(value) if all(_LEAST_WINDOW <= v <= _LARGEST_WINDOW for v in value) else None
+
+
+def _ui_scale(value: Any) -> float | None:
+    return float(value) if type(value) in (int, float) and 0 <= value <= _LARGEST_SCALE else None
+
+
+def _dict_of(kind: type) -> Callable[[Any], dict | None]:
+    def check(value: Any) -> dict | None:
+        return {k: v for k, v in value.items() if isinstance(v, kind)} if isinstance(value, dict) else None
+
+    return check
+
+
+_CHECKS: dict[str, Callable[[Any], Any]] = {
+    "recent": _recent,
+    "theme": lambda value: value if value in THEMES else None,
+    "ui_scale": _ui_scale,
+    "window_size": _window_size,
+    "displays": _dict_of(dict),
+    "playback": _dict_of(object),
+    "options": _dict_of(object),
+    "compare": _dict_of(object),
+    "panels": _dict_of(bool),
+    "layout": lambda value: value if type(value) is int and value >= 0 else None,
+}
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a file under another name first, so that `path` is always whole."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+    try:
+        with open(handle, "w", encoding="ascii") as file:
+            file.write(text)
+        os.replace(name, path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(name)
+        raise

@@ -1,0 +1,188 @@
+"""Starting the viewer: by hand, or to take one screenshot (`gffe view`)."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gffe_cl.errors import GffeError
+
+_SETTLED_FRAMES = 4  # interface frames after everything has arrived: layouts need a few to come to rest
+_PATIENCE = 120.0  # seconds
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A screenshot to take: of the slot `frame`, showing `layer`; `compare` with the layer `other`, `pixel` picked."""
+
+    path: Path
+    frame: int = 0
+    layer: str = "final"
+    compare: str = "off"
+    other: str | None = None
+    pixel: tuple[int, int] | None = None
+    overview: bool = False
+
+
+def measure(model, seconds: float, size: tuple[int, int] = (1600, 900)) -> dict[str, float]:
+    """Play every frame for so many seconds; returns means: frames shown and generated frames shown per second, frames of
+    the interface per second, and milliseconds per frame for computing (kernels), reading back and uploading.
+
+    Raises GffeError without a display, or when nothing can be played.
+    """
+    require_display()
+    from gffe_cl.viewer.app import App
+
+    stopwatch = _Stopwatch(seconds)
+    App(model, on_frame=stopwatch).run(size, test=lambda app: None)
+    if stopwatch.problem:
+        raise GffeError(stopwatch.problem)
+    return stopwatch.figures()
+
+
+class _Stopwatch:
+    """Starts playback when the first frame is there, counts what arrives, and closes the window."""
+
+    def __init__(self, seconds: float):
+        self.seconds, self.problem = seconds, None
+        self._start: float | None = None
+        self._end = 0.0
+        self._interface = 0
+        self._last = None
+        self._rows: list[tuple[bool, float, float, float]] = []
+        self._until = time.perf_counter() + _PATIENCE
+
+    def __call__(self, app) -> None:
+        model, now = app.model, time.perf_counter()
+        if model.failure or (self._start is None and now > self._until):
+            self.problem = model.failure or f"nothing was shown after {_PATIENCE:.0f} s"
+            app.close()
+        elif self._start is None:
+            if model.result is not None:
+                model.playback.mode = "every frame"
+                model.playback.speed = 4.0  # as fast as it goes
+                model.playback.play()
+                self._start, self._last = now, model.result
+        else:
+            self._interface += 1
+            result = model.result
+            if result is not self._last:
+                self._last = result
+                kernels = sum(result.milliseconds.values())
+                self._rows.append((result.alpha > 0, kernels, result.readback_ms, model.upload_ms))
+            self._end = now
+            if now - self._start > self.seconds:
+                app.close()
+
+    def figures(self) -> dict[str, float]:
+        elapsed = max(self._end - self._start, 1e-9)
+        generated = [row for row in self._rows if row[0]]
+        columns = np.array([row[1:] for row in self._rows] or [(np.nan,) * 3])
+        kernels, readback, upload = columns.mean(0).tolist()
+        return {
+            "frames per second": len(self._rows) / elapsed,
+            "generated frames per second": len(generated) / elapsed,
+            "interface frames per second": self._interface / elapsed,
+            "kernels, ms per frame": kernels,
+            "reading back, ms per frame": readback,
+            "upload, ms per frame": upload,
+        }
+
+
+def view(model, size: tuple[int, int] = (1600, 900), shot: Shot | None = None) -> None:
+    """Run the viewer until it is closed, or until `shot` is written.
+
+    Raises GffeError without a display, or when the screenshot cannot be made.
+    """
+    require_display()
+    from gffe_cl.viewer.app import App
+
+    if shot is None:
+        App(model).run(size)
+        return
+    if not shot.path.absolute().parent.is_dir():
+        raise GffeError(f"{shot.path}: cannot write: no such folder")
+    camera = _Photographer(shot)
+    App(model, on_frame=camera).run(size, test=lambda app: None)
+    if camera.problem:
+        raise GffeError(camera.problem)
+    _save(shot.path)
+
+
+def require_display() -> None:
+    """GffeError where no window can be opened."""
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise GffeError(
+            "no display to open a window on (expected DISPLAY to be set; without a screen: xvfb-run -a gffe …)"
+        )
+
+
+class _Photographer:
+    """Sets up the view in the running application, waits until it stands, and closes the window."""
+
+    def __init__(self, shot: Shot):
+        self.shot, self.problem = shot, None
+        self._still = 0
+        self._arranged = False
+        self._until = time.perf_counter() + _PATIENCE
+
+    def __call__(self, app) -> None:
+        model = app.model
+        if model.failure or time.perf_counter() > self._until:
+            self.problem = model.failure or f"the screenshot was not ready after {_PATIENCE:.0f} s"
+            app.close()
+        elif model.info is None or not model.layers:
+            return
+        elif not self._arranged:
+            self.problem = self._arrange(model)
+            self._arranged = True
+            if self.problem:
+                app.close()
+        else:
+            self._still = self._still + 1 if model.settled else 0
+            if self._still > _SETTLED_FRAMES:
+                app.close()
+
+    def _arrange(self, model) -> str | None:
+        shot = self.shot
+        names = [spec.name for spec in model.layers]
+        if not 0 <= shot.frame < model.playback.slots:
+            return f"--frame must be 0 to {model.playback.slots - 1}, got {shot.frame}"
+        model.playback.pause()
+        model.playback.seek(shot.frame)
+        for name in filter(None, (shot.layer, shot.other)):
+            found = model.find_layer(name)
+            if found is None:
+                return f"no layer is called '{name}' (there are: {', '.join(names)})"
+            reason = model.why_not(found)
+            if reason:
+                return f"layer '{found}': {reason}"
+        model.show_layer(model.find_layer(shot.layer))
+        if shot.other:
+            model.view.b = model.find_layer(shot.other)
+        if shot.compare != "off":
+            reason = model.comparison.why_not(shot.compare)
+            if reason:
+                return f"--compare {shot.compare}: {reason}"
+            model.comparison.set(shot.compare)
+        model.set_overview(shot.overview)
+        model.hovering = False
+        if shot.pixel is not None:
+            model.pick(shot.pixel)
+        return None
+
+
+def _save(path: Path) -> None:
+    from imgui_bundle import hello_imgui
+
+    from gffe_cl.viewer.export import save_png
+
+    pixels = np.asarray(hello_imgui.final_app_window_screenshot())
+    if not pixels.size:
+        raise GffeError(f"{path}: the window gave no picture")
+    save_png(path, pixels)

@@ -1,0 +1,41 @@
+"""What the last computed frames took."""
+
+from __future__ import annotations
+
+from collections import defaultdict, deque
+
+import numpy as np
+
+HISTORY = 120  # computed frames in the plot
+_MEAN = 20  # ... and in the means
+
+
+class Timings:
+    """Milliseconds of the last computed frames; `stages` are kernel times by stage."""
+
+    def __init__(self):
+        self.stages: dict[str, deque[float]] = defaultdict(lambda: deque(maxlen=HISTORY))
+        self._walls: deque[float] = deque(maxlen=_MEAN)
+        self._readbacks: deque[float] = deque(maxlen=_MEAN)
+
+    def add(self, result) -> None:
+        """Of an engine's Result."""
+        for name, milliseconds in result.milliseconds.items():
+            self.stages[name].append(milliseconds)
+        self._walls.append(result.wall_ms)
+        self._readbacks.append(result.readback_ms)
+
+    def means(self) -> dict[str, float]:
+        """Kernel time by stage."""
+        return {name: _mean(list(values)[-_MEAN:]) for name, values in self.stages.items()}
+
+    def wall(self) -> float:
+        """From taking a request to its images."""
+        return _mean(self._walls)
+
+    def readback(self) -> float:
+        return _mean(self._readbacks)
+
+
+def _mean(values) -> float:
+    return float(np.mean(values)) if len(values) else 0.0
