@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
 import time
 import traceback
 from pathlib import Path
 
-from imgui_bundle import hello_imgui, imgui, immapp, implot  # before glfw
+from imgui_bundle import ImVec4, hello_imgui, imgui, immapp, implot  # before glfw
 from imgui_bundle import portable_file_dialogs as dialogs
 
-from gffe_cl.viewer import commands, keys
+from gffe_cl.viewer import commands, keys, widgets
 from gffe_cl.viewer.actions import Actions
 from gffe_cl.viewer.model import Model
 from gffe_cl.viewer.panels import compare, inspector, kernels, layer_list, modules, picture, timeline, timings
@@ -34,8 +36,19 @@ _MESSAGE_SECONDS = 8.0
 
 
 def apply_theme(name: str) -> None:
-    """ "light" or "dark"."""
+    """ "light" or "dark". Windows have no background of their own: to fill the screen twice takes a CPU longer than all
+    else, so it is cleared with their colour, and what floats asks for it (`floating`)."""
     hello_imgui.apply_theme(_LIGHT if name == "light" else _DARK)
+    style, color = imgui.get_style(), imgui.Col_.window_bg
+    ground = style.color_(color)
+    hello_imgui.get_runner_params().imgui_window_params.background_color = ImVec4(ground.x, ground.y, ground.z, 1.0)
+    style.set_color_(color, ImVec4(ground.x, ground.y, ground.z, 0.0))
+
+
+def has_dialogs() -> bool:
+    """Whether the system has a dialog for folders that can be opened."""
+    programs = ("zenity", "kdialog", "matedialog", "qarma")
+    return not sys.platform.startswith("linux") or any(map(shutil.which, programs))
 
 
 class App:
@@ -50,6 +63,7 @@ class App:
         self.canvas = None  # made when there is a GL context
         self.panels_hidden = False
         self._before_hiding: list[str] = []
+        self._theme = ""  # that is applied
         self.actions = Actions()
         self.panel_names = tuple(_PANELS)
         commands.register(self)
@@ -60,6 +74,7 @@ class App:
         self.display_height = 200.0  # of the display settings below the list of layers, as last drawn
         self.path_text: str | None = None  # of "open by path" while it is open
         self._params: hello_imgui.RunnerParams | None = None
+        self.row_seen = ""  # of the list of layers: it was scrolled to this one
         self._drawn = self._texture = None
         self.drags, self.pressed_at = "nothing", None  # by the mouse, in the picture
 
@@ -83,8 +98,9 @@ class App:
         params.imgui_window_params.show_status_bar = True
         params.imgui_window_params.show_status_fps = False
         params.imgui_window_params.remember_theme = False
-        params.imgui_window_params.tweaked_theme.theme = _LIGHT if self.model.settings.theme == "light" else _DARK
         # ImGui smooths its edges itself; eight samples per pixel would cost a software renderer most of its time.
+        params.renderer_backend_options.open_gl_options.anti_aliasing_samples = 0
+        # multisampling costs a CPU more than all that is drawn, and ImGui smoothes its edges itself
         params.renderer_backend_options.open_gl_options.anti_aliasing_samples = 0
         params.ini_disable = test is not None
         params.ini_folder_type = hello_imgui.IniFolderType.app_user_config_folder
@@ -122,15 +138,22 @@ class App:
     def _panel(self, name: str, draw, space: str) -> hello_imgui.DockableWindow:
         window = hello_imgui.DockableWindow(name, space, can_be_closed_=name != "Picture")
         window.is_visible = self.model.settings.panels.get(name, True)
+        window.call_begin_end, docked = False, True
 
         def draw_it():
-            # what it is docked in has filled the background already: on a CPU that takes as long as all else
-            window.imgui_window_flags = imgui.WindowFlags_.no_background.value if imgui.is_window_docked() else 0
-            try:
-                draw(self)
-            except Exception:
-                traceback.print_exc()  # ImGui, in the middle of something, will end the program
-                raise
+            nonlocal docked
+            if not docked:
+                widgets.floating()
+            unfolded, stays = imgui.begin(name, window.is_visible if window.can_be_closed else None)
+            docked = imgui.is_window_docked()
+            if unfolded:
+                try:
+                    draw(self)
+                except Exception:
+                    traceback.print_exc()  # ImGui, in the middle of something, will end the program
+                    raise
+            imgui.end()
+            window.is_visible = stays is not False
 
         window.gui_function = draw_it
         return window
@@ -167,6 +190,9 @@ class App:
 
     def _before_frame(self) -> None:
         model = self.model
+        if self._theme != model.settings.theme:
+            self._theme = model.settings.theme
+            apply_theme(self._theme)
         model.update(time.perf_counter(), self.canvas)
         model.fly(commands.flight(self))
         at_work = model.playback.playing or model.flying or model.export is not None or not model.settled
@@ -223,7 +249,7 @@ class App:
 
     def open_dialog(self) -> None:
         """The system's folder dialog where there is one, else a field for the path."""
-        if dialogs.settings.available():
+        if has_dialogs():
             self._dialog = dialogs.select_folder("Open a sequence", str(Path.cwd()))
         else:
             self.path_text = ""
@@ -239,6 +265,7 @@ class App:
         imgui.set_next_window_pos(corner, imgui.Cond_.always.value, (1.0, 1.0))
         flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
         flags |= imgui.WindowFlags_.no_focus_on_appearing | imgui.WindowFlags_.no_nav
+        widgets.floating()
         imgui.begin("###messages", None, int(flags))
         imgui.push_text_wrap_pos(hello_imgui.em_size(36))
         for message in shown[-4:]:
@@ -257,6 +284,7 @@ class App:
         center = imgui.get_main_viewport().get_center()
         imgui.set_next_window_pos(center, imgui.Cond_.appearing.value, (0.5, 0.5))
         flags = imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_docking
+        widgets.floating()
         imgui.begin("Saving###export", None, int(flags))
         imgui.text(work.label)
         imgui.progress_bar(work.done / max(work.total, 1), (hello_imgui.em_size(22), 0), f"{work.done} of {work.total}")

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from imgui_bundle import hello_imgui, imgui
 
 from gffe_cl.scenes import SCENES
-from gffe_cl.viewer import saving
+from gffe_cl.viewer import saving, widgets
 from gffe_cl.viewer.actions import Action
 
 _EXPOSURE_STEP = 0.5
@@ -120,10 +120,7 @@ def register(app) -> None:
 
 
 def _theme(app) -> None:
-    from gffe_cl.viewer.app import apply_theme
-
     app.model.settings.theme = "dark" if app.model.settings.theme == "light" else "light"
-    apply_theme(app.model.settings.theme)
 
 
 def _scale(app, factor: float) -> None:
@@ -177,6 +174,7 @@ def palette(app) -> None:
     imgui.set_next_window_pos(top, imgui.Cond_.always.value, (0.5, 0.0))
     imgui.set_next_window_size((hello_imgui.em_size(30), 0))
     flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_move
+    widgets.floating()
     imgui.begin("Command palette###palette", None, int(flags))
     if imgui.is_window_appearing():
         imgui.set_keyboard_focus_here()
@@ -206,6 +204,7 @@ def help_window(app) -> None:
         return
     imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing.value, (0.5, 0.5))
     flags = imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.always_auto_resize
+    widgets.floating()
     _, app.help_open = imgui.begin("Keys###help", True, int(flags))
     table = app.actions.shortcut_table()
     if imgui.begin_table("###keys", 3, imgui.TableFlags_.sizing_fixed_fit.value):
@@ -229,6 +228,7 @@ def path_window(app) -> None:
         return
     imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing.value, (0.5, 0.5))
     flags = imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.always_auto_resize
+    widgets.floating()
     _, is_open = imgui.begin("Open a sequence or a scene###open_path", True, int(flags))
     if imgui.is_window_appearing():
         imgui.set_keyboard_focus_here()

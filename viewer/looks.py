@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
-from gffe_cl.viewer.layers import Display, LayerSpec, default_display, fitted
+import numpy as np
+
+from gffe_cl.viewer.layers import Display, LayerSpec, default_display, fitted, shown_as
+
+_SAMPLES = 65536
+_LARGEST_EXPOSURE = 16.0  # stops
 
 
 class Looks:
@@ -43,10 +49,25 @@ class Looks:
         self.change(exposure=self.of(self._model.view.a).exposure + stops)
 
     def fit(self) -> None:
-        """Range from the picture."""
+        """Range from the picture; of a colour its exposure."""
         spec = self._model.spec_of(self._model.view.a)
-        if spec is not None:
-            self._keep(spec.name, self._fitted(spec, self.of(spec.name)))
+        if spec is None:
+            return
+        display = self.of(spec.name)
+        if shown_as(spec, display)[0] == "color":
+            display = replace(display, exposure=self._exposure(spec.name, display.exposure))
+        self._keep(spec.name, self._fitted(spec, display))
+
+    def _exposure(self, name: str, now: float) -> float:
+        """Stops that make the brightest of 99% of the pixels just white."""
+        image = self._model.image_of(name)
+        if image is None:
+            return now
+        pixels = image[..., :3].reshape(-1, 3)
+        brightest = pixels[:: max(len(pixels) // _SAMPLES, 1)].astype(np.float64).max(-1)
+        brightest = brightest[np.isfinite(brightest)]
+        white = float(np.quantile(brightest, 0.99)) * self._model.info.exposure if brightest.size else 0.0
+        return min(max(-math.log2(white), -_LARGEST_EXPOSURE), _LARGEST_EXPOSURE) if white > 0 else now
 
     def reset(self) -> None:
         spec = self._model.spec_of(self._model.view.a)

@@ -184,6 +184,7 @@ class Model:
         if canvas is not None:
             start = time.perf_counter()
             canvas.frame = self.frame_info(result)
+            canvas.forget(result.request.layers - result.images.keys())
             for name, image in result.images.items():
                 canvas.upload(name, image, result.specs[name])
             self.upload_ms = (time.perf_counter() - start) * 1e3

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -129,8 +129,7 @@ class VideoWork(Work):
         self._start(lambda: self._write(rate))
 
     def _write(self, rate: float) -> str:
-        frames = iter(self._frames.get, None)
-        written = export_video(self.path, frames, rate, self.total, cancelled=self._cancelled.is_set)
+        written = export_video(self.path, self._given(), rate, self.total, cancelled=self._cancelled.is_set)
         return f"saved {self.path}" if written else "the video was cancelled"
 
     def _proceed(self, model, canvas):
@@ -147,6 +146,10 @@ class VideoWork(Work):
             self.done += 1
             if self.done == self.total:
                 model.playback.seek(self._back)
+
+    def _given(self) -> Iterator[np.ndarray]:
+        while (frame := self._frames.get()) is not None:
+            yield frame
 
     def _put(self, frame) -> None:
         with contextlib.suppress(queue.Full):  # then the encoder is not waiting

@@ -30,8 +30,8 @@ class Shot:
 
 
 def measure(model, seconds: float, size: tuple[int, int] = (1600, 900)) -> dict[str, float]:
-    """Play every frame for so many seconds; returns means: frames shown and generated frames shown per second, frames of
-    the interface per second, and milliseconds per frame for computing (kernels), reading back and uploading.
+    """Play every frame for so many seconds; returns means: frames shown and generated frames shown per second, frames
+    of the interface per second, and milliseconds per frame for computing (kernels), reading back and uploading.
 
     Raises GffeError without a display, or when nothing can be played.
     """

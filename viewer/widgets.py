@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from itertools import pairwise
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
+
+from gffe_cl.viewer.layers import Legend, wheel_color
+
+
+def floating() -> None:
+    """The next window is not docked: it needs a background."""
+    imgui.set_next_window_bg_alpha(1.0)
 
 
 def tooltip(text: str) -> None:
@@ -54,7 +63,7 @@ def slider(
 ) -> None:
     """A slider with its unit in `text` and a button back to the default."""
     whole = isinstance(default, int)
-    imgui.set_next_item_width(-hello_imgui.em_size(11))
+    leave_room(11)
     if whole:
         changed, new = imgui.slider_int(f"###{label}", int(value), int(low), int(high), text)
     else:
@@ -72,10 +81,18 @@ def slider(
     imgui.text(label)
 
 
-def choice(label: str, value: str, options: dict[str, str] | list[str], change: Callable[[str], None]) -> None:
+def leave_room(lines: float) -> None:
+    """Make the next item leave `lines` heights of letters to its right, but take a third of the line itself."""
+    width = imgui.get_content_region_avail().x
+    imgui.set_next_item_width(max(width - hello_imgui.em_size(lines), width / 3))
+
+
+def choice(
+    label: str, value: str, options: dict[str, str] | list[str], change: Callable[[str], None], room: float = 7
+) -> None:
     """A combo box over keys of `options` (shown by their texts)."""
     texts = options if isinstance(options, dict) else {name: name for name in options}
-    imgui.set_next_item_width(-hello_imgui.em_size(11))
+    leave_room(room)
     if imgui.begin_combo(f"###{label}", texts.get(value, value)):
         for name, text in texts.items():
             if imgui.selectable(text, name == value)[0] and name != value:
@@ -87,3 +104,47 @@ def choice(label: str, value: str, options: dict[str, str] | list[str], change: 
 
 def heading(text: str) -> None:
     imgui.separator_text(text)
+
+
+def show_legend(shown: Legend) -> None:
+    """A ramp with its ticks, a wheel, or a swatch for each single value."""
+    draw, width = imgui.get_window_draw_list(), imgui.get_content_region_avail().x
+    origin, em = imgui.get_cursor_screen_pos(), hello_imgui.em_size()
+    if shown.kind == "ramp":
+        for (a, _, left), (b, _, right) in pairwise(shown.ticks):
+            colors = [imgui.get_color_u32((*c, 1.0)) for c in (left, right, right, left)]
+            corners = ImVec2(origin.x + a * width, origin.y), ImVec2(origin.x + b * width, origin.y + 0.8 * em)
+            draw.add_rect_filled_multi_color(*corners, *colors)
+        for position, text, _ in shown.ticks:
+            wide = imgui.calc_text_size(text).x
+            x = min(max(position * width - wide / 2, 0), width - wide)
+            draw.add_text(ImVec2(origin.x + x, origin.y + em), imgui.get_color_u32(imgui.Col_.text), text)
+        imgui.dummy(ImVec2(width, 2.2 * em))
+    elif shown.kind == "wheel":
+        radius, parts = 1.6 * em, 24
+        middle = ImVec2(origin.x + radius, origin.y + radius)
+        for part in range(parts):
+            start, end = (2 * math.pi * (part + side) / parts for side in (-0.5, 0.55))
+            rim = [ImVec2(middle.x + radius * math.cos(a), middle.y + radius * math.sin(a)) for a in (start, end)]
+            draw.add_triangle_filled(middle, *rim, imgui.get_color_u32((*wheel_color(part / parts, 1.0), 1.0)))
+        imgui.dummy(ImVec2(2 * radius, 2 * radius))
+        imgui.same_line()
+    if shown.unit:
+        imgui.text_disabled(shown.unit)
+    _swatches(shown.labels)
+
+
+def _swatches(labels) -> None:
+    size = hello_imgui.em_size(0.9)
+    room, used = imgui.get_content_region_avail().x, 0.0
+    for text, color in labels:
+        width = size + imgui.calc_text_size(text).x + hello_imgui.em_size(1.4)
+        if used and used + width < room:
+            imgui.same_line()
+        else:
+            used = 0.0
+        used += width
+        flags = imgui.ColorEditFlags_.no_tooltip.value
+        imgui.color_button(f"###swatch {text}", (*color, 1.0), flags, ImVec2(size, size))
+        imgui.same_line(0, hello_imgui.em_size(0.3))
+        imgui.text(text)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 
-from gffe_cl.viewer import widgets
+from gffe_cl.viewer import flip_map, widgets
+from gffe_cl.viewer.canvas import ERRORS
+from gffe_cl.viewer.layers import legend
 
 _WAYS = {
     "off": "off",
@@ -31,13 +33,23 @@ def draw(app) -> None:
         if name not in ("flip", "flip error"):
             imgui.same_line()
     names = {spec.name: f"{spec.group}: {spec.label}" for spec in model.layers if model.why_not(spec.name) is None}
-    widgets.choice("A", view.a, names, model.show_layer)
-    widgets.choice("B", view.b or "", names, lambda name: setattr(view, "b", name))
+    widgets.choice("A", view.a, names, model.show_layer, room=2)
+    widgets.choice("B", view.b or "", names, lambda name: setattr(view, "b", name), room=2)
     if view.compare == "split":
         widgets.slider("split", view.split, 0.0, 1.0, 0.5, lambda v: setattr(view, "split", v))
-    if view.compare in ("difference", "error"):
+    if view.compare == "difference":
         widgets.slider("gain", view.gain, 1.0, 32.0, 4.0, lambda v: setattr(view, "gain", v), "%.1f×")
+    if view.compare in ("error", "flip error"):
+        _error_map(model)
     _quality(model)
+
+
+def _error_map(model) -> None:
+    view = model.view
+    if view.compare == "error":
+        widgets.choice("error", view.error, list(ERRORS), lambda name: setattr(view, "error", name))
+    widgets.slider("brightest", view.error_high, 0.01, 1.0, 0.1, lambda v: setattr(view, "error_high", v), "%.2f")
+    widgets.show_legend(legend(flip_map.SPEC, model.comparison.error_display))
 
 
 def _quality(model) -> None:
@@ -52,7 +64,8 @@ def _quality(model) -> None:
     score = model.metrics.get(model.slot)
     if score is not None:
         ssim = "…" if score.ssim is None else f"{score.ssim:.4f}"
-        imgui.text(f"PSNR {score.psnr:.2f} dB   SSIM {ssim}")
+        flip = "" if score.flip is None else f"   FLIP {score.flip:.4f}"
+        imgui.text(f"PSNR {score.psnr:.2f} dB   SSIM {ssim}{flip}")
     elif model.measuring and model.slot % (model.n + 1) == 0:
         imgui.text_disabled("rendered frame")
     if implot.begin_plot("###quality", ImVec2(-1, hello_imgui.em_size(10)), implot.Flags_.no_mouse_text.value):

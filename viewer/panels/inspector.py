@@ -23,8 +23,9 @@ def draw(app) -> None:
     if inspection.source is not None:
         at += f"   from ({inspection.source[0]:.2f}, {inspection.source[1]:.2f}) of the rendered frame"
     imgui.text_wrapped(at)
-    flags = imgui.TableFlags_.row_bg.value | imgui.TableFlags_.sizing_stretch_prop.value
-    if imgui.begin_table("###values", 2, flags):
+    if imgui.begin_table("###values", 2, imgui.TableFlags_.row_bg.value):
+        for title, share in (("layer", 0.44), ("value", 0.56)):
+            imgui.table_setup_column(title, imgui.TableColumnFlags_.width_stretch.value, share)
         for spec in model.layers:
             if spec.name not in inspection.values:
                 continue

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
-from itertools import groupby, pairwise
+from itertools import groupby
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.viewer import widgets
-from gffe_cl.viewer.layers import COLOR_MAPS, TONE_MAPS, Legend, default_display, legend, shown_as, wheel_color
+from gffe_cl.viewer.layers import COLOR_MAPS, TONE_MAPS, default_display, legend, shown_as
 
 _OVERLAYS = {
     "none": "no overlay",
@@ -29,7 +28,7 @@ def draw(app) -> None:
         for group, specs in groupby(model.layers, key=lambda spec: spec.group):
             if imgui.tree_node_ex(f"{group}###group {group}", imgui.TreeNodeFlags_.default_open.value):
                 for spec in specs:
-                    _row(model, spec)
+                    _row(app, spec)
                 imgui.tree_pop()
     imgui.end_child()
     top = imgui.get_cursor_pos_y()
@@ -37,13 +36,18 @@ def draw(app) -> None:
     app.display_height = imgui.get_cursor_pos_y() - top + hello_imgui.em_size(0.3)
 
 
-def _row(model, spec) -> None:
+def _row(app, spec) -> None:
+    model = app.model
     shown = spec.name == model.view.a
     reason = model.why_not(spec.name)
     imgui.begin_disabled(reason is not None)
     if imgui.selectable(f"{spec.label}###{spec.name}", shown)[0]:
         model.show_layer(spec.name)
     imgui.end_disabled()
+    if shown and spec.name != app.row_seen:
+        app.row_seen = spec.name
+        if not imgui.is_item_visible():
+            imgui.set_scroll_here_y()
     widgets.tooltip(reason or spec.description)
     if spec.name == model.view.b and model.view.compare != "off":
         imgui.same_line()
@@ -85,64 +89,21 @@ def _display(model) -> None:
     if len(spec.channels) > 1:
         channel = display.channel or spec.channels[0]
         widgets.choice("channel", channel, list(spec.channels), lambda v: model.looks.change(channel=v))
-    if imgui.button("fit range###fit_range"):
-        model.looks.fit()
-    widgets.tooltip("Range from the picture: 1 to 99 % of its finite values (N)")
-    imgui.same_line()
+    if view not in ("mask", "label"):
+        if imgui.button("fit###fit_range"):
+            model.looks.fit()
+        widgets.tooltip("Range, or exposure, from the picture: 1 to 99 % of its finite values (N)")
+        imgui.same_line()
     if imgui.button("reset###reset_display"):
         model.looks.reset()
-    _legend(legend(spec, display))
+    widgets.show_legend(legend(spec, display))
 
 
 def _range(model, display) -> None:
-    imgui.set_next_item_width(-hello_imgui.em_size(11))
+    widgets.leave_room(4)
     speed = max(abs(display.high - display.low) / 200, 1e-4)
     changed, low, high = imgui.drag_float_range2("###range", display.low, display.high, speed, 0.0, 0.0, "%.3g", "%.3g")
     imgui.same_line()
     imgui.text("range")
     if changed:
         model.looks.change(low=low, high=high)
-
-
-def _legend(shown: Legend) -> None:
-    """A ramp with its ticks, a wheel, or a swatch for each single value."""
-    draw, width = imgui.get_window_draw_list(), imgui.get_content_region_avail().x
-    origin, em = imgui.get_cursor_screen_pos(), hello_imgui.em_size()
-    if shown.kind == "ramp":
-        for (a, _, left), (b, _, right) in pairwise(shown.ticks):
-            colors = [imgui.get_color_u32((*c, 1.0)) for c in (left, right, right, left)]
-            corners = ImVec2(origin.x + a * width, origin.y), ImVec2(origin.x + b * width, origin.y + 0.8 * em)
-            draw.add_rect_filled_multi_color(*corners, *colors)
-        for position, text, _ in shown.ticks:
-            wide = imgui.calc_text_size(text).x
-            x = min(max(position * width - wide / 2, 0), width - wide)
-            draw.add_text(ImVec2(origin.x + x, origin.y + em), imgui.get_color_u32(imgui.Col_.text), text)
-        imgui.dummy(ImVec2(width, 2.2 * em))
-    elif shown.kind == "wheel":
-        radius, parts = 1.6 * em, 24
-        middle = ImVec2(origin.x + radius, origin.y + radius)
-        for part in range(parts):
-            start, end = (2 * math.pi * (part + side) / parts for side in (-0.5, 0.55))
-            rim = [ImVec2(middle.x + radius * math.cos(a), middle.y + radius * math.sin(a)) for a in (start, end)]
-            draw.add_triangle_filled(middle, *rim, imgui.get_color_u32((*wheel_color(part / parts, 1.0), 1.0)))
-        imgui.dummy(ImVec2(2 * radius, 2 * radius))
-        imgui.same_line()
-    if shown.unit:
-        imgui.text_disabled(shown.unit)
-    _swatches(shown.labels)
-
-
-def _swatches(labels) -> None:
-    size = hello_imgui.em_size(0.9)
-    room, used = imgui.get_content_region_avail().x, 0.0
-    for text, color in labels:
-        width = size + imgui.calc_text_size(text).x + hello_imgui.em_size(1.4)
-        if used and used + width < room:
-            imgui.same_line()
-        else:
-            used = 0.0
-        used += width
-        flags = imgui.ColorEditFlags_.no_tooltip.value
-        imgui.color_button(f"###swatch {text}", (*color, 1.0), flags, ImVec2(size, size))
-        imgui.same_line(0, hello_imgui.em_size(0.3))
-        imgui.text(text)

@@ -66,8 +66,9 @@ def draw(app) -> None:
             "filling", options.hole_filling, [m for m in HOLE_FILLINGS if m != "none"], lambda m: change(hole_filling=m)
         )
     widgets.slider(
-        "generated frames", model.n, 1, 7, 1, model.set_n, "%d per rendered frame", "n: α = j / (n + 1), j = 1 … n"
-    )
+        "generated frames", model.n, 1, 7, 1, model.set_n, "%d",
+        "n after each rendered frame: α = j / (n + 1), j = 1 … n",
+    )  # fmt: skip
     if imgui.button("all defaults###defaults"):
         model.set_options(_DEFAULT)
         model.set_n(1)

@@ -97,7 +97,6 @@ def _mouse(app, place) -> None:
         app.pressed_at = at
         app.drags = "picture" if not left else "line" if on_line else "nothing yet"
     if imgui.is_item_active():
-        print(app.drags,on_line,at.x,line,view.compare)
         if app.drags == "nothing yet" and _distance(at, app.pressed_at) >= _DRAG:
             app.drags = "picture"
         if app.drags == "line":
@@ -188,23 +187,31 @@ def _trajectory(model, place, marks) -> None:
 def _caption(model, origin, width, height, marks) -> None:
     """Layer names and what changes their look, in the corners."""
     view = model.view
-    spec = model.spec_of(view.a)
-    if spec is None:
-        return
-    text = f"{spec.group}: {spec.label}"
-    display = model.looks.of(spec.name)
-    if spec.view == "color" and display.exposure:
-        text += f"   {display.exposure:+.1f} EV"
-    if view.compare in ("split", "flip", "difference", "error", "flip error") and view.b and model.spec_of(view.b):
-        other = model.spec_of(view.b)
-        text = f"A  {text}"
-        _label(marks, f"B  {other.group}: {other.label}", origin.x + width - 10, origin.y + 8, right=True)
-    _label(marks, text, origin.x + 10, origin.y + 8)
+    if model.comparison.flipped and view.b:
+        _label(marks, f"B  {_layer_text(model, view.b)}", origin.x + 10, origin.y + 8)
+    elif view.compare != "off" and view.b:
+        _label(marks, f"A  {_layer_text(model, view.a)}", origin.x + 10, origin.y + 8)
+        _label(marks, f"B  {_layer_text(model, view.b)}", origin.x + width - 10, origin.y + 8, right=True)
+    else:
+        _label(marks, _layer_text(model, view.a), origin.x + 10, origin.y + 8)
     k, j = divmod(model.slot, model.n + 1)
     kind = f"rendered frame {k}" if j == 0 else f"generated: frame {k} + {j}/{model.n + 1}"
     _label(marks, f"{kind}   {view.zoom * 100:.0f} %", origin.x + 10, origin.y + height - hello_imgui.em_size(1.6))
     if model.engine.busy and not model.playback.playing:
         _label(marks, "computing …", origin.x + width - 10, origin.y + height - hello_imgui.em_size(1.6), right=True)
+
+
+def _layer_text(model, name: str) -> str:
+    """What the layer is called, and what changes its look, or why it is not there."""
+    spec = model.spec_of(name)
+    if spec is None:
+        return f"{name}: not made with these options"
+    text, display = f"{spec.group}: {spec.label}", model.looks.of(name)
+    if spec.view == "color" and display.exposure:
+        text += f"   {display.exposure:+.1f} EV"
+    if model.result and name in model.result.request.layers and model.image_of(name) is None:
+        text += "   (none for this frame)"
+    return text
 
 
 def _label(marks, text: str, x: float, y: float, right: bool = False) -> None:
