@@ -8,10 +8,10 @@ import time
 import traceback
 from pathlib import Path
 
-from imgui_bundle import ImVec4, hello_imgui, imgui, immapp, implot  # before glfw
+from imgui_bundle import ImVec2, hello_imgui, imgui, immapp, implot  # before glfw
 from imgui_bundle import portable_file_dialogs as dialogs
 
-from gffe_cl.viewer import commands, keys, widgets
+from gffe_cl.viewer import commands, keys, theme, widgets
 from gffe_cl.viewer.actions import Actions
 from gffe_cl.viewer.model import Model
 from gffe_cl.viewer.panels import compare, inspector, kernels, layer_list, modules, picture, timeline, timings
@@ -30,25 +30,25 @@ _PANELS = {
 }
 SIDE_PANELS = tuple(name for name in _PANELS if name not in ("Picture", "Timeline"))  # those that are hidden together
 _TIMELINE_HEIGHT = 110.0  # pixels at the usual size of letters
-_DARK = hello_imgui.ImGuiTheme_.darcula_darker
-_LIGHT = hello_imgui.ImGuiTheme_.light_rounded
+_LEAST_SCALE, _LARGEST_SCALE = 0.6, 3.0
+_SIDES = (0.2, 0.29)  # of the width: left and right of the picture, at the usual size
+_WIDEST = (0.3, 0.36)
 _MESSAGE_SECONDS = 8.0
-
-
-def apply_theme(name: str) -> None:
-    """ "light" or "dark". Windows have no background of their own: to fill the screen twice takes a CPU longer than all
-    else, so it is cleared with their colour, and what floats asks for it (`floating`)."""
-    hello_imgui.apply_theme(_LIGHT if name == "light" else _DARK)
-    style, color = imgui.get_style(), imgui.Col_.window_bg
-    ground = style.color_(color)
-    hello_imgui.get_runner_params().imgui_window_params.background_color = ImVec4(ground.x, ground.y, ground.z, 1.0)
-    style.set_color_(color, ImVec4(ground.x, ground.y, ground.z, 0.0))
 
 
 def has_dialogs() -> bool:
     """Whether the system has a dialog for folders that can be opened."""
     programs = ("zenity", "kdialog", "matedialog", "qarma")
     return not sys.platform.startswith("linux") or any(map(shutil.which, programs))
+
+
+def _dock_nodes(name: str) -> list:
+    """Where a window is docked, from its own node to the root; empty if it floats or is not there."""
+    window = imgui.internal.find_window_by_name(name)
+    nodes = [window.dock_node if window is not None else None]
+    while nodes[-1] is not None:
+        nodes.append(nodes[-1].parent_node)
+    return nodes[:-1]
 
 
 class App:
@@ -63,18 +63,21 @@ class App:
         self.canvas = None  # made when there is a GL context
         self.panels_hidden = False
         self._before_hiding: list[str] = []
-        self._theme = ""  # that is applied
+        self._themed: tuple[str, float] | None = None  # theme and scale that are applied
         self.actions = Actions()
         self.panel_names = tuple(_PANELS)
         commands.register(self)
         self._dropped: list[str] = []
         self._dialog = None
         self.palette_text: str | None = None  # of the command palette while it is open
+        self.palette_at = 0  # which of its hits is chosen
         self.help_open = False
         self.display_height = 200.0  # of the display settings below the list of layers, as last drawn
         self.path_text: str | None = None  # of "open by path" while it is open
         self._params: hello_imgui.RunnerParams | None = None
         self.row_seen = ""  # of the list of layers: it was scrolled to this one
+        self._stretched: dict[str, tuple[float, float]] = {}  # sizes of docks that were set: now and at scale 1
+        self.canvas_size = (0, 0)  # screen pixels
         self._drawn = self._texture = None
         self.drags, self.pressed_at = "nothing", None  # by the mouse, in the picture
 
@@ -125,11 +128,12 @@ class App:
 
     def _docking(self, size: tuple[int, int]) -> hello_imgui.DockingParams:
         docking = hello_imgui.DockingParams()
-        bottom = _TIMELINE_HEIGHT * (self.model.settings.ui_scale or 1.0) / size[1]
+        bottom = min(_TIMELINE_HEIGHT * self.scale / size[1], 0.4)
+        left, right = (min(side * self.scale, widest) for side, widest in zip(_SIDES, _WIDEST, strict=True))
         docking.docking_splits = [
-            hello_imgui.DockingSplit("MainDockSpace", "Bottom", imgui.Dir.down, min(bottom, 0.4)),
-            hello_imgui.DockingSplit("MainDockSpace", "Left", imgui.Dir.left, 0.2),
-            hello_imgui.DockingSplit("MainDockSpace", "Right", imgui.Dir.right, 0.29),
+            hello_imgui.DockingSplit("MainDockSpace", "Bottom", imgui.Dir.down, bottom),
+            hello_imgui.DockingSplit("MainDockSpace", "Left", imgui.Dir.left, left),
+            hello_imgui.DockingSplit("MainDockSpace", "Right", imgui.Dir.right, right / (1 - left)),
             hello_imgui.DockingSplit("Right", "RightBottom", imgui.Dir.down, 0.45),
         ]
         docking.dockable_windows = [self._panel(name, *panel) for name, panel in _PANELS.items()]
@@ -158,6 +162,33 @@ class App:
         window.gui_function = draw_it
         return window
 
+    @property
+    def scale(self) -> float:
+        """Size of the interface; 1 is what suits the screen."""
+        return min(max(self.model.settings.ui_scale or 1.0, _LEAST_SCALE), _LARGEST_SCALE)
+
+    def scale_by(self, factor: float) -> None:
+        self.model.settings.ui_scale = self.scale * factor
+        self.model.settings.ui_scale = self.scale
+
+    def _stretch_docks(self, before: float, after: float) -> None:
+        """Give the panels around the picture more or less room, for larger or smaller letters."""
+        width, height = imgui.get_io().display_size
+        around = {node.id_ for node in _dock_nodes("Picture")}
+        for name, most in (("Layers", _WIDEST[0] * width), ("Modules", _WIDEST[1] * width), ("Timeline", 0.4 * height)):
+            beside = [node for node in _dock_nodes(name) if node.id_ not in around]
+            if not beside:
+                continue
+            node, down = beside[-1], name == "Timeline"
+            now = node.size.y if down else node.size.x
+            made, usual = self._stretched.get(name, (0.0, 0.0))
+            if abs(now - made) > 2:  # the user chose another size
+                usual = now / before
+            made = min(usual * after, most)
+            self._stretched[name] = made, usual
+            size = ImVec2(node.size.x, made) if down else ImVec2(made, node.size.y)
+            imgui.internal.dock_builder_set_node_size(node.id_, size)
+
     def panel(self, name: str) -> hello_imgui.DockableWindow:
         return next(window for window in self._params.docking_params.dockable_windows if window.label == name)
 
@@ -184,15 +215,15 @@ class App:
         self.canvas = Canvas(moderngl.create_context())
         window = glfw_utils.glfw_window_hello_imgui()
         glfw.set_drop_callback(window, lambda _window, paths: self.drop(paths))
-        if self.model.settings.ui_scale:
-            imgui.get_style().font_scale_main = self.model.settings.ui_scale
         implot.get_style().use_local_time = False
 
     def _before_frame(self) -> None:
         model = self.model
-        if self._theme != model.settings.theme:
-            self._theme = model.settings.theme
-            apply_theme(self._theme)
+        if self._themed != (model.settings.theme, self.scale):
+            if self._themed is not None:
+                self._stretch_docks(self._themed[1], self.scale)
+            self._themed = model.settings.theme, self.scale
+            theme.apply(*self._themed)
         model.update(time.perf_counter(), self.canvas)
         model.fly(commands.flight(self))
         at_work = model.playback.playing or model.flying or model.export is not None or not model.settled
@@ -254,6 +285,9 @@ class App:
         else:
             self.path_text = ""
 
+    def open_palette(self) -> None:
+        self.palette_text, self.palette_at = "", 0
+
     def _messages(self) -> None:
         """What went wrong or was finished lately, in the lower right corner."""
         now = time.perf_counter()
@@ -301,6 +335,6 @@ class App:
             if info.render_size != (info.width, info.height):
                 parts.append(f"rendered {info.render_size[0]}×{info.render_size[1]}")
         if model.result is not None:
-            parts.append(f"slot {model.result.wall_ms:.0f} ms")
+            parts.append(f"computed in {model.result.wall_ms:.0f} ms")
         parts += model.warnings
         imgui.text("     ".join(parts))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -14,6 +13,8 @@ from gffe_cl.viewer import saving, widgets
 from gffe_cl.viewer.actions import Action
 
 _EXPOSURE_STEP = 0.5
+_HELP_COLUMNS = 3
+_FOUND = 12  # actions that the palette lists
 _TURN = 0.25  # degrees per pixel of mouse
 FLIGHT_KEYS = frozenset("WASDQE")
 
@@ -106,10 +107,10 @@ def register(app) -> None:
     add("home_camera", "Back to the scene's camera", "Camera", "H", model.stop_flying, live)
 
     add("reload_kernels", "Reload kernels", "Tools", "F5", model.engine.reload_kernels)
-    add("palette", "Command palette", "Tools", "Ctrl+P", lambda: setattr(app, "palette_text", ""))
+    add("palette", "Command palette", "Tools", "Ctrl+P", app.open_palette)
     add("theme", "Light theme", "Tools", "Ctrl+T", lambda: _theme(app), checked=lambda: model.settings.theme == "light")
-    add("larger", "Larger interface", "Tools", "Ctrl+=", lambda: _scale(app, 1.1))
-    add("smaller", "Smaller interface", "Tools", "Ctrl+-", lambda: _scale(app, 1 / 1.1))
+    add("larger", "Larger interface", "Tools", "Ctrl+=", lambda: app.scale_by(1.1))
+    add("smaller", "Smaller interface", "Tools", "Ctrl+-", lambda: app.scale_by(1 / 1.1))
     add("panels", "Hide panels", "Panels", "Ctrl+B", app.hide_panels, checked=lambda: app.panels_hidden)
     for name in app.panel_names:
         add(f"panel {name}", name, "Panels", "", partial(app.toggle_panel, name),
@@ -121,12 +122,6 @@ def register(app) -> None:
 
 def _theme(app) -> None:
     app.model.settings.theme = "dark" if app.model.settings.theme == "light" else "light"
-
-
-def _scale(app, factor: float) -> None:
-    style = imgui.get_style()
-    style.font_scale_main = min(max(style.font_scale_main * factor, 0.6), 3.0)
-    app.model.settings.ui_scale = style.font_scale_main
 
 
 def menus(app) -> None:
@@ -166,7 +161,7 @@ def _file_menu(model) -> None:
 
 
 def palette(app) -> None:
-    """Type a few letters, Enter runs the first hit."""
+    """Type a few letters; Enter runs the hit that the arrows have chosen."""
     if app.palette_text is None:
         return
     viewport = imgui.get_main_viewport()
@@ -180,16 +175,20 @@ def palette(app) -> None:
         imgui.set_keyboard_focus_here()
     imgui.set_next_item_width(-1)
     enter = imgui.InputTextFlags_.enter_returns_true.value
-    chosen, app.palette_text = imgui.input_text_with_hint("###command", "command", app.palette_text, enter)
-    found = app.actions.search(app.palette_text)[:12]
-    run = found[0] if chosen and found else None
-    for action in found:
+    chosen, text = imgui.input_text_with_hint("###command", "command", app.palette_text, enter)
+    app.palette_at = 0 if text != app.palette_text else app.palette_at
+    app.palette_text = text
+    found = app.actions.search(text)[:_FOUND]
+    step = imgui.is_key_pressed(imgui.Key.down_arrow) - imgui.is_key_pressed(imgui.Key.up_arrow)
+    app.palette_at = min(max(app.palette_at + step, 0), max(len(found) - 1, 0))
+    run = found[app.palette_at] if chosen and found else None
+    for index, action in enumerate(found):
         reason = action.enabled()
         imgui.begin_disabled(reason is not None)
-        if imgui.selectable(f"{action.group}: {action.label}###palette {action.id}", action is found[0])[0]:
+        if imgui.selectable(f"{action.group}: {action.label}###palette {action.id}", index == app.palette_at)[0]:
             run = action
         imgui.end_disabled()
-        imgui.same_line(hello_imgui.em_size(22))
+        imgui.same_line(hello_imgui.em_size(20))
         imgui.text_disabled(reason or action.shortcut)
     lost = not imgui.is_window_focused() and not imgui.is_window_appearing()
     imgui.end()
@@ -206,20 +205,29 @@ def help_window(app) -> None:
     flags = imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.always_auto_resize
     widgets.floating()
     _, app.help_open = imgui.begin("Keys###help", True, int(flags))
-    table = app.actions.shortcut_table()
-    if imgui.begin_table("###keys", 3, imgui.TableFlags_.sizing_fixed_fit.value):
-        rows = math.ceil(len(table) / 3)
-        for start in range(0, len(table), rows):
+    if imgui.begin_table("###keys", _HELP_COLUMNS, imgui.TableFlags_.sizing_fixed_fit.value):
+        for column in _columns(app.actions.shortcut_table()):
             imgui.table_next_column()
-            for group, entries in table[start : start + rows]:
+            for group, entries in column:
                 imgui.separator_text(group)
                 for keys, label in entries:
                     imgui.text(label)
-                    imgui.same_line(hello_imgui.em_size(13))
+                    imgui.same_line(hello_imgui.em_size(12))
                     imgui.text_disabled(keys)
         imgui.end_table()
     imgui.text_disabled("Wheel: zoom at the cursor.  Drag: pan, or the wipe's line.  Click: the story of a pixel.")
     imgui.end()
+
+
+def _columns(table: list) -> list[list]:
+    """Groups of shortcuts in columns of about the same height."""
+    heights = [len(entries) + 1.5 for _, entries in table]
+    columns: list[list] = [[] for _ in range(_HELP_COLUMNS)]
+    done = 0.0
+    for group, height in zip(table, heights, strict=True):
+        columns[min(int((done + height / 2) / sum(heights) * _HELP_COLUMNS), _HELP_COLUMNS - 1)].append(group)
+        done += height
+    return columns
 
 
 def path_window(app) -> None:
@@ -237,6 +245,7 @@ def path_window(app) -> None:
     chosen, app.path_text = imgui.input_text_with_hint("###path", str(Path.cwd()), app.path_text, enter)
     imgui.same_line()
     chosen |= imgui.button("open###open_this")
+    imgui.text_disabled(f"The folder of a sequence, or a built-in scene: {', '.join(SCENES)}")
     imgui.end()
     if chosen and app.path_text.strip():
         app.model.open(app.path_text.strip())

@@ -67,6 +67,7 @@ class Model:
         self.arrows = False
         self.measuring = False
         self.fit_pending = True
+        self._fitted: tuple | None = None
         self.flyer: Flyer | None = None
         self.result: Result | None = None
         self.inspection = self.story = self.picked = None
@@ -84,7 +85,7 @@ class Model:
         self._target = self._opening = ""
         self._keep_place = False
         self.taken = 0  # results so far
-        self._closed = False
+        self._closed = self.left_working = False
         self._hover: tuple[int, int] | None = None
         self.hovering = True  # False: the pointer means nothing
         remembering.restore(self)
@@ -330,6 +331,12 @@ class Model:
         self.view.zoom = max(min(size[0] / self.info.width, size[1] / self.info.height) * _FIT, 0.01)
         self.view.centre = (self.info.width / 2, self.info.height / 2)
         self.fit_pending = False
+        self._fitted = self.view.zoom, self.view.centre
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether nobody has zoomed or panned since `fit`."""
+        return self._fitted == (self.view.zoom, self.view.centre)
 
     def zoom(self, factor: float) -> None:
         self.view.zoom = min(max(self.view.zoom * factor, 0.05), 128.0)
@@ -410,6 +417,7 @@ class Model:
         if self._closed:
             return
         self._closed = True
+        self.left_working = self.engine.busy
         if self.export is not None:
             self.export.close()
         self.comparison.close()

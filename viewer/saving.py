@@ -16,7 +16,7 @@ from gffe_cl.viewer.canvas import read
 from gffe_cl.viewer.export import export_video, save_layers_exr, save_png, unused_name
 
 _WAITING = 2  # frames between the interface and the encoder
-_PATIENCE = 1.0  # seconds for the encoder to end
+_PATIENCE = 0.5  # seconds for the encoder to end
 
 
 def save_picture(model, canvas) -> None:

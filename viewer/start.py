@@ -94,8 +94,8 @@ class _Stopwatch:
         }
 
 
-def view(model, size: tuple[int, int] = (1600, 900), shot: Shot | None = None) -> None:
-    """Run the viewer until it is closed, or until `shot` is written.
+def view(model, size: tuple[int, int] | None = None, shot: Shot | None = None) -> None:
+    """Run the viewer until it is closed, or until `shot` is written; as large as last time if no `size` is given.
 
     Raises GffeError without a display, or when the screenshot cannot be made.
     """
@@ -104,6 +104,7 @@ def view(model, size: tuple[int, int] = (1600, 900), shot: Shot | None = None) -
 
     if shot is None:
         App(model).run(size)
+        leave(model)
         return
     if not shot.path.absolute().parent.is_dir():
         raise GffeError(f"{shot.path}: cannot write: no such folder")
@@ -112,6 +113,16 @@ def view(model, size: tuple[int, int] = (1600, 900), shot: Shot | None = None) -
     if camera.problem:
         raise GffeError(camera.problem)
     _save(shot.path)
+
+
+def leave(model) -> None:
+    """Close `model`; if the device was still at work, end the program here: an OpenCL runtime that is taken down
+    while it works aborts or hangs."""
+    model.close()
+    if model.left_working:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(0)
 
 
 def require_display() -> None:

@@ -63,7 +63,7 @@ def slider(
 ) -> None:
     """A slider with its unit in `text` and a button back to the default."""
     whole = isinstance(default, int)
-    leave_room(11)
+    _leave_room(hello_imgui.em_size(11))
     if whole:
         changed, new = imgui.slider_int(f"###{label}", int(value), int(low), int(high), text)
     else:
@@ -81,18 +81,21 @@ def slider(
     imgui.text(label)
 
 
-def leave_room(lines: float) -> None:
-    """Make the next item leave `lines` heights of letters to its right, but take a third of the line itself."""
+def leave_room_for(label: str) -> None:
+    """Make the next item leave room for `label` beside it."""
+    _leave_room(imgui.calc_text_size(label).x + 2 * imgui.get_style().item_spacing.x)
+
+
+def _leave_room(pixels: float) -> None:
+    """... but take a third of the line itself."""
     width = imgui.get_content_region_avail().x
-    imgui.set_next_item_width(max(width - hello_imgui.em_size(lines), width / 3))
+    imgui.set_next_item_width(max(width - pixels, width / 3))
 
 
-def choice(
-    label: str, value: str, options: dict[str, str] | list[str], change: Callable[[str], None], room: float = 7
-) -> None:
+def choice(label: str, value: str, options: dict[str, str] | list[str], change: Callable[[str], None]) -> None:
     """A combo box over keys of `options` (shown by their texts)."""
     texts = options if isinstance(options, dict) else {name: name for name in options}
-    leave_room(room)
+    leave_room_for(label)
     if imgui.begin_combo(f"###{label}", texts.get(value, value)):
         for name, text in texts.items():
             if imgui.selectable(text, name == value)[0] and name != value:
@@ -100,6 +103,13 @@ def choice(
         imgui.end_combo()
     imgui.same_line()
     imgui.text(label)
+
+
+def hint(text: str) -> None:
+    """Less important than the rest, in as many lines as it takes."""
+    imgui.push_style_color(imgui.Col_.text, imgui.get_style_color_vec4(imgui.Col_.text_disabled))
+    imgui.text_wrapped(text)
+    imgui.pop_style_color()
 
 
 def heading(text: str) -> None:
@@ -115,10 +125,7 @@ def show_legend(shown: Legend) -> None:
             colors = [imgui.get_color_u32((*c, 1.0)) for c in (left, right, right, left)]
             corners = ImVec2(origin.x + a * width, origin.y), ImVec2(origin.x + b * width, origin.y + 0.8 * em)
             draw.add_rect_filled_multi_color(*corners, *colors)
-        for position, text, _ in shown.ticks:
-            wide = imgui.calc_text_size(text).x
-            x = min(max(position * width - wide / 2, 0), width - wide)
-            draw.add_text(ImVec2(origin.x + x, origin.y + em), imgui.get_color_u32(imgui.Col_.text), text)
+        _ticks(shown.ticks, origin, width)
         imgui.dummy(ImVec2(width, 2.2 * em))
     elif shown.kind == "wheel":
         radius, parts = 1.6 * em, 24
@@ -132,6 +139,18 @@ def show_legend(shown: Legend) -> None:
     if shown.unit:
         imgui.text_disabled(shown.unit)
     _swatches(shown.labels)
+
+
+def _ticks(ticks, origin: ImVec2, width: float) -> None:
+    """Numbers under a ramp: the ends, and of the others those that have room."""
+    draw, em = imgui.get_window_draw_list(), hello_imgui.em_size()
+    taken: list[tuple[float, float]] = []
+    for position, text, _ in (ticks[0], ticks[-1], *ticks[1:-1]):
+        wide = imgui.calc_text_size(text).x
+        x = min(max(position * width - wide / 2, 0), max(width - wide, 0))
+        if all(x > right + em / 2 or x + wide < left - em / 2 for left, right in taken):
+            taken.append((x, x + wide))
+            draw.add_text(ImVec2(origin.x + x, origin.y + em), imgui.get_color_u32(imgui.Col_.text), text)
 
 
 def _swatches(labels) -> None:

@@ -33,8 +33,8 @@ def draw(app) -> None:
         if name not in ("flip", "flip error"):
             imgui.same_line()
     names = {spec.name: f"{spec.group}: {spec.label}" for spec in model.layers if model.why_not(spec.name) is None}
-    widgets.choice("A", view.a, names, model.show_layer, room=2)
-    widgets.choice("B", view.b or "", names, lambda name: setattr(view, "b", name), room=2)
+    widgets.choice("A", view.a, names, model.show_layer)
+    widgets.choice("B", view.b or "", names, lambda name: setattr(view, "b", name))
     if view.compare == "split":
         widgets.slider("split", view.split, 0.0, 1.0, 0.5, lambda v: setattr(view, "split", v))
     if view.compare == "difference":
@@ -56,7 +56,7 @@ def _quality(model) -> None:
     widgets.heading("Against ground truth")
     reason = model.why_not("truth")
     if reason:
-        imgui.text_disabled(reason)
+        widgets.hint(reason)
         return
     widgets.toggle(
         "measure", model.measuring, model.set_measuring, "PSNR and SSIM of every generated frame that is shown"

@@ -16,7 +16,7 @@ def draw(app) -> None:
     widgets.heading("Values")
     inspection = model.inspection
     if inspection is None:
-        imgui.text_disabled("Move over the picture; click a pixel for its story")
+        widgets.hint("Move over the picture; click a pixel for its story")
         return
     x, y = inspection.pixel
     at = f"pixel ({x}, {y})"
@@ -31,7 +31,7 @@ def draw(app) -> None:
                 continue
             imgui.table_next_row()
             imgui.table_next_column()
-            imgui.text(f"{spec.group}: {spec.label}")
+            imgui.text_wrapped(f"{spec.group}: {spec.label}")
             widgets.tooltip(spec.description)
             imgui.table_next_column()
             imgui.text_wrapped(value_text(spec, inspection.values[spec.name]))

@@ -17,12 +17,12 @@ def draw(app) -> None:
     widgets.action_button(app.actions, "reload_kernels", icons.ICON_FA_ARROWS_ROTATE)
     imgui.same_line()
     if engine.build_error:
-        imgui.text_colored(_RED, "does not build; the last good kernels are running")
         imgui.push_text_wrap_pos(0.0)
+        imgui.text_colored(_RED, "does not build; the last good kernels are running")
         imgui.text_unformatted(engine.build_error)
         imgui.pop_text_wrap_pos()
         if imgui.button("copy###copy_build_error"):
             imgui.set_clipboard_text(engine.build_error)
     else:
         imgui.text_colored(_GREEN, "built")
-        imgui.text_disabled("Save a .cl file: it is rebuilt at once")
+        widgets.hint("Save a .cl file: it is rebuilt at once")

@@ -10,10 +10,10 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from gffe_cl.viewer import widgets
 from gffe_cl.viewer.layers import COLOR_MAPS, TONE_MAPS, default_display, legend, shown_as
 
-_OVERLAYS = {
-    "none": "no overlay",
-    "edges": "edges of depth (red), motion (green), colour (blue)",
-    "residual motion": "motion minus the camera's",
+_OVERLAYS = {"none": "none", "edges": "edges", "residual motion": "residual motion"}
+_OVERLAY_HELP = {
+    "edges": "Edges of depth are red, of motion green, of colour blue: white where all three meet",
+    "residual motion": "Motion minus the camera's; its hue is its direction",
 }
 
 
@@ -23,6 +23,8 @@ def draw(app) -> None:
         "overview of all layers", model.overview, model.set_overview, "Every layer as a tile; click one to open it"
     )
     widgets.choice("overlay", model.view.overlay, _OVERLAYS, lambda name: setattr(model.view, "overlay", name))
+    if model.view.overlay in _OVERLAY_HELP:
+        widgets.hint(_OVERLAY_HELP[model.view.overlay])
     height = max(imgui.get_content_region_avail().y - app.display_height, hello_imgui.em_size(6))
     if imgui.begin_child("###layers", ImVec2(0, height), imgui.ChildFlags_.borders.value):
         for group, specs in groupby(model.layers, key=lambda spec: spec.group):
@@ -100,7 +102,7 @@ def _display(model) -> None:
 
 
 def _range(model, display) -> None:
-    widgets.leave_room(4)
+    widgets.leave_room_for("range")
     speed = max(abs(display.high - display.low) / 200, 1e-4)
     changed, low, high = imgui.drag_float_range2("###range", display.low, display.high, speed, 0.0, 0.0, "%.3g", "%.3g")
     imgui.same_line()

@@ -14,6 +14,7 @@ _GRIP = 10.0  # screen pixels on both sides of the wipe's line
 _NUMBERS = 64.0  # zoom from which values are written into the pixels ...
 _VALUES = 3  # ... so many of each
 _ARROW_SPACING = 24.0  # screen pixels
+_OF_GENERATED = ("prediction", "warp", "holes", "shading")  # stages that a rendered frame does not run
 _ACCENT = (0.35, 0.85, 1.0, 1.0)
 _WARM = (1.0, 0.7, 0.25, 1.0)
 
@@ -26,8 +27,9 @@ def draw(app) -> None:
     if model.info is None:
         _welcome(app, size)
         return
-    if model.fit_pending:
+    if model.fit_pending or (model.is_fitted and app.canvas_size != (width, height)):
         model.fit((width, height))
+    app.canvas_size = width, height
     if model.overview:
         _overview(app, origin, (width, height))
         return
@@ -211,6 +213,8 @@ def _layer_text(model, name: str) -> str:
         text += f"   {display.exposure:+.1f} EV"
     if model.result and name in model.result.request.layers and model.image_of(name) is None:
         text += "   (none for this frame)"
+    elif model.result and not model.result.alpha and spec.group in _OF_GENERATED:
+        text += "   (of the generated frame before)"
     return text
 
 
@@ -238,9 +242,13 @@ def _overview(app, origin, size) -> None:
         left, top = origin.x + tile.x, origin.y + tile.y
         spec = model.spec_of(name)
         ink = imgui.get_color_u32((0.8, 0.8, 0.82, 1.0))
-        marks.add_text(ImVec2(left + 2, top + height + 1), ink, f"{spec.group}: {spec.label}")
+        marks.push_clip_rect(ImVec2(left, top), ImVec2(left + width, top + height + caption), True)
+        wide = imgui.calc_text_size(f"{spec.group}: {spec.label}").x > width
+        marks.add_text(ImVec2(left, top + height + 1), ink, spec.label if wide else f"{spec.group}: {spec.label}")
+        marks.pop_clip_rect()
         if left <= at.x < left + width and top <= at.y < top + height and imgui.is_item_hovered():
             marks.add_rect(ImVec2(left, top), ImVec2(left + width, top + height), imgui.get_color_u32(_ACCENT), 0, 2.0)
+            imgui.set_tooltip(f"{spec.group}: {spec.label}\n{spec.description}")
             if clicked:
                 model.set_overview(False)
                 model.show_layer(name)

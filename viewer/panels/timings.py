@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
+from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.viewer import widgets
 
@@ -14,18 +15,23 @@ def draw(app) -> None:
     if not means:
         imgui.text_disabled("nothing computed yet")
         return
-    imgui.text(
-        f"interface {imgui.get_io().framerate:.0f} frames/s   slot {model.timings.wall():.1f} ms"
+    imgui.text_wrapped(
+        f"interface {imgui.get_io().framerate:.0f} frames/s   frame {model.timings.wall():.1f} ms"
         f"   reading back {model.timings.readback():.1f} ms   upload {model.upload_ms:.1f} ms"
     )
     bandwidth = model.engine.bandwidth
-    if imgui.begin_table("###timings", 3, imgui.TableFlags_.row_bg.value | imgui.TableFlags_.sizing_stretch_same.value):
-        for title in ("stage", "ms", "bytes per pixel"):
-            imgui.table_setup_column(title)
+    if imgui.begin_table("###timings", 3, imgui.TableFlags_.row_bg.value):
+        for title, share in (("stage", 0.46), ("ms", 0.24), ("bytes/px", 0.3)):
+            imgui.table_setup_column(title, imgui.TableColumnFlags_.width_stretch.value, share)
         imgui.table_headers_row()
-        for name, milliseconds in (*means.items(), ("all", sum(means.values()))):
+        for index, (name, milliseconds) in enumerate((*means.items(), ("all", sum(means.values())))):
             per_pixel = f"{milliseconds * 1e6 * bandwidth / model.pixels:.0f}" if bandwidth else "–"
-            for text in (name, f"{milliseconds:.2f}", per_pixel):
+            imgui.table_next_column()
+            if name in means:
+                imgui.text_colored(implot.get_colormap_color(index), icons.ICON_FA_SQUARE)
+                imgui.same_line()
+            imgui.text(name)
+            for text in (f"{milliseconds:.2f}", per_pixel):
                 imgui.table_next_column()
                 imgui.text(text)
         imgui.end_table()
@@ -34,7 +40,8 @@ def draw(app) -> None:
     elif imgui.button("measure bandwidth###bandwidth"):
         model.engine.measure_bandwidth()
     widgets.tooltip("As in `gffe bench`; takes a second and 512 MiB on the device")
-    if implot.begin_plot("###history", ImVec2(-1, hello_imgui.em_size(10)), implot.Flags_.no_mouse_text.value):
+    flags = implot.Flags_.no_mouse_text.value | implot.Flags_.no_legend.value  # the table says which is which
+    if implot.begin_plot("###history", ImVec2(-1, hello_imgui.em_size(10)), flags):
         flags = implot.AxisFlags_.auto_fit.value
         implot.setup_axes("computed frame", "ms", flags, flags)
         for name, values in model.timings.stages.items():

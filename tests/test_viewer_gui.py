@@ -1,0 +1,361 @@
+"""The whole viewer, driven by Dear ImGui's test engine under Xvfb: it is clicked, dragged and typed into.
+
+viewer_gui_case.py runs all cases in one process and writes down what it saw; here that is judged. Pictures of each case
+are kept in the folder GFFE_ARTEFACTS, if that is set.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.slow
+
+FRAME = ("rendered.", "truth", "presentation.")
+AFTER_SUBMIT = ("warp.", "holes.", "shading.", "final")  # layers that are made anew for every generated frame
+
+
+def _start(arguments: list[str], environment: dict[str, str], folder: Path) -> float:
+    """Runs viewer_gui_case.py; returns when it ended."""
+    script = str(Path(__file__).with_name("viewer_gui_case.py"))
+    child = subprocess.run(
+        ["xvfb-run", "-a", "-s", "-screen 0 1920x1200x24", sys.executable, script, *arguments],
+        env=environment,
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=400,
+    )
+    assert child.returncode == 0, f"{child.stdout[-3000:]}\n{child.stderr[-3000:]}"
+    return time.time()
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory):
+    """What the cases saw, by their names; "exit": seconds from closing to the end of the process."""
+    if shutil.which("xvfb-run") is None:
+        assert not os.environ.get("CI"), "CI must have xvfb-run"
+        pytest.skip("xvfb-run is not installed")
+    from gffe_cl.program import kernel_folder
+
+    folder = tmp_path_factory.mktemp("gui")
+    artefacts = Path(os.environ.get("GFFE_ARTEFACTS") or folder / "pictures").absolute() / "viewer"
+    for made in (artefacts, folder / "working", folder / "config"):
+        made.mkdir(parents=True, exist_ok=True)
+    for old in artefacts.glob("*.png"):
+        old.unlink()
+    shutil.copytree(kernel_folder(), folder / "kernels")
+    environment = os.environ | {
+        "GFFE_KERNELS": str(folder / "kernels"),
+        "XDG_CONFIG_HOME": str(folder / "config"),
+        "LIBGL_ALWAYS_SOFTWARE": "1",
+    }
+    found = {}
+    for phase in ("make", "first", "second"):
+        ended = _start([phase, str(folder), str(artefacts)], environment, folder / "working")
+        if phase != "make":
+            report = json.loads((folder / f"{phase}.json").read_text())
+            found = report["cases"] | found
+            found.setdefault("exit", ended - report["closed"])
+    print(json.dumps({name: case["seconds"] for name, case in found.items() if name != "exit"}))
+    found["pictures"] = {path.stem for path in artefacts.glob("*.png")}
+    return found
+
+
+@pytest.fixture
+def values(request, seen):
+    """Of the case that the test is named after; its picture is there."""
+    name = request.node.name.removeprefix("test_")
+    assert seen[name]["error"] is None, seen[name]["error"]
+    assert name in seen["pictures"]
+    return seen[name]["values"]
+
+
+def starts(name, beginnings):
+    return name.startswith(tuple(beginnings))
+
+
+def test_playback(values):
+    assert values["plays after the button"] and not values["plays after the button again"]
+    assert values["slots seen"] >= 2
+    assert values["plays after the first Space"] and not values["plays after the second Space"]
+    expected = {"Right": 6, "Left": 5, "Shift+Right": 6, "Shift+Left": 4, "End": 15, "Home": 0}
+    assert values["slots after keys"] == {name: [slot, slot] for name, slot in expected.items()}
+    assert values["slot after the step button"] == 1
+
+
+def test_scrubbing(values):
+    slots, last = values["slots"], values["last"]
+    assert not values["playing while scrubbing"] and not values["playing afterwards"]
+    assert slots[:3] == sorted(set(slots[:3])) and slots[3:5] == [last, last] and slots[6:] == [0, 0]
+    assert values["shown afterwards"] == 0
+
+
+def test_in_and_out(values):
+    assert values["points"] == [4, 9]
+    slots = values["looped"]
+    assert set(slots) <= set(range(4, 10))
+    assert all(b == (a + 1 if a < 9 else 4) for a, b in zip(slots, slots[1:], strict=False)), slots
+    assert len(slots) > 8
+    assert values["stopped at"] == 9
+    assert values["cleared"] == [0, 15, 16]
+
+
+@pytest.mark.parametrize(
+    "module, may, must, gone",
+    [
+        (
+            "motion estimation",
+            (*AFTER_SUBMIT, "history.", "prediction.", "background."),
+            ("history.dynamic_mask", "prediction.target_position", "warp.dynamic", "final"),
+            (),
+        ),
+        ("background collection", AFTER_SUBMIT, ("warp.filled_by", "warp.color", "final"), ("background.",)),
+        ("crack closing", AFTER_SUBMIT, ("warp.filled_by", "warp.disoccluded", "warp.color", "final"), ()),
+        (
+            "hole filling",
+            ("warp.color", "warp.depth", "warp.motion", "holes.", "shading.", "final"),
+            ("warp.color", "warp.depth", "final"),
+            (),
+        ),
+    ],
+)
+def test_modules(seen, module, may, must, gone):
+    assert seen["modules"]["error"] is None, seen["modules"]["error"]
+    values = seen["modules"]["values"][module]
+    assert set(must) <= set(values["changed"])
+    assert [name for name in values["changed"] if not starts(name, may)] == []
+    assert [name for name in values["gone"] if not gone or not starts(name, gone)] == []
+    assert bool(values["gone"]) == bool(gone)
+    assert {"rendered.color", "rendered.depth", "rendered.motion", "truth"} <= set(values["same"])
+    assert values["after switching back"] == []
+    assert f"modules, {module} off" in seen["pictures"]
+
+
+def test_modules_without_weights_are_disabled(seen):
+    for name in ("shading correction", "focus mask"):
+        assert seen["modules"]["values"][name]["disabled"]
+
+
+def test_parameters(values):
+    low, high = values["low"], values["high"]
+    assert (low["threshold"], high["threshold"]) == (0.0, 8.0)
+    assert high["dynamic pixels"] < values["dynamic pixels before"] < low["dynamic pixels"]
+    for changed in (low["changed"], high["changed"]):
+        assert {"history.dynamic_mask", "final"} <= set(changed)
+        assert not [name for name in changed if starts(name, FRAME)]
+    assert values["threshold after reset"] == 1.0
+    assert values["n = 3"]["slot"] == 26 and values["n = 3"]["slots"] == 32
+    assert values["n = 3"]["changed"] == values["n = 3"]["gone"] == []  # the same time
+    later = values["a quarter later"]
+    assert later["alpha"] == 0.75
+    assert {"prediction.target_position", "warp.motion", "final"} <= set(later["changed"])
+    assert not [name for name in later["changed"] if starts(name, ("rendered.", "history.", "background."))]
+    assert later["gone"] == ["truth"]
+
+
+def test_rendering_window(values):
+    assert values["windowed"] and not values["windowed when off"] and values["windowed again"]
+    assert {"rendered.color", "rendered.depth", "history.history", "final"} <= set(values["changed"])
+    assert "truth" in values["same"] and values["after switching back"] == []
+
+
+def test_layers(values):
+    names = values["layers"]
+    assert len(names) > 20
+    for name in ("warp.filled_by", names[-1], "history.dynamic_mask"):
+        assert values[f"click on {name}"] == name
+    assert values["after Up"] == names[-2]
+    for name in names:
+        layer = values["seen"][name]
+        assert layer["shown"] == name
+        assert layer["background"] < 0.02, (name, layer)
+        fewest = {"mask": 2, "label": 2, "scalar": 3}.get(layer["view"], 8 if name.startswith("holes.block") else 30)
+        assert layer["colors"] >= fewest, (name, layer)
+
+
+def test_overview(values, seen):
+    assert values["tiles"] == values["layers"]
+    assert values["opened"] == ["warp.depth", False]
+
+
+@pytest.mark.parametrize("overlay", ["edges", "residual motion"])
+def test_overlays(seen, overlay):
+    assert seen["overlays"]["error"] is None, seen["overlays"]["error"]
+    values = seen["overlays"]["values"][overlay]
+    assert values["overlay"] == overlay
+    assert values["changed"] > 0.3 and values["coloured"] > 0.01
+
+
+def test_split(values):
+    assert values["split"] == pytest.approx(0.3, abs=0.01)
+    assert values["left is A"] and values["right is B"] and not values["A is B"]
+    assert not values["centre moved"]
+
+
+def test_difference_and_error(values):
+    assert values["b"] == "truth" and values["compare"] == "error" and values["shown after T"] == "truth"
+    assert values["difference is seen"] > 0.02
+    assert values["largest fault of the difference"] <= 5  # gain 4, each picture rounded to half a level
+    assert values["error follows the difference"] > 0.95
+
+
+def test_flip(values):
+    assert values["held shows B"] and values["A differs"] and values["released shows A"]
+
+
+def test_flip_error(values):
+    if values["reason"] is not None:
+        assert "flip-evaluator" in values["reason"]
+        return
+    assert values["drawn"] > 60
+    assert max(values["faults"]) <= 2  # levels
+
+
+def test_inspector(values):
+    for pixel in values["pixels"]:
+        assert pixel["wrong"] == [], pixel
+        assert {"final", "rendered.color", "warp.motion", "history.history", "background.color_0"} <= set(
+            pixel["compared"]
+        )
+    assert len(values["pixels"]) == 5 and values["left"]
+
+
+def test_story(values):
+    assert values["picked"] == values["pixel"]
+    assert values["dynamic"] is True and len(values["sentences"]) >= 2
+    assert len(values["trajectory"]) >= 3
+    x, y = values["pixel"]
+    assert values["trajectory"][-1] == pytest.approx([x + 0.5, y + 0.5], abs=1.0)
+    warm, accent = (255, 178, 64), (89, 217, 255)
+    assert np.abs(np.subtract(values["marked"][0], warm)).max() < 12
+    assert np.abs(np.subtract(values["marked"][-1], accent)).max() < 12
+    assert values["window changed"] and not values["canvas changed"]
+    assert values["forgotten"]
+
+
+def test_zoom_and_pan(values):
+    assert np.ptp(values["under the cursor"], axis=0).max() < 1e-6
+    assert values["zoomed"] > 4
+    assert values["panned by"] == pytest.approx([90, -60], abs=1e-3)
+    assert values["picked by panning"] is None
+    assert values["one to one"] == 1.0 and values["fitted again"]
+
+
+def test_display_keys(values):
+    usual, brighter, back, darker, reset = values["brightness"]
+    assert darker < usual < brighter and back == pytest.approx(usual) and reset == pytest.approx(usual)
+    assert values["reset restores"]
+    assert values["channel"] == "R" and values["grey"]
+    assert values["colors"][1] > 2 * values["colors"][0]
+    assert values["range"] == pytest.approx(values["quantiles"], rel=0.02)
+    assert values["white at 99 %"] == pytest.approx(1.0, rel=0.05)
+
+
+def test_measuring(values):
+    assert [values["psnr"], values["ssim"]] == pytest.approx(values["by hand"], rel=1e-6)
+    assert 10 < values["psnr"] < 60
+    assert values["slots"] == [3, 5, 7, 9, 11, 13]
+
+
+def test_kernels(values):
+    assert 0.2 < values["darker by"] < 0.9
+    assert f"warp.cl:{values['line']}" in values["error"] and "no_such_thing" in values["error"]
+    assert values["picture stays"] and values["error is shown"] and values["recovered"]
+
+
+@pytest.mark.parametrize(
+    "name, reason", [("no such thing", "no such folder"), ("empty", "sequence.json"), ("text.txt", "JSON")]
+)
+def test_dropping_something_bad(seen, name, reason):
+    assert seen["dropping"]["error"] is None, seen["dropping"]["error"]
+    dropped = seen["dropping"]["values"]["bad"][name]
+    assert name in dropped["message"] and reason in dropped["message"] and dropped["error"] and dropped["shown"]
+    assert dropped["name"] == "small" and dropped["picture stays"]
+
+
+def test_dropping(values):
+    assert values["goes on"] == 12 and values["target"] == "small"
+    assert values["opened"] == ["large", 960]
+    assert values["recent"] == ["large", "small"]
+    assert values["by its file"] == "small"
+
+
+def test_palette_and_help(values):
+    assert values["palette"] and values["overview"] and values["palette closed"]
+    assert values["chosen by Down"] == 1 and values["closed by Escape"]
+    assert values["help"] and values["help closed"]
+
+
+def test_open_by_path(values):
+    assert values["window"] and values["closed"]
+    assert values["opened"] == ["room", True]
+
+
+def test_flying(values):
+    assert values["window"] == "adaptive" and values["flying"]
+    assert values["windowed while turning"]
+    assert values["compare is not toggled by W"] == "off"
+    assert values["moved by"] > 0.1 and values["turned"] > 0.05
+    assert values["picture changed"] > 0.3
+    assert values["home"] == 0.0 and not values["still flying"]
+
+
+def test_appearance(values):
+    dark, light = values["bright"]
+    assert dark < 80 and light > 180 and values["theme"] == "light"
+    before, larger, after = values["letters"]
+    assert larger > before == after
+    first, hidden, back = values["widths"]
+    assert hidden > 1.3 * first and back == pytest.approx(first, abs=3)
+    assert not values["layers when hidden"] and values["kernels stay closed"]
+
+
+def test_resizing(values):
+    assert [case["window"] for case in values["sizes"]] == [[900, 600], [1500, 950], [1280, 720]]
+    for case in values["sizes"]:
+        assert case["canvas"] == case["area"] and case["right"] and case["fits"]
+        assert case["same"] > 0.9  # captions lie over the rest
+
+
+def test_saving(values):
+    assert values["png"]["size"] == [108, 192, 3]
+    assert values["png"]["fault"] < 1.5  # levels
+    assert values["exr"]["files"] == values["exr"]["layers"] and values["exr"]["depth is right"]
+    assert values["progress"] and values["mp4"] == {"frames": 8, "name": ".mp4"}
+    assert values["back at"] == 13
+    assert all(name in values["told"] for name in (".png", "layers", ".mp4"))
+
+
+def test_cancelling(values):
+    assert values["of"] == 64 and values["left over"] == []
+    assert "cancelled" in values["told"]
+
+
+def test_frame_rate(values):
+    assert set(values["open"]) >= {"Picture", "Layers", "Modules", "Compare", "Inspector", "Timings", "Timeline"}
+    for size in ("1280×720", "1600×900"):
+        assert values[size]["interface"] > 5, values
+        assert values[size]["computed"] > 0.3, values
+
+
+def test_closing_while_work_runs(seen):
+    assert seen["leave"]["error"] is None, seen["leave"]["error"]
+    assert seen["exit"] < 3.0
+
+
+def test_restart(values):
+    assert values["display"] == [2.0, 9.0, "viridis"]
+    assert values["theme"] == "light" and values["bright"] > 180
+    assert values["recent"][0] == "small" and "large" in values["recent"]
+    assert values["options"] == [False, 1.5, True]
+    assert values["playback"] == {"mode": "every frame", "speed": 0.5, "loop": False}
+    assert values["compare"] == ["split", "warp.motion", 0.25]
+    assert [name for name, shown in values["panels"].items() if not shown] == ["Timings"]
+    assert values["window"] == [1100, 700]

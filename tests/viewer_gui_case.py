@@ -1,0 +1,55 @@
+"""Runs the viewer under Dear ImGui's test engine; started by test_viewer_gui.py under xvfb-run.
+
+    viewer_gui_case.py make|first|second FOLDER ARTEFACTS [CASE …]
+
+"make" writes the sequences "small" (ground truth, a rendering window from its second frame on) and "large" into FOLDER.
+"first" runs all cases, or those named, and "second" finds what it has left; the outcome goes to FOLDER/first.json and
+FOLDER/second.json, pictures to ARTEFACTS.
+"""
+
+import sys
+from pathlib import Path
+
+
+def make(folder: Path) -> None:
+    from gffe_cl.device import open_device
+    from gffe_cl.render import render_sequence
+    from gffe_cl.scenes import load_scene
+
+    device, scene = open_device(), load_scene("corridor")
+    render_sequence(scene, folder / "small", device, 192, 108, 8, 30.0, ground_truth=True, window="adaptive")
+    render_sequence(scene, folder / "large", device, 960, 540, 4, 30.0, ground_truth=False, samples=1)
+
+
+def run(phase: str, folder: Path, artefacts: Path, only: list[str]) -> None:
+    import viewer_gui_comparing as comparing
+    import viewer_gui_doing as doing
+    import viewer_gui_driver as driver
+    import viewer_gui_looking as looking
+    import viewer_gui_playing as playing
+
+    from gffe_cl.viewer.app import App
+    from gffe_cl.viewer.model import Model
+    from gffe_cl.viewer.opening import ScenePlan
+    from gffe_cl.viewer.settings import Settings
+    from gffe_cl.viewer.start import leave
+
+    settings, warning = Settings.load()
+    model = Model(settings, plan=ScenePlan(160, 90, 0))
+    assert warning is None, warning
+    model.open(str(folder / "small"))
+    cases = playing.CASES | looking.CASES | comparing.CASES | doing.CASES
+    cases = {name: case for name, case in cases.items() if name in only or not only}
+    report = folder / f"{phase}.json"
+    if phase == "first":
+        driver.run(App(model), cases, report, artefacts, doing.leave_while_working, (1280, 720))
+    else:
+        driver.run(App(model), {"restart": doing.found_again}, report, artefacts)
+    leave(model)
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "make":
+        make(Path(sys.argv[2]))
+    else:
+        run(sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3]), sys.argv[4:])

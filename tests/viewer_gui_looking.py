@@ -1,0 +1,208 @@
+"""GUI cases: layers, and looking closer."""
+
+from __future__ import annotations
+
+import numpy as np
+from imgui_bundle import imgui
+from viewer_gui_driver import CTRL, KEY, SHIFT, Gui, collector
+
+CASES, case = collector()
+
+
+def _look(gui: Gui) -> dict:
+    """What is seen of the picture: of the canvas within the display."""
+    inside = gui.inside().reshape(-1, 3)
+    background = np.round(np.multiply(gui.model.view.background, 255)).astype(int)
+    return {
+        "colors": len(np.unique(inside, axis=0)),
+        "background": float((np.abs(inside - background).max(1) <= 1).mean()),
+    }
+
+
+@case
+def layers(gui: Gui):
+    """Every layer by its row; it is shown, and it is not just background."""
+    model, values = gui.model, gui.values
+    names = [spec.name for spec in model.layers]
+    values["layers"], values["seen"] = names, {}
+    rows = gui.ctx.window_info("//Layers/###layers").window
+    for name in ("warp.filled_by", names[-1], "history.dynamic_mask"):
+        gui.ctx.set_ref(rows)
+        gui.click(f"###group {model.spec_of(name).group}/###{name}")
+        gui.settle()
+        values[f"click on {name}"] = model.view.a
+    gui.ctx.set_ref("")
+    model.show_layer(names[-1])
+    for name in names:
+        gui.key(KEY.down_arrow)
+        gui.settle()
+        values["seen"][name] = {"shown": model.view.a, "view": model.spec_of(name).view} | _look(gui)
+        if name in ("history.history", "warp.filled_by", "background.depth_0", "rendered.motion"):
+            gui.shot(f"layers, {name}")
+    gui.key(KEY.up_arrow)
+    values["after Up"] = model.view.a
+
+
+@case
+def overview(gui: Gui):
+    model, values = gui.model, gui.values
+    gui.key(KEY.o)
+    gui.settle()
+    left, top, width, height = gui.area("//Picture/###overview")
+    size = int(width), int(height)
+    caption = round(gui.on_screen(imgui.get_text_line_height)) + 3
+    tiles = gui.on_screen(lambda: gui.app.canvas.overview(model.overview_tiles(), size, caption=caption)[1])
+    values["tiles"], values["layers"] = [tile.name for tile in tiles], [spec.name for spec in model.layers]
+    gui.shot("overview")
+    tile = next(tile for tile in tiles if tile.name == "warp.depth")
+    gui.point(left + tile.x + tile.width / 2, top + tile.y + tile.height / 2)
+    gui.ctx.mouse_click(0)
+    gui.settle()
+    values["opened"] = model.view.a, model.overview
+
+
+@case
+def overlays(gui: Gui):
+    plain = gui.picture()
+    for name in ("edges", "residual motion"):
+        gui.choose("//Layers/###overlay", name)
+        gui.settle()
+        overlaid = gui.picture()
+        gui.values[name] = {
+            "overlay": gui.model.view.overlay,
+            "changed": float((overlaid != plain).any(-1).mean()),
+            "coloured": float((np.ptp(overlaid, axis=-1) > 60).mean()),
+        }
+        gui.shot(f"overlays, {name}")
+
+
+@case
+def zoom_and_pan(gui: Gui):
+    model, values = gui.model, gui.values
+    view = model.view
+    fitted = view.zoom, view.centre
+    target = tuple(round(c) for c in gui.at(150.5, 80.5))  # the mouse is moved by whole pixels
+    left, top, width, height = gui.area()
+    size = int(width), int(height)
+    gui.point(*target)
+
+    def under():
+        return view.display_at(size, target[0] - left, target[1] - top)
+
+    values["under the cursor"] = [under()]
+    for _ in range(12):
+        gui.ctx.mouse_wheel_y(1)
+        gui.frames()
+        values["under the cursor"].append(under())
+    gui.ctx.mouse_wheel_y(-2)
+    gui.frames(2)
+    values["under the cursor"].append(under())
+    values["zoomed"] = view.zoom / fitted[0]
+    gui.settle()
+    gui.shot("zoom")
+    centre, zoom = view.centre, view.zoom
+    gui.drag((left + width / 2, top + height / 2), (left + width / 2 + 90, top + height / 2 - 60))
+    values["panned by"] = tuple((a - b) * zoom for a, b in zip(centre, view.centre, strict=True))
+    values["picked by panning"] = model.picked
+    gui.key(KEY._0, CTRL)
+    values["one to one"] = view.zoom
+    gui.key(KEY.f)
+    gui.frames(2)
+    values["fitted again"] = (view.zoom, *view.centre) == (fitted[0], *fitted[1])
+
+
+@case
+def display_keys(gui: Gui):
+    model, values = gui.model, gui.values
+    looks = [gui.picture().astype(float)]
+    for key, modifiers in ((KEY.e, 0), (KEY.e, SHIFT), (KEY.e, SHIFT), (KEY.r, 0)):
+        gui.key(key, modifiers)
+        gui.settle()
+        looks.append(gui.picture().astype(float))
+    values["brightness"] = [float(look.mean()) for look in looks]
+    values["reset restores"] = bool((looks[0] == looks[4]).all())
+    gui.key(KEY.c)
+    gui.settle()
+    values["channel"] = model.looks.of("final").channel
+    values["grey"] = bool((np.ptp(gui.inside(), axis=-1) == 0).all())
+    gui.key(KEY.r)
+    gui.key(KEY.n)
+    gui.settle()
+    brightest = model.image_of("final")[..., :3].astype(float).max(-1)
+    gain = model.info.exposure * 2 ** model.looks.of("final").exposure
+    values["white at 99 %"] = float(np.quantile(brightest, 0.99) * gain)
+    gui.key(KEY.r)
+    model.show_layer("warp.depth")
+    gui.settle()
+    model.looks.change(low=0.0, high=1000.0)
+    gui.settle()
+    wide = len(np.unique(gui.picture().reshape(-1, 3), axis=0))
+    gui.key(KEY.n)
+    gui.settle()
+    values["colors"] = wide, len(np.unique(gui.picture().reshape(-1, 3), axis=0))
+    depth = model.image_of("warp.depth")
+    values["range"] = (model.looks.of("warp.depth").low, model.looks.of("warp.depth").high)
+    values["quantiles"] = np.quantile(depth[np.isfinite(depth)], (0.01, 0.99)).tolist()
+
+
+@case
+def inspector(gui: Gui):
+    """Values under the pointer against the images."""
+    model, values = gui.model, gui.values
+    images = gui.images()
+    values["pixels"] = []
+    for x, y in ((3, 4), (96, 54), (150, 90), (160, 60), (190, 106)):
+        gui.point(*gui.at(x + 0.5, y + 0.5))
+        gui.wait(lambda x=x, y=y: model.inspection and model.inspection.pixel == (x, y), "an inspection")
+        inspection, wrong, compared = model.inspection, [], []
+        at_source = inspection.source and tuple(int(np.floor(c)) for c in inspection.source)
+        for name, value in inspection.values.items():
+            spec, image = model.spec_of(name), images[name]
+            level = int(spec.grid[5:]) if spec.grid.startswith("level") else 0
+            px = (x, y) if spec.grid == "target" else at_source
+            px = (x >> 5, y >> 5) if spec.grid == "blocks" else tuple(c >> level for c in px)
+            here = np.ravel(image[:, px[1], px[0]] if spec.planes > 1 else image[px[1], px[0]])
+            compared.append(name)
+            if not np.array_equal(np.ravel(value), here, equal_nan=True):
+                wrong.append(name)
+        values["pixels"].append({"pixel": (x, y), "wrong": wrong, "compared": compared})
+    gui.shot("inspector")
+    gui.point(5, 5)
+    gui.frames(3)
+    values["left"] = model.inspection is None
+
+
+@case
+def story(gui: Gui):
+    """A click on a pixel of the walker: its story, its trajectory over the picture; forgotten again."""
+    model, values = gui.model, gui.values
+    mask = gui.images()["warp.dynamic"]
+    ys, xs = np.nonzero(mask[:, : model.info.width - 8])
+    x, y = int(np.median(xs)), int(np.median(ys))
+    assert mask[y, x], "the walker has a hole in the middle"
+    plain = gui.picture()
+    gui.point(*gui.at(x + 0.5, y + 0.5))
+    before = gui.window()
+    gui.ctx.mouse_click(0)
+    gui.settle()
+    story = model.story
+    values |= {
+        "pixel": (x, y),
+        "picked": model.picked,
+        "dynamic": story.dynamic,
+        "filled by": story.filled_by,
+        "sentences": story.sentences,
+        "trajectory": story.trajectory,
+    }
+    gui.shot("story")
+    after = gui.window()
+    values["marked"] = []
+    for point in story.trajectory:
+        sx, sy = gui.at(*point)
+        r, g, b = after[int(sy), int(sx)].astype(int)
+        values["marked"].append((int(r), int(g), int(b)))
+    values["canvas changed"] = bool((gui.picture() != plain).any())
+    values["window changed"] = bool((before != after).any())
+    gui.click("//Inspector/###forget_story")
+    gui.frames(3)
+    values["forgotten"] = model.picked is None and model.story is None and not gui.exists("//Inspector/###forget_story")

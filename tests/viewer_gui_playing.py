@@ -1,0 +1,170 @@
+"""GUI cases: playing, and choosing what is computed."""
+
+from __future__ import annotations
+
+import numpy as np
+from imgui_bundle import imgui
+from viewer_gui_driver import KEY, SHIFT, Gui, collector
+
+CASES, case = collector()
+
+
+def _slots_played(gui: Gui, frames: int) -> list[int]:
+    slots = []
+    for _ in range(frames):
+        gui.frames()
+        if not slots or slots[-1] != gui.model.playback.slot:
+            slots.append(gui.model.playback.slot)
+    return slots
+
+
+def _changed(before: dict, after: dict) -> dict[str, list[str]]:
+    """Layers by what became of them."""
+    both = [name for name in before if name in after]
+    same = [
+        name
+        for name in both
+        if before[name].shape == after[name].shape and np.array_equal(before[name], after[name], equal_nan=True)
+    ]
+    return {
+        "same": same,
+        "changed": [name for name in both if name not in same],
+        "gone": [name for name in before if name not in after],
+    }
+
+
+@case
+def playback(gui: Gui):
+    model, values = gui.model, gui.values
+    gui.reset(0)
+    gui.click("//Timeline/###play")
+    values["plays after the button"] = model.playback.playing
+    gui.frames(30)
+    values["slots seen"] = model.playback.shown
+    gui.click("//Timeline/###play")
+    values["plays after the button again"] = model.playback.playing
+    for press in ("first", "second"):
+        gui.key(KEY.space)
+        values[f"plays after the {press} Space"] = model.playback.playing
+    gui.reset(5)
+    steps = {
+        "Right": (KEY.right_arrow, 0),
+        "Left": (KEY.left_arrow, 0),
+        "Shift+Right": (KEY.right_arrow, SHIFT),
+        "Shift+Left": (KEY.left_arrow, SHIFT),
+        "End": (KEY.end, 0),
+        "Home": (KEY.home, 0),
+    }
+    values["slots after keys"] = {}
+    for name, (key, modifiers) in steps.items():
+        gui.key(key, modifiers)
+        gui.settle()
+        values["slots after keys"][name] = (model.playback.slot, model.result.request.slot)
+    gui.click("//Timeline/###step")
+    values["slot after the step button"] = model.playback.slot
+
+
+@case
+def scrubbing(gui: Gui):
+    playback, values = gui.model.playback, gui.values
+    left, top, width, height = gui.area("//Timeline/###scrub")
+    middle = top + height / 2
+    gui.key(KEY.space)
+    gui.frames(3)
+    gui.point(left + 0.3 * width, middle)
+    gui.ctx.mouse_down(0)
+    gui.frames(2)
+    values["playing while scrubbing"] = playback.playing
+    seen = []
+    for share in (0.3, 0.5, 0.8, 1.3, 1.3, 0.6, -0.4, -0.4):
+        gui.point(left + share * width, middle)
+        gui.frames(2)
+        seen.append(playback.slot)
+    gui.ctx.mouse_up(0)
+    gui.frames(3)
+    values |= {"slots": seen, "last": playback.slots - 1, "playing afterwards": playback.playing}
+    gui.settle()
+    values["shown afterwards"] = gui.model.result.request.slot
+
+
+@case
+def in_and_out(gui: Gui):
+    playback, values = gui.model.playback, gui.values
+    for slot, key in ((4, KEY.left_bracket), (9, KEY.right_bracket)):
+        playback.seek(slot)
+        gui.frames()
+        gui.key(key)
+    values["points"] = (playback.first, playback.last)
+    gui.choose("//Timeline/###mode", "every frame")
+    gui.key(KEY.space)
+    values["looped"] = _slots_played(gui, 60)
+    gui.click("//Timeline/loop")
+    gui.wait(lambda: not playback.playing, "the out point")
+    values["stopped at"] = playback.slot
+    gui.key(KEY.backslash)
+    values["cleared"] = (playback.first, playback.last, playback.slots)
+
+
+@case
+def modules(gui: Gui):
+    """Every toggle of the panel: what it changes, and that switching it back restores everything."""
+    before = gui.images()
+    for name in ("motion estimation", "background collection", "crack closing", "hole filling"):
+        gui.click(f"//Modules/{name}")
+        gui.settle()
+        gui.values[name] = _changed(before, gui.images())
+        gui.shot(f"modules, {name} off")
+        gui.click(f"//Modules/{name}")
+        gui.settle()
+        gui.values[name]["after switching back"] = _changed(before, gui.images())["changed"]
+    for name in ("shading correction", "focus mask"):
+        flags = gui.ctx.item_info(f"//Modules/{name}").item_flags
+        gui.values[name] = {"disabled": bool(flags & imgui.ItemFlags_.disabled.value)}
+
+
+@case
+def parameters(gui: Gui):
+    """The static threshold by its slider, and the number of generated frames."""
+    model, values = gui.model, gui.values
+    before = gui.images()
+    gui.click("//Modules/automatic static threshold")
+    gui.settle()
+    for name, threshold in (("low", 0.0), ("high", 8.0)):
+        gui.ctx.item_input_value("//Modules/###static threshold", threshold)
+        gui.settle()
+        after = gui.images()
+        values[name] = _changed(before, after) | {
+            "threshold": model.options.static_threshold,
+            "dynamic pixels": int(after["history.dynamic_mask"].sum()),
+        }
+    values["dynamic pixels before"] = int(before["history.dynamic_mask"].sum())
+    gui.click("//Modules/###reset static threshold")
+    values["threshold after reset"] = model.options.static_threshold
+    gui.click("//Modules/automatic static threshold")
+    gui.settle()
+    gui.ctx.item_input_value("//Modules/###generated frames", 3)
+    gui.settle()
+    same_time = gui.images()
+    values["n = 3"] = _changed(before, same_time) | {"slot": model.playback.slot, "slots": model.playback.slots}
+    gui.key(KEY.right_arrow)
+    gui.settle()
+    values["a quarter later"] = _changed(same_time, gui.images()) | {"alpha": model.result.alpha}
+
+
+@case
+def rendering_window(gui: Gui):
+    """The sequence is rendered through a window from its second frame on."""
+    values, model = gui.values, gui.model
+
+    def windowed():
+        return model.result.source_camera != model.result.display_camera
+
+    before, values["windowed"] = gui.images(), windowed()
+    gui.click("//Modules/rendering window")
+    gui.settle()
+    values |= _changed(before, gui.images()) | {"windowed when off": windowed()}
+    gui.shot("rendering window off")
+    gui.click("//Modules/rendering window")
+    gui.settle()
+    values["windowed again"] = windowed()
+    values["after switching back"] = _changed(before, gui.images())["changed"]

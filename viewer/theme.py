@@ -1,0 +1,37 @@
+"""Colours and sizes of the interface."""
+
+from __future__ import annotations
+
+from imgui_bundle import ImVec4, hello_imgui, imgui
+
+_THEMES = {"dark": hello_imgui.ImGuiTheme_.darcula_darker, "light": hello_imgui.ImGuiTheme_.light_rounded}
+_ROUNDING = 3.0
+_ROUNDED = ("window", "child", "frame", "popup", "grab", "tab")
+
+
+def apply(name: str, scale: float) -> None:
+    """Theme "light" or "dark"; everything `scale` times as large as usual on this screen.
+
+    Windows have no background of their own: filling the screen several times takes a CPU longer than all else, so it is
+    cleared with their colour, and what floats asks for a background (`widgets.floating`).
+    """
+    style, usual, col = imgui.get_style(), imgui.Style(), imgui.Col_
+    hello_imgui.apply_theme(_THEMES[name])
+    for what in dir(usual):  # themes and scaling change sizes for good
+        if not (what.startswith(("_", "font_")) or callable(getattr(usual, what))):
+            setattr(style, what, getattr(usual, what))
+    style._main_scale = 1.0  # what scale_all_sizes multiplies
+    for kind in _ROUNDED:
+        setattr(style, f"{kind}_rounding", _ROUNDING)
+    style.frame_border_size = style.child_border_size = 1.0
+    style.scale_all_sizes(scale * hello_imgui.get_dpi_aware_params().dpi_window_size_factor)
+    style.font_scale_main = scale
+    ground = style.color_(col.window_bg)
+    params = hello_imgui.get_runner_params()
+    params.imgui_window_params.background_color = ImVec4(ground.x, ground.y, ground.z, 1.0)
+    style.set_color_(col.window_bg, ImVec4(ground.x, ground.y, ground.z, 0.0))
+    for opaque in (col.popup_bg, col.title_bg_active, col.menu_bar_bg):
+        color = style.color_(opaque)
+        style.set_color_(opaque, ImVec4(color.x, color.y, color.z, 1.0))
+    if name == "light":
+        style.set_color_(col.text_disabled, ImVec4(0.42, 0.42, 0.42, 1.0))
