@@ -61,9 +61,9 @@ def seen(tmp_path_factory):
         ended = _start([phase, str(folder), str(artefacts)], environment, folder / "working")
         if phase != "make":
             report = json.loads((folder / f"{phase}.json").read_text())
+            shutil.copy(folder / f"{phase}.json", artefacts)
             found = report["cases"] | found
             found.setdefault("exit", ended - report["closed"])
-    print(json.dumps({name: case["seconds"] for name, case in found.items() if name != "exit"}))
     found["pictures"] = {path.stem for path in artefacts.glob("*.png")}
     return found
 
@@ -216,6 +216,7 @@ def test_flip_error(values):
         return
     assert values["drawn"] > 60
     assert max(values["faults"]) <= 2  # levels
+    assert values["colors without truth"] == 1
 
 
 def test_inspector(values):
@@ -315,6 +316,8 @@ def test_appearance(values):
     first, hidden, back = values["widths"]
     assert hidden > 1.3 * first and back == pytest.approx(first, abs=3)
     assert not values["layers when hidden"] and values["kernels stay closed"]
+    assert values["default arrangement"]["width"] == pytest.approx(first, abs=8)
+    assert all(values["default arrangement"]["open"])
 
 
 def test_resizing(values):

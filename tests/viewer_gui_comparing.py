@@ -99,7 +99,7 @@ def flip_error(gui: Gui):
     gui.ctx.window_focus("//Compare")
     gui.frames(2)
     if values["reason"] is None:
-        model.view.error_high = 1.0
+        model.comparison.flip_high = 1.0
         gui.click("//Compare/###compare flip error")
         gui.settle()
         gui.shot("FLIP error")
@@ -113,13 +113,16 @@ def flip_error(gui: Gui):
         true, shown = (display_values(image, model.info.exposure) for image in images)
         wanted = evaluate(true, shown, "LDR", applyMagma=False)[0][..., 0]
         xs, ys = (10, 100, 150, 170), (20, 50, 90, 100)
-        scale = model.view.zoom
         values["faults"] = []
         for x, y in zip(xs, ys, strict=True):
             sx, sy = model.view.screen_at((picture.shape[1], picture.shape[0]), x + 0.5, y + 0.5)
             heat = np.clip(3 * wanted[y, x] - np.arange(3), 0, 1) * 255
             values["faults"].append(float(np.abs(picture[int(sy), int(sx)] - heat).max()))
-        values["zoom"] = scale
+        model.set_n(3)
+        gui.settle()
+        gui.key(KEY.right_arrow)  # to a time without ground truth
+        gui.settle()
+        values["colors without truth"] = len(np.unique(gui.inside().reshape(-1, 3), axis=0))
     gui.ctx.window_focus("//Modules")
 
 

@@ -142,6 +142,7 @@ class App:
     def _panel(self, name: str, draw, space: str) -> hello_imgui.DockableWindow:
         window = hello_imgui.DockableWindow(name, space, can_be_closed_=name != "Picture")
         window.is_visible = self.model.settings.panels.get(name, True)
+        window.remember_is_visible = False  # the settings do
         window.call_begin_end, docked = False, True
 
         def draw_it():
@@ -226,7 +227,7 @@ class App:
             theme.apply(*self._themed)
         model.update(time.perf_counter(), self.canvas)
         model.fly(commands.flight(self))
-        at_work = model.playback.playing or model.flying or model.export is not None or not model.settled
+        at_work = model.playback.playing or model.flying or model.engine.busy or not model.comparison.ready
         self._params.fps_idling.enable_idling = not (at_work or self._params.use_imgui_test_engine)
 
     def _before_exit(self) -> None:

@@ -9,6 +9,8 @@ from gffe_cl.viewer.canvas import View
 from gffe_cl.viewer.layers import Display
 from gffe_cl.viewer.scoring import flip_available
 
+FLIP_HIGH = 0.5
+
 
 class Comparison:
     """How A and B of a model's view are compared; "flip error" is a map that is computed on the host."""
@@ -16,6 +18,8 @@ class Comparison:
     def __init__(self, model):
         self._model = model
         self.flipped = False  # B is shown as long as a key is held
+        self.flip_high = FLIP_HIGH
+        self._nothing = False  # A or B does not exist for this frame
         self._flip_missing = flip_available()
         self._maps = flip_map.FlipMaps()
         self._truth_instead_of = "final"
@@ -71,12 +75,24 @@ class Comparison:
     @property
     def error_display(self) -> Display:
         """Of maps of errors."""
-        return Display(high=self._model.view.error_high, color_map="heat")
+        return Display(high=self.brightest, color_map="heat")
+
+    @property
+    def brightest(self) -> float:
+        """The error that is shown in the brightest colour; maps of FLIP have their own."""
+        return self.flip_high if self._model.view.compare == "flip error" else self._model.view.error_high
+
+    @brightest.setter
+    def brightest(self, error: float) -> None:
+        if self._model.view.compare == "flip error":
+            self.flip_high = error
+        else:
+            self._model.view.error_high = error
 
     @property
     def ready(self) -> bool:
         """Whether what is shown belongs to the present images."""
-        return self._model.view.compare != "flip error" or self._maps.ready
+        return self._model.view.compare != "flip error" or self._nothing or self._maps.ready
 
     def update(self, canvas) -> None:
         """Once per frame of the interface: take the map that is made, and have the next one made."""
@@ -95,6 +111,9 @@ class Comparison:
         if made is not None and canvas is not None:
             canvas.upload(flip_map.NAME, made, flip_map.SPEC)
         a, b = model.image_of(view.a), model.image_of(view.b)
+        self._nothing = (a is None or b is None) and {view.a, view.b} <= model.asked_layers
+        if self._nothing and canvas is not None:
+            canvas.forget([flip_map.NAME])
         if a is None or b is None:
             return
         if a.shape != b.shape:

@@ -13,7 +13,8 @@ def dispatch(actions, taken: frozenset[str] = frozenset()) -> None:
     """Run what is bound to the keys that went down; let go of what was held by those that went up. Keys in `taken` mean
     something else now."""
     io = imgui.get_io()
-    if io.want_text_input:
+    if io.want_text_input or io.app_focus_lost:
+        actions.release_all()
         return
     pressed = (("Ctrl", io.key_ctrl), ("Shift", io.key_shift), ("Alt", io.key_alt), ("Super", io.key_super))
     modifiers = frozenset(name for name, down in pressed if down)

@@ -250,6 +250,11 @@ class Model:
             and self.comparison.ready
         )
 
+    @property
+    def asked_layers(self) -> frozenset[str]:
+        """Layers that the present images were asked for."""
+        return self.result.request.layers if self.result is not None else frozenset()
+
     def _needed(self) -> set[str]:
         """Layers to read back."""
         if self.overview:

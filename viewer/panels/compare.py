@@ -7,6 +7,7 @@ from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 
 from gffe_cl.viewer import flip_map, widgets
 from gffe_cl.viewer.canvas import ERRORS
+from gffe_cl.viewer.comparing import FLIP_HIGH
 from gffe_cl.viewer.layers import legend
 
 _WAYS = {
@@ -48,7 +49,10 @@ def _error_map(model) -> None:
     view = model.view
     if view.compare == "error":
         widgets.choice("error", view.error, list(ERRORS), lambda name: setattr(view, "error", name))
-    widgets.slider("brightest", view.error_high, 0.01, 1.0, 0.1, lambda v: setattr(view, "error_high", v), "%.2f")
+    comparison, usual = model.comparison, 0.1 if view.compare == "error" else FLIP_HIGH
+    widgets.slider(
+        "brightest", comparison.brightest, 0.01, 1.0, usual, lambda v: setattr(comparison, "brightest", v), "%.2f"
+    )
     widgets.show_legend(legend(flip_map.SPEC, model.comparison.error_display))
 
 

@@ -230,6 +230,7 @@ def _label(marks, text: str, x: float, y: float, right: bool = False) -> None:
 def _overview(app, origin, size) -> None:
     """All layers as tiles; a click opens one."""
     model = app.model
+    model.hover(None)
     caption = round(imgui.get_text_line_height() + 3)
     texture, tiles = app.canvas.overview(model.overview_tiles(), size, caption=caption)
     imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(*size))
