@@ -38,7 +38,8 @@ def _start(arguments: list[str], environment: dict[str, str], folder: Path) -> f
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
-    """What the cases saw, by their names; "exit": seconds from closing to the end of the process."""
+    """What the cases saw, by their names; of "leave first" and "leave second" also "exit", seconds from closing to the
+    end of the process, and the hidden files that are "left over"."""
     if shutil.which("xvfb-run") is None:
         assert not os.environ.get("CI"), "CI must have xvfb-run"
         pytest.skip("xvfb-run is not installed")
@@ -62,8 +63,11 @@ def seen(tmp_path_factory):
         if phase != "make":
             report = json.loads((folder / f"{phase}.json").read_text())
             shutil.copy(folder / f"{phase}.json", artefacts)
-            found = report["cases"] | found
-            found.setdefault("exit", ended - report["closed"])
+            found[f"leave {phase}"] = report["cases"].pop("leave") | {
+                "exit": ended - report["closed"],
+                "left over": [path.name for path in (folder / "working").glob(".*")],
+            }
+            found |= report["cases"]
     found["pictures"] = {path.stem for path in artefacts.glob("*.png")}
     return found
 
@@ -349,8 +353,16 @@ def test_frame_rate(values):
 
 
 def test_closing_while_work_runs(seen):
-    assert seen["leave"]["error"] is None, seen["leave"]["error"]
-    assert seen["exit"] < 3.0
+    left = seen["leave first"]
+    assert left["error"] is None, left["error"]
+    assert left["exit"] < 3.0
+
+
+def test_closing_while_a_video_is_saved(seen):
+    left = seen["leave second"]
+    assert left["error"] is None, left["error"]
+    assert len(left["values"]["part"]) == 1 and left["left over"] == []
+    assert left["exit"] < 8.0
 
 
 def test_restart(values):

@@ -168,10 +168,12 @@ def test_range_of_one_value_holds_zero_and_is_not_empty(value):
 def test_range_shows_the_few_that_differ():
     values = np.full((100, 100), 0.5)
     values[50, :20] = 1
-    assert (ranged(BY_NAME["shading.input_mask"], values).low, ranged(BY_NAME["shading.input_mask"], values).high) == (
-        0,
-        1,
-    )
+    made = ranged(BY_NAME["shading.input_mask"], values)
+    assert (made.low, made.high) == (0, 1)
+    values[:80] = 0
+    values[50, :5] = 1  # a rare value of a code
+    made = ranged(BY_NAME["shading.input_mask"], values)
+    assert (made.low, made.high) == (0, 1)
 
 
 @pytest.mark.parametrize("width", [512, 640, 1000])

@@ -796,6 +796,15 @@ def test_layers_are_all_written_or_none(tmp_path):
     assert len(os.listdir(tmp_path / "old")) == len(images)
 
 
+@pytest.mark.parametrize("exists", [False, True])
+def test_cancelled_layers_leave_nothing(tmp_path, exists):
+    folder, asked = tmp_path / "layers", []
+    if exists:
+        folder.mkdir()
+    assert save_layers_exr(folder, *layers(), lambda: asked.append(1) or len(asked) == 3) == []
+    assert len(asked) == 3 and list(tmp_path.rglob("*")) == [folder] * exists
+
+
 @pytest.mark.parametrize(("height", "width", "suffix"), [(33, 47, "mp4"), (32, 46, "mkv")])
 def test_video(tmp_path, height, width, suffix):
     path, progress = tmp_path / f"video.{suffix}", []

@@ -33,7 +33,7 @@ def run(phase: str, folder: Path, artefacts: Path, only: list[str]) -> None:
     from gffe_cl.viewer.model import Model
     from gffe_cl.viewer.opening import ScenePlan
     from gffe_cl.viewer.settings import Settings
-    from gffe_cl.viewer.start import leave
+    from gffe_cl.viewer.start import leaving
 
     settings, warning = Settings.load()
     model = Model(settings, plan=ScenePlan(160, 90, 0))
@@ -42,11 +42,11 @@ def run(phase: str, folder: Path, artefacts: Path, only: list[str]) -> None:
     cases = playing.CASES | looking.CASES | comparing.CASES | opening.CASES | doing.CASES
     cases = {name: case for name, case in cases.items() if name in only or not only}
     report = folder / f"{phase}.json"
-    if phase == "first":
-        driver.run(App(model), cases, report, artefacts, doing.leave_while_working, (1280, 720))
-    else:
-        driver.run(App(model), {"restart": doing.found_again}, report, artefacts)
-    leave(model)
+    with leaving(model):
+        if phase == "first":
+            driver.run(App(model), cases, report, artefacts, doing.leave_while_working, (1280, 720))
+        else:
+            driver.run(App(model), {"restart": doing.found_again}, report, artefacts, doing.leave_while_saving)
 
 
 if __name__ == "__main__":

@@ -227,6 +227,18 @@ def leave_while_working(gui: Gui) -> None:
     assert model.engine.busy
 
 
+def leave_while_saving(gui: Gui) -> None:
+    """A video that is being written when the window is closed."""
+    model = gui.model
+    gui.reset()
+    gui.open(gui.sequences / "large")
+    model.set_n(7)
+    gui.settle()
+    gui.key(KEY.m, CTRL)
+    gui.wait(lambda: model.export is not None and model.export.done > 3, "some frames")
+    gui.values["part"] = [path.name for path in Path.cwd().glob(".*.part*")]
+
+
 def found_again(gui: Gui) -> None:
     """What a restart has restored."""
     app, model, values = gui.app, gui.model, gui.values

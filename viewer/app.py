@@ -101,9 +101,7 @@ class App:
         params.imgui_window_params.show_status_bar = True
         params.imgui_window_params.show_status_fps = False
         params.imgui_window_params.remember_theme = False
-        # ImGui smooths its edges itself; eight samples per pixel would cost a software renderer most of its time.
-        params.renderer_backend_options.open_gl_options.anti_aliasing_samples = 0
-        # multisampling costs a CPU more than all that is drawn, and ImGui smoothes its edges itself
+        # multisampling costs a CPU more than all that is drawn, and ImGui smooths its edges itself
         params.renderer_backend_options.open_gl_options.anti_aliasing_samples = 0
         params.ini_disable = test is not None
         params.ini_folder_type = hello_imgui.IniFolderType.app_user_config_folder

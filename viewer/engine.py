@@ -106,6 +106,11 @@ class Engine:
     def start(self) -> None:
         self._thread.start()
 
+    @property
+    def alive(self) -> bool:
+        """Whether the thread runs; when it has ended, the device is idle."""
+        return self._thread.is_alive()
+
     def close(self) -> None:
         """Ends the thread; returns within two seconds even if a kernel takes longer."""
         with self._news:
@@ -179,6 +184,8 @@ class Engine:
             self.source.close()
         if self._kernels:
             self._kernels.release()
+        if self._device:
+            self._device.queue.finish()
 
     def _next(self, last: str) -> tuple[str, Any]:
         """What to do next, kinds taking turns; an empty kind to end."""

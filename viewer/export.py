@@ -49,11 +49,16 @@ def save_png(path: Path, rgba: np.ndarray) -> None:
         os.replace(part, path)
 
 
-def save_layers_exr(folder: Path, images: Mapping[str, np.ndarray], specs: Mapping[str, LayerSpec]) -> list[Path]:
+def save_layers_exr(
+    folder: Path,
+    images: Mapping[str, np.ndarray],
+    specs: Mapping[str, LayerSpec],
+    cancelled: Callable[[], bool] = lambda: False,
+) -> list[Path]:
     """Write each layer to `folder`/<layer>.exr, its channels named after its components ("Y" for a single one,
-    "1.x" … for planes), float16 or float32; returns the paths.
+    "1.x" … for planes), float16 or float32; returns the paths, none if `cancelled`, asked before each layer, said so.
 
-    `folder` is made if only it is missing. Raises GffeError; then no file has been added or changed.
+    `folder` is made if only it is missing. Then, and when GffeError is raised, no file has been added or changed.
     """
     folder = Path(folder)
     if not images:
@@ -62,12 +67,13 @@ def save_layers_exr(folder: Path, images: Mapping[str, np.ndarray], specs: Mappi
         made = not folder.is_dir()
         if made:
             folder.mkdir()
+        written = []
         try:
-            return _write_all(folder, images, specs)
-        except BaseException:
-            if made:
+            written = _write_all(folder, images, specs, cancelled)
+        finally:
+            if made and not written:
                 shutil.rmtree(folder, ignore_errors=True)
-            raise
+        return written
 
 
 def export_video(
@@ -153,10 +159,12 @@ class _Feed:
             raise self.fault
 
 
-def _write_all(folder: Path, images: Mapping[str, np.ndarray], specs: Mapping[str, LayerSpec]) -> list[Path]:
+def _write_all(folder: Path, images, specs, cancelled) -> list[Path]:
     """All layers are whole in a folder of their own before the first one gets its name."""
     with tempfile.TemporaryDirectory(prefix=".layers.", dir=folder, ignore_cleanup_errors=True) as staging:
         for name, image in images.items():
+            if cancelled():
+                return []
             write_channels(Path(staging) / f"{name}.exr", _channels(specs[name], np.asarray(image)))
         for name in images:
             os.replace(Path(staging) / f"{name}.exr", folder / f"{name}.exr")

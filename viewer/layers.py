@@ -29,6 +29,7 @@ LABEL_COLORS: tuple[Rgb, ...] = tuple(  # of value & 15: 0 is the usual case; 14
     tuple(byte / 255 for byte in bytes.fromhex(text)) for text in _LABEL_COLORS.split()
 )
 _SAMPLES = 65536
+_FEW = 8  # different values: a code, such as the input mask, whose rare values are as good as the others
 _NATIVE = {"color": "RGB", "motion": "vector", "place": "vector", "world": "distance"}  # what is shown of all channels
 
 
@@ -231,8 +232,8 @@ def shown_as(spec: LayerSpec, display: Display) -> tuple[str, int]:
 
 
 def fitted(spec: LayerSpec, image, display: Display, frame: FrameInfo | None = None, depth=None) -> Display:
-    """`display` with the range that suits `image`: `low`, `high` hold 98% of the finite values (depths > 0),
-    `motion_scale` 99% of the lengths. Colour, masks and labels stay as they are.
+    """`display` with the range that suits `image`: `low`, `high` hold 98% of the finite values (depths > 0), or zero and all
+    of a scalar that has only a few; `motion_scale` 99% of the lengths. Colour, masks and labels stay as they are.
 
     `image`: (planes?, H, W, channels?). A "place" needs `frame` where its sizes differ; a "world" needs `depth` (H, W)
     of the rendered frame and `frame.source`, or it stays as it is.
@@ -262,7 +263,12 @@ def fitted(spec: LayerSpec, image, display: Display, frame: FrameInfo | None = N
             )
             return replace(display, motion_scale=max(float(scale), 0.01))
     values = values[:, max(channel, 0)]
-    return _with_range(display, values[np.isfinite(values) & ((values > 0) | (view != "depth"))], view == "depth")
+    values = values[np.isfinite(values) & ((values > 0) | (view != "depth"))]
+    codes = np.unique(values) if view == "scalar" else ()
+    if 0 < len(codes) <= _FEW:
+        low, high = min(float(codes[0]), 0.0), max(float(codes[-1]), 0.0)
+        return replace(display, low=low, high=max(high, low + 1e-6))
+    return _with_range(display, values, view == "depth")
 
 
 def _distances(values: np.ndarray, uv: np.ndarray, depth: np.ndarray, camera: Camera) -> np.ndarray:

@@ -11,7 +11,6 @@ from gffe_cl.viewer.layers import Display, LayerSpec, default_display, fitted, s
 
 _SAMPLES = 65536
 _LARGEST_EXPOSURE = 16.0  # stops
-_FEW = 8  # values of a code, such as the input mask's
 
 
 class Looks:
@@ -92,10 +91,4 @@ class Looks:
         image = model.image_of(spec.name)
         if image is None:
             return display
-        display = fitted(spec, image, display, model.frame_info(model.result), model.image_of("rendered.depth"))
-        if spec.view == "scalar":
-            values = np.unique(np.ravel(image)[:: max(image.size // _SAMPLES, 1)])
-            values = values[np.isfinite(values)].astype(np.float64)
-            if 1 < len(values) <= _FEW:  # a code: rare values are as good as others
-                return replace(display, low=float(values[0]), high=float(values[-1]))
-        return display
+        return fitted(spec, image, display, model.frame_info(model.result), model.image_of("rendered.depth"))

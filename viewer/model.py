@@ -85,7 +85,7 @@ class Model:
         self._target = self._opening = ""
         self._keep_place = False
         self.taken = 0  # results so far
-        self._closed = self.left_working = False
+        self._closed = False
         self._hover: tuple[int, int] | None = None
         self.hovering = True  # False: the pointer means nothing
         remembering.restore(self)
@@ -422,8 +422,12 @@ class Model:
         if self._closed:
             return
         self._closed = True
-        self.left_working = self.engine.busy
         if self.export is not None:
             self.export.close()
         self.comparison.close()
         self.engine.close()
+
+    @property
+    def left_working(self) -> bool:
+        """Whether the device is at work although `close` was called."""
+        return self._closed and self.engine.alive

@@ -16,7 +16,7 @@ from gffe_cl.viewer.canvas import read
 from gffe_cl.viewer.export import export_video, save_layers_exr, save_png, unused_name
 
 _WAITING = 2  # frames between the interface and the encoder
-_PATIENCE = 0.5  # seconds for the encoder to end
+_PATIENCE = 5.0  # seconds for writing to end after it was cancelled
 
 
 def save_picture(model, canvas) -> None:
@@ -65,7 +65,7 @@ class Work:
         """Stop, if it can be stopped; `finished` says when it has."""
 
     def close(self) -> None:
-        """The viewer ends: nothing half done is left, if that does not take long."""
+        """The viewer ends: nothing half done is left, unless it takes more than seconds to stop."""
         self.cancel()
         if self._thread is not None:
             self._thread.join(_PATIENCE)
@@ -110,8 +110,8 @@ class LayersWork(Work):
             self._start(lambda: self._write(result))
 
     def _write(self, result) -> str:
-        save_layers_exr(self.path, result.images, result.specs)
-        return f"saved {len(result.images)} layers in {self.path}"
+        saved = save_layers_exr(self.path, result.images, result.specs, lambda: self._cancelled)
+        return f"saved {len(saved)} layers in {self.path}" if saved else "saving the layers was cancelled"
 
 
 class VideoWork(Work):

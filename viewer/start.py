@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +17,7 @@ from gffe_cl.errors import GffeError
 
 _SETTLED_FRAMES = 4  # interface frames after everything has arrived: layouts need a few to come to rest
 _PATIENCE = 120.0  # seconds
+REPORT_SIZE = (1600, 900)  # of the window for screenshots and measuring
 
 
 @dataclass(frozen=True)
@@ -29,7 +33,7 @@ class Shot:
     overview: bool = False
 
 
-def measure(model, seconds: float, size: tuple[int, int] = (1600, 900)) -> dict[str, float]:
+def measure(model, seconds: float, size: tuple[int, int] | None = None) -> dict[str, float]:
     """Play every frame for so many seconds; returns means: frames shown and generated frames shown per second, frames
     of the interface per second, and milliseconds per frame for computing (kernels), reading back and uploading.
 
@@ -39,7 +43,7 @@ def measure(model, seconds: float, size: tuple[int, int] = (1600, 900)) -> dict[
     from gffe_cl.viewer.app import App
 
     stopwatch = _Stopwatch(seconds)
-    App(model, on_frame=stopwatch).run(size, test=lambda app: None)
+    App(model, on_frame=stopwatch).run(size or REPORT_SIZE, test=lambda app: None)
     if stopwatch.problem:
         raise GffeError(stopwatch.problem)
     return stopwatch.figures()
@@ -95,7 +99,8 @@ class _Stopwatch:
 
 
 def view(model, size: tuple[int, int] | None = None, shot: Shot | None = None) -> None:
-    """Run the viewer until it is closed, or until `shot` is written; as large as last time if no `size` is given.
+    """Run the viewer until it is closed, or until `shot` is written. Without `size` the window is as large as last time,
+    for a `shot` of REPORT_SIZE.
 
     Raises GffeError without a display, or when the screenshot cannot be made.
     """
@@ -104,25 +109,37 @@ def view(model, size: tuple[int, int] | None = None, shot: Shot | None = None) -
 
     if shot is None:
         App(model).run(size)
-        leave(model)
         return
     if not shot.path.absolute().parent.is_dir():
         raise GffeError(f"{shot.path}: cannot write: no such folder")
     camera = _Photographer(shot)
-    App(model, on_frame=camera).run(size, test=lambda app: None)
+    App(model, on_frame=camera).run(size or REPORT_SIZE, test=lambda app: None)
     if camera.problem:
         raise GffeError(camera.problem)
     _save(shot.path)
 
 
-def leave(model) -> None:
-    """Close `model`; if the device was still at work, end the program here: an OpenCL runtime that is taken down
-    while it works aborts or hangs."""
-    model.close()
-    if model.left_working:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(0)
+@contextmanager
+def leaving(model) -> Iterator[None]:
+    """Close `model` at the end. If the device is still at work then, the program ends without taking down the OpenCL
+    runtime, which would abort or hang; with exit code 0, or as `gffe` does after the exception that came through."""
+    code = 2
+    try:
+        yield
+        code = 0
+    except KeyboardInterrupt:
+        code = 130
+        raise
+    finally:
+        model.close()
+        if model.left_working:
+            atexit.register(_end, code)
+
+
+def _end(code: int) -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
 
 
 def require_display() -> None:

@@ -24,7 +24,10 @@ def view(
     size: Annotated[str, typer.Option(help="Of a built-in scene: width × height, pixels.")] = "480x270",
     seed: Annotated[int, typer.Option(help="Of a built-in scene: its variation.")] = 0,
     device: DeviceOption = None,
-    window_size: Annotated[str, typer.Option(help="Of the viewer's own window, pixels.")] = "1600x900",
+    window_size: Annotated[
+        str | None,
+        typer.Option(help="Of the viewer's own window, pixels [dim](default: as last time; for reports 1600x900)[/]."),
+    ] = None,
     screenshot: Annotated[
         Path | None, typer.Option(help="Write one picture of the whole window to this PNG, and exit.")
     ] = None,
@@ -44,7 +47,7 @@ def view(
     """Open the viewer: play, look into every stage, find out why a pixel is wrong."""
     from gffe_cl.viewer.model import Model, ScenePlan
     from gffe_cl.viewer.settings import Settings
-    from gffe_cl.viewer.start import Shot, require_display
+    from gffe_cl.viewer.start import Shot, leaving, require_display
     from gffe_cl.viewer.start import measure as measure_playback
     from gffe_cl.viewer.start import view as run_viewer
 
@@ -55,7 +58,7 @@ def view(
     if measure is not None and not 0 < measure <= 3600:
         raise GffeError(f"--measure must be seconds, up to 3600, got {measure:g}")
     plan = ScenePlan(*parse_size(size), seed)
-    viewer_size = parse_size(window_size)
+    viewer_size = None if window_size is None else parse_size(window_size)
     shot = None
     if screenshot is not None:
         shot = Shot(screenshot, frame, layer, compare, other, _pixel(pixel), overview)
@@ -65,7 +68,7 @@ def view(
     model = Model(settings, device=device, n=n, window=window, plan=plan, save_settings=by_hand)
     if warning:
         model.say(warning)
-    try:
+    with leaving(model):
         if target is not None:
             model.open(target)
         if measure is None:
@@ -75,8 +78,6 @@ def view(
         for name, value in figures.items():
             out.print(f"{name}: {value:.1f}")
         write_json(json_path, figures | {"device": model.engine.device_name})
-    finally:
-        model.close()
 
 
 def _pixel(text: str | None) -> tuple[int, int] | None:
