@@ -1,23 +1,6 @@
 /* Cubic (Catmull-Rom) interpolation of half images. */
 
-/* Three scalars, which compilers for CPUs spread over SIMD lanes three times better than a float3. */
-typedef struct { float r, g, b; } Rgb;
-
-/* The half in the low 16 bits of `bits`; NaN counts as 0, infinities are clamped. */
-inline float unpack_half(const uint bits) {
-    const uint size = bits & 0x7fffu, finite = size > 0x7c00u ? 0u : min(size, 0x7bffu);
-    return as_float(((bits & 0x8000u) << 16) | (finite << 13)) * 0x1p112f;
-}
-
-inline Rgb load_rgb(__global const uint2 *color, const int i) {
-    const uint2 bits = color[i];
-    const Rgb c = {unpack_half(bits.x), unpack_half(bits.x >> 16), unpack_half(bits.y)};
-    return c;
-}
-
-/* Of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN. */
-inline float least(const float a, const float b) { return a < b ? a : b; }
-inline float most(const float a, const float b) { return a < b ? b : a; }
+#include "rgb.h"
 
 /* Catmull-Rom weights of the four taps around t in [0, 1). */
 inline float4 cubic_weights(const float t) {

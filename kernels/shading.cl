@@ -1,13 +1,16 @@
-/* Inputs of the shading correction network (paper: 'Shading Correction Network'): the previous rendered frame warped backward
-   to t + alpha, and the input mask. */
+/* Around the shading correction network (paper: 'Shading Correction Network'): the previous rendered frame warped backward
+   to t + alpha, the input mask, and the focus mask that it learns. */
 
 #include "common.h"
+#include "rgb.h"
 
 #define SAME_SURFACE 0.03f      /* relative depth within which the surface met in the previous frame is the fragment's ... */
 #define DEPTH_PER_MOTION 2.0f   /* ... and what is added per unit of its sideways motion, as in history tracking */
 #define MASK_DYNAMIC 1.0f
 #define MASK_DISOCCLUDED 0.0f
 #define MASK_REST 0.5f
+#define FOCUS_SMAPE 0.5f        /* errors above this are the network's business ... */
+#define SMAPE_EPSILON 0.01f     /* ... and this keeps black pixels from counting fully */
 
 /* Where pixel `centre` of the target was at t-1: (px in the previous image, depth there); *tolerance in depth.
    A static point, or one that was filled in, by its depth; a dynamic one by the motion of both intervals. */
@@ -69,4 +72,27 @@ __kernel void prepare_inputs(const int width, const int height, const int source
     } else {
         vstore_half4_rte((float4)(load_color(color, i), 0.0f), i, warped_previous);
     }
+}
+
+inline float relative_error(const float a, const float b) {
+    return divide(2.0f * fabs(a - b), fabs(a) + fabs(b) + SMAPE_EPSILON);
+}
+
+/* M_focus: 1 where the extrapolated colour is unlike the truth at this pixel and at its neighbours, and is not dynamic. */
+__kernel void focus_mask(const int width, const int height, const float exposure, __global const uint2 *color /* half x4 */,
+                         __global const uint2 *truth /* half x4 */, __global const uchar *is_dynamic,
+                         __global uchar *focus_truth) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= width || y >= height) return;
+    const int i = y * width + x;
+    const Rgb c = load_rgb(color, i);
+    float smallest = INFINITY;
+    for (int ty = max(y - 1, 0); ty <= min(y + 1, height - 1); ++ty)
+        for (int tx = max(x - 1, 0); tx <= min(x + 1, width - 1); ++tx) {
+            const Rgb t = load_rgb(truth, ty * width + tx);
+            const float sum = relative_error(exposure * c.r, exposure * t.r) + relative_error(exposure * c.g, exposure * t.g)
+                              + relative_error(exposure * c.b, exposure * t.b);
+            smallest = least(smallest, sum);
+        }
+    focus_truth[i] = smallest > 3.0f * FOCUS_SMAPE && !is_dynamic[i];
 }

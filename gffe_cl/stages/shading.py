@@ -1,8 +1,9 @@
-"""Inputs of the shading correction network (paper: 'Shading Correction Network')."""
+"""Inputs of the shading correction network, and the mask it learns (paper: 'Shading Correction Network')."""
 
 from __future__ import annotations
 
 import numpy as np
+import pyopencl as cl
 
 from gffe_cl.camera import Camera
 from gffe_cl.stage import BufferSpec, Stage, int2, reprojection
@@ -41,3 +42,20 @@ class ShadingInputs(Stage):
             self.buffer["warped_previous"],
             self.buffer["input_mask"],
         )
+
+
+class FocusMask(Stage):
+    """Where shading is wrong, by ground truth: for training and measuring, not part of the pipeline."""
+
+    name = "shading"
+    buffers = (
+        BufferSpec(
+            "focus_truth", np.uint8, (), "target", "static, and unlike the truth around (M_focus: SMAPE > 0.5)", "mask"
+        ),
+    )
+
+    def make(self, color: cl.Buffer, truth: cl.Buffer, dynamic: cl.Buffer, exposure: float) -> None:
+        """`color` and `truth`: half ×4, linear RGB; `dynamic`: uchar; `exposure`: the sequence's."""
+        focus_truth = self.buffer["focus_truth"]
+        size = self.sizes.target
+        self.launch("focus_mask", size, *int2(size), np.float32(exposure), color, truth, dynamic, focus_truth)
