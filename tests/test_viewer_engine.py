@@ -454,7 +454,7 @@ def test_kernels_are_reloaded_and_broken_ones_survived(device, tmp_path, monkeyp
     other = Setup(Options(hole_filling="push-pull"))
     line = text.count("\n") + 1
     with running(lambda: Device(device.cl_device, device.info), Clip()) as engine:
-        good = ask(engine, 13, setup, ("final",)).images["final"]
+        good, builds = ask(engine, 13, setup, ("final",)).images["final"], engine.builds
         (folder / "holes.cl").write_text(text + "__kernel void broken() { nonsense; }\n")
         wait_for(lambda: engine.build_error)
         assert f"holes.cl:{line}" in engine.build_error and "nonsense" in engine.build_error
@@ -462,9 +462,10 @@ def test_kernels_are_reloaded_and_broken_ones_survived(device, tmp_path, monkeyp
         assert (ask(engine, 13, setup, ("final",)).images["final"] == good).all()
         while engine.poll():
             pass
+        assert engine.builds == builds
         (folder / "holes.cl").write_text(text.replace("store_color(mean.xyz,", "store_color(9.0f + mean.xyz,"))
         result = wait_for(engine.poll)  # of its own accord
-        assert engine.build_error is None and result.request.slot == 13
+        assert engine.build_error is None and result.request.slot == 13 and engine.builds == builds + 1
         changed = result.images["final"] != good
         assert changed.any() and not changed.all()
         (folder / "holes.cl").write_text(text)

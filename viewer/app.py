@@ -31,8 +31,9 @@ _PANELS = {
 SIDE_PANELS = tuple(name for name in _PANELS if name not in ("Picture", "Timeline"))  # those that are hidden together
 _TIMELINE_HEIGHT = 110.0  # pixels at the usual size of letters
 _LEAST_SCALE, _LARGEST_SCALE = 0.6, 3.0
-_SIDES = (0.2, 0.29)  # of the width: left and right of the picture, at the usual size
-_WIDEST = (0.3, 0.36)
+_SIDES = (320.0, 464.0)  # pixels left and right of the picture, at the usual size of letters ...
+_WIDEST = (0.24, 0.33)  # ... but not more of the width
+_LOWER_RIGHT = 0.4  # of the height on the right
 _MESSAGE_SECONDS = 8.0
 
 
@@ -127,12 +128,12 @@ class App:
     def _docking(self, size: tuple[int, int]) -> hello_imgui.DockingParams:
         docking = hello_imgui.DockingParams()
         bottom = min(_TIMELINE_HEIGHT * self.scale / size[1], 0.4)
-        left, right = (min(side * self.scale, widest) for side, widest in zip(_SIDES, _WIDEST, strict=True))
+        left, right = (min(side * self.scale / size[0], most) for side, most in zip(_SIDES, _WIDEST, strict=True))
         docking.docking_splits = [
             hello_imgui.DockingSplit("MainDockSpace", "Bottom", imgui.Dir.down, bottom),
             hello_imgui.DockingSplit("MainDockSpace", "Left", imgui.Dir.left, left),
             hello_imgui.DockingSplit("MainDockSpace", "Right", imgui.Dir.right, right / (1 - left)),
-            hello_imgui.DockingSplit("Right", "RightBottom", imgui.Dir.down, 0.45),
+            hello_imgui.DockingSplit("Right", "RightBottom", imgui.Dir.down, _LOWER_RIGHT),
         ]
         docking.dockable_windows = [self._panel(name, *panel) for name, panel in _PANELS.items()]
         return docking

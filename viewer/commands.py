@@ -205,6 +205,7 @@ def help_window(app) -> None:
     flags = imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.always_auto_resize
     widgets.floating()
     _, app.help_open = imgui.begin("Keys###help", True, int(flags))
+    imgui.push_style_var(imgui.StyleVar_.cell_padding, (hello_imgui.em_size(0.8), 0.0))
     if imgui.begin_table("###keys", _HELP_COLUMNS, imgui.TableFlags_.sizing_fixed_fit.value):
         for column in _columns(app.actions.shortcut_table()):
             imgui.table_next_column()
@@ -215,6 +216,7 @@ def help_window(app) -> None:
                     imgui.same_line(hello_imgui.em_size(12))
                     imgui.text_disabled(keys)
         imgui.end_table()
+    imgui.pop_style_var()
     imgui.text_disabled("Wheel: zoom at the cursor.  Drag: pan, or the wipe's line.  Click: the story of a pixel.")
     imgui.end()
 

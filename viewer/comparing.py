@@ -46,10 +46,9 @@ class Comparison:
         self.set("off" if self._model.view.compare == way else way)
 
     def flip(self, down: bool) -> None:
-        """Show B instead of A as long as the key is held."""
-        view = self._model.view
-        if down and view.b is None:
-            self.set(view.compare if view.compare != "off" else "flip")
+        """Show B instead of A as long as the key is held; from then on B is read back with A."""
+        if down and self._model.view.compare == "off":
+            self.set("flip")
         self.flipped = down
 
     def toggle_truth(self) -> None:
@@ -88,6 +87,16 @@ class Comparison:
             self.flip_high = error
         else:
             self._model.view.error_high = error
+
+    def scale_text(self) -> str:
+        """What the colours of a difference or an error mean; empty where layers are shown as they are."""
+        view = self._model.view
+        if self.flipped or view.compare not in ("difference", "error", "flip error"):
+            return ""
+        if view.compare == "difference":
+            return f"|A − B| × {view.gain:g}"
+        kind = "FLIP error" if view.compare == "flip error" else f"{view.error} error"
+        return f"{kind}, brightest from {self.brightest:.3g}"
 
     @property
     def ready(self) -> bool:

@@ -67,6 +67,8 @@ class Engine:
         What was opened last.
     device_name : str
         Empty until it is open.
+    builds : int
+        How often other kernels were taken into use.
     build_error : str or None
         Why the kernels on disk do not build, with file and line; the last good ones go on.
     bandwidth : float or None
@@ -81,7 +83,7 @@ class Engine:
         self._open_the_device, self._notify = open_the_device, notify
         self.source: FrameSource | None = None
         self.device_name, self.activity = "", "opening the device"
-        self.build_error: str | None = None
+        self.builds, self.build_error = 0, None
         self.bandwidth: float | None = None
         self._thread = threading.Thread(target=self._run, name="gffe-viewer-engine", daemon=True)
         self._news = threading.Condition()
@@ -127,9 +129,13 @@ class Engine:
         fails the old one stays."""
         self._post("source", (make, serial))
 
-    def submit(self, request: Request) -> None:
-        """Ask for a slot; replaces a request that was not taken up yet."""
-        self._post("slot", request)
+    def submit(self, request: Request, source: FrameSource | None = None) -> None:
+        """Ask for a slot; replaces a request that was not taken up yet. Ignored if it was meant for a `source` that is
+        not the one any more."""
+        with self._news:
+            if source in (None, self.source):
+                self._posted["slot"] = request
+                self._news.notify()
 
     def inspect(self, x: int, y: int, layers: frozenset[str] | None = None) -> None:
         """Ask what the slot last computed holds at display pixel (x, y); `layers`: None for all."""
@@ -244,6 +250,7 @@ class Engine:
         self.activity = "building kernels"
         changed = self._kernels.reload()
         self.build_error = self._kernels.error
+        self.builds += changed
         if changed and self._player:
             self._player.drop()
             self._scorer.clear()

@@ -14,7 +14,7 @@ import numpy as np
 
 from gffe_cl.errors import GffeError
 from gffe_cl.pipeline import Options
-from gffe_cl.viewer import remembering
+from gffe_cl.viewer import flip_map, remembering
 from gffe_cl.viewer.canvas import View
 from gffe_cl.viewer.comparing import Comparison
 from gffe_cl.viewer.engine import Engine, open_viewer_device
@@ -79,14 +79,16 @@ class Model:
         self.export: Work | None = None
         self.upload_ms = 0.0
         self.timings = Timings()
+        self._builds = 0  # of the engine when last looked at
         self._serial = itertools.count(1)
         self._asked: Request | None = None  # the latest request, and it without its serial number
         self._wanted: Request | None = None
-        self._target = self._opening = ""
+        self._target = ""
         self._keep_place = False
-        self.taken = 0  # results so far
+        self.taken = 0  # times that other images came
         self._closed = False
         self._hover: tuple[int, int] | None = None
+        self._story_due = False  # the engine was asked for the story of the picked pixel
         self.hovering = True  # False: the pointer means nothing
         remembering.restore(self)
 
@@ -98,22 +100,23 @@ class Model:
         self.failure = None
         self.notice = f"opening {target} …"
         self.engine.open_source(partial(make_source, target, self.window, self.plan), next(self._serial))
-        self._opening = target
 
     def reload(self) -> None:
         """Read the same thing again, and stay where we are."""
         self._keep_place = True
         self.open(self._target)
 
-    def _opened(self, source) -> None:
+    def _opened(self, source, canvas) -> None:
         self.info, self.notice, self.result, self._asked = source, "", None, None
-        self._target = self._opening
+        self._target = source.target
+        self._show({}, canvas)
         if self.export is not None:
             self.export.cancel()
         times = None if source.live else [source.time(k) for k in range(source.count)]
         self.playback.open(source.count, source.fps, times, keep=self._keep_place)
         self.metrics.clear()
         self.inspection = self.story = self.picked = self.flyer = None
+        self._story_due = False
         if not self._keep_place:
             self.looks.forget()
             self.timings = Timings()
@@ -138,7 +141,10 @@ class Model:
     def update(self, now: float, canvas) -> None:
         """Take what the engine has finished into textures, and ask for what is wanted next."""
         if self.engine.source is not self.info:
-            self._opened(self.engine.source)
+            self._opened(self.engine.source, canvas)
+        if self.engine.builds != self._builds:
+            self._builds = self.engine.builds
+            self.metrics.clear()
         while (answer := self.engine.poll()) is not None:
             if isinstance(answer, EngineError):
                 self._failed(answer)
@@ -165,6 +171,7 @@ class Model:
         self.failure = error.message
         self.notice = error.message if self.info is None else ""
         self._keep_place = False
+        self._story_due &= error.during != "inspection"
         if error.during == "source":
             self._asked = None  # what was asked of the old one was thrown away
         if error.during in ("source", "slot"):
@@ -175,7 +182,6 @@ class Model:
     def _take(self, result: Result, canvas) -> None:
         self.result = result
         self.failure = None
-        self.taken += 1
         self.layers = list(result.specs.values())
         self.warnings = list(result.warnings)
         if result.psnr is not None:
@@ -183,25 +189,35 @@ class Model:
                 result.request.slot, result.request.setup, result.psnr, result.ssim, result.flip
             )
         if canvas is not None:
-            start = time.perf_counter()
             canvas.frame = self.frame_info(result)
-            canvas.forget(result.request.layers - result.images.keys())
-            for name, image in result.images.items():
-                canvas.upload(name, image, result.specs[name])
-            self.upload_ms = (time.perf_counter() - start) * 1e3
+        self._show(result.images, canvas)
         self.looks.meet(result.images)
         self.timings.add(result)
-        pixel = self.picked or self._hover
+        self._story_due = self.picked is not None
+        self._inspect(self.picked or self._hover)
+
+    def _show(self, images: dict[str, np.ndarray], canvas) -> None:
+        """Have these images and no others, which would be of another time, on the canvas."""
+        self.taken += 1
+        if canvas is None:
+            return
+        start = time.perf_counter()
+        canvas.forget(canvas.layers.keys() - images.keys() - {flip_map.NAME})
+        for name, image in images.items():
+            canvas.upload(name, image, self.spec_of(name))
+        self.upload_ms = (time.perf_counter() - start) * 1e3
+
+    def _inspect(self, pixel: tuple[int, int] | None) -> None:
         if pixel is not None:
             self.engine.inspect(*pixel)
 
     def _take_inspection(self, inspection) -> None:
-        if inspection is None:
+        if inspection is None or inspection.slot != self.slot:
             return
         if inspection.pixel == self.picked:
-            self.story = inspection.story
-            if self._hover not in (None, self.picked):
-                self.engine.inspect(*self._hover)
+            self.story, self._story_due = inspection.story, False
+            if self._hover != self.picked:
+                self._inspect(self._hover)
         if inspection.pixel == (self._hover or self.picked):
             self.inspection = inspection
 
@@ -218,7 +234,7 @@ class Model:
             self.flyer.moved = False
         self._wanted = request
         self._asked = replace(request, serial=next(self._serial))
-        self.engine.submit(self._asked)
+        self.engine.submit(self._asked, self.info)
 
     # ---- what is asked for -----------------------------------------------------------------------------------
 
@@ -246,7 +262,7 @@ class Model:
             and self._asked is not None
             and self.result.request == self._asked
             and not self.engine.busy
-            and (self.picked is None or self.story is not None)
+            and not self._story_due
             and self.comparison.ready
         )
 
@@ -355,8 +371,8 @@ class Model:
             self._hover = pixel
             wanted = pixel or self.picked
             self.inspection = self.inspection if wanted else None
-            if wanted is not None:
-                self.engine.inspect(*wanted)
+            if not self._story_due:  # or it would take the place of the picked pixel, after which it is asked for
+                self._inspect(wanted)
 
     def pick(self, pixel: tuple[int, int] | None) -> None:
         """Tell the story of a pixel."""
@@ -364,7 +380,8 @@ class Model:
         self.inspection = self.inspection if self._hover else None
         if pixel is not None and 0 <= pixel[0] < self.info.width and 0 <= pixel[1] < self.info.height:
             self.picked = tuple(pixel)
-            self.engine.inspect(*self.picked)
+            self._inspect(self.picked)
+        self._story_due = self.picked is not None
 
     def frame_info(self, result: Result) -> FrameInfo:
         """What the layers of `result` refer to, for displaying them."""

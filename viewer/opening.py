@@ -22,5 +22,8 @@ def make_source(target: str, window: str | None, plan: ScenePlan, device) -> Fra
     """The sequence in the folder `target` (or of its sequence.json), else the scene of that name. Raises GffeError."""
     path = Path(target).expanduser()
     if target in SCENES and not path.exists():
-        return SceneSource(load_scene(target, plan.seed), device, plan.width, plan.height, window=window)
-    return RecordedSource(open_sequence(path), device, window if window == "off" else None)
+        source = SceneSource(load_scene(target, plan.seed), device, plan.width, plan.height, window=window)
+    else:
+        source = RecordedSource(open_sequence(path), device, window if window == "off" else None)
+    source.target = target
+    return source

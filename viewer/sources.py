@@ -36,7 +36,7 @@ _LONGEST_GAP = 8.0  # rendered frames between two flown poses that are of one fl
 class FrameSource(Protocol):
     """Rendered frames by number. All but `fly`, `forget_flight` and `time` is called from one thread, the engine's.
 
-    `width`, `height`: of the display, pixels; `render_size`: (width, height) of the rendered frames, may change with
+    `target`: how the user named it; `width`, `height`: of the display, pixels; `render_size`: (width, height) of the rendered frames, may change with
     `configure`; `count`: of rendered frames; `live`: rendered meanwhile, the camera may be flown; `windowed`: rendered
     through a window that can be used or not.
     """
@@ -48,6 +48,7 @@ class FrameSource(Protocol):
     fps: float
     exposure: float
     count: int
+    target: str = ""
     live: bool = False
     windowed: bool = False
     has_truth: bool = False

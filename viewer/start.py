@@ -99,8 +99,8 @@ class _Stopwatch:
 
 
 def view(model, size: tuple[int, int] | None = None, shot: Shot | None = None) -> None:
-    """Run the viewer until it is closed, or until `shot` is written. Without `size` the window is as large as last time,
-    for a `shot` of REPORT_SIZE.
+    """Run the viewer until it is closed, or until `shot` is written. Without `size` the window is as large as last
+    time, for a `shot` of REPORT_SIZE.
 
     Raises GffeError without a display, or when the screenshot cannot be made.
     """

@@ -72,6 +72,7 @@ def _quality(model) -> None:
         imgui.text(f"PSNR {score.psnr:.2f} dB   SSIM {ssim}{flip}")
     elif model.measuring and model.slot % (model.n + 1) == 0:
         imgui.text_disabled("rendered frame")
+    legend_flags = implot.LegendFlags_.outside.value | implot.LegendFlags_.horizontal.value
     if implot.begin_plot("###quality", ImVec2(-1, hello_imgui.em_size(10)), implot.Flags_.no_mouse_text.value):
         slots = np.array(sorted(model.metrics), np.float64)
         psnr = np.array([model.metrics[int(slot)].psnr for slot in slots], np.float64)
@@ -83,6 +84,7 @@ def _quality(model) -> None:
             implot.ImAxis_.y2, "SSIM", implot.AxisFlags_.aux_default.value | implot.AxisFlags_.auto_fit.value
         )
         implot.setup_axis_limits(implot.ImAxis_.x1, 0, max(model.playback.slots, 1), imgui.Cond_.always.value)
+        implot.setup_legend(implot.Location_.north, legend_flags)
         if len(slots):
             implot.plot_line("PSNR", slots, psnr)
         if known:

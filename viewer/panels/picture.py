@@ -199,8 +199,11 @@ def _caption(model, origin, width, height, marks) -> None:
     k, j = divmod(model.slot, model.n + 1)
     kind = f"rendered frame {k}" if j == 0 else f"generated: frame {k} + {j}/{model.n + 1}"
     _label(marks, f"{kind}   {view.zoom * 100:.0f} %", origin.x + 10, origin.y + height - hello_imgui.em_size(1.6))
-    if model.engine.busy and not model.playback.playing:
-        _label(marks, "computing …", origin.x + width - 10, origin.y + height - hello_imgui.em_size(1.6), right=True)
+    state = model.comparison.scale_text()
+    if not model.comparison.ready or (model.engine.busy and not model.playback.playing):
+        state = "computing …"
+    if state:
+        _label(marks, state, origin.x + width - 10, origin.y + height - hello_imgui.em_size(1.6), right=True)
 
 
 def _layer_text(model, name: str) -> str:
@@ -247,7 +250,8 @@ def _overview(app, origin, size) -> None:
         wide = imgui.calc_text_size(f"{spec.group}: {spec.label}").x > width
         marks.add_text(ImVec2(left, top + height + 1), ink, spec.label if wide else f"{spec.group}: {spec.label}")
         marks.pop_clip_rect()
-        if left <= at.x < left + width and top <= at.y < top + height and imgui.is_item_hovered():
+        inside = left <= at.x < left + width and top <= at.y < top + height
+        if inside and model.hovering and imgui.is_item_hovered():
             marks.add_rect(ImVec2(left, top), ImVec2(left + width, top + height), imgui.get_color_u32(_ACCENT), 0, 2.0)
             imgui.set_tooltip(f"{spec.group}: {spec.label}\n{spec.description}")
             if clicked:
