@@ -88,11 +88,12 @@ class Device:
         """Whether a 64-bit atomic minimum builds and gives the right answer here."""
         return _try_int64_atomics(self.context, self.queue)
 
-    def buffer(self, nbytes: int) -> cl.Buffer:
-        """A new read-write device buffer of `nbytes` (at least 1)."""
+    def buffer(self, nbytes: int, mapped: bool = False) -> cl.Buffer:
+        """A new read-write device buffer of `nbytes` (at least 1); `mapped`: where the host can work in it."""
         size = max(int(nbytes), 1)
         try:
-            made = cl.Buffer(self.context, cl.mem_flags.READ_WRITE, size)
+            flags = cl.mem_flags.READ_WRITE | (cl.mem_flags.ALLOC_HOST_PTR if mapped else 0)
+            made = cl.Buffer(self.context, flags, size)
             self.allocated += size
             return made
         except cl.Error as error:

@@ -10,6 +10,7 @@ import numpy as np
 import pyopencl as cl
 import pyopencl.array
 
+from gffe_cl import inference
 from gffe_cl.camera import Camera, predict_camera
 from gffe_cl.device import Device
 from gffe_cl.errors import GffeError
@@ -25,6 +26,7 @@ from gffe_cl.frame import (
 )
 from gffe_cl.stage import BufferSpec, DeviceFrame, Sizes, Stage
 from gffe_cl.stages.background import MAX_LEVELS, Background
+from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.holes import METHODS, HoleFilling
 from gffe_cl.stages.prediction import MAX_ORDER, PositionPrediction
@@ -49,7 +51,11 @@ class Options:
     levels : L, levels of the background; 0 goes without
     hole_filling : "far-side" continues the far side of disocclusions, "push-pull" takes a pyramid of means,
         "downsample" the image downsampled 32× (the paper's), "none" leaves them black at infinite depth
-    shading_inputs : True also makes the inputs of the shading correction network
+    shading_inputs : True also makes the inputs of the shading correction network where it is off
+    shading_correction : run the shading correction network; None: if there is a model, `scn_model` or the package's own
+    focus_mask : False takes all of the network's image, not what its focus mask chooses
+    scn_model : path of an ONNX model instead of the package's weights
+    scn_provider : of onnxruntime, for the network: "cpu", "cuda", … (`gffe_cl.inference.PROVIDERS`)
     """
 
     history: int = 2
@@ -60,6 +66,10 @@ class Options:
     levels: int = 2
     hole_filling: str = "far-side"
     shading_inputs: bool = False
+    shading_correction: bool | None = None
+    focus_mask: bool = True
+    scn_model: str | None = None
+    scn_provider: str = "cpu"
 
     def __post_init__(self):
         if not 2 <= self.history <= MAX_ORDER + 1:
@@ -72,6 +82,13 @@ class Options:
             raise GffeError(f"options: hole filling must be {', '.join(HOLE_FILLINGS)}, got '{self.hole_filling}'")
         if self.static_threshold is not None and not (0 <= self.static_threshold < float("inf")):
             raise GffeError(f"options: static threshold must be a number of pixels ≥ 0, got {self.static_threshold}")
+
+    @property
+    def corrects_shading(self) -> bool:
+        """Whether the shading correction network runs."""
+        if self.shading_correction is None:
+            return self.scn_model is not None or inference.default_model() is not None
+        return self.shading_correction
 
 
 @dataclass(frozen=True)
@@ -105,7 +122,8 @@ class ExtrapolatedFrame:
 
     `color` (half ×4, linear RGB), `depth` (float, world units, +inf sky), `motion` (float ×2, pixels,
     t + α → t, into the rendered image of t), `dynamic`, `disoccluded`, `filled_by` (uchar) are device buffers of
-    the pipeline: they hold this frame until its next `extrapolate`.
+    the pipeline: they hold this frame until its next `extrapolate`. `gae` is the colour before shading correction, the
+    same buffer as `color` where that is off.
     """
 
     camera: Camera
@@ -118,13 +136,18 @@ class ExtrapolatedFrame:
     dynamic: cl.Buffer
     disoccluded: cl.Buffer
     filled_by: cl.Buffer
-    _stage: Stage
+    gae: cl.Buffer
+    _warp: Stage
 
     def numpy(self, name: str) -> np.ndarray:
-        """Copy to the host: "color" (H, W, 3) float16, "depth" (H, W) float32, "motion" (H, W, 2) float32,
+        """Copy to the host: "color", "gae" (H, W, 3) float16, "depth" (H, W) float32, "motion" (H, W, 2) float32,
         "dynamic", "disoccluded", "filled_by" (H, W) uint8."""
-        array = self._stage.read(name)
-        return array[..., :3] if name == "color" else array
+        if name not in ("color", "gae"):
+            return self._warp.read(name)
+        spec = self._warp.spec("color")
+        array = np.empty(spec.shape(self._warp.sizes), spec.dtype)
+        cl.enqueue_copy(self._warp.device.queue, array, getattr(self, name))
+        return array[..., :3]
 
 
 class Pipeline:
@@ -142,6 +165,13 @@ class Pipeline:
         Rendered frames per second, used for α until two frames are known.
     int64_atomics : bool or None
         Force or forbid the 64-bit path of the warp; None: as the device can. Both give the same bits.
+
+    Attributes
+    ----------
+    exposure : float
+        Factor on colour before display, for the shading correction network; may change from frame to frame.
+    bad_pixels : BadPixels
+        Met so far.
 
     Nothing is allocated on the device or compiled after construction, but for the first uploads of host arrays and
     with the first frame that is rendered through a window.
@@ -165,6 +195,7 @@ class Pipeline:
         self.options = options or Options()
         self.sizes = Sizes(source=tuple(render_size or (width, height)), target=(width, height))
         self.fps = fps
+        self.exposure = 1.0
         self.bad_pixels = BadPixels()
         self.history = HistoryTracking(device, self.sizes, self.options.history, self.options.static_threshold)
         self.prediction = PositionPrediction(device, self.sizes, self.options.order)
@@ -173,8 +204,15 @@ class Pipeline:
         self.background = (
             Background(device, self.sizes, self.options.levels, int64_atomics) if self.options.levels else None
         )
-        self.shading = ShadingInputs(device, self.sizes) if self.options.shading_inputs else None
-        stages = (self.history, self.prediction, self.warp, self.background, self.holes, self.shading)
+        self.correction: ShadingCorrection | None = None
+        if self.options.corrects_shading:
+            network = inference.load_network(self.options.scn_model, self.options.scn_provider)
+            self.correction = ShadingCorrection(device, self.sizes, network)
+        with_inputs = self.options.shading_inputs or self.correction
+        self.shading = ShadingInputs(device, self.sizes) if with_inputs else None
+        stages = (
+            self.history, self.prediction, self.warp, self.background, self.holes, self.shading, self.correction
+        )  # fmt: skip
         self.stages: tuple[Stage, ...] = tuple(stage for stage in stages if stage)
         self.presentation: Presentation | None = None  # made, and added to `stages`, with the first windowed frame
         self._slots: list[DeviceFrame] = []
@@ -277,7 +315,8 @@ class Pipeline:
         target_position: np.ndarray | None = None,
     ) -> ExtrapolatedFrame:
         """Make the frame at `time` (seconds; default: half an interval ahead) seen by `camera` (default:
-        the predicted camera). Returns at once; reading a buffer waits.
+        the predicted camera). Returns at once, unless it waits for the shading correction network; reading a buffer
+        waits.
 
         `target_position` (H, W, 4) float32 replaces position prediction, for experiments: x, y in target
         pixels, view depth there (−1: nothing), 0, for every pixel of the rendered frame.
@@ -306,10 +345,17 @@ class Pipeline:
             self.holes.fill_holes(source, self.warp, camera)
         if self.shading:
             self.shading.prepare(source, self._previous, self.warp, camera)
-        buffers = {
-            name: self.warp.buffer[name] for name in ("color", "depth", "motion", "dynamic", "disoccluded", "filled_by")
-        }
-        return ExtrapolatedFrame(camera, time, alpha, source.time, **buffers, _stage=self.warp)
+        made, final = self.warp.buffer, self.warp.buffer["color"]
+        if self.correction:
+            final = self.correction.buffer["color"]
+            if self._previous is None:
+                self.correction.skip(self.warp)
+            else:
+                self.correction.correct(self.warp, self.shading, alpha, self.exposure, self.options.focus_mask)
+        buffers = {name: made[name] for name in ("depth", "motion", "dynamic", "disoccluded", "filled_by")}
+        return ExtrapolatedFrame(
+            camera, time, alpha, source.time, color=final, gae=made["color"], **buffers, _warp=self.warp
+        )
 
     def _need_frame(self) -> DeviceFrame:
         if self._current is None:
@@ -327,9 +373,11 @@ class Pipeline:
                 yield stage, spec
 
     def take_timings(self) -> dict[str, float]:
-        """Milliseconds of kernel time per stage since the last call (waits for the device)."""
+        """Milliseconds of kernel time per stage since the last call (waits for the device); with shading correction
+        "network" is the wall time in the network."""
         self.device.queue.finish()
-        return {stage.name: stage.take_milliseconds() for stage in self.stages}
+        timings = {stage.name: stage.take_milliseconds() for stage in self.stages}
+        return timings | ({"network": self.correction.take_network_milliseconds()} if self.correction else {})
 
 
 def _as_buffer(array: Any) -> cl.Buffer | None:

@@ -15,6 +15,7 @@ import pyopencl as cl
 from gffe_cl.camera import Camera
 from gffe_cl.device import Device
 from gffe_cl.frame import BYTES_PER_PIXEL, PackedFrame
+from gffe_cl.inference import MULTIPLE
 from gffe_cl.program import build
 
 _EVENTS = 1024  # kept per stage for whoever asks for timings
@@ -34,11 +35,11 @@ class BufferSpec:
     """One named buffer of a stage.
 
     `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "blocks"
-    (target / 32, rounded up), "level0" … (source / 2^l, rounded up), "mip1" … (target / 2^l, rounded up) or
-    "once" (no image). `components` name its channels; a single one goes without. `view` says what it means, and so
-    how to show it: "color" (linear RGB), "depth" (view z), "motion" (pixels, from here), "place" (position in pixels),
-    "world" (position in the view space of the rendered camera), "mask" (0 or 1), "label" (`labels` name its values),
-    "scalar".
+    (target / 32, rounded up), "level0" … (source / 2^l, rounded up), "mip1" … (target / 2^l, rounded up), "network"
+    (target / 2, rounded up to multiples of 16) or "once" (no image). `components` name its channels; a single one goes
+    without. `view` says what it means, and so how to show it: "color" (linear RGB), "depth" (view z), "motion" (pixels,
+    from here), "place" (position in pixels), "world" (position in the view space of the rendered camera), "mask" (0 or
+    1), "label" (`labels` name its values), "scalar". `mapped`: the host works in it.
     """
 
     name: str
@@ -49,6 +50,7 @@ class BufferSpec:
     view: str = "scalar"
     planes: int = 1
     labels: tuple[tuple[int, str], ...] = ()
+    mapped: bool = False
 
     @property
     def channels(self) -> int:
@@ -64,6 +66,7 @@ class BufferSpec:
             "source": sizes.source,
             "target": sizes.target,
             "blocks": halved(sizes.target, 5),
+            "network": tuple(-(-n // MULTIPLE) * MULTIPLE for n in halved(sizes.target, 1)),
             "once": (1, 1),
         }[self.grid]
 
@@ -128,7 +131,7 @@ class Stage:
 
     def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
         """New device buffers by name, all bits zero."""
-        made = {spec.name: self.device.buffer(spec.nbytes(self.sizes)) for spec in specs}
+        made = {spec.name: self.device.buffer(spec.nbytes(self.sizes), spec.mapped) for spec in specs}
         for buffer in made.values():
             cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint8(0), 0, buffer.size)
         return made
@@ -148,6 +151,10 @@ class Stage:
         event = cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint8(byte), 0, nbytes or buffer.size)
         self.events.append(("fill", event))
 
+    def copy(self, to: cl.Buffer, of: cl.Buffer) -> None:
+        """Enqueue a copy between buffers of one size."""
+        self.events.append(("copy", cl.enqueue_copy(self.device.queue, to, of)))
+
     def take_milliseconds(self) -> float:
         """Kernel time since events were last taken; the device must have finished."""
         return sum(e.profile.end - e.profile.start for _, e in self.take_events()) * 1e-6
@@ -161,9 +168,12 @@ class Stage:
         """Copy host values into a named buffer."""
         cl.enqueue_copy(self.device.queue, self.buffer[name], values)
 
+    def spec(self, name: str) -> BufferSpec:
+        return next(spec for spec in self.buffers if spec.name == name)
+
     def read(self, name: str) -> np.ndarray:
         """Copy a named buffer to the host."""
-        spec = next(spec for spec in self.buffers if spec.name == name)
+        spec = self.spec(name)
         out = np.empty(spec.shape(self.sizes), spec.dtype)
         cl.enqueue_copy(self.device.queue, out, self.buffer[name])
         return out

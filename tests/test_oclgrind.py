@@ -11,7 +11,7 @@ import pytest
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("case", ["int64", "int32", "scene"])
+@pytest.mark.parametrize("case", ["int64", "int32", "shading", "scene"])
 def test_oclgrind_reports_nothing(case, tmp_path):
     if shutil.which("oclgrind") is None:
         assert not os.environ.get("CI"), "CI must have oclgrind"

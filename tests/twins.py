@@ -830,6 +830,73 @@ def focus_mask(color, truth, dynamic, exposure):
     return ((least > F(1.5)) & (dynamic == 0)).astype(np.uint8)
 
 
+# ---- shading correction --------------------------------------------------------------------------------
+
+
+def encode(color, exposure):
+    """μ-law: ln(1 + μ · exposure · c / 8) / ln(1 + μ) for μ = 5000; negative colour is black."""
+    return np.log(F(1) + F(5000 * exposure / 8) * np.maximum(color, F(0))) * F(1 / np.log(5001))
+
+
+def decode(encoded, exposure):
+    with np.errstate(over="ignore"):
+        grown = np.exp(np.maximum(encoded, F(0)) / F(1 / np.log(5001)))
+    return np.minimum((grown - F(1)) / F(5000 * exposure / 8), F(65504))
+
+
+def depth_median(depth):
+    """Middle of the bin, 1/128 of a power of two wide, that holds the median of the finite depths; 1 without."""
+    bits = np.sort(depth[np.isfinite(depth) & (depth > 0)].view(np.uint32))
+    if not len(bits):
+        return F(1)
+    return np.array([bits[(len(bits) + 1) // 2 - 1] >> 16 << 16 | 1 << 15], np.uint32).view(F)[0]
+
+
+def network_input(color, previous, depth, mask, exposure, network_size):
+    """(8, h, w) float32 from the GAE frame, the warped previous frame (H, W, 4) and the input mask (H, W)."""
+    inverse = np.minimum(depth_median(depth) / depth, F(8))
+    colors = [encode(load_color(image), exposure) for image in (color, previous)]
+    planes = np.concatenate([*colors, inverse[..., None], mask.astype(F)[..., None]], -1)
+    (height, width), (w, h) = depth.shape, network_size
+    j, i = np.mgrid[:h, :w]
+    total = np.zeros((h, w, 8), F)
+    for tap in range(4):
+        total = total + planes[np.minimum(2 * j + (tap >> 1), height - 1), np.minimum(2 * i + (tap & 1), width - 1)]
+    return np.moveaxis(F(0.25) * total, -1, 0)
+
+
+def correct(color, frames, correction, exposure, within_mask=True):
+    """(refined (H, W, 4) float16, focus mask (H, W) float16, final (H, W, 4) float16)."""
+    height, width = color.shape[:2]
+    half_height, half_width = frames.shape[1:]
+    y, x = np.mgrid[:height, :width]
+    x0, y0 = (x - 1) >> 1, (y - 1) >> 1
+    u, v = np.where(x & 1, F(0.25), F(0.75)), np.where(y & 1, F(0.25), F(0.75))
+
+    def full(plane):
+        total = 0
+        for tap in range(4):
+            tx, ty = np.clip(x0 + (tap & 1), 0, half_width - 1), np.clip(y0 + (tap >> 1), 0, half_height - 1)
+            total = total + (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v) * plane[ty, tx]
+        return total
+
+    rgb = load_color(color)
+    with np.errstate(invalid="ignore", over="ignore"):
+        low, delta = (np.stack([full(image[k]) for k in range(3)], -1) for image in (frames, correction))
+        encoded = low + delta + full(correction[3])[..., None] * (encode(rgb, exposure) - low)
+        m = full(correction[4])
+        usable = np.isfinite(encoded.sum(-1) + m)
+        m = np.where(usable & (m >= F(1 / 32)), np.minimum(m, F(1)), F(0))
+        corrected = decode(encoded, exposure)
+        share = (m if within_mask else usable.astype(F))[..., None]
+        mixed = rgb * (F(1) - share) + corrected * share
+    refined, final = color.copy(), color.copy()
+    refined[usable, :3], refined[usable, 3] = corrected[usable].astype(np.float16), 0
+    touched = share[..., 0] > 0
+    final[touched, :3], final[touched, 3] = mixed[touched].astype(np.float16), 0
+    return refined, m.astype(np.float16), final
+
+
 # ---- presentation --------------------------------------------------------------------------------------
 
 

@@ -1,0 +1,136 @@
+"""Running the shading correction network with onnxruntime.
+
+A model takes `frames` (1, 8, h, w) and `alpha` (1,) and gives `correction` (1, 5, h, w), all float32, for any h and w
+that are multiples of 16.
+"""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from gffe_cl.errors import GffeError
+
+MULTIPLE = 16  # of the network's width and height
+INPUT_PLANES, OUTPUT_PLANES = 8, 5
+PROVIDERS = {
+    "cpu": "CPUExecutionProvider",
+    "cuda": "CUDAExecutionProvider",
+    "directml": "DmlExecutionProvider",
+    "openvino": "OpenVINOExecutionProvider",
+    "webgpu": "WebGpuExecutionProvider",
+    "coreml": "CoreMLExecutionProvider",
+    "tensorrt": "TensorrtExecutionProvider",
+}
+_FLOAT = "tensor(float)"
+_loaded: dict[tuple, Network] = {}
+
+
+def default_model() -> Path | None:
+    """The weights that come with the package, if they do."""
+    path = Path(str(files("gffe_cl") / "scn" / "weights" / "scn.onnx"))
+    return path if path.is_file() else None
+
+
+def scn_missing() -> str | None:
+    """Why the shading correction network is not on by default; None where it is."""
+    if default_model() is None:
+        return "no trained weights for the shading correction network are installed"
+    return None
+
+
+def load_network(path: str | Path | None = None, provider: str = "cpu") -> Network:
+    """The network of the ONNX file `path` (None: of the package) on a provider of onnxruntime: a key of `PROVIDERS` or
+    onnxruntime's own name. Loaded once as long as the file stays the same. Raises GffeError."""
+    path = default_model() if path is None else Path(path)
+    if path is None:
+        raise GffeError(f"{scn_missing()}: expected gffe_cl/scn/weights/scn.onnx, or another model's path")
+    if not path.is_file():
+        raise GffeError(f"{path}: no such file (expected a shading correction network, ONNX)")
+    name, state = _provider(provider), path.stat()
+    key = (path.resolve(), state.st_mtime_ns, state.st_size, name)
+    if key not in _loaded:
+        _loaded[key] = Network(path, name)
+    return _loaded[key]
+
+
+class Network:
+    """A session of onnxruntime; see `load_network`. `provider` is onnxruntime's name of it."""
+
+    def __init__(self, path: Path, provider: str):
+        import onnxruntime
+
+        self.path, self.provider = path, provider
+        options = onnxruntime.SessionOptions()
+        options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_ALL
+        for kind in ("intra_op", "inter_op"):
+            options.add_session_config_entry(f"session.{kind}.allow_spinning", "0")
+        options.log_severity_level = 3
+        providers = list(dict.fromkeys((provider, PROVIDERS["cpu"])))
+        try:
+            self.session = onnxruntime.InferenceSession(str(path), options, providers)
+        except Exception as error:  # onnxruntime's classes have no common base
+            raise GffeError(f"{path}: cannot be loaded (expected an ONNX model): {_one_line(error)}") from None
+        if provider not in self.session.get_providers():
+            raise GffeError(f"provider {provider} does not work here (expected its libraries and a device)")
+        _require(path, "input", self.session.get_inputs(), {"frames": (1, INPUT_PLANES, None, None), "alpha": (1,)})
+        _require(path, "output", self.session.get_outputs(), {"correction": (1, OUTPUT_PLANES, None, None)})
+
+    def run(self, frames: np.ndarray, alpha: float, correction: np.ndarray) -> None:
+        """Read `frames` (8, h, w), write `correction` (5, h, w): C-contiguous float32, used in place on the CPU."""
+        time = np.array([alpha], np.float32)
+        binding = self.session.io_binding()
+        try:
+            for name, array, shape in (("frames", frames, (1, *frames.shape)), ("alpha", time, (1,))):
+                binding.bind_input(name, "cpu", 0, np.float32, shape, array.ctypes.data)
+            shape = (1, *correction.shape)
+            binding.bind_output("correction", "cpu", 0, np.float32, shape, correction.ctypes.data)
+            self.session.run_with_iobinding(binding)
+            binding.synchronize_outputs()
+        except Exception as error:
+            raise GffeError(f"{self.path}: the network failed on {self.provider}: {_one_line(error)}") from None
+
+
+def _provider(name: str) -> str:
+    """onnxruntime's name of a provider that is available."""
+    import onnxruntime
+
+    available = onnxruntime.get_available_providers()
+    wanted = PROVIDERS.get(name.lower(), name)
+    if wanted in available:
+        return wanted
+    short = {full: key for key, full in PROVIDERS.items()}
+    raise GffeError(
+        f"provider '{name}' is not available in this onnxruntime (there is:"
+        f" {', '.join(short.get(full, full) for full in available)})"
+    )
+
+
+def _require(path: Path, kind: str, values: list, expected: dict[str, tuple]) -> None:
+    """GffeError unless the model's inputs or outputs are `expected`: shapes by name, None where any size must do."""
+    found = {value.name: value for value in values}
+    if set(found) != set(expected):
+        raise GffeError(
+            f"{path}: no shading correction network: {kind}s {', '.join(sorted(found))}"
+            f" (expected {', '.join(sorted(expected))})"
+        )
+    for name, shape in expected.items():
+        value = found[name]
+        fits = len(value.shape) == len(shape) and all(
+            not isinstance(have, int) or have == want for have, want in zip(value.shape, shape, strict=True)
+        )
+        if not fits or value.type != _FLOAT:
+            raise GffeError(
+                f"{path}: no shading correction network: {kind} {name} is {value.type} {_shape(value.shape)}"
+                f" (expected {_FLOAT} {_shape(shape)})"
+            )
+
+
+def _shape(shape) -> str:
+    return "×".join("any" if n is None else str(n) for n in shape)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200]

@@ -1,0 +1,372 @@
+"""The shading correction network in the pipeline, with small models in place of the trained one."""
+
+from pathlib import Path
+
+import numpy as np
+import pyopencl as cl
+import pytest
+import twins
+from scn_models import ALPHA, FLOAT, FRAMES, constant_model, look_model, save
+from synthetic import Rect, Rects, camera
+from test_twins import run
+
+from gffe_cl import GffeError, Options, Pipeline, inference
+from gffe_cl.device import quiet_builds
+from gffe_cl.inference import load_network
+from gffe_cl.stage import Sizes
+from gffe_cl.stages.correction import ShadingCorrection
+from gffe_cl.stages.shading import ShadingInputs
+from gffe_cl.stages.warp import Warp
+
+SIZES = [(61, 37), (64, 48), (1, 5), (7, 1), (1, 1), (33, 66)]
+
+
+@pytest.fixture
+def model(tmp_path):
+    return lambda *args, **values: constant_model(tmp_path / "model.onnx", *args, **values)
+
+
+def put(stage, **arrays):
+    for name, array in arrays.items():
+        cl.enqueue_copy(stage.device.queue, stage.buffer[name], np.ascontiguousarray(array))
+
+
+def images(size, rng):
+    """An extrapolated frame with all there can be: (colour, depth, warped previous, input mask)."""
+    height, width = size[1], size[0]
+    colors = [rng.lognormal(-1, 2, (height, width, 4)).astype(np.float16) for _ in range(2)]
+    for color in colors:
+        for value in (0, -3, 60000, -0.0, 6e-8):
+            color[rng.integers(height), rng.integers(width), rng.integers(3)] = value
+    depth = rng.lognormal(1, 2, (height, width)).astype(np.float32)
+    depth[rng.random((height, width)) < 0.2] = np.inf
+    return colors[0], depth, colors[1], rng.choice([0, 0.5, 1], (height, width)).astype(np.float16)
+
+
+def made_stages(device, size, network=None):
+    sizes = Sizes(size, size)
+    return Warp(device, sizes, True, None), ShadingInputs(device, sizes), ShadingCorrection(device, sizes, network)
+
+
+def assert_half_close(got, expected):
+    """Within two units in the last place of a half: log and exp differ between runtimes."""
+    np.testing.assert_allclose(got.astype(np.float64), expected.astype(np.float64), rtol=2e-3, atol=1e-6)
+
+
+# ---- kernels -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("exposure", [1.0, 0.05])
+def test_network_input_equals_its_twin(device, size, exposure):
+    """Median to the bit; encoded colours within a few roundings."""
+    color, depth, previous, mask = images(size, np.random.default_rng(1))
+    warp, shading, correction = made_stages(device, size)
+    put(warp, color=color, depth=depth)
+    put(shading, warped_previous=previous, input_mask=mask)
+    for _ in range(2):  # nothing is left over
+        correction.prepare(warp, shading, exposure)
+    assert correction.read("median_depth") == twins.depth_median(depth)
+    got = correction.read("frames")
+    assert got.shape[2] % 16 == got.shape[1] % 16 == 0 and got.shape[2] >= size[0] / 2
+    expected = twins.network_input(color, previous, depth, mask, exposure, correction.network_size)
+    np.testing.assert_allclose(got, expected, rtol=2e-6, atol=2e-7)
+    assert np.array_equal(got[7], expected[7])
+
+
+@pytest.mark.parametrize(
+    ("depth", "expected"),
+    [
+        (np.full((40, 50), np.inf), 1.0),
+        (np.full((40, 50), 2.0), 2.0),
+        (np.r_[np.full(1000, 3.0), np.full(999, 90.0), np.inf].reshape(40, 50), 3.0),
+        (np.r_[np.full(999, 3.0), np.full(1000, 90.0), np.inf].reshape(40, 50), 90.0),
+        (np.r_[np.full(1999, np.nan), 1e30].reshape(40, 50), 1e30),
+        (np.r_[np.full(1998, -1.0), 1e-30, 1e-39].reshape(40, 50), 1e-39),
+    ],
+)
+def test_median_depth(device, depth, expected):
+    warp, shading, correction = made_stages(device, (50, 40))
+    put(warp, depth=depth.astype(np.float32))
+    correction.prepare(warp, shading, 1.0)
+    assert correction.read("median_depth") == pytest.approx(expected, rel=1 / 200, abs=1e-40)
+    assert correction.read("median_depth") == twins.depth_median(depth.astype(np.float32))
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("within_mask", [True, False])
+@pytest.mark.parametrize("exposure", [1.0, 0.05])
+def test_correct_equals_its_twin(device, size, within_mask, exposure):
+    """The mask and what it leaves alone to the bit."""
+    rng = np.random.default_rng(2)
+    color, depth, previous, mask = images(size, rng)
+    warp, shading, correction = made_stages(device, size)
+    put(warp, color=color, depth=depth)
+    put(shading, warped_previous=previous, input_mask=mask)
+    correction.prepare(warp, shading, exposure)
+    frames = correction.read("frames")
+    said = rng.normal(0, 0.3, correction.spec("correction").shape(correction.sizes)).astype(np.float32)
+    said[3] = rng.uniform(-0.5, 1.5, said[3].shape)
+    said[4] = np.where(rng.random(said[4].shape) < 0.6, 0, rng.uniform(-0.1, 1.2, said[4].shape))
+    for value in (np.nan, np.inf, -np.inf, 1e38):
+        said[rng.integers(5), rng.integers(said.shape[1]), rng.integers(said.shape[2])] = value
+    put(correction, correction=said)
+    correction.compose(warp, exposure, within_mask)
+    refined, focus, final = twins.correct(color, frames, said, exposure, within_mask)
+    assert correction.read("focus_mask").tobytes() == focus.tobytes()
+    assert_half_close(correction.read("refined"), refined)
+    got = correction.read("color")
+    assert_half_close(got, final)
+    if within_mask:
+        assert got[focus == 0].tobytes() == color[focus == 0].tobytes()
+        assert np.isfinite(got).all()
+    if min(size) > 30:
+        assert 0.1 < (focus == 0).mean() < 0.9 and (focus == 1).any()
+
+
+# ---- the pipeline --------------------------------------------------------------------------------------
+
+
+def corrected(device, model, size=(61, 37), **options):
+    pipeline, *_, made = run(device, *size, Options(scn_model=model, **options))
+    return pipeline, made
+
+
+def bits(array):
+    return np.ascontiguousarray(array).tobytes()
+
+
+@pytest.mark.parametrize("size", [(61, 37), (1, 24), (40, 1)])
+def test_an_empty_mask_changes_no_bit(device, model, size):
+    _, made = corrected(device, model(delta=0.3, mask=0.031), size)
+    assert made.color is not made.gae and bits(made.numpy("color")) == bits(made.numpy("gae"))
+    _, plain = corrected(device, None, size, shading_correction=False)
+    assert plain.color is plain.gae and bits(made.numpy("gae")) == bits(plain.numpy("color"))
+    for name in ("depth", "motion", "filled_by"):
+        assert bits(made.numpy(name)) == bits(plain.numpy(name))
+
+
+@pytest.mark.parametrize("size", [(61, 37), (1, 24)])
+def test_no_change_leaves_the_picture(device, model, size):
+    """Δ = 0 and all detail kept: the picture again, but for the encoding's rounding."""
+    _, made = corrected(device, model(), size)
+    gae = made.numpy("gae").astype(np.float64)
+    shown = (gae >= 0).all(-1)
+    np.testing.assert_allclose(made.numpy("color")[shown], gae[shown], rtol=2e-3, atol=2e-6)
+
+
+def test_detail_that_is_not_kept_blurs(device, model):
+    _, made = corrected(device, model(keep=0.0))
+    shown = (np.log1p(np.maximum(made.numpy(name), 0).astype(np.float64)) for name in ("gae", "color"))
+    sharp, blurred = (np.abs(np.diff(image, axis=1)).mean() for image in shown)
+    assert blurred < 0.9 * sharp
+
+
+def test_a_change_counts_within_the_mask_only(device, tmp_path):
+    """M = the input mask where movers are: they get brighter, nothing else does."""
+    from onnx import helper
+
+    nodes = [
+        helper.make_node("Gather", ["frames", "last"], ["mask"], axis=1),
+        helper.make_node("Greater", ["mask", "limit"], ["moving"]),
+        helper.make_node("Cast", ["moving"], ["focus"], to=FLOAT),
+        helper.make_node("Mul", ["focus", "scale"], ["scaled"]),
+        helper.make_node("Add", ["scaled", "constant"], ["correction"]),
+    ]
+    values = {
+        "last": np.array([7]),
+        "limit": np.array([0.9], np.float32),
+        "scale": np.array([0, 0, 0, 0, 1], np.float32).reshape(1, 5, 1, 1),
+        "constant": np.array([0.05, 0.05, 0.05, 1, 0], np.float32).reshape(1, 5, 1, 1),
+    }
+    path = save(tmp_path / "m.onnx", nodes, values)
+    pipeline, made = corrected(device, path)
+    mask, gae, final = pipeline.correction.read("focus_mask"), made.numpy("gae"), made.numpy("color")
+    assert 0.01 < (mask > 0).mean() < 0.9
+    assert bits(final[mask == 0]) == bits(gae[mask == 0])
+    inside = mask == 1
+    assert inside.any() and (final[inside] > gae[inside]).mean() > 0.9
+    _, whole = corrected(device, path, focus_mask=False)
+    lit = (gae > 0).all(-1) & (gae < 3e4).all(-1)
+    assert (whole.numpy("color")[lit] > gae[lit]).all()
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("focus_mask", [True, False])
+def test_bad_output_counts_as_no_mask(device, model, bad, focus_mask):
+    for values in ({"delta": bad}, {"keep": bad}, {"mask": bad}):
+        _, made = corrected(device, model(**values), focus_mask=focus_mask)
+        assert bits(made.numpy("color")) == bits(made.numpy("gae")), values
+
+
+def test_alpha_reaches_the_network(device, model):
+    pipeline, made = corrected(device, model(mask="alpha"))
+    assert made.alpha == pytest.approx(0.6)
+    assert (pipeline.correction.read("focus_mask") == np.float16(np.float32(made.alpha))).all()
+
+
+def test_exposure_reaches_the_network(device, tmp_path):
+    """Half the exposure on twice the colour is the same to the network."""
+    path, seen = look_model(tmp_path / "m.onnx", (0, 1, 2, 3, 4)), []
+    scene = Rects([Rect((0, 0, 8), frequency=0.5)])
+    for scale in (1.0, 4.0):
+        pipeline = Pipeline(device, 40, 24, Options(scn_model=path))
+        pipeline.exposure = 1 / scale
+        for k in range(2):
+            frame = scene.frame(camera(40, 24), k / 30, 40, 24, (camera(40, 24), 0), reset=k == 0)
+            frame.color = frame.color * np.float16(scale)
+            pipeline.submit(frame)
+        pipeline.extrapolate()
+        seen.append(pipeline.correction.read("frames"))
+    np.testing.assert_allclose(seen[0], seen[1], rtol=1e-5)
+    assert seen[0][:3].std() > 0.01
+
+
+def test_after_a_reset_there_is_nothing_to_correct(device, model):
+    scene, cam = Rects([Rect((0, 0, 8), frequency=0.5)]), camera(40, 24)
+    pipeline = Pipeline(device, 40, 24, Options(scn_model=model(delta=0.2)))
+    for k, reset in enumerate((True, False, True)):
+        pipeline.submit(scene.frame(cam, k / 30, 40, 24, (cam, 0), reset=reset))
+        made = pipeline.extrapolate()
+        assert (bits(made.numpy("color")) == bits(made.numpy("gae"))) == reset
+        assert (pipeline.correction.read("focus_mask") == (0 if reset else 1)).all()
+        assert (pipeline.take_timings()["network"] == 0) == reset
+
+
+def test_off_by_choice_or_for_want_of_weights(device, model, monkeypatch):
+    monkeypatch.setattr(inference, "default_model", lambda: None)
+    assert Pipeline(device, 8, 8).correction is None and inference.scn_missing()
+    with pytest.raises(GffeError, match=r"no trained weights .* expected gffe_cl/scn/weights/scn.onnx"):
+        Pipeline(device, 8, 8, Options(shading_correction=True))
+    path = model()
+    assert Pipeline(device, 8, 8, Options(shading_correction=False, scn_model=path)).correction is None
+    monkeypatch.setattr(inference, "default_model", lambda: Path(path))
+    assert Pipeline(device, 8, 8).correction and inference.scn_missing() is None
+
+
+def test_five_runs_of_a_corrected_frame_give_the_same_bits(device, model):
+    path, first = model(delta=0.1, mask=0.5), None
+    for _ in range(5):
+        pipeline, made = corrected(device, path)
+        now = bits(made.numpy("color")), bits(pipeline.correction.read("frames"))
+        first = first or now
+        assert now == first
+
+
+# ---- onnxruntime ---------------------------------------------------------------------------------------
+
+WRITES_ADDRESS = "__kernel void where(__global ulong *a) { a[0] = (ulong)a; }"
+
+
+def test_nothing_is_copied_on_cpu_devices(device, model):
+    """The memory that kernels write to is the memory that is mapped, and the memory that onnxruntime works in."""
+    pipeline, _ = corrected(device, model(delta=0.1))
+    stage, seen = pipeline.correction, []
+
+    class Spy:
+        def run(self, frames, alpha, correction):
+            seen.append((frames.ctypes.data, correction.ctypes.data))
+            network.run(frames, alpha, correction)
+
+    network, stage.network = stage.network, Spy()
+    for _ in range(3):
+        stage.infer(0.5)
+    assert len(set(seen)) == 1
+    if not device.cl_device.type & cl.device_type.CPU:
+        pytest.skip("only CPU devices share memory with the host")
+    with quiet_builds():
+        where = cl.Program(device.context, WRITES_ADDRESS).build().where
+    for name, mapped in zip(("frames", "correction"), seen[0], strict=True):
+        where(device.queue, (1,), None, stage.buffer[name])
+        address = np.empty(1, np.uint64)
+        cl.enqueue_copy(device.queue, address, stage.buffer[name])
+        assert address[0] == mapped, name
+
+
+def test_onnxruntime_works_in_the_memory_it_is_given(tmp_path):
+    """What is written to the bound input after binding is seen, and the output is where it was bound."""
+    session = load_network(look_model(tmp_path / "m.onnx")).session
+    frames, alpha = np.zeros((1, 8, 16, 16), np.float32), np.zeros(1, np.float32)
+    out = np.empty((1, 5, 16, 16), np.float32)
+    binding = session.io_binding()
+    for name, array in (("frames", frames), ("alpha", alpha)):
+        binding.bind_input(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
+    binding.bind_output("correction", "cpu", 0, np.float32, out.shape, out.ctypes.data)
+    frames[:] = 3
+    session.run_with_iobinding(binding)
+    assert (out == 3).all() and binding.get_outputs()[0].data_ptr() == out.ctypes.data
+
+
+def test_one_session_per_model_and_provider(model):
+    path = model()
+    first = load_network(path)
+    assert load_network(path, "CPUExecutionProvider") is first is load_network(str(path), "cpu")
+    options = first.session.get_session_options()
+    for kind in ("intra_op", "inter_op"):
+        assert options.get_session_config_entry(f"session.{kind}.allow_spinning") == "0"
+    model(delta=0.5)  # the file changes
+    assert load_network(path) is not first
+
+
+@pytest.mark.parametrize("provider", ["cuda", "tensorrt", "webgpu", "CoreMLExecutionProvider", "abacus"])
+def test_providers_that_are_not_there(model, provider):
+    from onnxruntime import get_available_providers
+
+    if inference.PROVIDERS.get(provider, provider) in get_available_providers():
+        pytest.skip("is there")
+    with pytest.raises(GffeError, match=rf"provider '{provider}' is not available .*there is: .*cpu"):
+        load_network(model(), provider)
+
+
+def _foreign(tmp_path, inputs=(("frames", FLOAT, FRAMES), ("alpha", FLOAT, ALPHA)), outputs=None):
+    from onnx import helper
+
+    outputs = outputs or (("correction", FLOAT, (1, 5, "h", "w")),)
+    node = helper.make_node("Identity", [inputs[0][0]], [outputs[0][0]])
+    return save(tmp_path / "foreign.onnx", [node], {}, inputs, outputs)
+
+
+def test_models_that_are_none(tmp_path):
+    """One line each: what, where, what was expected."""
+    from onnx import TensorProto
+
+    alpha, frames = ("alpha", FLOAT, ALPHA), ("frames", FLOAT, FRAMES)
+    other = (("x", FLOAT, FRAMES), alpha), None, "inputs alpha, x .expected alpha, frames"
+    half = (("frames", TensorProto.FLOAT16, FRAMES), alpha), (("correction", TensorProto.FLOAT16, (1, 5, "h", "w")),)
+    fixed, channels = (1, 8, 64, 64), (1, 3, "h", "w")
+    cases = [
+        other,
+        ((frames,), None, "inputs frames .expected alpha, frames"),
+        ((frames, alpha), (("out", FLOAT, FRAMES),), "outputs out .expected correction"),
+        ((("frames", FLOAT, fixed), alpha), (("correction", FLOAT, fixed),), "frames is .* 1×8×64×64 .*1×8×any×any"),
+        ((("frames", FLOAT, channels), alpha), (("correction", FLOAT, channels),), "frames is .* 1×3×h×w"),
+        ((frames, ("alpha", FLOAT, ())), None, "input alpha is"),
+        (*half, r"frames is tensor.float16. 1×8×h×w .expected tensor.float. 1×8×any×any"),
+        ((frames, alpha), (("correction", FLOAT, FRAMES),), "output correction is .* 1×8×h×w .expected .* 1×5×any×any"),
+    ]
+    for inputs, outputs, expected in cases:
+        with pytest.raises(GffeError, match=rf"foreign.onnx: no shading correction network: .*{expected}") as caught:
+            load_network(_foreign(tmp_path, inputs, outputs))
+        assert "\n" not in str(caught.value)
+    for content in (b"", b"no model at all", b"\x00" * 4000):
+        (tmp_path / "junk.onnx").write_bytes(content)
+        with pytest.raises(GffeError, match=r"junk.onnx: .*expected an? .*ONNX") as caught:
+            load_network(tmp_path / "junk.onnx")
+        assert "\n" not in str(caught.value)
+    for path in (tmp_path / "none.onnx", tmp_path):
+        with pytest.raises(GffeError, match="no such file"):
+            load_network(path)
+
+
+def test_a_model_that_fails_says_so(device, tmp_path):
+    """A model that gives another size than asked for."""
+    from onnx import helper
+
+    nodes = [
+        helper.make_node("Gather", ["frames", "which"], ["five"], axis=1),
+        helper.make_node("MaxPool", ["five"], ["correction"], kernel_shape=[2, 2], strides=[2, 2]),
+    ]
+    path = save(tmp_path / "m.onnx", nodes, {"which": np.arange(5)}, outputs=(("correction", FLOAT, (1, 5, "a", "b")),))
+    with pytest.raises(GffeError, match=r"m.onnx: the network failed on CPUExecutionProvider") as caught:
+        corrected(device, path)
+    assert "\n" not in str(caught.value)
