@@ -15,6 +15,7 @@ from gffe_cl.viewer import commands, keys, theme, widgets
 from gffe_cl.viewer.actions import Actions
 from gffe_cl.viewer.model import Model
 from gffe_cl.viewer.panels import compare, inspector, kernels, layer_list, modules, picture, timeline, timings
+from gffe_cl.viewer.settings import can_save
 
 _TITLE = "gffe-cl"
 _LAYOUT_VERSION = 1
@@ -104,7 +105,7 @@ class App:
         params.imgui_window_params.remember_theme = False
         # multisampling costs a CPU more than all that is drawn, and ImGui smooths its edges itself
         params.renderer_backend_options.open_gl_options.anti_aliasing_samples = 0
-        params.ini_disable = test is not None
+        params.ini_disable = test is not None or not can_save()
         params.ini_folder_type = hello_imgui.IniFolderType.app_user_config_folder
         params.ini_filename = f"gffe-cl/layout{_LAYOUT_VERSION}.ini"
         params.docking_params = self._docking(size)

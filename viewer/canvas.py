@@ -237,7 +237,8 @@ class Canvas:
         that are needed at the same time."""
         framebuffer = self._target(target, size)
         with self.ctx.scope(framebuffer, moderngl.NOTHING):
-            self._draw(view, (0, 0), framebuffer.size)
+            framebuffer.clear(*view.background, 1.0)
+            self._draw(view, (0, 0), framebuffer)
         return framebuffer.color_attachments[0]
 
     def overview(
@@ -262,7 +263,7 @@ class Canvas:
                 view = View(name, display, background=background, grid=False)
                 view.fit((tile.width, tile.height), self.frame.display_size)
                 framebuffer.viewport = (tile.x, tile.y, tile.width, tile.height)
-                self._draw(view, (tile.x, tile.y), (tile.width, tile.height))
+                self._draw(view, (tile.x, tile.y), framebuffer)
             framebuffer.viewport = (0, 0, *framebuffer.size)
         return framebuffer.color_attachments[0], placed
 
@@ -276,7 +277,9 @@ class Canvas:
         self._targets[name] = self.ctx.framebuffer([self.ctx.texture(size, 4)])
         return self._targets[name]
 
-    def _draw(self, view: View, corner: tuple[int, int], size: Size) -> None:
+    def _draw(self, view: View, corner: tuple[int, int], framebuffer: moderngl.Framebuffer) -> None:
+        """Into the framebuffer's viewport, which has its `corner` there and is full of background."""
+        size = framebuffer.viewport[2:]
         b = None if view.compare in ("off", "flip") else view.b
         shown = [self._shown(view.a, view.a_display, view.zoom), self._shown(b, view.b_display, view.zoom)]
         program = self._program(
@@ -299,7 +302,17 @@ class Canvas:
             "residual_scale": max(view.residual_scale, 1e-6),
         }
         program.set("", values)
+        if view.compare != "split":  # its line goes beyond the display
+            framebuffer.scissor = self._display_rectangle(view, corner, size)
         program.triangle.render(moderngl.TRIANGLES, vertices=3)
+        framebuffer.scissor = None
+
+    def _display_rectangle(self, view: View, corner: tuple[int, int], size: Size) -> tuple[int, int, int, int]:
+        """(x, y, width, height) in the framebuffer: all pixels that show the display."""
+        low, high = view.screen_at(size, 0, 0), view.screen_at(size, *self.frame.display_size)
+        left, top = (min(max(math.floor(low[i]), 0), size[i]) for i in (0, 1))
+        right, bottom = (min(max(math.ceil(high[i]), 0), size[i]) for i in (0, 1))
+        return corner[0] + left, corner[1] + top, right - left, bottom - top
 
     def _program(self, variant_a: tuple[int, int], variant_b: tuple[int, int], compare: int, overlay: int) -> _Program:
         key = (*variant_a, *variant_b, compare, overlay)

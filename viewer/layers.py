@@ -232,8 +232,8 @@ def shown_as(spec: LayerSpec, display: Display) -> tuple[str, int]:
 
 
 def fitted(spec: LayerSpec, image, display: Display, frame: FrameInfo | None = None, depth=None) -> Display:
-    """`display` with the range that suits `image`: `low`, `high` hold 98% of the finite values (depths > 0), or zero and
-    all of a scalar that has only a few; `motion_scale` 99% of the lengths. Colour, masks and labels stay as they are.
+    """`display` with the range that suits `image`: `low`, `high` hold 98% of the finite values (depths > 0), or zero
+    and all of a scalar that has only a few; `motion_scale` 99% of the lengths. Colour, masks, labels stay as they are.
 
     `image`: (planes?, H, W, channels?). A "place" needs `frame` where its sizes differ; a "world" needs `depth` (H, W)
     of the rendered frame and `frame.source`, or it stays as it is.

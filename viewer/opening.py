@@ -18,12 +18,16 @@ class ScenePlan(NamedTuple):
     seed: int
 
 
+def is_scene(target: str) -> bool:
+    """Whether this names a built-in scene, not a sequence."""
+    return target in SCENES and not Path(target).exists()
+
+
 def make_source(target: str, window: str | None, plan: ScenePlan, device) -> FrameSource:
     """The sequence in the folder `target` (or of its sequence.json), else the scene of that name. Raises GffeError."""
-    path = Path(target).expanduser()
-    if target in SCENES and not path.exists():
+    if is_scene(target):
         source = SceneSource(load_scene(target, plan.seed), device, plan.width, plan.height, window=window)
     else:
-        source = RecordedSource(open_sequence(path), device, window if window == "off" else None)
+        source = RecordedSource(open_sequence(Path(target).expanduser()), device, window if window == "off" else None)
     source.target = target
     return source

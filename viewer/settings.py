@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 _MOST_RECENT = 12
-_LEAST_WINDOW, _LARGEST_WINDOW = 200, 16384  # pixels
+LEAST_WINDOW, _LARGEST_WINDOW = 200, 16384  # pixels
 _LARGEST_SCALE = 8.0
 LAYOUT = 1  # version of the arrangement of panels
 THEMES = ("dark", "light")
@@ -23,6 +23,18 @@ def default_path() -> Path | None:
     given = os.environ.get("XDG_CONFIG_HOME", "")
     folder = given if os.path.isabs(given) else os.path.expanduser(os.path.join("~", ".config"))
     return Path(folder) / "gffe-cl" / "viewer.json" if os.path.isabs(folder) else None
+
+
+def can_save() -> bool:
+    """Whether the user's folder for settings can be written to; it is made if it is missing."""
+    path = default_path()
+    if path is None:
+        return False
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(path.parent, os.W_OK)
 
 
 @dataclass
@@ -121,7 +133,7 @@ def _recent(value: Any) -> list[str] | None:
 def _window_size(value: Any) -> tuple[int, int] | None:
     if not isinstance(value, list) or len(value) != 2 or not all(type(v) is int for v in value):
         return None
-    return tuple(value) if all(_LEAST_WINDOW <= v <= _LARGEST_WINDOW for v in value) else None
+    return tuple(value) if all(LEAST_WINDOW <= v <= _LARGEST_WINDOW for v in value) else None
 
 
 def _ui_scale(value: Any) -> float | None:

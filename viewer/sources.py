@@ -36,9 +36,9 @@ _LONGEST_GAP = 8.0  # rendered frames between two flown poses that are of one fl
 class FrameSource(Protocol):
     """Rendered frames by number. All but `fly`, `forget_flight` and `time` is called from one thread, the engine's.
 
-    `target`: how the user named it; `width`, `height`: of the display, pixels; `render_size`: (width, height) of the rendered frames, may change with
-    `configure`; `count`: of rendered frames; `live`: rendered meanwhile, the camera may be flown; `windowed`: rendered
-    through a window that can be used or not.
+    `target`: how the user named it; `width`, `height`: of the display, pixels; `render_size`: (width, height) of the
+    rendered frames, may change with `configure`; `count`: of rendered frames; `live`: rendered meanwhile, the camera
+    may be flown; `windowed`: rendered through a window that can be used or not.
     """
 
     name: str

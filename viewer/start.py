@@ -6,6 +6,7 @@ import atexit
 import os
 import sys
 import time
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -112,6 +113,8 @@ def view(model, size: tuple[int, int] | None = None, shot: Shot | None = None) -
         return
     if not shot.path.absolute().parent.is_dir():
         raise GffeError(f"{shot.path}: cannot write: no such folder")
+    if shot.path.suffix.lower() != ".png":
+        raise GffeError(f"{shot.path}: a screenshot's name must end in .png")
     camera = _Photographer(shot)
     App(model, on_frame=camera).run(size or REPORT_SIZE, test=lambda app: None)
     if camera.problem:
@@ -144,10 +147,21 @@ def _end(code: int) -> None:
 
 def require_display() -> None:
     """GffeError where no window can be opened."""
-    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise GffeError(
-            "no display to open a window on (expected DISPLAY to be set; without a screen: xvfb-run -a gffe …)"
-        )
+    if not sys.platform.startswith("linux"):
+        return
+    without = "without a screen: xvfb-run -a gffe …"
+    displays = [os.environ[name] for name in ("DISPLAY", "WAYLAND_DISPLAY") if os.environ.get(name)]
+    if not displays:
+        raise GffeError(f"no display to open a window on (expected DISPLAY to be set; {without})")
+    import imgui_bundle  # noqa: F401  before glfw
+
+    import glfw  # isort: skip
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        opened = glfw.init()
+    if not opened:
+        raise GffeError(f"the display {displays[0]} cannot be opened (DISPLAY may be wrong; {without})")
 
 
 class _Photographer:
@@ -191,6 +205,9 @@ class _Photographer:
             if reason:
                 return f"layer '{found}': {reason}"
         model.show_layer(model.find_layer(shot.layer))
+        width, height = model.info.width, model.info.height
+        if shot.pixel is not None and not (0 <= shot.pixel[0] < width and 0 <= shot.pixel[1] < height):
+            return f"--pixel must be inside {width}×{height}, got {shot.pixel[0]},{shot.pixel[1]}"
         if shot.other:
             model.view.b = model.find_layer(shot.other)
         if shot.compare != "off":

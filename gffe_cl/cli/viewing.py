@@ -46,7 +46,9 @@ def view(
 ) -> None:
     """Open the viewer: play, look into every stage, find out why a pixel is wrong."""
     from gffe_cl.viewer.model import Model, ScenePlan
-    from gffe_cl.viewer.settings import Settings
+    from gffe_cl.viewer.opening import is_scene
+    from gffe_cl.viewer.remembering import WAYS
+    from gffe_cl.viewer.settings import LEAST_WINDOW, Settings
     from gffe_cl.viewer.start import Shot, leaving, require_display
     from gffe_cl.viewer.start import measure as measure_playback
     from gffe_cl.viewer.start import view as run_viewer
@@ -57,8 +59,14 @@ def view(
         raise GffeError("--screenshot and --measure need a sequence or a scene")
     if measure is not None and not 0 < measure <= 3600:
         raise GffeError(f"--measure must be seconds, up to 3600, got {measure:g}")
+    if compare not in WAYS:
+        raise GffeError(f"--compare must be {', '.join(WAYS[:-1])} or '{WAYS[-1]}', got '{compare}'")
+    if window not in (None, "off") and target is not None and not is_scene(target):
+        raise GffeError(f"--window {window}: only built-in scenes are rendered through a chosen window (expected off)")
     plan = ScenePlan(*parse_size(size), seed)
     viewer_size = None if window_size is None else parse_size(window_size)
+    if viewer_size is not None and min(viewer_size) < LEAST_WINDOW:
+        raise GffeError(f"--window-size must be at least {LEAST_WINDOW} pixels each way, got '{window_size}'")
     shot = None
     if screenshot is not None:
         shot = Shot(screenshot, frame, layer, compare, other, _pixel(pixel), overview)

@@ -1,0 +1,130 @@
+"""`gffe view`: pictures and figures without a person, and what is told when something is wrong."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import tiny_sequence
+from PIL import Image
+
+GFFE = [sys.executable, "-c", "from gffe_cl.cli import main; main()", "view"]
+XVFB = ["xvfb-run", "-a", "-s", "-screen 0 1920x1200x24"]
+
+
+@pytest.fixture
+def gffe(tmp_path):
+    """Runs `gffe view ARGS…` in a folder with the sequence "in"; (exit code, stdout, stderr)."""
+    tiny_sequence.write(tmp_path / "in")
+
+    def call(*arguments, display=None, **environment):
+        environment = {"XDG_CONFIG_HOME": str(tmp_path / "config"), "LIBGL_ALWAYS_SOFTWARE": "1"} | environment
+        bare = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+        if display is not None:
+            bare["DISPLAY"] = display
+        child = subprocess.run(
+            [*(XVFB if display is None else ()), *GFFE, *arguments],
+            env=bare | environment,
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            timeout=200,
+        )
+        return child.returncode, child.stdout, child.stderr
+
+    return call
+
+
+def refused(gffe, *arguments, display=None):
+    """The one line that is told."""
+    code, out, err = gffe(*arguments, display=display)
+    lines = err.splitlines()
+    assert (code, out, len(lines)) == (2, "", 1) and lines[0].startswith("error: "), (code, out, err)
+    return lines[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--screenshot", "a.png"], "need a sequence or a scene"),
+        (["in", "--measure", "0"], "must be seconds"),
+        (["in", "-n", "9"], "-n must be 1 to 7"),
+        (["in", "--compare", "nonsense"], "--compare must be off, split"),
+        (["in", "--window", "fixed:1.2"], "only built-in scenes"),
+        (["in", "--window-size", "10x900"], "--window-size must be at least 200"),
+        (["in", "--screenshot", "a.png", "--pixel", "12"], "--pixel must look like"),
+        (["in"], "expected DISPLAY to be set"),
+    ],
+)
+def test_refused_before_anything_is_opened(gffe, arguments, told):
+    assert told in refused(gffe, *arguments, display="")
+
+
+def test_display_that_is_not_there(gffe):
+    assert "the display :977 cannot be opened" in refused(gffe, "in", display=":977")
+
+
+@pytest.fixture
+def screen():
+    if shutil.which("xvfb-run") is None:
+        assert not os.environ.get("CI"), "CI must have xvfb-run"
+        pytest.skip("xvfb-run is not installed")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["missing"], "missing: no such folder"),
+        (["broken"], "not valid JSON"),
+        (["in", "--layer", "nonsense"], "no layer is called 'nonsense'"),
+        (["in", "--frame", "6"], "--frame must be 0 to 5, got 6"),
+        (["in", "--pixel", "13,0"], "--pixel must be inside 13×9, got 13,0"),
+        (["in", "--compare", "flip error", "--layer", "warp.depth"], "--compare flip error: FLIP"),
+        (["in", "--screenshot", "a.jpg"], "a.jpg: a screenshot's name must end in .png"),
+    ],
+)
+def test_refused_screenshots(gffe, screen, tmp_path, arguments, told):
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "sequence.json").write_text('{"format": ')
+    assert told in refused(gffe, "--screenshot", "a.png", *arguments)
+    assert not list(tmp_path.glob("a.*"))
+
+
+@pytest.mark.slow
+def test_screenshot(gffe, screen, tmp_path):
+    assert gffe("in", "--screenshot", "a.png", "--frame", "3") == (0, "", "")
+    picture = np.asarray(Image.open(tmp_path / "a.png"))
+    assert picture.shape[:2] == (900, 1600) and len(np.unique(picture[200:700, 400:1000].reshape(-1, 4), axis=0)) > 50
+    assert not (tmp_path / "config").exists()  # pictures for reports neither use nor change what is remembered
+
+
+@pytest.mark.slow
+def test_measuring(gffe, screen, tmp_path):
+    code, out, err = gffe("in", "--measure", "0.5", "--json", "figures.json", "--window-size", "640x480")
+    figures = json.loads((tmp_path / "figures.json").read_text())
+    assert (code, err) == (0, "") and len(out.splitlines()) == len(figures) - 1
+    assert figures["frames per second"] > 0 and figures["device"]
+
+
+@pytest.mark.slow
+def test_settings_that_cannot_be_saved(gffe, screen, tmp_path):
+    """The viewer opens, and says so when it is closed."""
+    (tmp_path / "file").write_text("")
+    script = (
+        "import gffe_cl.viewer.app as a\n"
+        "def close(app):\n    app.close()\n"
+        "a.App.__init__ = lambda self, model, on_frame=None, init=a.App.__init__: init(self, model, close)\n"
+        "from gffe_cl.cli import main; main()\n"
+    )
+    (tmp_path / "script.py").write_text(script)
+    environment = os.environ | {"XDG_CONFIG_HOME": str(tmp_path / "file"), "LIBGL_ALWAYS_SOFTWARE": "1"}
+    child = subprocess.run(
+        [*XVFB, sys.executable, "script.py", "view", "in"], env=environment, cwd=tmp_path, capture_output=True,
+        text=True, timeout=200,
+    )  # fmt: skip
+    assert child.returncode == 0 and "Traceback" not in child.stderr
+    assert child.stderr.strip().endswith("the settings cannot be saved: Not a directory")
