@@ -1,0 +1,175 @@
+"""Training data: short clips of varied built-in scenes, extrapolated, with ground truth; cached on disk, resumable."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gffe_cl.device import Device
+from gffe_cl.errors import GffeError
+from gffe_cl.frame import HALF_MAX, RenderedFrame
+from gffe_cl.metrics import smape
+from gffe_cl.pipeline import Options, Pipeline
+from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
+from gffe_cl.scn.variety import vary_scene
+
+TRAINING_SCENES = ("corridor", "plaza", "room", "forest")
+CHANNELS = 11  # exposed linear GAE (3), warped previous (3), ground truth (3), inverse depth, input mask
+PLANES = {"gae": slice(0, 3), "previous": slice(3, 6), "truth": slice(6, 9), "side": slice(9, 11)}
+CROP = 256
+VERSION = 1
+_SIZES = ((480, 270), (640, 360), (800, 450), (960, 540))
+_SIZE_SHARES = (0.5, 0.35, 0.1, 0.05)
+_RENDERED = 3  # rendered frames per clip; the first has no history
+_PER_FRAME = 2  # ground truths after each of the others
+_MOST_INVERSE_DEPTH = 8.0
+_CROPS_PER_FRAME = 6  # times the number that would cover the frame once
+_FOCUS_SMAPE = 0.5
+
+
+@dataclass(frozen=True)
+class ClipPlan:
+    """What clip number `index` of the data with `seed` shows; depends on nothing else."""
+
+    seed: int
+    index: int
+    scene: str
+    scene_seed: int
+    width: int
+    height: int
+    fps: float
+    start: float
+    alphas: tuple
+
+    @classmethod
+    def draw(cls, seed: int, index: int) -> ClipPlan:
+        rng = np.random.default_rng([seed, index])
+        width, height = _SIZES[int(rng.choice(len(_SIZES), p=_SIZE_SHARES))]
+        alphas = tuple(
+            tuple(sorted(float(a) for a in rng.choice((0.25, 1 / 3, 0.5, 2 / 3, 0.75), _PER_FRAME, replace=False)))
+            for _ in range(_RENDERED - 1)
+        )
+        scene = TRAINING_SCENES[index % len(TRAINING_SCENES)]
+        fps = float(2.0 ** rng.uniform(np.log2(15), np.log2(60)))
+        return cls(seed, index, scene, int(rng.integers(1, 10**6)), width, height, fps, rng.uniform(0, 20), alphas)
+
+    def make_scene(self):
+        rng = np.random.default_rng([self.seed, self.index, 1])
+        middle = self.start + 0.5 * _RENDERED / self.fps
+        return vary_scene(load_scene(self.scene, self.scene_seed), rng, middle)
+
+
+def focus_mask(gae, truth, dynamic) -> np.ndarray:
+    """M^focus (H, W) bool of exposed linear colours: the smallest SMAPE between a pixel of the GAE frame and its 3×3
+    neighbourhood in the truth is over 0.5, and the pixel is not dynamic (paper: 'Non-geometric motion detection')."""
+    height, width = dynamic.shape
+    padded = np.pad(np.asarray(truth, np.float32), ((1, 1), (1, 1), (0, 0)), constant_values=np.float32(1e9))
+    least = np.full((height, width), np.inf, np.float32)
+    for dy in range(3):
+        for dx in range(3):
+            np.minimum(least, smape(gae, padded[dy : dy + height, dx : dx + width]), out=least)
+    return (least > _FOCUS_SMAPE) & ~np.asarray(dynamic, bool)
+
+
+def make_clip(device: Device, plan: ClipPlan) -> tuple[np.ndarray, list[float]]:
+    """Render and extrapolate a clip: (S, 11, H, W) float16 samples (`PLANES`) and their α."""
+    scene = plan.make_scene()
+    renderer = SceneRenderer(device, scene, plan.width, plan.height, samples=5)
+    pipeline = Pipeline(device, plan.width, plan.height, Options(shading_inputs=True), fps=plan.fps)
+    samples, alphas = [], []
+    frames = sequence_frames(scene, plan.width, plan.height, _RENDERED, plan.fps, ground_truth=False, start=plan.start)
+    for frame in frames:
+        image = renderer.render(frame.time, frame.camera, frame.previous_time, frame.previous_camera).numpy()
+        rendered = RenderedFrame(image.color, image.depth, image.motion, frame.camera, frame.time, reset=frame.reset)
+        pipeline.submit(rendered)
+        if frame.reset:
+            continue
+        for alpha in plan.alphas[frame.source - 1]:
+            time = frame.time + alpha / plan.fps
+            camera = scene.camera(time, plan.width, plan.height)
+            made = pipeline.extrapolate(camera, time)
+            gae, depth = made.numpy("color"), made.numpy("depth")
+            previous = pipeline.shading.read("warped_previous")[..., :3]
+            mask = pipeline.shading.read("input_mask")
+            truth = renderer.render(time, camera).numpy().color
+            samples.append(_sample(gae, previous, truth, depth, mask, scene.exposure))
+            alphas.append(alpha)
+    return np.stack(samples), alphas
+
+
+def _sample(gae, previous, truth, depth, mask, exposure) -> np.ndarray:
+    colors = np.concatenate((gae, previous, truth), -1).astype(np.float32) * np.float32(exposure)
+    side = np.stack((inverse_depth(depth), mask.astype(np.float32)), -1)
+    planes = np.concatenate((np.clip(np.nan_to_num(colors), 0, HALF_MAX), side), -1)
+    return np.ascontiguousarray(planes.transpose(2, 0, 1).astype(np.float16))
+
+
+def inverse_depth(depth: np.ndarray) -> np.ndarray:
+    """median / depth, clamped to [0, 8]; 0 for sky. Design: 'Shading correction network'."""
+    finite = depth[np.isfinite(depth)]
+    median = np.median(finite) if finite.size else 1.0
+    return np.clip(median / np.maximum(depth, 1e-6), 0, _MOST_INVERSE_DEPTH).astype(np.float32)
+
+
+def crops_of(sample: np.ndarray, rng: np.random.Generator) -> list[tuple[int, int, float]]:
+    """Random crops of a sample: (y, x, share of focus pixels)."""
+    _, height, width = sample.shape
+    planes = {name: sample[part].astype(np.float32).transpose(1, 2, 0) for name, part in PLANES.items()}
+    focus = focus_mask(planes["gae"], planes["truth"], planes["side"][..., 1] == 1)
+    total = np.zeros((height + 1, width + 1))
+    total[1:, 1:] = focus.cumsum(0).cumsum(1)
+    crops = []
+    for _ in range(round(_CROPS_PER_FRAME * height * width / CROP**2)):
+        y, x = int(rng.integers(height - CROP + 1)), int(rng.integers(width - CROP + 1))
+        count = total[y + CROP, x + CROP] - total[y, x + CROP] - total[y + CROP, x] + total[y, x]
+        crops.append((y, x, float(count) / CROP**2))
+    return crops
+
+
+def clip_path(folder: Path, seed: int, index: int) -> Path:
+    """Of a clip's files, which end in .npy and .json."""
+    return Path(folder) / f"clip_{seed}_{index:06d}.npy"
+
+
+def make_clips(
+    folder: Path,
+    device: Device,
+    seed: int,
+    count: int,
+    on_clip: Callable[[], None] = lambda: None,
+    part: tuple[int, int] = (0, 1),
+    until: float | None = None,
+) -> int:
+    """Make what is missing of the clips 0 … count − 1 in `folder`; returns how many were made.
+
+    Each clip is a `clip_*.npy` and, written last, its `clip_*.json`. `part` (i, n): only every n-th, from i on.
+    Nothing more is begun when `time.monotonic()` has passed `until`. Raises GffeError where nothing can be written.
+    """
+    made = 0
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for index in range(part[0], count, part[1]):
+            if until is not None and time.monotonic() > until:
+                break
+            name = clip_path(folder, seed, index)
+            if not name.with_suffix(".json").exists():
+                plan = ClipPlan.draw(seed, index)
+                samples, alphas = make_clip(device, plan)
+                rng = np.random.default_rng([seed, index, 2])
+                crops = [crops_of(sample, rng) for sample in samples]
+                np.save(name, samples)
+                document = {"version": VERSION, "plan": asdict(plan), "alphas": alphas, "crops": crops}
+                part_file = name.with_suffix(".part")
+                part_file.write_text(json.dumps(document))
+                os.replace(part_file, name.with_suffix(".json"))
+                made += 1
+            on_clip()
+    except OSError as error:
+        raise GffeError(f"{folder}: cannot write training data: {error.strerror or error}") from None
+    return made

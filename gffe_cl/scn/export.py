@@ -1,0 +1,123 @@
+"""From a trained network to what is shipped: ONNX, checked against PyTorch, and a model card."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import warnings
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from gffe_cl.errors import GffeError
+from gffe_cl.scn.network import MULTIPLE, ShadingCorrectionNetwork
+
+OPSET = 20
+TOLERANCE = 2e-4  # between onnxruntime and PyTorch, of values in about −1 … 1
+
+
+def export_onnx(network: ShadingCorrectionNetwork, path: Path) -> float:
+    """Write `network` to `path` (inputs frames, alpha; output correction; any height and width); returns the largest
+    difference between onnxruntime and PyTorch on random input of two sizes.
+
+    Raises GffeError if they disagree, or the file cannot be written; then there is none.
+    """
+    network = network.eval().cpu().to(memory_format=torch.contiguous_format)
+    path, part = Path(path), Path(path).with_suffix(".part.onnx")
+    example = (torch.rand(1, 8, 4 * MULTIPLE, 6 * MULTIPLE), torch.tensor([0.5]))
+    free = {2: "height", 3: "width"}
+    try:
+        with warnings.catch_warnings(), torch.no_grad():
+            warnings.simplefilter("ignore")
+            logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+            torch.onnx.export(
+                network,
+                example,
+                str(part),
+                input_names=["frames", "alpha"],
+                output_names=["correction"],
+                dynamic_axes={"frames": free, "correction": free},
+                opset_version=OPSET,
+                dynamo=False,
+            )
+        difference = largest_difference(network, part)
+        if not difference <= TOLERANCE:
+            raise GffeError(
+                f"{path}: onnxruntime and PyTorch differ by {difference:.2g} (expected at most {TOLERANCE:g})"
+            )
+        os.replace(part, path)
+    except OSError as error:
+        raise GffeError(f"{path}: cannot write the model: {error.strerror or error}") from None
+    finally:
+        with suppress(OSError):
+            part.unlink()
+    return difference
+
+
+def largest_difference(network: ShadingCorrectionNetwork, path: Path) -> float:
+    """Between the outputs of onnxruntime and PyTorch."""
+    import onnxruntime
+
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    rng, worst = np.random.default_rng(0), 0.0
+    for height, width in ((2 * MULTIPLE, 3 * MULTIPLE), (5 * MULTIPLE, MULTIPLE)):
+        frames = rng.random((1, 8, height, width), np.float32)
+        alpha = rng.random(1, np.float32)
+        (onnx,) = session.run(None, {"frames": frames, "alpha": alpha})
+        with torch.no_grad():
+            expected = network(torch.from_numpy(frames), torch.from_numpy(alpha)).numpy()
+        worst = max(worst, float(np.abs(onnx - expected).max()))
+    return worst
+
+
+def count_operations(network: ShadingCorrectionNetwork, width: int, height: int) -> tuple[int, float]:
+    """Parameters, and GFLOP (two per multiply-add) for one frame of `width` × `height` display pixels."""
+    from torch.utils.flop_counter import FlopCounterMode
+
+    sides = [-(-side // (2 * MULTIPLE)) * MULTIPLE for side in (height, width)]
+    network = network.eval()
+    with torch.no_grad(), FlopCounterMode(display=False) as counter:
+        network(torch.zeros(1, 8, *sides), torch.tensor([0.5]))
+    return sum(p.numel() for p in network.parameters()), counter.get_total_flops() / 1e9
+
+
+def commit() -> str:
+    """Of the source this runs from; "unknown" outside a git checkout, "…, changed" where it is not committed."""
+    folder = Path(__file__).resolve().parent
+
+    def git(*arguments):
+        return subprocess.run(
+            ["git", *arguments], cwd=folder, capture_output=True, text=True, check=True
+        ).stdout.strip()
+
+    try:
+        name = git("rev-parse", "--short=12", "HEAD")
+        return name + (", changed" if git("status", "--porcelain", "--", ".", "../scenes") else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def model_card(facts: dict[str, str], figures: dict[str, float], command: str) -> str:
+    """Markdown: data, recipe, figures and the command that gives the weights again."""
+    rows = "\n".join(f"| {name} | {value} |" for name, value in facts.items())
+    numbers = "\n".join(f"| {name} | {value:.4g} |" for name, value in figures.items())
+    return f"""# Shading correction network
+
+Corrects the shading of extrapolated frames: shadows, lights and reflections that move over what does not.
+Input, output and composition: `gffe_cl/scn/network.py`. Made by
+
+    {command}
+
+| | |
+| --- | --- |
+{rows}
+
+Validation, on clips that were not trained on (mean absolute error of encoded colour):
+
+| | |
+| --- | --- |
+{numbers}
+"""

@@ -1,0 +1,112 @@
+"""What the shading correction network is trained for (paper: appendix, 'Loss Functions'); all in the encoded space."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+import torch.nn.functional as functional
+from torch import Tensor, nn
+
+from gffe_cl.errors import GffeError
+
+FEATURES_WEIGHT = 0.01  # λ_f, λ_focus and λ_vgg of the paper
+FOCUS_WEIGHT = 1.0
+PERCEPTUAL_WEIGHT = 0.01
+_CHARBONNIER = 1e-3
+_CENSUS = 7  # pixels each way
+
+
+def charbonnier(a: Tensor, b: Tensor) -> Tensor:
+    """Mean of √((a − b)² + ε²) − ε."""
+    return (torch.sqrt((a - b) ** 2 + _CHARBONNIER**2) - _CHARBONNIER).mean()
+
+
+def census(a: Tensor, b: Tensor) -> Tensor:
+    """Soft Hamming distance of the census transforms of the channels' means, over 7×7 pixels (UnFlow, Meister et al.
+    2018), leaving out the border."""
+    difference = _transformed(a) - _transformed(b)
+    distance = (difference**2 / (0.1 + difference**2)).mean(1)
+    border = _CENSUS // 2
+    return distance[:, border:-border, border:-border].mean()
+
+
+def _transformed(features: Tensor) -> Tensor:
+    gray = features.mean(1, keepdim=True)
+    count, _, height, width = gray.shape
+    patches = functional.unfold(gray, _CENSUS, padding=_CENSUS // 2).view(count, _CENSUS**2, height, width)
+    difference = patches - gray
+    return difference / torch.sqrt(0.81 + difference**2)
+
+
+def focus_loss(mask: Tensor, truth: Tensor) -> Tensor:
+    """Mean squared error of the focus mask."""
+    return ((mask - truth) ** 2).mean()
+
+
+class PyramidLoss(nn.Module):
+    """Stands in for the perceptual loss where VGG's weights are not on disk: mean |difference| of the bands of a
+    Laplacian pyramid, which counts edges at every scale."""
+
+    name = "Laplacian pyramid"
+
+    def forward(self, a: Tensor, b: Tensor) -> Tensor:
+        difference = a - b
+        total = difference.new_zeros(())
+        for _ in range(4):
+            lower = functional.avg_pool2d(difference, 2)
+            band = difference - functional.interpolate(lower, scale_factor=2, mode="bilinear", align_corners=False)
+            total = total + band.abs().mean()
+            difference = lower
+        return total + difference.abs().mean()
+
+
+class VggLoss(nn.Module):
+    """Mean |difference| of VGG-19's features after relu1_2, 2_2, 3_2, 4_2 (Johnson et al. 2016).
+
+    `path`: torchvision's `vgg19-*.pth`. Raises GffeError if it cannot be read or holds something else.
+    """
+
+    name = "VGG-19"
+    _LAYOUT = (64, 64, "M", 128, 128, "M", 256, 256, 256, 256, "M", 512, 512)
+    _TAPS = (3, 8, 13, 22)
+
+    def __init__(self, path: Path):
+        super().__init__()
+        layers, channels = [], 3
+        for width in self._LAYOUT:
+            if width == "M":
+                layers.append(nn.MaxPool2d(2))
+            else:
+                layers += [nn.Conv2d(channels, width, 3, padding=1), nn.ReLU()]
+                channels = width
+        self.layers = nn.Sequential(*layers)
+        try:
+            state = torch.load(path, map_location="cpu", weights_only=True)
+            state = {
+                key.removeprefix("features."): value for key, value in state.items() if key.startswith("features.")
+            }
+            self.layers.load_state_dict({key: state[key] for key in self.layers.state_dict()})
+        except Exception as error:  # torch.load raises many kinds
+            raise GffeError(f"{path}: not VGG-19 as torchvision saves it ({type(error).__name__})") from None
+        self.requires_grad_(False)
+        self.register_buffer("mean", torch.tensor((0.485, 0.456, 0.406)).view(1, 3, 1, 1))
+        self.register_buffer("deviation", torch.tensor((0.229, 0.224, 0.225)).view(1, 3, 1, 1))
+
+    def forward(self, a: Tensor, b: Tensor) -> Tensor:
+        both = (torch.cat((a, b), 0).clamp(0, 1) - self.mean) / self.deviation
+        total = both.new_zeros(())
+        for index, layer in enumerate(self.layers):
+            both = layer(both)
+            if index in self._TAPS:
+                first, second = both.chunk(2)
+                total = total + (first - second).abs().mean()
+        return total
+
+
+def perceptual_loss(vgg: Path | None) -> nn.Module:
+    """VGG where its weights are: at `vgg`, else in torch's cache; its substitute otherwise."""
+    if vgg is None:
+        found = sorted(Path(torch.hub.get_dir(), "checkpoints").glob("vgg19-*.pth"))
+        vgg = found[0] if found else None
+    return PyramidLoss() if vgg is None else VggLoss(vgg)

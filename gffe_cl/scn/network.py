@@ -1,0 +1,157 @@
+"""The shading correction network (paper: 'Shading Correction Network' and its appendix).
+
+Flow-based, coarse to fine, all of it at half resolution: an encoder of three feature levels is shared by the GAE frame
+and the warped previous frame; a decoder per level predicts two flows, and the features of the frame at t + α; a head
+makes the correction. `compose` makes the frame of it, as kernels/correction.cl does.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as functional
+from torch import Tensor, nn
+
+MU = 5000.0
+HEADROOM = 8.0  # exposed colour that is encoded as 1: three stops above what a display shows as white
+MULTIPLE = 16  # of the network's width and height
+FOCUS_THRESHOLD = 1 / 32  # a smaller M is 0
+_CHANNELS = (16, 32, 48)
+_HIDDEN = (32, 48, 64)
+_DETAIL = 8
+_LOG = torch.log1p(torch.tensor(MU)).item()
+
+
+def encode(color: Tensor) -> Tensor:
+    """μ-law of exposed linear colour: ln(1 + μ c / 8) / ln(1 + μ); 1 at three stops above display white."""
+    return torch.log1p(color.clamp(min=0) * (MU / HEADROOM)) / _LOG
+
+
+def decode(encoded: Tensor) -> Tensor:
+    """Inverse of `encode`; negative codes are black."""
+    return torch.expm1(encoded.clamp(min=0) * _LOG) * (HEADROOM / MU)
+
+
+def halve(image: Tensor) -> Tensor:
+    """(N, C, H, W), even sizes → means over 2×2 pixels."""
+    return functional.avg_pool2d(image, 2)
+
+
+def double(image: Tensor) -> Tensor:
+    """Bilinear, pixel centres of both images on one plane, borders repeated."""
+    return functional.interpolate(image, scale_factor=2, mode="bilinear", align_corners=False)
+
+
+def warp(image: Tensor, flow: Tensor) -> Tensor:
+    """(N, C, h, w) sampled at x + flow[x], (N, 2, h, w) in pixels; bilinear, borders repeated."""
+    image, flow = image.float(), flow.float()
+    height, width = image.shape[-2:]
+    ys = torch.arange(height, dtype=flow.dtype, device=flow.device).view(1, height, 1)
+    xs = torch.arange(width, dtype=flow.dtype, device=flow.device).view(1, 1, width)
+    grid_x = (flow[:, 0] + (xs + 0.5)) * (2.0 / width) - 1.0
+    grid_y = (flow[:, 1] + (ys + 0.5)) * (2.0 / height) - 1.0
+    grid = torch.stack((grid_x, grid_y), -1)
+    return functional.grid_sample(image, grid, mode="bilinear", padding_mode="border", align_corners=False)
+
+
+def _conv(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(nn.Conv2d(inputs, outputs, 3, stride, 1), nn.LeakyReLU(0.1))
+
+
+class Encoder(nn.Module):
+    """(N, 3, h, w) encoded colour → features at 1/2, 1/4 and 1/8 of that size."""
+
+    def __init__(self):
+        super().__init__()
+        inputs = (3, *_CHANNELS[:-1])
+        self.levels = nn.ModuleList(
+            nn.Sequential(_conv(i, o, 2), _conv(o, o)) for i, o in zip(inputs, _CHANNELS, strict=True)
+        )
+
+    def forward(self, color: Tensor) -> list[Tensor]:
+        features = []
+        for level in self.levels:
+            color = level(color)
+            features.append(color)
+        return features
+
+
+class Decoder(nn.Module):
+    """Flows (4 channels: into the GAE frame, into the warped previous frame) and features of the frame at t + α."""
+
+    def __init__(self, channels: int, coarser: int, hidden: int):
+        super().__init__()
+        self.squeeze = nn.Conv2d(coarser, channels, 1) if coarser else None
+        inputs = 2 * channels + 3 + (channels + 4 if coarser else 0)
+        self.body = nn.Sequential(_conv(inputs, hidden), _conv(hidden, hidden))
+        self.out = nn.Conv2d(hidden, 4 + channels, 3, 1, 1)
+
+    def forward(self, now, before, side, coarser=None) -> tuple[Tensor, Tensor]:
+        """`coarser`: (flows, features) of the level above."""
+        inputs = [now, before, side]
+        if coarser is not None:
+            flows = 2.0 * double(coarser[0])
+            inputs = [
+                warp(now, flows[:, :2]),
+                warp(before, flows[:, 2:]),
+                side,
+                double(self.squeeze(coarser[1])),
+                flows,
+            ]
+        out = self.out(self.body(torch.cat(inputs, 1)))
+        return (out[:, :4] if coarser is None else out[:, :4] + flows), out[:, 4:]
+
+
+class ShadingCorrectionNetwork(nn.Module):
+    """`forward(frames, alpha)`.
+
+    frames : (N, 8, h, w): encoded GAE colour (3), encoded warped previous frame (3), inverse depth, input mask; half
+        resolution, h and w multiples of `MULTIPLE`
+    alpha : (N,) or (1,)
+
+    Returns (N, 5, h, w): Δ (3; encoded colour), keep, focus mask; and, while training, the features of each level.
+    """
+
+    def __init__(self):
+        super().__init__()
+        self.encoder = Encoder()
+        coarser = (*_CHANNELS[1:], 0)
+        self.decoders = nn.ModuleList(
+            Decoder(c, above, hidden) for c, above, hidden in zip(_CHANNELS, coarser, _HIDDEN, strict=True)
+        )
+        self.up = nn.Conv2d(_CHANNELS[0], 4 * _DETAIL, 3, 1, 1)
+        self.head = nn.Sequential(_conv(_DETAIL + 11, 16), nn.Conv2d(16, 5, 3, 1, 1))
+        with torch.no_grad():  # begins by changing nothing
+            self.head[1].weight.mul_(0.1)
+            self.head[1].bias.copy_(torch.tensor((0.0, 0.0, 0.0, 2.0, -3.0)))
+
+    def forward(self, frames: Tensor, alpha: Tensor):
+        count = frames.shape[0]
+        now, before, side = frames[:, :3], frames[:, 3:6], frames[:, 6:8]
+        encoded = self.encoder(torch.cat((now, before), 0))
+        time = alpha.view(-1, 1, 1, 1)
+        result, features = None, []
+        for k in (2, 1, 0):
+            side_k = functional.avg_pool2d(side, 2 << k)
+            side_k = torch.cat((side_k, torch.zeros_like(side_k[:, :1]) + time), 1)
+            result = self.decoders[k](encoded[k][:count], encoded[k][count:], side_k, result)
+            features.append(result[1])
+        flows = 2.0 * double(result[0][:, :2])
+        detail = functional.pixel_shuffle(functional.leaky_relu(self.up(result[1]), 0.1), 2)
+        moved = warp(now, flows)
+        out = self.head(torch.cat((detail, now, before, moved, side), 1))
+        correction = torch.cat((out[:, :3] + (moved - now), torch.sigmoid(out[:, 3:])), 1)
+        return (correction, features[::-1]) if self.training else correction
+
+
+def compose(color: Tensor, correction: Tensor, focus_mask: bool = True) -> tuple[Tensor, Tensor, Tensor]:
+    """The corrected frame at full resolution, from exposed linear GAE `color` (N, 3, H, W) and the network's output.
+
+    The correction is added to the image at half resolution; `keep` says how much of the detail between the two
+    resolutions stays. Returns refined, final (both linear) and the focus mask (N, 1, H, W), 0 below `FOCUS_THRESHOLD`.
+    """
+    encoded = encode(color)
+    low = double(halve(encoded))
+    delta, keep, mask = double(correction).split((3, 1, 1), 1)
+    refined = decode(low + delta + keep * (encoded - low))
+    mask = torch.where(mask < FOCUS_THRESHOLD, torch.zeros_like(mask), mask)
+    return refined, (color + mask * (refined - color) if focus_mask else refined), mask

@@ -1,0 +1,336 @@
+"""The shading correction network: encoding, warping, losses, crops, and training it on a small setting."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from gffe_cl.errors import GffeError  # noqa: E402
+from gffe_cl.scn import clips, losses, network  # noqa: E402
+from gffe_cl.scn.crops import Augmentation, Batch, Crop, focus_truth, keep_crops, list_crops, load_batch  # noqa: E402
+from gffe_cl.scn.export import count_operations, export_onnx, largest_difference  # noqa: E402
+from gffe_cl.scn.training import CHECKPOINT, Processes, Recipe, Training, split_crops, weights  # noqa: E402
+
+
+def random(*shape, seed=0, scale=1.0):
+    return torch.rand(shape, generator=torch.Generator().manual_seed(seed)) * scale
+
+
+# ---- network -------------------------------------------------------------------------------------------
+
+
+def test_encoding():
+    colors = torch.tensor([0.0, 1e-3, 0.1, 1.0, 8.0, 300.0, 60000.0])
+    codes = network.encode(colors)
+    assert codes[0] == 0 and codes[4] == pytest.approx(1.0)
+    assert codes[3] == pytest.approx(math.log(1 + 5000 / 8) / math.log(5001))
+    assert torch.allclose(network.decode(codes), colors, rtol=2e-4)
+    assert network.encode(torch.tensor(-1.0)) == 0 and network.decode(torch.tensor(-0.5)) == 0
+
+
+def test_warp_by_whole_pixels():
+    image = random(1, 3, 12, 17)
+    flow = torch.zeros(1, 2, 12, 17)
+    flow[:, 0], flow[:, 1] = 3.0, -2.0
+    moved = network.warp(image, flow)
+    assert torch.allclose(moved[..., 2:, :-3], image[..., :-2, 3:], atol=1e-5)
+    assert torch.allclose(moved[..., 0, -1], image[..., 0, -1], atol=1e-5)  # borders are repeated
+
+
+def test_composition():
+    color = random(1, 3, 32, 48, scale=4.0)
+    correction = torch.zeros(1, 5, 16, 24)
+    correction[:, 3] = 1.0
+    refined, final, mask = network.compose(color, correction)
+    assert torch.equal(final, color) and not mask.any()
+    assert torch.allclose(refined, color, rtol=1e-3, atol=1e-5)
+    correction[:, 4] = 1 / 33  # under the threshold
+    assert torch.equal(network.compose(color, correction)[1], color)
+    correction[:, 4, :, :12], correction[:, :3] = 1.0, 0.1
+    _, final, mask = network.compose(color, correction)
+    ratio = (final / color).mean(1)
+    assert (ratio[..., :20] > 1.3).all() and torch.equal(final[..., 28:], color[..., 28:])
+    correction[:, 3] = 0.0  # without detail, neighbours are equal but for what is between them at half resolution
+    plain = network.compose(color, correction)[0]
+    assert plain[..., :20].std() < 0.8 * final[..., :20].std()
+
+
+def test_network_is_within_its_limits():
+    parameters, operations = count_operations(network.ShadingCorrectionNetwork(), 1920, 1080)
+    assert parameters <= 1_000_000
+    assert 1 < operations <= 40
+
+
+def test_a_new_network_changes_little():
+    torch.manual_seed(0)
+    frames = random(2, 8, 32, 32)
+    correction = network.ShadingCorrectionNetwork().eval()(frames, torch.tensor([0.25, 0.75]))
+    assert correction.shape == (2, 5, 32, 32)
+    assert correction[:, 4].max() < 0.3 and correction[:, 3].min() > 0.5
+
+
+def test_alpha_matters():
+    torch.manual_seed(0)
+    net, frames = network.ShadingCorrectionNetwork().eval(), random(1, 8, 32, 32)
+    with torch.no_grad():
+        assert not torch.equal(net(frames, torch.tensor([0.25])), net(frames, torch.tensor([0.75])))
+
+
+# ---- losses --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("loss", [losses.census, losses.charbonnier, losses.focus_loss, losses.PyramidLoss()])
+def test_losses_are_zero_for_equals_and_have_gradients(loss):
+    a, b = random(2, 3, 32, 32), random(2, 3, 32, 32, seed=1).requires_grad_()
+    assert loss(a, a).item() == pytest.approx(0, abs=1e-7)
+    value = loss(b, a)
+    value.backward()
+    assert value > 0 and b.grad.abs().sum() > 0
+
+
+def test_census_ignores_brightness():
+    a = random(1, 4, 24, 24)
+    assert losses.census(a, a + 0.5).item() == pytest.approx(0, abs=1e-6)
+    assert losses.census(a, random(1, 4, 24, 24, seed=1)) > 0.01
+
+
+def test_weights_are_the_papers():
+    assert weights(Recipe(blend_weight=0.5)) == {
+        "reconstruction": 1.0,
+        "features": 0.01,
+        "focus": 1.0,
+        "perceptual": 0.01,
+        "blend": 0.5,
+    }
+
+
+def test_vgg(tmp_path):
+    torch.manual_seed(0)
+    layout = {0: (3, 64), 2: (64, 64), 5: (64, 128), 7: (128, 128), 10: (128, 256), 12: (256, 256), 14: (256, 256)}
+    layout |= {16: (256, 256), 19: (256, 512), 21: (512, 512)}
+    state = {f"features.{k}.weight": 0.05 * torch.randn(o, i, 3, 3) for k, (i, o) in layout.items()}
+    state |= {f"features.{k}.bias": torch.zeros(o) for k, (_, o) in layout.items()}
+    state["classifier.0.weight"] = torch.zeros(1)
+    torch.save(state, tmp_path / "vgg19-abc.pth")
+    loss = losses.perceptual_loss(tmp_path / "vgg19-abc.pth")
+    a, b = random(1, 3, 32, 32), random(1, 3, 32, 32, seed=1).requires_grad_()
+    assert loss.name == "VGG-19" and loss(a, a) == 0
+    loss(b, a).backward()
+    assert b.grad.abs().sum() > 0
+    (tmp_path / "bad.pth").write_bytes(b"nothing")
+    with pytest.raises(GffeError, match=r"bad\.pth: not VGG-19"):
+        losses.perceptual_loss(tmp_path / "bad.pth")
+
+
+# ---- data ----------------------------------------------------------------------------------------------
+
+
+def test_plans_depend_on_seed_and_number_only():
+    assert clips.ClipPlan.draw(3, 5) == clips.ClipPlan.draw(3, 5)
+    plans = [clips.ClipPlan.draw(3, k) for k in range(40)]
+    assert {plan.scene for plan in plans} == set(clips.TRAINING_SCENES)
+    assert len({plan.fps for plan in plans}) == 40 and all(15 <= plan.fps <= 60 for plan in plans)
+    assert all(0 < a < 1 for plan in plans for alphas in plan.alphas for a in alphas)
+
+
+def test_test_scenes_are_not_trained_on():
+    assert set(clips.TRAINING_SCENES) == {"corridor", "plaza", "room", "forest"}
+
+
+def test_focus_masks_agree():
+    rng = np.random.default_rng(0)
+    truth = rng.uniform(0, 1, (40, 50, 3)).astype(np.float32)
+    gae = truth * rng.uniform(0.2, 1.2, (40, 50, 1)).astype(np.float32)
+    dynamic = rng.random((40, 50)) < 0.2
+    expected = clips.focus_mask(gae, truth, dynamic)
+    planes = [torch.from_numpy(x.transpose(2, 0, 1)[None]) for x in (gae, truth)]
+    mask = focus_truth(*planes, torch.from_numpy(dynamic[None, None]))
+    assert 0.01 < expected.mean() < 0.6 and not expected[dynamic].any()
+    assert (mask[0, 0].numpy() == expected).all()
+
+
+def test_keeping_crops():
+    crops = [Crop(None, 0, 0, k, 0.5, focus) for k, focus in enumerate(np.linspace(0, 0.5, 200))]
+    kept = keep_crops(crops, seed=1)
+    assert {crop.x for crop in kept[:30]} == set(range(170, 200))
+    assert len({crop.x for crop in kept}) == 36
+    assert keep_crops(crops, seed=1) == kept != keep_crops(crops, seed=2)
+
+
+def batch_of(count=3, size=64, alpha=0.5):
+    colors = [random(count, 3, size, size, seed=k) for k in range(3)]
+    side = torch.full((count, 2, size, size), 0.5)
+    side[:, 1, :, : size // 4] = 1.0  # dynamic
+    return Batch(*colors, side, torch.full((count,), alpha))
+
+
+def test_augmentation_follows_its_generator():
+    made = [Augmentation(torch.Generator().manual_seed(s))(batch_of()) for s in (1, 1, 2)]
+    assert torch.equal(made[0].truth, made[1].truth) and torch.equal(made[0].gae, made[1].gae)
+    assert not torch.equal(made[0].truth, made[2].truth)
+    for batch in made:
+        assert all(torch.isfinite(x).all() and (x >= 0).all() for x in (batch.gae, batch.previous, batch.truth))
+
+
+@pytest.mark.parametrize("change", ["_lit", "_reflected"])
+def test_shading_of_its_own_moves_with_time(change):
+    """At α = 0 the truth shows it where the GAE frame does, at α = −1 where the frame before does; never on what is
+    dynamic."""
+    batch = batch_of()
+    one = torch.ones(3, 3, 3, 64, 64) * 0.3
+    one[2] += 0.2 * batch.truth if change == "_reflected" else 0
+    for alpha, same, other in ((0.0, 0, 1), (-1.0, 1, 0)):
+        augmentation = Augmentation(torch.Generator().manual_seed(5))
+        colors = getattr(augmentation, change)(one, batch.side, torch.full((3,), alpha)) - one
+        assert torch.allclose(colors[2], colors[same], atol=1e-6)
+        assert (colors[2] - colors[other]).abs().max() > 0.02
+        assert not colors[..., :16].any() and colors[..., 16:].abs().max() > 0.05
+
+
+# ---- training ------------------------------------------------------------------------------------------
+
+RECIPE = Recipe(seed=3, steps=24, batch=4, learning_rate=3e-3, final_learning_rate=1e-3)
+CLIPS = 3
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory, opened):
+    """Three small clips, and their folder."""
+    folder = tmp_path_factory.mktemp("training")
+    assert clips.make_clips(folder, opened, 3, CLIPS) == CLIPS
+    return folder
+
+
+@pytest.fixture(scope="module")
+def opened():
+    from gffe_cl.device import open_device
+
+    return open_device()
+
+
+def started(folder, data, recipe=RECIPE):
+    return Training(folder, recipe, list_crops(data, 3, CLIPS), Processes())
+
+
+@pytest.mark.slow
+def test_clips_are_cached_and_resumable(data, opened):
+    assert clips.make_clips(data, opened, 3, CLIPS) == 0
+    path = clips.clip_path(data, 3, 1)
+    document, samples = json.loads(path.with_suffix(".json").read_text()), np.load(path)
+    path.with_suffix(".json").unlink()  # as if it had been interrupted there
+    assert clips.make_clips(data, opened, 3, CLIPS) == 1
+    assert json.loads(path.with_suffix(".json").read_text()) == document
+    assert (np.load(path) == samples).all()
+    plan = document["plan"]
+    assert samples.shape == (4, clips.CHANNELS, plan["height"], plan["width"]) and len(document["alphas"]) == 4
+    gae, truth = samples[:, clips.PLANES["gae"]], samples[:, clips.PLANES["truth"]]
+    assert np.abs(gae.astype(np.float32) - truth).mean() < 0.1 * truth.astype(np.float32).mean()
+
+
+@pytest.mark.slow
+def test_training_improves_every_loss_and_reaches_every_weight(data, tmp_path):
+    training = started(tmp_path / "run", data)
+    crops = training.crops[:8]
+    before = fixed_loss(training, crops)
+    start = {name: value.clone() for name, value in training.network.named_parameters()}
+    assert training.run()
+    after = fixed_loss(training, crops)
+    assert after["loss"] < 0.9 * before["loss"]
+    assert after["focus"] < before["focus"]
+    for name, value in training.network.named_parameters():
+        assert value.grad is not None and value.grad.abs().sum() > 0, name
+        assert not torch.equal(value, start[name]), name
+    figures = training.validate()
+    assert all(math.isfinite(value) for value in figures.values())
+
+
+def fixed_loss(training, crops):
+    from gffe_cl.scn.training import loss_terms
+
+    batch = load_batch(crops)
+    with torch.no_grad():
+        model = training.model.train()
+        out = model(batch.frames(), batch.alpha, network.halve(network.encode(batch.truth)))
+        terms = loss_terms(*out, batch, batch.focus(), training.perceptual)
+    factors = weights(training.recipe)
+    return terms | {"loss": sum(factors[name] * value for name, value in terms.items())}
+
+
+@pytest.mark.slow
+def test_equal_seeds_agree_and_slices_make_no_difference(data, tmp_path):
+    recipe = Recipe(seed=3, steps=6, batch=1)
+    whole = started(tmp_path / "whole", data, recipe)
+    assert whole.run()
+    part = started(tmp_path / "parts", data, recipe)
+    assert not part.run(until=0.0)  # nothing but a checkpoint
+    for _ in range(3):
+        part = started(tmp_path / "parts", data, recipe)
+        stop = part.step + 2
+        with pytest.raises(KeyboardInterrupt):
+            part.run(on_step=lambda progress, stop=stop: interrupt(progress.step == stop))
+    part = started(tmp_path / "parts", data, recipe)
+    assert part.step == 6 and part.run()
+    for a, b in zip(whole.network.parameters(), part.network.parameters(), strict=True):
+        assert torch.allclose(a, b, atol=1e-6)
+    other = started(tmp_path / "other", data, Recipe(seed=4, steps=6, batch=1))
+    assert other.run()
+    assert not torch.allclose(next(other.network.parameters()), next(whole.network.parameters()), atol=1e-4)
+
+
+def interrupt(now):
+    if now:
+        raise KeyboardInterrupt
+
+
+@pytest.mark.slow
+def test_checkpoints_of_other_runs_are_refused(data, tmp_path):
+    training = started(tmp_path, data, Recipe(seed=3, steps=2, batch=2))
+    training.save()
+    with pytest.raises(GffeError, match=r"was started with steps 2 \(expected the same options"):
+        started(tmp_path, data, Recipe(seed=3, steps=9, batch=2))
+    (tmp_path / CHECKPOINT).write_bytes(b"broken")
+    with pytest.raises(GffeError, match=r"checkpoint\.pt: not a checkpoint"):
+        started(tmp_path, data)
+
+
+@pytest.mark.slow
+def test_broken_data_is_named(data, tmp_path):
+    with pytest.raises(GffeError, match="no training clips"):
+        list_crops(tmp_path, 3, 5)
+    path = clips.clip_path(tmp_path, 3, 0)
+    path.write_bytes(clips.clip_path(data, 3, 0).read_bytes()[:1000])
+    path.with_suffix(".json").write_text(clips.clip_path(data, 3, 0).with_suffix(".json").read_text())
+    with pytest.raises(GffeError, match=r"clip_3_000000\.npy: not a training clip"):
+        load_batch(list_crops(tmp_path, 3, 1)[:1])
+    path.with_suffix(".json").write_text("{")
+    with pytest.raises(GffeError, match=r"clip_3_000000\.json: not a description"):
+        list_crops(tmp_path, 3, 1)
+
+
+def test_validation_clips_are_not_trained_on():
+    crops = [Crop(f"clip{k}", 0, 0, x, 0.5, 0.1) for k in range(10) for x in range(5)]
+    held, rest = split_crops(crops, 0)
+    assert held and {crop.path for crop in held}.isdisjoint(crop.path for crop in rest)
+
+
+def test_recipes_are_checked():
+    for wrong in ({"steps": 0}, {"batch": 0}, {"learning_rate": 1e-6}, {"final_learning_rate": 0}):
+        with pytest.raises(GffeError, match="training: "):
+            Recipe(**wrong)
+    recipe = Recipe(steps=100)
+    rates = [recipe.learning_rate_at(k) for k in (0, 50, 100, 200)]
+    assert rates == pytest.approx([1e-4, 5.5e-5, 1e-5, 1e-5])
+
+
+def test_export(tmp_path):
+    torch.manual_seed(0)
+    net = network.ShadingCorrectionNetwork()
+    assert export_onnx(net, tmp_path / "scn.onnx") < 2e-4
+    other = network.ShadingCorrectionNetwork()
+    assert largest_difference(other.eval(), tmp_path / "scn.onnx") > 1e-3
+    assert [path.name for path in tmp_path.iterdir()] == ["scn.onnx"]
+    with pytest.raises(GffeError, match="cannot write the model"):
+        export_onnx(net, tmp_path / "no" / "scn.onnx")
