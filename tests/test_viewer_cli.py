@@ -2,15 +2,18 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 import tiny_sequence
 from PIL import Image
 
+README = Path(__file__).parents[1] / "README.md"
 GFFE = [sys.executable, "-c", "from gffe_cl.cli import main; main()", "view"]
 XVFB = ["xvfb-run", "-a", "-s", "-screen 0 1920x1200x24"]
 
@@ -128,3 +131,11 @@ def test_settings_that_cannot_be_saved(gffe, screen, tmp_path):
     )  # fmt: skip
     assert child.returncode == 0 and "Traceback" not in child.stderr
     assert child.stderr.strip().endswith("the settings cannot be saved: Not a directory")
+
+
+@pytest.mark.slow
+def test_screenshot_of_the_readme(gffe, screen, tmp_path):
+    command = re.search(r"`gffe view out/demo/rendered (--screenshot .*?)`", README.read_text("utf-8"))[1].split()
+    command[command.index("--frame") + 1] = "3"
+    assert gffe("in", *command) == (0, "", "")
+    assert (tmp_path / command[1]).is_file()
