@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,17 +24,19 @@ METHODS = {
     "repeat": "repeat the last frame",
     "static": "warp, all static",
     "gae": "GAE",
+    "scn": "GAE and shading correction",
 }
 _FRAMES = 16
 _SLOWDOWN = 4
 
 
-def demo(output: Path, device: Device, width: int, height: int, seed: int, window: str, step) -> dict:
+def demo(output: Path, device: Device, width: int, height: int, seed: int, window: str, options: Options, step) -> dict:
     """Fill the folder `output`: `rendered/`, `extrapolated/`, `contact_sheet.png`, `side_by_side.mp4`, `metrics.json`.
 
     `window` is the rendering window: "adaptive", "fixed:FACTOR" or "off".
+    `options`: of what is shown; the others go without shading correction.
     `step(text, total)` opens a progress step and returns a function to call after each unit of it.
-    Returns the metrics: {"repeat": {"psnr", "ssim"}, "static": {…}, "gae": {…}}.
+    Returns the metrics: {"repeat": {"psnr", "ssim"}, "static": {…}, "gae": {…}}, and "scn" where that is on.
     """
     scene = load_scene("corridor", seed)
     rendered, extrapolated = output / "rendered", output / "extrapolated"
@@ -42,22 +45,22 @@ def demo(output: Path, device: Device, width: int, height: int, seed: int, windo
         scene, rendered, device, width, height, _FRAMES, 30.0, ground_truth=True, window=window, on_frame=on_frame
     )
     source = open_sequence(rendered)
-    on_frame = step("Extrapolating, all static", _FRAMES)
-    static = output / "static"
-    run_sequence(Recorded(source, device), static, device, Options(motion=False), [0.5], on_frame=on_frame)
-    on_frame = step("Extrapolating (GAE)", _FRAMES)
-    run_sequence(Recorded(source, device), extrapolated, device, Options(), [0.5], on_frame=on_frame)
+    plain = replace(options, shading_correction=False)
+    runs = {"static": (output / "static", replace(plain, motion=False)), "gae": (extrapolated, plain)}
+    if options.corrects_shading:
+        runs |= {"gae": (output / "gae", plain), "scn": (extrapolated, options)}
+    for name, (folder, how) in runs.items():
+        on_frame = step(f"Extrapolating ({METHODS[name]})", _FRAMES)
+        run_sequence(Recorded(source, device), folder, device, how, [0.5], on_frame=on_frame)
 
-    on_frame = step("Measuring against ground truth", 3 * _FRAMES)
+    on_frame = step("Measuring against ground truth", (1 + len(runs)) * _FRAMES)
 
     def progress(done, total):
         on_frame()
 
-    results = {
-        "repeat": baseline_repeat(source, progress, device),
-        "static": compare(open_sequence(static), source, progress=progress),
-        "gae": compare(open_sequence(extrapolated), source, progress=progress),
-    }
+    results = {"repeat": baseline_repeat(source, progress, device)}
+    for name, (folder, _) in runs.items():
+        results[name] = compare(open_sequence(folder), source, progress=progress)
     metrics = {name: result.to_json()["mean"] for name, result in results.items()}
     (output / "metrics.json").write_text(json.dumps(metrics, indent=1) + "\n")
 

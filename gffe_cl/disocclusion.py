@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -83,8 +83,11 @@ def study_disocclusions(
     scene = load_scene(name, seed)
     moving = np.array([group.motion.moves for group in scene.groups] + [False])  # [-1] is the sky
     renderer = SceneRenderer(device, scene, width, height)
-    pipelines = {method: Pipeline(device, width, height, options, fps=fps) for method, options in METHODS.items()}
-    all_static = Pipeline(device, width, height, Options(motion=False, levels=0), fps=fps)
+    pipelines = {
+        method: Pipeline(device, width, height, replace(options, shading_correction=False), fps=fps)
+        for method, options in METHODS.items()
+    }
+    all_static = Pipeline(device, width, height, Options(motion=False, levels=0, shading_correction=False), fps=fps)
     pixels = dict.fromkeys((*CATEGORIES, "all"), 0)
     errors: dict = {method: defaultdict(float) for method in METHODS}
     unfilled = dict.fromkeys(METHODS, 0)

@@ -12,13 +12,14 @@ import numpy as np
 from gffe_cl.device import Device
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import is_shown_whole
-from gffe_cl.metrics import display_values, psnr, ssim
+from gffe_cl.metrics import RegionErrors, display_values, focus_mask, psnr, ssim
 from gffe_cl.sequence import FrameEntry, Sequence
 from gffe_cl.sequence.read_ahead import read_ahead
 from gffe_cl.stages.presentation import present
 
 _THREADS = 2
 _NO_HISTORY = 2  # rendered frames after a reset, itself included, that are followed by no counted frame
+FOCUS = "focus"  # the mask of pixels whose shading is wrong without shading correction
 _SAME_TIME = 1e-3  # of 1/fps: times closer than this are one
 
 
@@ -36,10 +37,12 @@ class FrameScore:
 
 @dataclass
 class Comparison:
-    """Scores of all matched frames, by time; `notes` are sentences about how the means came about."""
+    """Scores of all matched frames, by time; `notes` are sentences about how the means came about; `regions`, for the
+    mask "focus", figures pooled over the counted frames (`RegionErrors.figures`)."""
 
     frames: list[FrameScore]
     notes: list[str] = field(default_factory=list)
+    regions: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @property
     def psnr(self) -> float:
@@ -53,13 +56,18 @@ class Comparison:
 
     def to_json(self) -> dict:
         """{"mean": {"psnr", "ssim"}, "frames": [{"time", "file", "truth", "psnr", "ssim", "counted"}, …]},
-        and "notes" where there are any; what is undefined is null."""
+        "notes" and "regions" where there are any; what is undefined is null."""
         document = {
             "mean": {"psnr": _or_null(self.psnr), "ssim": _or_null(self.ssim)},
             "frames": [
                 {**asdict(frame), "psnr": _or_null(frame.psnr), "ssim": _or_null(frame.ssim)} for frame in self.frames
             ],
         }
+        if self.regions:
+            document["regions"] = {
+                region: {name: _or_null(value) for name, value in figures.items()}
+                for region, figures in self.regions.items()
+            }
         return {**document, "notes": list(self.notes)} if self.notes else document
 
     def _mean(self, name) -> float:
@@ -73,10 +81,15 @@ class _Pair:
     entry: FrameEntry  # of A; a rendered one for the baseline
     truth: FrameEntry
     counted: bool
+    gae: FrameEntry | None = None  # of the sequence without shading correction
 
 
 def compare(
-    a: Sequence, b: Sequence, mask: str | None = None, progress: Callable[[int, int], None] | None = None
+    a: Sequence,
+    b: Sequence,
+    mask: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    gae: Sequence | None = None,
 ) -> Comparison:
     """Extrapolated frames of `a` against ground truth of `b`.
 
@@ -87,9 +100,12 @@ def compare(
     Parameters
     ----------
     mask : str or None
-        A channel of `a`'s frames: PSNR is over the pixels where it is not 0, SSIM over the whole frame.
+        A channel of `a`'s frames: PSNR is over the pixels where it is not 0, SSIM over the whole frame. "focus" means
+        the pixels whose shading is wrong in `gae`: `focus_mask`, less what is disoccluded.
     progress : callable or None
         Called with (frames done, frames in all).
+    gae : Sequence or None
+        For "focus": what `a` is without shading correction; `a` itself if None.
 
     Raises
     ------
@@ -113,7 +129,13 @@ def compare(
             f"{a.path}: no extrapolated frame has ground truth in {b.path}"
             f" (expected times within {tolerance:.3g} s of each other)"
         )
-    return _score(pairs, a, b, mask, progress)
+    if gae is not None:
+        _require_same_size(gae, b)
+        for pair in pairs:
+            pair.gae = min(gae.extrapolated, key=lambda e: abs(e.time - pair.entry.time), default=None)
+            if pair.gae is None or abs(pair.gae.time - pair.entry.time) > tolerance:
+                raise GffeError(f"{gae.path}: no extrapolated frame at {pair.entry.time:.6g} s, as {a.path} has")
+    return _score(pairs, a, b, mask, progress, gae=gae)
 
 
 def baseline_repeat(
@@ -147,7 +169,7 @@ def shown_color(sequence: Sequence, entry: FrameEntry, device: Device | None = N
     return present(sequence.read(entry), size=size, device=device).color
 
 
-def _score(pairs, a, b, mask, progress, device=None) -> Comparison:
+def _score(pairs, a, b, mask, progress, device=None, gae=None) -> Comparison:
     import skimage.metrics  # noqa: F401  slow to import: once, before the threads
 
     notes = []
@@ -158,6 +180,9 @@ def _score(pairs, a, b, mask, progress, device=None) -> Comparison:
         for pair in pairs:
             pair.counted = True
 
+    if mask == FOCUS and gae is None:
+        notes.append(f"focus pixels are those of {a.path} itself: give the sequence without shading correction")
+
     def score(pair):
         shown = display_values(shown_color(a, pair.entry, device), b.exposure)
         truth = display_values(b.read_color(pair.truth), b.exposure)
@@ -166,11 +191,19 @@ def _score(pairs, a, b, mask, progress, device=None) -> Comparison:
                 f"{pair.entry.file}: {shown.shape[1]}×{shown.shape[0]} pixels,"
                 f" expected {truth.shape[1]}×{truth.shape[0]} as in {pair.truth.file}"
             )
-        pixels = a.read_channels(pair.entry, [mask])[mask] if mask else None
-        return psnr(shown, truth, pixels), ssim(shown, truth)
+        errors = RegionErrors()
+        if mask == FOCUS:
+            regions = _regions(pair, a, b, gae)
+            errors.add(shown, truth, regions)
+            pixels = regions[FOCUS]
+        else:
+            pixels = a.read_channels(pair.entry, [mask])[mask] if mask else None
+        return psnr(shown, truth, pixels), ssim(shown, truth), errors
 
-    frames = []
-    for pair, (decibel, similarity) in read_ahead(pairs, score, _THREADS):
+    frames, counted = [], []
+    for pair, (decibel, similarity, errors) in read_ahead(pairs, score, _THREADS):
+        if pair.counted:
+            counted.append(errors)
         frames.append(
             FrameScore(
                 pair.truth.time if pair.entry.kind == "rendered" else pair.entry.time,
@@ -183,7 +216,20 @@ def _score(pairs, a, b, mask, progress, device=None) -> Comparison:
         )
         if progress:
             progress(len(frames), len(pairs))
-    return Comparison(frames, notes)
+    return Comparison(frames, notes, RegionErrors.pooled(counted).figures())
+
+
+def _regions(pair: _Pair, a: Sequence, b: Sequence, gae: Sequence | None) -> dict[str, np.ndarray]:
+    masks = a.read_channels(pair.entry, ["mask.dynamic", "mask.disoccluded"])
+    color = gae.read_color(pair.gae) if gae else a.read_color(pair.entry)
+    focus = focus_mask(color, b.read_color(pair.truth), masks["mask.dynamic"], b.exposure)
+    return shading_regions(focus, masks["mask.disoccluded"])
+
+
+def shading_regions(focus: np.ndarray, disoccluded: np.ndarray) -> dict[str, np.ndarray]:
+    """Where shading correction is measured, masks (H, W): "focus" less disocclusions, these, and the "whole" frame."""
+    holes = disoccluded != 0
+    return {FOCUS: focus & ~holes, "disoccluded": holes, "whole": np.ones(focus.shape, bool)}
 
 
 class _History:

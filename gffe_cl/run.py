@@ -28,7 +28,8 @@ MASKS = {"mask.dynamic": "dynamic", "mask.disoccluded": "disoccluded", "mask.fil
 
 @dataclass
 class RunReport:
-    """What a run did: frames made, bad pixels met, warnings, kernel milliseconds per stage and frame."""
+    """What a run did: frames made, bad pixels met, warnings, milliseconds per stage and frame (kernels; "network":
+    wall time)."""
 
     extrapolated: int
     bad_pixels: BadPixels
@@ -69,6 +70,7 @@ def run_sequence(
     source.refuse(output)
     size = (source.width, source.height)
     pipeline = Pipeline(device, *size, options, render_size=source.render_size, fps=source.fps)
+    pipeline.exposure = source.exposure
     suffixes = _suffixes(alphas)
     report = RunReport(0, BadPixels(), [], {})
     timings: dict[str, float] = defaultdict(float)

@@ -15,12 +15,13 @@ from gffe_cl.scenes import SceneArrays, SceneRenderer, SequenceFrame, load_scene
 
 # "literal" is the paper taken at its word: single-pixel splats, no crack closing, 32× hole filling.
 # "oracle" is the same warp with every fragment's true position at t + α in place of the predicted one.
+# Shading correction is off: `shading_study` measures that.
 METHODS: dict[str, Options | None] = {
     "repeat": None,
-    "literal": Options(crack_closing=False, levels=2, hole_filling="downsample"),
-    "static": Options(motion=False),
-    "gae": Options(),
-    "oracle": Options(),
+    "literal": Options(crack_closing=False, levels=2, hole_filling="downsample", shading_correction=False),
+    "static": Options(motion=False, shading_correction=False),
+    "gae": Options(shading_correction=False),
+    "oracle": Options(shading_correction=False),
 }
 _NO_HISTORY = 2  # rendered frames after the reset that do not count
 

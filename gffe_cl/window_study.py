@@ -11,7 +11,7 @@ from gffe_cl.device import Device
 from gffe_cl.disocclusion import shows, world_positions
 from gffe_cl.frame import RenderedFrame
 from gffe_cl.metrics import display_values, psnr
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.pipeline import Options, Pipeline
 from gffe_cl.scenes import Scene, SceneRenderer, load_scene, sequence_frames
 from gffe_cl.window import Window, WindowChooser
 
@@ -102,7 +102,7 @@ def _rows(device, scene, mode, size, frames, fps, alpha, truths, on_frame) -> li
     render_size = tuple(n + 2 * round((_DENSER.get(mode, 1) - 1) / 2 * n) for n in size)
     windows = _Grown(mode, size, render_size, [alpha]) if mode in _DENSER else WindowChooser(mode, size, [alpha])
     renderer = SceneRenderer(device, scene, *render_size)
-    pipeline = Pipeline(device, *size, render_size=render_size, fps=fps)
+    pipeline = Pipeline(device, *size, Options(shading_correction=False), render_size=render_size, fps=fps)
     rows = []
     for step in sequence_frames(
         scene, *size, frames, fps, ground_truth=False, windows=windows, render_size=render_size

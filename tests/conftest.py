@@ -1,10 +1,12 @@
-"""Fixtures: every usable OpenCL device once; `GFFE_DEVICE` narrows the choice."""
+"""Fixtures: every usable OpenCL device once (`GFFE_DEVICE` narrows the choice); no weights of the package's, so that what
+is tested does not hang on them."""
 
 import functools
 import os
 
 import pytest
 
+from gffe_cl import inference
 from gffe_cl.device import list_devices, open_info, select
 
 
@@ -21,6 +23,13 @@ def pytest_generate_tests(metafunc):
         assert infos, "no usable OpenCL device: see `gffe devices`"
         names = [f"{info.platform.split()[0]}-{info.index}" for info in infos]
         metafunc.parametrize("device", infos, ids=names, indirect=True, scope="session")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_weights():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(inference, "default_model", lambda: None)
+        yield
 
 
 _opened = {}

@@ -11,6 +11,7 @@ import time
 import numpy as np
 import OpenEXR
 import pytest
+from scn_models import constant_model
 from synthetic import Rect, Rects, camera
 
 from gffe_cl import open_sequence
@@ -162,10 +163,10 @@ def test_switches(gffe, scene, tmp_path):
 def test_dump_stages(gffe, scene, tmp_path):
     from gffe_cl import Options, Pipeline, open_device
 
-    assert gffe("run", scene, tmp_path / "out", "--dump-stages", "--history", "3")[0] == 0
+    assert gffe("run", scene, tmp_path / "out", "--dump-stages", "--history", "3", "--no-scn")[0] == 0
     folder = tmp_path / "out" / "stages" / "extrapolated_000003_0500"
     once = json.loads((folder / "once.json").read_text())
-    pipeline = Pipeline(open_device(), 8, 8, Options(history=3, shading_inputs=True))
+    pipeline = Pipeline(open_device(), 8, 8, Options(history=3, shading_inputs=True, shading_correction=False))
     assert {stage.name for stage in pipeline.stages} >= {
         "history",
         "prediction",
@@ -182,6 +183,67 @@ def test_dump_stages(gffe, scene, tmp_path):
     dumped = _pixels(folder / "warp.color.exr")
     made = _pixels(tmp_path / "out" / "extrapolated_000003_0500.exr")
     assert all(dumped[name] == made[name] for name in "RGB")
+
+
+def test_shading_correction(gffe, scene, tmp_path):
+    """Off without weights; with a model the colour changes and nothing else, within the focus mask or everywhere."""
+    model = constant_model(tmp_path / "m.onnx", delta=0.05, mask=0.5)
+    runs = {
+        "none": ("--no-scn",),
+        "some": ("--scn-model", model, "--dump-stages"),
+        "all": ("--scn", "--scn-model", model, "--no-focus-mask", "--scn-provider", "cpu"),
+    }
+    images = {}
+    for name, options in runs.items():
+        assert gffe("run", scene, tmp_path / name, *options, "--json", tmp_path / "r.json")[0] == 0
+        made = open_sequence(tmp_path / name)
+        images[name] = [made.read_channels(e, ["G", "Z", "motion.x"]) for e in made.extrapolated]
+        report = json.loads((tmp_path / "r.json").read_text())["milliseconds"]
+        assert ("network" in report) == ("correction" in report) == (name != "none")
+    for none, some, whole in list(zip(*images.values(), strict=True))[1:]:
+        assert (none["G"] < some["G"]).mean() > 0.9 and (some["G"] < whole["G"]).mean() > 0.9
+        for same in ("Z", "motion.x"):
+            assert np.array_equal(none[same], some[same]) and np.array_equal(none[same], whole[same])
+    assert np.array_equal(images["none"][0]["G"], images["all"][0]["G"])  # nothing before it
+    dumped = {path.name for path in (tmp_path / "some" / "stages" / "extrapolated_000002_0500").iterdir()}
+    names = ("frames", "correction", "refined", "focus_mask", "color")
+    assert dumped >= {"warp.color.exr", "shading.input_mask.exr", *(f"correction.{name}.exr" for name in names)}
+
+    code, text, _ = gffe("compare", tmp_path / "some", scene, "--mask", "focus", "--gae", tmp_path / "none")
+    assert code == 0 and "disoccluded" in text and "whole" in text
+    code, _, err = gffe("compare", tmp_path / "some", scene, "--gae", tmp_path / "none")
+    assert code == 2 and "--gae goes with --mask focus" in err
+
+
+def test_wrong_options_of_shading_correction(gffe, scene, tmp_path):
+    model = constant_model(tmp_path / "m.onnx")
+    cases = [
+        (("--no-scn", "--scn-model", model), "--no-scn and --scn-model exclude each other"),
+        (("--no-scn", "--no-focus-mask"), "--no-scn and --no-focus-mask exclude each other"),
+        (("--scn-model", tmp_path / "none.onnx"), "none.onnx: no such file"),
+        (("--scn-model", scene / "sequence.json"), "sequence.json: cannot be loaded"),
+        (("--scn-model", model, "--scn-provider", "abacus"), "provider 'abacus' is not available"),
+    ]
+    for options, expected in cases:
+        code, _, err = gffe("run", scene, tmp_path / "out", *options)
+        assert code == 2 and expected in err and len(err.strip().splitlines()) == 1, err
+        assert not (tmp_path / "out").exists()
+    code, _, err = gffe("study", "room", "--sheet", tmp_path / "s.png")
+    assert code == 2 and "--sheet goes with --shading" in err
+
+
+def test_study_of_shading(gffe, tmp_path):
+    model = constant_model(tmp_path / "m.onnx", keep=0.0, mask=0.2)
+    options = ("--seeds", 1, "--size", "96x54", "--frames", 5, "--scn-model", model)
+    report, sheet = tmp_path / "s.json", tmp_path / "s.png"
+    code, text, _ = gffe("study", "room", "--shading", *options, "--json", report, "--sheet", sheet)
+    assert code == 0 and "focus pixels" in text and sheet.stat().st_size > 1000
+    (result,) = json.loads(report.read_text())["results"]
+    whole = {method: regions["whole"] for method, regions in result["methods"].items()}
+    assert result["corrected"] == 1 and whole["GAE"]["share"] == 1
+    assert whole["GAE"]["psnr"] > whole["final"]["psnr"] > whole["no focus mask"]["psnr"]  # it only blurs
+    code, _, err = gffe("study", "room", "--shading", "--windows")
+    assert code == 2 and "exclude each other" in err
 
 
 @pytest.mark.parametrize("window", ["adaptive", "fixed:1.2", "off"])
@@ -585,6 +647,19 @@ def test_bench(gffe, tmp_path):
             assert size["milliseconds"]["GAE"] == pytest.approx(total)
             per_pixel = size["bytes_per_pixel"]["warp"] * size["width"] * size["height"]
             assert per_pixel == pytest.approx(size["milliseconds"]["warp"] * 1e6 * size["bandwidth"])
+
+
+def test_bench_of_shading_correction(gffe, tmp_path):
+    model = constant_model(tmp_path / "m.onnx")
+    options = ("--sizes", "64x48", "--repeats", 1, "--scn-model", model, "--json", tmp_path / "b.json")
+    code, text, _ = gffe("bench", *options)
+    assert code == 0 and "SCN, network" in text
+    for one in json.loads((tmp_path / "b.json").read_text())["devices"]:
+        parts = one["sizes"][0]["milliseconds"]
+        scn = [parts[f"SCN, {name}"] for name in ("inputs", "kernels", "network")]
+        assert min(scn) > 0 and parts["SCN"] == pytest.approx(sum(scn))
+        others = sum(ms for name, ms in parts.items() if name != "GAE" and not name.startswith("SCN"))
+        assert parts["GAE"] == pytest.approx(others)
 
 
 def test_study(gffe, tmp_path):

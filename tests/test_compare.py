@@ -142,3 +142,37 @@ def test_baseline(truth):
     assert result.psnr == pytest.approx(np.mean(expected[2:]), abs=1e-2)
     assert result.frames[4].file == "frame_4.exr" and result.frames[4].truth == "ground_truth_4.exr"
     assert result.frames[4].time == pytest.approx(0.45)
+
+
+def test_focus(tmp_path, truth):
+    """Focus pixels are where `gae` is wrong, whatever `a` is; dynamic and disoccluded ones are none."""
+    dynamic, shape = np.zeros((H, W), np.float32), (H, W, 3)
+    dynamic[:, 9:] = 1
+    holes = np.zeros((H, W), np.float32)
+    holes[:2] = 1
+
+    def frames(path, right):
+        with SequenceWriter(path, W, H, 10, 0.8) as writer:
+            for i, time in enumerate(HALVES):
+                image = np.full(shape, TRUTH[i], np.float32)
+                image[:, 5:] = TRUTH[i] * right
+                entry = FrameEntry(f"e_{i}.exr", time, "extrapolated")
+                writer.add(entry, named_channels(image) | {"mask.dynamic": dynamic, "mask.disoccluded": holes})
+        return open_sequence(path)
+
+    gae, better = frames(tmp_path / "gae", 0.3), frames(tmp_path / "better", 0.95)
+    results = {name: compare(a, truth, "focus", gae=gae).regions for name, a in (("gae", gae), ("better", better))}
+    for regions in results.values():
+        shares = {name: figures["share"] * H * W for name, figures in regions.items()}
+        # Column 5 is unlike the truth too: there is nothing to the left that looks like it.
+        assert shares == pytest.approx({"focus": 4 * (H - 2), "disoccluded": 2 * W, "whole": H * W})
+    for name in results["gae"]:
+        assert results["better"][name]["psnr"] > results["gae"][name]["psnr"] + 10
+    own = compare(better, truth, "focus")
+    assert own.regions["focus"]["share"] == 0 and own.to_json()["regions"]["focus"]["psnr"] is None
+    assert "give the sequence without shading correction" in own.notes[-1]
+    document = compare(better, truth, "focus", gae=gae).to_json()
+    assert document["frames"][3]["psnr"] == pytest.approx(level_psnr(TRUTH[3] * 0.95, TRUTH[3]), abs=1e-2)
+    few = write(tmp_path / "few", "extrapolated", HALVES[:1], TRUTH[:1])
+    with pytest.raises(GffeError, match=r"few: no extrapolated frame at 0.15 s"):
+        compare(better, truth, "focus", gae=few)

@@ -818,18 +818,6 @@ def prepare_inputs(warped, motion, color_prev, depth_prev, to_previous):
     return out, mask
 
 
-def focus_mask(color, truth, dynamic, exposure):
-    """(H, W) uint8: static, and SMAPE > 0.5 against each of the 3×3 pixels of the truth around."""
-    a, b = (F(exposure) * load_color(image) for image in (color, truth))
-    least = np.full(dynamic.shape, INF)
-    for dy in (-1, 0, 1):
-        for dx in (-1, 0, 1):
-            there = _shifted(b, dx, dy, np.nan)
-            e = F(2) * np.abs(a - there) / (np.abs(a) + np.abs(there) + F(0.01))
-            least = np.fmin(least, e[..., 0] + e[..., 1] + e[..., 2])
-    return ((least > F(1.5)) & (dynamic == 0)).astype(np.uint8)
-
-
 # ---- shading correction --------------------------------------------------------------------------------
 
 

@@ -11,6 +11,10 @@ from rich.table import Table
 from gffe_cl.cli.common import (
     DeviceOption,
     JsonOption,
+    NoFocusMaskOption,
+    ScnModelOption,
+    ScnOption,
+    ScnProviderOption,
     WindowOption,
     app,
     err,
@@ -19,6 +23,7 @@ from gffe_cl.cli.common import (
     parse_size,
     plain,
     progress_bars,
+    scn_options,
     steps,
     write_json,
 )
@@ -68,23 +73,28 @@ def demo(
     size: Annotated[str, typer.Option(help="Width × height, pixels.")] = "960x540",
     seed: Annotated[int, typer.Option(help="Variation of the scene.")] = 0,
     window: WindowOption = "off",
+    scn: ScnOption = None,
+    scn_model: ScnModelOption = None,
+    scn_provider: ScnProviderOption = "cpu",
     device: DeviceOption = None,
 ) -> None:
     """Render the scene 'corridor', extrapolate it, and measure the result against ground truth."""
     from gffe_cl.demo import METHODS
     from gffe_cl.demo import demo as run_demo
     from gffe_cl.device import open_device
+    from gffe_cl.pipeline import Options
 
     width, height = parse_size(size)
     if min(width, height) < 32 or max(width, height) > 4096:
         raise GffeError(f"demo: --size must be 32 to 4096 pixels each way, got '{size}'")
+    options = Options(**scn_options(scn, scn_model, scn_provider))
     opened = open_device(device)
     out.print(f"Device: {opened.info.name} ({opened.info.platform})")
     with progress_bars() as progress:
-        metrics = run_demo(output, opened, width, height, seed, window, steps(progress))
+        metrics = run_demo(output, opened, width, height, seed, window, options, steps(progress))
     table = Table("against ground truth at t + ½", "PSNR, dB", "SSIM", box=None, header_style="bold")
-    for name, text in METHODS.items():
-        table.add_row(text, f"{metrics[name]['psnr']:.2f}", f"{metrics[name]['ssim']:.4f}")
+    for name, figures in metrics.items():
+        table.add_row(METHODS[name], f"{figures['psnr']:.2f}", f"{figures['ssim']:.4f}")
     out.print(table)
     out.print(f"Results are in {output}: contact_sheet.png, side_by_side.mp4, metrics.json, extrapolated/")
 
@@ -154,6 +164,10 @@ def run(
     hole_filling: Annotated[
         str, typer.Option(help="What the background leaves: far-side, push-pull, downsample (the paper's) or none.")
     ] = "far-side",
+    scn: ScnOption = None,
+    no_focus_mask: NoFocusMaskOption = False,
+    scn_model: ScnModelOption = None,
+    scn_provider: ScnProviderOption = "cpu",
     camera: Annotated[
         str, typer.Option(help="'truth': of the ground-truth frame where there is one; 'predicted'.")
     ] = "truth",
@@ -192,7 +206,7 @@ def run(
     options = Options(
         history=history, order=order, static_threshold=_threshold(static_threshold), motion=not no_motion,
         crack_closing=not no_crack_closing, levels=0 if no_background else layers, hole_filling=hole_filling,
-        shading_inputs=dump_stages,
+        shading_inputs=dump_stages, **scn_options(scn, scn_model, scn_provider, no_focus_mask),
     )  # fmt: skip
     live = {"--size": size, "--frames": frames, "--fps": fps, "--seed": seed}
     opened, source = _open_source(sequence, window, device, live)
@@ -244,7 +258,7 @@ def _print_report(report: RunReport, output: Path) -> None:
     if report.bad_pixels:
         err.print(f"[yellow]warning:[/] bad pixels in the input, survived: {report.bad_pixels}")
     times = ", ".join(f"{name} {ms:.1f}" for name, ms in report.milliseconds.items() if ms)
-    out.print(f"{report.extrapolated} extrapolated frames in {output} (kernel ms per frame: {times})")
+    out.print(f"{report.extrapolated} extrapolated frames in {output} (ms per frame: {times})")
 
 
 def _report_json(report: RunReport, info: DeviceInfo) -> dict:

@@ -9,13 +9,29 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from gffe_cl.cli.common import DeviceOption, JsonOption, app, out, parse_size, plain, progress_bars, steps, write_json
+from gffe_cl.cli.common import (
+    DeviceOption,
+    JsonOption,
+    NoFocusMaskOption,
+    ScnModelOption,
+    ScnOption,
+    ScnProviderOption,
+    app,
+    out,
+    parse_size,
+    plain,
+    progress_bars,
+    scn_options,
+    steps,
+    write_json,
+)
 from gffe_cl.errors import GffeError
 
 if TYPE_CHECKING:
     from gffe_cl.bench import SizeBench
     from gffe_cl.device import DeviceInfo
     from gffe_cl.disocclusion import DisocclusionStudy
+    from gffe_cl.shading_study import ShadingStudy
     from gffe_cl.study import SceneStudy
     from gffe_cl.window_study import WindowStudy
 
@@ -25,7 +41,13 @@ def compare(
     a: Annotated[Path, typer.Argument(help="Sequence with extrapolated frames.")],
     b: Annotated[Path, typer.Argument(help="Sequence with ground truth.")],
     mask: Annotated[
-        str | None, typer.Option(help="Take PSNR only where this channel of A is not 0 (mask.dynamic …).")
+        str | None,
+        typer.Option(
+            help="Take PSNR only where this channel of A is not 0 (mask.dynamic …); or 'focus': where shading is wrong."
+        ),
+    ] = None,
+    gae: Annotated[
+        Path | None, typer.Option(help="With --mask focus: the same without shading correction (`gffe run --no-scn`).")
     ] = None,
     fail_under: Annotated[float | None, typer.Option(help="Exit with 1 if the mean PSNR is lower, dB.")] = None,
     json_path: JsonOption = None,
@@ -34,10 +56,12 @@ def compare(
     from gffe_cl.evaluate import compare as compare_sequences
     from gffe_cl.sequence import open_sequence
 
-    first, second = open_sequence(a), open_sequence(b)
+    if gae is not None and mask != "focus":
+        raise GffeError("--gae goes with --mask focus")
+    first, second, third = open_sequence(a), open_sequence(b), None if gae is None else open_sequence(gae)
     with progress_bars() as progress:
         advance = steps(progress)("Comparing", len(first.extrapolated))
-        result = compare_sequences(first, second, mask, lambda done, total: advance())
+        result = compare_sequences(first, second, mask, lambda done, total: advance(), third)
     table = Table("frame", "PSNR, dB", "SSIM", box=None, header_style="bold")
     for frame in result.frames:
         style = None if frame.counted else "dim"
@@ -48,6 +72,11 @@ def compare(
     left_out = sum(not frame.counted for frame in result.frames)
     dim = f" ({left_out} frames without history left out)" if left_out else ""
     out.print(f"[bold]mean[/]{dim}: PSNR {result.psnr:.2f} dB, SSIM {result.ssim:.4f}")
+    if result.regions:
+        table = Table("all frames together", "share", "PSNR, dB", "FLIP", box=None, header_style="bold")
+        for name, figures in result.regions.items():
+            table.add_row(name, f"{figures['share']:.2%}", f"{figures['psnr']:.2f}", f"{figures['flip']:.4f}")
+        out.print(table)
     write_json(json_path, result.to_json())
     if fail_under is not None and not result.psnr >= fail_under:
         raise typer.Exit(1)
@@ -67,6 +96,12 @@ def study(
     windows: Annotated[
         bool, typer.Option("--windows", help="Measure rendering windows instead, the camera turning quickly.")
     ] = False,
+    shading: Annotated[bool, typer.Option("--shading", help="Measure shading correction instead.")] = False,
+    scn_model: ScnModelOption = None,
+    scn_provider: ScnProviderOption = "cpu",
+    sheet: Annotated[
+        Path | None, typer.Option(help="With --shading: also write pictures of it to this file (PNG, JPEG).")
+    ] = None,
     rate: Annotated[
         float | None, typer.Option(help="With --windows: degrees per second [dim](default 150)[/].")
     ] = None,
@@ -78,12 +113,16 @@ def study(
 
     from gffe_cl.device import open_device
     from gffe_cl.disocclusion import DisocclusionStudy, study_disocclusions
+    from gffe_cl.pipeline import Options
     from gffe_cl.scenes import SCENES
+    from gffe_cl.shading_study import study_shading
     from gffe_cl.study import study_scene
     from gffe_cl.window_study import MODES, study_windows
 
-    if disocclusions and windows:
-        raise GffeError("study: --disocclusions and --windows exclude each other")
+    if disocclusions + windows + shading > 1:
+        raise GffeError("study: --disocclusions, --windows and --shading exclude each other")
+    if (scn_model or sheet) and not shading:
+        raise GffeError(f"study: {'--scn-model' if scn_model else '--sheet'} goes with --shading")
     if rate is not None and not (windows and 0 < rate <= 1000):
         raise GffeError(f"study: --rate goes with --windows and must be within 0 and 1000 degrees/s, got {rate:g}")
     width, height = parse_size(size)
@@ -98,6 +137,8 @@ def study(
             measure = partial(study_windows, rate=rate or 150.0)
         elif disocclusions:
             measure = study_disocclusions
+        elif shading:
+            measure = partial(study_shading, options=Options(**scn_options(True, scn_model, scn_provider)))
         results = {
             name: [measure(opened, name, seed, width, height, frames, fps, alpha, advance) for seed in range(seeds)]
             for name in names
@@ -111,6 +152,11 @@ def study(
     elif windows:
         _print_windows(flat)
         write_json(json_path, {"results": [asdict(r) for r in flat]})
+    elif shading:
+        _print_shading(results)
+        write_json(json_path, {"results": [study.figures() for study in flat]})
+        if sheet:
+            _write_sheet(sheet, flat)
     else:
         _print_studies(flat)
         write_json(json_path, {"results": [asdict(r) | {"share": r.share} for r in flat]})
@@ -148,6 +194,39 @@ def _print_windows(studies: list[WindowStudy]) -> None:
     out.print("Means over scenes and seeds; PSNR in dB. The last two render more pixels, as small as the display's.")
 
 
+def _print_shading(results: dict[str, list[ShadingStudy]]) -> None:
+    from gffe_cl.metrics import RegionErrors
+    from gffe_cl.shading_study import METHODS, REGIONS
+
+    flat = [study for studies in results.values() for study in studies]
+    for region in REGIONS:
+        heads = (f"{region} pixels", "share", *METHODS, "gain", *(f"FLIP {m}" for m in METHODS))
+        table = Table(*heads, box=None, header_style="bold")
+        for name, studies in (*results.items(), ("all", flat)):
+            pooled = [RegionErrors.pooled(study.errors[m] for study in studies).figures()[region] for m in METHODS]
+            decibels, flips = [f["psnr"] for f in pooled], [f["flip"] for f in pooled]
+            figures = [f"{d:.2f}" for d in decibels] + [f"{decibels[1] - decibels[0]:+.2f}"]
+            table.add_row(name, f"{pooled[0]['share']:.2%}", *figures, *(f"{f:.4f}" for f in flips))
+        out.print(table)
+    out.print(
+        "PSNR in dB, all frames together. Focus pixels: shading is wrong in GAE, neither disoccluded nor dynamic."
+    )
+
+
+def _write_sheet(path: Path, studies: list[ShadingStudy]) -> None:
+    from gffe_cl.report import contact_sheet
+
+    groups = [(f"{study.scene}, seed {study.seed}", crop) for study in studies for crop in study.crops]
+    if not groups:
+        out.print("No focus pixels: nothing for the sheet.")
+        return
+    try:
+        contact_sheet(groups, columns=len(groups[0][1]), cell_width=400).save(path)
+    except (OSError, ValueError) as error:
+        raise GffeError(f"{path}: cannot write the picture (expected .png or .jpg): {error}") from None
+    out.print(f"Pictures are in {path}")
+
+
 def _print_studies(studies: list[SceneStudy]) -> None:
     from gffe_cl.study import METHODS
 
@@ -171,6 +250,10 @@ def bench(
     ] = "960x540,1280x720,1920x1080,3840x2160",
     repeats: Annotated[int, typer.Option(help="Timed frames per size.")] = 15,
     layers: Annotated[int, typer.Option(help="Levels of the background, 0 to 4.")] = 2,
+    scn: ScnOption = None,
+    no_focus_mask: NoFocusMaskOption = False,
+    scn_model: ScnModelOption = None,
+    scn_provider: ScnProviderOption = "cpu",
     device: Annotated[
         str | None, typer.Option("--device", help="One device [dim](default: every device that works)[/].")
     ] = None,
@@ -185,7 +268,7 @@ def bench(
 
     if repeats < 1:
         raise GffeError(f"--repeats must be at least 1, got {repeats}")
-    options = Options(levels=layers)
+    options = Options(levels=layers, **scn_options(scn, scn_model, scn_provider, no_focus_mask))
     parsed = [parse_size(text) for text in sizes.split(",")]
     if device is None:
         opened = [open_info(info) for info in list_devices() if info.works] or [open_device()]
@@ -210,7 +293,7 @@ def _print_bench(info: DeviceInfo, results: list[SizeBench]) -> None:
                   title=f"{info.name} ({info.platform})", box=None, header_style="bold")  # fmt: skip
     for name in results[0].milliseconds:
         figures = [f"{r.bytes_per_pixel[name]:.0f} ({r.milliseconds[name]:.2f})" for r in results]
-        table.add_row(name, *figures, str(PAPER.get(name) or ""), style="bold" if name == "GAE" else None)
+        table.add_row(name, *figures, str(PAPER.get(name) or ""), style="bold" if name in ("GAE", "SCN") else None)
     table.add_row("wall time, ms", *(f"{r.wall:.2f}" for r in results), "")
     table.add_row("copy bandwidth, GB/s", *(f"{r.bandwidth:.1f}" for r in results), "672")
     table.add_row("device memory, MiB", *(f"{r.memory / 2**20:.0f}" for r in results), "")
