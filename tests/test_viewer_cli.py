@@ -139,3 +139,22 @@ def test_screenshot_of_the_readme(gffe, screen, tmp_path):
     command[command.index("--frame") + 1] = "3"
     assert gffe("in", *command) == (0, "", "")
     assert (tmp_path / command[1]).is_file()
+
+
+@pytest.mark.parametrize(("fault", "code"), [("None", 0), ("GffeError('wrong')", 2), ("KeyboardInterrupt()", 130)])
+def test_leaving_while_the_device_works(tmp_path, fault, code):
+    """The process ends before the runtime is taken down, with all that was printed and the right exit code."""
+    (tmp_path / "script.py").write_text(
+        "import atexit\n"
+        "from types import SimpleNamespace\n"
+        "from gffe_cl.errors import GffeError\n"
+        "from gffe_cl.viewer.start import leaving\n"
+        "atexit.register(print, 'taken down')\n"
+        "print('figures')\n"
+        "with leaving(SimpleNamespace(close=lambda: print('closed'), left_working=True)):\n"
+        f"    fault = {fault}\n"
+        "    if fault:\n"
+        "        raise fault\n"
+    )
+    child = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=100)
+    assert child.returncode == code and child.stdout.split() == ["figures", "closed"]
