@@ -48,16 +48,50 @@ void find_median(__global const uint *histogram, __global float *median_depth) {
     *median_depth = total ? as_float((bin << BIN_BITS) | (1u << (BIN_BITS - 1))) : 1.0f;
 }
 
-/* mu-law of colour: 1 at three stops above display white, no upper limit. gain = mu * exposure / 8. */
-inline float encode(const float c, const float gain, const float per_log) { return log(1.0f + gain * most(c, 0.0f)) * per_log; }
+/* ln(x) for x >= 1, to about a unit in the last place: of Cephes (Moshier), without branches. Built-in functions differ
+   between runtimes, and not all of them are fast. */
+inline float log_of(const float x) {
+    const int exponent = (as_int(x) - 0x3f3504f3) >> 23;  /* of the power of two within sqrt(2) */
+    const float e = (float)exponent, m = as_float(as_int(x) - (exponent << 23)) - 1.0f, z = m * m;
+    float y = 7.0376836292e-2f;
+    y = y * m - 1.1514610310e-1f;
+    y = y * m + 1.1676998740e-1f;
+    y = y * m - 1.2420140846e-1f;
+    y = y * m + 1.4249322787e-1f;
+    y = y * m - 1.6668057665e-1f;
+    y = y * m + 2.0000714765e-1f;
+    y = y * m - 2.4999993993e-1f;
+    y = y * m + 3.3333331174e-1f;
+    y = y * m * z - 2.12194440e-4f * e - 0.5f * z;
+    return m + y + 0.693359375f * e;
+}
 
-inline float decode(const float e, const float gain, const float per_log) {
-    return least((exp(most(e, 0.0f) / per_log) - 1.0f) / gain, COLOR_MAX);
+/* exp(x) - 1 for x from 0 to 88, likewise. */
+inline float exp_less_one(const float x) {
+    const float n = floor(x * 1.44269504088896341f + 0.5f);
+    const float r = x - n * 0.693359375f + n * 2.12194440e-4f;
+    float y = 1.9875691500e-4f;
+    y = y * r + 1.3981999507e-3f;
+    y = y * r + 8.3334519073e-3f;
+    y = y * r + 4.1665795894e-2f;
+    y = y * r + 1.6666665459e-1f;
+    y = y * r + 5.0000001201e-1f;
+    y = y * r * r + r;
+    const float power = as_float(((int)n + 127) << 23);
+    return y * power + (power - 1.0f);
+}
+
+/* mu-law of colour: 1 at three stops above display white, no upper limit. `law`: mu * exposure / 8, 1 / ln(1 + mu), and
+   their reciprocals. */
+inline float encode(const float c, const float4 law) { return log_of(1.0f + law.x * most(c, 0.0f)) * law.y; }
+
+inline float decode(const float e, const float4 law) {
+    return least(exp_less_one(least(most(e, 0.0f) * law.w, 88.0f)) * law.z, COLOR_MAX);
 }
 
 /* Planes of the network's input: means over 2x2 pixels, the image's border repeated. */
 __kernel void network_input(const int width, const int height, const int network_width, const int network_height,
-                            const float gain, const float per_log, __global const uint2 *color /* half x4 */,
+                            const float4 law, __global const uint2 *color /* half x4 */,
                             __global const uint2 *warped_previous /* half x4 */, __global const float *depth,
                             __global const half *input_mask, __global const float *median_depth, __global float *frames) {
     const int i = get_global_id(0), j = get_global_id(1);
@@ -69,13 +103,13 @@ __kernel void network_input(const int width, const int height, const int network
     for (int tap = 0; tap < 4; ++tap) {
         const int x = min(2 * i + (tap & 1), width - 1), y = min(2 * j + (tap >> 1), height - 1), p = y * width + x;
         const Rgb a = load_rgb(color, p), b = load_rgb(warped_previous, p);
-        now.r += encode(a.r, gain, per_log);
-        now.g += encode(a.g, gain, per_log);
-        now.b += encode(a.b, gain, per_log);
-        before.r += encode(b.r, gain, per_log);
-        before.g += encode(b.g, gain, per_log);
-        before.b += encode(b.b, gain, per_log);
-        inverse += least(median / depth[p], MAX_INVERSE_DEPTH);
+        now.r += encode(a.r, law);
+        now.g += encode(a.g, law);
+        now.b += encode(a.b, law);
+        before.r += encode(b.r, law);
+        before.g += encode(b.g, law);
+        before.b += encode(b.b, law);
+        inverse += least(divide(median, depth[p]), MAX_INVERSE_DEPTH);
         mask += vload_half(p, input_mask);
     }
     const int at = j * network_width + i, plane = network_width * network_height;
@@ -108,10 +142,11 @@ inline float interpolate(__global const float *image, const Taps t) {
 
 /* refined: the network's image, the detail of the extrapolated one kept as it says; out_color: that within the focus mask,
    the extrapolated colour's own bits where the mask is 0. Output that is not finite counts as no mask. */
-__kernel void correct(const int width, const int height, const int network_width, const int network_height, const float gain,
-                      const float per_log, const int within_mask, __global const uint2 *color /* half x4 */,
-                      __global const float *frames, __global const float *correction, __global uint2 *refined /* half x4 */,
-                      __global half *focus_mask, __global uint2 *out_color /* half x4 */) {
+__kernel void correct(const int width, const int height, const int network_width, const int network_height,
+                      const float4 law, const int within_mask, __global const uint2 *color /* half x4 */,
+                      __global const float *frames, __global const float *correction,
+                      __global uint2 *refined /* half x4 */, __global half *focus_mask,
+                      __global uint2 *out_color /* half x4 */) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;
     const int i = y * width + x, plane = network_width * network_height;
@@ -121,15 +156,15 @@ __kernel void correct(const int width, const int height, const int network_width
     const float low_r = interpolate(frames, taps);
     const float low_g = interpolate(frames + plane, taps);
     const float low_b = interpolate(frames + 2 * plane, taps);
-    const float e_r = low_r + interpolate(correction, taps) + keep * (encode(c.r, gain, per_log) - low_r);
-    const float e_g = low_g + interpolate(correction + plane, taps) + keep * (encode(c.g, gain, per_log) - low_g);
-    const float e_b = low_b + interpolate(correction + 2 * plane, taps) + keep * (encode(c.b, gain, per_log) - low_b);
+    const float e_r = low_r + interpolate(correction, taps) + keep * (encode(c.r, law) - low_r);
+    const float e_g = low_g + interpolate(correction + plane, taps) + keep * (encode(c.g, law) - low_g);
+    const float e_b = low_b + interpolate(correction + 2 * plane, taps) + keep * (encode(c.b, law) - low_b);
     const float m = interpolate(correction + 4 * plane, taps);
     const bool usable = isfinite(e_r + e_g + e_b + m);
     const float mask = usable && m >= LEAST_MASK ? least(m, 1.0f) : 0.0f;
     vstore_half_rte(mask, i, focus_mask);
     /* Stores of their own per case: see shading.cl. */
-    const float r = decode(e_r, gain, per_log), g = decode(e_g, gain, per_log), b = decode(e_b, gain, per_log);
+    const float r = decode(e_r, law), g = decode(e_g, law), b = decode(e_b, law);
     if (usable) {
         vstore_half4_rte((float4)(r, g, b, 0.0f), i, (__global half *)refined);
     } else {

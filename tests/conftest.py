@@ -1,5 +1,5 @@
-"""Fixtures: every usable OpenCL device once (`GFFE_DEVICE` narrows the choice); no weights of the package's, so that what
-is tested does not hang on them."""
+"""Fixtures: every usable OpenCL device once (`GFFE_DEVICE` narrows the choice); the weights of the package are hidden,
+so that nothing hangs on them."""
 
 import functools
 import os

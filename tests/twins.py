@@ -823,13 +823,28 @@ def prepare_inputs(warped, motion, color_prev, depth_prev, to_previous):
 
 def encode(color, exposure):
     """μ-law: ln(1 + μ · exposure · c / 8) / ln(1 + μ) for μ = 5000; negative colour is black."""
-    return np.log(F(1) + F(5000 * exposure / 8) * np.maximum(color, F(0))) * F(1 / np.log(5001))
+    x = F(1) + F(5000 * exposure / 8) * np.maximum(color, F(0))
+    bits = x.view(np.int32)
+    exponent = (bits - 0x3F3504F3) >> 23
+    e, m = exponent.astype(F), (bits - (exponent << 23)).view(F) - F(1)
+    y = F(7.0376836292e-2)
+    for c in (-1.1514610310e-1, 1.1676998740e-1, -1.2420140846e-1, 1.4249322787e-1, -1.6668057665e-1, 2.0000714765e-1):
+        y = y * m + F(c)
+    y = (y * m + F(-2.4999993993e-1)) * m + F(3.3333331174e-1)
+    z = m * m
+    y = y * m * z - F(2.12194440e-4) * e - F(0.5) * z
+    return (m + y + F(0.693359375) * e) * F(1 / np.log1p(5000))
 
 
 def decode(encoded, exposure):
-    with np.errstate(over="ignore"):
-        grown = np.exp(np.maximum(encoded, F(0)) / F(1 / np.log(5001)))
-    return np.minimum((grown - F(1)) / F(5000 * exposure / 8), F(65504))
+    x = np.minimum(np.maximum(encoded, F(0)) * F(np.log1p(5000)), F(88))
+    n = np.floor(x * F(1.44269504088896341) + F(0.5))
+    r = x - n * F(0.693359375) + n * F(2.12194440e-4)
+    y = F(1.9875691500e-4)
+    for c in (1.3981999507e-3, 8.3334519073e-3, 4.1665795894e-2, 1.6666665459e-1, 5.0000001201e-1):
+        y = y * r + F(c)
+    power = ((np.nan_to_num(n).astype(np.int32) + 127) << 23).view(F)
+    return np.minimum(((y * r * r + r) * power + (power - F(1))) * F(8 / (5000 * exposure)), F(65504))
 
 
 def depth_median(depth):

@@ -73,7 +73,7 @@ class ShadingCorrection(Stage):
         network = self.network_size
         inputs = (warp.buffer["color"], shading.buffer["warped_previous"], warp.buffer["depth"])
         self.launch(
-            "network_input", network, *int2(size), *int2(network), *_encoding(exposure), *inputs,
+            "network_input", network, *int2(size), *int2(network), _law(exposure), *inputs,
             shading.buffer["input_mask"], self.buffer["median_depth"], self.buffer["frames"],
         )  # fmt: skip
 
@@ -94,7 +94,7 @@ class ShadingCorrection(Stage):
         size = self.sizes.target
         buffers = (self.buffer[name] for name in ("frames", "correction", "refined", "focus_mask", "color"))
         self.launch(
-            "correct", size, *int2(size), *int2(self.network_size), *_encoding(exposure), np.int32(focus_mask),
+            "correct", size, *int2(size), *int2(self.network_size), _law(exposure), np.int32(focus_mask),
             warp.buffer["color"], *buffers,
         )  # fmt: skip
 
@@ -115,6 +115,7 @@ class ShadingCorrection(Stage):
         return taken
 
 
-def _encoding(exposure: float) -> tuple[np.float32, np.float32]:
-    """μ · exposure / 8 and 1 / ln(1 + μ), as kernels take them."""
-    return np.float32(MU * exposure / HEADROOM), np.float32(1 / math.log1p(MU))
+def _law(exposure: float) -> np.ndarray:
+    """μ · exposure / 8, 1 / ln(1 + μ), and their reciprocals."""
+    gain, log = MU * exposure / HEADROOM, math.log1p(MU)
+    return np.array([gain, 1 / log, 1 / gain, log], np.float32)
