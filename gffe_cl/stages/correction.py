@@ -21,6 +21,10 @@ _STRIP = 16
 class ShadingCorrection(Stage):
     """Corrects shading that moves otherwise than its surface: shadows, reflections.
 
+    Colour goes into the network as e(c) = ln(1 + μ x) / ln(1 + μ), x = exposure · c / 8, and comes back by the inverse.
+    With U for bilinear interpolation from half resolution, L for the encoded GAE colour there and g for it at full:
+    refined = e⁻¹(U(L) + U(Δ) + U(keep) · (g − U(L))), final = GAE · (1 − U(M)) + refined · U(M) in linear colour.
+
     `network_milliseconds`: time in the network since last taken, apart from the kernels'.
     """
 
