@@ -27,6 +27,10 @@ SCENES = {
     "plaza": "Town square under a sky: fence in front, walkers, statue and fountain; the camera strafes",
     "room": "Furnished living room: mirror, glass panel, toys and a fan; the camera orbits",
     "forest": "Trunks, foliage, sun shadows and animals; the camera turns quickly",
+    "gallery": "Hall of polished floors: mirrors, turning sculptures, lamps that travel and swing; the camera glides",
+    "street": "Wet street at night: headlights, lanterns in the wind, neon; the camera walks",
+    "factory": "Hall with strip curtains, glass, a conveyor, fans, a crane and a beacon; the camera trucks",
+    "courtyard": "Sunlit court: arcades, laundry, a tree, birds above, a fountain; the camera turns as with a mouse",
 }
 
 __all__ = [

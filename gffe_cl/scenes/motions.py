@@ -112,6 +112,18 @@ class Bounce(Motion):
         return translation((0.0, 4.0 * self.height * x * (1.0 - x), 0.0))
 
 
+@dataclass(frozen=True)
+class Carry(Motion):
+    """Along `vector` (metres) at constant speed, once per `period`; then again from its start."""
+
+    vector: tuple
+    period: float
+    phase: float = 0.0
+
+    def __call__(self, time):
+        return translation(np.asarray(self.vector) * ((time / self.period + self.phase) % 1.0))
+
+
 class Path(Motion):
     """Along a smooth closed curve at constant speed, facing forward (+z is ahead).
 
