@@ -22,7 +22,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt Makefile
 	@touch $@
 
 $(VENV)/.installed-for-tests: $(VENV)/.installed
-	$(PIP) --editable '.[test]'
+	$(PIP) --editable '.[test,train]'
 	@touch $@
 
 # An OpenCL runtime on which a kernel really runs: a GPU's driver if there is one; else Intel's CPU runtime from PyPI

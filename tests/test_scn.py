@@ -9,6 +9,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from gffe_cl.errors import GffeError  # noqa: E402
+from gffe_cl.metrics import focus_mask  # noqa: E402
 from gffe_cl.scn import clips, losses, network  # noqa: E402
 from gffe_cl.scn.crops import Augmentation, Batch, Crop, focus_truth, keep_crops, list_crops, load_batch  # noqa: E402
 from gffe_cl.scn.export import count_operations, export_onnx, largest_difference  # noqa: E402
@@ -145,7 +146,7 @@ def test_focus_masks_agree():
     truth = rng.uniform(0, 1, (40, 50, 3)).astype(np.float32)
     gae = truth * rng.uniform(0.2, 1.2, (40, 50, 1)).astype(np.float32)
     dynamic = rng.random((40, 50)) < 0.2
-    expected = clips.focus_mask(gae, truth, dynamic)
+    expected = focus_mask(gae, truth, dynamic)
     planes = [torch.from_numpy(x.transpose(2, 0, 1)[None]) for x in (gae, truth)]
     mask = focus_truth(*planes, torch.from_numpy(dynamic[None, None]))
     assert 0.01 < expected.mean() < 0.6 and not expected[dynamic].any()

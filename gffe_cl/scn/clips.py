@@ -14,7 +14,7 @@ import numpy as np
 from gffe_cl.device import Device
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import HALF_MAX, RenderedFrame
-from gffe_cl.metrics import smape
+from gffe_cl.metrics import focus_mask
 from gffe_cl.pipeline import Options, Pipeline
 from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
 from gffe_cl.scn.variety import vary_scene
@@ -30,7 +30,6 @@ _RENDERED = 3  # rendered frames per clip; the first has no history
 _PER_FRAME = 2  # ground truths after each of the others
 _MOST_INVERSE_DEPTH = 8.0
 _CROPS_PER_FRAME = 6  # times the number that would cover the frame once
-_FOCUS_SMAPE = 0.5
 
 
 @dataclass(frozen=True)
@@ -63,18 +62,6 @@ class ClipPlan:
         rng = np.random.default_rng([self.seed, self.index, 1])
         middle = self.start + 0.5 * _RENDERED / self.fps
         return vary_scene(load_scene(self.scene, self.scene_seed), rng, middle)
-
-
-def focus_mask(gae, truth, dynamic) -> np.ndarray:
-    """M^focus (H, W) bool of exposed linear colours: the smallest SMAPE between a pixel of the GAE frame and its 3×3
-    neighbourhood in the truth is over 0.5, and the pixel is not dynamic (paper: 'Non-geometric motion detection')."""
-    height, width = dynamic.shape
-    padded = np.pad(np.asarray(truth, np.float32), ((1, 1), (1, 1), (0, 0)), constant_values=np.float32(1e9))
-    least = np.full((height, width), np.inf, np.float32)
-    for dy in range(3):
-        for dx in range(3):
-            np.minimum(least, smape(gae, padded[dy : dy + height, dx : dx + width]), out=least)
-    return (least > _FOCUS_SMAPE) & ~np.asarray(dynamic, bool)
 
 
 def make_clip(device: Device, plan: ClipPlan) -> tuple[np.ndarray, list[float]]:

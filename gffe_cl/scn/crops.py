@@ -55,16 +55,16 @@ class Batch:
 
 
 def focus_truth(gae: Tensor, truth: Tensor, dynamic: Tensor) -> Tensor:
-    """M^focus, (N, 1, H, W) bool: see `gffe_cl.scn.clips.focus_mask`."""
+    """M^focus, (N, 1, H, W) bool: as `gffe_cl.metrics.focus_mask`."""
     height, width = gae.shape[-2:]
     padded = functional.pad(truth, (1, 1, 1, 1), value=1e9)
-    least = None
+    least, size = None, gae.abs() + _SMAPE_EPSILON
     for dy in range(3):
         for dx in range(3):
             other = padded[..., dy : dy + height, dx : dx + width]
-            error = (2 * (gae - other).abs() / (gae.abs() + other.abs() + _SMAPE_EPSILON)).mean(1, keepdim=True)
+            error = (gae - other).abs_().div_(size + other).sum(1, keepdim=True)
             least = error if least is None else torch.minimum(least, error)
-    return (least > _FOCUS_SMAPE) & ~dynamic
+    return (least > 1.5 * _FOCUS_SMAPE) & ~dynamic
 
 
 def list_crops(folder: Path, seed: int, clips: int) -> list[Crop]:

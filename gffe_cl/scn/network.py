@@ -108,7 +108,9 @@ class ShadingCorrectionNetwork(nn.Module):
         resolution, h and w multiples of `MULTIPLE`
     alpha : (N,) or (1,)
 
-    Returns (N, 5, h, w): Δ (3; encoded colour), keep, focus mask; and, while training, the features of each level.
+    Returns (N, 5, h, w): Δ (3; encoded colour), keep, focus mask. While training also the features of each level,
+    finest first, and the focus mask before it is clamped to 0 … 1, (N, 1, h, w): an L2 loss of a sigmoid would lose its
+    gradient where the mask is wrong.
     """
 
     def __init__(self):
@@ -122,7 +124,7 @@ class ShadingCorrectionNetwork(nn.Module):
         self.head = nn.Sequential(_conv(_DETAIL + 11, 16), nn.Conv2d(16, 5, 3, 1, 1))
         with torch.no_grad():  # begins by changing nothing
             self.head[1].weight.mul_(0.1)
-            self.head[1].bias.copy_(torch.tensor((0.0, 0.0, 0.0, 2.0, -3.0)))
+            self.head[1].bias.copy_(torch.tensor((0.0, 0.0, 0.0, 2.0, 0.05)))
 
     def forward(self, frames: Tensor, alpha: Tensor):
         count = frames.shape[0]
@@ -139,8 +141,9 @@ class ShadingCorrectionNetwork(nn.Module):
         detail = functional.pixel_shuffle(functional.leaky_relu(self.up(result[1]), 0.1), 2)
         moved = warp(now, flows)
         out = self.head(torch.cat((detail, now, before, moved, side), 1))
-        correction = torch.cat((out[:, :3] + (moved - now), torch.sigmoid(out[:, 3:])), 1)
-        return (correction, features[::-1]) if self.training else correction
+        delta, keep, mask = out[:, :3] + (moved - now), torch.sigmoid(out[:, 3:4]), out[:, 4:]
+        correction = torch.cat((delta, keep, mask.clamp(0, 1)), 1)
+        return (correction, features[::-1], mask) if self.training else correction
 
 
 def compose(color: Tensor, correction: Tensor, focus_mask: bool = True) -> tuple[Tensor, Tensor, Tensor]:

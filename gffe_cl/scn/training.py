@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from gffe_cl.errors import GffeError
 from gffe_cl.scn import losses
 from gffe_cl.scn.crops import Augmentation, Batch, Crop, keep_crops, load_batch
-from gffe_cl.scn.network import ShadingCorrectionNetwork, compose, encode, halve
+from gffe_cl.scn.network import ShadingCorrectionNetwork, compose, double, encode, halve
 
 CHECKPOINT = "checkpoint.pt"
 _FORMAT = 1
@@ -113,23 +113,33 @@ class _Model(nn.Module):
         self.network = ShadingCorrectionNetwork()
 
     def forward(self, frames: Tensor, alpha: Tensor, truth: Tensor):
-        correction, features = self.network(frames, alpha)
-        return correction, features, self.network.encoder(truth)
+        correction, features, mask = self.network(frames, alpha)
+        return correction, mask, features, self.network.encoder(truth)
 
 
 def loss_terms(
-    correction: Tensor, features: list[Tensor], true_features: list[Tensor], batch: Batch, focus: Tensor, perceptual
+    correction: Tensor,
+    raw_mask: Tensor,
+    features: list[Tensor],
+    true_features: list[Tensor],
+    batch: Batch,
+    focus: Tensor,
+    perceptual,
 ) -> dict[str, Tensor]:
-    """The terms of the loss, not weighted: see `weights`."""
+    """The terms of the loss, not weighted: see `weights`.
+
+    The frame that is reconstructed is the truth but for the focus mask, where it is the refined image (paper, equation
+    of the final prediction): the true mask's pixels too, or else a mask that begins at 0 would teach nothing.
+    """
     refined, final, mask = compose(batch.gae, correction)
     truth = encode(batch.truth)
-    shown = encode(batch.truth + mask * (refined - batch.truth))
+    shown = encode(batch.truth + torch.maximum(mask, focus) * (refined - batch.truth))
     return {
         "reconstruction": losses.charbonnier(shown, truth),
         "features": sum(
             losses.census(a.float(), b.float().detach()) for a, b in zip(features, true_features, strict=True)
         ),
-        "focus": losses.focus_loss(mask, focus),
+        "focus": losses.focus_loss(double(raw_mask.float()), focus),
         "perceptual": perceptual(shown, truth),
         "blend": losses.charbonnier(encode(final), truth),
     }
@@ -215,10 +225,10 @@ class Training:
             group["lr"] = recipe.learning_rate_at(self.step)
         self.parallel.train()
         with torch.autocast(self.device.type, torch.bfloat16, enabled=recipe.bfloat16):
-            correction, features, true_features = self.parallel(
+            correction, raw_mask, features, true_features = self.parallel(
                 batch.frames().contiguous(memory_format=torch.channels_last), batch.alpha, halve(encode(batch.truth))
             )
-        terms = loss_terms(correction.float(), features, true_features, batch, batch.focus(), self.perceptual)
+        terms = loss_terms(correction.float(), raw_mask, features, true_features, batch, batch.focus(), self.perceptual)
         factors = weights(recipe)
         loss = sum(factors[name] * value for name, value in terms.items())
         self.optimizer.zero_grad()
