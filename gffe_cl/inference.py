@@ -25,7 +25,7 @@ PROVIDERS = {
     "tensorrt": "TensorrtExecutionProvider",
 }
 _FLOAT = "tensor(float)"
-_loaded: dict[tuple, Network] = {}
+_loaded: dict[tuple, tuple] = {}  # (path, provider) → (stamp of the file, Network)
 
 
 def default_model() -> Path | None:
@@ -50,10 +50,10 @@ def load_network(path: str | Path | None = None, provider: str = "cpu") -> Netwo
     if not path.is_file():
         raise GffeError(f"{path}: no such file (expected a shading correction network, ONNX)")
     name, state = _provider(provider), path.stat()
-    key = (path.resolve(), state.st_mtime_ns, state.st_size, name)
-    if key not in _loaded:
-        _loaded[key] = Network(path, name)
-    return _loaded[key]
+    key, stamp = (path.resolve(), name), (state.st_mtime_ns, state.st_size)
+    if key not in _loaded or _loaded[key][0] != stamp:
+        _loaded[key] = stamp, Network(path, name)
+    return _loaded[key][1]
 
 
 class Network:
