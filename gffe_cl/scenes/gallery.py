@@ -69,7 +69,7 @@ def _shell(rng, seed, white) -> list[Group]:
         pick(rng, "marble", "checker", "tiles"),
         scale=pick(rng, 0.8, 1.1),
         contrast=0.4,
-        roughness=0.02,
+        roughness=0.05,
         specular=0.12,
         mirror=1.0,
         seed=seed,

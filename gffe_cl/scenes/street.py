@@ -82,7 +82,7 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
 def _ground(rng, seed) -> list[Group]:
     """Wet asphalt with puddles, pavements of slabs."""
     asphalt = Material(
-        (0.045, 0.046, 0.05), contrast=0.5, scale=0.5, roughness=0.045, specular=0.05, mirror=0.9, seed=seed
+        (0.045, 0.046, 0.05), contrast=0.5, scale=0.5, roughness=0.06, specular=0.05, mirror=0.9, seed=seed
     )
     slabs = Material(
         vary(rng, (0.17, 0.165, 0.16)), (0.06, 0.06, 0.06), pick(rng, "tiles", "cobbles"), scale=0.5, contrast=0.3,
@@ -106,7 +106,7 @@ def _ground(rng, seed) -> list[Group]:
     return groups
 
 
-def _house(rng, width, height) -> Group:
+def _house(at: Place, rng, width, height) -> list[Group]:
     """Front in the plane z = 0; some windows lit, a shop below."""
     wall = Material(
         vary(rng, pick(rng, (0.5, 0.46, 0.4), (0.42, 0.24, 0.17), (0.4, 0.42, 0.44), (0.52, 0.42, 0.28))),
@@ -116,14 +116,15 @@ def _house(rng, width, height) -> Group:
     trim = Material(vary(rng, (0.5, 0.48, 0.44)), roughness=0.7, contrast=0.1)
     dark = Material((0.02, 0.022, 0.03), roughness=0.02, specular=0.06, mirror=1.0, contrast=0.0)
     glow = vary(rng, pick(rng, (1.0, 0.66, 0.32), (1.0, 0.8, 0.5), (0.6, 0.75, 1.0)))
-    prims = [
+    body = [
         Box((0, height / 2, -3), (width, height, 6), wall),
         Box((0, height + 0.1, -2.85), (width + 0.1, 0.25, 6.2), trim),
         Box((0, 3.05, 0.02), (width, 0.14, 0.2), trim),
     ]
+    groups = [Group(body, at, name="house")]
     columns = max(int(width / 2.4), 2)
     for i in range(columns):
-        x = (i + 0.5 - columns / 2) * width / columns
+        x, prims = (i + 0.5 - columns / 2) * width / columns, []
         for j in range(max(int(height / 3.1), 1)):
             lit = rng.random() < (0.5 if j == 0 else 0.22)
             room = Material(
@@ -136,7 +137,8 @@ def _house(rng, width, height) -> Group:
                 Box((x, y, 0.015), (w, h, 0.1), room if lit else dark),
             ]
             prims.append(Box((x, y, 0.03), (0.05, h, 0.1), trim))
-    return Group(prims, name="house")
+        groups.append(Group(prims, at, casts_shadow=False, name="windows"))
+    return groups
 
 
 def _houses(rng) -> list[Group]:
@@ -145,14 +147,11 @@ def _houses(rng) -> list[Group]:
         z = NEAR
         while z > FAR + 4:
             width = min(rng.uniform(6.0, 9.0), z - FAR)
-            house = _house(rng, width, pick(rng, 6.4, 9.5, 9.7, 12.6))
-            house.motion = Place(s * FACADE, 0, z - width / 2, yaw=-90 * s)
-            groups.append(house)
+            at = Place(s * FACADE, 0, z - width / 2, yaw=-90 * s)
+            groups += _house(at, rng, width, pick(rng, 6.4, 9.5, 9.7, 12.6))
             z -= width + 0.02
     for x0, z0, yaw in ((-18, FAR - 14, 0), (0, FAR - 14.3, 0), (18, FAR - 14, 0), (0, 30, 180)):
-        house = _house(rng, 18.0, rng.uniform(8, 13))
-        house.motion = Place(x0, 0, z0, yaw=yaw)
-        groups.append(house)
+        groups += _house(Place(x0, 0, z0, yaw=yaw), rng, 18.0, rng.uniform(8, 13))
     return groups
 
 
