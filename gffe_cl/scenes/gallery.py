@@ -6,7 +6,7 @@ import numpy as np
 
 from gffe_cl.scenes.figures import walker
 from gffe_cl.scenes.furniture import BRASS, IRON, MIRROR, STEEL, bench, railing
-from gffe_cl.scenes.luminaires import spotlight, swinging_lamp, turning_lantern
+from gffe_cl.scenes.luminaires import gazing_ball, spotlight, swinging_lamp, turning_lantern
 from gffe_cl.scenes.motions import Motion, Path, Place, Slide, Spin, Swing
 from gffe_cl.scenes.vocabulary import (
     Air,
@@ -208,7 +208,7 @@ def _people(rng) -> list[Group]:
 
 
 def _lights(rng) -> tuple[list[Light], list[Group]]:
-    """A lamp that travels on its rail, one that swings, a lantern that turns at the far end."""
+    """A lamp that travels on its rail, one that swings, a lantern and a ball of mirrors that turn."""
     warm = np.array(vary(rng, (1.0, 0.86, 0.68), 0.1))
     cool = np.array(vary(rng, (0.8, 0.9, 1.0), 0.1))
     black = Material((0.05, 0.05, 0.055), roughness=0.35)
@@ -220,9 +220,12 @@ def _lights(rng) -> tuple[list[Light], list[Group]]:
     parts.append(swinging_lamp(Place(-3.0, HEIGHT, 1.0), 1.2, warm, rng.uniform(4, 6), swing, black, angle=50))
     x, z, rate = 0.9 * side, -7.0, rng.uniform(100, 150) * pick(rng, -1, 1)
     bars, lean = int(rng.integers(7, 10)), rng.uniform(0, 40)
-    lantern = turning_lantern(Place(x, 2.6, z), cool, rng.uniform(20, 25), rate, bars, 0.5, 0.8, black, 0.05, lean)
+    lantern = turning_lantern(Place(x, 2.6, z), cool, rng.uniform(15, 18), rate, bars, 0.5, 0.8, black, 0.05, lean)
     parts.append(lantern)
     groups.append(Group([Capsule((x, 3.0, z), (x, HEIGHT, z), 0.012, IRON)], casts_shadow=False, name="cord"))
+    x, z, rate = -0.9 * side, -4.6, rng.uniform(45, 70) * pick(rng, -1, 1)
+    parts.append(gazing_ball(Place(x, 3.0, z), warm, rng.uniform(50, 65), rate, angle=9.0, lift=-9.0))
+    groups.append(Group([Capsule((x, 3.2, z), (x, HEIGHT, z), 0.008, IRON)], casts_shadow=False, name="cord"))
     lights = [light for some, _ in parts for light in some]
     groups += [group for _, some in parts for group in some]
     lights.append(Light("fill", (0, 0.4, -1.0), tint(warm, 0.25), size=1.8))

@@ -79,7 +79,7 @@ def beacon(at: Motion, color, strength, rate, angle=24.0, dip=6.0, beams=2) -> L
 
 
 def gazing_ball(at: Motion, color, strength, rate, beams=5, angle=10.0, lift=9.0) -> Luminaire:
-    """A turning ball of mirrors that throws patches of sunlight around, raised by `lift` degrees."""
+    """A turning ball of mirrors that throws patches of light around, raised by `lift` degrees."""
     turn, lights = at @ Spin("y", rate), []
     for k in range(beams):
         a, up = 2 * np.pi * k / beams, np.radians(lift * (0.5 + k % 3))
