@@ -28,6 +28,10 @@ _FLOAT = "tensor(float)"
 _loaded: dict[tuple, tuple] = {}  # (path, provider) → (stamp of the file, Network)
 
 
+class NetworkError(GffeError):
+    """The network cannot be loaded, or fails."""
+
+
 def default_model() -> Path | None:
     """The weights that come with the package, if they do."""
     path = Path(str(files("gffe_cl") / "scn" / "weights" / "scn.onnx"))
@@ -43,12 +47,12 @@ def scn_missing() -> str | None:
 
 def load_network(path: str | Path | None = None, provider: str = "cpu") -> Network:
     """The network of the ONNX file `path` (None: of the package) on a provider of onnxruntime: a key of `PROVIDERS` or
-    onnxruntime's own name. Loaded once as long as the file stays the same. Raises GffeError."""
+    onnxruntime's own name. Loaded once as long as the file stays the same. Raises NetworkError."""
     path = default_model() if path is None else Path(path)
     if path is None:
-        raise GffeError(f"{scn_missing()}: expected gffe_cl/scn/weights/scn.onnx, or another model's path")
+        raise NetworkError(f"{scn_missing()}: expected gffe_cl/scn/weights/scn.onnx, or another model's path")
     if not path.is_file():
-        raise GffeError(f"{path}: no such file (expected a shading correction network, ONNX)")
+        raise NetworkError(f"{path}: no such file (expected a shading correction network, ONNX)")
     name, state = _provider(provider), path.stat()
     key, stamp = (path.resolve(), name), (state.st_mtime_ns, state.st_size)
     if key not in _loaded or _loaded[key][0] != stamp:
@@ -72,9 +76,9 @@ class Network:
         try:
             self.session = onnxruntime.InferenceSession(str(path), options, providers)
         except Exception as error:  # onnxruntime's classes have no common base
-            raise GffeError(f"{path}: cannot be loaded (expected an ONNX model): {_one_line(error)}") from None
+            raise NetworkError(f"{path}: cannot be loaded (expected an ONNX model): {_one_line(error)}") from None
         if provider not in self.session.get_providers():
-            raise GffeError(f"provider {provider} does not work here (expected its libraries and a device)")
+            raise NetworkError(f"provider {provider} does not work here (expected its libraries and a device)")
         _require(path, "input", self.session.get_inputs(), {"frames": (1, INPUT_PLANES, None, None), "alpha": (1,)})
         _require(path, "output", self.session.get_outputs(), {"correction": (1, OUTPUT_PLANES, None, None)})
 
@@ -90,7 +94,7 @@ class Network:
             self.session.run_with_iobinding(binding)
             binding.synchronize_outputs()
         except Exception as error:
-            raise GffeError(f"{self.path}: the network failed on {self.provider}: {_one_line(error)}") from None
+            raise NetworkError(f"{self.path}: the network failed on {self.provider}: {_one_line(error)}") from None
 
 
 def _provider(name: str) -> str:
@@ -102,17 +106,17 @@ def _provider(name: str) -> str:
     if wanted in available:
         return wanted
     short = {full: key for key, full in PROVIDERS.items()}
-    raise GffeError(
+    raise NetworkError(
         f"provider '{name}' is not available in this onnxruntime (there is:"
         f" {', '.join(short.get(full, full) for full in available)})"
     )
 
 
 def _require(path: Path, kind: str, values: list, expected: dict[str, tuple]) -> None:
-    """GffeError unless the model's inputs or outputs are `expected`: shapes by name, None where any size must do."""
+    """NetworkError unless the model's inputs or outputs are `expected`: shapes by name, None where any size must do."""
     found = {value.name: value for value in values}
     if set(found) != set(expected):
-        raise GffeError(
+        raise NetworkError(
             f"{path}: no shading correction network: {kind}s {', '.join(sorted(found))}"
             f" (expected {', '.join(sorted(expected))})"
         )
@@ -122,7 +126,7 @@ def _require(path: Path, kind: str, values: list, expected: dict[str, tuple]) ->
             not isinstance(have, int) or have == want for have, want in zip(value.shape, shape, strict=True)
         )
         if not fits or value.type != _FLOAT:
-            raise GffeError(
+            raise NetworkError(
                 f"{path}: no shading correction network: {kind} {name} is {value.type} {_shape(value.shape)}"
                 f" (expected {_FLOAT} {_shape(shape)})"
             )
