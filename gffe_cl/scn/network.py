@@ -18,6 +18,7 @@ FOCUS_THRESHOLD = 1 / 32  # a smaller M is 0
 _CHANNELS = (16, 32, 48)
 _HIDDEN = (32, 48, 64)
 _DETAIL = 8
+_SLOPE = 0.1  # of leaky rectifiers
 _LOG = torch.log1p(torch.tensor(MU)).item()
 
 
@@ -54,25 +55,27 @@ def warp(image: Tensor, flow: Tensor) -> Tensor:
 
 
 def _conv(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
-    return nn.Sequential(nn.Conv2d(inputs, outputs, 3, stride, 1), nn.LeakyReLU(0.1))
+    return nn.Sequential(nn.Conv2d(inputs, outputs, 3, stride, 1), nn.LeakyReLU(_SLOPE))
 
 
 class Encoder(nn.Module):
-    """(N, 3, h, w) encoded colour → features at 1/2, 1/4 and 1/8 of that size."""
+    """(N, 6, h, w), encoded colour and its difference from the other frame → features at 1/2, 1/4, 1/8 of that size.
+
+    On one surface the two frames differ by their shading only: the difference is what moves.
+    """
 
     def __init__(self):
         super().__init__()
-        inputs = (3, *_CHANNELS[:-1])
+        inputs = (6, *_CHANNELS[:-1])
         self.levels = nn.ModuleList(
             nn.Sequential(_conv(i, o, 2), _conv(o, o)) for i, o in zip(inputs, _CHANNELS, strict=True)
         )
 
-    def forward(self, color: Tensor) -> list[Tensor]:
-        features = []
+    def forward(self, color: Tensor, other: Tensor) -> list[Tensor]:
+        features = [torch.cat((color, color - other), 1)]
         for level in self.levels:
-            color = level(color)
-            features.append(color)
-        return features
+            features.append(level(features[-1]))
+        return features[1:]
 
 
 class Decoder(nn.Module):
@@ -122,14 +125,24 @@ class ShadingCorrectionNetwork(nn.Module):
         )
         self.up = nn.Conv2d(_CHANNELS[0], 4 * _DETAIL, 3, 1, 1)
         self.head = nn.Sequential(_conv(_DETAIL + 11, 16), nn.Conv2d(16, 5, 3, 1, 1))
-        with torch.no_grad():  # begins by changing nothing
-            self.head[1].weight.mul_(0.1)
-            self.head[1].bias.copy_(torch.tensor((0.0, 0.0, 0.0, 2.0, 0.05)))
+        self._begin()
+
+    @torch.no_grad()
+    def _begin(self) -> None:
+        """Weights of a network that changes little yet, and whose signals neither fade nor grow from layer to layer."""
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d):
+                nn.init.kaiming_normal_(module.weight, _SLOPE)
+                nn.init.zeros_(module.bias)
+        for decoder in self.decoders:
+            decoder.out.weight[:4] *= 0.1
+        self.head[1].weight *= 0.1
+        self.head[1].bias.copy_(torch.tensor((0.0, 0.0, 0.0, 2.0, 0.05)))
 
     def forward(self, frames: Tensor, alpha: Tensor):
         count = frames.shape[0]
         now, before, side = frames[:, :3], frames[:, 3:6], frames[:, 6:8]
-        encoded = self.encoder(torch.cat((now, before), 0))
+        encoded = self.encoder(torch.cat((now, before), 0), torch.cat((before, now), 0))
         time = alpha.view(-1, 1, 1, 1)
         result, features = None, []
         for k in (2, 1, 0):
@@ -138,7 +151,7 @@ class ShadingCorrectionNetwork(nn.Module):
             result = self.decoders[k](encoded[k][:count], encoded[k][count:], side_k, result)
             features.append(result[1])
         flows = 2.0 * double(result[0][:, :2])
-        detail = functional.pixel_shuffle(functional.leaky_relu(self.up(result[1]), 0.1), 2)
+        detail = functional.pixel_shuffle(functional.leaky_relu(self.up(result[1]), _SLOPE), 2)
         moved = warp(now, flows)
         out = self.head(torch.cat((detail, now, before, moved, side), 1))
         delta, keep, mask = out[:, :3] + (moved - now), torch.sigmoid(out[:, 3:4]), out[:, 4:]

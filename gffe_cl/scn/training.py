@@ -114,7 +114,7 @@ class _Model(nn.Module):
 
     def forward(self, frames: Tensor, alpha: Tensor, truth: Tensor):
         correction, features, mask = self.network(frames, alpha)
-        return correction, mask, features, self.network.encoder(truth)
+        return correction, mask, features, self.network.encoder(truth, frames[:, :3])
 
 
 def loss_terms(
