@@ -240,3 +240,12 @@ def test_runtimes_agree():
     assert np.allclose(one.depth[finite], two.depth[finite], rtol=1e-4)
     difference = np.abs(one.color.astype(np.float32) - two.color.astype(np.float32))
     assert np.quantile(difference, 0.98) < 0.01
+
+
+def test_help_names_every_scene():
+    from typer.testing import CliRunner
+
+    from gffe_cl.cli import app
+
+    text = CliRunner().invoke(app, ["render", "--help"]).output
+    assert all(name in text for name in NAMES)

@@ -101,7 +101,12 @@ def demo(
 
 @app.command()
 def render(
-    scene: Annotated[str, typer.Argument(help="Name of a built-in scene: corridor, plaza, room, forest.")],
+    scene: Annotated[
+        str,
+        typer.Argument(
+            help="Name of a built-in scene: corridor, plaza, room, forest, gallery, street, factory, courtyard."
+        ),
+    ],
     output: Annotated[Path, typer.Argument(help="Folder for the sequence.")],
     size: Annotated[str, typer.Option(help="Width × height, pixels.")] = "960x540",
     frames: Annotated[int, typer.Option(help="Rendered frames.")] = 30,
