@@ -37,6 +37,24 @@ def look_model(path, channels=(0, 1, 2, 3, 4)):
     )
 
 
+def movers_model(path, delta=0.1):
+    """Brightens what moves: its focus mask is 1 where the input mask is nearly 1, else 0."""
+    nodes = [
+        helper.make_node("Gather", ["frames", "last"], ["mask"], axis=1),
+        helper.make_node("Greater", ["mask", "limit"], ["moving"]),
+        helper.make_node("Cast", ["moving"], ["focus"], to=FLOAT),
+        helper.make_node("Mul", ["focus", "choice"], ["chosen"]),
+        helper.make_node("Add", ["chosen", "constant"], ["correction"]),
+    ]
+    constants = {
+        "last": np.array([7]),
+        "limit": np.array([0.9], np.float32),
+        "choice": np.array([0, 0, 0, 0, 1], np.float32).reshape(1, 5, 1, 1),
+        "constant": np.array([delta, delta, delta, 1, 0], np.float32).reshape(1, 5, 1, 1),
+    }
+    return save(path, nodes, constants)
+
+
 def save(
     path,
     nodes,

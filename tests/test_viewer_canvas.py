@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scn_models import constant_model
 
 from gffe_cl import Camera, Options, Pipeline
 from gffe_cl.frame import RenderedFrame
@@ -649,12 +650,24 @@ def test_upload_and_draw_speed(canvas, context):
 # ---- a real pipeline -----------------------------------------------------------------------------------
 
 
-def test_layers_of_a_pipeline(canvas, device):
+def test_layers_of_the_network_line_up_with_the_picture(canvas):
+    size = (61, 37)
+    canvas.frame = FrameInfo(size)
+    texels = RNG.uniform(0, 1, (2, 32, 32)).astype(np.float32)
+    spec = LayerSpec("n", "N", "g", "scalar", planes=2, grid="network")
+    canvas.upload("n", texels, spec)
+    y, x = np.mgrid[: size[1], : size[0]] // 2
+    for plane in range(2):
+        image = drawn(canvas, View("n", Display(plane=plane, color_map="grey"), centre=(30.5, 18.5)), size)
+        close(image, np.repeat(texels[plane, y, x][..., None], 3, -1), 1.5)
+
+
+def test_layers_of_a_pipeline(canvas, device, tmp_path):
     """Every buffer of every stage can be shown, and none is full of NaN."""
     size = (96, 54)
     scene = load_scene("corridor")
     renderer = SceneRenderer(device, scene, *size)
-    pipeline = Pipeline(device, *size, Options(history=3, shading_inputs=True), fps=scene.fps)
+    pipeline = Pipeline(device, *size, Options(history=3, scn_model=constant_model(tmp_path / "m.onnx")), fps=scene.fps)
     for step in sequence_frames(scene, *size, 3, ground_truth=False, start=1.0):
         image = renderer.render(step.time, step.camera, step.previous_time, step.previous_camera).numpy()
         pipeline.submit(RenderedFrame(image.color, image.depth, image.motion, step.camera, step.time, reset=step.reset))

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import tiny_sequence
 from PIL import Image
+from scn_models import constant_model
 
 README = Path(__file__).parents[1] / "README.md"
 GFFE = [sys.executable, "-c", "from gffe_cl.cli import main; main()", "view"]
@@ -59,6 +60,9 @@ def refused(gffe, *arguments, display=None):
         (["in", "--window", "fixed:1.2"], "only built-in scenes"),
         (["in", "--window-size", "10x900"], "--window-size must be at least 200"),
         (["in", "--screenshot", "a.png", "--pixel", "12"], "--pixel must look like"),
+        (["in", "--scn-model", "none.onnx"], "none.onnx: no such file"),
+        (["in", "--scn-model", "in/sequence.json"], "in/sequence.json: cannot be loaded"),
+        (["in", "--no-scn", "--scn-model", "none.onnx"], "--no-scn and --scn-model exclude each other"),
         (["in"], "expected DISPLAY to be set"),
     ],
 )
@@ -103,6 +107,28 @@ def test_screenshot(gffe, screen, tmp_path):
     picture = np.asarray(Image.open(tmp_path / "a.png"))
     assert picture.shape[:2] == (900, 1600) and len(np.unique(picture[200:700, 400:1000].reshape(-1, 4), axis=0)) > 50
     assert not (tmp_path / "config").exists()  # pictures for reports neither use nor change what is remembered
+
+
+@pytest.mark.slow
+def test_screenshot_with_shading_correction(gffe, screen, tmp_path):
+    constant_model(tmp_path / "m.onnx")
+    shot = ("in", "--screenshot", "a.png", "--frame", "3")
+    assert gffe(*shot, "--scn-model", "m.onnx", "--layer", "correction.frames") == (0, "", "")
+    (tmp_path / "a.png").unlink()
+    told = refused(gffe, *shot, "--no-scn", "--layer", "correction.frames")
+    assert "no layer is called 'correction.frames'" in told and not (tmp_path / "a.png").exists()
+
+
+def test_asking_for_shading_correction_without_weights(tmp_path):
+    tiny_sequence.write(tmp_path / "in")
+    (tmp_path / "script.py").write_text(
+        "from gffe_cl import inference\ninference.default_model = lambda: None\nfrom gffe_cl.cli import main; main()\n"
+    )
+    child = subprocess.run(
+        [sys.executable, "script.py", "view", "in", "--scn"], cwd=tmp_path, capture_output=True, text=True, timeout=100
+    )
+    assert (child.returncode, child.stdout, len(child.stderr.splitlines())) == (2, "", 1)
+    assert "no trained weights" in child.stderr
 
 
 @pytest.mark.slow

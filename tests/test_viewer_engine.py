@@ -8,9 +8,11 @@ import time
 import types
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from scn_models import constant_model, movers_model
 from synthetic import Rect, Rects, camera
 
 from gffe_cl import (
@@ -21,13 +23,14 @@ from gffe_cl import (
     RenderedFrame,
     SequenceWriter,
     fixed_window,
+    inference,
     named_channels,
     open_sequence,
 )
 from gffe_cl import bench as bench_module
 from gffe_cl.device import Device
 from gffe_cl.frame import pack_frame
-from gffe_cl.metrics import display_values, psnr, ssim
+from gffe_cl.metrics import display_values, focus_mask, psnr, ssim
 from gffe_cl.program import kernel_folder
 from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
 from gffe_cl.source import Recorded
@@ -156,9 +159,10 @@ def slots(setup, *pairs):
     return [k * (setup.n + 1) + j for k, j in pairs]
 
 
-def plain_run(device, source_frames, setup, wanted, camera_at=pose, size=(W, H), **given):
+def plain_run(device, source_frames, setup, wanted, camera_at=pose, size=(W, H), exposure=1.0, **given):
     """(slot → layers) of a pipeline that plays all frames in order; `wanted` slots (k, j)."""
     pipeline = Pipeline(device, *size, setup.options, fps=FPS, **given)
+    pipeline.exposure = exposure
     kept = {}
     for k, frame in enumerate(source_frames):
         pipeline.submit(frame)
@@ -292,6 +296,70 @@ def test_options_change_what_they_should(device):
         assert_same(ask(engine, 13, first, before).images, before, set(before) - {"final"})  # and back
 
 
+def is_mover(images):
+    return images["correction.focus_mask"] > 0
+
+
+def test_shading_correction_changes_what_its_focus_mask_covers(device, tmp_path):
+    options = replace(ALL, scn_model=movers_model(tmp_path / "m.onnx"))
+    with running(device, Clip()) as engine:
+        plain = ask(engine, 13, Setup(replace(options, shading_correction=False)), "all").images
+        on = ask(engine, 13, Setup(options), "all")
+        images, mask = on.images, is_mover(on.images)
+        names = {"gae", "correction.frames", "correction.correction", "correction.refined", "correction.focus_mask"}
+        assert set(images) - set(plain) == names | {"correction.color"}
+        assert_same(images, {name: plain[name] for name in plain if name not in ("final", "focus_truth")})
+        for name, other in (("gae", "final"), ("focus_truth", "focus_truth")):
+            assert images[name].tobytes() == plain[other].tobytes()
+        assert 0.01 < mask.mean() < 0.9
+        assert ((images["final"] != images["gae"]).any(-1) == mask).all()
+        assert on.milliseconds["correction"] > 0 and on.milliseconds["network"] > 0
+        whole = ask(engine, 13, Setup(replace(options, focus_mask=False)), "all").images
+        assert whole["final"].tobytes() == images["correction.refined"].tobytes() == whole["correction.color"].tobytes()
+        assert_same(whole, {name: images[name] for name in images if name not in ("final", "correction.color")})
+        assert ask(engine, 13, Setup(options), ("final",)).images["final"].tobytes() == images["final"].tobytes()
+        rendered = ask(engine, 12, Setup(options), "all").images
+        assert "gae" not in rendered and rendered["final"].tobytes() == rendered["rendered.color"].tobytes()
+
+
+@pytest.mark.parametrize("exposure", [1.0, 0.2])
+def test_shading_correction_as_in_a_plain_run(device, tmp_path, exposure):
+    setup, wanted = Setup(replace(ALL, scn_model=movers_model(tmp_path / "m.onnx"))), [(2, 1), (3, 1)]
+    expected = plain_run(device, frames(), setup, wanted, exposure=exposure)
+    source = Clip()
+    source.exposure = exposure
+    with running(device, source) as engine:
+        for at in wanted:
+            assert_same(ask(engine, *slots(setup, at), setup, expected[at]).images, expected[at])
+
+
+def test_the_true_focus_mask(device, monkeypatch):
+    source = Clip()
+    source.exposure, shade = 0.5, np.where(np.arange(W) < W // 2, 0.2, 1.0)[:, None]
+    monkeypatch.setattr(source, "truth", lambda k, alpha: Clip.truth(source, k, alpha) * np.float32(shade))
+    with running(device, source) as engine:
+        for slot in (13, 9):
+            images = ask(engine, slot, Setup(), "all").images
+            color, truth = (images[name][..., :3] for name in ("final", "truth"))
+            expected = focus_mask(color, truth, images["warp.dynamic"] > 0, 0.5)
+            assert images["focus_truth"].dtype == np.uint8 and (images["focus_truth"] == expected).all()
+        assert 0.1 < expected.mean() < 0.6
+        engine.inspect(*map(int, np.argwhere(expected)[0][::-1]))
+        assert wait_for(engine.poll_inspection).values["focus_truth"] == 1
+        assert "focus_truth" not in ask(engine, 12, Setup(), "all").images
+
+
+def test_a_network_that_fails_is_an_error_and_the_engine_goes_on(device, tmp_path):
+    (tmp_path / "junk.onnx").write_bytes(b"junk")
+    with running(device, Clip()) as engine:
+        error = ask(engine, 13, Setup(Options(scn_model=str(tmp_path / "junk.onnx"))))
+        assert isinstance(error, EngineError) and error.during == "network" and "junk.onnx" in error.message
+        assert "\n" not in error.message
+        assert isinstance(ask(engine, 13, Setup()), Result)
+        error = ask(engine, 13, Setup(Options(shading_correction=True)))
+        assert error.during == "network" and "no trained weights" in error.message
+
+
 # ---- requests and answers ----------------------------------------------------------------------------------
 
 
@@ -312,8 +380,8 @@ def test_the_newest_request_wins(device):
         assert engine.poll() is None and max(source.asked) == 2
 
 
-def test_inspection_equals_the_whole_buffers(device):
-    setup = Setup(replace(ALL, history=3), n=1)
+def test_inspection_equals_the_whole_buffers(device, tmp_path):
+    setup = Setup(replace(ALL, history=3, scn_model=constant_model(tmp_path / "m.onnx")), n=1)
     with running(device, Clip()) as engine:
         specs = ask(engine, 13, setup).specs
         images = ask(engine, 13, setup, specs).images
@@ -327,7 +395,7 @@ def test_inspection_equals_the_whole_buffers(device):
             assert seen.pixel == (x, y) and seen.slot == 13 and seen.source == pytest.approx(source, abs=1e-4)
             sx, sy = np.floor(seen.source).astype(int)
             places = {"target": (x, y), "source": (sx, sy), "level0": (sx, sy), "level1": (sx >> 1, sy >> 1)}
-            places["blocks"] = (x // 32, y // 32)
+            places |= {"blocks": (x // 32, y // 32), "network": (x // 2, y // 2)}
             outside = not (0 <= sx < W and 0 <= sy < H)
             for name, image in images.items():
                 spec = specs[name]
@@ -477,6 +545,37 @@ def test_kernels_are_reloaded_and_broken_ones_survived(device, tmp_path, monkeyp
         assert "warp.cl" in ask(engine, 13, setup, ("final",)).message and "warp.cl" in engine.build_error
         (folder / "warp.cl").write_text(warp)
         assert (wait_for(engine.poll).images["final"] == good).all() and engine.build_error is None
+
+
+def test_kernels_of_shading_correction_are_reloaded(device, tmp_path, monkeypatch):
+    """Without a model they are not built; with one as all others."""
+    folder = tmp_path / "kernels"
+    shutil.copytree(kernel_folder(), folder)
+    monkeypatch.setenv("GFFE_KERNELS", str(folder))
+    path, text = folder / "correction.cl", (folder / "correction.cl").read_text()
+    with running(lambda: Device(device.cl_device, device.info), Clip()) as engine:
+        ask(engine, 13, Setup(), ("final",))
+        path.write_text(text + "nonsense\n")
+        engine.reload_kernels()
+        assert wait_for(engine.poll).images["final"].any() and engine.build_error is None
+        path.write_text(text)
+        engine.reload_kernels()
+        wait_for(engine.poll)
+        monkeypatch.setattr(inference, "default_model", lambda: network)
+        network, setup = Path(movers_model(tmp_path / "m.onnx")), Setup(Options(shading_correction=True))
+        good = ask(engine, 13, setup, ("final", "gae")).images
+        assert (good["final"] != good["gae"]).any()
+        path.write_text(text + "nonsense\n")
+        wait_for(lambda: engine.build_error)
+        assert f"correction.cl:{text.count(chr(10)) + 1}" in engine.build_error
+        assert ask(engine, 13, setup, ("final",)).images["final"].tobytes() == good["final"].tobytes()
+        path.write_text(text.replace("const Rgb c = load_rgb(color, i);", "Rgb c = load_rgb(color, i); c.r += 0.5f;"))
+        changed = wait_for(lambda: (answer := engine.poll()) and engine.build_error is None and answer).images
+        different = (changed["final"] != good["final"]).any(-1)
+        assert different.any() and not different.all()
+        path.write_text(text)
+        engine.reload_kernels()
+        assert wait_for(engine.poll).images["final"].tobytes() == good["final"].tobytes()
 
 
 # ---- sources ----------------------------------------------------------------------------------------------
@@ -779,3 +878,22 @@ def test_stories_of_holes_and_of_the_background(device):
         assert any("outside the rendered image" in s.sentences[-1] for s in holes)
         empty = stories(engine, Setup(Options(hole_filling="none", levels=0)), 13, lambda i: i["warp.filled_by"] == 255)
         assert all("Hole filling is off" in s.sentences[1] and "no background" in s.sentences[0] for s in empty)
+
+
+def test_stories_of_corrected_pixels(device, tmp_path):
+    options = Options(scn_model=movers_model(tmp_path / "m.onnx"))
+    with running(device, Clip()) as engine:
+        for story in stories(engine, Setup(options), 13, is_mover):
+            assert story.corrected and "Shading correction changed it (focus mask " in story.sentences[-1]
+        images = ask(engine, 13, Setup(options), "all").images
+        y, x = map(int, np.argwhere(images["correction.focus_mask"] == 1)[0])
+        engine.inspect(x, y)
+        colors = (f"({', '.join(f'{c:.4g}' for c in images[n][y, x, :3].astype(float))})" for n in ("gae", "final"))
+        expected = f"Shading correction changed it (focus mask 1.00): from {' to '.join(colors)}."
+        assert wait_for(engine.poll_inspection).story.sentences[-1] == expected
+        others = stories(engine, Setup(options), 13, lambda i: ~is_mover(i))
+        assert all(s.corrected is False and "Shading" not in s.sentences[-1] for s in others)
+        whole = stories(engine, Setup(replace(options, focus_mask=False)), 13, lambda i: i["rendered.depth"] > 0)
+        assert all("which is off" in s.sentences[-1] for s in whole if s.corrected) and any(s.corrected for s in whole)
+        off = stories(engine, Setup(), 13, lambda i: i["rendered.depth"] > 0)
+        assert all(s.corrected is None for s in off)

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scn_models import constant_model
 
 from gffe_cl import Camera, Options, Pipeline
-from gffe_cl.stage import Sizes, Stage
+from gffe_cl.stage import BufferSpec, Sizes, Stage
 from gffe_cl.stages.background import Background, _level_buffers
+from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.holes import HoleFilling
 from gffe_cl.stages.prediction import PositionPrediction
@@ -47,6 +49,7 @@ STAGES: tuple[type[Stage], ...] = (
     Presentation,
     HoleFilling,
     ShadingInputs,
+    ShadingCorrection,
 )
 SPECS = [layer_of(stage.name, spec) for stage in STAGES for spec in stage.buffers if spec.grid != "once"]
 SPECS += [layer_of(Background.name, spec) for spec in _level_buffers(1)]
@@ -67,12 +70,18 @@ def test_stage_buffers_become_layers():
     assert all(spec.description and spec.view in VIEWS for spec in BY_NAME.values())
 
 
-def test_layers_of_a_pipeline_come_in_its_order(device):
+def test_layers_of_a_pipeline_come_in_its_order(device, tmp_path):
     layers = layers_of(Pipeline(device, 64, 48, Options(shading_inputs=True)))
-    groups = list(dict.fromkeys(spec.group for spec in layers.values()))
-    assert groups == ["frame", "history", "prediction", "warp", "background", "holes", "shading"]
-    assert list(layers)[: len(FRAME_LAYERS)] == list(FRAME_LAYERS)
+    stages = ["frame", "history", "prediction", "warp", "background", "holes", "shading"]
+    assert list(dict.fromkeys(spec.group for spec in layers.values())) == stages
+    own = [name for name, spec in layers.items() if spec.group == "frame"]
+    assert own == [name for name in FRAME_LAYERS if name != "gae"]  # it is "final"
     assert "history.static_threshold_squared" not in layers  # no image
+    layers = layers_of(Pipeline(device, 64, 48, Options(scn_model=constant_model(tmp_path / "m.onnx"))))
+    assert list(dict.fromkeys(spec.group for spec in layers.values())) == [*stages, "correction"]
+    assert list(layers)[: len(FRAME_LAYERS)] == list(FRAME_LAYERS)
+    assert {"correction.frames", "correction.refined", "correction.focus_mask"} <= set(layers)
+    assert "correction.median_depth" not in layers
 
 
 @pytest.mark.parametrize(
@@ -232,6 +241,12 @@ def test_plane_is_ranged_on_its_own():
     assert ranged(spec, image, Display(plane=1)).low > 5
 
 
+def test_displays_of_shading_correction():
+    mask, frames = BY_NAME["correction.focus_mask"], BY_NAME["correction.frames"]
+    assert (default_display(mask).low, default_display(mask).high) == (0, 1) == mask.limits
+    assert (frames.planes, frames.grid, default_display(frames).color_map) == (8, "network", "grey")
+
+
 # ---- geometry ------------------------------------------------------------------------------------------
 
 
@@ -250,6 +265,13 @@ def test_own_place_in_the_target_seen_through_a_window():
     scale_x, scale_y, offset_x, offset_y = frame.own_place(BY_NAME["prediction.target_position"])
     assert (0.4 * scale_x + offset_x, 0.55 * scale_y + offset_y) == pytest.approx((100, 80))
     assert frame.own_place(BY_NAME["background.px_1"]) == (100, 80, 0, 0)
+
+
+@pytest.mark.parametrize("size", [(61, 37), (64, 32), (1, 5)])
+def test_texels_of_the_network_cover_two_pixels_each_way(size):
+    padded = BufferSpec("", np.float32, (), "network", "").size(Sizes(size, size))
+    area = FrameInfo(size).area(BY_NAME["correction.frames"])
+    assert area == pytest.approx((0, 0, size[0] / 2 / padded[0], size[1] / 2 / padded[1]))
 
 
 # ---- colours, legends, texts ---------------------------------------------------------------------------
@@ -348,4 +370,4 @@ def test_every_buffer_of_the_stages_has_a_display_and_texts():
             for channel in spec.channels:
                 display = fitted(spec, array, replace(default_display(spec), channel=channel), FrameInfo((64, 48)))
                 assert legend(spec, display).kind in ("none", "ramp", "wheel")
-            assert value_text(spec, array[0, 0])
+            assert value_text(spec, array[:, 0, 0] if spec.planes > 1 else array[0, 0])

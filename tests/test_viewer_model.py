@@ -2,10 +2,16 @@
 
 import time
 from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import tiny_sequence
+from scn_models import constant_model
 
+from gffe_cl import Options, inference
+from gffe_cl.viewer import remembering
 from gffe_cl.viewer.messages import Metrics, Request, Setup
 from gffe_cl.viewer.model import Model
 from gffe_cl.viewer.settings import Settings
@@ -66,24 +72,26 @@ def session(tmp_path):
 
 def test_story_is_told_although_the_mouse_moves_on(session):
     with session.engine_waiting():
-        session.model.pick((3, 4))
-        session.model.hover((7.5, 5.5))
-    session.until(lambda: session.model.story is not None)
-    assert session.model.story.pixel == (3, 4)
-    session.until(lambda: session.model.inspection is not None and session.model.inspection.pixel == (7, 5))
+        session.model.pointing.pick((3, 4))
+        session.model.pointing.hover((7.5, 5.5))
+    session.until(lambda: session.model.pointing.story is not None)
+    assert session.model.pointing.story.pixel == (3, 4)
+    session.until(
+        lambda: session.model.pointing.inspection is not None and session.model.pointing.inspection.pixel == (7, 5)
+    )
 
 
 def test_story_follows_the_slot_although_the_mouse_moves_on(session):
     model = session.model
-    model.pick((3, 4))
+    model.pointing.pick((3, 4))
     session.settle()
-    before, taken = model.story, model.taken
+    before, taken = model.pointing.story, model.taken
     model.playback.seek(3)
     session.until(lambda: model.taken > taken)
     assert not model.settled  # the story is still that of the slot before
-    model.hover((7.5, 5.5))
+    model.pointing.hover((7.5, 5.5))
     session.settle()
-    assert model.story is not before and model.story.pixel == (3, 4)
+    assert model.pointing.story is not before and model.pointing.story.pixel == (3, 4)
 
 
 def test_layers_of_another_slot_are_not_on_the_canvas(session):
@@ -155,3 +163,65 @@ def test_metrics_of_other_kernels_are_forgotten(session):
     model.engine.builds += 1
     session.frame()
     assert model.metrics == {}
+
+
+def computed(session):
+    """Whether shading correction is in what is shown."""
+    session.settle()
+    return "correction.color" in {spec.name for spec in session.model.layers}
+
+
+def test_shading_correction_runs_where_there_is_a_model(session, tmp_path, monkeypatch):
+    """Weights that come and go while the viewer runs are taken up."""
+    model = session.model
+    model.playback.seek(3)
+    assert not computed(session) and "no trained weights" in model.why_no_correction()
+    weights = Path(constant_model(tmp_path / "m.onnx"))
+    monkeypatch.setattr(inference, "default_model", lambda: weights)
+    assert computed(session) and model.why_no_correction() is None
+    model.show_layer("gae")
+    session.settle()
+    assert set(session.canvas.layers) == {"gae"}
+    model.correct_shading(False)
+    assert not computed(session) and model.options.shading_inputs
+    model.correct_shading(True)
+    model.set_options(replace(model.options, focus_mask=False))
+    assert computed(session)
+    monkeypatch.setattr(inference, "default_model", lambda: None)
+    assert not computed(session) and not model.messages
+
+
+def test_a_model_that_cannot_be_loaded_switches_shading_correction_off(session, tmp_path):
+    """It says so once, the viewer lives on, and it is tried again when it is asked for again."""
+    model, path = session.model, tmp_path / "m.onnx"
+    path.write_bytes(b"junk")
+    model.playback.seek(3)
+    model.set_options(replace(model.options, scn_model=str(path)))
+    session.until(lambda: model.network_fault)
+    assert not computed(session) and not model.corrects_shading and model.failure is None
+    model.playback.seek(1)
+    assert not computed(session)
+    (told,) = model.messages
+    assert told.error and told.text.startswith(f"shading correction is off: {path}: ") and "\n" not in told.text
+    model.correct_shading(True)
+    session.until(lambda: len(model.messages) == 2)
+    constant_model(path)
+    model.correct_shading(True)
+    assert computed(session) and model.network_fault is None
+
+
+def test_the_choice_of_shading_correction_is_remembered_but_no_path():
+    def restored(saved, **chosen):
+        settings = Settings(options=saved)
+        model = SimpleNamespace(settings=settings, options=Options(**chosen), view=session_view, playback=playback)
+        remembering.restore(model)
+        return model.options
+
+    session_view, playback = SimpleNamespace(compare="off"), SimpleNamespace(restore=lambda saved: None)
+    saved = {"shading_correction": False, "focus_mask": False, "scn_model": "x.onnx", "scn_provider": "cuda"}
+    options = restored(saved)
+    assert (options.shading_correction, options.focus_mask) == (False, False)
+    assert (options.scn_model, options.scn_provider) == (None, "cpu")
+    assert restored(saved, shading_correction=True).shading_correction is True
+    assert restored(saved, scn_model="y.onnx").shading_correction is None
+    assert restored({"shading_correction": True}).shading_correction is None

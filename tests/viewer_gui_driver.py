@@ -207,7 +207,7 @@ class Gui:
         model.arrows, model.messages = False, []
         model.settings.displays.clear()
         model.looks.forget()
-        model.pick(None)
+        model.pointing.pick(None)
         view.a, view.b, view.compare, view.overlay, view.split = "final", None, "off", "none", 0.5
         view.a_display = Display()
         model.playback.seek(slot)

@@ -103,7 +103,7 @@ def zoom_and_pan(gui: Gui):
     centre, zoom = view.centre, view.zoom
     gui.drag((left + width / 2, top + height / 2), (left + width / 2 + 90, top + height / 2 - 60))
     values["panned by"] = tuple((a - b) * zoom for a, b in zip(centre, view.centre, strict=True))
-    values["picked by panning"] = model.picked
+    values["picked by panning"] = model.pointing.picked
     gui.key(KEY._0, CTRL)
     values["one to one"] = view.zoom
     gui.key(KEY.f)
@@ -153,8 +153,10 @@ def inspector(gui: Gui):
     values["pixels"] = []
     for x, y in ((3, 4), (96, 54), (150, 90), (160, 60), (190, 106)):
         gui.point(*gui.at(x + 0.5, y + 0.5))
-        gui.wait(lambda x=x, y=y: model.inspection and model.inspection.pixel == (x, y), "an inspection")
-        inspection, wrong, compared = model.inspection, [], []
+        gui.wait(
+            lambda x=x, y=y: model.pointing.inspection and model.pointing.inspection.pixel == (x, y), "an inspection"
+        )
+        inspection, wrong, compared = model.pointing.inspection, [], []
         at_source = inspection.source and tuple(int(np.floor(c)) for c in inspection.source)
         for name, value in inspection.values.items():
             spec, image = model.spec_of(name), images[name]
@@ -169,7 +171,7 @@ def inspector(gui: Gui):
     gui.shot("inspector")
     gui.point(5, 5)
     gui.frames(3)
-    values["left"] = model.inspection is None
+    values["left"] = model.pointing.inspection is None
 
 
 @case
@@ -185,10 +187,10 @@ def story(gui: Gui):
     before = gui.window()
     gui.ctx.mouse_click(0)
     gui.settle()
-    story = model.story
+    story = model.pointing.story
     values |= {
         "pixel": (x, y),
-        "picked": model.picked,
+        "picked": model.pointing.picked,
         "dynamic": story.dynamic,
         "filled by": story.filled_by,
         "sentences": story.sentences,
@@ -205,4 +207,6 @@ def story(gui: Gui):
     values["window changed"] = bool((before != after).any())
     gui.click("//Inspector/###forget_story")
     gui.frames(3)
-    values["forgotten"] = model.picked is None and model.story is None and not gui.exists("//Inspector/###forget_story")
+    values["forgotten"] = (
+        model.pointing.picked is None and model.pointing.story is None and not gui.exists("//Inspector/###forget_story")
+    )

@@ -20,6 +20,7 @@ from gffe_cl.bench import Copier
 from gffe_cl.device import Device, open_device
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import HALF_MAX
+from gffe_cl.inference import NetworkError
 from gffe_cl.run import alphas_for
 from gffe_cl.viewer.layers import layers_of
 from gffe_cl.viewer.messages import Closing, EngineError, Inspection, Metrics, Request, Result
@@ -213,7 +214,8 @@ class Engine:
         serial = {"slot": lambda: content.serial, "source": lambda: content[1]}.get(kind, lambda: 0)()
         if kind == "device":
             self._problem, self.device_name = message, "no device"
-        self._errors.append(EngineError(message, serial, kind))
+        during = "network" if isinstance(error, NetworkError) else kind
+        self._errors.append(EngineError(message, serial, during))
         self._notify()
 
     def _do_device(self, _) -> None:
@@ -307,20 +309,23 @@ class Engine:
         pipeline = player.pipeline
         specs = layers_of(pipeline)
         if not self.source.has_truth:
-            del specs["truth"]
+            del specs["truth"], specs["focus_truth"]
         milliseconds = pipeline.take_timings()
-        reading = time.perf_counter()
         measure = request.metrics and alpha > 0 and self.source.has_truth
         names = (request.layers | ({"final"} if measure else set())) & specs.keys()
+        truth = None
+        if alpha and self.source.has_truth and (measure or names & {"truth", "focus_truth"}):
+            player.truth = truth = self._truth(k, alpha, notes)
+        if truth is not None and "focus_truth" in names:
+            player.find_focus(_rgba(truth))
+        reading = time.perf_counter()
         images = read_layers(pipeline, device_layers(pipeline, shot), names)
         readback_ms = (time.perf_counter() - reading) * 1e3
         known = Metrics(request.slot, request.setup)
-        if alpha and self.source.has_truth and (measure or "truth" in names):
-            player.truth = truth = self._truth(k, alpha, notes)
-            if truth is not None and "truth" in names:
-                images["truth"] = _rgba(truth)
-            if truth is not None and measure:
-                known = self._scorer.score(known, shot, images["final"], truth, self.source.exposure)
+        if truth is not None and "truth" in names:
+            images["truth"] = _rgba(truth)
+        if truth is not None and measure:
+            known = self._scorer.score(known, shot, images["final"], truth, self.source.exposure)
         return Result(
             request,
             k,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.camera import Camera
-from gffe_cl.stage import RGBA, XY, BufferSpec
+from gffe_cl.stage import RGBA, XY, BufferSpec, Sizes
 
 VIEWS = ("color", "depth", "motion", "place", "world", "mask", "label", "scalar")
 TONE_MAPS = ("sRGB", "Reinhard", "ACES", "linear")
@@ -28,6 +28,7 @@ _LABEL_COLORS = (
 LABEL_COLORS: tuple[Rgb, ...] = tuple(  # of value & 15: 0 is the usual case; 14 and 15 are 254 and 255 of `filled_by`
     tuple(byte / 255 for byte in bytes.fromhex(text)) for text in _LABEL_COLORS.split()
 )
+_LIMITS = {"focus_mask": (0.0, 1.0)}  # by the buffer's name
 _SAMPLES = 65536
 _FEW = 8  # different values: a code, such as the input mask, whose rare values are as good as the others
 _NATIVE = {"color": "RGB", "motion": "vector", "place": "vector", "world": "distance"}  # what is shown of all channels
@@ -39,7 +40,7 @@ class LayerSpec:
 
     `name` is "final", "rendered.color" … or "<stage>.<buffer>"; `group` heads it in lists. `view`, `components`,
     `planes`, `labels`, `grid` are those of `BufferSpec`. The positions of a "place" are `places_in` pixels of the
-    "rendered" or the "target" image.
+    "rendered" or the "target" image. `limits`: of a scalar's usual range; None: fitted to the picture.
     """
 
     name: str
@@ -52,6 +53,7 @@ class LayerSpec:
     description: str = ""
     grid: str = "target"
     places_in: str = "rendered"
+    limits: tuple[float, float] | None = None
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -146,6 +148,12 @@ class FrameInfo:
     target_area: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
 
     def area(self, spec: LayerSpec) -> tuple[float, float, float, float]:
+        if spec.grid == "network":
+            size = self.target_size or self.display_size
+            padded = BufferSpec("", np.float32, (), "network", "").size(Sizes(size, size))
+            x, y = (n / 2 / m for n, m in zip(size, padded, strict=True))
+            left, top, right, bottom = self.target_area
+            return left * x, top * y, right * x, bottom * y
         return self.source_area if spec.grid == "source" or spec.grid.startswith("level") else self.target_area
 
     def own_place(self, spec: LayerSpec) -> tuple[float, float, float, float]:
@@ -179,7 +187,9 @@ FRAME_LAYERS: dict[str, LayerSpec] = {
         ("rendered.color", "Rendered colour", "color", RGBA, "colour of the rendered frame, linear RGB", "source"),
         ("rendered.depth", "Rendered depth", "depth", (), "its view depth, world units, +inf sky", "source"),
         ("rendered.motion", "Rendered motion", "motion", XY, "its motion t → t−1, pixels", "source"),
+        ("gae", "GAE", "color", RGBA, "the extrapolated frame before shading correction, linear RGB", "target"),
         ("truth", "Ground truth", "color", RGBA, "what a renderer makes at this time, linear RGB", "target"),
+        ("focus_truth", "True focus mask", "mask", (), "static, and unlike the ground truth around", "target"),
     )
 }
 
@@ -197,13 +207,16 @@ def layer_of(stage: str, spec: BufferSpec) -> LayerSpec:
         description=spec.description,
         grid=spec.grid,
         places_in="target" if spec.name.startswith("target_") else "rendered",
+        limits=_LIMITS.get(spec.name),
     )
 
 
 def layers_of(pipeline) -> dict[str, LayerSpec]:
-    """All layers by name: the frame's own, then those of every stage in the order of the pipeline."""
+    """All layers by name: the frame's own ("gae" where it is not "final"), then those of every stage in the order of
+    the pipeline."""
     made = (layer_of(stage.name, spec) for stage, spec in pipeline.named_buffers() if spec.grid != "once")
-    return FRAME_LAYERS | {spec.name: spec for spec in made}
+    frame = {name: spec for name, spec in FRAME_LAYERS.items() if name != "gae" or pipeline.correction}
+    return frame | {spec.name: spec for spec in made}
 
 
 def label_flip(spec: LayerSpec) -> int:
@@ -215,6 +228,10 @@ def default_display(spec: LayerSpec) -> Display:
     display = Display(channel=spec.channels[0])
     if spec.view == "depth":
         display = replace(display, color_map="turbo", low=1.0, high=100.0)
+    if spec.grid == "network":
+        display = replace(display, color_map="grey")
+    if spec.limits:
+        display = replace(display, low=spec.limits[0], high=spec.limits[1])
     return display
 
 

@@ -35,7 +35,7 @@ class Looks:
         for name in names:
             spec = self._model.spec_of(name)
             if name not in self._displays and name not in self._model.settings.displays and spec is not None:
-                self._displays[name] = self._fitted(spec, default_display(spec))
+                self._displays[name] = self._first(spec)
 
     def forget(self) -> None:
         """Other pictures: what was fitted to the old ones does not hold for them."""
@@ -44,6 +44,13 @@ class Looks:
     def change(self, **values) -> None:
         """Display the shown layer with these `values` from now on."""
         self._keep(self._model.view.a, replace(self.of(self._model.view.a), **values))
+
+    def choose_plane(self, plane: int) -> None:
+        """Show another plane; of a scalar with a range of its own."""
+        self.change(plane=plane)
+        spec = self._model.spec_of(self._model.view.a)
+        if spec is not None and shown_as(spec, self.of(spec.name))[0] == "scalar":
+            self._keep(spec.name, self._fitted(spec, self.of(spec.name)))
 
     def expose(self, stops: float) -> None:
         self.change(exposure=self.of(self._model.view.a).exposure + stops)
@@ -72,7 +79,7 @@ class Looks:
     def reset(self) -> None:
         spec = self._model.spec_of(self._model.view.a)
         if spec is not None:
-            self._displays[spec.name] = self._fitted(spec, default_display(spec))
+            self._displays[spec.name] = self._first(spec)
             self._model.settings.displays.pop(spec.name, None)
 
     def next_channel(self) -> None:
@@ -85,6 +92,10 @@ class Looks:
     def _keep(self, name: str, display: Display) -> None:
         self._displays[name] = display
         self._model.settings.displays[name] = display.to_dict()
+
+    def _first(self, spec: LayerSpec) -> Display:
+        display = default_display(spec)
+        return display if spec.limits else self._fitted(spec, display)
 
     def _fitted(self, spec: LayerSpec, display: Display) -> Display:
         model = self._model

@@ -97,7 +97,7 @@ class Result:
 @dataclass(frozen=True)
 class EngineError:
     """What went wrong with the request `serial`; `during`: "device", "source", "kernels", "slot", "inspection",
-    "bandwidth", "metrics"."""
+    "bandwidth", "metrics"; "network": of shading correction, while a slot was made."""
 
     message: str
     serial: int

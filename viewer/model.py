@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import sys
 import time
 from dataclasses import dataclass, replace
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gffe_cl import inference
 from gffe_cl.errors import GffeError
 from gffe_cl.pipeline import Options
 from gffe_cl.viewer import flip_map, remembering
@@ -24,12 +24,14 @@ from gffe_cl.viewer.looks import Looks
 from gffe_cl.viewer.messages import EngineError, Metrics, Request, Result, Setup
 from gffe_cl.viewer.opening import ScenePlan, make_source
 from gffe_cl.viewer.playback import Playback
+from gffe_cl.viewer.pointing import Pointing
 from gffe_cl.viewer.saving import Work
 from gffe_cl.viewer.settings import Settings
 from gffe_cl.viewer.timings import Timings
 
 _FIT = 0.98  # of the window that a fitted picture takes
 _SCENES = ScenePlan(480, 270, 0)
+_OPTIONS = Options()
 
 
 @dataclass
@@ -50,13 +52,15 @@ class Model:
 
     def __init__(
         self, settings: Settings, *, device: str | None = None, n: int = 1, window: str | None = None,
-        plan: ScenePlan = _SCENES, save_settings: bool = True,
+        plan: ScenePlan = _SCENES, options: Options = _OPTIONS, save_settings: bool = True,
     ):  # fmt: skip
         self.settings, self._save_settings, self.plan = settings, save_settings, plan
         self.engine = Engine(partial(open_viewer_device, device))
         self.engine.start()
         self.playback = Playback(n=n)
-        self.options = Options(shading_inputs=True)
+        self.options = replace(options, shading_inputs=True)
+        self.defaults = replace(self.options, shading_correction=None)
+        self.network_fault: str | None = None  # why shading correction was switched off
         self.window = window
         self.info = None
         self.layers: list[LayerSpec] = []
@@ -70,7 +74,7 @@ class Model:
         self._fitted: tuple | None = None
         self.flyer: Flyer | None = None
         self.result: Result | None = None
-        self.inspection = self.story = self.picked = None
+        self.pointing = Pointing(self)
         self.metrics: dict[int, Metrics] = {}
         self.messages: list[Message] = []
         self.warnings: list[str] = []
@@ -87,9 +91,6 @@ class Model:
         self._keep_place = False
         self.taken = 0  # times that other images came
         self._closed = False
-        self._hover: tuple[int, int] | None = None
-        self._story_due = False  # the engine was asked for the story of the picked pixel
-        self.hovering = True  # False: the pointer means nothing
         remembering.restore(self)
 
     # ---- opening -----------------------------------------------------------------------------------------
@@ -115,8 +116,8 @@ class Model:
         times = None if source.live else [source.time(k) for k in range(source.count)]
         self.playback.open(source.count, source.fps, times, keep=self._keep_place)
         self.metrics.clear()
-        self.inspection = self.story = self.picked = self.flyer = None
-        self._story_due = False
+        self.pointing.forget()
+        self.flyer = None
         if not self._keep_place:
             self.looks.forget()
             self.timings = Timings()
@@ -132,8 +133,8 @@ class Model:
     def _drop_missing(self) -> None:
         """Ground truth is not shown where there is none."""
         if self.why_not("truth"):
-            self.view.a = "final" if self.view.a == "truth" else self.view.a
-            if self.view.b == "truth":
+            self.view.a = "final" if self.why_not(self.view.a) else self.view.a
+            if self.view.b and self.why_not(self.view.b):
                 self.view.b, self.view.compare = None, "off"
 
     # ---- one frame of the interface ------------------------------------------------------------------------
@@ -153,7 +154,9 @@ class Model:
         while (metrics := self.engine.poll_metrics()) is not None:
             if metrics.setup == self.setup:
                 self.metrics[metrics.slot] = metrics
-        self._take_inspection(self.engine.poll_inspection())
+        inspection = self.engine.poll_inspection()
+        if inspection is not None and inspection.slot == self.slot:
+            self.pointing.take(inspection)
         if self.info is None:
             return
         self.comparison.update(canvas)
@@ -167,17 +170,28 @@ class Model:
                 self.export = None
 
     def _failed(self, error: EngineError) -> None:
-        self.say(error.message, error=True)
         self.failure = error.message
+        if error.during == "network":
+            self._without_network(error.message)
+            return
+        self.say(error.message, error=True)
         self.notice = error.message if self.info is None else ""
         self._keep_place = False
-        self._story_due &= error.during != "inspection"
+        self.pointing.story_due &= error.during != "inspection"
         if error.during == "source":
             self._asked = None  # what was asked of the old one was thrown away
         if error.during in ("source", "slot"):
             self.playback.pause()
             if self.export is not None:
                 self.export.cancel()
+
+    def _without_network(self, why: str) -> None:
+        """Go on without shading correction, until it is switched on again."""
+        self.say(f"shading correction is off: {why}", error=True)
+        self.network_fault = why
+        self.metrics.clear()
+        if self.export is not None:
+            self.export.cancel()
 
     def _take(self, result: Result, canvas) -> None:
         self.result = result
@@ -193,8 +207,7 @@ class Model:
         self._show(result.images, canvas)
         self.looks.meet(result.images)
         self.timings.add(result)
-        self._story_due = self.picked is not None
-        self._inspect(self.picked or self._hover)
+        self.pointing.ask_again()
 
     def _show(self, images: dict[str, np.ndarray], canvas) -> None:
         """Have these images and no others, which would be of another time, on the canvas."""
@@ -206,20 +219,6 @@ class Model:
         for name, image in images.items():
             canvas.upload(name, image, self.spec_of(name))
         self.upload_ms = (time.perf_counter() - start) * 1e3
-
-    def _inspect(self, pixel: tuple[int, int] | None) -> None:
-        if pixel is not None:
-            self.engine.inspect(*pixel)
-
-    def _take_inspection(self, inspection) -> None:
-        if inspection is None or inspection.slot != self.slot:
-            return
-        if inspection.pixel == self.picked:
-            self.story, self._story_due = inspection.story, False
-            if self._hover != self.picked:
-                self._inspect(self._hover)
-        if inspection.pixel == (self._hover or self.picked):
-            self.inspection = inspection
 
     def _ask(self, slot: int) -> None:
         """Submit a request if it is another one than before."""
@@ -248,7 +247,11 @@ class Model:
 
     @property
     def setup(self) -> Setup:
-        return Setup(self.options, self.window, self.n)
+        return Setup(replace(self.options, shading_correction=self.corrects_shading), self.window, self.n)
+
+    @property
+    def corrects_shading(self) -> bool:
+        return self.options.corrects_shading and self.network_fault is None
 
     @property
     def pixels(self) -> int:
@@ -262,7 +265,7 @@ class Model:
             and self._asked is not None
             and self.result.request == self._asked
             and not self.engine.busy
-            and not self._story_due
+            and not self.pointing.story_due
             and self.comparison.ready
         )
 
@@ -293,6 +296,16 @@ class Model:
         except GffeError as error:
             self.say(str(error), error=True)
         self.metrics.clear()
+
+    def correct_shading(self, on: bool) -> None:
+        """Switch the shading correction network; what was wrong with it is forgotten."""
+        self.network_fault = None
+        self.set_options(replace(self.options, shading_correction=None if on else False))
+
+    def use_defaults(self) -> None:
+        self.network_fault = None
+        self.set_options(self.defaults)
+        self.set_n(1)
 
     def set_window(self, window: str | None) -> None:
         self.window = window
@@ -325,9 +338,13 @@ class Model:
 
     def why_not(self, name: str) -> str | None:
         """Why a layer cannot be shown in this sequence."""
-        if name == "truth" and self.info is not None and not self.info.has_truth:
+        if name in ("truth", "focus_truth") and self.info is not None and not self.info.has_truth:
             return "this sequence has no ground truth"
         return None
+
+    def why_no_correction(self) -> str | None:
+        """Why the shading correction network cannot be switched on."""
+        return None if self.options.scn_model else inference.scn_missing()
 
     def show_layer(self, name: str) -> None:
         self.view.a = name
@@ -361,27 +378,6 @@ class Model:
 
     def zoom(self, factor: float) -> None:
         self.view.zoom = min(max(self.view.zoom * factor, 0.05), 128.0)
-
-    def hover(self, at: tuple[float, float] | None) -> None:
-        """The pointer is over this display position; values of its pixel are asked for."""
-        pixel = None if at is None or not self.hovering else (math.floor(at[0]), math.floor(at[1]))
-        if pixel is not None and not (0 <= pixel[0] < self.info.width and 0 <= pixel[1] < self.info.height):
-            pixel = None
-        if pixel != self._hover:
-            self._hover = pixel
-            wanted = pixel or self.picked
-            self.inspection = self.inspection if wanted else None
-            if not self._story_due:  # or it would take the place of the picked pixel, after which it is asked for
-                self._inspect(wanted)
-
-    def pick(self, pixel: tuple[int, int] | None) -> None:
-        """Tell the story of a pixel."""
-        self.picked, self.story = None, None
-        self.inspection = self.inspection if self._hover else None
-        if pixel is not None and 0 <= pixel[0] < self.info.width and 0 <= pixel[1] < self.info.height:
-            self.picked = tuple(pixel)
-            self._inspect(self.picked)
-        self._story_due = self.picked is not None
 
     def frame_info(self, result: Result) -> FrameInfo:
         """What the layers of `result` refer to, for displaying them."""

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pyopencl as cl
 
 from gffe_cl.camera import Camera
 from gffe_cl.device import Device
@@ -13,6 +14,7 @@ from gffe_cl.errors import GffeError
 from gffe_cl.frame import BadPixels, RenderedFrame
 from gffe_cl.pipeline import Options, Pipeline
 from gffe_cl.stage import DeviceFrame
+from gffe_cl.stages.shading import FocusMask
 from gffe_cl.viewer.messages import Closing, Setup
 from gffe_cl.viewer.sources import FrameSource
 from gffe_cl.viewer.story import Shot
@@ -39,6 +41,7 @@ class Player:
         self._frame: RenderedFrame | None = None
         self._before: Camera | None = None  # render camera of the frame before
         self._presented = None
+        self._focus: FocusMask | None = None  # made when it is asked for
 
     def prepare(self, setup: Setup) -> None:
         if self.source.configure(setup.window, setup.n) or setup.options != self._options:
@@ -75,14 +78,28 @@ class Player:
         buffers = {f"rendered.{name}": getattr(frame, name) for name in ("color", "depth", "motion")}
         cameras = (frame.camera, shown.camera, self._before)
         if alpha:
+            self.pipeline.exposure = self.source.exposure
             made = self.pipeline.extrapolate(self.source.camera(k, alpha), self.source.time(k, alpha))
-            self.shot = Shot(k, alpha, made.time, made.camera, *cameras, False, buffers | {"final": made.color})
+            buffers["final"] = made.color
+            if self.pipeline.correction:
+                buffers["gae"] = made.gae
+            self.shot = Shot(k, alpha, made.time, made.camera, *cameras, False, buffers)
         else:
             buffers["final"] = frame.color if whole else shown.color
             if self.source.has_truth:
                 buffers["truth"] = shown.color
             self.shot = Shot(k, 0.0, frame.time, shown.camera, *cameras, whole, buffers)
         return self.shot
+
+    def find_focus(self, truth: np.ndarray) -> None:
+        """Add "focus_truth" to the shot, an extrapolated one; `truth`: (H, W, 4) float16."""
+        if self._focus is None:
+            self._focus = FocusMask(self.device, self.pipeline.sizes)
+            self._true_color = self.device.buffer(truth.nbytes)
+        warp = self.pipeline.warp.buffer
+        cl.enqueue_copy(self.device.queue, self._true_color, truth)
+        self._focus.make(warp["color"], self._true_color, warp["dynamic"], self.source.exposure)
+        self.shot.buffers["focus_truth"] = self._focus.buffer["focus_truth"]
 
     def _restart(self) -> None:
         self.drop()  # before as much is allocated again

@@ -5,14 +5,17 @@ from __future__ import annotations
 import time
 from contextlib import suppress
 
+from gffe_cl import inference
 from gffe_cl.device import Device
 from gffe_cl.pipeline import Options, Pipeline
 from gffe_cl.program import Program, expand, kernel_folder
 from gffe_cl.stage import Sizes
+from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import Presentation
+from gffe_cl.stages.shading import FocusMask
 
 WATCH_SECONDS = 0.5  # between looks at the kernels' files
-_STAGE_KERNELS = ("history", "prediction", "warp", "background", "holes", "shading", "presentation")
+_STAGE_KERNELS = ("history", "prediction", "warp", "background", "holes", "shading", "correction", "presentation")
 
 
 class Kernels(dict):
@@ -45,8 +48,12 @@ class Kernels(dict):
                 self.error = None
                 return False
             self._texts = texts
-            Pipeline(self._device, 1, 1, Options(shading_inputs=True))
-            Presentation(self._device, Sizes((1, 1), (1, 1)))
+            sizes = Sizes((1, 1), (1, 1))
+            Pipeline(self._device, 1, 1, Options(shading_inputs=True, shading_correction=False))
+            Presentation(self._device, sizes)
+            FocusMask(self._device, sizes)
+            if inference.default_model() or any(key[0] == ShadingCorrection.name for key in self):
+                ShadingCorrection(self._device, sizes, None)  # the network itself is not needed
         except Exception as error:
             self._texts, self.error = before, str(error)
             return False

@@ -10,6 +10,7 @@ from gffe_cl.pipeline import Options
 from gffe_cl.viewer.canvas import ERRORS, View
 
 WAYS = ("off", "split", "flip", "difference", "error", "flip error")
+_NOT_KEPT = ("shading_inputs", "scn_model", "scn_provider")  # of the options
 _NUMBERS = {"split": (0.0, 1.0), "gain": (1.0, 32.0), "error_high": (0.01, 1.0)}
 
 
@@ -25,13 +26,15 @@ def collect(model) -> None:
     """Put what is to be remembered into the settings."""
     settings, view = model.settings, model.view
     settings.playback = model.playback.preferences()
-    settings.options = {name: value for name, value in asdict(model.options).items() if name != "shading_inputs"}
+    settings.options = {name: value for name, value in asdict(model.options).items() if name not in _NOT_KEPT}
     settings.compare = {name: getattr(view, name) for name in ("compare", "b", "error", *_NUMBERS)}
 
 
 def _options(options: Options, saved: dict) -> Options:
-    """Each saved value on its own, so that a damaged one costs only itself; history before order, which it bounds."""
-    for name in ("history", "order", "motion", "crack_closing", "levels", "hole_filling", "static_threshold"):
+    """Each saved value on its own, so that a damaged one costs only itself; history before order, which it bounds.
+    Shading correction stays off unless it was asked for."""
+    kept = ("history", "order", "motion", "crack_closing", "levels", "hole_filling", "static_threshold", "focus_mask")
+    for name in kept:
         value, kind = saved.get(name), type(getattr(Options(), name))
         if name == "static_threshold" and type(value) in (int, float):
             kind, value = float, float(value)
@@ -40,6 +43,9 @@ def _options(options: Options, saved: dict) -> Options:
                 options = replace(options, **{name: value})
             except GffeError:
                 continue
+    chosen = options.shading_correction is not None or options.scn_model is not None
+    if saved.get("shading_correction") is False and not chosen:
+        options = replace(options, shading_correction=False)
     return options
 
 

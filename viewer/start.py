@@ -64,8 +64,8 @@ class _Stopwatch:
 
     def __call__(self, app) -> None:
         model, now = app.model, time.perf_counter()
-        if model.failure or (self._start is None and now > self._until):
-            self.problem = model.failure or f"nothing was shown after {_PATIENCE:.0f} s"
+        if model.failure or model.network_fault or (self._start is None and now > self._until):
+            self.problem = model.failure or model.network_fault or f"nothing was shown after {_PATIENCE:.0f} s"
             app.close()
         elif self._start is None:
             if model.result is not None:
@@ -175,8 +175,10 @@ class _Photographer:
 
     def __call__(self, app) -> None:
         model = app.model
-        if model.failure or time.perf_counter() > self._until:
-            self.problem = model.failure or f"the screenshot was not ready after {_PATIENCE:.0f} s"
+        if model.failure or model.network_fault or time.perf_counter() > self._until:
+            self.problem = (
+                model.failure or model.network_fault or f"the screenshot was not ready after {_PATIENCE:.0f} s"
+            )
             app.close()
         elif model.info is None or not model.layers:
             return
@@ -216,9 +218,9 @@ class _Photographer:
                 return f"--compare {shot.compare}: {reason}"
             model.comparison.set(shot.compare)
         model.set_overview(shot.overview)
-        model.hovering = False
+        model.pointing.enabled = False
         if shot.pixel is not None:
-            model.pick(shot.pixel)
+            model.pointing.pick(shot.pixel)
         return None
 
 

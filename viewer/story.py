@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pyopencl as cl
@@ -40,7 +40,7 @@ class Shot:
         The rendered image is shown as rendered, stretched over the display.
     buffers : dict
         Device buffers of the frame's own layers: "final", "rendered.color", "rendered.depth", "rendered.motion"; for a
-        rendered slot also "truth", the display part.
+        rendered slot also "truth", the display part; "gae" with shading correction; "focus_truth" once it is made.
     """
 
     k: int
@@ -95,7 +95,8 @@ class DeviceLayer:
             shift = int(self.grid[5:]) if self.grid.startswith("level") else 0
             x, y = (int(np.floor(c)) >> shift for c in source_px)
         else:
-            shift = 5 if self.grid == "blocks" else int(self.grid[3:]) if self.grid.startswith("mip") else 0
+            shift = {"blocks": 5, "network": 1}.get(self.grid, 0)
+            shift = int(self.grid[3:]) if self.grid.startswith("mip") else shift
             x, y = (c >> shift for c in px)
         return (x, y) if 0 <= x < self.size[0] and 0 <= y < self.size[1] else None
 
@@ -122,6 +123,8 @@ class Story:
         Of the background that it was filled from.
     level_px : (float, float) or None
         Where that fragment lies in the rendered image, pixels.
+    corrected : bool or None
+        Whether shading correction changed its colour; None where that is off.
     sentences : tuple of str
     """
 
@@ -134,6 +137,7 @@ class Story:
     threshold: float | None = None
     level: int | None = None
     level_px: tuple[float, float] | None = None
+    corrected: bool | None = None
     sentences: tuple[str, ...] = ()
 
 
@@ -148,7 +152,9 @@ def device_layers(pipeline: Pipeline, shot: Shot) -> dict[str, DeviceLayer]:
         "rendered.color": (np.float16, "source", source, 1, 4),
         "rendered.depth": (np.float32, "source", source, 1, 1),
         "rendered.motion": (np.float32, "source", source, 1, 2),
+        "gae": (np.float16, "target", target, 1, 4),
         "truth": (np.float16, "target", target, 1, 4),
+        "focus_truth": (np.uint8, "target", target, 1, 1),
     }
     layers = {name: DeviceLayer(shot.buffers[name], *made[name]) for name in made if name in shot.buffers}
     for stage, spec in pipeline.named_buffers():
@@ -201,6 +207,24 @@ def pixel_story(pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str
             else Story((x, y), "rendered frame", source_px)
         )
     values = values or pixel_values(pipeline, shot, x, y)
+    return _with_correction(_how_it_was_made(pipeline, shot, x, y, source_px, values), pipeline, values)
+
+
+def _with_correction(story: Story, pipeline: Pipeline, values: dict[str, np.ndarray]) -> Story:
+    if pipeline.correction is None:
+        return story
+    before, after = values["gae"][:3], values["final"][:3]
+    if before.tobytes() == after.tobytes():
+        return replace(story, corrected=False)
+    mask = f"focus mask {float(values['correction.focus_mask'][0]):.2f}"
+    if not pipeline.options.focus_mask:
+        mask += ", which is off"
+    colors = (f"({', '.join(f'{float(c):.4g}' for c in color)})" for color in (before, after))
+    said = f"Shading correction changed it ({mask}): from {' to '.join(colors)}."
+    return replace(story, corrected=True, sentences=(*story.sentences, said))
+
+
+def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, values) -> Story:
     number = int(values["warp.filled_by"][0])
     label = dict(FILLED_BY)[number]
     if number == BY_HOLE_FILLING:

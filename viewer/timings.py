@@ -11,16 +11,25 @@ _MEAN = 20  # ... and in the means
 
 
 class Timings:
-    """Milliseconds of the last computed frames; `stages` are kernel times by stage."""
+    """Milliseconds of the last computed frames; `stages` are kernel times by stage, of shading correction with the time
+    in the network, which `network` has alone."""
 
     def __init__(self):
         self.stages: dict[str, deque[float]] = defaultdict(lambda: deque(maxlen=HISTORY))
+        self._networks: deque[float] = deque(maxlen=_MEAN)
         self._walls: deque[float] = deque(maxlen=_MEAN)
         self._readbacks: deque[float] = deque(maxlen=_MEAN)
 
     def add(self, result) -> None:
         """Of an engine's Result."""
-        for name, milliseconds in result.milliseconds.items():
+        taken = dict(result.milliseconds)
+        network = taken.pop("network", 0.0)
+        if "correction" in taken:
+            taken["correction"] += network
+        self._networks.append(network)
+        for name in self.stages.keys() - taken.keys():
+            del self.stages[name]
+        for name, milliseconds in taken.items():
             self.stages[name].append(milliseconds)
         self._walls.append(result.wall_ms)
         self._readbacks.append(result.readback_ms)
@@ -28,6 +37,9 @@ class Timings:
     def means(self) -> dict[str, float]:
         """Kernel time by stage."""
         return {name: _mean(list(values)[-_MEAN:]) for name, values in self.stages.items()}
+
+    def network(self) -> float:
+        return _mean(self._networks)
 
     def wall(self) -> float:
         """From taking a request to its images."""

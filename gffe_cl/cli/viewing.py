@@ -7,7 +7,18 @@ from typing import Annotated
 
 import typer
 
-from gffe_cl.cli.common import DeviceOption, JsonOption, app, out, parse_size, write_json
+from gffe_cl.cli.common import (
+    DeviceOption,
+    JsonOption,
+    ScnModelOption,
+    ScnOption,
+    ScnProviderOption,
+    app,
+    out,
+    parse_size,
+    scn_options,
+    write_json,
+)
 from gffe_cl.errors import GffeError
 
 
@@ -24,6 +35,9 @@ def view(
     size: Annotated[str, typer.Option(help="Of a built-in scene: width × height, pixels.")] = "480x270",
     seed: Annotated[int, typer.Option(help="Of a built-in scene: its variation.")] = 0,
     device: DeviceOption = None,
+    scn: ScnOption = None,
+    scn_model: ScnModelOption = None,
+    scn_provider: ScnProviderOption = "cpu",
     window_size: Annotated[
         str | None,
         typer.Option(help="Of the viewer's own window, pixels [dim](default: as last time; for reports 1600x900)[/]."),
@@ -45,6 +59,8 @@ def view(
     json_path: JsonOption = None,
 ) -> None:
     """Open the viewer: play, look into every stage, find out why a pixel is wrong."""
+    from gffe_cl.inference import load_network
+    from gffe_cl.pipeline import Options
     from gffe_cl.viewer.model import Model, ScenePlan
     from gffe_cl.viewer.opening import is_scene
     from gffe_cl.viewer.remembering import WAYS
@@ -70,10 +86,13 @@ def view(
     shot = None
     if screenshot is not None:
         shot = Shot(screenshot, frame, layer, compare, other, _pixel(pixel), overview)
+    options = Options(**scn_options(scn, scn_model, scn_provider))
+    if options.corrects_shading and (scn or scn_model is not None or scn_provider != "cpu"):
+        load_network(options.scn_model, options.scn_provider)  # what was asked for must work
     require_display()
     by_hand = shot is None and measure is None
     settings, warning = Settings.load() if by_hand else (Settings(), None)
-    model = Model(settings, device=device, n=n, window=window, plan=plan, save_settings=by_hand)
+    model = Model(settings, device=device, n=n, window=window, plan=plan, options=options, save_settings=by_hand)
     if warning:
         model.say(warning)
     with leaving(model):

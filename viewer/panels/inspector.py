@@ -11,10 +11,10 @@ from gffe_cl.viewer.layers import value_text
 
 def draw(app) -> None:
     model = app.model
-    if model.story is not None:
+    if model.pointing.story is not None:
         _story(model)
     widgets.heading("Values")
-    inspection = model.inspection
+    inspection = model.pointing.inspection
     if inspection is None:
         widgets.hint("Move over the picture; click a pixel for its story")
         return
@@ -39,11 +39,11 @@ def draw(app) -> None:
 
 
 def _story(model) -> None:
-    story = model.story
+    story = model.pointing.story
     widgets.heading(f"Story of pixel ({story.pixel[0]}, {story.pixel[1]})")
     for sentence in story.sentences:
         imgui.bullet()
         imgui.same_line()
         imgui.text_wrapped(sentence)
     if imgui.button(f"{icons.ICON_FA_XMARK} forget###forget_story"):
-        model.pick(None)
+        model.pointing.pick(None)

@@ -87,7 +87,8 @@ def _display(model) -> None:
             widgets.toggle("even in 1/z", display.inverse, lambda on: model.looks.change(inverse=on))
         widgets.choice("colour map", display.color_map, list(COLOR_MAPS), lambda v: model.looks.change(color_map=v))
     if spec.planes > 1:
-        widgets.slider("plane", display.plane, 0, spec.planes - 1, 0, lambda v: model.looks.change(plane=v), "%d")
+        shown = min(display.plane, spec.planes - 1) + 1
+        widgets.slider("plane", shown, 1, spec.planes, 1, lambda v: model.looks.choose_plane(v - 1), "%d")
     if len(spec.channels) > 1:
         channel = display.channel or spec.channels[0]
         widgets.choice("channel", channel, list(spec.channels), lambda v: model.looks.change(channel=v))

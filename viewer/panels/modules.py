@@ -10,7 +10,6 @@ from gffe_cl.pipeline import HOLE_FILLINGS, Options
 from gffe_cl.viewer import widgets
 
 _DEFAULT = Options()
-_NO_WEIGHTS = "there are no trained weights for the shading correction network yet"
 _WINDOWS = ("off", "adaptive", "fixed:1.1", "fixed:1.2", "fixed:1.4")
 
 
@@ -43,8 +42,7 @@ def draw(app) -> None:
         lambda on: change(hole_filling=_DEFAULT.hole_filling if on else "none"),
         "What neither the rendered frame nor the background shows",
     )
-    widgets.toggle("shading correction", False, lambda on: None, reason=_NO_WEIGHTS)
-    widgets.toggle("focus mask", False, lambda on: None, reason=_NO_WEIGHTS)
+    _shading(model, change)
     _window(model)
 
     widgets.heading("Parameters")
@@ -70,8 +68,20 @@ def draw(app) -> None:
         "n after each rendered frame: α = j / (n + 1), j = 1 … n",
     )  # fmt: skip
     if imgui.button("all defaults###defaults"):
-        model.set_options(_DEFAULT)
-        model.set_n(1)
+        model.use_defaults()
+
+
+def _shading(model, change) -> None:
+    reason, on = model.why_no_correction(), model.corrects_shading
+    widgets.toggle(
+        "shading correction", on and reason is None, model.correct_shading,
+        model.network_fault or "A network moves shadows and reflections to where they belong", reason,
+    )  # fmt: skip
+    reason = reason or (None if on else "shading correction is off")
+    widgets.toggle(
+        "focus mask", model.options.focus_mask and reason is None, lambda on: change(focus_mask=on),
+        "Only what the network says is wrong; off: its whole image", reason,
+    )  # fmt: skip
 
 
 def _window(model) -> None:

@@ -14,7 +14,7 @@ _GRIP = 10.0  # screen pixels on both sides of the wipe's line
 _NUMBERS = 64.0  # zoom from which values are written into the pixels ...
 _VALUES = 3  # ... so many of each
 _ARROW_SPACING = 24.0  # screen pixels
-_OF_GENERATED = ("prediction", "warp", "holes", "shading")  # stages that a rendered frame does not run
+_OF_GENERATED = ("prediction", "warp", "holes", "shading", "correction")  # stages that a rendered frame does not run
 _ACCENT = (0.35, 0.85, 1.0, 1.0)
 _WARM = (1.0, 0.7, 0.25, 1.0)
 
@@ -84,7 +84,7 @@ def _mouse(app, place) -> None:
     model, io, view = app.model, imgui.get_io(), app.model.view
     at = imgui.get_mouse_pos()
     hovered = imgui.is_item_hovered()
-    model.hover(place.to_display(at) if hovered else None)
+    model.pointing.hover(place.to_display(at) if hovered else None)
     if hovered and io.mouse_wheel and not io.key_ctrl:
         before = place.to_display(at)
         view.zoom = min(max(view.zoom * _ZOOM_STEP**io.mouse_wheel, _LEAST_ZOOM), _MOST_ZOOM)
@@ -108,7 +108,7 @@ def _mouse(app, place) -> None:
             view.centre = (view.centre[0] - delta.x / view.zoom, view.centre[1] - delta.y / view.zoom)
     if imgui.is_item_deactivated():
         if app.drags == "nothing yet":
-            model.pick(tuple(math.floor(c) for c in place.to_display(at)))
+            model.pointing.pick(tuple(math.floor(c) for c in place.to_display(at)))
         app.drags = "nothing"
 
 
@@ -122,7 +122,7 @@ def _arrows(model, place, marks) -> None:
     if spec is None or image is None or spec.view != "motion":
         return
     height, width = image.shape[:2]
-    scale = (model.info.width / width, model.info.height / height)
+    scale, start = _texels(model, spec, image)
     step = max(_ARROW_SPACING / place.view.zoom, 1.0)
     (left, top), (right, bottom) = place.to_display(place.origin), place.to_display(
         ImVec2(place.origin.x + place.size[0], place.origin.y + place.size[1])
@@ -133,14 +133,15 @@ def _arrows(model, place, marks) -> None:
     sign = -1.0 if model.looks.of(spec.name).reverse else 1.0
     for y in ys:
         for x in xs:
-            mx, my = image[min(int(y / scale[1]), height - 1), min(int(x / scale[0]), width - 1), :2]
+            column, row = int((x - start[0]) / scale[0]), int((y - start[1]) / scale[1])
+            mx, my = image[min(max(row, 0), height - 1), min(max(column, 0), width - 1), :2]
             if not (math.isfinite(mx) and math.isfinite(my)) or mx * mx + my * my < 0.01:
                 continue
-            start, end = place.to_screen(x, y), place.to_screen(x + sign * mx * scale[0], y + sign * my * scale[1])
-            marks.add_line(start, end, color, 1.0)
-            length = math.hypot(end.x - start.x, end.y - start.y)
+            foot, end = place.to_screen(x, y), place.to_screen(x + sign * mx * scale[0], y + sign * my * scale[1])
+            marks.add_line(foot, end, color, 1.0)
+            length = math.hypot(end.x - foot.x, end.y - foot.y)
             if length > 3:
-                ux, uy = (end.x - start.x) / length * 4, (end.y - start.y) / length * 4
+                ux, uy = (end.x - foot.x) / length * 4, (end.y - foot.y) / length * 4
                 tips = (
                     ImVec2(end.x - ux - uy / 2, end.y - uy + ux / 2),
                     ImVec2(end.x - ux + uy / 2, end.y - uy - ux / 2),
@@ -148,33 +149,43 @@ def _arrows(model, place, marks) -> None:
                 marks.add_triangle_filled(end, *tips, color)
 
 
+def _texels(model, spec, image) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Display pixels per texel of a layer's plane, and where on the display its first texel begins."""
+    x0, y0, x1, y1 = model.frame_info(model.result).area(spec)
+    wide, high = model.info.width / (x1 - x0), model.info.height / (y1 - y0)
+    return (wide / image.shape[1], high / image.shape[0]), (-x0 * wide, -y0 * high)
+
+
 def _numbers(model, place, marks) -> None:
     spec, image = model.spec_of(model.view.a), model.image_of(model.view.a)
-    if spec is None or image is None or spec.planes > 1:
+    if spec is None or image is None:
         return
+    image = image[min(model.looks.of(spec.name).plane, spec.planes - 1)] if spec.planes > 1 else image
     height, width = image.shape[:2]
-    scale = (model.info.width / width, model.info.height / height)
+    scale, start = _texels(model, spec, image)
     left, top = place.to_display(place.origin)
     right, bottom = place.to_display(ImVec2(place.origin.x + place.size[0], place.origin.y + place.size[1]))
     ink, shade = imgui.get_color_u32((1, 1, 1, 1)), imgui.get_color_u32((0, 0, 0, 0.8))
-    for row in range(max(int(top / scale[1]), 0), min(int(bottom / scale[1]) + 1, height)):
-        for column in range(max(int(left / scale[0]), 0), min(int(right / scale[0]) + 1, width)):
+    top, bottom = ((y - start[1]) / scale[1] for y in (max(top, 0), min(bottom, model.info.height)))
+    left, right = ((x - start[0]) / scale[0] for x in (max(left, 0), min(right, model.info.width)))
+    for row in range(max(int(top), 0), min(math.ceil(bottom), height)):
+        for column in range(max(int(left), 0), min(math.ceil(right), width)):
             text = "\n".join(f"{value:.3g}" for value in np.ravel(image[row, column])[:_VALUES])
-            at = place.to_screen(column * scale[0], row * scale[1])
+            at = place.to_screen(column * scale[0] + start[0], row * scale[1] + start[1])
             for offset, color in ((1, shade), (0, ink)):
                 marks.add_text(ImVec2(at.x + 3 + offset, at.y + 2 + offset), color, text)
 
 
 def _trajectory(model, place, marks) -> None:
     """The picked pixel, and where what it shows came from."""
-    if model.picked is None:
+    if model.pointing.picked is None:
         return
-    x, y = model.picked
+    x, y = model.pointing.picked
     accent, warm = imgui.get_color_u32(_ACCENT), imgui.get_color_u32(_WARM)
     half = max(model.view.zoom / 2, 4.0)
     middle = place.to_screen(x + 0.5, y + 0.5)
     marks.add_rect(ImVec2(middle.x - half, middle.y - half), ImVec2(middle.x + half, middle.y + half), accent, 0, 2.0)
-    story = model.story
+    story = model.pointing.story
     if story is None or len(story.trajectory) < 2:
         return
     points = [place.to_screen(*point) for point in story.trajectory]
@@ -233,7 +244,7 @@ def _label(marks, text: str, x: float, y: float, right: bool = False) -> None:
 def _overview(app, origin, size) -> None:
     """All layers as tiles; a click opens one."""
     model = app.model
-    model.hover(None)
+    model.pointing.hover(None)
     caption = round(imgui.get_text_line_height() + 3)
     texture, tiles = app.canvas.overview(model.overview_tiles(), size, caption=caption)
     imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(*size))
@@ -251,7 +262,7 @@ def _overview(app, origin, size) -> None:
         marks.add_text(ImVec2(left, top + height + 1), ink, spec.label if wide else f"{spec.group}: {spec.label}")
         marks.pop_clip_rect()
         inside = left <= at.x < left + width and top <= at.y < top + height
-        if inside and model.hovering and imgui.is_item_hovered():
+        if inside and model.pointing.enabled and imgui.is_item_hovered():
             marks.add_rect(ImVec2(left, top), ImVec2(left + width, top + height), imgui.get_color_u32(_ACCENT), 0, 2.0)
             imgui.set_tooltip(f"{spec.group}: {spec.label}\n{spec.description}")
             if clicked:

@@ -31,6 +31,8 @@ def draw(app) -> None:
                 imgui.text_colored(implot.get_colormap_color(index), icons.ICON_FA_SQUARE)
                 imgui.same_line()
             imgui.text(name)
+            if name == "correction":
+                widgets.tooltip(f"of this {model.timings.network():.2f} ms in the network")
             for text in (f"{milliseconds:.2f}", per_pixel):
                 imgui.table_next_column()
                 imgui.text(text)
