@@ -18,7 +18,13 @@ import pytest
 pytestmark = pytest.mark.slow
 
 FRAME = ("rendered.", "truth", "presentation.")
-AFTER_SUBMIT = ("warp.", "holes.", "shading.", "final")  # layers that are made anew for every generated frame
+AFTER_SUBMIT = (
+    "warp.",
+    "holes.",
+    "shading.",
+    "final",
+    "focus_truth",
+)  # layers that are made anew for every generated frame
 
 
 def _start(arguments: list[str], environment: dict[str, str], folder: Path) -> float:
@@ -124,7 +130,7 @@ def test_in_and_out(values):
         ("crack closing", AFTER_SUBMIT, ("warp.filled_by", "warp.disoccluded", "warp.color", "final"), ()),
         (
             "hole filling",
-            ("warp.color", "warp.depth", "warp.motion", "holes.", "shading.", "final"),
+            ("warp.color", "warp.depth", "warp.motion", "holes.", "shading.", "final", "focus_truth"),
             ("warp.color", "warp.depth", "final"),
             (),
         ),
@@ -142,9 +148,17 @@ def test_modules(seen, module, may, must, gone):
     assert f"modules, {module} off" in seen["pictures"]
 
 
-def test_modules_without_weights_are_disabled(seen):
-    for name in ("shading correction", "focus mask"):
-        assert seen["modules"]["values"][name]["disabled"]
+def test_shading_correction(values):
+    assert values["disabled without a model"] == ["shading correction", "focus mask"]
+    assert values["disabled with a model"] == []
+    assert 0.001 < values["corrected"] < 0.9 and values["only within the mask"] and values["elsewhere as before"]
+    assert "Shading correction changed it (focus mask " in values["story"] and values["inspected"]
+    for name, fewest in (("frames", 30), ("correction", 2), ("focus_mask", 2)):
+        assert values[f"seen of correction.{name}"] >= fewest
+    assert values["whole image"] and values["focus mask back"] == []
+    off, on = values["switched off"], values["switched on"]
+    assert off["changed"] == off["gone"] == on["changed"] == on["gone"] == []
+    assert off["disabled"] == ["focus mask"]
 
 
 def test_parameters(values):
@@ -161,7 +175,7 @@ def test_parameters(values):
     assert later["alpha"] == 0.75
     assert {"prediction.target_position", "warp.motion", "final"} <= set(later["changed"])
     assert not [name for name in later["changed"] if starts(name, ("rendered.", "history.", "background."))]
-    assert later["gone"] == ["truth"]
+    assert set(later["gone"]) == {"truth", "focus_truth"}
 
 
 def test_rendering_window(values):
@@ -181,6 +195,7 @@ def test_layers(values):
         assert layer["shown"] == name
         assert layer["background"] < 0.02, (name, layer)
         fewest = {"mask": 2, "label": 2, "scalar": 3}.get(layer["view"], 8 if name.startswith("holes.block") else 30)
+        fewest = 1 if name == "focus_truth" else fewest  # there may be nothing wrong
         assert layer["colors"] >= fewest, (name, layer)
 
 

@@ -29,12 +29,14 @@ def run(phase: str, folder: Path, artefacts: Path, only: list[str]) -> None:
     import viewer_gui_opening as opening
     import viewer_gui_playing as playing
 
+    from gffe_cl import inference
     from gffe_cl.viewer.app import App
     from gffe_cl.viewer.model import Model
     from gffe_cl.viewer.opening import ScenePlan
     from gffe_cl.viewer.settings import Settings
     from gffe_cl.viewer.start import leaving
 
+    inference.default_model = lambda: None  # nothing hangs on weights that are installed
     settings, warning = Settings.load()
     model = Model(settings, plan=ScenePlan(160, 90, 0))
     assert warning is None, warning

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from imgui_bundle import imgui
+from scn_models import movers_model
 from viewer_gui_driver import KEY, SHIFT, Gui, collector
+
+from gffe_cl import inference
 
 CASES, case = collector()
 
@@ -117,9 +122,60 @@ def modules(gui: Gui):
         gui.click(f"//Modules/{name}")
         gui.settle()
         gui.values[name]["after switching back"] = _changed(before, gui.images())["changed"]
-    for name in ("shading correction", "focus mask"):
-        flags = gui.ctx.item_info(f"//Modules/{name}").item_flags
-        gui.values[name] = {"disabled": bool(flags & imgui.ItemFlags_.disabled.value)}
+
+
+def _disabled(gui: Gui) -> list[str]:
+    flags = {name: gui.ctx.item_info(f"//Modules/{name}").item_flags for name in ("shading correction", "focus mask")}
+    return [name for name, value in flags.items() if value & imgui.ItemFlags_.disabled.value]
+
+
+@case
+def shading_correction(gui: Gui):
+    """Greyed out without a model; with one, both toggles do what they say."""
+    model, values = gui.model, gui.values
+    values["disabled without a model"] = _disabled(gui)
+    off, installed = gui.images(), inference.default_model
+    network = Path(movers_model(gui.sequences / "scn.onnx"))
+    inference.default_model = lambda: network
+    try:
+        on = gui.images()
+        values["disabled with a model"] = _disabled(gui)
+        mask = on["correction.focus_mask"] > 0
+        values["corrected"] = float(mask.mean())
+        values["only within the mask"] = bool(((on["final"] != on["gae"]).any(-1) == mask).all())
+        values["elsewhere as before"] = bool((on["final"][~mask] == off["final"][~mask]).all())
+        x, y = (int(c) for c in np.argwhere(mask)[len(np.argwhere(mask)) // 2][::-1])
+        gui.point(*gui.at(x + 0.5, y + 0.5))
+        gui.ctx.mouse_click(0)
+        gui.settle()
+        values["story"] = model.pointing.story.sentences[-1]
+        seen = model.pointing.inspection.values["correction.frames"].ravel()
+        values["inspected"] = bool((seen == on["correction.frames"][:, y // 2, x // 2]).all())
+        gui.shot("shading correction, story")
+        model.pointing.pick(None)
+        for name, plane in (("correction.frames", 1), ("correction.correction", 5), ("correction.focus_mask", 1)):
+            model.show_layer(name)
+            gui.settle()
+            if plane > 1:
+                gui.ctx.item_input_value("//Layers/###plane", plane)
+                gui.settle()
+            values[f"seen of {name}"] = len(np.unique(gui.inside().reshape(-1, 3), axis=0))
+            gui.shot(f"shading correction, {name}")
+        gui.click("//Modules/focus mask")
+        gui.settle()
+        whole = gui.images()
+        values["whole image"] = bool((whole["final"] == on["correction.refined"]).all())
+        gui.click("//Modules/focus mask")
+        gui.settle()
+        values["focus mask back"] = _changed(on, gui.images())["changed"]
+        gui.click("//Modules/shading correction")
+        gui.settle()
+        values["switched off"] = _changed(off, gui.images()) | {"disabled": _disabled(gui)}
+        gui.click("//Modules/shading correction")
+        gui.settle()
+        values["switched on"] = _changed(on, gui.images())
+    finally:
+        inference.default_model = installed
 
 
 @case
