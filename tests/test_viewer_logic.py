@@ -7,6 +7,7 @@ import resource
 import string
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import imageio_ffmpeg
 import numpy as np
@@ -22,6 +23,7 @@ from gffe_cl.viewer.export import export_video, save_layers_exr, save_png, unuse
 from gffe_cl.viewer.layers import LayerSpec
 from gffe_cl.viewer.playback import EVERY_FRAME, MODES, REAL_TIME, Playback
 from gffe_cl.viewer.settings import Settings, default_path
+from gffe_cl.viewer.timings import Timings
 
 cases = settings(deadline=None, max_examples=100)
 
@@ -880,3 +882,18 @@ def test_unused_names(tmp_path):
     assert unused_name(tmp_path, "link", ".png").name == "link_2.png"
     assert unused_name(tmp_path, "../x y\n/z", "").name == "_x_y_z"
     assert unused_name(tmp_path, "..", ".png").name == "image.png"
+
+
+# -- timings ---------------------------------------------------------------------------------------------------------
+
+
+def test_timings_count_the_network_to_shading_correction():
+    def computed(**milliseconds):
+        return SimpleNamespace(milliseconds=milliseconds, wall_ms=9.0, readback_ms=1.0)
+
+    timings = Timings()
+    for network in (4.0, 8.0):
+        timings.add(computed(warp=1.0, correction=2.0, network=network))
+    assert timings.means() == {"warp": 1.0, "correction": 8.0} and timings.network() == 6.0
+    timings.add(computed(warp=4.0))  # shading correction is off
+    assert timings.means() == {"warp": 2.0}

@@ -124,7 +124,7 @@ class Story:
     level_px : (float, float) or None
         Where that fragment lies in the rendered image, pixels.
     corrected : bool or None
-        Whether shading correction changed its colour; None where that is off.
+        Whether shading correction changed its colour; None for rendered frames and where that is off.
     sentences : tuple of str
     """
 

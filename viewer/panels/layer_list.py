@@ -88,7 +88,9 @@ def _display(model) -> None:
         widgets.choice("colour map", display.color_map, list(COLOR_MAPS), lambda v: model.looks.change(color_map=v))
     if spec.planes > 1:
         shown = min(display.plane, spec.planes - 1) + 1
-        widgets.slider("plane", shown, 1, spec.planes, 1, lambda v: model.looks.choose_plane(v - 1), "%d")
+        widgets.slider(
+            "plane", shown, 1, spec.planes, 1, lambda v: model.looks.choose_plane(v - 1), "%d", spec.description
+        )  # fmt: skip
     if len(spec.channels) > 1:
         channel = display.channel or spec.channels[0]
         widgets.choice("channel", channel, list(spec.channels), lambda v: model.looks.change(channel=v))
