@@ -165,7 +165,7 @@ class Augmentation:
 
     def _grainy(self, colors: Tensor) -> Tensor:
         """Noise of a path tracer: what is seen, not the truth, has it; less in the resampled GAE frame."""
-        amount = torch.exp2(self._uniform((1, colors.shape[1], 1, 1, 1), -9, -4.5))
+        amount = torch.exp2(self._uniform((1, colors.shape[1], 1, 1, 1), -9, -5.5))
         grain = torch.randn(colors.shape, generator=self.generator) * torch.tensor((0.6, 1.0)).view(2, 1, 1, 1, 1)
         return (colors + grain * amount * (0.02 + colors).sqrt()).clamp(min=0)
 
