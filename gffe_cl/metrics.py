@@ -9,8 +9,8 @@ import numpy as np
 
 PSNR_CAP = 100.0
 _HALF_MAX = 65504.0
-_FOCUS_SMAPE = 0.5  # the paper's: errors above this are the shading correction network's business
-_SMAPE_EPSILON = 0.01  # the paper's: keeps black pixels from counting fully
+FOCUS_SMAPE = 0.5  # the paper's: errors above this are the shading correction network's business
+SMAPE_EPSILON = 0.01  # the paper's: keeps black pixels from counting fully
 _SRGB_TOE = np.float32(0.0031308)
 _SSIM_WINDOW = 7  # scikit-image's default
 
@@ -61,7 +61,7 @@ def smape(a, b, exposure: float = 1.0) -> np.ndarray:
     The mean over RGB of 2|a−b| / (|a|+|b|+0.01) on exposed linear colour; NaN counts as 0.
     """
     a, b = (np.nan_to_num(np.asarray(x).astype(np.float32) * np.float32(exposure), nan=0.0) for x in (a, b))
-    return (2 * np.abs(a - b) / (np.abs(a) + np.abs(b) + np.float32(_SMAPE_EPSILON))).mean(-1)
+    return (2 * np.abs(a - b) / (np.abs(a) + np.abs(b) + np.float32(SMAPE_EPSILON))).mean(-1)
 
 
 def focus_mask(color, truth, dynamic, exposure: float = 1.0) -> np.ndarray:
@@ -76,9 +76,9 @@ def focus_mask(color, truth, dynamic, exposure: float = 1.0) -> np.ndarray:
     for dy in range(3):
         for dx in range(3):
             near = padded[dy : dy + height, dx : dx + width]
-            error = 2 * np.abs(shown - near) / (np.abs(shown) + np.abs(near) + np.float32(_SMAPE_EPSILON))
+            error = 2 * np.abs(shown - near) / (np.abs(shown) + np.abs(near) + np.float32(SMAPE_EPSILON))
             least = np.fmin(least, error[..., 0] + error[..., 1] + error[..., 2])
-    return (least > np.float32(3 * _FOCUS_SMAPE)) & (np.asarray(dynamic) == 0)
+    return (least > np.float32(3 * FOCUS_SMAPE)) & (np.asarray(dynamic) == 0)
 
 
 def flip_map(shown, truth) -> np.ndarray | None:

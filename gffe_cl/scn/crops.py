@@ -12,13 +12,12 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from gffe_cl.errors import GffeError
+from gffe_cl.metrics import FOCUS_SMAPE, SMAPE_EPSILON
 from gffe_cl.scn.clips import CHANNELS, CROP, VERSION, clip_path
 from gffe_cl.scn.network import encode, halve
 
 TOP_SHARE = 0.15  # of all crops: those with the most focus pixels (paper: 'Data Preparation')
 RANDOM_SHARE = 0.03  # of all crops: any of the others
-_SMAPE_EPSILON = 0.01
-_FOCUS_SMAPE = 0.5
 _PATTERN = 320  # pixels of a pattern each way
 
 
@@ -58,13 +57,13 @@ def focus_truth(gae: Tensor, truth: Tensor, dynamic: Tensor) -> Tensor:
     """M^focus, (N, 1, H, W) bool: as `gffe_cl.metrics.focus_mask`."""
     height, width = gae.shape[-2:]
     padded = functional.pad(truth, (1, 1, 1, 1), value=1e9)
-    least, size = None, gae.abs() + _SMAPE_EPSILON
+    least, size = None, gae.abs() + SMAPE_EPSILON
     for dy in range(3):
         for dx in range(3):
             other = padded[..., dy : dy + height, dx : dx + width]
             error = (gae - other).abs_().div_(size + other).sum(1, keepdim=True)
             least = error if least is None else torch.minimum(least, error)
-    return (least > 1.5 * _FOCUS_SMAPE) & ~dynamic
+    return (least > 1.5 * FOCUS_SMAPE) & ~dynamic
 
 
 def list_crops(folder: Path, seed: int, clips: int) -> list[Crop]:

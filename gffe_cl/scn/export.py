@@ -13,7 +13,8 @@ import numpy as np
 import torch
 
 from gffe_cl.errors import GffeError
-from gffe_cl.scn.network import MULTIPLE, ShadingCorrectionNetwork
+from gffe_cl.inference import MULTIPLE
+from gffe_cl.scn.network import ShadingCorrectionNetwork
 
 OPSET = 20
 TOLERANCE = 2e-4  # between onnxruntime and PyTorch, of values in about −1 … 1

@@ -11,9 +11,8 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor, nn
 
-MU = 5000.0
-HEADROOM = 8.0  # exposed colour that is encoded as 1: three stops above what a display shows as white
-MULTIPLE = 16  # of the network's width and height
+from gffe_cl.stages.correction import HEADROOM, MU
+
 FOCUS_THRESHOLD = 1 / 32  # a smaller M is 0
 _CHANNELS = (16, 32, 48)
 _HIDDEN = (32, 48, 64)

@@ -171,7 +171,7 @@ class Training:
         self.parallel = processes.wrap(self.model)
         self.optimizer = torch.optim.Adam(self.model.parameters(), recipe.learning_rate)
         self.perceptual = losses.perceptual_loss(vgg).to(self.device)
-        self.step, self.seconds, self.best = 0, 0.0, float("inf")
+        self.step, self.seconds = 0, 0.0
         self._load()
 
     @property
