@@ -12,7 +12,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from gffe_cl.errors import GffeError  # noqa: E402
-from gffe_cl.metrics import focus_mask  # noqa: E402
+from gffe_cl.metrics import display_values, focus_mask  # noqa: E402
 from gffe_cl.scn import clips, losses, network  # noqa: E402
 from gffe_cl.scn.crops import Augmentation, Batch, Crop, focus_truth, keep_crops, list_crops, load_batch  # noqa: E402
 from gffe_cl.scn.export import count_operations, export_onnx, largest_difference  # noqa: E402
@@ -62,6 +62,15 @@ def test_composition():
     assert plain[..., :20].std() < 0.8 * final[..., :20].std()
 
 
+def test_composition_at_half_resolution_has_no_detail():
+    color = random(1, 3, 16, 24, scale=4.0)
+    correction = torch.zeros(1, 5, 16, 24)
+    correction[:, :3, :, :12], correction[:, 4, :, :12] = 0.1, 1.0
+    refined, final, _ = network.compose(color, correction)
+    assert torch.allclose(network.encode(refined), network.encode(color) + correction[:, :3], atol=1e-5)
+    assert torch.equal(final[..., 12:], color[..., 12:]) and torch.allclose(final[..., :12], refined[..., :12])
+
+
 def test_network_is_within_its_limits():
     parameters, operations = count_operations(network.ShadingCorrectionNetwork(), 1920, 1080)
     assert parameters <= 1_000_000
@@ -99,6 +108,27 @@ def test_census_ignores_brightness():
     a = random(1, 4, 24, 24)
     assert losses.census(a, a + 0.5).item() == pytest.approx(0, abs=1e-6)
     assert losses.census(a, random(1, 4, 24, 24, seed=1)) > 0.01
+
+
+def test_census_compares_each_pixel_with_those_around_it():
+    """Against all 48 neighbours, one by one: halving them for symmetry changes no more than what the border adds."""
+    a, b = random(1, 1, 40, 40), random(1, 1, 40, 40, seed=1)
+
+    def transformed(gray):
+        patches = torch.nn.functional.unfold(gray, 7).view(1, 49, 34, 34) - gray[..., 3:-3, 3:-3]
+        return patches / torch.sqrt(0.81 + patches**2)
+
+    squared = (transformed(a) - transformed(b)) ** 2
+    expected = (squared / (0.1 + squared)).sum() / (48 * 34 * 34)
+    assert losses.census(a, b).item() == pytest.approx(expected.item(), rel=0.02)
+
+
+def test_display_values_agree():
+    colors = torch.tensor([0.0, 1e-4, 0.003, 0.0032, 0.2, 1.0, 7.0]).view(-1, 1).repeat(1, 3).requires_grad_()
+    shown = losses.display(colors)
+    assert np.allclose(shown.detach().numpy(), display_values(colors.detach().numpy()), atol=1e-6)
+    shown.sum().backward()
+    assert torch.isfinite(colors.grad).all()
 
 
 def test_weights_are_the_papers():
@@ -171,11 +201,35 @@ def batch_of(count=3, size=64, alpha=0.5):
     return Batch(*colors, side, torch.full((count,), alpha))
 
 
+def test_half_of_a_batch_is_what_the_network_sees():
+    batch = batch_of()
+    half = batch.halve()
+    assert half.halved and half.gae.shape == (3, 3, 32, 32) and torch.equal(half.alpha, batch.alpha)
+    assert half.frames().shape == batch.frames().shape and half.target().shape == batch.target().shape
+    assert torch.allclose(half.frames()[:, 6:], batch.frames()[:, 6:])
+    even = Batch(*(0 * image + 0.3 for image in batch.images()), batch.alpha)
+    assert torch.allclose(even.halve().frames(), even.frames(), atol=1e-6)
+    assert torch.allclose(even.halve().target(), even.target(), atol=1e-6)
+
+
+def test_half_resolution_forgives_one_pixel_of_the_whole_frame_too():
+    """A bright edge between black and white, shifted by d pixels: in focus where d is two, at either resolution."""
+    ramp = torch.zeros(1, 3, 16, 32)
+    ramp[..., 16:] = 1.0
+    side = torch.full((1, 2, 16, 32), 0.5)
+    for shift, wrong in ((0, False), (2, True), (4, True)):
+        moved = Batch(ramp, ramp, torch.roll(ramp, shift, -1), side, torch.tensor([0.5]))
+        inner = [part.focus()[..., 4:-4].any().item() for part in (moved, moved.halve())]
+        assert inner == [wrong, wrong], shift
+
+
 def test_augmentation_follows_its_generator():
     made = [Augmentation(torch.Generator().manual_seed(s))(batch_of()) for s in (1, 1, 2)]
     assert torch.equal(made[0].truth, made[1].truth) and torch.equal(made[0].gae, made[1].gae)
     assert not torch.equal(made[0].truth, made[2].truth)
-    for batch in made:
+    halved = Augmentation(torch.Generator().manual_seed(1))(batch_of().halve())
+    assert halved.halved and halved.gae.shape[-1] == 32
+    for batch in (*made, halved):
         assert all(torch.isfinite(x).all() and (x >= 0).all() for x in (batch.gae, batch.previous, batch.truth))
 
 
@@ -257,7 +311,7 @@ def fixed_loss(training, crops):
     batch = load_batch(crops)
     with torch.no_grad():
         model = training.model.train()
-        out = model(batch.frames(), batch.alpha, network.halve(network.encode(batch.truth)))
+        out = model(batch.frames(), batch.alpha, batch.target())
         terms = loss_terms(*out, batch, batch.focus(), training.perceptual)
     factors = weights(training.recipe)
     return terms | {"loss": sum(factors[name] * value for name, value in terms.items())}
@@ -384,7 +438,7 @@ def test_validation_clips_are_not_trained_on():
 
 
 def test_recipes_are_checked():
-    for wrong in ({"steps": 0}, {"batch": 0}, {"learning_rate": 1e-6}, {"final_learning_rate": 0}):
+    for wrong in ({"steps": 0}, {"batch": 0}, {"full_every": 0}, {"learning_rate": 1e-6}, {"final_learning_rate": 0}):
         with pytest.raises(GffeError, match="training: "):
             Recipe(**wrong)
     recipe = Recipe(steps=100)

@@ -27,6 +27,9 @@ def train(
     final_learning_rate: Annotated[float, typer.Option(help="And at the end.")] = 1e-5,
     shading: Annotated[float, typer.Option(help="Share of crops that get moving shading of their own.")] = 0.6,
     blend_weight: Annotated[float, typer.Option(help="Of the loss of the frame as it is shown.")] = 1.0,
+    full_every: Annotated[
+        int, typer.Option(help="Steps from one at full resolution to the next; half, quicker, between.")
+    ] = 4,
     bfloat16: Annotated[
         bool, typer.Option("--bfloat16", help="Mixed precision: quicker where there is AMX or a GPU.")
     ] = False,
@@ -58,7 +61,7 @@ def train(
     if clips < 2:
         raise GffeError(f"--clips must be at least 2, got {clips}")
     until = None if minutes is None else time.monotonic() + 60 * minutes
-    recipe = Recipe(seed, steps, batch, learning_rate, final_learning_rate, shading, blend_weight, bfloat16)
+    recipe = Recipe(seed, steps, batch, learning_rate, final_learning_rate, shading, blend_weight, full_every, bfloat16)
     data = data or folder / "data"
     processes = Processes()
     try:

@@ -18,7 +18,7 @@ from gffe_cl.scn.network import encode, halve
 
 TOP_SHARE = 0.15  # of all crops: those with the most focus pixels (paper: 'Data Preparation')
 RANDOM_SHARE = 0.03  # of all crops: any of the others
-_PATTERN = 320  # pixels of a pattern each way
+_DYNAMIC = 0.75  # input mask above which a pixel counts as dynamic; 1 where it is one pixel of the frame
 
 
 @dataclass(frozen=True)
@@ -36,31 +36,50 @@ class Crop:
 @dataclass
 class Batch:
     """Exposed linear colour (N, 3, H, W) of the GAE frame, the warped previous frame and the truth;
-    `side` (N, 2, H, W): inverse depth and input mask; alpha (N,)."""
+    `side` (N, 2, H, W): inverse depth and input mask; alpha (N,). `halved`: all at half resolution."""
 
     gae: Tensor
     previous: Tensor
     truth: Tensor
     side: Tensor
     alpha: Tensor
+    halved: bool = False
+
+    def images(self) -> list[Tensor]:
+        return [self.gae, self.previous, self.truth, self.side]
+
+    def halve(self) -> Batch:
+        return Batch(*map(halve, self.images()), self.alpha, True)
+
+    def to(self, device) -> Batch:
+        return Batch(*(image.to(device) for image in self.images()), self.alpha.to(device), self.halved)
 
     def frames(self) -> Tensor:
         """The network's input."""
-        return halve(torch.cat((encode(self.gae), encode(self.previous), self.side), 1))
+        planes = torch.cat((encode(self.gae), encode(self.previous), self.side), 1)
+        return planes if self.halved else halve(planes)
+
+    def target(self) -> Tensor:
+        """The truth as the network would see it."""
+        truth = encode(self.truth)
+        return truth if self.halved else halve(truth)
 
     def focus(self) -> Tensor:
         """(N, 1, H, W) float: the focus mask that the truth gives."""
-        return focus_truth(self.gae, self.truth, self.side[:, 1:] == 1).float()
+        dynamic = self.side[:, 1:] > _DYNAMIC
+        return focus_truth(self.gae, self.truth, dynamic, 0.5 if self.halved else 1.0).float()
 
 
-def focus_truth(gae: Tensor, truth: Tensor, dynamic: Tensor) -> Tensor:
-    """M^focus, (N, 1, H, W) bool: as `gffe_cl.metrics.focus_mask`."""
+def focus_truth(gae: Tensor, truth: Tensor, dynamic: Tensor, reach: float = 1.0) -> Tensor:
+    """M^focus, (N, 1, H, W) bool: as `gffe_cl.metrics.focus_mask`; neighbours are `reach` pixels away."""
     height, width = gae.shape[-2:]
     padded = functional.pad(truth, (1, 1, 1, 1), value=1e9)
     least, size = None, gae.abs() + SMAPE_EPSILON
     for dy in range(3):
         for dx in range(3):
             other = padded[..., dy : dy + height, dx : dx + width]
+            if reach != 1:
+                other = torch.lerp(truth, other, reach)
             error = (gae - other).abs_().div_(size + other).sum(1, keepdim=True)
             least = error if least is None else torch.minimum(least, error)
     return (least > 1.5 * FOCUS_SMAPE) & ~dynamic
@@ -149,8 +168,7 @@ class Augmentation:
         some = self._some(count, self.noise)
         if len(some):
             colors[:2, some] = self._grainy(colors[:2, some])
-        gae, previous, truth = colors.clamp_(0, 60000).unbind(0)
-        return Batch(gae, previous, truth, side, batch.alpha)
+        return Batch(*colors.clamp_(0, 60000), side, batch.alpha, batch.halved)
 
     def _chance(self) -> float:
         return torch.rand((), generator=self.generator).item()
@@ -164,15 +182,15 @@ class Augmentation:
 
     def _grainy(self, colors: Tensor) -> Tensor:
         """Noise of a path tracer: what is seen, not the truth, has it; less in the resampled GAE frame."""
-        amount = torch.exp2(self._uniform((1, colors.shape[1], 1, 1, 1), -9, -5.5))
+        amount = torch.exp2(self._uniform((1, colors.shape[1], 1, 1, 1), -9, -5.5)) * (colors.shape[-1] / CROP)
         grain = torch.randn(colors.shape, generator=self.generator) * torch.tensor((0.6, 1.0)).view(2, 1, 1, 1, 1)
         return (colors + grain * amount * (0.02 + colors).sqrt()).clamp(min=0)
 
     def _grids(self, count: int, height: int, width: int, alpha: Tensor) -> Tensor:
         """(3, N, H, W, 2) sampling positions of a moving pattern at t, t − 1 and t + α; a pattern is 2 × 2 around 0."""
-        speed = torch.exp2(self._uniform((count,), -1.0, 5.0))  # pixels per interval
+        speed = torch.exp2(self._uniform((count,), -1.0, 6.3))  # pixels of the whole frame per interval
         heading, turned = self._uniform((2, count), -torch.pi, torch.pi)
-        velocity = torch.stack((heading.cos(), heading.sin()), -1) * speed[:, None] * (2.0 / width)
+        velocity = torch.stack((heading.cos(), heading.sin()), -1) * speed[:, None] * (2.0 / CROP)
         spin = self._uniform((count,), -0.03, 0.03)
         zoom = self._uniform((count,), -0.03, 0.03)
         bend = self._uniform((count,), -0.12, 0.12)  # speeds change a little
@@ -201,17 +219,18 @@ class Augmentation:
     def _lit(self, colors: Tensor, side: Tensor, alpha: Tensor) -> Tensor:
         """Shadows and pools of light, from one large blob to foliage and bars, of sharp or soft edges."""
         _, count, _, height, width = colors.shape
+        size = height * 5 // 4  # of the pattern
         cells = 2 ** int(torch.randint(1, 6, (), generator=self.generator))
         coarse = torch.randn((count, 1, 2 + cells, 2 + cells), generator=self.generator)
-        field = functional.interpolate(coarse, (_PATTERN, _PATTERN), mode="bicubic", align_corners=False)
+        field = functional.interpolate(coarse, (size, size), mode="bicubic", align_corners=False)
         bars = self._some(count, 0.3)
-        waves = torch.linspace(-1, 1, _PATTERN) * torch.exp2(self._uniform((len(bars), 1, 1, 1), 2.0, 5.5))
-        field[bars] = torch.sin(waves).expand(-1, -1, _PATTERN, -1)
+        waves = torch.linspace(-1, 1, size) * torch.exp2(self._uniform((len(bars), 1, 1, 1), 2.0, 5.5))
+        field[bars] = torch.sin(waves).expand(-1, -1, size, -1)
         field += self._uniform((count, 1, 1, 1), -0.5, 0.7)
-        slope = (field[..., 1:] - field[..., :-1]).abs().mean((1, 2, 3), keepdim=True) * (_PATTERN / width)
+        slope = (field[..., 1:] - field[..., :-1]).abs().mean((1, 2, 3), keepdim=True) * (size / CROP)
         softness = torch.exp2(self._uniform((count, 1, 1, 1), 0.0, 4.5)) * slope  # edges of 1 to 20 pixels
         shape = self._moved(field, 0.8 * self._grids(count, height, width, alpha))
-        shape = torch.sigmoid(3 * shape / softness) * (side[:, 1:] != 1)
+        shape = torch.sigmoid(3 * shape / softness) * (side[:, 1:] <= _DYNAMIC)
         dark = self._uniform((count, 1, 1, 1), 0.03, 0.7) * self._uniform((count, 3, 1, 1), 0.8, 1.2)
         factor = 1 - shape * (1 - dark)
         lights = self._some(count, 0.35)
@@ -224,6 +243,6 @@ class Augmentation:
         strength = self._uniform((count, 1, 1, 1), 0.05, 0.6)
         where = torch.randn((count, 1, 5, 5), generator=self.generator)
         where = functional.interpolate(where, (height, width), mode="bicubic", align_corners=False)
-        used = strength * torch.sigmoid(6 * where) * (side[:, 1:] != 1)
+        used = strength * torch.sigmoid(6 * where) * (side[:, 1:] <= _DYNAMIC)
         order = torch.randperm(count, generator=self.generator)
         return colors + used * self._moved(colors[2][order], 0.75 * self._grids(count, height, width, alpha))

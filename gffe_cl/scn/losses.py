@@ -9,12 +9,14 @@ import torch.nn.functional as functional
 from torch import Tensor, nn
 
 from gffe_cl.errors import GffeError
+from gffe_cl.scn.network import encode
 
 FEATURES_WEIGHT = 0.01  # λ_f, λ_focus and λ_vgg of the paper
 FOCUS_WEIGHT = 1.0
 PERCEPTUAL_WEIGHT = 0.01
 _CHARBONNIER = 1e-3
 _CENSUS = 7  # pixels each way
+_DISPLAY_WEIGHT = 5.0
 
 
 def charbonnier(a: Tensor, b: Tensor) -> Tensor:
@@ -24,19 +26,32 @@ def charbonnier(a: Tensor, b: Tensor) -> Tensor:
 
 def census(a: Tensor, b: Tensor) -> Tensor:
     """Soft Hamming distance of the census transforms of the channels' means, over 7×7 pixels (UnFlow, Meister et al.
-    2018), leaving out the border."""
+    2018), leaving out the border. Of two pixels that are compared with each other, one way counts for both."""
     difference = _transformed(a) - _transformed(b)
-    distance = (difference**2 / (0.1 + difference**2)).mean(1)
-    border = _CENSUS // 2
-    return distance[:, border:-border, border:-border].mean()
+    squared = difference * difference
+    return (squared / (0.1 + squared)).mean()
 
 
 def _transformed(features: Tensor) -> Tensor:
-    gray = features.mean(1, keepdim=True)
-    count, _, height, width = gray.shape
-    patches = functional.unfold(gray, _CENSUS, padding=_CENSUS // 2).view(count, _CENSUS**2, height, width)
-    difference = patches - gray
-    return difference / torch.sqrt(0.81 + difference**2)
+    """(N, 24, H − 6, W − 6)."""
+    gray, far = features.mean(1), _CENSUS // 2
+    height, width = (side - 2 * far for side in gray.shape[-2:])
+    offsets = [(y, x) for y in range(far + 1) for x in range(-far, far + 1) if y > 0 or x > 0]
+    others = [gray[:, far + y : far + y + height, far + x : far + x + width] for y, x in offsets]
+    difference = torch.stack(others, 1) - gray[:, None, far : far + height, far : far + width]
+    return difference * torch.rsqrt(0.81 + difference * difference)
+
+
+def shown_loss(a: Tensor, b: Tensor) -> Tensor:
+    """Of exposed linear frames as they are shown: Charbonnier of encoded colour, and the squared error of display
+    values (sRGB), which PSNR counts: it finds how much of an uncertain correction is worth showing."""
+    return charbonnier(encode(a), encode(b)) + _DISPLAY_WEIGHT * ((display(a) - display(b)) ** 2).mean()
+
+
+def display(color: Tensor) -> Tensor:
+    """sRGB of exposed linear colour, clipped to 0 … 1: as `gffe_cl.metrics.display_values`."""
+    linear = color.clamp(0, 1)
+    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp(min=1e-4) ** (1 / 2.4) - 0.055)
 
 
 def focus_loss(mask: Tensor, truth: Tensor) -> Tensor:

@@ -1,6 +1,6 @@
 """The shading correction network (paper: 'Shading Correction Network' and its appendix).
 
-Flow-based, coarse to fine, all of it at half resolution: an encoder of three feature levels is shared by the GAE frame
+Flow-based, coarse to fine, all of it at half resolution: an encoder of four feature levels is shared by the GAE frame
 and the warped previous frame; a decoder per level predicts two flows, and the features of the frame at t + α; a head
 makes the correction. `compose` makes the frame of it, as kernels/correction.cl does.
 """
@@ -14,9 +14,10 @@ from torch import Tensor, nn
 from gffe_cl.stages.correction import HEADROOM, MU
 
 FOCUS_THRESHOLD = 1 / 32  # a smaller M is 0
-_CHANNELS = (16, 32, 48)
-_HIDDEN = (32, 48, 64)
-_DETAIL = 8
+_CHANNELS = (16, 32, 48, 64)
+_HIDDEN = (32, 48, 64, 64)
+_DETAIL = 4
+_HEAD = 16
 _SLOPE = 0.1  # of leaky rectifiers
 _LOG = torch.log1p(torch.tensor(MU)).item()
 
@@ -58,7 +59,7 @@ def _conv(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
 
 
 class Encoder(nn.Module):
-    """(N, 6, h, w), encoded colour and its difference from the other frame → features at 1/2, 1/4, 1/8 of that size.
+    """(N, 6, h, w), encoded colour and its difference from the other frame → features at 1/2 … 1/16 of that size.
 
     On one surface the two frames differ by their shading only: the difference is what moves.
     """
@@ -78,29 +79,28 @@ class Encoder(nn.Module):
 
 
 class Decoder(nn.Module):
-    """Flows (4 channels: into the GAE frame, into the warped previous frame) and features of the frame at t + α."""
+    """Flows (4 channels: into the GAE frame, into the warped previous frame) and features of the frame at t + α.
 
-    def __init__(self, channels: int, coarser: int, hidden: int):
+    `warped`: channels of each of the two images that are warped by the coarser flows; `beside`: of what is not.
+    What is convolved has 3 · `channels`, a multiple of 16: onnxruntime takes twice as long for others.
+    """
+
+    def __init__(self, warped: int, beside: int, channels: int, coarser: int, hidden: int):
         super().__init__()
-        self.squeeze = nn.Conv2d(coarser, channels, 1) if coarser else None
-        inputs = 2 * channels + 3 + (channels + 4 if coarser else 0)
-        self.body = nn.Sequential(_conv(inputs, hidden), _conv(hidden, hidden))
-        self.out = nn.Conv2d(hidden, 4 + channels, 3, 1, 1)
+        inputs = 2 * warped + beside
+        self.squeeze = nn.Conv2d(coarser, 3 * channels - inputs - 4, 1) if coarser else None
+        self.body = nn.Sequential(_conv(3 * channels if coarser else inputs, hidden), _conv(hidden, hidden))
+        self.out = nn.Conv2d(hidden, channels, 3, 1, 1)
 
-    def forward(self, now, before, side, coarser=None) -> tuple[Tensor, Tensor]:
-        """`coarser`: (flows, features) of the level above."""
-        inputs = [now, before, side]
-        if coarser is not None:
-            flows = 2.0 * double(coarser[0])
-            inputs = [
-                warp(now, flows[:, :2]),
-                warp(before, flows[:, 2:]),
-                side,
-                double(self.squeeze(coarser[1])),
-                flows,
-            ]
-        out = self.out(self.body(torch.cat(inputs, 1)))
-        return (out[:, :4] if coarser is None else out[:, :4] + flows), out[:, 4:]
+    def forward(self, now, before, beside, coarser=None) -> tuple[Tensor, Tensor]:
+        """`coarser`: what the level above returned: flows, and all its channels, the features after the first four."""
+        if coarser is None:
+            out = self.out(self.body(torch.cat((now, before, beside), 1)))
+            return out[:, :4], out
+        flows = 2.0 * double(coarser[0])
+        moved = warp(now, flows[:, :2]), warp(before, flows[:, 2:])
+        out = self.out(self.body(torch.cat((*moved, beside, flows, double(self.squeeze(coarser[1]))), 1)))
+        return out[:, :4] + flows, out
 
 
 class ShadingCorrectionNetwork(nn.Module):
@@ -118,12 +118,12 @@ class ShadingCorrectionNetwork(nn.Module):
     def __init__(self):
         super().__init__()
         self.encoder = Encoder()
-        coarser = (*_CHANNELS[1:], 0)
-        self.decoders = nn.ModuleList(
-            Decoder(c, above, hidden) for c, above, hidden in zip(_CHANNELS, coarser, _HIDDEN, strict=True)
-        )
+        finest = Decoder(3, _CHANNELS[0] + 6, _CHANNELS[0], _CHANNELS[1], _HIDDEN[0])
+        self.decoders = nn.ModuleList([finest])
+        for channels, coarser, hidden in zip(_CHANNELS[1:], (*_CHANNELS[2:], 0), _HIDDEN[1:], strict=True):
+            self.decoders.append(Decoder(channels, 3, channels, coarser, hidden))
         self.up = nn.Conv2d(_CHANNELS[0], 4 * _DETAIL, 3, 1, 1)
-        self.head = nn.Sequential(_conv(_DETAIL + 11, 16), nn.Conv2d(16, 5, 3, 1, 1))
+        self.head = nn.Sequential(_conv(_DETAIL + 12, _HEAD), nn.Conv2d(_HEAD, 5, 3, 1, 1))
         self._begin()
 
     @torch.no_grad()
@@ -143,16 +143,23 @@ class ShadingCorrectionNetwork(nn.Module):
         now, before, side = frames[:, :3], frames[:, 3:6], frames[:, 6:8]
         encoded = self.encoder(torch.cat((now, before), 0), torch.cat((before, now), 0))
         time = alpha.view(-1, 1, 1, 1)
+        smaller = [halve(frames)]
+        while len(smaller) < len(self.decoders):
+            smaller.append(halve(smaller[-1]))
         result, features = None, []
-        for k in (2, 1, 0):
-            side_k = functional.avg_pool2d(side, 2 << k)
-            side_k = torch.cat((side_k, torch.zeros_like(side_k[:, :1]) + time), 1)
-            result = self.decoders[k](encoded[k][:count], encoded[k][count:], side_k, result)
-            features.append(result[1])
+        for k in reversed(range(len(self.decoders))):
+            small = smaller[k]
+            beside = torch.cat((small[:, 6:], torch.zeros_like(small[:, :1]) + time), 1)
+            images = encoded[k][:count], encoded[k][count:]
+            if k == 0:  # warping all its features would cost a quarter of the network's time
+                beside = torch.cat((beside, images[0], small[:, :3]), 1)
+                images = small[:, :3], small[:, 3:6]
+            result = self.decoders[k](*images, beside, result)
+            features.append(result[1][:, 4:])
         flows = 2.0 * double(result[0][:, :2])
         detail = functional.pixel_shuffle(functional.leaky_relu(self.up(result[1]), _SLOPE), 2)
         moved = warp(now, flows)
-        out = self.head(torch.cat((detail, now, before, moved, side), 1))
+        out = self.head(torch.cat((detail, now, before, moved, side, torch.zeros_like(side[:, :1]) + time), 1))
         delta, keep, mask = out[:, :3] + (moved - now), torch.sigmoid(out[:, 3:4]), out[:, 4:]
         correction = torch.cat((delta, keep, mask.clamp(0, 1)), 1)
         return (correction, features[::-1], mask) if self.training else correction
@@ -162,11 +169,16 @@ def compose(color: Tensor, correction: Tensor, focus_mask: bool = True) -> tuple
     """The corrected frame at full resolution, from exposed linear GAE `color` (N, 3, H, W) and the network's output.
 
     The correction is added to the image at half resolution; `keep` says how much of the detail between the two
-    resolutions stays. Returns refined, final (both linear) and the focus mask (N, 1, H, W), 0 below `FOCUS_THRESHOLD`.
+    resolutions stays. `color` at half resolution has none. Returns refined, final (both linear) and the focus mask
+    (N, 1, H, W), 0 below `FOCUS_THRESHOLD`.
     """
     encoded = encode(color)
-    low = double(halve(encoded))
-    delta, keep, mask = double(correction).split((3, 1, 1), 1)
-    refined = decode(low + delta + keep * (encoded - low))
+    if color.shape[-2:] == correction.shape[-2:]:
+        delta, _, mask = correction.split((3, 1, 1), 1)
+        refined = decode(encoded + delta)
+    else:
+        low = double(halve(encoded))
+        delta, keep, mask = double(correction).split((3, 1, 1), 1)
+        refined = decode(low + delta + keep * (encoded - low))
     mask = torch.where(mask < FOCUS_THRESHOLD, torch.zeros_like(mask), mask)
     return refined, (color + mask * (refined - color) if focus_mask else refined), mask

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import os
 import time
@@ -19,7 +18,7 @@ from torch import Tensor, nn
 from gffe_cl.errors import GffeError
 from gffe_cl.scn import losses
 from gffe_cl.scn.crops import Augmentation, Batch, Crop, keep_crops, load_batch
-from gffe_cl.scn.network import ShadingCorrectionNetwork, compose, double, encode, halve
+from gffe_cl.scn.network import ShadingCorrectionNetwork, compose, double, encode
 
 CHECKPOINT = "checkpoint.pt"
 _FORMAT = 1
@@ -34,7 +33,9 @@ class Recipe:
 
     Defaults are the paper's (appendix, 'Training'), but for the number of steps, each of `batch` crops in all
     processes together. `blend_weight` counts the error of the frame as it is shown, which the paper's reconstruction
-    loss, with the ground truth in place of the GAE frame, does not see.
+    loss, with the ground truth in place of the GAE frame, does not see. Full resolution, where the network's output is
+    composed, is needed for its `keep` only, and takes three quarters of a step's time: all but every `full_every`-th
+    step do with half.
     """
 
     seed: int = 0
@@ -44,11 +45,13 @@ class Recipe:
     final_learning_rate: float = 1e-5
     shading: float = 0.6
     blend_weight: float = 1.0
+    full_every: int = 4
     bfloat16: bool = False
 
     def __post_init__(self):
-        if self.steps < 1 or self.batch < 1:
-            raise GffeError(f"training: steps and batch must be at least 1, got {self.steps} and {self.batch}")
+        for name in ("steps", "batch", "full_every"):
+            if getattr(self, name) < 1:
+                raise GffeError(f"training: {name} must be at least 1, got {getattr(self, name)}")
         if not 0 < self.final_learning_rate <= self.learning_rate < 1:
             raise GffeError(
                 "training: learning rates must be 0 < final ≤ first < 1,"
@@ -114,7 +117,9 @@ class _Model(nn.Module):
 
     def forward(self, frames: Tensor, alpha: Tensor, truth: Tensor):
         correction, features, mask = self.network(frames, alpha)
-        return correction, mask, features, self.network.encoder(truth, frames[:, :3])
+        with torch.no_grad():
+            true_features = self.network.encoder(truth, frames[:, :3])
+        return correction, mask, features, true_features
 
 
 def loss_terms(
@@ -134,14 +139,13 @@ def loss_terms(
     refined, final, mask = compose(batch.gae, correction)
     truth = encode(batch.truth)
     shown = encode(batch.truth + torch.maximum(mask, focus) * (refined - batch.truth))
+    raw_mask = raw_mask.float()
     return {
         "reconstruction": losses.charbonnier(shown, truth),
-        "features": sum(
-            losses.census(a.float(), b.float().detach()) for a, b in zip(features, true_features, strict=True)
-        ),
-        "focus": losses.focus_loss(double(raw_mask.float()), focus),
+        "features": sum(losses.census(a.float(), b.float()) for a, b in zip(features, true_features, strict=True)),
+        "focus": losses.focus_loss(raw_mask if batch.halved else double(raw_mask), focus),
         "perceptual": perceptual(shown, truth),
-        "blend": losses.charbonnier(encode(final), truth),
+        "blend": losses.shown_loss(final, batch.truth),
     }
 
 
@@ -219,14 +223,16 @@ class Training:
     def _train_step(self) -> dict[str, float]:
         recipe, processes = self.recipe, self.processes
         generator = torch.Generator().manual_seed(_mixed(recipe.seed, self.step, processes.rank))
-        batch = Augmentation(generator, recipe.shading)(load_batch(self._chosen()))
-        batch = Batch(*(tensor.to(self.device) for tensor in dataclasses.astuple(batch)))
+        batch = load_batch(self._chosen())
+        if (self.step + 1) % recipe.full_every:
+            batch = batch.halve()
+        batch = Augmentation(generator, recipe.shading)(batch).to(self.device)
         for group in self.optimizer.param_groups:
             group["lr"] = recipe.learning_rate_at(self.step)
         self.parallel.train()
         with torch.autocast(self.device.type, torch.bfloat16, enabled=recipe.bfloat16):
             correction, raw_mask, features, true_features = self.parallel(
-                batch.frames().contiguous(memory_format=torch.channels_last), batch.alpha, halve(encode(batch.truth))
+                batch.frames().contiguous(memory_format=torch.channels_last), batch.alpha, batch.target()
             )
         terms = loss_terms(correction.float(), raw_mask, features, true_features, batch, batch.focus(), self.perceptual)
         factors = weights(recipe)
@@ -262,8 +268,7 @@ class Training:
 
         with torch.no_grad():
             for k in range(0, len(self.validation), self.recipe.batch):
-                batch = load_batch(self.validation[k : k + self.recipe.batch])
-                batch = Batch(*(tensor.to(self.device) for tensor in dataclasses.astuple(batch)))
+                batch = load_batch(self.validation[k : k + self.recipe.batch]).to(self.device)
                 correction = self.network(batch.frames().contiguous(memory_format=torch.channels_last), batch.alpha)
                 _, final, mask = compose(batch.gae, correction)
                 focus = batch.focus() * (batch.side[:, 1:] != 0)

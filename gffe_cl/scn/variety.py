@@ -29,7 +29,7 @@ def vary_scene(scene: Scene, rng: np.random.Generator, time: float) -> Scene:
     )
     level = _level(scene)
     for _ in range(int(rng.integers(0, 4))):
-        light, near = _moving_lamp(view, rng, level)
+        light, near = _moving_lamp(view, rng, level, time)
         lights.append(light)
         groups += near
     for _ in range(int(rng.integers(2, 8))):
@@ -106,14 +106,17 @@ def _motion(rng, size: float) -> Motion:
     return motion
 
 
-def _moving_lamp(view: _View, rng, level: float) -> tuple[Light, list[Group]]:
-    """A lamp or spot that moves; sometimes with blades round it that throw turning shadows."""
+def _moving_lamp(view: _View, rng, level: float, time: float) -> tuple[Light, list[Group]]:
+    """A lamp or spot that moves or, as a beacon, turns; sometimes with blades round it that throw turning shadows."""
     where = view.point(rng, 1.5, 7.0, 1.0) + (0, rng.uniform(0.2, 1.2), 0)
     at = Place(*where) @ _motion(rng, rng.uniform(0.3, 2.0))
     warm = np.array((1.0, rng.uniform(0.55, 1.0), rng.uniform(0.3, 1.1)))
     color = tint(warm, level * 2.0 ** rng.uniform(0, 2.8))
     spot = rng.random() < 0.6
     aim = view.point(rng, 2.0, 9.0) - where
+    if spot and rng.random() < 0.4:
+        rate = rng.choice((-1, 1)) * 2.0 ** rng.uniform(4.5, 8.5)
+        at = Place(*where) @ Spin("y", rate, rng.uniform(-30, 30) - rate * time)
     light = Light(
         "spot" if spot else "lamp",
         (0, 0, 0),
