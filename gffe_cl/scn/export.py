@@ -16,7 +16,7 @@ from gffe_cl.errors import GffeError
 from gffe_cl.inference import MULTIPLE
 from gffe_cl.scn.network import ShadingCorrectionNetwork
 
-OPSET = 20
+OPSET = 18
 TOLERANCE = 2e-4  # between onnxruntime and PyTorch, of values in about −1 … 1
 
 
