@@ -71,7 +71,7 @@ class Network:
         options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_ALL
         for kind in ("intra_op", "inter_op"):
             options.add_session_config_entry(f"session.{kind}.allow_spinning", "0")
-        options.log_severity_level = 3
+        options.log_severity_level = 4  # what goes wrong is raised
         providers = list(dict.fromkeys((provider, PROVIDERS["cpu"])))
         try:
             self.session = onnxruntime.InferenceSession(str(path), options, providers)

@@ -16,7 +16,7 @@ FOCUS_WEIGHT = 1.0
 PERCEPTUAL_WEIGHT = 0.01
 _CHARBONNIER = 1e-3
 _CENSUS = 7  # pixels each way
-_DISPLAY_WEIGHT = 5.0
+_DISPLAY_WEIGHT = 10.0
 
 
 def charbonnier(a: Tensor, b: Tensor) -> Tensor:
@@ -54,9 +54,9 @@ def display(color: Tensor) -> Tensor:
     return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp(min=1e-4) ** (1 / 2.4) - 0.055)
 
 
-def focus_loss(mask: Tensor, truth: Tensor) -> Tensor:
+def focus_loss(likely: Tensor, truth: Tensor) -> Tensor:
     """Mean squared error of the focus mask."""
-    return ((mask - truth) ** 2).mean()
+    return ((likely - truth) ** 2).mean()
 
 
 class PyramidLoss(nn.Module):

@@ -110,9 +110,10 @@ class ShadingCorrectionNetwork(nn.Module):
         resolution, h and w multiples of `MULTIPLE`
     alpha : (N,) or (1,)
 
-    Returns (N, 5, h, w): Δ (3; encoded colour), keep, focus mask. While training also the features of each level,
-    finest first, and the focus mask before it is clamped to 0 … 1, (N, 1, h, w): an L2 loss of a sigmoid would lose its
-    gradient where the mask is wrong.
+    Returns (N, 5, h, w): Δ (3; encoded colour), keep, focus mask M. While training also the features of each level,
+    finest first, and p, (N, 1, h, w), of which M = 2 p clamped to 0 … 1: p is fitted to the true mask by L2, so it is
+    about the probability of focus, and where that is more likely than not the correction counts in full. There is no
+    sigmoid: the L2 loss would have no gradient where the mask is wrong.
     """
 
     def __init__(self):
@@ -160,9 +161,9 @@ class ShadingCorrectionNetwork(nn.Module):
         detail = functional.pixel_shuffle(functional.leaky_relu(self.up(result[1]), _SLOPE), 2)
         moved = warp(now, flows)
         out = self.head(torch.cat((detail, now, before, moved, side, torch.zeros_like(side[:, :1]) + time), 1))
-        delta, keep, mask = out[:, :3] + (moved - now), torch.sigmoid(out[:, 3:4]), out[:, 4:]
-        correction = torch.cat((delta, keep, mask.clamp(0, 1)), 1)
-        return (correction, features[::-1], mask) if self.training else correction
+        delta, keep, likely = out[:, :3] + (moved - now), torch.sigmoid(out[:, 3:4]), out[:, 4:]
+        correction = torch.cat((delta, keep, (2 * likely).clamp(0, 1)), 1)
+        return (correction, features[::-1], likely) if self.training else correction
 
 
 def compose(color: Tensor, correction: Tensor, focus_mask: bool = True) -> tuple[Tensor, Tensor, Tensor]:

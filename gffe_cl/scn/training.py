@@ -116,22 +116,22 @@ class _Model(nn.Module):
         self.network = ShadingCorrectionNetwork()
 
     def forward(self, frames: Tensor, alpha: Tensor, truth: Tensor):
-        correction, features, mask = self.network(frames, alpha)
+        correction, features, likely = self.network(frames, alpha)
         with torch.no_grad():
             true_features = self.network.encoder(truth, frames[:, :3])
-        return correction, mask, features, true_features
+        return correction, likely, features, true_features
 
 
 def loss_terms(
     correction: Tensor,
-    raw_mask: Tensor,
+    likely: Tensor,
     features: list[Tensor],
     true_features: list[Tensor],
     batch: Batch,
     focus: Tensor,
     perceptual,
 ) -> dict[str, Tensor]:
-    """The terms of the loss, not weighted: see `weights`.
+    """The terms of the loss, not weighted: see `weights`. `likely`: p of the network's focus mask.
 
     The frame that is reconstructed is the truth but for the focus mask, where it is the refined image (paper, equation
     of the final prediction): the true mask's pixels too, or else a mask that begins at 0 would teach nothing.
@@ -139,11 +139,11 @@ def loss_terms(
     refined, final, mask = compose(batch.gae, correction)
     truth = encode(batch.truth)
     shown = encode(batch.truth + torch.maximum(mask, focus) * (refined - batch.truth))
-    raw_mask = raw_mask.float()
+    likely = likely.float()
     return {
         "reconstruction": losses.charbonnier(shown, truth),
         "features": sum(losses.census(a.float(), b.float()) for a, b in zip(features, true_features, strict=True)),
-        "focus": losses.focus_loss(raw_mask if batch.halved else double(raw_mask), focus),
+        "focus": losses.focus_loss(likely if batch.halved else double(likely), focus),
         "perceptual": perceptual(shown, truth),
         "blend": losses.shown_loss(final, batch.truth),
     }
@@ -231,10 +231,10 @@ class Training:
             group["lr"] = recipe.learning_rate_at(self.step)
         self.parallel.train()
         with torch.autocast(self.device.type, torch.bfloat16, enabled=recipe.bfloat16):
-            correction, raw_mask, features, true_features = self.parallel(
+            correction, likely, features, true_features = self.parallel(
                 batch.frames().contiguous(memory_format=torch.channels_last), batch.alpha, batch.target()
             )
-        terms = loss_terms(correction.float(), raw_mask, features, true_features, batch, batch.focus(), self.perceptual)
+        terms = loss_terms(correction.float(), likely, features, true_features, batch, batch.focus(), self.perceptual)
         factors = weights(recipe)
         loss = sum(factors[name] * value for name, value in terms.items())
         self.optimizer.zero_grad()
