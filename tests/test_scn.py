@@ -77,12 +77,18 @@ def test_network_is_within_its_limits():
     assert 1 < operations <= 40
 
 
+def test_codes_of_any_size_are_finite_colours():
+    correction = torch.zeros(1, 5, 16, 24)
+    correction[:, :3] = 12.0
+    assert torch.isfinite(network.compose(random(1, 3, 32, 48), correction)[1]).all()
+
+
 def test_a_new_network_changes_little():
     torch.manual_seed(0)
     frames = random(2, 8, 32, 32)
     correction = network.ShadingCorrectionNetwork().eval()(frames, torch.tensor([0.25, 0.75]))
     assert correction.shape == (2, 5, 32, 32)
-    assert correction[:, 4].max() < 0.5 and correction[:, 3].min() > 0.5
+    assert correction[:, 4].mean() < 0.3 and correction[:, 3].min() > 0.5
 
 
 def test_alpha_matters():
@@ -111,16 +117,15 @@ def test_census_ignores_brightness():
 
 
 def test_census_compares_each_pixel_with_those_around_it():
-    """Against all 48 neighbours, one by one: halving them for symmetry changes no more than what the border adds."""
+    """Half of the 48 neighbours: the others are compared with it in their turn."""
     a, b = random(1, 1, 40, 40), random(1, 1, 40, 40, seed=1)
 
     def transformed(gray):
         patches = torch.nn.functional.unfold(gray, 7).view(1, 49, 34, 34) - gray[..., 3:-3, 3:-3]
         return patches / torch.sqrt(0.81 + patches**2)
 
-    squared = (transformed(a) - transformed(b)) ** 2
-    expected = (squared / (0.1 + squared)).sum() / (48 * 34 * 34)
-    assert losses.census(a, b).item() == pytest.approx(expected.item(), rel=0.02)
+    squared = ((transformed(a) - transformed(b)) ** 2)[:, 25:]
+    assert losses.census(a, b).item() == pytest.approx((squared / (0.1 + squared)).mean().item(), rel=1e-5)
 
 
 def test_display_values_agree():
@@ -201,25 +206,29 @@ def batch_of(count=3, size=64, alpha=0.5):
     return Batch(*colors, side, torch.full((count,), alpha))
 
 
-def test_half_of_a_batch_is_what_the_network_sees():
+def halved(batch):
+    """As `load_batch` reads it at half resolution."""
+    samples = clips.halve(torch.cat(batch.images(), 1).numpy().astype(np.float16))
+    planes = torch.from_numpy(samples.astype(np.float32))
+    return Batch(*(planes[:, part] for part in clips.PLANES.values()), batch.alpha, True)
+
+
+def test_samples_at_half_resolution_are_what_the_network_sees():
     batch = batch_of()
-    half = batch.halve()
-    assert half.halved and half.gae.shape == (3, 3, 32, 32) and torch.equal(half.alpha, batch.alpha)
-    assert half.frames().shape == batch.frames().shape and half.target().shape == batch.target().shape
-    assert torch.allclose(half.frames()[:, 6:], batch.frames()[:, 6:])
-    even = Batch(*(0 * image + 0.3 for image in batch.images()), batch.alpha)
-    assert torch.allclose(even.halve().frames(), even.frames(), atol=1e-6)
-    assert torch.allclose(even.halve().target(), even.target(), atol=1e-6)
+    half = halved(batch)
+    assert half.gae.shape == (3, 3, 32, 32)
+    assert torch.allclose(half.frames(), batch.frames(), atol=1e-3)
+    assert torch.allclose(half.target(), batch.target(), atol=1e-3)
 
 
 def test_half_resolution_forgives_one_pixel_of_the_whole_frame_too():
-    """A bright edge between black and white, shifted by d pixels: in focus where d is two, at either resolution."""
-    ramp = torch.zeros(1, 3, 16, 32)
+    """An edge of contrast 10, shifted by one pixel and by four."""
+    ramp = torch.full((1, 3, 16, 32), 0.1)
     ramp[..., 16:] = 1.0
     side = torch.full((1, 2, 16, 32), 0.5)
-    for shift, wrong in ((0, False), (2, True), (4, True)):
+    for shift, wrong in ((0, False), (1, False), (-1, False), (4, True), (-4, True)):
         moved = Batch(ramp, ramp, torch.roll(ramp, shift, -1), side, torch.tensor([0.5]))
-        inner = [part.focus()[..., 4:-4].any().item() for part in (moved, moved.halve())]
+        inner = [part.focus()[..., 4:-4].any().item() for part in (moved, halved(moved))]
         assert inner == [wrong, wrong], shift
 
 
@@ -227,9 +236,9 @@ def test_augmentation_follows_its_generator():
     made = [Augmentation(torch.Generator().manual_seed(s))(batch_of()) for s in (1, 1, 2)]
     assert torch.equal(made[0].truth, made[1].truth) and torch.equal(made[0].gae, made[1].gae)
     assert not torch.equal(made[0].truth, made[2].truth)
-    halved = Augmentation(torch.Generator().manual_seed(1))(batch_of().halve())
-    assert halved.halved and halved.gae.shape[-1] == 32
-    for batch in (*made, halved):
+    small = Augmentation(torch.Generator().manual_seed(1))(halved(batch_of()))
+    assert small.halved and small.gae.shape[-1] == 32
+    for batch in (*made, small):
         assert all(torch.isfinite(x).all() and (x >= 0).all() for x in (batch.gae, batch.previous, batch.truth))
 
 
@@ -438,7 +447,15 @@ def test_validation_clips_are_not_trained_on():
 
 
 def test_recipes_are_checked():
-    for wrong in ({"steps": 0}, {"batch": 0}, {"full_every": 0}, {"learning_rate": 1e-6}, {"final_learning_rate": 0}):
+    for wrong in (
+        {"steps": 0},
+        {"batch": 0},
+        {"full_every": 0},
+        {"seed": -1},
+        {"shading": 1.1},
+        {"learning_rate": 1e-6},
+        {"final_learning_rate": 0},
+    ):
         with pytest.raises(GffeError, match="training: "):
             Recipe(**wrong)
     recipe = Recipe(steps=100)

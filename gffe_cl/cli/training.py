@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import time
 from pathlib import Path
@@ -25,7 +26,7 @@ def train(
     batch: Annotated[int, typer.Option(help="Crops of 256×256 per step.")] = 16,
     learning_rate: Annotated[float, typer.Option(help="Of Adam, at the beginning.")] = 1e-4,
     final_learning_rate: Annotated[float, typer.Option(help="And at the end.")] = 1e-5,
-    shading: Annotated[float, typer.Option(help="Share of crops that get moving shading of their own.")] = 0.6,
+    shading: Annotated[float, typer.Option(help="How often crops get moving shading of their own, 0 to 1.")] = 0.6,
     blend_weight: Annotated[float, typer.Option(help="Of the loss of the frame as it is shown.")] = 1.0,
     full_every: Annotated[
         int, typer.Option(help="Steps from one at full resolution to the next; half, quicker, between.")
@@ -52,7 +53,7 @@ def train(
     except ImportError:
         raise GffeError("training needs PyTorch and TensorBoard (expected: pip install 'gffe-cl[train]')") from None
     from gffe_cl.device import open_device
-    from gffe_cl.scn.clips import make_clips
+    from gffe_cl.scn.clips import clip_path, make_clips
     from gffe_cl.scn.crops import list_crops
     from gffe_cl.scn.training import Processes, Recipe, Training
 
@@ -67,17 +68,14 @@ def train(
     try:
         with progress_bars() as bars:
             task = bars.add_task("clips", total=-(-clips // processes.count), visible=processes.first)
-            make_clips(
-                data,
-                open_device(device),
-                seed,
-                clips,
-                lambda: bars.advance(task),
-                (processes.rank, processes.count),
-                until,
-            )
-            processes.wait()
-            if data_only or (until is not None and time.monotonic() > until):
+            part = processes.rank, processes.count
+            make_clips(data, open_device(device), seed, clips, lambda: bars.advance(task), part, until)
+            late = processes.any(until is not None and time.monotonic() > until)
+            if data_only or late:
+                made = sum(clip_path(data, seed, k).with_suffix(".json").exists() for k in range(clips))
+                if processes.first:
+                    out.print(f"clips: {made} of {clips}" + ("; the same command goes on from here" if late else ""))
+                    write_json(json_path, {"clips": made, "done": False})
                 return
             training = Training(folder, recipe, list_crops(data, seed, clips), processes, vgg)
             bars.update(task, description="steps", total=steps, completed=training.step)
@@ -89,7 +87,7 @@ def train(
 
 
 def _export(training, folder: Path, data: Path, clips: int, done: bool, torch_version: str, json_path) -> None:
-    from gffe_cl.scn.export import commit, count_operations, export_onnx, model_card
+    from gffe_cl.scn.export import count_operations, export_onnx, model_card
 
     figures = training.validate()
     difference = export_onnx(training.network, folder / "scn.onnx")
@@ -103,9 +101,11 @@ def _export(training, folder: Path, data: Path, clips: int, done: bool, torch_ve
         "data": f"{clips} clips, seed {recipe.seed}; {len(training.crops):,} crops of 256×256",
         "perceptual loss": training.perceptual.name,
         "onnxruntime against PyTorch": f"largest difference {difference:.1g}",
-        "source": f"commit {commit()}",
+        "source": f"commit {', then '.join(training.sources)}",
     }
-    command = " ".join(("gffe", *sys.argv[1:]))
+    if training.processes.count > 1:
+        facts["processes"] = str(training.processes.count)
+    command = shlex.join(("gffe", *sys.argv[1:]))
     try:
         (folder / "MODEL_CARD.md").write_text(model_card(facts, figures, command))
     except OSError as error:

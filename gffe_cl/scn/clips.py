@@ -18,12 +18,13 @@ from gffe_cl.metrics import focus_mask
 from gffe_cl.pipeline import Options, Pipeline
 from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
 from gffe_cl.scn.variety import vary_scene
+from gffe_cl.stages.correction import HEADROOM, MU
 
 TRAINING_SCENES = ("corridor", "plaza", "room", "forest")
 CHANNELS = 11  # exposed linear GAE (3), warped previous (3), ground truth (3), inverse depth, input mask
 PLANES = {"gae": slice(0, 3), "previous": slice(3, 6), "truth": slice(6, 9), "side": slice(9, 11)}
 CROP = 256
-VERSION = 2
+VERSION = 3
 _SIZES = ((480, 270), (640, 360), (800, 450), (960, 540))
 _SIZE_SHARES = (0.5, 0.35, 0.1, 0.05)
 _RENDERED = 3  # rendered frames per clip; the first has no history
@@ -68,7 +69,9 @@ def make_clip(device: Device, plan: ClipPlan) -> tuple[np.ndarray, list[float]]:
     """Render and extrapolate a clip: (S, 11, H, W) float16 samples (`PLANES`) and their α."""
     scene = plan.make_scene()
     renderer = SceneRenderer(device, scene, plan.width, plan.height, samples=5)
-    pipeline = Pipeline(device, plan.width, plan.height, Options(shading_inputs=True), fps=plan.fps)
+    pipeline = Pipeline(
+        device, plan.width, plan.height, Options(shading_inputs=True, shading_correction=False), fps=plan.fps
+    )
     samples, alphas = [], []
     frames = sequence_frames(scene, plan.width, plan.height, _RENDERED, plan.fps, ground_truth=False, start=plan.start)
     for frame in frames:
@@ -119,6 +122,20 @@ def crops_of(sample: np.ndarray, rng: np.random.Generator) -> list[tuple[int, in
     return crops
 
 
+def halve(samples: np.ndarray) -> np.ndarray:
+    """Samples at half resolution: means over 2×2 pixels, of colours' codes as the network's input has them."""
+    count, channels, height, width = samples.shape
+    blocks = samples.astype(np.float32).reshape(count, channels, height // 2, 2, width // 2, 2)
+    colors, side = blocks[:, :9], blocks[:, PLANES["side"]]
+    codes = np.log1p(colors * (MU / HEADROOM)).mean((3, 5))
+    return np.concatenate((np.expm1(codes) * (HEADROOM / MU), side.mean((3, 5))), 1).astype(np.float16)
+
+
+def halved_path(path: Path) -> Path:
+    """Where the samples of `path` are at half resolution."""
+    return path.with_name(f"{path.stem}_half.npy")
+
+
 def clip_path(folder: Path, seed: int, index: int) -> Path:
     """Of a clip's files, which end in .npy and .json."""
     return Path(folder) / f"clip_{seed}_{index:06d}.npy"
@@ -135,7 +152,8 @@ def make_clips(
 ) -> int:
     """Make what is missing of the clips 0 … count − 1 in `folder`; returns how many were made.
 
-    Each clip is a `clip_*.npy` and, written last, its `clip_*.json`. `part` (i, n): only every n-th, from i on.
+    Each clip is a `clip_*.npy`, a `clip_*_half.npy` and, written last, a `clip_*.json`. `part` (i, n): only every n-th,
+    from i on.
     Nothing more is begun when `time.monotonic()` has passed `until`. Raises GffeError where nothing can be written.
     """
     made = 0
@@ -151,6 +169,7 @@ def make_clips(
                 rng = np.random.default_rng([seed, index, 2])
                 crops = [crops_of(sample, rng) for sample in samples]
                 np.save(name, samples)
+                np.save(halved_path(name), halve(samples))
                 document = {"version": VERSION, "plan": asdict(plan), "alphas": alphas, "crops": crops}
                 part_file = name.with_suffix(".part")
                 part_file.write_text(json.dumps(document))

@@ -13,11 +13,12 @@ from torch import Tensor
 
 from gffe_cl.errors import GffeError
 from gffe_cl.metrics import FOCUS_SMAPE, SMAPE_EPSILON
-from gffe_cl.scn.clips import CHANNELS, CROP, VERSION, clip_path
+from gffe_cl.scn.clips import CHANNELS, CROP, PLANES, VERSION, clip_path, halved_path
 from gffe_cl.scn.network import encode, halve
 
 TOP_SHARE = 0.15  # of all crops: those with the most focus pixels (paper: 'Data Preparation')
 RANDOM_SHARE = 0.03  # of all crops: any of the others
+_HALF_REACH = 0.75  # of the neighbourhood at half resolution, whose pixels are twice as far apart
 _DYNAMIC = 0.75  # input mask above which a pixel counts as dynamic; 1 where it is one pixel of the frame
 
 
@@ -48,9 +49,6 @@ class Batch:
     def images(self) -> list[Tensor]:
         return [self.gae, self.previous, self.truth, self.side]
 
-    def halve(self) -> Batch:
-        return Batch(*map(halve, self.images()), self.alpha, True)
-
     def to(self, device) -> Batch:
         return Batch(*(image.to(device) for image in self.images()), self.alpha.to(device), self.halved)
 
@@ -67,7 +65,7 @@ class Batch:
     def focus(self) -> Tensor:
         """(N, 1, H, W) float: the focus mask that the truth gives."""
         dynamic = self.side[:, 1:] > _DYNAMIC
-        return focus_truth(self.gae, self.truth, dynamic, 0.5 if self.halved else 1.0).float()
+        return focus_truth(self.gae, self.truth, dynamic, _HALF_REACH if self.halved else 1.0).float()
 
 
 def focus_truth(gae: Tensor, truth: Tensor, dynamic: Tensor, reach: float = 1.0) -> Tensor:
@@ -118,21 +116,23 @@ def keep_crops(crops: list[Crop], seed: int) -> list[Crop]:
     return ranked[:top] + [rest[i] for i in chosen]
 
 
-def load_batch(crops: list[Crop]) -> Batch:
+def load_batch(crops: list[Crop], halved: bool = False) -> Batch:
     """Read crops from disk. Raises GffeError for a file that is missing, truncated or of another shape."""
-    arrays = []
+    arrays, scale = [], 2 if halved else 1
+    shape = (CHANNELS, CROP // scale, CROP // scale)
     for crop in crops:
+        path = halved_path(crop.path) if halved else crop.path
+        y, x = crop.y // scale, crop.x // scale
         try:
-            samples = np.load(crop.path, mmap_mode="r")
-            part = samples[crop.sample, :, crop.y : crop.y + CROP, crop.x : crop.x + CROP]
-        except (OSError, ValueError, IndexError) as error:
-            raise GffeError(f"{crop.path}: not a training clip ({error})") from None
-        if part.shape != (CHANNELS, CROP, CROP):
-            raise GffeError(f"{crop.path}: expected crops of {(CHANNELS, CROP, CROP)}, got {part.shape}")
+            part = np.load(path, mmap_mode="r")[crop.sample, :, y : y + shape[1], x : x + shape[2]]
+        except (OSError, EOFError, ValueError, IndexError) as error:
+            raise GffeError(f"{path}: not a training clip ({error})") from None
+        if part.shape != shape:
+            raise GffeError(f"{path}: expected crops of {shape}, got {part.shape}")
         arrays.append(np.array(part))
     planes = torch.from_numpy(np.stack(arrays)).float()
     alpha = torch.tensor([crop.alpha for crop in crops])
-    return Batch(planes[:, 0:3], planes[:, 3:6], planes[:, 6:9], planes[:, 9:11], alpha)
+    return Batch(*(planes[:, part] for part in PLANES.values()), alpha, halved)
 
 
 class Augmentation:

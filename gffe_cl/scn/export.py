@@ -16,7 +16,7 @@ from gffe_cl.errors import GffeError
 from gffe_cl.inference import MULTIPLE
 from gffe_cl.scn.network import ShadingCorrectionNetwork
 
-OPSET = 18
+OPSET = 18  # of 20 and later OpenVINO does not know GridSample
 TOLERANCE = 2e-4  # between onnxruntime and PyTorch, of values in about −1 … 1
 
 
@@ -96,7 +96,9 @@ def commit() -> str:
 
     try:
         name = git("rev-parse", "--short=12", "HEAD")
-        return name + (", changed" if git("status", "--porcelain", "--", ".", "../scenes") else "")
+        return name + (
+            ", changed" if git("status", "--porcelain", "--untracked-files=no", "..", "../../kernels") else ""
+        )
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
 

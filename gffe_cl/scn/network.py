@@ -1,11 +1,14 @@
 """The shading correction network (paper: 'Shading Correction Network' and its appendix).
 
-Flow-based, coarse to fine, all of it at half resolution: an encoder of four feature levels is shared by the GAE frame
-and the warped previous frame; a decoder per level predicts two flows, and the features of the frame at t + α; a head
-makes the correction. `compose` makes the frame of it, as kernels/correction.cl does.
+Flow-based, coarse to fine, all of it at half resolution: an encoder of four feature levels (the paper has three, but
+shading may move far) is shared by the GAE frame and the warped previous frame; a decoder per level predicts two flows,
+and the features of the frame at t + α; a head makes the correction. `compose` makes the frame of it, as
+kernels/correction.cl does.
 """
 
 from __future__ import annotations
+
+import math
 
 import torch
 import torch.nn.functional as functional
@@ -20,6 +23,7 @@ _DETAIL = 4
 _HEAD = 16
 _SLOPE = 0.1  # of leaky rectifiers
 _LOG = torch.log1p(torch.tensor(MU)).item()
+_MOST = math.log1p(65504 * MU / HEADROOM) / _LOG
 
 
 def encode(color: Tensor) -> Tensor:
@@ -28,8 +32,8 @@ def encode(color: Tensor) -> Tensor:
 
 
 def decode(encoded: Tensor) -> Tensor:
-    """Inverse of `encode`; negative codes are black."""
-    return torch.expm1(encoded.clamp(min=0) * _LOG) * (HEADROOM / MU)
+    """Inverse of `encode`; negative codes are black, and none is brighter than half floats are."""
+    return torch.expm1(encoded.clamp(0, _MOST) * _LOG) * (HEADROOM / MU)
 
 
 def halve(image: Tensor) -> Tensor:
@@ -82,7 +86,7 @@ class Decoder(nn.Module):
     """Flows (4 channels: into the GAE frame, into the warped previous frame) and features of the frame at t + α.
 
     `warped`: channels of each of the two images that are warped by the coarser flows; `beside`: of what is not.
-    What is convolved has 3 · `channels`, a multiple of 16: onnxruntime takes twice as long for others.
+    Below the coarsest level 3 · `channels` are convolved, a multiple of 16: onnxruntime takes twice as long for others.
     """
 
     def __init__(self, warped: int, beside: int, channels: int, coarser: int, hidden: int):
@@ -96,11 +100,11 @@ class Decoder(nn.Module):
         """`coarser`: what the level above returned: flows, and all its channels, the features after the first four."""
         if coarser is None:
             out = self.out(self.body(torch.cat((now, before, beside), 1)))
-            return out[:, :4], out
+            return out[:, :4].float(), out
         flows = 2.0 * double(coarser[0])
         moved = warp(now, flows[:, :2]), warp(before, flows[:, 2:])
         out = self.out(self.body(torch.cat((*moved, beside, flows, double(self.squeeze(coarser[1]))), 1)))
-        return out[:, :4] + flows, out
+        return out[:, :4].float() + flows, out
 
 
 class ShadingCorrectionNetwork(nn.Module):

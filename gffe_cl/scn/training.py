@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 import os
+import signal
+import threading
 import time
 from collections.abc import Callable
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +20,13 @@ from torch import Tensor, nn
 
 from gffe_cl.errors import GffeError
 from gffe_cl.scn import losses
+from gffe_cl.scn.clips import VERSION
 from gffe_cl.scn.crops import Augmentation, Batch, Crop, keep_crops, load_batch
+from gffe_cl.scn.export import commit
 from gffe_cl.scn.network import ShadingCorrectionNetwork, compose, double, encode
 
 CHECKPOINT = "checkpoint.pt"
-_FORMAT = 1
+_FORMAT = 2
 _CHECKPOINT_SECONDS = 120
 _VALIDATION_SHARE = 0.04  # of the clips
 _VALIDATION_CROPS = 96
@@ -31,11 +36,11 @@ _VALIDATION_CROPS = 96
 class Recipe:
     """What determines the result, the data apart.
 
-    Defaults are the paper's (appendix, 'Training'), but for the number of steps, each of `batch` crops in all
-    processes together. `blend_weight` counts the error of the frame as it is shown, which the paper's reconstruction
-    loss, with the ground truth in place of the GAE frame, does not see. Full resolution, where the network's output is
-    composed, is needed for its `keep` only, and takes three quarters of a step's time: all but every `full_every`-th
-    step do with half.
+    Learning rates are the paper's (appendix, 'Training'); a step takes `batch` crops, in all processes together.
+    `shading` is how often crops get moving shading (`Augmentation`). `blend_weight` counts the error of the frame as it
+    is shown, which the paper's reconstruction loss, with the ground truth in place of the GAE frame, does not see. Full
+    resolution, where the network's output is composed, is needed for its `keep` only, and takes more than half of a
+    step's time: all but every `full_every`-th step do with half.
     """
 
     seed: int = 0
@@ -52,6 +57,11 @@ class Recipe:
         for name in ("steps", "batch", "full_every"):
             if getattr(self, name) < 1:
                 raise GffeError(f"training: {name} must be at least 1, got {getattr(self, name)}")
+        if self.seed < 0 or not 0 <= self.shading <= 1 or not 0 <= self.blend_weight < math.inf:
+            raise GffeError(
+                "training: expected seed ≥ 0, shading from 0 to 1 and blend weight ≥ 0,"
+                f" got {self.seed}, {self.shading:g} and {self.blend_weight:g}"
+            )
         if not 0 < self.final_learning_rate <= self.learning_rate < 1:
             raise GffeError(
                 "training: learning rates must be 0 < final ≤ first < 1,"
@@ -77,10 +87,15 @@ class Processes:
 
     def __init__(self):
         self.count, self.rank = int(os.environ.get("WORLD_SIZE", 1)), int(os.environ.get("RANK", 0))
-        cuda = torch.cuda.is_available()
-        self.device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0))) if cuda else torch.device("cpu")
+        cuda, local = torch.cuda.is_available(), int(os.environ.get("LOCAL_RANK", 0))
+        self.device = torch.device("cuda", local) if cuda else torch.device("cpu")
+        if cuda:
+            if local >= torch.cuda.device_count():
+                raise GffeError(f"training: process {local} on a machine of {torch.cuda.device_count()} GPUs")
+            torch.cuda.set_device(self.device)
         if self.count > 1 and not distributed.is_initialized():
-            distributed.init_process_group("nccl" if cuda else "gloo")
+            # Processes wait for the slowest one's clips.
+            distributed.init_process_group("nccl" if cuda else "gloo", timeout=timedelta(hours=12))
 
     @property
     def first(self) -> bool:
@@ -93,10 +108,6 @@ class Processes:
         flags = torch.tensor(float(flag), device=self.device)
         distributed.all_reduce(flags)
         return flags.item() > 0
-
-    def wait(self) -> None:
-        if self.count > 1:
-            distributed.barrier()
 
     def wrap(self, model: nn.Module) -> nn.Module:
         if self.count == 1:
@@ -160,12 +171,17 @@ def weights(recipe: Recipe) -> dict[str, float]:
 
 
 class Training:
-    """One run in `folder`: continues from its checkpoint if there is one.
+    """One run in `folder`: continues from its checkpoint if there is one. `sources`: commits that trained it.
 
-    Raises GffeError if the checkpoint is of another recipe or cannot be read.
+    Raises GffeError if the checkpoint is of another recipe or other data, or cannot be read.
     """
 
     def __init__(self, folder: Path, recipe: Recipe, crops: list[Crop], processes: Processes, vgg: Path | None = None):
+        if recipe.batch % processes.count:
+            raise GffeError(
+                f"training: batch must be a multiple of the number of processes, got {recipe.batch}"
+                f" and {processes.count}"
+            )
         self.folder, self.recipe, self.processes = Path(folder), recipe, processes
         validation, train = split_crops(crops, recipe.seed)
         self.crops, self.validation = keep_crops(train, recipe.seed), validation
@@ -175,8 +191,16 @@ class Training:
         self.parallel = processes.wrap(self.model)
         self.optimizer = torch.optim.Adam(self.model.parameters(), recipe.learning_rate)
         self.perceptual = losses.perceptual_loss(vgg).to(self.device)
-        self.step, self.seconds = 0, 0.0
+        self.step, self.seconds, self.sources = 0, 0.0, []
+        self.conditions = asdict(recipe) | {
+            "crops": len(self.crops),
+            "data version": VERSION,
+            "perceptual loss": self.perceptual.name,
+            "processes": processes.count,
+        }
         self._load()
+        if commit() not in self.sources[-1:]:
+            self.sources.append(commit())
 
     @property
     def network(self) -> ShadingCorrectionNetwork:
@@ -190,42 +214,48 @@ class Training:
     ) -> bool:
         """Train until all steps are done, or `time.monotonic()` passes `until`; returns whether all are.
 
-        A checkpoint is written every two minutes, at the end, and when interrupted.
+        A checkpoint is written every two minutes and at the end, also when interrupted: SIGINT and SIGTERM wait for the
+        end of a step. Raises GffeError, and leaves the last checkpoint, if the loss is not finite.
         """
         started = saved = time.monotonic()
         spent = self.seconds
-        writer = self._writer() if self.processes.first else None
+        log = _Log(self.folder, self.step) if self.processes.first else None
+        whole = True  # between two steps
         try:
-            while self.step < self.recipe.steps:
-                now = time.monotonic()
-                self.seconds = spent + now - started
-                if now - saved > _CHECKPOINT_SECONDS:
-                    self.save()
-                    saved = now
-                if self.processes.any(until is not None and now > until):
-                    break
-                terms = self._train_step()
-                self.step += 1
-                if writer and (self.step % 20 == 0 or self.step == 1):
-                    for name, value in terms.items():
-                        writer.add_scalar(f"train/{name}", value, self.step)
-                if writer and self.validation and (self.step % validate_every == 0 or self.step == self.recipe.steps):
-                    for name, value in self.validate().items():
-                        writer.add_scalar(f"validation/{name}", value, self.step)
-                on_step(Progress(self.step, terms))
+            with _signals() as received:
+                while self.step < self.recipe.steps:
+                    now = time.monotonic()
+                    self.seconds = spent + now - started
+                    if now - saved > _CHECKPOINT_SECONDS:
+                        self.save()
+                        saved = now
+                    if self.processes.any(bool(received) or (until is not None and now > until)):
+                        break
+                    whole = False
+                    halved, terms = self._train_step()
+                    self.step += 1
+                    whole = True
+                    if log:
+                        log.add("train" if halved else "train, full resolution", terms, self.step)
+                        if self.validation and (self.step % validate_every == 0 or self.step == self.recipe.steps):
+                            log.write("validation", self.validate(), self.step)
+                    on_step(Progress(self.step, terms))
+            if received:
+                raise KeyboardInterrupt
         finally:
-            self.seconds = spent + time.monotonic() - started
-            self.save()
-            if writer:
-                writer.close()
+            if whole:
+                self.seconds = spent + time.monotonic() - started
+                self.save()
+            if log:
+                log.close()
         return self.step >= self.recipe.steps
 
-    def _train_step(self) -> dict[str, float]:
+    def _train_step(self) -> tuple[bool, dict[str, float]]:
+        """Whether it was at half resolution, and the terms of its loss."""
         recipe, processes = self.recipe, self.processes
         generator = torch.Generator().manual_seed(_mixed(recipe.seed, self.step, processes.rank))
-        batch = load_batch(self._chosen())
-        if (self.step + 1) % recipe.full_every:
-            batch = batch.halve()
+        halved = (self.step + 1) % recipe.full_every != 0
+        batch = load_batch(self._chosen(), halved)
         batch = Augmentation(generator, recipe.shading)(batch).to(self.device)
         for group in self.optimizer.param_groups:
             group["lr"] = recipe.learning_rate_at(self.step)
@@ -239,14 +269,19 @@ class Training:
         loss = sum(factors[name] * value for name, value in terms.items())
         self.optimizer.zero_grad()
         loss.backward()
-        nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
+        length = nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
+        if processes.any(not math.isfinite(length)):
+            raise GffeError(
+                f"training: the loss is not finite at step {self.step} (expected a lower learning rate; the last"
+                " checkpoint is kept)"
+            )
         self.optimizer.step()
-        return {name: float(value.detach()) for name, value in terms.items()} | {"loss": float(loss.detach())}
+        return halved, {name: float(value.detach()) for name, value in (terms | {"loss": loss}).items()}
 
     def _chosen(self) -> list[Crop]:
         """This process's share of the crops of the present step: every crop once per epoch, in an order of its own."""
         recipe, count = self.recipe, len(self.crops)
-        share = max(1, recipe.batch // self.processes.count)
+        share = recipe.batch // self.processes.count
         first = self.step * recipe.batch + self.processes.rank * share
         orders: dict[int, np.ndarray] = {}
         chosen = []
@@ -271,7 +306,8 @@ class Training:
                 batch = load_batch(self.validation[k : k + self.recipe.batch]).to(self.device)
                 correction = self.network(batch.frames().contiguous(memory_format=torch.channels_last), batch.alpha)
                 _, final, mask = compose(batch.gae, correction)
-                focus = batch.focus() * (batch.side[:, 1:] != 0)
+                shown = batch.side[:, 1:] != 0
+                focus, mask = batch.focus() * shown, mask * shown
                 truth = encode(batch.truth)
                 for name, image in (("gae", batch.gae), ("final", final)):
                     error = (encode(image) - truth).abs().mean(1, keepdim=True)
@@ -299,7 +335,8 @@ class Training:
             return
         state = {
             "format": _FORMAT,
-            "recipe": asdict(self.recipe),
+            "conditions": self.conditions,
+            "sources": self.sources,
             "step": self.step,
             "seconds": self.seconds,
             "model": self.model.state_dict(),
@@ -326,18 +363,58 @@ class Training:
             state = torch.load(path, map_location=self.device, weights_only=True)
             if state["format"] != _FORMAT:
                 raise GffeError(f"{path}: checkpoint of format {state['format']}, expected {_FORMAT}")
-            differing = [key for key, value in asdict(self.recipe).items() if state["recipe"].get(key) != value]
+            was = state["conditions"]
+            differing = [f"{key} {was.get(key)}" for key, value in self.conditions.items() if was.get(key) != value]
             if differing:
-                was = ", ".join(f"{key} {state['recipe'].get(key)}" for key in differing)
-                raise GffeError(f"{path}: was started with {was} (expected the same options, or another folder)")
+                raise GffeError(
+                    f"{path}: was started with {', '.join(differing)} (expected the same options, or another folder)"
+                )
             self.model.load_state_dict(state["model"])
             self.optimizer.load_state_dict(state["optimizer"])
-            self.step, self.seconds = int(state["step"]), float(state["seconds"])
+            self.step, self.seconds, self.sources = int(state["step"]), float(state["seconds"]), state["sources"]
 
-    def _writer(self):
+
+class _Log:
+    """TensorBoard's files in `folder`/log."""
+
+    _EVERY = 50
+
+    def __init__(self, folder: Path, step: int):
         from torch.utils.tensorboard import SummaryWriter
 
-        return SummaryWriter(str(self.folder / "log"), purge_step=self.step)
+        self.writer = SummaryWriter(str(folder / "log"), purge_step=step + 1)
+        self.pending: dict[str, list[dict[str, float]]] = {}
+
+    def add(self, group: str, terms: dict[str, float], step: int) -> None:
+        """Means of the terms since the last point are written now and then."""
+        self.pending.setdefault(group, []).append(terms)
+        if step % self._EVERY == 0 or step == 1:
+            for name, rows in self.pending.items():
+                self.write(name, {key: sum(row[key] for row in rows) / len(rows) for key in rows[0]}, step)
+            self.pending.clear()
+
+    def write(self, group: str, values: dict[str, float], step: int) -> None:
+        for name, value in values.items():
+            self.writer.add_scalar(f"{group}/{name}", value, step)
+
+    def close(self) -> None:
+        self.writer.close()
+
+
+@contextmanager
+def _signals():
+    """The list of SIGINT and SIGTERM received meanwhile, which do nothing else; in the main thread only."""
+    received: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield received
+        return
+    kinds = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(kind, lambda number, frame: received.append(number)) for kind in kinds]
+    try:
+        yield received
+    finally:
+        for kind, handler in zip(kinds, before, strict=True):
+            signal.signal(kind, handler)
 
 
 def split_crops(crops: list[Crop], seed: int) -> tuple[list[Crop], list[Crop]]:

@@ -33,7 +33,7 @@ def vary_scene(scene: Scene, rng: np.random.Generator, time: float) -> Scene:
         lights.append(light)
         groups += near
     for _ in range(int(rng.integers(2, 8))):
-        groups.append(_caster(view, rng, lights))
+        groups.append(_caster(view, rng, lights, time))
     if rng.random() < 0.2:
         groups.append(_pane(view, rng))
     exposure = scene.exposure * 2.0 ** rng.uniform(-1.2, 1.0) * (1.3 if indoors else 1.0)
@@ -134,7 +134,7 @@ def _moving_lamp(view: _View, rng, level: float, time: float) -> tuple[Light, li
     return light, groups
 
 
-def _caster(view: _View, rng, lights: list[Light]) -> Group:
+def _caster(view: _View, rng, lights: list[Light], time: float) -> Group:
     """Something that moves between a light and what is seen; it may be out of view."""
     size = rng.uniform(0.08, 0.5)
     material = Material(tuple(rng.uniform(0.05, 0.7, 3)), roughness=0.6)
@@ -155,7 +155,7 @@ def _caster(view: _View, rng, lights: list[Light]) -> Group:
     where = seen
     if casting and rng.random() < 0.8:
         light = casting[int(rng.integers(len(casting)))]
-        pose = light.motion(0.0)
+        pose = light.motion(time)
         if light.kind == "sun":
             where = seen + rng.uniform(0.7, 6.0) * _unit(pose[:3, :3] @ np.asarray(light.position, np.float64))
         else:
