@@ -3,14 +3,17 @@
 import json
 import math
 import os
+import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
 
+from gffe_cl import inference  # noqa: E402
 from gffe_cl.errors import GffeError  # noqa: E402
 from gffe_cl.metrics import display_values, focus_mask  # noqa: E402
 from gffe_cl.scn import clips, losses, network  # noqa: E402
@@ -298,7 +301,27 @@ def test_clips_are_cached_and_resumable(data, opened):
 
 
 @pytest.mark.slow
-def test_training_improves_every_loss_and_reaches_every_weight(data, tmp_path):
+def test_clips_are_made_without_the_network(data, opened, tmp_path, monkeypatch):
+    """Whatever weights are installed: they are to correct the extrapolated frame, not one that is corrected."""
+    from scn_models import constant_model
+
+    model = Path(constant_model(tmp_path / "m.onnx", delta=0.3, mask=1.0))
+    monkeypatch.setattr(inference, "default_model", lambda: model)
+    samples, _ = clips.make_clip(opened, clips.ClipPlan.draw(3, 1))
+    assert (samples == np.load(clips.clip_path(data, 3, 1))).all()
+
+
+@pytest.mark.slow
+def test_crops_at_half_resolution_are_what_the_network_sees(data):
+    crops = [crop for crop in list_crops(data, 3, CLIPS) if crop.x % 2 == crop.y % 2 == 0][:2]
+    whole, half = load_batch(crops), load_batch(crops, halved=True)
+    assert half.halved and half.gae.shape == (2, 3, clips.CROP // 2, clips.CROP // 2)
+    assert torch.allclose(half.frames(), whole.frames(), atol=2e-3)
+    assert torch.allclose(half.target(), whole.target(), atol=2e-3)
+
+
+@pytest.mark.slow
+def test_training_improves_the_loss_and_reaches_every_weight(data, tmp_path):
     training = started(tmp_path / "run", data)
     crops = training.crops[:8]
     before = fixed_loss(training, crops)
@@ -310,6 +333,10 @@ def test_training_improves_every_loss_and_reaches_every_weight(data, tmp_path):
     for name, value in training.network.named_parameters():
         assert value.grad is not None and value.grad.abs().sum() > 0, name
         assert not torch.equal(value, start[name]), name
+    out = training.network.head[1].weight.grad.abs().sum((1, 2, 3))
+    assert (out > 0).all(), "Δ, keep or M"
+    for decoder, plane in ((0, 8), (3, 130)):  # α beside the features
+        assert training.network.decoders[decoder].body[0][0].weight.grad[:, plane].abs().sum() > 0
     figures = training.validate()
     assert all(math.isfinite(value) for value in figures.values())
 
@@ -377,29 +404,37 @@ def test_broken_data_is_named(data, tmp_path):
         list_crops(tmp_path, 3, 1)
 
 
+RANKS = """
+import torch
+from gffe_cl.cli import main
+from gffe_cl.scn.training import Training
+
+run = Training.run
+
+
+def checked(self, *arguments, **options):
+    done = run(self, *arguments, **options)
+    sums = [None, None]
+    torch.distributed.all_gather_object(sums, [value.double().sum().item() for value in self.network.parameters()])
+    assert sums[0] == sums[1], "weights differ"
+    return done
+
+
+Training.run = checked
+main()
+"""
+
+
 @pytest.mark.slow
 def test_two_processes_train_one_network(data, tmp_path):
-    """The command, started by torchrun: half of each batch in either process, one set of weights."""
-    arguments = [
-        "train",
-        "run",
-        "--data",
-        str(data),
-        "--clips",
-        str(CLIPS),
-        "--seed",
-        "3",
-        "--batch",
-        "2",
-        "--steps",
-        "3",
-    ]
-    launcher = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--no-python", sys.executable]
-    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    """The command, started by torchrun: half of each batch in either process, and yet one set of weights."""
+    (tmp_path / "ranks.py").write_text(RANKS)
+    options = ["--clips", str(CLIPS), "--seed", "3", "--batch", "2", "--steps", "3", "--full-every", "2"]
+    launcher = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "ranks.py"]
     ended = subprocess.run(
-        [*launcher, "-m", "gffe_cl", *arguments],
+        [*launcher, "train", "run", "--data", str(data), *options],
         cwd=tmp_path,
-        env=environment,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
         capture_output=True,
         text=True,
         timeout=300,
@@ -407,14 +442,49 @@ def test_two_processes_train_one_network(data, tmp_path):
     assert ended.returncode == 0, ended.stderr[-2000:]
     assert {"scn.onnx", "MODEL_CARD.md", CHECKPOINT, "log"} <= {path.name for path in (tmp_path / "run").iterdir()}
     assert ended.stdout.count("steps: 3 of 3") == 1
-    pair = started(tmp_path / "run", data, Recipe(seed=3, steps=3, batch=2))
-    alone = started(tmp_path / "alone", data, Recipe(seed=3, steps=3, batch=2))
-    assert pair.step == 3 and alone.run()
-    changed = [
-        float((a - b).detach().abs().max())
-        for a, b in zip(pair.network.parameters(), alone.network.parameters(), strict=True)
-    ]
-    assert max(changed) < 2e-3  # two draws of augmentation instead of one
+    with pytest.raises(GffeError, match="was started with processes 2"):
+        started(tmp_path / "run", data, Recipe(seed=3, steps=3, batch=2, full_every=2))
+
+
+@pytest.mark.slow
+def test_batches_are_shared_out_evenly(data, tmp_path):
+    processes = Processes()
+    processes.count = 2
+    with pytest.raises(GffeError, match="batch must be a multiple of the number of processes, got 3 and 2"):
+        Training(tmp_path, Recipe(batch=3), list_crops(data, 3, CLIPS), processes)
+
+
+@pytest.mark.slow
+def test_signals_wait_for_the_end_of_a_step(data, tmp_path):
+    """Ctrl-C within a step: the checkpoint is of whole steps, and going on gives what an undisturbed run gives."""
+    recipe = Recipe(seed=3, steps=3, batch=1)
+    whole = started(tmp_path / "whole", data, recipe)
+    assert whole.run()
+    part = started(tmp_path / "part", data, recipe)
+    update = part.optimizer.step
+    part.optimizer.step = lambda: (update(), signal.raise_signal(signal.SIGINT))
+    with pytest.raises(KeyboardInterrupt):
+        part.run()
+    assert part.step == 1
+    part = started(tmp_path / "part", data, recipe)
+    assert part.step == 1 and part.run()
+    for a, b in zip(whole.network.parameters(), part.network.parameters(), strict=True):
+        assert torch.allclose(a, b, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_loss_that_is_not_finite_keeps_the_checkpoint(data, tmp_path):
+    recipe = Recipe(seed=3, steps=4, batch=1)
+    training = started(tmp_path, data, recipe)
+    with pytest.raises(KeyboardInterrupt):
+        training.run(on_step=lambda progress: interrupt(progress.step == 2))
+    training = started(tmp_path, data, recipe)
+    with torch.no_grad():
+        training.network.head[1].bias.fill_(math.nan)
+    with pytest.raises(GffeError, match="the loss is not finite at step 2"):
+        training.run()
+    kept = started(tmp_path, data, recipe)
+    assert kept.step == 2 and all(torch.isfinite(value).all() for value in kept.network.parameters())
 
 
 @pytest.mark.parametrize(
