@@ -178,6 +178,16 @@ def test_plans_depend_on_seed_and_number_only():
     assert all(0 < a < 1 for plan in plans for alphas in plan.alphas for a in alphas)
 
 
+def test_crops_are_ranked_by_areas_not_outlines():
+    rng = np.random.default_rng(0)
+    sample = np.full((clips.CHANNELS, 270, 480), 0.5, np.float16)
+    sample[clips.PLANES["truth"], :, ::4] = 0.05  # a fence that is wrong everywhere
+    assert all(focus == 0 for _, _, focus in clips.crops_of(sample, rng))
+    sample[clips.PLANES["truth"], 100:140, 200:260] = 0.05  # a shadow
+    found = clips.crops_of(sample, rng)
+    assert max(focus for *_, focus in found) == pytest.approx(38 * 58 / 256**2, rel=0.2)
+
+
 def test_test_scenes_are_not_trained_on():
     assert set(clips.TRAINING_SCENES) == {"corridor", "plaza", "room", "forest"}
 

@@ -24,7 +24,7 @@ _DYNAMIC = 0.75  # input mask above which a pixel counts as dynamic; 1 where it 
 
 @dataclass(frozen=True)
 class Crop:
-    """Where a crop is; `focus` is its share of focus pixels."""
+    """Where a crop is; `focus` is its share of focus pixels (`clips.crops_of`)."""
 
     path: Path
     sample: int

@@ -28,7 +28,7 @@ from gffe_cl.scn.network import ShadingCorrectionNetwork, compose, double, encod
 CHECKPOINT = "checkpoint.pt"
 _FORMAT = 2
 _CHECKPOINT_SECONDS = 120
-_VALIDATION_SHARE = 0.04  # of the clips
+_VALIDATION_SHARE = 0.06  # of the clips
 _VALIDATION_CROPS = 96
 
 
@@ -418,12 +418,15 @@ def _signals():
 
 
 def split_crops(crops: list[Crop], seed: int) -> tuple[list[Crop], list[Crop]]:
-    """Crops of some clips, those with the most focus pixels, to validate with; and those of the others."""
+    """Crops of some clips, of each those with the most focus pixels, to validate with; and those of the others."""
     paths = sorted({crop.path for crop in crops})
     count = math.ceil(_VALIDATION_SHARE * len(paths)) if len(paths) > 1 else 0
     held = {paths[i] for i in np.random.default_rng([seed, 5]).choice(len(paths), count, replace=False)}
-    validation = sorted((crop for crop in crops if crop.path in held), key=lambda crop: -crop.focus)
-    return validation[:_VALIDATION_CROPS], [crop for crop in crops if crop.path not in held]
+    validation = []
+    for path in sorted(held):
+        ranked = sorted((crop for crop in crops if crop.path == path), key=lambda crop: -crop.focus)
+        validation += ranked[: math.ceil(_VALIDATION_CROPS / count)]
+    return validation, [crop for crop in crops if crop.path not in held]
 
 
 @contextmanager
