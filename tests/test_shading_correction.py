@@ -6,7 +6,7 @@ import numpy as np
 import pyopencl as cl
 import pytest
 import twins
-from scn_models import ALPHA, FLOAT, FRAMES, constant_model, look_model, save
+from scn_models import ALPHA, FLOAT, FRAMES, constant_model, look_model, movers_model, save
 from synthetic import Rect, Rects, camera
 from test_twins import assert_close, run
 
@@ -169,22 +169,7 @@ def test_detail_that_is_not_kept_blurs(device, model):
 
 def test_a_change_counts_within_the_mask_only(device, tmp_path):
     """M = the input mask where movers are: they get brighter, nothing else does."""
-    from onnx import helper
-
-    nodes = [
-        helper.make_node("Gather", ["frames", "last"], ["mask"], axis=1),
-        helper.make_node("Greater", ["mask", "limit"], ["moving"]),
-        helper.make_node("Cast", ["moving"], ["focus"], to=FLOAT),
-        helper.make_node("Mul", ["focus", "scale"], ["scaled"]),
-        helper.make_node("Add", ["scaled", "constant"], ["correction"]),
-    ]
-    values = {
-        "last": np.array([7]),
-        "limit": np.array([0.9], np.float32),
-        "scale": np.array([0, 0, 0, 0, 1], np.float32).reshape(1, 5, 1, 1),
-        "constant": np.array([0.05, 0.05, 0.05, 1, 0], np.float32).reshape(1, 5, 1, 1),
-    }
-    path = save(tmp_path / "m.onnx", nodes, values)
+    path = movers_model(tmp_path / "m.onnx", 0.05)
     pipeline, made = corrected(device, path)
     mask, gae, final = pipeline.correction.read("focus_mask"), made.numpy("gae"), made.numpy("color")
     assert 0.01 < (mask > 0).mean() < 0.9
