@@ -11,7 +11,7 @@ PSNR_CAP = 100.0
 _HALF_MAX = 65504.0
 FOCUS_SMAPE = 0.5  # the paper's: errors above this are the shading correction network's business
 SMAPE_EPSILON = 0.01  # the paper's: keeps black pixels from counting fully
-_SRGB_TOE = np.float32(0.0031308)
+SRGB_TOE = np.float32(0.0031308)
 _SSIM_WINDOW = 7  # scikit-image's default
 
 
@@ -24,8 +24,8 @@ def display_values(color, exposure: float = 1.0) -> np.ndarray:
     linear *= np.float32(exposure)
     np.nan_to_num(linear, copy=False, nan=0.0)
     np.clip(linear, 0, 1, out=linear)
-    curve = 1.055 * np.maximum(linear, _SRGB_TOE) ** np.float32(1 / 2.4) - 0.055
-    return np.where(linear <= _SRGB_TOE, 12.92 * linear, curve)
+    curve = 1.055 * np.maximum(linear, SRGB_TOE) ** np.float32(1 / 2.4) - 0.055
+    return np.where(linear <= SRGB_TOE, 12.92 * linear, curve)
 
 
 def psnr(a, b, mask=None) -> float:

@@ -53,7 +53,7 @@ def train(
     except ImportError:
         raise GffeError("training needs PyTorch and TensorBoard (expected: pip install 'gffe-cl[train]')") from None
     from gffe_cl.device import open_device
-    from gffe_cl.scn.clips import clip_path, make_clips
+    from gffe_cl.scn.clips import finished_clips, make_clips
     from gffe_cl.scn.crops import list_crops
     from gffe_cl.scn.training import Processes, Recipe, Training
 
@@ -72,8 +72,8 @@ def train(
             make_clips(data, open_device(device), seed, clips, lambda: bars.advance(task), part, until)
             late = processes.any(until is not None and time.monotonic() > until)
             if data_only or late:
-                made = sum(clip_path(data, seed, k).with_suffix(".json").exists() for k in range(clips))
                 if processes.first:
+                    made = len(finished_clips(data, seed, clips))
                     out.print(f"clips: {made} of {clips}" + ("; the same command goes on from here" if late else ""))
                     write_json(json_path, {"clips": made, "done": False})
                 return

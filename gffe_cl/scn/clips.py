@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+import torch
 from numpy.lib.stride_tricks import sliding_window_view
 
 from gffe_cl.device import Device
@@ -18,8 +19,8 @@ from gffe_cl.frame import HALF_MAX, RenderedFrame
 from gffe_cl.metrics import focus_mask
 from gffe_cl.pipeline import Options, Pipeline
 from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
+from gffe_cl.scn import network
 from gffe_cl.scn.variety import vary_scene
-from gffe_cl.stages.correction import HEADROOM, MU
 
 TRAINING_SCENES = ("corridor", "plaza", "room", "forest")
 CHANNELS = 11  # exposed linear GAE (3), warped previous (3), ground truth (3), inverse depth, input mask
@@ -133,11 +134,9 @@ def _opened(mask: np.ndarray) -> np.ndarray:
 
 def halve(samples: np.ndarray) -> np.ndarray:
     """Samples at half resolution: means over 2×2 pixels, of colours' codes as the network's input has them."""
-    count, channels, height, width = samples.shape
-    blocks = samples.astype(np.float32).reshape(count, channels, height // 2, 2, width // 2, 2)
-    colors, side = blocks[:, :9], blocks[:, PLANES["side"]]
-    codes = np.log1p(colors * (MU / HEADROOM)).mean((3, 5))
-    return np.concatenate((np.expm1(codes) * (HEADROOM / MU), side.mean((3, 5))), 1).astype(np.float16)
+    colors, side = torch.from_numpy(samples.astype(np.float32)).tensor_split((PLANES["side"].start,), 1)
+    seen = network.decode(network.halve(network.encode(colors)))
+    return torch.cat((seen, network.halve(side)), 1).half().numpy()
 
 
 def halved_path(path: Path) -> Path:
@@ -148,6 +147,12 @@ def halved_path(path: Path) -> Path:
 def clip_path(folder: Path, seed: int, index: int) -> Path:
     """Of a clip's files, which end in .npy and .json."""
     return Path(folder) / f"clip_{seed}_{index:06d}.npy"
+
+
+def finished_clips(folder: Path, seed: int, count: int) -> list[Path]:
+    """Descriptions (`clip_*.json`) of those of the clips 0 … count − 1 that are in `folder`."""
+    paths = (clip_path(folder, seed, index).with_suffix(".json") for index in range(count))
+    return [path for path in paths if path.exists()]
 
 
 def make_clips(

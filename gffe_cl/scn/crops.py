@@ -13,7 +13,7 @@ from torch import Tensor
 
 from gffe_cl.errors import GffeError
 from gffe_cl.metrics import FOCUS_SMAPE, SMAPE_EPSILON
-from gffe_cl.scn.clips import CHANNELS, CROP, PLANES, VERSION, clip_path, halved_path
+from gffe_cl.scn.clips import CHANNELS, CROP, PLANES, VERSION, finished_clips, halved_path
 from gffe_cl.scn.network import encode, halve
 
 TOP_SHARE = 0.15  # of all crops: those with the most focus pixels (paper: 'Data Preparation')
@@ -89,9 +89,7 @@ def list_crops(folder: Path, seed: int, clips: int) -> list[Crop]:
     Raises GffeError if there are none or they are of another version.
     """
     crops = []
-    for path in (clip_path(folder, seed, index).with_suffix(".json") for index in range(clips)):
-        if not path.exists():
-            continue
+    for path in finished_clips(folder, seed, clips):
         try:
             document = json.loads(path.read_text())
             version = document["version"]

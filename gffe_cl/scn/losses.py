@@ -9,6 +9,7 @@ import torch.nn.functional as functional
 from torch import Tensor, nn
 
 from gffe_cl.errors import GffeError
+from gffe_cl.metrics import SRGB_TOE
 from gffe_cl.scn.network import encode
 
 FEATURES_WEIGHT = 0.01  # λ_f, λ_focus and λ_vgg of the paper
@@ -17,6 +18,7 @@ PERCEPTUAL_WEIGHT = 0.01
 _CHARBONNIER = 1e-3
 _CENSUS = 7  # pixels each way
 _DISPLAY_WEIGHT = 10.0
+_TOE = float(SRGB_TOE)
 
 
 def charbonnier(a: Tensor, b: Tensor) -> Tensor:
@@ -51,7 +53,8 @@ def shown_loss(a: Tensor, b: Tensor) -> Tensor:
 def display(color: Tensor) -> Tensor:
     """sRGB of exposed linear colour, clipped to 0 … 1: as `gffe_cl.metrics.display_values`."""
     linear = color.clamp(0, 1)
-    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp(min=1e-4) ** (1 / 2.4) - 0.055)
+    curve = 1.055 * linear.clamp(min=_TOE) ** (1 / 2.4) - 0.055
+    return torch.where(linear <= _TOE, 12.92 * linear, curve)
 
 
 def focus_loss(likely: Tensor, truth: Tensor) -> Tensor:

@@ -199,8 +199,9 @@ class Training:
             "processes": processes.count,
         }
         self._load()
-        if commit() not in self.sources[-1:]:
-            self.sources.append(commit())
+        source = commit()
+        if source not in self.sources[-1:]:
+            self.sources.append(source)
 
     @property
     def network(self) -> ShadingCorrectionNetwork:
