@@ -11,7 +11,7 @@ frame.numpy("color")        # NumPy array
 
 from importlib import import_module
 
-from gffe_cl.runtimes import expose_installed_runtimes, redirect_unwritable_caches
+from gffe_cl.opencl.runtimes import expose_installed_runtimes, redirect_unwritable_caches
 
 redirect_unwritable_caches()
 expose_installed_runtimes()  # before anything imports pyopencl
@@ -22,10 +22,10 @@ __version__ = "0.1.0"
 _HOME = {
     "Camera": "camera",
     "predict_camera": "camera",
-    "Device": "device",
-    "DeviceInfo": "device",
-    "list_devices": "device",
-    "open_device": "device",
+    "Device": "opencl.device",
+    "DeviceInfo": "opencl.device",
+    "list_devices": "opencl.device",
+    "open_device": "opencl.device",
     "GffeError": "errors",
     "BadPixels": "frame",
     "RenderedFrame": "frame",

@@ -12,7 +12,6 @@ import pyopencl.array
 
 from gffe_cl import inference
 from gffe_cl.camera import Camera, predict_camera
-from gffe_cl.device import Device
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import (
     BYTES_PER_PIXEL,
@@ -24,6 +23,7 @@ from gffe_cl.frame import (
     pack_frame,
     require_one_pose,
 )
+from gffe_cl.opencl.device import Device
 from gffe_cl.stage import BufferSpec, DeviceFrame, Sizes, Stage
 from gffe_cl.stages.background import MAX_LEVELS, Background
 from gffe_cl.stages.correction import ShadingCorrection

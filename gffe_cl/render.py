@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from gffe_cl.device import Device
 from gffe_cl.errors import GffeError
+from gffe_cl.opencl.device import Device
 from gffe_cl.scenes import Scene, SceneRenderer, sequence_frames
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
 from gffe_cl.window import WindowChooser

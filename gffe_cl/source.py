@@ -10,9 +10,9 @@ from typing import Protocol
 import numpy as np
 
 from gffe_cl.camera import Camera
-from gffe_cl.device import Device
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import PackedFrame, RenderedFrame, pack_frame
+from gffe_cl.opencl.device import Device
 from gffe_cl.scenes import Scene, SceneRenderer, sequence_frames
 from gffe_cl.sequence import (
     FrameEntry,

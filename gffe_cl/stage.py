@@ -13,10 +13,10 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.camera import Camera
-from gffe_cl.device import Device
 from gffe_cl.frame import BYTES_PER_PIXEL, PackedFrame
 from gffe_cl.inference import MULTIPLE
-from gffe_cl.program import build
+from gffe_cl.opencl.device import Device
+from gffe_cl.opencl.program import build
 
 _EVENTS = 1024  # kept per stage for whoever asks for timings
 _ROW = 64  # work-items of a work-group, all in one row: rows stream better than squares on CPUs

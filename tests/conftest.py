@@ -7,7 +7,7 @@ import os
 import pytest
 
 from gffe_cl import inference
-from gffe_cl.device import list_devices, open_info, select
+from gffe_cl.opencl.device import list_devices, open_info, select
 
 
 @functools.cache

@@ -6,7 +6,7 @@ import numpy as np
 import pyopencl as cl
 from test_twins import run
 
-from gffe_cl.device import open_device
+from gffe_cl.opencl.device import open_device
 from gffe_cl.pipeline import Options
 from gffe_cl.stage import Sizes
 from gffe_cl.stages.correction import ShadingCorrection

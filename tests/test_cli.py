@@ -365,7 +365,7 @@ def test_options_of_scenes_are_refused_for_sequences(gffe, scene, tmp_path):
 
 
 def test_baseline_of_a_windowed_sequence_is_its_display_part(gffe, tmp_path):
-    from gffe_cl.evaluate import baseline_repeat, shown_color
+    from gffe_cl.evaluation.compare import baseline_repeat, shown_color
     from gffe_cl.metrics import display_values, psnr
 
     options = ("--size", "96x54", "--frames", 4, "--ground-truth", "--window", "fixed:1.3")

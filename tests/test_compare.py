@@ -7,7 +7,7 @@ import pytest
 
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
-from gffe_cl.evaluate import baseline_repeat, compare
+from gffe_cl.evaluation.compare import baseline_repeat, compare
 from gffe_cl.metrics import display_values, psnr, ssim
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels, open_sequence
 

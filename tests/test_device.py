@@ -11,9 +11,9 @@ import pyopencl as cl
 import pytest
 
 from gffe_cl import GffeError
-from gffe_cl import device as device_module
-from gffe_cl.device import DeviceInfo, best_of, select
-from gffe_cl.program import build, expand, kernel_folder
+from gffe_cl.opencl import device as device_module
+from gffe_cl.opencl.device import DeviceInfo, best_of, select
+from gffe_cl.opencl.program import build, expand, kernel_folder
 
 
 def info(index, name, platform, kind="cpu", version="", works=True, speed=1.0):
@@ -135,7 +135,7 @@ def test_too_large_an_allocation_is_one_line(device):
 def test_order_of_imports_does_not_matter(first):
     """Devices are found, listed and opened alike in a fresh process, whatever was imported first."""
     code = (
-        f"import {first}; import gffe_cl; from gffe_cl.device import list_devices, open_info;"
+        f"import {first}; import gffe_cl; from gffe_cl.opencl.device import list_devices, open_info;"
         "[open_info(i) for i in list_devices() if i.works]; print(gffe_cl.open_device().info.name)"
     )
     environment = {k: v for k, v in os.environ.items() if k not in ("OCL_ICD_VENDORS", "GFFE_DEVICE")}

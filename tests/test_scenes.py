@@ -5,8 +5,8 @@ import pytest
 from scene_oracle import cast, clearance, followed
 
 from gffe_cl.camera import Camera
-from gffe_cl.device import list_devices, open_info
 from gffe_cl.errors import GffeError
+from gffe_cl.opencl.device import list_devices, open_info
 from gffe_cl.scenes import SCENES, SceneRenderer, load_scene, sequence_frames
 from gffe_cl.scenes.flatten import build_tree
 

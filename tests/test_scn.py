@@ -287,7 +287,7 @@ def data(tmp_path_factory, opened):
 
 @pytest.fixture(scope="module")
 def opened():
-    from gffe_cl.device import open_device
+    from gffe_cl.opencl.device import open_device
 
     return open_device()
 

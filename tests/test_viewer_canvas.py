@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from scn_models import constant_model
 
 from gffe_cl import Camera, Options, Pipeline
+from gffe_cl.evaluation.report import error_image
 from gffe_cl.frame import RenderedFrame
 from gffe_cl.metrics import display_values
-from gffe_cl.report import error_image
 from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
 from gffe_cl.viewer.canvas import Canvas, View, _texels, read
 from gffe_cl.viewer.layers import (

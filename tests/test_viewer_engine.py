@@ -27,11 +27,11 @@ from gffe_cl import (
     named_channels,
     open_sequence,
 )
-from gffe_cl import bench as bench_module
-from gffe_cl.device import Device
+from gffe_cl.evaluation import bench as bench_module
 from gffe_cl.frame import pack_frame
 from gffe_cl.metrics import display_values, focus_mask, psnr, ssim
-from gffe_cl.program import kernel_folder
+from gffe_cl.opencl.device import Device
+from gffe_cl.opencl.program import kernel_folder
 from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
 from gffe_cl.source import Recorded
 from gffe_cl.viewer.engine import Engine, open_viewer_device

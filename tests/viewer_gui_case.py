@@ -12,7 +12,7 @@ from pathlib import Path
 
 
 def make(folder: Path) -> None:
-    from gffe_cl.device import open_device
+    from gffe_cl.opencl.device import open_device
     from gffe_cl.render import render_sequence
     from gffe_cl.scenes import load_scene
 

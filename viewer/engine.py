@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.bench import Copier
-from gffe_cl.device import Device, open_device
 from gffe_cl.errors import GffeError
+from gffe_cl.evaluation.bench import Copier
 from gffe_cl.frame import HALF_MAX
 from gffe_cl.inference import NetworkError
+from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.run import alphas_for
 from gffe_cl.viewer.layers import layers_of
 from gffe_cl.viewer.messages import Closing, EngineError, Inspection, Metrics, Request, Result

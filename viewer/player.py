@@ -9,9 +9,9 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.camera import Camera
-from gffe_cl.device import Device
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import BadPixels, RenderedFrame
+from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline import Options, Pipeline
 from gffe_cl.stage import DeviceFrame
 from gffe_cl.stages.shading import FocusMask

@@ -6,9 +6,9 @@ import time
 from contextlib import suppress
 
 from gffe_cl import inference
-from gffe_cl.device import Device
+from gffe_cl.opencl.device import Device
+from gffe_cl.opencl.program import Program, expand, kernel_folder
 from gffe_cl.pipeline import Options, Pipeline
-from gffe_cl.program import Program, expand, kernel_folder
 from gffe_cl.stage import Sizes
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import Presentation

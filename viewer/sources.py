@@ -14,9 +14,9 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.camera import Camera, predict_camera
-from gffe_cl.device import Device
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import BYTES_PER_PIXEL, PackedFrame, RenderedFrame, pack_frame
+from gffe_cl.opencl.device import Device
 from gffe_cl.run import alphas_for
 from gffe_cl.scenes import Scene, SceneRenderer
 from gffe_cl.sequence import Sequence

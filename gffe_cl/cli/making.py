@@ -30,7 +30,7 @@ from gffe_cl.cli.common import (
 from gffe_cl.errors import GffeError
 
 if TYPE_CHECKING:
-    from gffe_cl.device import Device, DeviceInfo
+    from gffe_cl.opencl.device import Device, DeviceInfo
     from gffe_cl.run import RunReport
     from gffe_cl.source import Live, Recorded
 
@@ -43,7 +43,7 @@ def devices(
     """List every OpenCL device: whether a kernel really runs on it, and what it lacks."""
     from dataclasses import asdict
 
-    from gffe_cl.device import HOW_TO_GET_ONE, best_of, list_devices
+    from gffe_cl.opencl.device import HOW_TO_GET_ONE, best_of, list_devices
 
     infos = [info for info in list_devices() if kind in (None, info.kind)]
     table = Table("", "index", "device", "platform", "kernel runs", "lacks", box=None, header_style="bold")
@@ -81,7 +81,7 @@ def demo(
     """Render the scene 'corridor', extrapolate it, and measure the result against ground truth."""
     from gffe_cl.demo import METHODS
     from gffe_cl.demo import demo as run_demo
-    from gffe_cl.device import open_device
+    from gffe_cl.opencl.device import open_device
     from gffe_cl.pipeline import Options
 
     width, height = parse_size(size)
@@ -128,7 +128,7 @@ def render(
     device: DeviceOption = None,
 ) -> None:
     """Render a built-in scene to a sequence: colour, depth, motion vectors and cameras."""
-    from gffe_cl.device import open_device
+    from gffe_cl.opencl.device import open_device
     from gffe_cl.render import render_sequence
     from gffe_cl.scenes import load_scene
 
@@ -229,7 +229,7 @@ def _open_source(
     sequence: Path, window: str | None, device: str | None, live: dict[str, str | float | None]
 ) -> tuple[Device, Recorded | Live]:
     """A folder is a sequence; what is none may be the name of a scene, which `live` says how to render."""
-    from gffe_cl.device import open_device
+    from gffe_cl.opencl.device import open_device
     from gffe_cl.scenes import SCENES, load_scene
     from gffe_cl.sequence import open_sequence
     from gffe_cl.source import Live, Recorded

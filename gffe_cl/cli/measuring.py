@@ -28,12 +28,12 @@ from gffe_cl.cli.common import (
 from gffe_cl.errors import GffeError
 
 if TYPE_CHECKING:
-    from gffe_cl.bench import SizeBench
-    from gffe_cl.device import DeviceInfo
-    from gffe_cl.disocclusion import DisocclusionStudy
-    from gffe_cl.shading_study import ShadingStudy
-    from gffe_cl.study import SceneStudy
-    from gffe_cl.window_study import WindowStudy
+    from gffe_cl.evaluation.bench import SizeBench
+    from gffe_cl.evaluation.disocclusions import DisocclusionStudy
+    from gffe_cl.evaluation.methods import SceneStudy
+    from gffe_cl.evaluation.shading import ShadingStudy
+    from gffe_cl.evaluation.windows import WindowStudy
+    from gffe_cl.opencl.device import DeviceInfo
 
 
 @app.command()
@@ -53,7 +53,7 @@ def compare(
     json_path: JsonOption = None,
 ) -> None:
     """Measure extrapolated frames of A against the ground truth of B."""
-    from gffe_cl.evaluate import compare as compare_sequences
+    from gffe_cl.evaluation.compare import compare as compare_sequences
     from gffe_cl.sequence import open_sequence
 
     if gae is not None and mask != "focus":
@@ -111,13 +111,13 @@ def study(
     """Measure the parts of the method on built-in scenes, against an oracle that knows the true motion."""
     from dataclasses import asdict
 
-    from gffe_cl.device import open_device
-    from gffe_cl.disocclusion import DisocclusionStudy, study_disocclusions
+    from gffe_cl.evaluation.disocclusions import DisocclusionStudy, study_disocclusions
+    from gffe_cl.evaluation.methods import study_scene
+    from gffe_cl.evaluation.shading import study_shading
+    from gffe_cl.evaluation.windows import MODES, study_windows
+    from gffe_cl.opencl.device import open_device
     from gffe_cl.pipeline import Options
     from gffe_cl.scenes import SCENES
-    from gffe_cl.shading_study import study_shading
-    from gffe_cl.study import study_scene
-    from gffe_cl.window_study import MODES, study_windows
 
     if disocclusions + windows + shading > 1:
         raise GffeError("study: --disocclusions, --windows and --shading exclude each other")
@@ -163,7 +163,7 @@ def study(
 
 
 def _print_disocclusions(pooled: dict[str, DisocclusionStudy]) -> None:
-    from gffe_cl.disocclusion import CATEGORIES, METHODS
+    from gffe_cl.evaluation.disocclusions import CATEGORIES, METHODS
 
     for name, r in pooled.items():
         shares = {c: r.pixels[c] / r.pixels["all"] for c in CATEGORIES}
@@ -195,8 +195,8 @@ def _print_windows(studies: list[WindowStudy]) -> None:
 
 
 def _print_shading(results: dict[str, list[ShadingStudy]]) -> None:
+    from gffe_cl.evaluation.shading import METHODS, REGIONS
     from gffe_cl.metrics import RegionErrors
-    from gffe_cl.shading_study import METHODS, REGIONS
 
     flat = [study for studies in results.values() for study in studies]
     for region in REGIONS:
@@ -214,7 +214,7 @@ def _print_shading(results: dict[str, list[ShadingStudy]]) -> None:
 
 
 def _write_sheet(path: Path, studies: list[ShadingStudy]) -> None:
-    from gffe_cl.report import contact_sheet
+    from gffe_cl.evaluation.report import contact_sheet
 
     groups = [(f"{study.scene}, seed {study.seed}", crop) for study in studies for crop in study.crops]
     if not groups:
@@ -228,7 +228,7 @@ def _write_sheet(path: Path, studies: list[ShadingStudy]) -> None:
 
 
 def _print_studies(studies: list[SceneStudy]) -> None:
-    from gffe_cl.study import METHODS
+    from gffe_cl.evaluation.methods import METHODS
 
     table = Table("scene", "seed", *METHODS, "gap closed", "disoccluded", "dynamic", box=None, header_style="bold")
     for r in studies:
@@ -262,8 +262,8 @@ def bench(
     """Time every stage, in milliseconds and in bytes per pixel, beside the paper's table."""
     from dataclasses import asdict
 
-    from gffe_cl.bench import PAPER, Copier, bench_size
-    from gffe_cl.device import list_devices, open_device, open_info
+    from gffe_cl.evaluation.bench import PAPER, Copier, bench_size
+    from gffe_cl.opencl.device import list_devices, open_device, open_info
     from gffe_cl.pipeline import Options
 
     if repeats < 1:
@@ -287,7 +287,7 @@ def bench(
 
 
 def _print_bench(info: DeviceInfo, results: list[SizeBench]) -> None:
-    from gffe_cl.bench import PAPER
+    from gffe_cl.evaluation.bench import PAPER
 
     table = Table("bytes per pixel (ms)", *(f"{r.width}×{r.height}" for r in results), "paper, 1080p",
                   title=f"{info.name} ({info.platform})", box=None, header_style="bold")  # fmt: skip

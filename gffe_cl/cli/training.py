@@ -52,7 +52,7 @@ def train(
         import torch
     except ImportError:
         raise GffeError("training needs PyTorch and TensorBoard (expected: pip install 'gffe-cl[train]')") from None
-    from gffe_cl.device import open_device
+    from gffe_cl.opencl.device import open_device
     from gffe_cl.scn.clips import finished_clips, make_clips
     from gffe_cl.scn.crops import list_crops
     from gffe_cl.scn.training import Processes, Recipe, Training

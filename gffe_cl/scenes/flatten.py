@@ -1,4 +1,4 @@
-"""Scene → the arrays that kernels/scene.cl reads; float64 transforms, relative to the camera."""
+"""Scene → the arrays that kernels/scenes/scene.cl reads; float64 transforms, relative to the camera."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class FlatScene:
         return np.array(rows, np.float64).astype(np.float32).reshape(-1, 3, 4)
 
     def frame(self, camera: Camera, other_camera: Camera) -> np.ndarray:
-        """(15, 4) float32: the rows that kernels/scene.cl names."""
+        """(15, 4) float32: the rows that kernels/scenes/scene.cl names."""
         air = self.scene.air
         suns = [light for light in self.scene.lights if light.kind == "sun"]
         rows = np.zeros((15, 4), np.float64)

@@ -8,13 +8,13 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.camera import Camera
-from gffe_cl.device import Device
 from gffe_cl.errors import GffeError
-from gffe_cl.program import build
+from gffe_cl.opencl.device import Device
+from gffe_cl.opencl.program import build
 from gffe_cl.scenes.flatten import FlatScene, build_tree, nearest_first
 from gffe_cl.scenes.vocabulary import Scene
 
-_TILE = 16  # as in kernels/scene.cl
+_TILE = 16  # as in kernels/scenes/scene.cl
 _BASE_SAMPLES = 3
 
 
@@ -88,7 +88,7 @@ class SceneRenderer:
             raise GffeError(f"scene renderer: width, height and samples must be ≥ 1, got {width}×{height}, {samples}")
         self.device, self.scene = device, scene
         self.width, self.height, self.samples = int(width), int(height), int(samples)
-        self.program = build(device, "scene")
+        self.program = build(device, "scenes/scene")
         self.flat = FlatScene(scene)
         self._tiles = -(-self.width // _TILE) * -(-self.height // _TILE)
         n, pixels = len(scene.groups), self.width * self.height

@@ -15,7 +15,7 @@ import numpy as np
 from gffe_cl.camera import Camera
 from gffe_cl.scenes.motions import Motion, Place
 
-# Order as in kernels/scene_textures.h.
+# Order as in kernels/scenes/textures.h.
 TEXTURES = [
     "plain",
     "tiles",
@@ -81,7 +81,7 @@ class Material:
 
 @dataclass(frozen=True)
 class Primitive:
-    """A convex solid in its group's local space: two float4 as kernels/scene_geometry.h reads them."""
+    """A convex solid in its group's local space: two float4 as kernels/scenes/geometry.h reads them."""
 
     kind: int
     a: tuple

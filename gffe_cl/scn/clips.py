@@ -13,10 +13,10 @@ import numpy as np
 import torch
 from numpy.lib.stride_tricks import sliding_window_view
 
-from gffe_cl.device import Device
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import HALF_MAX, RenderedFrame
 from gffe_cl.metrics import focus_mask
+from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline import Options, Pipeline
 from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
 from gffe_cl.scn import network

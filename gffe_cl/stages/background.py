@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gffe_cl.camera import Camera
-from gffe_cl.device import Device
+from gffe_cl.opencl.device import Device
 from gffe_cl.stage import RGBA, XY, BufferSpec, NearestStage, Sizes, Stage, halved, int2, reprojection, zoom
 
 MAX_LEVELS = 4

@@ -8,8 +8,8 @@ import time
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.device import Device
 from gffe_cl.inference import INPUT_PLANES, OUTPUT_PLANES, Network
+from gffe_cl.opencl.device import Device
 from gffe_cl.stage import RGBA, BufferSpec, Sizes, Stage, int2
 
 MU = 5000.0

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.device import Device
+from gffe_cl.opencl.device import Device
 from gffe_cl.stage import BufferSpec, Sizes, Stage, int2, reprojection
 
 # Bounds of the automatic static threshold ε, in pixels.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gffe_cl.camera import Camera
-from gffe_cl.device import Device
+from gffe_cl.opencl.device import Device
 from gffe_cl.stage import BufferSpec, Sizes, Stage, int2, reprojection
 
 BLOCK = 32

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gffe_cl.camera import Camera
-from gffe_cl.device import Device
+from gffe_cl.opencl.device import Device
 from gffe_cl.stage import BufferSpec, Sizes, Stage, int2, reprojection
 
 MAX_ORDER = 4

@@ -9,9 +9,9 @@ from functools import cache, lru_cache
 import numpy as np
 
 from gffe_cl.camera import Camera
-from gffe_cl.device import Device, open_device
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import RenderedFrame, display_camera_of, is_shown_whole, pack_frame, require_one_pose
+from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.stage import RGBA, XY, BufferSpec, DeviceFrame, Sizes, Stage, int2
 
 _STRIP = 16  # as in presentation.cl

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gffe_cl.camera import Camera
-from gffe_cl.device import Device
+from gffe_cl.opencl.device import Device
 from gffe_cl.stage import RGBA, XY, BufferSpec, NearestStage, Sizes, Stage, int2, zoom
 
 BY_HOLE_FILLING = 255  # in `filled_by`

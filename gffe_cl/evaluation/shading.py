@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gffe_cl.device import Device
-from gffe_cl.evaluate import FOCUS, shading_regions
+from gffe_cl.evaluation.compare import FOCUS, shading_regions
+from gffe_cl.evaluation.methods import submitted_frames
 from gffe_cl.metrics import RegionErrors, display_values, focus_mask
+from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline import Options, Pipeline
 from gffe_cl.scenes import SceneRenderer, load_scene
-from gffe_cl.study import submitted_frames
 
 # Without and with shading correction; and with it, but without its focus mask.
 METHODS = ("GAE", "final", "no focus mask")

@@ -4,9 +4,9 @@
    primitives and textures are given. An unnormalised primary direction has view z = 1, so that its t is planar depth.
    Nothing here is random: soft shadows are closest-approach estimates, glossiness is a fixed fan of directions. */
 
-#include "common.h"
-#include "scene_geometry.h"
-#include "scene_textures.h"
+#include "../common.h"
+#include "geometry.h"
+#include "textures.h"
 
 /* ---- shading ---- */
 

@@ -18,7 +18,7 @@ from functools import cached_property
 import pyopencl as cl
 
 from gffe_cl.errors import GffeError
-from gffe_cl.runtimes import HIDE_INSTALLED, installed_runtimes_are_exposed
+from gffe_cl.opencl.runtimes import HIDE_INSTALLED, installed_runtimes_are_exposed
 
 HOW_TO_GET_ONE = (
     "install one with `pip install 'gffe-cl[intel]'` (x86-64 CPU, no root), "
@@ -156,7 +156,7 @@ def _probe_in_child(skip: set[str]) -> list[DeviceInfo]:
     """Probe in a child process; when it dies, blame the device it was at and go on after it."""
     found: dict[str, DeviceInfo] = {}
     while True:
-        command = [sys.executable, "-m", "gffe_cl.device", *sorted(skip | set(found))]
+        command = [sys.executable, "-m", "gffe_cl.opencl.device", *sorted(skip | set(found))]
         environment = os.environ | ({} if installed_runtimes_are_exposed() else {HIDE_INSTALLED: "1"})
         try:
             child = subprocess.run(command, capture_output=True, text=True, timeout=_PROBE_SECONDS, env=environment)

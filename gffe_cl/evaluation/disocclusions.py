@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gffe_cl.camera import Camera
-from gffe_cl.device import Device
+from gffe_cl.evaluation.methods import submitted_frames
 from gffe_cl.metrics import display_values
+from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline import Options, Pipeline
 from gffe_cl.scenes import SceneRenderer, load_scene
 from gffe_cl.stages.warp import BY_HOLE_FILLING
-from gffe_cl.study import submitted_frames
 
 METHODS: dict[str, Options] = {
     "downsample, L = 0": Options(levels=0, hole_filling="downsample"),

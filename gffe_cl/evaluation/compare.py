@@ -9,10 +9,10 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
-from gffe_cl.device import Device
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import is_shown_whole
 from gffe_cl.metrics import RegionErrors, display_values, focus_mask, psnr, ssim
+from gffe_cl.opencl.device import Device
 from gffe_cl.sequence import FrameEntry, Sequence
 from gffe_cl.sequence.read_ahead import read_ahead
 from gffe_cl.stages.presentation import present

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gffe_cl.device import Device
 from gffe_cl.frame import RenderedFrame, pack_frame
 from gffe_cl.metrics import display_values, psnr, ssim
+from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline import Options, Pipeline
 from gffe_cl.scenes import SceneArrays, SceneRenderer, SequenceFrame, load_scene, sequence_frames
 

@@ -9,12 +9,13 @@ from __future__ import annotations
 import os
 import re
 from importlib.resources import files
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from posixpath import normpath
 
 import pyopencl as cl
 
-from gffe_cl.device import Device, quiet_builds
 from gffe_cl.errors import GffeError
+from gffe_cl.opencl.device import Device, quiet_builds
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
 
@@ -59,10 +60,10 @@ def kernel_folder() -> Path:
 
 def expand(name: str) -> str:
     """Text of `kernels/<name>` with its includes in place and `#line` directives."""
-    return "\n".join(_expanded_lines(name, set())) + "\n"
+    return "\n".join(_expanded_lines(PurePosixPath(name), set())) + "\n"
 
 
-def _expanded_lines(name: str, seen: set[str]) -> list[str]:
+def _expanded_lines(name: PurePosixPath, seen: set[PurePosixPath]) -> list[str]:
     seen.add(name)
     path = kernel_folder() / name
     try:
@@ -75,8 +76,9 @@ def _expanded_lines(name: str, seen: set[str]) -> list[str]:
         if include is None:
             lines.append(line)
             continue
-        if include[1] not in seen:
-            lines += _expanded_lines(include[1], seen)
+        included = PurePosixPath(normpath(name.parent / include[1]))  # relative to the including file, as in C
+        if included not in seen:
+            lines += _expanded_lines(included, seen)
         lines.append(f'#line {number + 1} "{name}"')
     return lines
 

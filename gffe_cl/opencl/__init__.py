@@ -1,0 +1,1 @@
+"""OpenCL: runtimes, devices, and building and launching kernels."""
