@@ -13,7 +13,7 @@ from gffe_cl.evaluation.compare import baseline_repeat, compare, shown_color
 from gffe_cl.evaluation.report import contact_sheet, error_image, side_by_side, write_video
 from gffe_cl.metrics import display_values
 from gffe_cl.opencl.device import Device
-from gffe_cl.pipeline import Options
+from gffe_cl.options import Options
 from gffe_cl.render import render_sequence
 from gffe_cl.run import run_sequence
 from gffe_cl.scenes import load_scene

@@ -24,71 +24,16 @@ from gffe_cl.frame import (
     require_one_pose,
 )
 from gffe_cl.opencl.device import Device
+from gffe_cl.options import Options
 from gffe_cl.stage import BufferSpec, DeviceFrame, Sizes, Stage
-from gffe_cl.stages.background import MAX_LEVELS, Background
+from gffe_cl.stages.background import Background
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.history import HistoryTracking
-from gffe_cl.stages.holes import METHODS, HoleFilling
+from gffe_cl.stages.holes import FILLINGS
 from gffe_cl.stages.prediction import MAX_ORDER, PositionPrediction
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import ShadingInputs
 from gffe_cl.stages.warp import Warp
-
-HOLE_FILLINGS = (*METHODS, "none")
-
-
-@dataclass(frozen=True)
-class Options:
-    """What the pipeline does; the defaults are the recommended settings.
-
-    Attributes
-    ----------
-    history : k, positions kept per fragment, the current one included (2 … 5)
-    order : m, degree of the position prediction; 1 is linear, at most k − 1
-    static_threshold : ε in pixels, or None to follow the noise of the data
-    motion : False treats everything as static
-    crack_closing : False splats single pixels, as in the paper
-    levels : L, levels of the background; 0 goes without
-    hole_filling : "far-side" continues the far side of disocclusions, "push-pull" takes a pyramid of means,
-        "downsample" the image downsampled 32× (the paper's), "none" leaves them black at infinite depth
-    shading_inputs : True also makes the inputs of the shading correction network where it is off
-    shading_correction : run the shading correction network; None: if there is a model, `scn_model` or the package's own
-    focus_mask : False takes all of the network's image, not what its focus mask chooses
-    scn_model : path of an ONNX model instead of the package's weights
-    scn_provider : of onnxruntime, for the network: "cpu", "cuda", … (`gffe_cl.inference.PROVIDERS`)
-    """
-
-    history: int = 2
-    order: int = 1
-    static_threshold: float | None = None
-    motion: bool = True
-    crack_closing: bool = True
-    levels: int = 2
-    hole_filling: str = "far-side"
-    shading_inputs: bool = False
-    shading_correction: bool | None = None
-    focus_mask: bool = True
-    scn_model: str | None = None
-    scn_provider: str = "cpu"
-
-    def __post_init__(self):
-        if not 2 <= self.history <= MAX_ORDER + 1:
-            raise GffeError(f"options: history must be 2 to {MAX_ORDER + 1} positions, got {self.history}")
-        if not 1 <= self.order < self.history:
-            raise GffeError(f"options: order must be 1 to history − 1 = {self.history - 1}, got {self.order}")
-        if not 0 <= self.levels <= MAX_LEVELS:
-            raise GffeError(f"options: levels must be 0 to {MAX_LEVELS}, got {self.levels}")
-        if self.hole_filling not in HOLE_FILLINGS:
-            raise GffeError(f"options: hole filling must be {', '.join(HOLE_FILLINGS)}, got '{self.hole_filling}'")
-        if self.static_threshold is not None and not (0 <= self.static_threshold < float("inf")):
-            raise GffeError(f"options: static threshold must be a number of pixels ≥ 0, got {self.static_threshold}")
-
-    @property
-    def corrects_shading(self) -> bool:
-        """Whether the shading correction network runs."""
-        if self.shading_correction is None:
-            return self.scn_model is not None or inference.default_model() is not None
-        return self.shading_correction
 
 
 @dataclass(frozen=True)
@@ -200,7 +145,8 @@ class Pipeline:
         self.history = HistoryTracking(device, self.sizes, self.options.history, self.options.static_threshold)
         self.prediction = PositionPrediction(device, self.sizes, self.options.order)
         self.warp = Warp(device, self.sizes, self.options.crack_closing, int64_atomics)
-        self.holes = HoleFilling(device, self.sizes, self.options.hole_filling)
+        filling = FILLINGS[self.options.hole_filling].stage
+        self.holes = filling(device, self.sizes) if filling else None
         self.background = (
             Background(device, self.sizes, self.options.levels, int64_atomics) if self.options.levels else None
         )
@@ -341,7 +287,7 @@ class Pipeline:
         self.warp.warp(source, self.history, self.prediction, camera)
         if self.background:
             self.background.project(source, self.warp, camera)
-        if self.options.hole_filling != "none":
+        if self.holes:
             self.holes.fill_holes(source, self.warp, camera)
         if self.shading:
             self.shading.prepare(source, self._previous, self.warp, camera)

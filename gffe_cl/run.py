@@ -16,7 +16,8 @@ from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import BadPixels
 from gffe_cl.opencl.device import Device
-from gffe_cl.pipeline import ExtrapolatedFrame, Options, Pipeline
+from gffe_cl.options import Options
+from gffe_cl.pipeline import ExtrapolatedFrame, Pipeline
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
 from gffe_cl.sequence.exr import write_channels
 from gffe_cl.source import Source

@@ -7,7 +7,7 @@ import pyopencl as cl
 from test_twins import run
 
 from gffe_cl.opencl.device import open_device
-from gffe_cl.pipeline import Options
+from gffe_cl.options import Options
 from gffe_cl.stage import Sizes
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.shading import FocusMask, ShadingInputs

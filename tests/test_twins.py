@@ -6,7 +6,8 @@ import twins
 from synthetic import Rect, Rects, camera
 
 from gffe_cl.opencl.device import list_devices, open_info
-from gffe_cl.pipeline import Options, Pipeline
+from gffe_cl.options import Options
+from gffe_cl.pipeline import Pipeline
 from gffe_cl.stage import reprojection
 from gffe_cl.stages.prediction import polynomial_weights
 

@@ -14,7 +14,7 @@ from gffe_cl.stage import BufferSpec, Sizes, Stage
 from gffe_cl.stages.background import Background, _level_buffers
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.history import HistoryTracking
-from gffe_cl.stages.holes import HoleFilling
+from gffe_cl.stages.holes import Downsampled
 from gffe_cl.stages.prediction import PositionPrediction
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import ShadingInputs
@@ -47,7 +47,7 @@ STAGES: tuple[type[Stage], ...] = (
     PositionPrediction,
     Warp,
     Presentation,
-    HoleFilling,
+    Downsampled,
     ShadingInputs,
     ShadingCorrection,
 )

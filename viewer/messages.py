@@ -8,7 +8,7 @@ import numpy as np
 
 from gffe_cl.camera import Camera
 from gffe_cl.frame import BadPixels
-from gffe_cl.pipeline import Options
+from gffe_cl.options import Options
 from gffe_cl.viewer.layers import LayerSpec
 from gffe_cl.viewer.story import Story
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from gffe_cl import inference
 from gffe_cl.errors import GffeError
-from gffe_cl.pipeline import Options
+from gffe_cl.options import Options
 from gffe_cl.viewer import flip_map, remembering
 from gffe_cl.viewer.canvas import View
 from gffe_cl.viewer.comparing import Comparison

@@ -6,7 +6,7 @@ import math
 from dataclasses import asdict, replace
 
 from gffe_cl.errors import GffeError
-from gffe_cl.pipeline import Options
+from gffe_cl.options import Options
 from gffe_cl.viewer.canvas import ERRORS, View
 
 WAYS = ("off", "split", "flip", "difference", "error", "flip error")

@@ -10,16 +10,12 @@ import pyopencl as cl
 
 from gffe_cl.camera import Camera
 from gffe_cl.pipeline import Pipeline
+from gffe_cl.stages.holes import FILLINGS
 from gffe_cl.stages.warp import BY_HOLE_FILLING, FILLED_BY
 
 _CRACK_CLOSING = 254  # in `filled_by`
 _REMEMBERED = 2  # in `state_l`
 _SAME_SURFACE = 0.04  # relative depth within which texels of a level are mixed, as in background.cl
-_FILLING = {
-    "far-side": "its colour continues the far side of the hole",
-    "push-pull": "its colour is a mean of the surroundings, from a pyramid of means",
-    "downsample": "its colour comes from the image downsampled 32 times",
-}
 
 
 @dataclass(frozen=True)
@@ -347,7 +343,7 @@ def _hole_sentences(pipeline: Pipeline, shot: Shot, source_px) -> tuple[str, ...
         nothing = f"No fragment of rendered frame {shot.k} lands here, and there is no background."
     if pipeline.options.hole_filling == "none":
         return nothing, "Hole filling is off: black, at infinite depth."
-    said = [nothing, f"Hole filling: {_FILLING[pipeline.options.hole_filling]}."]
+    said = [nothing, f"Hole filling: its colour {FILLINGS[pipeline.options.hole_filling].sentence}."]
     if source_px and not all(0 <= c < s for c, s in zip(source_px, pipeline.sizes.source, strict=True)):
         said.append(f"It lies outside the rendered image, at ({source_px[0]:.1f}, {source_px[1]:.1f}).")
     return tuple(said)

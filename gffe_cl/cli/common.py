@@ -50,28 +50,6 @@ WindowOption = Annotated[
     str, typer.Option("--window", help="Rendering window: adaptive, fixed:1.2 (times the display) or off.")
 ]
 
-ScnOption = Annotated[
-    bool | None,
-    typer.Option("--scn/--no-scn", help="Shading correction network [dim](default: if there are weights)[/]."),
-]
-ScnModelOption = Annotated[
-    Path | None, typer.Option("--scn-model", help="Shading correction network of your own, ONNX.")
-]
-ScnProviderOption = Annotated[
-    str, typer.Option("--scn-provider", help="What runs the network: cpu, cuda, directml, openvino, webgpu, coreml …")
-]
-NoFocusMaskOption = Annotated[
-    bool, typer.Option("--no-focus-mask", help="Take the network's whole image, not what its focus mask chooses.")
-]
-
-
-def scn_options(scn: bool | None, model: Path | None, provider: str, no_focus_mask: bool = False) -> dict:
-    """What `Options` takes of the options on shading correction. GffeError if they contradict each other."""
-    if scn is False and (model is not None or no_focus_mask):
-        raise GffeError(f"--no-scn and {'--no-focus-mask' if model is None else '--scn-model'} exclude each other")
-    path = None if model is None else str(model)
-    return {"shading_correction": scn, "focus_mask": not no_focus_mask, "scn_model": path, "scn_provider": provider}
-
 
 def parse_size(text: str) -> tuple[int, int]:
     """'1920x1080' → (1920, 1080)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,10 +12,6 @@ from rich.table import Table
 from gffe_cl.cli.common import (
     DeviceOption,
     JsonOption,
-    NoFocusMaskOption,
-    ScnModelOption,
-    ScnOption,
-    ScnProviderOption,
     WindowOption,
     app,
     err,
@@ -23,14 +20,15 @@ from gffe_cl.cli.common import (
     parse_size,
     plain,
     progress_bars,
-    scn_options,
     steps,
     write_json,
 )
+from gffe_cl.cli.options import takes_options
 from gffe_cl.errors import GffeError
 
 if TYPE_CHECKING:
     from gffe_cl.opencl.device import Device, DeviceInfo
+    from gffe_cl.options import Options
     from gffe_cl.run import RunReport
     from gffe_cl.source import Live, Recorded
 
@@ -68,26 +66,24 @@ def devices(
 
 
 @app.command()
+@takes_options("shading_correction", "scn_model", "scn_provider")
 def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("out/demo"),
     size: Annotated[str, typer.Option(help="Width × height, pixels.")] = "960x540",
     seed: Annotated[int, typer.Option(help="Variation of the scene.")] = 0,
     window: WindowOption = "off",
-    scn: ScnOption = None,
-    scn_model: ScnModelOption = None,
-    scn_provider: ScnProviderOption = "cpu",
     device: DeviceOption = None,
+    *,
+    options: Options,
 ) -> None:
     """Render the scene 'corridor', extrapolate it, and measure the result against ground truth."""
     from gffe_cl.demo import METHODS
     from gffe_cl.demo import demo as run_demo
     from gffe_cl.opencl.device import open_device
-    from gffe_cl.pipeline import Options
 
     width, height = parse_size(size)
     if min(width, height) < 32 or max(width, height) > 4096:
         raise GffeError(f"demo: --size must be 32 to 4096 pixels each way, got '{size}'")
-    options = Options(**scn_options(scn, scn_model, scn_provider))
     opened = open_device(device)
     out.print(f"Device: {opened.info.name} ({opened.info.platform})")
     with progress_bars() as progress:
@@ -146,6 +142,7 @@ def render(
 
 
 @app.command()
+@takes_options()
 def run(
     sequence: Annotated[Path, typer.Argument(help="Folder of a sequence, or the name of a built-in scene.")],
     output: Annotated[Path, typer.Argument(help="Folder for the result, a sequence again.")],
@@ -155,24 +152,6 @@ def run(
     ] = None,
     alpha: Annotated[str | None, typer.Option(help="Times instead, in intervals after each frame: 0.25,0.5.")] = None,
     device: DeviceOption = None,
-    history: Annotated[int, typer.Option(help="Positions kept per fragment, 2 to 5.")] = 2,
-    order: Annotated[int, typer.Option(help="Degree of the position prediction, below --history.")] = 1,
-    static_threshold: Annotated[
-        str, typer.Option(help="Pixels of motion from which a fragment is dynamic, or auto.")
-    ] = "auto",
-    no_motion: Annotated[bool, typer.Option("--no-motion", help="Treat everything as static.")] = False,
-    no_crack_closing: Annotated[
-        bool, typer.Option("--no-crack-closing", help="Splat single pixels, as in the paper.")
-    ] = False,
-    layers: Annotated[int, typer.Option(help="Levels of the background, 0 to 4.")] = 2,
-    no_background: Annotated[bool, typer.Option("--no-background", help="The same as --layers 0.")] = False,
-    hole_filling: Annotated[
-        str, typer.Option(help="What the background leaves: far-side, push-pull, downsample (the paper's) or none.")
-    ] = "far-side",
-    scn: ScnOption = None,
-    no_focus_mask: NoFocusMaskOption = False,
-    scn_model: ScnModelOption = None,
-    scn_provider: ScnProviderOption = "cpu",
     camera: Annotated[
         str, typer.Option(help="'truth': of the ground-truth frame where there is one; 'predicted'.")
     ] = "truth",
@@ -198,9 +177,10 @@ def run(
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Of a built-in scene: its variation [dim](default 0)[/].")] = None,
     json_path: JsonOption = None,
+    *,
+    options: Options,
 ) -> None:
     """Extrapolate after every rendered frame of a sequence, or of a built-in scene that is rendered meanwhile."""
-    from gffe_cl.pipeline import Options
     from gffe_cl.run import alphas_for, run_sequence
 
     if n is not None and alpha is not None:
@@ -208,11 +188,7 @@ def run(
     alphas = alphas_for(n if n is not None else 1) if alpha is None else parse_numbers(alpha, "--alpha")
     if camera not in ("truth", "predicted"):
         raise GffeError(f"--camera must be 'truth' or 'predicted', got '{camera}'")
-    options = Options(
-        history=history, order=order, static_threshold=_threshold(static_threshold), motion=not no_motion,
-        crack_closing=not no_crack_closing, levels=0 if no_background else layers, hole_filling=hole_filling,
-        shading_inputs=dump_stages, **scn_options(scn, scn_model, scn_provider, no_focus_mask),
-    )  # fmt: skip
+    options = replace(options, shading_inputs=dump_stages)
     live = {"--size": size, "--frames": frames, "--fps": fps, "--seed": seed}
     opened, source = _open_source(sequence, window, device, live)
     with progress_bars() as progress:
@@ -245,16 +221,6 @@ def _open_source(
         raise GffeError(f"{given[0]} is for built-in scenes ({', '.join(SCENES)}), {sequence} is none")
     recorded, opened = open_sequence(sequence), open_device(device)
     return opened, Recorded(recorded, opened, window)
-
-
-def _threshold(text: str) -> float | None:
-    """'2.5' → 2.5, 'auto' → None."""
-    if text == "auto":
-        return None
-    numbers = parse_numbers(text, "--static-threshold")
-    if len(numbers) != 1 or not 0 <= numbers[0] <= 1e6:
-        raise GffeError(f"--static-threshold must be one number of pixels or auto, got '{text}'")
-    return numbers[0]
 
 
 def _print_report(report: RunReport, output: Path) -> None:

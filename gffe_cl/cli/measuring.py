@@ -12,19 +12,15 @@ from rich.table import Table
 from gffe_cl.cli.common import (
     DeviceOption,
     JsonOption,
-    NoFocusMaskOption,
-    ScnModelOption,
-    ScnOption,
-    ScnProviderOption,
     app,
     out,
     parse_size,
     plain,
     progress_bars,
-    scn_options,
     steps,
     write_json,
 )
+from gffe_cl.cli.options import SCN, takes_options
 from gffe_cl.errors import GffeError
 
 if TYPE_CHECKING:
@@ -34,6 +30,7 @@ if TYPE_CHECKING:
     from gffe_cl.evaluation.shading import ShadingStudy
     from gffe_cl.evaluation.windows import WindowStudy
     from gffe_cl.opencl.device import DeviceInfo
+    from gffe_cl.options import Options
 
 
 @app.command()
@@ -83,6 +80,7 @@ def compare(
 
 
 @app.command()
+@takes_options("scn_model", "scn_provider", shading_correction=True)
 def study(
     scenes: Annotated[list[str] | None, typer.Argument(help="Built-in scenes [dim](default: all)[/].")] = None,
     seeds: Annotated[int, typer.Option(help="Seeds 0 … N−1 of each.")] = 3,
@@ -97,8 +95,6 @@ def study(
         bool, typer.Option("--windows", help="Measure rendering windows instead, the camera turning quickly.")
     ] = False,
     shading: Annotated[bool, typer.Option("--shading", help="Measure shading correction instead.")] = False,
-    scn_model: ScnModelOption = None,
-    scn_provider: ScnProviderOption = "cpu",
     sheet: Annotated[
         Path | None, typer.Option(help="With --shading: also write pictures of it to this file (PNG, JPEG).")
     ] = None,
@@ -107,6 +103,8 @@ def study(
     ] = None,
     device: DeviceOption = None,
     json_path: JsonOption = None,
+    *,
+    options: Options,
 ) -> None:
     """Measure the parts of the method on built-in scenes, against an oracle that knows the true motion."""
     from dataclasses import asdict
@@ -116,13 +114,12 @@ def study(
     from gffe_cl.evaluation.shading import study_shading
     from gffe_cl.evaluation.windows import MODES, study_windows
     from gffe_cl.opencl.device import open_device
-    from gffe_cl.pipeline import Options
     from gffe_cl.scenes import SCENES
 
     if disocclusions + windows + shading > 1:
         raise GffeError("study: --disocclusions, --windows and --shading exclude each other")
-    if (scn_model or sheet) and not shading:
-        raise GffeError(f"study: {'--scn-model' if scn_model else '--sheet'} goes with --shading")
+    if (options.scn_model or sheet) and not shading:
+        raise GffeError(f"study: {'--scn-model' if options.scn_model else '--sheet'} goes with --shading")
     if rate is not None and not (windows and 0 < rate <= 1000):
         raise GffeError(f"study: --rate goes with --windows and must be within 0 and 1000 degrees/s, got {rate:g}")
     width, height = parse_size(size)
@@ -138,7 +135,7 @@ def study(
         elif disocclusions:
             measure = study_disocclusions
         elif shading:
-            measure = partial(study_shading, options=Options(**scn_options(True, scn_model, scn_provider)))
+            measure = partial(study_shading, options=options)
         results = {
             name: [measure(opened, name, seed, width, height, frames, fps, alpha, advance) for seed in range(seeds)]
             for name in names
@@ -244,31 +241,27 @@ def _print_studies(studies: list[SceneStudy]) -> None:
 
 
 @app.command()
+@takes_options("levels", *SCN)
 def bench(
     sizes: Annotated[
         str, typer.Option(help="Width × height, separated by commas.")
     ] = "960x540,1280x720,1920x1080,3840x2160",
     repeats: Annotated[int, typer.Option(help="Timed frames per size.")] = 15,
-    layers: Annotated[int, typer.Option(help="Levels of the background, 0 to 4.")] = 2,
-    scn: ScnOption = None,
-    no_focus_mask: NoFocusMaskOption = False,
-    scn_model: ScnModelOption = None,
-    scn_provider: ScnProviderOption = "cpu",
     device: Annotated[
         str | None, typer.Option("--device", help="One device [dim](default: every device that works)[/].")
     ] = None,
     json_path: JsonOption = None,
+    *,
+    options: Options,
 ) -> None:
     """Time every stage, in milliseconds and in bytes per pixel, beside the paper's table."""
     from dataclasses import asdict
 
     from gffe_cl.evaluation.bench import PAPER, Copier, bench_size
     from gffe_cl.opencl.device import list_devices, open_device, open_info
-    from gffe_cl.pipeline import Options
 
     if repeats < 1:
         raise GffeError(f"--repeats must be at least 1, got {repeats}")
-    options = Options(levels=layers, **scn_options(scn, scn_model, scn_provider, no_focus_mask))
     parsed = [parse_size(text) for text in sizes.split(",")]
     if device is None:
         opened = [open_info(info) for info in list_devices() if info.works] or [open_device()]

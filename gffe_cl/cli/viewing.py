@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from gffe_cl.cli.common import (
     DeviceOption,
     JsonOption,
-    ScnModelOption,
-    ScnOption,
-    ScnProviderOption,
     app,
     out,
     parse_size,
-    scn_options,
     write_json,
 )
+from gffe_cl.cli.options import takes_options
 from gffe_cl.errors import GffeError
+
+if TYPE_CHECKING:
+    from gffe_cl.options import Options
 
 
 @app.command()
+@takes_options("shading_correction", "scn_model", "scn_provider")
 def view(
     target: Annotated[
         str | None,
@@ -35,9 +36,6 @@ def view(
     size: Annotated[str, typer.Option(help="Of a built-in scene: width × height, pixels.")] = "480x270",
     seed: Annotated[int, typer.Option(help="Of a built-in scene: its variation.")] = 0,
     device: DeviceOption = None,
-    scn: ScnOption = None,
-    scn_model: ScnModelOption = None,
-    scn_provider: ScnProviderOption = "cpu",
     window_size: Annotated[
         str | None,
         typer.Option(help="Of the viewer's own window, pixels [dim](default: as last time; for reports 1600x900)[/]."),
@@ -57,10 +55,11 @@ def view(
         float | None, typer.Option(help="Play every frame for so many seconds, print how fast that was, and exit.")
     ] = None,
     json_path: JsonOption = None,
+    *,
+    options: Options,
 ) -> None:
     """Open the viewer: play, look into every stage, find out why a pixel is wrong."""
     from gffe_cl.inference import load_network
-    from gffe_cl.pipeline import Options
     from gffe_cl.viewer.model import Model, ScenePlan
     from gffe_cl.viewer.opening import is_scene
     from gffe_cl.viewer.remembering import WAYS
@@ -86,8 +85,8 @@ def view(
     shot = None
     if screenshot is not None:
         shot = Shot(screenshot, frame, layer, compare, other, _pixel(pixel), overview)
-    options = Options(**scn_options(scn, scn_model, scn_provider))
-    if options.corrects_shading and (scn or scn_model is not None or scn_provider != "cpu"):
+    asked = options.shading_correction, options.scn_model, options.scn_provider
+    if options.corrects_shading and asked != (None, None, "cpu"):
         load_network(options.scn_model, options.scn_provider)  # what was asked for must work
     require_display()
     by_hand = shot is None and measure is None

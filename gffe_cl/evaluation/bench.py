@@ -19,7 +19,8 @@ from gffe_cl.camera import Camera
 from gffe_cl.frame import RenderedFrame
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import build
-from gffe_cl.pipeline import Options, Pipeline
+from gffe_cl.options import Options
+from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import SceneRenderer, load_scene
 from gffe_cl.stage import DeviceFrame, read_some_rows
 from gffe_cl.stages.presentation import Presentation

@@ -18,7 +18,8 @@ from gffe_cl.camera import Camera
 from gffe_cl.evaluation.methods import submitted_frames
 from gffe_cl.metrics import display_values
 from gffe_cl.opencl.device import Device
-from gffe_cl.pipeline import Options, Pipeline
+from gffe_cl.options import Options
+from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import SceneRenderer, load_scene
 from gffe_cl.stages.warp import BY_HOLE_FILLING
 

@@ -10,7 +10,8 @@ import numpy as np
 from gffe_cl.frame import RenderedFrame, pack_frame
 from gffe_cl.metrics import display_values, psnr, ssim
 from gffe_cl.opencl.device import Device
-from gffe_cl.pipeline import Options, Pipeline
+from gffe_cl.options import Options
+from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import SceneArrays, SceneRenderer, SequenceFrame, load_scene, sequence_frames
 
 # "literal" is the paper taken at its word: single-pixel splats, no crack closing, 32× hole filling.

@@ -11,7 +11,8 @@ from gffe_cl.evaluation.compare import FOCUS, shading_regions
 from gffe_cl.evaluation.methods import submitted_frames
 from gffe_cl.metrics import RegionErrors, display_values, focus_mask
 from gffe_cl.opencl.device import Device
-from gffe_cl.pipeline import Options, Pipeline
+from gffe_cl.options import Options
+from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import SceneRenderer, load_scene
 
 # Without and with shading correction; and with it, but without its focus mask.

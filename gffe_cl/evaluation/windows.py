@@ -11,7 +11,8 @@ from gffe_cl.evaluation.disocclusions import shows, world_positions
 from gffe_cl.frame import RenderedFrame
 from gffe_cl.metrics import display_values, psnr
 from gffe_cl.opencl.device import Device
-from gffe_cl.pipeline import Options, Pipeline
+from gffe_cl.options import Options
+from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import Scene, SceneRenderer, load_scene, sequence_frames
 from gffe_cl.window import Window, WindowChooser
 

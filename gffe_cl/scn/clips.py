@@ -17,7 +17,8 @@ from gffe_cl.errors import GffeError
 from gffe_cl.frame import HALF_MAX, RenderedFrame
 from gffe_cl.metrics import focus_mask
 from gffe_cl.opencl.device import Device
-from gffe_cl.pipeline import Options, Pipeline
+from gffe_cl.options import Options
+from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
 from gffe_cl.scn import network
 from gffe_cl.scn.variety import vary_scene

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from gffe_cl.camera import Camera
@@ -9,13 +11,21 @@ from gffe_cl.opencl.device import Device
 from gffe_cl.stage import BufferSpec, Sizes, Stage, int2, reprojection
 
 BLOCK = 32
-METHODS = ("far-side", "push-pull", "downsample")
 
 
 class HoleFilling(Stage):
     """Fills, in place, what is still invalid in the warped frame; filled pixels carry depth and motion."""
 
     name = "holes"
+
+    def fill_holes(self, frame, warp: Stage, target: Camera) -> None:
+        raise NotImplementedError
+
+
+class Downsampled(HoleFilling):
+    """From the means of 32×32 blocks (the paper's)."""
+
+    reach = 0  # px, in which the far side is looked for
     buffers = (
         BufferSpec(
             "block_color",
@@ -30,22 +40,7 @@ class HoleFilling(Stage):
         ),
     )
 
-    def __init__(self, device: Device, sizes: Sizes, method: str):
-        """`method`: "far-side" continues the far side of a disocclusion and takes block means beyond its reach;
-        "downsample" takes block means (the paper's); "push-pull" a pyramid of means."""
-        self.reach = max(16, sizes.target[0] // 10) if method == "far-side" else 0
-        self.levels = _level_count(sizes) if method == "push-pull" else 0
-        if self.levels:
-            self.buffers = tuple(spec for level in range(1, self.levels + 1) for spec in _level_buffers(level))
-        super().__init__(device, sizes)
-
     def fill_holes(self, frame, warp: Stage, target: Camera) -> None:
-        if self.levels:
-            self._push_pull(frame, warp, target)
-        else:
-            self._blocks(frame, warp, target)
-
-    def _blocks(self, frame, warp: Stage, target: Camera) -> None:
         color, depth, motion, filled_by = (warp.buffer[name] for name in ("color", "depth", "motion", "filled_by"))
         blocks = self.buffers[0].size(self.sizes)
         block_buffers = (self.buffer["block_color"], self.buffer["block_inverse_depth"])
@@ -77,7 +72,24 @@ class HoleFilling(Stage):
             motion,
         )
 
-    def _push_pull(self, frame, warp: Stage, target: Camera) -> None:
+
+class FarSide(Downsampled):
+    """Continues the far side of a disocclusion, and takes block means beyond its reach."""
+
+    def __init__(self, device: Device, sizes: Sizes):
+        self.reach = max(16, sizes.target[0] // 10)
+        super().__init__(device, sizes)
+
+
+class PushPull(HoleFilling):
+    """From a pyramid of means."""
+
+    def __init__(self, device: Device, sizes: Sizes):
+        self.levels = _level_count(sizes)
+        self.buffers = tuple(spec for level in range(1, self.levels + 1) for spec in _level_buffers(level))
+        super().__init__(device, sizes)
+
+    def fill_holes(self, frame, warp: Stage, target: Camera) -> None:
         color, depth, motion, filled_by = (warp.buffer[name] for name in ("color", "depth", "motion", "filled_by"))
         sizes = {spec.name: spec.size(self.sizes) for spec in self.buffers}
 
@@ -105,6 +117,22 @@ class HoleFilling(Stage):
             depth,
             motion,
         )
+
+
+@dataclass(frozen=True)
+class Filling:
+    """A way to fill holes: a `sentence` for help and for the story of a pixel, and its stage, None to leave holes."""
+
+    sentence: str
+    stage: type[HoleFilling] | None
+
+
+FILLINGS = {
+    "far-side": Filling("continues the far side of the hole", FarSide),
+    "push-pull": Filling("is a mean of the surroundings, from a pyramid of means", PushPull),
+    "downsample": Filling("comes from the image downsampled 32 times, as in the paper", Downsampled),
+    "none": Filling("stays black, at infinite depth", None),
+}
 
 
 def _level_count(sizes: Sizes) -> int:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from imgui_bundle import imgui
 
-from gffe_cl.pipeline import HOLE_FILLINGS, Options
+from gffe_cl.options import OPTIONS, Options
 from gffe_cl.viewer import widgets
 
 _DEFAULT = Options()
@@ -61,7 +61,10 @@ def draw(app) -> None:
     )  # fmt: skip
     if options.hole_filling != "none":
         widgets.choice(
-            "filling", options.hole_filling, [m for m in HOLE_FILLINGS if m != "none"], lambda m: change(hole_filling=m)
+            "filling",
+            options.hole_filling,
+            [name for name in OPTIONS["hole_filling"].choices if name != "none"],
+            lambda m: change(hole_filling=m),
         )
     widgets.slider(
         "generated frames", model.n, 1, 7, 1, model.set_n, "%d",

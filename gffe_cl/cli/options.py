@@ -1,0 +1,123 @@
+"""The pipeline's options on the command line, made from their descriptions."""
+
+from __future__ import annotations
+
+import inspect
+import typing
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import typer
+
+from gffe_cl.errors import GffeError
+from gffe_cl.options import OPTIONS, Option, Options
+
+SCN = ("shading_correction", "focus_mask", "scn_model", "scn_provider")  # what the commands that only measure offer
+
+
+def takes_options(*names: str, **fixed: Any) -> Callable[[Callable], Callable]:
+    """Gives a command the options `names` (all that have a flag if none are named) in place of its parameter `options`,
+    an `Options`; `fixed` are values of others."""
+
+    def decorate(command: Callable) -> Callable:
+        chosen = [OPTIONS[name] for name in names or OPTIONS if OPTIONS[name].flag and name not in fixed]
+        own = [p for p in inspect.signature(command).parameters.values() if p.name != "options"]
+        hints = {name: hint for name, hint in command.__annotations__.items() if name not in ("options", "return")}
+        resolved = {
+            name: typing.get_type_hints(_with(name, hint, command), include_extras=True)[name]
+            for name, hint in hints.items()
+        }
+        made = [parameter for option in chosen for parameter in _parameters(option)]
+        parameters = [p.replace(annotation=resolved[p.name]) for p in own] + made
+
+        def with_options(**given: Any) -> Any:
+            values = {p.name: given.pop(p.name) for p in made}
+            return command(**given, options=_options(chosen, values, fixed))
+
+        with_options.__signature__ = inspect.Signature(
+            [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in parameters]
+        )
+        with_options.__annotations__ = {p.name: p.annotation for p in parameters}
+        with_options.__name__, with_options.__doc__ = command.__name__, command.__doc__
+        return with_options
+
+    return decorate
+
+
+def _with(name: str, hint: Any, command: Callable) -> Callable:
+    def holder() -> None: ...
+
+    holder.__annotations__ = {name: hint}
+    holder.__wrapped__ = command  # where the names of the annotation are looked up
+    return holder
+
+
+def _parameters(option: Option) -> list[inspect.Parameter]:
+    """Of typer: one, and a second for the short way to switch a module off."""
+    made = [_parameter(option.name, *_kind(option), option.flag, _help(option))]
+    if option.off_flag:
+        made.append(
+            _parameter(f"no_{option.name}", bool, False, option.off_flag, f"The same as {option.flag} {option.off}.")
+        )
+    return made
+
+
+def _kind(option: Option) -> tuple[Any, Any]:
+    """Type and default of the command line's parameter."""
+    if option.kind is bool:
+        return (bool | None, None) if option.automatic else (bool, False)
+    if option.kind is str:
+        return (str | None, None) if option.automatic else (str, option.default)
+    if option.automatic:
+        return str, option.automatic
+    return option.kind, option.default
+
+
+def _help(option: Option) -> str:
+    if option.kind is bool and option.default is True:
+        _, _, off = option.sentence.partition("off: ")
+        return f"{off[:1].upper()}{off[1:]}"
+    notes = []
+    if option.choices:
+        notes.append(", ".join(option.choices))
+    elif option.kind in (int, float) and not option.automatic:
+        notes.append(f"{option.low:g} to {option.high:g}")
+    if option.kind in (bool, str) and option.automatic:
+        notes.append(f"default: {option.automatic.removeprefix('auto: ')}")
+    return option.sentence + (f" [dim]({'; '.join(notes)})[/]" if notes else "")
+
+
+def _parameter(name: str, kind: Any, default: Any, flag: str, text: str) -> inspect.Parameter:
+    annotation = Annotated[kind, typer.Option(flag, help=text)]
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+def _options(chosen: list[Option], values: dict[str, Any], fixed: dict[str, Any]) -> Options:
+    made = dict(fixed)
+    for option in chosen:
+        value = values[option.name]
+        if values.get(f"no_{option.name}"):
+            value = option.off
+        elif option.kind is bool and option.default is True:
+            value = not value
+        elif option.kind is float and isinstance(value, str):
+            value = None if value == option.automatic else _number(option, value)
+        try:
+            made[option.name] = option.checked(value)
+        except GffeError:
+            raise GffeError(f"{option.flag} must be {option.expected}, got '{value}'") from None
+    if made.get("shading_correction") is False:
+        for name, meant in (
+            ("scn_model", made.get("scn_model") is not None),
+            ("focus_mask", made.get("focus_mask") is False),
+        ):
+            if meant:
+                raise GffeError(f"--no-scn and {OPTIONS[name].flag} exclude each other")
+    return Options(**made)
+
+
+def _number(option: Option, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise GffeError(f"{option.flag} must be {option.expected}, got '{text}'") from None

@@ -1,0 +1,181 @@
+"""What the pipeline can be told, described once: the command line, the viewer's panel, palette and settings, and the
+documentation come from `OPTIONS`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+from gffe_cl import inference
+from gffe_cl.errors import GffeError
+from gffe_cl.stages.background import MAX_LEVELS
+from gffe_cl.stages.holes import FILLINGS
+from gffe_cl.stages.prediction import MAX_ORDER
+
+
+@dataclass(frozen=True)
+class Option:
+    """One field of `Options`, described.
+
+    Attributes
+    ----------
+    name, default : of the field
+    label : short, for panels and menus
+    sentence : for help and tooltips
+    kind : bool, int, float or str
+    low, high : range of a number, both included; `usual_high` is where sliders end
+    unit : of a number
+    choices : of a string, with a sentence each; empty if any will do
+    automatic : what None stands for ("auto": found out from the data), where None is allowed
+    off : the value that switches a module off; False for a bool, None if it is no module
+    off_label, off_sentence : of the module, where switching it off is an option beside this one
+    flag : of the command line; of a bool that is on by default, what switches it off
+    off_flag : of the command line, short for the value `off`
+    remembered : by the viewer, from one start to the next
+    """
+
+    name: str = ""
+    default: Any = None
+    label: str = ""
+    sentence: str = ""
+    kind: type = bool
+    low: float = -math.inf
+    high: float = math.inf
+    usual_high: float | None = None
+    unit: str = ""
+    choices: dict[str, str] = field(default_factory=dict)
+    automatic: str | None = None
+    off: Any = None
+    off_label: str = ""
+    off_sentence: str = ""
+    flag: str | None = None
+    off_flag: str | None = None
+    remembered: bool = True
+
+    @property
+    def is_module(self) -> bool:
+        """Whether it can be switched on and off."""
+        return self.off is not None
+
+    def checked(self, value: Any) -> Any:
+        """`value` as the field holds it. GffeError if it makes no sense."""
+        if value is None and self.automatic is not None:
+            return None
+        number = self.kind in (int, float)
+        allowed = {bool: (bool,), int: (int,), float: (int, float), str: (str,)}[self.kind]
+        right = isinstance(value, allowed) and not (number and isinstance(value, bool))
+        if right and number:
+            right = self.low <= value <= self.high and math.isfinite(value)
+        if right and self.choices:
+            right = value in self.choices
+        if not right:
+            raise GffeError(f"options: {self.label} must be {self.expected}, got {value!r}")
+        return self.kind(value)
+
+    @property
+    def expected(self) -> str:
+        """What `checked` takes, in words."""
+        either = f", or {self.automatic}" if self.automatic else ""
+        if self.choices:
+            return ", ".join(self.choices) + either
+        if self.kind is bool:
+            return "on or off (True or False)" + either
+        if self.kind is str:
+            return "a text" + either
+        what = "a whole number" if self.kind is int else "a number"
+        unit = f" of {self.unit}" if self.unit else ""
+        bounds = f"{self.low:g} to {self.high:g}" if math.isfinite(self.high) else f"≥ {self.low:g}"
+        return f"{what}{unit}, {bounds}{either}"
+
+
+def _option(default: Any, label: str, sentence: str, **about: Any) -> Any:
+    about = {"kind": type(default), **about}
+    if about["kind"] is bool and "off" not in about:
+        about["off"] = False
+    return field(default=default, metadata={"option": Option(label=label, sentence=sentence, default=default, **about)})
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the pipeline does; the defaults are the recommended settings. `OPTIONS` describes each field.
+
+    Raises GffeError for values that make no sense.
+    """
+
+    motion: bool = _option(
+        True, "motion estimation", "History tracking; off: everything is static.", flag="--no-motion"
+    )
+    history: int = _option(
+        2, "history", "k: positions kept per fragment, the current one included.", low=2, high=MAX_ORDER + 1,
+        unit="positions", flag="--history",
+    )  # fmt: skip
+    order: int = _option(
+        1, "prediction order", "m: degree of the position prediction, below the history; 1 is linear, the paper's.",
+        low=1, high=MAX_ORDER, flag="--order",
+    )  # fmt: skip
+    static_threshold: float | None = _option(
+        None, "static threshold", "ε: pixels of motion from which a fragment is dynamic; auto follows the noise of the"
+        " motion vectors.", kind=float, low=0.0, high=1e6, usual_high=8.0, unit="pixels", automatic="auto",
+        flag="--static-threshold",
+    )  # fmt: skip
+    crack_closing: bool = _option(
+        True, "crack closing", "A fragment covers what its pixel maps to; off: single pixels, as in the paper.",
+        flag="--no-crack-closing",
+    )  # fmt: skip
+    levels: int = _option(
+        2, "background levels", "L: level 0 holds what moving objects hide, deeper ones what static surfaces do.",
+        low=0, high=MAX_LEVELS, off=0, off_label="background collection",
+        off_sentence="Static surfaces that are hidden now, remembered in levels.", flag="--layers",
+        off_flag="--no-background",
+    )  # fmt: skip
+    hole_filling: str = _option(
+        "far-side", "hole filling", "What neither the rendered frame nor the background shows.",
+        choices={name: filling.sentence for name, filling in FILLINGS.items()}, off="none", flag="--hole-filling",
+    )  # fmt: skip
+    shading_inputs: bool = _option(
+        False, "inputs of shading correction", "Make them where shading correction is off, too.", remembered=False
+    )
+    shading_correction: bool | None = _option(
+        None, "shading correction", "A network moves shadows and reflections to where they belong.", kind=bool,
+        off=False, automatic="auto: if there are weights", flag="--scn/--no-scn",
+    )  # fmt: skip
+    focus_mask: bool = _option(
+        True,
+        "focus mask",
+        "Only what the network says is wrong; off: the network's whole image.",
+        flag="--no-focus-mask",
+    )
+    scn_model: str | None = _option(
+        None, "network", "Shading correction network of your own, ONNX.", kind=str,
+        automatic="auto: the package's own", flag="--scn-model", remembered=False,
+    )  # fmt: skip
+    scn_provider: str = _option(
+        "cpu", "network's provider", f"What runs the network: {', '.join(inference.PROVIDERS)}.", flag="--scn-provider",
+        remembered=False,
+    )  # fmt: skip
+
+    def __post_init__(self):
+        for name, option in OPTIONS.items():
+            object.__setattr__(self, name, option.checked(getattr(self, name)))
+        if self.order >= self.history:
+            raise GffeError(f"options: order must be 1 to history − 1 = {self.history - 1}, got {self.order}")
+
+    def changed(self, name: str, value: Any) -> Options:
+        """With another value of one field; history and order give way to each other."""
+        values = {name: value}
+        if name == "history" and isinstance(value, int):
+            values["order"] = max(1, min(self.order, value - 1))
+        if name == "order" and isinstance(value, int):
+            values["history"] = max(self.history, value + 1)
+        return replace(self, **values)
+
+    @property
+    def corrects_shading(self) -> bool:
+        """Whether the shading correction network runs."""
+        if self.shading_correction is None:
+            return self.scn_model is not None or inference.default_model() is not None
+        return self.shading_correction
+
+
+OPTIONS: dict[str, Option] = {f.name: replace(f.metadata["option"], name=f.name) for f in fields(Options)}
