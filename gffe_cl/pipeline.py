@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pyopencl as cl
 import pyopencl.array
 
-from gffe_cl import inference
 from gffe_cl.camera import Camera, predict_camera
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import (
@@ -25,24 +25,24 @@ from gffe_cl.frame import (
 )
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
-from gffe_cl.stage import BufferSpec, DeviceFrame, Sizes, Stage
+from gffe_cl.stage import EXTRAPOLATED, RGBA, Board, BufferSpec, DeviceFrame, Output, Owner, Sizes, Stage, Step
 from gffe_cl.stages.background import Background
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.history import HistoryTracking
-from gffe_cl.stages.holes import FILLINGS
+from gffe_cl.stages.holes import FILLINGS, HoleFilling
 from gffe_cl.stages.prediction import MAX_ORDER, PositionPrediction
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import ShadingInputs
+from gffe_cl.stages.surfaces import Surfaces
 from gffe_cl.stages.warp import Warp
 
 
 @dataclass(frozen=True)
-class PresentedFrame:
-    """What is shown of the rendered frame at t: its display part, in display pixels.
+class MadeFrame:
+    """What the pipeline made, on the device: buffers that hold it until the next one is made.
 
-    `color` (half ×4, linear RGB), `depth` (float, world units, +inf sky), `motion` (float ×2, pixels, t → t−1 between
-    the displayed images) are device buffers that hold this frame until the next `submit`: the rendered frame's own, bit
-    for bit, where all of it is shown.
+    `camera` in display pixels, `time` in seconds; `color` (half ×4, linear RGB), `depth` (float, world units, +inf sky)
+    and `motion` (float ×2, pixels).
     """
 
     camera: Camera
@@ -54,45 +54,54 @@ class PresentedFrame:
     _size: tuple[int, int]
 
     def numpy(self, name: str) -> np.ndarray:
-        """Copy to the host: "color" (H, W, 3) float16, "depth" (H, W) float32, "motion" (H, W, 2) float32."""
-        channels, dtype = {"color": ((4,), np.float16), "depth": ((), np.float32), "motion": ((2,), np.float32)}[name]
-        out = np.empty((*reversed(self._size), *channels), dtype)
+        """Copy to the host by the attribute's name: colours (H, W, 3) float16, "depth" (H, W) float32, "motion"
+        (H, W, 2) float32, all others (H, W) uint8."""
+        spec = next(s for s in EXTRAPOLATED if s.name == _LIKE.get(name, name))
+        out = np.empty(spec.shape(Sizes(self._size, self._size)), spec.dtype)
         cl.enqueue_copy(self._device.queue, out, getattr(self, name))
-        return out[..., :3] if name == "color" else out
+        return out[..., :3] if spec.components == RGBA else out
+
+
+class PresentedFrame(MadeFrame):
+    """What is shown of the rendered frame at t: its display part, in display pixels; `motion` t → t−1 between the
+    displayed images. The buffers are the rendered frame's own where all of it is shown."""
 
 
 @dataclass(frozen=True)
-class ExtrapolatedFrame:
+class ExtrapolatedFrame(MadeFrame):
     """An extrapolated frame at t + α.
 
-    `color` (half ×4, linear RGB), `depth` (float, world units, +inf sky), `motion` (float ×2, pixels,
-    t + α → t, into the rendered image of t), `dynamic`, `disoccluded`, `filled_by` (uchar) are device buffers of
-    the pipeline: they hold this frame until its next `extrapolate`. `gae` is the colour before shading correction, the
-    same buffer as `color` where that is off.
+    `motion` is t + α → t, into the rendered image of t; `dynamic`, `disoccluded`, `filled_by` (uchar). `gae` is the
+    colour before shading correction, the same buffer as `color` where that is off.
     """
 
-    camera: Camera
-    time: float
     alpha: float
     source_time: float
-    color: cl.Buffer
-    depth: cl.Buffer
-    motion: cl.Buffer
     dynamic: cl.Buffer
     disoccluded: cl.Buffer
     filled_by: cl.Buffer
     gae: cl.Buffer
-    _warp: Stage
 
-    def numpy(self, name: str) -> np.ndarray:
-        """Copy to the host: "color", "gae" (H, W, 3) float16, "depth" (H, W) float32, "motion" (H, W, 2) float32,
-        "dynamic", "disoccluded", "filled_by" (H, W) uint8."""
-        if name not in ("color", "gae"):
-            return self._warp.read(name)
-        spec = self._warp.spec("color")
-        array = np.empty(spec.shape(self._warp.sizes), spec.dtype)
-        cl.enqueue_copy(self._warp.device.queue, array, getattr(self, name))
-        return array[..., :3]
+
+_LIKE = {"gae": "color"}  # what is described like another buffer
+
+# In the order in which they work, on rendered frames and on new ones.
+STAGES: tuple[type[Stage], ...] = (
+    HistoryTracking,
+    Surfaces,
+    PositionPrediction,
+    Warp,
+    Background,
+    HoleFilling,
+    ShadingInputs,
+    ShadingCorrection,
+)
+
+
+def stages_of(options: Options) -> list[type[Stage]]:
+    """The stages that the options ask for, in order."""
+    chosen = (FILLINGS[options.hole_filling].stage if stage is HoleFilling else stage for stage in STAGES)
+    return [stage for stage in chosen if stage and stage.is_wanted(options)]
 
 
 class Pipeline:
@@ -142,25 +151,10 @@ class Pipeline:
         self.fps = fps
         self.exposure = 1.0
         self.bad_pixels = BadPixels()
-        self.history = HistoryTracking(device, self.sizes, self.options.history, self.options.static_threshold)
-        self.prediction = PositionPrediction(device, self.sizes, self.options.order)
-        self.warp = Warp(device, self.sizes, self.options.crack_closing, int64_atomics)
-        filling = FILLINGS[self.options.hole_filling].stage
-        self.holes = filling(device, self.sizes) if filling else None
-        self.background = (
-            Background(device, self.sizes, self.options.levels, int64_atomics) if self.options.levels else None
-        )
-        self.correction: ShadingCorrection | None = None
-        if self.options.corrects_shading:
-            network = inference.load_network(self.options.scn_model, self.options.scn_provider)
-            self.correction = ShadingCorrection(device, self.sizes, network)
-        with_inputs = self.options.shading_inputs or self.correction
-        self.shading = ShadingInputs(device, self.sizes) if with_inputs else None
-        stages = (
-            self.history, self.prediction, self.warp, self.background, self.holes, self.shading, self.correction
-        )  # fmt: skip
-        self.stages: tuple[Stage, ...] = tuple(stage for stage in stages if stage)
-        self.presentation: Presentation | None = None  # made, and added to `stages`, with the first windowed frame
+        self.board = Board(device, self.sizes, self.options, int64_atomics)
+        self.stages: dict[str, Stage] = {stage.name: stage(self.board) for stage in stages_of(self.options)}
+        self.presentation: Presentation | None = None  # made with the first windowed frame
+        self._outputs: dict[str, Output] = {}  # what is kept of each stage's
         self._slots: list[DeviceFrame] = []
         self._current: DeviceFrame | None = None
         self._previous: DeviceFrame | None = None
@@ -187,13 +181,12 @@ class Pipeline:
             self._previous = self._current
         self._current = on_device
         self._times = [frame.time, *self._times[:MAX_ORDER]]
-        self.history.track(self._current, self._previous if self.options.motion else None)
-        self.warp.link(self._current, self.history)
-        if self.background:
-            self.background.collect(self._current, self._previous, self.history, self.warp)
+        self.board.rendered, self.board.previous = self._current, self._previous or self._current
+        step = Step(self._current, self._previous, self._times)
+        for stage in self.stages.values():
+            stage.rendered(step)
         if self.presentation is None and not self._shown_whole(on_device):
-            self.presentation = Presentation(self.device, self.sizes)
-            self.stages += (self.presentation,)
+            self.presentation = Presentation(self.board)
 
     def present(self) -> PresentedFrame:
         """What is shown of the last submitted frame; resamples it where it was rendered through a window, or where the
@@ -275,32 +268,33 @@ class Pipeline:
         if not (np.isfinite(alpha) and alpha >= 0):
             raise GffeError(f"extrapolate: time {time:g} s is before the last rendered frame's ({source.time:g} s)")
         camera = camera or self.predict_camera(alpha)
-        if target_position is None:
-            self.prediction.predict(source, self.history, self._times, camera, time)
-        elif np.shape(target_position) != (*reversed(self.sizes.source), 4):
+        if target_position is not None and np.shape(target_position) != (*reversed(self.sizes.source), 4):
             raise GffeError(
                 f"extrapolate: target_position must have shape {(*reversed(self.sizes.source), 4)},"
                 f" got {np.shape(target_position)}"
             )
-        else:
-            self.prediction.upload("target_position", np.ascontiguousarray(target_position, np.float32))
-        self.warp.warp(source, self.history, self.prediction, camera)
-        if self.background:
-            self.background.project(source, self.warp, camera)
-        if self.holes:
-            self.holes.fill_holes(source, self.warp, camera)
-        if self.shading:
-            self.shading.prepare(source, self._previous, self.warp, camera)
-        made, final = self.warp.buffer, self.warp.buffer["color"]
-        if self.correction:
-            final = self.correction.buffer["color"]
-            if self._previous is None:
-                self.correction.skip(self.warp)
+        step = Step(source, self._previous, self._times, camera, time, alpha, self.exposure)
+        for stage in self.stages.values():
+            if target_position is not None and isinstance(stage, PositionPrediction):
+                stage.upload("target_position", np.ascontiguousarray(target_position, np.float32))
             else:
-                self.correction.correct(self.warp, self.shading, alpha, self.exposure, self.options.focus_mask)
-        buffers = {name: made[name] for name in ("depth", "motion", "dynamic", "disoccluded", "filled_by")}
+                stage.extrapolated(step)
+            if stage.name in self._outputs:
+                self._outputs[stage.name].keep(self.board.frame.buffer)
+        made = self.board.frame.buffer
+        correction = self.stages.get(ShadingCorrection.name)
         return ExtrapolatedFrame(
-            camera, time, alpha, source.time, color=final, gae=made["color"], **buffers, _warp=self.warp
+            camera,
+            time,
+            correction.buffer["color"] if correction else made["color"],
+            made["depth"],
+            made["motion"],
+            self.device,
+            self.sizes.target,
+            alpha,
+            source.time,
+            **{name: made[name] for name in ("dynamic", "disoccluded", "filled_by")},
+            gae=made["color"],
         )
 
     def _need_frame(self) -> DeviceFrame:
@@ -310,20 +304,52 @@ class Pipeline:
 
     # ---- looking inside --------------------------------------------------------------------------------
 
-    def named_buffers(self) -> Iterator[tuple[Stage, BufferSpec]]:
-        """Every named buffer of every stage that works on the present frame; read one with `stage.read(spec.name)`."""
-        for stage in self.stages:
-            if stage is self.presentation and not self._needs_presentation:
-                continue
-            for spec in stage.buffers:
-                yield stage, spec
+    def named_buffers(self) -> Iterator[tuple[Owner, BufferSpec]]:
+        """Every named buffer that holds the present frame, with its owner; read one with `owner.read(spec.name)`. It is
+        called "<owner.name>.<spec.name>".
+
+        What a stage left in the buffers of the extrapolated frame ("warp.color": before the background filled anything)
+        is among them once `keep` asked for it.
+        """
+        yield from ((self.board.frame, spec) for spec in self.board.frame.buffers)
+        for stage in self.stages.values():
+            yield from ((stage, spec) for spec in stage.buffers if not spec.scratch)
+            if output := self._outputs.get(stage.name):
+                yield from ((output, output.spec(name)) for name in output.buffer)
+        if self.presentation and self._needs_presentation:
+            yield from ((self.presentation, spec) for spec in self.presentation.buffers)
+
+    def outputs(self) -> Iterator[tuple[str, BufferSpec]]:
+        """What `keep` can keep: the stages' names, and the buffers of the extrapolated frame that each of them writes
+        and another one writes too."""
+        writers = [(stage.name, name) for stage in self.stages.values() for name in stage.outputs()]
+        several = {name for name, count in Counter(name for _, name in writers).items() if count > 1}
+        for stage, name in writers:
+            if name in several:
+                spec = self.board.frame.spec(name)
+                yield stage, replace(spec, description=f"{spec.description}, as the stage '{stage}' left it")
+
+    def keep(self, names: Iterable[str] | None = None) -> None:
+        """From the next frame on keep the outputs `names`, such as "warp.color" (None: all), and no others. Names of
+        other buffers are ignored."""
+        wanted = None if names is None else set(names)
+        found: dict[str, list[BufferSpec]] = {}
+        for stage, spec in self.outputs():
+            found.setdefault(stage, []).append(spec)
+        for stage, specs in found.items():
+            chosen = {spec.name for spec in specs if wanted is None or f"{stage}.{spec.name}" in wanted}
+            if chosen or stage in self._outputs:
+                self._outputs.setdefault(stage, Output(self.stages[stage], specs)).choose(chosen)
 
     def take_timings(self) -> dict[str, float]:
         """Milliseconds of kernel time per stage since the last call (waits for the device); with shading correction
         "network" is the wall time in the network."""
         self.device.queue.finish()
-        timings = {stage.name: stage.take_milliseconds() for stage in self.stages}
-        return timings | ({"network": self.correction.take_network_milliseconds()} if self.correction else {})
+        timings = {stage.name: stage.take_milliseconds() for stage in self.stages.values()}
+        if self.presentation:
+            timings[self.presentation.name] = self.presentation.take_milliseconds()
+        correction = self.stages.get(ShadingCorrection.name)
+        return timings | ({"network": correction.take_network_milliseconds()} if correction else {})
 
 
 def _as_buffer(array: Any) -> cl.Buffer | None:

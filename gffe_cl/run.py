@@ -76,6 +76,8 @@ def run_sequence(
     report = RunReport(0, BadPixels(), [], {})
     timings: dict[str, float] = defaultdict(float)
     writing = SequenceWriter(output, *size, source.fps, source.exposure, generator="gffe-cl run")
+    if dump_stages:
+        pipeline.keep()
     with writing as writer, stage_dump(output / "stages" if dump_stages else None) as dump:
         for entry, frame, packed in source.frames(alphas, strict):
             pipeline.submit(frame, packed)

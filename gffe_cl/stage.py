@@ -1,13 +1,21 @@
-"""The contract of a stage: it declares its named buffers, allocates them once, and launches kernels.
+"""The contract of a stage: it declares the buffers it makes, and what each of its kernels reads and writes.
 
-What the stage dump writes, the viewer lists and the README tabulates comes from `Stage.buffers`.
+From the declarations come the arguments of the kernels, the stage dump, the viewer's layers, the documentation's tables
+of stages and memory, and the bytes per pixel that must move (`gffe bench`).
+
+A buffer is called "<owner>.<name>": "rendered.depth" and "previous.depth" are of the rendered frame and of the one
+before, "frame.color" of the extrapolated frame, all others of the stage that makes them: "history.dynamic_mask". An
+apostrophe means what a stage kept of the frame before, as in the paper: "history.history'".
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -16,10 +24,24 @@ from gffe_cl.camera import Camera
 from gffe_cl.frame import BYTES_PER_PIXEL, PackedFrame
 from gffe_cl.inference import MULTIPLE
 from gffe_cl.opencl.device import Device
-from gffe_cl.opencl.program import build
+from gffe_cl.opencl.program import Program, build, constants
 
 _EVENTS = 1024  # kept per stage for whoever asks for timings
 _ROW = 64  # work-items of a work-group, all in one row: rows stream better than squares on CPUs
+
+RGBA = ("R", "G", "B", "A")
+XY = ("x", "y")
+
+_LABELS = constants("common.h")
+BY_HOLE_FILLING, BY_NOTHING = _LABELS["BY_HOLE_FILLING"], _LABELS["BY_NOTHING"]
+BY_CRACK_CLOSING = _LABELS["BY_CRACK_CLOSING"]
+FILLED_BY = (
+    (_LABELS["BY_WARP"], "its own fragment"),
+    *((1 + level, f"background level {level}") for level in range(4)),
+    (BY_NOTHING, "nothing"),
+    (BY_CRACK_CLOSING, "crack closing"),
+    (BY_HOLE_FILLING, "hole filling"),
+)
 
 
 @dataclass(frozen=True)
@@ -29,17 +51,32 @@ class Sizes:
     source: tuple[int, int]
     target: tuple[int, int]
 
+    def of(self, grid: str) -> tuple[int, int]:
+        """Width and height of a grid, see `BufferSpec`."""
+        if grid.startswith("mip"):
+            return halved(self.target, int(grid[3:]))
+        if grid.startswith("level"):
+            return halved(self.source, int(grid[5:]))
+        return {
+            "source": self.source,
+            "target": self.target,
+            "blocks": halved(self.target, 5),
+            "network": tuple(-(-n // MULTIPLE) * MULTIPLE for n in halved(self.target, 1)),
+            "once": (1, 1),
+        }[grid]
+
 
 @dataclass(frozen=True)
 class BufferSpec:
-    """One named buffer of a stage.
+    """One named buffer.
 
     `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "blocks"
     (target / 32, rounded up), "level0" … (source / 2^l, rounded up), "mip1" … (target / 2^l, rounded up), "network"
     (target / 2, rounded up to multiples of 16) or "once" (no image). `components` name its channels; a single one goes
     without. `view` says what it means, and so how to show it: "color" (linear RGB), "depth" (view z), "motion" (pixels,
     from here), "place" (position in pixels), "world" (position in the view space of the rendered camera), "mask" (0 or
-    1), "label" (`labels` name its values), "scalar". `mapped`: the host works in it.
+    1), "label" (`labels` name its values), "scalar". `mapped`: the host works in it. `kept`: that of the frame before
+    is kept too. `scratch`: of no interest once the stage is through.
     """
 
     name: str
@@ -51,24 +88,21 @@ class BufferSpec:
     planes: int = 1
     labels: tuple[tuple[int, str], ...] = ()
     mapped: bool = False
+    kept: bool = False
+    scratch: bool = False
 
     @property
     def channels(self) -> int:
         return max(len(self.components), 1)
 
+    @property
+    def bytes_per_pixel(self) -> int:
+        """Of its own grid, one plane."""
+        return self.channels * np.dtype(self.dtype).itemsize
+
     def size(self, sizes: Sizes) -> tuple[int, int]:
         """Width and height in pixels or texels."""
-        if self.grid.startswith("mip"):
-            return halved(sizes.target, int(self.grid[3:]))
-        if self.grid.startswith("level"):
-            return halved(sizes.source, int(self.grid[5:]))
-        return {
-            "source": sizes.source,
-            "target": sizes.target,
-            "blocks": halved(sizes.target, 5),
-            "network": tuple(-(-n // MULTIPLE) * MULTIPLE for n in halved(sizes.target, 1)),
-            "once": (1, 1),
-        }[self.grid]
+        return sizes.of(self.grid)
 
     def shape(self, sizes: Sizes) -> tuple[int, ...]:
         """Shape of the NumPy array: (planes?, H, W, channels?)."""
@@ -78,6 +112,123 @@ class BufferSpec:
 
     def nbytes(self, sizes: Sizes) -> int:
         return int(np.prod(self.shape(sizes))) * np.dtype(self.dtype).itemsize
+
+
+RENDERED = (
+    BufferSpec("color", np.float16, RGBA, "source", "colour of the rendered frame, linear RGB (I)", "color"),
+    BufferSpec("depth", np.float32, (), "source", "its view depth, world units, +inf sky (D)", "depth"),
+    BufferSpec("motion", np.float32, XY, "source", "its motion t → t−1, pixels (V)", "motion"),
+)
+EXTRAPOLATED = (
+    BufferSpec("color", np.float16, RGBA, "target", "colour of the extrapolated frame (Ī^GAE)", "color"),
+    BufferSpec("depth", np.float32, (), "target", "view depth in the target camera, world units (D̄)", "depth"),
+    BufferSpec("motion", np.float32, XY, "target", "t + α → t, pixels, into the rendered image (V̄)", "motion"),
+    BufferSpec("dynamic", np.uint8, (), "target", "1 where the fragment shown is dynamic", "mask"),
+    BufferSpec("disoccluded", np.uint8, (), "target", "1 where no fragment of the rendered frame lands", "mask"),
+    BufferSpec("filled_by", np.uint8, (), "target", "what the pixel comes from", "label", labels=FILLED_BY),
+    BufferSpec(
+        "mixed", np.uint8, (), "target",
+        "1 where the fragment's colour was mixed with a silhouette's that moves away, and its neighbour's is shown",
+        "mask",
+    ),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Access:
+    """What a kernel reads or writes through one argument.
+
+    `buffer` is its name; {…} in it are given at the launch. `share` says of which share of the buffer's pixels, by a
+    counter of `evaluation.traffic.SHARES` or as a number; `planes` of how many planes, None for all.
+    """
+
+    buffer: str
+    share: str | float = 1.0
+    planes: int | None = None
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A kernel of a stage.
+
+    `grid` has its work-items, one per `step` pixels each way (a number, or the name of a constant of the kernel file).
+    `reads` and `writes` go by the names of its arguments; what is read and written is in both. "" stands for a buffer
+    that each launch gives.
+    """
+
+    name: str
+    grid: str
+    reads: Mapping[str, Access | str] = field(default_factory=dict)
+    writes: Mapping[str, Access | str] = field(default_factory=dict)
+    step: tuple[int | str, int | str] = (1, 1)
+    group: int | str = _ROW
+
+    def accesses(self) -> Iterator[tuple[str, str, Access]]:
+        """("reads" or "writes", argument, access) of each."""
+        for kind in ("reads", "writes"):
+            for argument, access in getattr(self, kind).items():
+                yield kind, argument, access if isinstance(access, Access) else Access(access)
+
+
+class Owner:
+    """Who has named buffers: `name`, `buffers` (their descriptions) and `buffer` (by name, on the device)."""
+
+    name = ""
+    buffers: tuple[BufferSpec, ...] = ()
+
+    def __init__(self, device: Device, sizes: Sizes):
+        self.device, self.sizes = device, sizes
+        self.buffer: dict[str, cl.Buffer] = {}
+
+    def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
+        """New device buffers by name, all bits zero."""
+        made = {spec.name: self.device.buffer(spec.nbytes(self.sizes), spec.mapped) for spec in specs}
+        for buffer in made.values():
+            cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint8(0), 0, buffer.size)
+        return made
+
+    def spec(self, name: str) -> BufferSpec:
+        return next(spec for spec in self.buffers if spec.name == name)
+
+    def read(self, name: str) -> np.ndarray:
+        """Copy a named buffer to the host."""
+        spec = self.spec(name)
+        out = np.empty(spec.shape(self.sizes), spec.dtype)
+        cl.enqueue_copy(self.device.queue, out, self.buffer[name])
+        return out
+
+    def upload(self, name: str, values: np.ndarray) -> None:
+        """Copy host values into a named buffer."""
+        cl.enqueue_copy(self.device.queue, self.buffer[name], values)
+
+
+class ExtrapolatedBuffers(Owner):
+    """The buffers of the extrapolated frame, which several stages write."""
+
+    name = "frame"
+    buffers = EXTRAPOLATED
+
+    def __init__(self, device: Device, sizes: Sizes):
+        super().__init__(device, sizes)
+        self.buffer = self.allocate(self.buffers)
+
+
+class Output(Owner):
+    """What a stage left in the buffers of the extrapolated frame, kept where somebody asks for it."""
+
+    def __init__(self, stage: Stage, specs: Iterable[BufferSpec]):
+        super().__init__(stage.device, stage.sizes)
+        self.name, self.buffers = stage.name, tuple(specs)
+
+    def choose(self, names: set[str]) -> None:
+        """Keep the buffers `names` from now on, and no others."""
+        specs = [spec for spec in self.buffers if spec.name in names and spec.name not in self.buffer]
+        self.buffer = {name: b for name, b in self.buffer.items() if name in names} | self.allocate(specs)
+
+    def keep(self, of: Mapping[str, cl.Buffer]) -> None:
+        """Enqueue copies of what is chosen."""
+        for name, buffer in self.buffer.items():
+            cl.enqueue_copy(self.device.queue, buffer, of[name])
 
 
 @dataclass
@@ -108,51 +259,141 @@ class DeviceFrame:
         return self.color, self.depth, self.motion
 
 
-RGBA = ("R", "G", "B", "A")
-XY = ("x", "y")
+@dataclass
+class Step:
+    """What a stage works on: a rendered frame (after `submit`), or a new frame extrapolated from it.
 
-
-class Stage:
-    """Base of all stages.
-
-    Subclasses set `name` (kernel file and module too), `buffers` (or override `declare`), and have methods
-    that launch their kernels. `events` holds the latest profiling events since the last `take_events`.
+    Attributes
+    ----------
+    frame : DeviceFrame
+        The rendered frame.
+    previous : DeviceFrame or None
+        The rendered frame before; None after a reset, and where motion estimation is off.
+    times : list of float
+        Of the rendered frames since the last reset, newest first, seconds.
+    camera, time, alpha, exposure
+        Of the new frame: its camera, seconds, α, and the factor on colour before display.
     """
 
-    name = ""
-    buffers: tuple[BufferSpec, ...] = ()
+    frame: DeviceFrame
+    previous: DeviceFrame | None
+    times: list[float]
+    camera: Camera | None = None
+    time: float = 0.0
+    alpha: float = 0.0
+    exposure: float = 1.0
 
-    def __init__(self, device: Device, sizes: Sizes, **variant: int):
-        self.device = device
-        self.sizes = sizes
-        self.program = build(device, self.name, **variant)
-        self.buffer = self.allocate(self.buffers)
+
+class Board:
+    """Where stages find each other's buffers.
+
+    `int64`: whether keys are 64 bits wide (see `NearestStage`); None: if the device has such atomics.
+    """
+
+    def __init__(self, device: Device, sizes: Sizes, options: Any = None, int64: bool | None = None):
+        self.device, self.sizes, self.options = device, sizes, options
+        self.int64 = device.int64_atomics if int64 is None else int64
+        self.stages: dict[str, Stage] = {}
+        self.rendered: DeviceFrame | None = None
+        self.previous: DeviceFrame | None = None  # the rendered frame itself where there is none before
+
+    @cached_property
+    def frame(self) -> ExtrapolatedBuffers:
+        """The extrapolated frame."""
+        return ExtrapolatedBuffers(self.device, self.sizes)
+
+    def buffer(self, name: str) -> cl.Buffer:
+        """Of that name. KeyError if no stage has it."""
+        owner, _, rest = name.partition(".")
+        if owner in ("rendered", "previous"):
+            return getattr(getattr(self, owner), rest)
+        if owner == "frame":
+            return self.frame.buffer[rest]
+        stage = self.stages[owner]
+        return stage.before[rest[:-1]] if rest.endswith("'") else stage.buffer[rest]
+
+    def spec(self, name: str) -> BufferSpec:
+        owner, _, rest = name.partition(".")
+        if owner in ("rendered", "previous"):
+            return next(spec for spec in RENDERED if spec.name == rest)
+        return (self.frame if owner == "frame" else self.stages[owner]).spec(rest.removesuffix("'"))
+
+
+class Stage(Owner):
+    """Base of all stages.
+
+    Subclasses set `name` (kernel file and module too), `buffers` and `kernels`, and override `rendered`, `extrapolated`
+    or both. `events` holds the latest profiling events since the last `take_events`; `before` what is kept of the frame
+    before.
+    """
+
+    kernels: tuple[Kernel, ...] = ()
+    registered = True  # whether other stages find its buffers on the board
+
+    def __init__(self, board: Board, **variant: int):
+        super().__init__(board.device, board.sizes)
+        self.board = board
+        self.program: Program = build(self.device, self.name, **variant)
         self.events: deque[tuple[str, cl.Event]] = deque(maxlen=_EVENTS)
+        self.buffer = self.allocate(self.buffers)
+        self.before = self.allocate(spec for spec in self.buffers if spec.kept)
+        self._kernels = {kernel.name: kernel for kernel in self.kernels}
+        self._check()
+        if self.registered:
+            board.stages[self.name] = self
 
-    def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
-        """New device buffers by name, all bits zero."""
-        made = {spec.name: self.device.buffer(spec.nbytes(self.sizes), spec.mapped) for spec in specs}
-        for buffer in made.values():
-            cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint8(0), 0, buffer.size)
-        return made
+    @classmethod
+    def is_wanted(cls, options: Any) -> bool:
+        """Whether the pipeline's options ask for this stage."""
+        return True
 
-    def launch(self, kernel: str, size: tuple[int, int], *args, group: int = _ROW) -> None:
-        """Enqueue `kernel` over a (width, height) grid in rows of `group` work-items.
+    def rendered(self, step: Step) -> None:
+        """Work on a rendered frame, once, after it was submitted."""
 
-        The width is rounded up to whole groups: kernels guard against the padding.
+    def extrapolated(self, step: Step) -> None:
+        """Work on a new frame."""
+
+    @classmethod
+    def outputs(cls) -> tuple[str, ...]:
+        """Names of the buffers of the extrapolated frame that the stage writes."""
+        written = (access.buffer for kernel in cls.kernels for kind, _, access in kernel.accesses() if kind == "writes")
+        return tuple(dict.fromkeys(name.removeprefix("frame.") for name in written if name.startswith("frame.")))
+
+    def swap(self) -> None:
+        """What was made becomes what is kept of the frame before."""
+        for name, buffer in self.before.items():
+            self.before[name], self.buffer[name] = self.buffer[name], buffer
+
+    def launch(self, name: str, size: tuple[int, int] | None = None, **given: Any) -> None:
+        """Enqueue a kernel over its grid, or over `size` (width, height), in rows of work-items.
+
+        Arguments come by name: those given here, the buffers that the kernel declares, sizes (`source_width`,
+        `target_height`, `network_width` …; `level_width`: of the grid itself) and options. The width is rounded up to
+        whole groups: kernels guard against the padding.
         """
-        width, height = size
+        kernel = self._kernels[name]
+        size = size or self.sizes.of(kernel.grid.format(**given))
+        values = {"level_width": size[0], "level_height": size[1]} | given
+        for _, argument, access in kernel.accesses():
+            if argument not in given:
+                values[argument] = self._buffer(access.buffer, given)
+        for argument in self.program.arguments[name]:
+            if argument.name not in values:
+                values[argument.name] = self._scalar(argument.name)
+        width, height = (-(-n // self._number(step)) for n, step in zip(size, kernel.step, strict=True))
+        group = self._number(kernel.group)
         grid = (-(-width // group) * group, height)
-        event = self.program.kernels[kernel](self.device.queue, grid, (group, 1), *args)
-        self.events.append((kernel, event))
+        self.events.append((name, self.program.launch(self.device.queue, name, grid, (group, 1), values)))
 
-    def fill(self, buffer: cl.Buffer, byte: int, nbytes: int | None = None) -> None:
-        """Enqueue setting the first `nbytes` bytes of `buffer`, or all of them."""
+    def fill(self, name: str, byte: int, nbytes: int | None = None) -> None:
+        """Enqueue setting the first `nbytes` bytes of a buffer of this stage, or all of them."""
+        buffer = self.buffer[name]
         event = cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint8(byte), 0, nbytes or buffer.size)
         self.events.append(("fill", event))
 
-    def copy(self, to: cl.Buffer, of: cl.Buffer) -> None:
-        """Enqueue a copy between buffers of one size."""
+    def copy(self, to: str, of: str) -> None:
+        """Enqueue a copy between buffers of one size, by their names."""
+        to, of = self._buffer(to, {}), self._buffer(of, {})
         self.events.append(("copy", cl.enqueue_copy(self.device.queue, to, of)))
 
     def take_milliseconds(self) -> float:
@@ -164,19 +405,37 @@ class Stage:
         self.events.clear()
         return events
 
-    def upload(self, name: str, values: np.ndarray) -> None:
-        """Copy host values into a named buffer."""
-        cl.enqueue_copy(self.device.queue, self.buffer[name], values)
+    def _buffer(self, name: str, given: Mapping[str, Any]) -> cl.Buffer:
+        name = name.format(**given) if "{" in name else name
+        owner, _, rest = name.partition(".")
+        if owner == self.name:
+            return self.before[rest[:-1]] if rest.endswith("'") else self.buffer[rest]
+        return self.board.buffer(name)
 
-    def spec(self, name: str) -> BufferSpec:
-        return next(spec for spec in self.buffers if spec.name == name)
+    def _scalar(self, name: str) -> Any:
+        """The value of an argument that is a size or an option."""
+        grid, _, side = name.rpartition("_")
+        if side in ("width", "height"):
+            return self.sizes.of(grid)[side == "height"]
+        if not hasattr(self.board.options, name):
+            raise TypeError(f"kernels/{self.name}.cl: no value for argument '{name}'")
+        return getattr(self.board.options, name)
 
-    def read(self, name: str) -> np.ndarray:
-        """Copy a named buffer to the host."""
-        spec = self.spec(name)
-        out = np.empty(spec.shape(self.sizes), spec.dtype)
-        cl.enqueue_copy(self.device.queue, out, self.buffer[name])
-        return out
+    def _number(self, number: int | str) -> int:
+        return self.program.constants[number] if isinstance(number, str) else number
+
+    def _check(self) -> None:
+        """What the kernels declare must be what their source says."""
+        for kernel in self.kernels:
+            where = f"kernels/{self.name}.cl, {kernel.name}"
+            assert kernel.name in self.program.arguments, f"{where}: there is no such kernel"
+            buffers = {a.name: a for a in self.program.arguments[kernel.name] if a.buffer}
+            declared = set(kernel.reads) | set(kernel.writes)
+            assert declared == set(buffers), f"{where}: declared {sorted(declared)}, takes {sorted(buffers)}"
+            written = {name for name, argument in buffers.items() if not argument.read_only}
+            assert written == set(kernel.writes), (
+                f"{where}: declared as written {sorted(kernel.writes)}, are {sorted(written)}"
+            )
 
 
 class NearestStage(Stage):
@@ -186,24 +445,26 @@ class NearestStage(Stage):
     nearest. Both give the same bits. A kernel that offers fragments is launched once for each of `passes`.
     """
 
-    def __init__(self, device: Device, sizes: Sizes, int64: bool | None):
-        """`int64`: use 64-bit atomics; None: if the device has them."""
-        self.int64 = device.int64_atomics if int64 is None else int64
-        self.passes = range(1 if self.int64 else 2)
-        super().__init__(device, sizes, **({"INT64_ATOMICS": 1} if self.int64 else {}))
+    def __init__(self, board: Board):
+        self.passes = range(1 if board.int64 else 2)
+        super().__init__(board, **({"INT64_ATOMICS": 1} if board.int64 else {}))
 
-    def key_buffers(self, pixels: int) -> tuple[cl.Buffer, cl.Buffer]:
-        """Keys and winners for so many pixels."""
-        return self.device.buffer(pixels * (8 if self.int64 else 4)), self.device.buffer(
-            4 if self.int64 else pixels * 4
+    @staticmethod
+    def keys(board: Board, prefix: str, grid: str) -> tuple[BufferSpec, BufferSpec]:
+        """The buffers of keys and winners for a grid, "<prefix>keys" and "<prefix>winners"."""
+        about = "nearest fragment offered to each pixel: depth" + (", index" if board.int64 else "")
+        dtype, winners = (np.uint64, "once") if board.int64 else (np.uint32, grid)
+        return (
+            BufferSpec(f"{prefix}keys", dtype, (), grid, about, scratch=True),
+            BufferSpec(f"{prefix}winners", np.uint32, (), winners, "its index, without 64-bit atomics", scratch=True),
         )
 
-    def clear_keys(self, keys: tuple[cl.Buffer, cl.Buffer], size: tuple[int, int]) -> None:
+    def clear_keys(self, prefix: str, size: tuple[int, int]) -> None:
         """Enqueue emptying the keys of an image of (width, height), before fragments are offered."""
-        pixels = size[0] * size[1]
-        self.fill(keys[0], 0xFF, pixels * (8 if self.int64 else 4))
-        if not self.int64:
-            self.fill(keys[1], 0xFF, pixels * 4)
+        pixels = math.prod(size)
+        self.fill(f"{prefix}keys", 0xFF, pixels * (8 if self.board.int64 else 4))
+        if not self.board.int64:
+            self.fill(f"{prefix}winners", 0xFF, pixels * 4)
 
 
 def read_some_rows(device: Device, depth: cl.Buffer, size: tuple[int, int], every: int = 16) -> np.ndarray:
@@ -243,8 +504,3 @@ def reprojection(source: Camera, target: Camera) -> np.ndarray:
     packed[4] = (1 / source.fx, 1 / source.fy, source.cx, source.cy)
     packed[5] = target.intrinsics
     return packed
-
-
-def int2(size: tuple[int, int]) -> tuple[np.int32, np.int32]:
-    """(width, height) as kernel arguments."""
-    return np.int32(size[0]), np.int32(size[1])

@@ -12,10 +12,12 @@
 #define LINK_LEFT 4
 #define LINK_UP 8
 
-/* Values of `filled_by`, what a pixel of an extrapolated frame shows; 1 + l is level l of the background. */
+/* Values of `filled_by`, what a pixel of an extrapolated frame shows; 1 + l is level l of the background; 250 to 252 are
+   for fragments of the previous frame. */
 #define BY_WARP 0
+#define BY_NOTHING 253
 #define BY_CRACK_CLOSING 254
-#define BY_NOTHING 255  /* what hole filling fills in the end */
+#define BY_HOLE_FILLING 255
 
 /* Pinhole intrinsics in pixels: (fx, fy, cx, cy). */
 typedef float4 Pinhole;
@@ -80,6 +82,21 @@ inline float3 reproject(const float2 px, const float z, const Reprojection r) {
     const float3 target_pos = sky ? rotate_to_target(view_pos, r) : move_to_target(view_pos, r);
     if (!(target_pos.z > 0.0f)) return (float3)(0.0f, 0.0f, -1.0f);
     return (float3)(project(target_pos, r.target), sky ? INFINITY : target_pos.z);
+}
+
+/* Weight of one of the four taps of bilinear interpolation, bit 0: right, bit 1: down, at (u, v) from the first. */
+inline float bilinear_weight(const int tap, const float u, const float v) {
+    return ((tap & 1) ? u : 1.0f - u) * ((tap >> 1) ? v : 1.0f - v);
+}
+
+/* Whether depth z is that of a surface at depth `expected`, within `tolerance`; sky is sky only. */
+inline bool is_same_surface(const float z, const float expected, const float tolerance) {
+    return isinf(expected) ? isinf(z) : fabs(z - expected) <= tolerance;
+}
+
+/* The mean of what was summed up with weights. */
+inline float3 mean_of(const float3 sum, const float weight_sum) {
+    return (float3)(divide(sum.x, weight_sum), divide(sum.y, weight_sum), divide(sum.z, weight_sum));
 }
 
 /* Linear RGB of pixel i; NaN counts as 0, infinities are clamped. */

@@ -12,12 +12,13 @@
 #define LEAST_MASK 0.03125f  /* a smaller focus mask is 0 */
 
 /* How often each bin of finite depth occurs. */
-__kernel void depth_histogram(const int width, const int height, __global const float *depth, __global uint *histogram) {
-    const int x = get_global_id(0), first = get_global_id(1) * STRIP;
-    if (x >= width) return;
+__kernel void depth_histogram(const int target_width, const int target_height, __global const float *depth,
+                              __global uint *histogram) {
+    const int dst_x = get_global_id(0), first = get_global_id(1) * STRIP;
+    if (dst_x >= target_width) return;
     uint bin = 0, run = 0;
-    for (int y = first; y < min(first + STRIP, height); ++y) {
-        const float z = depth[y * width + x];
+    for (int dst_y = first; dst_y < min(first + STRIP, target_height); ++dst_y) {
+        const float z = depth[dst_y * target_width + dst_x];
         if (INVALID_DEPTH(z) || isinf(z)) continue;
         const uint here = as_uint(z) >> BIN_BITS;
         if (run && here != bin) {
@@ -90,37 +91,39 @@ inline float decode(const float e, const float4 law) {
 }
 
 /* Planes of the network's input: means over 2x2 pixels, the image's border repeated. */
-__kernel void network_input(const int width, const int height, const int network_width, const int network_height,
+__kernel void network_input(const int target_width, const int target_height, const int network_width,
+                            const int network_height,
                             const float4 law, __global const uint2 *color /* half x4 */,
                             __global const uint2 *warped_previous /* half x4 */, __global const float *depth,
                             __global const half *input_mask, __global const float *median_depth, __global float *frames) {
-    const int i = get_global_id(0), j = get_global_id(1);
-    if (i >= network_width || j >= network_height) return;
+    const int net_x = get_global_id(0), net_y = get_global_id(1);
+    if (net_x >= network_width || net_y >= network_height) return;
     const float median = *median_depth;
     Rgb now = {0.0f, 0.0f, 0.0f}, before = now;
     float inverse = 0.0f, mask = 0.0f;
 #pragma unroll
     for (int tap = 0; tap < 4; ++tap) {
-        const int x = min(2 * i + (tap & 1), width - 1), y = min(2 * j + (tap >> 1), height - 1), p = y * width + x;
-        const Rgb a = load_rgb(color, p), b = load_rgb(warped_previous, p);
+        const int dst_x = min(2 * net_x + (tap & 1), target_width - 1);
+        const int dst_y = min(2 * net_y + (tap >> 1), target_height - 1), dst = dst_y * target_width + dst_x;
+        const Rgb a = load_rgb(color, dst), b = load_rgb(warped_previous, dst);
         now.r += encode(a.r, law);
         now.g += encode(a.g, law);
         now.b += encode(a.b, law);
         before.r += encode(b.r, law);
         before.g += encode(b.g, law);
         before.b += encode(b.b, law);
-        inverse += least(divide(median, depth[p]), MAX_INVERSE_DEPTH);
-        mask += vload_half(p, input_mask);
+        inverse += least(divide(median, depth[dst]), MAX_INVERSE_DEPTH);
+        mask += vload_half(dst, input_mask);
     }
-    const int at = j * network_width + i, plane = network_width * network_height;
-    frames[at] = 0.25f * now.r;
-    frames[at + plane] = 0.25f * now.g;
-    frames[at + 2 * plane] = 0.25f * now.b;
-    frames[at + 3 * plane] = 0.25f * before.r;
-    frames[at + 4 * plane] = 0.25f * before.g;
-    frames[at + 5 * plane] = 0.25f * before.b;
-    frames[at + 6 * plane] = 0.25f * inverse;
-    frames[at + 7 * plane] = 0.25f * mask;
+    const int net = net_y * network_width + net_x, plane = network_width * network_height;
+    frames[net] = 0.25f * now.r;
+    frames[net + plane] = 0.25f * now.g;
+    frames[net + 2 * plane] = 0.25f * now.b;
+    frames[net + 3 * plane] = 0.25f * before.r;
+    frames[net + 4 * plane] = 0.25f * before.g;
+    frames[net + 5 * plane] = 0.25f * before.b;
+    frames[net + 6 * plane] = 0.25f * inverse;
+    frames[net + 7 * plane] = 0.25f * mask;
 }
 
 /* The four taps of bilinear interpolation of an image at half resolution. */
@@ -142,14 +145,14 @@ inline float interpolate(__global const float *image, const Taps t) {
 
 /* refined: the network's image, the detail of the extrapolated one kept as it says; out_color: that within the focus mask,
    the extrapolated colour's own bits where the mask is 0. Output that is not finite counts as no mask. */
-__kernel void correct(const int width, const int height, const int network_width, const int network_height,
+__kernel void correct(const int target_width, const int target_height, const int network_width, const int network_height,
                       const float4 law, const int within_mask, __global const uint2 *color /* half x4 */,
                       __global const float *frames, __global const float *correction,
                       __global uint2 *refined /* half x4 */, __global half *focus_mask,
                       __global uint2 *out_color /* half x4 */) {
     const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height) return;
-    const int i = y * width + x, plane = network_width * network_height;
+    if (x >= target_width || y >= target_height) return;
+    const int i = y * target_width + x, plane = network_width * network_height;
     const Taps taps = taps_of(x, y, network_width, network_height);
     const Rgb c = load_rgb(color, i);
     const float keep = interpolate(correction + 3 * plane, taps);

@@ -10,14 +10,16 @@ inline float4 cubic_weights(const float t) {
 }
 
 /* Cubic interpolation of the 4x4 taps from (x0, y0) on, which lie in the image, clamped to the four inner ones. */
-inline float3 cubic(const int x0, const int y0, const float u, const float v, const int width, __global const uint2 *color) {
+inline float3 cubic(const int x0, const int y0, const float u, const float v, const int width,
+                    __global const uint2 *color) {
     const float4 wx = cubic_weights(u), wy4 = cubic_weights(v);
     const float wy[4] = {wy4.x, wy4.y, wy4.z, wy4.w};
     Rgb sum = {0.0f, 0.0f, 0.0f}, low = {INFINITY, INFINITY, INFINITY}, high = {-INFINITY, -INFINITY, -INFINITY};
 #pragma unroll
     for (int ty = 0; ty < 4; ++ty) {
         const int i = (y0 + ty) * width + x0;
-        const Rgb a = load_rgb(color, i), b = load_rgb(color, i + 1), c = load_rgb(color, i + 2), d = load_rgb(color, i + 3);
+        const Rgb a = load_rgb(color, i), b = load_rgb(color, i + 1), c = load_rgb(color, i + 2), d = load_rgb(color,
+                                                                                                               i + 3);
         sum.r += wy[ty] * (wx.x * a.r + wx.y * b.r + wx.z * c.r + wx.w * d.r);
         sum.g += wy[ty] * (wx.x * a.g + wx.y * b.g + wx.z * c.g + wx.w * d.g);
         sum.b += wy[ty] * (wx.x * a.b + wx.y * b.b + wx.z * c.b + wx.w * d.b);
@@ -29,5 +31,6 @@ inline float3 cubic(const int x0, const int y0, const float u, const float v, co
         high.g = most(high.g, most(b.g, c.g));
         high.b = most(high.b, most(b.b, c.b));
     }
-    return (float3)(least(most(sum.r, low.r), high.r), least(most(sum.g, low.g), high.g), least(most(sum.b, low.b), high.b));
+    return (float3)(least(most(sum.r, low.r), high.r), least(most(sum.g, low.g), high.g), least(most(sum.b, low.b),
+                                                                                                high.b));
 }

@@ -14,11 +14,13 @@
 #define DEPTH_CHANGE_MOST 0.12f  /* relative change within an interval of a surface that fills the neighbourhood of x' */
 
 /* Where pixel (x, y) of depth z was if it is static: (px in the previous frame, z there). */
-inline float3 static_position(const int x, const int y, const float z, const Reprojection to_previous) {
-    return reproject(pixel_centre(x, y), z, to_previous);
+inline float3 static_position(const int src_x, const int src_y, const float z, const Reprojection to_previous) {
+    return reproject(pixel_centre(src_x, src_y), z, to_previous);
 }
 
-inline float2 previous_position(const int x, const int y, const float2 mv_px) { return pixel_centre(x, y) + mv_px; }
+inline float2 previous_position(const int src_x, const int src_y, const float2 mv_px) {
+    return pixel_centre(src_x, src_y) + mv_px;
+}
 
 inline float squared_distance(const float2 a, const float2 b) {
     const float dx = a.x - b.x, dy = a.y - b.y;
@@ -26,13 +28,13 @@ inline float squared_distance(const float2 a, const float2 b) {
 }
 
 /* Residual x^ - x' of the static test at a pixel; false where it does not apply. */
-inline bool static_residual(const int x, const int y, const int width, __global const float *depth,
+inline bool static_residual(const int src_x, const int src_y, const int source_width, __global const float *depth,
                             __global const float2 *motion, const Reprojection to_previous, float2 *residual) {
-    const float z = depth[y * width + x];
-    const float2 mv_px = motion[y * width + x];
+    const float z = depth[src_y * source_width + src_x];
+    const float2 mv_px = motion[src_y * source_width + src_x];
     if (INVALID_DEPTH(z) || isinf(z) || !isfinite(mv_px.x) || !isfinite(mv_px.y)) return false;
-    const float3 px_static = static_position(x, y, z, to_previous);
-    *residual = px_static.xy - previous_position(x, y, mv_px);
+    const float3 px_static = static_position(src_x, src_y, z, to_previous);
+    *residual = px_static.xy - previous_position(src_x, src_y, mv_px);
     return px_static.z > 0.0f;
 }
 
@@ -43,16 +45,17 @@ inline int residual_bin(const float2 residual) {
 
 /* Two histograms over a subset of the pixels, two bins per octave: of the squared residual, and of its squared change over a
    short distance. */
-__kernel void residual_histogram(const int width, const int height,
+__kernel void residual_histogram(const int source_width, const int source_height,
                                  __global const float *depth, __global const float2 *motion,
                                  const Reprojection to_previous, __global int *histogram) {
-    const int x = get_global_id(0) * RESIDUAL_STRIDE, y = get_global_id(1) * RESIDUAL_STRIDE;
-    if (x >= width || y >= height) return;
+    const int src_x = get_global_id(0) * RESIDUAL_STRIDE, src_y = get_global_id(1) * RESIDUAL_STRIDE;
+    if (src_x >= source_width || src_y >= source_height) return;
     float2 here, there;
-    if (!static_residual(x, y, width, depth, motion, to_previous, &here)) return;
+    if (!static_residual(src_x, src_y, source_width, depth, motion, to_previous, &here)) return;
     atomic_inc(histogram + residual_bin(here));
-    const int near_x = x + SCATTER_DISTANCE, near_y = y + SCATTER_DISTANCE;
-    if (near_x < width && near_y < height && static_residual(near_x, near_y, width, depth, motion, to_previous, &there))
+    const int near_x = src_x + SCATTER_DISTANCE, near_y = src_y + SCATTER_DISTANCE;
+    if (near_x < source_width && near_y < source_height
+        && static_residual(near_x, near_y, source_width, depth, motion, to_previous, &there))
         atomic_inc(histogram + RESIDUAL_BINS + residual_bin(here - there));
 }
 
@@ -86,38 +89,39 @@ inline bool plausible(const float z, const float z_expected, const float toleran
 }
 
 /* Depth of the fragment's surface at px_prev in the previous frame, or -1; *nearest is the pixel that has most of it. */
-inline float depth_met(const float2 px_prev, const float z_expected, const float tolerance, const int width,
-                       const int height, __global const float *depth_prev, int *nearest) {
-    if (!(px_prev.x > -4.0f && px_prev.y > -4.0f && px_prev.x < (float)width + 4.0f && px_prev.y < (float)height + 4.0f))
+inline float depth_met(const float2 px_prev, const float z_expected, const float tolerance, const int source_width,
+                       const int source_height, __global const float *depth_prev, int *nearest) {
+    if (!(px_prev.x > -4.0f && px_prev.y > -4.0f && px_prev.x < (float)source_width + 4.0f
+          && px_prev.y < (float)source_height + 4.0f))
         return -1.0f;
     const float fx = px_prev.x - 0.5f, fy = px_prev.y - 0.5f;
     const int x0 = (int)floor(fx), y0 = (int)floor(fy);
     const float u = fx - (float)x0, v = fy - (float)y0;
     float sum = 0.0f, weight_sum = 0.0f, heaviest = 0.0f;
     for (int tap = 0; tap < 4; ++tap) {
-        const int x = x0 + (tap & 1), y = y0 + (tap >> 1);
-        if (!inside(x, y, width, height)) continue;
-        const float z = depth_prev[y * width + x];
+        const int tap_x = x0 + (tap & 1), tap_y = y0 + (tap >> 1);
+        if (!inside(tap_x, tap_y, source_width, source_height)) continue;
+        const float z = depth_prev[tap_y * source_width + tap_x];
         if (!plausible(z, z_expected, tolerance)) continue;
-        const float weight = ((tap & 1) ? u : 1.0f - u) * ((tap >> 1) ? v : 1.0f - v);
+        const float weight = bilinear_weight(tap, u, v);
         sum += weight * z;
         weight_sum += weight;
-        if (weight > heaviest) { heaviest = weight; *nearest = y * width + x; }
+        if (weight > heaviest) { heaviest = weight; *nearest = tap_y * source_width + tap_x; }
     }
     if (weight_sum > 0.0f) return divide(sum, weight_sum);
 
-    const int xc = (int)floor(px_prev.x), yc = (int)floor(px_prev.y);
+    const int near_x = (int)floor(px_prev.x), near_y = (int)floor(px_prev.y);
     float found = -1.0f, closest = INFINITY;
     for (int dy = -SEARCH_RADIUS; dy <= SEARCH_RADIUS; ++dy)
         for (int dx = -SEARCH_RADIUS; dx <= SEARCH_RADIUS; ++dx) {
-            const int x = xc + dx, y = yc + dy;
-            if (!inside(x, y, width, height)) continue;
-            const float z = depth_prev[y * width + x];
-            const float distance = squared_distance(pixel_centre(x, y), px_prev);
+            const int tap_x = near_x + dx, tap_y = near_y + dy;
+            if (!inside(tap_x, tap_y, source_width, source_height)) continue;
+            const float z = depth_prev[tap_y * source_width + tap_x];
+            const float distance = squared_distance(pixel_centre(tap_x, tap_y), px_prev);
             if (distance < closest && plausible(z, z_expected, tolerance)) {
                 closest = distance;
                 found = z;
-                *nearest = y * width + x;
+                *nearest = tap_y * source_width + tap_x;
             }
         }
     if (found > 0.0f) return found;
@@ -126,38 +130,39 @@ inline float depth_met(const float2 px_prev, const float z_expected, const float
        four taps agree among themselves, so that x' cannot have slipped off an edge. */
     float low = INFINITY, high = -INFINITY;
     for (int tap = 0; tap < 4; ++tap) {
-        const int x = x0 + (tap & 1), y = y0 + (tap >> 1);
-        if (!inside(x, y, width, height)) return -1.0f;
-        const float z = depth_prev[y * width + x];
+        const int tap_x = x0 + (tap & 1), tap_y = y0 + (tap >> 1);
+        if (!inside(tap_x, tap_y, source_width, source_height)) return -1.0f;
+        const float z = depth_prev[tap_y * source_width + tap_x];
         if (!plausible(z, z_expected, DEPTH_CHANGE_MOST * z_expected)) return -1.0f;
         low = fmin(low, z);
         high = fmax(high, z);
-        sum += ((tap & 1) ? u : 1.0f - u) * ((tap >> 1) ? v : 1.0f - v) * z;
+        sum += bilinear_weight(tap, u, v) * z;
     }
-    *nearest = (u < 0.5f ? y0 * width + x0 : y0 * width + x0 + 1) + (v < 0.5f ? 0 : width);
+    *nearest = (u < 0.5f ? y0 * source_width + x0 : y0 * source_width + x0 + 1) + (v < 0.5f ? 0 : source_width);
     return high - low <= DEPTH_TOLERANCE * low ? sum : -1.0f;
 }
 
 /* Algorithm 1. history: k-1 planes of (P_i, 1), or (P_0, 0) where P_i is not known. */
-__kernel void track_history(const int width, const int height, const int positions /* k */, const int has_previous,
+__kernel void track_history(const int source_width, const int source_height, const int positions /* k */,
+                            const int has_previous,
                             __global const float *depth, __global const float2 *motion,
                             __global const float *depth_prev, __global const uchar *dynamic_prev,
                             __global const float4 *history_prev,
                             const Reprojection to_previous, const Reprojection from_previous,
                             __global const float *threshold_squared,
                             __global uchar *dynamic_mask, __global float4 *history) {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height) return;
-    const int i = y * width + x, plane = width * height;
-    const float z = depth[i];
-    const float3 p0 = unproject(pixel_centre(x, y), z, to_previous.source_inverse);
+    const int src_x = get_global_id(0), src_y = get_global_id(1);
+    if (src_x >= source_width || src_y >= source_height) return;
+    const int src = src_y * source_width + src_x, plane = source_width * source_height;
+    const float z = depth[src];
+    const float3 p0 = unproject(pixel_centre(src_x, src_y), z, to_previous.source_inverse);
 
     bool is_dynamic = false;
     int known = 0;  /* how many of P_1 ... are known */
     if (has_previous && !INVALID_DEPTH(z) && !isinf(z)) {
-        const float2 mv_px = motion[i];
-        const float2 px_prev = previous_position(x, y, mv_px);
-        const float3 px_static = static_position(x, y, z, to_previous);
+        const float2 mv_px = motion[src];
+        const float2 px_prev = previous_position(src_x, src_y, mv_px);
+        const float3 px_static = static_position(src_x, src_y, z, to_previous);
         const bool usable = isfinite(mv_px.x) && isfinite(mv_px.y);
         const float r2 = squared_distance(px_static.xy, px_prev);
         is_dynamic = !usable || px_static.z < 0.0f || !(r2 <= threshold_squared[0]);
@@ -166,24 +171,26 @@ __kernel void track_history(const int width, const int height, const int positio
                                    * from_previous.source_inverse.x * px_static.z;
             const float tolerance = DEPTH_TOLERANCE * px_static.z + DEPTH_PER_MOTION * sideways;
             int nearest = 0;
-            const float z_prev = depth_met(px_prev, px_static.z, tolerance, width, height, depth_prev, &nearest);
+            const float z_prev = depth_met(px_prev, px_static.z, tolerance, source_width, source_height, depth_prev,
+                                           &nearest);
             if (z_prev > 0.0f) {
                 const float3 p1_prev = unproject(px_prev, z_prev, from_previous.source_inverse);
-                history[i] = (float4)(move_to_target(p1_prev, from_previous), 1.0f);
+                history[src] = (float4)(move_to_target(p1_prev, from_previous), 1.0f);
                 known = 1;
                 /* P_i[x] = P'_{i-1}[x'], carried over with the offset between x' and the pixel it is read from. */
-                const float3 at_nearest = unproject(pixel_centre(nearest % width, nearest / width), depth_prev[nearest],
+                const float3 at_nearest = unproject(pixel_centre(nearest % source_width, nearest / source_width),
+                                                    depth_prev[nearest],
                                                     from_previous.source_inverse);
                 const float3 offset = p1_prev - at_nearest;
                 for (; known < positions - 1; ++known) {
                     float4 older = (float4)(at_nearest, 1.0f);
                     if (dynamic_prev[nearest]) older = history_prev[(known - 1) * plane + nearest];
                     if (older.w == 0.0f) break;
-                    history[known * plane + i] = (float4)(move_to_target(older.xyz + offset, from_previous), 1.0f);
+                    history[known * plane + src] = (float4)(move_to_target(older.xyz + offset, from_previous), 1.0f);
                 }
             }
         }
     }
-    dynamic_mask[i] = is_dynamic;
-    for (int k = known; k < positions - 1; ++k) history[k * plane + i] = (float4)(p0, is_dynamic ? 0.0f : 1.0f);
+    dynamic_mask[src] = is_dynamic;
+    for (int k = known; k < positions - 1; ++k) history[k * plane + src] = (float4)(p0, is_dynamic ? 0.0f : 1.0f);
 }

@@ -19,11 +19,12 @@ inline float2 mapped(const float2 px, const float4 mapping) { return px * mappin
 
 /* Colour, resampled: cubic along rows, then along columns, each clamped to the two taps between; beyond the image its
    border goes on. */
-__kernel void present_color(const int width, const int height, const int source_width, const int source_height,
+__kernel void present_color(const int target_width, const int target_height, const int source_width,
+                            const int source_height,
                             const float4 to_render, __global const uint2 *color /* half x4 */, __global half *out_color) {
-    const int x = get_global_id(0), first = get_global_id(1) * STRIP;
-    if (x >= width) return;
-    const float px_render = ((float)x + 0.5f) * to_render.x + to_render.z;
+    const int dst_x = get_global_id(0), first = get_global_id(1) * STRIP;
+    if (dst_x >= target_width) return;
+    const float px_render = ((float)dst_x + 0.5f) * to_render.x + to_render.z;
     const float left = floor(px_render - 0.5f);
     const float4 weights_x = cubic_weights(px_render - 0.5f - left);
     const int right = source_width - 1, x0 = (int)left - 1;
@@ -31,8 +32,8 @@ __kernel void present_color(const int width, const int height, const int source_
 
     Rgb row0 = {0.0f, 0.0f, 0.0f}, row1 = row0, row2 = row0, row3 = row0;
     int held = INT_MIN / 2;  /* the row of row0 */
-    for (int y = first; y < min(first + STRIP, height); ++y) {
-        const float py_render = ((float)y + 0.5f) * to_render.y + to_render.w;
+    for (int dst_y = first; dst_y < min(first + STRIP, target_height); ++dst_y) {
+        const float py_render = ((float)dst_y + 0.5f) * to_render.y + to_render.w;
         const float top = floor(py_render - 0.5f);
         const int y0 = (int)top - 1;
         for (int k = clamp(held + 4 - y0, 0, 4); k < 4; ++k) {
@@ -45,23 +46,24 @@ __kernel void present_color(const int width, const int height, const int source_
         }
         held = y0;
         const Rgb c = cubic_rgb(cubic_weights(py_render - 0.5f - top), row0, row1, row2, row3);
-        vstore_half4_rte((float4)(c.r, c.g, c.b, 0.0f), y * width + x, out_color);
+        vstore_half4_rte((float4)(c.r, c.g, c.b, 0.0f), dst_y * target_width + dst_x, out_color);
     }
 }
 
 /* Depth and motion of the nearest rendered pixel; motion from its own position on the display to where that surface was on
    the previous display. */
-__kernel void present_geometry(const int width, const int height, const int source_width, const int source_height,
+__kernel void present_geometry(const int target_width, const int target_height, const int source_width,
+                               const int source_height,
                                const float4 to_render, const float4 to_display, const float4 to_previous_display,
                                __global const float *depth, __global const float2 *motion,
                                __global float *out_depth, __global float2 *out_motion) {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height) return;
-    const float2 px_render = mapped(pixel_centre(x, y), to_render);
-    const int sx = clamp((int)floor(px_render.x), 0, source_width - 1);
-    const int sy = clamp((int)floor(px_render.y), 0, source_height - 1);
-    const int s = sy * source_width + sx, i = y * width + x;
-    const float2 centre = pixel_centre(sx, sy);
-    out_depth[i] = depth[s];
-    out_motion[i] = mapped(centre + motion[s], to_previous_display) - mapped(centre, to_display);
+    const int dst_x = get_global_id(0), dst_y = get_global_id(1);
+    if (dst_x >= target_width || dst_y >= target_height) return;
+    const float2 px_render = mapped(pixel_centre(dst_x, dst_y), to_render);
+    const int src_x = clamp((int)floor(px_render.x), 0, source_width - 1);
+    const int src_y = clamp((int)floor(px_render.y), 0, source_height - 1);
+    const int src = src_y * source_width + src_x, dst = dst_y * target_width + dst_x;
+    const float2 centre = pixel_centre(src_x, src_y);
+    out_depth[dst] = depth[src];
+    out_motion[dst] = mapped(centre + motion[src], to_previous_display) - mapped(centre, to_display);
 }

@@ -6,8 +6,6 @@
 #include "cubic.h"
 #include "nearest.h"
 
-#define SURFACE_STEP 0.02f       /* relative step of inverse depth between neighbours of one surface ... */
-#define SURFACE_CURVATURE 0.005f /* ... or relative deviation from the plane through them, where they are steeper */
 #define FOOTPRINT_HALF 0.65f     /* half a source pixel and a margin for second-order terms */
 #define FOOTPRINT_REACH 8        /* px: the most that a fragment covers to each side */
 #define STRETCH_MOST 4.0f        /* a footprint stretched more than this over what depth explains is not trusted */
@@ -15,46 +13,6 @@
 #define SAME_MOTION 0.5f         /* px: fragments that deviate less from the winner's motion are resampled with it */
 #define MOVES_AWAY 1.0f          /* px: a nearer neighbour that deviates more uncovers what it was mixed with */
 #define NEARER 0.97f
-
-/* ---- surfaces of the source frame ---------------------------------------------------------------------- */
-
-inline float inverse_depth_at(const int x, const int y, const int width, const int height, __global const float *depth) {
-    if (!inside(x, y, width, height)) return -1.0f;
-    const float z = depth[y * width + x];
-    if (INVALID_DEPTH(z)) return -1.0f;
-    return isinf(z) ? 0.0f : divide(1.0f, z);
-}
-
-/* Whether b, next to a, continues a's surface; a2 lies behind a, b2 behind b. Inverse depths, 0 sky, -1 none. */
-inline bool continues(const float a2, const float a, const float b, const float b2) {
-    if (a < 0.0f || b < 0.0f) return false;
-    if (a == 0.0f || b == 0.0f) return a == b;
-    const float size = fmax(a, b);
-    if (fabs(a - b) <= SURFACE_STEP * size) return true;
-    if (a2 > 0.0f && fabs((a - a2) - (b - a)) <= SURFACE_CURVATURE * size) return true;
-    return b2 > 0.0f && fabs((b2 - b) - (b - a)) <= SURFACE_CURVATURE * size;
-}
-
-/* links: which of the four neighbours belong to the same surface and are equally static or dynamic. */
-__kernel void link_surfaces(const int width, const int height, __global const float *depth,
-                            __global const uchar *dynamic_mask, __global uchar *links) {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height) return;
-    const int i = y * width + x;
-    const uchar own = dynamic_mask[i];
-    const float a = inverse_depth_at(x, y, width, height, depth);
-    float w[4][3];
-    for (int k = 0; k < 4; ++k) {
-        const int dx = k == 0 ? 1 : k == 2 ? -1 : 0, dy = k == 1 ? 1 : k == 3 ? -1 : 0;
-        w[k][0] = inverse_depth_at(x + dx, y + dy, width, height, depth);
-        w[k][1] = inverse_depth_at(x + 2 * dx, y + 2 * dy, width, height, depth);
-        w[k][2] = inside(x + dx, y + dy, width, height) && dynamic_mask[i + dy * width + dx] == own ? 1.0f : 0.0f;
-    }
-    uchar bits = 0;
-    for (int k = 0; k < 4; ++k)
-        if (w[k][2] != 0.0f && continues(w[(k + 2) & 3][0], a, w[k][0], w[k][1])) bits |= 1 << k;
-    links[i] = bits;
-}
 
 /* ---- where a source pixel goes ---------------------------------------------------------------------------- */
 
@@ -64,16 +22,16 @@ typedef struct {
     float inv_xx, inv_xy, inv_yx, inv_yy;  /* inverse of the 2x2 part: source px per target px */
 } Flow;
 
-inline float4 slope(const int bits, const int forward, const int backward, const float4 here, const int i,
+inline float4 slope(const int bits, const int forward, const int backward, const float4 here, const int src,
                     const int step, __global const float4 *target_position, bool *linked) {
     float4 sum = (float4)(0.0f);
     float count = 0.0f;
     if (bits & forward) {
-        const float4 there = target_position[i + step];
+        const float4 there = target_position[src + step];
         if (there.z > 0.0f) { sum += there - here; count += 1.0f; }
     }
     if (bits & backward) {
-        const float4 there = target_position[i - step];
+        const float4 there = target_position[src - step];
         if (there.z > 0.0f) { sum += here - there; count += 1.0f; }
     }
     *linked = count > 0.0f;
@@ -82,13 +40,14 @@ inline float4 slope(const int bits, const int forward, const int backward, const
 }
 
 /* From the linked neighbours; along a direction without any, what depth alone explains. */
-inline Flow flow_at(const int i, const int width, const float4 here, const float z_source, __global const uchar *links,
+inline Flow flow_at(const int src, const int source_width, const float4 here, const float z_source,
+                    __global const uchar *links,
                     __global const float4 *target_position, const float2 zoom) {
-    const int bits = links[i];
+    const int bits = links[src];
     Flow flow;
     bool linked_x, linked_y;
-    flow.ddx = slope(bits, LINK_RIGHT, LINK_LEFT, here, i, 1, target_position, &linked_x);
-    flow.ddy = slope(bits, LINK_DOWN, LINK_UP, here, i, width, target_position, &linked_y);
+    flow.ddx = slope(bits, LINK_RIGHT, LINK_LEFT, here, src, 1, target_position, &linked_x);
+    flow.ddy = slope(bits, LINK_DOWN, LINK_UP, here, src, source_width, target_position, &linked_y);
     const float nearer = isinf(here.z) ? 1.0f : divide(z_source, here.z);
     const float scale_x = zoom.x * nearer, scale_y = zoom.y * nearer;
     const float most = STRETCH_MOST * fmax(scale_x, scale_y);
@@ -113,33 +72,35 @@ inline float2 source_offset(const Flow flow, const float2 d) {
 
 /* ---- splat --------------------------------------------------------------------------------------------------- */
 
-__kernel void splat(const int width, const int height, const int target_width, const int target_height,
-                    const int close_cracks, const int pass, const float2 zoom,
+__kernel void splat(const int source_width, const int source_height, const int target_width, const int target_height,
+                    const int crack_closing, const int pass, const float2 zoom,
                     __global const float *depth, __global const uchar *links, __global const float4 *target_position,
                     __global Key *keys, __global uint *winners) {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= width || y >= height) return;
-    const int i = y * width + x;
-    const float4 here = target_position[i];
+    const int src_x = get_global_id(0), src_y = get_global_id(1);
+    if (src_x >= source_width || src_y >= source_height) return;
+    const int src = src_y * source_width + src_x;
+    const float4 here = target_position[src];
     const float reach = (float)FOOTPRINT_REACH;
     if (!(here.z > 0.0f && here.x > -reach && here.y > -reach && here.x < (float)target_width + reach
           && here.y < (float)target_height + reach)) return;
     const int own_x = (int)floor(here.x), own_y = (int)floor(here.y);
     if (inside(own_x, own_y, target_width, target_height))
-        offer(pass, keys, winners, own_y * target_width + own_x, here.z, (uint)i);
-    if (!close_cracks) return;
+        offer(pass, keys, winners, own_y * target_width + own_x, here.z, (uint)src);
+    if (!crack_closing) return;
 
-    const Flow flow = flow_at(i, width, here, depth[i], links, target_position, zoom);
+    const Flow flow = flow_at(src, source_width, here, depth[src], links, target_position, zoom);
     const float half_x = fmin(FOOTPRINT_HALF * (fabs(flow.ddx.x) + fabs(flow.ddy.x)), reach);
     const float half_y = fmin(FOOTPRINT_HALF * (fabs(flow.ddx.y) + fabs(flow.ddy.y)), reach);
-    const int x0 = max((int)ceil(here.x - half_x - 0.5f), 0), x1 = min((int)floor(here.x + half_x - 0.5f), target_width - 1);
-    const int y0 = max((int)ceil(here.y - half_y - 0.5f), 0), y1 = min((int)floor(here.y + half_y - 0.5f), target_height - 1);
-    for (int ty = y0; ty <= y1; ++ty)
-        for (int tx = x0; tx <= x1; ++tx) {
-            if (tx == own_x && ty == own_y) continue;
-            const float2 d = source_offset(flow, pixel_centre(tx, ty) - here.xy);
+    const int x0 = max((int)ceil(here.x - half_x - 0.5f), 0), x1 = min((int)floor(here.x + half_x - 0.5f),
+                                                                       target_width - 1);
+    const int y0 = max((int)ceil(here.y - half_y - 0.5f), 0), y1 = min((int)floor(here.y + half_y - 0.5f),
+                                                                       target_height - 1);
+    for (int dst_y = y0; dst_y <= y1; ++dst_y)
+        for (int dst_x = x0; dst_x <= x1; ++dst_x) {
+            if (dst_x == own_x && dst_y == own_y) continue;
+            const float2 d = source_offset(flow, pixel_centre(dst_x, dst_y) - here.xy);
             if (fabs(d.x) <= FOOTPRINT_HALF && fabs(d.y) <= FOOTPRINT_HALF)
-                offer(pass, keys, winners, ty * target_width + tx, here.z, (uint)i);
+                offer(pass, keys, winners, dst_y * target_width + dst_x, here.z, (uint)src);
         }
 }
 
@@ -155,83 +116,86 @@ inline float deviation(const float4 there, const int dx, const int dy, const flo
 
 /* A pixel beside a nearer surface that moves away holds a mixture of both colours: the step, in source pixels,
    to the neighbour that does not, if that one moves along. */
-inline int2 step_off_silhouette(const int sx, const int sy, const int width, const int height, const float4 here,
+inline int2 step_off_silhouette(const int src_x, const int src_y, const int source_width, const int source_height,
+                                const float4 here,
                                 const Flow flow, __global const float *depth, __global const float4 *target_position) {
-    const int s = sy * width + sx;
+    const int src = src_y * source_width + src_x;
     int2 step = (int2)(0, 0);
     for (int k = 0; k < 4; ++k) {
         const int dx = k == 0 ? 1 : k == 2 ? -1 : 0, dy = k == 1 ? 1 : k == 3 ? -1 : 0;
-        if (!inside(sx + dx, sy + dy, width, height)) continue;
-        const int q = s + dy * width + dx;
-        if (depth[q] < depth[s] * NEARER && deviation(target_position[q], dx, dy, here, flow) > MOVES_AWAY)
+        if (!inside(src_x + dx, src_y + dy, source_width, source_height)) continue;
+        const int beside = src + dy * source_width + dx;
+        if (depth[beside] < depth[src] * NEARER && deviation(target_position[beside], dx, dy, here, flow) > MOVES_AWAY)
             step -= (int2)(dx, dy);
     }
-    if (!inside(sx + step.x, sy + step.y, width, height)) return (int2)(0, 0);
-    const float4 there = target_position[s + step.y * width + step.x];
+    if (!inside(src_x + step.x, src_y + step.y, source_width, source_height)) return (int2)(0, 0);
+    const float4 there = target_position[src + step.y * source_width + step.x];
     return deviation(there, step.x, step.y, here, flow) <= SAME_MOTION ? step : (int2)(0, 0);
 }
 
-/* Colour at (sx, sy) + d of the source. Cubic where the neighbourhood moves alike, which its four inner taps and its corners
+/* Colour at (src_x, src_y) + d. Cubic where the neighbourhood moves alike, which its four inner taps and its corners
    tell; else bilinear over those of the four taps that move alike. */
-inline float3 resample(const int sx, const int sy, const float2 d, const int width, const int height, const float4 here,
+inline float3 resample(const int src_x, const int src_y, const float2 d, const int source_width, const int source_height,
+                       const float4 here,
                        const Flow flow, __global const float4 *target_position, __global const half *color) {
-    if (d.x == 0.0f && d.y == 0.0f) return load_color(color, sy * width + sx);
+    if (d.x == 0.0f && d.y == 0.0f) return load_color(color, src_y * source_width + src_x);
     const int ox = (int)floor(d.x), oy = (int)floor(d.y);
     const float u = d.x - (float)ox, v = d.y - (float)oy;
     int alike = 0;  /* bits 0 to 3: the inner taps; 4 to 7: the corners */
     for (int k = 0; k < 8; ++k) {
         const int dx = ox + (k < 4 ? (k & 1) : 3 * (k & 1) - 1), dy = oy + (k < 4 ? (k >> 1) : 3 * ((k >> 1) & 1) - 1);
-        const bool tap_alike = inside(sx + dx, sy + dy, width, height)
-            && deviation(target_position[(sy + dy) * width + sx + dx], dx, dy, here, flow) <= SAME_MOTION;
+        const bool tap_alike = inside(src_x + dx, src_y + dy, source_width, source_height)
+            && deviation(target_position[(src_y + dy) * source_width + src_x + dx], dx, dy, here, flow) <= SAME_MOTION;
         alike |= (int)tap_alike << k;
     }
-    if (alike == 0xFF) return cubic(sx + ox - 1, sy + oy - 1, u, v, width, (__global const uint2 *)color);
+    if (alike == 0xFF) return cubic(src_x + ox - 1, src_y + oy - 1, u, v, source_width, (__global const uint2 *)color);
     float3 sum = (float3)(0.0f);
     float weight_sum = 0.0f;
     for (int tap = 0; tap < 4; ++tap) {
-        const int tx = tap & 1, ty = tap >> 1;
         if (!((alike >> tap) & 1)) continue;
-        const float weight = (tx ? u : 1.0f - u) * (ty ? v : 1.0f - v);
-        sum += weight * load_color(color, (sy + oy + ty) * width + sx + ox + tx);
+        const float weight = bilinear_weight(tap, u, v);
+        sum += weight * load_color(color, (src_y + oy + (tap >> 1)) * source_width + src_x + ox + (tap & 1));
         weight_sum += weight;
     }
-    if (!(weight_sum > 0.01f)) return load_color(color, sy * width + sx);
-    return (float3)(divide(sum.x, weight_sum), divide(sum.y, weight_sum), divide(sum.z, weight_sum));
+    if (!(weight_sum > 0.01f)) return load_color(color, src_y * source_width + src_x);
+    return mean_of(sum, weight_sum);
 }
 
-__kernel void resolve(const int width, const int height, const int target_width, const int target_height,
+__kernel void resolve(const int source_width, const int source_height, const int target_width, const int target_height,
                       const float2 zoom, __global const Key *keys, __global const uint *winners,
                       __global const half *color, __global const float *depth, __global const uchar *dynamic_mask,
                       __global const uchar *links, __global const float4 *target_position,
                       __global half *out_color, __global float *out_depth, __global float2 *out_motion,
-                      __global uchar *out_dynamic, __global uchar *disoccluded, __global uchar *filled_by, __global uchar *mixed) {
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= target_width || y >= target_height) return;
-    const int c = y * target_width + x;
-    const uint s = winner_of(keys, winners, c);
-    if (s == NOBODY) {
-        store_color((float3)(0.0f), out_color, c);
-        out_depth[c] = INFINITY;
-        out_motion[c] = (float2)(0.0f);
-        out_dynamic[c] = 0;
-        disoccluded[c] = 1;
-        mixed[c] = 0;
-        filled_by[c] = BY_NOTHING;
+                      __global uchar *out_dynamic, __global uchar *disoccluded, __global uchar *filled_by,
+                      __global uchar *mixed) {
+    const int dst_x = get_global_id(0), dst_y = get_global_id(1);
+    if (dst_x >= target_width || dst_y >= target_height) return;
+    const int dst = dst_y * target_width + dst_x;
+    const uint src = winner_of(keys, winners, dst);
+    if (src == NOBODY) {
+        store_color((float3)(0.0f), out_color, dst);
+        out_depth[dst] = INFINITY;
+        out_motion[dst] = (float2)(0.0f);
+        out_dynamic[dst] = 0;
+        disoccluded[dst] = 1;
+        mixed[dst] = 0;
+        filled_by[dst] = BY_NOTHING;
         return;
     }
-    const int sx = s % width, sy = s / width;
-    const float4 here = target_position[s];
-    const Flow flow = flow_at(s, width, here, depth[s], links, target_position, zoom);
-    const float2 centre = pixel_centre(x, y);
+    const int src_x = src % source_width, src_y = src / source_width;
+    const float4 here = target_position[src];
+    const Flow flow = flow_at(src, source_width, here, depth[src], links, target_position, zoom);
+    const float2 centre = pixel_centre(dst_x, dst_y);
     const float2 exact = clamp(source_offset(flow, centre - here.xy), -1.0f, 1.0f);
     const float2 d = rint(exact * SUBPIXEL_STEPS) * (1.0f / SUBPIXEL_STEPS);
-    const int2 step = step_off_silhouette(sx, sy, width, height, here, flow, depth, target_position);
-    store_color(resample(sx, sy, d + convert_float2(step), width, height, here, flow, target_position, color), out_color, c);
+    const int2 step = step_off_silhouette(src_x, src_y, source_width, source_height, here, flow, depth, target_position);
+    store_color(resample(src_x, src_y, d + convert_float2(step), source_width, source_height, here, flow,
+                         target_position, color), out_color, dst);
     const float z = here.z + flow.ddx.z * d.x + flow.ddy.z * d.y;
-    out_depth[c] = z > 0.0f ? z : here.z;
-    out_motion[c] = pixel_centre(sx, sy) + d - centre;
-    out_dynamic[c] = dynamic_mask[s];
-    disoccluded[c] = 0;
-    mixed[c] = step.x != 0 || step.y != 0;
-    filled_by[c] = (int)floor(here.x) == x && (int)floor(here.y) == y ? BY_WARP : BY_CRACK_CLOSING;
+    out_depth[dst] = z > 0.0f ? z : here.z;
+    out_motion[dst] = pixel_centre(src_x, src_y) + d - centre;
+    out_dynamic[dst] = dynamic_mask[src];
+    disoccluded[dst] = 0;
+    mixed[dst] = step.x != 0 || step.y != 0;
+    filled_by[dst] = (int)floor(here.x) == dst_x && (int)floor(here.y) == dst_y ? BY_WARP : BY_CRACK_CLOSING;
 }

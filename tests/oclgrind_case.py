@@ -3,15 +3,13 @@
 import sys
 
 import numpy as np
-import pyopencl as cl
 from test_twins import run
 
 from gffe_cl.opencl.device import open_device
 from gffe_cl.options import Options
-from gffe_cl.stage import Sizes
+from gffe_cl.stage import Board, Sizes
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.shading import FocusMask, ShadingInputs
-from gffe_cl.stages.warp import Warp
 
 WIDTH, HEIGHT = 64, 48
 
@@ -28,18 +26,19 @@ def shading(device):
     """What surrounds the shading correction network, on images of odd sizes, with output made up."""
     for size in ((37, 21), (1, 1)):
         sizes = Sizes(size, size)
-        warp, inputs = Warp(device, sizes, True, None), ShadingInputs(device, sizes)
-        correction, focus = ShadingCorrection(device, sizes, None), FocusMask(device, sizes)
+        board = Board(device, sizes)
+        ShadingInputs(board)
+        correction, focus = ShadingCorrection(board, load=False), FocusMask(board)
         shape = correction.spec("correction").shape(sizes)
         said = np.random.default_rng(0).normal(0, 1, shape).astype(np.float32)
         depth = np.arange(1, size[0] * size[1] + 1, dtype=np.float32)
-        cl.enqueue_copy(device.queue, warp.buffer["depth"], depth)
-        correction.prepare(warp, inputs, 0.5)
-        cl.enqueue_copy(device.queue, correction.buffer["correction"], said)
+        board.frame.upload("depth", depth)
+        correction.prepare(0.5)
+        correction.upload("correction", said)
         for within_mask in (True, False):
-            correction.compose(warp, 0.5, within_mask)
-        correction.skip(warp)
-        focus.make(warp.buffer["color"], correction.buffer["color"], warp.buffer["dynamic"], 0.5)
+            correction.compose(0.5, within_mask)
+        correction.skip()
+        focus.make(correction.buffer["color"], 0.5)
         focus.read("focus_truth")
 
 

@@ -82,7 +82,7 @@ def test_hidden_wall_does_not_creep(device):
         frame.motion[panel] = (0.0, -0.004 * still.fy / 5 if k < 63 else -12.0)
         pipeline.submit(frame)
         previous = (cam, k / 30)
-    assert pipeline.history.read("dynamic_mask")[panel].mean() > 0.95
+    assert pipeline.stages["history"].read("dynamic_mask")[panel].mean() > 0.95
     out = pipeline.extrapolate(cam, (63 + 1.5) / 30)
     revealed = panel & (out.numpy("disoccluded") == 1)
     assert revealed.sum() > 200 and (out.numpy("filled_by")[revealed] == 1).mean() > 0.95
@@ -115,7 +115,7 @@ def test_depth_noise_does_not_push_the_surface_down(device):
             motion = (previous.project(cam.unproject(px, noisy))[0] - px).astype(np.float32)
         pipeline.submit(RenderedFrame(color, noisy, motion, cam, k / 30, reset=k == 0))
         previous = cam
-    fill = (pipeline.background.read("state_1") > 0).mean()
+    fill = (pipeline.stages["background"].read("state_1") > 0).mean()
     assert fill < 0.01, fill
 
 
@@ -176,7 +176,7 @@ def test_nothing_is_collected_after_a_reset(device):
     pipeline = Pipeline(device, W, H, Options(levels=2))
     play(pipeline, scene, [camera(W, H)])
     for level in range(2):
-        assert not pipeline.background.read(f"state_{level}").any()
+        assert not pipeline.stages["background"].read(f"state_{level}").any()
 
 
 @pytest.mark.parametrize("levels", range(5))

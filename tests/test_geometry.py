@@ -240,7 +240,7 @@ def test_threshold_follows_quantised_motion(device):
                 frame.motion = (np.round(frame.motion / step) * step).astype(np.float32)
             pipeline.submit(frame)
             previous = (cam, k / 30)
-        dynamic = pipeline.history.read("dynamic_mask") > 0
+        dynamic = pipeline.stages["history"].read("dynamic_mask") > 0
         mover = frame.depth < 7
         fractions.append((dynamic[mover].mean(), dynamic[~mover].mean()))
     for moving, static in fractions:
@@ -260,7 +260,7 @@ def test_a_mover_that_fills_the_frame_is_no_noise(device, speed):
         motion[mover] = (-speed, 0)
         color = half(np.where(mover[..., None], (0.8, 0.2, 0.1), (0.3, 0.4, 0.9)))
         pipeline.submit(RenderedFrame(color, depth, motion, cam, k / 30, reset=k == 0))
-    assert pipeline.history.read("dynamic_mask")[mover].all()
+    assert pipeline.stages["history"].read("dynamic_mask")[mover].all()
     shown = np.flatnonzero(pipeline.extrapolate(cam, 3 / 30).numpy("color")[H // 2, :, 0] > 0.6)
     assert abs(shown.min() - (30 + speed * 3 - 19.5)) <= 1 and abs(shown.max() - (30 + speed * 3 + 19.5)) <= 1
 
@@ -280,8 +280,8 @@ def test_an_object_coming_straight_at_the_camera(device, approach):
         away = np.stack([x + 0.5 - W / 2, y + 0.5 - H / 2], -1)
         frame.motion[y, x] = away * (1 - approach) - away
         pipeline.submit(frame)
-    dynamic = pipeline.history.read("dynamic_mask") == 1
-    known = pipeline.history.read("history")[..., 3] == 1
+    dynamic = pipeline.stages["history"].read("dynamic_mask") == 1
+    known = pipeline.stages["history"].read("history")[..., 3] == 1
     assert dynamic.sum() > 150 and known[dynamic].mean() > 0.9
     out = pipeline.extrapolate(cam, 3.5 / 30)
     expected = 8 * ((1 - approach) ** 3 + 0.5 * ((1 - approach) ** 3 - (1 - approach) ** 2))
@@ -300,7 +300,7 @@ def test_motion_onto_another_surface_means_no_motion(device):
     depth2[20:30, 40:50] = 3.0  # appears from nowhere, claiming to come from 12 px to the left
     motion2[20:30, 40:50] = (-12, 0)
     pipeline.submit(RenderedFrame(color, depth2, motion2, cam, 1 / 30))
-    assert (pipeline.history.read("dynamic_mask")[20:30, 40:50] == 1).all()
+    assert (pipeline.stages["history"].read("dynamic_mask")[20:30, 40:50] == 1).all()
     out = pipeline.extrapolate(cam, 1.5 / 30)
     assert np.array_equal(out.numpy("depth"), depth2)
 
@@ -329,10 +329,10 @@ def test_reset_forgets(device):
     pipeline = Pipeline(device, W, H)
     cams = [camera(W, H)] * 3
     submit(pipeline, MOVING, cams, [0, 1 / 30, 2 / 30])
-    assert pipeline.history.read("dynamic_mask").any()
+    assert pipeline.stages["history"].read("dynamic_mask").any()
     frame = MOVING.frame(cams[0], 10.0, W, H, (cams[0], 10 - 1 / 30), reset=True)
     pipeline.submit(frame)
-    assert not pipeline.history.read("dynamic_mask").any()
+    assert not pipeline.stages["history"].read("dynamic_mask").any()
     out = pipeline.extrapolate(cams[0], 10 + 0.5 / 30)
     assert out.alpha == pytest.approx(0.5)
     assert out.numpy("color").tobytes() == frame.color.tobytes()

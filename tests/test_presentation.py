@@ -10,7 +10,7 @@ from test_twins import assert_close
 
 from gffe_cl import Camera, GffeError, Options, Pipeline, RenderedFrame, fixed_window, present
 from gffe_cl.frame import require_one_pose
-from gffe_cl.stage import Sizes
+from gffe_cl.stage import Board, DeviceFrame, Sizes
 from gffe_cl.stages.presentation import Presentation, mapping
 from gffe_cl.window import FULL, Window
 
@@ -50,9 +50,8 @@ def test_kernel_equals_its_twin(device, size, render_size, window):
     display, before = camera(*size), camera(*size, yaw=0.1)
     through = window.camera(display, size, render_size)
     maps = (mapping(display, through), mapping(through, display), mapping(before, before.scaled(1.3, 1.1)))
-    stage = Presentation(device, Sizes(render_size, size))
+    stage = Presentation(Board(device, Sizes(render_size, size)))
     from gffe_cl.frame import PackedFrame
-    from gffe_cl.stage import DeviceFrame
 
     frame = DeviceFrame.allocate(device, render_size, through, display, 0.0)
     frame.upload(device, PackedFrame(color, depth, motion))
@@ -180,11 +179,11 @@ def test_static_stays_static_through_windows(device):
     for k, pipeline, made in extrapolations(device, WINDOWS):
         if k < 1:
             continue
-        dynamic = pipeline.history.read("dynamic_mask") > 0
+        dynamic = pipeline.stages["history"].read("dynamic_mask") > 0
         through = WINDOWS[k % len(WINDOWS)].camera(turning(k), (W, H))
         which, _, _ = MOVING._hit(through, k / 30, twins.centres(H, W).astype(np.float64))
         assert (dynamic == (which == 1)).mean() > 0.99
-        assert (pipeline.background.read("state_1") > 0).mean() < 0.15
+        assert (pipeline.stages["background"].read("state_1") > 0).mean() < 0.15
         motion = made.numpy("motion")
         assert np.isfinite(motion).all()
 

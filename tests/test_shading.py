@@ -5,7 +5,7 @@ import pyopencl as cl
 import pytest
 
 from gffe_cl.metrics import focus_mask, smape
-from gffe_cl.stage import Sizes
+from gffe_cl.stage import Board, Sizes
 from gffe_cl.stages.shading import FocusMask
 
 SIZES = [(61, 37), (64, 48), (1, 5), (7, 1), (1, 1)]
@@ -22,8 +22,11 @@ def half4(rgb):
 
 def focus(device, color, truth, dynamic, exposure):
     height, width = dynamic.shape
-    stage = FocusMask(device, Sizes((width, height), (width, height)))
-    stage.make(*(on_device(device, array) for array in (half4(color), half4(truth), dynamic)), exposure)
+    board = Board(device, Sizes((width, height), (width, height)))
+    board.frame.upload("color", half4(color))
+    board.frame.upload("dynamic", np.ascontiguousarray(dynamic))
+    stage = FocusMask(board)
+    stage.make(on_device(device, half4(truth)), exposure)
     return stage.read("focus_truth")
 
 

@@ -13,10 +13,9 @@ from test_twins import assert_close, run
 from gffe_cl import GffeError, Options, Pipeline, inference
 from gffe_cl.inference import load_network
 from gffe_cl.opencl.device import quiet_builds
-from gffe_cl.stage import Sizes
+from gffe_cl.stage import Board, Sizes
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.shading import ShadingInputs
-from gffe_cl.stages.warp import Warp
 
 SIZES = [(61, 37), (64, 48), (1, 5), (7, 1), (1, 1), (33, 66)]
 
@@ -43,9 +42,9 @@ def images(size, rng):
     return colors[0], depth, colors[1], rng.choice([0, 0.5, 1], (height, width)).astype(np.float16)
 
 
-def made_stages(device, size, network=None):
-    sizes = Sizes(size, size)
-    return Warp(device, sizes, True, None), ShadingInputs(device, sizes), ShadingCorrection(device, sizes, network)
+def made_stages(device, size):
+    board = Board(device, Sizes(size, size))
+    return board.frame, ShadingInputs(board), ShadingCorrection(board, load=False)
 
 
 # ---- kernels -------------------------------------------------------------------------------------------
@@ -56,11 +55,11 @@ def made_stages(device, size, network=None):
 def test_network_input_equals_its_twin(device, size, exposure):
     """To the bit, but for roundings of the device's division."""
     color, depth, previous, mask = images(size, np.random.default_rng(1))
-    warp, shading, correction = made_stages(device, size)
-    put(warp, color=color, depth=depth)
+    frame, shading, correction = made_stages(device, size)
+    put(frame, color=color, depth=depth)
     put(shading, warped_previous=previous, input_mask=mask)
     for _ in range(2):  # nothing is left over
-        correction.prepare(warp, shading, exposure)
+        correction.prepare(exposure)
     assert correction.read("median_depth") == twins.depth_median(depth)
     got = correction.read("frames")
     assert got.shape[2] % 16 == got.shape[1] % 16 == 0 and got.shape[2] >= size[0] / 2
@@ -81,9 +80,9 @@ def test_network_input_equals_its_twin(device, size, exposure):
     ],
 )
 def test_median_depth(device, depth, expected):
-    warp, shading, correction = made_stages(device, (50, 40))
-    put(warp, depth=depth.astype(np.float32))
-    correction.prepare(warp, shading, 1.0)
+    frame, _, correction = made_stages(device, (50, 40))
+    put(frame, depth=depth.astype(np.float32))
+    correction.prepare(1.0)
     assert correction.read("median_depth") == pytest.approx(expected, rel=1 / 200, abs=1e-40)
     assert correction.read("median_depth") == twins.depth_median(depth.astype(np.float32))
 
@@ -94,10 +93,10 @@ def test_median_depth(device, depth, expected):
 def test_correct_equals_its_twin(device, size, within_mask, exposure):
     rng = np.random.default_rng(2)
     color, depth, previous, mask = images(size, rng)
-    warp, shading, correction = made_stages(device, size)
-    put(warp, color=color, depth=depth)
+    frame, shading, correction = made_stages(device, size)
+    put(frame, color=color, depth=depth)
     put(shading, warped_previous=previous, input_mask=mask)
-    correction.prepare(warp, shading, exposure)
+    correction.prepare(exposure)
     frames = correction.read("frames")
     said = rng.normal(0, 0.3, correction.spec("correction").shape(correction.sizes)).astype(np.float32)
     said[3] = rng.uniform(-0.5, 1.5, said[3].shape)
@@ -105,7 +104,7 @@ def test_correct_equals_its_twin(device, size, within_mask, exposure):
     for value in (np.nan, np.inf, -np.inf, 1e38):
         said[rng.integers(5), rng.integers(said.shape[1]), rng.integers(said.shape[2])] = value
     put(correction, correction=said)
-    correction.compose(warp, exposure, within_mask)
+    correction.compose(exposure, within_mask)
     refined, focus, final = twins.correct(color, frames, said, exposure, within_mask)
     assert correction.read("focus_mask").tobytes() == focus.tobytes()
     assert correction.read("refined").tobytes() == refined.tobytes()
@@ -171,7 +170,7 @@ def test_a_change_counts_within_the_mask_only(device, tmp_path):
     """M = the input mask where movers are: they get brighter, nothing else does."""
     path = movers_model(tmp_path / "m.onnx", 0.05)
     pipeline, made = corrected(device, path)
-    mask, gae, final = pipeline.correction.read("focus_mask"), made.numpy("gae"), made.numpy("color")
+    mask, gae, final = pipeline.stages["correction"].read("focus_mask"), made.numpy("gae"), made.numpy("color")
     assert 0.01 < (mask > 0).mean() < 0.9
     assert bits(final[mask == 0]) == bits(gae[mask == 0])
     inside = mask == 1
@@ -192,7 +191,7 @@ def test_bad_output_counts_as_no_mask(device, model, bad, focus_mask):
 def test_alpha_reaches_the_network(device, model):
     pipeline, made = corrected(device, model(mask="alpha"))
     assert made.alpha == pytest.approx(0.6)
-    assert (pipeline.correction.read("focus_mask") == np.float16(np.float32(made.alpha))).all()
+    assert (pipeline.stages["correction"].read("focus_mask") == np.float16(np.float32(made.alpha))).all()
 
 
 def test_exposure_reaches_the_network(device, tmp_path):
@@ -207,7 +206,7 @@ def test_exposure_reaches_the_network(device, tmp_path):
             frame.color = frame.color * np.float16(scale)
             pipeline.submit(frame)
         pipeline.extrapolate()
-        seen.append(pipeline.correction.read("frames"))
+        seen.append(pipeline.stages["correction"].read("frames"))
     np.testing.assert_allclose(seen[0], seen[1], rtol=1e-5)
     assert seen[0][:3].std() > 0.01
 
@@ -219,26 +218,27 @@ def test_after_a_reset_there_is_nothing_to_correct(device, model):
         pipeline.submit(scene.frame(cam, k / 30, 40, 24, (cam, 0), reset=reset))
         made = pipeline.extrapolate()
         assert (bits(made.numpy("color")) == bits(made.numpy("gae"))) == reset
-        assert (pipeline.correction.read("focus_mask") == (0 if reset else 1)).all()
+        assert (pipeline.stages["correction"].read("focus_mask") == (0 if reset else 1)).all()
         assert (pipeline.take_timings()["network"] == 0) == reset
 
 
 def test_off_by_choice_or_for_want_of_weights(device, model, monkeypatch):
     monkeypatch.setattr(inference, "default_model", lambda: None)
-    assert Pipeline(device, 8, 8).correction is None and inference.scn_missing()
+    assert "correction" not in Pipeline(device, 8, 8).stages and inference.scn_missing()
     with pytest.raises(GffeError, match=r"no trained weights .* expected gffe_cl/scn/weights/scn.onnx"):
         Pipeline(device, 8, 8, Options(shading_correction=True))
     path = model()
-    assert Pipeline(device, 8, 8, Options(shading_correction=False, scn_model=path)).correction is None
+    off = Options(shading_correction=False, scn_model=path)
+    assert "correction" not in Pipeline(device, 8, 8, off).stages
     monkeypatch.setattr(inference, "default_model", lambda: Path(path))
-    assert Pipeline(device, 8, 8).correction and inference.scn_missing() is None
+    assert "correction" in Pipeline(device, 8, 8).stages and inference.scn_missing() is None
 
 
 def test_five_runs_of_a_corrected_frame_give_the_same_bits(device, model):
     path, first = model(delta=0.1, mask=0.5), None
     for _ in range(5):
         pipeline, made = corrected(device, path)
-        now = bits(made.numpy("color")), bits(pipeline.correction.read("frames"))
+        now = bits(made.numpy("color")), bits(pipeline.stages["correction"].read("frames"))
         first = first or now
         assert now == first
 
@@ -251,7 +251,7 @@ WRITES_ADDRESS = "__kernel void where(__global ulong *a) { a[0] = (ulong)a; }"
 def test_nothing_is_copied_on_cpu_devices(device, model):
     """The memory that kernels write to is the memory that is mapped, and the memory that onnxruntime works in."""
     pipeline, _ = corrected(device, model(delta=0.1))
-    stage, seen = pipeline.correction, []
+    stage, seen = pipeline.stages["correction"], []
 
     class Spy:
         def run(self, frames, alpha, correction):

@@ -686,5 +686,5 @@ def test_layers_of_a_pipeline(canvas, device, tmp_path):
     for tile in tiles:
         part = made[tile.y : tile.y + tile.height, tile.x : tile.x + tile.width]
         assert (part != (255, 0, 255)).any(-1).all(), tile.name
-    full = View("warp.color", displays["warp.color"], centre=(48, 27))
-    close(drawn(canvas, full, size), display_values(images["warp.color"][..., :3], scene.exposure))
+    full = View("frame.color", displays["frame.color"], centre=(48, 27))
+    close(drawn(canvas, full, size), display_values(images["frame.color"][..., :3], scene.exposure))

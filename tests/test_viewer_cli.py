@@ -90,7 +90,7 @@ def screen():
         (["in", "--layer", "nonsense"], "no layer is called 'nonsense'"),
         (["in", "--frame", "6"], "--frame must be 0 to 5, got 6"),
         (["in", "--pixel", "13,0"], "--pixel must be inside 13×9, got 13,0"),
-        (["in", "--compare", "flip error", "--layer", "warp.depth"], "--compare flip error: FLIP"),
+        (["in", "--compare", "flip error", "--layer", "frame.depth"], "--compare flip error: FLIP"),
         (["in", "--screenshot", "a.jpg"], "a.jpg: a screenshot's name must end in .png"),
     ],
 )

@@ -209,7 +209,7 @@ def test_every_layer_equals_a_plain_run(device):
             assert_same(result.images, expected[at])
         assert source.asked == [0, 1, 2, 3, 4, 5]
         assert set(result.milliseconds) == {
-            "history", "prediction", "warp", "background", "holes", "shading"
+            "history", "surfaces", "prediction", "warp", "background", "holes", "shading"
         }  # fmt: skip
         assert min(result.milliseconds.values()) > 0 and result.wall_ms > result.readback_ms > 0
 
@@ -265,14 +265,20 @@ def test_rendered_slots_and_the_frames_own_layers(device):
 def test_options_change_what_they_should(device):
     """Each option, switched at one slot: some layers change, others do not, some come or go."""
     first = Setup(ALL, n=1)
-    upto_submit = {"history.dynamic_mask", "warp.links", "background.color_0", "background.state_0", "rendered.depth"}
+    upto_submit = {
+        "history.dynamic_mask",
+        "surfaces.links",
+        "background.color_0",
+        "background.state_0",
+        "rendered.depth",
+    }
     cases = {
-        "crack_closing": (False, {"final", "warp.filled_by", "warp.disoccluded"}, upto_submit),
-        "hole_filling": ("push-pull", {"final", "warp.color", "warp.depth"}, upto_submit | {"warp.filled_by"}),
+        "crack_closing": (False, {"final", "frame.filled_by", "frame.disoccluded"}, upto_submit),
+        "hole_filling": ("push-pull", {"final", "frame.color", "frame.depth"}, upto_submit | {"frame.filled_by"}),
         "motion": (False, {"final", "history.dynamic_mask", "prediction.target_position"}, {"rendered.depth"}),
-        "static_threshold": (40.0, {"history.dynamic_mask", "warp.dynamic"}, {"rendered.motion"}),
+        "static_threshold": (40.0, {"history.dynamic_mask", "frame.dynamic"}, {"rendered.motion"}),
         "history": (4, set(), upto_submit | {"final"}),
-        "levels": (1, set(), {"history.history", "warp.links", "background.color_0", "background.px_0"}),
+        "levels": (1, set(), {"history.history", "surfaces.links", "background.color_0", "background.px_0"}),
         "shading_inputs": (False, set(), upto_submit | {"final", "background.color_1"}),
     }
     with running(device, Clip()) as engine:
@@ -341,7 +347,7 @@ def test_the_true_focus_mask(device, monkeypatch):
         for slot in (13, 9):
             images = ask(engine, slot, Setup(), "all").images
             color, truth = (images[name][..., :3] for name in ("final", "truth"))
-            expected = focus_mask(color, truth, images["warp.dynamic"] > 0, 0.5)
+            expected = focus_mask(color, truth, images["frame.dynamic"] > 0, 0.5)
             assert images["focus_truth"].dtype == np.uint8 and (images["focus_truth"] == expected).all()
         assert 0.1 < expected.mean() < 0.6
         engine.inspect(*map(int, np.argwhere(expected)[0][::-1]))
@@ -386,12 +392,12 @@ def test_inspection_equals_the_whole_buffers(device, tmp_path):
         specs = ask(engine, 13, setup).specs
         images = ask(engine, 13, setup, specs).images
         rng = np.random.default_rng(0)
-        holes, moving = (np.argwhere(images[name] > 0) for name in ("warp.filled_by", "warp.dynamic"))
+        holes, moving = (np.argwhere(images[name] > 0) for name in ("frame.filled_by", "frame.dynamic"))
         for y, x in [(0, 0), (H - 1, W - 1), *holes[:3], *moving[::40], *rng.integers((H, W), size=(6, 2))]:
             x, y = int(x), int(y)
             engine.inspect(x, y)
             seen = wait_for(engine.poll_inspection)
-            source = images["warp.motion"][y, x] + (x + 0.5, y + 0.5)
+            source = images["frame.motion"][y, x] + (x + 0.5, y + 0.5)
             assert seen.pixel == (x, y) and seen.slot == 13 and seen.source == pytest.approx(source, abs=1e-4)
             sx, sy = np.floor(seen.source).astype(int)
             places = {"target": (x, y), "source": (sx, sy), "level0": (sx, sy), "level1": (sx >> 1, sy >> 1)}
@@ -799,7 +805,7 @@ def test_stories_of_fragments(device, tmp_path, windowed):
 
         def told(dynamic):
             for story in stories(
-                engine, setup, slot, lambda i: (i["warp.filled_by"] == 0) & (i["warp.dynamic"] == dynamic)
+                engine, setup, slot, lambda i: (i["frame.filled_by"] == 0) & (i["frame.dynamic"] == dynamic)
             ):
                 assert story.filled_by == "its own fragment" and story.dynamic == dynamic
                 np.testing.assert_allclose(story.trajectory[-1], np.add(story.pixel, 0.5), atol=0.5001)
@@ -824,7 +830,7 @@ def test_stories_of_fragments(device, tmp_path, windowed):
                 np.testing.assert_allclose(story.trajectory[:3], pose(k).project(were)[0], atol=1.0)
                 checked += 1
         assert checked > 5
-        sky = stories(engine, setup, slot, lambda i: (i["warp.filled_by"] == 0) & np.isinf(i["warp.depth"]))
+        sky = stories(engine, setup, slot, lambda i: (i["frame.filled_by"] == 0) & np.isinf(i["frame.depth"]))
         assert all("Sky" in story.sentences[1] and len(story.trajectory) == 2 for story in sky)
 
 
@@ -832,12 +838,12 @@ def test_stories_tell_of_the_fragment_that_landed(device):
     """Seen from farther back several source pixels meet in one: it is of the surface that is shown."""
 
     def at_silhouettes(images):
-        dynamic = images["warp.dynamic"].astype(int)
+        dynamic = images["frame.dynamic"].astype(int)
         edge = sum(np.abs(dynamic - np.roll(dynamic, 1, axis)) for axis in (0, 1)) > 0
-        return edge & (images["warp.filled_by"] == 0)
+        return edge & (images["frame.filled_by"] == 0)
 
     with running(device, Clip(back=4.0)) as engine:
-        dynamic = ask(engine, 9, Setup(), ("warp.dynamic",)).images["warp.dynamic"]
+        dynamic = ask(engine, 9, Setup(), ("frame.dynamic",)).images["frame.dynamic"]
         told = stories(engine, Setup(), 9, at_silhouettes, most=150)
         assert len(told) > 10
         for story in told:
@@ -847,10 +853,10 @@ def test_stories_tell_of_the_fragment_that_landed(device):
 
 def test_stories_of_cracks_rendered_frames_and_no_motion(device):
     with running(device, Clip()) as engine:
-        for story in stories(engine, Setup(), 13, lambda i: i["warp.filled_by"] == 254):
+        for story in stories(engine, Setup(), 13, lambda i: i["frame.filled_by"] == 254):
             assert "Crack closing" in story.sentences[0] and len(story.trajectory) >= 2
             assert np.linalg.norm(np.subtract(story.trajectory[-1], story.pixel) - 0.5) < 2
-        still = stories(engine, Setup(Options(motion=False)), 13, lambda i: i["warp.filled_by"] == 0)
+        still = stories(engine, Setup(Options(motion=False)), 13, lambda i: i["frame.filled_by"] == 0)
         assert all(s.residual is None and ("off" in s.sentences[1] or "Sky" in s.sentences[1]) for s in still)
         for story in stories(engine, Setup(), 12, lambda i: i["history.dynamic_mask"] == 1):
             assert story.filled_by == "rendered frame" and story.dynamic
@@ -862,7 +868,7 @@ def test_stories_of_cracks_rendered_frames_and_no_motion(device):
 def test_stories_of_holes_and_of_the_background(device):
     setup, k = Setup(), 6
     with running(device, Clip()) as engine:
-        behind = stories(engine, setup, 13, lambda i: (i["warp.filled_by"] == 1) & (i["warp.disoccluded"] == 1))
+        behind = stories(engine, setup, 13, lambda i: (i["frame.filled_by"] == 1) & (i["frame.disoccluded"] == 1))
         right = 0
         for story in behind:
             assert story.level == 0 and story.filled_by == "background level 0" and story.dynamic is None
@@ -873,10 +879,12 @@ def test_stories_of_holes_and_of_the_background(device):
                 right += np.abs(expected - story.level_px).max() < 2.5
             np.testing.assert_allclose(story.trajectory[0], story.level_px, atol=1e-4)
         assert right > len(behind) / 2
-        holes = stories(engine, setup, 13, lambda i: i["warp.filled_by"] == 255)
+        holes = stories(engine, setup, 13, lambda i: i["frame.filled_by"] == 255)
         assert all("far side" in s.sentences[1] and s.filled_by == "hole filling" for s in holes)
         assert any("outside the rendered image" in s.sentences[-1] for s in holes)
-        empty = stories(engine, Setup(Options(hole_filling="none", levels=0)), 13, lambda i: i["warp.filled_by"] == 255)
+        empty = stories(
+            engine, Setup(Options(hole_filling="none", levels=0)), 13, lambda i: i["frame.filled_by"] == 253
+        )
         assert all("Hole filling is off" in s.sentences[1] and "no background" in s.sentences[0] for s in empty)
 
 

@@ -123,15 +123,15 @@ def test_in_and_out(values):
         (
             "motion estimation",
             (*AFTER_SUBMIT, "history.", "prediction.", "background."),
-            ("history.dynamic_mask", "prediction.target_position", "warp.dynamic", "final"),
+            ("history.dynamic_mask", "prediction.target_position", "frame.dynamic", "final"),
             (),
         ),
-        ("background collection", AFTER_SUBMIT, ("warp.filled_by", "warp.color", "final"), ("background.",)),
-        ("crack closing", AFTER_SUBMIT, ("warp.filled_by", "warp.disoccluded", "warp.color", "final"), ()),
+        ("background collection", AFTER_SUBMIT, ("frame.filled_by", "frame.color", "final"), ("background.",)),
+        ("crack closing", AFTER_SUBMIT, ("frame.filled_by", "frame.disoccluded", "frame.color", "final"), ()),
         (
             "hole filling",
-            ("warp.color", "warp.depth", "warp.motion", "holes.", "shading.", "final", "focus_truth"),
-            ("warp.color", "warp.depth", "final"),
+            ("frame.color", "frame.depth", "frame.motion", "holes.", "shading.", "final", "focus_truth"),
+            ("frame.color", "frame.depth", "final"),
             (),
         ),
     ],
@@ -173,7 +173,7 @@ def test_parameters(values):
     assert values["n = 3"]["changed"] == values["n = 3"]["gone"] == []  # the same time
     later = values["a quarter later"]
     assert later["alpha"] == 0.75
-    assert {"prediction.target_position", "warp.motion", "final"} <= set(later["changed"])
+    assert {"prediction.target_position", "frame.motion", "final"} <= set(later["changed"])
     assert not [name for name in later["changed"] if starts(name, ("rendered.", "history.", "background."))]
     assert set(later["gone"]) == {"truth", "focus_truth"}
 
@@ -187,7 +187,7 @@ def test_rendering_window(values):
 def test_layers(values):
     names = values["layers"]
     assert len(names) > 20
-    for name in ("warp.filled_by", names[-1], "history.dynamic_mask"):
+    for name in ("frame.filled_by", names[-1], "history.dynamic_mask"):
         assert values[f"click on {name}"] == name
     assert values["after Up"] == names[-2]
     for name in names:
@@ -201,7 +201,7 @@ def test_layers(values):
 
 def test_overview(values, seen):
     assert values["tiles"] == values["layers"]
-    assert values["opened"] == ["warp.depth", False]
+    assert values["opened"] == ["frame.depth", False]
 
 
 @pytest.mark.parametrize("overlay", ["edges", "residual motion"])
@@ -241,7 +241,7 @@ def test_flip_error(values):
 def test_inspector(values):
     for pixel in values["pixels"]:
         assert pixel["wrong"] == [], pixel
-        assert {"final", "rendered.color", "warp.motion", "history.history", "background.color_0"} <= set(
+        assert {"final", "rendered.color", "frame.motion", "history.history", "background.color_0"} <= set(
             pixel["compared"]
         )
     assert len(values["pixels"]) == 5 and values["left"]
@@ -386,6 +386,6 @@ def test_restart(values):
     assert values["recent"][0] == "small" and "large" in values["recent"]
     assert values["options"] == [False, 1.5, True]
     assert values["playback"] == {"mode": "every frame", "speed": 0.5, "loop": False}
-    assert values["compare"] == ["split", "warp.motion", 0.25]
+    assert values["compare"] == ["split", "frame.motion", 0.25]
     assert [name for name, shown in values["panels"].items() if not shown] == ["Timings"]
     assert values["window"] == [1100, 700]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scn_models import constant_model
 
 from gffe_cl import Camera, Options, Pipeline
-from gffe_cl.stage import BufferSpec, Sizes, Stage
+from gffe_cl.stage import EXTRAPOLATED, FILLED_BY, BufferSpec, Sizes, Stage
 from gffe_cl.stages.background import Background, _level_buffers
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.history import HistoryTracking
@@ -18,7 +18,7 @@ from gffe_cl.stages.holes import Downsampled
 from gffe_cl.stages.prediction import PositionPrediction
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import ShadingInputs
-from gffe_cl.stages.warp import FILLED_BY, Warp
+from gffe_cl.stages.surfaces import Surfaces
 from gffe_cl.viewer.layers import (
     COLOR_MAPS,
     FRAME_LAYERS,
@@ -45,13 +45,14 @@ DEPTH, MOTION, FINAL = (FRAME_LAYERS[name] for name in ("rendered.depth", "rende
 STAGES: tuple[type[Stage], ...] = (
     HistoryTracking,
     PositionPrediction,
-    Warp,
+    Surfaces,
     Presentation,
     Downsampled,
     ShadingInputs,
     ShadingCorrection,
 )
 SPECS = [layer_of(stage.name, spec) for stage in STAGES for spec in stage.buffers if spec.grid != "once"]
+SPECS += [layer_of("frame", spec) for spec in EXTRAPOLATED]
 SPECS += [layer_of(Background.name, spec) for spec in _level_buffers(1)]
 BY_NAME = {spec.name: spec for spec in SPECS} | FRAME_LAYERS
 CAMERA = Camera(np.eye(4), 100.0, 110.0, 32.0, 24.0)
@@ -62,8 +63,8 @@ def ranged(spec, image, display=None, **known):
 
 
 def test_stage_buffers_become_layers():
-    spec = BY_NAME["warp.filled_by"]
-    assert (spec.label, spec.group, spec.view, spec.grid) == ("Filled by", "warp", "label", "target")
+    spec = BY_NAME["frame.filled_by"]
+    assert (spec.label, spec.group, spec.view, spec.grid) == ("Filled by", "frame", "label", "target")
     assert spec.labels == FILLED_BY and spec.channels == ("value",)
     assert BY_NAME["prediction.target_position"].places_in == "target"
     assert BY_NAME["background.px_1"].places_in == "rendered"
@@ -72,10 +73,10 @@ def test_stage_buffers_become_layers():
 
 def test_layers_of_a_pipeline_come_in_its_order(device, tmp_path):
     layers = layers_of(Pipeline(device, 64, 48, Options(shading_inputs=True)))
-    stages = ["frame", "history", "prediction", "warp", "background", "holes", "shading"]
+    stages = ["frame", "history", "surfaces", "prediction", "warp", "background", "holes", "shading"]
     assert list(dict.fromkeys(spec.group for spec in layers.values())) == stages
     own = [name for name, spec in layers.items() if spec.group == "frame"]
-    assert own == [name for name in FRAME_LAYERS if name != "gae"]  # it is "final"
+    assert own[: len(FRAME_LAYERS) - 1] == [name for name in FRAME_LAYERS if name != "gae"]  # it is "final"
     assert "history.static_threshold_squared" not in layers  # no image
     layers = layers_of(Pipeline(device, 64, 48, Options(scn_model=constant_model(tmp_path / "m.onnx"))))
     assert list(dict.fromkeys(spec.group for spec in layers.values())) == [*stages, "correction"]
@@ -299,14 +300,14 @@ def test_labels_can_be_told_apart():
     assert colors.shape == (16, 3)
     apart = np.linalg.norm(colors[:, None] - colors[None], axis=-1) + np.eye(16)
     assert apart.min() > 0.15
-    shown = legend(BY_NAME["warp.filled_by"], Display()).labels
+    shown = legend(BY_NAME["frame.filled_by"], Display()).labels
     assert [text for text, _ in shown] == [text for _, text in FILLED_BY]
     rgb = np.array([color for _, color in shown])
     assert (np.linalg.norm(rgb[:, None] - rgb[None], axis=-1) + np.eye(len(rgb))).min() > 0.35
 
 
 def test_the_full_set_of_bits_is_calm():
-    shown = dict(legend(BY_NAME["warp.links"], Display()).labels)
+    shown = dict(legend(BY_NAME["surfaces.links"], Display()).labels)
     assert shown["15"] == LABEL_COLORS[0] and shown["0"] == LABEL_COLORS[15]
 
 
@@ -328,7 +329,7 @@ def test_wheel_legend_and_colors():
 
 def test_channel_of_a_vector_has_a_ramp():
     assert legend(MOTION, Display(channel="x")).kind == "ramp" and legend(FINAL, Display()).kind == "none"
-    assert legend(BY_NAME["warp.mixed"], Display(tint=(1, 0, 0))).labels[1] == ("1", (1, 0, 0))
+    assert legend(BY_NAME["frame.mixed"], Display(tint=(1, 0, 0))).labels[1] == ("1", (1, 0, 0))
 
 
 @pytest.mark.parametrize(
@@ -348,10 +349,10 @@ def test_channel_of_a_vector_has_a_ramp():
         ("background.px_1", (0, 0), "nothing"),
         ("history.history", (1, 2, 3, 1), "(1, 2, 3) world units"),
         ("history.history", (1, 2, 3, 0), "not known"),
-        ("warp.dynamic", np.uint8(1), "yes"),
-        ("warp.filled_by", np.uint8(254), "254: crack closing"),
-        ("warp.filled_by", np.uint8(77), "77"),
-        ("warp.links", np.uint8(15), "15"),
+        ("frame.dynamic", np.uint8(1), "yes"),
+        ("frame.filled_by", np.uint8(254), "254: crack closing"),
+        ("frame.filled_by", np.uint8(77), "77"),
+        ("surfaces.links", np.uint8(15), "15"),
         ("holes.block_inverse_depth", 0.123456, "0.1235"),
     ],
 )

@@ -873,7 +873,7 @@ def test_video_faults(tmp_path, capfd):
 
 
 def test_unused_names(tmp_path):
-    assert unused_name(tmp_path, "warp.color", ".png") == tmp_path / "warp.color.png"
+    assert unused_name(tmp_path, "frame.color", ".png") == tmp_path / "frame.color.png"
     for expected in ("a", "a_2", "a_3"):
         path = unused_name(tmp_path, "a", ".exr")
         assert path.stem == expected

@@ -96,7 +96,7 @@ def test_story_follows_the_slot_although_the_mouse_moves_on(session):
 
 def test_layers_of_another_slot_are_not_on_the_canvas(session):
     model = session.model
-    for slot, layer in ((1, "warp.depth"), (3, "final")):
+    for slot, layer in ((1, "frame.depth"), (3, "final")):
         model.show_layer(layer)
         model.playback.seek(slot)
         session.settle()

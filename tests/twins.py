@@ -1,14 +1,27 @@
 """NumPy twins of the kernels: the oracles of the device tests.
 
 Plain float32 arithmetic in the kernels' order, whole images at a time. Cameras come as the same packed
-`Reprojection` arrays that kernels get, (6, 4) float32.
+`Reprojection` arrays that kernels get, (6, 4) float32. Constants are read from the kernels' sources.
 """
+
+from types import SimpleNamespace
 
 import numpy as np
 
+from gffe_cl.opencl.program import constants
+
 F = np.float32
 INF = F(np.inf)
-EMPTY = 0xFFFFFFFF
+COMMON = SimpleNamespace(**constants("common.h"))
+HISTORY, SURFACES, WARP, BACKGROUND, HOLES, SHADING, CORRECTION = (
+    SimpleNamespace(**{name: F(value) if isinstance(value, float) else value for name, value in found.items()})
+    for found in (
+        constants(f"{name}.cl")
+        for name in ("history", "surfaces", "warp", "background", "holes", "shading", "correction")
+    )
+)
+NOBODY = WARP.NOBODY
+COLOR_MAX = F(COMMON.COLOR_MAX)
 
 
 def centres(height, width):
@@ -76,14 +89,16 @@ def residual_histogram(depth, motion, to_previous):
         residual = where[..., :2] - (px + motion)
     use = ~invalid(depth) & ~np.isinf(depth) & np.isfinite(motion).all(-1) & (where[..., 2] > 0)
 
+    bins, stride, apart = HISTORY.RESIDUAL_BINS, HISTORY.RESIDUAL_STRIDE, HISTORY.SCATTER_DISTANCE
+
     def histogram(vectors):
         r2 = vectors[:, 0] * vectors[:, 0] + vectors[:, 1] * vectors[:, 1]
-        bins = np.clip((r2.view(np.uint32) >> 22).astype(int) - 214, 0, 63)
-        return np.bincount(bins, minlength=64)
+        which = np.clip((r2.view(np.uint32) >> 22).astype(int) - HISTORY.RESIDUAL_FIRST_BIN, 0, bins - 1)
+        return np.bincount(which, minlength=bins)
 
     sampled = np.zeros_like(use)
-    sampled[::4, ::4] = True
-    near, near_use = _shifted(residual, 8, 8, np.nan), _shifted(use, 8, 8, False)
+    sampled[::stride, ::stride] = True
+    near, near_use = _shifted(residual, apart, apart, np.nan), _shifted(use, apart, apart, False)
     with np.errstate(over="ignore"):
         counts = histogram(residual[sampled & use]), histogram((residual - near)[sampled & use & near_use])
     return np.stack(counts).astype(np.int32)
@@ -92,7 +107,7 @@ def residual_histogram(depth, motion, to_previous):
 def noise_threshold_squared(histogram, low=0.25, high=4.0):
     def quantile(counts, share):
         bin_ = int(np.argmax(np.cumsum(counts) >= share * counts.sum()))
-        return np.array([(bin_ + 215) << 22], np.uint32).view(F)[0]
+        return np.array([(bin_ + 1 + HISTORY.RESIDUAL_FIRST_BIN) << 22], np.uint32).view(F)[0]
 
     if histogram[0].sum() == 0:
         return F(low * low)
@@ -129,8 +144,9 @@ def _depth_met(px, expected, tolerance, depth_prev):
         return total / weights, nearest
     found, closest = F(-1), INF
     xc, yc = int(np.floor(px[0])), int(np.floor(px[1]))
-    for y in range(yc - 2, yc + 3):
-        for x in range(xc - 2, xc + 3):
+    around = range(-HISTORY.SEARCH_RADIUS, HISTORY.SEARCH_RADIUS + 1)
+    for y in (yc + k for k in around):
+        for x in (xc + k for k in around):
             if not (0 <= x < width and 0 <= y < height):
                 continue
             dx, dy = F(x + 0.5) - px[0], F(y + 0.5) - px[1]
@@ -145,12 +161,12 @@ def _depth_met(px, expected, tolerance, depth_prev):
         if not (0 <= x < width and 0 <= y < height):
             return F(-1), nearest
         z = depth_prev[y, x]
-        if not (z > 0 and not np.isinf(z) and abs(z - expected) <= F(0.12) * expected):
+        if not (z > 0 and not np.isinf(z) and abs(z - expected) <= HISTORY.DEPTH_CHANGE_MOST * expected):
             return F(-1), nearest
         taps.append(z)
         total = total + (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v) * z
     nearest = (y0 + (v >= 0.5)) * width + x0 + (u >= 0.5)
-    return (total if max(taps) - min(taps) <= F(0.03) * min(taps) else F(-1)), nearest
+    return (total if max(taps) - min(taps) <= HISTORY.DEPTH_TOLERANCE * min(taps) else F(-1)), nearest
 
 
 def track_history(
@@ -180,7 +196,7 @@ def track_history(
     for y, x in np.argwhere((dynamic > 0) & usable & (where[..., 2] > 0)):
         px_prev, at = px[y, x] + motion[y, x], where[y, x]
         sideways = (abs(px_prev[0] - at[0]) + abs(px_prev[1] - at[1])) * from_previous[4, 0] * at[2]
-        tolerance = F(0.03) * at[2] + F(2) * sideways
+        tolerance = HISTORY.DEPTH_TOLERANCE * at[2] + HISTORY.DEPTH_PER_MOTION * sideways
         z_prev, nearest = _depth_met(px_prev, at[2], tolerance, depth_prev)
         if not z_prev > 0:
             continue
@@ -216,7 +232,7 @@ def predict_positions(depth, dynamic, history, order, weights, to_target):
         predicted = np.where((known > k)[..., None], predicted + step, predicted)
     target = move(predicted, to_target)
     moved = np.concatenate([project(target, to_target[5]), target[..., 2:]], -1)
-    moved[~((target[..., 2] > 0) & (predicted[..., 2] > 0))] = (0, 0, -1)
+    moved[~(target[..., 2] > 0)] = (0, 0, -1)
     out[dynamic > 0, :3] = moved[dynamic > 0]
     out[invalid(depth), :3] = (0, 0, -1)
     return out
@@ -246,9 +262,9 @@ def link_surfaces(depth, dynamic):
         a2, a = _shifted(w, -dx, -dy, -1), w
         b, b2 = _shifted(w, dx, dy, -1), _shifted(w, 2 * dx, 2 * dy, -1)
         size = np.maximum(a, b)
-        near = np.abs(a - b) <= F(0.02) * size
-        near |= (a2 > 0) & (np.abs((a - a2) - (b - a)) <= F(0.005) * size)
-        near |= (b2 > 0) & (np.abs((b2 - b) - (b - a)) <= F(0.005) * size)
+        near = np.abs(a - b) <= SURFACES.SURFACE_STEP * size
+        near |= (a2 > 0) & (np.abs((a - a2) - (b - a)) <= SURFACES.SURFACE_CURVATURE * size)
+        near |= (b2 > 0) & (np.abs((b2 - b) - (b - a)) <= SURFACES.SURFACE_CURVATURE * size)
         sky = (a == 0) | (b == 0)
         same = (a >= 0) & (b >= 0) & np.where(sky, a == b, near)
         links |= (same & (_shifted(dynamic, dx, dy, 2) == dynamic)).astype(np.uint8) << bit
@@ -276,7 +292,7 @@ def flow(target_position, depth, links, zoom):
     with np.errstate(all="ignore"):
         nearer = np.where(sky, F(1), depth / here[..., 2])
         scale_x, scale_y = zoom[0] * nearer, zoom[1] * nearer
-        most = F(4) * np.maximum(scale_x, scale_y)
+        most = WARP.STRETCH_MOST * np.maximum(scale_x, scale_y)
         zero = np.zeros_like(scale_x)
         plain_x = np.stack([scale_x, zero, zero, zero], -1)
         plain_y = np.stack([zero, scale_y, zero, zero], -1)
@@ -308,7 +324,7 @@ def splat(target_position, depth, links, zoom, target_size, close_cracks):
     here = target_position.reshape(-1, 4)
     ddx, ddy, inverse = (a.reshape(-1, 4) for a in flow(target_position, depth, links, zoom))
     index = np.arange(len(here), dtype=np.uint64)
-    reach = F(8)
+    reach = F(WARP.FOOTPRINT_REACH)
     with np.errstate(invalid="ignore"):
         lands = (here[:, 2] > 0) & (here[:, :2] > -reach).all(1)
         lands &= (here[:, 0] < width + reach) & (here[:, 1] < height + reach)
@@ -322,20 +338,20 @@ def splat(target_position, depth, links, zoom, target_size, close_cracks):
 
     offer(own[:, 0], own[:, 1], np.ones(len(own), bool))
     if close_cracks:
-        half = np.minimum(F(0.65) * (np.abs(ddx[:, :2]) + np.abs(ddy[:, :2])), reach)
+        half = np.minimum(WARP.FOOTPRINT_HALF * (np.abs(ddx[:, :2]) + np.abs(ddy[:, :2])), reach)
         first = np.ceil(here[:, :2] - half - F(0.5)).astype(int)
         last = np.floor(here[:, :2] + half - F(0.5)).astype(int)
         for oy in range(int((last - first)[:, 1].max(initial=-1)) + 1):
             for ox in range(int((last - first)[:, 0].max(initial=-1)) + 1):
                 t = first + (ox, oy)
                 d = np.abs(_source_offset(inverse, (t.astype(F) + F(0.5)) - here[:, :2]))
-                offer(t[:, 0], t[:, 1], (t <= last).all(1) & (t != own).any(1) & (d <= F(0.65)).all(1))
+                offer(t[:, 0], t[:, 1], (t <= last).all(1) & (t != own).any(1) & (d <= WARP.FOOTPRINT_HALF).all(1))
     return keys.reshape(height, width)
 
 
 def load_color(color):
-    c = np.nan_to_num(color[..., :3].astype(F), nan=0.0, posinf=65504.0, neginf=-65504.0)
-    return np.clip(c, F(-65504), F(65504))
+    c = np.nan_to_num(color[..., :3].astype(F), nan=0.0, posinf=COLOR_MAX, neginf=-COLOR_MAX)
+    return np.clip(c, -COLOR_MAX, COLOR_MAX)
 
 
 def _cubic_weights(t):
@@ -357,14 +373,14 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
     height, width = keys.shape
     source_height, source_width = depth.shape
     holes = keys == np.iinfo(np.uint64).max
-    s = np.where(holes, 0, keys & np.uint64(EMPTY)).astype(int)
+    s = np.where(holes, 0, keys & np.uint64(NOBODY)).astype(int)
     sy, sx = np.divmod(s, source_width)
     here = target_position[sy, sx]
     ddx, ddy, inverse = (a[sy, sx] for a in flow(target_position, depth, links, zoom))
     centre = centres(height, width)
     with np.errstate(invalid="ignore"):
         exact = np.clip(_source_offset(inverse, centre - here[..., :2]), F(-1), F(1))
-    d = np.rint(exact * F(256)) * F(1 / 256)
+    d = np.rint(exact * WARP.SUBPIXEL_STEPS) * F(1 / WARP.SUBPIXEL_STEPS)
 
     def at(dx, dy):
         x, y = sx + dx, sy + dy
@@ -386,11 +402,11 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
         inside, e = deviation(dx, dy)
         _, y, x = at(dx, dy)
         with np.errstate(invalid="ignore"):
-            away = inside & (depth[y, x] < own_depth * F(0.97)) & (e > 1)
+            away = inside & (depth[y, x] < own_depth * WARP.NEARER) & (e > WARP.MOVES_AWAY)
         step_x -= dx * away
         step_y -= dy * away
     inside, e = deviation(step_x, step_y)
-    stays = ~(inside & (e <= F(0.5)))
+    stays = ~(inside & (e <= WARP.SAME_MOTION))
     step_x[stays] = step_y[stays] = 0
 
     p = d + np.stack([step_x, step_y], -1).astype(F)
@@ -402,7 +418,7 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
         for tx in range(4):
             inside, e = deviation(o[..., 0] + tx - 1, o[..., 1] + ty - 1)
             _, y, x = at(o[..., 0] + tx - 1, o[..., 1] + ty - 1)
-            alike[ty, tx], taps[ty, tx] = inside & (e <= F(0.5)), rgb[y, x]
+            alike[ty, tx], taps[ty, tx] = inside & (e <= WARP.SAME_MOTION), rgb[y, x]
     told_by = [(ty, tx) for ty in range(4) for tx in range(4) if (ty in (1, 2)) == (tx in (1, 2))]
     everywhere = np.all([alike[tap] for tap in told_by], axis=0)
     wx, wy = _cubic_weights(u), _cubic_weights(v)
@@ -425,7 +441,7 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
         linear = np.where((weights > F(0.01))[..., None], linear / weights[..., None], rgb[sy, sx])
     out = np.where(everywhere[..., None], cubic, linear)
     out = np.where(((p == 0).all(-1))[..., None], rgb[sy, sx], out)
-    out = np.clip(out, F(-65504), F(65504))
+    out = np.clip(out, -COLOR_MAX, COLOR_MAX)
 
     z = here[..., 2] + ddx[..., 2] * d[..., 0] + ddy[..., 2] * d[..., 1]
     source_centre = np.stack([sx + 0.5, sy + 0.5], -1).astype(F)
@@ -437,7 +453,7 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
         "dynamic": dynamic[sy, sx].copy(),
         "disoccluded": holes.astype(np.uint8),
         "mixed": ((step_x != 0) | (step_y != 0)).astype(np.uint8),
-        "filled_by": np.where(own_pixel, 0, 254).astype(np.uint8),
+        "filled_by": np.where(own_pixel, COMMON.BY_WARP, COMMON.BY_CRACK_CLOSING).astype(np.uint8),
     }
     for name, empty in (
         ("color", 0),
@@ -445,7 +461,7 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
         ("motion", 0),
         ("dynamic", 0),
         ("mixed", 0),
-        ("filled_by", 255),
+        ("filled_by", COMMON.BY_NOTHING),
     ):
         result[name][holes] = empty
     return result
@@ -457,22 +473,23 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
 def downsample(warped, source_color, source_depth):
     """Weighted sums per 32×32 block: (colour, 1) (h, w, 4) and inverse depth (h, w), float64 accuracy."""
     height, width = warped["depth"].shape
-    blocks = (-(-height // 32), -(-width // 32))
+    size = HOLES.BLOCK
+    blocks = (-(-height // size), -(-width // size))
     color_sum, inverse_sum = np.zeros((*blocks, 4)), np.zeros(blocks)
     y, x = np.mgrid[:height, :width]
     sy, sx = y * source_depth.shape[0] // height, x * source_depth.shape[1] // width
-    rendered = (load_color(source_color)[sy, sx], source_depth[sy, sx], 1 / 1024)
+    rendered = (load_color(source_color)[sy, sx], source_depth[sy, sx], HOLES.RENDERED_WEIGHT)
     warp = (load_color(warped["color"]), warped["depth"], 1.0)
     for (c, z, pixel_weight), use in (
-        (warp, warped["filled_by"] != 255),
+        (warp, warped["filled_by"] != COMMON.BY_NOTHING),
         (rendered, ~invalid(rendered[1])),
     ):
         c = c.astype(np.float64)
         weight = np.where(use, pixel_weight / (1 + np.maximum(c.max(-1), 0)), 0)
         with np.errstate(all="ignore"):
             inverse = np.where(np.isinf(z) | ~use, 0, 1 / z.astype(np.float64))
-        np.add.at(color_sum, (y // 32, x // 32), weight[..., None] * np.dstack([c, np.ones_like(weight)]))
-        np.add.at(inverse_sum, (y // 32, x // 32), weight * inverse)
+        np.add.at(color_sum, (y // size, x // size), weight[..., None] * np.dstack([c, np.ones_like(weight)]))
+        np.add.at(inverse_sum, (y // size, x // size), weight * inverse)
     return color_sum, inverse_sum
 
 
@@ -499,7 +516,7 @@ def _quads(image):
 def push_pull(warped):
     """(H, W, 4) colour and inverse depth for every pixel, from a pyramid of means of the valid ones."""
     height, width = warped["depth"].shape
-    valid = (warped["filled_by"] != 255).astype(F)
+    valid = (warped["filled_by"] != COMMON.BY_NOTHING).astype(F)
     color = load_color(warped["color"])
     with np.errstate(all="ignore"):
         inverse = np.where(np.isinf(warped["depth"]), F(0), F(1) / warped["depth"])
@@ -534,7 +551,7 @@ def far_side(warped, y, x, reach):
             qx, qy = x + t * dx, y + t * dy
             if not (0 <= qx < width and 0 <= qy < height):
                 break
-            if warped["filled_by"][qy, qx] != 255:
+            if warped["filled_by"][qy, qx] != COMMON.BY_NOTHING:
                 z = warped["depth"][qy, qx]
                 inverse = F(0) if np.isinf(z) else F(1) / z
                 met.append((inverse, F(1) / (F(t) * step), load_color(warped["color"][qy, qx])))
@@ -543,7 +560,7 @@ def far_side(warped, y, x, reach):
     if not met:
         return None
     least = min(inverse for inverse, _, _ in met)
-    far = [(np.append(c, inverse), w) for inverse, w, c in met if not inverse > least * F(1.3)]
+    far = [(np.append(c, inverse), w) for inverse, w, c in met if not inverse > least * HOLES.FAR_SIDE]
     return sum(w * c for c, w in far) / sum(w for _, w in far)
 
 
@@ -555,7 +572,7 @@ def fill_holes(warped, color_sum, inverse_sum, to_source, reach):
         return _filled(warped, filled[..., :3], filled[..., 3], to_source)
     height, width = warped["depth"].shape
     px = centres(height, width)
-    b = px.astype(np.float64) / 32 - 0.5
+    b = px.astype(np.float64) / HOLES.BLOCK - 0.5
     b0 = np.floor(b).astype(int)
     f = b - b0
     total, inverse = np.zeros((height, width, 4)), np.zeros((height, width))
@@ -568,7 +585,7 @@ def fill_holes(warped, color_sum, inverse_sum, to_source, reach):
     with np.errstate(all="ignore"):
         mean = np.where(total[..., 3:] > 0, total[..., :3] / total[..., 3:], 0)
         mean_inverse = np.where(total[..., 3] > 0, inverse / total[..., 3], 0)
-    holes = warped["filled_by"] == 255
+    holes = warped["filled_by"] == COMMON.BY_NOTHING
     for y, x in np.argwhere(holes):
         found = far_side(warped, y, x, reach)
         if found is not None:
@@ -578,7 +595,7 @@ def fill_holes(warped, color_sum, inverse_sum, to_source, reach):
 
 def _filled(warped, mean, mean_inverse, to_source):
     px = centres(*warped["depth"].shape)
-    holes = warped["filled_by"] == 255
+    holes = warped["filled_by"] == COMMON.BY_NOTHING
     with np.errstate(all="ignore"):
         z = np.where(mean_inverse > 0, 1 / mean_inverse, np.inf).astype(F)
     out = {name: warped[name].copy() for name in ("color", "depth", "motion")}
@@ -595,17 +612,18 @@ def static_motion(px, z, to_source):
 
 # ---- background ----------------------------------------------------------------------------------------
 
-EMPTY_TEXEL, SHOWN, REMEMBERED = 0, 1, 2
+EMPTY_TEXEL, SHOWN, REMEMBERED = BACKGROUND.EMPTY, BACKGROUND.SHOWN, BACKGROUND.REMEMBERED
 
 
 def collect_shown(color, depth, dynamic, collect):
     """Level 0 before anything is remembered: a dict of color (H, W, 4) float16, depth, px, state."""
     height, width = depth.shape
     keep = np.full((height, width), collect) & ~invalid(depth)
-    for dy in range(-2, 3):
-        for dx in range(-2, 3):
+    around = range(-BACKGROUND.GROW, BACKGROUND.GROW + 1)
+    for dy in around:
+        for dx in around:
             with np.errstate(invalid="ignore"):
-                nearer = _shifted(depth, dx, dy, np.inf) < depth * F(0.9)
+                nearer = _shifted(depth, dx, dy, np.inf) < depth * BACKGROUND.NEARER
             keep &= ~(_shifted(dynamic, dx, dy, 0) > 0) & ~nearer
     packed = np.zeros((height, width, 4), np.float16)
     packed[..., :3] = load_color(color)
@@ -638,7 +656,7 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
         shown = depth[sy, sx]
         if invalid(shown):
             return True, F(0), True
-        margin = F(0.02) * shown + slopes[sy, sx]
+        margin = BACKGROUND.SAME_SURFACE * shown + slopes[sy, sx]
         behind = not np.isinf(shown) if np.isinf(z) else z > shown + margin
         in_front = not np.isinf(z) if np.isinf(shown) else z < shown - margin
         return not in_front and (behind or not dynamic[sy, sx]), margin, behind
@@ -671,7 +689,7 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
                 offer(fill, cell, z[i], i)
             elif level + 1 < count:
                 base = current["depth"][cell]
-                level_margin = margin if level == 0 else F(2) * F(0.02) * base
+                level_margin = margin if level == 0 else F(2) * BACKGROUND.SAME_SURFACE * base
                 if not np.isinf(base) if np.isinf(z[i]) else z[i] > base + level_margin:
                     offer(push, (sy >> (level + 1), sx >> (level + 1)), z[i], i)
         settle(fill, current, before, now)
@@ -703,23 +721,24 @@ def project_background(warped, levels, zoom, to_target, to_source):
         wide = level["depth"].shape[1]
         for ty, tx in np.argwhere(level["state"] == REMEMBERED):
             x, y, z = there[number][ty, tx]
-            if not (z > 0 and -16 < x < width + 16 and -16 < y < height + 16):
+            reach = BACKGROUND.REACH
+            if not (z > 0 and -reach < x < width + reach and -reach < y < height + reach):
                 continue
             nearer = F(1) if np.isinf(z) else level["depth"][ty, tx] / z
-            side = F(1 << number) * F(1.25) * nearer
-            half = [min(max(side * zoom[k], F(0.5)), F(16)) for k in range(2)]
+            side = F(1 << number) * BACKGROUND.FOOTPRINT_HALF * nearer
+            half = [min(max(side * zoom[k], F(0.5)), reach) for k in range(2)]
             x0, x1 = max(int(np.ceil(x - half[0] - F(0.5))), 0), min(int(np.floor(x + half[0] - F(0.5))), width - 1)
             y0, y1 = max(int(np.ceil(y - half[1] - F(0.5))), 0), min(int(np.floor(y + half[1] - F(0.5))), height - 1)
             key = (z, number, ty * wide + tx)
             for cell in ((cy, cx) for cy in range(y0, y1 + 1) for cx in range(x0, x1 + 1)):
                 shown = warped["depth"][cell]
-                alike = np.isinf(z) if np.isinf(shown) else abs(z - shown) <= F(0.02) * shown
+                alike = np.isinf(z) if np.isinf(shown) else abs(z - shown) <= BACKGROUND.SAME_SURFACE * shown
                 if holes[cell] or (warped["mixed"][cell] and alike):
                     best[cell] = min(best.get(cell, (INF, 99, 0)), key)
     px = centres(height, width)
 
     def beside(y, x, dx, dy):
-        for t in range(1, 9):
+        for t in range(1, BACKGROUND.INSIDE_REACH + 1):
             qx, qy = x + t * dx, y + t * dy
             if not (0 <= qx < width and 0 <= qy < height):
                 return F(-1)
@@ -730,7 +749,7 @@ def project_background(warped, levels, zoom, to_target, to_source):
     def inside_mover(y, x):
         for dx, dy in ((1, 0), (0, 1)):
             a, b = beside(y, x, dx, dy), beside(y, x, -dx, -dy)
-            if a > 0 and b > 0 and abs(a - b) <= F(0.05) * min(a, b):
+            if a > 0 and b > 0 and abs(a - b) <= BACKGROUND.ONE_OBJECT * min(a, b):
                 return True
         return False
 
@@ -751,7 +770,9 @@ def project_background(warped, levels, zoom, to_target, to_source):
             for ny in range(max(ty - reach, 0), min(ty + reach + 1, level_height)):
                 for nx in range(max(tx - reach, 0), min(tx + reach + 1, level_width)):
                     d = level["depth"][ny, nx]
-                    alike = np.isinf(d) if np.isinf(winner) else abs(d - winner) <= F(2) * F(0.02) * winner
+                    alike = (
+                        np.isinf(d) if np.isinf(winner) else abs(d - winner) <= F(2) * BACKGROUND.SAME_SURFACE * winner
+                    )
                     at = there[number][ny, nx]
                     if level["state"][ny, nx] == EMPTY_TEXEL or not alike or not at[2] > 0:
                         continue
@@ -759,7 +780,7 @@ def project_background(warped, levels, zoom, to_target, to_source):
                     if wx > 0 and wy > 0:
                         total = total + wx * wy * load_color(level["color"][ny, nx])
                         weights = weights + wx * wy
-            if weights >= F(0.5):
+            if weights >= BACKGROUND.ENOUGH_WEIGHT:
                 break
         out["color"][y, x, :3] = total / weights if weights > F(0.01) else load_color(level["color"][ty, tx])
         out["filled_by"][y, x] = 1 + number
@@ -776,15 +797,15 @@ def prepare_inputs(warped, motion, color_prev, depth_prev, to_previous):
     """(warped previous (H, W, 4) float16, input mask (H, W) float16); `color_prev` None after a reset."""
     height, width = warped["depth"].shape
     source_height, source_width = motion.shape[:2]
-    own = np.isin(warped["filled_by"], (0, 254))
-    mask = np.where(warped["dynamic"] > 0, 1, np.where(own, 0.5, 0)).astype(np.float16)
+    rest = np.where(warped["disoccluded"] > 0, SHADING.MASK_DISOCCLUDED, SHADING.MASK_REST)
+    mask = np.where(warped["dynamic"] > 0, SHADING.MASK_DYNAMIC, rest).astype(np.float16)
     gae = load_color(warped["color"])
     out = np.concatenate([gae, np.zeros((height, width, 1), F)], -1).astype(np.float16)
     if color_prev is None:
         return out, mask
     px = centres(height, width)
     before = reproject(px, warped["depth"], to_previous)
-    tolerance = F(0.03) * before[..., 2]
+    tolerance = SHADING.SAME_SURFACE * before[..., 2]
     for y, x in np.argwhere((warped["dynamic"] > 0) & (before[..., 2] > 0)):
         now = px[y, x] + warped["motion"][y, x]
         sx, sy = (int(np.floor(v)) for v in now)
@@ -794,7 +815,7 @@ def prepare_inputs(warped, motion, color_prev, depth_prev, to_previous):
             continue
         moved = now + motion[sy, sx]
         sideways = np.abs(moved - before[y, x, :2]).sum() * (before[y, x, 2] / to_previous[5, 0])
-        tolerance[y, x] += F(2) * sideways
+        tolerance[y, x] += SHADING.DEPTH_PER_MOTION * sideways
         before[y, x, :2] = moved
     rgb = load_color(color_prev)
     for y, x in np.argwhere((before[..., 2] > 0) & (before[..., :2] > -1).all(-1)):
@@ -814,7 +835,7 @@ def prepare_inputs(warped, motion, color_prev, depth_prev, to_previous):
             weight = (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
             total, weights = total + weight * rgb[ty, tx], weights + weight
         if weights >= F(0.25):
-            out[y, x] = (*np.clip(total / weights, F(-65504), F(65504)), 1)
+            out[y, x] = (*np.clip(total / weights, -COLOR_MAX, COLOR_MAX), 1)
     return out, mask
 
 
@@ -844,7 +865,7 @@ def decode(encoded, exposure):
     for c in (1.3981999507e-3, 8.3334519073e-3, 4.1665795894e-2, 1.6666665459e-1, 5.0000001201e-1):
         y = y * r + F(c)
     power = ((np.nan_to_num(n).astype(np.int32) + 127) << 23).view(F)
-    return np.minimum(((y * r * r + r) * power + (power - F(1))) * F(8 / (5000 * exposure)), F(65504))
+    return np.minimum(((y * r * r + r) * power + (power - F(1))) * F(8 / (5000 * exposure)), COLOR_MAX)
 
 
 def depth_median(depth):
@@ -852,12 +873,14 @@ def depth_median(depth):
     bits = np.sort(depth[np.isfinite(depth) & (depth > 0)].view(np.uint32))
     if not len(bits):
         return F(1)
-    return np.array([bits[(len(bits) + 1) // 2 - 1] >> 16 << 16 | 1 << 15], np.uint32).view(F)[0]
+    dropped = CORRECTION.BIN_BITS
+    bin_ = bits[(len(bits) + 1) // 2 - 1] >> dropped
+    return np.array([bin_ << dropped | 1 << (dropped - 1)], np.uint32).view(F)[0]
 
 
 def network_input(color, previous, depth, mask, exposure, network_size):
     """(8, h, w) float32 from the GAE frame, the warped previous frame (H, W, 4) and the input mask (H, W)."""
-    inverse = np.minimum(depth_median(depth) / depth, F(8))
+    inverse = np.minimum(depth_median(depth) / depth, CORRECTION.MAX_INVERSE_DEPTH)
     colors = [encode(load_color(image), exposure) for image in (color, previous)]
     planes = np.concatenate([*colors, inverse[..., None], mask.astype(F)[..., None]], -1)
     (height, width), (w, h) = depth.shape, network_size
@@ -889,7 +912,7 @@ def correct(color, frames, correction, exposure, within_mask=True):
         encoded = low + delta + full(correction[3])[..., None] * (encode(rgb, exposure) - low)
         m = full(correction[4])
         usable = np.isfinite(encoded.sum(-1) + m)
-        m = np.where(usable & (m >= F(1 / 32)), np.minimum(m, F(1)), F(0))
+        m = np.where(usable & (m >= CORRECTION.LEAST_MASK), np.minimum(m, F(1)), F(0))
         corrected = decode(encoded, exposure)
         share = (m if within_mask else usable.astype(F))[..., None]
         mixed = rgb * (F(1) - share) + corrected * share

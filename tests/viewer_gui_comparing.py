@@ -13,7 +13,7 @@ def split(gui: Gui):
     """The wipe's line is dragged; left of it is A, right of it B."""
     model, values = gui.model, gui.values
     gui.key(KEY.w)
-    model.view.b = "warp.depth"
+    model.view.b = "frame.depth"
     gui.settle()
     left, top, width, height = gui.area()
     middle = top + height / 2
@@ -25,7 +25,7 @@ def split(gui: Gui):
     model.view.compare = "off"
     gui.settle()
     a = gui.picture()
-    model.show_layer("warp.depth")
+    model.show_layer("frame.depth")
     gui.settle()
     b = gui.picture()
     values["left is A"] = bool((picture[:, : split - 2] == a[:, : split - 2]).all())

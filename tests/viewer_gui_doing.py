@@ -127,8 +127,8 @@ def saving(gui: Gui):
     (folder,) = _made(before)
     images = gui.images()
     values["exr"] = {"files": sorted(path.stem for path in folder.iterdir()), "layers": sorted(images)}
-    depth = read_channels(folder / "warp.depth.exr", ["Y"], "depth")["Y"]
-    values["exr"]["depth is right"] = bool(np.array_equal(depth, images["warp.depth"]))
+    depth = read_channels(folder / "frame.depth.exr", ["Y"], "depth")["Y"]
+    values["exr"]["depth is right"] = bool(np.array_equal(depth, images["frame.depth"]))
     model.playback.set_in(2)
     model.playback.set_out(9)
     before = set(Path.cwd().iterdir())
@@ -203,7 +203,7 @@ def leave_while_working(gui: Gui) -> None:
     """Choices that are to be there after a restart; then work that goes on when the window is closed."""
     app, model = gui.app, gui.model
     gui.reset()
-    model.show_layer("warp.depth")
+    model.show_layer("frame.depth")
     gui.settle()
     model.looks.change(low=2.0, high=9.0, color_map="viridis")
     gui.key(KEY.t, CTRL)
@@ -213,7 +213,7 @@ def leave_while_working(gui: Gui) -> None:
     gui.choose("//Timeline/###mode", "every frame")
     gui.choose("//Timeline/###speed", "0.5×")
     gui.click("//Timeline/loop")
-    model.view.b = "warp.motion"
+    model.view.b = "frame.motion"
     gui.key(KEY.w)
     model.view.split = 0.25
     app.toggle_panel("Timings")
@@ -244,7 +244,7 @@ def found_again(gui: Gui) -> None:
     app, model, values = gui.app, gui.model, gui.values
     gui.wait(lambda: model.settled, "a settled picture")
     gui.frames(3)
-    shown = model.looks.of("warp.depth")
+    shown = model.looks.of("frame.depth")
     values |= {
         "display": (shown.low, shown.high, shown.color_map),
         "theme": model.settings.theme,

@@ -26,7 +26,7 @@ def layers(gui: Gui):
     names = [spec.name for spec in model.layers]
     values["layers"], values["seen"] = names, {}
     rows = gui.ctx.window_info("//Layers/###layers").window
-    for name in ("warp.filled_by", names[-1], "history.dynamic_mask"):
+    for name in ("frame.filled_by", names[-1], "history.dynamic_mask"):
         gui.ctx.set_ref(rows)
         gui.click(f"###group {model.spec_of(name).group}/###{name}")
         gui.settle()
@@ -37,7 +37,7 @@ def layers(gui: Gui):
         gui.key(KEY.down_arrow)
         gui.settle()
         values["seen"][name] = {"shown": model.view.a, "view": model.spec_of(name).view} | _look(gui)
-        if name in ("history.history", "warp.filled_by", "background.depth_0", "rendered.motion"):
+        if name in ("history.history", "frame.filled_by", "background.depth_0", "rendered.motion"):
             gui.shot(f"layers, {name}")
     gui.key(KEY.up_arrow)
     values["after Up"] = model.view.a
@@ -54,7 +54,7 @@ def overview(gui: Gui):
     tiles = gui.on_screen(lambda: gui.app.canvas.overview(model.overview_tiles(), size, caption=caption)[1])
     values["tiles"], values["layers"] = [tile.name for tile in tiles], [spec.name for spec in model.layers]
     gui.shot("overview")
-    tile = next(tile for tile in tiles if tile.name == "warp.depth")
+    tile = next(tile for tile in tiles if tile.name == "frame.depth")
     gui.point(left + tile.x + tile.width / 2, top + tile.y + tile.height / 2)
     gui.ctx.mouse_click(0)
     gui.settle()
@@ -132,7 +132,7 @@ def display_keys(gui: Gui):
     gain = model.info.exposure * 2 ** model.looks.of("final").exposure
     values["white at 99 %"] = float(np.quantile(brightest, 0.99) * gain)
     gui.key(KEY.r)
-    model.show_layer("warp.depth")
+    model.show_layer("frame.depth")
     gui.settle()
     model.looks.change(low=0.0, high=1000.0)
     gui.settle()
@@ -140,8 +140,8 @@ def display_keys(gui: Gui):
     gui.key(KEY.n)
     gui.settle()
     values["colors"] = wide, len(np.unique(gui.picture().reshape(-1, 3), axis=0))
-    depth = model.image_of("warp.depth")
-    values["range"] = (model.looks.of("warp.depth").low, model.looks.of("warp.depth").high)
+    depth = model.image_of("frame.depth")
+    values["range"] = (model.looks.of("frame.depth").low, model.looks.of("frame.depth").high)
     values["quantiles"] = np.quantile(depth[np.isfinite(depth)], (0.01, 0.99)).tolist()
 
 
@@ -178,7 +178,7 @@ def inspector(gui: Gui):
 def story(gui: Gui):
     """A click on a pixel of the walker: its story, its trajectory over the picture; forgotten again."""
     model, values = gui.model, gui.values
-    mask = gui.images()["warp.dynamic"]
+    mask = gui.images()["frame.dynamic"]
     ys, xs = np.nonzero(mask[:, : model.info.width - 8])
     x, y = int(np.median(xs)), int(np.median(ys))
     assert mask[y, x], "the walker has a hole in the middle"

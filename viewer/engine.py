@@ -305,6 +305,7 @@ class Engine:
     def _computed(self, player: Player, request: Request, k: int, alpha: float, start: float) -> Result:
         player.prepare(request.setup)
         notes = player.go_to(k, alpha)
+        player.pipeline.keep(request.layers)
         shot = player.shoot(k, alpha, request.setup.show_window)
         pipeline = player.pipeline
         specs = layers_of(pipeline)

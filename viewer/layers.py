@@ -213,9 +213,13 @@ def layer_of(stage: str, spec: BufferSpec) -> LayerSpec:
 
 def layers_of(pipeline) -> dict[str, LayerSpec]:
     """All layers by name: the frame's own ("gae" where it is not "final"), then those of every stage in the order of
-    the pipeline."""
-    made = (layer_of(stage.name, spec) for stage, spec in pipeline.named_buffers() if spec.grid != "once")
-    frame = {name: spec for name, spec in FRAME_LAYERS.items() if name != "gae" or pipeline.correction}
+    the pipeline, with what each stage leaves of the extrapolated frame."""
+    found = {(owner.name, spec.name): spec for owner, spec in pipeline.named_buffers() if spec.grid != "once"}
+    found |= {(stage, spec.name): spec for stage, spec in pipeline.outputs()}
+    order = [FRAME_GROUP, *pipeline.stages]
+    places = sorted(found, key=lambda name: order.index(name[0]) if name[0] in order else len(order))
+    made = (layer_of(owner, found[owner, name]) for owner, name in places)
+    frame = {name: spec for name, spec in FRAME_LAYERS.items() if name != "gae" or "correction" in pipeline.stages}
     return frame | {spec.name: spec for spec in made}
 
 

@@ -82,7 +82,7 @@ class Player:
             self.pipeline.exposure = self.source.exposure
             made = self.pipeline.extrapolate(self.source.camera(k, alpha), self.source.time(k, alpha))
             buffers["final"] = made.color
-            if self.pipeline.correction:
+            if "correction" in self.pipeline.stages:
                 buffers["gae"] = made.gae
             self.shot = Shot(k, alpha, made.time, made.camera, *cameras, False, buffers)
         else:
@@ -95,11 +95,10 @@ class Player:
     def find_focus(self, truth: np.ndarray) -> None:
         """Add "focus_truth" to the shot, an extrapolated one; `truth`: (H, W, 4) float16."""
         if self._focus is None:
-            self._focus = FocusMask(self.device, self.pipeline.sizes)
+            self._focus = FocusMask(self.pipeline.board)
             self._true_color = self.device.buffer(truth.nbytes)
-        warp = self.pipeline.warp.buffer
         cl.enqueue_copy(self.device.queue, self._true_color, truth)
-        self._focus.make(warp["color"], self._true_color, warp["dynamic"], self.source.exposure)
+        self._focus.make(self._true_color, self.source.exposure)
         self.shot.buffers["focus_truth"] = self._focus.buffer["focus_truth"]
 
     def _restart(self) -> None:

@@ -9,14 +9,14 @@ from gffe_cl import inference
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import Program, expand, kernel_folder
 from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
-from gffe_cl.stage import Sizes
+from gffe_cl.pipeline import STAGES, Pipeline
+from gffe_cl.stage import Board, Sizes
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import FocusMask
 
 WATCH_SECONDS = 0.5  # between looks at the kernels' files
-_STAGE_KERNELS = ("history", "prediction", "warp", "background", "holes", "shading", "correction", "presentation")
+_STAGE_KERNELS = tuple(stage.name for stage in (*STAGES, Presentation))
 
 
 class Kernels(dict):
@@ -49,12 +49,12 @@ class Kernels(dict):
                 self.error = None
                 return False
             self._texts = texts
-            sizes = Sizes((1, 1), (1, 1))
             Pipeline(self._device, 1, 1, Options(shading_inputs=True, shading_correction=False))
-            Presentation(self._device, sizes)
-            FocusMask(self._device, sizes)
+            board = Board(self._device, Sizes((1, 1), (1, 1)))
+            Presentation(board)
+            FocusMask(board)
             if inference.default_model() or any(key[0] == ShadingCorrection.name for key in self):
-                ShadingCorrection(self._device, sizes, None)  # the network itself is not needed
+                ShadingCorrection(board, load=False)  # the network itself is not needed
         except Exception as error:
             self._texts, self.error = before, str(error)
             return False

@@ -10,10 +10,9 @@ import pyopencl as cl
 
 from gffe_cl.camera import Camera
 from gffe_cl.pipeline import Pipeline
+from gffe_cl.stage import BY_CRACK_CLOSING, BY_HOLE_FILLING, BY_NOTHING, FILLED_BY
 from gffe_cl.stages.holes import FILLINGS
-from gffe_cl.stages.warp import BY_HOLE_FILLING, FILLED_BY
 
-_CRACK_CLOSING = 254  # in `filled_by`
 _REMEMBERED = 2  # in `state_l`
 _SAME_SURFACE = 0.04  # relative depth within which texels of a level are mixed, as in background.cl
 
@@ -177,7 +176,7 @@ def source_position(pipeline: Pipeline, shot: Shot, x: int, y: int) -> tuple[flo
         )
     if not shot.alpha:
         return _moved((x + 0.5, y + 0.5), shot.display_camera, shot.render_camera)
-    motion = _blocks(pipeline, {"motion": (device_layers(pipeline, shot)["warp.motion"], x, y, 1, 1)})["motion"]
+    motion = _blocks(pipeline, {"motion": (device_layers(pipeline, shot)["frame.motion"], x, y, 1, 1)})["motion"]
     at = motion.reshape(2) + (x + 0.5, y + 0.5)
     return tuple(map(float, at)) if np.isfinite(at).all() else None
 
@@ -207,7 +206,7 @@ def pixel_story(pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str
 
 
 def _with_correction(story: Story, pipeline: Pipeline, values: dict[str, np.ndarray]) -> Story:
-    if pipeline.correction is None:
+    if "correction" not in pipeline.stages:
         return story
     before, after = values["gae"][:3], values["final"][:3]
     if before.tobytes() == after.tobytes():
@@ -221,26 +220,26 @@ def _with_correction(story: Story, pipeline: Pipeline, values: dict[str, np.ndar
 
 
 def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, values) -> Story:
-    number = int(values["warp.filled_by"][0])
+    number = int(values["frame.filled_by"][0])
     label = dict(FILLED_BY)[number]
-    if number == BY_HOLE_FILLING:
+    if number in (BY_HOLE_FILLING, BY_NOTHING):
         return Story((x, y), label, source_px, sentences=_hole_sentences(pipeline, shot, source_px))
-    if 1 <= number < _CRACK_CLOSING and values["warp.disoccluded"][0]:
+    if 1 <= number < BY_CRACK_CLOSING and values["frame.disoccluded"][0]:
         return _background_story(pipeline, shot, (x, y), source_px, number - 1, values)
-    told = _Fragment.at(pipeline, shot, source_px, ((x, y), number == 0, bool(values["warp.dynamic"][0])))
+    told = _Fragment.at(pipeline, shot, source_px, ((x, y), number == 0, bool(values["frame.dynamic"][0])))
     where = f"({source_px[0]:.1f}, {source_px[1]:.1f}) of rendered frame {shot.k}" if source_px else "nowhere"
     start = [f"Shown by its own fragment, from {where}."]
-    if number == _CRACK_CLOSING:
+    if number == BY_CRACK_CLOSING:
         start = [f"Crack closing: the fragment from {where} covers this pixel too, none lands in it."]
     elif number:
         start.append(
             f"Its colour is mixed with that of a silhouette there, so it comes from background level {number - 1}."
         )
-    elif values["warp.mixed"][0]:
+    elif values["frame.mixed"][0]:
         start.append("Its colour is mixed with that of a silhouette there, so its neighbour's is shown.")
     if told is None:
         return Story((x, y), label, source_px, sentences=tuple(start))
-    return told.story((x, y), label, source_px, tuple(start), number - 1 if 1 <= number < _CRACK_CLOSING else None)
+    return told.story((x, y), label, source_px, tuple(start), number - 1 if 1 <= number < BY_CRACK_CLOSING else None)
 
 
 @dataclass(frozen=True)
@@ -279,7 +278,9 @@ class _Fragment:
         depth, motion, dynamic = float(depth[0, 0]), motion[0].astype(np.float64), bool(mask[0, 0])
         px = np.add(at, 0.5)
         residual = _residual(shot, px, depth, motion) if pipeline.options.motion else None
-        threshold = None if residual is None else float(np.sqrt(pipeline.history.read("static_threshold_squared")[0]))
+        threshold = (
+            None if residual is None else float(np.sqrt(pipeline.stages["history"].read("static_threshold_squared")[0]))
+        )
         known = [place for place in history if dynamic and place[3] != 0]
         path = [_projected(place[:3], shot.display_camera) for place in known[::-1]]
         path.append(_moved(px, shot.render_camera, shot.display_camera))
@@ -339,7 +340,7 @@ def _fragment_sentences(pipeline, shot, depth, motion, dynamic, residual, thresh
 
 def _hole_sentences(pipeline: Pipeline, shot: Shot, source_px) -> tuple[str, ...]:
     nothing = f"No fragment of rendered frame {shot.k} lands here, nor one that the background remembers."
-    if pipeline.background is None:
+    if "background" not in pipeline.stages:
         nothing = f"No fragment of rendered frame {shot.k} lands here, and there is no background."
     if pipeline.options.hole_filling == "none":
         return nothing, "Hole filling is off: black, at infinite depth."
@@ -350,7 +351,7 @@ def _hole_sentences(pipeline: Pipeline, shot: Shot, source_px) -> tuple[str, ...
 
 
 def _background_story(pipeline, shot, pixel, source_px, level: int, values) -> Story:
-    depth = float(values["warp.depth"][0])
+    depth = float(values["frame.depth"][0])
     at = _remembered(pipeline, shot, pixel, source_px, level, depth)
     lies = f", last at ({at[0]:.1f}, {at[1]:.1f}) of the rendered image" if at else ""
     said = [f"Filled from background level {level}: a static surface hidden now{lies}."]

@@ -22,7 +22,7 @@ from gffe_cl.opencl.program import build
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import SceneRenderer, load_scene
-from gffe_cl.stage import DeviceFrame, read_some_rows
+from gffe_cl.stage import Board, DeviceFrame, read_some_rows
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.window import WindowChooser, fixed_window
 
@@ -75,13 +75,12 @@ class Copier:
         a, b = (cl.Buffer(device.context, cl.mem_flags.READ_WRITE, _COPY_BYTES) for _ in range(2))
         cl.enqueue_fill_buffer(queue, a, np.uint8(1), 0, _COPY_BYTES)
         floats = _COPY_BYTES // 4
+        buffers = {"from": a, "to": b, "run": _COPY_RUN}
         self._ways = {
             "copy buffer": lambda: cl.enqueue_copy(queue, b, a),
-            "scalar kernel": lambda: program.copy_scalar(queue, (floats,), None, a, b),
-            "vector kernel": lambda: program.copy_vector(queue, (floats // 4,), None, a, b),
-            "run kernel": lambda: program.copy_run(
-                queue, (floats // 16 // _COPY_RUN,), None, a, b, np.int32(_COPY_RUN)
-            ),
+            "scalar kernel": lambda: program.launch(queue, "copy_scalar", (floats,), None, buffers),
+            "vector kernel": lambda: program.launch(queue, "copy_vector", (floats // 4,), None, buffers),
+            "run kernel": lambda: program.launch(queue, "copy_run", (floats // 16 // _COPY_RUN,), None, buffers),
         }
         speeds = {name: max(self._gigabytes(name) for _ in range(3)) for name in self._ways}
         self.way = max(speeds, key=speeds.get)
@@ -111,7 +110,7 @@ def bench_size(
     pipeline = Pipeline(device, width, height, options)
     pipeline.exposure = load_scene(_SCENE).exposure
     memory = device.allocated - before
-    presentation = Presentation(device, pipeline.sizes)
+    presentation = Presentation(Board(device, pipeline.sizes))
     samples: dict[str, list[float]] = {}
     walls, bandwidths = [], []
     for k in range(_WARM_UP + repeats):
@@ -169,7 +168,7 @@ def _windowing(device: Device, presentation: Presentation, frames: list[Rendered
 def _milliseconds(pipeline: Pipeline, name: str) -> float:
     """Kernel time of the stage `name` since it was last asked; waits for the device."""
     pipeline.device.queue.finish()
-    stage = next((stage for stage in pipeline.stages if stage.name == name), None)
+    stage = pipeline.stages.get(name)
     return stage.take_milliseconds() if stage else 0.0
 
 

@@ -21,7 +21,7 @@ from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import SceneRenderer, load_scene
-from gffe_cl.stages.warp import BY_HOLE_FILLING
+from gffe_cl.stage import BY_HOLE_FILLING
 
 METHODS: dict[str, Options] = {
     "downsample, L = 0": Options(levels=0, hole_filling="downsample"),

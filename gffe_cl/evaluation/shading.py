@@ -64,8 +64,8 @@ def study_shading(
         camera = scene.camera(time, width, height)
         truth = renderer.render(time, camera).numpy().color
         made = pipeline.extrapolate(camera, time)
-        predicted = pipeline.correction.read("focus_mask").astype(np.float32)
-        refined = pipeline.correction.read("refined")[..., :3]
+        predicted = pipeline.stages["correction"].read("focus_mask").astype(np.float32)
+        refined = pipeline.stages["correction"].read("refined")[..., :3]
         focus = focus_mask(made.numpy("gae"), truth, made.numpy("dynamic"), scene.exposure)
         regions = shading_regions(focus, made.numpy("disoccluded"))
         shown = display_values(truth, scene.exposure)

@@ -1,4 +1,4 @@
-"""Building kernels from `kernels/*.cl`.
+"""Building kernels from `kernels/*.cl`, and launching them by the names of their arguments.
 
 Includes are expanded here, with `#line`, so that every build error names the real file and line and the
 driver's build cache sees the whole text.
@@ -8,36 +8,78 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Mapping
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path, PurePosixPath
 from posixpath import normpath
+from typing import Any
 
+import numpy as np
 import pyopencl as cl
 
 from gffe_cl.errors import GffeError
 from gffe_cl.opencl.device import Device, quiet_builds
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
+_COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
+_DEFINE = re.compile(r"^\s*#define\s+([A-Z]\w*)\s+([^\s(].*?)\s*$", re.MULTILINE)
+_MACRO = re.compile(r"^\s*#define\s+([A-Z]\w*)\s+((?:.*\\\n)*.*)$", re.MULTILINE)
+_ATTRIBUTE = r"(?:\s*__attribute__\s*\(\(.*?\)\)\))?"
+_KERNEL = re.compile(rf"\b__kernel\b{_ATTRIBUTE}\s+void\s+(\w+)\s*\(([^{{;]*?)\)\s*\{{", re.DOTALL)
+_QUALIFIERS = {"const", "__global", "__constant", "__local", "restrict"}
+_SCALARS = {"int": np.int32, "uint": np.uint32, "float": np.float32}
+
+
+@dataclass(frozen=True)
+class Argument:
+    """Of a kernel: `type` as in OpenCL C without qualifiers; a `buffer` is a pointer, `read_only` if const."""
+
+    name: str
+    type: str
+    buffer: bool
+    read_only: bool
+
+    def packed(self, value: Any) -> Any:
+        """`value` as the kernel takes it: numbers of the argument's type, everything else as it is."""
+        return value if self.buffer or self.type not in _SCALARS else _SCALARS[self.type](value)
 
 
 class Program:
-    """The kernels of one file; each kernel object is made once and is an attribute: `program.splat(…)`."""
+    """The kernels of one file: `kernels` are made once, `arguments` say what each takes, `constants` are the numbers
+    that the file and its headers define."""
 
     def __init__(self, device: Device, name: str, source: str, variant: dict[str, int]):
         self.name = name
         options = [f"-D{key}={value}" for key, value in sorted(variant.items())]
         try:
             with quiet_builds():
-                built = cl.Program(device.context, source).build(options=options)
+                built = cl.Program(device.context, source).build(options=["-cl-kernel-arg-info", *options])
         except cl.RuntimeError as error:
             raise GffeError(f"kernels/{name}.cl does not build on {device.info.name}:\n{_log(error)}") from None
         self.kernels = {kernel.function_name: kernel for kernel in built.all_kernels()}
+        self.arguments = parse_kernels(source)
+        self.constants = parse_constants(source)
+        for kernel in self.kernels.values():
+            told = _told_names(kernel)
+            parsed = [argument.name for argument in self.arguments.get(kernel.function_name, ())]
+            assert told in (None, parsed), f"kernels/{name}.cl, {kernel.function_name}: takes {told}, read as {parsed}"
 
-    def __getattr__(self, name):
+    def launch(
+        self,
+        queue: cl.CommandQueue,
+        kernel: str,
+        size: tuple[int, ...],
+        group: tuple[int, ...] | None,
+        values: Mapping[str, Any],
+    ) -> cl.Event:
+        """Enqueue `kernel` over `size` work-items in groups of `group`; `values` by the names of its arguments, others
+        are left alone."""
         try:
-            return self.__dict__["kernels"][name]
-        except KeyError:
-            raise AttributeError(f"kernels/{self.__dict__.get('name')}.cl has no kernel '{name}'") from None
+            packed = [argument.packed(values[argument.name]) for argument in self.arguments[kernel]]
+        except KeyError as missing:
+            raise TypeError(f"kernels/{self.name}.cl, {kernel}: no value for argument {missing}") from None
+        return self.kernels[kernel](queue, size, group, *packed)
 
 
 def build(device: Device, name: str, **variant: int) -> Program:
@@ -56,6 +98,51 @@ def build(device: Device, name: str, **variant: int) -> Program:
 def kernel_folder() -> Path:
     """Where kernel sources are read from: `GFFE_KERNELS`, else the installed package."""
     return Path(os.environ.get("GFFE_KERNELS") or str(files("gffe_cl.kernels")))
+
+
+def constants(name: str) -> dict[str, int | float]:
+    """The numbers that `kernels/<name>` and its headers define: {"BINS": 32768, …}."""
+    return parse_constants(expand(name))
+
+
+def parse_constants(source: str) -> dict[str, int | float]:
+    """The numbers that are defined in the text of a kernel file: integers, and floats as float32 has them."""
+    found: dict[str, int | float] = {}
+    for name, text in _DEFINE.findall(_COMMENT.sub(" ", source)):
+        text = text.strip()
+        if re.fullmatch(r"(0[xX][0-9a-fA-F]+|\d+)[uU]?", text):
+            found[name] = int(text.rstrip("uU"), 0)
+        elif re.fullmatch(r"-?(\d+\.\d*|\.\d+)([eE][+-]?\d+)?f?", text):
+            found[name] = float(np.float32(text.rstrip("f")))
+    return found
+
+
+def parse_kernels(source: str) -> dict[str, tuple[Argument, ...]]:
+    """The arguments of every kernel in the text of a kernel file."""
+    source = _COMMENT.sub(" ", source)
+    macros = {name: body.replace("\\\n", " ") for name, body in _MACRO.findall(source)}
+
+    def spelt_out(arguments: str) -> str:
+        return re.sub(r"\w+", lambda word: macros.get(word[0], word[0]), arguments)
+
+    return {
+        kernel: tuple(_argument(text) for text in spelt_out(arguments).split(",") if text.strip())
+        for kernel, arguments in _KERNEL.findall(source)
+    }
+
+
+def _argument(text: str) -> Argument:
+    words = text.replace("*", " * ").split()
+    kind = " ".join(word for word in words[:-1] if word not in _QUALIFIERS and word != "*")
+    return Argument(words[-1], kind, "*" in words, "const" in words)
+
+
+def _told_names(kernel: cl.Kernel) -> list[str] | None:
+    """The names of a kernel's arguments, where the runtime tells them."""
+    try:
+        return [kernel.get_arg_info(k, cl.kernel_arg_info.NAME) for k in range(kernel.num_args)]
+    except cl.Error:
+        return None
 
 
 def expand(name: str) -> str:

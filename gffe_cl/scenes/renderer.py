@@ -10,11 +10,11 @@ import pyopencl as cl
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.opencl.device import Device
-from gffe_cl.opencl.program import build
+from gffe_cl.opencl.program import build, constants
 from gffe_cl.scenes.flatten import FlatScene, build_tree, nearest_first
 from gffe_cl.scenes.vocabulary import Scene
 
-_TILE = 16  # as in kernels/scenes/scene.cl
+_TILE = constants("scenes/scene.cl")["TILE"]
 _BASE_SAMPLES = 3
 
 
@@ -92,10 +92,10 @@ class SceneRenderer:
         self.flat = FlatScene(scene)
         self._tiles = -(-self.width // _TILE) * -(-self.height // _TILE)
         n, pixels = len(scene.groups), self.width * self.height
-        self._static = [
-            self._uploaded(array)
-            for array in (self.flat.object_info, self.flat.prims, self.flat.prim_info, self.flat.materials)
-        ]
+        self._static = {
+            name: self._uploaded(getattr(self.flat, name))
+            for name in ("object_info", "prims", "prim_info", "materials")
+        }
         self._frame = device.buffer(15 * 16)
         self._objects = device.buffer(n * 7 * 16)
         self._order, self._leaf_of = device.buffer(n * 4), device.buffer(n * 4)
@@ -146,39 +146,32 @@ class SceneRenderer:
             self._upload(self._lights, lights)
 
         queue, program, image = self.device.queue, self.program, self.image
-        info, prims, prim_info, materials = self._static
-        n, w, h = np.int32(len(objects)), np.int32(self.width), np.int32(self.height)
-        tiles = (self._tile_lists, np.int32(n + 1), w, h)
-        world = (
-            self._frame,
-            self._objects,
-            info,
-            prims,
-            prim_info,
-            materials,
-            self._lights,
-            self._nodes,
-            self._leaf_of,
-            np.int32(len(nodes)),
-            np.int32(len(lights)),
-            *tiles,
-        )
-        size = (self.width, self.height)
-        program.bin(queue, (self._tiles,), None, self._frame, self._objects, self._order, n, *tiles)
-        program.surfaces(
-            queue,
-            size,
-            None,
-            *world,
-            image.depth,
-            image.motion,
-            image.other_position,
-            image.object_id,
-            self._keys,
-        )
-        base = np.int32(min(_BASE_SAMPLES, self.samples))
-        seen = (image.depth, image.object_id, self._keys)
-        program.shade(queue, size, None, *world, *seen, base, np.int32(self.samples), image.color)
+        values = self._static | {
+            "frame": self._frame,
+            "objects": self._objects,
+            "object_count": len(objects),
+            "order": self._order,
+            "lights": self._lights,
+            "light_count": len(lights),
+            "nodes": self._nodes,
+            "node_count": len(nodes),
+            "leaf_of": self._leaf_of,
+            "tiles": self._tile_lists,
+            "tile_stride": len(objects) + 1,
+            "keys": self._keys,
+            "base": min(_BASE_SAMPLES, self.samples),
+            "samples": self.samples,
+            "width": self.width,
+            "height": self.height,
+            "color": image.color,
+            "depth": image.depth,
+            "motion": image.motion,
+            "position": image.other_position,
+            "object_id": image.object_id,
+        }
+        program.launch(queue, "bin", (self._tiles,), None, values)
+        for kernel in ("surfaces", "shade"):
+            program.launch(queue, kernel, (self.width, self.height), None, values)
         return image
 
     def _uploaded(self, array: np.ndarray) -> cl.Buffer:

@@ -88,8 +88,8 @@ def make_clip(device: Device, plan: ClipPlan) -> tuple[np.ndarray, list[float]]:
             camera = scene.camera(time, plan.width, plan.height)
             made = pipeline.extrapolate(camera, time)
             gae, depth = made.numpy("color"), made.numpy("depth")
-            previous = pipeline.shading.read("warped_previous")[..., :3]
-            mask = pipeline.shading.read("input_mask")
+            previous = pipeline.stages["shading"].read("warped_previous")[..., :3]
+            mask = pipeline.stages["shading"].read("input_mask")
             truth = renderer.render(time, camera).numpy().color
             samples.append(_sample(gae, previous, truth, depth, mask, scene.exposure))
             alphas.append(alpha)

@@ -4,144 +4,173 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.camera import Camera
-from gffe_cl.opencl.device import Device
-from gffe_cl.stage import RGBA, XY, BufferSpec, NearestStage, Sizes, Stage, halved, int2, reprojection, zoom
+from gffe_cl.opencl.program import constants
+from gffe_cl.stage import (
+    RGBA,
+    XY,
+    Access,
+    Board,
+    BufferSpec,
+    Kernel,
+    NearestStage,
+    Step,
+    reprojection,
+    zoom,
+)
 
 MAX_LEVELS = 4
-_OWN_TEXEL, _TOUCHED_TEXELS = 0, 1  # phases of scatter_level
-_STATES = ((0, "empty"), (1, "shown by the current frame"), (2, "remembered"))
-_PER_LEVEL = ("color", "depth", "px", "state")
+_CONSTANTS = constants("background.cl")
+_OWN_TEXEL, _TOUCHED_TEXELS = _CONSTANTS["OWN_TEXEL"], _CONSTANTS["TOUCHED_TEXELS"]  # phases of scatter_level
+REMEMBERED = _CONSTANTS["REMEMBERED"]
+STATES = (
+    (_CONSTANTS["EMPTY"], "empty"),
+    (_CONSTANTS["SHOWN"], "shown by the current frame"),
+    (REMEMBERED, "remembered"),
+)
+
+_FRAME = {"depth": "rendered.depth", "dynamic_mask": "history.dynamic_mask", "links": "surfaces.links"}
+_FILL = {"fill_keys": "background.fill_keys", "fill_winners": "background.fill_winners"}
+_PUSH = {"push_keys": "background.push_keys", "push_winners": "background.push_winners"}
+_PROJECTED = {"keys": "background.target_keys", "winners": "background.target_winners"}
+
+
+def _level(names: str, level: str = "level", share: str | float = 1.0, prefix: str = "level_", kept: str = "") -> dict:
+    """Buffers of the level that the launch gives."""
+    return {f"{prefix}{name}": Access(f"background.{name}_{{{level}}}{kept}", share) for name in names.split()}
 
 
 class Background(NearestStage):
     """Remembers, in L levels, the static fragments that are hidden now, and fills disocclusions from them."""
 
     name = "background"
-
-    def __init__(self, device: Device, sizes: Sizes, levels: int, int64: bool | None = None):
-        """`levels`: L, 1 … 4. `int64`: use 64-bit atomics; None: if the device has them."""
-        self.levels = levels
-        self.buffers = tuple(spec for level in range(levels) for spec in _level_buffers(level))
-        super().__init__(device, sizes, int64)
-        self._previous = self.allocate(self.buffers)
-        pixels = sizes.source[0] * sizes.source[1]
-        self._fill, self._push = self.key_buffers(pixels), self.key_buffers(-(-pixels // 2))
-        self._target = self.key_buffers(sizes.target[0] * sizes.target[1])
-
-    def collect(self, frame, previous, history: Stage, warp: Stage) -> None:
-        """Update the levels for rendered `frame`; `previous` is None after a reset: then nothing is kept,
-        nor collected, because what moves is not known yet."""
-        self.buffer, self._previous = self._previous, self.buffer
-        current = self._of_level(self.buffer, 0)
-        self.launch(
+    kernels = (
+        Kernel(
             "collect_shown",
-            self.sizes.source,
-            *int2(self.sizes.source),
-            np.int32(previous is not None),
-            frame.color,
-            frame.depth,
-            history.buffer["dynamic_mask"],
-            *current,
-        )
-        if previous is None:
-            for level in range(1, self.levels):
-                self.fill(self.buffer[f"state_{level}"], 0)
-            return
-        to_current = reprojection(previous.camera, frame.camera)
-        for level in range(self.levels):
-            size, size_below = (halved(self.sizes.source, number) for number in (level, level + 1))
-            current, old = (self._of_level(buffers, level) for buffers in (self.buffer, self._previous))
-            arguments = (
-                to_current,
-                frame.depth,
-                history.buffer["dynamic_mask"],
-                warp.buffer["links"],
-                *old[1:],
-                current[1],
-                current[3],
-            )
-            self.clear_keys(self._push, size_below)
-            self._scatter(level, _OWN_TEXEL, arguments)
-            self._settle(size, False, to_current, self._fill, old, current)
-            if level + 1 < self.levels:
-                below = self._of_level(self.buffer, level + 1)
-                self._settle(size_below, True, to_current, self._push, old, below)
-            self._scatter(level, _TOUCHED_TEXELS, arguments)
-            self._settle(size, False, to_current, self._fill, old, current)
+            "source",
+            {"color": "rendered.color", "depth": "rendered.depth", "dynamic_mask": "history.dynamic_mask"},
+            _level("color depth px state"),
+        ),
+        Kernel(
+            "scatter_level",
+            "level{level}",
+            _FRAME | _level("depth px state", prefix="old_", kept="'") | _level("depth state") | _FILL | _PUSH,
+            _FILL | _PUSH,
+        ),
+        Kernel(
+            "settle_level",
+            "level{level}",
+            {"keys": "background.{which}_keys", "winners": "background.{which}_winners"}
+            | _level("color depth px", "old", "remembered", "old_", "'"),
+            _level("color depth px state", share="remembered"),
+        ),
+        Kernel(
+            "project_level",
+            "level{level}",
+            _level("depth px", share="remembered")
+            | _level("state")
+            | {
+                "disoccluded": Access("frame.disoccluded", "remembered"),
+                "mixed": Access("frame.mixed", "remembered"),
+                "depth": Access("frame.depth", "remembered"),
+            }
+            | _PROJECTED,
+            _PROJECTED,
+        ),
+        Kernel(
+            "fill_from_level",
+            "target",
+            _PROJECTED
+            | _level("color depth px state", share="holes")
+            | {
+                "disoccluded": Access("frame.disoccluded", "holes"),
+                "is_dynamic": Access("frame.dynamic", "holes"),
+                "out_depth": Access("frame.depth", "holes"),
+            },
+            {
+                "color": Access("frame.color", "holes"),
+                "out_depth": Access("frame.depth", "disoccluded"),
+                "motion": Access("frame.motion", "disoccluded"),
+                "filled_by": Access("frame.filled_by", "holes"),
+            },
+        ),
+    )
 
-    def _scatter(self, level: int, phase: int, arguments: tuple) -> None:
-        size = halved(self.sizes.source, level)
-        self.clear_keys(self._fill, size)
+    def __init__(self, board: Board):
+        self.levels = board.options.levels
+        self.buffers = (
+            *(spec for level in range(self.levels) for spec in _level_buffers(level)),
+            *self.keys(board, "fill_", "source"),
+            *self.keys(board, "push_", "level1"),
+            *self.keys(board, "target_", "target"),
+        )
+        super().__init__(board)
+
+    @classmethod
+    def is_wanted(cls, options) -> bool:
+        return options.levels > 0
+
+    def rendered(self, step: Step) -> None:
+        """Collect; after a reset nothing is kept, nor collected, because what moves is not known yet."""
+        self.swap()
+        self.launch("collect_shown", level=0, collect=step.previous is not None)
+        if step.previous is None:
+            for level in range(1, self.levels):
+                self.fill(f"state_{level}", 0)
+            return
+        to_current = reprojection(step.previous.camera, step.frame.camera)
+        for level in range(self.levels):
+            self.clear_keys("push_", self.sizes.of(f"level{level + 1}"))
+            self._scatter(level, _OWN_TEXEL, to_current)
+            self._settle(level, level, "fill", to_current)
+            if level + 1 < self.levels:
+                self._settle(level + 1, level, "push", to_current)
+            self._scatter(level, _TOUCHED_TEXELS, to_current)
+            self._settle(level, level, "fill", to_current)
+
+    def _scatter(self, level: int, phase: int, to_current: np.ndarray) -> None:
+        self.clear_keys("fill_", self.sizes.of(f"level{level}"))
         for scatter_pass in self.passes:
             self.launch(
                 "scatter_level",
-                size,
-                *int2(self.sizes.source),
-                np.int32(level),
-                np.int32(self.levels - 1),
-                np.int32(phase),
-                np.int32(scatter_pass),
-                *arguments,
-                *self._fill,
-                *self._push,
+                level=level,
+                last_level=self.levels - 1,
+                phase=phase,
+                to_current=to_current,
+                **{"pass": scatter_pass},
             )
 
-    def _settle(self, size, restart, to_current, keys, old, current) -> None:
-        self.launch("settle_level", size, *int2(size), np.int32(restart), to_current, *keys, *old[:3], *current)
+    def _settle(self, level: int, old: int, which: str, to_current: np.ndarray) -> None:
+        """Put the winners of the old level `old` into `level`; what was pushed down begins it anew."""
+        self.launch("settle_level", level=level, old=old, which=which, restart=which == "push", to_current=to_current)
 
-    def project(self, frame, warp: Stage, target: Camera) -> None:
-        """Fill the pixels that `warp` left invalid, nearest fragment of all levels first."""
-        magnification = zoom(frame.camera, target)
-        to_target, to_source = reprojection(frame.camera, target), reprojection(target, frame.camera)
-        self.clear_keys(self._target, self.sizes.target)
+    def extrapolated(self, step: Step) -> None:
+        """Fill the pixels that the warp left invalid, nearest fragment of all levels first."""
+        source, target = step.frame.camera, step.camera
+        cameras = {"zoom": zoom(source, target), "to_target": reprojection(source, target)}
+        self.clear_keys("target_", self.sizes.target)
         for project_pass in self.passes:
             for level in range(self.levels):
-                self.launch(
-                    "project_level",
-                    halved(self.sizes.source, level),
-                    *int2(self.sizes.source),
-                    np.int32(level),
-                    *int2(self.sizes.target),
-                    np.int32(project_pass),
-                    magnification,
-                    to_target,
-                    *self._of_level(self.buffer, level)[1:],
-                    *(warp.buffer[name] for name in ("disoccluded", "mixed", "depth")),
-                    *self._target,
-                )
+                self.launch("project_level", level=level, **cameras, **{"pass": project_pass})
         for level in range(self.levels):
-            self.launch(
-                "fill_from_level",
-                self.sizes.target,
-                *int2(self.sizes.source),
-                np.int32(level),
-                *int2(self.sizes.target),
-                magnification,
-                to_target,
-                to_source,
-                *self._of_level(self.buffer, level),
-                warp.buffer["disoccluded"],
-                warp.buffer["dynamic"],
-                *self._target,
-                *(warp.buffer[name] for name in ("color", "depth", "motion", "filled_by")),
-            )
-
-    def _of_level(self, buffers: dict, level: int) -> list:
-        return [buffers[f"{name}_{level}"] for name in _PER_LEVEL]
+            self.launch("fill_from_level", level=level, to_source=reprojection(target, source), **cameras)
 
 
 def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
     grid = f"level{level}"
     return (
         BufferSpec(
-            f"color_{level}", np.float16, RGBA, grid, f"colour of background level {level} (B_{level})", "color"
+            f"color_{level}", np.float16, RGBA, grid, f"colour of background level {level} (B_{level})", "color",
+            kept=True,
         ),
         BufferSpec(
-            f"depth_{level}", np.float32, (), grid, f"view depth of background level {level}, world units", "depth"
+            f"depth_{level}", np.float32, (), grid, f"view depth of background level {level}, world units", "depth",
+            kept=True,
         ),
         BufferSpec(
-            f"px_{level}", np.float32, XY, grid, "where its fragment lies in the rendered image, pixels", "place"
+            f"px_{level}", np.float32, XY, grid, "where its fragment lies in the rendered image, pixels", "place",
+            kept=True,
         ),
-        BufferSpec(f"state_{level}", np.uint8, (), grid, "what the level knows there", "label", labels=_STATES),
-    )
+        BufferSpec(
+            f"state_{level}", np.uint8, (), grid, "what the level knows there", "label", labels=STATES, kept=True
+        ),
+    )  # fmt: skip

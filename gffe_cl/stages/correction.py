@@ -8,14 +8,12 @@ import time
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.inference import INPUT_PLANES, OUTPUT_PLANES, Network
-from gffe_cl.opencl.device import Device
-from gffe_cl.stage import RGBA, BufferSpec, Sizes, Stage, int2
+from gffe_cl.inference import INPUT_PLANES, OUTPUT_PLANES, Network, load_network
+from gffe_cl.opencl.program import constants
+from gffe_cl.stage import RGBA, Access, Board, BufferSpec, Kernel, Stage, Step
 
 MU = 5000.0
 HEADROOM = 8.0  # exposed colour that is encoded as 1: three stops above display white
-_BINS = 32768  # as in kernels/correction.cl
-_STRIP = 16
 
 
 class ShadingCorrection(Stage):
@@ -40,46 +38,92 @@ class ShadingCorrection(Stage):
             " detail that stays (4), focus mask (5); half resolution",
             planes=OUTPUT_PLANES, mapped=True,
         ),
+        BufferSpec(
+            "histogram", np.uint32, (), "once", "of the depths' leading bits",
+            planes=constants("correction.cl")["BINS"], scratch=True,
+        ),
         BufferSpec("median_depth", np.float32, (), "once", "of the finite depths, to 1/256"),
         BufferSpec("refined", np.float16, RGBA, "target", "the network's image, without focus mask", "color"),
         BufferSpec("focus_mask", np.float16, (), "target", "where it counts (M), 0 below 1/32"),
         BufferSpec("color", np.float16, RGBA, "target", "the final image: refined within M, else GAE", "color"),
     )  # fmt: skip
 
-    def __init__(self, device: Device, sizes: Sizes, network: Network):
-        super().__init__(device, sizes)
-        self.network = network
+    kernels = (
+        Kernel(
+            "depth_histogram",
+            "target",
+            {"depth": "frame.depth", "histogram": "correction.histogram"},
+            {"histogram": "correction.histogram"},
+            step=(1, "STRIP"),
+        ),
+        Kernel(
+            "find_median",
+            "once",
+            {"histogram": "correction.histogram"},
+            {"median_depth": "correction.median_depth"},
+            group="SCANNERS",
+        ),
+        Kernel(
+            "network_input",
+            "network",
+            {
+                "color": "frame.color",
+                "warped_previous": "shading.warped_previous",
+                "depth": "frame.depth",
+                "input_mask": "shading.input_mask",
+                "median_depth": "correction.median_depth",
+            },
+            {"frames": "correction.frames"},
+        ),
+        Kernel(
+            "correct",
+            "target",
+            {
+                "color": "frame.color",
+                "frames": Access("correction.frames", planes=3),
+                "correction": "correction.correction",
+            },
+            {
+                "refined": "correction.refined",
+                "focus_mask": "correction.focus_mask",
+                "out_color": "correction.color",
+            },
+        ),
+    )
+
+    def __init__(self, board: Board, load: bool = True):
+        """Without `load` there are the kernels alone, no network."""
+        super().__init__(board)
+        self.network: Network | None = None
+        if load:
+            self.network = load_network(board.options.scn_model, board.options.scn_provider)
         self.network_milliseconds = 0.0
-        self._histogram = device.buffer(4 * _BINS)
 
-    def correct(self, warp: Stage, shading: Stage, alpha: float, exposure: float, focus_mask: bool) -> None:
-        """Make the final image of the filled frame in `warp` and the inputs in `shading`; waits for the network.
+    @classmethod
+    def is_wanted(cls, options) -> bool:
+        return options.corrects_shading
 
-        `exposure`: factor before display; without `focus_mask` the whole image is the network's.
-        """
-        self.prepare(warp, shading, exposure)
-        self.infer(alpha)
-        self.compose(warp, exposure, focus_mask)
+    def extrapolated(self, step: Step) -> None:
+        """Make the final image of the filled frame; waits for the network."""
+        if step.previous is None:
+            self.skip()
+            return
+        self.prepare(step.exposure)
+        self.infer(step.alpha)
+        self.compose(step.exposure, self.board.options.focus_mask)
 
-    def skip(self, warp: Stage) -> None:
+    def skip(self) -> None:
         """Nothing to go by: the final image is the extrapolated one."""
         for name in ("color", "refined"):
-            self.copy(self.buffer[name], warp.buffer["color"])
-        self.fill(self.buffer["focus_mask"], 0)
+            self.copy(f"correction.{name}", "frame.color")
+        self.fill("focus_mask", 0)
 
-    def prepare(self, warp: Stage, shading: Stage, exposure: float) -> None:
-        """Fill `frames`."""
-        width, height = size = self.sizes.target
-        self.fill(self._histogram, 0)
-        strips = (width, -(-height // _STRIP))
-        self.launch("depth_histogram", strips, *int2(size), warp.buffer["depth"], self._histogram)
-        self.launch("find_median", (1, 1), self._histogram, self.buffer["median_depth"])
-        network = self.network_size
-        inputs = (warp.buffer["color"], shading.buffer["warped_previous"], warp.buffer["depth"])
-        self.launch(
-            "network_input", network, *int2(size), *int2(network), _law(exposure), *inputs,
-            shading.buffer["input_mask"], self.buffer["median_depth"], self.buffer["frames"],
-        )  # fmt: skip
+    def prepare(self, exposure: float) -> None:
+        """Fill `frames`. `exposure`: factor before display."""
+        self.fill("histogram", 0)
+        self.launch("depth_histogram")
+        self.launch("find_median")
+        self.launch("network_input", law=_law(exposure))
 
     def infer(self, alpha: float) -> None:
         """Fill `correction`: the network works in the mapped buffers: no copy where host and device share memory."""
@@ -93,19 +137,14 @@ class ShadingCorrection(Stage):
             for array in (frames, correction):
                 array.base.release(self.device.queue)
 
-    def compose(self, warp: Stage, exposure: float, focus_mask: bool) -> None:
-        """Fill `refined`, `focus_mask` and `color`."""
-        size = self.sizes.target
-        buffers = (self.buffer[name] for name in ("frames", "correction", "refined", "focus_mask", "color"))
-        self.launch(
-            "correct", size, *int2(size), *int2(self.network_size), _law(exposure), np.int32(focus_mask),
-            warp.buffer["color"], *buffers,
-        )  # fmt: skip
+    def compose(self, exposure: float, within_mask: bool) -> None:
+        """Fill `refined`, `focus_mask` and `color`; without `within_mask` the whole image is the network's."""
+        self.launch("correct", law=_law(exposure), within_mask=within_mask)
 
     @property
     def network_size(self) -> tuple[int, int]:
         """Width and height of the network's images."""
-        return self.spec("frames").size(self.sizes)
+        return self.sizes.of("network")
 
     def map(self, name: str, flags: int) -> np.ndarray:
         """The memory of a mapped buffer, once the kernels before are done; to be released on the queue."""

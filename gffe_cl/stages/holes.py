@@ -1,4 +1,7 @@
-"""Hole filling: what neither the rendered frame nor the background shows (paper: 'Shading correction network')."""
+"""Hole filling: what neither the rendered frame nor the background shows (paper: 'Shading correction network').
+
+A way to fill holes is one entry of `FILLINGS`: its stage and the sentence that tells about it.
+"""
 
 from __future__ import annotations
 
@@ -6,26 +9,42 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gffe_cl.camera import Camera
-from gffe_cl.opencl.device import Device
-from gffe_cl.stage import BufferSpec, Sizes, Stage, int2, reprojection
+from gffe_cl.opencl.program import constants
+from gffe_cl.stage import Access, Board, BufferSpec, Kernel, Stage, Step, reprojection
 
-BLOCK = 32
+BLOCK = constants("holes.cl")["BLOCK"]
+_VALID = {"color": "frame.color", "depth": "frame.depth", "filled_by": "frame.filled_by"}
+_FILLED = {
+    "color": Access("frame.color", "unfilled"),
+    "depth": Access("frame.depth", "unfilled"),
+    "motion": Access("frame.motion", "unfilled"),
+}
+_LABELLED = Kernel(
+    "label_filled",
+    "target",
+    {"filled_by": "frame.filled_by"},
+    {"filled_by": Access("frame.filled_by", "unfilled")},
+)
 
 
 class HoleFilling(Stage):
-    """Fills, in place, what is still invalid in the warped frame; filled pixels carry depth and motion."""
+    """Fills, in place, what is still invalid; filled pixels carry depth and motion."""
 
     name = "holes"
+    reach = 0  # px, in which the far side is looked for
 
-    def fill_holes(self, frame, warp: Stage, target: Camera) -> None:
+    def extrapolated(self, step: Step) -> None:
+        self.fill_holes(reprojection(step.camera, step.frame.camera))
+        self.launch("label_filled")
+
+    def fill_holes(self, to_source: np.ndarray) -> None:
+        """`to_source`: from the new frame's camera to the rendered frame's."""
         raise NotImplementedError
 
 
 class Downsampled(HoleFilling):
     """From the means of 32×32 blocks (the paper's)."""
 
-    reach = 0  # px, in which the far side is looked for
     buffers = (
         BufferSpec(
             "block_color",
@@ -39,84 +58,92 @@ class Downsampled(HoleFilling):
             "block_inverse_depth", np.float32, (), "blocks", "weighted sum of inverse depth per block, 1/world units"
         ),
     )
-
-    def fill_holes(self, frame, warp: Stage, target: Camera) -> None:
-        color, depth, motion, filled_by = (warp.buffer[name] for name in ("color", "depth", "motion", "filled_by"))
-        blocks = self.buffers[0].size(self.sizes)
-        block_buffers = (self.buffer["block_color"], self.buffer["block_inverse_depth"])
-        self.launch(
+    kernels = (
+        Kernel(
             "downsample",
-            (blocks[0] * BLOCK, blocks[1]),
-            *int2(self.sizes.target),
-            *int2(self.sizes.source),
-            np.int32(blocks[0]),
-            color,
-            depth,
-            filled_by,
-            frame.color,
-            frame.depth,
-            *block_buffers,
-            group=BLOCK,
-        )
-        self.launch(
+            "target",
+            _VALID | {"source_color": "rendered.color", "source_depth": "rendered.depth"},
+            {"block_color": "holes.block_color", "block_inverse_depth": "holes.block_inverse_depth"},
+            group="BLOCK",
+        ),
+        Kernel(
             "fill_holes",
-            self.sizes.target,
-            *int2(self.sizes.target),
-            *int2(blocks),
-            np.int32(self.reach),
-            filled_by,
-            *block_buffers,
-            reprojection(target, frame.camera),
-            color,
-            depth,
-            motion,
-        )
+            "target",
+            {
+                "filled_by": "frame.filled_by",
+                "color": Access("frame.color", "unfilled"),
+                "depth": Access("frame.depth", "unfilled"),
+                "block_color": Access("holes.block_color", "unfilled"),
+                "block_inverse_depth": Access("holes.block_inverse_depth", "unfilled"),
+            },
+            _FILLED,
+        ),
+        _LABELLED,
+    )
+
+    def fill_holes(self, to_source: np.ndarray) -> None:
+        blocks = self.sizes.of("blocks")
+        self.launch("downsample", (blocks[0] * BLOCK, blocks[1]))
+        self.launch("fill_holes", reach=self.reach, to_source=to_source)
 
 
 class FarSide(Downsampled):
     """Continues the far side of a disocclusion, and takes block means beyond its reach."""
 
-    def __init__(self, device: Device, sizes: Sizes):
-        self.reach = max(16, sizes.target[0] // 10)
-        super().__init__(device, sizes)
+    def __init__(self, board: Board):
+        self.reach = max(16, board.sizes.target[0] // 10)
+        super().__init__(board)
 
 
 class PushPull(HoleFilling):
     """From a pyramid of means."""
 
-    def __init__(self, device: Device, sizes: Sizes):
-        self.levels = _level_count(sizes)
-        self.buffers = tuple(spec for level in range(1, self.levels + 1) for spec in _level_buffers(level))
-        super().__init__(device, sizes)
-
-    def fill_holes(self, frame, warp: Stage, target: Camera) -> None:
-        color, depth, motion, filled_by = (warp.buffer[name] for name in ("color", "depth", "motion", "filled_by"))
-        sizes = {spec.name: spec.size(self.sizes) for spec in self.buffers}
-
-        def level(number: int) -> tuple:
-            return sizes[f"mean_{number}"], self.buffer[f"mean_{number}"], self.buffer[f"weight_{number}"]
-
-        size, mean, weight = level(1)
-        self.launch("push_image", size, *int2(self.sizes.target), *int2(size), filled_by, color, depth, mean, weight)
-        for number in range(1, self.levels):
-            (fine, *fine_buffers), (size, *buffers) = level(number), level(number + 1)
-            self.launch("push_level", size, *int2(fine), *int2(size), *fine_buffers, *buffers)
-        for number in range(self.levels - 1, 0, -1):
-            (size, mean, weight), (coarse, coarse_mean, _) = level(number), level(number + 1)
-            self.launch("pull_level", size, *int2(size), *int2(coarse), coarse_mean, mean, weight)
-        size, mean, _ = level(1)
-        self.launch(
+    kernels = (
+        Kernel("push_image", "mip1", _VALID, {"mean": "holes.mean_1", "weight": "holes.weight_1"}),
+        Kernel(
+            "push_level",
+            "mip{level}",
+            {"fine_mean": "holes.mean_{fine}", "fine_weight": "holes.weight_{fine}"},
+            {"mean": "holes.mean_{level}", "weight": "holes.weight_{level}"},
+        ),
+        Kernel(
+            "pull_level",
+            "mip{level}",
+            {
+                "coarse_mean": "holes.mean_{coarse}",
+                "mean": "holes.mean_{level}",
+                "weight": "holes.weight_{level}",
+            },
+            {"mean": "holes.mean_{level}"},
+        ),
+        Kernel(
             "fill_from_pyramid",
-            self.sizes.target,
-            *int2(self.sizes.target),
-            *int2(size),
-            filled_by,
-            mean,
-            reprojection(target, frame.camera),
-            color,
-            depth,
-            motion,
-        )
+            "target",
+            {"filled_by": "frame.filled_by", "level_mean": Access("holes.mean_1", "unfilled")},
+            _FILLED,
+        ),
+        _LABELLED,
+    )
+
+    def __init__(self, board: Board):
+        self.levels = max(1, (max(board.sizes.target) - 1).bit_length())  # halved until one texel is left
+        self.buffers = tuple(spec for level in range(1, self.levels + 1) for spec in _level_buffers(level))
+        super().__init__(board)
+
+    def fill_holes(self, to_source: np.ndarray) -> None:
+        self.launch("push_image")
+        for fine in range(1, self.levels):
+            self.launch("push_level", level=fine + 1, **self._sides(fine=fine))
+        for level in range(self.levels - 1, 0, -1):
+            self.launch("pull_level", level=level, **self._sides(coarse=level + 1))
+        self.launch("fill_from_pyramid", to_source=to_source, **self._sides(level=1))
+
+    def _sides(self, **levels: int) -> dict[str, int]:
+        """The levels by name, with their widths and heights."""
+        sides = {}
+        for name, level in levels.items():
+            sides[f"{name}_width"], sides[f"{name}_height"] = self.sizes.of(f"mip{level}")
+        return levels | sides
 
 
 @dataclass(frozen=True)
@@ -135,23 +162,16 @@ FILLINGS = {
 }
 
 
-def _level_count(sizes: Sizes) -> int:
-    """Levels of halving until one texel is left; at least one."""
-    return max(1, (max(sizes.target) - 1).bit_length())
-
-
 def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
-    grid = f"mip{level}"
+    about = f"push-pull level {level}"
     return (
         BufferSpec(
             f"mean_{level}",
             np.float32,
             ("R", "G", "B", "inverse_depth"),
-            grid,
-            f"push-pull level {level}: completed means",
+            f"mip{level}",
+            f"{about}: completed means",
             "color",
         ),
-        BufferSpec(
-            f"weight_{level}", np.float32, (), grid, f"push-pull level {level}: how much of it was valid, 0 to 1"
-        ),
+        BufferSpec(f"weight_{level}", np.float32, (), f"mip{level}", f"{about}: how much of it was valid, 0 to 1"),
     )

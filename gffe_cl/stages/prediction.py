@@ -6,15 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gffe_cl.camera import Camera
-from gffe_cl.opencl.device import Device
-from gffe_cl.stage import BufferSpec, Sizes, Stage, int2, reprojection
+from gffe_cl.stage import Access, BufferSpec, Kernel, Stage, Step, reprojection
 
 MAX_ORDER = 4
 
 
 class PositionPrediction(Stage):
-    """Where every fragment will be at t + α, projected with the target camera."""
+    """Where every fragment will be at t + α, projected with the target camera: by the polynomial of degree m through
+    m + 1 positions; m = 1 is the paper's choice."""
 
     name = "prediction"
     buffers = (
@@ -27,25 +26,25 @@ class PositionPrediction(Stage):
             "place",
         ),
     )
+    kernels = (
+        Kernel(
+            "predict_positions",
+            "source",
+            {
+                "depth": "rendered.depth",
+                "dynamic_mask": "history.dynamic_mask",
+                "history": Access("history.history", "dynamic"),
+            },
+            {"target_position": "prediction.target_position"},
+        ),
+    )
 
-    def __init__(self, device: Device, sizes: Sizes, order: int):
-        """`order`: m, the degree of the polynomial through m + 1 positions; 1 is the paper's choice."""
-        self.order = order
-        super().__init__(device, sizes)
-
-    def predict(self, frame, history: Stage, times: Sequence[float], target: Camera, time: float) -> None:
-        """`times`: of the rendered frames, newest first (seconds); `time`: of the target frame."""
+    def extrapolated(self, step: Step) -> None:
         self.launch(
             "predict_positions",
-            self.sizes.source,
-            *int2(self.sizes.source),
-            np.int32(min(self.order, len(times) - 1)),
-            frame.depth,
-            history.buffer["dynamic_mask"],
-            history.buffer["history"],
-            polynomial_weights(times, time, MAX_ORDER),
-            reprojection(frame.camera, target),
-            self.buffer["target_position"],
+            order=min(self.board.options.order, len(step.times) - 1),
+            polynomial=polynomial_weights(step.times, step.time, MAX_ORDER),
+            to_target=reprojection(step.frame.camera, step.camera),
         )
 
 

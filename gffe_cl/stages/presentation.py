@@ -12,9 +12,8 @@ from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import RenderedFrame, display_camera_of, is_shown_whole, pack_frame, require_one_pose
 from gffe_cl.opencl.device import Device, open_device
-from gffe_cl.stage import RGBA, XY, BufferSpec, DeviceFrame, Sizes, Stage, int2
+from gffe_cl.stage import RGBA, XY, Board, BufferSpec, DeviceFrame, Kernel, Sizes, Stage
 
-_STRIP = 16  # as in presentation.cl
 _ONE_AT_A_TIME = threading.Lock()  # the cached stages of `present` serve all threads
 
 
@@ -32,25 +31,34 @@ class Presentation(Stage):
         ),
     )
 
+    kernels = (
+        Kernel(
+            "present_color",
+            "target",
+            {"color": "rendered.color"},
+            {"out_color": "presentation.color"},
+            step=(1, "STRIP"),
+        ),
+        Kernel(
+            "present_geometry",
+            "target",
+            {"depth": "rendered.depth", "motion": "rendered.motion"},
+            {"out_depth": "presentation.depth", "out_motion": "presentation.motion"},
+        ),
+    )
+
     def present(self, frame: DeviceFrame, previous: DeviceFrame | None) -> None:
         """`previous`: the rendered frame before, of which the cameras count; None after a reset."""
         before = previous or frame
-        width, height = self.sizes.target
-        sizes = (*int2(self.sizes.target), *int2(self.sizes.source))
         to_render = mapping(frame.display_camera, frame.camera)
-        strips = (width, -(-height // _STRIP))
-        self.launch("present_color", strips, *sizes, to_render, frame.color, self.buffer["color"])
+        self.launch("present_color", to_render=to_render, color=frame.color)
         self.launch(
             "present_geometry",
-            self.sizes.target,
-            *sizes,
-            to_render,
-            mapping(frame.camera, frame.display_camera),
-            mapping(before.camera, before.display_camera),
-            frame.depth,
-            frame.motion,
-            self.buffer["depth"],
-            self.buffer["motion"],
+            to_render=to_render,
+            to_display=mapping(frame.camera, frame.display_camera),
+            to_previous_display=mapping(before.camera, before.display_camera),
+            depth=frame.depth,
+            motion=frame.motion,
         )
 
 
@@ -136,4 +144,4 @@ def _default_device() -> Device:
 
 @lru_cache(maxsize=2)
 def _stage(device: Device, sizes: Sizes) -> Presentation:
-    return Presentation(device, sizes)
+    return Presentation(Board(device, sizes))

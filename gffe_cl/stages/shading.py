@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.camera import Camera
-from gffe_cl.stage import BufferSpec, Stage, int2, reprojection
+from gffe_cl.metrics import FOCUS_SMAPE, SMAPE_EPSILON
+from gffe_cl.stage import Access, BufferSpec, Kernel, Stage, Step, reprojection
 
 
 class ShadingInputs(Stage):
@@ -24,23 +24,35 @@ class ShadingInputs(Stage):
         ),
         BufferSpec("input_mask", np.float16, (), "target", "1 dynamic, 0 disoccluded, 0.5 the rest (M^input)"),
     )
+    kernels = (
+        Kernel(
+            "prepare_inputs",
+            "target",
+            {
+                "color": "frame.color",
+                "depth": "frame.depth",
+                "out_motion": Access("frame.motion", "dynamic"),
+                "is_dynamic": "frame.dynamic",
+                "disoccluded": "frame.disoccluded",
+                "motion": Access("rendered.motion", "dynamic"),
+                "color_prev": "previous.color",
+                "depth_prev": "previous.depth",
+            },
+            {"warped_previous": "shading.warped_previous", "input_mask": "shading.input_mask"},
+        ),
+    )
 
-    def prepare(self, frame, previous, warp: Stage, target: Camera) -> None:
-        """`previous`: the rendered frame before `frame`, None after a reset: then everything is GAE colour."""
-        before = previous or frame
+    @classmethod
+    def is_wanted(cls, options) -> bool:
+        return options.shading_inputs or options.corrects_shading
+
+    def extrapolated(self, step: Step) -> None:
+        """After a reset everything is GAE colour."""
+        before = step.previous or step.frame
         self.launch(
             "prepare_inputs",
-            self.sizes.target,
-            *int2(self.sizes.target),
-            *int2(self.sizes.source),
-            np.int32(previous is not None),
-            *(warp.buffer[name] for name in ("color", "depth", "motion", "dynamic", "filled_by")),
-            frame.motion,
-            before.color,
-            before.depth,
-            reprojection(target, before.camera),
-            self.buffer["warped_previous"],
-            self.buffer["input_mask"],
+            has_previous=step.previous is not None,
+            to_previous=reprojection(step.camera, before.camera),
         )
 
 
@@ -53,9 +65,18 @@ class FocusMask(Stage):
             "focus_truth", np.uint8, (), "target", "static, and unlike the truth around (M_focus: SMAPE > 0.5)", "mask"
         ),
     )
+    kernels = (
+        Kernel(
+            "focus_mask",
+            "target",
+            {"color": "frame.color", "truth": "", "is_dynamic": "frame.dynamic"},
+            {"focus_truth": "shading.focus_truth"},
+        ),
+    )
+    registered = False
 
-    def make(self, color: cl.Buffer, truth: cl.Buffer, dynamic: cl.Buffer, exposure: float) -> None:
-        """`color` and `truth`: half ×4, linear RGB; `dynamic`: uchar; `exposure`: the sequence's."""
-        focus_truth = self.buffer["focus_truth"]
-        size = self.sizes.target
-        self.launch("focus_mask", size, *int2(size), np.float32(exposure), color, truth, dynamic, focus_truth)
+    def make(self, truth: cl.Buffer, exposure: float) -> None:
+        """Of the extrapolated frame on the board, before shading correction; `truth`: half ×4, linear RGB; `exposure`:
+        the sequence's."""
+        how = {"focus_smape": FOCUS_SMAPE, "smape_epsilon": SMAPE_EPSILON}
+        self.launch("focus_mask", truth=truth, exposure=exposure, **how)
