@@ -486,3 +486,68 @@ def test_misuse_is_refused(device):
     for bad in ({"history": 1}, {"order": 2}, {"static_threshold": -1}, {"static_threshold": float("nan")}):
         with pytest.raises(GffeError, match="options"):
             Options(**bad)
+
+
+def test_mover_behind_the_rendered_camera_is_drawn_where_the_new_one_sees_it(device):
+    """It flies past the rendered camera within the interval, and the new camera stands further back."""
+    mover = Rect((-0.9, 0, 1.4), (0.1, 0.1), velocity=(1.15 * 30, 0, -0.9 * 30), tint=(0, 5, 0))
+    still, back = camera(W, H), camera(W, H, (0, 0, -3))
+    pipeline = Pipeline(device, W, H)
+    submit(pipeline, Rects([WALL, mover]), [still, still], [0, 1 / 30])
+    out = pipeline.extrapolate(back, 2 / 30)
+    px, depth = back.project(mover.at(2 / 30))
+    assert still.project(mover.at(2 / 30))[1] < 0 < depth
+    shown = out.numpy("dynamic") == 1
+    y, x = np.nonzero(shown)
+    assert shown.sum() >= 4 and np.abs(np.stack([x, y], -1) + 0.5 - px).max() < 4
+    np.testing.assert_allclose(out.numpy("depth")[shown], depth, rtol=0.02)
+
+
+def test_labels_tell_holes_that_are_filled_from_those_that_are_not(device):
+    """255 is hole filling; 253 is nothing, where holes stay."""
+    turned = camera(W, H, yaw=0.5)
+    for filling, label in (("far-side", 255), ("push-pull", 255), ("downsample", 255), ("none", 253)):
+        pipeline = Pipeline(device, W, H, Options(hole_filling=filling))
+        submit(pipeline, Rects([WALL]), [camera(W, H)] * 2, [0, 1 / 30])
+        out = pipeline.extrapolate(turned, 1.5 / 30)
+        holes = out.numpy("disoccluded") == 1
+        assert holes.sum() > 500 and set(np.unique(out.numpy("filled_by")[holes])) == {label}
+        assert (out.numpy("color")[holes].max() == 0) == (filling == "none")
+
+
+def test_input_mask_is_zero_where_pixels_are_disoccluded(device):
+    """And nowhere else: pixels of silhouettes that the background recolours are not."""
+    scene = Rects([WALL, Rect((-0.5, 0.3, 6), (1, 1), velocity=(14, 1, 0), frequency=1.3, tint=(6, 0.3, 0.1))])
+    pipeline = Pipeline(device, W, H, Options(shading_inputs=True))
+    still = camera(W, H)
+    submit(pipeline, scene, [still] * 5, [k / 30 for k in range(5)], samples=4)
+    out = pipeline.extrapolate(still, 4.5 / 30)
+    mask = pipeline.stages["shading"].read("input_mask")
+    disoccluded, dynamic = out.numpy("disoccluded") == 1, out.numpy("dynamic") == 1
+    assert np.array_equal(mask == 0, disoccluded) and np.array_equal(mask == 1, dynamic & ~disoccluded)
+    filled = out.numpy("filled_by")
+    assert ((filled >= 1) & (filled <= 2) & ~disoccluded).any()
+
+
+def test_outputs_of_the_stages_can_be_kept(device):
+    """What each stage leaves of the frame, and only what was asked for; the last one's is the frame's own."""
+    scene = Rects([WALL, Rect((-0.5, 0.3, 6), (0.3, 0.6), velocity=(14, 1, 0), frequency=1.3, tint=(6, 0.3, 0.1))])
+    pipeline = Pipeline(device, W, H)
+    pipeline.keep()
+    cameras = [camera(W, H, (0.02 * k, 0, 0)) for k in range(5)]
+    submit(pipeline, scene, cameras, [k / 30 for k in range(5)])
+    pipeline.extrapolate(camera(W, H, (0.3, 0, 0)), 4.5 / 30)
+    read = {f"{owner.name}.{spec.name}": owner.read(spec.name) for owner, spec in pipeline.named_buffers()}
+    expected = {f"{s}.{n}" for s in ("warp", "background", "holes") for n in ("color", "depth", "motion", "filled_by")}
+    assert {f"{stage}.{spec.name}" for stage, spec in pipeline.outputs()} == expected <= set(read)
+    assert set(np.unique(read["warp.filled_by"])) == {0, 253, 254}
+    assert {1, 253} <= set(np.unique(read["background.filled_by"])) and 255 not in read["background.filled_by"]
+    assert 253 not in read["holes.filled_by"]
+    for name in ("color", "depth", "motion", "filled_by"):
+        assert read[f"holes.{name}"].tobytes() == read[f"frame.{name}"].tobytes()
+        changed = (read[f"warp.{name}"] != read[f"background.{name}"]).reshape(H, W, -1).any(-1)
+        own = read["frame.mixed"] == 1 if name in ("color", "filled_by") else False
+        assert changed.any() and ((read["warp.filled_by"] == 253) | own)[changed].all()
+    pipeline.keep(["background.depth", "frame.color"])
+    names = {f"{owner.name}.{spec.name}" for owner, spec in pipeline.named_buffers()}
+    assert names & expected == {"background.depth"}
