@@ -335,6 +335,7 @@ class Stage(Owner):
         self.board = board
         self.program: Program = build(self.device, self.name, **variant)
         self.events: deque[tuple[str, cl.Event]] = deque(maxlen=_EVENTS)
+        self.launches: list[tuple[Kernel, dict]] | None = None  # with what was given, while somebody counts
         self.buffer = self.allocate(self.buffers)
         self.before = self.allocate(spec for spec in self.buffers if spec.kept)
         self._kernels = {kernel.name: kernel for kernel in self.kernels}
@@ -372,6 +373,8 @@ class Stage(Owner):
         whole groups: kernels guard against the padding.
         """
         kernel = self._kernels[name]
+        if self.launches is not None:
+            self.launches.append((kernel, given))
         size = size or self.sizes.of(kernel.grid.format(**given))
         values = {"level_width": size[0], "level_height": size[1]} | given
         for _, argument, access in kernel.accesses():
@@ -388,7 +391,11 @@ class Stage(Owner):
     def fill(self, name: str, byte: int, nbytes: int | None = None) -> None:
         """Enqueue setting the first `nbytes` bytes of a buffer of this stage, or all of them."""
         buffer = self.buffer[name]
-        event = cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint8(byte), 0, nbytes or buffer.size)
+        nbytes = nbytes or buffer.size
+        if self.launches is not None:
+            share = nbytes / self.spec(name).nbytes(self.sizes)
+            self.launches.append((Kernel("fill", "once", writes={"": Access(f"{self.name}.{name}", share)}), {}))
+        event = cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint8(byte), 0, nbytes)
         self.events.append(("fill", event))
 
     def copy(self, to: str, of: str) -> None:

@@ -282,12 +282,20 @@ def bench(
 def _print_bench(info: DeviceInfo, results: list[SizeBench]) -> None:
     from gffe_cl.evaluation.bench import PAPER
 
-    table = Table("bytes per pixel (ms)", *(f"{r.width}×{r.height}" for r in results), "paper, 1080p",
-                  title=f"{info.name} ({info.platform})", box=None, header_style="bold")  # fmt: skip
+    heads = (*(f"{r.width}×{r.height}" for r in results), "must move", "paper, 1080p")
+    title = f"{info.name} ({info.platform})"
+    table = Table("bytes per pixel (ms)", *heads, title=title, box=None, header_style="bold")
+    last = results[-1]
     for name in results[0].milliseconds:
         figures = [f"{r.bytes_per_pixel[name]:.0f} ({r.milliseconds[name]:.2f})" for r in results]
-        table.add_row(name, *figures, str(PAPER.get(name) or ""), style="bold" if name in ("GAE", "SCN") else None)
-    table.add_row("wall time, ms", *(f"{r.wall:.2f}" for r in results), "")
-    table.add_row("copy bandwidth, GB/s", *(f"{r.bandwidth:.1f}" for r in results), "672")
-    table.add_row("device memory, MiB", *(f"{r.memory / 2**20:.0f}" for r in results), "")
+        must = f"{last.must_move[name]:.0f}" if name in last.must_move else ""
+        style = "bold" if name in ("GAE", "SCN") else None
+        table.add_row(name, *figures, must, str(PAPER.get(name) or ""), style=style)
+    table.add_row("wall time, ms", *(f"{r.wall:.2f}" for r in results), "", "")
+    table.add_row("copy bandwidth, GB/s", *(f"{r.bandwidth:.1f}" for r in results), "", "672")
+    table.add_row("device memory, MiB", *(f"{r.memory / 2**20:.0f}" for r in results), "", "")
     out.print(table)
+    shares = ", ".join(f"{name} {share:.2%}" for name, share in last.shares.items())
+    out.print(f"Must move: what the stages declare, at {last.width}×{last.height}; shares of the pixels: {shares}.")
+    sizes = ", ".join(f"{name} {nbytes / 2**20:.1f}" for name, nbytes in last.memory_by_stage.items())
+    out.print(f"Device memory there, MiB: {sizes}; two rendered frames beside.")

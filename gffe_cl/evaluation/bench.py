@@ -16,6 +16,7 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.camera import Camera
+from gffe_cl.evaluation import traffic
 from gffe_cl.frame import RenderedFrame
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import build
@@ -29,6 +30,7 @@ from gffe_cl.window import WindowChooser, fixed_window
 # Bytes per pixel of the paper's table at 1080p (RTX 4070 Ti Super, 672 GB/s), by our parts.
 PAPER = {
     "history": 337,
+    "surfaces": None,
     "background, collection": 366,
     "prediction": 71,
     "warp": 259,
@@ -64,6 +66,9 @@ class SizeBench:
     wall: float
     bandwidth: float  # GB/s, read and written
     memory: int  # bytes of device memory: the pipeline's buffers and two rendered frames
+    must_move: dict[str, float]  # bytes per pixel by part, as the stages declare (`traffic`)
+    shares: dict[str, float]  # of the pixels, by which they declare it
+    memory_by_stage: dict[str, int]  # bytes
 
 
 class Copier:
@@ -144,7 +149,26 @@ def bench_size(
     if scn:
         milliseconds |= scn | {"SCN": sum(scn.values())}
     per_pixel = {name: ms * 1e6 * bandwidth / (width * height) for name, ms in milliseconds.items()}
-    return SizeBench(width, height, milliseconds, per_pixel, statistics.median(walls), bandwidth, memory)
+    must_move, shares = _must_move(pipeline, frames[_WARM_UP + repeats & 1], target, _WARM_UP + repeats)
+    by_stage = traffic.memory(pipeline)
+    walls_ms = statistics.median(walls)
+    return SizeBench(width, height, milliseconds, per_pixel, walls_ms, bandwidth, memory, must_move, shares, by_stage)
+
+
+def _must_move(pipeline: Pipeline, frame: RenderedFrame, target: Camera, k: int) -> tuple[dict, dict]:
+    """Bytes per pixel by part, "GAE" and "SCN" among them, of one more pair of frames; and the shares."""
+    frame.time, frame.reset = k / 30, False
+    rendered = traffic.launches_of(pipeline, lambda: pipeline.submit(frame))
+    made = traffic.launches_of(pipeline, lambda: pipeline.extrapolate(target, frame.time + 0.5 / 30))
+    shares = traffic.counters(pipeline)
+    parts: dict[str, float] = {}
+    for which, launches in (("collection", rendered), ("projection", made)):
+        for stage, kernels in traffic.bytes_per_pixel(pipeline, launches, shares).items():
+            name = f"background, {which}" if stage == "background" else _SCN.get(stage, stage)
+            parts[name] = parts.get(name, 0.0) + sum(kernels.values())
+    scn = {name: parts.pop(name) for name in list(parts) if name in _SCN.values()}
+    parts["GAE"] = sum(parts.values())
+    return parts | (scn | {"SCN": sum(scn.values())} if scn else {}), shares
 
 
 def _windowing(device: Device, presentation: Presentation, frames: list[RenderedFrame], index: int) -> float:

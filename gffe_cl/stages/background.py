@@ -29,9 +29,15 @@ STATES = (
 )
 
 _FRAME = {"depth": "rendered.depth", "dynamic_mask": "history.dynamic_mask", "links": "surfaces.links"}
-_FILL = {"fill_keys": "background.fill_keys", "fill_winners": "background.fill_winners"}
-_PUSH = {"push_keys": "background.push_keys", "push_winners": "background.push_winners"}
-_PROJECTED = {"keys": "background.target_keys", "winners": "background.target_winners"}
+
+
+def _keys(which: str, share: str | float = 1.0, prefix: str = "") -> dict:
+    """Keys and winners, as arguments that begin with `prefix`."""
+    return {f"{prefix}{name}": Access(f"background.{which}_{name}", share) for name in ("keys", "winners")}
+
+
+_OFFERED = _keys("fill", "remembered", "fill_") | _keys("push", "remembered", "push_")
+_PROJECTED = _keys("target", "holes")
 
 
 def _level(names: str, level: str = "level", share: str | float = 1.0, prefix: str = "level_", kept: str = "") -> dict:
@@ -53,14 +59,13 @@ class Background(NearestStage):
         Kernel(
             "scatter_level",
             "level{level}",
-            _FRAME | _level("depth px state", prefix="old_", kept="'") | _level("depth state") | _FILL | _PUSH,
-            _FILL | _PUSH,
+            _FRAME | _level("depth px state", prefix="old_", kept="'") | _level("depth state") | _OFFERED,
+            _OFFERED,
         ),
         Kernel(
             "settle_level",
             "level{level}",
-            {"keys": "background.{which}_keys", "winners": "background.{which}_winners"}
-            | _level("color depth px", "old", "remembered", "old_", "'"),
+            _keys("{which}") | _level("color depth px", "old", "remembered", "old_", "'"),
             _level("color depth px state", share="remembered"),
         ),
         Kernel(
@@ -79,7 +84,7 @@ class Background(NearestStage):
         Kernel(
             "fill_from_level",
             "target",
-            _PROJECTED
+            _keys("target")
             | _level("color depth px state", share="holes")
             | {
                 "disoccluded": Access("frame.disoccluded", "holes"),

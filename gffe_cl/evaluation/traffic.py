@@ -1,0 +1,77 @@
+"""Bytes per pixel that must move, from what the stages declare: exact, whatever the machine (`gffe bench`).
+
+Every kernel declares what it reads and writes, and for which share of the pixels; the shares are counted in the frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from gffe_cl.pipeline import Pipeline
+from gffe_cl.stage import BY_HOLE_FILLING, BY_NOTHING, Kernel
+from gffe_cl.stages.background import REMEMBERED
+
+# Shares of the pixels by name, as `Access.share` has them: the buffer that tells, and which of its values count.
+SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
+    "dynamic": ("history.dynamic_mask", lambda mask: mask != 0),
+    "disoccluded": ("frame.disoccluded", lambda mask: mask != 0),
+    "mixed": ("frame.mixed", lambda mask: mask != 0),
+    "unfilled": ("frame.filled_by", lambda label: (label == BY_HOLE_FILLING) | (label == BY_NOTHING)),
+    "remembered": ("background.state_0", lambda state: state == REMEMBERED),
+}
+SHARES["holes"] = SHARES["disoccluded"]  # with those that are mixed, see `counters`
+
+
+def counters(pipeline: Pipeline) -> dict[str, float]:
+    """The share of the pixels that each of `SHARES` has in the present frame, 0 where its stage is off."""
+    counted = {}
+    for name, (buffer, counts) in SHARES.items():
+        owner, _, rest = buffer.partition(".")
+        found = pipeline.board.frame if owner == "frame" else pipeline.stages.get(owner)
+        counted[name] = float(counts(found.read(rest)).mean()) if found else 0.0
+    counted["holes"] += counted["mixed"]
+    return counted
+
+
+Launches = dict[str, list[tuple[Kernel, dict[str, Any]]]]  # by stage: kernels, with what was given to each launch
+
+
+def launches_of(pipeline: Pipeline, work: Callable[[], Any]) -> Launches:
+    """What `work` makes the pipeline launch."""
+    for stage in pipeline.stages.values():
+        stage.launches = []
+    try:
+        work()
+        return {name: stage.launches for name, stage in pipeline.stages.items()}
+    finally:
+        for stage in pipeline.stages.values():
+            stage.launches = None
+
+
+def bytes_per_pixel(pipeline: Pipeline, launches: Launches, shares: dict[str, float]) -> dict[str, dict[str, float]]:
+    """Bytes per display pixel that launches must move, by stage and kernel; `shares`: of `counters`."""
+    pixels = math.prod(pipeline.sizes.target)
+    moved: dict[str, dict[str, float]] = {}
+    for stage, launched in launches.items():
+        by_kernel = moved.setdefault(stage, {})
+        for kernel, given in launched:
+            for _, _, access in kernel.accesses():
+                spec = pipeline.board.spec(access.buffer.format(**given))
+                share = shares[access.share] if isinstance(access.share, str) else access.share
+                planes = spec.planes if access.planes is None else access.planes
+                nbytes = spec.bytes_per_pixel * planes * math.prod(spec.size(pipeline.sizes)) * share
+                by_kernel[kernel.name] = by_kernel.get(kernel.name, 0.0) + nbytes / pixels
+    return moved
+
+
+def memory(pipeline: Pipeline) -> dict[str, int]:
+    """Bytes of device memory by stage, and "frame" for the extrapolated frame; rendered frames apart."""
+    owners = {"frame": pipeline.board.frame} | pipeline.stages
+    return {
+        name: sum(spec.nbytes(pipeline.sizes) * (1 + spec.kept) for spec in owner.buffers)
+        for name, owner in owners.items()
+    }

@@ -1,0 +1,115 @@
+"""Bytes per pixel that must move, from the declarations of the stages."""
+
+import pytest
+from test_twins import frames
+
+from gffe_cl import Options, Pipeline
+from gffe_cl.evaluation import traffic
+from gffe_cl.opencl.program import parse_constants, parse_kernels
+from gffe_cl.stage import Access, Kernel, Stage
+from gffe_cl.stages.surfaces import Surfaces
+
+W, H = 64, 48
+
+
+def counted(device, **options):
+    pipeline = Pipeline(device, W, H, Options(**options), int64_atomics=True if device.int64_atomics else None)
+    shown = list(frames(W, H, spoil=False))
+    for frame in shown[:-1]:
+        pipeline.submit(frame)
+    launches = traffic.launches_of(pipeline, lambda: pipeline.submit(shown[-1]))
+    new = traffic.launches_of(pipeline, lambda: pipeline.extrapolate(shown[-1].camera, shown[-1].time + 0.01))
+    launches = {name: launches[name] + new[name] for name in launches}
+    shares = traffic.counters(pipeline)
+    return pipeline, shares, traffic.bytes_per_pixel(pipeline, launches, shares)
+
+
+def test_bytes_per_pixel_are_those_of_the_buffers(device):
+    """Counted by hand: prediction reads depth, mask and the history of dynamic fragments, and writes a position; ..."""
+    _, shares, moved = counted(device, levels=0, hole_filling="none")
+    assert 0.05 < shares["dynamic"] < 0.5 and 0 < shares["disoccluded"] < 0.5 and shares["remembered"] == 0
+    assert moved["prediction"]["predict_positions"] == pytest.approx(4 + 1 + 16 * shares["dynamic"] + 16)
+    assert moved["surfaces"]["link_surfaces"] == pytest.approx(4 + 1 + 1)
+    key = 8 if device.int64_atomics else 8  # one of 64 bits, or key and winner
+    splats = 1 if device.int64_atomics else 2
+    per_splat = 4 + 1 + 16 + 2 * key + (8 / (W * H) if device.int64_atomics else 0)
+    assert moved["warp"]["splat"] == pytest.approx(splats * per_splat)
+    assert moved["warp"]["resolve"] == pytest.approx(key + 16 + 8 + 4 + 1 + 1 + (8 + 4 + 8 + 4 * 1), rel=1e-3)
+
+
+def test_levels_and_shares_count(device):
+    """Deeper levels are smaller; what is done for a share of the pixels costs that share."""
+    _, shares, one = counted(device, levels=1)
+    _, _, two = counted(device, levels=2)
+    assert (
+        one["background"]["scatter_level"]
+        < two["background"]["scatter_level"]
+        < 1.5 * one["background"]["scatter_level"]
+    )
+    fill = one["holes"]["fill_holes"]
+    assert fill == pytest.approx(1 + shares["unfilled"] * (8 + 4) * 2 + shares["unfilled"] * 8, rel=0.02)
+
+
+def test_memory_is_what_was_allocated(device):
+    before = device.allocated
+    pipeline = Pipeline(device, W, H, Options(shading_inputs=True, history=3))
+    assert sum(traffic.memory(pipeline).values()) == device.allocated - before
+
+
+def test_launches_are_counted_only_meanwhile(device):
+    pipeline, _, _ = counted(device)
+    assert all(stage.launches is None for stage in pipeline.stages.values())
+
+
+# ---- declarations against the source ------------------------------------------------------------------------
+
+
+def test_kernels_and_constants_are_read_from_the_source():
+    source = """
+    #define SIDES 16   /* of a thing */
+    #define SHARE 0.25f
+    #define TWICE (2 * SIDES)
+    #define MASK 0xFFu
+    #define WORLD __global const float4 *nodes, \\
+                  const int count
+    // __kernel void not_this(int a) {
+    __kernel __attribute__((reqd_work_group_size(64, 1, 1)))
+    void first(const int width, __global const half *color /* half x4 */, __global uchar *mask) {}
+    __kernel void second(WORLD, const float2 zoom) {}
+    """
+    assert parse_constants(source) == {"SIDES": 16, "SHARE": 0.25, "MASK": 255}
+    kernels = parse_kernels(source)
+    assert list(kernels) == ["first", "second"]
+    assert [(a.name, a.type, a.buffer, a.read_only) for a in kernels["first"]] == [
+        ("width", "int", False, True), ("color", "half", True, True), ("mask", "uchar", True, False)
+    ]  # fmt: skip
+    assert [a.name for a in kernels["second"]] == ["nodes", "count", "zoom"]
+
+
+@pytest.mark.parametrize(
+    ("reads", "writes", "complaint"),
+    [
+        ({"depth": "rendered.depth"}, {"links": "surfaces.links"}, "declared"),
+        ({"depth": "rendered.depth", "mask": "history.dynamic_mask"}, {"links": "surfaces.links"}, "declared"),
+        (
+            {"depth": "rendered.depth"},
+            {"links": "surfaces.links", "dynamic_mask": Access("history.dynamic_mask")},
+            "declared as written",
+        ),
+    ],
+)
+def test_wrong_declarations_are_refused(device, reads, writes, complaint):
+    class Wrong(Stage):
+        name = "surfaces"
+        buffers = Surfaces.buffers
+        kernels = (Kernel("link_surfaces", "source", reads, writes),)
+
+    board = Pipeline(device, W, H).board
+    with pytest.raises(AssertionError, match=f"link_surfaces: {complaint}"):
+        Wrong(board)
+
+
+def test_missing_arguments_are_named(device):
+    stage = Pipeline(device, W, H).stages["warp"]
+    with pytest.raises(TypeError, match=r"kernels/warp.cl.*'zoom'"):
+        stage.launch("resolve")
