@@ -30,7 +30,7 @@ def test_bytes_per_pixel_are_those_of_the_buffers(device):
     assert 0.05 < shares["dynamic"] < 0.5 and 0 < shares["disoccluded"] < 0.5 and shares["remembered"] == 0
     assert moved["prediction"]["predict_positions"] == pytest.approx(4 + 1 + 16 * shares["dynamic"] + 16)
     assert moved["surfaces"]["link_surfaces"] == pytest.approx(4 + 1 + 1)
-    key = 8 if device.int64_atomics else 8  # one of 64 bits, or key and winner
+    key = 8  # one of 64 bits, or key and winner
     splats = 1 if device.int64_atomics else 2
     per_splat = 4 + 1 + 16 + 2 * key + (8 / (W * H) if device.int64_atomics else 0)
     assert moved["warp"]["splat"] == pytest.approx(splats * per_splat)
@@ -66,6 +66,8 @@ def test_kernels_and_constants_are_read_from_the_source():
     #define SHARE 0.25f
     #define TWICE (2 * SIDES)
     #define MASK 0xFFu
+    enum { PLAIN, /* no */ TILES,
+           BRICKS };
     #define WORLD __global const float4 *nodes, \\
                   const int count
     // __kernel void not_this(int a) {
@@ -73,7 +75,7 @@ def test_kernels_and_constants_are_read_from_the_source():
     void first(const int width, __global const half *color /* half x4 */, __global uchar *mask) {}
     __kernel void second(WORLD, const float2 zoom) {}
     """
-    assert parse_constants(source) == {"SIDES": 16, "SHARE": 0.25, "MASK": 255}
+    assert parse_constants(source) == {"SIDES": 16, "SHARE": 0.25, "MASK": 255, "PLAIN": 0, "TILES": 1, "BRICKS": 2}
     kernels = parse_kernels(source)
     assert list(kernels) == ["first", "second"]
     assert [(a.name, a.type, a.buffer, a.read_only) for a in kernels["first"]] == [

@@ -24,6 +24,7 @@ from gffe_cl.opencl.device import Device, quiet_builds
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
 _COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
 _DEFINE = re.compile(r"^\s*#define\s+([A-Z]\w*)\s+([^\s(].*?)\s*$", re.MULTILINE)
+_ENUM = re.compile(r"\benum\s*\{([\w\s,]*)\}")
 _MACRO = re.compile(r"^\s*#define\s+([A-Z]\w*)\s+((?:.*\\\n)*.*)$", re.MULTILINE)
 _ATTRIBUTE = r"(?:\s*__attribute__\s*\(\(.*?\)\)\))?"
 _KERNEL = re.compile(rf"\b__kernel\b{_ATTRIBUTE}\s+void\s+(\w+)\s*\(([^{{;]*?)\)\s*\{{", re.DOTALL)
@@ -106,7 +107,8 @@ def constants(name: str) -> dict[str, int | float]:
 
 
 def parse_constants(source: str) -> dict[str, int | float]:
-    """The numbers that are defined in the text of a kernel file: integers, and floats as float32 has them."""
+    """The numbers that are defined in the text of a kernel file, and the members of its enums: integers, and floats as
+    float32 has them."""
     found: dict[str, int | float] = {}
     for name, text in _DEFINE.findall(_COMMENT.sub(" ", source)):
         text = text.strip()
@@ -114,6 +116,8 @@ def parse_constants(source: str) -> dict[str, int | float]:
             found[name] = int(text.rstrip("uU"), 0)
         elif re.fullmatch(r"-?(\d+\.\d*|\.\d+)([eE][+-]?\d+)?f?", text):
             found[name] = float(np.float32(text.rstrip("f")))
+    for members in _ENUM.findall(_COMMENT.sub(" ", source)):
+        found |= {name: value for value, name in enumerate(re.findall(r"\w+", members))}
     return found
 
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from gffe_cl.camera import Camera
-from gffe_cl.scenes.vocabulary import ELLIPSOID, TEXTURES, Group, Light, Material, Scene
+from gffe_cl.scenes.vocabulary import ELLIPSOID, GEOMETRY, TEXTURES, Group, Light, Material, Scene
 
-CASTS_SHADOW = 1
-_LIGHT_KINDS = {"sun": 0, "lamp": 1, "spot": 2, "fill": 3}
+CASTS_SHADOW = GEOMETRY["CASTS_SHADOW"]
 
 
 class FlatScene:
@@ -82,23 +81,29 @@ class FlatScene:
         return np.array(rows, np.float64).astype(np.float32).reshape(-1, 3, 4)
 
     def frame(self, camera: Camera, other_camera: Camera) -> np.ndarray:
-        """(15, 4) float32: the rows that kernels/scenes/scene.cl names."""
+        """(15, 4) float32: the rows that kernels/scenes/geometry.h names."""
         air = self.scene.air
         suns = [light for light in self.scene.lights if light.kind == "sun"]
-        rows = np.zeros((15, 4), np.float64)
-        rows[0:3, :3] = camera.world_to_view[:3, :3].T
-        rows[3] = 1 / camera.fx, 1 / camera.fy, camera.cx, camera.cy
-        rows[4] = other_camera.intrinsics
-        rows[5:8, :3] = other_camera.world_to_view[:3, :3]
-        rows[8, :3], rows[9, :3] = air.ambient_up, air.ambient_down
-        rows[10] = *air.zenith, air.clouds
-        rows[11] = *air.horizon, self.scene.seed % 97 * 1.7
-        rows[12] = 0.0, -1.0, 0.0, 1.0
+        rows = np.zeros((GEOMETRY["HAZE"] + 1, 4), np.float64)
+
+        def row(name: str, count: int = 1) -> np.ndarray:
+            first = GEOMETRY[name]
+            return rows[first : first + count] if count > 1 else rows[first]
+
+        row("VIEW_TO_REL", 3)[:, :3] = camera.world_to_view[:3, :3].T
+        row("PINHOLE_INVERSE")[:] = 1 / camera.fx, 1 / camera.fy, camera.cx, camera.cy
+        row("OTHER_PINHOLE")[:] = other_camera.intrinsics
+        row("REL_TO_OTHER", 3)[:, :3] = other_camera.world_to_view[:3, :3]
+        row("AMBIENT_UP")[:3], row("AMBIENT_DOWN")[:3] = air.ambient_up, air.ambient_down
+        row("ZENITH")[:] = *air.zenith, air.clouds
+        row("HORIZON")[:] = *air.horizon, self.scene.seed % 97 * 1.7
+        disc = row("SUN_DISC")
+        disc[:] = 0.0, -1.0, 0.0, 1.0
         if suns:
-            rows[12, :3] = np.asarray(suns[0].position) / np.linalg.norm(suns[0].position)
-            rows[12, 3] = np.cos(np.arctan(suns[0].size))
-            rows[13, :3] = suns[0].color
-        rows[14] = *air.haze_color, air.haze
+            disc[:3] = np.asarray(suns[0].position) / np.linalg.norm(suns[0].position)
+            disc[3] = np.cos(np.arctan(suns[0].size))
+            row("SUN_COLOR")[:3] = suns[0].color
+        row("HAZE")[:] = *air.haze_color, air.haze
         return rows.astype(np.float32)
 
 
@@ -174,7 +179,7 @@ def _bounding_sphere(group: Group, centre: np.ndarray, half_size: np.ndarray) ->
 def _material_rows(m: Material) -> list:
     spread = np.random.default_rng(m.seed).uniform(0, 64, 3)
     return [
-        (*m.color, TEXTURES.index(m.texture)),
+        (*m.color, TEXTURES[m.texture]),
         (*m.second, m.scale),
         (m.specular, m.roughness, m.mirror, m.transparency),
         (*m.emission, m.contrast),
@@ -190,6 +195,6 @@ def _light_rows(light: Light, pose: np.ndarray, to_rel: np.ndarray) -> list:
     axis = pose[:3, :3] @ (np.asarray(light.axis) / np.linalg.norm(light.axis))
     return [
         (*place, light.size),
-        (*light.color, _LIGHT_KINDS[light.kind]),
+        (*light.color, GEOMETRY[light.kind.upper()]),
         (*axis, np.cos(np.radians(light.angle))),
     ]

@@ -13,29 +13,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gffe_cl.camera import Camera
+from gffe_cl.opencl.program import constants
 from gffe_cl.scenes.motions import Motion, Place
 
-# Order as in kernels/scenes/textures.h.
-TEXTURES = [
-    "plain",
-    "tiles",
-    "checker",
-    "bricks",
-    "planks",
-    "marble",
-    "carpet",
-    "stripes",
-    "bark",
-    "leaves",
-    "grass",
-    "books",
-    "picture",
-    "sign",
-    "wallpaper",
-    "cobbles",
-    "water",
-]
-BOX, ELLIPSOID, CAPSULE, CONE = range(4)
+GEOMETRY = constants("scenes/geometry.h")
+TEXTURES = {name.lower(): number for name, number in constants("scenes/textures.h").items()}
+BOX, ELLIPSOID, CAPSULE, CONE = (GEOMETRY[name] for name in ("BOX", "ELLIPSOID", "CAPSULE", "CONE"))
 
 
 @dataclass(frozen=True)
