@@ -18,8 +18,7 @@ from gffe_cl.evaluation.report import error_image
 from gffe_cl.frame import RenderedFrame
 from gffe_cl.metrics import display_values
 from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
-from gffe_cl.viewer.canvas import Canvas, View, _texels, read
-from gffe_cl.viewer.layers import (
+from gffe_cl.viewer.engine.layers import (
     FRAME_LAYERS,
     LABEL_COLORS,
     MASK_OFF,
@@ -32,6 +31,7 @@ from gffe_cl.viewer.layers import (
     fitted,
     layers_of,
 )
+from gffe_cl.viewer.picture.canvas import Canvas, View, _texels, read
 
 LEVEL = 1.01 / 255  # half a level of rounding, and as much for powers
 COLOR, DEPTH, MOTION = (FRAME_LAYERS[f"rendered.{name}"] for name in ("color", "depth", "motion"))
@@ -109,7 +109,7 @@ def wheel(vectors, scale):
 def test_shaders_are_ascii():
     """GLSL 3.30 knows nothing else, even in comments."""
     for name in ("display.vert", "display.frag"):
-        assert files("gffe_cl.viewer").joinpath(name).read_bytes().isascii()
+        assert files("gffe_cl.viewer.picture").joinpath(name).read_bytes().isascii()
 
 
 # ---- where pixels land ---------------------------------------------------------------------------------

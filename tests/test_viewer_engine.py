@@ -34,10 +34,10 @@ from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import kernel_folder
 from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
 from gffe_cl.source import Recorded
-from gffe_cl.viewer.engine import Engine, open_viewer_device
-from gffe_cl.viewer.messages import EngineError, Request, Result, Setup
-from gffe_cl.viewer.scoring import flip_available
-from gffe_cl.viewer.sources import FrameSource, RecordedSource, SceneSource
+from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
+from gffe_cl.viewer.engine.messages import EngineError, Request, Result, Setup
+from gffe_cl.viewer.engine.scoring import flip_available
+from gffe_cl.viewer.engine.sources import FrameSource, RecordedSource, SceneSource
 from gffe_cl.window import WindowChooser
 
 W, H, COUNT, FPS = 96, 64, 14, 30.0

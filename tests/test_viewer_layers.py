@@ -19,7 +19,7 @@ from gffe_cl.stages.prediction import PositionPrediction
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import ShadingInputs
 from gffe_cl.stages.surfaces import Surfaces
-from gffe_cl.viewer.layers import (
+from gffe_cl.viewer.engine.layers import (
     COLOR_MAPS,
     FRAME_LAYERS,
     LABEL_COLORS,

@@ -19,11 +19,11 @@ from PIL import Image
 from gffe_cl.errors import GffeError
 from gffe_cl.sequence.exr import read_channels
 from gffe_cl.viewer.actions import IMGUI_KEYS, MODIFIERS, Action, Actions, parse_shortcut, shortcut_text
-from gffe_cl.viewer.export import export_video, save_layers_exr, save_png, unused_name
-from gffe_cl.viewer.layers import LayerSpec
-from gffe_cl.viewer.playback import EVERY_FRAME, MODES, REAL_TIME, Playback
-from gffe_cl.viewer.settings import Settings, default_path
-from gffe_cl.viewer.timings import Timings
+from gffe_cl.viewer.engine.layers import LayerSpec
+from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
+from gffe_cl.viewer.state.playback import EVERY_FRAME, MODES, REAL_TIME, Playback
+from gffe_cl.viewer.state.settings import Settings, default_path
+from gffe_cl.viewer.state.timings import Timings
 
 cases = settings(deadline=None, max_examples=100)
 

@@ -11,10 +11,10 @@ import tiny_sequence
 from scn_models import constant_model
 
 from gffe_cl import Options, inference
-from gffe_cl.viewer import remembering
-from gffe_cl.viewer.messages import Metrics, Request, Setup
-from gffe_cl.viewer.model import Model
-from gffe_cl.viewer.settings import Settings
+from gffe_cl.viewer.engine.messages import Metrics, Request, Setup
+from gffe_cl.viewer.state import remembering
+from gffe_cl.viewer.state.model import Model
+from gffe_cl.viewer.state.settings import Settings
 
 PATIENCE = 60.0
 

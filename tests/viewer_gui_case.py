@@ -31,10 +31,10 @@ def run(phase: str, folder: Path, artefacts: Path, only: list[str]) -> None:
 
     from gffe_cl import inference
     from gffe_cl.viewer.app import App
-    from gffe_cl.viewer.model import Model
-    from gffe_cl.viewer.opening import ScenePlan
-    from gffe_cl.viewer.settings import Settings
+    from gffe_cl.viewer.engine.opening import ScenePlan
     from gffe_cl.viewer.start import leaving
+    from gffe_cl.viewer.state.model import Model
+    from gffe_cl.viewer.state.settings import Settings
 
     inference.default_model = lambda: None  # nothing hangs on weights that are installed
     settings, warning = Settings.load()

@@ -13,8 +13,8 @@ from PIL import Image
 from viewer_gui_driver import CTRL, KEY, Gui, collector
 
 from gffe_cl.metrics import display_values
-from gffe_cl.viewer.canvas import read
-from gffe_cl.viewer.opening import ScenePlan
+from gffe_cl.viewer.engine.opening import ScenePlan
+from gffe_cl.viewer.picture.canvas import read
 
 CASES, case = collector()
 

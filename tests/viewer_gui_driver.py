@@ -15,8 +15,8 @@ from PIL import Image
 
 from gffe_cl import Options
 from gffe_cl.viewer.app import App
-from gffe_cl.viewer.canvas import read
-from gffe_cl.viewer.layers import Display
+from gffe_cl.viewer.engine.layers import Display
+from gffe_cl.viewer.picture.canvas import read
 
 KEY = imgui.Key
 CTRL, SHIFT = KEY.mod_ctrl.value, KEY.mod_shift.value

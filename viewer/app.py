@@ -11,11 +11,22 @@ from pathlib import Path
 from imgui_bundle import ImVec2, hello_imgui, imgui, immapp, implot  # before glfw
 from imgui_bundle import portable_file_dialogs as dialogs
 
-from gffe_cl.viewer import commands, keys, theme, widgets
+from gffe_cl.viewer import commands, keys
 from gffe_cl.viewer.actions import Actions
-from gffe_cl.viewer.model import Model
-from gffe_cl.viewer.panels import compare, inspector, kernels, layer_list, modules, picture, timeline, timings
-from gffe_cl.viewer.settings import can_save
+from gffe_cl.viewer.panels import (
+    compare,
+    inspector,
+    kernels,
+    layer_list,
+    modules,
+    picture,
+    theme,
+    timeline,
+    timings,
+    widgets,
+)
+from gffe_cl.viewer.state.model import Model
+from gffe_cl.viewer.state.settings import can_save
 
 _TITLE = "gffe-cl"
 _LAYOUT_VERSION = 1
@@ -211,7 +222,7 @@ class App:
         import moderngl
         from imgui_bundle import glfw_utils
 
-        from gffe_cl.viewer.canvas import Canvas
+        from gffe_cl.viewer.picture.canvas import Canvas
 
         self.canvas = Canvas(moderngl.create_context())
         window = glfw_utils.glfw_window_hello_imgui()

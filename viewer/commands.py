@@ -9,8 +9,9 @@ from typing import NamedTuple
 from imgui_bundle import hello_imgui, imgui
 
 from gffe_cl.scenes import SCENES
-from gffe_cl.viewer import saving, widgets
 from gffe_cl.viewer.actions import Action
+from gffe_cl.viewer.panels import widgets
+from gffe_cl.viewer.state import saving
 
 _EXPOSURE_STEP = 0.5
 _HELP_COLUMNS = 3

@@ -227,7 +227,7 @@ class _Photographer:
 def _save(path: Path) -> None:
     from imgui_bundle import hello_imgui
 
-    from gffe_cl.viewer.export import save_png
+    from gffe_cl.viewer.picture.files import save_png
 
     pixels = np.asarray(hello_imgui.final_app_window_screenshot())
     if not pixels.size:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 
-from gffe_cl.viewer import flip_map, widgets
-from gffe_cl.viewer.canvas import ERRORS
-from gffe_cl.viewer.comparing import FLIP_HIGH
-from gffe_cl.viewer.layers import legend
+from gffe_cl.viewer.engine.layers import legend
+from gffe_cl.viewer.panels import widgets
+from gffe_cl.viewer.picture import flip_map
+from gffe_cl.viewer.picture.canvas import ERRORS
+from gffe_cl.viewer.state.comparing import FLIP_HIGH
 
 _WAYS = {
     "off": "off",

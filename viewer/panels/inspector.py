@@ -5,8 +5,8 @@ from __future__ import annotations
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
-from gffe_cl.viewer import widgets
-from gffe_cl.viewer.layers import value_text
+from gffe_cl.viewer.engine.layers import value_text
+from gffe_cl.viewer.panels import widgets
 
 
 def draw(app) -> None:

@@ -6,7 +6,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
 from gffe_cl.opencl.program import kernel_folder
-from gffe_cl.viewer import widgets
+from gffe_cl.viewer.panels import widgets
 
 _RED, _GREEN = (0.95, 0.45, 0.4, 1.0), (0.5, 0.85, 0.5, 1.0)
 

@@ -7,8 +7,8 @@ from itertools import groupby
 from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from gffe_cl.viewer import widgets
-from gffe_cl.viewer.layers import COLOR_MAPS, TONE_MAPS, default_display, legend, shown_as
+from gffe_cl.viewer.engine.layers import COLOR_MAPS, TONE_MAPS, default_display, legend, shown_as
+from gffe_cl.viewer.panels import widgets
 
 _OVERLAYS = {"none": "none", "edges": "edges", "residual motion": "residual motion"}
 _OVERLAY_HELP = {

@@ -7,7 +7,7 @@ from dataclasses import replace
 from imgui_bundle import imgui
 
 from gffe_cl.options import OPTIONS, Options
-from gffe_cl.viewer import widgets
+from gffe_cl.viewer.panels import widgets
 
 _DEFAULT = Options()
 _WINDOWS = ("off", "adaptive", "fixed:1.1", "fixed:1.2", "fixed:1.4")

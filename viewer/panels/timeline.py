@@ -5,7 +5,7 @@ from __future__ import annotations
 from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from gffe_cl.viewer import widgets
+from gffe_cl.viewer.panels import widgets
 
 RENDERED = (0.36, 0.62, 0.95, 1.0)
 GENERATED = (0.96, 0.66, 0.28, 1.0)

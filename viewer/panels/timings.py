@@ -6,7 +6,7 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from gffe_cl.viewer import widgets
+from gffe_cl.viewer.panels import widgets
 
 
 def draw(app) -> None:

@@ -16,8 +16,8 @@ import moderngl
 import numpy as np
 
 from gffe_cl.stage import reprojection
-from gffe_cl.viewer import layers as known
-from gffe_cl.viewer.layers import Display, FrameInfo, LayerSpec, Rgb
+from gffe_cl.viewer.engine import layers as known
+from gffe_cl.viewer.engine.layers import Display, FrameInfo, LayerSpec, Rgb
 
 COMPARISONS = ("off", "split", "difference", "flip", "error")  # "flip": the caller shows b as a
 OVERLAYS = ("none", "edges", "residual motion")
@@ -123,7 +123,7 @@ class _Program:
 
     def __init__(self, ctx: moderngl.Context, choice: tuple[int, ...]):
         vertex, fragment = (
-            files("gffe_cl.viewer").joinpath(f"display.{kind}").read_text("utf-8") for kind in ("vert", "frag")
+            files("gffe_cl.viewer.picture").joinpath(f"display.{kind}").read_text("utf-8") for kind in ("vert", "frag")
         )
         version, rest = fragment.split("\n", 1)
         macros = (f"#define {name} {value}" for name, value in zip(_VARIANT, choice, strict=True))

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from gffe_cl.metrics import display_values, psnr, ssim
-from gffe_cl.viewer.messages import Metrics
-from gffe_cl.viewer.story import Shot
+from gffe_cl.viewer.engine.messages import Metrics
+from gffe_cl.viewer.engine.story import Shot
 
 _TO_MEASURE = 256 << 20  # bytes of slots that wait for their metrics; beyond that the oldest are given up
 

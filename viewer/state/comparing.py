@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from gffe_cl.viewer import flip_map
-from gffe_cl.viewer.canvas import View
-from gffe_cl.viewer.layers import Display
-from gffe_cl.viewer.scoring import flip_available
+from gffe_cl.viewer.engine.layers import Display
+from gffe_cl.viewer.engine.scoring import flip_available
+from gffe_cl.viewer.picture import flip_map
+from gffe_cl.viewer.picture.canvas import View
 
 FLIP_HIGH = 0.5
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from gffe_cl.scenes import SCENES, load_scene
 from gffe_cl.sequence import open_sequence
-from gffe_cl.viewer.sources import FrameSource, RecordedSource, SceneSource
+from gffe_cl.viewer.engine.sources import FrameSource, RecordedSource, SceneSource
 
 
 class ScenePlan(NamedTuple):

@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 
 from gffe_cl.errors import GffeError
 from gffe_cl.options import Options
-from gffe_cl.viewer.canvas import ERRORS, View
+from gffe_cl.viewer.picture.canvas import ERRORS, View
 
 WAYS = ("off", "split", "flip", "difference", "error", "flip error")
 _NOT_KEPT = ("shading_inputs", "scn_model", "scn_provider")  # of the options

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.viewer.layers import Display, LayerSpec, default_display, fitted, shown_as
+from gffe_cl.viewer.engine.layers import Display, LayerSpec, default_display, fitted, shown_as
 
 _SAMPLES = 65536
 _LARGEST_EXPOSURE = 16.0  # stops

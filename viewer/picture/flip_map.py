@@ -7,7 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 
 from gffe_cl.metrics import display_values
-from gffe_cl.viewer.layers import LayerSpec
+from gffe_cl.viewer.engine.layers import LayerSpec
 
 NAME = "flip error"
 SPEC = LayerSpec(NAME, "FLIP error", "compare", "scalar", description="what people see when A and B alternate, 0 to 1")

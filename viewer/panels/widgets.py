@@ -9,7 +9,7 @@ from itertools import pairwise
 from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from gffe_cl.viewer.layers import Legend, wheel_color
+from gffe_cl.viewer.engine.layers import Legend, wheel_color
 
 
 def floating() -> None:

@@ -9,8 +9,8 @@ import numpy as np
 from gffe_cl.camera import Camera
 from gffe_cl.frame import BadPixels
 from gffe_cl.options import Options
-from gffe_cl.viewer.layers import LayerSpec
-from gffe_cl.viewer.story import Story
+from gffe_cl.viewer.engine.layers import LayerSpec
+from gffe_cl.viewer.engine.story import Story
 
 
 @dataclass(frozen=True)

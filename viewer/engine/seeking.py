@@ -16,14 +16,14 @@ from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.stage import DeviceFrame
 from gffe_cl.stages.shading import FocusMask
-from gffe_cl.viewer.messages import Closing, Setup
-from gffe_cl.viewer.sources import FrameSource
-from gffe_cl.viewer.story import Shot
+from gffe_cl.viewer.engine.messages import Closing, Setup
+from gffe_cl.viewer.engine.sources import FrameSource
+from gffe_cl.viewer.engine.story import Shot
 
 WARM_UP = 8  # rendered frames submitted before the one that is wanted
 
 
-class Player:
+class Seeker:
     """The pipeline, and how far it has come."""
 
     def __init__(self, device: Device, source: FrameSource, closing: Callable[[], bool]):

@@ -22,13 +22,13 @@ from gffe_cl.frame import HALF_MAX
 from gffe_cl.inference import NetworkError
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.run import alphas_for
-from gffe_cl.viewer.layers import layers_of
-from gffe_cl.viewer.messages import Closing, EngineError, Inspection, Metrics, Request, Result
-from gffe_cl.viewer.player import Player
-from gffe_cl.viewer.reloading import WATCH_SECONDS, Kernels
-from gffe_cl.viewer.scoring import Scorer
-from gffe_cl.viewer.sources import FrameSource
-from gffe_cl.viewer.story import device_layers, pixel_story, pixel_values, read_layers
+from gffe_cl.viewer.engine.layers import layers_of
+from gffe_cl.viewer.engine.messages import Closing, EngineError, Inspection, Metrics, Request, Result
+from gffe_cl.viewer.engine.reloading import WATCH_SECONDS, Kernels
+from gffe_cl.viewer.engine.scoring import Scorer
+from gffe_cl.viewer.engine.seeking import Seeker
+from gffe_cl.viewer.engine.sources import FrameSource
+from gffe_cl.viewer.engine.story import device_layers, pixel_story, pixel_values, read_layers
 
 _CLOSE_SECONDS = 2.0
 _KINDS = {  # of what is posted, and the activity meanwhile
@@ -96,7 +96,7 @@ class Engine:
         self._device: Device | None = None
         self._problem = ""  # of opening the device
         self._kernels: Kernels | None = None
-        self._player: Player | None = None
+        self._seeker: Seeker | None = None
         self._scorer = Scorer(notify, lambda error: self._fail(error, "metrics", None))
         self._last: Request | None = None  # computed last
 
@@ -186,7 +186,7 @@ class Engine:
                 self._fail(error, kind, content)
             self.activity = ""
             kind, content = self._next(kind)
-        self._player = self._last = None
+        self._seeker = self._last = None
         if self.source:
             self.source.close()
         if self._kernels:
@@ -234,7 +234,7 @@ class Engine:
         source = content[0](self._need_device())
         if self.source:
             self.source.close()
-        self._player, self._last = Player(self._device, source, lambda: self._closing), None
+        self._seeker, self._last = Seeker(self._device, source, lambda: self._closing), None
         self._scorer.clear()
         with self._news:
             self._posted.pop("slot", None)
@@ -253,8 +253,8 @@ class Engine:
         changed = self._kernels.reload()
         self.build_error = self._kernels.error
         self.builds += changed
-        if changed and self._player:
-            self._player.drop()
+        if changed and self._seeker:
+            self._seeker.drop()
             self._scorer.clear()
             with self._news:
                 if self._last:
@@ -268,14 +268,14 @@ class Engine:
 
     def _do_inspection(self, content) -> None:
         x, y, layers = content
-        player = self._player
-        if not (player and player.shot and 0 <= x < self.source.width and 0 <= y < self.source.height):
+        seeker = self._seeker
+        if not (seeker and seeker.shot and 0 <= x < self.source.width and 0 <= y < self.source.height):
             return
-        pipeline, shot = player.pipeline, player.shot
+        pipeline, shot = seeker.pipeline, seeker.shot
         values = pixel_values(pipeline, shot, x, y)
         story = pixel_story(pipeline, shot, x, y, values)
-        if player.truth is not None:
-            values["truth"] = _rgba(player.truth[y : y + 1, x : x + 1])[0, 0]
+        if seeker.truth is not None:
+            values["truth"] = _rgba(seeker.truth[y : y + 1, x : x + 1])[0, 0]
         if layers is not None:
             values = {name: value for name, value in values.items() if name in layers}
         inspection = Inspection((x, y), self._last.slot, story.source, values, story)
@@ -286,28 +286,28 @@ class Engine:
     def _do_slot(self, request: Request) -> None:
         start = time.perf_counter()
         self._need_device()
-        if self._player is None:
+        if self._seeker is None:
             raise GffeError("nothing is open: expected a sequence or a built-in scene")
-        player, alphas = self._player, (0.0, *alphas_for(request.setup.n))
+        seeker, alphas = self._seeker, (0.0, *alphas_for(request.setup.n))
         k, j = divmod(request.slot, len(alphas))
         if not 0 <= k < self.source.count:
             raise GffeError(f"slot {request.slot}: expected 0 to {self.source.count * len(alphas) - 1}")
         self._last = request
         try:
-            result = self._computed(player, request, k, alphas[j], start)
+            result = self._computed(seeker, request, k, alphas[j], start)
         except Exception:
-            player.drop()
+            seeker.drop()
             raise
         with self._news:
             self._result = result
         self._notify()
 
-    def _computed(self, player: Player, request: Request, k: int, alpha: float, start: float) -> Result:
-        player.prepare(request.setup)
-        notes = player.go_to(k, alpha)
-        player.pipeline.keep(request.layers)
-        shot = player.shoot(k, alpha, request.setup.show_window)
-        pipeline = player.pipeline
+    def _computed(self, seeker: Seeker, request: Request, k: int, alpha: float, start: float) -> Result:
+        seeker.prepare(request.setup)
+        notes = seeker.go_to(k, alpha)
+        seeker.pipeline.keep(request.layers)
+        shot = seeker.shoot(k, alpha, request.setup.show_window)
+        pipeline = seeker.pipeline
         specs = layers_of(pipeline)
         if not self.source.has_truth:
             del specs["truth"], specs["focus_truth"]
@@ -316,9 +316,9 @@ class Engine:
         names = (request.layers | ({"final"} if measure else set())) & specs.keys()
         truth = None
         if alpha and self.source.has_truth and (measure or names & {"truth", "focus_truth"}):
-            player.truth = truth = self._truth(k, alpha, notes)
+            seeker.truth = truth = self._truth(k, alpha, notes)
         if truth is not None and "focus_truth" in names:
-            player.find_focus(_rgba(truth))
+            seeker.find_focus(_rgba(truth))
         reading = time.perf_counter()
         images = read_layers(pipeline, device_layers(pipeline, shot), names)
         readback_ms = (time.perf_counter() - reading) * 1e3
@@ -342,7 +342,7 @@ class Engine:
             wall_ms=(time.perf_counter() - start) * 1e3,
             readback_ms=readback_ms,
             warnings=(*self.source.warnings(), *notes),
-            bad_pixels=player.bad_pixels,
+            bad_pixels=seeker.bad_pixels,
             psnr=known.psnr,
             ssim=known.ssim,
             flip=known.flip,

@@ -20,7 +20,7 @@ from gffe_cl.run import _dump_channels
 from gffe_cl.sequence.exr import write_channels
 
 if TYPE_CHECKING:
-    from gffe_cl.viewer.layers import LayerSpec
+    from gffe_cl.viewer.engine.layers import LayerSpec
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv")
 _LONGEST_STEM = 120  # characters; file names end at 255 bytes

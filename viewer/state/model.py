@@ -14,20 +14,21 @@ import numpy as np
 from gffe_cl import inference
 from gffe_cl.errors import GffeError
 from gffe_cl.options import Options
-from gffe_cl.viewer import flip_map, remembering
-from gffe_cl.viewer.canvas import View
-from gffe_cl.viewer.comparing import Comparison
-from gffe_cl.viewer.engine import Engine, open_viewer_device
-from gffe_cl.viewer.flying import Flyer
-from gffe_cl.viewer.layers import Display, FrameInfo, LayerSpec, area_of
-from gffe_cl.viewer.looks import Looks
-from gffe_cl.viewer.messages import EngineError, Metrics, Request, Result, Setup
-from gffe_cl.viewer.opening import ScenePlan, make_source
-from gffe_cl.viewer.playback import Playback
-from gffe_cl.viewer.pointing import Pointing
-from gffe_cl.viewer.saving import Work
-from gffe_cl.viewer.settings import Settings
-from gffe_cl.viewer.timings import Timings
+from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
+from gffe_cl.viewer.engine.layers import Display, FrameInfo, LayerSpec, area_of
+from gffe_cl.viewer.engine.messages import EngineError, Metrics, Request, Result, Setup
+from gffe_cl.viewer.engine.opening import ScenePlan, make_source
+from gffe_cl.viewer.picture import flip_map
+from gffe_cl.viewer.picture.canvas import View
+from gffe_cl.viewer.state import remembering
+from gffe_cl.viewer.state.comparing import Comparison
+from gffe_cl.viewer.state.flying import Flyer
+from gffe_cl.viewer.state.looks import Looks
+from gffe_cl.viewer.state.playback import Playback
+from gffe_cl.viewer.state.pointing import Pointing
+from gffe_cl.viewer.state.saving import Work
+from gffe_cl.viewer.state.settings import Settings
+from gffe_cl.viewer.state.timings import Timings
 
 _FIT = 0.98  # of the window that a fitted picture takes
 _SCENES = ScenePlan(480, 270, 0)

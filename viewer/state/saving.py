@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.errors import GffeError
-from gffe_cl.viewer.canvas import read
-from gffe_cl.viewer.export import export_video, save_layers_exr, save_png, unused_name
+from gffe_cl.viewer.picture.canvas import read
+from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
 
 _WAITING = 2  # frames between the interface and the encoder
 _PATIENCE = 5.0  # seconds for writing to end after it was cancelled

@@ -1,0 +1,1 @@
+"""What is drawn: layers by OpenGL, and the files made from them."""
