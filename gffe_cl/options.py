@@ -33,6 +33,7 @@ class Option:
     flag : of the command line; of a bool that is on by default, what switches it off
     off_flag : of the command line, short for the value `off`
     remembered : by the viewer, from one start to the next
+    needs : another option, a module, without which it has no effect
     """
 
     name: str = ""
@@ -52,6 +53,7 @@ class Option:
     flag: str | None = None
     off_flag: str | None = None
     remembered: bool = True
+    needs: str | None = None
 
     @property
     def is_module(self) -> bool:
@@ -145,6 +147,7 @@ class Options:
         "focus mask",
         "Only what the network says is wrong; off: the network's whole image.",
         flag="--no-focus-mask",
+        needs="shading_correction",
     )
     scn_model: str | None = _option(
         None, "network", "Shading correction network of your own, ONNX.", kind=str,

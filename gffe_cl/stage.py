@@ -34,9 +34,9 @@ XY = ("x", "y")
 
 _LABELS = constants("common.h")
 BY_HOLE_FILLING, BY_NOTHING = _LABELS["BY_HOLE_FILLING"], _LABELS["BY_NOTHING"]
-BY_CRACK_CLOSING = _LABELS["BY_CRACK_CLOSING"]
+BY_WARP, BY_CRACK_CLOSING = _LABELS["BY_WARP"], _LABELS["BY_CRACK_CLOSING"]
 FILLED_BY = (
-    (_LABELS["BY_WARP"], "its own fragment"),
+    (BY_WARP, "its own fragment"),
     *((1 + level, f"background level {level}") for level in range(4)),
     (BY_NOTHING, "nothing"),
     (BY_CRACK_CLOSING, "crack closing"),

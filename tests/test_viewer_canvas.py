@@ -18,20 +18,10 @@ from gffe_cl.evaluation.report import error_image
 from gffe_cl.frame import RenderedFrame
 from gffe_cl.metrics import display_values
 from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
-from gffe_cl.viewer.engine.layers import (
-    FRAME_LAYERS,
-    LABEL_COLORS,
-    MASK_OFF,
-    SKY,
-    Display,
-    FrameInfo,
-    LayerSpec,
-    color_table,
-    default_display,
-    fitted,
-    layers_of,
-)
+from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec, layers_of
 from gffe_cl.viewer.picture.canvas import Canvas, View, _texels, read
+from gffe_cl.viewer.picture.colors import LABEL_COLORS, MASK_OFF, SKY, color_table
+from gffe_cl.viewer.picture.displays import Display, FrameInfo, default_display, fitted
 
 LEVEL = 1.01 / 255  # half a level of rounding, and as much for powers
 COLOR, DEPTH, MOTION = (FRAME_LAYERS[f"rendered.{name}"] for name in ("color", "depth", "motion"))

@@ -199,10 +199,10 @@ def test_every_layer_equals_a_plain_run(device):
     with running(device, Clip()) as engine:
         for at, slot in zip(played, slots(setup, *played), strict=True):
             result = ask(engine, slot, setup, expected[at])
-            assert (result.k, result.alpha, result.request.slot) == (at[0], at[1] / 3, slot)
+            assert (result.moment.k, result.moment.alpha, result.request.slot) == (at[0], at[1] / 3, slot)
             assert_same(result.images, expected[at])
-            assert result.camera == pose(at[0] + at[1] / 3) and result.source_camera == pose(at[0])
-            assert result.previous_camera == (pose(at[0] - 1) if at[0] else None)
+            assert result.moment.camera == pose(at[0] + at[1] / 3) and result.moment.render_camera == pose(at[0])
+            assert result.moment.previous_camera == (pose(at[0] - 1) if at[0] else None)
     with running(device, source := Clip()) as engine:
         for at in ((0, 1), (3, 1), (3, 2), (5, 1)):
             result = ask(engine, *slots(setup, at), setup, expected[at])
@@ -236,7 +236,7 @@ def test_nothing_before_a_reset_is_used(device):
     with running(device, source := Clip(reset=4)) as engine:
         for k in range(6):
             result = ask(engine, 2 * k, setup)
-            assert (result.previous_camera is None) == (k in (0, 4))
+            assert (result.moment.previous_camera is None) == (k in (0, 4))
         played = ask(engine, 11, setup, ("final",)).images["final"]
         ask(engine, 0, setup)
         source.asked.clear()
@@ -250,7 +250,7 @@ def test_rendered_slots_and_the_frames_own_layers(device):
     with running(device, Clip()) as engine:
         result = ask(engine, 8, setup, names)
         frame = frames()[4]
-        assert set(result.images) == set(names[:5]) and result.alpha == 0
+        assert set(result.images) == set(names[:5]) and result.moment.alpha == 0
         assert result.images["final"].shape == (H, W, 4) and result.images["final"].dtype == np.float16
         for name in ("final", "truth", "rendered.color"):
             assert (result.images[name][..., :3] == frame.color).all()
@@ -464,8 +464,8 @@ def test_an_unreadable_frame_is_an_error_and_the_engine_goes_on(device):
         engine.inspect(1, 1)
         result = ask(engine, 9, Setup(), ("final",))
         assert engine.poll_inspection() is None  # there was no slot
-        assert result.k == 4 and "frame 3 is left out: frame_3.exr: truncated" in result.warnings[0]
-        assert result.previous_camera is None  # as after a reset
+        assert result.moment.k == 4 and "frame 3 is left out: frame_3.exr: truncated" in result.warnings[0]
+        assert result.moment.previous_camera is None  # as after a reset
         source.faults.clear()
         assert not ask(engine, 11, Setup()).warnings
         for slot, setup, message in (
@@ -628,9 +628,6 @@ def test_a_recorded_sequence_is_shown_as_a_run_extrapolates_it(device, tmp_path,
         for at in (*wanted, (2, 1), (5, 1)):
             result = ask(engine, *slots(setup, at), setup, expected[at] if at[1] else ("final",), metrics=True)
             assert_same(result.images, expected[at], None if at[1] else ["final"])
-        if render_size and window is None:
-            whole = ask(engine, 10, replace(setup, show_window=True), ("final", "rendered.color")).images
-            assert whole["final"].shape == (72, 112, 4) and (whole["final"] == whole["rendered.color"]).all()
         assert wait_for(engine.poll_metrics).psnr > 20
         error = ask(engine, 3, replace(setup, window="adaptive"))
         assert "adaptive" in error.message and isinstance(ask(engine, 3, setup), Result)
@@ -700,8 +697,9 @@ def test_a_scene_is_rendered_as_a_run_renders_it(device, kept):
             for at, slot in zip(wanted, (8, 9), strict=True):
                 result = ask(engine, slot, setup, ("final", "rendered.color", "rendered.depth", "rendered.motion"))
                 assert_same(result.images, expected[at], ["final"])
-                assert result.source_camera == given[4].camera and result.display_camera == given[4].display_camera
-                assert result.previous_camera == given[3].camera and result.time == result.alpha / 30 + given[4].time
+                shown = result.moment
+                assert (shown.render_camera, shown.display_camera) == (given[4].camera, given[4].display_camera)
+                assert shown.previous_camera == given[3].camera and shown.time == shown.alpha / 30 + given[4].time
                 assert (result.images["rendered.color"][..., :3] == given[4].color).all()
                 assert (result.images["rendered.depth"] == given[4].depth).all()
                 assert result.images["rendered.motion"].tobytes() == given[4].motion.tobytes()
@@ -716,7 +714,7 @@ def test_flown_poses_are_replayed(device):
         for slot in range(8):
             source.fly(slot // 2, slot % 2 / 2, path[slot])
             result = ask(engine, slot, setup, ("final", "truth"))
-            assert result.camera == path[slot]
+            assert result.moment.camera == path[slot]
             flown[slot] = result.images
         assert (flown[5]["final"] != own).any()
         ask(engine, 7, setup, metrics=True)
@@ -732,7 +730,7 @@ def test_flown_poses_are_replayed(device):
         assert (ask(engine, 7, setup, ("final",)).images["final"] == flown[7]["final"]).all()
         assert source.camera(3, 0.0) == path[6]
         source.fly(3, 0.0, path[0])  # ... but not for the frame itself
-        assert ask(engine, 6, setup).camera == path[0]
+        assert ask(engine, 6, setup).moment.camera == path[0]
         assert (ask(engine, 7, setup, ("final",)).images["final"] != flown[7]["final"]).any()
         source.forget_flight()
         assert (ask(engine, 5, setup, ("final",)).images["final"] == own).all()

@@ -313,6 +313,13 @@ def test_palette_and_help(values):
     assert values["help"] and values["help closed"]
 
 
+def test_parameters_by_the_palette(values):
+    assert values["toggled"] == [False, True] and values["chosen"] == "push-pull"
+    assert values["refused"] == [2, "levels"] and values["entered"] == [3, None]
+    assert values["stepped"] == pytest.approx(1.4) and values["automatic"] is None
+    assert values["n"] == 3
+
+
 def test_open_by_path(values):
     assert values["window"] and values["closed"]
     assert values["opened"] == ["room", True]

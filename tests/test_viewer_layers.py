@@ -19,27 +19,10 @@ from gffe_cl.stages.prediction import PositionPrediction
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import ShadingInputs
 from gffe_cl.stages.surfaces import Surfaces
-from gffe_cl.viewer.engine.layers import (
-    COLOR_MAPS,
-    FRAME_LAYERS,
-    LABEL_COLORS,
-    SKY,
-    TONE_MAPS,
-    VIEWS,
-    Display,
-    FrameInfo,
-    LayerSpec,
-    area_of,
-    color_table,
-    default_display,
-    fitted,
-    layer_of,
-    layers_of,
-    legend,
-    shown_as,
-    value_text,
-    wheel_color,
-)
+from gffe_cl.viewer.engine.layers import FRAME_LAYERS, VIEWS, LayerSpec, layer_of, layers_of
+from gffe_cl.viewer.picture.colors import COLOR_MAPS, LABEL_COLORS, SKY, color_table, wheel_color
+from gffe_cl.viewer.picture.displays import TONE_MAPS, Display, FrameInfo, area_of, default_display, fitted, shown_as
+from gffe_cl.viewer.picture.legends import legend, value_text
 
 DEPTH, MOTION, FINAL = (FRAME_LAYERS[name] for name in ("rendered.depth", "rendered.motion", "final"))
 STAGES: tuple[type[Stage], ...] = (

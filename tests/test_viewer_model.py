@@ -1,19 +1,22 @@
 """The viewer's model with its engine, without a window: what is asked for, and that nothing outdated is shown."""
 
+import json
 import time
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 import tiny_sequence
 from scn_models import constant_model
 
-from gffe_cl import Options, inference
+from gffe_cl import OPTIONS, Options, inference
+from gffe_cl.errors import GffeError
+from gffe_cl.options import Option
 from gffe_cl.viewer.engine.messages import Metrics, Request, Setup
-from gffe_cl.viewer.state import remembering
+from gffe_cl.viewer.panels.palette import parsed, stepped
 from gffe_cl.viewer.state.model import Model
+from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand
+from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.settings import Settings
 
 PATIENCE = 60.0
@@ -39,7 +42,7 @@ class Session:
     def __init__(self, target):
         self.model, self.canvas = Model(Settings(), save_settings=False), Canvas()
         self.model.open(str(target))
-        self.until(lambda: self.model.result is not None)
+        self.until(lambda: self.model.contents.result is not None)
         self.settle()
 
     def frame(self):
@@ -85,9 +88,9 @@ def test_story_follows_the_slot_although_the_mouse_moves_on(session):
     model = session.model
     model.pointing.pick((3, 4))
     session.settle()
-    before, taken = model.pointing.story, model.taken
+    before, taken = model.pointing.story, model.contents.changes
     model.playback.seek(3)
-    session.until(lambda: model.taken > taken)
+    session.until(lambda: model.contents.changes > taken)
     assert not model.settled  # the story is still that of the slot before
     model.pointing.hover((7.5, 5.5))
     session.settle()
@@ -104,40 +107,40 @@ def test_layers_of_another_slot_are_not_on_the_canvas(session):
 
 
 def test_pictures_of_another_sequence_are_not_on_the_canvas(session, tmp_path):
-    model, source = session.model, session.model.info
-    taken = model.taken
+    model, source = session.model, session.model.source
+    taken = model.contents.changes
     model.open(str(tiny_sequence.write(tmp_path / "second")))
     session.until(lambda: model.engine.source is not source)
     with session.engine_waiting():
         session.frame()
-        assert model.info is not source and model.result is None and session.canvas.layers == {}
-        assert model.taken > taken  # what was drawn is drawn anew
+        assert model.source is not source and model.contents.result is None and session.canvas.layers == {}
+        assert model.contents.changes > taken  # what was drawn is drawn anew
     session.settle()
     assert set(session.canvas.layers) == {"final"}
 
 
 def test_reload_opens_what_is_shown(session, tmp_path):
     """... not what was asked for in between and is not there yet, or never will be."""
-    model, source = session.model, session.model.info
+    model, source = session.model, session.model.source
     model.open(str(tiny_sequence.write(tmp_path / "second")))
     session.until(lambda: model.engine.source is not source)
     model.open(str(tmp_path / "missing"))
     session.until(lambda: any("missing" in message.text for message in model.messages))
-    assert model.info.name == "second" and model.settings.recent[0] == str(tmp_path / "second")
+    assert model.source.name == "second" and model.settings.recent[0] == str(tmp_path / "second")
     model.reload()
-    opened = model.info
-    session.until(lambda: model.info is not opened)
-    assert model.info.name == "second"
+    opened = model.source
+    session.until(lambda: model.source is not opened)
+    assert model.source.name == "second"
 
 
 def test_requests_for_another_sequence_are_ignored(session, tmp_path):
-    model, source = session.model, session.model.info
+    model, source = session.model, session.model.source
     model.open(str(tiny_sequence.write(tmp_path / "second", frames=1)))
     session.until(lambda: model.engine.source is not source)
     session.settle()
     model.engine.submit(Request(5, Setup(), frozenset(), 10**6), source)  # there is no slot 5 any more
     assert not model.engine.busy
-    model.engine.submit(Request(5, Setup(), frozenset(), 10**6), model.info)
+    model.engine.submit(Request(5, Setup(), frozenset(), 10**6), model.source)
     session.until(lambda: model.failure)
 
 
@@ -168,24 +171,24 @@ def test_metrics_of_other_kernels_are_forgotten(session):
 def computed(session):
     """Whether shading correction is in what is shown."""
     session.settle()
-    return "correction.color" in {spec.name for spec in session.model.layers}
+    return "correction.color" in {spec.name for spec in session.model.contents.layers}
 
 
 def test_shading_correction_runs_where_there_is_a_model(session, tmp_path, monkeypatch):
     """Weights that come and go while the viewer runs are taken up."""
     model = session.model
     model.playback.seek(3)
-    assert not computed(session) and "no trained weights" in model.why_no_correction()
+    assert not computed(session) and "no trained weights" in model.parameters.why_not("shading_correction")
     weights = Path(constant_model(tmp_path / "m.onnx"))
     monkeypatch.setattr(inference, "default_model", lambda: weights)
-    assert computed(session) and model.why_no_correction() is None
+    assert computed(session) and model.parameters.why_not("shading_correction") is None
     model.show_layer("gae")
     session.settle()
     assert set(session.canvas.layers) == {"gae"}
-    model.correct_shading(False)
-    assert not computed(session) and model.options.shading_inputs
-    model.correct_shading(True)
-    model.set_options(replace(model.options, focus_mask=False))
+    model.parameters.switch("shading_correction", False)
+    assert not computed(session) and model.parameters.options.shading_inputs
+    model.parameters.switch("shading_correction", True)
+    model.set("focus_mask", False)
     assert computed(session)
     monkeypatch.setattr(inference, "default_model", lambda: None)
     assert not computed(session) and not model.messages
@@ -196,28 +199,27 @@ def test_a_model_that_cannot_be_loaded_switches_shading_correction_off(session, 
     model, path = session.model, tmp_path / "m.onnx"
     path.write_bytes(b"junk")
     model.playback.seek(3)
-    model.set_options(replace(model.options, scn_model=str(path)))
-    session.until(lambda: model.network_fault)
-    assert not computed(session) and not model.corrects_shading and model.failure is None
+    model.set("scn_model", str(path))
+    session.until(lambda: model.parameters.network_fault)
+    assert not computed(session) and not model.parameters.is_on("shading_correction") and model.failure is None
     model.playback.seek(1)
     assert not computed(session)
     (told,) = model.messages
     assert told.error and told.text.startswith(f"shading correction is off: {path}: ") and "\n" not in told.text
-    model.correct_shading(True)
+    model.parameters.switch("shading_correction", True)
     session.until(lambda: len(model.messages) == 2)
     constant_model(path)
-    model.correct_shading(True)
-    assert computed(session) and model.network_fault is None
+    model.parameters.switch("shading_correction", True)
+    assert computed(session) and model.parameters.network_fault is None
+
+
+def restored(saved, **chosen):
+    parameters = Parameters(Options(**chosen), Playback())
+    parameters.restore(json.loads(json.dumps(saved)))
+    return parameters.options
 
 
 def test_the_choice_of_shading_correction_is_remembered_but_no_path():
-    def restored(saved, **chosen):
-        settings = Settings(options=saved)
-        model = SimpleNamespace(settings=settings, options=Options(**chosen), view=session_view, playback=playback)
-        remembering.restore(model)
-        return model.options
-
-    session_view, playback = SimpleNamespace(compare="off"), SimpleNamespace(restore=lambda saved: None)
     saved = {"shading_correction": False, "focus_mask": False, "scn_model": "x.onnx", "scn_provider": "cuda"}
     options = restored(saved)
     assert (options.shading_correction, options.focus_mask) == (False, False)
@@ -225,3 +227,75 @@ def test_the_choice_of_shading_correction_is_remembered_but_no_path():
     assert restored(saved, shading_correction=True).shading_correction is True
     assert restored(saved, scn_model="y.onnx").shading_correction is None
     assert restored({"shading_correction": True}).shading_correction is None
+
+
+def test_every_option_that_is_remembered_comes_back():
+    for name, option in OPTIONS.items():
+        usual = getattr(Options(**ALWAYS), name)
+        for other in [True, False] if option.kind is bool else option.choices or [by_hand(option) or "some text"]:
+            if option.is_module and option.automatic and other:
+                continue  # is off or automatic
+            parameters = Parameters(Options(), Playback())
+            parameters.set(name, other if option.kind is str or option.kind is bool else other + 1)
+            kept = parameters.value(name)
+            assert getattr(restored(parameters.preferences()), name) == (kept if option.remembered else usual), name
+
+
+@pytest.mark.parametrize(
+    "damaged", [{"levels": 99}, {"levels": True}, {"order": "2"}, {"hole_filling": 1}, {"motion": 0}]
+)
+def test_a_damaged_option_costs_only_itself(damaged):
+    options = restored({"crack_closing": False} | damaged)
+    assert options == Options(crack_closing=False, **ALWAYS)
+
+
+def test_modules_and_parameters_come_from_the_descriptions(session):
+    """Toggles switch between off and the usual value, everything comes back; each has its action in the palette."""
+    parameters = session.model.parameters
+    offered = parameters.offered()
+    assert set(OPTIONS) - set(offered) == {"shading_inputs", "scn_model", "scn_provider"}
+    assert set(offered) - set(OPTIONS) == {"window", "n"}
+    for name, option in offered.items():
+        if option.is_module and parameters.why_not(name) is None:
+            for on in (False, True):
+                parameters.switch(name, on)
+                assert parameters.is_on(name) == on
+            assert parameters.value(name) == option.default
+    session.model.set("levels", 99)
+    assert (
+        parameters.options.levels == Options().levels and "background levels must be" in session.model.messages[-1].text
+    )
+    parameters.set("n", 3)
+    parameters.set("order", 3)
+    assert parameters.setup.n == 3 and parameters.options.history == 4
+    parameters.use_defaults()
+    assert parameters.options == Options(**ALWAYS) and session.model.n == 1
+    assert "no trained weights" in parameters.why_not("shading_correction") == parameters.why_not("focus_mask")
+    assert "overscan" in parameters.why_not("window") and "built-in scene" in parameters.why_not("scene_window")
+
+
+def test_a_module_that_is_usually_off_can_be_switched_on(monkeypatch):
+    """... whatever its kind is: nothing in the viewer knows a single option."""
+    options = [
+        Option("a", False, "a", off=False),
+        Option("b", "none", "b", kind=str, choices={"none": "", "x": ""}, off="none"),
+        Option("c", 0, "c", kind=int, low=0, high=4, off=0),
+    ]
+    parameters = Parameters(Options(), Playback())
+    held = {option.name: option.default for option in options}
+    monkeypatch.setattr("gffe_cl.viewer.state.parameters.ALL", {option.name: option for option in options})
+    monkeypatch.setattr(parameters, "value", held.get)
+    monkeypatch.setattr(parameters, "set", held.__setitem__)
+    for option, on in zip(options, (True, "x", 1), strict=True):
+        parameters.switch(option.name, True)
+        assert held[option.name] == on and parameters.is_on(option.name)
+
+
+def test_numbers_of_the_palette():
+    threshold, levels = ALL["static_threshold"], ALL["levels"]
+    assert parsed(threshold, " auto ") is None and parsed(threshold, "1,5") == 1.5 and parsed(levels, "3") == 3
+    for option, text in ((levels, "9"), (levels, "1.5"), (levels, ""), (threshold, "nan"), (threshold, "much")):
+        with pytest.raises(GffeError, match=f"{option.label} must be"):
+            parsed(option, text)
+    assert stepped(levels, 4, 1) == 4 and stepped(levels, 0, -1) == 0 and stepped(levels, 2, 1) == 3
+    assert stepped(threshold, None, 1) == pytest.approx(1.4) and stepped(threshold, 100.0, 1) == 100.0

@@ -31,7 +31,7 @@ def split(gui: Gui):
     values["left is A"] = bool((picture[:, : split - 2] == a[:, : split - 2]).all())
     values["right is B"] = bool((picture[:, split + 2 :] == b[:, split + 2 :]).all())
     values["A is B"] = bool((a == b).all())
-    values["centre moved"] = bool(model.view.centre != (model.info.width / 2, model.info.height / 2))
+    values["centre moved"] = bool(model.view.centre != (model.source.width / 2, model.source.height / 2))
 
 
 @case
@@ -109,8 +109,8 @@ def flip_error(gui: Gui):
 
         from gffe_cl.metrics import display_values
 
-        images = [model.result.images[name][..., :3] for name in ("truth", "final")]
-        true, shown = (display_values(image, model.info.exposure) for image in images)
+        images = [model.contents.result.images[name][..., :3] for name in ("truth", "final")]
+        true, shown = (display_values(image, model.source.exposure) for image in images)
         wanted = evaluate(true, shown, "LDR", applyMagma=False)[0][..., 0]
         xs, ys = (10, 100, 150, 170), (20, 50, 90, 100)
         values["faults"] = []
@@ -118,7 +118,7 @@ def flip_error(gui: Gui):
             sx, sy = model.view.screen_at((picture.shape[1], picture.shape[0]), x + 0.5, y + 0.5)
             heat = np.clip(3 * wanted[y, x] - np.arange(3), 0, 1) * 255
             values["faults"].append(float(np.abs(picture[int(sy), int(sx)] - heat).max()))
-        model.set_n(3)
+        model.set("n", 3)
         gui.settle()
         gui.key(KEY.right_arrow)  # to a time without ground truth
         gui.settle()
@@ -139,7 +139,8 @@ def measuring(gui: Gui):
     model.comparison.set("flip")
     gui.settle()
     shown, true = (
-        display_values(model.result.images[name][..., :3], model.info.exposure) for name in ("final", "truth")
+        display_values(model.contents.result.images[name][..., :3], model.source.exposure)
+        for name in ("final", "truth")
     )
     score = model.metrics[13]
     values |= {"psnr": score.psnr, "ssim": score.ssim, "by hand": (psnr(shown, true), ssim(shown, true))}

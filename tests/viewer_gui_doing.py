@@ -98,7 +98,7 @@ def resizing(gui: Gui):
                 "area": (width, height),
                 "same": float(same.mean()),
                 "right": bool((canvas == expected).all()),
-                "fits": bool(model.view.zoom * max(model.info.width / width, model.info.height / height) <= 1),
+                "fits": bool(model.view.zoom * max(model.source.width / width, model.source.height / height) <= 1),
             }
         )
         gui.shot(f"resizing, {size[0]}×{size[1]}")
@@ -119,7 +119,7 @@ def saving(gui: Gui):
     gui.frames(2)
     (png,) = _made(before)
     saved = np.asarray(Image.open(png).convert("RGB")).astype(int)
-    shown = display_values(model.result.images["final"][..., :3], model.info.exposure)
+    shown = display_values(model.contents.result.images["final"][..., :3], model.source.exposure)
     values["png"] = {"size": saved.shape, "fault": float(np.abs(saved - shown * 255).max())}
     before = set(Path.cwd().iterdir())
     gui.key(KEY.e, CTRL)
@@ -149,7 +149,7 @@ def saving(gui: Gui):
 def cancelling(gui: Gui):
     """A video that is cancelled leaves nothing."""
     model, values = gui.model, gui.values
-    model.set_n(7)
+    model.set("n", 7)
     gui.settle()
     before = set(Path.cwd().iterdir())
     gui.key(KEY.m, CTRL)
@@ -177,7 +177,7 @@ def frame_rate(gui: Gui):
         model.playback.mode, model.playback.speed = "every frame", 4.0
         model.playback.play()
         gui.frames(5)
-        frames, computed, start = 0, model.taken, time.perf_counter()
+        frames, computed, start = 0, model.contents.changes, time.perf_counter()
         longest = now = start
         longest = 0.0
         while now - start < 2.5:
@@ -187,7 +187,7 @@ def frame_rate(gui: Gui):
         name = f"{size[0]}×{size[1]}"
         values[name] = {
             "interface": frames / (now - start),
-            "computed": (model.taken - computed) / (now - start),
+            "computed": (model.contents.changes - computed) / (now - start),
             "longest": longest,
         }
         model.playback.pause()
@@ -205,7 +205,7 @@ def leave_while_working(gui: Gui) -> None:
     gui.reset()
     model.show_layer("frame.depth")
     gui.settle()
-    model.looks.change(low=2.0, high=9.0, color_map="viridis")
+    model.looks.change(model.view.a, low=2.0, high=9.0, color_map="viridis")
     gui.key(KEY.t, CTRL)
     for name in ("crack closing", "automatic static threshold"):
         gui.click(f"//Modules/{name}")
@@ -221,7 +221,7 @@ def leave_while_working(gui: Gui) -> None:
     gui.on_screen(lambda: glfw.set_window_size(window, 1100, 700))
     model.plan = ScenePlan(1920, 1080, 0)
     model.open("forest")
-    gui.wait(lambda: model.info.name == "forest", "the scene")
+    gui.wait(lambda: model.source.name == "forest", "the scene")
     model.playback.seek(60)
     gui.frames(3)
     assert model.engine.busy
@@ -232,7 +232,7 @@ def leave_while_saving(gui: Gui) -> None:
     model = gui.model
     gui.reset()
     gui.open(gui.sequences / "large")
-    model.set_n(7)
+    model.set("n", 7)
     gui.settle()
     gui.key(KEY.m, CTRL)
     gui.wait(lambda: model.export is not None and model.export.done > 3, "some frames")
@@ -250,7 +250,11 @@ def found_again(gui: Gui) -> None:
         "theme": model.settings.theme,
         "bright": float(gui.window()[-8:].mean()),
         "recent": [Path(path).name for path in model.settings.recent],
-        "options": (model.options.crack_closing, model.options.static_threshold, model.options.shading_inputs),
+        "options": (
+            model.parameters.options.crack_closing,
+            model.parameters.options.static_threshold,
+            model.parameters.options.shading_inputs,
+        ),
         "playback": model.playback.preferences(),
         "compare": (model.view.compare, model.view.b, model.view.split),
         "panels": {name: app.panel(name).is_visible for name in app.panel_names},

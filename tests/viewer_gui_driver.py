@@ -15,8 +15,9 @@ from PIL import Image
 
 from gffe_cl import Options
 from gffe_cl.viewer.app import App
-from gffe_cl.viewer.engine.layers import Display
 from gffe_cl.viewer.picture.canvas import read
+from gffe_cl.viewer.picture.displays import Display
+from gffe_cl.viewer.state.parameters import ALWAYS
 
 KEY = imgui.Key
 CTRL, SHIFT = KEY.mod_ctrl.value, KEY.mod_shift.value
@@ -51,7 +52,7 @@ class Gui:
         """Outcome of one case: its values, and the traceback if it failed; a picture of its end is kept."""
         self.ctx, self.values, start, error = ctx, {}, time.perf_counter(), None
         try:
-            self.wait(lambda: self.model.info is not None and self.model.result is not None, "the sequence")
+            self.wait(lambda: self.model.source is not None and self.model.contents.result is not None, "the sequence")
             if name not in ("restart", "leave"):
                 self.reset()
             case(self)
@@ -122,8 +123,8 @@ class Gui:
         before = self.model.overview
         self.model.set_overview(True)
         self.settle()
-        self.wait(lambda: len(self.model.result.images) > 5, "all layers")
-        found = dict(self.model.result.images)
+        self.wait(lambda: len(self.model.contents.result.images) > 5, "all layers")
+        found = dict(self.model.contents.result.images)
         self.model.set_overview(before)
         self.settle()
         return found
@@ -187,7 +188,7 @@ class Gui:
 
     def inside(self, margin: int = 2) -> np.ndarray:
         """Of the canvas on the screen: what shows the display, without `margin` pixels at its edges."""
-        picture, view, info = self.picture(), self.model.view, self.model.info
+        picture, view, info = self.picture(), self.model.view, self.model.source
         size = picture.shape[1], picture.shape[0]
         (x0, y0), (x1, y1) = view.screen_at(size, 0, 0), view.screen_at(size, info.width, info.height)
         return picture[
@@ -200,8 +201,8 @@ class Gui:
         model.playback.pause()
         model.playback.clear_points()
         model.playback.mode, model.playback.speed, model.playback.loop = "real time", 1.0, True
-        model.set_options(Options())
-        model.set_n(1)
+        model.parameters.options = Options(**ALWAYS)
+        model.set("n", 1)
         model.set_overview(False)
         model.set_measuring(False)
         model.arrows, model.messages = False, []
@@ -211,7 +212,7 @@ class Gui:
         view.a, view.b, view.compare, view.overlay, view.split = "final", None, "off", "none", 0.5
         view.a_display = Display()
         model.playback.seek(slot)
-        model.fit_pending = True
+        model.framing.due = True
         self.ctx.popup_close_all()
         self.ctx.mouse_move_to_pos((5, 5))
         self.settle()

@@ -23,12 +23,12 @@ def _look(gui: Gui) -> dict:
 def layers(gui: Gui):
     """Every layer by its row; it is shown, and it is not just background."""
     model, values = gui.model, gui.values
-    names = [spec.name for spec in model.layers]
+    names = [spec.name for spec in model.contents.layers]
     values["layers"], values["seen"] = names, {}
     rows = gui.ctx.window_info("//Layers/###layers").window
     for name in ("frame.filled_by", names[-1], "history.dynamic_mask"):
         gui.ctx.set_ref(rows)
-        gui.click(f"###group {model.spec_of(name).group}/###{name}")
+        gui.click(f"###group {model.contents.spec(name).group}/###{name}")
         gui.settle()
         values[f"click on {name}"] = model.view.a
     gui.ctx.set_ref("")
@@ -36,7 +36,7 @@ def layers(gui: Gui):
     for name in names:
         gui.key(KEY.down_arrow)
         gui.settle()
-        values["seen"][name] = {"shown": model.view.a, "view": model.spec_of(name).view} | _look(gui)
+        values["seen"][name] = {"shown": model.view.a, "view": model.contents.spec(name).view} | _look(gui)
         if name in ("history.history", "frame.filled_by", "background.depth_0", "rendered.motion"):
             gui.shot(f"layers, {name}")
     gui.key(KEY.up_arrow)
@@ -52,7 +52,7 @@ def overview(gui: Gui):
     size = int(width), int(height)
     caption = round(gui.on_screen(imgui.get_text_line_height)) + 3
     tiles = gui.on_screen(lambda: gui.app.canvas.overview(model.overview_tiles(), size, caption=caption)[1])
-    values["tiles"], values["layers"] = [tile.name for tile in tiles], [spec.name for spec in model.layers]
+    values["tiles"], values["layers"] = [tile.name for tile in tiles], [spec.name for spec in model.contents.layers]
     gui.shot("overview")
     tile = next(tile for tile in tiles if tile.name == "frame.depth")
     gui.point(left + tile.x + tile.width / 2, top + tile.y + tile.height / 2)
@@ -128,19 +128,19 @@ def display_keys(gui: Gui):
     gui.key(KEY.r)
     gui.key(KEY.n)
     gui.settle()
-    brightest = model.image_of("final")[..., :3].astype(float).max(-1)
-    gain = model.info.exposure * 2 ** model.looks.of("final").exposure
+    brightest = model.contents.image("final")[..., :3].astype(float).max(-1)
+    gain = model.source.exposure * 2 ** model.looks.of("final").exposure
     values["white at 99 %"] = float(np.quantile(brightest, 0.99) * gain)
     gui.key(KEY.r)
     model.show_layer("frame.depth")
     gui.settle()
-    model.looks.change(low=0.0, high=1000.0)
+    model.looks.change(model.view.a, low=0.0, high=1000.0)
     gui.settle()
     wide = len(np.unique(gui.picture().reshape(-1, 3), axis=0))
     gui.key(KEY.n)
     gui.settle()
     values["colors"] = wide, len(np.unique(gui.picture().reshape(-1, 3), axis=0))
-    depth = model.image_of("frame.depth")
+    depth = model.contents.image("frame.depth")
     values["range"] = (model.looks.of("frame.depth").low, model.looks.of("frame.depth").high)
     values["quantiles"] = np.quantile(depth[np.isfinite(depth)], (0.01, 0.99)).tolist()
 
@@ -159,7 +159,7 @@ def inspector(gui: Gui):
         inspection, wrong, compared = model.pointing.inspection, [], []
         at_source = inspection.source and tuple(int(np.floor(c)) for c in inspection.source)
         for name, value in inspection.values.items():
-            spec, image = model.spec_of(name), images[name]
+            spec, image = model.contents.spec(name), images[name]
             level = int(spec.grid[5:]) if spec.grid.startswith("level") else 0
             px = (x, y) if spec.grid == "target" else at_source
             px = (x >> 5, y >> 5) if spec.grid == "blocks" else tuple(c >> level for c in px)
@@ -179,7 +179,7 @@ def story(gui: Gui):
     """A click on a pixel of the walker: its story, its trajectory over the picture; forgotten again."""
     model, values = gui.model, gui.values
     mask = gui.images()["frame.dynamic"]
-    ys, xs = np.nonzero(mask[:, : model.info.width - 8])
+    ys, xs = np.nonzero(mask[:, : model.source.width - 8])
     x, y = int(np.median(xs)), int(np.median(ys))
     assert mask[y, x], "the walker has a hole in the middle"
     plain = gui.picture()

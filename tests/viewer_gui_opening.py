@@ -66,23 +66,71 @@ def dropping(gui: Gui):
             "message": gui.told(),
             "error": model.messages[-1].error,
             "shown": gui.exists("//###messages"),
-            "name": model.info.name,
+            "name": model.source.name,
             "picture stays": bool((gui.picture() == before).all()),
         }
         gui.shot(f"dropping, {name}")
     gui.key(KEY.left_arrow)
     gui.settle()
-    values["goes on"] = model.result.request.slot
+    values["goes on"] = model.contents.result.request.slot
     values["target"] = Path(model._target).name
     gui.app.drop([str(folder / "large")])
-    gui.wait(lambda: model.info.name == "large", "the other sequence")
+    gui.wait(lambda: model.source.name == "large", "the other sequence")
     gui.settle()
-    values["opened"] = model.info.name, model.info.width
+    values["opened"] = model.source.name, model.source.width
     values["recent"] = [Path(path).name for path in model.settings.recent[:2]]
     gui.app.drop([str(folder / "small" / "sequence.json")])
-    gui.wait(lambda: model.info.name == "small", "the small one again")
+    gui.wait(lambda: model.source.name == "small", "the small one again")
     gui.settle()
-    values["by its file"] = model.info.name
+    values["by its file"] = model.source.name
+
+
+def _palette(gui: Gui, text: str, name: str | None = None) -> None:
+    """Type into the command palette, and press Enter."""
+    gui.key(KEY.p, CTRL)
+    gui.frames(2)
+    gui.ctx.key_chars(text)
+    gui.frames(2)
+    if name:
+        gui.shot(name)
+    gui.key(KEY.enter)
+    gui.frames(2)
+
+
+@case
+def parameters_by_the_palette(gui: Gui):
+    """Toggles switch, choices list their values, numbers ask for one."""
+    app, values = gui.app, gui.values
+    parameters = gui.model.parameters
+    values["toggled"] = []
+    for _ in range(2):
+        _palette(gui, "crack closing")
+        values["toggled"].append(parameters.options.crack_closing)
+    _palette(gui, "hole filling push", "palette, choices")
+    values["chosen"] = parameters.options.hole_filling
+    gui.settle()
+    _palette(gui, "background levels")
+    gui.ctx.key_chars("9")
+    gui.key(KEY.enter)
+    gui.frames(2)
+    values["refused"] = parameters.options.levels, app.palette.asked
+    gui.shot("palette, number")
+    gui.ctx.key_chars("3")  # instead
+    gui.key(KEY.enter)
+    gui.frames(2)
+    values["entered"] = parameters.options.levels, app.palette.text
+    _palette(gui, "static threshold")
+    gui.key(KEY.up_arrow)
+    values["stepped"] = parameters.options.static_threshold
+    gui.ctx.key_chars("auto")
+    gui.key(KEY.enter)
+    gui.frames(2)
+    values["automatic"] = parameters.options.static_threshold
+    _palette(gui, "generated frames")
+    gui.ctx.key_chars("3")
+    gui.key(KEY.enter)
+    gui.settle()
+    values["n"] = gui.model.n
 
 
 @case
@@ -96,16 +144,16 @@ def palette_and_help(gui: Gui):
     gui.shot("palette")
     gui.key(KEY.enter)
     gui.settle()
-    values["overview"], values["palette closed"] = model.overview, app.palette_text is None
+    values["overview"], values["palette closed"] = model.overview, app.palette.text is None
     model.set_overview(False)
     gui.key(KEY.p, CTRL)
     gui.ctx.key_chars("frame")
     gui.key(KEY.down_arrow)
     gui.frames(2)
-    values["chosen by Down"] = app.palette_at
+    values["chosen by Down"] = app.palette.at
     gui.key(KEY.escape)
     gui.frames(2)
-    values["closed by Escape"] = app.palette_text is None
+    values["closed by Escape"] = app.palette.text is None
     gui.key(KEY.slash, SHIFT)
     gui.frames(3)
     values["help"] = gui.exists("//###help")
@@ -127,9 +175,9 @@ def open_by_path(gui: Gui):
     gui.ctx.key_chars("room")
     gui.frames(2)
     gui.key(KEY.enter)
-    gui.wait(lambda: model.info.name == "room", "the scene")
+    gui.wait(lambda: model.source.name == "room", "the scene")
     gui.settle()
-    values["opened"] = model.info.name, model.info.live
+    values["opened"] = model.source.name, model.source.live
     values["closed"] = gui.app.path_text is None
     gui.open(gui.sequences / "small")
 
@@ -139,10 +187,10 @@ def flying(gui: Gui):
     """A built-in scene: the camera is flown, the window follows it, and H brings it home."""
     model, values = gui.model, gui.values
     gui.open("corridor")
-    gui.choose("//Modules/###rendering window", "adaptive")
+    gui.choose("//Modules/choice/###rendering window", "adaptive")
     gui.settle()
-    values["window"] = model.window
-    camera, before = model.result.camera, gui.picture()
+    values["window"] = model.parameters.window
+    camera, before = model.contents.result.moment.camera, gui.picture()
     start, facing = camera.position.copy(), camera.direction.copy()
     gui.key(KEY.g)
     values["flying"] = model.flying
@@ -155,7 +203,10 @@ def flying(gui: Gui):
         turned += 1
         gui.point(left + width / 2 + 6 * (turned % 40), top + height / 2)
         gui.frames(2)
-        windowed |= model.result.source_camera.intrinsics != model.result.display_camera.intrinsics
+        windowed |= (
+            model.contents.result.moment.render_camera.intrinsics
+            != model.contents.result.moment.display_camera.intrinsics
+        )
     gui.ctx.mouse_up(1)
     gui.ctx.key_up(KEY.w.value)
     gui.frames(2)
@@ -163,14 +214,14 @@ def flying(gui: Gui):
     values["compare is not toggled by W"] = model.view.compare
     model.playback.pause()
     gui.settle()
-    values["moved by"] = float(np.linalg.norm(model.result.camera.position - start))
-    values["turned"] = float(np.abs(model.result.camera.direction - facing).max())
+    values["moved by"] = float(np.linalg.norm(model.contents.result.moment.camera.position - start))
+    values["turned"] = float(np.abs(model.contents.result.moment.camera.direction - facing).max())
     values["picture changed"] = float((gui.picture() != before).any(-1).mean())
     gui.shot("flying")
     gui.key(KEY.h)
     gui.settle()
-    k, alpha = model.result.k, model.result.alpha
-    home = model.info.scene.camera(model.info.time(k, alpha), model.info.width, model.info.height)
-    values["home"] = float(np.abs(model.result.camera.position - home.position).max())
+    k, alpha = model.contents.result.moment.k, model.contents.result.moment.alpha
+    home = model.source.scene.camera(model.source.time(k, alpha), model.source.width, model.source.height)
+    values["home"] = float(np.abs(model.contents.result.moment.camera.position - home.position).max())
     values["still flying"] = model.flying
     gui.open(gui.sequences / "small")

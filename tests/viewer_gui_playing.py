@@ -64,7 +64,7 @@ def playback(gui: Gui):
     for name, (key, modifiers) in steps.items():
         gui.key(key, modifiers)
         gui.settle()
-        values["slots after keys"][name] = (model.playback.slot, model.result.request.slot)
+        values["slots after keys"][name] = (model.playback.slot, model.contents.result.request.slot)
     gui.click("//Timeline/###step")
     values["slot after the step button"] = model.playback.slot
 
@@ -89,7 +89,7 @@ def scrubbing(gui: Gui):
     gui.frames(3)
     values |= {"slots": seen, "last": playback.slots - 1, "playing afterwards": playback.playing}
     gui.settle()
-    values["shown afterwards"] = gui.model.result.request.slot
+    values["shown afterwards"] = gui.model.contents.result.request.slot
 
 
 @case
@@ -190,12 +190,12 @@ def parameters(gui: Gui):
         gui.settle()
         after = gui.images()
         values[name] = _changed(before, after) | {
-            "threshold": model.options.static_threshold,
+            "threshold": model.parameters.options.static_threshold,
             "dynamic pixels": int(after["history.dynamic_mask"].sum()),
         }
     values["dynamic pixels before"] = int(before["history.dynamic_mask"].sum())
     gui.click("//Modules/###reset static threshold")
-    values["threshold after reset"] = model.options.static_threshold
+    values["threshold after reset"] = model.parameters.options.static_threshold
     gui.click("//Modules/automatic static threshold")
     gui.settle()
     gui.ctx.item_input_value("//Modules/###generated frames", 3)
@@ -204,7 +204,7 @@ def parameters(gui: Gui):
     values["n = 3"] = _changed(before, same_time) | {"slot": model.playback.slot, "slots": model.playback.slots}
     gui.key(KEY.right_arrow)
     gui.settle()
-    values["a quarter later"] = _changed(same_time, gui.images()) | {"alpha": model.result.alpha}
+    values["a quarter later"] = _changed(same_time, gui.images()) | {"alpha": model.contents.result.moment.alpha}
 
 
 @case
@@ -213,7 +213,7 @@ def rendering_window(gui: Gui):
     values, model = gui.values, gui.model
 
     def windowed():
-        return model.result.source_camera != model.result.display_camera
+        return model.contents.result.moment.render_camera != model.contents.result.moment.display_camera
 
     before, values["windowed"] = gui.images(), windowed()
     gui.click("//Modules/rendering window")

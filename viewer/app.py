@@ -24,7 +24,9 @@ from gffe_cl.viewer.panels import (
     timeline,
     timings,
     widgets,
+    windows,
 )
+from gffe_cl.viewer.panels.palette import Palette
 from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.settings import can_save
 
@@ -46,7 +48,6 @@ _LEAST_SCALE, _LARGEST_SCALE = 0.6, 3.0
 _SIDES = (320.0, 464.0)  # pixels left and right of the picture, at the usual size of letters ...
 _WIDEST = (0.24, 0.33)  # ... but not more of the width
 _LOWER_RIGHT = 0.4  # of the height on the right
-_MESSAGE_SECONDS = 8.0
 
 
 def has_dialogs() -> bool:
@@ -79,11 +80,10 @@ class App:
         self._themed: tuple[str, float] | None = None  # theme and scale that are applied
         self.actions = Actions()
         self.panel_names = tuple(_PANELS)
+        self.palette = Palette()
         commands.register(self)
         self._dropped: list[str] = []
         self._dialog = None
-        self.palette_text: str | None = None  # of the command palette while it is open
-        self.palette_at = 0  # which of its hits is chosen
         self.help_open = False
         self.display_height = 200.0  # of the display settings below the list of layers, as last drawn
         self.path_text: str | None = None  # of "open by path" while it is open
@@ -237,7 +237,7 @@ class App:
             self._themed = model.settings.theme, self.scale
             theme.apply(*self._themed)
         model.update(time.perf_counter(), self.canvas)
-        model.fly(commands.flight(self))
+        model.fly(keys.flight(self.model))
         at_work = model.playback.playing or model.flying or model.engine.busy or not model.comparison.ready
         self._params.fps_idling.enable_idling = not (at_work or self._params.use_imgui_test_engine)
 
@@ -260,7 +260,7 @@ class App:
 
     def drawn(self, view, size: tuple[int, int]):
         """Texture of the canvas, drawn anew only if something changed."""
-        what = (view, size, self.model.taken, self.model.comparison.ready)
+        what = (view, size, self.model.contents.changes, self.model.comparison.ready)
         if what != self._drawn:
             self._drawn, self._texture = what, self.canvas.draw(view, size)
         return self._texture
@@ -268,7 +268,7 @@ class App:
     # ---- windows that come and go ------------------------------------------------------------------------
 
     def _windows(self) -> None:
-        keys.dispatch(self.actions, commands.FLIGHT_KEYS if self.model.flying else frozenset())
+        keys.dispatch(self.actions, keys.FLIGHT_KEYS if self.model.flying else frozenset())
         for path in self._dropped:
             self.model.open(path)
         self._dropped.clear()
@@ -278,11 +278,11 @@ class App:
             self._dialog = None
             if chosen:
                 self.model.open(chosen)
-        commands.palette(self)
-        commands.help_window(self)
-        commands.path_window(self)
-        self._progress()
-        self._messages()
+        self.palette.draw(self.actions, self.model.parameters)
+        windows.help_window(self)
+        windows.path_window(self)
+        windows.progress(self.model)
+        windows.messages(self.model)
         if self.on_frame is not None:
             self.on_frame(self)
 
@@ -297,56 +297,15 @@ class App:
         else:
             self.path_text = ""
 
-    def open_palette(self) -> None:
-        self.palette_text, self.palette_at = "", 0
-
-    def _messages(self) -> None:
-        """What went wrong or was finished lately, in the lower right corner."""
-        now = time.perf_counter()
-        shown = [m for m in self.model.messages if now - m.time < _MESSAGE_SECONDS or m.sticky]
-        if not shown:
-            return
-        viewport = imgui.get_main_viewport()
-        corner = (viewport.pos.x + viewport.size.x - 16, viewport.pos.y + viewport.size.y - hello_imgui.em_size(8))
-        imgui.set_next_window_pos(corner, imgui.Cond_.always.value, (1.0, 1.0))
-        flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
-        flags |= imgui.WindowFlags_.no_focus_on_appearing | imgui.WindowFlags_.no_nav
-        widgets.floating()
-        imgui.begin("###messages", None, int(flags))
-        imgui.push_text_wrap_pos(hello_imgui.em_size(36))
-        for message in shown[-4:]:
-            if message.error:
-                imgui.text_colored((0.97, 0.5, 0.45, 1.0), "error")
-                imgui.same_line()
-            imgui.text_unformatted(message.text)
-        imgui.pop_text_wrap_pos()
-        imgui.end()
-
-    def _progress(self) -> None:
-        """The export that is under way, with a button to stop it."""
-        work = self.model.export
-        if work is None:
-            return
-        center = imgui.get_main_viewport().get_center()
-        imgui.set_next_window_pos(center, imgui.Cond_.appearing.value, (0.5, 0.5))
-        flags = imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_docking
-        widgets.floating()
-        imgui.begin("Saving###export", None, int(flags))
-        imgui.text(work.label)
-        imgui.progress_bar(work.done / max(work.total, 1), (hello_imgui.em_size(22), 0), f"{work.done} of {work.total}")
-        if imgui.button("cancel###cancel_export"):
-            work.cancel()
-        imgui.end()
-
     def _status(self) -> None:
         model = self.model
         parts = [model.engine.device_name or "opening the device …"]
-        if model.info is not None:
-            info = model.info
+        if model.source is not None:
+            info = model.source
             parts.append(f"{info.name}   {info.width}×{info.height}")
             if info.render_size != (info.width, info.height):
                 parts.append(f"rendered {info.render_size[0]}×{info.render_size[1]}")
-        if model.result is not None:
-            parts.append(f"computed in {model.result.wall_ms:.0f} ms")
+        if model.contents.result is not None:
+            parts.append(f"computed in {model.contents.result.wall_ms:.0f} ms")
         parts += model.warnings
         imgui.text("     ".join(parts))

@@ -1,10 +1,14 @@
-"""From ImGui's keys to the action table."""
+"""From ImGui's keys to the action table, and to the camera that is flown."""
 
 from __future__ import annotations
 
 from imgui_bundle import imgui
 
 from gffe_cl.viewer.actions import IMGUI_KEYS
+from gffe_cl.viewer.state.flying import Flight
+
+FLIGHT_KEYS = frozenset("WASDQE")
+_TURN = 0.25  # degrees per pixel of mouse
 
 _KEYS = {getattr(imgui.Key, attribute): name for attribute, name in IMGUI_KEYS.items() if hasattr(imgui.Key, attribute)}
 
@@ -27,3 +31,19 @@ def dispatch(actions, taken: frozenset[str] = frozenset()) -> None:
             actions.dispatch(modifiers, name, repeated=True)
         if imgui.is_key_released(key):
             actions.release(name)
+
+
+def flight(model) -> Flight | None:
+    """How the camera is steered now; None while it is not flown."""
+    io = imgui.get_io()
+    if not model.flying or io.want_text_input:
+        return None
+
+    def held(positive, negative):
+        return float(imgui.is_key_down(positive)) - float(imgui.is_key_down(negative))
+
+    key = imgui.Key
+    move = (held(key.d, key.a), held(key.e, key.q), held(key.w, key.s))
+    turning = imgui.is_mouse_down(imgui.MouseButton_.right)
+    dx, dy = (io.mouse_delta.x, io.mouse_delta.y) if turning else (0.0, 0.0)
+    return Flight(move, 4.0 if io.key_shift else 1.0, _TURN * dx, _TURN * dy)

@@ -64,22 +64,25 @@ class _Stopwatch:
 
     def __call__(self, app) -> None:
         model, now = app.model, time.perf_counter()
-        if model.failure or model.network_fault or (self._start is None and now > self._until):
-            self.problem = model.failure or model.network_fault or f"nothing was shown after {_PATIENCE:.0f} s"
+        problem = model.failure or model.parameters.network_fault
+        if problem or (self._start is None and now > self._until):
+            self.problem = (
+                model.failure or model.parameters.network_fault or f"nothing was shown after {_PATIENCE:.0f} s"
+            )
             app.close()
         elif self._start is None:
-            if model.result is not None:
+            if model.contents.result is not None:
                 model.playback.mode = "every frame"
                 model.playback.speed = 4.0  # as fast as it goes
                 model.playback.play()
-                self._start, self._last = now, model.result
+                self._start, self._last = now, model.contents.result
         else:
             self._interface += 1
-            result = model.result
+            result = model.contents.result
             if result is not self._last:
                 self._last = result
                 kernels = sum(result.milliseconds.values())
-                self._rows.append((result.alpha > 0, kernels, result.readback_ms, model.upload_ms))
+                self._rows.append((result.moment.alpha > 0, kernels, result.readback_ms, model.upload_ms))
             self._end = now
             if now - self._start > self.seconds:
                 app.close()
@@ -175,12 +178,11 @@ class _Photographer:
 
     def __call__(self, app) -> None:
         model = app.model
-        if model.failure or model.network_fault or time.perf_counter() > self._until:
-            self.problem = (
-                model.failure or model.network_fault or f"the screenshot was not ready after {_PATIENCE:.0f} s"
-            )
+        problem = model.failure or model.parameters.network_fault
+        if problem or time.perf_counter() > self._until:
+            self.problem = problem or f"the screenshot was not ready after {_PATIENCE:.0f} s"
             app.close()
-        elif model.info is None or not model.layers:
+        elif model.source is None or not model.contents.layers:
             return
         elif not self._arranged:
             self.problem = self._arrange(model)
@@ -194,24 +196,24 @@ class _Photographer:
 
     def _arrange(self, model) -> str | None:
         shot = self.shot
-        names = [spec.name for spec in model.layers]
+        names = [spec.name for spec in model.contents.layers]
         if not 0 <= shot.frame < model.playback.slots:
             return f"--frame must be 0 to {model.playback.slots - 1}, got {shot.frame}"
         model.playback.pause()
         model.playback.seek(shot.frame)
         for name in filter(None, (shot.layer, shot.other)):
-            found = model.find_layer(name)
+            found = model.contents.find(name)
             if found is None:
                 return f"no layer is called '{name}' (there are: {', '.join(names)})"
-            reason = model.why_not(found)
+            reason = model.contents.why_not(found)
             if reason:
                 return f"layer '{found}': {reason}"
-        model.show_layer(model.find_layer(shot.layer))
-        width, height = model.info.width, model.info.height
+        model.show_layer(model.contents.find(shot.layer))
+        width, height = model.source.width, model.source.height
         if shot.pixel is not None and not (0 <= shot.pixel[0] < width and 0 <= shot.pixel[1] < height):
             return f"--pixel must be inside {width}×{height}, got {shot.pixel[0]},{shot.pixel[1]}"
         if shot.other:
-            model.view.b = model.find_layer(shot.other)
+            model.view.b = model.contents.find(shot.other)
         if shot.compare != "off":
             reason = model.comparison.why_not(shot.compare)
             if reason:

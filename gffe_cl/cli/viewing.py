@@ -60,12 +60,12 @@ def view(
 ) -> None:
     """Open the viewer: play, look into every stage, find out why a pixel is wrong."""
     from gffe_cl.inference import load_network
-    from gffe_cl.viewer.engine.opening import is_scene
+    from gffe_cl.viewer.engine.opening import ScenePlan, is_scene
     from gffe_cl.viewer.start import Shot, leaving, require_display
     from gffe_cl.viewer.start import measure as measure_playback
     from gffe_cl.viewer.start import view as run_viewer
-    from gffe_cl.viewer.state.model import Model, ScenePlan
-    from gffe_cl.viewer.state.remembering import WAYS
+    from gffe_cl.viewer.state.comparing import WAYS
+    from gffe_cl.viewer.state.model import Model
     from gffe_cl.viewer.state.settings import LEAST_WINDOW, Settings
 
     if not 1 <= n <= 7:

@@ -22,13 +22,15 @@ from gffe_cl.frame import HALF_MAX
 from gffe_cl.inference import NetworkError
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.run import alphas_for
+from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.buffers import device_layers, pixel_values, read_layers
 from gffe_cl.viewer.engine.layers import layers_of
 from gffe_cl.viewer.engine.messages import Closing, EngineError, Inspection, Metrics, Request, Result
 from gffe_cl.viewer.engine.reloading import WATCH_SECONDS, Kernels
 from gffe_cl.viewer.engine.scoring import Scorer
 from gffe_cl.viewer.engine.seeking import Seeker
 from gffe_cl.viewer.engine.sources import FrameSource
-from gffe_cl.viewer.engine.story import device_layers, pixel_story, pixel_values, read_layers
+from gffe_cl.viewer.engine.story import pixel_story
 
 _CLOSE_SECONDS = 2.0
 _KINDS = {  # of what is posted, and the activity meanwhile
@@ -275,7 +277,7 @@ class Engine:
         values = pixel_values(pipeline, shot, x, y)
         story = pixel_story(pipeline, shot, x, y, values)
         if seeker.truth is not None:
-            values["truth"] = _rgba(seeker.truth[y : y + 1, x : x + 1])[0, 0]
+            values[names.TRUTH] = _rgba(seeker.truth[y : y + 1, x : x + 1])[0, 0]
         if layers is not None:
             values = {name: value for name, value in values.items() if name in layers}
         inspection = Inspection((x, y), self._last.slot, story.source, values, story)
@@ -306,36 +308,30 @@ class Engine:
         seeker.prepare(request.setup)
         notes = seeker.go_to(k, alpha)
         seeker.pipeline.keep(request.layers)
-        shot = seeker.shoot(k, alpha, request.setup.show_window)
+        shot = seeker.shoot(k, alpha)
         pipeline = seeker.pipeline
         specs = layers_of(pipeline)
         if not self.source.has_truth:
-            del specs["truth"], specs["focus_truth"]
+            del specs[names.TRUTH], specs[names.FOCUS_TRUTH]
         milliseconds = pipeline.take_timings()
         measure = request.metrics and alpha > 0 and self.source.has_truth
-        names = (request.layers | ({"final"} if measure else set())) & specs.keys()
+        wanted = (request.layers | ({names.FINAL} if measure else set())) & specs.keys()
         truth = None
-        if alpha and self.source.has_truth and (measure or names & {"truth", "focus_truth"}):
+        if alpha and self.source.has_truth and (measure or wanted & {names.TRUTH, names.FOCUS_TRUTH}):
             seeker.truth = truth = self._truth(k, alpha, notes)
-        if truth is not None and "focus_truth" in names:
+        if truth is not None and names.FOCUS_TRUTH in wanted:
             seeker.find_focus(_rgba(truth))
         reading = time.perf_counter()
-        images = read_layers(pipeline, device_layers(pipeline, shot), names)
+        images = read_layers(pipeline, device_layers(pipeline, shot), wanted)
         readback_ms = (time.perf_counter() - reading) * 1e3
         known = Metrics(request.slot, request.setup)
-        if truth is not None and "truth" in names:
-            images["truth"] = _rgba(truth)
+        if truth is not None and names.TRUTH in wanted:
+            images[names.TRUTH] = _rgba(truth)
         if truth is not None and measure:
-            known = self._scorer.score(known, shot, images["final"], truth, self.source.exposure)
+            known = self._scorer.score(known, shot.moment, images[names.FINAL], truth, self.source.exposure)
         return Result(
             request,
-            k,
-            alpha,
-            shot.time,
-            camera=shot.camera,
-            source_camera=shot.render_camera,
-            display_camera=shot.display_camera,
-            previous_camera=shot.previous_camera,
+            shot.moment,
             images={name: image for name, image in images.items() if name in request.layers},
             specs=specs,
             milliseconds=milliseconds,

@@ -6,22 +6,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gffe_cl.camera import Camera
 from gffe_cl.frame import BadPixels
 from gffe_cl.options import Options
+from gffe_cl.viewer.engine.buffers import Moment
 from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.engine.story import Story
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What is computed. `window`: of `FrameSource.configure`; `n`: generated frames per rendered one, 1 … 7;
-    `show_window`: rendered frames are shown whole, as rendered, not their display part."""
+    """What is computed. `window`: of `FrameSource.configure`; `n`: generated frames per rendered one, 1 … 7."""
 
     options: Options = field(default_factory=Options)
     window: str | None = None
     n: int = 1
-    show_window: bool = False
 
 
 @dataclass(frozen=True)
@@ -52,11 +50,8 @@ class Result:
 
     Attributes
     ----------
-    request, k, alpha, time
-        `alpha` is 0 for a rendered frame; `time` in seconds.
-    camera, source_camera, display_camera, previous_camera : Camera
-        Of what is shown (display pixels); render and display camera of rendered frame k; render camera of the frame
-        before it, None after a reset.
+    request, moment
+        What was asked for, and what it shows.
     images : dict
         The layers asked for that exist: (planes?, H, W, channels?), the receiver's own; colours (H, W, 4) float16.
         At a rendered slot the stages' layers after `submit` still hold the extrapolated frame before it, and "truth" is
@@ -75,13 +70,7 @@ class Result:
     """
 
     request: Request
-    k: int
-    alpha: float
-    time: float
-    camera: Camera
-    source_camera: Camera
-    display_camera: Camera
-    previous_camera: Camera | None
+    moment: Moment
     images: dict[str, np.ndarray]
     specs: dict[str, LayerSpec]
     milliseconds: dict[str, float]

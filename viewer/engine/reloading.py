@@ -9,14 +9,13 @@ from gffe_cl import inference
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import Program, expand, kernel_folder
 from gffe_cl.options import Options
-from gffe_cl.pipeline import STAGES, Pipeline
+from gffe_cl.pipeline import Pipeline
 from gffe_cl.stage import Board, Sizes
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import FocusMask
 
 WATCH_SECONDS = 0.5  # between looks at the kernels' files
-_STAGE_KERNELS = tuple(stage.name for stage in (*STAGES, Presentation))
 
 
 class Kernels(dict):
@@ -44,7 +43,7 @@ class Kernels(dict):
         """Build all stages from the texts on disk; whether other kernels are in use now. Sets `error`."""
         before = self._texts
         try:
-            texts = {name: expand(f"{name}.cl") for name in _STAGE_KERNELS}
+            texts = {path.stem: expand(path.name) for path in kernel_folder().glob("*.cl")}
             if texts == before:
                 self.error = None
                 return False

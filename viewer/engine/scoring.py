@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from gffe_cl.metrics import display_values, psnr, ssim
+from gffe_cl.viewer.engine.buffers import Moment
 from gffe_cl.viewer.engine.messages import Metrics
-from gffe_cl.viewer.engine.story import Shot
 
 _TO_MEASURE = 256 << 20  # bytes of slots that wait for their metrics; beyond that the oldest are given up
 
@@ -39,9 +39,9 @@ class Scorer:
         self._thread: threading.Thread | None = None
         self._with_flip = False
 
-    def score(self, metrics: Metrics, shot: Shot, final: np.ndarray, truth: np.ndarray, exposure: float) -> Metrics:
-        """What is known of the slot of `metrics` as `shot`; the rest will be measured."""
-        key = (metrics.slot, metrics.setup, shot.camera.world_to_view.tobytes(), shot.camera.intrinsics)
+    def score(self, metrics: Metrics, moment: Moment, final: np.ndarray, truth: np.ndarray, exposure: float) -> Metrics:
+        """What is known of the slot of `metrics` as `moment`; the rest will be measured."""
+        key = (metrics.slot, metrics.setup, moment.camera.world_to_view.tobytes(), moment.camera.intrinsics)
         with self._news:
             known = self._known.get(key, metrics)
             complete = known.ssim is not None and (known.flip is not None or not self._with_flip)

@@ -16,15 +16,16 @@ from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.stage import DeviceFrame
 from gffe_cl.stages.shading import FocusMask
+from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.buffers import Moment, Shot
 from gffe_cl.viewer.engine.messages import Closing, Setup
 from gffe_cl.viewer.engine.sources import FrameSource
-from gffe_cl.viewer.engine.story import Shot
 
 WARM_UP = 8  # rendered frames submitted before the one that is wanted
 
 
 class Seeker:
-    """The pipeline, and how far it has come."""
+    """Holds the pipeline, and knows how far it has come."""
 
     def __init__(self, device: Device, source: FrameSource, closing: Callable[[], bool]):
         self.device, self.source, self._is_closing = device, source, closing
@@ -73,23 +74,27 @@ class Seeker:
             self._presented = self.pipeline.present()
         return notes
 
-    def shoot(self, k: int, alpha: float, whole: bool) -> Shot:
+    def shoot(self, k: int, alpha: float) -> Shot:
         """Make the slot of rendered frame `k`, submitted last, and `alpha`."""
         frame, shown, self.truth = self._frame, self._presented, None
-        buffers = {f"rendered.{name}": getattr(frame, name) for name in ("color", "depth", "motion")}
+        buffers = {
+            names.RENDERED_COLOR: frame.color,
+            names.RENDERED_DEPTH: frame.depth,
+            names.RENDERED_MOTION: frame.motion,
+        }
         cameras = (frame.camera, shown.camera, self._before)
         if alpha:
             self.pipeline.exposure = self.source.exposure
             made = self.pipeline.extrapolate(self.source.camera(k, alpha), self.source.time(k, alpha))
-            buffers["final"] = made.color
+            buffers[names.FINAL] = made.color
             if "correction" in self.pipeline.stages:
-                buffers["gae"] = made.gae
-            self.shot = Shot(k, alpha, made.time, made.camera, *cameras, False, buffers)
+                buffers[names.GAE] = made.gae
+            self.shot = Shot(Moment(k, alpha, made.time, made.camera, *cameras), buffers)
         else:
-            buffers["final"] = frame.color if whole else shown.color
+            buffers[names.FINAL] = shown.color
             if self.source.has_truth:
-                buffers["truth"] = shown.color
-            self.shot = Shot(k, 0.0, frame.time, shown.camera, *cameras, whole, buffers)
+                buffers[names.TRUTH] = shown.color
+            self.shot = Shot(Moment(k, 0.0, frame.time, shown.camera, *cameras), buffers)
         return self.shot
 
     def find_focus(self, truth: np.ndarray) -> None:
@@ -99,7 +104,7 @@ class Seeker:
             self._true_color = self.device.buffer(truth.nbytes)
         cl.enqueue_copy(self.device.queue, self._true_color, truth)
         self._focus.make(self._true_color, self.source.exposure)
-        self.shot.buffers["focus_truth"] = self._focus.buffer["focus_truth"]
+        self.shot.buffers[names.FOCUS_TRUTH] = self._focus.buffer["focus_truth"]
 
     def _restart(self) -> None:
         self.drop()  # before as much is allocated again

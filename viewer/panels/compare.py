@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 
-from gffe_cl.viewer.engine.layers import legend
 from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.picture import flip_map
 from gffe_cl.viewer.picture.canvas import ERRORS
+from gffe_cl.viewer.picture.legends import legend
 from gffe_cl.viewer.state.comparing import FLIP_HIGH
 
-_WAYS = {
+_TEXTS = {
     "off": "off",
     "split": "split wipe",
     "flip": "flip (hold B)",
@@ -25,7 +25,7 @@ def draw(app) -> None:
     model = app.model
     view = model.view
     widgets.heading("Compare")
-    for name, text in _WAYS.items():
+    for name, text in _TEXTS.items():
         reason = model.comparison.why_not(name)
         imgui.begin_disabled(reason is not None)
         if imgui.radio_button(f"{text}###compare {name}", view.compare == name):
@@ -34,7 +34,7 @@ def draw(app) -> None:
         widgets.tooltip(reason or "")
         if name not in ("flip", "flip error"):
             imgui.same_line()
-    names = {spec.name: f"{spec.group}: {spec.label}" for spec in model.layers if model.why_not(spec.name) is None}
+    names = {spec.name: f"{spec.group}: {spec.label}" for spec in model.contents.showable()}
     widgets.choice("A", view.a, names, model.show_layer)
     widgets.choice("B", view.b or "", names, lambda name: setattr(view, "b", name))
     if view.compare == "split":
@@ -59,7 +59,7 @@ def _error_map(model) -> None:
 
 def _quality(model) -> None:
     widgets.heading("Against ground truth")
-    reason = model.why_not("truth")
+    reason = model.contents.why_not("truth")
     if reason:
         widgets.hint(reason)
         return

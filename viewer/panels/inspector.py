@@ -5,8 +5,8 @@ from __future__ import annotations
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
-from gffe_cl.viewer.engine.layers import value_text
 from gffe_cl.viewer.panels import widgets
+from gffe_cl.viewer.picture.legends import value_text
 
 
 def draw(app) -> None:
@@ -26,7 +26,7 @@ def draw(app) -> None:
     if imgui.begin_table("###values", 2, imgui.TableFlags_.row_bg.value):
         for title, share in (("layer", 0.44), ("value", 0.56)):
             imgui.table_setup_column(title, imgui.TableColumnFlags_.width_stretch.value, share)
-        for spec in model.layers:
+        for spec in model.contents.layers:
             if spec.name not in inspection.values:
                 continue
             imgui.table_next_row()

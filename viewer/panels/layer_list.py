@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import groupby
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from gffe_cl.viewer.engine.layers import COLOR_MAPS, TONE_MAPS, default_display, legend, shown_as
 from gffe_cl.viewer.panels import widgets
+from gffe_cl.viewer.picture.colors import COLOR_MAPS
+from gffe_cl.viewer.picture.displays import TONE_MAPS, default_display, shown_as
+from gffe_cl.viewer.picture.legends import legend
 
 _OVERLAYS = {"none": "none", "edges": "edges", "residual motion": "residual motion"}
 _OVERLAY_HELP = {
@@ -27,7 +30,7 @@ def draw(app) -> None:
         widgets.hint(_OVERLAY_HELP[model.view.overlay])
     height = max(imgui.get_content_region_avail().y - app.display_height, hello_imgui.em_size(6))
     if imgui.begin_child("###layers", ImVec2(0, height), imgui.ChildFlags_.borders.value):
-        for group, specs in groupby(model.layers, key=lambda spec: spec.group):
+        for group, specs in groupby(model.contents.layers, key=lambda spec: spec.group):
             if imgui.tree_node_ex(f"{group}###group {group}", imgui.TreeNodeFlags_.default_open.value):
                 for spec in specs:
                     _row(app, spec)
@@ -41,7 +44,7 @@ def draw(app) -> None:
 def _row(app, spec) -> None:
     model = app.model
     shown = spec.name == model.view.a
-    reason = model.why_not(spec.name)
+    reason = model.contents.why_not(spec.name)
     imgui.begin_disabled(reason is not None)
     if imgui.selectable(f"{spec.label}###{spec.name}", shown)[0]:
         model.show_layer(spec.name)
@@ -57,58 +60,65 @@ def _row(app, spec) -> None:
 
 
 def _display(model) -> None:
-    spec = model.spec_of(model.view.a)
+    spec = model.contents.spec(model.view.a)
     if spec is None:
         return
-    display = model.looks.of(spec.name)
+    display, change = model.looks.of(spec.name), partial(model.looks.change, spec.name)
     widgets.heading(f"Display of {spec.label}")
     view, _ = shown_as(spec, display)
     if view == "color":
         widgets.slider(
-            "exposure", display.exposure, -8.0, 8.0, 0.0, lambda v: model.looks.change(exposure=v), "%+.2f EV"
+            "exposure",
+            display.exposure,
+            -8.0,
+            8.0,
+            0.0,
+            lambda v: change(exposure=v),
+            "%+.2f EV",
         )
-        widgets.choice("tone map", display.tone_map, list(TONE_MAPS), lambda v: model.looks.change(tone_map=v))
+        widgets.choice("tone map", display.tone_map, list(TONE_MAPS), lambda v: change(tone_map=v))
     elif view in ("motion", "place"):
         widgets.slider(
             "full length", display.motion_scale, 0.25, 64.0, default_display(spec).motion_scale,
-            lambda v: model.looks.change(motion_scale=v), "%.2f px", "Motion of this length is fully bright",
+            lambda v: change(motion_scale=v), "%.2f px", "Motion of this length is fully bright",
         )  # fmt: skip
         widgets.toggle("arrows", model.arrows, lambda on: setattr(model, "arrows", on), "Arrows over the picture")
         imgui.same_line()
         widgets.toggle(
             "reversed",
             display.reverse,
-            lambda on: model.looks.change(reverse=on),
+            lambda on: change(reverse=on),
             "From then to now instead of now to then",
         )
     elif view in ("depth", "scalar", "world"):
-        _range(model, display)
+        _range(display, change)
         if view == "depth":
-            widgets.toggle("even in 1/z", display.inverse, lambda on: model.looks.change(inverse=on))
-        widgets.choice("colour map", display.color_map, list(COLOR_MAPS), lambda v: model.looks.change(color_map=v))
+            widgets.toggle("even in 1/z", display.inverse, lambda on: change(inverse=on))
+        widgets.choice("colour map", display.color_map, list(COLOR_MAPS), lambda v: change(color_map=v))
     if spec.planes > 1:
         shown = min(display.plane, spec.planes - 1) + 1
         widgets.slider(
-            "plane", shown, 1, spec.planes, 1, lambda v: model.looks.choose_plane(v - 1), "%d", spec.description
+            "plane", shown, 1, spec.planes, 1, lambda v: model.looks.choose_plane(spec.name, v - 1), "%d",
+            spec.description,
         )  # fmt: skip
     if len(spec.channels) > 1:
         channel = display.channel or spec.channels[0]
-        widgets.choice("channel", channel, list(spec.channels), lambda v: model.looks.change(channel=v))
+        widgets.choice("channel", channel, list(spec.channels), lambda v: change(channel=v))
     if view not in ("mask", "label"):
         if imgui.button("fit###fit_range"):
-            model.looks.fit()
+            model.looks.fit(spec.name)
         widgets.tooltip("Range, or exposure, from the picture: 1 to 99 % of its finite values (N)")
         imgui.same_line()
     if imgui.button("reset###reset_display"):
-        model.looks.reset()
+        model.looks.reset(spec.name)
     widgets.show_legend(legend(spec, display))
 
 
-def _range(model, display) -> None:
+def _range(display, change) -> None:
     widgets.leave_room_for("range")
     speed = max(abs(display.high - display.low) / 200, 1e-4)
     changed, low, high = imgui.drag_float_range2("###range", display.low, display.high, speed, 0.0, 0.0, "%.3g", "%.3g")
     imgui.same_line()
     imgui.text("range")
     if changed:
-        model.looks.change(low=low, high=high)
+        change(low=low, high=high)

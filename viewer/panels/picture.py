@@ -8,13 +8,11 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
 _ZOOM_STEP = 1.2
-_LEAST_ZOOM, _MOST_ZOOM = 0.05, 128.0
 _DRAG = 4.0  # screen pixels: less is a click
 _GRIP = 10.0  # screen pixels on both sides of the wipe's line
 _NUMBERS = 64.0  # zoom from which values are written into the pixels ...
 _VALUES = 3  # ... so many of each
 _ARROW_SPACING = 24.0  # screen pixels
-_OF_GENERATED = ("prediction", "warp", "holes", "shading", "correction")  # stages that a rendered frame does not run
 _ACCENT = (0.35, 0.85, 1.0, 1.0)
 _WARM = (1.0, 0.7, 0.25, 1.0)
 
@@ -24,11 +22,11 @@ def draw(app) -> None:
     size = imgui.get_content_region_avail()
     width, height = max(int(size.x), 16), max(int(size.y), 16)
     origin = imgui.get_cursor_screen_pos()
-    if model.info is None:
+    if model.source is None:
         _welcome(app, size)
         return
-    if model.fit_pending or (model.is_fitted and app.canvas_size != (width, height)):
-        model.fit((width, height))
+    if model.framing.due or (model.framing.is_fitted and app.canvas_size != (width, height)):
+        model.framing.fit((width, height), model.contents.size)
     app.canvas_size = width, height
     if model.overview:
         _overview(app, origin, (width, height))
@@ -87,7 +85,7 @@ def _mouse(app, place) -> None:
     model.pointing.hover(place.to_display(at) if hovered else None)
     if hovered and io.mouse_wheel and not io.key_ctrl:
         before = place.to_display(at)
-        view.zoom = min(max(view.zoom * _ZOOM_STEP**io.mouse_wheel, _LEAST_ZOOM), _MOST_ZOOM)
+        model.framing.zoom(_ZOOM_STEP**io.mouse_wheel)
         after = place.to_display(at)
         view.centre = (view.centre[0] + before[0] - after[0], view.centre[1] + before[1] - after[1])
     line = place.origin.x + view.split * place.size[0]
@@ -118,7 +116,7 @@ def _distance(a, b) -> float:
 
 def _arrows(model, place, marks) -> None:
     """Motion of the layer A at a grid of places."""
-    spec, image = model.spec_of(model.view.a), model.image_of(model.view.a)
+    spec, image = model.contents.spec(model.view.a), model.contents.image(model.view.a)
     if spec is None or image is None or spec.view != "motion":
         return
     height, width = image.shape[:2]
@@ -127,8 +125,8 @@ def _arrows(model, place, marks) -> None:
     (left, top), (right, bottom) = place.to_display(place.origin), place.to_display(
         ImVec2(place.origin.x + place.size[0], place.origin.y + place.size[1])
     )  # fmt: skip
-    xs = np.arange(max(left, 0) + step / 2, min(right, model.info.width), step)
-    ys = np.arange(max(top, 0) + step / 2, min(bottom, model.info.height), step)
+    xs = np.arange(max(left, 0) + step / 2, min(right, model.source.width), step)
+    ys = np.arange(max(top, 0) + step / 2, min(bottom, model.source.height), step)
     color = imgui.get_color_u32((1.0, 1.0, 1.0, 0.9))
     sign = -1.0 if model.looks.of(spec.name).reverse else 1.0
     for y in ys:
@@ -151,13 +149,13 @@ def _arrows(model, place, marks) -> None:
 
 def _texels(model, spec, image) -> tuple[tuple[float, float], tuple[float, float]]:
     """Display pixels per texel of a layer's plane, and where on the display its first texel begins."""
-    x0, y0, x1, y1 = model.frame_info(model.result).area(spec)
-    wide, high = model.info.width / (x1 - x0), model.info.height / (y1 - y0)
+    x0, y0, x1, y1 = model.contents.frame_info().area(spec)
+    wide, high = model.source.width / (x1 - x0), model.source.height / (y1 - y0)
     return (wide / image.shape[1], high / image.shape[0]), (-x0 * wide, -y0 * high)
 
 
 def _numbers(model, place, marks) -> None:
-    spec, image = model.spec_of(model.view.a), model.image_of(model.view.a)
+    spec, image = model.contents.spec(model.view.a), model.contents.image(model.view.a)
     if spec is None or image is None:
         return
     image = image[min(model.looks.of(spec.name).plane, spec.planes - 1)] if spec.planes > 1 else image
@@ -166,8 +164,8 @@ def _numbers(model, place, marks) -> None:
     left, top = place.to_display(place.origin)
     right, bottom = place.to_display(ImVec2(place.origin.x + place.size[0], place.origin.y + place.size[1]))
     ink, shade = imgui.get_color_u32((1, 1, 1, 1)), imgui.get_color_u32((0, 0, 0, 0.8))
-    top, bottom = ((y - start[1]) / scale[1] for y in (max(top, 0), min(bottom, model.info.height)))
-    left, right = ((x - start[0]) / scale[0] for x in (max(left, 0), min(right, model.info.width)))
+    top, bottom = ((y - start[1]) / scale[1] for y in (max(top, 0), min(bottom, model.source.height)))
+    left, right = ((x - start[0]) / scale[0] for x in (max(left, 0), min(right, model.source.width)))
     for row in range(max(int(top), 0), min(math.ceil(bottom), height)):
         for column in range(max(int(left), 0), min(math.ceil(right), width)):
             text = "\n".join(f"{value:.3g}" for value in np.ravel(image[row, column])[:_VALUES])
@@ -219,15 +217,16 @@ def _caption(model, origin, width, height, marks) -> None:
 
 def _layer_text(model, name: str) -> str:
     """What the layer is called, and what changes its look, or why it is not there."""
-    spec = model.spec_of(name)
+    spec = model.contents.spec(name)
     if spec is None:
         return f"{name}: not made with these options"
     text, display = f"{spec.group}: {spec.label}", model.looks.of(name)
     if spec.view == "color" and display.exposure:
         text += f"   {display.exposure:+.1f} EV"
-    if model.result and name in model.result.request.layers and model.image_of(name) is None:
+    result = model.contents.result
+    if result and name in result.request.layers and model.contents.image(name) is None:
         text += "   (none for this frame)"
-    elif model.result and not model.result.alpha and spec.group in _OF_GENERATED:
+    elif result and not result.moment.alpha and spec.of_generated:
         text += "   (of the generated frame before)"
     return text
 
@@ -255,7 +254,7 @@ def _overview(app, origin, size) -> None:
     for tile in tiles:
         name, width, height = tile.name, tile.width, tile.height
         left, top = origin.x + tile.x, origin.y + tile.y
-        spec = model.spec_of(name)
+        spec = model.contents.spec(name)
         ink = imgui.get_color_u32((0.8, 0.8, 0.82, 1.0))
         marks.push_clip_rect(ImVec2(left, top), ImVec2(left + width, top + height + caption), True)
         wide = imgui.calc_text_size(f"{spec.group}: {spec.label}").x > width

@@ -15,7 +15,7 @@ _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 
 def draw(app) -> None:
     model = app.model
-    if model.info is None:
+    if model.source is None:
         imgui.text_disabled("Open a sequence or a scene")
         return
     _transport(app)
@@ -60,7 +60,7 @@ def _status(model) -> str:
     slot = playback.slot
     k, j = divmod(slot, model.n + 1)
     kind = f"rendered {k}" if j == 0 else f"generated {k} + {j}/{model.n + 1}"
-    text = f"{kind}   t = {model.time_of(slot):.3f} s"
+    text = f"{kind}   t = {model.playback.time_of(slot):.3f} s"
     if playback.playing:
         text += f"   {playback.rate:.0f} of {playback.target_rate:.0f} frames/s"
         if playback.dropped:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
@@ -19,13 +21,13 @@ def draw(app) -> None:
         f"interface {imgui.get_io().framerate:.0f} frames/s   frame {model.timings.wall():.1f} ms"
         f"   reading back {model.timings.readback():.1f} ms   upload {model.upload_ms:.1f} ms"
     )
-    bandwidth = model.engine.bandwidth
+    bandwidth, pixels = model.engine.bandwidth, math.prod(model.contents.size)
     if imgui.begin_table("###timings", 3, imgui.TableFlags_.row_bg.value):
         for title, share in (("stage", 0.46), ("ms", 0.24), ("bytes/px", 0.3)):
             imgui.table_setup_column(title, imgui.TableColumnFlags_.width_stretch.value, share)
         imgui.table_headers_row()
         for index, (name, milliseconds) in enumerate((*means.items(), ("all", sum(means.values())))):
-            per_pixel = f"{milliseconds * 1e6 * bandwidth / model.pixels:.0f}" if bandwidth else "–"
+            per_pixel = f"{milliseconds * 1e6 * bandwidth / pixels:.0f}" if bandwidth else "–"
             imgui.table_next_column()
             if name in means:
                 imgui.text_colored(implot.get_colormap_color(index), icons.ICON_FA_SQUARE)

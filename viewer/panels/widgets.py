@@ -9,7 +9,8 @@ from itertools import pairwise
 from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from gffe_cl.viewer.engine.layers import Legend, wheel_color
+from gffe_cl.viewer.picture.colors import wheel_color
+from gffe_cl.viewer.picture.legends import Legend
 
 
 def floating() -> None:
@@ -94,13 +95,21 @@ def _leave_room(pixels: float) -> None:
     imgui.set_next_item_width(max(width - pixels, width / 3))
 
 
-def choice(label: str, value: str, options: dict[str, str] | list[str], change: Callable[[str], None]) -> None:
-    """A combo box over keys of `options` (shown by their texts)."""
+def choice(
+    label: str,
+    value: str,
+    options: dict[str, str] | list[str],
+    change: Callable[[str], None],
+    help_texts: dict[str, str] | None = None,
+) -> None:
+    """A combo box over keys of `options` (shown by their texts), with a `help_texts` for each."""
     texts = options if isinstance(options, dict) else {name: name for name in options}
     leave_room_for(label)
     if imgui.begin_combo(f"###{label}", texts.get(value, value)):
         for name, text in texts.items():
-            if imgui.selectable(text, name == value)[0] and name != value:
+            chosen = imgui.selectable(text, name == value)[0]
+            tooltip((help_texts or {}).get(name, ""))
+            if chosen and name != value:
                 change(name)
         imgui.end_combo()
     imgui.same_line()

@@ -16,8 +16,11 @@ import moderngl
 import numpy as np
 
 from gffe_cl.stage import reprojection
-from gffe_cl.viewer.engine import layers as known
-from gffe_cl.viewer.engine.layers import Display, FrameInfo, LayerSpec, Rgb
+from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.layers import VIEWS, LayerSpec
+from gffe_cl.viewer.picture import colors
+from gffe_cl.viewer.picture.colors import Rgb
+from gffe_cl.viewer.picture.displays import TONE_MAPS, Display, FrameInfo, shown_as
 
 COMPARISONS = ("off", "split", "difference", "flip", "error")  # "flip": the caller shows b as a
 OVERLAYS = ("none", "edges", "residual motion")
@@ -26,7 +29,7 @@ _DTYPES = {"uint8": "f1", "float16": "f2", "float32": "f4"}
 _VARIANT = ("VIEW_A", "SMOOTH_A", "VIEW_B", "SMOOTH_B", "COMPARE", "OVERLAY")  # macros of display.frag
 _RING = 3  # pixel buffers per size, so that none is rewritten while the driver still reads it
 _RINGS = 12  # sizes that are kept
-_RENDERED = {"depth": "rendered.depth", "motion": "rendered.motion", "color": "rendered.color"}
+_RENDERED = {"depth": names.RENDERED_DEPTH, "motion": names.RENDERED_MOTION, "color": names.RENDERED_COLOR}
 _UNITS = {"texels_a": 0, "texels_b": 1, "rendered_depth": 2, "rendered_motion": 3, "rendered_color": 4, "color_maps": 5}
 
 Size = tuple[int, int]
@@ -131,11 +134,8 @@ class _Program:
         self._program = ctx.program(vertex_shader=vertex, fragment_shader=fragment)
         self._uniforms = {name: self._program[name] for name in self._program}
         self.triangle = ctx.vertex_array(self._program, [])
-        colors = {
-            **{"label_colors": known.LABEL_COLORS, "sky": known.SKY, "mask_off": known.MASK_OFF},
-            "wheel_centre": known.WHEEL_CENTRE,
-        }
-        self.set("", _UNITS | colors)
+        marks = {"label_colors": colors.LABEL_COLORS, "sky": colors.SKY, "mask_off": colors.MASK_OFF}
+        self.set("", _UNITS | marks | {"wheel_centre": colors.WHEEL_CENTRE})
 
     def set(self, prefix: str, values: Mapping[str, Any]) -> None:
         for name, value in values.items():
@@ -163,8 +163,8 @@ class Canvas:
         self._rings: dict[int, list[moderngl.Buffer]] = {}
         self._targets: dict[str, moderngl.Framebuffer] = {}
         self._nothing = _Shown(_Texture(ctx, np.zeros((1, 1, 1, 1), np.uint8)), (-1, 0), {})
-        tables = np.stack([known.color_table(name) for name in known.COLOR_MAPS])
-        self._color_maps = ctx.texture((256, len(known.COLOR_MAPS)), 3, tables.tobytes(), alignment=1, dtype="f4")
+        tables = np.stack([colors.color_table(name) for name in colors.COLOR_MAPS])
+        self._color_maps = ctx.texture((256, len(colors.COLOR_MAPS)), 3, tables.tobytes(), alignment=1, dtype="f4")
         self._color_maps.repeat_x = self._color_maps.repeat_y = False
 
     # ---- layers ----------------------------------------------------------------------------------------
@@ -210,9 +210,9 @@ class Canvas:
         """Sizes in bytes of the pixel buffers in use."""
         return [buffer.size for ring in self._rings.values() for buffer in ring]
 
-    def forget(self, names: Iterable[str]) -> None:
+    def forget(self, layers: Iterable[str]) -> None:
         """Release these layers, if they are there."""
-        for name in names:
+        for name in layers:
             layer = self._layers.pop(name, None)
             if layer:
                 layer.texels.release()
@@ -340,7 +340,7 @@ class Canvas:
         if layer is None or display is None:
             return self._nothing
         spec, frame = layer.spec, self.frame
-        view, channel = known.shown_as(spec, display)
+        view, channel = shown_as(spec, display)
         area = frame.area(spec)
         texel = [zoom * frame.display_size[i] / (layer.size[i] * abs(area[i + 2] - area[i])) for i in (0, 1)]
         smooth = view == "color" and min(texel) < 1.0
@@ -357,15 +357,15 @@ class Canvas:
             "texel": texel,
             "weighted": spec.view == "color" and spec.components[3:] == ("weight",),
             "gain": 2.0**display.exposure * frame.exposure,
-            "tone_map": known.TONE_MAPS.index(display.tone_map),
-            "color_map": known.COLOR_MAPS.index(display.color_map),
+            "tone_map": TONE_MAPS.index(display.tone_map),
+            "color_map": colors.COLOR_MAPS.index(display.color_map),
             "range": (low, high if high != low else low + abs(low) * 1e-6 + 1e-12),
             "inverse": display.inverse,
             "motion_scale": max(display.motion_scale, 1e-6) * (-1 if display.reverse else 1),
             "tint": display.tint,
-            "label_flip": known.label_flip(spec),
+            "label_flip": colors.label_flip(spec),
         }
-        return _Shown(layer, (known.VIEWS.index(view), int(smooth)), uniforms)
+        return _Shown(layer, (VIEWS.index(view), int(smooth)), uniforms)
 
 
 def read(texture: moderngl.Texture) -> np.ndarray:

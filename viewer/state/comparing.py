@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from typing import Any
 
-from gffe_cl.viewer.engine.layers import Display
+from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.scoring import flip_available
 from gffe_cl.viewer.picture import flip_map
-from gffe_cl.viewer.picture.canvas import View
+from gffe_cl.viewer.picture.canvas import ERRORS, View
+from gffe_cl.viewer.picture.displays import Display
+from gffe_cl.viewer.state.contents import Contents
+from gffe_cl.viewer.state.looks import Looks
 
+WAYS = ("off", "split", "flip", "difference", "error", "flip error")
 FLIP_HIGH = 0.5
+_NUMBERS = {"split": (0.0, 1.0), "gain": (1.0, 32.0), "error_high": (0.01, 1.0)}  # of a view, with their ranges
 
 
 class Comparison:
-    """How A and B of a model's view are compared; "flip error" is a map that is computed on the host."""
+    """How A and B of a view are compared; "flip error" is a map that is computed on the host."""
 
-    def __init__(self, model):
-        self._model = model
+    def __init__(self, view: View, contents: Contents, looks: Looks):
+        self._view, self._contents, self._looks = view, contents, looks
         self.flipped = False  # B is shown as long as a key is held
         self.flip_high = FLIP_HIGH
         self._nothing = False  # A or B does not exist for this frame
         self._flip_missing = flip_available()
         self._maps = flip_map.FlipMaps()
-        self._truth_instead_of = "final"
+        self._truth_instead_of = names.FINAL
 
     def why_not(self, way: str) -> str | None:
         """Why it cannot be compared in this way."""
@@ -30,39 +37,39 @@ class Comparison:
             return None
         if self._flip_missing:
             return self._flip_missing
-        view = self._model.view
-        specs = [self._model.spec_of(name) for name in (view.a, view.b or self._usual_b())]
+        view = self._view
+        specs = [self._contents.spec(name) for name in (view.a, view.b or self._usual_b())]
         if any(spec is not None and spec.view != "color" for spec in specs):
             return "FLIP compares colours: choose two of them as A and B"
         return None
 
     def set(self, way: str) -> None:
-        view = self._model.view
+        view = self._view
         view.compare = way
         if way != "off" and view.b is None:
             view.b = self._usual_b()
 
     def toggle(self, way: str) -> None:
-        self.set("off" if self._model.view.compare == way else way)
+        self.set("off" if self._view.compare == way else way)
 
     def flip(self, down: bool) -> None:
         """Show B instead of A as long as the key is held; from then on B is read back with A."""
-        if down and self._model.view.compare == "off":
+        if down and self._view.compare == "off":
             self.set("flip")
         self.flipped = down
 
     def toggle_truth(self) -> None:
         """Ground truth as A, and back."""
-        view = self._model.view
-        if view.a == "truth":
+        view = self._view
+        if view.a == names.TRUTH:
             view.a = self._truth_instead_of
         else:
-            self._truth_instead_of, view.a = view.a, "truth"
+            self._truth_instead_of, view.a = view.a, names.TRUTH
 
     def shown(self) -> View:
         """The view with the displays of its layers, for the canvas."""
-        looks = self._model.looks
-        view = replace(self._model.view, a_display=looks.of(self._model.view.a))
+        looks = self._looks
+        view = replace(self._view, a_display=looks.of(self._view.a))
         if view.b:
             view.b_display = looks.of(view.b)
         if self.flipped and view.b:
@@ -79,18 +86,18 @@ class Comparison:
     @property
     def brightest(self) -> float:
         """The error that is shown in the brightest colour; maps of FLIP have their own."""
-        return self.flip_high if self._model.view.compare == "flip error" else self._model.view.error_high
+        return self.flip_high if self._view.compare == "flip error" else self._view.error_high
 
     @brightest.setter
     def brightest(self, error: float) -> None:
-        if self._model.view.compare == "flip error":
+        if self._view.compare == "flip error":
             self.flip_high = error
         else:
-            self._model.view.error_high = error
+            self._view.error_high = error
 
     def scale_text(self) -> str:
         """What the colours of a difference or an error mean; empty where layers are shown as they are."""
-        view = self._model.view
+        view = self._view
         if self.flipped or view.compare not in ("difference", "error", "flip error"):
             return ""
         if view.compare == "difference":
@@ -101,38 +108,65 @@ class Comparison:
     @property
     def ready(self) -> bool:
         """Whether what is shown belongs to the present images."""
-        return self._model.view.compare != "flip error" or self._nothing or self._maps.ready
+        return self._view.compare != "flip error" or self._nothing or self._maps.ready
 
-    def update(self, canvas) -> None:
-        """Once per frame of the interface: take the map that is made, and have the next one made."""
-        model, view = self._model, self._model.view
+    def update(self, canvas) -> str | None:
+        """Once per frame of the interface: take the map that is made, and have the next one made. Returns what went
+        wrong, if something did: then nothing is compared any more."""
+        view, contents = self._view, self._contents
         if view.compare != "flip error":
-            return
+            return None
         if self.why_not("flip error"):
             view.compare = "off"
-            return
+            return None
         try:
             made = self._maps.take()
         except Exception as error:  # whatever a binary package throws
             view.compare = "off"
-            model.say(f"FLIP failed: {error}", error=True)
-            return
+            return f"FLIP failed: {error}"
         if made is not None and canvas is not None:
             canvas.upload(flip_map.NAME, made, flip_map.SPEC)
-        a, b = model.image_of(view.a), model.image_of(view.b)
-        self._nothing = (a is None or b is None) and {view.a, view.b} <= model.asked_layers
+        a, b = contents.image(view.a), contents.image(view.b)
+        self._nothing = (a is None or b is None) and {view.a, view.b} <= contents.asked
         if self._nothing and canvas is not None:
             canvas.forget([flip_map.NAME])
         if a is None or b is None:
-            return
+            return None
         if a.shape != b.shape:
             view.compare = "off"
-            model.say("FLIP compares images of one size", error=True)
-            return
-        self._maps.want((model.taken, view.a, view.b), a, b, model.info.exposure)
+            return "FLIP compares images of one size"
+        self._maps.want((contents.changes, view.a, view.b), a, b, contents.source.exposure)
+        return None
+
+    def drop_missing(self) -> None:
+        """What this sequence does not have is neither shown nor compared."""
+        view, why_not = self._view, self._contents.why_not
+        if why_not(view.a):
+            view.a = names.FINAL
+        if view.b and why_not(view.b):
+            view.b, view.compare = None, "off"
+
+    def preferences(self) -> dict[str, Any]:
+        """Plain JSON."""
+        return {name: getattr(self._view, name) for name in ("compare", "b", "error", *_NUMBERS)}
+
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Take over what `preferences` returned once; a damaged value costs only itself."""
+        view = self._view
+        for name, choices in (("compare", WAYS), ("error", ERRORS)):
+            if saved.get(name) in choices:
+                setattr(view, name, saved[name])
+        for name, (low, high) in _NUMBERS.items():
+            value = saved.get(name)
+            if type(value) in (int, float) and math.isfinite(value):
+                setattr(view, name, min(max(float(value), low), high))
+        if isinstance(saved.get("b"), str):
+            view.b = saved["b"]
+        elif view.compare != "off":
+            view.compare = "off"
 
     def close(self) -> None:
         self._maps.close()
 
     def _usual_b(self) -> str:
-        return "truth" if self._model.why_not("truth") is None else "rendered.color"
+        return names.TRUTH if self._contents.why_not(names.TRUTH) is None else names.RENDERED_COLOR

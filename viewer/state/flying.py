@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,6 +11,15 @@ from gffe_cl.camera import Camera
 
 _SPEED = 2.0  # world units per second
 _STEEPEST = math.radians(85)
+
+
+class Flight(NamedTuple):
+    """Steering of one interface frame: (right, up, forward) in −1 … 1 and times faster; turns in degrees."""
+
+    move: tuple[float, float, float]
+    faster: float
+    yaw: float
+    pitch: float
 
 
 class Flyer:
@@ -26,8 +36,8 @@ class Flyer:
         self.moved = True  # since somebody last set it to False
         self.pose = start
 
-    def steer(self, flight, now: float) -> None:
-        """Move on by the time since the last call (seconds) and turn; `flight` as in commands.Flight."""
+    def steer(self, flight: Flight, now: float) -> None:
+        """Move on by the time since the last call (seconds) and turn."""
         elapsed = 0.0 if self._then is None else min(now - self._then, 0.1)
         self._then = now
         moving = any(flight.move) and elapsed > 0

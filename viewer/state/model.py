@@ -8,41 +8,43 @@ import time
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from gffe_cl import inference
 from gffe_cl.errors import GffeError
 from gffe_cl.options import Options
+from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
-from gffe_cl.viewer.engine.layers import Display, FrameInfo, LayerSpec, area_of
 from gffe_cl.viewer.engine.messages import EngineError, Metrics, Request, Result, Setup
 from gffe_cl.viewer.engine.opening import ScenePlan, make_source
+from gffe_cl.viewer.engine.sources import FrameSource
 from gffe_cl.viewer.picture import flip_map
 from gffe_cl.viewer.picture.canvas import View
-from gffe_cl.viewer.state import remembering
+from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.state.comparing import Comparison
-from gffe_cl.viewer.state.flying import Flyer
+from gffe_cl.viewer.state.contents import Contents
+from gffe_cl.viewer.state.flying import Flight, Flyer
+from gffe_cl.viewer.state.framing import Framing
 from gffe_cl.viewer.state.looks import Looks
+from gffe_cl.viewer.state.parameters import Parameters
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.pointing import Pointing
-from gffe_cl.viewer.state.saving import Work
+from gffe_cl.viewer.state.saving import Subject, Work, save_picture
 from gffe_cl.viewer.state.settings import Settings
 from gffe_cl.viewer.state.timings import Timings
 
-_FIT = 0.98  # of the window that a fitted picture takes
 _SCENES = ScenePlan(480, 270, 0)
 _OPTIONS = Options()
 
 
 @dataclass
 class Message:
-    """Something to tell; `sticky` ones stay until the next `open`."""
+    """Something to tell; `time`: of `time.perf_counter`."""
 
     text: str
     error: bool
     time: float
-    sticky: bool = False
 
 
 class Model:
@@ -58,99 +60,89 @@ class Model:
         self.settings, self._save_settings, self.plan = settings, save_settings, plan
         self.engine = Engine(partial(open_viewer_device, device))
         self.engine.start()
+        self.contents = Contents()
         self.playback = Playback(n=n)
-        self.options = replace(options, shading_inputs=True)
-        self.defaults = replace(self.options, shading_correction=None)
-        self.network_fault: str | None = None  # why shading correction was switched off
-        self.window = window
-        self.info = None
-        self.layers: list[LayerSpec] = []
-        self.view = View("final", Display())
-        self.looks = Looks(self)
-        self.comparison = Comparison(self)
+        self.parameters = Parameters(options, self.playback, window)
+        self.view = View(names.FINAL, Display())
+        self.framing = Framing(self.view)
+        self.looks = Looks(self.contents, settings.displays)
+        self.comparison = Comparison(self.view, self.contents, self.looks)
+        self.pointing = Pointing(self.engine.inspect)
+        self.flyer: Flyer | None = None
+        self.export: Work | None = None
         self.overview = False
         self.arrows = False
         self.measuring = False
-        self.fit_pending = True
-        self._fitted: tuple | None = None
-        self.flyer: Flyer | None = None
-        self.result: Result | None = None
-        self.pointing = Pointing(self)
         self.metrics: dict[int, Metrics] = {}
         self.messages: list[Message] = []
         self.warnings: list[str] = []
         self.failure: str | None = None
         self.notice = ""
-        self.export: Work | None = None
-        self.upload_ms = 0.0
         self.timings = Timings()
-        self._builds = 0  # of the engine when last looked at
+        self.upload_ms = 0.0
+        self._measured: tuple[Setup, int] | None = None  # what the metrics are of: setup, builds of the kernels
         self._serial = itertools.count(1)
         self._asked: Request | None = None  # the latest request, and it without its serial number
         self._wanted: Request | None = None
         self._target = ""
         self._keep_place = False
-        self.taken = 0  # times that other images came
         self._closed = False
-        remembering.restore(self)
+        self.playback.restore(settings.playback)
+        self.parameters.restore(settings.options)
+        self.comparison.restore(settings.compare)
 
     # ---- opening -----------------------------------------------------------------------------------------
 
+    @property
+    def source(self) -> FrameSource | None:
+        """What is open."""
+        return self.contents.source
+
     def open(self, target: str) -> None:
         """A folder with a sequence, or the name of a built-in scene; `update` hears when it is open."""
-        self.messages = [message for message in self.messages if not message.sticky]
         self.failure = None
         self.notice = f"opening {target} …"
-        self.engine.open_source(partial(make_source, target, self.window, self.plan), next(self._serial))
+        self.engine.open_source(partial(make_source, target, self.parameters.window, self.plan), next(self._serial))
 
     def reload(self) -> None:
         """Read the same thing again, and stay where we are."""
         self._keep_place = True
         self.open(self._target)
 
-    def _opened(self, source, canvas) -> None:
-        self.info, self.notice, self.result, self._asked = source, "", None, None
-        self._target = source.target
+    def _opened(self, source: FrameSource, canvas) -> None:
+        self.contents.open(source)
+        self.parameters.open(source)
+        self.notice, self._asked, self._target = "", None, source.target
         self._show({}, canvas)
         if self.export is not None:
             self.export.cancel()
         times = None if source.live else [source.time(k) for k in range(source.count)]
         self.playback.open(source.count, source.fps, times, keep=self._keep_place)
+        self.pointing.open(self.contents.size)
         self.metrics.clear()
-        self.pointing.forget()
         self.flyer = None
         if not self._keep_place:
             self.looks.forget()
             self.timings = Timings()
-        self._drop_missing()
-        self.fit_pending = not self._keep_place
+        self.comparison.drop_missing()
+        self.framing.due = not self._keep_place
         self._keep_place = False
-        if source.live:
-            self.window = self.window or "off"
-        else:
+        if not source.live:
             self.settings.add_recent(Path(self._target).expanduser())
-            self.window = "off" if self.window == "off" else None
-
-    def _drop_missing(self) -> None:
-        """Ground truth is not shown where there is none."""
-        if self.why_not("truth"):
-            self.view.a = "final" if self.why_not(self.view.a) else self.view.a
-            if self.view.b and self.why_not(self.view.b):
-                self.view.b, self.view.compare = None, "off"
 
     # ---- one frame of the interface ------------------------------------------------------------------------
 
     def update(self, now: float, canvas) -> None:
         """Take what the engine has finished into textures, and ask for what is wanted next."""
-        if self.engine.source is not self.info:
+        if self.engine.source is not self.source:
             self._opened(self.engine.source, canvas)
-        if self.engine.builds != self._builds:
-            self._builds = self.engine.builds
+        if (self.setup, self.engine.builds) != self._measured:
+            self._measured = self.setup, self.engine.builds
             self.metrics.clear()
         while (answer := self.engine.poll()) is not None:
             if isinstance(answer, EngineError):
                 self._failed(answer)
-            elif self.info is not None:
+            elif self.source is not None:
                 self._take(answer, canvas)
         while (metrics := self.engine.poll_metrics()) is not None:
             if metrics.setup == self.setup:
@@ -158,17 +150,17 @@ class Model:
         inspection = self.engine.poll_inspection()
         if inspection is not None and inspection.slot == self.slot:
             self.pointing.take(inspection)
-        if self.info is None:
+        if self.source is None:
             return
-        self.comparison.update(canvas)
-        ready = None
-        if self.result is not None and self.result.request.setup == self.setup:
-            ready = self.result.request.slot
+        fault = self.comparison.update(canvas)
+        if fault:
+            self.say(fault, error=True)
+        result, ready = self.contents.result, None
+        if result is not None and result.request.setup == self.setup:
+            ready = result.request.slot
         self._ask(self.playback.tick(now, ready).request)
         if self.export is not None:
-            self.export.advance(self, canvas)
-            if self.export.finished:
-                self.export = None
+            self._advance_export(canvas)
 
     def _failed(self, error: EngineError) -> None:
         self.failure = error.message
@@ -176,7 +168,7 @@ class Model:
             self._without_network(error.message)
             return
         self.say(error.message, error=True)
-        self.notice = error.message if self.info is None else ""
+        self.notice = error.message if self.source is None else ""
         self._keep_place = False
         self.pointing.story_due &= error.during != "inspection"
         if error.during == "source":
@@ -189,22 +181,20 @@ class Model:
     def _without_network(self, why: str) -> None:
         """Go on without shading correction, until it is switched on again."""
         self.say(f"shading correction is off: {why}", error=True)
-        self.network_fault = why
-        self.metrics.clear()
+        self.parameters.network_fault = why
         if self.export is not None:
             self.export.cancel()
 
     def _take(self, result: Result, canvas) -> None:
-        self.result = result
+        self.contents.take(result)
         self.failure = None
-        self.layers = list(result.specs.values())
         self.warnings = list(result.warnings)
         if result.psnr is not None:
             self.metrics[result.request.slot] = Metrics(
                 result.request.slot, result.request.setup, result.psnr, result.ssim, result.flip
             )
         if canvas is not None:
-            canvas.frame = self.frame_info(result)
+            canvas.frame = self.contents.frame_info()
         self._show(result.images, canvas)
         self.looks.meet(result.images)
         self.timings.add(result)
@@ -212,20 +202,19 @@ class Model:
 
     def _show(self, images: dict[str, np.ndarray], canvas) -> None:
         """Have these images and no others, which would be of another time, on the canvas."""
-        self.taken += 1
         if canvas is None:
             return
         start = time.perf_counter()
         canvas.forget(canvas.layers.keys() - images.keys() - {flip_map.NAME})
         for name, image in images.items():
-            canvas.upload(name, image, self.spec_of(name))
+            canvas.upload(name, image, self.contents.spec(name))
         self.upload_ms = (time.perf_counter() - start) * 1e3
 
     def _ask(self, slot: int) -> None:
         """Submit a request if it is another one than before."""
         if self.flying:
             k, j = divmod(slot, self.n + 1)
-            self.info.fly(k, j / (self.n + 1), self.flyer.pose)
+            self.source.fly(k, j / (self.n + 1), self.flyer.pose)
         request = Request(slot, self.setup, frozenset(self._needed()), 0, self.measuring)
         steered = self.flying and self.flyer.moved
         if request == self._wanted and self._asked is not None and not steered:
@@ -234,165 +223,79 @@ class Model:
             self.flyer.moved = False
         self._wanted = request
         self._asked = replace(request, serial=next(self._serial))
-        self.engine.submit(self._asked, self.info)
+        self.engine.submit(self._asked, self.source)
 
     # ---- what is asked for -----------------------------------------------------------------------------------
 
     @property
     def n(self) -> int:
+        """Generated frames after each rendered one."""
         return self.playback.n
 
     @property
     def slot(self) -> int:
-        return self.result.request.slot if self.result is not None else self.playback.slot
+        result = self.contents.result
+        return result.request.slot if result is not None else self.playback.slot
 
     @property
     def setup(self) -> Setup:
-        return Setup(replace(self.options, shading_correction=self.corrects_shading), self.window, self.n)
-
-    @property
-    def corrects_shading(self) -> bool:
-        return self.options.corrects_shading and self.network_fault is None
-
-    @property
-    def pixels(self) -> int:
-        return self.info.width * self.info.height
+        return self.parameters.setup
 
     @property
     def settled(self) -> bool:
         """Whether what is shown is what was asked for."""
         return (
-            self.result is not None
+            self.contents.result is not None
             and self._asked is not None
-            and self.result.request == self._asked
+            and self.contents.result.request == self._asked
             and not self.engine.busy
             and not self.pointing.story_due
             and self.comparison.ready
         )
 
-    @property
-    def asked_layers(self) -> frozenset[str]:
-        """Layers that the present images were asked for."""
-        return self.result.request.layers if self.result is not None else frozenset()
-
     def _needed(self) -> set[str]:
         """Layers to read back."""
         if self.overview:
-            return {spec.name for spec in self.layers} or {"final"}
-        names = {self.view.a}
+            return {spec.name for spec in self.contents.layers} or {names.FINAL}
+        wanted = {self.view.a}
         if self.view.compare != "off" and self.view.b:
-            names.add(self.view.b)
+            wanted.add(self.view.b)
         if self.view.overlay != "none":
-            names |= {"rendered.color", "rendered.depth", "rendered.motion"}
-        specs = [self.spec_of(name) for name in names]
+            wanted |= {names.RENDERED_COLOR, names.RENDERED_DEPTH, names.RENDERED_MOTION}
+        specs = [self.contents.spec(name) for name in wanted]
         if any(spec is not None and spec.view == "world" for spec in specs):
-            names.add("rendered.depth")
+            wanted.add(names.RENDERED_DEPTH)
         if self.export is not None:
-            names |= self.export.layers(self)
-        return names
+            wanted |= self.export.layers
+        return wanted
 
-    def set_options(self, options: Options) -> None:
+    def set(self, name: str, value: Any) -> None:
+        """A parameter; what makes no sense is said."""
         try:
-            self.options = replace(options, shading_inputs=True)
+            self.parameters.set(name, value)
         except GffeError as error:
             self.say(str(error), error=True)
-        self.metrics.clear()
 
-    def correct_shading(self, on: bool) -> None:
-        """Switch the shading correction network; what was wrong with it is forgotten."""
-        self.network_fault = None
-        self.set_options(replace(self.options, shading_correction=None if on else False))
-
-    def use_defaults(self) -> None:
-        self.network_fault = None
-        self.set_options(self.defaults)
-        self.set_n(1)
-
-    def set_window(self, window: str | None) -> None:
-        self.window = window
-        self.metrics.clear()
-
-    def set_n(self, n: int) -> None:
-        self.playback.n = n
-        self.metrics.clear()
-
-    def set_measuring(self, on: bool) -> None:
-        self.measuring = on
-
-    def time_of(self, slot: int) -> float:
-        return self.playback.time_of(slot)
-
-    # ---- layers and how they look ----------------------------------------------------------------------------
-
-    def spec_of(self, name: str | None) -> LayerSpec | None:
-        return next((spec for spec in self.layers if spec.name == name), None)
-
-    def image_of(self, name: str) -> np.ndarray | None:
-        return None if self.result is None else self.result.images.get(name)
-
-    def find_layer(self, text: str) -> str | None:
-        """Full name of a layer given by it or by the buffer's name alone."""
-        names = [spec.name for spec in self.layers]
-        if text in names:
-            return text
-        return next((name for name in names if name.partition(".")[2] == text), None)
-
-    def why_not(self, name: str) -> str | None:
-        """Why a layer cannot be shown in this sequence."""
-        if name in ("truth", "focus_truth") and self.info is not None and not self.info.has_truth:
-            return "this sequence has no ground truth"
-        return None
-
-    def why_no_correction(self) -> str | None:
-        """Why the shading correction network cannot be switched on."""
-        return None if self.options.scn_model else inference.scn_missing()
+    # ---- what is shown ---------------------------------------------------------------------------------------
 
     def show_layer(self, name: str) -> None:
         self.view.a = name
 
     def next_layer(self, step: int) -> None:
-        names = [spec.name for spec in self.layers if self.why_not(spec.name) is None]
-        if names:
-            index = names.index(self.view.a) if self.view.a in names else 0
-            self.show_layer(names[(index + step) % len(names)])
+        found = [spec.name for spec in self.contents.showable()]
+        if found:
+            index = found.index(self.view.a) if self.view.a in found else 0
+            self.show_layer(found[(index + step) % len(found)])
 
     def set_overview(self, on: bool) -> None:
         self.overview = on
 
+    def set_measuring(self, on: bool) -> None:
+        self.measuring = on
+
     def overview_tiles(self) -> list[tuple[str, Display]]:
-        names = [spec.name for spec in self.layers if self.image_of(spec.name) is not None]
-        return [(name, self.looks.of(name)) for name in names]
-
-    # ---- looking closer ------------------------------------------------------------------------------------
-
-    def fit(self, size: tuple[int, int]) -> None:
-        """Zoom so that the whole picture is seen in a canvas of `size` (screen pixels)."""
-        self.view.zoom = max(min(size[0] / self.info.width, size[1] / self.info.height) * _FIT, 0.01)
-        self.view.centre = (self.info.width / 2, self.info.height / 2)
-        self.fit_pending = False
-        self._fitted = self.view.zoom, self.view.centre
-
-    @property
-    def is_fitted(self) -> bool:
-        """Whether nobody has zoomed or panned since `fit`."""
-        return self._fitted == (self.view.zoom, self.view.centre)
-
-    def zoom(self, factor: float) -> None:
-        self.view.zoom = min(max(self.view.zoom * factor, 0.05), 128.0)
-
-    def frame_info(self, result: Result) -> FrameInfo:
-        """What the layers of `result` refer to, for displaying them."""
-        size, render_size = (self.info.width, self.info.height), self.info.render_size
-        area = area_of(result.source_camera, render_size, result.display_camera, size)
-        return FrameInfo(
-            size,
-            render_size,
-            size,
-            self.info.exposure,
-            result.source_camera,
-            result.previous_camera,
-            source_area=area,
-        )
+        shown = [spec.name for spec in self.contents.layers if self.contents.image(spec.name) is not None]
+        return [(name, self.looks.of(name)) for name in shown]
 
     # ---- the camera ----------------------------------------------------------------------------------------
 
@@ -403,18 +306,41 @@ class Model:
     def toggle_flying(self) -> None:
         if self.flying:
             self.flyer.active = False
-        elif self.result is not None:
-            self.flyer = Flyer(self.result.camera)
+        elif self.contents.result is not None:
+            self.flyer = Flyer(self.contents.result.moment.camera)
             self.playback.play()
 
     def stop_flying(self) -> None:
         self.flyer = None
-        self.info.forget_flight()
+        self.source.forget_flight()
         self._asked = None
 
-    def fly(self, flight) -> None:
+    def fly(self, flight: Flight | None) -> None:
         if self.flyer is not None and flight is not None:
             self.flyer.steer(flight, time.perf_counter())
+
+    # ---- saving --------------------------------------------------------------------------------------------
+
+    @property
+    def _subject(self) -> Subject:
+        return Subject(self.contents, self.playback, self.view, self.comparison.shown, lambda: self.settled)
+
+    def save_picture(self, canvas) -> None:
+        try:
+            self.say(f"saved {save_picture(self._subject, canvas)}")
+        except GffeError as error:
+            self.say(str(error), error=True)
+
+    def save(self, work: type[Work]) -> None:
+        """Start saving beside the interface."""
+        self.export = work(self._subject)
+
+    def _advance_export(self, canvas) -> None:
+        self.export.advance(canvas)
+        if self.export.finished:
+            if self.export.outcome:
+                self.say(self.export.outcome, self.export.failed)
+            self.export = None
 
     # ---- telling -------------------------------------------------------------------------------------------
 
@@ -426,7 +352,9 @@ class Model:
         if not self._save_settings:
             return
         self.settings.window_size = window_size
-        remembering.collect(self)
+        self.settings.playback = self.playback.preferences()
+        self.settings.options = self.parameters.preferences()
+        self.settings.compare = self.comparison.preferences()
         warning = self.settings.save()
         if warning:
             print(warning, file=sys.stderr)

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 
 class Pointing:
-    """Of a model's picture.
+    """What is asked about single pixels, and what is known.
+
+    Parameters
+    ----------
+    inspect : callable
+        Asks the engine what it holds at (x, y).
 
     Attributes
     ----------
@@ -18,8 +24,9 @@ class Pointing:
         False: the pointer means nothing.
     """
 
-    def __init__(self, model):
-        self._model = model
+    def __init__(self, inspect: Callable[[int, int], None]):
+        self._inspect = inspect
+        self._size = (0, 0)
         self.enabled = True
         self.inspection = self.story = self.picked = None
         self.story_due = False  # the engine was asked for the story of the picked pixel
@@ -50,8 +57,9 @@ class Pointing:
         self.story_due = self.picked is not None
         self._ask(self.picked or self._hovered)
 
-    def forget(self) -> None:
-        """There is another picture."""
+    def open(self, size: tuple[int, int]) -> None:
+        """There is another picture, of `size` pixels."""
+        self._size = size
         self.inspection = self.story = self.picked = None
         self.story_due = False
 
@@ -66,8 +74,7 @@ class Pointing:
 
     def _ask(self, pixel: tuple[int, int] | None) -> None:
         if pixel is not None:
-            self._model.engine.inspect(*pixel)
+            self._inspect(*pixel)
 
     def _is_inside(self, pixel: tuple[int, int] | None) -> bool:
-        info = self._model.info
-        return pixel is not None and 0 <= pixel[0] < info.width and 0 <= pixel[1] < info.height
+        return pixel is not None and all(0 <= at < size for at, size in zip(pixel, self._size, strict=True))

@@ -6,60 +6,78 @@ import contextlib
 import queue
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.errors import GffeError
-from gffe_cl.viewer.picture.canvas import read
+from gffe_cl.viewer.picture.canvas import View, read
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
+from gffe_cl.viewer.state.contents import Contents
+from gffe_cl.viewer.state.playback import Playback
 
 _WAITING = 2  # frames between the interface and the encoder
 _PATIENCE = 5.0  # seconds for writing to end after it was cancelled
 
 
-def save_picture(model, canvas) -> None:
-    """The view as it is compared and displayed, one display pixel to a pixel, as PNG."""
-    path = unused_name(Path.cwd(), f"{model.info.name}_{model.slot:05d}_{model.view.a}", ".png")
-    try:
-        save_png(path, _picture(model, canvas))
-    except GffeError as error:
-        model.say(str(error), error=True)
-    else:
-        model.say(f"saved {path}")
+@dataclass(frozen=True)
+class Subject:
+    """What is saved: the contents, as `view`, which `shown` gives as it is compared and displayed; `settled` says
+    whether what is shown is what was asked for."""
+
+    contents: Contents
+    playback: Playback
+    view: View
+    shown: Callable[[], View]
+    settled: Callable[[], bool]
+
+    @property
+    def slot(self) -> int:
+        result = self.contents.result
+        return result.request.slot if result is not None else self.playback.slot
+
+    def unused(self, stem: str, suffix: str) -> Path:
+        """A new path in the working folder."""
+        return unused_name(Path.cwd(), f"{self.contents.source.name}_{stem}", suffix)
+
+    def picture(self, canvas) -> np.ndarray:
+        """(H, W, 4) uint8 of the view, unzoomed."""
+        width, height = self.contents.size
+        view = replace(self.shown(), zoom=1.0, centre=(width / 2, height / 2), grid=False)
+        return read(canvas.draw(view, (width, height), "export"))
 
 
-def _picture(model, canvas) -> np.ndarray:
-    """(H, W, 4) uint8 of the view, unzoomed."""
-    width, height = model.info.width, model.info.height
-    view = replace(model.comparison.shown(), zoom=1.0, centre=(width / 2, height / 2), grid=False)
-    return read(canvas.draw(view, (width, height), "export"))
+def save_picture(subject: Subject, canvas) -> Path:
+    """The view as it is compared and displayed, one display pixel to a pixel, as PNG. Raises GffeError."""
+    path = subject.unused(f"{subject.slot:05d}_{subject.view.a}", ".png")
+    save_png(path, subject.picture(canvas))
+    return path
 
 
 class Work:
     """Something that is being saved: `done` of `total`; `layers` are read back for it; `advance` is called once per
-    frame of the interface until `finished`. The writing is done on a thread."""
+    frame of the interface until `finished`; then `outcome` is what to tell, if there is something, and `failed` whether
+    it went wrong. The writing is done on a thread."""
 
-    def __init__(self, path: Path, total: int):
-        self.path, self.done, self.total, self.finished = path, 0, total, False
-        self._outcome: str | None = None
-        self._error = False
+    def __init__(self, subject: Subject, path: Path, total: int):
+        self.subject, self.path, self.done, self.total = subject, path, 0, total
+        self.finished = self.failed = False
+        self.outcome: str | None = None
         self._thread: threading.Thread | None = None
 
     @property
     def label(self) -> str:
         return f"→ {self.path.name}"
 
-    def layers(self, model) -> set[str]:
+    @property
+    def layers(self) -> set[str]:
         return set()
 
-    def advance(self, model, canvas) -> None:
-        if self._outcome is not None:
-            model.say(self._outcome, self._error)
+    def advance(self, canvas) -> None:
+        if self.outcome is not None:
             self.finished = True
         else:
-            self._proceed(model, canvas)
+            self._proceed(canvas)
 
     def cancel(self) -> None:
         """Stop, if it can be stopped; `finished` says when it has."""
@@ -70,7 +88,7 @@ class Work:
         if self._thread is not None:
             self._thread.join(_PATIENCE)
 
-    def _proceed(self, model, canvas) -> None:
+    def _proceed(self, canvas) -> None:
         raise NotImplementedError
 
     def _start(self, write: Callable[[], str]) -> None:
@@ -78,9 +96,9 @@ class Work:
 
         def run() -> None:
             try:
-                self._outcome = write()
+                self.outcome = write()
             except Exception as error:
-                self._error, self._outcome = True, str(error) or repr(error)
+                self.failed, self.outcome = True, str(error) or repr(error)
 
         self._thread = threading.Thread(target=run, name="gffe-viewer-saving", daemon=True)
         self._thread.start()
@@ -89,24 +107,25 @@ class Work:
 class LayersWork(Work):
     """All layers of the present slot as EXR files in a new folder."""
 
-    def __init__(self, model):
-        super().__init__(unused_name(Path.cwd(), f"{model.info.name}_{model.slot:05d}_layers", ""), 1)
-        model.playback.pause()
+    def __init__(self, subject: Subject):
+        super().__init__(subject, subject.unused(f"{subject.slot:05d}_layers", ""), 1)
+        subject.playback.pause()
         self._cancelled = False
 
-    def layers(self, model):
-        return {spec.name for spec in model.layers if model.why_not(spec.name) is None}
+    @property
+    def layers(self):
+        return {spec.name for spec in self.subject.contents.showable()}
 
     def cancel(self):
         self._cancelled = True
 
-    def _proceed(self, model, canvas):
+    def _proceed(self, canvas):
         if self._thread is not None:
             return
         if self._cancelled:
             self.finished = True
-        elif model.settled and self.layers(model) <= model.result.request.layers:
-            result, self.done = model.result, 1
+        elif self.subject.settled() and self.layers <= self.subject.contents.asked:
+            result, self.done = self.subject.contents.result, 1
             self._start(lambda: self._write(result))
 
     def _write(self, result) -> str:
@@ -117,14 +136,14 @@ class LayersWork(Work):
 class VideoWork(Work):
     """Every slot between the in and the out point as MP4; then back to the slot from which it was started."""
 
-    def __init__(self, model):
-        playback = model.playback
+    def __init__(self, subject: Subject):
+        playback = subject.playback
         playback.pause()
         self._slots = list(range(playback.first, playback.last + 1))
         self._back = playback.slot
         self._frames: queue.Queue = queue.Queue(_WAITING)
         self._cancelled = threading.Event()
-        super().__init__(unused_name(Path.cwd(), f"{model.info.name}_{model.view.a}", ".mp4"), len(self._slots))
+        super().__init__(subject, subject.unused(subject.view.a, ".mp4"), len(self._slots))
         rate = playback.fps * (playback.n + 1)
         self._start(lambda: self._write(rate))
 
@@ -132,20 +151,20 @@ class VideoWork(Work):
         written = export_video(self.path, self._given(), rate, self.total, cancelled=self._cancelled.is_set)
         return f"saved {self.path}" if written else "the video was cancelled"
 
-    def _proceed(self, model, canvas):
+    def _proceed(self, canvas):
         if self._frames.full() or self._cancelled.is_set():
             return
         if self.done == self.total:
             self._put(None)
             return
-        slot = self._slots[self.done]
-        if model.playback.slot != slot:
-            model.playback.seek(slot)
-        elif model.settled and model.slot == slot:
-            self._put(np.ascontiguousarray(_picture(model, canvas)[..., :3]))
+        slot, playback = self._slots[self.done], self.subject.playback
+        if playback.slot != slot:
+            playback.seek(slot)
+        elif self.subject.settled() and self.subject.slot == slot:
+            self._put(np.ascontiguousarray(self.subject.picture(canvas)[..., :3]))
             self.done += 1
             if self.done == self.total:
-                model.playback.seek(self._back)
+                playback.seek(self._back)
 
     def _given(self) -> Iterator[np.ndarray]:
         while (frame := self._frames.get()) is not None:

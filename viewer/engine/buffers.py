@@ -1,0 +1,146 @@
+"""What the device holds of one slot: whole layers, and the values at a pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.camera import Camera
+from gffe_cl.pipeline import Pipeline
+from gffe_cl.stage import BufferSpec
+from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.layers import FRAME_BUFFERS, named_images
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What a slot shows: when, and through which cameras.
+
+    Attributes
+    ----------
+    k, alpha, time
+        `alpha` is 0 for rendered frame k itself; `time` in seconds.
+    camera : Camera
+        Of what is shown, display pixels.
+    render_camera, display_camera : Camera
+        What frame k was rendered through, in its pixels, and what is shown of it, in display pixels.
+    previous_camera : Camera or None
+        What the frame before was rendered through; None after a reset.
+    """
+
+    k: int
+    alpha: float
+    time: float
+    camera: Camera
+    render_camera: Camera
+    display_camera: Camera
+    previous_camera: Camera | None
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A moment that a pipeline's buffers hold; `buffers` are those of the frame's own layers that there are: for a
+    rendered slot also "truth", the display part."""
+
+    moment: Moment
+    buffers: dict[str, cl.Buffer]
+
+
+@dataclass(frozen=True)
+class DeviceLayer:
+    """An image in a device buffer, as `spec` says; `size`: (width, height)."""
+
+    buffer: cl.Buffer
+    spec: BufferSpec
+    size: tuple[int, int]
+
+    def read(self, queue: cl.CommandQueue) -> tuple[np.ndarray, cl.Event]:
+        """(planes?, H, W, channels?) on the host, valid after the event."""
+        (width, height), planes, channels = self.size, self.spec.planes, self.spec.channels
+        out = np.empty((planes,) * (planes > 1) + (height, width) + (channels,) * (channels > 1), self.spec.dtype)
+        return out, cl.enqueue_copy(queue, out, self.buffer, is_blocking=False)
+
+    def read_block(
+        self, queue: cl.CommandQueue, x: int, y: int, width=1, height=1
+    ) -> tuple[np.ndarray, list[cl.Event]]:
+        """(planes, height, width, channels) from pixel (x, y) on, all inside; valid after the events."""
+        out = np.empty((self.spec.planes, height, width, self.spec.channels), self.spec.dtype)
+        pixel, events = out.itemsize * self.spec.channels, []
+        for plane in range(self.spec.planes):
+            for row in range(height):
+                offset = ((plane * self.size[1] + y + row) * self.size[0] + x) * pixel
+                events.append(
+                    cl.enqueue_copy(queue, out[plane, row], self.buffer, src_offset=offset, is_blocking=False)
+                )
+        return out, events
+
+    def place(self, px: tuple[int, int], source_px: tuple[float, float] | None) -> tuple[int, int] | None:
+        """The pixel or texel that belongs to display pixel `px` and to `source_px`, a position in the rendered image;
+        None where there is none."""
+        grid = self.spec.grid
+        if grid == "source" or grid.startswith("level"):
+            if source_px is None:
+                return None
+            shift = int(grid[5:]) if grid.startswith("level") else 0
+            x, y = (int(np.floor(c)) >> shift for c in source_px)
+        else:
+            shift = {"blocks": 5, "network": 1}.get(grid, 0)
+            shift = int(grid[3:]) if grid.startswith("mip") else shift
+            x, y = (c >> shift for c in px)
+        return (x, y) if 0 <= x < self.size[0] and 0 <= y < self.size[1] else None
+
+
+def device_layers(pipeline: Pipeline, shot: Shot) -> dict[str, DeviceLayer]:
+    """All images of the slot by the layers' names.
+
+    At a rendered slot the stages after `submit` still hold the extrapolated frame before it.
+    """
+    images = {name: (FRAME_BUFFERS[name], buffer) for name, buffer in shot.buffers.items()} | named_images(pipeline)
+    return {name: DeviceLayer(buffer, spec, spec.size(pipeline.sizes)) for name, (spec, buffer) in images.items()}
+
+
+def read_layers(pipeline: Pipeline, layers: dict[str, DeviceLayer], wanted: Iterable[str]) -> dict[str, np.ndarray]:
+    """Those of `wanted` that exist, each in an array of its own, with one wait for all."""
+    read = {name: layers[name].read(pipeline.device.queue) for name in wanted if name in layers}
+    if read:
+        cl.wait_for_events([event for _, event in read.values()])
+    return {name: array for name, (array, _) in read.items()}
+
+
+def source_position(pipeline: Pipeline, shot: Shot, x: int, y: int) -> tuple[float, float] | None:
+    """Where display pixel (x, y) comes from in the rendered image, pixels: the warp's motion, or the place on the
+    display of a rendered frame. None if that is not finite."""
+    if not shot.moment.alpha:
+        return moved((x + 0.5, y + 0.5), shot.moment.display_camera, shot.moment.render_camera)
+    motion = read_blocks(pipeline, {"motion": (device_layers(pipeline, shot)[names.MOTION], x, y, 1, 1)})["motion"]
+    at = motion.reshape(2) + (x + 0.5, y + 0.5)
+    return tuple(map(float, at)) if np.isfinite(at).all() else None
+
+
+def pixel_values(pipeline: Pipeline, shot: Shot, x: int, y: int) -> dict[str, np.ndarray]:
+    """Values (planes?, channels) of all device layers at display pixel (x, y); rendered images and background levels
+    where it comes from. Layers without a pixel there are left out."""
+    source_px, layers = source_position(pipeline, shot, x, y), device_layers(pipeline, shot)
+    places = {name: layer.place((x, y), source_px) for name, layer in layers.items()}
+    read = read_blocks(pipeline, {name: (layers[name], *at, 1, 1) for name, at in places.items() if at})
+    return {name: array[0, 0, 0] if len(array) == 1 else array[:, 0, 0] for name, array in read.items()}
+
+
+def read_blocks(pipeline: Pipeline, wanted: dict[str, tuple]) -> dict[str, np.ndarray]:
+    """`DeviceLayer.read_block` of (layer, x, y, width, height) each, with one wait for all."""
+    read = {name: layer.read_block(pipeline.device.queue, *where) for name, (layer, *where) in wanted.items()}
+    events = [event for _, these in read.values() for event in these]
+    if events:
+        cl.wait_for_events(events)
+    return {name: array for name, (array, _) in read.items()}
+
+
+def moved(px, image: Camera, other: Camera) -> tuple[float, float]:
+    """The position in `other`'s image of position `px` in `image`'s; both have one pose."""
+    return (
+        float((px[0] - image.cx) * other.fx / image.fx + other.cx),
+        float((px[1] - image.cy) * other.fy / image.fy + other.cy),
+    )

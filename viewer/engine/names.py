@@ -1,0 +1,20 @@
+"""The layers that the viewer knows by name. All others it takes from the pipeline as they come."""
+
+from __future__ import annotations
+
+FINAL, GAE, TRUTH, FOCUS_TRUTH = "final", "gae", "truth", "focus_truth"
+RENDERED_COLOR, RENDERED_DEPTH, RENDERED_MOTION = "rendered.color", "rendered.depth", "rendered.motion"
+
+# of the extrapolated frame
+DEPTH, MOTION, DYNAMIC = "frame.depth", "frame.motion", "frame.dynamic"
+DISOCCLUDED, FILLED_BY, MIXED = "frame.disoccluded", "frame.filled_by", "frame.mixed"
+
+# of stages
+HISTORY, DYNAMIC_MASK = "history.history", "history.dynamic_mask"
+TARGET_POSITION = "prediction.target_position"
+FOCUS_MASK = "correction.focus_mask"
+
+
+def background(name: str, level: int) -> str:
+    """A layer of a level of the background pyramid: its "color", "depth", "px" or "state"."""
+    return f"background.{name}_{level}"

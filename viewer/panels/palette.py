@@ -1,0 +1,130 @@
+"""Command palette: every action, toggle and parameter, by a few letters."""
+
+from __future__ import annotations
+
+from imgui_bundle import hello_imgui, imgui
+
+from gffe_cl.errors import GffeError
+from gffe_cl.options import Option
+from gffe_cl.viewer.panels import widgets
+from gffe_cl.viewer.state.parameters import ALL, Parameters, by_hand
+
+_FOUND = 12  # actions that are listed
+_STEPS = 20  # of a number that is not whole, over its usual range
+
+
+class Palette:
+    """`text`: what has been typed, None while it is closed; `at`: which of the hits is chosen; `asked`: the number that
+    is asked for, by its name, instead of an action."""
+
+    def __init__(self):
+        self.text: str | None = None
+        self.at = 0
+        self.asked: str | None = None
+        self._problem = ""
+        self._refocus = False  # the field, which Enter has left
+
+    def open(self) -> None:
+        self.text, self.at, self.asked = "", 0, None
+
+    def ask(self, name: str) -> None:
+        """Ask for the value of a number."""
+        self.text, self.asked, self._problem = "", name, ""
+
+    def close(self) -> None:
+        self.text = self.asked = None
+
+    def draw(self, actions, parameters: Parameters) -> None:
+        if self.text is None:
+            return
+        asked = self.asked
+        viewport = imgui.get_main_viewport()
+        top = (viewport.pos.x + viewport.size.x / 2, viewport.pos.y + viewport.size.y * 0.15)
+        imgui.set_next_window_pos(top, imgui.Cond_.always.value, (0.5, 0.0))
+        imgui.set_next_window_size((hello_imgui.em_size(30), 0))
+        flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_move
+        widgets.floating()
+        imgui.begin(f"Command palette###palette{'_value' if asked else ''}", None, int(flags))
+        appearing = imgui.is_window_appearing()
+        chosen = self._number(parameters) if asked else self._search(actions)
+        lost = not imgui.is_window_focused() and not appearing
+        imgui.end()
+        if chosen is not None or lost or imgui.is_key_pressed(imgui.Key.escape):
+            self.close()
+        if chosen:
+            actions.run(chosen)
+
+    def _typed(self, hint: str) -> bool:
+        """The field; whether Enter was pressed."""
+        if imgui.is_window_appearing() or self._refocus:
+            imgui.set_keyboard_focus_here()
+        self._refocus = False
+        imgui.set_next_item_width(-1)
+        enter = imgui.InputTextFlags_.enter_returns_true.value
+        entered, text = imgui.input_text_with_hint("###command", hint, self.text, enter)
+        self.at = 0 if text != self.text else self.at
+        self.text = text
+        return entered
+
+    def _search(self, actions) -> str | None:
+        """The id of the action that Enter, the arrows or a click have chosen."""
+        entered = self._typed("command")
+        found = actions.search(self.text)[:_FOUND]
+        self.at = min(max(self.at + _arrows(), 0), max(len(found) - 1, 0))
+        run = found[self.at].id if entered and found else None
+        for index, action in enumerate(found):
+            reason = action.enabled()
+            imgui.begin_disabled(reason is not None)
+            if imgui.selectable(f"{action.group}: {action.label}###palette {action.id}", index == self.at)[0]:
+                run = action.id
+            imgui.end_disabled()
+            widgets.tooltip(action.tooltip)
+            imgui.same_line(hello_imgui.em_size(20))
+            imgui.text_disabled(reason or action.shortcut or _state(action))
+        return "" if entered and not found else run
+
+    def _number(self, parameters: Parameters) -> str | None:
+        """ "" when a value was taken."""
+        option, value = ALL[self.asked], parameters.value(self.asked)
+        now = option.automatic if value is None else f"{value:g} {option.unit}".rstrip()
+        entered = self._typed(f"{option.label}: {option.expected}")
+        step = -_arrows()
+        if step:
+            parameters.set(self.asked, stepped(option, value, step))
+        if entered:
+            try:
+                parameters.set(self.asked, parsed(option, self.text))
+            except GffeError as error:
+                self._problem, self._refocus, self.text = str(error), True, ""
+            else:
+                return ""
+        imgui.text(f"{option.label}: {now}")
+        widgets.hint(self._problem or f"{option.sentence} Enter takes what is typed, the arrows step.")
+        return None
+
+
+def _arrows() -> int:
+    return imgui.is_key_pressed(imgui.Key.down_arrow) - imgui.is_key_pressed(imgui.Key.up_arrow)
+
+
+def _state(action) -> str:
+    return {None: "", True: "on", False: ""}[action.checked()]
+
+
+def parsed(option: Option, text: str) -> float | int | None:
+    """The value of a number that is typed. Raises GffeError."""
+    text = text.strip()
+    if option.automatic and text == option.automatic:
+        return None
+    try:
+        return option.checked(option.kind(text.replace(",", ".")))
+    except (ValueError, GffeError):
+        raise GffeError(f"{option.label} must be {option.expected}, got '{text}'") from None
+
+
+def stepped(option: Option, value: float | None, steps: int) -> float | int:
+    """The value so many steps further, within the range."""
+    high = option.high if option.usual_high is None else option.usual_high
+    size = 1 if option.kind is int else (high - option.low) / _STEPS
+    start = by_hand(option) if value is None else value
+    return option.kind(min(max(start + steps * size, option.low), max(high, start)))

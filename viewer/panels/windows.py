@@ -1,0 +1,112 @@
+"""Windows that come and go: help, a path to open, what is being saved, messages."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from imgui_bundle import hello_imgui, imgui
+
+from gffe_cl.scenes import SCENES
+from gffe_cl.viewer.panels import widgets
+
+_HELP_COLUMNS = 3
+_MESSAGE_SECONDS = 8.0
+
+
+def help_window(app) -> None:
+    if not app.help_open:
+        return
+    imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing.value, (0.5, 0.5))
+    flags = imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.always_auto_resize
+    widgets.floating()
+    _, app.help_open = imgui.begin("Keys###help", True, int(flags))
+    imgui.push_style_var(imgui.StyleVar_.cell_padding, (hello_imgui.em_size(0.8), 0.0))
+    if imgui.begin_table("###keys", _HELP_COLUMNS, imgui.TableFlags_.sizing_fixed_fit.value):
+        for column in _columns(app.actions.shortcut_table()):
+            imgui.table_next_column()
+            for group, entries in column:
+                imgui.separator_text(group)
+                for keys, label in entries:
+                    imgui.text(label)
+                    imgui.same_line(hello_imgui.em_size(12))
+                    imgui.text_disabled(keys)
+        imgui.end_table()
+    imgui.pop_style_var()
+    imgui.text_disabled("Wheel: zoom at the cursor.  Drag: pan, or the wipe's line.  Click: the story of a pixel.")
+    imgui.end()
+
+
+def _columns(table: list) -> list[list]:
+    """Groups of shortcuts in columns of about the same height."""
+    heights = [len(entries) + 1.5 for _, entries in table]
+    columns: list[list] = [[] for _ in range(_HELP_COLUMNS)]
+    done = 0.0
+    for group, height in zip(table, heights, strict=True):
+        columns[min(int((done + height / 2) / sum(heights) * _HELP_COLUMNS), _HELP_COLUMNS - 1)].append(group)
+        done += height
+    return columns
+
+
+def path_window(app) -> None:
+    """A field for the path where there is no file dialog."""
+    if app.path_text is None:
+        return
+    imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing.value, (0.5, 0.5))
+    flags = imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.always_auto_resize
+    widgets.floating()
+    _, is_open = imgui.begin("Open a sequence or a scene###open_path", True, int(flags))
+    if imgui.is_window_appearing():
+        imgui.set_keyboard_focus_here()
+    imgui.set_next_item_width(hello_imgui.em_size(34))
+    enter = imgui.InputTextFlags_.enter_returns_true.value
+    chosen, app.path_text = imgui.input_text_with_hint("###path", str(Path.cwd()), app.path_text, enter)
+    imgui.same_line()
+    chosen |= imgui.button("open###open_this")
+    imgui.text_disabled(f"The folder of a sequence, or a built-in scene: {', '.join(SCENES)}")
+    imgui.end()
+    if chosen and app.path_text.strip():
+        app.model.open(app.path_text.strip())
+        app.path_text = None
+    elif not is_open or imgui.is_key_pressed(imgui.Key.escape):
+        app.path_text = None
+
+
+def messages(model) -> None:
+    """What went wrong or was finished lately, in the lower right corner."""
+    now = time.perf_counter()
+    shown = [m for m in model.messages if now - m.time < _MESSAGE_SECONDS]
+    if not shown:
+        return
+    viewport = imgui.get_main_viewport()
+    corner = (viewport.pos.x + viewport.size.x - 16, viewport.pos.y + viewport.size.y - hello_imgui.em_size(8))
+    imgui.set_next_window_pos(corner, imgui.Cond_.always.value, (1.0, 1.0))
+    flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
+    flags |= imgui.WindowFlags_.no_focus_on_appearing | imgui.WindowFlags_.no_nav
+    widgets.floating()
+    imgui.begin("###messages", None, int(flags))
+    imgui.push_text_wrap_pos(hello_imgui.em_size(36))
+    for message in shown[-4:]:
+        if message.error:
+            imgui.text_colored((0.97, 0.5, 0.45, 1.0), "error")
+            imgui.same_line()
+        imgui.text_unformatted(message.text)
+    imgui.pop_text_wrap_pos()
+    imgui.end()
+
+
+def progress(model) -> None:
+    """The export that is under way, with a button to stop it."""
+    work = model.export
+    if work is None:
+        return
+    center = imgui.get_main_viewport().get_center()
+    imgui.set_next_window_pos(center, imgui.Cond_.appearing.value, (0.5, 0.5))
+    flags = imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_docking
+    widgets.floating()
+    imgui.begin("Saving###export", None, int(flags))
+    imgui.text(work.label)
+    imgui.progress_bar(work.done / max(work.total, 1), (hello_imgui.em_size(22), 0), f"{work.done} of {work.total}")
+    if imgui.button("cancel###cancel_export"):
+        work.cancel()
+    imgui.end()

@@ -1,0 +1,226 @@
+"""How layers are displayed: settings, ranges, colours, legends and texts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from gffe_cl.camera import Camera
+from gffe_cl.stage import BufferSpec, Sizes
+from gffe_cl.viewer.engine.layers import NATIVE, LayerSpec
+from gffe_cl.viewer.picture.colors import COLOR_MAPS, Rgb
+
+TONE_MAPS = ("sRGB", "Reinhard", "ACES", "linear")
+
+_SAMPLES = 65536
+_FEW = 8  # different values: a code, such as the input mask, whose rare values are as good as the others
+
+
+@dataclass
+class Display:
+    """How one layer is displayed.
+
+    Attributes
+    ----------
+    exposure : stops on top of the sequence's exposure
+    tone_map : one of TONE_MAPS; "linear" only clips
+    channel : one of `LayerSpec.channels`; anything else counts as the first
+    low, high : range of the colour map, in the layer's units (world units for depth, `inverse` or not)
+    color_map : one of COLOR_MAPS
+    inverse : spread the colour map evenly over 1/z
+    motion_scale : length in pixels that has full colour
+    reverse : show motion the other way round
+    plane : which of several planes
+    tint : colour of 1 in a mask
+    """
+
+    exposure: float = 0.0
+    tone_map: str = "sRGB"
+    channel: str = ""
+    low: float = 0.0
+    high: float = 1.0
+    color_map: str = "viridis"
+    inverse: bool = False
+    motion_scale: float = 16.0
+    reverse: bool = False
+    plane: int = 0
+    tint: Rgb = (0.95, 0.95, 0.95)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, as JSON has them."""
+        return asdict(self) | {"tint": list(self.tint)}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Display:
+        """From `to_dict`; what is unknown or makes no sense is left at its default."""
+        display = cls()
+        for field in fields(cls):
+            value = values.get(field.name) if isinstance(values, Mapping) else None
+            if value is not None and _makes_sense(field.name, value, getattr(display, field.name)):
+                setattr(display, field.name, tuple(value) if field.name == "tint" else type(field.default)(value))
+        return display
+
+
+def _makes_sense(name: str, value: Any, default: Any) -> bool:
+    def number(x):
+        return isinstance(x, (int, float)) and not isinstance(x, bool) and math.isfinite(x)
+
+    if name == "tint":
+        return isinstance(value, (list, tuple)) and len(value) == 3 and all(map(number, value))
+    if name == "plane":
+        return number(value) and value >= 0
+    if name == "motion_scale":
+        return number(value) and value > 0
+    if isinstance(default, float):
+        return number(value)
+    choices = {"tone_map": TONE_MAPS, "color_map": COLOR_MAPS}.get(name)
+    return isinstance(value, type(default)) and (choices is None or value in choices)
+
+
+@dataclass(frozen=True)
+class FrameInfo:
+    """What the layers of one slot refer to.
+
+    Attributes
+    ----------
+    display_size : (width, height) of the image that is looked at; all layers are stretched over it
+    render_size : of the rendered frame; None: as the display
+    target_size : of the extrapolated frame; None: as the display
+    exposure : of the sequence
+    source, previous : render cameras of the rendered frame shown and of the one before it, where known
+    source_area, target_area : the part (x0, y0, x1, y1) of the rendered and of the extrapolated image that covers the
+        display, in fractions of their sides (see `area_of`)
+    """
+
+    display_size: tuple[int, int]
+    render_size: tuple[int, int] | None = None
+    target_size: tuple[int, int] | None = None
+    exposure: float = 1.0
+    source: Camera | None = None
+    previous: Camera | None = None
+    source_area: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
+    target_area: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
+
+    def area(self, spec: LayerSpec) -> tuple[float, float, float, float]:
+        if spec.grid == "network":
+            size = self.target_size or self.display_size
+            padded = BufferSpec("", np.float32, (), "network", "").size(Sizes(size, size))
+            x, y = (n / 2 / m for n, m in zip(size, padded, strict=True))
+            left, top, right, bottom = self.target_area
+            return left * x, top * y, right * x, bottom * y
+        return self.source_area if spec.grid == "source" or spec.grid.startswith("level") else self.target_area
+
+    def own_place(self, spec: LayerSpec) -> tuple[float, float, float, float]:
+        """(scale x, scale y, offset x, offset y): a texel's own position in the image that its place lies in is
+        scale · (position in fractions of the layer) + offset."""
+        if spec.places_in != "target":
+            return (*map(float, self.render_size or self.display_size), 0.0, 0.0)
+        size = self.target_size or self.display_size
+        layer, target = self.area(spec), self.target_area
+        scale = [(target[i + 2] - target[i]) / (layer[i + 2] - layer[i]) for i in (0, 1)]
+        offset = [target[i] - layer[i] * scale[i] for i in (0, 1)]
+        return (scale[0] * size[0], scale[1] * size[1], offset[0] * size[0], offset[1] * size[1])
+
+
+def area_of(image: Camera, image_size: tuple[int, int], seen: Camera, seen_size: tuple[int, int]) -> tuple[float, ...]:
+    """The part of an image (camera `image`, `image_size` in pixels) that a camera of the same pose `seen` sees:
+    (x0, y0, x1, y1) in fractions of the image's sides."""
+
+    def at(x: float, y: float) -> tuple[float, float]:
+        px = (x - seen.cx) / seen.fx * image.fx + image.cx
+        py = (y - seen.cy) / seen.fy * image.fy + image.cy
+        return px / image_size[0], py / image_size[1]
+
+    return (*at(0, 0), *at(*seen_size))
+
+
+def default_display(spec: LayerSpec) -> Display:
+    display = Display(channel=spec.channels[0])
+    if spec.view == "depth":
+        display = replace(display, color_map="turbo", low=1.0, high=100.0)
+    if spec.grid == "network":
+        display = replace(display, color_map="grey")
+    if spec.limits:
+        display = replace(display, low=spec.limits[0], high=spec.limits[1])
+    return display
+
+
+def shown_as(spec: LayerSpec, display: Display) -> tuple[str, int]:
+    """How the chosen channel is displayed: one of VIEWS, and the channel's index, −1 for all of them."""
+    channel = display.channel if display.channel in spec.channels else spec.channels[0]
+    if channel not in spec.components:
+        return spec.view, -1 if channel == NATIVE.get(spec.view) else 0
+    index = spec.components.index(channel)
+    if spec.view == "color":
+        return ("color" if channel in ("R", "G", "B") else "scalar"), index
+    if spec.view in ("motion", "place", "world"):
+        return {"depth": "depth", "known": "mask"}.get(channel, "scalar"), index
+    return spec.view, index
+
+
+def fitted(spec: LayerSpec, image, display: Display, frame: FrameInfo | None = None, depth=None) -> Display:
+    """`display` with the range that suits `image`: `low`, `high` hold 98% of the finite values (depths > 0), or zero
+    and all of a scalar that has only a few; `motion_scale` 99% of the lengths. Colour, masks, labels stay as they are.
+
+    `image`: (planes?, H, W, channels?). A "place" needs `frame` where its sizes differ; a "world" needs `depth` (H, W)
+    of the rendered frame and `frame.source`, or it stays as it is.
+    """
+    view, channel = shown_as(spec, display)
+    if view in ("color", "mask", "label") or not np.size(image):
+        return display
+    plane = image[min(display.plane, len(image) - 1)] if spec.planes > 1 else image
+    height, width = plane.shape[:2]
+    step = math.ceil(height * width / _SAMPLES)
+    while math.gcd(step, width) > 1:  # or only some columns would be seen
+        step += 1
+    at = np.arange(0, height * width, step)
+    values = plane.reshape(height * width, -1)[at].astype(np.float64)
+    uv = np.stack([(at % width + 0.5) / width, (at // width + 0.5) / height], -1)
+    with np.errstate(invalid="ignore", over="ignore"):
+        if view == "world":
+            if depth is None or frame is None or frame.source is None:
+                return display
+            return replace(_with_range(display, _distances(values, uv, depth, frame.source)), low=0.0)
+        if view in ("motion", "place"):
+            if view == "place":
+                values = _displacements(values, uv, (frame or FrameInfo((width, height))).own_place(spec))
+            lengths = np.hypot(values[:, 0], values[:, 1])
+            scale = (
+                np.quantile(lengths[np.isfinite(lengths)], 0.99) if np.isfinite(lengths).any() else display.motion_scale
+            )
+            return replace(display, motion_scale=max(float(scale), 0.01))
+    values = values[:, max(channel, 0)]
+    values = values[np.isfinite(values) & ((values > 0) | (view != "depth"))]
+    codes = np.unique(values) if view == "scalar" else ()
+    if 0 < len(codes) <= _FEW:
+        low, high = min(float(codes[0]), 0.0), max(float(codes[-1]), 0.0)
+        return replace(display, low=low, high=max(high, low + 1e-6))
+    return _with_range(display, values, view == "depth")
+
+
+def _distances(values: np.ndarray, uv: np.ndarray, depth: np.ndarray, camera: Camera) -> np.ndarray:
+    """World units from positions (N, 4) in view space to what `depth` gives at their pixels, if known and different."""
+    height, width = depth.shape
+    z = depth[(uv[:, 1] * height).astype(int), (uv[:, 0] * width).astype(int)].astype(np.float64)
+    rays = (uv * (width, height) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    distance = np.linalg.norm(values[:, :3] - np.insert(rays, 2, 1.0, axis=1) * z[:, None], axis=-1)
+    return distance[(values[:, 3] != 0) & np.isfinite(distance) & (distance > 1e-4 * z)]
+
+
+def _displacements(values: np.ndarray, uv: np.ndarray, own: tuple[float, ...]) -> np.ndarray:
+    """(M, 2) pixels: of the places (N, 2 …) that there are from where they are stored; `own` as in `FrameInfo`."""
+    there = values[:, 2] > 0 if values.shape[1] > 2 else (values != 0).any(-1)
+    return (values[:, :2] - (uv * own[:2] + own[2:]))[there]
+
+
+def _with_range(display: Display, values: np.ndarray, depth: bool = False) -> Display:
+    if not values.size:
+        return display
+    least, low, high, most = np.quantile(values, (0, 0.01, 0.99, 1)).tolist()
+    if high - low <= 1e-6 * (abs(low) + abs(high)):  # nearly all are one value: show the others, and zero
+        low, high = (least, most) if depth else (min(least, 0.0), max(most, 0.0))
+    return replace(display, low=low, high=max(high, low + max(abs(low) * 1e-3, 1e-6)))

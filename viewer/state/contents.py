@@ -1,0 +1,79 @@
+"""What there is to show: the source that is open, and the slot that was computed last."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.layers import LayerSpec
+from gffe_cl.viewer.engine.messages import Result
+from gffe_cl.viewer.engine.sources import FrameSource
+from gffe_cl.viewer.picture.displays import FrameInfo, area_of
+
+
+class Contents:
+    """Of the picture and of the list of layers.
+
+    Attributes
+    ----------
+    source : FrameSource or None
+    result : Result or None
+        Of the slot computed last; None until there is one of this source.
+    layers : list of LayerSpec
+        All that can be shown.
+    changes : int
+        How often there were other images.
+    """
+
+    def __init__(self):
+        self.source: FrameSource | None = None
+        self.result: Result | None = None
+        self.layers: list[LayerSpec] = []
+        self.changes = 0
+
+    def open(self, source: FrameSource) -> None:
+        self.source, self.result = source, None
+        self.changes += 1
+
+    def take(self, result: Result) -> None:
+        self.result, self.layers = result, list(result.specs.values())
+        self.changes += 1
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the display, pixels."""
+        return self.source.width, self.source.height
+
+    @property
+    def asked(self) -> frozenset[str]:
+        """Layers that the present images were asked for."""
+        return self.result.request.layers if self.result is not None else frozenset()
+
+    def spec(self, name: str | None) -> LayerSpec | None:
+        return next((spec for spec in self.layers if spec.name == name), None)
+
+    def image(self, name: str | None) -> np.ndarray | None:
+        return None if self.result is None else self.result.images.get(name)
+
+    def find(self, text: str) -> str | None:
+        """Full name of a layer given by it or by the buffer's name alone."""
+        found = [spec.name for spec in self.layers]
+        if text in found:
+            return text
+        return next((name for name in found if name.partition(".")[2] == text), None)
+
+    def why_not(self, name: str) -> str | None:
+        """Why a layer cannot be shown in this sequence."""
+        if name in (names.TRUTH, names.FOCUS_TRUTH) and self.source is not None and not self.source.has_truth:
+            return "this sequence has no ground truth"
+        return None
+
+    def showable(self) -> list[LayerSpec]:
+        return [spec for spec in self.layers if self.why_not(spec.name) is None]
+
+    def frame_info(self) -> FrameInfo:
+        """What the layers of the result refer to, for displaying them."""
+        source, moment = self.source, self.result.moment
+        area = area_of(moment.render_camera, source.render_size, moment.display_camera, self.size)
+        cameras = moment.render_camera, moment.previous_camera
+        return FrameInfo(self.size, source.render_size, self.size, source.exposure, *cameras, source_area=area)

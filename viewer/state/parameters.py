@@ -1,0 +1,183 @@
+"""What is computed, as the user has chosen it: the pipeline's options, and what the viewer adds to them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from gffe_cl import inference
+from gffe_cl.errors import GffeError
+from gffe_cl.options import OPTIONS, Option, Options
+from gffe_cl.viewer.engine.messages import Setup
+from gffe_cl.viewer.engine.sources import FrameSource
+from gffe_cl.viewer.state.playback import MOST_GENERATED, Playback
+
+ALWAYS = {"shading_inputs": True}  # they are layers to look at
+CORRECTION = "shading_correction"
+OWN = {
+    option.name: option
+    for option in (
+        Option(
+            "window", True, "rendering window", "What was rendered beyond what is shown; off: the display part only.",
+            off=False, remembered=False,
+        ),
+        Option(
+            "scene_window", "off", "rendering window", "What is rendered beyond what is shown, for turning cameras.",
+            kind=str, remembered=False,
+            choices={
+                "off": "only what is shown",
+                "adaptive": "as far as the prediction of the camera reaches",
+                "fixed:1.1": "1.1 times as wide and high",
+                "fixed:1.2": "1.2 times as wide and high",
+                "fixed:1.4": "1.4 times as wide and high",
+            },
+        ),
+        Option(
+            "n", 1, "generated frames", "n after each rendered frame: α = j / (n + 1), j = 1 … n.", kind=int, low=1,
+            high=MOST_GENERATED, remembered=False,
+        ),
+    )
+}  # fmt: skip
+ALL: dict[str, Option] = {name: option for name, option in OPTIONS.items() if name not in ALWAYS} | OWN
+
+
+def by_hand(option: Option) -> Any:
+    """Where an option starts that is not automatic any more."""
+    return option.default if option.default is not None else option.kind(min(max(1, option.low), option.high))
+
+
+class Parameters:
+    """Values of `ALL`, by name.
+
+    Attributes
+    ----------
+    options : Options
+        Of the pipeline.
+    window : str or None
+        Of `FrameSource.configure`.
+    network_fault : str or None
+        Why shading correction was switched off.
+    """
+
+    def __init__(self, options: Options, playback: Playback, window: str | None = None):
+        self.options = replace(options, **ALWAYS)
+        self.window = window
+        self.network_fault: str | None = None
+        self._playback = playback
+        self._source: FrameSource | None = None
+
+    def open(self, source: FrameSource) -> None:
+        """Another source: its windows are others."""
+        self._source = source
+        if source.live:
+            self.window = self.window or "off"
+        else:
+            self.window = "off" if self.window == "off" else None
+
+    @property
+    def setup(self) -> Setup:
+        return Setup(replace(self.options, shading_correction=self.is_on(CORRECTION)), self.window, self._playback.n)
+
+    def offered(self) -> dict[str, Option]:
+        """What can be chosen in this sequence; texts without choices are the command line's."""
+        return {
+            name: option
+            for name, option in ALL.items()
+            if (option.kind is not str or option.choices) and self._applies(name)
+        }
+
+    def _applies(self, name: str) -> bool:
+        windows = {"window": False, "scene_window": True}
+        return name not in windows or (self._source is not None and self._source.live == windows[name])
+
+    def why_not(self, name: str) -> str | None:
+        """Why it cannot be changed now."""
+        if not self._applies(name):
+            return "only in a built-in scene" if name == "scene_window" else "only in a sequence on disk"
+        if name == "window" and not self._source.windowed:
+            return "this sequence was not rendered through a window (no overscan)"
+        if name == CORRECTION:
+            return None if self.options.scn_model else inference.scn_missing()
+        needed = ALL[name].needs
+        if needed is None:
+            return None
+        return self.why_not(needed) or (None if self.is_on(needed) else f"{ALL[needed].label} is off")
+
+    def value(self, name: str) -> Any:
+        if name == "n":
+            return self._playback.n
+        if name == "window":
+            return self.window != "off" and self._source is not None and self._source.windowed
+        if name == "scene_window":
+            return self.window or "off"
+        return getattr(self.options, name)
+
+    def set(self, name: str, value: Any) -> None:
+        """Raises GffeError for values that make no sense."""
+        if name == "n":
+            self._playback.n = ALL[name].checked(value)
+        elif name == "window":
+            self.window = None if ALL[name].checked(value) else "off"
+        elif name == "scene_window":
+            self.window = ALL[name].checked(value)
+        else:
+            self.options = self.options.changed(name, value)
+
+    def is_on(self, name: str) -> bool:
+        """Whether a module is on; shading correction that failed is off."""
+        if name == CORRECTION:
+            return self.options.corrects_shading and self.network_fault is None
+        return self.value(name) != ALL[name].off
+
+    def fault(self, name: str) -> str | None:
+        """Why a module was switched off, if it could not work."""
+        return self.network_fault if name == CORRECTION else None
+
+    def switch(self, name: str, on: bool) -> None:
+        """Switch a module; what was wrong with shading correction is forgotten."""
+        option = ALL[name]
+        if name == CORRECTION:
+            self.network_fault = None
+        usual = option.default if option.default != option.off else self._least(option)
+        self.set(name, usual if on else option.off)
+
+    @staticmethod
+    def _least(option: Option) -> Any:
+        """Of the values that a module has when it is on, for one that is usually off."""
+        if option.kind is bool:
+            return True
+        if option.choices:
+            return next(choice for choice in option.choices if choice != option.off)
+        return option.low if option.low != option.off else option.low + 1
+
+    def use_defaults(self) -> None:
+        """... for all that is offered, but the rendering window."""
+        self.network_fault = None
+        for name in self.offered().keys() - {"window", "scene_window"}:
+            self.set(name, ALL[name].default)
+
+    # ---- from one start to the next ------------------------------------------------------------------------
+
+    def preferences(self) -> dict[str, Any]:
+        """Plain JSON."""
+        return {name: self.value(name) for name, option in ALL.items() if option.remembered}
+
+    def restore(self, saved: dict[str, Any]) -> None:
+        """Take over what `preferences` returned once. What was chosen at the start stays, and a damaged value costs
+        only itself; a module that may be automatic is off or automatic."""
+        chosen = {name for name, option in ALL.items() if self.value(name) != option.default}
+        if self.options.scn_model is not None:
+            chosen.add(CORRECTION)
+        for name, option in ALL.items():
+            automatic = option.automatic is not None and option.is_module
+            if (
+                not option.remembered
+                or name not in saved
+                or name in chosen
+                or (automatic and saved[name] != option.off)
+            ):
+                continue
+            try:
+                self.set(name, saved[name])
+            except GffeError:
+                continue
