@@ -19,9 +19,10 @@ from gffe_cl.frame import RenderedFrame
 from gffe_cl.metrics import display_values
 from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec, layers_of
-from gffe_cl.viewer.picture.canvas import Canvas, View, _texels, read
+from gffe_cl.viewer.picture.canvas import Canvas, _texels, read
 from gffe_cl.viewer.picture.colors import LABEL_COLORS, MASK_OFF, SKY, color_table
 from gffe_cl.viewer.picture.displays import Display, FrameInfo, default_display, fitted
+from gffe_cl.viewer.picture.view import View
 
 LEVEL = 1.01 / 255  # half a level of rounding, and as much for powers
 COLOR, DEPTH, MOTION = (FRAME_LAYERS[f"rendered.{name}"] for name in ("color", "depth", "motion"))

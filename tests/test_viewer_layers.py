@@ -68,6 +68,16 @@ def test_layers_of_a_pipeline_come_in_its_order(device, tmp_path):
     assert "correction.median_depth" not in layers
 
 
+def test_layers_do_not_depend_on_what_is_kept(device):
+    pipeline = Pipeline(device, 64, 48, Options(shading_inputs=True))
+    layers = layers_of(pipeline)
+    pipeline.keep(["warp.motion", "holes.color"])
+    assert list(layers_of(pipeline).items()) == list(layers.items())
+    generated = {name for name, spec in layers.items() if spec.of_generated}
+    assert {"frame.color", "warp.color", "background.color", "holes.color", "prediction.target_position"} <= generated
+    assert not generated & {"final", "rendered.color", "history.history", "surfaces.links", "background.color_0"}
+
+
 @pytest.mark.parametrize(
     ("name", "channel", "expected"),
     [

@@ -114,7 +114,7 @@ def layers_of(pipeline: Pipeline) -> dict[str, LayerSpec]:
     made = [
         layer_of(owner.name, spec, of_generated=_only_for_generated(owner))
         for owner, spec in pipeline.named_buffers()
-        if spec.grid != "once"
+        if spec.grid != "once" and not isinstance(owner, Output)
     ]
     made += [layer_of(stage, spec, of_generated=True) for stage, spec in pipeline.outputs()]
     order = [FRAME_GROUP, *pipeline.stages]
@@ -126,4 +126,4 @@ def layers_of(pipeline: Pipeline) -> dict[str, LayerSpec]:
 def _only_for_generated(owner: Owner) -> bool:
     """Whether nothing of its buffers changes with a rendered frame."""
     at_work = isinstance(owner, Stage) and not isinstance(owner, Presentation)
-    return isinstance(owner, (ExtrapolatedBuffers, Output)) or (at_work and type(owner).rendered is Stage.rendered)
+    return isinstance(owner, ExtrapolatedBuffers) or (at_work and type(owner).rendered is Stage.rendered)

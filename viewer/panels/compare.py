@@ -7,8 +7,8 @@ from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 
 from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.picture import flip_map
-from gffe_cl.viewer.picture.canvas import ERRORS
 from gffe_cl.viewer.picture.legends import legend
+from gffe_cl.viewer.picture.view import ERRORS
 from gffe_cl.viewer.state.comparing import FLIP_HIGH
 
 _TEXTS = {

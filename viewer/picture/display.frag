@@ -6,7 +6,7 @@
    What the canvas shows is chosen by macros, because llvmpipe runs both sides of every branch: VIEW_A and VIEW_B (-1:
    no such layer), SMOOTH_A and SMOOTH_B (1: drawn smaller, from mipmaps), COMPARE, OVERLAY. All else is uniforms. */
 
-/* Order of VIEWS, TONE_MAPS, COLOR_MAPS (layers.py), COMPARISONS and OVERLAYS (canvas.py). */
+/* Order of VIEWS (layers.py), TONE_MAPS (displays.py), COLOR_MAPS (colors.py), COMPARISONS and OVERLAYS (view.py). */
 #define COLOR 0
 #define DEPTH 1
 #define MOTION 2

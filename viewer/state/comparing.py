@@ -9,8 +9,8 @@ from typing import Any
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.scoring import flip_available
 from gffe_cl.viewer.picture import flip_map
-from gffe_cl.viewer.picture.canvas import ERRORS, View
 from gffe_cl.viewer.picture.displays import Display
+from gffe_cl.viewer.picture.view import ERRORS, View
 from gffe_cl.viewer.state.contents import Contents
 from gffe_cl.viewer.state.looks import Looks
 

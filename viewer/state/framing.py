@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gffe_cl.viewer.picture.canvas import View
+from gffe_cl.viewer.picture.view import View
 
 Size = tuple[int, int]
 

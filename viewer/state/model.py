@@ -20,8 +20,8 @@ from gffe_cl.viewer.engine.messages import EngineError, Metrics, Request, Result
 from gffe_cl.viewer.engine.opening import ScenePlan, make_source
 from gffe_cl.viewer.engine.sources import FrameSource
 from gffe_cl.viewer.picture import flip_map
-from gffe_cl.viewer.picture.canvas import View
 from gffe_cl.viewer.picture.displays import Display
+from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.comparing import Comparison
 from gffe_cl.viewer.state.contents import Contents
 from gffe_cl.viewer.state.flying import Flight, Flyer

@@ -10,7 +10,8 @@ from gffe_cl.errors import GffeError
 from gffe_cl.options import OPTIONS, Option, Options
 from gffe_cl.viewer.engine.messages import Setup
 from gffe_cl.viewer.engine.sources import FrameSource
-from gffe_cl.viewer.state.playback import MOST_GENERATED, Playback
+from gffe_cl.viewer.state.playback import Playback
+from gffe_cl.viewer.state.schedule import MOST_GENERATED
 
 ALWAYS = {"shading_inputs": True}  # they are layers to look at
 CORRECTION = "shading_correction"

@@ -1,25 +1,20 @@
-"""Playback: which slot is due, asked for and shown. The wall clock is handed in; nothing here waits.
-
-A sequence of `count` rendered frames with `n` generated frames after each has count·(n+1) slots.
-"""
+"""Playback: which slot is due, asked for and shown. The wall clock is handed in; nothing here waits."""
 
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from gffe_cl.errors import GffeError
+from gffe_cl.viewer.state.schedule import Schedule
 
 REAL_TIME = "real time"
 EVERY_FRAME = "every frame"
 MODES = (REAL_TIME, EVERY_FRAME)
 SPEEDS = (0.1, 4.0)
-MOST_GENERATED = 7
 _ROUNDING = 1e-6  # seconds by which a slot may be early: clocks are sums of many small steps
 _LONGEST_STALL = 1.0  # seconds: a longer pause between two ticks (suspended machine) is not played over
 _RATE_WINDOW = 1.0  # seconds
@@ -30,67 +25,6 @@ class Tick(NamedTuple):
 
     request: int
     visible: int | None
-
-
-@dataclass(frozen=True)
-class Timing:
-    """When slots are due, in seconds of the sequence.
-
-    Without `times` rendered frames are 1/fps apart. With them (seconds, one per rendered frame, increasing) the frames
-    generated after one are spread over the interval before it, as the pipeline extrapolates, or over the one
-    after it where that is shorter; so nothing new is due during a gap.
-    """
-
-    count: int = 1
-    fps: float = 30.0
-    n: int = 1
-    times: tuple[float, ...] | None = None
-
-    def __post_init__(self):
-        if self.count < 1:
-            raise GffeError(f"playback: a sequence has at least one rendered frame, got {self.count}")
-        if not (math.isfinite(self.fps) and self.fps > 0):
-            raise GffeError(f"playback: fps must be positive, got {self.fps}")
-        if not 0 <= self.n <= MOST_GENERATED:
-            raise GffeError(f"playback: n must be 0 to {MOST_GENERATED} generated frames, got {self.n}")
-        times = self.times
-        if times is not None and len(times) != self.count:
-            raise GffeError(f"playback: {len(times)} times for {self.count} rendered frames")
-        if times is not None and not all(a < b < math.inf for a, b in zip((-math.inf, *times), times, strict=False)):
-            raise GffeError("playback: times must be finite and increase")
-
-    @property
-    def slots(self) -> int:
-        return self.count * (self.n + 1)
-
-    @property
-    def rate(self) -> float:
-        """Slots per second at normal speed, on average."""
-        if self.times is None or self.count == 1:
-            return self.fps * (self.n + 1)
-        return (self.n + 1) * (self.count - 1) / (self.times[-1] - self.times[0])
-
-    def time_of(self, slot: int) -> float:
-        """When `slot` is due; for the slot after the last one, when that one has been shown long enough."""
-        k = min(slot // (self.n + 1), self.count - 1)
-        return self._rendered(k) + self._span(k) * ((slot - k * (self.n + 1)) / (self.n + 1))
-
-    def slot_at(self, time: float) -> int:
-        """The last slot that is due at `time`; the first one before its time."""
-        return max(bisect_right(range(self.slots), time + _ROUNDING, key=self.time_of) - 1, 0)
-
-    def duration(self, slot: int) -> float:
-        """Seconds from `slot` until the next one is due."""
-        return self.time_of(slot + 1) - self.time_of(slot)
-
-    def _rendered(self, k: int) -> float:
-        return k / self.fps if self.times is None else self.times[k]
-
-    def _span(self, k: int) -> float:
-        if self.times is None:
-            return 1 / self.fps
-        before = self.times[k] - self.times[k - 1] if k else 1 / self.fps
-        return before if k == self.count - 1 else min(before, self.times[k + 1] - self.times[k])
 
 
 class Playback:
@@ -105,7 +39,7 @@ class Playback:
     """
 
     def __init__(self, count: int = 1, fps: float = 30.0, n: int = 1, times: Sequence[float] | None = None):
-        self._timing = Timing(count, fps, n, None if times is None else tuple(map(float, times)))
+        self._schedule = Schedule(count, fps, n, None if times is None else tuple(map(float, times)))
         self._mode, self._speed, self._loop = REAL_TIME, 1.0, True
         self._in: float | None = None  # seconds: points stay where they are when n changes
         self._out: float | None = None
@@ -114,7 +48,7 @@ class Playback:
         self.visible: int | None = None
         self.due = self.shown = self.dropped = self.waiting = 0
         self.rate = 0.0
-        self._time = self._timing.time_of(0)
+        self._time = self._schedule.time_of(0)
         self._spent = 0.0  # seconds of the sequence since the present slot was asked for ("every frame")
         self._ready: int | None = None
         self._now: float | None = None
@@ -123,55 +57,55 @@ class Playback:
 
     def open(self, count: int, fps: float, times: Sequence[float] | None = None, *, keep: bool = False) -> None:
         """Another sequence: stop at its start without in and out points. `keep`: the same one reloaded, stay."""
-        timing = Timing(count, fps, self.n, None if times is None else tuple(map(float, times)))
+        schedule = Schedule(count, fps, self.n, None if times is None else tuple(map(float, times)))
         self.pause()
-        self._timing, self._ready, self.visible = timing, None, None
+        self._schedule, self._ready, self.visible = schedule, None, None
         if not keep:
             self._in = self._out = None
-        self._place(timing.slot_at(self._time) if keep else 0)
+        self._place(schedule.slot_at(self._time) if keep else 0)
 
     @property
     def count(self) -> int:
         """Rendered frames."""
-        return self._timing.count
+        return self._schedule.count
 
     @property
     def fps(self) -> float:
         """Rendered frames per second."""
-        return self._timing.fps
+        return self._schedule.fps
 
     @property
     def slots(self) -> int:
-        return self._timing.slots
+        return self._schedule.slots
 
     @property
     def n(self) -> int:
         """Generated frames after each rendered one. Setting it keeps the time, and goes on playing."""
-        return self._timing.n
+        return self._schedule.n
 
     @n.setter
     def n(self, n: int) -> None:
         if n == self.n:
             return
-        old = self._timing
-        self._timing = Timing(old.count, old.fps, n, old.times)
+        old = self._schedule
+        self._schedule = Schedule(old.count, old.fps, n, old.times)
         self._ready = None
         if self.visible is not None:
-            self.visible = self._timing.slot_at(old.time_of(self.visible))
+            self.visible = self._schedule.slot_at(old.time_of(self.visible))
         time = self._time  # stays exact: going back to the old n restores the slot
-        self.slot = self._timing.slot_at(time)
+        self.slot = self._schedule.slot_at(time)
         if self._playing:
             self._jump(min(max(self.slot, self.first), self.last))
         self._time = max(self._time, time)
 
     def time_of(self, slot: int) -> float:
         """Seconds of the sequence at which `slot` is due."""
-        return self._timing.time_of(slot)
+        return self._schedule.time_of(slot)
 
     @property
     def target_rate(self) -> float:
         """Slots per second that are due, on average."""
-        return self._timing.rate * self._speed
+        return self._schedule.rate * self._speed
 
     @property
     def mode(self) -> str:
@@ -280,11 +214,11 @@ class Playback:
 
     @property
     def in_point(self) -> int | None:
-        return None if self._in is None else self._timing.slot_at(self._in)
+        return None if self._in is None else self._schedule.slot_at(self._in)
 
     @property
     def out_point(self) -> int | None:
-        return None if self._out is None else self._timing.slot_at(self._out)
+        return None if self._out is None else self._schedule.slot_at(self._out)
 
     @property
     def first(self) -> int:
@@ -352,7 +286,7 @@ class Playback:
         if time >= end - _ROUNDING and self._loop:
             laps = max(int((time - start) / (end - start)), 1)
             time = max(time - laps * (end - start), start)
-        slot = min(max(self._timing.slot_at(time), first), last)
+        slot = min(max(self._schedule.slot_at(time), first), last)
         passed = laps * (last - first + 1) + slot - self.slot
         self.due, self.waiting = self.due + passed, self.waiting + passed
         self.slot, self._time = slot, min(time, end)
@@ -361,7 +295,7 @@ class Playback:
 
     def _advance_every_frame(self, seconds: float) -> None:
         self._spent += seconds
-        over = self._spent - self._timing.duration(self.slot)
+        over = self._spent - self._schedule.duration(self.slot)
         if self.waiting or over < -_ROUNDING:
             return
         if self.slot >= self.last and not self._loop:
@@ -370,13 +304,13 @@ class Playback:
         self._place(self.slot + 1 if self.slot < self.last else self.first)
         self.due, self.waiting = self.due + 1, 1
         # what ticks overshoot is made good by the next slot, what the engine loses is not
-        self._spent = min(max(over, 0.0), seconds, self._timing.duration(self.slot))
+        self._spent = min(max(over, 0.0), seconds, self._schedule.duration(self.slot))
 
     def _clamped(self, slot: int) -> int:
         return min(max(int(slot), 0), self.slots - 1)
 
     def _place(self, slot: int) -> None:
-        self.slot, self._time = slot, self._timing.time_of(slot)
+        self.slot, self._time = slot, self._schedule.time_of(slot)
 
     def _points(self, first: float | None, last: float | None) -> None:
         self._overtake()

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.viewer.picture.canvas import View, read
+from gffe_cl.viewer.picture.canvas import read
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
+from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.contents import Contents
 from gffe_cl.viewer.state.playback import Playback
 

@@ -1,0 +1,59 @@
+"""What a canvas shows, and which part of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gffe_cl.viewer.picture.colors import Rgb
+from gffe_cl.viewer.picture.displays import Display
+
+COMPARISONS = ("off", "split", "difference", "flip", "error")  # "flip": the caller shows b as a
+OVERLAYS = ("none", "edges", "residual motion")
+ERRORS = ("absolute", "squared")
+
+Size = tuple[int, int]
+
+
+@dataclass
+class View:
+    """What a canvas shows.
+
+    Attributes
+    ----------
+    a, b : names of layers; one that is not uploaded shows the background
+    compare : "off" and "flip" show a; "split" a left of `split` (fraction of the canvas' width) and b right of it;
+        "difference" |a − b| of display values times `gain`; "error" an error map, `error` of ERRORS up to `error_high`
+    zoom : screen pixels per display pixel
+    centre : display pixel (x, y) in the middle of the canvas
+    overlay : one of OVERLAYS, over whatever is compared; residual motion has full colour at `residual_scale` pixels
+    grid : lines between pixels when zoomed in
+    """
+
+    a: str
+    a_display: Display
+    b: str | None = None
+    b_display: Display | None = None
+    compare: str = "off"
+    split: float = 0.5
+    zoom: float = 1.0
+    centre: tuple[float, float] = (0.0, 0.0)
+    overlay: str = "none"
+    background: Rgb = (0.11, 0.11, 0.12)
+    gain: float = 4.0
+    error: str = "absolute"
+    error_high: float = 0.1
+    residual_scale: float = 4.0
+    grid: bool = True
+
+    def display_at(self, size: Size, x: float, y: float) -> tuple[float, float]:
+        """Display pixel under the screen position (x, y) of a canvas of `size`."""
+        return tuple(c + (p - s / 2) / self.zoom for c, p, s in zip(self.centre, (x, y), size, strict=True))
+
+    def screen_at(self, size: Size, x: float, y: float) -> tuple[float, float]:
+        """Screen position of the display pixel position (x, y) on a canvas of `size`."""
+        return tuple(s / 2 + (p - c) * self.zoom for c, p, s in zip(self.centre, (x, y), size, strict=True))
+
+    def fit(self, size: Size, display_size: Size) -> None:
+        """Zoom and centre so that the whole display fits a canvas of `size`."""
+        self.zoom = max(min(s / d for s, d in zip(size, display_size, strict=True)), 1e-6)
+        self.centre = (display_size[0] / 2, display_size[1] / 2)
