@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pyopencl as cl
 
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.stage import RGBA, XY, BufferSpec, ExtrapolatedBuffers, Output, Owner, Stage
+from gffe_cl.stage import RENDERED, RGBA, BufferSpec, ExtrapolatedBuffers, Output, Owner, Stage
 from gffe_cl.stages.presentation import Presentation
+from gffe_cl.stages.shading import FocusMask
 from gffe_cl.viewer.engine import names
 
 VIEWS = ("color", "depth", "motion", "place", "world", "mask", "label", "scalar")
@@ -52,21 +53,10 @@ FRAME_BUFFERS: dict[str, BufferSpec] = {
     spec.name: spec
     for spec in (
         BufferSpec(names.FINAL, np.float16, RGBA, "target", "what is shown at this time, linear RGB", "color"),
-        BufferSpec(
-            names.RENDERED_COLOR, np.float16, RGBA, "source", "colour of the rendered frame, linear RGB", "color"
-        ),
-        BufferSpec(names.RENDERED_DEPTH, np.float32, (), "source", "its view depth, world units, +inf sky", "depth"),
-        BufferSpec(names.RENDERED_MOTION, np.float32, XY, "source", "its motion t → t−1, pixels", "motion"),
-        BufferSpec(
-            names.GAE,
-            np.float16,
-            RGBA,
-            "target",
-            "extrapolated, before shading correction, linear RGB",
-            "color",
-        ),
+        *(replace(spec, name=f"rendered.{spec.name}") for spec in RENDERED),
+        BufferSpec(names.GAE, np.float16, RGBA, "target", "extrapolated, before shading correction", "color"),
         BufferSpec(names.TRUTH, np.float16, RGBA, "target", "what a renderer makes at this time, linear RGB", "color"),
-        BufferSpec(names.FOCUS_TRUTH, np.uint8, (), "target", "static, and unlike the ground truth around", "mask"),
+        *FocusMask.buffers,
     )
 }
 _LABELS = {

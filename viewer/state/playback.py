@@ -9,13 +9,12 @@ from contextlib import suppress
 from typing import NamedTuple
 
 from gffe_cl.errors import GffeError
-from gffe_cl.viewer.state.schedule import Schedule
+from gffe_cl.viewer.state.schedule import ROUNDING, Schedule
 
 REAL_TIME = "real time"
 EVERY_FRAME = "every frame"
 MODES = (REAL_TIME, EVERY_FRAME)
 SPEEDS = (0.1, 4.0)
-_ROUNDING = 1e-6  # seconds by which a slot may be early: clocks are sums of many small steps
 _LONGEST_STALL = 1.0  # seconds: a longer pause between two ticks (suspended machine) is not played over
 _RATE_WINDOW = 1.0  # seconds
 
@@ -283,7 +282,7 @@ class Playback:
         first, last = self.first, self.last
         start, end = self.time_of(first), self.time_of(last + 1)
         time, laps = self._time + seconds, 0
-        if time >= end - _ROUNDING and self._loop:
+        if time >= end - ROUNDING and self._loop:
             laps = max(int((time - start) / (end - start)), 1)
             time = max(time - laps * (end - start), start)
         slot = min(max(self._schedule.slot_at(time), first), last)
@@ -296,7 +295,7 @@ class Playback:
     def _advance_every_frame(self, seconds: float) -> None:
         self._spent += seconds
         over = self._spent - self._schedule.duration(self.slot)
-        if self.waiting or over < -_ROUNDING:
+        if self.waiting or over < -ROUNDING:
             return
         if self.slot >= self.last and not self._loop:
             self.pause()

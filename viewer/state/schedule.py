@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from gffe_cl.errors import GffeError
 
 MOST_GENERATED = 7
-_ROUNDING = 1e-6  # seconds by which a slot may be early: clocks are sums of many small steps
+ROUNDING = 1e-6  # seconds by which a slot may be early: clocks are sums of many small steps
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Schedule:
 
     def slot_at(self, time: float) -> int:
         """The last slot that is due at `time`; the first one before its time."""
-        return max(bisect_right(range(self.slots), time + _ROUNDING, key=self.time_of) - 1, 0)
+        return max(bisect_right(range(self.slots), time + ROUNDING, key=self.time_of) - 1, 0)
 
     def duration(self, slot: int) -> float:
         """Seconds from `slot` until the next one is due."""
