@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from gffe_cl.errors import GffeError
-from gffe_cl.inference import MULTIPLE
+from gffe_cl.inference import MULTIPLE, load_onnxruntime
 from gffe_cl.scn.network import ShadingCorrectionNetwork
 
 OPSET = 18  # of 20 and later OpenVINO does not know GridSample
@@ -60,9 +60,7 @@ def export_onnx(network: ShadingCorrectionNetwork, path: Path) -> float:
 
 def largest_difference(network: ShadingCorrectionNetwork, path: Path) -> float:
     """Between the outputs of onnxruntime and PyTorch."""
-    import onnxruntime
-
-    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    session = load_onnxruntime().InferenceSession(str(path), providers=["CPUExecutionProvider"])
     rng, worst = np.random.default_rng(0), 0.0
     for height, width in ((2 * MULTIPLE, 3 * MULTIPLE), (5 * MULTIPLE, MULTIPLE)):
         frames = rng.random((1, 8, height, width), np.float32)
