@@ -125,7 +125,8 @@ def test_census_compares_each_pixel_with_those_around_it():
     a, b = random(1, 1, 40, 40), random(1, 1, 40, 40, seed=1)
 
     def transformed(gray):
-        patches = torch.nn.functional.unfold(gray, 7).view(1, 49, 34, 34) - gray[..., 3:-3, 3:-3]
+        grey = 255 * gray  # the levels that UnFlow's constants are for
+        patches = torch.nn.functional.unfold(grey, 7).view(1, 49, 34, 34) - grey[..., 3:-3, 3:-3]
         return patches / torch.sqrt(0.81 + patches**2)
 
     squared = ((transformed(a) - transformed(b)) ** 2)[:, 25:]
