@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 import os
 import subprocess
@@ -77,9 +78,9 @@ def count_operations(network: ShadingCorrectionNetwork, width: int, height: int)
     from torch.utils.flop_counter import FlopCounterMode
 
     sides = [-(-side // (2 * MULTIPLE)) * MULTIPLE for side in (height, width)]
-    network = network.eval()
-    with torch.no_grad(), FlopCounterMode(display=False) as counter:
-        network(torch.zeros(1, 8, *sides), torch.tensor([0.5]))
+    shape_only = copy.deepcopy(network).to("meta").eval()
+    with torch.no_grad(), torch.device("meta"), FlopCounterMode(display=False) as counter:
+        shape_only(torch.zeros(1, 8, *sides), torch.zeros(1))
     return sum(p.numel() for p in network.parameters()), counter.get_total_flops() / 1e9
 
 
