@@ -343,6 +343,7 @@ def test_crops_at_half_resolution_are_what_the_network_sees(data):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_training_improves_the_loss_and_reaches_every_weight(data, tmp_path):
     training = started(tmp_path / "run", data)
     crops = training.crops[:8]
@@ -454,6 +455,7 @@ main()
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_two_processes_train_one_network(data, tmp_path):
     """The command, started by torchrun: half of each batch in either process, and yet one set of weights."""
     (tmp_path / "ranks.py").write_text(RANKS)
