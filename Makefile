@@ -27,13 +27,13 @@ $(VENV)/.installed: pyproject.toml constraints.txt Makefile
 		{ echo "error: $(PYTHON) must be Python 3.11 or newer (make PYTHON=python3.12 …)" >&2; exit 2; }
 	@echo "environment: $(VENV), a few seconds"
 	@$(PYTHON) -m venv $(VENV) || { test "$$(id -u)" = 0 && apt-get install -y python3-venv && $(PYTHON) -m venv $(VENV); }
-	@echo "packages: @MB1@, 1 to 3 minutes"
+	@echo "packages: 650 MB on disk, 1 to 3 minutes"
 	@$(PIP) --editable . $(QUIETLY)
 	@$(MAKE) --no-print-directory runtime
 	@touch $@
 
 $(VENV)/.installed-for-tests: $(VENV)/.installed
-	@echo "packages of the tests, PyTorch among them: @MB2@, 1 to 4 minutes"
+	@echo "packages of the tests, PyTorch among them: 950 MB on disk, 1 to 4 minutes"
 	@$(PIP) --editable '.[test,train]' $(QUIETLY)
 	@touch $@
 
@@ -41,7 +41,7 @@ $(VENV)/.installed-for-tests: $(VENV)/.installed
 # (x86-64, no root); else PoCL, where root can install it.
 .PHONY: runtime
 runtime:
-	@echo "OpenCL: looking for a GPU; else a runtime for the CPU (@MB3@, 1 to 2 minutes)"
+	@echo "OpenCL: looking for a GPU; else a runtime for the CPU (280 MB to download, 1 to 2 minutes)"
 	@$(VENV)/bin/gffe devices --kind gpu >/dev/null 2>&1 \
 		|| { test "$$(uname -sm)" = "Linux x86_64" && $(PIP) --editable '.[intel]' >$(VENV)/runtime.log 2>&1 \
 			&& $(VENV)/bin/gffe devices >/dev/null 2>&1; } \

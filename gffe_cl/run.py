@@ -109,7 +109,7 @@ def run_sequence(
 
 
 def _network_warnings(pipeline: Pipeline) -> list[str]:
-    correction = pipeline.correction
+    correction = pipeline.stages.get("correction")
     if correction is None or not correction.unusable_pixels:
         return []
     model, pixels = correction.network.path.name, correction.unusable_pixels

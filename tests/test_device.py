@@ -224,7 +224,7 @@ def test_division_is_correctly_rounded(device, sources):
     flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
     buffers = [cl.Buffer(device.context, flags, hostbuf=x) for x in (a, b)]
     out = device.buffer(4 * n)
-    program.quotients(device.queue, (n,), None, np.int32(n), *buffers, out)
+    program.launch(device.queue, "quotients", (n,), None, {"n": n, "a": buffers[0], "b": buffers[1], "q": out})
     q = np.empty(n, np.float32)
     cl.enqueue_copy(device.queue, q, out)
     different = q != a / b
