@@ -1,39 +1,53 @@
-# make demo   install into .venv, then render, extrapolate and measure a scene into out/demo
-# make test   install what the tests need too, then run all of them
+# make demo       install into .venv, then render, extrapolate and measure a scene into out/demo
+# make test       install what the tests need too, then run all of them but the long ones
+# make test-all   those, and then the long ones
+# PYTHON=…        another interpreter than python3
 
 PYTHON ?= python3
 VENV := .venv
-PIP := $(VENV)/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+LOG := $(VENV)/pip.log
+PIP := $(VENV)/bin/python -m pip install --disable-pip-version-check -c constraints.txt
+# What pip says is shown only if it fails.
+QUIETLY = >$(LOG) 2>&1 || { cat $(LOG) >&2; echo "error: pip failed, see above" >&2; exit 2; }
 
-.PHONY: demo test clean
+.PHONY: demo test test-all clean
 
 demo: $(VENV)/.installed
-	$(VENV)/bin/gffe demo
+	@echo "demo: about a minute"
+	@$(VENV)/bin/gffe demo
 
 test: $(VENV)/.installed-for-tests
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python -m pytest -m "not long"
+
+test-all: test
+	$(VENV)/bin/python -m pytest -m long
 
 $(VENV)/.installed: pyproject.toml constraints.txt Makefile
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "error: $(PYTHON) must be Python 3.11 or newer (make PYTHON=python3.12 …)" >&2; exit 2; }
+	@echo "environment: $(VENV), a few seconds"
 	@$(PYTHON) -m venv $(VENV) || { test "$$(id -u)" = 0 && apt-get install -y python3-venv && $(PYTHON) -m venv $(VENV); }
-	$(PIP) --editable .
+	@echo "packages: 650 MB on disk, 1 to 3 minutes"
+	@$(PIP) --editable . $(QUIETLY)
 	@$(MAKE) --no-print-directory runtime
 	@touch $@
 
 $(VENV)/.installed-for-tests: $(VENV)/.installed
-	$(PIP) --editable '.[test,train]'
+	@echo "packages of the tests, PyTorch among them: 950 MB on disk, 1 to 4 minutes"
+	@$(PIP) --editable '.[test,train]' $(QUIETLY)
 	@touch $@
 
 # An OpenCL runtime on which a kernel really runs: a GPU's driver if there is one; else Intel's CPU runtime from PyPI
 # (x86-64, no root); else PoCL, where root can install it.
 .PHONY: runtime
 runtime:
+	@echo "OpenCL: looking for a GPU; else a runtime for the CPU (280 MB to download, 1 to 2 minutes)"
 	@$(VENV)/bin/gffe devices --kind gpu >/dev/null 2>&1 \
-		|| { test "$$(uname -sm)" = "Linux x86_64" && $(PIP) --editable '.[intel]' && $(VENV)/bin/gffe devices >/dev/null 2>&1; } \
+		|| { test "$$(uname -sm)" = "Linux x86_64" && $(PIP) --editable '.[intel]' >$(VENV)/runtime.log 2>&1 \
+			&& $(VENV)/bin/gffe devices >/dev/null 2>&1; } \
 		|| $(VENV)/bin/gffe devices >/dev/null 2>&1 \
 		|| { test "$$(id -u)" = 0 && apt-get install -y pocl-opencl-icd; } \
-		|| true
+		|| cat $(VENV)/runtime.log >&2 || true
 	@$(VENV)/bin/gffe devices
 
 clean:

@@ -6,8 +6,10 @@ that are multiples of 16.
 
 from __future__ import annotations
 
+import os
 from importlib.resources import files
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
@@ -60,12 +62,21 @@ def load_network(path: str | Path | None = None, provider: str = "cpu") -> Netwo
     return _loaded[key][1]
 
 
+def load_onnxruntime() -> ModuleType:
+    """onnxruntime without its telemetry, which would write an id of the device into the user's cache folder when it is
+    imported: the only place that imports it."""
+    os.environ["ORT_DISABLE_TELEMETRY"] = "1"
+    import onnxruntime
+
+    onnxruntime.disable_telemetry_events()
+    return onnxruntime
+
+
 class Network:
     """A session of onnxruntime; see `load_network`. `provider` is onnxruntime's name of it."""
 
     def __init__(self, path: Path, provider: str):
-        import onnxruntime
-
+        onnxruntime = load_onnxruntime()
         self.path, self.provider = path, provider
         options = onnxruntime.SessionOptions()
         options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_ALL
@@ -82,8 +93,9 @@ class Network:
         _require(path, "input", self.session.get_inputs(), {"frames": (1, INPUT_PLANES, None, None), "alpha": (1,)})
         _require(path, "output", self.session.get_outputs(), {"correction": (1, OUTPUT_PLANES, None, None)})
 
-    def run(self, frames: np.ndarray, alpha: float, correction: np.ndarray) -> None:
-        """Read `frames` (8, h, w), write `correction` (5, h, w): C-contiguous float32, used in place on the CPU."""
+    def run(self, frames: np.ndarray, alpha: float, correction: np.ndarray) -> int:
+        """Read `frames` (8, h, w), write `correction` (5, h, w): C-contiguous float32, used in place on the CPU.
+        Returns for how many of its pixels the network gave NaN or infinity. Raises NetworkError."""
         time = np.array([alpha], np.float32)
         binding = self.session.io_binding()
         try:
@@ -95,13 +107,20 @@ class Network:
             binding.synchronize_outputs()
         except Exception as error:
             raise NetworkError(f"{self.path}: the network failed on {self.provider}: {_one_line(error)}") from None
+        return _pixels_not_finite(correction)
+
+
+def _pixels_not_finite(planes: np.ndarray) -> int:
+    """Pixels of (n, h, w) that are NaN or infinite in any plane; one sum where there are none."""
+    with np.errstate(all="ignore"):
+        if np.isfinite(planes.sum()):
+            return 0
+    return int((~np.isfinite(planes)).any(0).sum())
 
 
 def _provider(name: str) -> str:
     """onnxruntime's name of a provider that is available."""
-    import onnxruntime
-
-    available = onnxruntime.get_available_providers()
+    available = load_onnxruntime().get_available_providers()
     wanted = PROVIDERS.get(name.lower(), name)
     if wanted in available:
         return wanted

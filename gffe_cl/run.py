@@ -103,9 +103,20 @@ def run_sequence(
             for name, milliseconds in pipeline.take_timings().items():
                 timings[name] += milliseconds
     report.bad_pixels = pipeline.bad_pixels
-    report.warnings = source.warnings()
+    report.warnings = source.warnings() + _network_warnings(pipeline)
     report.milliseconds = {name: total / max(report.extrapolated, 1) for name, total in timings.items()}
     return report
+
+
+def _network_warnings(pipeline: Pipeline) -> list[str]:
+    correction = pipeline.stages.get("correction")
+    if correction is None or not correction.unusable_pixels:
+        return []
+    model, pixels = correction.network.path.name, correction.unusable_pixels
+    return [
+        f"{model}: the network gave NaN or infinity for about {pixels:,} pixels of the new frames; they keep the"
+        " extrapolated colour"
+    ]
 
 
 def output_channels(

@@ -1,5 +1,5 @@
 """Fixtures: every usable OpenCL device once (`GFFE_DEVICE` narrows the choice); the weights of the package are hidden,
-so that nothing hangs on them."""
+so that nothing hangs on them but the tests of themselves (test_quality.py)."""
 
 import functools
 import os
@@ -23,6 +23,15 @@ def pytest_generate_tests(metafunc):
         assert infos, "no usable OpenCL device: see `gffe devices`"
         names = [f"{info.platform.split()[0]}-{info.index}" for info in infos]
         metafunc.parametrize("device", infos, ids=names, indirect=True, scope="session")
+
+
+_default_model = inference.default_model
+
+
+@pytest.fixture(scope="session")
+def default_model():
+    """`inference.default_model` as users have it."""
+    return _default_model
 
 
 @pytest.fixture(scope="session", autouse=True)

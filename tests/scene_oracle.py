@@ -101,14 +101,21 @@ def followed(scene, time, other_time, other_camera, object_id, position):
     return result
 
 
-def clearance(scene, time, point):
-    """Distance from a world position to the nearest solid (a lower bound for ellipsoids), ≤ 0 inside."""
-    least = np.inf
+def clearances(scene, times, points):
+    """Of each world position at its time: distance to the nearest solid (a lower bound for ellipsoids), ≤ 0 inside."""
+    bounds = []
     for group in scene.groups:
+        low, high = (np.array(side) for side in zip(*(q.bounds() for q in group.primitives), strict=True))
+        bounds.append((low.min(0), high.max(0)))
+    return [_clearance(scene, bounds, time, point) for time, point in zip(times, points, strict=True)]
+
+
+def _clearance(scene, bounds, time, point):
+    least = np.inf
+    for group, (low, high) in zip(scene.groups, bounds, strict=True):
         to_local = np.linalg.inv(group.motion(time))
         p = to_local[:3, :3] @ point + to_local[:3, 3]
-        low, high = (np.array(side) for side in zip(*(q.bounds() for q in group.primitives), strict=True))
-        if np.linalg.norm(np.maximum(np.maximum(low.min(0) - p, p - high.max(0)), 0)) > min(least, 1.0):
+        if np.linalg.norm(np.maximum(np.maximum(low - p, p - high), 0)) > min(least, 1.0):
             continue
         for primitive in group.primitives:
             a, b = np.array(primitive.a, np.float64), np.array(primitive.b, np.float64)

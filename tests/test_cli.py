@@ -209,6 +209,14 @@ def test_shading_correction(gffe, scene, tmp_path):
     names = ("frames", "correction", "refined", "focus_mask", "color")
     assert dumped >= {"warp.color.exr", "shading.input_mask.exr", *(f"correction.{name}.exr" for name in names)}
 
+    broken = constant_model(tmp_path / "nan.onnx", delta=float("nan"))
+    code, _, err = gffe("run", scene, tmp_path / "nan", "--scn-model", broken, "--json", tmp_path / "r.json")
+    assert code == 0 and err.count("nan.onnx: the network gave NaN or infinity for about") == 1
+    assert err.splitlines()[0] == "warning: " + " ".join(json.loads((tmp_path / "r.json").read_text())["warnings"])
+    made = open_sequence(tmp_path / "nan")
+    for before, entry in zip(images["none"], made.extrapolated, strict=True):
+        assert np.array_equal(before["G"], made.read_channels(entry, ["G"])["G"])
+
     code, text, _ = gffe("compare", tmp_path / "some", scene, "--mask", "focus", "--gae", tmp_path / "none")
     assert code == 0 and "disoccluded" in text and "whole" in text
     code, _, err = gffe("compare", tmp_path / "some", scene, "--gae", tmp_path / "none")

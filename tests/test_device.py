@@ -2,9 +2,11 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 import pyopencl as cl
@@ -12,8 +14,10 @@ import pytest
 
 from gffe_cl import GffeError
 from gffe_cl.opencl import device as device_module
+from gffe_cl.opencl import runtimes
 from gffe_cl.opencl.device import DeviceInfo, best_of, select
 from gffe_cl.opencl.program import build, expand, kernel_folder
+from gffe_cl.opencl.runtimes import only_vendors, vendors
 
 
 def info(index, name, platform, kind="cpu", version="", works=True, speed=1.0):
@@ -58,6 +62,109 @@ def test_a_crashing_driver_is_blamed_and_survived(monkeypatch):
     found = {d.index: d for d in device_module.list_devices()}
     assert found["0:0"].works and found["2:0"].works and not found["1:0"].works
     assert "crashed" in found["1:0"].problem and len(calls) == 2
+
+
+CRASH = """
+#include <stdlib.h>
+__attribute__((constructor)) static void crash(void) { abort(); }
+"""
+
+
+def test_a_driver_that_crashes_when_it_is_listed_is_named_and_hides_no_other(tmp_path):
+    """In processes of their own: the list names it, and the device that is opened next to it works."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        assert not os.environ.get("CI"), "CI must have a C compiler"
+        pytest.skip("no C compiler to make a broken driver with")
+    sound = vendors()
+    assert sound, "no OpenCL runtime"
+    folder = Path(only_vendors(sound))
+    broken = tmp_path / "vendors"
+    shutil.copytree(folder, broken)
+    (tmp_path / "crash.c").write_text(CRASH)
+    library = tmp_path / "libcrash.so"
+    subprocess.run([compiler, "-shared", "-fPIC", "-o", library, tmp_path / "crash.c"], check=True)
+    (broken / "crash.icd").write_text(f"{library}\n")
+    code = (
+        "import json, dataclasses; from gffe_cl.opencl.device import list_devices, open_device; infos = list_devices();"
+        "print(json.dumps([dataclasses.asdict(i) for i in infos])); open_device()"
+    )
+    environment = os.environ | {"OCL_ICD_VENDORS": str(broken)}
+    environment.pop("GFFE_DEVICE", None)
+    child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert child.returncode == 0, child.stderr
+    found = [DeviceInfo(**document) for document in json.loads(child.stdout)]
+    blamed = [info for info in found if not info.works]
+    assert [(info.platform, info.name) for info in blamed] == [("crash.icd", "libcrash.so")]
+    assert "driver crashed" in blamed[0].problem and str(library) in blamed[0].problem
+    assert len(found) > 1 and len({info.index for info in found}) == len(found)
+
+
+def test_intel_runtime_in_a_folder_with_a_space(tmp_path):
+    """A virtual environment of such a name: the runtime is found, and runs a kernel."""
+    installed = Path(sys.prefix) / "lib"
+    if not (installed / "libintelocl.so").exists():
+        pytest.skip("Intel's runtime is not installed in this environment")
+    environment = tmp_path / "my env"
+    python = environment / "bin" / "python"
+    packages = environment / "lib" / f"python{sys.version_info.major}.{sys.version_info.minor}" / "site-packages"
+    packages.mkdir(parents=True)
+    python.parent.mkdir()
+    python.symlink_to(Path(sys.executable).resolve())
+    (environment / "pyvenv.cfg").write_text(f"home = {Path(sys.executable).resolve().parent}\n")
+    (packages / "borrowed.pth").write_text("\n".join(path for path in sys.path if "site-packages" in path))
+    for pattern in runtimes._INTEL_FILES:
+        for path in installed.glob(pattern):
+            runtimes._link_or_copy(path.resolve(), environment / "lib" / path.name)
+    code = (
+        "from gffe_cl.opencl.device import list_devices; print([(i.works, i.problem)"
+        " for i in list_devices() if 'Intel' in i.platform])"
+    )
+    variables = {name: value for name, value in os.environ.items() if name not in ("OCL_ICD_VENDORS", "GFFE_DEVICE")}
+    variables |= {"PYTHONPATH": str(Path(__file__).parents[1]), "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    for _ in range(2):  # made, then found
+        child = subprocess.run([python, "-c", code], capture_output=True, text=True, env=variables)
+        assert child.stdout.strip() == "[(True, '')]", child.stdout + child.stderr
+    (linked,) = (tmp_path / "cache" / "gffe-cl").glob("intel-*")
+    assert (linked / "libintelocl.so").stat().st_nlink > 1 or sys.platform != "linux"
+
+
+def test_no_folder_without_a_space_is_said(tmp_path, monkeypatch):
+    library = tmp_path / "my env" / "lib" / "libintelocl.so"
+    library.parent.mkdir(parents=True)
+    library.touch()
+    monkeypatch.setattr(runtimes, "cache_folder", lambda: tmp_path / "my cache")
+    monkeypatch.setattr(runtimes, "_temporary_folder", lambda: tmp_path / "my temporary files")
+    with pytest.raises(OSError, match="folders for caches and for temporary files have a space"):
+        runtimes._without_spaces(library)
+
+
+def test_copies_of_runtimes_that_are_gone_are_removed(tmp_path, monkeypatch):
+    monkeypatch.setattr(runtimes, "cache_folder", lambda: tmp_path)
+    made = []
+    for name in ("one env", "other env"):
+        library = tmp_path / name / "libintelocl.so"
+        library.parent.mkdir()
+        library.write_text(name)
+        made.append(runtimes._without_spaces(library))
+        assert made[-1].read_text() == name and runtimes._without_spaces(library) == made[-1]
+    assert all(path.exists() for path in made)
+    shutil.rmtree(tmp_path / "one env")
+    (tmp_path / "other env" / "libintelocl.so").write_text("a newer one")
+    newer = runtimes._without_spaces(tmp_path / "other env" / "libintelocl.so")
+    assert newer.exists() and not any(path.exists() for path in made)
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="permissions of POSIX")
+def test_a_temporary_folder_of_others_is_not_trusted(tmp_path, monkeypatch):
+    monkeypatch.setattr(runtimes.tempfile, "tempdir", str(tmp_path))
+    own = runtimes._temporary_folder()
+    assert own == tmp_path / f"gffe-cl-{os.getuid()}" == runtimes._temporary_folder()
+    own.chmod(0o777)
+    assert runtimes._temporary_folder() != own
+    own.rmdir()
+    own.symlink_to(tmp_path)
+    assert runtimes._temporary_folder() != own
 
 
 def test_unknown_device_is_refused_by_name(device):
@@ -117,7 +224,7 @@ def test_division_is_correctly_rounded(device, sources):
     flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
     buffers = [cl.Buffer(device.context, flags, hostbuf=x) for x in (a, b)]
     out = device.buffer(4 * n)
-    program.quotients(device.queue, (n,), None, np.int32(n), *buffers, out)
+    program.launch(device.queue, "quotients", (n,), None, {"n": n, "a": buffers[0], "b": buffers[1], "q": out})
     q = np.empty(n, np.float32)
     cl.enqueue_copy(device.queue, q, out)
     different = q != a / b

@@ -11,7 +11,12 @@ import pytest
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("case", ["int64", "int32", "shading", "scene"])
+LONG = pytest.mark.long
+
+
+@pytest.mark.parametrize(
+    "case", ["int64", pytest.param("int32", marks=LONG), "shading", pytest.param("scene", marks=LONG)]
+)
 def test_oclgrind_reports_nothing(case, tmp_path):
     if shutil.which("oclgrind") is None:
         assert not os.environ.get("CI"), "CI must have oclgrind"

@@ -17,6 +17,7 @@ from gffe_cl import inference  # noqa: E402
 from gffe_cl.errors import GffeError  # noqa: E402
 from gffe_cl.metrics import display_values, focus_mask  # noqa: E402
 from gffe_cl.scn import clips, losses, network  # noqa: E402
+from gffe_cl.scn import training as training_module  # noqa: E402
 from gffe_cl.scn.crops import Augmentation, Batch, Crop, focus_truth, keep_crops, list_crops, load_batch  # noqa: E402
 from gffe_cl.scn.export import count_operations, export_onnx, largest_difference  # noqa: E402
 from gffe_cl.scn.training import CHECKPOINT, Processes, Recipe, Training, split_crops, weights  # noqa: E402
@@ -125,7 +126,8 @@ def test_census_compares_each_pixel_with_those_around_it():
     a, b = random(1, 1, 40, 40), random(1, 1, 40, 40, seed=1)
 
     def transformed(gray):
-        patches = torch.nn.functional.unfold(gray, 7).view(1, 49, 34, 34) - gray[..., 3:-3, 3:-3]
+        grey = 255 * gray  # the levels that UnFlow's constants are for
+        patches = torch.nn.functional.unfold(grey, 7).view(1, 49, 34, 34) - grey[..., 3:-3, 3:-3]
         return patches / torch.sqrt(0.81 + patches**2)
 
     squared = ((transformed(a) - transformed(b)) ** 2)[:, 25:]
@@ -273,12 +275,21 @@ def test_shading_of_its_own_moves_with_time(change):
 
 # ---- training ------------------------------------------------------------------------------------------
 
-RECIPE = Recipe(seed=3, steps=24, batch=4, learning_rate=3e-3, final_learning_rate=1e-3)
+RECIPE = Recipe(seed=3, steps=16, batch=4, learning_rate=3e-3, final_learning_rate=1e-3, full_every=8)
 CLIPS = 3
 
 
+@pytest.fixture(scope="module", autouse=True)
+def small():
+    """Clips hardly larger than a crop, and a few crops to validate with."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(clips, "_SIZES", ((288, 264),) * len(clips._SIZES))
+        patch.setattr(training_module, "_VALIDATION_CROPS", 4)
+        yield
+
+
 @pytest.fixture(scope="module")
-def data(tmp_path_factory, opened):
+def data(tmp_path_factory, opened, small):
     """Three small clips, and their folder."""
     folder = tmp_path_factory.mktemp("training")
     assert clips.make_clips(folder, opened, 3, CLIPS) == CLIPS
@@ -293,7 +304,7 @@ def opened():
 
 
 def started(folder, data, recipe=RECIPE):
-    return Training(folder, recipe, list_crops(data, 3, CLIPS), Processes())
+    return Training(folder, recipe, list_crops(data, 3, CLIPS), Processes(), clips=CLIPS)
 
 
 @pytest.mark.slow
@@ -332,6 +343,7 @@ def test_crops_at_half_resolution_are_what_the_network_sees(data):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_training_improves_the_loss_and_reaches_every_weight(data, tmp_path):
     training = started(tmp_path / "run", data)
     crops = training.crops[:8]
@@ -422,8 +434,10 @@ def test_broken_data_is_named(data, tmp_path):
 RANKS = """
 import torch
 from gffe_cl.cli import main
+from gffe_cl.scn import training
 from gffe_cl.scn.training import Training
 
+training._VALIDATION_CROPS = 4
 run = Training.run
 
 
@@ -441,6 +455,7 @@ main()
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_two_processes_train_one_network(data, tmp_path):
     """The command, started by torchrun: half of each batch in either process, and yet one set of weights."""
     (tmp_path / "ranks.py").write_text(RANKS)
@@ -522,6 +537,37 @@ def test_wrong_options_are_one_line(arguments, message, tmp_path, monkeypatch, c
     told = capsys.readouterr().err
     assert message in told and "Traceback" not in told
     assert not (tmp_path / "run" / "scn.onnx").exists()
+
+
+@pytest.fixture
+def train(tmp_path, monkeypatch, capsys):
+    """Runs `gffe train run ARGS…` in this process: (exit code, stdout and stderr, JSON report)."""
+    from gffe_cl.cli import main
+
+    def call(*arguments):
+        report = tmp_path / "report.json"
+        command = ["gffe", "train", str(tmp_path / "run"), *map(str, arguments), "--json", str(report)]
+        monkeypatch.setattr(sys, "argv", command)
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return ended.value.code, "".join(capsys.readouterr()), json.loads(report.read_text())
+
+    return call
+
+
+def test_however_short_the_time_there_is_a_model_in_the_end(train, tmp_path):
+    """Clips take all of it, and yet some steps are done; the same command goes on with the clips it began with."""
+    recipe = ("--seed", "3", "--batch", "1", "--steps", "1000")
+    code, told, report = train(*recipe, "--minutes", "0.002")
+    assert code == 0 and not report["done"] and report["step"] > 0
+    assert {path.name for path in (tmp_path / "run").iterdir()} >= {"scn.onnx", "MODEL_CARD.md", CHECKPOINT}
+    assert len(clips.finished_clips(tmp_path / "run" / "data", 3, 400)) == 2
+    assert "clips: at most 0 s" in told and "s each, about 2 of 400 in this time" in told
+    assert "steps: 1,000 of 1,000 to go, for " in told
+    inference.load_network(tmp_path / "run" / "scn.onnx")
+    _, told, later = train(*recipe, "--minutes", "0.002")
+    assert later["step"] > report["step"] and later["data"].startswith("2 clips")
+    assert "going on with the 2 clips that this run was started with" in told
 
 
 def test_validation_clips_are_not_trained_on():

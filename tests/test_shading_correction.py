@@ -256,7 +256,7 @@ def test_nothing_is_copied_on_cpu_devices(device, model):
     class Spy:
         def run(self, frames, alpha, correction):
             seen.append((frames.ctypes.data, correction.ctypes.data))
-            network.run(frames, alpha, correction)
+            return network.run(frames, alpha, correction)
 
     network, stage.network = stage.network, Spy()
     for _ in range(3):

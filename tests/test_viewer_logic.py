@@ -18,6 +18,7 @@ from PIL import Image
 
 from gffe_cl.errors import GffeError
 from gffe_cl.sequence.exr import read_channels
+from gffe_cl.viewer import settings as settings_module
 from gffe_cl.viewer.actions import IMGUI_KEYS, MODIFIERS, Action, Actions, parse_shortcut, shortcut_text
 from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
@@ -665,6 +666,18 @@ def test_settings_without_a_file_or_a_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CONFIG_HOME", "relative")
     monkeypatch.setenv("HOME", str(tmp_path))
     assert default_path() == tmp_path / ".config" / "gffe-cl" / "viewer.json"
+
+
+def test_settings_of_an_older_version_are_read_where_it_wrote_them(tmp_path, monkeypatch):
+    """Systems whose folder for configuration is not ~/.config: an older version used that everywhere."""
+    monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setattr(settings_module.platformdirs, "user_config_path", lambda *_, **__: tmp_path / "Library")
+    assert Settings(theme="light").save(tmp_path / ".config" / "gffe-cl" / "viewer.json") is None
+    assert Settings.load()[0].theme == "light"
+    assert Settings(ui_scale=2.0).save() is None
+    assert default_path() == tmp_path / "Library" / "viewer.json" and default_path().is_file()
+    assert Settings.load()[0] == Settings(ui_scale=2.0)
 
 
 def test_linked_settings_stay_linked(tmp_path):

@@ -52,7 +52,7 @@ def devices(
             "*" if info is default else "",
             info.index,
             info.name,
-            f"{info.platform} ({info.driver})",
+            info.platform + (f" ({info.driver})" if info.driver else ""),
             "[green]yes[/]" if info.works else f"[red]no[/]: {plain(info.problem)}",
             ", ".join(info.lacks) or "nothing",
         )

@@ -1,7 +1,9 @@
 """Choosing and probing OpenCL devices.
 
 A device counts only after a kernel has been built and run on it, in a child process, because a driver may
-crash there. The default is a GPU that passes, else the fastest device that does; `GFFE_DEVICE` overrides it.
+crash there. One that crashes while its devices are listed is found by listing each vendor's in a child of its own, and
+hidden from this process. The default is a GPU that passes, else the fastest device that does; `GFFE_DEVICE` overrides
+it.
 """
 
 from __future__ import annotations
@@ -14,24 +16,35 @@ import warnings
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from pathlib import Path
 
 import pyopencl as cl
 
 from gffe_cl.errors import GffeError
-from gffe_cl.opencl.runtimes import HIDE_INSTALLED, installed_runtimes_are_exposed
+from gffe_cl.opencl.runtimes import (
+    HIDE_INSTALLED,
+    VENDORS,
+    hide_vendors,
+    installed_runtimes_are_exposed,
+    only_vendors,
+    vendors,
+)
 
 HOW_TO_GET_ONE = (
     "install one with `pip install 'gffe-cl[intel]'` (x86-64 CPU, no root), "
     "`apt install pocl-opencl-icd` (any CPU), or your GPU vendor's driver"
 )
 _PROBE_SECONDS = 120
+_LIST_SECONDS = 30  # of one vendor
+_PROBED = "probed"  # last line of a child: what happens after it is no device's fault
+_crashing: dict[str, DeviceInfo] = {}  # vendors that are hidden, by the name of their `.icd` file
 
 
 @dataclass
 class DeviceInfo:
     """What probing found out about one OpenCL device."""
 
-    index: str  # "platform:device"
+    index: str  # "platform:device"; "–" of a driver that crashes before it has told its devices
     name: str
     platform: str
     version: str  # of the platform; names PoCL, which calls itself "Portable Computing Language"
@@ -101,8 +114,17 @@ class Device:
 
 
 def list_devices() -> list[DeviceInfo]:
-    """Probe every OpenCL device. Never raises for a broken driver; such devices have `works == False`."""
-    return _probe_in_child(set())
+    """Probe every OpenCL device. Never raises for a broken driver; such devices have `works == False`, and a driver
+    that crashes or hangs while its devices are listed is one entry with the name of its `.icd` file."""
+    found, failure = _probe_in_child()
+    if failure:
+        crashing = _crashing_vendors()
+        if not crashing:  # none does alone
+            return [DeviceInfo("–", "unknown", "all drivers together", "", "", "other", problem=failure)]
+        _crashing.update(crashing)
+        hide_vendors(set(crashing))
+        found, _ = _probe_in_child()
+    return found + list(_crashing.values())
 
 
 def open_device(wanted: str | None = None) -> Device:
@@ -152,29 +174,47 @@ def _cl_devices() -> list[tuple[str, cl.Platform, cl.Device]]:
     return found
 
 
-def _probe_in_child(skip: set[str]) -> list[DeviceInfo]:
-    """Probe in a child process; when it dies, blame the device it was at and go on after it."""
+def _probe_in_child() -> tuple[list[DeviceInfo], str]:
+    """Probe in a child process; when it dies, blame the device it was at and go on after it. The devices, and why they
+    could not be listed ("" if they could)."""
     found: dict[str, DeviceInfo] = {}
     while True:
-        command = [sys.executable, "-m", "gffe_cl.opencl.device", *sorted(skip | set(found))]
-        environment = os.environ | ({} if installed_runtimes_are_exposed() else {HIDE_INSTALLED: "1"})
-        try:
-            child = subprocess.run(command, capture_output=True, text=True, timeout=_PROBE_SECONDS, env=environment)
-            output, failure = child.stdout, f"driver crashed (exit code {child.returncode})"
-            finished = child.returncode == 0
-        except subprocess.TimeoutExpired as error:
-            output = error.stdout.decode() if isinstance(error.stdout, bytes) else (error.stdout or "")
-            failure, finished = f"driver hangs ({_PROBE_SECONDS} s)", False
+        output, failure = _run_child(sorted(found), _PROBE_SECONDS)
         current = None
         for line in output.splitlines():
             if line.startswith("{"):
                 info = DeviceInfo(**json.loads(line))
                 found[info.index] = info
                 current = None if info.works or info.problem else info
-        if finished or current is None:
-            break
+        if not failure or current is None:
+            failure = "" if _PROBED in output.splitlines() else failure
+            return sorted(found.values(), key=lambda info: info.index), failure
         current.problem = failure
-    return sorted(found.values(), key=lambda info: info.index)
+
+
+def _crashing_vendors() -> dict[str, DeviceInfo]:
+    """The vendors whose devices cannot be listed, by the name of their `.icd` file; each is tried alone."""
+    crashing = {}
+    for icd in vendors():
+        output, failure = _run_child(["--list"], _LIST_SECONDS, {VENDORS: str(only_vendors([icd]))})
+        if _PROBED not in output.splitlines():
+            library = icd.read_text().strip()
+            problem = f"{failure} while it is listed: {library} is left out"
+            crashing[icd.name] = DeviceInfo("–", Path(library).name, icd.name, "", "", "other", problem=problem)
+    return crashing
+
+
+def _run_child(arguments: list[str], seconds: float, variables: dict[str, str] | None = None) -> tuple[str, str]:
+    """What this module prints as a program, and how it failed ("" if it did not)."""
+    command = [sys.executable, "-m", "gffe_cl.opencl.device", *arguments]
+    hidden = {} if installed_runtimes_are_exposed() else {HIDE_INSTALLED: "1"}
+    environment = os.environ | hidden | (variables or {})
+    try:
+        child = subprocess.run(command, capture_output=True, text=True, timeout=seconds, env=environment)
+    except subprocess.TimeoutExpired as error:
+        output = error.stdout.decode() if isinstance(error.stdout, bytes) else (error.stdout or "")
+        return output, f"driver hangs ({seconds:g} s)"
+    return child.stdout, f"driver crashed (exit code {child.returncode})" if child.returncode else ""
 
 
 def _probe(index: str, platform: cl.Platform, device: cl.Device) -> None:
@@ -272,5 +312,6 @@ def _try_int64_atomics(context, queue) -> bool:
 
 if __name__ == "__main__":
     for _index, _platform, _device in _cl_devices():
-        if _index not in sys.argv[1:]:
+        if _index not in sys.argv[1:] and "--list" not in sys.argv[1:]:
             _probe(_index, _platform, _device)
+    print(_PROBED, flush=True)

@@ -3,7 +3,8 @@
 The ICD loader reads its list of vendors once, so this must run before the first `import pyopencl`:
 importing `gffe_cl` does it. Where pyopencl came first, only the system's runtimes are seen.
 Runtimes that pip installed into the environment (Intel's CPU runtime) are not in the system's vendor
-folder; they are added to a folder of our own that repeats the system's entries.
+folder; they are added to a folder of our own that repeats the system's entries. A driver that crashes while it
+is listed is left out in the same way (`hide_vendors`).
 """
 
 from __future__ import annotations
@@ -11,28 +12,52 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import os
+import shutil
+import stat
 import sys
 import tempfile
+import warnings
+from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
+import platformdirs
+
+VENDORS = "OCL_ICD_VENDORS"  # the ICD loader's variable: a folder of `.icd` files, or one such file
 _SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
 # What libintelocl.so finds only when these are already loaded, in this order.
 _INTEL_NEEDS = ("libintlc.so.5", "libimf.so", "libsvml.so", "libirng.so", "libtbb.so.12")
+# All that it opens, as patterns: what must stand beside it.
+_INTEL_FILES = (
+    "libintelocl.so", *_INTEL_NEEDS, "libtbbmalloc.so.2", "libcommon_clang.so.*", "libocl_svml_*.so",
+    "cl.cfg", "cl*.rtl", "cl*.o",
+)  # fmt: skip
 
 
 def cache_folder() -> Path:
     """Folder for caches of this package, made on first use; a temporary one where home is not writable."""
-    base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    folder = Path(base) / "gffe-cl"
+    folder = platformdirs.user_cache_path("gffe-cl", appauthor=False)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / f".probe-{os.getpid()}"
         probe.touch()
         probe.unlink()
     except OSError:
-        folder = Path(tempfile.gettempdir()) / f"gffe-cl-{os.getuid() if hasattr(os, 'getuid') else 'user'}"
-        folder.mkdir(parents=True, exist_ok=True)
+        folder = _temporary_folder()
     return folder
+
+
+def _temporary_folder() -> Path:
+    """A folder for temporary files that only this user can write to: drivers are loaded from what it names."""
+    user = os.getuid() if hasattr(os, "getuid") else "user"
+    folder = Path(tempfile.gettempdir()) / f"gffe-cl-{user}"
+    with suppress(OSError):
+        folder.mkdir(mode=0o700)
+    with suppress(OSError):
+        facts = folder.lstat()
+        if stat.S_ISDIR(facts.st_mode) and (user == "user" or (facts.st_uid == user and not facts.st_mode & 0o022)):
+            return folder
+    return Path(tempfile.mkdtemp(prefix="gffe-cl-"))
 
 
 HIDE_INSTALLED = "GFFE_HIDE_INSTALLED_RUNTIMES"  # set for children of a process that does not see them either
@@ -41,7 +66,7 @@ _exposed = False
 
 def installed_runtimes_are_exposed() -> bool:
     """Whether this process, and so a child that imports `gffe_cl`, sees runtimes installed by pip."""
-    return _exposed or "OCL_ICD_VENDORS" in os.environ
+    return _exposed or VENDORS in os.environ
 
 
 def expose_installed_runtimes() -> None:
@@ -51,23 +76,101 @@ def expose_installed_runtimes() -> None:
     there is no such runtime.
     """
     global _exposed
-    chosen = "OCL_ICD_VENDORS" in os.environ or HIDE_INSTALLED in os.environ
+    chosen = VENDORS in os.environ or HIDE_INSTALLED in os.environ
     if chosen or "pyopencl" in sys.modules or not sys.platform.startswith("linux"):
         return
     library = Path(sys.prefix) / "lib" / "libintelocl.so"
     if not library.exists():
         return
     try:
+        library = _without_spaces(library)
+    except OSError as error:
+        warnings.warn(
+            f"{library}: Intel's OpenCL runtime does not work in a folder whose name has a space, and a copy elsewhere"
+            f" is not possible: {error.strerror or error} (expected another folder for the environment)",
+            stacklevel=2,
+        )
+        return
+    try:
         for name in _INTEL_NEEDS:
             ctypes.CDLL(str(library.with_name(name)), mode=ctypes.RTLD_GLOBAL)
     except OSError:
         return
-    entries = {"gffe-intel.icd": f"{library}\n"}
-    if _SYSTEM_VENDORS.is_dir():
-        for icd in sorted(_SYSTEM_VENDORS.glob("*.icd")):
-            entries[icd.name] = icd.read_text()
-    os.environ["OCL_ICD_VENDORS"] = str(_vendor_folder(entries))
+    entries = {icd.name: icd.read_text() for icd in vendors()} | {"gffe-intel.icd": f"{library}\n"}
+    os.environ[VENDORS] = str(_vendor_folder(entries))
     _exposed = True
+
+
+def vendors() -> list[Path]:
+    """The `.icd` files that the ICD loader reads, sorted by name."""
+    chosen = Path(os.environ.get(VENDORS) or _SYSTEM_VENDORS)
+    return sorted(chosen.glob("*.icd")) if chosen.is_dir() else [chosen] if chosen.is_file() else []
+
+
+def only_vendors(icds: Iterable[Path]) -> Path:
+    """A folder that holds these of the `.icd` files and no others, for `OCL_ICD_VENDORS`."""
+    return _vendor_folder({icd.name: icd.read_text() for icd in icds})
+
+
+def hide_vendors(names: set[str]) -> None:
+    """Leave out the `.icd` files of these names, in this process and its children. The ICD loader must not have listed
+    its platforms yet."""
+    os.environ[VENDORS] = str(only_vendors(icd for icd in vendors() if icd.name not in names))
+
+
+def _without_spaces(library: Path) -> Path:
+    """`library`, of Intel's runtime, at a path without white space: there it does not find the files beside it.
+
+    They are linked into the cache, or copied (0.4 GB) where that lies on another file system. Symbolic links do not
+    help: it looks itself up in /proc/self/maps. Raises OSError if nothing can be written.
+    """
+    found = library.resolve()
+    if not _has_space(found):
+        return library
+    base = next((folder for folder in (cache_folder(), _temporary_folder()) if not _has_space(folder.resolve())), None)
+    if base is None:
+        raise OSError("the folders for caches and for temporary files have a space in their names too")
+    facts = found.stat()
+    digest = hashlib.sha256(repr((str(found), facts.st_mtime_ns, facts.st_size)).encode()).hexdigest()[:16]
+    folder = base / f"intel-{digest}"
+    if not folder.is_dir():
+        _forget_copies(base, found)
+        partial = Path(tempfile.mkdtemp(prefix=f"intel-{digest}-", dir=base))
+        try:
+            for pattern in _INTEL_FILES:
+                for path in library.parent.glob(pattern):
+                    _link_or_copy(path.resolve(), partial / path.name)
+            (partial / _ORIGIN).write_text(str(found))
+            partial.rename(folder)
+        except OSError:
+            shutil.rmtree(partial, ignore_errors=True)
+            if not folder.is_dir():  # another process was first
+                raise
+    return folder / library.name
+
+
+_ORIGIN = "origin.txt"
+
+
+def _forget_copies(base: Path, library: Path) -> None:
+    """Remove copies of runtimes that are gone, and those of `library` as it was before."""
+    for origin in base.glob(f"intel-*/{_ORIGIN}"):
+        was = Path(origin.read_text())
+        if was == library or not was.exists():
+            shutil.rmtree(origin.parent, ignore_errors=True)
+
+
+def _link_or_copy(path: Path, to: Path) -> None:
+    if to.exists():
+        return
+    try:
+        os.link(path, to)
+    except OSError:
+        shutil.copy2(path, to)
+
+
+def _has_space(path: Path) -> bool:
+    return any(letter.isspace() for letter in str(path))
 
 
 def redirect_unwritable_caches() -> None:
@@ -75,7 +178,7 @@ def redirect_unwritable_caches() -> None:
 
     Both fail to build anything otherwise. Does nothing for a variable that the user has set.
     """
-    home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+    home = platformdirs.user_cache_path()
     while not home.exists() and home != home.parent:
         home = home.parent
     if not os.access(home, os.W_OK) or str(home).startswith("/proc"):

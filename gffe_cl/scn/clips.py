@@ -156,29 +156,38 @@ def finished_clips(folder: Path, seed: int, count: int) -> list[Path]:
     return [path for path in paths if path.exists()]
 
 
+def complete_clips(folder: Path, seed: int, count: int) -> int:
+    """How many of the clips 0 … count − 1 are in `folder` before the first that is not."""
+    names = (clip_path(folder, seed, index).with_suffix(".json") for index in range(count))
+    return next((index for index, name in enumerate(names) if not name.exists()), count)
+
+
 def make_clips(
     folder: Path,
     device: Device,
     seed: int,
     count: int,
-    on_clip: Callable[[], None] = lambda: None,
+    on_clip: Callable[[bool], None] = lambda made: None,
     part: tuple[int, int] = (0, 1),
     until: float | None = None,
+    least: int = 0,
 ) -> int:
     """Make what is missing of the clips 0 … count − 1 in `folder`; returns how many were made.
 
     Each clip is a `clip_*.npy`, a `clip_*_half.npy` and, written last, a `clip_*.json`. `part` (i, n): only every n-th,
     from i on.
-    Nothing more is begun when `time.monotonic()` has passed `until`. Raises GffeError where nothing can be written.
+    Nothing more is begun when `time.monotonic()` has passed `until`, the clips 0 … `least` − 1 apart. `on_clip` is told
+    after each whether it was made or there already. Raises GffeError where nothing can be written.
     """
     made = 0
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for index in range(part[0], count, part[1]):
-            if until is not None and time.monotonic() > until:
+            if index >= least and until is not None and time.monotonic() > until:
                 break
             name = clip_path(folder, seed, index)
-            if not name.with_suffix(".json").exists():
+            missing = not name.with_suffix(".json").exists()
+            if missing:
                 plan = ClipPlan.draw(seed, index)
                 samples, alphas = make_clip(device, plan)
                 rng = np.random.default_rng([seed, index, 2])
@@ -190,7 +199,7 @@ def make_clips(
                 part_file.write_text(json.dumps(document))
                 os.replace(part_file, name.with_suffix(".json"))
                 made += 1
-            on_clip()
+            on_clip(missing)
     except OSError as error:
         raise GffeError(f"{folder}: cannot write training data: {error.strerror or error}") from None
     return made

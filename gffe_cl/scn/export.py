@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 import os
 import subprocess
@@ -13,7 +14,7 @@ import numpy as np
 import torch
 
 from gffe_cl.errors import GffeError
-from gffe_cl.inference import MULTIPLE
+from gffe_cl.inference import MULTIPLE, load_onnxruntime
 from gffe_cl.scn.network import ShadingCorrectionNetwork
 
 OPSET = 18  # of 20 and later OpenVINO does not know GridSample
@@ -60,9 +61,7 @@ def export_onnx(network: ShadingCorrectionNetwork, path: Path) -> float:
 
 def largest_difference(network: ShadingCorrectionNetwork, path: Path) -> float:
     """Between the outputs of onnxruntime and PyTorch."""
-    import onnxruntime
-
-    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    session = load_onnxruntime().InferenceSession(str(path), providers=["CPUExecutionProvider"])
     rng, worst = np.random.default_rng(0), 0.0
     for height, width in ((2 * MULTIPLE, 3 * MULTIPLE), (5 * MULTIPLE, MULTIPLE)):
         frames = rng.random((1, 8, height, width), np.float32)
@@ -79,9 +78,9 @@ def count_operations(network: ShadingCorrectionNetwork, width: int, height: int)
     from torch.utils.flop_counter import FlopCounterMode
 
     sides = [-(-side // (2 * MULTIPLE)) * MULTIPLE for side in (height, width)]
-    network = network.eval()
-    with torch.no_grad(), FlopCounterMode(display=False) as counter:
-        network(torch.zeros(1, 8, *sides), torch.tensor([0.5]))
+    shape_only = copy.deepcopy(network).to("meta").eval()
+    with torch.no_grad(), torch.device("meta"), FlopCounterMode(display=False) as counter:
+        shape_only(torch.zeros(1, 8, *sides), torch.zeros(1))
     return sum(p.numel() for p in network.parameters()), counter.get_total_flops() / 1e9
 
 

@@ -26,7 +26,7 @@ from gffe_cl.scn.export import commit
 from gffe_cl.scn.network import ShadingCorrectionNetwork, compose, double, encode
 
 CHECKPOINT = "checkpoint.pt"
-_FORMAT = 2
+_FORMAT = 3
 _CHECKPOINT_SECONDS = 120
 _VALIDATION_SHARE = 0.06  # of the clips
 _VALIDATION_CROPS = 96
@@ -171,12 +171,21 @@ def weights(recipe: Recipe) -> dict[str, float]:
 
 
 class Training:
-    """One run in `folder`: continues from its checkpoint if there is one. `sources`: commits that trained it.
+    """One run in `folder` on the crops of `clips` clips: continues from its checkpoint if there is one. `sources`:
+    commits that trained it.
 
     Raises GffeError if the checkpoint is of another recipe or other data, or cannot be read.
     """
 
-    def __init__(self, folder: Path, recipe: Recipe, crops: list[Crop], processes: Processes, vgg: Path | None = None):
+    def __init__(
+        self,
+        folder: Path,
+        recipe: Recipe,
+        crops: list[Crop],
+        processes: Processes,
+        vgg: Path | None = None,
+        clips: int = 0,
+    ):
         if recipe.batch % processes.count:
             raise GffeError(
                 f"training: batch must be a multiple of the number of processes, got {recipe.batch}"
@@ -193,8 +202,10 @@ class Training:
         self.perceptual = losses.perceptual_loss(vgg).to(self.device)
         self.step, self.seconds, self.sources = 0, 0.0, []
         self.conditions = asdict(recipe) | {
+            "clips": clips,
             "crops": len(self.crops),
             "data version": VERSION,
+            "losses": losses.VERSION,
             "perceptual loss": self.perceptual.name,
             "processes": processes.count,
         }
@@ -361,9 +372,7 @@ class Training:
         if not path.exists():
             return
         with _readable(path):
-            state = torch.load(path, map_location=self.device, weights_only=True)
-            if state["format"] != _FORMAT:
-                raise GffeError(f"{path}: checkpoint of format {state['format']}, expected {_FORMAT}")
+            state = _read(path, self.device)
             was = state["conditions"]
             differing = [f"{key} {was.get(key)}" for key, value in self.conditions.items() if was.get(key) != value]
             if differing:
@@ -373,6 +382,22 @@ class Training:
             self.model.load_state_dict(state["model"])
             self.optimizer.load_state_dict(state["optimizer"])
             self.step, self.seconds, self.sources = int(state["step"]), float(state["seconds"]), state["sources"]
+
+
+def clips_of_run(folder: Path) -> int | None:
+    """How many clips the run in `folder` was started with; None if none was. Raises GffeError as `Training`."""
+    path = Path(folder) / CHECKPOINT
+    if not path.exists():
+        return None
+    with _readable(path):
+        return int(_read(path, torch.device("cpu"))["conditions"]["clips"])
+
+
+def _read(path: Path, device: torch.device) -> dict:
+    state = torch.load(path, map_location=device, weights_only=True)
+    if state["format"] != _FORMAT:
+        raise GffeError(f"{path}: checkpoint of format {state['format']}, expected {_FORMAT} (use another folder)")
+    return state
 
 
 class _Log:

@@ -14,6 +14,7 @@ from gffe_cl.stage import RGBA, Access, Board, BufferSpec, Kernel, Stage, Step
 
 MU = 5000.0
 HEADROOM = 8.0  # exposed colour that is encoded as 1: three stops above display white
+_IMAGE_PIXELS = 4  # per pixel of the network
 
 
 class ShadingCorrection(Stage):
@@ -23,7 +24,8 @@ class ShadingCorrection(Stage):
     With U for bilinear interpolation from half resolution, L for the encoded GAE colour there and g for it at full:
     refined = e⁻¹(U(L) + U(Δ) + U(keep) · (g − U(L))), final = GAE · (1 − U(M)) + refined · U(M) in linear colour.
 
-    `network_milliseconds`: time in the network since last taken, apart from the kernels'.
+    `network_milliseconds`: time in the network since last taken, apart from the kernels'. `unusable_pixels`: of all
+    frames so far, where the network gave NaN or infinity; they keep the GAE colour.
     """
 
     name = "correction"
@@ -98,6 +100,7 @@ class ShadingCorrection(Stage):
         if load:
             self.network = load_network(board.options.scn_model, board.options.scn_provider)
         self.network_milliseconds = 0.0
+        self.unusable_pixels = 0
 
     @classmethod
     def is_wanted(cls, options) -> bool:
@@ -131,7 +134,7 @@ class ShadingCorrection(Stage):
         correction = self.map("correction", cl.map_flags.WRITE_INVALIDATE_REGION)
         try:
             start = time.perf_counter()
-            self.network.run(frames, alpha, correction)
+            self.unusable_pixels += _IMAGE_PIXELS * self.network.run(frames, alpha, correction)
             self.network_milliseconds += (time.perf_counter() - start) * 1e3
         finally:
             for array in (frames, correction):

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+import platformdirs
+
 _MOST_RECENT = 12
 LEAST_WINDOW, _LARGEST_WINDOW = 200, 16384  # pixels
 _LARGEST_SCALE = 8.0
@@ -19,10 +21,24 @@ THEMES = ("dark", "light")
 
 
 def default_path() -> Path | None:
-    """$XDG_CONFIG_HOME or ~/.config, then gffe-cl/viewer.json; None if the user has no home folder."""
+    """viewer.json in the user's folder for configuration (Linux: $XDG_CONFIG_HOME or ~/.config, then gffe-cl); None if
+    the user has no home folder."""
+    folder, old = platformdirs.user_config_path("gffe-cl", appauthor=False), _unix_folder()
+    if not folder.is_absolute():
+        folder = old
+    return folder / "viewer.json" if folder.is_absolute() else None
+
+
+def _unix_folder() -> Path:
+    """The folder on Linux; until version 0.1 that of every system."""
     given = os.environ.get("XDG_CONFIG_HOME", "")
-    folder = given if os.path.isabs(given) else os.path.expanduser(os.path.join("~", ".config"))
-    return Path(folder) / "gffe-cl" / "viewer.json" if os.path.isabs(folder) else None
+    return Path(given if os.path.isabs(given) else os.path.expanduser(os.path.join("~", ".config"))) / "gffe-cl"
+
+
+def _path_to_read() -> Path | None:
+    """`default_path`, or where an older version wrote, if nothing has been written there yet."""
+    path, old = default_path(), _unix_folder() / "viewer.json"
+    return old if path and not path.exists() and old.is_file() else path
 
 
 def can_save() -> bool:
@@ -63,7 +79,7 @@ class Settings:
         """(settings, warning or None) from `path`, or from the user's file. Whatever is missing or damaged has its
         default; a damaged entry costs only itself."""
         settings = cls()
-        path = path or default_path()
+        path = path or _path_to_read()
         if path is None:
             return settings, None
         try:
