@@ -11,6 +11,7 @@ import numpy as np
 import pyopencl as cl
 import pyopencl.array
 
+from gffe_cl.buffers import EXTRAPOLATED, RGBA, BufferSpec, DeviceFrame, Owner, Sizes
 from gffe_cl.camera import Camera, predict_camera
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import (
@@ -25,7 +26,7 @@ from gffe_cl.frame import (
 )
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
-from gffe_cl.stage import EXTRAPOLATED, RGBA, Board, BufferSpec, DeviceFrame, Output, Owner, Sizes, Stage, Step
+from gffe_cl.stage import Board, Output, Stage, Step
 from gffe_cl.stages.background import Background
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.history import HistoryTracking

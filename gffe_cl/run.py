@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gffe_cl.buffers import BufferSpec
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import BadPixels
@@ -21,7 +22,6 @@ from gffe_cl.pipeline import ExtrapolatedFrame, Pipeline
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
 from gffe_cl.sequence.exr import write_channels
 from gffe_cl.source import Source
-from gffe_cl.stage import BufferSpec
 
 _MOST_ALPHA = 100
 MASKS = {"mask.dynamic": "dynamic", "mask.disoccluded": "disoccluded", "mask.filled_by": "filled_by"}

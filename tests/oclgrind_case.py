@@ -5,9 +5,10 @@ import sys
 import numpy as np
 from test_twins import run
 
+from gffe_cl.buffers import Sizes
 from gffe_cl.opencl.device import open_device
 from gffe_cl.options import Options
-from gffe_cl.stage import Board, Sizes
+from gffe_cl.stage import Board
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.shading import FocusMask, ShadingInputs
 

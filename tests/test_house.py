@@ -14,6 +14,7 @@ FLOORS = (
     ("errors", "metrics"),
     ("opencl", "camera", "inference"),
     ("frame", "window"),
+    ("buffers",),
     ("stage", "sequence", "scenes"),
     ("stages",),
     ("options",),

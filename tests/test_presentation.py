@@ -9,8 +9,9 @@ from synthetic import Rect, Rects, camera, psnr
 from test_twins import assert_close
 
 from gffe_cl import Camera, GffeError, Options, Pipeline, RenderedFrame, fixed_window, present
+from gffe_cl.buffers import DeviceFrame, Sizes
 from gffe_cl.frame import require_one_pose
-from gffe_cl.stage import Board, DeviceFrame, Sizes
+from gffe_cl.stage import Board
 from gffe_cl.stages.presentation import Presentation, mapping
 from gffe_cl.window import FULL, Window
 

@@ -11,9 +11,10 @@ from synthetic import Rect, Rects, camera
 from test_twins import assert_close, run
 
 from gffe_cl import GffeError, Options, Pipeline, inference
+from gffe_cl.buffers import Sizes
 from gffe_cl.inference import load_network
 from gffe_cl.opencl.device import quiet_builds
-from gffe_cl.stage import Board, Sizes
+from gffe_cl.stage import Board
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.shading import ShadingInputs
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
+from gffe_cl.buffers import DeviceFrame
 from gffe_cl.camera import Camera
 from gffe_cl.evaluation import traffic
 from gffe_cl.frame import RenderedFrame
@@ -23,7 +24,7 @@ from gffe_cl.opencl.program import build
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import SceneRenderer, load_scene
-from gffe_cl.stage import Board, DeviceFrame, read_some_rows
+from gffe_cl.stage import Board, read_some_rows
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.window import WindowChooser, fixed_window
 

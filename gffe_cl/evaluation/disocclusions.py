@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gffe_cl.buffers import BY_HOLE_FILLING
 from gffe_cl.camera import Camera
 from gffe_cl.evaluation.methods import submitted_frames
 from gffe_cl.metrics import display_values
@@ -21,7 +22,6 @@ from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import SceneRenderer, load_scene
-from gffe_cl.stage import BY_HOLE_FILLING
 
 METHODS: dict[str, Options] = {
     "downsample, L = 0": Options(levels=0, hole_filling="downsample"),

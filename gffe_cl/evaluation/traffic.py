@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from gffe_cl.buffers import BY_HOLE_FILLING, BY_NOTHING
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.stage import BY_HOLE_FILLING, BY_NOTHING, Kernel
+from gffe_cl.stage import Kernel
 from gffe_cl.stages.background import REMEMBERED
 
 # Shares of the pixels by name, as `Access.share` has them: the buffer that tells, and which of its values count.

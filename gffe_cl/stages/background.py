@@ -4,19 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from gffe_cl.buffers import RGBA, XY, BufferSpec
 from gffe_cl.opencl.program import constants
-from gffe_cl.stage import (
-    RGBA,
-    XY,
-    Access,
-    Board,
-    BufferSpec,
-    Kernel,
-    NearestStage,
-    Step,
-    reprojection,
-    zoom,
-)
+from gffe_cl.stage import Access, Board, Kernel, NearestStage, Step, reprojection, zoom
 
 MAX_LEVELS = 4
 _CONSTANTS = constants("background.cl")

@@ -8,9 +8,10 @@ import time
 import numpy as np
 import pyopencl as cl
 
+from gffe_cl.buffers import RGBA, BufferSpec
 from gffe_cl.inference import INPUT_PLANES, OUTPUT_PLANES, Network, load_network
 from gffe_cl.opencl.program import constants
-from gffe_cl.stage import RGBA, Access, Board, BufferSpec, Kernel, Stage, Step
+from gffe_cl.stage import Access, Board, Kernel, Stage, Step
 
 MU = 5000.0
 HEADROOM = 8.0  # exposed colour that is encoded as 1: three stops above display white

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gffe_cl.buffers import BufferSpec
 from gffe_cl.opencl.program import constants
-from gffe_cl.stage import Access, Board, BufferSpec, Kernel, Stage, Step, reprojection
+from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
 
 BLOCK = constants("holes.cl")["BLOCK"]
 _VALID = {"color": "frame.color", "depth": "frame.depth", "filled_by": "frame.filled_by"}

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gffe_cl.stage import Access, BufferSpec, Kernel, Stage, Step, reprojection
+from gffe_cl.buffers import BufferSpec
+from gffe_cl.stage import Access, Kernel, Stage, Step, reprojection
 
 MAX_ORDER = 4
 

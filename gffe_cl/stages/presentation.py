@@ -8,11 +8,12 @@ from functools import cache, lru_cache
 
 import numpy as np
 
+from gffe_cl.buffers import RGBA, XY, BufferSpec, DeviceFrame, Sizes
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import RenderedFrame, display_camera_of, is_shown_whole, pack_frame, require_one_pose
 from gffe_cl.opencl.device import Device, open_device
-from gffe_cl.stage import RGBA, XY, Board, BufferSpec, DeviceFrame, Kernel, Sizes, Stage
+from gffe_cl.stage import Board, Kernel, Stage
 
 _ONE_AT_A_TIME = threading.Lock()  # the cached stages of `present` serve all threads
 

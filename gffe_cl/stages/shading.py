@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pyopencl as cl
 
+from gffe_cl.buffers import BufferSpec
 from gffe_cl.metrics import FOCUS_SMAPE, SMAPE_EPSILON
-from gffe_cl.stage import Access, BufferSpec, Kernel, Stage, Step, reprojection
+from gffe_cl.stage import Access, Kernel, Stage, Step, reprojection
 
 
 class ShadingInputs(Stage):

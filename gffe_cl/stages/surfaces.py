@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.stage import BufferSpec, Kernel, Stage, Step
+from gffe_cl.buffers import BufferSpec
+from gffe_cl.stage import Kernel, Stage, Step
 
 
 class Surfaces(Stage):

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
+from gffe_cl.buffers import BufferSpec
 from gffe_cl.camera import Camera
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.stage import BufferSpec
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.layers import FRAME_BUFFERS, named_images
 

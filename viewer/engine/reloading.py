@@ -6,11 +6,12 @@ import time
 from contextlib import suppress
 
 from gffe_cl import inference
+from gffe_cl.buffers import Sizes
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import Program, expand, kernel_folder
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.stage import Board, Sizes
+from gffe_cl.stage import Board
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import FocusMask

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pyopencl as cl
 
+from gffe_cl.buffers import DeviceFrame
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import BadPixels, RenderedFrame
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.stage import DeviceFrame
 from gffe_cl.stages.shading import FocusMask
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.buffers import Moment, Shot

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gffe_cl.buffers import BY_CRACK_CLOSING, BY_HOLE_FILLING, BY_NOTHING, BY_WARP, FILLED_BY
 from gffe_cl.camera import Camera
 from gffe_cl.opencl.program import constants
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.stage import BY_CRACK_CLOSING, BY_HOLE_FILLING, BY_NOTHING, BY_WARP, FILLED_BY
 from gffe_cl.stages.background import MAX_LEVELS, REMEMBERED
 from gffe_cl.stages.holes import FILLINGS
 from gffe_cl.viewer.engine import names

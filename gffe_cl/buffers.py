@@ -1,0 +1,200 @@
+"""Named buffers on the device: what they mean, how large they are, and who has them.
+
+A buffer is called "<owner>.<name>": "rendered.depth" and "previous.depth" are of the rendered frame and of the one
+before, "frame.color" of the extrapolated frame, all others of the stage that makes them: "history.dynamic_mask". An
+apostrophe means what a stage kept of the frame before, as in the paper: "history.history'".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.camera import Camera
+from gffe_cl.frame import BYTES_PER_PIXEL, PackedFrame
+from gffe_cl.inference import MULTIPLE
+from gffe_cl.opencl.device import Device
+from gffe_cl.opencl.program import constants
+
+RGBA = ("R", "G", "B", "A")
+XY = ("x", "y")
+
+_LABELS = constants("common.h")
+BY_HOLE_FILLING, BY_NOTHING = _LABELS["BY_HOLE_FILLING"], _LABELS["BY_NOTHING"]
+BY_WARP, BY_CRACK_CLOSING = _LABELS["BY_WARP"], _LABELS["BY_CRACK_CLOSING"]
+FILLED_BY = (
+    (BY_WARP, "its own fragment"),
+    *((1 + level, f"background level {level}") for level in range(4)),
+    (BY_NOTHING, "nothing"),
+    (BY_CRACK_CLOSING, "crack closing"),
+    (BY_HOLE_FILLING, "hole filling"),
+)
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Width and height in pixels of rendered (source) and extrapolated (target) images."""
+
+    source: tuple[int, int]
+    target: tuple[int, int]
+
+    def of(self, grid: str) -> tuple[int, int]:
+        """Width and height of a grid, see `BufferSpec`."""
+        if grid.startswith("mip"):
+            return halved(self.target, int(grid[3:]))
+        if grid.startswith("level"):
+            return halved(self.source, int(grid[5:]))
+        return {
+            "source": self.source,
+            "target": self.target,
+            "blocks": halved(self.target, 5),
+            "network": tuple(-(-n // MULTIPLE) * MULTIPLE for n in halved(self.target, 1)),
+            "once": (1, 1),
+        }[grid]
+
+
+@dataclass(frozen=True)
+class BufferSpec:
+    """One named buffer.
+
+    `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "blocks"
+    (target / 32, rounded up), "level0" … (source / 2^l, rounded up), "mip1" … (target / 2^l, rounded up), "network"
+    (target / 2, rounded up to multiples of 16) or "once" (no image). `components` name its channels; a single one goes
+    without. `view` says what it means, and so how to show it: "color" (linear RGB), "depth" (view z), "motion" (pixels,
+    from here), "place" (position in pixels), "world" (position in the view space of the rendered camera), "mask" (0 or
+    1), "label" (`labels` name its values), "scalar". `mapped`: the host works in it. `kept`: that of the frame before
+    is kept too. `scratch`: of no interest once the stage is through.
+    """
+
+    name: str
+    dtype: type
+    components: tuple[str, ...]
+    grid: str
+    description: str
+    view: str = "scalar"
+    planes: int = 1
+    labels: tuple[tuple[int, str], ...] = ()
+    mapped: bool = False
+    kept: bool = False
+    scratch: bool = False
+
+    @property
+    def channels(self) -> int:
+        return max(len(self.components), 1)
+
+    @property
+    def bytes_per_pixel(self) -> int:
+        """Of its own grid, one plane."""
+        return self.channels * np.dtype(self.dtype).itemsize
+
+    def size(self, sizes: Sizes) -> tuple[int, int]:
+        """Width and height in pixels or texels."""
+        return sizes.of(self.grid)
+
+    def shape(self, sizes: Sizes) -> tuple[int, ...]:
+        """Shape of the NumPy array: (planes?, H, W, channels?)."""
+        width, height = self.size(sizes)
+        shape = (height, width) if self.grid != "once" else ()
+        return (self.planes,) * (self.planes > 1) + shape + (self.channels,) * (self.channels > 1 or not shape)
+
+    def nbytes(self, sizes: Sizes) -> int:
+        return int(np.prod(self.shape(sizes))) * np.dtype(self.dtype).itemsize
+
+
+RENDERED = (
+    BufferSpec("color", np.float16, RGBA, "source", "colour of the rendered frame, linear RGB (I)", "color"),
+    BufferSpec("depth", np.float32, (), "source", "its view depth, world units, +inf sky (D)", "depth"),
+    BufferSpec("motion", np.float32, XY, "source", "its motion t → t−1, pixels (V)", "motion"),
+)
+EXTRAPOLATED = (
+    BufferSpec("color", np.float16, RGBA, "target", "colour of the extrapolated frame (Ī^GAE)", "color"),
+    BufferSpec("depth", np.float32, (), "target", "view depth in the target camera, world units (D̄)", "depth"),
+    BufferSpec("motion", np.float32, XY, "target", "t + α → t, pixels, into the rendered image (V̄)", "motion"),
+    BufferSpec("dynamic", np.uint8, (), "target", "1 where the fragment shown is dynamic", "mask"),
+    BufferSpec("disoccluded", np.uint8, (), "target", "1 where no fragment of the rendered frame lands", "mask"),
+    BufferSpec("filled_by", np.uint8, (), "target", "what the pixel comes from", "label", labels=FILLED_BY),
+    BufferSpec(
+        "mixed", np.uint8, (), "target",
+        "1 where the fragment's colour was mixed with a silhouette's that moves away, and its neighbour's is shown",
+        "mask",
+    ),
+)  # fmt: skip
+
+
+class Owner:
+    """Who has named buffers: `name`, `buffers` (their descriptions) and `buffer` (by name, on the device)."""
+
+    name = ""
+    buffers: tuple[BufferSpec, ...] = ()
+
+    def __init__(self, device: Device, sizes: Sizes):
+        self.device, self.sizes = device, sizes
+        self.buffer: dict[str, cl.Buffer] = {}
+
+    def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
+        """New device buffers by name, all bits zero."""
+        made = {spec.name: self.device.buffer(spec.nbytes(self.sizes), spec.mapped) for spec in specs}
+        for buffer in made.values():
+            cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint8(0), 0, buffer.size)
+        return made
+
+    def spec(self, name: str) -> BufferSpec:
+        return next(spec for spec in self.buffers if spec.name == name)
+
+    def read(self, name: str) -> np.ndarray:
+        """Copy a named buffer to the host."""
+        spec = self.spec(name)
+        out = np.empty(spec.shape(self.sizes), spec.dtype)
+        cl.enqueue_copy(self.device.queue, out, self.buffer[name])
+        return out
+
+    def upload(self, name: str, values: np.ndarray) -> None:
+        """Copy host values into a named buffer."""
+        cl.enqueue_copy(self.device.queue, self.buffer[name], values)
+
+
+class ExtrapolatedBuffers(Owner):
+    """The buffers of the extrapolated frame, which several stages write."""
+
+    name = "frame"
+    buffers = EXTRAPOLATED
+
+    def __init__(self, device: Device, sizes: Sizes):
+        super().__init__(device, sizes)
+        self.buffer = self.allocate(self.buffers)
+
+
+@dataclass
+class DeviceFrame:
+    """A rendered frame on the device: `color` half ×4, `depth` float, `motion` float ×2 (OpenCL buffers); `camera` in
+    pixels of these images, `display_camera` in pixels of the display."""
+
+    color: cl.Buffer
+    depth: cl.Buffer
+    motion: cl.Buffer
+    camera: Camera
+    display_camera: Camera
+    time: float
+
+    @classmethod
+    def allocate(cls, device: Device, size: tuple[int, int], camera, display_camera, time) -> DeviceFrame:
+        """New buffers for images of `size` (width, height)."""
+        pixels = size[0] * size[1]
+        return cls(*(device.buffer(pixels * n) for n in BYTES_PER_PIXEL), camera, display_camera, time)
+
+    def upload(self, device: Device, packed: PackedFrame) -> None:
+        """Copy host arrays in."""
+        for buffer, array in zip(self.buffers, (packed.color, packed.depth, packed.motion), strict=True):
+            cl.enqueue_copy(device.queue, buffer, array)
+
+    @property
+    def buffers(self) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer]:
+        return self.color, self.depth, self.motion
+
+
+def halved(size: tuple[int, int], times: int) -> tuple[int, int]:
+    """(ceil(W / 2^times), ceil(H / 2^times))."""
+    return tuple(-(-n // (1 << times)) for n in size)
