@@ -75,7 +75,7 @@ class FrameSource(Protocol):
         """`pack_frame` of frame `k`; None where `rendered` gives device buffers."""
 
     def camera(self, k: int, alpha: float) -> Camera | None:
-        """Display camera at `time(k, alpha)`, if known."""
+        """Display camera at `time(k, alpha)`, if it and those of the other new frames of the interval are known."""
 
     def truth(self, k: int, alpha: float) -> np.ndarray | None:
         """(H, W, 3) linear RGB, float16 or float32: the ground truth at `time(k, alpha)`, if there is one."""
@@ -107,14 +107,14 @@ class RecordedSource(Recorded, FrameSource):
         self._chosen = window
         self._entries = sequence.rendered
         self._resets = [k for k, entry in enumerate(self._entries) if entry.reset or k == 0]
-        self._truths = sequence.ground_truth
-        self._truth_times = [entry.time for entry in self._truths]
-        self.has_truth = bool(self._truths)
-        steps = np.diff(np.unique([entry.time for entry in sequence.frames]))
-        self._slack = float(steps.min(initial=1 / self.fps)) / 4
+        truths = sequence.ground_truth
+        self._next_truth = dict(zip((entry.file for entry in truths), truths[1:], strict=False))
+        self.has_truth = bool(truths)
+        self._alphas = alphas_for(1)
         self._cache = _ReadAhead(cache_bytes)
 
     def configure(self, window, n):
+        self._alphas = alphas_for(n)
         if window == self._chosen:
             return False
         before = self._cut
@@ -132,7 +132,8 @@ class RecordedSource(Recorded, FrameSource):
         return self._frame(k)[1]
 
     def camera(self, k, alpha):
-        return self.camera_at(self.time(k, alpha))
+        cameras = self.cameras_at([self.time(k, new) for new in self._alphas])
+        return cameras and cameras[self._alphas.index(alpha)]
 
     def time(self, k, alpha=0.0):
         time = self._entries[k].time
@@ -140,14 +141,13 @@ class RecordedSource(Recorded, FrameSource):
         return time + alpha * (1.0 / self.fps if first else time - self._entries[k - 1].time)
 
     def truth(self, k, alpha):
-        time = self.time(k, alpha)
-        at = bisect_left(self._truth_times, time - self._slack)
-        near = self._truths[at : at + 2]
-        entry = min(near, key=lambda e: abs(e.time - time), default=None)
-        if entry is None or abs(entry.time - time) > self._slack:
+        entry = self.sequence.at("ground_truth", self.time(k, alpha))
+        if entry is None:
             return None
         color = self._cache.get(("truth", entry.file), lambda: self.sequence.read_color(entry))
-        self._cache.ahead("truth", {("truth", e.file): lambda e=e: self.sequence.read_color(e) for e in near[1:]})
+        following = self._next_truth.get(entry.file)
+        ahead = {("truth", following.file): lambda: self.sequence.read_color(following)} if following else {}
+        self._cache.ahead("truth", ahead)
         if color.shape[:2] != (self.height, self.width):
             raise GffeError(
                 f"{entry.file}: {color.shape[1]}×{color.shape[0]} pixels, expected {self.width}×{self.height}"
