@@ -114,7 +114,7 @@ def decibels(error: float) -> float:
 
 
 def similarity(a, b) -> np.ndarray:
-    """Structural similarity per pixel, the mean over channels: (H, W) float64; scikit-image's default with data_range=1.
+    """Structural similarity per pixel, mean over channels: (H, W) float64; scikit-image's default with data_range=1.
 
     NaN where its window, 7×7, does not fit into the image. Source: Wang et al., Image Quality Assessment, TIP 2004.
     """
@@ -172,12 +172,12 @@ def ssim(a, b, mask=None) -> float:
 
 
 def relative_error(a, b):
-    """2|a−b| / (|a|+|b|+0.01) per component, of exposed linear colour (arrays or tensors): SMAPE is its mean over RGB."""
+    """2|a−b| / (|a|+|b|+0.01) of exposed linear colours, arrays or tensors: SMAPE is its mean over RGB."""
     return 2 * abs(a - b) / (abs(a) + abs(b) + SMAPE_EPSILON)
 
 
 def smape(a, b, exposure: float = 1.0) -> np.ndarray:
-    """Symmetric mean absolute percentage error per pixel of linear colour: (H, W) float32 in [0, 2). NaN counts as 0."""
+    """Symmetric mean absolute percentage error of linear colour: (H, W) float32 in [0, 2). NaN counts as 0."""
     a, b = (np.nan_to_num(np.asarray(x).astype(np.float32) * np.float32(exposure), nan=0.0) for x in (a, b))
     return relative_error(a, b).mean(-1)
 

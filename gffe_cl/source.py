@@ -13,7 +13,7 @@ from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import PackedFrame, RenderedFrame, pack_frame
 from gffe_cl.opencl.device import Device
-from gffe_cl.scenes import Scene, SceneRenderer, sequence_frames
+from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer
 from gffe_cl.sequence import (
     FrameEntry,
     Sequence,
@@ -141,24 +141,9 @@ class Live:
         self._renderer = SceneRenderer(device, scene, width, height)
 
     def frames(self, alphas, strict):
-        windows = WindowChooser(self._window, self.render_size, alphas)
-        plan = sequence_frames(
-            self.scene, self.width, self.height, self.count, self.fps, ground_truth=False, windows=windows
-        )
-        for step in plan:
-            image = self._renderer.render(step.time, step.camera, step.previous_time, step.previous_camera).numpy()
-            windows.observe(image.depth)
-            frame = RenderedFrame(
-                image.color, image.depth, image.motion, step.camera, step.time, step.display_camera, step.reset
-            )
-            entry = FrameEntry(
-                f"frame_{step.source:06d}.exr",
-                step.time,
-                reset=step.reset,
-                render_camera=step.camera,
-                display_camera=step.display_camera,
-            )
-            yield entry, frame, pack_frame(frame, self.height, self.width)
+        made = SceneFrames(self._renderer, WindowChooser(self._window, self.render_size, alphas))
+        for k, frame in enumerate(made.sequence(self.count, self.fps)):
+            yield rendered_entry(k, frame), frame, pack_frame(frame, self.height, self.width)
 
     def store(self, writer, entry, frame):
         writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
@@ -174,6 +159,12 @@ class Live:
 
     def warnings(self):
         return []
+
+
+def rendered_entry(number: int, frame: RenderedFrame) -> FrameEntry:
+    """What describes a rendered frame of display size in a sequence on disk."""
+    cameras = {"render_camera": frame.camera, "display_camera": frame.display_camera}
+    return FrameEntry(f"frame_{number:06d}.exr", frame.time, reset=frame.reset, **cameras)
 
 
 def _common_render_size(sequence: Sequence) -> tuple[int, int]:

@@ -371,7 +371,7 @@ def fixed_loss(training, crops):
     with torch.no_grad():
         model = training.model.train()
         out = model(batch.frames(), batch.alpha, batch.target())
-        terms = loss_terms(*out, batch, batch.focus(), training.perceptual)
+        terms = loss_terms(*out, batch, batch.focus().float(), training.perceptual)
     factors = weights(training.recipe)
     return terms | {"loss": sum(factors[name] * value for name, value in terms.items())}
 

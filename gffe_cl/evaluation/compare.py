@@ -127,7 +127,7 @@ def compare(
         if truth:
             pairs.append(_Pair(entry, truth, history.suffices(entry)))
         elif text := b.near_miss("ground_truth", entry.time):
-            missed.append(f"{entry.file} is left out: {text} (times rounded?)")
+            missed.append(f"{entry.file} is left out (times rounded?): {text}")
     if not pairs:
         near = b.nearest("ground_truth", a.extrapolated[0].time)
         raise GffeError(
@@ -140,10 +140,9 @@ def compare(
             pair.gae = gae.at("extrapolated", pair.entry.time, pair.entry.source)
             if pair.gae is None:
                 after = f" after {pair.entry.source}" if pair.entry.source else ""
-                raise GffeError(
-                    f"{gae.path}: no extrapolated frame at {pair.entry.time:.6g} s{after}, as {a.path} has"
-                )
-    return _score(pairs, a, b, mask, progress, gae=gae, notes=missed[:1])
+                raise GffeError(f"{gae.path}: no extrapolated frame at {pair.entry.time:.6g} s{after}, as {a.path} has")
+    notes = [missed[0] + (f"; {len(missed) - 1} others too" if missed[1:] else "")] if missed else []
+    return _score(pairs, a, b, mask, progress, gae=gae, notes=notes)
 
 
 def baseline_repeat(
