@@ -75,6 +75,10 @@ class Metric:
         """A figure for people, "–" where it is not defined."""
         return "–" if math.isnan(value) else f"{value:{'+' if signed else ''}.{self.digits}f}"
 
+    def sentence(self, value: float) -> str:
+        """A figure with its name and unit: "PSNR 31.20 dB"."""
+        return f"{self.label} {self.text(value)} {self.unit}".rstrip()
+
     def measure(self, shown: np.ndarray, truth: np.ndarray, mask=None) -> float:
         """Over all pixels, or those where `mask` (H, W) is not 0; NaN if there are none."""
         total, count = _sum_over(self.map(shown, truth), mask)
@@ -86,10 +90,13 @@ class Metric:
 
     def missing(self) -> str | None:
         """None if it can be measured here, else a sentence: what to install."""
+        what = f"{self.label} needs {self.package}: pip install 'gffe-cl[metrics]'"
         try:
             importlib.import_module(self.module)
+        except ModuleNotFoundError:
+            return what
         except Exception as error:  # whatever a binary package throws
-            return f"{self.label} needs {self.package}: pip install 'gffe-cl[metrics]' ({error})"
+            return f"{what} ({error})"
         return None
 
 

@@ -72,7 +72,7 @@ def compare(
         out.print(plain(note))
     left_out = sum(not frame.counted for frame in result.frames)
     dim = f" ({left_out} frames without history left out)" if left_out else ""
-    means = (f"{m.label} {f'{m.text(result.mean[m.name])} {m.unit}'.rstrip()}" for m in metrics)
+    means = (metric.sentence(result.mean[metric.name]) for metric in metrics)
     out.print(f"[bold]mean[/]{dim}: {', '.join(means)}")
     if result.regions:
         _print_regions(result, metrics)
