@@ -141,7 +141,7 @@ def compare(
             if pair.gae is None:
                 after = f" after {pair.entry.source}" if pair.entry.source else ""
                 raise GffeError(f"{gae.path}: no extrapolated frame at {pair.entry.time:.6g} s{after}, as {a.path} has")
-    notes = [missed[0] + (f"; {len(missed) - 1} others too" if missed[1:] else "")] if missed else []
+    notes = [missed[0] + (f"; {len(missed) - 1} more" if missed[1:] else "")] if missed else []
     return _score(pairs, a, b, mask, progress, gae=gae, notes=notes)
 
 
