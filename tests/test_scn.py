@@ -15,7 +15,7 @@ torch = pytest.importorskip("torch")
 
 from gffe_cl import inference  # noqa: E402
 from gffe_cl.errors import GffeError  # noqa: E402
-from gffe_cl.metrics import display_values, focus_mask  # noqa: E402
+from gffe_cl.metrics import display_values, focus_mask, shading_regions  # noqa: E402
 from gffe_cl.scn import clips, losses, network  # noqa: E402
 from gffe_cl.scn import training as training_module  # noqa: E402
 from gffe_cl.scn.crops import Augmentation, Batch, Crop, focus_truth, keep_crops, list_crops, load_batch  # noqa: E402
@@ -205,6 +205,22 @@ def test_focus_masks_agree():
     mask = focus_truth(*planes, torch.from_numpy(dynamic[None, None]))
     assert 0.01 < expected.mean() < 0.6 and not expected[dynamic].any()
     assert (mask[0, 0].numpy() == expected).all()
+
+
+def test_training_is_validated_where_evaluation_measures():
+    """Disoccluded pixels are no focus pixels, whatever is wrong there."""
+    batch = batch_of(size=32)
+    batch.side[:, 1, 8:16] = 0.0
+    batch.side[:, 1, :, :8] = 1.0  # the input mask of a dynamic pixel, disoccluded or not
+    regions = batch.regions()
+    for k in range(3):
+        gae, truth = (image[k].numpy().transpose(1, 2, 0) for image in (batch.gae, batch.truth))
+        mask = batch.side[k, 1].numpy()
+        expected = shading_regions(focus_mask(gae, truth, mask == 1), mask == 0)
+        for name, wanted in expected.items():
+            assert (regions[name][k, 0].numpy() == wanted).all(), name
+    assert regions["focus"].any() and (batch.focus() & regions["disoccluded"]).any()
+    assert not (regions["focus"] & regions["disoccluded"]).any()
 
 
 def test_keeping_crops():

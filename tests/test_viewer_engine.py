@@ -28,7 +28,7 @@ from gffe_cl import (
 )
 from gffe_cl.evaluation import bench as bench_module
 from gffe_cl.frame import pack_frame
-from gffe_cl.metrics import METRICS, display_values, focus_mask, psnr, ssim
+from gffe_cl.metrics import METRICS, Metric, display_values, focus_mask, psnr, ssim
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import kernel_folder
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
@@ -433,6 +433,15 @@ def test_metrics_come_later_and_are_remembered(device):
         assert again.metrics == told[1].values and not again.images
         assert not ask(engine, 12, Setup(), metrics=True).metrics
         assert not ask(engine, 13, Setup(n=3), metrics=True).metrics  # another time
+
+
+def test_a_metric_is_described_once(device, monkeypatch):
+    worst = Metric("worst", "Worst", lambda shown, truth: np.abs(shown - truth).max(-1))
+    monkeypatch.setitem(METRICS, "worst", worst)
+    with running(device, Clip()) as engine:
+        ask(engine, 13, Setup(), metrics=True)
+        wait_for(lambda: "worst" in (wait_for(engine.poll_metrics)).values)
+        assert 0 < ask(engine, 13, Setup(), metrics=True).metrics["worst"] < 1
 
 
 def test_flip_is_measured_where_it_is_installed(device, monkeypatch):
