@@ -73,7 +73,8 @@ class Metric:
 
     def text(self, value: float, signed: bool = False) -> str:
         """A figure for people, "–" where it is not defined."""
-        return "–" if math.isnan(value) else f"{value:{'+' if signed else ''}.{self.digits}f}"
+        rounded = round(value, self.digits) + 0.0  # no −0
+        return "–" if math.isnan(value) else f"{rounded:{'+' if signed else ''}.{self.digits}f}"
 
     def sentence(self, value: float) -> str:
         """A figure with its name and unit: "PSNR 31.20 dB"."""

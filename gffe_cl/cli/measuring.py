@@ -85,19 +85,17 @@ def compare(
 
 def _print_regions(result: Comparison, metrics: list[Metric]) -> None:
     """Where `--gae` is given, each metric without and with shading correction, and the gain."""
-    heads = []
-    for metric in metrics:
-        heads += [f"{metric.label} GAE", f"{metric.label} final", "gain"] if result.gae else [metric.title]
-    table = Table("all frames together", "share", *heads, box=None, header_style="bold")
-    for name, figures in result.regions.items():
-        cells = []
+    heads = ("GAE", "final", "gain") if result.gae else ("",)
+    table = Table("all frames together", "share", "metric", *heads, box=None, header_style="bold")
+    for region, figures in result.regions.items():
+        name, share = region, f"{figures['share']:.2%}"
         for metric in metrics:
+            cells = [metric.text(figures[metric.name])]
             if result.gae:
-                cells.append(metric.text(result.gae[name][metric.name]))
-            cells.append(metric.text(figures[metric.name]))
-            if result.gae:
-                cells.append(metric.text(result.gain[name][metric.name], signed=True))
-        table.add_row(name, f"{figures['share']:.2%}", *cells)
+                before, gain = result.gae[region][metric.name], result.gain[region][metric.name]
+                cells = [metric.text(before), *cells, metric.text(gain, signed=True)]
+            table.add_row(name, share, metric.title, *cells)
+            name = share = ""
     out.print(table)
 
 
