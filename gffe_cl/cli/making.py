@@ -156,7 +156,7 @@ def run(
     alpha: Annotated[str | None, typer.Option(help="Times instead, in intervals after each frame: 0.25,0.5.")] = None,
     device: DeviceOption = None,
     camera: Annotated[
-        str, typer.Option(help="'truth': of the ground-truth frame where there is one; 'predicted'.")
+        str, typer.Option(help="'truth': of ground truth, where each new frame of an interval has some; 'predicted'.")
     ] = "truth",
     dump_stages: Annotated[
         bool, typer.Option("--dump-stages", help="Write every buffer of every stage to OUTPUT/stages.")
