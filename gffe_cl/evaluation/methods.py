@@ -124,9 +124,10 @@ def _measure(scene_frames: SceneFrames, pipelines: dict[str, Pipeline], frame: R
             holes |= made.numpy("disoccluded") > 0
         if method == "gae":
             row = {n: float(made.numpy(n).mean()) for n in ("disoccluded", "dynamic")}
+    metrics = measurable()
     for method, picture in pictures.items():
         row["visible", method] = psnr(picture, truth, ~holes)
-        row |= {("whole", metric.name, method): metric.measure(picture, truth) for metric in measurable()}
+        row |= {("whole", metric.name, method): metric.measure(picture, truth) for metric in metrics}
     return row
 
 

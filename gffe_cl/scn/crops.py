@@ -13,13 +13,14 @@ from torch import Tensor
 
 from gffe_cl.errors import GffeError
 from gffe_cl.metrics import FOCUS_SMAPE, relative_error, shading_regions
+from gffe_cl.opencl.program import constants
 from gffe_cl.scn.clips import CHANNELS, CROP, PLANES, VERSION, finished_clips, halved_path
 from gffe_cl.scn.network import encode, halve
 
 TOP_SHARE = 0.15  # of all crops: those with the most focus pixels (paper: 'Data Preparation')
 RANDOM_SHARE = 0.03  # of all crops: any of the others
 _HALF_REACH = 0.75  # of the neighbourhood at half resolution, whose pixels are twice as far apart
-_DISOCCLUDED = 0.0  # input mask there
+_DISOCCLUDED = constants("shading.cl")["MASK_DISOCCLUDED"]  # input mask there
 _DYNAMIC = 0.75  # input mask above which a pixel counts as dynamic; 1 where it is one pixel of the frame
 
 
