@@ -7,8 +7,9 @@ from pathlib import Path
 
 from gffe_cl.errors import GffeError
 from gffe_cl.opencl.device import Device
-from gffe_cl.scenes import Scene, SceneRenderer, sequence_frames
+from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
+from gffe_cl.source import rendered_entry
 from gffe_cl.window import WindowChooser
 
 
@@ -37,28 +38,20 @@ def render_sequence(
         raise GffeError(f"--frames must be at least 1, got {frames}")
     if not 0 < fps < float("inf"):
         raise GffeError(f"--fps must be positive, got {fps:g}")
-    windows = WindowChooser(window, (width, height), [j / (per_frame + 1) for j in range(1, per_frame + 1)])
+    if per_frame < 0:
+        raise GffeError(f"-n must be at least 0 frames in between, got {per_frame}")
+    alphas = [j / (per_frame + 1) for j in range(1, per_frame + 1)]
     renderer = SceneRenderer(device, scene, width, height, samples)
-    count = 0
+    made = SceneFrames(renderer, WindowChooser(window, (width, height), alphas))
     with SequenceWriter(output, width, height, fps, scene.exposure, generator="gffe-cl render") as writer:
-        plan = sequence_frames(scene, width, height, frames, fps, ground_truth, per_frame, windows=windows)
-        for frame in plan:
-            image = renderer.render(frame.time, frame.camera, frame.previous_time, frame.previous_camera).numpy()
-            rendered = frame.kind == "rendered"
-            name = (
-                f"frame_{frame.source:06d}" if rendered else f"truth_{frame.source:06d}_{round(frame.alpha * 1000):04d}"
-            )
-            if rendered:
-                windows.observe(image.depth)
-            entry = FrameEntry(
-                file=f"{name}.exr",
-                time=frame.time,
-                kind=frame.kind,
-                reset=rendered and frame.reset,
-                render_camera=frame.camera if rendered else None,
-                display_camera=frame.display_camera,
-            )
-            writer.add(entry, named_channels(image.color, image.depth, image.motion))
-            count += 1
+        for k, frame in enumerate(made.sequence(frames, fps)):
+            writer.add(rendered_entry(k, frame), named_channels(frame.color, frame.depth, frame.motion))
             on_frame()
-    return count
+            for alpha in alphas if ground_truth else ():
+                time = (k + alpha) * (1.0 / fps)
+                image = made.truth(time, frame).numpy()
+                file = f"truth_{k:06d}_{round(alpha * 1000):04d}.exr"
+                entry = FrameEntry(file, time, "ground_truth", display_camera=made.display_camera(time))
+                writer.add(entry, named_channels(image.color, image.depth, image.motion))
+                on_frame()
+    return frames * (1 + len(alphas) * ground_truth)

@@ -59,8 +59,8 @@ def run_sequence(
 ) -> RunReport:
     """Extrapolate after every rendered frame of `source` and write the result to `output`.
 
-    The camera of an extrapolated frame is the one that `source` knows for its time, unless there is none or
-    `predicted_camera` asks for C̄. `on_frame` is called after each extrapolated frame.
+    The cameras after a rendered frame are those that `source` knows for the times of all new frames there; if it lacks
+    one, or `predicted_camera` asks for it, all of them are C̄. `on_frame` is called after each extrapolated frame.
 
     Raises GffeError for structural faults; then `output` holds no sequence.
     """
@@ -84,9 +84,9 @@ def run_sequence(
             source.store(writer, entry, frame)
             if dump_stages:
                 pipeline.present()
-            for alpha in alphas:
-                time = frame.time + alpha * pipeline.interval
-                camera = None if predicted_camera else source.camera_at(time)
+            times = [frame.time + alpha * pipeline.interval for alpha in alphas]
+            cameras = None if predicted_camera else source.cameras_at(times)
+            for alpha, time, camera in zip(alphas, times, cameras or [None] * len(times), strict=True):
                 extrapolated = pipeline.extrapolate(camera, time)
                 made = FrameEntry(
                     file=f"extrapolated_{source.number_of(entry)}_{suffixes[alpha]}.exr",

@@ -13,7 +13,7 @@ from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import PackedFrame, RenderedFrame, pack_frame
 from gffe_cl.opencl.device import Device
-from gffe_cl.scenes import Scene, SceneRenderer, sequence_frames
+from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer
 from gffe_cl.sequence import (
     FrameEntry,
     Sequence,
@@ -46,8 +46,9 @@ class Source(Protocol):
     def store(self, writer: SequenceWriter, entry: FrameEntry, frame: RenderedFrame) -> None:
         """Put a rendered frame into an output."""
 
-    def camera_at(self, time: float) -> Camera | None:
-        """The display camera at `time` (seconds), if it is known."""
+    def cameras_at(self, times: list[float]) -> list[Camera] | None:
+        """The display cameras of the new frames of one interval, at `times` (seconds); None unless each of them is
+        known: predicted and known cameras do not mix within an interval."""
 
     def number_of(self, entry: FrameEntry) -> str:
         """What tells the rendered frame's file from others."""
@@ -75,16 +76,14 @@ class Recorded:
             )
         self.sequence, self._device = sequence, device
         self.width, self.height, self.fps = sequence.width, sequence.height, sequence.fps
-        self.exposure, self.count, self.warnings = sequence.exposure, len(sequence.rendered), sequence.warnings
+        self.exposure, self.count = sequence.exposure, len(sequence.rendered)
         stored = _common_render_size(sequence)
         size = (self.width, self.height)
         whole = stored == size and all(e.display_camera == e.render_camera for e in sequence.rendered)
         self._cut = window == "off" and not whole
         self.render_size = size if self._cut else stored
         self._numbers = dict(zip((e.file for e in sequence.rendered), _numbers(sequence.rendered), strict=True))
-        self._truth = [e for e in sequence.ground_truth if e.display_camera or e.render_camera]
-        times = np.sort([e.time for e in self._truth])
-        self._tolerance = (np.diff(times).min() if len(times) > 1 else 1e-3) / 4
+        self._missed = ""  # the first truth that a new frame missed by little
 
     def frames(self, alphas, strict):
         def read(entry: FrameEntry):
@@ -110,11 +109,18 @@ class Recorded:
         else:
             writer.link(entry, self.sequence.path / entry.file)
 
-    def camera_at(self, time):
-        near = min(self._truth, key=lambda e: abs(e.time - time), default=None)
-        if near is None or abs(near.time - time) > self._tolerance:
-            return None
-        return near.display_camera or near.render_camera
+    def cameras_at(self, times):
+        truth = [self.sequence.at("ground_truth", time) for time in times]
+        cameras = [entry and (entry.display_camera or entry.render_camera) for entry in truth]
+        if all(cameras):
+            return cameras
+        for time in times:
+            self._missed = self._missed or self.sequence.near_miss("ground_truth", time) or ""
+        return None
+
+    def warnings(self):
+        missed = [f"cameras are predicted: {self._missed} (times rounded?)"] if self._missed else []
+        return [*self.sequence.warnings(), *missed]
 
     def number_of(self, entry):
         return self._numbers[entry.file]
@@ -135,30 +141,15 @@ class Live:
         self._renderer = SceneRenderer(device, scene, width, height)
 
     def frames(self, alphas, strict):
-        windows = WindowChooser(self._window, self.render_size, alphas)
-        plan = sequence_frames(
-            self.scene, self.width, self.height, self.count, self.fps, ground_truth=False, windows=windows
-        )
-        for step in plan:
-            image = self._renderer.render(step.time, step.camera, step.previous_time, step.previous_camera).numpy()
-            windows.observe(image.depth)
-            frame = RenderedFrame(
-                image.color, image.depth, image.motion, step.camera, step.time, step.display_camera, step.reset
-            )
-            entry = FrameEntry(
-                f"frame_{step.source:06d}.exr",
-                step.time,
-                reset=step.reset,
-                render_camera=step.camera,
-                display_camera=step.display_camera,
-            )
-            yield entry, frame, pack_frame(frame, self.height, self.width)
+        made = SceneFrames(self._renderer, WindowChooser(self._window, self.render_size, alphas))
+        for k, frame in enumerate(made.sequence(self.count, self.fps)):
+            yield rendered_entry(k, frame), frame, pack_frame(frame, self.height, self.width)
 
     def store(self, writer, entry, frame):
         writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
 
-    def camera_at(self, time):
-        return self.scene.camera(time, self.width, self.height)
+    def cameras_at(self, times):
+        return [self.scene.camera(time, self.width, self.height) for time in times]
 
     def number_of(self, entry):
         return Path(entry.file).stem.removeprefix("frame_")
@@ -168,6 +159,12 @@ class Live:
 
     def warnings(self):
         return []
+
+
+def rendered_entry(number: int, frame: RenderedFrame) -> FrameEntry:
+    """What describes a rendered frame of display size in a sequence on disk."""
+    cameras = {"render_camera": frame.camera, "display_camera": frame.display_camera}
+    return FrameEntry(f"frame_{number:06d}.exr", frame.time, reset=frame.reset, **cameras)
 
 
 def _common_render_size(sequence: Sequence) -> tuple[int, int]:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -16,6 +17,7 @@ from synthetic import Rect, Rects, camera
 
 from gffe_cl import open_sequence
 from gffe_cl.cli import main
+from gffe_cl.metrics import METRICS, Metric
 from gffe_cl.run import alphas_for
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
 
@@ -217,8 +219,18 @@ def test_shading_correction(gffe, scene, tmp_path):
     for before, entry in zip(images["none"], made.extrapolated, strict=True):
         assert np.array_equal(before["G"], made.read_channels(entry, ["G"])["G"])
 
-    code, text, _ = gffe("compare", tmp_path / "some", scene, "--mask", "focus", "--gae", tmp_path / "none")
-    assert code == 0 and "disoccluded" in text and "whole" in text
+    report = tmp_path / "c.json"
+    focus = ("--mask", "focus", "--gae", tmp_path / "none", "--json", report)
+    code, text, _ = gffe("compare", tmp_path / "some", scene, *focus)
+    assert code == 0 and "nan" not in text
+    assert re.search(r"all frames together +share +metric +GAE +final +gain", text)
+    assert ("FLIP needs flip-evaluator: pip install 'gffe-cl[metrics]'" in text) != bool(re.search("FLIP +[0–]", text))
+    document = json.loads(report.read_text())
+    for region in ("focus", "disoccluded", "whole"):
+        before, after, gain = (document[name][region]["psnr"] for name in ("gae", "regions", "gain"))
+        assert gain is None or gain == pytest.approx(after - before)
+        cells = ["–" if v is None else f"{v:{sign}.2f}" for v, sign in ((before, ""), (after, ""), (gain, "+"))]
+        assert re.search(rf"{region} +[\d.]+% +PSNR, dB +" + " +".join(map(re.escape, cells)), text), text
     code, _, err = gffe("compare", tmp_path / "some", scene, "--gae", tmp_path / "none")
     assert code == 2 and "--gae goes with --mask focus" in err
 
@@ -383,7 +395,7 @@ def test_baseline_of_a_windowed_sequence_is_its_display_part(gffe, tmp_path):
     whole = psnr(display_values(wide.read_color(wide.rendered[3]), wide.exposure), truth)
     shown = psnr(display_values(shown_color(wide, wide.rendered[3]), wide.exposure), truth)
     assert shown > whole + 5
-    assert baseline_repeat(wide).frames[3].psnr == pytest.approx(shown)
+    assert baseline_repeat(wide).frames[3].values["psnr"] == pytest.approx(shown)
 
 
 @pytest.mark.parametrize("arguments", [("render", "plaza"), ("run", "plaza"), ("demo", "-o")])
@@ -678,3 +690,28 @@ def test_study(gffe, tmp_path):
     assert result["visible"]["gae"] > result["visible"]["repeat"]
     assert gffe("study", "room", *sizes, "--disocclusions", "--json", tmp_path / "d.json")[0] == 0
     assert set(json.loads((tmp_path / "d.json").read_text())) == {"room", "all"}
+
+
+def test_a_metric_is_described_once(gffe, scene, tmp_path, monkeypatch):
+    """One more entry of the registry reaches every table and every JSON."""
+    worst = Metric("worst", "Worst", lambda shown, truth: np.abs(shown - truth).max(-1), higher_is_better=False)
+    monkeypatch.setitem(METRICS, "worst", worst)
+    report = tmp_path / "r.json"
+    assert gffe("run", scene, tmp_path / "out", "--no-scn")[0] == 0
+    code, text, _ = gffe("compare", tmp_path / "out", scene, "--json", report)
+    document = json.loads(report.read_text())
+    assert code == 0 and re.search(r"frame +PSNR, dB +SSIM .*Worst", text) and "Worst 0.0" in text
+    assert 0 < document["mean"]["worst"] < 0.2 and 0 < document["frames"][0]["worst"] < 0.2
+    focus = ("--mask", "focus", "--gae", tmp_path / "out", "--json", report)
+    code, text, _ = gffe("compare", tmp_path / "out", scene, *focus)
+    assert (
+        code == 0
+        and re.search(r"Worst +[\d.]+ +[\d.]+ +\+0\.0000", text)
+        and json.loads(report.read_text())["gain"]["whole"]["worst"] == 0
+    )
+    small = ("room", "--seeds", 1, "--size", "48x27", "--frames", 4, "--json", report)
+    code, text, _ = gffe("study", *small)
+    assert code == 0 and "Worst" in text and set(json.loads(report.read_text())["results"][0]["worst"]) >= {"gae"}
+    code, text, _ = gffe("study", *small, "--shading", "--scn-model", constant_model(tmp_path / "m.onnx"))
+    figures = json.loads(report.read_text())["results"][0]["methods"]
+    assert code == 0 and "Worst: whole pixels" in text and figures["GAE"]["whole"]["worst"] > 0

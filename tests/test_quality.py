@@ -5,33 +5,27 @@ import numpy as np
 import pytest
 
 from gffe_cl import inference
-from gffe_cl.frame import RenderedFrame
+from gffe_cl.evaluation.methods import submitted_frames
 from gffe_cl.metrics import display_values, focus_mask
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.scenes import SCENES, SceneRenderer, load_scene, sequence_frames
+from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
 
 WIDTH, HEIGHT, FRAMES, FPS = 320, 180, 7, 30.0
-FIRST = 2  # rendered frame with enough history
 
 
 def extrapolated(device, name, seed, options):
-    """(GAE, final, truth, focus mask) half an interval after each rendered frame from `FIRST` on; colours (H, W, 3) as
-    displayed."""
+    """(GAE, final, truth, focus mask) half an interval after each rendered frame that has enough history; colours
+    (H, W, 3) as displayed."""
     scene = load_scene(name, seed)
-    renderer = SceneRenderer(device, scene, WIDTH, HEIGHT)
+    scene_frames = SceneFrames(SceneRenderer(device, scene, WIDTH, HEIGHT))
     pipeline = Pipeline(device, WIDTH, HEIGHT, options, fps=FPS)
     pipeline.exposure = scene.exposure
-    for frame in sequence_frames(scene, WIDTH, HEIGHT, FRAMES, FPS, ground_truth=False):
-        image = renderer.render(frame.time, frame.camera, frame.previous_time, frame.previous_camera).numpy()
-        pipeline.submit(
-            RenderedFrame(image.color, image.depth, image.motion, frame.camera, frame.time, reset=frame.reset)
-        )
-        if frame.source < FIRST:
+    for _, _, time in submitted_frames(scene_frames, [pipeline], FRAMES, FPS, 0.5, lambda: None):
+        if time is None:
             continue
-        time = frame.time + 0.5 / FPS
-        camera = scene.camera(time, WIDTH, HEIGHT)
-        made, truth = pipeline.extrapolate(camera, time), renderer.render(time, camera).numpy().color
+        made = pipeline.extrapolate(scene_frames.display_camera(time), time)
+        truth = scene_frames.truth(time).read("color")
         focus = focus_mask(made.numpy("gae"), truth, made.numpy("dynamic"), scene.exposure)
         gae, final = (display_values(made.numpy(buffer), scene.exposure) for buffer in ("gae", "color"))
         yield gae, final, display_values(truth, scene.exposure), focus

@@ -7,8 +7,9 @@ from scene_oracle import cast, clearances, followed
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.opencl.device import list_devices, open_info
-from gffe_cl.scenes import SCENES, SceneRenderer, load_scene, sequence_frames
+from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
 from gffe_cl.scenes.flatten import build_tree
+from gffe_cl.window import WindowChooser
 
 NAMES = list(SCENES)
 SHADING = ("gallery", "street", "factory", "courtyard")  # for what moves on surfaces that do not
@@ -64,15 +65,26 @@ def test_camera_keeps_moving_and_clear_of_everything(name):
         assert min(clear) > (0.3 if name in SHADING else 0.12), (seed, times[np.argmin(clear)])
 
 
-def test_sequence_frames():
-    scene = load_scene("room")
-    frames = list(sequence_frames(scene, 16, 9, 3, fps=10, per_frame=2))
-    assert [f.kind for f in frames] == ["rendered", "ground_truth", "ground_truth"] * 3
-    assert np.allclose([f.time for f in frames], np.arange(9) / 30)
-    assert [f.reset for f in frames] == [True] + [False] * 8
-    assert frames[3].previous_time == frames[0].time and frames[3].previous_camera == frames[0].camera
-    assert frames[5].previous_time == frames[3].time and frames[5].alpha == pytest.approx(2 / 3)
-    assert len(list(sequence_frames(scene, 16, 9, 3, ground_truth=False))) == 3
+def test_frames_of_a_scene(device):
+    """Motion leads into the rendered frame before, of frames and of the truth; windows follow what was seen."""
+    scene, size = load_scene("room"), (32, 18)
+    renderer = SceneRenderer(device, scene, *size, samples=1)
+    made = SceneFrames(renderer)
+    frames = list(made.sequence(3, fps=10, start=2.0))
+    assert np.allclose([f.time for f in frames], [2.0, 2.1, 2.2]) and [f.reset for f in frames] == [True, False, False]
+    assert all(f.camera == f.display_camera == scene.camera(f.time, *size) for f in frames)
+    image = renderer.render(frames[2].time, frames[2].camera, frames[1].time, frames[1].camera).numpy()
+    for name in ("color", "depth", "motion"):
+        assert getattr(image, name).tobytes() == getattr(frames[2], name).tobytes()
+    truth = made.truth(2.15, frames[1]).read("motion")
+    image = renderer.render(2.15, scene.camera(2.15, *size), frames[1].time, frames[1].camera)
+    assert image.read("motion").tobytes() == truth.tobytes() != made.truth(2.15).read("motion").tobytes()
+    windows = WindowChooser("adaptive", size, [0.5])
+    windowed = list(SceneFrames(renderer, windows).sequence(3, fps=10, start=2.0))
+    assert windowed[0].camera == frames[0].camera and windowed[2].camera != windowed[2].display_camera
+    assert windowed[2].display_camera == frames[2].camera
+    with pytest.raises(GffeError, match="at least 1 frame"):
+        list(made.sequence(0))
 
 
 def test_tree_holds_every_box_once():

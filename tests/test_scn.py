@@ -15,7 +15,7 @@ torch = pytest.importorskip("torch")
 
 from gffe_cl import inference  # noqa: E402
 from gffe_cl.errors import GffeError  # noqa: E402
-from gffe_cl.metrics import display_values, focus_mask  # noqa: E402
+from gffe_cl.metrics import display_values, focus_mask, shading_regions  # noqa: E402
 from gffe_cl.scn import clips, losses, network  # noqa: E402
 from gffe_cl.scn import training as training_module  # noqa: E402
 from gffe_cl.scn.crops import Augmentation, Batch, Crop, focus_truth, keep_crops, list_crops, load_batch  # noqa: E402
@@ -207,6 +207,22 @@ def test_focus_masks_agree():
     assert (mask[0, 0].numpy() == expected).all()
 
 
+def test_training_is_validated_where_evaluation_measures():
+    """Disoccluded pixels are no focus pixels, whatever is wrong there."""
+    batch = batch_of(size=32)
+    batch.side[:, 1, 8:16] = 0.0
+    batch.side[:, 1, :, :8] = 1.0  # the input mask of a dynamic pixel, disoccluded or not
+    regions = batch.regions()
+    for k in range(3):
+        gae, truth = (image[k].numpy().transpose(1, 2, 0) for image in (batch.gae, batch.truth))
+        mask = batch.side[k, 1].numpy()
+        expected = shading_regions(focus_mask(gae, truth, mask == 1), mask == 0)
+        for name, wanted in expected.items():
+            assert (regions[name][k, 0].numpy() == wanted).all(), name
+    assert regions["focus"].any() and (batch.focus() & regions["disoccluded"]).any()
+    assert not (regions["focus"] & regions["disoccluded"]).any()
+
+
 def test_keeping_crops():
     crops = [Crop(None, 0, 0, k, 0.5, focus) for k, focus in enumerate(np.linspace(0, 0.5, 200))]
     kept = keep_crops(crops, seed=1)
@@ -371,7 +387,7 @@ def fixed_loss(training, crops):
     with torch.no_grad():
         model = training.model.train()
         out = model(batch.frames(), batch.alpha, batch.target())
-        terms = loss_terms(*out, batch, batch.focus(), training.perceptual)
+        terms = loss_terms(*out, batch, batch.focus().float(), training.perceptual)
     factors = weights(training.recipe)
     return terms | {"loss": sum(factors[name] * value for name, value in terms.items())}
 

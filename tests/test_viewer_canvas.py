@@ -15,9 +15,8 @@ from scn_models import constant_model
 
 from gffe_cl import Camera, Options, Pipeline
 from gffe_cl.evaluation.report import error_image
-from gffe_cl.frame import RenderedFrame
 from gffe_cl.metrics import display_values
-from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
+from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec, layers_of
 from gffe_cl.viewer.picture.canvas import Canvas, _texels, read
 from gffe_cl.viewer.picture.colors import LABEL_COLORS, MASK_OFF, SKY, color_table
@@ -657,21 +656,21 @@ def test_layers_of_a_pipeline(canvas, device, tmp_path):
     """Every buffer of every stage can be shown, and none is full of NaN."""
     size = (96, 54)
     scene = load_scene("corridor")
-    renderer = SceneRenderer(device, scene, *size)
+    frames = SceneFrames(SceneRenderer(device, scene, *size))
     pipeline = Pipeline(device, *size, Options(history=3, scn_model=constant_model(tmp_path / "m.onnx")), fps=scene.fps)
-    for step in sequence_frames(scene, *size, 3, ground_truth=False, start=1.0):
-        image = renderer.render(step.time, step.camera, step.previous_time, step.previous_camera).numpy()
-        pipeline.submit(RenderedFrame(image.color, image.depth, image.motion, step.camera, step.time, reset=step.reset))
+    _, before, last = made = list(frames.sequence(3, start=1.0))
+    for frame in made:
+        pipeline.submit(frame)
     pipeline.extrapolate()
-    frame = FrameInfo(size, exposure=scene.exposure, source=step.camera, previous=step.previous_camera)
+    frame = FrameInfo(size, exposure=scene.exposure, source=last.camera, previous=before.camera)
     canvas.frame = frame
     specs = layers_of(pipeline)
     images = {f"{s.name}.{b.name}": s.read(b.name) for s, b in pipeline.named_buffers() if b.grid != "once"}
-    images["rendered.depth"] = image.depth
+    images["rendered.depth"] = last.depth
     displays = {}
     for name, array in images.items():
         canvas.upload(name, array, specs[name])
-        displays[name] = fitted(specs[name], array, default_display(specs[name]), frame, image.depth)
+        displays[name] = fitted(specs[name], array, default_display(specs[name]), frame, last.depth)
     texture, tiles = canvas.overview(list(displays.items()), (900, 600))
     made = read(texture)[..., :3]
     for tile in tiles:

@@ -20,7 +20,6 @@ from gffe_cl import (
     GffeError,
     Options,
     Pipeline,
-    RenderedFrame,
     SequenceWriter,
     fixed_window,
     inference,
@@ -29,14 +28,13 @@ from gffe_cl import (
 )
 from gffe_cl.evaluation import bench as bench_module
 from gffe_cl.frame import pack_frame
-from gffe_cl.metrics import display_values, focus_mask, psnr, ssim
+from gffe_cl.metrics import METRICS, Metric, display_values, focus_mask, measurable, psnr, ssim
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import kernel_folder
-from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
+from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.source import Recorded
 from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
 from gffe_cl.viewer.engine.messages import EngineError, Request, Result, Setup
-from gffe_cl.viewer.engine.scoring import flip_available
 from gffe_cl.viewer.engine.sources import FrameSource, RecordedSource, SceneSource
 from gffe_cl.window import WindowChooser
 
@@ -426,28 +424,39 @@ def test_inspection_equals_the_whole_buffers(device, tmp_path):
 def test_metrics_come_later_and_are_remembered(device):
     with running(device, Clip()) as engine:
         result = ask(engine, 13, Setup(), ("final", "truth"), metrics=True)
-        told = [wait_for(engine.poll_metrics), wait_for(engine.poll_metrics)]
+        told = [wait_for(engine.poll_metrics)]
+        while len(told[-1].values) < len(measurable()):
+            told.append(wait_for(engine.poll_metrics))
         shown, true = (display_values(result.images[name][..., :3], 1.0) for name in ("final", "truth"))
-        assert told[0].ssim is None and (told[1].slot, told[1].setup) == (13, Setup())
-        assert told[1].psnr == pytest.approx(psnr(shown, true), abs=1e-3)
-        assert told[1].ssim == pytest.approx(ssim(shown, true), abs=1e-4)
+        assert list(told[0].values) == ["psnr"] and (told[-1].slot, told[-1].setup) == (13, Setup())
+        assert told[-1].values["psnr"] == pytest.approx(psnr(shown, true), abs=1e-3)
+        assert told[-1].values["ssim"] == pytest.approx(ssim(shown, true), abs=1e-4)
         again = ask(engine, 13, Setup(), metrics=True)
-        assert (again.psnr, again.ssim) == (told[1].psnr, told[1].ssim) and not again.images
-        assert ask(engine, 12, Setup(), metrics=True).psnr is None
-        assert ask(engine, 13, Setup(n=3), metrics=True).psnr is None  # another time
+        assert again.metrics == told[-1].values and not again.images
+        assert not ask(engine, 12, Setup(), metrics=True).metrics
+        assert not ask(engine, 13, Setup(n=3), metrics=True).metrics  # another time
+
+
+def test_a_metric_is_described_once(device, monkeypatch):
+    worst = Metric("worst", "Worst", lambda shown, truth: np.abs(shown - truth).max(-1))
+    monkeypatch.setitem(METRICS, "worst", worst)
+    with running(device, Clip()) as engine:
+        ask(engine, 13, Setup(), metrics=True)
+        wait_for(lambda: "worst" in (wait_for(engine.poll_metrics)).values)
+        assert 0 < ask(engine, 13, Setup(), metrics=True).metrics["worst"] < 1
 
 
 def test_flip_is_measured_where_it_is_installed(device, monkeypatch):
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
-    assert "flip-evaluator" in flip_available()
+    assert "pip install 'gffe-cl[metrics]'" in METRICS["flip"].missing()
     package = types.ModuleType("flip_evaluator")
-    package.evaluate = lambda reference, test, kind, applyMagma: (None, float(np.abs(reference - test).mean()), {})
+    package.evaluate = lambda reference, test, kind, applyMagma: (np.abs(reference - test), None, {})
     monkeypatch.setitem(sys.modules, "flip_evaluator", package)
-    assert flip_available() is None
+    assert METRICS["flip"].missing() is None
     with running(device, Clip()) as engine:
         ask(engine, 13, Setup(), metrics=True)
         told = [wait_for(engine.poll_metrics) for _ in range(3)]
-        assert [m.flip is None for m in told] == [True, True, False] and 0 < told[2].flip < 0.1
+        assert ["flip" in m.values for m in told] == [False, False, True] and 0 < told[2].values["flip"] < 0.1
         package.evaluate = None
         engine.submit(Request(15, Setup(), frozenset(), 15, metrics=True))
         error = wait_for(lambda: isinstance(answer := engine.poll(), EngineError) and answer)
@@ -620,15 +629,17 @@ def test_a_recorded_sequence_is_shown_as_a_run_extrapolates_it(device, tmp_path,
     setup, wanted = Setup(window=window), [(k, j) for k in range(6) for j in range(2)]
     plain = Recorded(sequence, device, window)
     given = [frame for _, frame, _ in plain.frames([0.5], False)]
-    expected = plain_run(
-        device, given, setup, wanted, lambda at: plain.camera_at(at / FPS), render_size=plain.render_size
-    )
+
+    def camera_at(at):
+        return plain.cameras_at([at / FPS])[0]
+
+    expected = plain_run(device, given, setup, wanted, camera_at, render_size=plain.render_size)
     with running(device, lambda d: RecordedSource(sequence, d, cache_bytes=1)) as engine:
         assert engine.source.windowed == bool(render_size)
         for at in (*wanted, (2, 1), (5, 1)):
             result = ask(engine, *slots(setup, at), setup, expected[at] if at[1] else ("final",), metrics=True)
             assert_same(result.images, expected[at], None if at[1] else ["final"])
-        assert wait_for(engine.poll_metrics).psnr > 20
+        assert wait_for(engine.poll_metrics).values["psnr"] > 20
         error = ask(engine, 3, replace(setup, window="adaptive"))
         assert "adaptive" in error.message and isinstance(ask(engine, 3, setup), Result)
 
@@ -681,13 +692,13 @@ def test_a_scene_is_rendered_as_a_run_renders_it(device, kept):
     """Through an adaptive window: the same frames and the same extrapolation, at first and when frames are kept."""
     setup, wanted = Setup(window="adaptive"), [(4, 0), (4, 1)]
     scene = load_scene("plaza")
-    renderer, windows = SceneRenderer(device, scene, *SMALL, samples=1), WindowChooser("adaptive", SMALL, [0.5])
-    given = []
-    for step in sequence_frames(scene, *SMALL, 5, 30.0, ground_truth=False, windows=windows):
-        image = renderer.render(step.time, step.camera, step.previous_time, step.previous_camera).numpy()
-        windows.observe(image.depth[::16])
-        arrays = (image.color, image.depth, image.motion)
-        given.append(RenderedFrame(*arrays, step.camera, step.time, step.display_camera, step.reset))
+
+    class FromSomeRows(WindowChooser):  # all that the viewer reads back
+        def observe(self, depth):
+            super().observe(depth[::16])
+
+    windows = FromSomeRows("adaptive", SMALL, [0.5])
+    given = list(SceneFrames(SceneRenderer(device, scene, *SMALL, samples=1), windows).sequence(5, 30.0))
     assert given[4].camera != given[4].display_camera
     expected = plain_run(device, given, setup, wanted, lambda at: scene.camera(at / 30, *SMALL), size=SMALL)
     with running(device, lambda d: scene_source(d, cache_bytes=kept)) as engine:
@@ -719,9 +730,9 @@ def test_flown_poses_are_replayed(device):
         assert (flown[5]["final"] != own).any()
         ask(engine, 7, setup, metrics=True)
         wait_for(engine.poll_metrics)
-        assert ask(engine, 7, setup, metrics=True).psnr is not None
+        assert ask(engine, 7, setup, metrics=True).metrics
         source.fly(3, 0.5, path[6])
-        assert ask(engine, 7, setup, metrics=True).psnr is None  # of another picture
+        assert not ask(engine, 7, setup, metrics=True).metrics  # of another picture
         source.fly(3, 0.5, path[7])
         for slot in (5, 2, 0, 1, 7):
             again = ask(engine, slot, setup, ("final", "truth")).images

@@ -134,7 +134,7 @@ def measuring(gui: Gui):
     gui.ctx.window_focus("//Compare")
     gui.frames(2)
     gui.click("//Compare/measure")
-    gui.wait(lambda: model.metrics.get(13) and model.metrics[13].ssim is not None, "the metrics")
+    gui.wait(lambda: model.metrics.get(13) and "ssim" in model.metrics[13].values, "the metrics")
     model.view.b = "truth"
     model.comparison.set("flip")
     gui.settle()
@@ -142,8 +142,8 @@ def measuring(gui: Gui):
         display_values(model.contents.result.images[name][..., :3], model.source.exposure)
         for name in ("final", "truth")
     )
-    score = model.metrics[13]
-    values |= {"psnr": score.psnr, "ssim": score.ssim, "by hand": (psnr(shown, true), ssim(shown, true))}
+    score = model.metrics[13].values
+    values |= {"psnr": score["psnr"], "ssim": score["ssim"], "by hand": (psnr(shown, true), ssim(shown, true))}
     for slot in (3, 5, 7, 9, 11):
         model.playback.seek(slot)
         gui.settle()

@@ -79,6 +79,7 @@ def demo(
     """Render the scene 'corridor', extrapolate it, and measure the result against ground truth."""
     from gffe_cl.demo import METHODS
     from gffe_cl.demo import demo as run_demo
+    from gffe_cl.metrics import measurable
     from gffe_cl.opencl.device import open_device
 
     width, height = parse_size(size)
@@ -88,9 +89,11 @@ def demo(
     out.print(f"Device: {opened.info.name} ({opened.info.platform})")
     with progress_bars() as progress:
         metrics = run_demo(output, opened, width, height, seed, window, options, steps(progress))
-    table = Table("against ground truth at t + ½", "PSNR, dB", "SSIM", box=None, header_style="bold")
+    measured = measurable()
+    heads = (metric.title for metric in measured)
+    table = Table("against ground truth at t + ½", *heads, box=None, header_style="bold")
     for name, figures in metrics.items():
-        table.add_row(METHODS[name], f"{figures['psnr']:.2f}", f"{figures['ssim']:.4f}")
+        table.add_row(METHODS[name], *(metric.text(figures[metric.name]) for metric in measured))
     out.print(table)
     out.print(f"Results are in {output}: contact_sheet.png, side_by_side.mp4, metrics.json, extrapolated/")
 
@@ -153,7 +156,7 @@ def run(
     alpha: Annotated[str | None, typer.Option(help="Times instead, in intervals after each frame: 0.25,0.5.")] = None,
     device: DeviceOption = None,
     camera: Annotated[
-        str, typer.Option(help="'truth': of the ground-truth frame where there is one; 'predicted'.")
+        str, typer.Option(help="'truth': of ground truth, where each new frame of an interval has some; 'predicted'.")
     ] = "truth",
     dump_stages: Annotated[
         bool, typer.Option("--dump-stages", help="Write every buffer of every stage to OUTPUT/stages.")

@@ -25,10 +25,12 @@ from gffe_cl.errors import GffeError
 
 if TYPE_CHECKING:
     from gffe_cl.evaluation.bench import SizeBench
+    from gffe_cl.evaluation.compare import Comparison
     from gffe_cl.evaluation.disocclusions import DisocclusionStudy
     from gffe_cl.evaluation.methods import SceneStudy
     from gffe_cl.evaluation.shading import ShadingStudy
     from gffe_cl.evaluation.windows import WindowStudy
+    from gffe_cl.metrics import Metric
     from gffe_cl.opencl.device import DeviceInfo
     from gffe_cl.options import Options
 
@@ -40,7 +42,7 @@ def compare(
     mask: Annotated[
         str | None,
         typer.Option(
-            help="Take PSNR only where this channel of A is not 0 (mask.dynamic …); or 'focus': where shading is wrong."
+            help="Measure only where this channel of A is not 0 (mask.dynamic …); or 'focus': where shading is wrong."
         ),
     ] = None,
     gae: Annotated[
@@ -51,6 +53,7 @@ def compare(
 ) -> None:
     """Measure extrapolated frames of A against the ground truth of B."""
     from gffe_cl.evaluation.compare import compare as compare_sequences
+    from gffe_cl.metrics import measurable, missing_metrics
     from gffe_cl.sequence import open_sequence
 
     if gae is not None and mask != "focus":
@@ -59,24 +62,41 @@ def compare(
     with progress_bars() as progress:
         advance = steps(progress)("Comparing", len(first.extrapolated))
         result = compare_sequences(first, second, mask, lambda done, total: advance(), third)
-    table = Table("frame", "PSNR, dB", "SSIM", box=None, header_style="bold")
+    metrics = measurable()
+    table = Table("frame", *(metric.title for metric in metrics), box=None, header_style="bold")
     for frame in result.frames:
-        style = None if frame.counted else "dim"
-        table.add_row(frame.file, f"{frame.psnr:.2f}", f"{frame.ssim:.4f}", style=style)
+        figures = (metric.text(frame.values[metric.name]) for metric in metrics)
+        table.add_row(plain(frame.file), *figures, style=None if frame.counted else "dim")
     out.print(table)
     for note in result.notes:
         out.print(plain(note))
     left_out = sum(not frame.counted for frame in result.frames)
     dim = f" ({left_out} frames without history left out)" if left_out else ""
-    out.print(f"[bold]mean[/]{dim}: PSNR {result.psnr:.2f} dB, SSIM {result.ssim:.4f}")
+    means = (metric.sentence(result.mean[metric.name]) for metric in metrics)
+    out.print(f"[bold]mean[/]{dim}: {', '.join(means)}")
     if result.regions:
-        table = Table("all frames together", "share", "PSNR, dB", "FLIP", box=None, header_style="bold")
-        for name, figures in result.regions.items():
-            table.add_row(name, f"{figures['share']:.2%}", f"{figures['psnr']:.2f}", f"{figures['flip']:.4f}")
-        out.print(table)
+        _print_regions(result, metrics)
+    for reason in missing_metrics():
+        out.print(plain(reason))
     write_json(json_path, result.to_json())
-    if fail_under is not None and not result.psnr >= fail_under:
+    if fail_under is not None and not result.mean["psnr"] >= fail_under:
         raise typer.Exit(1)
+
+
+def _print_regions(result: Comparison, metrics: list[Metric]) -> None:
+    """Where `--gae` is given, each metric without and with shading correction, and the gain."""
+    heads = ("GAE", "final", "gain") if result.gae else ("",)
+    table = Table("all frames together", "share", "metric", *heads, box=None, header_style="bold")
+    for region, figures in result.regions.items():
+        name, share = region, f"{figures['share']:.2%}"
+        for metric in metrics:
+            cells = [metric.text(figures[metric.name])]
+            if result.gae:
+                before, gain = result.gae[region][metric.name], result.gain[region][metric.name]
+                cells = [metric.text(before), *cells, metric.text(gain, signed=True)]
+            table.add_row(name, share, metric.title, *cells)
+            name = share = ""
+    out.print(table)
 
 
 @app.command()
@@ -145,7 +165,7 @@ def study(
         pooled = {name: DisocclusionStudy.pooled(studies) for name, studies in results.items()}
         pooled["all"] = DisocclusionStudy.pooled(flat)
         _print_disocclusions(pooled)
-        write_json(json_path, {name: asdict(r) for name, r in pooled.items()})
+        write_json(json_path, {name: study.to_json() for name, study in pooled.items()})
     elif windows:
         _print_windows(flat)
         write_json(json_path, {"results": [asdict(r) for r in flat]})
@@ -156,11 +176,12 @@ def study(
             _write_sheet(sheet, flat)
     else:
         _print_studies(flat)
-        write_json(json_path, {"results": [asdict(r) | {"share": r.share} for r in flat]})
+        write_json(json_path, {"results": [study.to_json() for study in flat]})
 
 
 def _print_disocclusions(pooled: dict[str, DisocclusionStudy]) -> None:
     from gffe_cl.evaluation.disocclusions import CATEGORIES, METHODS
+    from gffe_cl.metrics import METRICS
 
     for name, r in pooled.items():
         shares = {c: r.pixels[c] / r.pixels["all"] for c in CATEGORIES}
@@ -168,7 +189,7 @@ def _print_disocclusions(pooled: dict[str, DisocclusionStudy]) -> None:
         table = Table(name, *heads, "left by the background", box=None, header_style="bold")
         for method in METHODS:
             left = f"{r.unfilled[method] / r.pixels['all']:.2%}"
-            table.add_row(method, *(f"{r.psnr(method, c):.2f}" for c in CATEGORIES), left)
+            table.add_row(method, *(METRICS["psnr"].text(r.psnr(method, c)) for c in CATEGORIES), left)
         out.print(table)
 
 
@@ -193,21 +214,22 @@ def _print_windows(studies: list[WindowStudy]) -> None:
 
 def _print_shading(results: dict[str, list[ShadingStudy]]) -> None:
     from gffe_cl.evaluation.shading import METHODS, REGIONS
-    from gffe_cl.metrics import RegionErrors
+    from gffe_cl.metrics import RegionErrors, measurable, missing_metrics
 
     flat = [study for studies in results.values() for study in studies]
-    for region in REGIONS:
-        heads = (f"{region} pixels", "share", *METHODS, "gain", *(f"FLIP {m}" for m in METHODS))
-        table = Table(*heads, box=None, header_style="bold")
-        for name, studies in (*results.items(), ("all", flat)):
-            pooled = [RegionErrors.pooled(study.errors[m] for study in studies).figures()[region] for m in METHODS]
-            decibels, flips = [f["psnr"] for f in pooled], [f["flip"] for f in pooled]
-            figures = [f"{d:.2f}" for d in decibels] + [f"{decibels[1] - decibels[0]:+.2f}"]
-            table.add_row(name, f"{pooled[0]['share']:.2%}", *figures, *(f"{f:.4f}" for f in flips))
-        out.print(table)
-    out.print(
-        "PSNR in dB, all frames together. Focus pixels: shading is wrong in GAE, neither disoccluded nor dynamic."
-    )
+    for metric in measurable():
+        for region in REGIONS:
+            heads = (f"{metric.title}: {region} pixels", "share", *METHODS, "gain")
+            table = Table(*heads, box=None, header_style="bold")
+            for name, studies in (*results.items(), ("all", flat)):
+                pooled = [RegionErrors.pooled(study.errors[m] for study in studies) for m in METHODS]
+                figures = [errors.figure(metric.name, region) for errors in pooled]
+                gain = metric.text(metric.gain(*figures[:2]), signed=True)
+                table.add_row(name, f"{pooled[0].share(region):.2%}", *map(metric.text, figures), gain)
+            out.print(table)
+    out.print("All frames together. Focus pixels: shading is wrong in GAE, neither disoccluded nor dynamic.")
+    for reason in missing_metrics():
+        out.print(plain(reason))
 
 
 def _write_sheet(path: Path, studies: list[ShadingStudy]) -> None:
@@ -226,7 +248,9 @@ def _write_sheet(path: Path, studies: list[ShadingStudy]) -> None:
 
 def _print_studies(studies: list[SceneStudy]) -> None:
     from gffe_cl.evaluation.methods import METHODS
+    from gffe_cl.metrics import measurable
 
+    metrics = measurable()
     table = Table("scene", "seed", *METHODS, "gap closed", "disoccluded", "dynamic", box=None, header_style="bold")
     for r in studies:
         figures = [f"{r.visible[m]:.2f}" for m in METHODS]
@@ -235,9 +259,10 @@ def _print_studies(studies: list[SceneStudy]) -> None:
     out.print("PSNR in dB over pixels that are not disoccluded.")
     table = Table("whole frame", "seed", *METHODS, box=None, header_style="bold")
     for r in studies:
-        table.add_row(r.scene, str(r.seed), *(f"{r.whole[m]:.2f} {r.ssim[m]:.4f}" for m in METHODS))
+        figures = (" ".join(metric.text(r.whole[metric.name][m]) for metric in metrics) for m in METHODS)
+        table.add_row(r.scene, str(r.seed), *figures)
     out.print(table)
-    out.print("PSNR in dB and SSIM.")
+    out.print(f"{'; '.join(metric.title for metric in metrics)}.")
 
 
 @app.command()

@@ -18,7 +18,7 @@ import pyopencl as cl
 from gffe_cl.buffers import DeviceFrame
 from gffe_cl.camera import Camera
 from gffe_cl.evaluation import traffic
-from gffe_cl.frame import RenderedFrame
+from gffe_cl.frame import BYTES_PER_PIXEL, RenderedFrame
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import build
 from gffe_cl.options import Options
@@ -206,10 +206,7 @@ def _scene_frames(device: Device, width: int, height: int) -> tuple[list[Rendere
     frames = []
     for k in range(2):
         image = renderer.render(times[k], cameras[k], times[1 - k], cameras[1 - k])
-        buffers = []
-        for name, size in (("color", 8), ("depth", 4), ("motion", 8)):
-            buffer = device.buffer(size * width * height)
-            cl.enqueue_copy(device.queue, buffer, getattr(image, name), byte_count=buffer.size)
-            buffers.append(buffer)
+        buffers = tuple(device.buffer(size * width * height) for size in BYTES_PER_PIXEL)
+        image.copy_to(buffers)
         frames.append(RenderedFrame(*buffers, cameras[k], times[k]))
     return frames, scene.camera(_START + 0.5 / 30, width, height)

@@ -3,75 +3,78 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import is_shown_whole
-from gffe_cl.metrics import RegionErrors, display_values, focus_mask, psnr, ssim
+from gffe_cl.metrics import FOCUS, METRICS, RegionErrors, display_values, focus_mask, measurable, shading_regions
 from gffe_cl.opencl.device import Device
 from gffe_cl.sequence import FrameEntry, Sequence
 from gffe_cl.sequence.read_ahead import read_ahead
 from gffe_cl.stages.presentation import present
 
+NO_HISTORY = 2  # rendered frames after a reset, itself included, that are followed by no counted frame
 _THREADS = 2
-_NO_HISTORY = 2  # rendered frames after a reset, itself included, that are followed by no counted frame
-FOCUS = "focus"  # the mask of pixels whose shading is wrong without shading correction
-_SAME_TIME = 1e-3  # of 1/fps: times closer than this are one
 
 
 @dataclass
 class FrameScore:
-    """Metrics of one frame. `psnr` is in dB; it is NaN for an empty mask, `ssim` for a tiny image."""
+    """Metrics of one frame: `values` by name, NaN where one is not defined (an empty mask, a tiny image)."""
 
     time: float
     file: str
     truth: str
-    psnr: float
-    ssim: float
+    values: dict[str, float]
     counted: bool  # whether the means include it
 
 
 @dataclass
 class Comparison:
     """Scores of all matched frames, by time; `notes` are sentences about how the means came about; `regions`, for the
-    mask "focus", figures pooled over the counted frames (`RegionErrors.figures`)."""
+    mask "focus", figures pooled over the counted frames (`RegionErrors.figures`), and `gae`, those of the frames
+    without shading correction, where they were given."""
 
     frames: list[FrameScore]
     notes: list[str] = field(default_factory=list)
     regions: dict[str, dict[str, float]] = field(default_factory=dict)
+    gae: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @property
-    def psnr(self) -> float:
-        """Mean over the counted frames, dB."""
-        return self._mean("psnr")
+    def mean(self) -> dict[str, float]:
+        """Every metric by name, over the counted frames where it is defined; NaN where there are none."""
+        return {name: self._mean(name) for name in METRICS}
 
     @property
-    def ssim(self) -> float:
-        """Mean over the counted frames."""
-        return self._mean("ssim")
+    def gain(self) -> dict[str, dict[str, float]]:
+        """By region and metric: how much better the frames are than `gae`."""
+        return {
+            region: {name: metric.gain(before[name], self.regions[region][name]) for name, metric in METRICS.items()}
+            for region, before in self.gae.items()
+        }
 
     def to_json(self) -> dict:
-        """{"mean": {"psnr", "ssim"}, "frames": [{"time", "file", "truth", "psnr", "ssim", "counted"}, …]},
-        "notes" and "regions" where there are any; what is undefined is null."""
+        """{"mean": {"psnr", "ssim", …}, "frames": [{"time", "file", "truth", "psnr", "ssim", …, "counted"}, …]}, and
+        "notes", "regions", "gae" and "gain" where there are any; what is undefined, or not to be measured here, is
+        null."""
         document = {
-            "mean": {"psnr": _or_null(self.psnr), "ssim": _or_null(self.ssim)},
+            "mean": _nulls(self.mean),
             "frames": [
-                {**asdict(frame), "psnr": _or_null(frame.psnr), "ssim": _or_null(frame.ssim)} for frame in self.frames
+                {"time": frame.time, "file": frame.file, "truth": frame.truth}
+                | _nulls({name: frame.values.get(name, float("nan")) for name in METRICS})
+                | {"counted": frame.counted}
+                for frame in self.frames
             ],
         }
-        if self.regions:
-            document["regions"] = {
-                region: {name: _or_null(value) for name, value in figures.items()}
-                for region, figures in self.regions.items()
-            }
+        for name in ("regions", "gae", "gain"):
+            if figures := getattr(self, name):
+                document[name] = {region: _nulls(values) for region, values in figures.items()}
         return {**document, "notes": list(self.notes)} if self.notes else document
 
-    def _mean(self, name) -> float:
-        values = [getattr(frame, name) for frame in self.frames if frame.counted]
+    def _mean(self, name: str) -> float:
+        values = [frame.values.get(name, float("nan")) for frame in self.frames if frame.counted]
         values = [value for value in values if not math.isnan(value)]
         return float(np.mean(values)) if values else float("nan")
 
@@ -93,15 +96,15 @@ def compare(
 ) -> Comparison:
     """Extrapolated frames of `a` against ground truth of `b`.
 
-    Frames match whose times are within a quarter of the smallest step between frames of either sequence. The
-    means leave out the frames that follow the first two rendered frames after a reset, the reset included;
-    if nothing else is left they are over all frames, with a note. Display values take `b`'s exposure.
+    Frames match as `Sequence.at` says. The means leave out the frames that follow the first two rendered frames after a
+    reset, the reset included; if nothing else is left they are over all frames, with a note. Display values take `b`'s
+    exposure.
 
     Parameters
     ----------
     mask : str or None
-        A channel of `a`'s frames: PSNR is over the pixels where it is not 0, SSIM over the whole frame. "focus" means
-        the pixels whose shading is wrong in `gae`: `focus_mask`, less what is disoccluded.
+        A channel of `a`'s frames: metrics are over the pixels where it is not 0. "focus" means the pixels whose shading
+        is wrong in `gae`: `focus_mask`, less what is disoccluded.
     progress : callable or None
         Called with (frames done, frames in all).
     gae : Sequence or None
@@ -117,25 +120,29 @@ def compare(
         raise GffeError(f"{a.path}: no extrapolated frames to compare")
     if not b.ground_truth:
         raise GffeError(f"{b.path}: no ground truth to compare with")
-    tolerance = _smallest_step(a, b) / 4
     history = _History(a if a.rendered else b)
-    pairs = []
+    pairs, missed = [], []
     for entry in a.extrapolated:
-        truth = min(b.ground_truth, key=lambda t: abs(t.time - entry.time))
-        if abs(truth.time - entry.time) <= tolerance:
+        truth = b.at("ground_truth", entry.time)
+        if truth:
             pairs.append(_Pair(entry, truth, history.suffices(entry)))
+        elif text := b.near_miss("ground_truth", entry.time):
+            missed.append(f"{entry.file} is left out (times rounded?): {text}")
     if not pairs:
+        near = b.nearest("ground_truth", a.extrapolated[0].time)
         raise GffeError(
-            f"{a.path}: no extrapolated frame has ground truth in {b.path}"
-            f" (expected times within {tolerance:.3g} s of each other)"
+            f"{a.path}: no extrapolated frame has ground truth in {b.path} (expected times within 1/50 of an interval:"
+            f" {a.extrapolated[0].file} is at {a.extrapolated[0].time:.6g} s, the nearest is at {near.time:.6g} s)"
         )
     if gae is not None:
         _require_same_size(gae, b)
         for pair in pairs:
-            pair.gae = min(gae.extrapolated, key=lambda e: abs(e.time - pair.entry.time), default=None)
-            if pair.gae is None or abs(pair.gae.time - pair.entry.time) > tolerance:
-                raise GffeError(f"{gae.path}: no extrapolated frame at {pair.entry.time:.6g} s, as {a.path} has")
-    return _score(pairs, a, b, mask, progress, gae=gae)
+            pair.gae = gae.at("extrapolated", pair.entry.time, pair.entry.source)
+            if pair.gae is None:
+                after = f" after {pair.entry.source}" if pair.entry.source else ""
+                raise GffeError(f"{gae.path}: no extrapolated frame at {pair.entry.time:.6g} s{after}, as {a.path} has")
+    notes = [missed[0] + (f"; {len(missed) - 1} more" if missed[1:] else "")] if missed else []
+    return _score(pairs, a, b, mask, progress, gae=gae, notes=notes)
 
 
 def baseline_repeat(
@@ -147,12 +154,11 @@ def baseline_repeat(
     `device` (the default one if None). Raises GffeError.
     """
     rendered = sequence.rendered
-    times = [entry.time for entry in rendered]
     history = _History(sequence)
     pairs = []
     for truth in sequence.ground_truth:
-        index = bisect_right(times, truth.time) - 1
-        if index >= 0:
+        index = sequence.rendered_before(truth.time)
+        if index is not None:
             pairs.append(_Pair(rendered[index], truth, history.suffices(rendered[index])))
     if not pairs:
         raise GffeError(f"{sequence.path}: no ground truth after a rendered frame")
@@ -169,10 +175,9 @@ def shown_color(sequence: Sequence, entry: FrameEntry, device: Device | None = N
     return present(sequence.read(entry), size=size, device=device).color
 
 
-def _score(pairs, a, b, mask, progress, device=None, gae=None) -> Comparison:
-    import skimage.metrics  # noqa: F401  slow to import: once, before the threads
-
-    notes = []
+def _score(pairs, a, b, mask, progress, device=None, gae=None, notes=()) -> Comparison:
+    metrics = measurable()  # imports what is slow to import: once, before the threads
+    notes = list(notes)
     if a.exposure != b.exposure:
         notes.append(f"exposure {b.exposure:g} of {b.path} is used for both ({a.exposure:g} in {a.path})")
     if not any(pair.counted for pair in pairs):
@@ -185,81 +190,55 @@ def _score(pairs, a, b, mask, progress, device=None, gae=None) -> Comparison:
 
     def score(pair):
         shown = display_values(shown_color(a, pair.entry, device), b.exposure)
-        truth = display_values(b.read_color(pair.truth), b.exposure)
+        true_color = b.read_color(pair.truth)
+        truth = display_values(true_color, b.exposure)
         if shown.shape != truth.shape:
             raise GffeError(
                 f"{pair.entry.file}: {shown.shape[1]}×{shown.shape[0]} pixels,"
                 f" expected {truth.shape[1]}×{truth.shape[0]} as in {pair.truth.file}"
             )
-        errors = RegionErrors()
-        if mask == FOCUS:
-            regions = _regions(pair, a, b, gae)
-            errors.add(shown, truth, regions)
-            pixels = regions[FOCUS]
-        else:
+        if mask != FOCUS:
             pixels = a.read_channels(pair.entry, [mask])[mask] if mask else None
-        return psnr(shown, truth, pixels), ssim(shown, truth), errors
+            return {metric.name: metric.measure(shown, truth, pixels) for metric in metrics}, None, None
+        masks = a.read_channels(pair.entry, ["mask.dynamic", "mask.disoccluded"])
+        without = gae.read_color(pair.gae) if gae else a.read_color(pair.entry)
+        focus = focus_mask(without, true_color, masks["mask.dynamic"], b.exposure)
+        regions = shading_regions(focus, masks["mask.disoccluded"] != 0)
+        errors, before = RegionErrors(), RegionErrors()
+        errors.add(shown, truth, regions, metrics)
+        if gae:
+            before.add(display_values(without, b.exposure), truth, regions, metrics)
+        return {metric.name: errors.figure(metric.name, FOCUS) for metric in metrics}, errors, before
 
-    frames, counted = [], []
-    for pair, (decibel, similarity, errors) in read_ahead(pairs, score, _THREADS):
-        if pair.counted:
-            counted.append(errors)
-        frames.append(
-            FrameScore(
-                pair.truth.time if pair.entry.kind == "rendered" else pair.entry.time,
-                pair.entry.file,
-                pair.truth.file,
-                decibel,
-                similarity,
-                pair.counted,
-            )
-        )
+    frames, regions, of_gae = [], [], []
+    for pair, (values, errors, before) in read_ahead(pairs, score, _THREADS):
+        if pair.counted and errors:
+            regions.append(errors)
+            of_gae.append(before)
+        time = pair.truth.time if pair.entry.kind == "rendered" else pair.entry.time
+        frames.append(FrameScore(time, pair.entry.file, pair.truth.file, values, pair.counted))
         if progress:
             progress(len(frames), len(pairs))
-    return Comparison(frames, notes, RegionErrors.pooled(counted).figures())
-
-
-def _regions(pair: _Pair, a: Sequence, b: Sequence, gae: Sequence | None) -> dict[str, np.ndarray]:
-    masks = a.read_channels(pair.entry, ["mask.dynamic", "mask.disoccluded"])
-    color = gae.read_color(pair.gae) if gae else a.read_color(pair.entry)
-    focus = focus_mask(color, b.read_color(pair.truth), masks["mask.dynamic"], b.exposure)
-    return shading_regions(focus, masks["mask.disoccluded"])
-
-
-def shading_regions(focus: np.ndarray, disoccluded: np.ndarray) -> dict[str, np.ndarray]:
-    """Where shading correction is measured, masks (H, W): "focus" less disocclusions, these, and the "whole" frame."""
-    holes = disoccluded != 0
-    return {FOCUS: focus & ~holes, "disoccluded": holes, "whole": np.ones(focus.shape, bool)}
+    return Comparison(frames, notes, RegionErrors.pooled(regions).figures(), RegionErrors.pooled(of_gae).figures())
 
 
 class _History:
     """Which rendered frames have enough before them for what follows them to be counted."""
 
     def __init__(self, sequence: Sequence):
-        self._times, self._files, self._since_reset = [], {}, []
+        self._sequence, self._files, self._since_reset = sequence, {}, []
         since = 0
         for index, entry in enumerate(sequence.rendered):
             since = 0 if entry.reset else since + 1
-            self._times.append(entry.time)
             self._files[entry.file] = index
             self._since_reset.append(since)
-        self._slack = _SAME_TIME / sequence.fps
 
     def suffices(self, entry: FrameEntry) -> bool:
         """By the frame's source if it names one, else by the last rendered frame before it."""
         index = self._files.get(entry.file if entry.kind == "rendered" else entry.source)
         if index is None:
-            index = bisect_right(self._times, entry.time - self._slack) - 1
-        return index >= 0 and self._since_reset[index] >= _NO_HISTORY
-
-
-def _smallest_step(*sequences: Sequence) -> float:
-    """Seconds; the smallest difference between successive times within one sequence."""
-    steps = []
-    for sequence in sequences:
-        times = np.sort([entry.time for entry in sequence.frames])
-        steps += [step for step in np.diff(times) if step > _SAME_TIME / sequence.fps]
-    return float(min(steps)) if steps else 1 / max(sequence.fps for sequence in sequences)
+            index = self._sequence.rendered_before(entry.time)
+        return index is not None and self._since_reset[index] >= NO_HISTORY
 
 
 def _require_same_size(a: Sequence, b: Sequence) -> None:
@@ -267,5 +246,5 @@ def _require_same_size(a: Sequence, b: Sequence) -> None:
         raise GffeError(f"{a.path}: {a.width}×{a.height} pixels, expected {b.width}×{b.height} as in {b.path}")
 
 
-def _or_null(value: float) -> float | None:
-    return None if math.isnan(value) else value
+def _nulls(values: dict[str, float]) -> dict[str, float | None]:
+    return {name: None if math.isnan(value) else value for name, value in values.items()}

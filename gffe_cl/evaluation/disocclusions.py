@@ -8,7 +8,6 @@ rendered frame from which backgrounds are collected.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -17,11 +16,11 @@ import numpy as np
 from gffe_cl.buffers import BY_HOLE_FILLING
 from gffe_cl.camera import Camera
 from gffe_cl.evaluation.methods import submitted_frames
-from gffe_cl.metrics import display_values
+from gffe_cl.metrics import METRICS, RegionErrors, display_values
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.scenes import SceneRenderer, load_scene
+from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 
 METHODS: dict[str, Options] = {
     "downsample, L = 0": Options(levels=0, hole_filling="downsample"),
@@ -36,6 +35,7 @@ METHODS: dict[str, Options] = {
     "far-side, L = 3": Options(levels=3),
 }
 CATEGORIES = ("static", "dynamic", "out of screen", "seen before")
+_METRIC = METRICS["psnr"]
 _SAME_SURFACE = 0.01  # relative depth
 _SKY = 1e7  # world units
 
@@ -44,29 +44,33 @@ _SKY = 1e7  # world units
 class DisocclusionStudy:
     """Pooled over the frames of one scene and seed, or over several of them.
 
-    `pixels`: how many pixels of each category, and "all" of the image; `squared_error`: summed squared error
-    of display values (mean over RGB), by method and category; `unfilled`: holes that the background left, by
+    `errors`: by method, over the pixels of each category, and "whole"; `unfilled`: holes that the background left, by
     method, out of screen apart.
     """
 
-    pixels: dict[str, int]
-    squared_error: dict[str, dict[str, float]]
+    errors: dict[str, RegionErrors]
     unfilled: dict[str, int]
 
     def psnr(self, method: str, category: str) -> float:
         """dB over the pixels of a category; NaN if there are none."""
-        if not self.pixels[category]:
-            return float("nan")
-        return -10 * float(np.log10(self.squared_error[method][category] / self.pixels[category] + 1e-12))
+        return self.errors[method].figure(_METRIC.name, category)
+
+    @property
+    def pixels(self) -> dict[str, int]:
+        """How many there are of each category, and "all" of the image."""
+        counts = next(iter(self.errors.values())).pixels
+        return {"all" if name == "whole" else name: count for name, count in counts.items()}
 
     @classmethod
     def pooled(cls, studies: list[DisocclusionStudy]) -> DisocclusionStudy:
         """The sum of several."""
-        return cls(
-            {c: sum(s.pixels[c] for s in studies) for c in (*CATEGORIES, "all")},
-            {m: {c: sum(s.squared_error[m][c] for s in studies) for c in CATEGORIES} for m in METHODS},
-            {m: sum(s.unfilled[m] for s in studies) for m in METHODS},
-        )
+        errors = {m: RegionErrors.pooled(study.errors[m] for study in studies) for m in METHODS}
+        return cls(errors, {m: sum(study.unfilled[m] for study in studies) for m in METHODS})
+
+    def to_json(self) -> dict:
+        """`squared_error`: summed squared error of display values (mean over RGB), by method and category."""
+        sums = {m: {c: errors.sums[_METRIC.name][c] for c in CATEGORIES} for m, errors in self.errors.items()}
+        return {"pixels": self.pixels, "squared_error": sums, "unfilled": self.unfilled}
 
 
 def study_disocclusions(
@@ -83,39 +87,34 @@ def study_disocclusions(
     """Extrapolate `frames` rendered frames of a built-in scene by every method and measure the disocclusions."""
     scene = load_scene(name, seed)
     moving = np.array([group.motion.moves for group in scene.groups] + [False])  # [-1] is the sky
-    renderer = SceneRenderer(device, scene, width, height)
+    scene_frames = SceneFrames(SceneRenderer(device, scene, width, height))
     pipelines = {
         method: Pipeline(device, width, height, replace(options, shading_correction=False), fps=fps)
         for method, options in METHODS.items()
     }
     all_static = Pipeline(device, width, height, Options(motion=False, levels=0, shading_correction=False), fps=fps)
-    pixels = dict.fromkeys((*CATEGORIES, "all"), 0)
-    errors: dict = {method: defaultdict(float) for method in METHODS}
+    errors = {method: RegionErrors() for method in METHODS}
     unfilled = dict.fromkeys(METHODS, 0)
     seen = []  # (camera, depth) of the rendered frames so far
     everyone = (*pipelines.values(), all_static)
-    for frame, image, time in submitted_frames(renderer, everyone, frames, fps, alpha, on_frame):
+    for _, frame, time in submitted_frames(scene_frames, everyone, frames, fps, alpha, on_frame):
         if time is not None:
-            camera = scene.camera(time, width, height)
-            future = renderer.render(time, camera).numpy()
+            camera = scene_frames.display_camera(time)
+            future = scene_frames.truth(time).numpy()
             truth = display_values(future.color, scene.exposure)
             made = {method: pipeline.extrapolate(camera, time) for method, pipeline in pipelines.items()}
             holes = made["far-side, L = 0"].numpy("disoccluded") > 0
             static_holes = all_static.extrapolate(camera, time).numpy("disoccluded") > 0
             masks = _categories(holes, static_holes, camera, future, moving, frame.camera, seen)
-            for category, mask in masks.items():
-                pixels[category] += int(mask.sum())
-            pixels["all"] += holes.size
+            regions = masks | {"whole": np.ones(holes.shape, bool)}
             for method, extrapolated in made.items():
                 shown = display_values(extrapolated.numpy("color"), scene.exposure)
-                squared = np.square(shown - truth).mean(-1)
-                for category, mask in masks.items():
-                    errors[method][category] += float(squared[mask].sum())
+                errors[method].add(shown, truth, regions, [_METRIC])
                 left = extrapolated.numpy("filled_by") == BY_HOLE_FILLING
                 unfilled[method] += int((left & ~masks["out of screen"]).sum())
         if not frame.reset:
-            seen.append((frame.camera, image.depth))
-    return DisocclusionStudy(pixels, {m: {c: e[c] for c in CATEGORIES} for m, e in errors.items()}, unfilled)
+            seen.append((frame.camera, frame.depth))
+    return DisocclusionStudy(errors, unfilled)
 
 
 def shows(camera: Camera, width: int, height: int, world_pos: np.ndarray) -> np.ndarray:

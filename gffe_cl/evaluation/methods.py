@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gffe_cl.evaluation.compare import NO_HISTORY
 from gffe_cl.frame import RenderedFrame, pack_frame
-from gffe_cl.metrics import display_values, psnr, ssim
+from gffe_cl.metrics import display_values, measurable, psnr
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.scenes import SceneArrays, SceneRenderer, SequenceFrame, load_scene, sequence_frames
+from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 
 # "literal" is the paper taken at its word: single-pixel splats, no crack closing, 32× hole filling.
 # "oracle" is the same warp with every fragment's true position at t + α in place of the predicted one.
@@ -24,22 +25,20 @@ METHODS: dict[str, Options | None] = {
     "gae": Options(shading_correction=False),
     "oracle": Options(shading_correction=False),
 }
-_NO_HISTORY = 2  # rendered frames after the reset that do not count
 
 
 @dataclass
 class SceneStudy:
     """Means over the frames of one scene and seed.
 
-    `visible` is PSNR in dB over the pixels that no method but "repeat" and "literal" leaves disoccluded,
-    `whole` and `ssim` are over the whole frame; each maps the names of `METHODS` to a figure.
+    `visible` is PSNR in dB over the pixels that no method but "repeat" and "literal" leaves disoccluded, by method;
+    `whole`, by metric and method, is over the whole frame.
     """
 
     scene: str
     seed: int
     visible: dict[str, float]
-    whole: dict[str, float]
-    ssim: dict[str, float]
+    whole: dict[str, dict[str, float]]
     disoccluded: float  # share of the pixels that GAE leaves disoccluded
     dynamic: float  # share of the pixels that are dynamic
 
@@ -49,6 +48,12 @@ class SceneStudy:
         floor = self.visible["repeat"]
         gap = self.visible["oracle"] - floor
         return (self.visible["gae"] - floor) / gap if gap else float("nan")
+
+    def to_json(self) -> dict:
+        """PSNR over the whole frame is "whole" there, other metrics have their names."""
+        whole = {"whole" if name == "psnr" else name: by_method for name, by_method in self.whole.items()}
+        plain = {name: getattr(self, name) for name in ("scene", "seed", "visible", "disoccluded", "dynamic", "share")}
+        return plain | whole
 
 
 def study_scene(
@@ -64,49 +69,50 @@ def study_scene(
 ) -> SceneStudy:
     """Extrapolate `frames` rendered frames of a built-in scene by every method and measure at t + α."""
     scene = load_scene(name, seed)
-    renderer = SceneRenderer(device, scene, width, height)
+    scene_frames = SceneFrames(SceneRenderer(device, scene, width, height))
     pipelines = {
         method: Pipeline(device, width, height, options, fps=fps)
         for method, options in METHODS.items()
         if options is not None
     }
     rows = []
-    for frame, image, time in submitted_frames(renderer, pipelines.values(), frames, fps, alpha, on_frame):
+    for _, frame, time in submitted_frames(scene_frames, pipelines.values(), frames, fps, alpha, on_frame):
         if time is not None:
-            rows.append(_measure(renderer, pipelines, image, frame, time, scene.exposure))
-    mean = {
-        key: {m: float(np.mean([row[key][m] for row in rows])) for m in METHODS} for key in ("visible", "whole", "ssim")
-    }
+            rows.append(_measure(scene_frames, pipelines, frame, time))
+
+    def mean(*keys):
+        return {m: float(np.mean([row[(*keys, m)] for row in rows])) for m in METHODS}
+
+    whole = {metric.name: mean("whole", metric.name) for metric in measurable()}
     shares = {key: float(np.mean([row[key] for row in rows])) for key in ("disoccluded", "dynamic")}
-    return SceneStudy(name, seed, **mean, **shares)
+    return SceneStudy(name, seed, mean("visible"), whole, **shares)
 
 
 def submitted_frames(
-    renderer: SceneRenderer,
+    scene_frames: SceneFrames,
     pipelines: Iterable[Pipeline],
     frames: int,
     fps: float,
     alpha: float,
     on_frame: Callable[[], None],
-) -> Iterator[tuple[SequenceFrame, SceneArrays, float | None]]:
-    """Render a scene's frames and submit each to all pipelines. Yields the frame, its rendering, and the time t + α to
-    measure at, None for frames with too little history."""
+) -> Iterator[tuple[int, RenderedFrame, float | None]]:
+    """Render a scene's frames and submit each to all pipelines. Yields the number of the frame, the frame, and the time
+    t + α to measure at, None for frames with too little history."""
     pipelines = list(pipelines)
-    for frame in sequence_frames(renderer.scene, renderer.width, renderer.height, frames, fps, ground_truth=False):
-        image = renderer.render(frame.time, frame.camera, frame.previous_time, frame.previous_camera).numpy()
-        rendered = RenderedFrame(image.color, image.depth, image.motion, frame.camera, frame.time, reset=frame.reset)
-        packed = pack_frame(rendered, renderer.height, renderer.width)
+    for k, frame in enumerate(scene_frames.sequence(frames, fps)):
+        packed = pack_frame(frame, *np.shape(frame.depth))
         for pipeline in pipelines:
-            pipeline.submit(rendered, packed)
-        yield frame, image, frame.time + alpha / fps if frame.source >= _NO_HISTORY else None
+            pipeline.submit(frame, packed)
+        yield k, frame, frame.time + alpha / fps if k >= NO_HISTORY else None
         on_frame()
 
 
-def _measure(renderer, pipelines, image, frame, time, exposure) -> dict:
-    camera = renderer.scene.camera(time, renderer.width, renderer.height)
-    future = renderer.render(frame.time, frame.camera, time, camera).numpy()
-    truth = display_values(renderer.render(time, camera).numpy().color, exposure)
-    pictures = {"repeat": display_values(image.color, exposure)}
+def _measure(scene_frames: SceneFrames, pipelines: dict[str, Pipeline], frame: RenderedFrame, time: float) -> dict:
+    """Figures of one frame, by (what, …, method)."""
+    exposure, camera = scene_frames.scene.exposure, scene_frames.display_camera(time)
+    future = scene_frames.renderer.render(frame.time, frame.camera, time, camera).numpy()
+    truth = display_values(scene_frames.truth(time).read("color"), exposure)
+    pictures = {"repeat": display_values(frame.color, exposure)}
     holes = np.zeros(truth.shape[:2], bool)
     for method, pipeline in pipelines.items():
         if method == "oracle":
@@ -117,13 +123,12 @@ def _measure(renderer, pipelines, image, frame, time, exposure) -> dict:
         if method != "literal":
             holes |= made.numpy("disoccluded") > 0
         if method == "gae":
-            shares = {n: float(made.numpy(n).mean()) for n in ("disoccluded", "dynamic")}
-    return {
-        "visible": {m: psnr(p, truth, ~holes) for m, p in pictures.items()},
-        "whole": {m: psnr(p, truth) for m, p in pictures.items()},
-        "ssim": {m: ssim(p, truth) for m, p in pictures.items()},
-        **shares,
-    }
+            row = {n: float(made.numpy(n).mean()) for n in ("disoccluded", "dynamic")}
+    metrics = measurable()
+    for method, picture in pictures.items():
+        row["visible", method] = psnr(picture, truth, ~holes)
+        row |= {("whole", metric.name, method): metric.measure(picture, truth) for metric in metrics}
+    return row
 
 
 def true_positions(future) -> np.ndarray:

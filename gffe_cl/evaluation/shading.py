@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gffe_cl.evaluation.compare import FOCUS, shading_regions
 from gffe_cl.evaluation.methods import submitted_frames
-from gffe_cl.metrics import RegionErrors, display_values, focus_mask
+from gffe_cl.metrics import FOCUS, RegionErrors, display_values, focus_mask, measurable, shading_regions
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.scenes import SceneRenderer, load_scene
+from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 
 # Without and with shading correction; and with it, but without its focus mask.
 METHODS = ("GAE", "final", "no focus mask")
@@ -34,7 +33,7 @@ class ShadingStudy:
     crops: list[list[tuple[str, np.ndarray]]] = field(default_factory=list)
 
     def figures(self) -> dict:
-        """For JSON: by method and region `share`, `psnr` and `flip`."""
+        """For JSON: by method and region `share` and every metric."""
         by_method = {method: errors.figures() for method, errors in self.errors.items()}
         return {"scene": self.scene, "seed": self.seed, "corrected": self.corrected, "methods": by_method}
 
@@ -53,33 +52,33 @@ def study_shading(
 ) -> ShadingStudy:
     """Extrapolate `frames` rendered frames of a built-in scene and measure at t + α. `options` choose the network."""
     scene = load_scene(name, seed)
-    renderer = SceneRenderer(device, scene, width, height)
+    scene_frames = SceneFrames(SceneRenderer(device, scene, width, height))
     pipeline = Pipeline(device, width, height, options or Options(shading_correction=True), fps=fps)
     pipeline.exposure = scene.exposure
     errors = {method: RegionErrors() for method in METHODS}
     corrected, crops = [], []
-    for frame, _, time in submitted_frames(renderer, [pipeline], frames, fps, alpha, on_frame):
+    metrics = measurable()
+    for k, _, time in submitted_frames(scene_frames, [pipeline], frames, fps, alpha, on_frame):
         if time is None:
             continue
-        camera = scene.camera(time, width, height)
-        truth = renderer.render(time, camera).numpy().color
-        made = pipeline.extrapolate(camera, time)
+        truth = scene_frames.truth(time).read("color")
+        made = pipeline.extrapolate(scene_frames.display_camera(time), time)
         predicted = pipeline.stages["correction"].read("focus_mask").astype(np.float32)
         refined = pipeline.stages["correction"].read("refined")[..., :3]
         focus = focus_mask(made.numpy("gae"), truth, made.numpy("dynamic"), scene.exposure)
-        regions = shading_regions(focus, made.numpy("disoccluded"))
+        regions = shading_regions(focus, made.numpy("disoccluded") != 0)
         shown = display_values(truth, scene.exposure)
         pictures = {}
         for method, color in zip(METHODS, (made.numpy("gae"), made.numpy("color"), refined), strict=True):
             pictures[method] = display_values(color, scene.exposure)
-            errors[method].add(pictures[method], shown, regions)
+            errors[method].add(pictures[method], shown, regions, metrics)
         corrected.append(float((predicted > 0).mean()))
         pictures |= {
             "ground truth": shown,
             "focus mask": predicted,
             "true focus mask": regions[FOCUS].astype(np.float32),
         }
-        crops += _crops(pictures, regions[FOCUS], frame.source)
+        crops += _crops(pictures, regions[FOCUS], k)
     return ShadingStudy(name, seed, errors, float(np.mean(corrected)), _chosen(crops))
 
 

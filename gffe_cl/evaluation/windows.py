@@ -7,19 +7,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gffe_cl.evaluation.compare import NO_HISTORY
 from gffe_cl.evaluation.disocclusions import shows, world_positions
-from gffe_cl.frame import RenderedFrame
 from gffe_cl.metrics import display_values, psnr
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.scenes import Scene, SceneRenderer, load_scene, sequence_frames
+from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer, load_scene
 from gffe_cl.window import Window, WindowChooser
 
 # The last two have rendered pixels as small as the display's, and more of them.
 MODES = ("off", "fixed:1.1", "fixed:1.2", "fixed:1.4", "adaptive", "adaptive, dense", "wide")
 _DENSER = {"adaptive, dense": 1.2, "wide": 1.5}  # times the display, each way
-_NO_HISTORY = 2  # rendered frames after the reset that do not count
 
 
 @dataclass
@@ -64,15 +63,15 @@ def study_windows(
     half = (frames // 2) / fps
     scene = _turning(load_scene(name, seed), rate, half)
     truths = {}
-    renderer = SceneRenderer(device, scene, width, height)
+    scene_frames = SceneFrames(SceneRenderer(device, scene, width, height))
     for step in range(frames):
         for time in (step / fps, (step + alpha) / fps):
-            image = renderer.render(time, scene.camera(time, width, height)).numpy()
+            image = scene_frames.truth(time).numpy()
             truths[time] = display_values(image.color, scene.exposure), image.depth
     rows = {mode: _rows(device, scene, mode, (width, height), frames, fps, alpha, truths, on_frame) for mode in MODES}
     figures = []
     for reversing in (False, True):
-        kept = [k for k in range(_NO_HISTORY, frames) if ((k - 1) / fps < half < (k + alpha) / fps) == reversing]
+        kept = [k for k in range(NO_HISTORY, frames) if ((k - 1) / fps < half < (k + alpha) / fps) == reversing]
         figures.append({mode: _figures([rows[mode][k] for k in kept], kept, rows) for mode in rows})
     return WindowStudy(name, seed, *figures)
 
@@ -102,31 +101,26 @@ def _rows(device, scene, mode, size, frames, fps, alpha, truths, on_frame) -> li
     # Grown by whole pixels on both sides: rendered pixels lie on those of the display.
     render_size = tuple(n + 2 * round((_DENSER.get(mode, 1) - 1) / 2 * n) for n in size)
     windows = _Grown(mode, size, render_size, [alpha]) if mode in _DENSER else WindowChooser(mode, size, [alpha])
-    renderer = SceneRenderer(device, scene, *render_size)
+    scene_frames = SceneFrames(SceneRenderer(device, scene, *render_size), windows, size)
     pipeline = Pipeline(device, *size, Options(shading_correction=False), render_size=render_size, fps=fps)
     rows = []
-    for step in sequence_frames(
-        scene, *size, frames, fps, ground_truth=False, windows=windows, render_size=render_size
-    ):
-        image = renderer.render(step.time, step.camera, step.previous_time, step.previous_camera).numpy()
-        windows.observe(image.depth)
-        arrays = (image.color, image.depth, image.motion)
-        pipeline.submit(RenderedFrame(*arrays, step.camera, step.time, step.display_camera, step.reset))
-        time = (step.source + alpha) / fps
-        camera = scene.camera(time, *size)
+    for k, frame in enumerate(scene_frames.sequence(frames, fps)):
+        pipeline.submit(frame)
+        time = (k + alpha) / fps
+        camera = scene_frames.display_camera(time)
         made = pipeline.extrapolate(camera, time)
         truth, depth = truths[time]
         disoccluded = made.numpy("disoccluded") > 0
-        outside = ~shows(step.camera, *render_size, world_positions(camera, depth, disoccluded))
+        outside = ~shows(frame.camera, *render_size, world_positions(camera, depth, disoccluded))
         shown = display_values(pipeline.present().numpy("color"), scene.exposure)
-        texel = np.sqrt(step.display_camera.fx / step.camera.fx * step.display_camera.fy / step.camera.fy)
+        texel = np.sqrt(frame.display_camera.fx / frame.camera.fx * frame.display_camera.fy / frame.camera.fy)
         rows.append(
             {
                 "image": display_values(made.numpy("color"), scene.exposure),
                 "truth": truth,
                 "disoccluded": disoccluded,
                 "holes": outside.sum() / disoccluded.size,
-                "shown": psnr(shown, truths[step.source / fps][0]),
+                "shown": psnr(shown, truths[k / fps][0]),
                 "texel": texel,
             }
         )

@@ -19,7 +19,7 @@ import numpy as np
 
 from gffe_cl.errors import GffeError
 from gffe_cl.scenes.renderer import SceneArrays, SceneImage, SceneRenderer
-from gffe_cl.scenes.sequences import SequenceFrame, sequence_frames
+from gffe_cl.scenes.sequences import SceneFrames
 from gffe_cl.scenes.vocabulary import Scene
 
 SCENES = {
@@ -37,11 +37,10 @@ __all__ = [
     "SCENES",
     "Scene",
     "SceneArrays",
+    "SceneFrames",
     "SceneImage",
     "SceneRenderer",
-    "SequenceFrame",
     "load_scene",
-    "sequence_frames",
 ]
 
 

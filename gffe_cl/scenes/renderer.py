@@ -16,6 +16,13 @@ from gffe_cl.scenes.vocabulary import Scene
 
 _TILE = constants("scenes/scene.cl")["TILE"]
 _BASE_SAMPLES = 3
+_LAYOUT = {  # of a rendering's buffers: channels and type
+    "color": ((4,), np.float16),
+    "depth": ((), np.float32),
+    "motion": ((2,), np.float32),
+    "other_position": ((4,), np.float32),
+    "object_id": ((), np.int32),
+}
 
 
 @dataclass
@@ -58,20 +65,21 @@ class SceneImage:
     height: int
     queue: cl.CommandQueue
 
+    def read(self, name: str) -> np.ndarray:
+        """A copy on the host of the buffer `name`, as in `SceneArrays`."""
+        channels, dtype = _LAYOUT[name]
+        out = np.empty((self.height, self.width, *channels), dtype)
+        cl.enqueue_copy(self.queue, out, getattr(self, name))
+        return np.ascontiguousarray(out[..., :3]) if name == "color" else out
+
     def numpy(self) -> SceneArrays:
         """Copies on the host."""
-        h, w = self.height, self.width
-        arrays = SceneArrays(
-            np.empty((h, w, 4), np.float16),
-            np.empty((h, w), np.float32),
-            np.empty((h, w, 2), np.float32),
-            np.empty((h, w, 4), np.float32),
-            np.empty((h, w), np.int32),
-        )
-        for name in SceneArrays.__dataclass_fields__:
-            cl.enqueue_copy(self.queue, getattr(arrays, name), getattr(self, name))
-        arrays.color = np.ascontiguousarray(arrays.color[..., :3])
-        return arrays
+        return SceneArrays(**{name: self.read(name) for name in _LAYOUT})
+
+    def copy_to(self, buffers: tuple[cl.Buffer, cl.Buffer, cl.Buffer]) -> None:
+        """Colour, depth and motion into device buffers of just their size."""
+        for buffer, made in zip(buffers, (self.color, self.depth, self.motion), strict=True):
+            cl.enqueue_copy(self.queue, buffer, made, byte_count=buffer.size)
 
 
 class SceneRenderer:

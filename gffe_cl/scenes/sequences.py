@@ -1,78 +1,67 @@
-"""Which frames make up a sequence of a built-in scene."""
+"""Frames of a built-in scene at any times, as an engine would hand them over."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
-from gffe_cl.scenes.vocabulary import Scene
+from gffe_cl.frame import RenderedFrame
+from gffe_cl.scenes.renderer import SceneImage, SceneRenderer
 from gffe_cl.window import WindowChooser
 
 
-@dataclass(frozen=True)
-class SequenceFrame:
-    """One frame to render.
-
-    `kind` is "rendered" or "ground_truth"; `source` is the number of the rendered frame before or at it. `camera` is
-    what to render through, `display_camera` what is shown of that; they differ where there is a window.
-    `previous_time` and `previous_camera` are those of the last rendered frame before it, which its motion
-    refers to (None in the first frame, a reset). `alpha` is 0 for rendered frames.
-    """
-
-    kind: str
-    time: float
-    camera: Camera
-    display_camera: Camera
-    source: int
-    alpha: float
-    previous_time: float | None
-    previous_camera: Camera | None
-
-    @property
-    def reset(self) -> bool:
-        return self.previous_time is None
-
-
-def sequence_frames(
-    scene: Scene,
-    width: int,
-    height: int,
-    frames: int,
-    fps: float | None = None,
-    ground_truth: bool = True,
-    per_frame: int = 1,
-    start: float = 0.0,
-    windows: WindowChooser | None = None,
-    render_size: tuple[int, int] | None = None,
-) -> Iterator[SequenceFrame]:
-    """The frames of a sequence in order of time.
+class SceneFrames:
+    """What `renderer` makes of its scene: rendered frames, and the truth at any time.
 
     Parameters
     ----------
-    frames : int
-        Number of rendered frames, `1 / fps` apart (default: the scene's), from `start` seconds on.
-    ground_truth : bool
-        Also the frames in between, `per_frame` after each rendered one, the last included.
     windows : WindowChooser or None
-        Chooses the window of each rendered frame when its turn comes: `observe` the depth of the frame before by then.
-    render_size : (width, height) or None
-        Pixels of rendered frames, the display's `width` and `height` if None.
+        Chooses what each rendered frame is rendered through. None: what is shown.
+    size : (width, height) or None
+        Of the display, pixels; that of the renderer's image if None. Truth is rendered only where they are the same.
     """
-    if frames < 1 or per_frame < 0:
-        raise GffeError(f"sequence: frames must be ≥ 1 and per_frame ≥ 0, got {frames} and {per_frame}")
-    step = 1.0 / (fps or scene.fps)
-    size, windows = (width, height), windows or WindowChooser("off", (width, height), [])
-    previous_time = previous_camera = previous_shown = None
-    for source in range(frames):
-        time = start + source * step
-        shown = scene.camera(time, *size)
-        camera = windows.choose(shown, previous_shown).camera(shown, size, render_size)
-        yield SequenceFrame("rendered", time, camera, shown, source, 0.0, previous_time, previous_camera)
-        previous_time, previous_camera, previous_shown = time, camera, shown
-        for j in range(1, per_frame + 1 if ground_truth else 1):
-            alpha = j / (per_frame + 1)
-            between = start + (source + alpha) * step
-            shown = scene.camera(between, *size)
-            yield SequenceFrame("ground_truth", between, shown, shown, source, alpha, time, camera)
+
+    def __init__(
+        self, renderer: SceneRenderer, windows: WindowChooser | None = None, size: tuple[int, int] | None = None
+    ):
+        self.renderer, self.scene = renderer, renderer.scene
+        self.render_size = (renderer.width, renderer.height)
+        self.size = size or self.render_size
+        self.windows = windows or WindowChooser("off", self.size, [])
+
+    def display_camera(self, time: float) -> Camera:
+        """What the scene shows at `time` (seconds), in display pixels."""
+        return self.scene.camera(time, *self.size)
+
+    def render_camera(self, shown: Camera, before: RenderedFrame | None) -> Camera:
+        """What to render through after the rendered frame `before` (None: after a reset), so that `shown` is seen."""
+        return self.windows.choose(shown, before and before.shown_camera).camera(shown, self.size, self.render_size)
+
+    def image(self, time: float, camera: Camera, before: RenderedFrame | None = None) -> SceneImage:
+        """On the device, until the next one is rendered. Motion refers to `before`; None: to the frame itself."""
+        return self.renderer.render(time, camera, before and before.time, before and before.camera)
+
+    def rendered(self, time: float, before: RenderedFrame | None = None) -> RenderedFrame:
+        """The rendered frame at `time` after `before`, of host arrays; a reset without one."""
+        shown = self.display_camera(time)
+        camera = self.render_camera(shown, before)
+        image = self.image(time, camera, before).numpy()
+        self.windows.observe(image.depth)
+        return RenderedFrame(image.color, image.depth, image.motion, camera, time, shown, reset=before is None)
+
+    def truth(self, time: float, before: RenderedFrame | None = None) -> SceneImage:
+        """What is shown at `time`, wherever rendered frames are; motion as of `image`."""
+        assert self.size == self.render_size
+        return self.image(time, self.display_camera(time), before)
+
+    def sequence(self, count: int, fps: float | None = None, start: float = 0.0) -> Iterator[RenderedFrame]:
+        """`count` rendered frames in order of time from `start` (seconds) on, 1 / `fps` (default: the scene's) apart;
+        the first is a reset."""
+        step = 1.0 / (fps or self.scene.fps)
+        if count < 1 or not 0 < step < float("inf"):
+            raise GffeError(f"a built-in scene needs at least 1 frame and positive fps, got {count} and {1 / step:g}")
+        before = None
+        for k in range(count):
+            before = self.rendered(start + k * step, before)
+            yield before

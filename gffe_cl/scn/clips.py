@@ -14,12 +14,12 @@ import torch
 from numpy.lib.stride_tricks import sliding_window_view
 
 from gffe_cl.errors import GffeError
-from gffe_cl.frame import HALF_MAX, RenderedFrame
+from gffe_cl.frame import HALF_MAX
 from gffe_cl.metrics import focus_mask
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.scenes import SceneRenderer, load_scene, sequence_frames
+from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.scn import network
 from gffe_cl.scn.variety import vary_scene
 
@@ -71,26 +71,20 @@ class ClipPlan:
 def make_clip(device: Device, plan: ClipPlan) -> tuple[np.ndarray, list[float]]:
     """Render and extrapolate a clip: (S, 11, H, W) float16 samples (`PLANES`) and their α."""
     scene = plan.make_scene()
-    renderer = SceneRenderer(device, scene, plan.width, plan.height, samples=5)
+    scene_frames = SceneFrames(SceneRenderer(device, scene, plan.width, plan.height, samples=5))
     pipeline = Pipeline(
         device, plan.width, plan.height, Options(shading_inputs=True, shading_correction=False), fps=plan.fps
     )
     samples, alphas = [], []
-    frames = sequence_frames(scene, plan.width, plan.height, _RENDERED, plan.fps, ground_truth=False, start=plan.start)
-    for frame in frames:
-        image = renderer.render(frame.time, frame.camera, frame.previous_time, frame.previous_camera).numpy()
-        rendered = RenderedFrame(image.color, image.depth, image.motion, frame.camera, frame.time, reset=frame.reset)
-        pipeline.submit(rendered)
-        if frame.reset:
-            continue
-        for alpha in plan.alphas[frame.source - 1]:
+    for k, frame in enumerate(scene_frames.sequence(_RENDERED, plan.fps, plan.start)):
+        pipeline.submit(frame)
+        for alpha in plan.alphas[k - 1] if k else ():
             time = frame.time + alpha / plan.fps
-            camera = scene.camera(time, plan.width, plan.height)
-            made = pipeline.extrapolate(camera, time)
+            made = pipeline.extrapolate(scene_frames.display_camera(time), time)
             gae, depth = made.numpy("color"), made.numpy("depth")
             previous = pipeline.stages["shading"].read("warped_previous")[..., :3]
             mask = pipeline.stages["shading"].read("input_mask")
-            truth = renderer.render(time, camera).numpy().color
+            truth = scene_frames.truth(time).read("color")
             samples.append(_sample(gae, previous, truth, depth, mask, scene.exposure))
             alphas.append(alpha)
     return np.stack(samples), alphas

@@ -12,13 +12,15 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from gffe_cl.errors import GffeError
-from gffe_cl.metrics import FOCUS_SMAPE, SMAPE_EPSILON
+from gffe_cl.metrics import FOCUS_SMAPE, relative_error, shading_regions
+from gffe_cl.opencl.program import constants
 from gffe_cl.scn.clips import CHANNELS, CROP, PLANES, VERSION, finished_clips, halved_path
 from gffe_cl.scn.network import encode, halve
 
 TOP_SHARE = 0.15  # of all crops: those with the most focus pixels (paper: 'Data Preparation')
 RANDOM_SHARE = 0.03  # of all crops: any of the others
 _HALF_REACH = 0.75  # of the neighbourhood at half resolution, whose pixels are twice as far apart
+_DISOCCLUDED = constants("shading.cl")["MASK_DISOCCLUDED"]  # input mask there
 _DYNAMIC = 0.75  # input mask above which a pixel counts as dynamic; 1 where it is one pixel of the frame
 
 
@@ -63,24 +65,28 @@ class Batch:
         return truth if self.halved else halve(truth)
 
     def focus(self) -> Tensor:
-        """(N, 1, H, W) float: the focus mask that the truth gives."""
+        """(N, 1, H, W) bool: the focus mask that the truth gives."""
         dynamic = self.side[:, 1:] > _DYNAMIC
-        return focus_truth(self.gae, self.truth, dynamic, _HALF_REACH if self.halved else 1.0).float()
+        return focus_truth(self.gae, self.truth, dynamic, _HALF_REACH if self.halved else 1.0)
+
+    def regions(self) -> dict[str, Tensor]:
+        """`gffe_cl.metrics.shading_regions`, (N, 1, H, W) bool: where results are measured. Of whole samples only."""
+        return shading_regions(self.focus(), self.side[:, 1:] == _DISOCCLUDED)
 
 
 def focus_truth(gae: Tensor, truth: Tensor, dynamic: Tensor, reach: float = 1.0) -> Tensor:
     """M^focus, (N, 1, H, W) bool: as `gffe_cl.metrics.focus_mask`; neighbours are `reach` pixels away."""
     height, width = gae.shape[-2:]
     padded = functional.pad(truth, (1, 1, 1, 1), value=1e9)
-    least, size = None, gae.abs() + SMAPE_EPSILON
+    least = None
     for dy in range(3):
         for dx in range(3):
             other = padded[..., dy : dy + height, dx : dx + width]
             if reach != 1:
                 other = torch.lerp(truth, other, reach)
-            error = (gae - other).abs_().div_(size + other).sum(1, keepdim=True)
+            error = relative_error(gae, other).sum(1, keepdim=True)
             least = error if least is None else torch.minimum(least, error)
-    return (least > 1.5 * FOCUS_SMAPE) & ~dynamic
+    return (least > 3 * FOCUS_SMAPE) & ~dynamic
 
 
 def list_crops(folder: Path, seed: int, clips: int) -> list[Crop]:

@@ -19,6 +19,7 @@ import torch.distributed as distributed
 from torch import Tensor, nn
 
 from gffe_cl.errors import GffeError
+from gffe_cl.metrics import FOCUS
 from gffe_cl.scn import losses
 from gffe_cl.scn.clips import VERSION
 from gffe_cl.scn.crops import Augmentation, Batch, Crop, keep_crops, load_batch
@@ -276,7 +277,9 @@ class Training:
             correction, likely, features, true_features = self.parallel(
                 batch.frames().contiguous(memory_format=torch.channels_last), batch.alpha, batch.target()
             )
-        terms = loss_terms(correction.float(), likely, features, true_features, batch, batch.focus(), self.perceptual)
+        terms = loss_terms(
+            correction.float(), likely, features, true_features, batch, batch.focus().float(), self.perceptual
+        )
         factors = weights(recipe)
         loss = sum(factors[name] * value for name, value in terms.items())
         self.optimizer.zero_grad()
@@ -318,8 +321,8 @@ class Training:
                 batch = load_batch(self.validation[k : k + self.recipe.batch]).to(self.device)
                 correction = self.network(batch.frames().contiguous(memory_format=torch.channels_last), batch.alpha)
                 _, final, mask = compose(batch.gae, correction)
-                shown = batch.side[:, 1:] != 0
-                focus, mask = batch.focus() * shown, mask * shown
+                regions = batch.regions()
+                focus, mask = regions[FOCUS], mask * ~regions["disoccluded"]
                 truth = encode(batch.truth)
                 for name, image in (("gae", batch.gae), ("final", final)):
                     error = (encode(image) - truth).abs().mean(1, keepdim=True)

@@ -23,6 +23,7 @@ from gffe_cl.sequence.description import (
 )
 from gffe_cl.sequence.exr_header import ExrHeader, read_header
 from gffe_cl.sequence.header_camera import has_camera, header_cameras
+from gffe_cl.sequence.matching import Timeline
 from gffe_cl.sequence.read_ahead import read_ahead
 
 COLOR = ("R", "G", "B")
@@ -49,6 +50,7 @@ class Sequence:
         self.width, self.height = description.width, description.height
         self.fps, self.exposure = description.fps, description.exposure
         self.frames = description.frames
+        self._timeline = Timeline(self.frames, self.fps)
         self._previous = dict(zip([e.file for e in self.rendered[1:]], self.rendered, strict=False))
         self._suspicions: dict[str, str] = {}  # sentence → file where it was met first
 
@@ -66,6 +68,23 @@ class Sequence:
     @property
     def extrapolated(self) -> list[FrameEntry]:
         return [entry for entry in self.frames if entry.kind == "extrapolated"]
+
+    def at(self, kind: str, time: float, source: str | None = None) -> FrameEntry | None:
+        """The frame of `kind` whose time is `time` (seconds), to 1/50 of the interval of rendered frames there: what
+        everything matches frames by. `source`: only frames that were extrapolated from this one."""
+        return self._timeline.at(kind, time, source)
+
+    def nearest(self, kind: str, time: float) -> FrameEntry | None:
+        """The frame of `kind` that is nearest in time, however far: for messages about what `at` does not find."""
+        return self._timeline.nearest(kind, time)
+
+    def near_miss(self, kind: str, time: float) -> str | None:
+        """A sentence if `at` finds nothing, but something is so near that it was probably meant: rounded times."""
+        return self._timeline.near_miss(kind, time)
+
+    def rendered_before(self, time: float) -> int | None:
+        """Which of `rendered` is the last one before `time`; one that is `at` it is not before it."""
+        return self._timeline.rendered_before(time)
 
     def size_of(self, entry: FrameEntry) -> tuple[int, int]:
         """(width, height) of the images of `entry`, in pixels."""

@@ -167,7 +167,7 @@ class Engine:
         return inspection
 
     def poll_metrics(self) -> Metrics | None:
-        """The next metrics that became known: first with `psnr` alone, then with the rest."""
+        """The next metrics that became known: those of a slot come one by one, with what was known before."""
         return self._scorer.take()
 
     def _post(self, kind: str, content: Any) -> None:
@@ -339,9 +339,7 @@ class Engine:
             readback_ms=readback_ms,
             warnings=(*self.source.warnings(), *notes),
             bad_pixels=seeker.bad_pixels,
-            psnr=known.psnr,
-            ssim=known.ssim,
-            flip=known.flip,
+            metrics=known.values,
         )
 
     def _truth(self, k: int, alpha: float, notes: list[str]) -> np.ndarray | None:

@@ -35,13 +35,12 @@ class Request:
 
 @dataclass(frozen=True)
 class Metrics:
-    """Of the extrapolated frame at `slot` against ground truth; None: not measured (yet). `psnr` in dB."""
+    """Of the extrapolated frame at `slot` against ground truth: `values` by name of the metric, as far as they are
+    measured."""
 
     slot: int
     setup: Setup
-    psnr: float | None = None
-    ssim: float | None = None
-    flip: float | None = None
+    values: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -65,8 +64,8 @@ class Result:
     warnings : tuple of str
     bad_pixels : BadPixels
         Of rendered frame k.
-    psnr, ssim, flip : float or None
-        Of "final" where they are known already; else see `Engine.poll_metrics`.
+    metrics : dict
+        Of "final" by name, those that are known already; for the others see `Engine.poll_metrics`.
     """
 
     request: Request
@@ -78,9 +77,7 @@ class Result:
     readback_ms: float
     warnings: tuple[str, ...] = ()
     bad_pixels: BadPixels = field(default_factory=BadPixels)
-    psnr: float | None = None
-    ssim: float | None = None
-    flip: float | None = None
+    metrics: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

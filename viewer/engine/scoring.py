@@ -9,24 +9,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.metrics import display_values, psnr, ssim
+from gffe_cl.metrics import METRICS, display_values, measurable
 from gffe_cl.viewer.engine.buffers import Moment
 from gffe_cl.viewer.engine.messages import Metrics
 
 _TO_MEASURE = 256 << 20  # bytes of slots that wait for their metrics; beyond that the oldest are given up
 
 
-def flip_available() -> str | None:
-    """None if FLIP can be measured, else why not."""
-    try:
-        import flip_evaluator  # noqa: F401
-    except Exception as error:  # whatever a binary package throws
-        return f"FLIP needs the package flip-evaluator ({error})"
-    return None
-
-
 class Scorer:
-    """Measures slots on a thread of its own, the latest first; what it measured it remembers."""
+    """Measures slots by every metric on a thread of its own, the latest first; what it measured it remembers."""
 
     def __init__(self, notify: Callable[[], None], report: Callable[[Exception], None]):
         self._notify, self._report = notify, report
@@ -37,14 +28,14 @@ class Scorer:
         self._made: deque[Metrics] = deque()
         self._closing = False
         self._thread: threading.Thread | None = None
-        self._with_flip = False
+        self._measured = [metric for metric in METRICS.values() if not metric.slow]
 
     def score(self, metrics: Metrics, moment: Moment, final: np.ndarray, truth: np.ndarray, exposure: float) -> Metrics:
         """What is known of the slot of `metrics` as `moment`; the rest will be measured."""
         key = (metrics.slot, metrics.setup, moment.camera.world_to_view.tobytes(), moment.camera.intrinsics)
         with self._news:
             known = self._known.get(key, metrics)
-            complete = known.ssim is not None and (known.flip is not None or not self._with_flip)
+            complete = all(metric.name in known.values for metric in self._measured)
             if not complete and key != self._busy_with and all(key != job[0] for job in self._waiting):
                 self._waiting.append((key, known, final, truth, exposure))
                 while len(self._waiting) > _TO_MEASURE // (final.nbytes + truth.nbytes) + 1:
@@ -71,7 +62,7 @@ class Scorer:
             self._news.notify()
 
     def _run(self) -> None:
-        self._with_flip = flip_available() is None
+        self._measured = measurable()  # imports what they need
         while True:
             with self._news:
                 while not (self._waiting or self._closing):
@@ -89,16 +80,13 @@ class Scorer:
 
     def _measure(self, key: tuple, known: Metrics, final: np.ndarray, truth: np.ndarray, exposure: float) -> None:
         shown, true = (display_values(color[..., :3], exposure) for color in (final, truth))
-        if known.ssim is None:
-            known = replace(known, psnr=psnr(shown, true))
+        for metric in sorted(self._measured, key=lambda metric: metric.slow):
+            if metric.name in known.values:
+                continue
+            if metric.slow and self._waiting:
+                return
+            known = replace(known, values={**known.values, metric.name: metric.measure(shown, true)})
             self._tell(key, known)
-            known = replace(known, ssim=ssim(shown, true))
-            self._tell(key, known)
-        if self._with_flip and not self._waiting:  # it takes long
-            from flip_evaluator import evaluate
-
-            error = evaluate(true, shown, "LDR", applyMagma=False)[1]
-            self._tell(key, replace(known, flip=float(error)))
 
     def _tell(self, key: tuple, metrics: Metrics) -> None:
         with self._news:

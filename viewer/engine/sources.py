@@ -11,14 +11,13 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
-import pyopencl as cl
 
 from gffe_cl.camera import Camera, predict_camera
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import BYTES_PER_PIXEL, PackedFrame, RenderedFrame, pack_frame
 from gffe_cl.opencl.device import Device
 from gffe_cl.run import alphas_for
-from gffe_cl.scenes import Scene, SceneRenderer
+from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer
 from gffe_cl.sequence import Sequence
 from gffe_cl.source import Recorded
 from gffe_cl.stage import read_some_rows
@@ -75,7 +74,7 @@ class FrameSource(Protocol):
         """`pack_frame` of frame `k`; None where `rendered` gives device buffers."""
 
     def camera(self, k: int, alpha: float) -> Camera | None:
-        """Display camera at `time(k, alpha)`, if known."""
+        """Display camera at `time(k, alpha)`, if it and those of the other new frames of the interval are known."""
 
     def truth(self, k: int, alpha: float) -> np.ndarray | None:
         """(H, W, 3) linear RGB, float16 or float32: the ground truth at `time(k, alpha)`, if there is one."""
@@ -107,14 +106,14 @@ class RecordedSource(Recorded, FrameSource):
         self._chosen = window
         self._entries = sequence.rendered
         self._resets = [k for k, entry in enumerate(self._entries) if entry.reset or k == 0]
-        self._truths = sequence.ground_truth
-        self._truth_times = [entry.time for entry in self._truths]
-        self.has_truth = bool(self._truths)
-        steps = np.diff(np.unique([entry.time for entry in sequence.frames]))
-        self._slack = float(steps.min(initial=1 / self.fps)) / 4
+        truths = sequence.ground_truth
+        self._next_truth = dict(zip((entry.file for entry in truths), truths[1:], strict=False))
+        self.has_truth = bool(truths)
+        self._alphas = alphas_for(1)
         self._cache = _ReadAhead(cache_bytes)
 
     def configure(self, window, n):
+        self._alphas = alphas_for(n)
         if window == self._chosen:
             return False
         before = self._cut
@@ -132,7 +131,8 @@ class RecordedSource(Recorded, FrameSource):
         return self._frame(k)[1]
 
     def camera(self, k, alpha):
-        return self.camera_at(self.time(k, alpha))
+        cameras = self.cameras_at([self.time(k, new) for new in self._alphas])
+        return cameras and cameras[self._alphas.index(alpha)]
 
     def time(self, k, alpha=0.0):
         time = self._entries[k].time
@@ -140,14 +140,13 @@ class RecordedSource(Recorded, FrameSource):
         return time + alpha * (1.0 / self.fps if first else time - self._entries[k - 1].time)
 
     def truth(self, k, alpha):
-        time = self.time(k, alpha)
-        at = bisect_left(self._truth_times, time - self._slack)
-        near = self._truths[at : at + 2]
-        entry = min(near, key=lambda e: abs(e.time - time), default=None)
-        if entry is None or abs(entry.time - time) > self._slack:
+        entry = self.sequence.at("ground_truth", self.time(k, alpha))
+        if entry is None:
             return None
         color = self._cache.get(("truth", entry.file), lambda: self.sequence.read_color(entry))
-        self._cache.ahead("truth", {("truth", e.file): lambda e=e: self.sequence.read_color(e) for e in near[1:]})
+        following = self._next_truth.get(entry.file)
+        ahead = {("truth", following.file): lambda: self.sequence.read_color(following)} if following else {}
+        self._cache.ahead("truth", ahead)
         if color.shape[:2] != (self.height, self.width):
             raise GffeError(
                 f"{entry.file}: {color.shape[1]}×{color.shape[0]} pixels, expected {self.width}×{self.height}"
@@ -222,14 +221,12 @@ def _nbytes(value: np.ndarray | tuple[RenderedFrame, PackedFrame]) -> int:
 
 @dataclass
 class _Made:
-    """A frame of a scene on the device. `previous`: render camera that its motion refers to; `rows`: some rows of its
-    depth, for an adaptive window."""
+    """A frame of a scene on the device, where it was rendered. `previous`: render camera that its motion refers to;
+    `rows`: some rows of its depth, for an adaptive window."""
 
     k: int
-    shown: Camera
-    camera: Camera
+    frame: RenderedFrame
     previous: Camera | None
-    buffers: tuple[cl.Buffer, cl.Buffer, cl.Buffer]
     rows: np.ndarray | None
 
 
@@ -262,7 +259,7 @@ class SceneSource(FrameSource):
             raise GffeError(f"a built-in scene needs at least 1 frame and positive fps, got {count} and {self.fps:g}")
         self.scene, self.name, self.exposure = scene, scene.name, scene.exposure
         self.width, self.height, self.count, self.render_size = width, height, count, (width, height)
-        self._device, self._renderer = device, SceneRenderer(device, scene, width, height, samples)
+        self._device, self._frames = device, SceneFrames(SceneRenderer(device, scene, width, height, samples))
         self._ring: OrderedDict[tuple, _Made] = OrderedDict()
         self._ring_size = max(_LEAST_RING, cache_bytes // (sum(BYTES_PER_PIXEL) * width * height))
         self._truths: OrderedDict[tuple, np.ndarray] = OrderedDict()
@@ -279,22 +276,22 @@ class SceneSource(FrameSource):
         way = (window, *(alphas_for(n) if window == "adaptive" else ()))
         if way == self._way:
             return False
-        self._windows = WindowChooser(window, self.render_size, alphas_for(n))
+        self._frames.windows = WindowChooser(window, self.render_size, alphas_for(n))
         self._way = way
         self.restart()
         return True
 
     def restart(self):
-        self._windows = WindowChooser(self._way[0], self.render_size, self._windows.alphas)
+        self._frames.windows = WindowChooser(self._way[0], self.render_size, self._frames.windows.alphas)
         self._since = []
 
     def outdated(self, k, alpha):
-        changed = [made for made in self._since if self.camera(made.k, 0.0) != made.shown]
+        changed = [made for made in self._since if self.camera(made.k, 0.0) != made.frame.display_camera]
         with self._lock:
             for made in changed:
                 if made.k not in self._flown or (made.k, 0.0) == (k, alpha):
                     return True
-                self._flown[made.k] = made.shown  # the new pose came too late
+                self._flown[made.k] = made.frame.display_camera  # the new pose came too late
         return False
 
     def fly(self, k: int, alpha: float, camera: Camera) -> None:
@@ -325,7 +322,7 @@ class SceneSource(FrameSource):
             self._flown, self._flown_at, self._flown_last = {}, [], -1.0
 
     def camera(self, k, alpha):
-        return self._flown_camera(k + alpha) or self.scene.camera(self.time(k, alpha), self.width, self.height)
+        return self._flown_camera(k + alpha) or self._frames.display_camera(self.time(k, alpha))
 
     def _flown_camera(self, at: float) -> Camera | None:
         with self._lock:
@@ -348,8 +345,8 @@ class SceneSource(FrameSource):
         made = self._made(k, before)
         self._since = [*self._since[1 - _PAST :], made]
         if made.rows is not None:
-            self._windows.observe(made.rows)
-        return RenderedFrame(*made.buffers, made.camera, self.time(k), made.shown, reset=before is None)
+            self._frames.windows.observe(made.rows)
+        return replace(made.frame, reset=before is None)
 
     def packed(self, k):
         return None
@@ -358,10 +355,7 @@ class SceneSource(FrameSource):
         camera = self.camera(k, alpha)
         key = (k, alpha, *_bits(camera))
         if key not in self._truths:
-            image = self._renderer.render(self.time(k, alpha), camera)
-            color = np.empty((self.height, self.width, 4), np.float16)
-            cl.enqueue_copy(self._device.queue, color, image.color)
-            self._truths[key] = color[..., :3]
+            self._truths[key] = self._frames.image(self.time(k, alpha), camera).read("color")
             while len(self._truths) > _TRUTHS:
                 self._truths.popitem(last=False)
         self._truths.move_to_end(key)
@@ -377,24 +371,24 @@ class SceneSource(FrameSource):
         key = (k, *self._way, *_bits(shown))
         kept = self._ring.get(key)
         if kept is None or before is not None:
-            camera = self._windows.choose(shown, before and before.shown).camera(shown, self.render_size)
-            if kept is None or (kept.camera, kept.previous) != (camera, before.camera):
-                self._ring[key] = self._render(k, shown, camera, before)
+            last = before and before.frame
+            camera = self._frames.render_camera(shown, last)
+            if kept is None or (kept.frame.camera, kept.previous) != (camera, last.camera):
+                self._ring[key] = self._render(k, shown, camera, last)
         self._ring.move_to_end(key)
         return self._ring[key]
 
-    def _render(self, k: int, shown: Camera, camera: Camera, before: _Made | None) -> _Made:
+    def _render(self, k: int, shown: Camera, camera: Camera, before: RenderedFrame | None) -> _Made:
         device, size = self._device, self.render_size
-        other = (self.time(before.k), before.camera) if before else (None, None)
-        image = self._renderer.render(self.time(k), camera, *other)
+        image = self._frames.image(self.time(k), camera, before)
         if len(self._ring) >= self._ring_size:
-            buffers = self._ring.popitem(last=False)[1].buffers
+            oldest = self._ring.popitem(last=False)[1].frame
+            buffers = (oldest.color, oldest.depth, oldest.motion)
         else:
             buffers = tuple(device.buffer(nbytes * size[0] * size[1]) for nbytes in BYTES_PER_PIXEL)
-        for buffer, made in zip(buffers, (image.color, image.depth, image.motion), strict=True):
-            cl.enqueue_copy(device.queue, buffer, made, byte_count=buffer.size)
+        image.copy_to(buffers)
         rows = read_some_rows(device, buffers[1], size) if self._way[0] == "adaptive" else None
-        return _Made(k, shown, camera, before and before.camera, buffers, rows)
+        return _Made(k, RenderedFrame(*buffers, camera, self.time(k), shown), before and before.camera, rows)
 
 
 def _bits(camera: Camera) -> tuple[bytes, tuple[float, ...]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 
+from gffe_cl.metrics import METRICS
 from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.picture import flip_map
 from gffe_cl.viewer.picture.legends import legend
@@ -64,34 +65,32 @@ def _quality(model) -> None:
         widgets.hint(reason)
         return
     widgets.toggle(
-        "measure", model.measuring, model.set_measuring, "PSNR and SSIM of every generated frame that is shown"
+        "measure",
+        model.measuring,
+        model.set_measuring,
+        f"{', '.join(metric.label for metric in METRICS.values())} of every generated frame that is shown",
     )
     score = model.metrics.get(model.slot)
     if score is not None:
-        ssim = "…" if score.ssim is None else f"{score.ssim:.4f}"
-        flip = "" if score.flip is None else f"   FLIP {score.flip:.4f}"
-        imgui.text(f"PSNR {score.psnr:.2f} dB   SSIM {ssim}{flip}")
+        known = [metric for metric in METRICS.values() if metric.name in score.values]
+        imgui.text("   ".join(metric.sentence(score.values[metric.name]) for metric in known))
     elif model.measuring and model.slot % (model.n + 1) == 0:
         imgui.text_disabled("rendered frame")
     legend_flags = implot.LegendFlags_.outside.value | implot.LegendFlags_.horizontal.value
     if implot.begin_plot("###quality", ImVec2(-1, hello_imgui.em_size(10)), implot.Flags_.no_mouse_text.value):
-        slots = np.array(sorted(model.metrics), np.float64)
-        psnr = np.array([model.metrics[int(slot)].psnr for slot in slots], np.float64)
-        known = [
-            (slot, model.metrics[slot].ssim) for slot in sorted(model.metrics) if model.metrics[slot].ssim is not None
-        ]
         implot.setup_axes("frame", "dB", 0, implot.AxisFlags_.auto_fit.value)
+        shares = ", ".join(metric.label for metric in METRICS.values() if not metric.unit)
         implot.setup_axis(
-            implot.ImAxis_.y2, "SSIM", implot.AxisFlags_.aux_default.value | implot.AxisFlags_.auto_fit.value
+            implot.ImAxis_.y2, shares, implot.AxisFlags_.aux_default.value | implot.AxisFlags_.auto_fit.value
         )
         implot.setup_axis_limits(implot.ImAxis_.x1, 0, max(model.playback.slots, 1), imgui.Cond_.always.value)
         implot.setup_legend(implot.Location_.north, legend_flags)
-        if len(slots):
-            implot.plot_line("PSNR", slots, psnr)
-        if known:
-            xs, ys = (np.array(values, np.float64) for values in zip(*known, strict=True))
-            implot.set_axes(implot.ImAxis_.x1, implot.ImAxis_.y2)
-            implot.plot_line("SSIM", xs, ys)
-            implot.set_axes(implot.ImAxis_.x1, implot.ImAxis_.y1)
+        for name, metric in METRICS.items():
+            known = [(slot, m.values[name]) for slot, m in sorted(model.metrics.items()) if name in m.values]
+            if known:
+                xs, ys = (np.array(values, np.float64) for values in zip(*known, strict=True))
+                implot.set_axes(implot.ImAxis_.x1, implot.ImAxis_.y1 if metric.unit else implot.ImAxis_.y2)
+                implot.plot_line(metric.label, xs, ys)
+        implot.set_axes(implot.ImAxis_.x1, implot.ImAxis_.y1)
         implot.plot_inf_lines("###now", np.array([float(model.slot)]))
         implot.end_plot()

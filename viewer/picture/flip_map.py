@@ -6,7 +6,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
-from gffe_cl.metrics import display_values
+from gffe_cl.metrics import display_values, flip_error
 from gffe_cl.viewer.engine.layers import LayerSpec
 
 NAME = "flip error"
@@ -45,7 +45,4 @@ class FlipMaps:
 
 
 def _flip(a: np.ndarray, b: np.ndarray, exposure: float) -> np.ndarray:
-    from flip_evaluator import evaluate
-
-    shown, true = (np.ascontiguousarray(display_values(color[..., :3], exposure), np.float32) for color in (a, b))
-    return evaluate(true, shown, "LDR", applyMagma=False)[0][..., 0]
+    return flip_error(*(display_values(color[..., :3], exposure) for color in (a, b)))

@@ -6,8 +6,8 @@ import math
 from dataclasses import replace
 from typing import Any
 
+from gffe_cl.metrics import METRICS
 from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.scoring import flip_available
 from gffe_cl.viewer.picture import flip_map
 from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.picture.view import ERRORS, View
@@ -27,7 +27,7 @@ class Comparison:
         self.flipped = False  # B is shown as long as a key is held
         self.flip_high = FLIP_HIGH
         self._nothing = False  # A or B does not exist for this frame
-        self._flip_missing = flip_available()
+        self._flip_missing = METRICS["flip"].missing()
         self._maps = flip_map.FlipMaps()
         self._truth_instead_of = names.FINAL
 

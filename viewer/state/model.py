@@ -189,10 +189,9 @@ class Model:
         self.contents.take(result)
         self.failure = None
         self.warnings = list(result.warnings)
-        if result.psnr is not None:
-            self.metrics[result.request.slot] = Metrics(
-                result.request.slot, result.request.setup, result.psnr, result.ssim, result.flip
-            )
+        if result.metrics:
+            request = result.request
+            self.metrics[request.slot] = Metrics(request.slot, request.setup, result.metrics)
         if canvas is not None:
             canvas.frame = self.contents.frame_info()
         self._show(result.images, canvas)
