@@ -102,6 +102,7 @@ class Camera:
 
     @property
     def intrinsics(self) -> tuple[float, float, float, float]:
+        """fx, fy, cx, cy in pixels."""
         return (self.fx, self.fy, self.cx, self.cy)
 
     @property
@@ -121,6 +122,7 @@ class Camera:
 
     @property
     def view_to_world(self) -> np.ndarray:
+        """(4, 4) float64, the inverse of `world_to_view`."""
         return np.linalg.inv(self.world_to_view)
 
     def project(self, world_pos) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from gffe_cl.evaluation.compare import baseline_repeat, compare, shown_color
 from gffe_cl.evaluation.report import contact_sheet, error_image, side_by_side, write_video
-from gffe_cl.metrics import display_values
+from gffe_cl.metrics import display_values, psnr
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
 from gffe_cl.render import render_sequence
@@ -72,24 +72,29 @@ def demo(output: Path, device: Device, width: int, height: int, seed: int, windo
 
 
 def _contact_sheet(source: Sequence, made: Sequence, device: Device):
+    """Of three times: the truth, the last frame repeated, and the extrapolated one, above the errors of both, and what
+    else an extrapolated frame has."""
     groups = []
     for index in np.linspace(_FRAMES // 4, _FRAMES - 1, 3).astype(int):
         now, new, truth = source.rendered[index], made.extrapolated[index], source.ground_truth[index]
-        shown, predicted, wanted = (
+        repeated, predicted, wanted = (
             display_values(shown_color(s, e, device), source.exposure)
             for s, e in ((source, now), (made, new), (source, truth))
         )
-        masks = made.read_channels(new, ["mask.dynamic", "mask.disoccluded"])
+        other = made.read_channels(new, ["Z", "mask.dynamic", "mask.disoccluded"])
+        nearness = 1 / other["Z"].astype(np.float32)  # 0 for sky
         images = [
-            ("rendered (t)", shown),
-            ("extrapolated (t + 1/2)", predicted),
             ("ground truth (t + 1/2)", wanted),
-            ("error x 4", error_image(predicted, wanted)),
-            ("dynamic mask", masks["mask.dynamic"].astype(np.float32)),
-            ("disocclusions", masks["mask.disoccluded"].astype(np.float32)),
+            (f"repeat the last frame (t): {psnr(repeated, wanted):.1f} dB", repeated),
+            (f"extrapolated (t + 1/2): {psnr(predicted, wanted):.1f} dB", predicted),
+            ("dynamic fragments", other["mask.dynamic"].astype(np.float32)),
+            ("extrapolated depth", nearness / max(float(nearness.max()), 1e-9)),
+            ("error of repeating x 4", error_image(repeated, wanted)),
+            ("error of extrapolating x 4", error_image(predicted, wanted)),
+            ("disocclusions", other["mask.disoccluded"].astype(np.float32)),
         ]
         groups.append((f"frame {index}, t = {now.time:.3f} s", images))
-    return contact_sheet(groups)
+    return contact_sheet(groups, columns=4, cell_width=480)
 
 
 def _video_frames(source: Sequence, made: Sequence, device: Device, on_frame) -> Iterator[np.ndarray]:

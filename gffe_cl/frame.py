@@ -50,6 +50,7 @@ class RenderedFrame:
 
     @property
     def shown_camera(self) -> Camera:
+        """What is shown: the display camera, else the render camera."""
         return self.display_camera or self.camera
 
 

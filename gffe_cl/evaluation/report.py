@@ -10,34 +10,33 @@ import numpy as np
 from gffe_cl.errors import GffeError
 
 _MARGIN = 8
+_BAR = 28  # of a line of text
 _INK = (225, 225, 225)
 _FAINT = (165, 165, 165)
 _PAPER = (24, 24, 26)
 
 
 def contact_sheet(groups: list[tuple[str, list[tuple[str, np.ndarray]]]], columns: int = 3, cell_width: int = 640):
-    """A PIL image of groups of captioned images (H, W, 3) or (H, W), values in [0, 1], all of one size."""
+    """A PIL image of groups of images (H, W, 3) or (H, W), values in [0, 1], all of one size; the group's label and each
+    image's caption stand above."""
     from PIL import Image, ImageDraw
 
     height, width = groups[0][1][0][1].shape[:2]
     cell = (cell_width, round(cell_width * height / width))
-    bar, font = 28, _font(18)
+    row, font = _BAR + cell[1], _font(18)
     rows = sum(-(-len(images) // columns) for _, images in groups)
-    sheet_height = len(groups) * bar + rows * (cell[1] + bar)
-    sheet = Image.new("RGB", (_MARGIN + columns * (cell[0] + _MARGIN), sheet_height), _PAPER)
+    sheet_size = (_MARGIN + columns * (cell[0] + _MARGIN), len(groups) * (_BAR + _MARGIN) + rows * row)
+    sheet = Image.new("RGB", sheet_size, _PAPER)
     draw = ImageDraw.Draw(sheet)
     top = 0
     for label, images in groups:
-        draw.text((_MARGIN, top + 4), label, _INK, font)
-        top += bar
+        draw.text((_MARGIN, top + 5), label, _INK, font)
+        top += _BAR
         for index, (caption, image) in enumerate(images):
-            column = index % columns
-            if index and column == 0:
-                top += cell[1] + bar
-            x = _MARGIN + column * (cell[0] + _MARGIN)
-            sheet.paste(to_image(image).resize(cell, Image.Resampling.LANCZOS), (x, top))
-            draw.text((x, top + cell[1] + 3), caption, _FAINT, font)
-        top += cell[1] + bar
+            x, y = _MARGIN + index % columns * (cell[0] + _MARGIN), top + index // columns * row
+            draw.text((x, y + 5), caption, _FAINT, font)
+            sheet.paste(to_image(image).resize(cell, Image.Resampling.LANCZOS), (x, y + _BAR))
+        top += -(-len(images) // columns) * row + _MARGIN
     return sheet
 
 

@@ -59,14 +59,17 @@ class Sequence:
 
     @property
     def rendered(self) -> list[FrameEntry]:
+        """By time."""
         return [entry for entry in self.frames if entry.kind == "rendered"]
 
     @property
     def ground_truth(self) -> list[FrameEntry]:
+        """By time."""
         return [entry for entry in self.frames if entry.kind == "ground_truth"]
 
     @property
     def extrapolated(self) -> list[FrameEntry]:
+        """By time."""
         return [entry for entry in self.frames if entry.kind == "extrapolated"]
 
     def at(self, kind: str, time: float, source: str | None = None) -> FrameEntry | None:

@@ -1,0 +1,129 @@
+"""Writes the tables of the documentation that repeat what the program declares.
+
+    python docs/make_tables.py
+
+In Markdown, `<!-- NAME:begin -->` and `<!-- NAME:end -->` mark where the table NAME of `TABLES` stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from gffe_cl.options import OPTIONS, Option
+from gffe_cl.scenes import SCENES
+from gffe_cl.stage import Stage
+from gffe_cl.stages.background import Background, _level_buffers
+from gffe_cl.stages.correction import ShadingCorrection
+from gffe_cl.stages.history import HistoryTracking
+from gffe_cl.stages.holes import FILLINGS, Downsampled
+from gffe_cl.stages.prediction import PositionPrediction
+from gffe_cl.stages.presentation import Presentation
+from gffe_cl.stages.shading import ShadingInputs
+from gffe_cl.stages.warp import FILLED_BY, Warp
+
+FOLDER = Path(__file__).parent
+STAGES: tuple[type[Stage], ...] = (
+    HistoryTracking, PositionPrediction, Warp, Background, Downsampled, ShadingInputs, ShadingCorrection, Presentation
+)  # fmt: skip
+
+
+def options_table() -> str:
+    """Every option: field of `Options`, flag, values, default, sentence."""
+    rows = [
+        (f"`{o.name}`", f"`{o.flag}`" if o.flag else "", _values(o), _default(o), o.sentence) for o in OPTIONS.values()
+    ]
+    return table(("in Python", "command line", "values", "default", "what it does"), rows)
+
+
+def fillings_table() -> str:
+    return table(("`--hole-filling`", "a hole …"), [(f"`{name}`", f.sentence) for name, f in FILLINGS.items()])
+
+
+def stages_table() -> str:
+    """Every buffer of every stage, with its pixels, type and meaning."""
+    rows = []
+    for stage in STAGES:
+        specs = stage.buffers or _level_buffers(0)
+        for k, spec in enumerate(specs):
+            channels = f" ×{spec.channels}" if spec.channels > 1 else ""
+            planes = f", {spec.planes} planes" if spec.planes > 1 else ""
+            rows.append(
+                (
+                    f"**`{stage.name}`**" if k == 0 else "",
+                    f"`{spec.name}`",
+                    spec.grid,
+                    f"{spec.dtype.__name__}{channels}{planes}",
+                    spec.description,
+                )
+            )
+    return table(("stage", "buffer", "pixels of", "type", "meaning"), rows)
+
+
+def labels_table() -> str:
+    return table(("`filled_by`", "the pixel comes from"), [(str(value), name) for value, name in FILLED_BY])
+
+
+def scenes_table() -> str:
+    return table(("scene", "what it shows"), [(f"`{name}`", text) for name, text in SCENES.items()])
+
+
+TABLES: dict[str, Callable[[], str]] = {
+    "options": options_table,
+    "fillings": fillings_table,
+    "stages": stages_table,
+    "labels": labels_table,
+    "scenes": scenes_table,
+}
+
+
+def table(heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    lines = [heads, ("---",) * len(heads), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+
+
+def between_markers(text: str, name: str, made: str) -> str:
+    """`text` with `made` between the markers of `name`; unchanged where it has none."""
+    begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
+    if begin not in text:
+        return text
+    before, _, rest = text.partition(begin)
+    _, _, after = rest.partition(end)
+    return f"{before}{begin}\n{made}\n{end}{after}"
+
+
+def with_tables(text: str) -> str:
+    """A page with all its tables as the program has them now."""
+    for name, make in TABLES.items():
+        text = between_markers(text, name, make())
+    return text
+
+
+def _values(option: Option) -> str:
+    if option.choices:
+        return ", ".join(f"`{name}`" for name in option.choices)
+    if option.kind is bool:
+        return "on, off"
+    if option.kind is str:
+        return "text"
+    return option.expected.partition(", ")[2].partition(", or ")[0] + (f" {option.unit}" if option.unit else "")
+
+
+def _default(option: Option) -> str:
+    if option.default is None:
+        return option.automatic.partition(":")[0]
+    return {True: "on", False: "off"}.get(option.default, str(option.default)) if option.kind is bool else str(
+        option.default
+    )
+
+
+def main() -> None:
+    for page in sorted(FOLDER.glob("*.md")):
+        old = page.read_text()
+        if (new := with_tables(old)) != old:
+            page.write_text(new)
+            print(f"{page.name}: written")
+
+
+if __name__ == "__main__":
+    main()

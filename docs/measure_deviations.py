@@ -1,0 +1,262 @@
+"""What each deviation from the paper is worth on the built-in scenes.
+
+    python docs/measure_deviations.py             prints the tables of docs/deviations.md
+    python docs/measure_deviations.py --write     puts them there
+
+Each row takes the paper's way in one point and keeps everything else: by an option of the pipeline where there is one, else
+by a change to a copy of the kernels, which the row names. All frames of all scenes are pooled: PSNR of the mean squared
+error of display values.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import tempfile
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from make_tables import between_markers
+
+from gffe_cl.evaluation.methods import submitted_frames
+from gffe_cl.frame import RenderedFrame
+from gffe_cl.metrics import display_values
+from gffe_cl.opencl.device import Device, open_device
+from gffe_cl.opencl.program import kernel_folder
+from gffe_cl.options import Options
+from gffe_cl.pipeline import Pipeline
+from gffe_cl.scenes import SCENES, SceneRenderer, load_scene
+
+ALPHA, FPS = 0.5, 30.0
+REGIONS = ("whole", "holes", "moving", "rest")
+
+
+@dataclass(frozen=True)
+class Change:
+    """The paper's way in one point.
+
+    options : of the pipeline
+    constants : by kernel file, of its `#define`s
+    edits : by kernel file, pieces of its text (white space is as it comes) with what takes their place
+    camera : whether the frame's true camera is known
+    """
+
+    options: dict[str, object] = field(default_factory=dict)
+    constants: dict[str, dict[str, str]] = field(default_factory=dict)
+    edits: dict[str, dict[str, str]] = field(default_factory=dict)
+    camera: bool = True
+
+    def __or__(self, other: Change) -> Change:
+        def merged(a: dict, b: dict) -> dict:
+            return {name: a.get(name, {}) | b.get(name, {}) for name in a | b}
+
+        return Change(
+            self.options | other.options,
+            merged(self.constants, other.constants),
+            merged(self.edits, other.edits),
+            self.camera and other.camera,
+        )
+
+    def applied(self, file: str, text: str) -> str:
+        """`text` of kernel `file` with the changes. Raises ValueError for one that finds nothing to change."""
+        for name, value in self.constants.get(file, {}).items():
+            lines = text.splitlines(keepends=True)
+            (k,) = [k for k, line in enumerate(lines) if line.split()[:2] == ["#define", name]]
+            lines[k] = f"#define {name} {value}\n"
+            text = "".join(lines)
+        for old, new in self.edits.get(file, {}).items():
+            if text.count(old) != 1:
+                raise ValueError(f"kernels/{file}: expected '{old}' once, found it {text.count(old)} times")
+            text = text.replace(old, new)
+        return text
+
+
+# By what is named in docs/deviations.md.
+GAE: dict[str, Change] = {
+    "fragments cover what their pixel maps to": Change({"crack_closing": False}),
+    "colour is resampled at its sub-pixel position": Change(constants={"warp.cl": {"SUBPIXEL_STEPS": "1.0f"}}),
+    "resampling is cubic, not bilinear": Change(edits={"warp.cl": {"alike == 0xFF": "false"}}),
+    "no colours mixed with a silhouette that moves away": Change(constants={"warp.cl": {"MOVES_AWAY": "1e30f"}}),
+    "… of these, what the background knows replaces": Change(
+        edits={"background.cl": {"(mixed[c] && alike)": "(mixed[c] && alike && false)"}}
+    ),
+    "the surface met at x' is checked": Change(
+        constants={"history.cl": {"DEPTH_TOLERANCE": "1e30f", "SEARCH_RADIUS": "0"}}
+    ),
+    "nothing is collected after a reset": Change(
+        edits={"background.cl": {"bool keep = collect && !INVALID_DEPTH(z);": "bool keep = !INVALID_DEPTH(z);"}}
+    ),
+    "nothing is collected beside movers and nearer surfaces": Change(constants={"background.cl": {"GROW": "0"}}),
+    "fragments must be deeper by a margin (case 2)": Change(
+        edits={
+            "background.cl": {
+                "*margin = SAME_SURFACE * z_shown + slope_at(shown, width, depth, links);": "*margin = 0.0f;",
+                "margin : 2.0f * SAME_SURFACE * z_level;": "margin : 0.0f;",
+            }
+        }
+    ),
+    "background texels cover what they map to": Change(constants={"background.cl": {"FOOTPRINT_HALF": "0.0f"}}),
+    "holes inside a mover are not the background's": Change(constants={"background.cl": {"INSIDE_REACH": "0"}}),
+    "holes continue their far side": Change({"hole_filling": "downsample"}),
+}
+PAPER = Change()
+for change in GAE.values():
+    PAPER |= change
+CHOICES: dict[str, tuple[Change, str]] = {
+    "background of two levels": (Change({"levels": 1}), "one level"),
+    "linear prediction": (Change({"history": 3, "order": 2}), "quadratic prediction"),
+    "camera of the frame known": (Change(camera=False), "camera predicted"),
+}
+SCN: dict[str, Change] = {
+    "previous frame only where its surface was shown": Change(constants={"shading.cl": {"SAME_SURFACE": "1e30f"}}),
+    "a small focus mask is 0": Change(constants={"correction.cl": {"LEAST_MASK": "0.0f"}}),
+    "(focus mask, as in the paper)": Change({"focus_mask": False}),
+}
+# Static threshold: automatic, or so many pixels; on motion vectors as they are, and rounded.
+THRESHOLDS = (None, 0.25, 1.0, 4.0)
+ROUNDINGS = {"exact motion": 0.0, "motion rounded to ½ px": 0.5, "motion rounded to 1 px": 1.0}
+
+
+@dataclass
+class Errors:
+    """Summed squared errors of display values and counts, by region."""
+
+    squared: dict[str, float] = field(default_factory=lambda: defaultdict(float))
+    pixels: dict[str, int] = field(default_factory=lambda: defaultdict(int))
+
+    def add(self, shown: np.ndarray, truth: np.ndarray, regions: dict[str, np.ndarray]) -> None:
+        squared = np.square(shown - truth).mean(-1)
+        for name, mask in regions.items():
+            self.squared[name] += float(squared[mask].sum(dtype=np.float64))
+            self.pixels[name] += int(mask.sum())
+
+    def psnr(self, region: str) -> float:
+        return -10 * float(np.log10(self.squared[region] / self.pixels[region]))
+
+
+@contextmanager
+def kernels_with(change: Change) -> Iterator[None]:
+    """Pipelines made here use kernels with `change`."""
+    before = os.environ.get("GFFE_KERNELS")
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / "kernels"
+        shutil.copytree(kernel_folder(), made)
+        for file in {*change.constants, *change.edits}:
+            (made / file).write_text(change.applied(file, (made / file).read_text()))
+        os.environ["GFFE_KERNELS"] = str(made)
+        try:
+            yield
+        finally:
+            if before is None:
+                del os.environ["GFFE_KERNELS"]
+            else:
+                os.environ["GFFE_KERNELS"] = before
+
+
+def measure(
+    device: Device, changes: dict[str, Change], options: Options, setting: argparse.Namespace, round_to: float = 0.0
+) -> dict[str, Errors]:
+    """Errors of `options` with each of `changes`, over all scenes; the first one's holes and movers are the regions."""
+    errors = {name: Errors() for name in changes}
+    for scene_name in setting.scenes:
+        for seed in range(setting.seeds):
+            scene = load_scene(scene_name, seed)
+            renderer = SceneRenderer(device, scene, *setting.size)
+            pipelines = {}
+            for name, change in changes.items():
+                with kernels_with(change):
+                    pipelines[name] = Pipeline(device, *setting.size, replace(options, **change.options), fps=FPS)
+                pipelines[name].exposure = scene.exposure
+            takers = [_Rounding(pipeline, round_to) for pipeline in pipelines.values()]
+            for _, _, time in submitted_frames(renderer, takers, setting.frames, FPS, ALPHA, lambda: None):
+                if time is None:
+                    continue
+                camera = scene.camera(time, *setting.size)
+                truth = display_values(renderer.render(time, camera).numpy().color, scene.exposure)
+                regions = None
+                for name, pipeline in pipelines.items():
+                    made = pipeline.extrapolate(camera if changes[name].camera else None, time)
+                    if regions is None:
+                        holes, moving = made.numpy("disoccluded") > 0, made.numpy("dynamic") > 0
+                        everything = np.ones_like(holes)
+                        parts = (everything, holes, moving & ~holes, ~moving & ~holes)
+                        regions = dict(zip(REGIONS, parts, strict=True))
+                    errors[name].add(display_values(made.numpy("color"), scene.exposure), truth, regions)
+    return errors
+
+
+class _Rounding:
+    """Submits frames with motion rounded to multiples of a step in pixels, 0 as it is."""
+
+    def __init__(self, pipeline: Pipeline, step: float):
+        self.pipeline, self.step = pipeline, step
+
+    def submit(self, frame: RenderedFrame, packed) -> None:
+        if self.step:
+            motion = np.round(np.asarray(frame.motion) / self.step).astype(np.float32) * np.float32(self.step)
+            frame, packed = replace(frame, motion=motion), None
+        self.pipeline.submit(frame, packed)
+
+
+def gains(errors: dict[str, Errors], whose: str, rows: dict[str, str]) -> list[str]:
+    """Lines of a table: by how much the errors of `whose` are below those of each row, dB."""
+    ours, lines = errors[whose], []
+    for name, title in rows.items():
+        figures = [f"{ours.psnr(r) - errors[name].psnr(r):+.2f}".replace("-", "−") for r in REGIONS]
+        lines.append(f"| {title} | {' | '.join(figures)} |")
+    return lines
+
+
+def tables(device: Device, setting: argparse.Namespace, say: Callable[[str], None]) -> dict[str, str]:
+    """Markdown by marker."""
+    made = {}
+    plain = Options(shading_correction=False)
+    head = "| gain in dB, PSNR over | whole frame | holes | movers | the rest |\n| --- | --- | --- | --- | --- |"
+    say("geometry-aware extrapolation")
+    changes = {"": Change(), **GAE, "all": PAPER} | {name: change for name, (change, _) in CHOICES.items()}
+    errors = measure(device, changes, plain, setting)
+    rows = {name: name for name in GAE} | {"all": "**all of these together**"}
+    rows |= {name: f"{name} (against: {other})" for name, (_, other) in CHOICES.items()}
+    share = {r: errors[""].pixels[r] / errors[""].pixels["whole"] for r in REGIONS}
+    about = "| share of the pixels | " + " | ".join(f"{share[r]:.1%}" for r in REGIONS) + " |"
+    ours = "| PSNR with all of these, dB | " + " | ".join(f"{errors[''].psnr(r):.2f}" for r in REGIONS) + " |"
+    made["gae"] = "\n".join([head, about, ours, *gains(errors, "", rows)])
+    say("shading correction")
+    errors = measure(device, {"": Change(), **SCN}, Options(shading_correction=True), setting)
+    made["scn"] = "\n".join([head, *gains(errors, "", {name: name for name in SCN})])
+    say("static threshold")
+    names = {"automatic" if t is None else f"{t:g} px": t for t in THRESHOLDS}
+    lines = [f"| PSNR, dB, with ε | {' | '.join(names)} |", "| --- |" + " --- |" * len(names)]
+    for title, step in ROUNDINGS.items():
+        changes = {name: Change({"static_threshold": t}) for name, t in names.items()}
+        errors = measure(device, changes, plain, setting, step)
+        figures = [f"{errors[name].psnr('whole'):.2f}" for name in names]
+        lines.append(f"| {title} | {' | '.join(figures)} |")
+    made["threshold"] = "\n".join(lines)
+    return made
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", action="store_true", help="into docs/deviations.md")
+    parser.add_argument("--scenes", nargs="*", default=list(SCENES))
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--frames", type=int, default=10)
+    parser.add_argument("--size", type=int, nargs=2, default=(480, 270))
+    parser.add_argument("--device")
+    setting = parser.parse_args()
+    made = tables(open_device(setting.device), setting, lambda text: print(f"Measuring: {text}", flush=True))
+    page = Path(__file__).parent / "deviations.md"
+    for name, text in made.items():
+        print(f"\n{text}")
+        if setting.write:
+            page.write_text(between_markers(page.read_text(), name, text))
+
+
+if __name__ == "__main__":
+    main()
