@@ -7,6 +7,8 @@ In Markdown, `<!-- NAME:begin -->` and `<!-- NAME:end -->` mark where the table 
 
 from __future__ import annotations
 
+import ast
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,6 +25,7 @@ from gffe_cl.stages.shading import ShadingInputs
 from gffe_cl.stages.warp import FILLED_BY, Warp
 
 FOLDER = Path(__file__).parent
+REPOSITORY = FOLDER.parent
 STAGES: tuple[type[Stage], ...] = (
     HistoryTracking, PositionPrediction, Warp, Background, Downsampled, ShadingInputs, ShadingCorrection, Presentation
 )  # fmt: skip
@@ -68,12 +71,26 @@ def scenes_table() -> str:
     return table(("scene", "what it shows"), [(f"`{name}`", text) for name, text in SCENES.items()])
 
 
+def map_table() -> str:
+    """Every module and kernel file, with the first sentence of what it says of itself."""
+    rows = []
+    for top in ("gffe_cl", "kernels", "viewer"):
+        folders = [REPOSITORY / top, *(f for f in sorted((REPOSITORY / top).rglob("*")) if f.is_dir())]
+        for folder in folders:
+            files = sorted(f for f in folder.iterdir() if f.suffix in (".py", ".cl", ".h"))
+            for k, file in enumerate(f for f in files if f.name not in ("__init__.py", "__main__.py")):
+                room = f"**`{folder.relative_to(REPOSITORY)}/`**" if k == 0 else ""
+                rows.append((room, f"`{file.name}`", _about(file)))
+    return table(("room", "file", "what it is for"), rows)
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "options": options_table,
     "fillings": fillings_table,
     "stages": stages_table,
     "labels": labels_table,
     "scenes": scenes_table,
+    "map": map_table,
 }
 
 
@@ -99,6 +116,18 @@ def with_tables(text: str) -> str:
     return text
 
 
+def _about(file: Path) -> str:
+    """First sentence of a module's docstring, or of the comment at the top of a kernel file."""
+    text = file.read_text()
+    if file.suffix == ".py":
+        text = ast.get_docstring(ast.parse(text)) or ""
+    else:
+        text = text.partition("/*")[2].partition("*/")[0] if text.lstrip().startswith("/*") else ""
+    paragraph = " ".join(text.partition("\n\n")[0].split())
+    sentence = re.match(r".*?[.:](?=\s+[A-Z`])", paragraph)
+    return (sentence[0] if sentence else paragraph).rstrip(".:")
+
+
 def _values(option: Option) -> str:
     if option.choices:
         return ", ".join(f"`{name}`" for name in option.choices)
@@ -112,9 +141,7 @@ def _values(option: Option) -> str:
 def _default(option: Option) -> str:
     if option.default is None:
         return option.automatic.partition(":")[0]
-    return {True: "on", False: "off"}.get(option.default, str(option.default)) if option.kind is bool else str(
-        option.default
-    )
+    return {True: "on", False: "off"}[option.default] if option.kind is bool else str(option.default)
 
 
 def main() -> None:

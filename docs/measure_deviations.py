@@ -3,9 +3,9 @@
     python docs/measure_deviations.py             prints the tables of docs/deviations.md
     python docs/measure_deviations.py --write     puts them there
 
-Each row takes the paper's way in one point and keeps everything else: by an option of the pipeline where there is one, else
-by a change to a copy of the kernels, which the row names. All frames of all scenes are pooled: PSNR of the mean squared
-error of display values.
+Each row takes the paper's way in one point and keeps everything else: by an option of the pipeline where there is one,
+else by a change to a copy of the kernels. All frames of all scenes are pooled: PSNR of the mean squared error of
+display values.
 """
 
 from __future__ import annotations

@@ -111,7 +111,7 @@ class PackedFrame:
 
 
 def pack_frame(frame: RenderedFrame, height: int, width: int) -> PackedFrame:
-    """Check shapes and convert a host frame to device layout, counting bad pixels (design: bad pixels).
+    """Check shapes and convert a host frame to device layout, counting bad pixels.
 
     Raises GffeError for a structural fault: wrong shape, or motion missing although the frame is no reset.
     """

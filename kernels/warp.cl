@@ -1,4 +1,4 @@
-/* Warp (paper: 'Warping', with crack closing and resampling, design section 4).
+/* Warp (paper: 'Warping', with crack closing and resampling).
    A fragment covers, in the target image, the parallelogram to which its own pixel maps; the nearest fragment keeps a
    target pixel, ties go to the smallest source index. */
 

@@ -1,4 +1,4 @@
-"""Measuring extrapolated frames against ground truth, by one definition for every command (design §6)."""
+"""Measuring extrapolated frames against ground truth, by one definition for every command."""
 
 from __future__ import annotations
 

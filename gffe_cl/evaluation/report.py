@@ -17,8 +17,8 @@ _PAPER = (24, 24, 26)
 
 
 def contact_sheet(groups: list[tuple[str, list[tuple[str, np.ndarray]]]], columns: int = 3, cell_width: int = 640):
-    """A PIL image of groups of images (H, W, 3) or (H, W), values in [0, 1], all of one size; the group's label and each
-    image's caption stand above."""
+    """A PIL image of groups of images (H, W, 3) or (H, W), values in [0, 1], all of one size; labels of groups and
+    captions of images stand above them."""
     from PIL import Image, ImageDraw
 
     height, width = groups[0][1][0][1].shape[:2]

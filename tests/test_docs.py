@@ -1,0 +1,163 @@
+"""The documentation says what is: examples run, commands parse, links lead somewhere, made parts are new."""
+
+import contextlib
+import io
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+from typer.main import get_command
+
+from gffe_cl.cli import app
+
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")] + sorted(
+    (ROOT / "docs").glob("*.md")
+)
+TEXTS = {page.relative_to(ROOT).as_posix(): page.read_text() for page in PAGES}
+EXAMPLES = [
+    pytest.param(code, printed, id=f"{name}-{k}")
+    for name, text in TEXTS.items()
+    for k, (printed, code) in enumerate(re.findall(r"<!-- prints: (.*?) -->\n```python\n(.*?)```", text, re.S))
+]
+
+
+@pytest.fixture(autouse=True)
+def _scripts_of_docs(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+
+
+@pytest.mark.parametrize(("code", "expected"), EXAMPLES)
+def test_examples_print_what_the_page_says(code, expected, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec(compile(code, "example", "exec"), {})
+    assert printed.getvalue().strip() == expected
+
+
+def test_every_python_example_is_run():
+    written = sum(text.count("```python") for name, text in TEXTS.items() if name != "docs/reference.md")
+    assert written == len(EXAMPLES) >= 5
+
+
+def _without_blocks(text):
+    return re.sub(r"^```.*?^```$", "", text, flags=re.S | re.M)
+
+
+def _commands():
+    """(page, words after `gffe`) of every line of a block that begins with it."""
+    for name, text in TEXTS.items():
+        for language, block in re.findall(r"^```(\w*)\n(.*?)^```$", text, re.S | re.M):
+            for line in block.splitlines() * (not language):
+                words = shlex.split(line, comments=True)
+                if words and Path(words[0]).name == "gffe":
+                    yield pytest.param(words[1:], id=f"{name}: {' '.join(words)}")
+
+
+@pytest.mark.parametrize("words", list(_commands()))
+def test_commands_parse(words):
+    """As the command line parses them: the command, its options, their values' types, no argument missing."""
+    get_command(app).commands[words[0]].make_context(words[0], words[1:])
+
+
+def test_commands_that_prose_names_exist():
+    commands = get_command(app).commands
+    for name, text in TEXTS.items():
+        for quoted in re.findall(r"`gffe ([^`]+)`", _without_blocks(text)):
+            words = quoted.split()
+            if words[0] == "COMMAND":
+                continue
+            known = {flag for p in commands[words[0]].params for flag in (*p.opts, *p.secondary_opts)} | {"--help"}
+            assert {word for word in words if re.match(r"--?[a-z]", word)} <= known, f"{name}: gffe {quoted}"
+
+
+def test_options_that_prose_names_exist():
+    others = {"--logdir", "--nproc-per-node", "--write", "--editable", "--all-files"}  # of other programs
+    known = {f for c in get_command(app).commands.values() for p in c.params for f in (*p.opts, *p.secondary_opts)}
+    for name, text in TEXTS.items():
+        assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) - {"--help", *others} <= known, name
+
+
+def _anchors(text):
+    headings = re.findall(r"^#+ (.+)$", _without_blocks(text), re.M)
+    made = []
+    for heading in headings:
+        anchor = re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+        made.append(anchor + (f"-{made.count(anchor)}" if anchor in made else ""))
+    return made
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_links_lead_somewhere(name):
+    for link in re.findall(r"\]\(([^)\s]+)\)", _without_blocks(TEXTS[name])):
+        if link.startswith(("http://", "https://")):
+            continue
+        path, _, anchor = link.partition("#")
+        page = (ROOT / name).parent / path if path else ROOT / name
+        assert page.exists(), link
+        if anchor:
+            assert anchor in _anchors(page.read_text()), link
+
+
+def test_pictures_are_used():
+    used = {Path(link).name for text in TEXTS.values() for link in re.findall(r"pictures/[\w.]+", text)}
+    assert {picture.name for picture in (ROOT / "docs" / "pictures").iterdir()} == used
+
+
+def test_no_paths_of_one_machine():
+    for name, text in TEXTS.items():
+        assert not re.search(r"(?<![\w.~$}/])/(home|root|tmp|work)\b", text), name
+
+
+def test_tables_are_up_to_date():
+    from make_tables import TABLES, with_tables
+
+    for name, text in TEXTS.items():
+        if name.startswith("docs/"):
+            assert with_tables(text) == text, f"{name}: run python docs/make_tables.py"
+    for table in TABLES:
+        assert any(f"<!-- {table}:begin -->\n|" in text for text in TEXTS.values()), table
+
+
+def test_reference_is_up_to_date():
+    from make_reference import reference
+
+    assert reference() == TEXTS["docs/reference.md"], "run python docs/make_reference.py"
+
+
+def test_everything_public_is_described():
+    text = TEXTS["docs/reference.md"]
+    for heading in re.findall(r"^#+ .+\n\n(?:```python\n.*\n```\n\n)?(?=\n|#|$)", text, re.M):
+        pytest.fail(f"no docstring: {heading}")
+
+
+def test_deviations_that_are_measured_exist():
+    """What `measure_deviations.py` changes is in the kernels, and each of its rows is explained."""
+    import measure_deviations as measured
+
+    from gffe_cl.opencl.program import kernel_folder
+
+    for change in (*measured.GAE.values(), *measured.SCN.values(), measured.PAPER):
+        for file in {*change.constants, *change.edits}:
+            text = (kernel_folder() / file).read_text()
+            assert change.applied(file, text) != text
+    page = TEXTS["docs/deviations.md"]
+    explained = page[: page.index("## Measured")]
+    for name in (*measured.GAE, *measured.SCN):
+        title = name.strip("()… ")
+        assert f"**{title[0].upper()}{title[1:]}" in explained or title in explained, name
+        assert f"| {name} |" in page, f"{name}: run python docs/measure_deviations.py --write"
+
+
+def test_a_drifted_table_is_found():
+    from make_tables import between_markers, with_tables
+
+    page = TEXTS["docs/stages.md"].replace("| `motion` |", "| `movement` |", 1)
+    assert page != TEXTS["docs/stages.md"] and with_tables(page) == TEXTS["docs/stages.md"]
+    assert between_markers("no markers", "options", "x") == "no markers"
+
+
+def test_readme_is_short():
+    assert len(TEXTS["README.md"].splitlines()) <= 150
