@@ -8,27 +8,24 @@ In Markdown, `<!-- NAME:begin -->` and `<!-- NAME:end -->` mark where the table 
 from __future__ import annotations
 
 import ast
+import inspect
 import re
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from gffe_cl.options import OPTIONS, Option
+from gffe_cl.pipeline import STAGES
 from gffe_cl.scenes import SCENES
-from gffe_cl.stage import Stage
+from gffe_cl.stage import EXTRAPOLATED, FILLED_BY, RENDERED, BufferSpec, Stage
 from gffe_cl.stages.background import Background, _level_buffers
-from gffe_cl.stages.correction import ShadingCorrection
-from gffe_cl.stages.history import HistoryTracking
-from gffe_cl.stages.holes import FILLINGS, Downsampled
-from gffe_cl.stages.prediction import PositionPrediction
+from gffe_cl.stages.holes import FILLINGS, FarSide, HoleFilling
 from gffe_cl.stages.presentation import Presentation
-from gffe_cl.stages.shading import ShadingInputs
-from gffe_cl.stages.warp import FILLED_BY, Warp
 
 FOLDER = Path(__file__).parent
 REPOSITORY = FOLDER.parent
-STAGES: tuple[type[Stage], ...] = (
-    HistoryTracking, PositionPrediction, Warp, Background, Downsampled, ShadingInputs, ShadingCorrection, Presentation
-)  # fmt: skip
+# Hole filling as it is by default, and what is made where there is a window.
+SHOWN: tuple[type[Stage], ...] = (*(FarSide if s is HoleFilling else s for s in STAGES), Presentation)
 
 
 def options_table() -> str:
@@ -44,23 +41,26 @@ def fillings_table() -> str:
 
 
 def stages_table() -> str:
-    """Every buffer of every stage, with its pixels, type and meaning."""
+    """Every stage: the paper's section, what it does, what its kernels read and write."""
     rows = []
-    for stage in STAGES:
-        specs = stage.buffers or _level_buffers(0)
-        for k, spec in enumerate(specs):
-            channels = f" ×{spec.channels}" if spec.channels > 1 else ""
-            planes = f", {spec.planes} planes" if spec.planes > 1 else ""
-            rows.append(
-                (
-                    f"**`{stage.name}`**" if k == 0 else "",
-                    f"`{spec.name}`",
-                    spec.grid,
-                    f"{spec.dtype.__name__}{channels}{planes}",
-                    spec.description,
-                )
-            )
-    return table(("stage", "buffer", "pixels of", "type", "meaning"), rows)
+    for stage in SHOWN:
+        module = sys.modules[stage.__module__].__doc__
+        paper = re.search(r"paper: (.*?)\)", module.replace("\n", " "))
+        reads, writes = _accessed(stage, "reads"), _accessed(stage, "writes")
+        reads = [name for name in reads if not name.startswith(f"{stage.name}.") or name.endswith("'")]
+        about = _first_sentence(inspect.getdoc(stage))
+        sections = paper[1].replace("'", "") if paper else ""
+        rows.append((f"`{stage.name}`", sections, about, _quoted(reads), _quoted(writes)))
+    return table(("stage", "the paper's section", "what it does", "reads", "writes"), rows)
+
+
+def buffers_table() -> str:
+    """Every buffer, with its pixels, type, bytes and meaning."""
+    rows = [row for name, specs in (("rendered", RENDERED), ("frame", EXTRAPOLATED)) for row in _described(name, specs)]
+    for stage in SHOWN:
+        specs = _level_buffers(0) if stage is Background else stage.buffers
+        rows += _described(stage.name, [spec for spec in specs if not spec.scratch])
+    return table(("owner", "buffer", "pixels of", "type", "bytes", "meaning"), rows)
 
 
 def labels_table() -> str:
@@ -88,6 +88,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "options": options_table,
     "fillings": fillings_table,
     "stages": stages_table,
+    "buffers": buffers_table,
     "labels": labels_table,
     "scenes": scenes_table,
     "map": map_table,
@@ -116,6 +117,29 @@ def with_tables(text: str) -> str:
     return text
 
 
+def _accessed(stage: type[Stage], kind: str) -> list[str]:
+    """Buffers that the stage's kernels read or write, scratch left out; l stands for a level."""
+    scratch = ("keys", "winners")
+    names = [a.buffer for kernel in stage.kernels for which, _, a in kernel.accesses() if which == kind and a.buffer]
+    names = [re.sub(r"\{\w+\}", "l", name) for name in names if not name.rstrip("'").endswith(scratch)]
+    return list(dict.fromkeys(names))
+
+
+def _described(owner: str, specs: Iterable[BufferSpec]) -> list[tuple[str, ...]]:
+    rows = []
+    for k, spec in enumerate(specs):
+        kind = f"{spec.dtype.__name__}{f' ×{spec.channels}' if spec.channels > 1 else ''}"
+        planes = f", {spec.planes} planes" if spec.planes > 1 else ""
+        size = str(spec.bytes_per_pixel * spec.planes * (1 + spec.kept))
+        owned = f"**`{owner}`**" if k == 0 else ""
+        rows.append((owned, f"`{spec.name}`", spec.grid, kind + planes, size, spec.description))
+    return rows
+
+
+def _quoted(names: Iterable[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names)
+
+
 def _about(file: Path) -> str:
     """First sentence of a module's docstring, or of the comment at the top of a kernel file."""
     text = file.read_text()
@@ -123,6 +147,10 @@ def _about(file: Path) -> str:
         text = ast.get_docstring(ast.parse(text)) or ""
     else:
         text = text.partition("/*")[2].partition("*/")[0] if text.lstrip().startswith("/*") else ""
+    return _first_sentence(text)
+
+
+def _first_sentence(text: str) -> str:
     paragraph = " ".join(text.partition("\n\n")[0].split())
     sentence = re.match(r".*?[.:](?=\s+[A-Z`])", paragraph)
     return (sentence[0] if sentence else paragraph).rstrip(".:")

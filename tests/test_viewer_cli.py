@@ -14,7 +14,7 @@ import tiny_sequence
 from PIL import Image
 from scn_models import constant_model
 
-README = Path(__file__).parents[1] / "README.md"
+GUIDE = Path(__file__).parents[1] / "docs" / "guide.md"
 GFFE = [sys.executable, "-c", "from gffe_cl.cli import main; main()", "view"]
 XVFB = ["xvfb-run", "-a", "-s", "-screen 0 1920x1200x24"]
 
@@ -161,7 +161,7 @@ def test_settings_that_cannot_be_saved(gffe, screen, tmp_path):
 
 @pytest.mark.slow
 def test_screenshot_of_the_readme(gffe, screen, tmp_path):
-    command = re.search(r"`gffe view out/demo/rendered (--screenshot .*?)`", README.read_text("utf-8"))[1].split()
+    command = re.search(r"`gffe view out/demo/rendered (--screenshot .*?)`", GUIDE.read_text("utf-8"))[1].split()
     command[command.index("--frame") + 1] = "3"
     assert gffe("in", *command) == (0, "", "")
     assert (tmp_path / command[1]).is_file()
