@@ -14,10 +14,11 @@ import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+from gffe_cl.buffers import EXTRAPOLATED, FILLED_BY, RENDERED, BufferSpec
 from gffe_cl.options import OPTIONS, Option
 from gffe_cl.pipeline import STAGES
 from gffe_cl.scenes import SCENES
-from gffe_cl.stage import EXTRAPOLATED, FILLED_BY, RENDERED, BufferSpec, Stage
+from gffe_cl.stage import Stage
 from gffe_cl.stages.background import Background, _level_buffers
 from gffe_cl.stages.holes import FILLINGS, FarSide, HoleFilling
 from gffe_cl.stages.presentation import Presentation

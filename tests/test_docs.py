@@ -151,6 +151,13 @@ def test_deviations_that_are_measured_exist():
         assert f"| {name} |" in page, f"{name}: run python docs/measure_deviations.py --write"
 
 
+def test_the_map_has_the_floors_of_the_house():
+    from test_house import FLOORS
+
+    rows = re.findall(r"^\| \d+ \| (.*?) \|", TEXTS["docs/map.md"], re.M)
+    assert [tuple(re.findall(r"`(\w+)`", row)) for row in rows] == list(FLOORS[:-1])
+
+
 def test_a_drifted_table_is_found():
     from make_tables import between_markers, with_tables
 
