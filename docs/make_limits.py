@@ -19,7 +19,7 @@ from gffe_cl.metrics import display_values
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.scenes import SceneRenderer, load_scene
+from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 
 FOLDER = Path(__file__).parent / "pictures"
 SIZE, PART = (640, 360), (128, 72)
@@ -49,15 +49,15 @@ LIMITS = {
 def picture(device: Device, limit: Limit):
     """A PIL image: three parts side by side, captions above."""
     scene = load_scene(limit.scene)
-    renderer = SceneRenderer(device, scene, *SIZE)
+    frames = SceneFrames(SceneRenderer(device, scene, *SIZE))
     pipeline = Pipeline(device, *SIZE, Options(), fps=FPS)
     pipeline.exposure = scene.exposure
     rows, columns = (slice(start, start + n) for start, n in zip((limit.y, limit.x), PART[::-1], strict=True))
-    for frame, image, time in submitted_frames(renderer, [pipeline], limit.frame + 1, FPS, ALPHA, lambda: None):
-        if frame.source == limit.frame:
-            camera = scene.camera(time, *SIZE)
-            made, truth = pipeline.extrapolate(camera, time).numpy("color"), renderer.render(time, camera).numpy().color
-            images = {"rendered (t)": image.color, "extrapolated (t + 1/2)": made, "truth (t + 1/2)": truth}
+    for k, frame, time in submitted_frames(frames, [pipeline], limit.frame + 1, FPS, ALPHA, lambda: None):
+        if k == limit.frame and time is not None:
+            camera = frames.display_camera(time)
+            made, truth = pipeline.extrapolate(camera, time).numpy("color"), frames.truth(time).read("color")
+            images = {"rendered (t)": frame.color, "extrapolated (t + 1/2)": made, "truth (t + 1/2)": truth}
             shown = {name: display_values(color, scene.exposure)[rows, columns] for name, color in images.items()}
             label = f"{limit.scene}, frame {limit.frame}, {SIZE[0]} x {SIZE[1]}, x = {limit.x}, y = {limit.y}"
             return contact_sheet([(label, [(n, np.ascontiguousarray(p)) for n, p in shown.items()])], cell_width=320)

@@ -31,7 +31,7 @@ from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.opencl.program import kernel_folder
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.scenes import SCENES, SceneRenderer, load_scene
+from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
 
 ALPHA, FPS = 0.5, 30.0
 REGIONS = ("whole", "holes", "moving", "rest")
@@ -137,7 +137,9 @@ class Errors:
             self.pixels[name] += int(mask.sum())
 
     def psnr(self, region: str) -> float:
-        return -10 * float(np.log10(self.squared[region] / self.pixels[region]))
+        """dB, at most 100; NaN for a region without pixels."""
+        pixels = self.pixels[region]
+        return -10 * float(np.log10(max(self.squared[region] / pixels, 1e-10))) if pixels else float("nan")
 
 
 @contextmanager
@@ -168,18 +170,18 @@ def measure(
         for seed in range(setting.seeds):
             print(f"\r{scene_name}, seed {seed}".ljust(40), end="", file=sys.stderr, flush=True)
             scene = load_scene(scene_name, seed)
-            renderer = SceneRenderer(device, scene, *setting.size)
+            frames = SceneFrames(SceneRenderer(device, scene, *setting.size))
             pipelines = {}
             for name, change in changes.items():
                 with kernels_with(change):
                     pipelines[name] = Pipeline(device, *setting.size, replace(options, **change.options), fps=FPS)
                 pipelines[name].exposure = scene.exposure
             takers = [_Rounding(pipeline, round_to) for pipeline in pipelines.values()]
-            for _, _, time in submitted_frames(renderer, takers, setting.frames, FPS, ALPHA, lambda: None):
+            for _, _, time in submitted_frames(frames, takers, setting.frames, FPS, ALPHA, lambda: None):
                 if time is None:
                     continue
-                camera = scene.camera(time, *setting.size)
-                truth = display_values(renderer.render(time, camera).numpy().color, scene.exposure)
+                camera = frames.display_camera(time)
+                truth = display_values(frames.truth(time).read("color"), scene.exposure)
                 regions = None
                 for name, pipeline in pipelines.items():
                     made = pipeline.extrapolate(camera if changes[name].camera else None, time)
