@@ -18,10 +18,10 @@ from PIL import Image
 
 from gffe_cl.errors import GffeError
 from gffe_cl.sequence.exr import read_channels
-from gffe_cl.viewer import settings as settings_module
 from gffe_cl.viewer.actions import IMGUI_KEYS, MODIFIERS, Action, Actions, parse_shortcut, shortcut_text
 from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
+from gffe_cl.viewer.state import settings as settings_module
 from gffe_cl.viewer.state.playback import EVERY_FRAME, MODES, REAL_TIME, Playback
 from gffe_cl.viewer.state.settings import Settings, default_path
 from gffe_cl.viewer.state.timings import Timings
