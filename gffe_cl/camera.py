@@ -8,14 +8,18 @@ z forward; the projection is an off-centre pinhole in pixels, the centre of pixe
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
 from gffe_cl.errors import GffeError
+from gffe_cl.values import NUMBERS, is_number
 
 _RIGIDITY_TOLERANCE = 1e-3
 _MOST_FOCAL = 1e9
 _MOST_DISTANCE = 1e15
+_FIELDS = ("world_to_view", "fx", "fy", "cx", "cy")
+_NOT_FINITE = "camera: not finite (world_to_view, fx, fy, cx and cy must be finite numbers)"
 _VIEW_AXES = {"opengl": (1.0, -1.0, -1.0), "direct3d": (1.0, -1.0, 1.0), "vulkan": (1.0, 1.0, 1.0)}
 
 
@@ -45,33 +49,39 @@ class Camera:
     cy: float
 
     def __post_init__(self):
-        try:
-            matrix = np.array(self.world_to_view, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise GffeError("camera: world_to_view is not a 4×4 matrix of numbers") from None
-        if matrix.shape != (4, 4):
-            raise GffeError(f"camera: world_to_view must be 4×4, got {'×'.join(map(str, matrix.shape))}")
-        try:
-            intrinsics = [float(getattr(self, name)) for name in ("fx", "fy", "cx", "cy")]
-        except (TypeError, ValueError):
-            raise GffeError("camera: fx, fy, cx, cy must be numbers") from None
-        if not (np.isfinite(matrix).all() and np.isfinite(intrinsics).all()):
-            raise GffeError("camera: not finite (world_to_view, fx, fy, cx and cy must be finite numbers)")
-        rotation = matrix[:3, :3]
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > _RIGIDITY_TOLERANCE:
-            raise GffeError("camera: world_to_view is singular or not rigid (expected a rotation and a translation)")
-        if np.abs(matrix[3] - (0, 0, 0, 1)).max() > 1e-9:
-            raise GffeError("camera: the last row of world_to_view must be 0 0 0 1 (column vectors)")
-        if intrinsics[0] <= 0 or intrinsics[1] <= 0:
-            raise GffeError(f"camera: singular projection, fx and fy must be positive, got {self.fx:g} and {self.fy:g}")
-        if max(intrinsics[:2]) > _MOST_FOCAL or min(intrinsics[:2]) < 1 / _MOST_FOCAL:
-            raise GffeError(f"camera: fx and fy must be within 1e-9 and 1e9 pixels, got {self.fx:g} and {self.fy:g}")
-        if max(map(abs, intrinsics[2:])) > _MOST_FOCAL or np.abs(matrix[:3, 3]).max() > _MOST_DISTANCE:
-            raise GffeError("camera: cx, cy must be within 1e9 pixels and the position within 1e15 world units")
+        intrinsics = [self.fx, self.fy, self.cx, self.cy]
+        if not all(isinstance(value, NUMBERS) and not isinstance(value, bool) for value in intrinsics):
+            raise GffeError("camera: fx, fy, cx, cy must be numbers")
+        if not all(map(is_number, intrinsics)):
+            raise GffeError(_NOT_FINITE)
+        matrix = _matrix(self.world_to_view)
+        intrinsics = np.array(intrinsics, np.float64)
+        _check(matrix[None], intrinsics[None])
         matrix.setflags(write=False)
-        object.__setattr__(self, "world_to_view", matrix)
-        for name, value in zip(("fx", "fy", "cx", "cy"), intrinsics, strict=True):
-            object.__setattr__(self, name, value)
+        self.__dict__.update(zip(_FIELDS, (matrix, *intrinsics.tolist()), strict=True))
+
+    @classmethod
+    def many(cls, world_to_views: list, intrinsics: list) -> list[Camera]:
+        """Cameras of lists of 4×4 lists and of (fx, fy, cx, cy): quicker than one by one. GffeError if any of them is
+        none, without saying which."""
+        types = set(map(type, chain.from_iterable(chain.from_iterable(world_to_views))))
+        types |= set(map(type, chain.from_iterable(intrinsics)))
+        try:
+            if not types <= {int, float}:
+                raise TypeError
+            matrices = np.array(world_to_views, np.float64).reshape(-1, 4, 4)
+            numbers = np.array(intrinsics, np.float64).reshape(-1, 4)
+        except (TypeError, ValueError, OverflowError):
+            raise GffeError("camera: expected 4×4 matrices and fx, fy, cx, cy of numbers") from None
+        if len(matrices):
+            _check(matrices, numbers)
+        matrices.setflags(write=False)
+        cameras = []
+        for matrix, (fx, fy, cx, cy) in zip(matrices, numbers.tolist(), strict=True):
+            camera = object.__new__(cls)
+            camera.__dict__.update(world_to_view=matrix, fx=fx, fy=fy, cx=cx, cy=cy)
+            cameras.append(camera)
+        return cameras
 
     def __eq__(self, other):
         return (
@@ -233,6 +243,50 @@ def predict_camera(previous: Camera, current: Camera, alpha: float) -> Camera:
         matrix[0] *= -1
         predicted = replace(predicted, world_to_view=matrix)
     return predicted
+
+
+def _matrix(given) -> np.ndarray:
+    """(4, 4) float64, a copy of `given`; GffeError unless that is of numbers."""
+    try:
+        array = np.array(given)
+    except ValueError:
+        array = None  # rows of several lengths
+    if array is None or array.dtype.kind not in "iuf" or not _all_numbers(given):
+        raise GffeError("camera: world_to_view is not a 4×4 matrix of numbers")
+    if array.shape != (4, 4):
+        raise GffeError(f"camera: world_to_view must be 4×4, got {'×'.join(map(str, array.shape))}")
+    return array.astype(np.float64)
+
+
+def _all_numbers(given) -> bool:
+    """Whether rows given as lists hold no truth values, which arrays take for numbers."""
+    if isinstance(given, np.ndarray):
+        return True
+    return bool not in {type(value) for row in given if isinstance(row, list | tuple) for value in row}
+
+
+def _check(matrices: np.ndarray, intrinsics: np.ndarray) -> None:
+    """GffeError for what is wrong with any of the cameras: (N, 4, 4) and (N, 4), fx fy cx cy, float64."""
+    if not (np.isfinite(matrices).all() and np.isfinite(intrinsics).all()):
+        raise GffeError(_NOT_FINITE)
+    rotations = matrices[:, :3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max()
+    if not off <= _RIGIDITY_TOLERANCE:
+        raise GffeError("camera: world_to_view is singular or not rigid (expected a rotation and a translation)")
+    if np.abs(matrices[:, 3] - (0, 0, 0, 1)).max() > 1e-9:
+        raise GffeError("camera: the last row of world_to_view must be 0 0 0 1 (column vectors)")
+    focal, least = intrinsics[:, :2], intrinsics[:, :2].min()
+    if least <= 0:
+        raise GffeError(f"camera: singular projection, fx and fy must be positive, got {_both(focal)}")
+    if focal.max() > _MOST_FOCAL or least < 1 / _MOST_FOCAL:
+        raise GffeError(f"camera: fx and fy must be within 1e-9 and 1e9 pixels, got {_both(focal)}")
+    if np.abs(intrinsics[:, 2:]).max() > _MOST_FOCAL or np.abs(matrices[:, :3, 3]).max() > _MOST_DISTANCE:
+        raise GffeError("camera: cx, cy must be within 1e9 pixels and the position within 1e15 world units")
+
+
+def _both(focal: np.ndarray) -> str:
+    return f"{focal[0, 0]:g} and {focal[0, 1]:g}"
 
 
 def _require_api(api: str) -> None:

@@ -1,9 +1,21 @@
-"""The one exception users meet."""
+"""The one exception users meet, and how names of theirs are shown."""
 
 
 class GffeError(Exception):
     """A structural fault in what the caller gave: bad file, size, camera, device, option.
 
-    The message is one line that says what is wrong, where, and what was expected. The command line
-    prints it and exits with code 2. Bad *pixels* never raise it, except in strict mode.
+    The message is one line that says what is wrong, where, and what was expected; control characters in it, of file
+    names perhaps, are escaped. The command line prints it and exits with code 2. Bad *pixels* never raise it, except in
+    strict mode.
     """
+
+    def __init__(self, message: str):
+        super().__init__(printable(message))
+
+
+def printable(text: str) -> str:
+    """`text` with everything that is no visible character (line breaks, terminal controls, halves of surrogate pairs)
+    as an escape: `\\n`, `\\x1b`."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)

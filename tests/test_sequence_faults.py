@@ -54,7 +54,7 @@ def test_damaged_and_unfinished(folder):
         sequence.read(sequence.rendered[2])
     path.write_bytes(b"P6 480 270 255 not an exr at all")
     assert fault(folder) == "frame_2.exr: not an OpenEXR file"
-    table = _parse(_Cursor(data))[1]
+    table = _parse(_Cursor(data))[0].end
     path.write_bytes(data[:table] + b"\0" * 8 + data[table + 8 :])
     assert "incomplete, 1 of 1 chunks" in fault(folder)
 
@@ -137,7 +137,7 @@ def test_paths_stay_inside(folder, file):
     "change, expected",
     [
         ({"version": 2}, "unknown version 2 (expected 1)"),
-        ({"version": None}, "unknown version None"),
+        ({"version": None}, "unknown version nothing"),
         ({"format": "film"}, "not a sequence"),
         ({"width": 0}, "width must be whole pixels"),
         ({"height": 9.5}, "height must be whole pixels"),

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import math
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
+from gffe_cl.files import open_regular
+from gffe_cl.values import require_exposure, require_number, require_positive, shown
 
 FILE_NAME = "sequence.json"
 FORMAT, VERSION = "gffe-sequence", 1
 KINDS = ("rendered", "ground_truth", "extrapolated")
+_CAMERA = ("world_to_view", "fx", "fy", "cx", "cy")
 _MAX_SIDE = 1 << 16
+_MAX_BYTES = 1 << 30
+_PLAIN_NAME = re.compile(r"[\w+=@-][\w+=@. -]*", re.ASCII)
 
 
 @dataclass
@@ -55,38 +65,53 @@ class FrameEntry:
 
 @dataclass
 class Description:
-    """Contents of `sequence.json`; sizes in pixels, times in seconds."""
+    """Contents of `sequence.json`; sizes in pixels, times in seconds. `unfinished`: the run that wrote it was
+    interrupted, the frames are those that were finished then."""
 
     width: int
     height: int
     fps: float
     exposure: float
     frames: list[FrameEntry]
+    unfinished: bool = False
 
 
+@contextmanager
+def without_collections() -> Iterator[None]:
+    """Without Python's search for garbage, which many objects make several times as long and which finds none."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
+@without_collections()
 def parse_description(text: str, name: str = FILE_NAME) -> Description:
     """Check everything in the JSON `text`. Raises GffeError naming the file `name` and the frame."""
     try:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise GffeError(f"{name}: not valid JSON ({reason})") from None
+        raise GffeError(f"{name}: not valid JSON ({' '.join(str(error).split())})") from None
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise GffeError(f'{name}: not a sequence (expected "format": "{FORMAT}")')
     if document.get("version") != VERSION or isinstance(document["version"], bool):
-        raise GffeError(f"{name}: unknown version {document.get('version')!r} (expected {VERSION})")
+        raise GffeError(f"{name}: unknown version {shown(document.get('version'))} (expected {VERSION})")
     description = Description(
         _whole(document.get("width"), name, "width"),
         _whole(document.get("height"), name, "height"),
-        _positive(document.get("fps"), name, "fps"),
-        _positive(document.get("exposure", 1.0), name, "exposure"),
+        require_positive(document.get("fps"), f"{name}: fps"),
+        require_exposure(document.get("exposure", 1.0), f"{name}: exposure"),
         [],
+        _true_or_false(document.get("unfinished", False), f"{name}: unfinished"),
     )
     frames = document.get("frames")
     if not isinstance(frames, list) or not frames:
         raise GffeError(f"{name}: frames must be a list of at least one frame")
-    for index, frame in enumerate(frames):
-        description.frames.append(_parse_frame(frame, index, name))
+    description.frames = [_parse_frame(frame, index, name) for index, frame in enumerate(frames)]
+    _parse_cameras(description.frames, frames, name)
     check_times(description.frames, name)
     for entry in description.frames:
         if entry.kind == "rendered":
@@ -118,18 +143,32 @@ def check_times(frames: list[FrameEntry], name: str = FILE_NAME) -> None:
 
 def check_file_name(file, label: str) -> str:
     """`file` if it is a relative path that stays inside the sequence's folder, else GffeError."""
-    if not isinstance(file, str) or not file.strip() or "\0" in file or file in (".", FILE_NAME):
-        raise GffeError(f"{label}: file must be the name of an EXR file, got {file!r}")
+    if isinstance(file, str) and _PLAIN_NAME.fullmatch(file) and file != FILE_NAME:
+        return file
+    if not isinstance(file, str) or not file.strip() or "\0" in file or file in (".", FILE_NAME) or not _on_disk(file):
+        raise GffeError(f"{label}: file must be the name of an EXR file, got {shown(file)}")
     for path in (PurePosixPath(file), PureWindowsPath(file)):
         if path.is_absolute() or path.anchor or ".." in path.parts:
-            raise GffeError(f"{label}: file must stay inside the sequence's folder, got {file!r}")
+            raise GffeError(f"{label}: file must stay inside the sequence's folder, got {shown(file)}")
     return file
+
+
+def _on_disk(name: str) -> bool:
+    """Whether the file system can hold such a name: half a surrogate pair has no bytes."""
+    try:
+        return bool(os.fsencode(name))
+    except UnicodeError:
+        return False
 
 
 def read_text(path: Path) -> str:
     """Text of a `sequence.json`; GffeError if it cannot be read."""
     try:
-        return path.read_text(encoding="utf-8")
+        with open_regular(path) as file:
+            size = os.fstat(file.fileno()).st_size
+            if size > _MAX_BYTES:
+                raise GffeError(f"{path}: {size} bytes (expected a {path.name} of at most {_MAX_BYTES})")
+            return file.readall().decode("utf-8")
     except FileNotFoundError:
         raise GffeError(f"{path.parent}: no {path.name} in this folder") from None
     except OSError as error:
@@ -149,6 +188,8 @@ def describe(description: Description, generator: str) -> str:
         "fps": description.fps,
         "exposure": description.exposure,
     }
+    if description.unfinished:
+        document["unfinished"] = True
     size = (description.width, description.height)
     frames = [_frame_document(entry, size) for entry in description.frames]
     return json.dumps({**document, "frames": frames}, indent=1) + "\n"
@@ -180,65 +221,62 @@ def _camera_document(camera: Camera) -> dict:
 
 def _parse_frame(frame, index, name) -> FrameEntry:
     if not isinstance(frame, dict):
-        raise GffeError(f"{name}, frame {index}: must be an object, got {_shown(frame)}")
+        raise GffeError(f"{name}, frame {index}: must be an object, got {shown(frame)}")
     file = check_file_name(frame.get("file"), f"{name}, frame {index}")
     label = frame_label(index, file, name)
     kind = frame.get("kind")
     if kind not in KINDS:
-        raise GffeError(f"{label}: kind must be one of {', '.join(KINDS)}, got {_shown(kind)}")
-    reset = frame.get("reset", False)
-    if not isinstance(reset, bool):
-        raise GffeError(f"{label}: reset must be true or false, got {_shown(reset)}")
-    entry = FrameEntry(file, _number(frame.get("time"), label, "time"), kind, reset)
+        raise GffeError(f"{label}: kind must be one of {', '.join(KINDS)}, got {shown(kind)}")
+    reset = _true_or_false(frame.get("reset", False), f"{label}: reset")
+    entry = FrameEntry(file, require_number(frame.get("time"), f"{label}: time"), kind, reset)
     if frame.get("render_size") is not None:
         entry.render_size = _parse_size(frame["render_size"], label)
     if frame.get("source") is not None:
         entry.source = check_file_name(frame["source"], f"{label}, source")
     if frame.get("alpha") is not None:
-        entry.alpha = _positive(frame["alpha"], label, "alpha")
-    for field in ("render_camera", "display_camera"):
-        if frame.get(field) is not None:
-            setattr(entry, field, _parse_camera(frame[field], f"{label}: {field}"))
+        entry.alpha = require_positive(frame["alpha"], f"{label}: alpha")
     return entry
 
 
-def _parse_camera(document, label) -> Camera:
-    fields = ("world_to_view", "fx", "fy", "cx", "cy")
-    if not isinstance(document, dict) or any(name not in document for name in fields):
-        raise GffeError(f"{label} must have {', '.join(fields)}")
+def _parse_cameras(entries: list[FrameEntry], frames: list[dict], name: str) -> None:
+    given = [
+        (index, field, frame[field])
+        for index, frame in enumerate(frames)
+        for field in ("render_camera", "display_camera")
+        if frame.get(field) is not None
+    ]
     try:
-        return Camera(**{name: document[name] for name in fields})
+        matrices = [document["world_to_view"] for _, _, document in given]
+        intrinsics = [[document[n] for n in _CAMERA[1:]] for _, _, document in given]
+        cameras = Camera.many(matrices, intrinsics)
+    except (GffeError, TypeError, KeyError):  # which one it is
+        cameras = [_parse_camera(d, f"{frame_label(i, entries[i].file, name)}: {field}") for i, field, d in given]
+    for (index, field, _), camera in zip(given, cameras, strict=True):
+        setattr(entries[index], field, camera)
+
+
+def _parse_camera(document, label) -> Camera:
+    if not isinstance(document, dict) or any(name not in document for name in _CAMERA):
+        raise GffeError(f"{label} must have {', '.join(_CAMERA)}")
+    try:
+        return Camera(**{name: document[name] for name in _CAMERA})
     except GffeError as error:
         raise GffeError(f"{label}: {str(error).removeprefix('camera: ')}") from None
-    except OverflowError:
-        raise GffeError(f"{label}: not finite") from None
 
 
 def _parse_size(value, label) -> tuple[int, int]:
     if not isinstance(value, list) or len(value) != 2:
-        raise GffeError(f"{label}: render_size must be [width, height], got {_shown(value)}")
+        raise GffeError(f"{label}: render_size must be [width, height], got {shown(value)}")
     return _whole(value[0], label, "render_size"), _whole(value[1], label, "render_size")
 
 
-def _number(value, label, what) -> float:
-    if isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e300:
-        return float(value)
-    raise GffeError(f"{label}: {what} must be a finite number, got {_shown(value)}")
-
-
-def _positive(value, label, what) -> float:
-    number = _number(value, label, what)
-    if number <= 0:
-        raise GffeError(f"{label}: {what} must be greater than 0, got {number:g}")
-    return number
+def _true_or_false(value, what) -> bool:
+    if isinstance(value, bool):
+        return value
+    raise GffeError(f"{what} must be true or false, got {shown(value)}")
 
 
 def _whole(value, label, what) -> int:
     if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= _MAX_SIDE:
         return value
-    raise GffeError(f"{label}: {what} must be whole pixels, 1 to {_MAX_SIDE}, got {_shown(value)}")
-
-
-def _shown(value) -> str:
-    text = "nothing" if value is None else json.dumps(value, default=repr)
-    return text if len(text) <= 60 else text[:59] + "…"
+    raise GffeError(f"{label}: {what} must be whole pixels, 1 to {_MAX_SIDE}, got {shown(value)}")

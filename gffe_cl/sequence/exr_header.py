@@ -12,14 +12,18 @@ import os
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from gffe_cl.errors import GffeError
+from gffe_cl.files import descriptor_of
 
 _MAGIC = b"\x76\x2f\x31\x01"
 _TILED, _NON_IMAGE, _MULTI_PART = 0x200, 0x800, 0x1000
+_FIRST_BYTES = 1 << 14
 _MAX_HEADER = 1 << 26
+_MOST_KNOWN = 4
 # Scan lines per chunk: no compression, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB, HTJ2K256, HTJ2K32
 _CHUNK_LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256, 256, 32)
 _PIXEL_TYPES = ("uint32", "float16", "float32")
@@ -38,7 +42,7 @@ class ExrPart:
     tile: tuple[int, int, int] | None = None  # width, height, level mode
     subsampled: bool = False
     deep: bool = False
-    matrices: dict[str, np.ndarray] = field(default_factory=dict)  # name → (4, 4) float64, as stored
+    matrices: dict[str, tuple[str, bytes]] = field(default_factory=dict)  # name → type, bytes; see `matrix`
 
     @property
     def size(self) -> tuple[int, int]:
@@ -46,10 +50,23 @@ class ExrPart:
         x0, y0, x1, y1 = self.data_window
         return x1 - x0 + 1, y1 - y0 + 1
 
+    def with_matrices(self, matrices: dict[str, tuple[str, bytes]]) -> ExrPart:
+        part = object.__new__(ExrPart)
+        part.__dict__.update(self.__dict__, matrices=matrices)
+        return part
+
+    def matrix(self, name: str) -> np.ndarray:
+        """(4, 4) float64, as stored, of `matrices`."""
+        form, data = self.matrices[name]
+        return np.frombuffer(data, "<f4" if form == "m44f" else "<f8", 16).astype(np.float64).reshape(4, 4)
+
 
 @dataclass
 class ExrHeader:
     parts: list[ExrPart]
+    multi_part: bool = False
+    end: int = 0  # bytes; the chunk offset table follows
+    layout: object = None  # the same object for headers that are alike but for their matrices
 
     def find(self, channel: str) -> tuple[int, str] | None:
         """(part, name there) of a channel: the first part that has it; `part.channel` names a part's own."""
@@ -92,29 +109,85 @@ class _Cursor:
         return self.take(end - self.position + 1)[:-1].decode("utf-8", "replace")
 
 
+class HeaderReader:
+    """Reads headers, quicker those that are like one read before but for their matrices, as in a sequence."""
+
+    def __init__(self):
+        self._known: list[_Known] = []
+
+    def read(self, path: Path, label: str) -> ExrHeader:
+        """Header of the EXR file at `path`, checked to be complete; `label` names the file in errors.
+
+        Raises GffeError if the file is missing, no EXR, deep, or ends before its last chunk of pixels.
+        """
+        try:
+            file, size = descriptor_of(path)
+            try:
+                data = os.read(file, _FIRST_BYTES)
+                header = self._known_header(data) or self._parsed(file, data, size, label)
+                _check_chunks(file, data, size, header, label)
+            finally:
+                os.close(file)
+        except FileNotFoundError:
+            raise GffeError(f"{label}: no such file in {Path(path).parent}") from None
+        except OSError as error:
+            raise GffeError(f"{label}: cannot be read ({error.strerror or error})") from None
+        return header
+
+    def _known_header(self, data: bytes) -> ExrHeader | None:
+        for known in self._known:
+            header = known.header_of(data)
+            if header:
+                return header
+        return None
+
+    def _parsed(self, file, data, size, label) -> ExrHeader:
+        header, spans = _read_parts(file, data, size, label)
+        for part in header.parts:
+            _check_part(part, label)
+        if header.end <= len(data):
+            header.layout = _Known(header, data, spans)
+            self._known = [header.layout, *self._known[: _MOST_KNOWN - 1]]
+        return header
+
+
 def read_header(path: Path, label: str) -> ExrHeader:
-    """Header of the EXR file at `path`, checked to be complete; `label` names the file in errors.
-
-    Raises GffeError if the file is missing, no EXR, deep, or ends before its last chunk of pixels.
-    """
-    try:
-        with open(path, "rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            parts, table, multi_part = _read_parts(file, size, label)
-            _check_chunks(file, size, parts, table, multi_part, label)
-    except FileNotFoundError:
-        raise GffeError(f"{label}: no such file in {path.parent}") from None
-    except OSError as error:
-        raise GffeError(f"{label}: cannot be read ({error.strerror or error})") from None
-    return ExrHeader(parts)
+    """As `HeaderReader.read`, of a single file."""
+    return HeaderReader().read(path, label)
 
 
-def _read_parts(file, size, label):
-    """→ (parts, position of the chunk offset table, is multi-part)"""
-    length = 1 << 14
+class _Known:
+    """A header, and what a file must begin with to have the same one but for the values of its matrices."""
+
+    def __init__(self, header: ExrHeader, data: bytes, spans: list[_Span]):
+        self._header, self._spans = header, spans
+        ends = [0, *(span.end for span in spans)]
+        starts = [*(span.start for span in spans), header.end]
+        self._same = [(a, b, data[a:b]) for a, b in zip(ends, starts, strict=True)]
+
+    def header_of(self, data: bytes) -> ExrHeader | None:
+        for start, end, piece in self._same:
+            if data[start:end] != piece:
+                return None
+        parts = [part.with_matrices({}) for part in self._header.parts]
+        for index, name, form, start, end in self._spans:
+            parts[index].matrices[name] = (form, data[start:end])
+        return ExrHeader(parts, self._header.multi_part, self._header.end, self)
+
+
+class _Span(NamedTuple):
+    """Where in a file the values of a matrix are."""
+
+    part: int
+    name: str
+    form: str
+    start: int
+    end: int
+
+
+def _read_parts(file, data, size, label) -> tuple[ExrHeader, list[_Span]]:
+    length = _FIRST_BYTES
     while True:
-        file.seek(0)
-        data = file.read(length)
         if not data.startswith(_MAGIC[: len(data)]):
             raise GffeError(f"{label}: not an OpenEXR file")
         try:
@@ -127,17 +200,18 @@ def _read_parts(file, size, label):
             length *= 8
         except (struct.error, ValueError, IndexError):
             raise GffeError(f"{label}: damaged EXR header") from None
+        data = _bytes_at(file, b"", 0, length)
 
 
-def _parse(cursor):
+def _parse(cursor) -> tuple[ExrHeader, list[_Span]]:
     cursor.take(4)
     (version,) = cursor.unpack("I")
     multi_part = bool(version & _MULTI_PART)
-    parts = []
+    parts, spans = [], []
     while True:
-        part = _parse_part(cursor)
+        part = _parse_part(cursor, len(parts), spans)
         if part is None:
-            return parts, cursor.position, multi_part
+            break
         part.deep |= bool(version & _NON_IMAGE) and not multi_part
         if part.tile and not (multi_part or version & _TILED):
             part.tile = None
@@ -145,11 +219,20 @@ def _parse(cursor):
             raise ValueError
         parts.append(part)
         if not multi_part:
-            return parts, cursor.position, multi_part
+            break
+    return ExrHeader(parts, multi_part, cursor.position), spans
 
 
-def _parse_part(cursor) -> ExrPart | None:
-    """The next header; None for the empty one that ends a multi-part list."""
+def _check_part(part: ExrPart, label: str) -> None:
+    if part.deep:
+        raise GffeError(f"{label}: deep EXR data is not supported (expected flat images)")
+    x0, y0, x1, y1 = part.display_window
+    if x1 < x0 or y1 < y0:
+        raise GffeError(f"{label}: the display window {x0} {y0} {x1} {y1} is empty (expected x0 ≤ x1 and y0 ≤ y1)")
+
+
+def _parse_part(cursor, index: int, spans: list[_Span]) -> ExrPart | None:
+    """The next header, of part `index`; None for the empty one that ends a multi-part list."""
     part, kind = ExrPart(), ""
     name = cursor.text()
     if not name:
@@ -176,7 +259,10 @@ def _parse_part(cursor) -> ExrPart | None:
                 text = value.data.decode("utf-8", "replace")
                 part.name, kind = (text, kind) if name == "name" else (part.name, text)
             elif form in ("m44f", "m44d"):
-                part.matrices[name] = np.array(value.unpack("16" + form[-1]), np.float64).reshape(4, 4)
+                values = value.take(64 if form == "m44f" else 128)
+                start = cursor.position - size
+                part.matrices[name] = (form, values)
+                spans.append(_Span(index, name, form, start, start + len(values)))
         except _Short:
             raise ValueError from None
         name = cursor.text()
@@ -208,30 +294,34 @@ def _chunk_count(part: ExrPart) -> int | None:
     return -(-height // _CHUNK_LINES[part.compression])
 
 
-def _check_chunks(file, size, parts, table, multi_part, label):
-    """Every chunk must have been written, and the last one must end inside the file."""
-    for part in parts:
-        if part.deep:
-            raise GffeError(f"{label}: deep EXR data is not supported (expected flat images)")
+def _check_chunks(file, data, size, header, label):
+    """Every chunk must have been written, and the last one must end inside the file. `data`: its first bytes."""
+    table = header.end
+    for part in header.parts:
         count = _chunk_count(part)
         if count is None:
             return
         if count < 0 or table + 8 * count > size:
             raise GffeError(f"{label}: truncated, {size} bytes end inside the chunk table")
-        file.seek(table)
-        offsets = np.frombuffer(file.read(8 * count), "<u8")
+        offsets = np.frombuffer(_bytes_at(file, data, table, 8 * count), "<u8").tolist()
         table += 8 * count
-        missing = int((offsets == 0).sum())
+        missing = offsets.count(0)
         if missing:
             raise GffeError(f"{label}: incomplete, {missing} of {count} chunks were never written")
         if not count:
             continue
-        last = int(offsets.max())
-        before = 4 * multi_part + (16 if part.tile else 4)
+        last = max(offsets)
+        before = 4 * header.multi_part + (16 if part.tile else 4)
         end = last + before + 4
         if end <= size:
-            file.seek(last + before)
-            (length,) = struct.unpack("<i", file.read(4))
+            (length,) = struct.unpack("<i", _bytes_at(file, data, last + before, 4))
             end += max(length, 0)
         if end > size:
             raise GffeError(f"{label}: truncated, {size} bytes of at least {end}")
+
+
+def _bytes_at(file, data: bytes, start: int, length: int) -> bytes:
+    if start + length <= len(data):
+        return data[start : start + length]
+    os.lseek(file, start, os.SEEK_SET)
+    return os.read(file, length)

@@ -20,8 +20,9 @@ from gffe_cl.sequence.description import (
     frame_label,
     parse_description,
     read_text,
+    without_collections,
 )
-from gffe_cl.sequence.exr_header import ExrHeader, read_header
+from gffe_cl.sequence.exr_header import ExrHeader, HeaderReader, read_header
 from gffe_cl.sequence.header_camera import has_camera, header_cameras
 from gffe_cl.sequence.matching import Timeline
 from gffe_cl.sequence.read_ahead import read_ahead
@@ -29,6 +30,8 @@ from gffe_cl.sequence.read_ahead import read_ahead
 COLOR = ("R", "G", "B")
 MOTION = ("motion.x", "motion.y")
 RENDERED = (*COLOR, "Z", *MOTION)
+_THREADS = 4
+_SHARE = 512  # frames
 
 
 class Sequence:
@@ -156,6 +159,7 @@ class Sequence:
         return read_ahead(entries, read or self.read, ahead)
 
 
+@without_collections()
 def open_sequence(path) -> Sequence:
     """Open the sequence in the folder `path` (or whose `sequence.json` is `path`).
 
@@ -172,16 +176,24 @@ def open_sequence(path) -> Sequence:
     description = parse_description(read_text(json_path), json_path.name)
     folder = json_path.parent
 
-    def sniff(item):
-        index, entry = item
-        header = read_header(folder / entry.file, entry.file)
-        _check_channels(entry, header)
-        _complete_cameras(entry, header, description, frame_label(index, entry.file, json_path.name))
-        size = entry.render_size or (description.width, description.height)
-        exr.require_size(header, RENDERED[:4] if entry.kind == "rendered" else COLOR, size, entry.file)
+    def sniff(entries: list[tuple[int, FrameEntry]]) -> None:
+        reader, passed = HeaderReader(), set()
+        for index, entry in entries:
+            header = reader.read(f"{folder}/{entry.file}", entry.file)
+            alike = header.layout, entry.kind, entry.reset, entry.render_size
+            if alike not in passed:
+                _check_channels(entry, header)
+            _complete_cameras(entry, header, description, index, json_path.name)
+            if alike not in passed:
+                size = entry.render_size or (description.width, description.height)
+                exr.require_size(header, RENDERED[:4] if entry.kind == "rendered" else COLOR, size, entry.file)
+            if header.layout:
+                passed.add(alike)
 
-    with ThreadPoolExecutor(4, thread_name_prefix="gffe-sniff") as pool:
-        futures = [pool.submit(sniff, item) for item in enumerate(description.frames)]
+    entries = list(enumerate(description.frames))
+    with ThreadPoolExecutor(_THREADS, thread_name_prefix="gffe-sniff") as pool:
+        shares = [entries[k : k + _SHARE] for k in range(0, len(entries), _SHARE)]
+        futures = [pool.submit(sniff, share) for share in shares]
         try:
             for future in futures:
                 future.result()
@@ -203,33 +215,40 @@ def _check_channels(entry, header):
             raise GffeError(f"{entry.file}: no channel '{name}' ({needed})")
 
 
-def _complete_cameras(entry, header, description, label):
+def _complete_cameras(entry, header, description, index, json_name):
     """Cameras that the JSON leaves out: from the EXR header, else (display) the render camera's frustum."""
     size = (description.width, description.height)
-    if entry.kind == "rendered" and entry.render_camera is not None:
-        _complete_overscan(entry, header.parts[header.find("R")[0]], size)
-    wanted = entry.render_camera is None if entry.kind == "rendered" else entry.display_camera is None
     part = header.parts[header.find("R")[0]]
-    if wanted and has_camera(part):
-        try:
-            render, display = header_cameras(part)
-        except GffeError as error:
-            raise GffeError(f"{label}: EXR header, {error}") from None
-        x0, y0, x1, y1 = part.display_window
-        display = display.scaled(size[0] / (x1 - x0 + 1), size[1] / (y1 - y0 + 1))
-        if entry.kind == "rendered":
-            entry.render_camera = render
-            entry.render_size = entry.render_size or part.size
-        entry.display_camera = entry.display_camera or display
-    if entry.kind == "rendered":
+    rendered = entry.kind == "rendered"
+    if rendered and entry.render_camera is not None:
+        _complete_overscan(entry, part, size)
+    wanted = entry.render_camera is None if rendered else entry.display_camera is None
+    try:
+        if wanted and has_camera(part):
+            _take_header_cameras(entry, part, size)
+        if not rendered:
+            return
         if entry.render_camera is None:
-            raise GffeError(f"{label}: no render_camera, and no worldToCamera and worldToNDC in the EXR header")
+            raise GffeError("no render_camera, and no worldToCamera and worldToNDC in the EXR header")
         if entry.display_camera is None:
             entry.display_camera = _same_frustum(entry, size)
-        try:
+        if entry.display_camera is not entry.render_camera:
             require_one_pose(entry.render_camera, entry.display_camera)
-        except GffeError as error:
-            raise GffeError(f"{label}: {str(error).removeprefix('frame: ')}") from None
+    except GffeError as error:
+        raise GffeError(f"{frame_label(index, entry.file, json_name)}: {str(error).removeprefix('frame: ')}") from None
+
+
+def _take_header_cameras(entry, part, size):
+    try:
+        render, display = header_cameras(part)
+    except GffeError as error:
+        raise GffeError(f"EXR header, {error}") from None
+    x0, y0, x1, y1 = part.display_window
+    display = display.scaled(size[0] / (x1 - x0 + 1), size[1] / (y1 - y0 + 1))
+    if entry.kind == "rendered":
+        entry.render_camera = render
+        entry.render_size = entry.render_size or part.size
+    entry.display_camera = entry.display_camera or display
 
 
 def _complete_overscan(entry, part, size):

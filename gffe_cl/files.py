@@ -1,0 +1,68 @@
+"""Files that are whole or not there at all, and files that are files."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+from gffe_cl.errors import GffeError
+
+_OPENING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
+_EXR_MAGIC = b"\x76\x2f\x31\x01"
+
+
+def open_regular(path: Path | str) -> BinaryIO:
+    """Open for reading; OSError unless it is a regular file. Pipes and devices, which may never end or never begin, are
+    not waited for."""
+    return open(path, "rb", buffering=0, opener=lambda path, flags: descriptor_of(path, flags)[0])
+
+
+def descriptor_of(path: Path | str, flags: int = os.O_RDONLY) -> tuple[int, int]:
+    """As `open_regular`: a file descriptor and the size in bytes."""
+    descriptor = os.open(path, flags | _OPENING)
+    status = os.fstat(descriptor)
+    if stat.S_ISREG(status.st_mode):
+        return descriptor, status.st_size
+    os.close(descriptor)
+    kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
+    raise OSError(errno.EINVAL, f"is {kind}, expected a regular file")
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Where to write what becomes the file `path` when the block ends; after an exception `path` is as it was.
+
+    A pipe or a device (`/dev/stdout`) is written to directly.
+    """
+    path = Path(os.path.realpath(path))
+    if path.exists() and not path.is_file():
+        yield path
+        return
+    part = path.with_name(f".{path.stem}.part{path.suffix}")
+    try:
+        yield part
+        os.replace(part, path)
+    finally:
+        with suppress(OSError):
+            part.unlink()
+
+
+def require_output_file(path: Path, option: str) -> Path:
+    """`path`; GffeError, naming the `option`, unless a report or picture may be written there: into a folder that
+    exists, and not over a file of a sequence."""
+    if path.is_dir() or not path.absolute().parent.is_dir():
+        raise GffeError(f"{option} {path}: must be a file in a folder that exists")
+    if path.name == "sequence.json" or path.suffix.lower() == ".exr" or _is_exr(path):
+        raise GffeError(f"{option} {path}: is a file of a sequence (expected another file)")
+    return path
+
+
+def _is_exr(path: Path) -> bool:
+    with suppress(OSError), open_regular(path) as file:
+        return file.read(len(_EXR_MAGIC)) == _EXR_MAGIC
+    return False
