@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections import defaultdict
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,9 +60,12 @@ def run_sequence(
     The cameras after a rendered frame are those that `source` knows for the times of all new frames there; if it lacks
     one, or `predicted_camera` asks for it, all of them are C̄. `on_frame` is called after each extrapolated frame.
 
-    Raises GffeError for structural faults; then `output` holds no sequence.
+    Raises GffeError for structural faults; then `output` is as it was before.
     """
-    alphas = sorted(set(alphas))
+    alphas = sorted(alphas)
+    twice = [a for a, b in zip(alphas, alphas[1:], strict=False) if a == b]
+    if twice:
+        raise GffeError(f"alpha {twice[0]:g} is given twice (expected times that differ)")
     if not alphas or not all(0 < a <= _MOST_ALPHA for a in alphas):
         given = ", ".join(f"{a:g}" for a in alphas) or "none"
         raise GffeError(f"alpha must be positive numbers up to {_MOST_ALPHA}, got {given}")
@@ -78,7 +79,7 @@ def run_sequence(
     writing = SequenceWriter(output, *size, source.fps, source.exposure, generator="gffe-cl run")
     if dump_stages:
         pipeline.keep()
-    with writing as writer, stage_dump(output / "stages" if dump_stages else None) as dump:
+    with writing as writer:
         for entry, frame, packed in source.frames(alphas, strict):
             pipeline.submit(frame, packed)
             source.store(writer, entry, frame)
@@ -96,7 +97,8 @@ def run_sequence(
                     alpha=alpha,
                     display_camera=extrapolated.camera,
                 )
-                dump(pipeline, Path(made.file).stem)
+                if dump_stages:
+                    dump_buffers(pipeline, writer.folder("stages") / Path(made.file).stem)
                 writer.add(made, output_channels(extrapolated, frame.camera, frame.shown_camera, frame.color.dtype))
                 report.extrapolated += 1
                 on_frame()
@@ -140,38 +142,21 @@ def output_channels(
     return channels
 
 
-@contextmanager
-def stage_dump(folder: Path | None) -> Iterator[Callable[[Pipeline, str], None]]:
-    """Gives a function that writes every named buffer of every stage to `folder`/NAME: `<stage>.<buffer>.exr`,
-    and `once.json` for what is no image; nothing if `folder` is None. After an error, what it wrote is removed."""
-    written: list[Path] = []
-
-    def dump(pipeline: Pipeline, name: str) -> None:
-        if folder is None:
-            return
-        once = {}
-        written.append(folder / name)
-        try:
-            (folder / name).mkdir(parents=True, exist_ok=True)
-            for stage, spec in pipeline.named_buffers():
-                array = stage.read(spec.name)
-                if spec.grid == "once":
-                    once[f"{stage.name}.{spec.name}"] = array.tolist()
-                else:
-                    write_channels(folder / name / f"{stage.name}.{spec.name}.exr", _dump_channels(spec, array))
-            (folder / name / "once.json").write_text(json.dumps(once, indent=1))
-        except OSError as error:
-            raise GffeError(f"{folder / name}: cannot write the stage dump: {error.strerror}") from None
-
+def dump_buffers(pipeline: Pipeline, folder: Path) -> None:
+    """Write every named buffer of every stage to `folder`: `<stage>.<buffer>.exr`, and `once.json` for what is no
+    image."""
+    once = {}
     try:
-        yield dump
-    except Exception:
-        for made in written:
-            shutil.rmtree(made, ignore_errors=True)
-        if written:
-            with suppress(OSError):
-                folder.rmdir()
-        raise
+        folder.mkdir()
+        for stage, spec in pipeline.named_buffers():
+            array = stage.read(spec.name)
+            if spec.grid == "once":
+                once[f"{stage.name}.{spec.name}"] = array.tolist()
+            else:
+                write_channels(folder / f"{stage.name}.{spec.name}.exr", _dump_channels(spec, array))
+        (folder / "once.json").write_text(json.dumps(once, indent=1))
+    except OSError as error:
+        raise GffeError(f"{folder}: cannot write the stage dump: {error.strerror or error}") from None
 
 
 def _dump_channels(spec: BufferSpec, array: np.ndarray) -> dict[str, np.ndarray]:

@@ -1,9 +1,14 @@
 """Writers that are interrupted, that fail, and that meet files of others."""
 
+import _thread
 import errno
 import os
 import resource
 import shutil
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +26,16 @@ from gffe_cl.sequence import (
 )
 from gffe_cl.sequence import exr as exr_module
 from gffe_cl.sequence.exr_header import read_header
+from gffe_cl.sequence.folder import OutputFolder
 
 
 @pytest.fixture
 def folder(tmp_path):
     return write(tmp_path / "sequence")
+
+
+def contents(path):
+    return {name: (path / name).read_bytes() for name in names(path) if (path / name).is_file()}
 
 
 def test_interrupted_writer_keeps_what_was_finished(tmp_path):
@@ -38,6 +48,89 @@ def test_interrupted_writer_keeps_what_was_finished(tmp_path):
     sequence = open_sequence(out)
     assert [entry.file for entry in sequence.frames] == ["frame_0.exr", "frame_1.exr", "frame_2.exr"]
     assert names(out) == ["frame_0.exr", "frame_1.exr", "frame_2.exr", "sequence.json"]
+    assert sequence.unfinished and f"{out}: unfinished" in sequence.warnings()[0]
+
+
+def test_interrupted_over_an_earlier_output(tmp_path):
+    """It stays; the new frames are beside it until the next run, which does not read from there."""
+    out = write(tmp_path / "out", 4)
+    before = contents(out)
+    with pytest.raises(KeyboardInterrupt) as stop, SequenceWriter(out, W, H, 30) as writer:
+        writer.add(rendered(0), named_channels(*pixels(7)))
+        raise KeyboardInterrupt
+    assert stop.value.__notes__ == [f"1 finished frames are in {out}/gffe-unfinished, {out} stays as it was"]
+    kept = open_sequence(out / "gffe-unfinished")
+    assert kept.unfinished and np.array_equal(kept.read_color(kept.frames[0]), pixels(7)[0])
+    assert {name: data for name, data in contents(out).items() if "gffe-unfinished" not in name} == before
+    assert not open_sequence(out).unfinished
+    with pytest.raises(GffeError, match="overwrite its input"):
+        refuse_same_folder(out, out / "gffe-unfinished")
+    write(out, 1)
+    assert names(out) == ["frame_0.exr", "sequence.json", "truth_0.exr"]
+
+
+@pytest.mark.parametrize("fault", [ZeroDivisionError, GffeError("wrong")])
+def test_failing_over_an_earlier_output(tmp_path, fault):
+    out = write(tmp_path / "out", 2)
+    (out / "notes.txt").write_text("mine")
+    before = contents(out)
+    with pytest.raises((ZeroDivisionError, GffeError)), SequenceWriter(out, W, H, 30) as writer:
+        for i in range(4):
+            writer.add(rendered(i), named_channels(*pixels(50 + i)))
+        (writer.folder("stages") / "notes.txt").write_text("of the run")
+        raise fault
+    assert contents(out) == before
+
+
+def test_interrupted_while_it_ends(tmp_path, monkeypatch):
+    """Ctrl-C during the last steps waits for them: the result is complete."""
+    real = OutputFolder._move
+
+    def move(folder, files):
+        _thread.interrupt_main()
+        time.sleep(0.2)
+        real(folder, files)
+
+    monkeypatch.setattr(OutputFolder, "_move", move)
+    with pytest.raises(KeyboardInterrupt) as stop:
+        write(tmp_path / "out")
+    assert stop.value.__notes__ == [f"{tmp_path / 'out'} is complete"]
+    assert len(open_sequence(tmp_path / "out").frames) == 6 and not open_sequence(tmp_path / "out").unfinished
+
+
+def test_one_writer_at_a_time(tmp_path):
+    """The second is refused while the first is at work, also from another process, and leaves it alone."""
+    out = tmp_path / "out"
+    child = (
+        "import sys; sys.path.insert(0, sys.argv[1])\n"
+        "from tiny_sequence import write\nfrom gffe_cl.errors import GffeError\n"
+        "try:\n    write(sys.argv[2])\nexcept GffeError as error:\n    print(error)"
+    )
+    with SequenceWriter(out, W, H, 30) as writer:
+        writer.add(rendered(0), named_channels(*pixels()))
+        with pytest.raises(GffeError, match=f"another run is writing into it, process {os.getpid()}"):
+            write(out)
+        with pytest.raises(GffeError, match="is still being written"):
+            open_sequence(out)
+        arguments = [sys.executable, "-c", child, str(Path(__file__).parent), str(out)]
+        said = subprocess.run(arguments, capture_output=True, text=True, check=True).stdout
+        assert f"another run is writing into it, process {os.getpid()}" in said
+    assert [entry.file for entry in open_sequence(out).frames] == ["frame_0.exr"]
+
+
+def test_writers_in_turn(tmp_path):
+    """However they meet, each either is refused or ends with a whole sequence."""
+
+    def attempt(_):
+        try:
+            write(tmp_path / "out")
+        except GffeError as error:
+            assert "another run" in str(error) or "other runs" in str(error)
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(attempt, range(24)))
+    assert len(open_sequence(tmp_path / "out").frames) == 6
+    assert "gffe-unfinished" not in names(tmp_path / "out")
 
 
 def test_interrupted_before_the_first_frame(tmp_path):
@@ -125,7 +218,7 @@ def test_disk_full_as_the_library_says_it(tmp_path, monkeypatch, silent):
     monkeypatch.setattr(exr_module.OpenEXR, "File", FullDisk)
     with pytest.raises(GffeError, match=r"frame_0.exr: cannot be written \((No space|.*full)"):
         write(out)
-    assert not out.exists() or names(out) == []
+    assert len(open_sequence(out).frames) == 6  # the earlier one
 
 
 def test_disk_full_for_the_json(tmp_path, monkeypatch):
@@ -142,7 +235,7 @@ def test_replaces_an_older_output(tmp_path):
     out = write(tmp_path / "out", 4)
     (out / "notes.txt").write_text("mine")
     with SequenceWriter(out, W, H, 30) as writer:
-        assert not (out / "sequence.json").exists()
+        assert len(open_sequence(out).rendered) == 4  # until the new one is whole
         writer.add(rendered(0), named_channels(*pixels(7)))
     assert names(out) == ["frame_0.exr", "notes.txt", "sequence.json"]
     sequence = open_sequence(out)
@@ -153,11 +246,49 @@ def test_replaces_a_killed_output(tmp_path):
     writer = SequenceWriter(tmp_path, W, H, 30).__enter__()
     for i in range(3):
         writer.add(rendered(i), named_channels(*pixels(i)))
-    writer._pool.shutdown()  # and then kill -9: no sequence.json
-    assert len(list(tmp_path.glob("*.exr"))) == 3
+    writer._pool.shutdown()  # and then kill -9: no sequence.json, and no lock
+    writer._folder._release()
+    assert len(list(tmp_path.rglob("*.exr"))) == 3
+    with pytest.raises(GffeError, match=r"is unfinished, what wrote it was cut off"):
+        open_sequence(tmp_path)
     with SequenceWriter(tmp_path, W, H, 30) as writer:
         writer.add(rendered(1), named_channels(*pixels()))
     assert names(tmp_path) == ["frame_1.exr", "sequence.json"]
+
+
+def test_replaces_an_output_killed_while_files_moved(tmp_path, monkeypatch):
+    def killed(*_):
+        raise OSError(errno.EIO, "power cut")
+
+    out = write(tmp_path / "out", 3)
+    (out / "notes.txt").write_text("mine")
+    with monkeypatch.context() as patch:
+        with pytest.raises(GffeError, match="power cut"), SequenceWriter(out, W, H, 30) as writer:
+            writer.link(rendered(5), out / "frame_0.exr")
+            writer._pool.shutdown()
+            patch.setattr(os, "replace", killed)
+    with pytest.raises(GffeError, match=r"is unfinished"):
+        open_sequence(out)
+    write(out, 1)
+    assert names(out) == ["frame_0.exr", "notes.txt", "sequence.json", "truth_0.exr"]
+
+
+def test_folders_of_others_are_not_cleared(tmp_path):
+    (tmp_path / "out" / "gffe-unfinished").mkdir(parents=True)
+    (tmp_path / "out" / "gffe-unfinished" / "thesis.tex").write_text("mine")
+    with pytest.raises(GffeError, match="was not written by gffe-cl"):
+        write(tmp_path / "out")
+    assert names(tmp_path / "out") == ["gffe-unfinished", "gffe-unfinished/thesis.tex"]
+
+
+@pytest.mark.parametrize("file", ["gffe-unfinished/a.exr", ".journal", "link/a.exr"])
+def test_files_that_are_in_the_way(tmp_path, file):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "link").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(GffeError, match="cannot be written there"), SequenceWriter(tmp_path / "out", W, H, 30) as out:
+        out.add(FrameEntry(file, 0.0, "extrapolated"), named_channels(pixels()[0]))
+    assert names(tmp_path) == ["elsewhere", "out", "out/link"]
 
 
 def test_leaves_other_peoples_files_alone(folder):

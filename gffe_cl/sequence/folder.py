@@ -1,7 +1,8 @@
-"""The folder that a sequence is written into: what may be replaced in it, what must go when writing fails.
+"""The folder that a sequence is written into: what may be replaced in it, and when.
 
-While a sequence is being written, the folder holds a journal with the names of the files that are gffe-cl's
-own: a later run may replace those, and nothing else, even after this one was killed.
+Files are written into the folder `gffe-unfinished` within it and moved to their places when all of them are whole:
+until then an earlier output stays what it was. A journal in there is locked while a run is writing; the lock ends with
+its process, however that ends. What a killed process leaves is cleared away by the next run.
 """
 
 from __future__ import annotations
@@ -9,20 +10,41 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 from pathlib import Path
+from typing import TextIO
+
+try:
+    import fcntl
+except ImportError:  # not on Windows: no lock there
+    fcntl = None
 
 from gffe_cl.errors import GffeError
+from gffe_cl.files import open_regular
 from gffe_cl.sequence.description import FILE_NAME, check_file_name
 
 GENERATOR = "gffe-cl"
-_JOURNAL = ".gffe-unfinished"
+STAGING = "gffe-unfinished"
+_JOURNAL = ".journal"  # in STAGING: the process, then the names of own files, each a line of JSON
+_TRIES = 20  # at entering a folder that another run is just leaving
 
 
 def refuse_same_folder(output, source) -> None:
-    """GffeError if `output` and `source`, folders or their `sequence.json`, are the same folder."""
-    folders = [Path(p).parent if Path(p).name == FILE_NAME else Path(p) for p in (output, source)]
-    if os.path.realpath(folders[0]) == os.path.realpath(folders[1]):
+    """GffeError if `output` and `source`, folders or their `sequence.json`, are the same folder, or if writing to the
+    one would clear away the other."""
+    output_folder, folder = (os.path.realpath(_folder_of(path)) for path in (output, source))
+    if folder == output_folder or Path(folder).is_relative_to(os.path.join(output_folder, STAGING)):
         raise GffeError(f"{output}: the output would overwrite its input (expected another folder)")
+
+
+def why_unfinished(folder: Path) -> str | None:
+    """Where `folder` has no `sequence.json`, because it is still being written or was never finished: a sentence."""
+    journal = folder / STAGING / _JOURNAL
+    with contextlib.suppress(OSError), open_regular(journal) as file:
+        if not _lock(file, shared=True):
+            return f"is still being written, {_writer(journal)} (expected to wait for its end)"
+        return f"is unfinished, what wrote it was cut off (expected {FILE_NAME}: write it again)"
+    return None
 
 
 class OutputFolder:
@@ -30,21 +52,28 @@ class OutputFolder:
 
     def __init__(self, path: Path, generator: str = GENERATOR):
         self.path, self.generator = path, generator
+        self.staging = path / STAGING
+        self._journal: TextIO | None = None
         self._own: set[str] = set()  # left by an earlier run, may be replaced
         self._claimed: set[str] = set()
         self._made_folders: list[Path] = []
+        self._moving = False
 
     def open(self) -> None:
         """Create the folder, or take over the one that holds an earlier output."""
         if self.path.exists() and not self.path.is_dir():
             raise GffeError(f"{self.path}: is a file (expected a folder to write a sequence into)")
         try:
-            self._make_folder(self.path)
+            self._journal = self._enter()
             self._own = self._earlier_output()
-            (self.path / _JOURNAL).write_text("".join(name + "\n" for name in sorted(self._own)), "utf-8")
-            (self.path / FILE_NAME).unlink(missing_ok=True)
-        except OSError as error:
-            self._remove_made_folders()
+            self._clear_staging()
+            self._journal.truncate(0)
+            self._note([os.getpid()])
+            (self.staging / FILE_NAME).unlink(missing_ok=True)
+        except (OSError, GffeError) as error:
+            self._leave()
+            if isinstance(error, GffeError):
+                raise
             raise GffeError(
                 f"{self.path}: cannot be written to ({error.strerror or error}; expected a writable folder)"
             ) from None
@@ -55,51 +84,128 @@ class OutputFolder:
         path = self.path / name
         if name in self._claimed:
             raise GffeError(f"{path}: is written twice (expected a file of its own for each frame)")
-        if name not in self._own and os.path.lexists(path):
+        if Path(name).parts[0] in (STAGING, _JOURNAL) or not self._is_inside(path):
+            raise GffeError(f"{path}: cannot be written there (expected another folder)")
+        if path.is_dir() or (name not in self._own and os.path.lexists(path)):
             raise GffeError(f"{path}: exists and was not written by gffe-cl (expected an empty folder)")
-        try:
-            self._make_folder(path.parent)
-            with open(self.path / _JOURNAL, "a", encoding="utf-8") as journal:
-                journal.write(name + "\n")
-        except OSError as error:
-            raise GffeError(f"{path}: cannot be written ({error.strerror or error})") from None
         self._claimed.add(name)
+        return self._place(name)
+
+    def folder(self, name: str) -> Path:
+        """Where to write files that are not frames and go into the folder `name` with them."""
+        path = self._place(name)
+        path.mkdir(exist_ok=True)
         return path
 
-    def keep(self, document: str, files: list[str]) -> None:
-        """Finish: `sequence.json` appears at once with the text `document`; own files not in `files` go."""
+    def keep(self, document: str, files: list[str], interrupted: bool) -> Path:
+        """Finish: own files are replaced or go, and `sequence.json` with the text `document` appears at once.
+
+        Of an `interrupted` run that found an earlier output, that stays as it is, and the new frames stay beside it.
+        Returns the folder of the sequence.
+        """
         path = self.path / FILE_NAME
-        part_path = self.path / f".{FILE_NAME}.part"
         try:
-            with open(part_path, "w", encoding="utf-8") as file:
+            with open(self.staging / FILE_NAME, "w", encoding="utf-8") as file:
                 file.write(document)
                 file.flush()
                 os.fsync(file.fileno())
-            os.replace(part_path, path)
+            if interrupted and path.exists():
+                self._release()
+                return self.staging
+            self._move(files)
         except OSError as error:
             raise GffeError(f"{path}: cannot be written ({error.strerror or error})") from None
-        finally:
-            with contextlib.suppress(OSError):
-                part_path.unlink()
-        self._remove((self._own | self._claimed) - set(files))
-        self._remove({_JOURNAL})
+        self._remove(self._own - set(files))
+        self._clear_staging()
+        self._leave()
+        return self.path
 
     def discard(self) -> None:
-        """Remove every file of this and the earlier output, and the folders made for them."""
-        self._remove(self._own | self._claimed | {FILE_NAME, _JOURNAL})
-        self._remove_made_folders()
+        """Remove what this run wrote, and the folders made for it; the earlier output stays."""
+        if self._moving:  # too late: what is there is of both, and the next run clears it away
+            self._release()
+            return
+        self._clear_staging()
+        self._leave()
+        for folder in reversed(self._made_folders):
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+    def _move(self, files: list[str]) -> None:
+        moves = [path for path in self._staged() if path not in (Path(_JOURNAL), Path(FILE_NAME))]
+        for name in moves:
+            (self.path / name).parent.mkdir(parents=True, exist_ok=True)
+        self._note(sorted({*self._own, *files}))
+        os.fsync(self._journal.fileno())
+        self._moving = True
+        (self.path / FILE_NAME).unlink(missing_ok=True)
+        for name in moves:
+            os.replace(self.staging / name, self.path / name)
+        os.replace(self.staging / FILE_NAME, self.path / FILE_NAME)
+        self._moving = False
+
+    def _staged(self) -> list[Path]:
+        found = [Path(folder) / file for folder, _, files in os.walk(self.staging) for file in files]
+        return [path.relative_to(self.staging) for path in found]
+
+    # ---- one run at a time -----------------------------------------------------------------------------
+
+    def _enter(self) -> TextIO:
+        """The journal, locked."""
+        journal = self.staging / _JOURNAL
+        for _ in range(_TRIES):
+            self._make_folder(self.path)
+            with contextlib.suppress(FileExistsError):
+                self.staging.mkdir()
+            if self.staging.is_symlink() or (not journal.is_file() and any(self.staging.iterdir())):
+                raise GffeError(f"{self.staging}: exists and was not written by gffe-cl (expected another folder)")
+            try:
+                file = open(journal, "a+", encoding="utf-8", errors="replace")  # noqa: SIM115
+            except FileNotFoundError:
+                continue
+            if not _lock(file):
+                file.close()
+                raise GffeError(f"{self.path}: another run is writing into it, {_writer(journal)} (expected its end)")
+            with contextlib.suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(file.fileno()), os.stat(journal)):
+                    return file
+            file.close()
+        raise GffeError(f"{self.path}: other runs keep writing into it (expected another folder)")
+
+    def _leave(self) -> None:
+        """End the lock, and remove what made it."""
+        if self._journal is not None:
+            with contextlib.suppress(OSError):
+                (self.staging / _JOURNAL).unlink()
+            with contextlib.suppress(OSError):
+                self.staging.rmdir()
+        self._release()
+
+    def _release(self) -> None:
+        if self._journal is not None:
+            self._journal.close()
+            self._journal = None
+
+    def _note(self, values: list) -> None:
+        self._journal.writelines(json.dumps(value) + "\n" for value in values)
+        self._journal.flush()
+
+    # ---- files -----------------------------------------------------------------------------------------
 
     def _earlier_output(self) -> set[str]:
+        self._journal.seek(0)
         names: list = []
-        with contextlib.suppress(FileNotFoundError):
-            names += (self.path / _JOURNAL).read_text("utf-8", "replace").splitlines()
+        with contextlib.suppress(ValueError):  # the process ended within a line
+            for line in self._journal.read().splitlines()[1:]:
+                names.append(json.loads(line))
         json_path = self.path / FILE_NAME
         if json_path.exists():
             try:
-                document = json.loads(json_path.read_text("utf-8"))
+                with open_regular(json_path) as file:
+                    document = json.loads(file.readall())
                 ours = document["generator"] == self.generator
                 names += [frame["file"] for frame in document["frames"]]
-            except (ValueError, KeyError, TypeError):
+            except (OSError, ValueError, KeyError, TypeError, RecursionError):
                 ours = False
             if not ours:
                 raise GffeError(
@@ -111,15 +217,34 @@ class OutputFolder:
                 own.add(check_file_name(name, "earlier output"))
         return own
 
-    def _remove(self, names) -> None:
-        """Files only, and only where no link leads out of the folder."""
-        root = os.path.realpath(self.path)
-        for name in names:
-            path = self.path / name
-            parent = os.path.realpath(path.parent)
-            if parent == root or parent.startswith(root + os.sep):
+    def _place(self, name: str) -> Path:
+        path = self.staging / name
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise GffeError(f"{path}: cannot be written ({error.strerror or error})") from None
+        return path
+
+    def _clear_staging(self) -> None:
+        if self._journal is None:
+            return
+        for path in self.staging.iterdir():
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path, ignore_errors=True)
+            elif path.name != _JOURNAL:
                 with contextlib.suppress(OSError):
                     path.unlink()
+
+    def _remove(self, names) -> None:
+        for name in names:
+            path = self.path / name
+            if self._is_inside(path):
+                with contextlib.suppress(OSError):
+                    path.unlink()
+
+    def _is_inside(self, path: Path) -> bool:
+        """Whether no link leads out of the folder."""
+        return Path(os.path.realpath(path.parent)).is_relative_to(os.path.realpath(self.path))
 
     def _make_folder(self, path: Path) -> None:
         missing = []
@@ -127,11 +252,31 @@ class OutputFolder:
             missing.append(path)
             path = path.parent
         for folder in reversed(missing):
-            folder.mkdir()
-            self._made_folders.append(folder)
+            with contextlib.suppress(FileExistsError):
+                folder.mkdir()
+                self._made_folders.append(folder)
 
-    def _remove_made_folders(self) -> None:
-        for folder in reversed(self._made_folders):
-            with contextlib.suppress(OSError):
-                folder.rmdir()
-        self._made_folders.clear()
+
+def _folder_of(path) -> Path:
+    return Path(path).parent if Path(path).name == FILE_NAME else Path(path)
+
+
+def _lock(file, shared: bool = False) -> bool:
+    """Whether nobody else holds the lock of this file, which then is ours until it is closed. File systems without
+    locks never say no."""
+    if fcntl is not None:
+        try:
+            fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
+    return True
+
+
+def _writer(journal: Path) -> str:
+    with contextlib.suppress(OSError, UnicodeError):
+        lines = journal.read_text("utf-8").splitlines()
+        if lines and lines[0].isdigit():
+            return f"process {lines[0]}"
+    return "another process"

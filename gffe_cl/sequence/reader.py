@@ -23,6 +23,7 @@ from gffe_cl.sequence.description import (
     without_collections,
 )
 from gffe_cl.sequence.exr_header import ExrHeader, HeaderReader, read_header
+from gffe_cl.sequence.folder import why_unfinished
 from gffe_cl.sequence.header_camera import has_camera, header_cameras
 from gffe_cl.sequence.matching import Timeline
 from gffe_cl.sequence.read_ahead import read_ahead
@@ -46,13 +47,15 @@ class Sequence:
     fps, exposure : float
     frames : list[FrameEntry]
         By time; `rendered`, `ground_truth` and `extrapolated` are those of one kind.
+    unfinished : bool
+        Whether what wrote it was interrupted: the frames are those that were finished.
     """
 
     def __init__(self, path: Path, description: Description):
         self.path = path
         self.width, self.height = description.width, description.height
         self.fps, self.exposure = description.fps, description.exposure
-        self.frames = description.frames
+        self.frames, self.unfinished = description.frames, description.unfinished
         self._timeline = Timeline(self.frames, self.fps)
         self._previous = dict(zip([e.file for e in self.rendered[1:]], self.rendered, strict=False))
         self._suspicions: dict[str, str] = {}  # sentence → file where it was met first
@@ -97,11 +100,12 @@ class Sequence:
         return entry.render_size or (self.width, self.height)
 
     def warnings(self) -> list[str]:
-        """Legal but suspicious: frame times, and what has been met in the frames read so far."""
+        """Legal but suspicious: an unfinished sequence, frame times, what has been met in the frames read so far."""
         met = [f"{file}: {text}" for text, file in self._suspicions.items()]
         outside = [entry.file for entry in self.rendered if not self._covers_display(entry)]
         cut = [f"{outside[0]}: the display reaches beyond what was rendered (display_camera)"] if outside else []
-        return time_warnings(self.rendered, self.fps) + cut + met
+        few = [f"{self.path}: unfinished, what wrote it was interrupted after {len(self.frames)} frames"]
+        return (few if self.unfinished else []) + time_warnings(self.rendered, self.fps) + cut + met
 
     def _covers_display(self, entry: FrameEntry) -> bool:
         """Whether all that is shown was rendered, to half a pixel of the display."""
@@ -171,10 +175,13 @@ def open_sequence(path) -> Sequence:
         if not path.exists():
             raise GffeError(f"{path}: no such folder (expected a sequence: a folder with {FILE_NAME})")
         json_path = path / FILE_NAME if path.is_dir() else path
+        folder = json_path.parent
+        unfinished = None if json_path.exists() else why_unfinished(folder)
     except OSError as error:
         raise GffeError(f"{path}: cannot be read ({error.strerror or error})") from None
+    if unfinished:
+        raise GffeError(f"{folder}: {unfinished}")
     description = parse_description(read_text(json_path), json_path.name)
-    folder = json_path.parent
 
     def sniff(entries: list[tuple[int, FrameEntry]]) -> None:
         reader, passed = HeaderReader(), set()

@@ -1,4 +1,4 @@
-"""Writing a sequence: all of it or, after an error, nothing; after Ctrl-C the frames that were finished."""
+"""Writing a sequence: all of it, or nothing new after an error; after Ctrl-C the frames that were finished."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import contextlib
 import os
 import shutil
 from collections import deque
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from gffe_cl.sequence import exr
 from gffe_cl.sequence.description import KINDS, Description, FrameEntry, describe, parse_description
 from gffe_cl.sequence.folder import GENERATOR, OutputFolder
 from gffe_cl.sequence.header_camera import camera_attributes
+from gffe_cl.values import require_exposure
 
 
 class SequenceWriter:
@@ -29,15 +31,19 @@ class SequenceWriter:
     width, height : int
         Display size in pixels.
     fps, exposure : float
+        Exposure from 1e-6 to 1e6.
     threads : int
         EXRs are compressed on so many threads; `add` waits while twice as many frames are under way.
     generator : str
         Who writes; only an earlier output of the same generator is replaced.
 
-    Files are written under temporary names and renamed; `sequence.json` comes last, when the context is left.
-    Left by KeyboardInterrupt, it lists the frames that were finished. Left by any other exception, the files
-    and folders made here are removed. Errors of the threads surface in the next `add`, `link`, or on leaving.
-    All of them are GffeError; so are a full disk and a folder that cannot be written to.
+    Frames are written into a folder of their own and come to `path`, with `sequence.json`, when the context is left:
+    until then an earlier output stays as it was. Left by KeyboardInterrupt, `sequence.json` lists the frames that were
+    finished and says that it is unfinished; where there was an earlier output that stays, and the new frames are in
+    `path`/gffe-unfinished until the next run; a note of the exception says so. Left by any other exception, everything
+    is as before. Errors of the threads surface in the next `add`, `link`, or on leaving.
+    All of them are GffeError; so are a full disk, a folder that cannot be written to, and one that another run is
+    writing to.
     """
 
     def __init__(
@@ -51,13 +57,14 @@ class SequenceWriter:
         generator: str = GENERATOR,
     ):
         self.path = Path(path)
-        self._description = Description(int(width), int(height), float(fps), float(exposure), [])
+        self._description = Description(int(width), int(height), float(fps), require_exposure(exposure), [])
         self._generator = generator
         self._folder = OutputFolder(self.path, generator)
         self._pending: deque = deque()
         self._times: set[float] = set()
         self._threads = max(1, threads)
         self._pool: ThreadPoolExecutor | None = None
+        self._kept: str | None = None
 
     def __enter__(self) -> SequenceWriter:
         self._folder.open()
@@ -87,25 +94,34 @@ class SequenceWriter:
         source = Path(os.path.realpath(source_path))
         self._submit(entry, lambda path: _link_or_copy(source, path))
 
+    def folder(self, name: str) -> Path:
+        """Where to write other files of this run, which come to `path`/name together with the frames."""
+        return self._folder.folder(name)
+
     def __exit__(self, kind, error, trace) -> None:
-        interrupted = kind is not None and issubclass(kind, KeyboardInterrupt)
+        interrupted = isinstance(error, KeyboardInterrupt)
+        failed = error is not None and not interrupted
         try:
-            if kind is not None and not interrupted:
-                self._stop()
-                self._folder.discard()
-                return
-            try:
-                self._finish(interrupted)
-            except KeyboardInterrupt:
-                self._finish(interrupted=True)
-                raise
-        except BaseException as failure:
-            if not isinstance(failure, KeyboardInterrupt):
-                self._stop()
-                self._folder.discard()
+            _undisturbed(lambda: self._end(failed, interrupted))
+        except KeyboardInterrupt as late:
+            error = late
             raise
         finally:
+            if isinstance(error, KeyboardInterrupt) and self._kept:
+                error.add_note(self._kept)
             self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def _end(self, failed: bool, interrupted: bool) -> None:
+        try:
+            if failed:
+                self._stop()
+                self._folder.discard()
+            else:
+                self._finish(interrupted)
+        except BaseException:
+            self._stop()
+            self._folder.discard()
+            raise
 
     def _finish(self, interrupted: bool) -> None:
         while self._pending:
@@ -121,9 +137,12 @@ class SequenceWriter:
             if not interrupted:
                 raise GffeError(f"{self.path}: no frame was written (expected at least one)")
             return
-        document = describe(replace(self._description, frames=frames), self._generator)
+        document = describe(replace(self._description, frames=frames, unfinished=interrupted), self._generator)
         parse_description(document)  # what would not open again must not be written
-        self._folder.keep(document, [entry.file for entry in frames])
+        folder = self._folder.keep(document, [entry.file for entry in frames], interrupted)
+        finished = f"{len(frames)} finished frames are in {folder}" if interrupted else f"{folder} is complete"
+        stays = "" if folder == self.path else f", {self.path} stays as it was"
+        self._kept = finished + stays
 
     def _stop(self) -> None:
         self._pool.shutdown(wait=True, cancel_futures=True)
@@ -180,6 +199,21 @@ def named_channels(color, depth=None, motion=None) -> dict[str, np.ndarray]:
     if motion is not None:
         channels["motion.x"], channels["motion.y"] = np.moveaxis(np.asarray(motion), -1, 0)
     return channels
+
+
+def _undisturbed(work: Callable[[], None]) -> None:
+    """Do `work` on a thread, where Ctrl-C does not reach it; KeyboardInterrupt comes through when it is done."""
+    interrupt = None
+    with ThreadPoolExecutor(1, thread_name_prefix="gffe-end") as pool:
+        future = pool.submit(work)
+        while not future.done():
+            try:
+                wait([future])
+            except KeyboardInterrupt as error:
+                interrupt = error
+    future.result()
+    if interrupt:
+        raise interrupt
 
 
 def _box(left, top, width, height):
