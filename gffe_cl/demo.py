@@ -11,6 +11,7 @@ import numpy as np
 
 from gffe_cl.evaluation.compare import baseline_repeat, compare, shown_color
 from gffe_cl.evaluation.report import contact_sheet, error_image, side_by_side, write_video
+from gffe_cl.files import replacing
 from gffe_cl.metrics import display_values, psnr
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
@@ -62,12 +63,15 @@ def demo(output: Path, device: Device, width: int, height: int, seed: int, windo
     for name, (folder, _) in runs.items():
         results[name] = compare(open_sequence(folder), source, progress=progress)
     metrics = {name: result.to_json()["mean"] for name, result in results.items()}
-    (output / "metrics.json").write_text(json.dumps(metrics, indent=1) + "\n")
+    with replacing(output / "metrics.json") as part:
+        part.write_text(json.dumps(metrics, indent=1) + "\n")
 
     made = open_sequence(extrapolated)
     on_frame = step("Drawing the contact sheet and the video", _FRAMES)
-    _contact_sheet(source, made, device).save(output / "contact_sheet.png")
-    write_video(output / "side_by_side.mp4", _video_frames(source, made, device, on_frame), 60.0)
+    with replacing(output / "contact_sheet.png") as part:
+        _contact_sheet(source, made, device).save(part)
+    with replacing(output / "side_by_side.mp4") as part:
+        write_video(part, _video_frames(source, made, device, on_frame), 60.0)
     return metrics
 
 

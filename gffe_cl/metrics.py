@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from gffe_cl.values import require_exposure
+
 PSNR_CAP = 100.0  # dB
 FOCUS = "focus"  # the region where shading is wrong without shading correction
 FOCUS_SMAPE = 0.5  # the paper's: errors above this are the shading correction network's business
@@ -21,10 +23,10 @@ _SSIM_WINDOW = 7  # scikit-image's default
 def display_values(color, exposure: float = 1.0) -> np.ndarray:
     """What is shown of linear scene-referred `color` (H, W, 3): sRGB(clip(exposure · color, 0, 1)), float32.
 
-    NaN counts as 0. Transfer function: IEC 61966-2-1.
+    NaN counts as 0. Transfer function: IEC 61966-2-1. GffeError for an exposure not within 1e-6 and 1e6.
     """
     linear = np.asarray(color).astype(np.float32)
-    linear *= np.float32(exposure)
+    linear *= np.float32(require_exposure(exposure))
     np.nan_to_num(linear, copy=False, nan=0.0)
     np.clip(linear, 0, 1, out=linear)
     curve = 1.055 * np.maximum(linear, SRGB_TOE) ** np.float32(1 / 2.4) - 0.055
@@ -186,7 +188,8 @@ def relative_error(a, b):
 
 def smape(a, b, exposure: float = 1.0) -> np.ndarray:
     """Symmetric mean absolute percentage error of linear colour: (H, W) float32 in [0, 2). NaN counts as 0."""
-    a, b = (np.nan_to_num(np.asarray(x).astype(np.float32) * np.float32(exposure), nan=0.0) for x in (a, b))
+    exposure = np.float32(require_exposure(exposure))
+    a, b = (np.nan_to_num(np.asarray(x).astype(np.float32) * exposure, nan=0.0) for x in (a, b))
     return relative_error(a, b).mean(-1)
 
 
@@ -195,7 +198,8 @@ def focus_mask(color, truth, dynamic, exposure: float = 1.0) -> np.ndarray:
 
     `color` and `truth` are linear (H, W, 3); what kernels/shading.cl computes on devices.
     """
-    shown, true = (_finite(image) * np.float32(exposure) for image in (color, truth))
+    exposure = np.float32(require_exposure(exposure))
+    shown, true = (_finite(image) * exposure for image in (color, truth))
     height, width = shown.shape[:2]
     padded = np.pad(true, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)  # beyond the image nothing is alike
     least = np.full((height, width), np.inf, np.float32)

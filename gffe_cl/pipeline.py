@@ -36,6 +36,7 @@ from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import ShadingInputs
 from gffe_cl.stages.surfaces import Surfaces
 from gffe_cl.stages.warp import Warp
+from gffe_cl.values import require_exposure
 
 
 @dataclass(frozen=True)
@@ -124,7 +125,8 @@ class Pipeline:
     Attributes
     ----------
     exposure : float
-        Factor on colour before display, for the shading correction network; may change from frame to frame.
+        Factor on colour before display, 1e-6 to 1e6, for the shading correction network; may change from frame to
+        frame.
     bad_pixels : BadPixels
         Met so far.
 
@@ -150,7 +152,7 @@ class Pipeline:
         self.options = options or Options()
         self.sizes = Sizes(source=tuple(render_size or (width, height)), target=(width, height))
         self.fps = fps
-        self.exposure = 1.0
+        self._exposure = 1.0
         self.bad_pixels = BadPixels()
         self.board = Board(device, self.sizes, self.options, int64_atomics)
         self.stages: dict[str, Stage] = {stage.name: stage(self.board) for stage in stages_of(self.options)}
@@ -160,6 +162,14 @@ class Pipeline:
         self._current: DeviceFrame | None = None
         self._previous: DeviceFrame | None = None
         self._times: list[float] = []  # of rendered frames since the last reset, newest first
+
+    @property
+    def exposure(self) -> float:
+        return self._exposure
+
+    @exposure.setter
+    def exposure(self, value: float) -> None:
+        self._exposure = require_exposure(value, "pipeline: exposure")
 
     # ---- rendered frames -------------------------------------------------------------------------------
 

@@ -594,12 +594,12 @@ def test_interrupt_keeps_what_is_finished(tmp_path):
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     deadline = time.monotonic() + 60
-    while len(list(out.glob("extrapolated_*.exr"))) < 10 and time.monotonic() < deadline:
+    while len(list(out.rglob("extrapolated_*.exr"))) < 10 and time.monotonic() < deadline:
         time.sleep(0.02)
     child.send_signal(signal.SIGINT)
     _, err = child.communicate(timeout=60)
-    assert child.returncode == 130 and "interrupted" in err and "Traceback" not in err, err
     made = open_sequence(out)
+    assert child.returncode == 130 and err == f"interrupted: {len(made.frames)} finished frames are in {out}\n"
     assert 10 <= len(made.extrapolated) < 560
     assert {p.name for p in out.glob("*.exr")} == {e.file for e in made.frames}
 
@@ -620,7 +620,7 @@ def test_failed_run_leaves_other_files_alone(gffe, scene, tmp_path):
 
 
 def test_names_are_unique(gffe, scene, tmp_path):
-    assert gffe("run", scene, tmp_path / "out", "--alpha", "0.5,0.3333,0.33331,0.5")[0] == 0
+    assert gffe("run", scene, tmp_path / "out", "--alpha", "0.5,0.3333,0.33331")[0] == 0
     assert len(open_sequence(tmp_path / "out").extrapolated) == 12
     document = json.loads((scene / "sequence.json").read_text())
     for index, frame in enumerate(document["frames"]):

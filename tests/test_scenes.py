@@ -257,7 +257,7 @@ def test_runtimes_agree():
 def test_help_names_every_scene():
     from typer.testing import CliRunner
 
-    from gffe_cl.cli import app
+    from gffe_cl.cli.commands import app
 
     text = CliRunner().invoke(app, ["render", "--help"]).output
     assert all(name in text for name in NAMES)

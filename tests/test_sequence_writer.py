@@ -262,11 +262,11 @@ def test_replaces_an_output_killed_while_files_moved(tmp_path, monkeypatch):
 
     out = write(tmp_path / "out", 3)
     (out / "notes.txt").write_text("mine")
-    with monkeypatch.context() as patch:
-        with pytest.raises(GffeError, match="power cut"), SequenceWriter(out, W, H, 30) as writer:
-            writer.link(rendered(5), out / "frame_0.exr")
-            writer._pool.shutdown()
-            patch.setattr(os, "replace", killed)
+    with pytest.raises(GffeError, match="power cut"), SequenceWriter(out, W, H, 30) as writer:
+        writer.link(rendered(5), out / "frame_0.exr")
+        writer._pool.shutdown()
+        monkeypatch.setattr(os, "replace", killed)
+    monkeypatch.undo()
     with pytest.raises(GffeError, match=r"is unfinished"):
         open_sequence(out)
     write(out, 1)

@@ -11,9 +11,11 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from gffe_cl.errors import GffeError
+from gffe_cl.errors import GffeError, printable
+from gffe_cl.files import replacing, require_output_file
 
 app = typer.Typer(
     help="G-buffer free frame extrapolation: makes the frames after the ones your renderer has finished.",
@@ -22,6 +24,9 @@ app = typer.Typer(
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
+for _stream in (sys.stdout, sys.stderr):
+    if hasattr(_stream, "reconfigure"):
+        _stream.reconfigure(errors="backslashreplace")  # whatever the terminal cannot show
 out = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
 
@@ -34,15 +39,14 @@ DeviceOption = Annotated[
 ]
 
 
-def _json_path(path: Path | None) -> Path | None:
-    """Checked before the work, not after it."""
-    if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
-        raise GffeError(f"--json {path}: must be a file in a folder that exists")
-    return path
+def output_file(option: str):
+    """A callback for an option that names a file to write: checked before the work, not after it."""
+    return lambda path: None if path is None else require_output_file(path, option)
 
 
 JsonOption = Annotated[
-    Path | None, typer.Option("--json", help="Also write the report to this file.", callback=_json_path)
+    Path | None,
+    typer.Option("--json", help="Also write the report to this file.", callback=output_file("--json")),
 ]
 
 
@@ -91,9 +95,10 @@ def write_json(path: Path | None, document: dict) -> None:
     if path is None:
         return
     try:
-        path.write_text(json.dumps(_finite(document), indent=1, allow_nan=False) + "\n")
+        with replacing(path) as part:
+            part.write_text(json.dumps(_finite(document), indent=1, allow_nan=False) + "\n", "utf-8")
     except OSError as error:
-        raise GffeError(f"{path}: cannot write: {error.strerror}") from None
+        raise GffeError(f"{path}: cannot write: {error.strerror or error}") from None
 
 
 def _finite(value):
@@ -105,7 +110,11 @@ def _finite(value):
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def plain(text: str) -> str:
-    from rich.markup import escape
+def warn(text: str) -> None:
+    err.print(f"[yellow]warning:[/] {plain(text)}")
 
-    return escape(text)
+
+def plain(text: object) -> str:
+    """`text` as it is, for the consoles: neither markup nor a control character of the terminal in it, of the name of a
+    file perhaps, has an effect."""
+    return escape(printable(str(text)))

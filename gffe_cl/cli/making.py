@@ -14,13 +14,13 @@ from gffe_cl.cli.common import (
     JsonOption,
     WindowOption,
     app,
-    err,
     out,
     parse_numbers,
     parse_size,
     plain,
     progress_bars,
     steps,
+    warn,
     write_json,
 )
 from gffe_cl.cli.options import takes_options
@@ -51,8 +51,8 @@ def devices(
         table.add_row(
             "*" if info is default else "",
             info.index,
-            info.name,
-            info.platform + (f" ({info.driver})" if info.driver else ""),
+            plain(info.name),
+            plain(info.platform + (f" ({info.driver})" if info.driver else "")),
             "[green]yes[/]" if info.works else f"[red]no[/]: {plain(info.problem)}",
             ", ".join(info.lacks) or "nothing",
         )
@@ -86,7 +86,7 @@ def demo(
     if min(width, height) < 32 or max(width, height) > 4096:
         raise GffeError(f"demo: --size must be 32 to 4096 pixels each way, got '{size}'")
     opened = open_device(device)
-    out.print(f"Device: {opened.info.name} ({opened.info.platform})")
+    out.print(plain(f"Device: {opened.info.name} ({opened.info.platform})"))
     with progress_bars() as progress:
         metrics = run_demo(output, opened, width, height, seed, window, options, steps(progress))
     measured = measurable()
@@ -95,7 +95,7 @@ def demo(
     for name, figures in metrics.items():
         table.add_row(METHODS[name], *(metric.text(figures[metric.name]) for metric in measured))
     out.print(table)
-    out.print(f"Results are in {output}: contact_sheet.png, side_by_side.mp4, metrics.json, extrapolated/")
+    out.print(f"Results are in {plain(output)}: contact_sheet.png, side_by_side.mp4, metrics.json, extrapolated/")
 
 
 @app.command()
@@ -141,7 +141,7 @@ def render(
             ground_truth=ground_truth, per_frame=per_frame, samples=samples, window=window,
             on_frame=steps(progress)(f"Rendering '{scene}'", total),
         )  # fmt: skip
-    out.print(f"{count} frames in {output}")
+    out.print(f"{count} frames in {plain(output)}")
 
 
 @app.command()
@@ -216,7 +216,7 @@ def _open_source(
     if str(sequence) in SCENES and not sequence.exists():
         size, frames, fps, seed = live.values()
         size = parse_size("960x540" if size is None else size)
-        scene, opened = load_scene(str(sequence), seed or 0), open_device(device)
+        scene, opened = load_scene(str(sequence), 0 if seed is None else seed), open_device(device)
         frames, fps = 30 if frames is None else frames, 30.0 if fps is None else fps
         return opened, Live(scene, opened, *size, frames, fps, window or "off")
     given = [option for option, value in live.items() if value is not None]
@@ -228,11 +228,11 @@ def _open_source(
 
 def _print_report(report: RunReport, output: Path) -> None:
     for warning in report.warnings:
-        err.print(f"[yellow]warning:[/] {plain(warning)}")
+        warn(warning)
     if report.bad_pixels:
-        err.print(f"[yellow]warning:[/] bad pixels in the input, survived: {report.bad_pixels}")
+        warn(f"bad pixels in the input, survived: {report.bad_pixels}")
     times = ", ".join(f"{name} {ms:.1f}" for name, ms in report.milliseconds.items() if ms)
-    out.print(f"{report.extrapolated} extrapolated frames in {output} (ms per frame: {times})")
+    out.print(f"{report.extrapolated} extrapolated frames in {plain(output)} (ms per frame: {times})")
 
 
 def _report_json(report: RunReport, info: DeviceInfo) -> dict:

@@ -14,6 +14,7 @@ from gffe_cl.cli.common import (
     JsonOption,
     app,
     out,
+    output_file,
     parse_size,
     plain,
     progress_bars,
@@ -22,6 +23,7 @@ from gffe_cl.cli.common import (
 )
 from gffe_cl.cli.options import SCN, takes_options
 from gffe_cl.errors import GffeError
+from gffe_cl.files import replacing
 
 if TYPE_CHECKING:
     from gffe_cl.evaluation.bench import SizeBench
@@ -116,7 +118,10 @@ def study(
     ] = False,
     shading: Annotated[bool, typer.Option("--shading", help="Measure shading correction instead.")] = False,
     sheet: Annotated[
-        Path | None, typer.Option(help="With --shading: also write pictures of it to this file (PNG, JPEG).")
+        Path | None,
+        typer.Option(
+            help="With --shading: also write pictures of it to this file (PNG, JPEG).", callback=output_file("--sheet")
+        ),
     ] = None,
     rate: Annotated[
         float | None, typer.Option(help="With --windows: degrees per second [dim](default 150)[/].")
@@ -143,8 +148,10 @@ def study(
     if rate is not None and not (windows and 0 < rate <= 1000):
         raise GffeError(f"study: --rate goes with --windows and must be within 0 and 1000 degrees/s, got {rate:g}")
     width, height = parse_size(size)
-    if min(width, height) < 16 or seeds < 1 or frames < 4 or not 0 < alpha <= 8:
-        raise GffeError("study: --size must be at least 16x16, --seeds 1, --frames 4, and --alpha within 0 and 8")
+    if min(width, height) < 16 or not 1 <= seeds <= 10_000 or frames < 4 or not 0 < alpha <= 8:
+        raise GffeError(
+            "study: --size must be at least 16x16, --seeds 1 to 10000, --frames at least 4, and --alpha within 0 and 8"
+        )
     opened = open_device(device)
     names = scenes or list(SCENES)
     with progress_bars() as progress:
@@ -240,10 +247,11 @@ def _write_sheet(path: Path, studies: list[ShadingStudy]) -> None:
         out.print("No focus pixels: nothing for the sheet.")
         return
     try:
-        contact_sheet(groups, columns=len(groups[0][1]), cell_width=400).save(path)
+        with replacing(path) as part:
+            contact_sheet(groups, columns=len(groups[0][1]), cell_width=400).save(part)
     except (OSError, ValueError) as error:
         raise GffeError(f"{path}: cannot write the picture (expected .png or .jpg): {error}") from None
-    out.print(f"Pictures are in {path}")
+    out.print(f"Pictures are in {plain(path)}")
 
 
 def _print_studies(studies: list[SceneStudy]) -> None:

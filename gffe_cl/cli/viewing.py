@@ -12,11 +12,13 @@ from gffe_cl.cli.common import (
     JsonOption,
     app,
     out,
+    output_file,
     parse_size,
     write_json,
 )
 from gffe_cl.cli.options import takes_options
 from gffe_cl.errors import GffeError
+from gffe_cl.values import require_seed
 
 if TYPE_CHECKING:
     from gffe_cl.options import Options
@@ -41,7 +43,10 @@ def view(
         typer.Option(help="Of the viewer's own window, pixels [dim](default: as last time; for reports 1600x900)[/]."),
     ] = None,
     screenshot: Annotated[
-        Path | None, typer.Option(help="Write one picture of the whole window to this PNG, and exit.")
+        Path | None,
+        typer.Option(
+            help="Write one picture of the whole window to this PNG, and exit.", callback=output_file("--screenshot")
+        ),
     ] = None,
     frame: Annotated[int, typer.Option(help="Screenshot: which one of the frames shown, generated ones counted.")] = 0,
     layer: Annotated[
@@ -78,7 +83,7 @@ def view(
         raise GffeError(f"--compare must be {', '.join(WAYS[:-1])} or '{WAYS[-1]}', got '{compare}'")
     if window not in (None, "off") and target is not None and not is_scene(target):
         raise GffeError(f"--window {window}: only built-in scenes are rendered through a chosen window (expected off)")
-    plan = ScenePlan(*parse_size(size), seed)
+    plan = ScenePlan(*parse_size(size), require_seed(seed, "--seed"))
     viewer_size = None if window_size is None else parse_size(window_size)
     if viewer_size is not None and min(viewer_size) < LEAST_WINDOW:
         raise GffeError(f"--window-size must be at least {LEAST_WINDOW} pixels each way, got '{window_size}'")

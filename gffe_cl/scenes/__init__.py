@@ -21,6 +21,7 @@ from gffe_cl.errors import GffeError
 from gffe_cl.scenes.renderer import SceneArrays, SceneImage, SceneRenderer
 from gffe_cl.scenes.sequences import SceneFrames
 from gffe_cl.scenes.vocabulary import Scene
+from gffe_cl.values import require_seed
 
 SCENES = {
     "corridor": "Indoor passage: walkers, mirror ball, railings, a sweeping lamp; the camera dollies",
@@ -45,10 +46,10 @@ __all__ = [
 
 
 def load_scene(name: str, seed: int = 0) -> Scene:
-    """Build the scene `name` of `SCENES` for `seed` ≥ 0. Raises GffeError for an unknown name."""
+    """Build the scene `name` of `SCENES` for `seed`, 0 to 2³² − 1. Raises GffeError for an unknown name and for other
+    seeds."""
     if name not in SCENES:
         raise GffeError(f"unknown scene '{name}': expected one of {', '.join(SCENES)}")
-    if int(seed) < 0:
-        raise GffeError(f"scene '{name}': seed must be ≥ 0, got {seed}")
+    seed = require_seed(seed, f"scene '{name}': seed")
     module = importlib.import_module(f"gffe_cl.scenes.{name}")
-    return module.build(int(seed), np.random.default_rng([*name.encode(), int(seed)]))
+    return module.build(seed, np.random.default_rng([*name.encode(), seed]))

@@ -25,6 +25,7 @@ from gffe_cl.scn.clips import VERSION
 from gffe_cl.scn.crops import Augmentation, Batch, Crop, keep_crops, load_batch
 from gffe_cl.scn.export import commit
 from gffe_cl.scn.network import ShadingCorrectionNetwork, compose, double, encode
+from gffe_cl.values import require_seed
 
 CHECKPOINT = "checkpoint.pt"
 _FORMAT = 3
@@ -58,10 +59,11 @@ class Recipe:
         for name in ("steps", "batch", "full_every"):
             if getattr(self, name) < 1:
                 raise GffeError(f"training: {name} must be at least 1, got {getattr(self, name)}")
-        if self.seed < 0 or not 0 <= self.shading <= 1 or not 0 <= self.blend_weight < math.inf:
+        require_seed(self.seed, "training: seed")
+        if not 0 <= self.shading <= 1 or not 0 <= self.blend_weight < math.inf:
             raise GffeError(
-                "training: expected seed ≥ 0, shading from 0 to 1 and blend weight ≥ 0,"
-                f" got {self.seed}, {self.shading:g} and {self.blend_weight:g}"
+                "training: expected shading from 0 to 1 and blend weight ≥ 0,"
+                f" got {self.shading:g} and {self.blend_weight:g}"
             )
         if not 0 < self.final_learning_rate <= self.learning_rate < 1:
             raise GffeError(
@@ -254,7 +256,7 @@ class Training:
                             log.write("validation", self.validate(), self.step)
                     on_step(Progress(self.step, terms))
             if received:
-                raise KeyboardInterrupt
+                raise KeyboardInterrupt(f"step {self.step} is kept in {self.folder}")
         finally:
             if whole:
                 self.seconds = spent + time.monotonic() - started

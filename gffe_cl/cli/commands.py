@@ -1,0 +1,38 @@
+"""All commands, and how one is called."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from gffe_cl import __version__
+from gffe_cl.cli import making, measuring, training, viewing  # noqa: F401 - registers the commands, in the order of `gffe --help`
+from gffe_cl.cli.common import app, out
+
+__all__ = ["app", "invoke"]
+
+
+def invoke(arguments: list[str]) -> int:
+    """Do what the command line says; the exit code. Raises whatever the command raises, and usage errors."""
+    try:
+        with typer.main.get_command(app).make_context("gffe", arguments) as context:
+            context.command.invoke(context)
+    except typer.Exit as stop:
+        return stop.exit_code
+    return 0
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        out.print(f"gffe-cl {__version__}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _gffe(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_print_version)
+    ] = False,
+) -> None:
+    pass

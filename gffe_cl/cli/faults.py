@@ -1,0 +1,52 @@
+"""What ends a command, in one line."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+from gffe_cl.cli.common import err, plain
+from gffe_cl.cli.interrupts import INTERRUPTED, Interrupts
+from gffe_cl.errors import GffeError
+
+
+def explain(error: BaseException, interrupts: Interrupts) -> int:
+    """Print what `error` means to the user; the exit code. What nobody foresaw is raised again."""
+    if interrupts.received or isinstance(error, KeyboardInterrupt):
+        kept = "; ".join(_notes(error))
+        err.print(plain(f"interrupted: {kept}" if kept else "interrupted"))
+        return INTERRUPTED
+    if isinstance(error, GffeError):
+        message = str(error)
+    elif isinstance(error, MemoryError):
+        message = "not enough memory (expected smaller images)"
+    elif isinstance(error, OSError | UnicodeError):
+        message = f"{getattr(error, 'filename', None) or 'system'}: {getattr(error, 'strerror', None) or error}"
+        if isinstance(error, OSError):
+            _drop_unwritable_output()
+    elif hasattr(error, "format_message"):  # usage errors of the command line library
+        message = f"{error.format_message()} (see `gffe --help`)"
+    else:
+        raise error
+    err.print(f"[bold red]error:[/] {plain(message)}")
+    return 2
+
+
+def _notes(error: BaseException) -> list[str]:
+    """What those through whose hands an interrupt went have to say about what is kept."""
+    seen, notes = set(), []
+    while error is not None and id(error) not in seen:
+        seen.add(id(error))
+        if isinstance(error, KeyboardInterrupt):
+            notes += [*map(str, error.args), *getattr(error, "__notes__", ())]
+        error = error.__cause__ or error.__context__
+    return list(dict.fromkeys(notes))
+
+
+def _drop_unwritable_output() -> None:
+    """What is left of the output goes nowhere if the reader is gone or the disk full: Python would try again at its
+    end, and complain."""
+    try:
+        sys.stdout.flush()
+    except (OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
