@@ -1,16 +1,25 @@
 """Every structural fault is one line that says what is wrong and where."""
 
+import json
+import os
+import socket
+import struct
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
 import numpy as np
 import OpenEXR
 import pytest
 from tiny_sequence import H, W, contiguous, edit, pixels, write
 
 from gffe_cl.errors import GffeError
-from gffe_cl.sequence import (
-    named_channels,
-    open_sequence,
-)
+from gffe_cl.metrics import display_values, focus_mask, smape
+from gffe_cl.pipeline import Pipeline
+from gffe_cl.sequence import SequenceWriter, exr_header, named_channels, open_sequence
 from gffe_cl.sequence.exr_header import _Cursor, _parse
+from gffe_cl.sequence.header_camera import header_cameras
 
 
 @pytest.fixture
@@ -43,20 +52,113 @@ def test_truncated_after_opening(folder):
         sequence.read(sequence.rendered[2])
 
 
-def test_damaged_and_unfinished(folder):
+def test_damaged_and_unfinished(folder, capfd):
     path = folder / "frame_2.exr"
     flat = dict.fromkeys(named_channels(*pixels()), np.ones((H, W), np.float32))  # so that it is compressed
     OpenEXR.File({"type": OpenEXR.scanlineimage}, flat).write(str(path))
     data = path.read_bytes()
     path.write_bytes(data[:-15] + b"\xff" * 15)
     sequence = open_sequence(folder)
-    with pytest.raises(GffeError, match=r"^frame_2.exr: damaged"):
+    with pytest.raises(GffeError, match=r"^frame_2.exr: damaged.*Unable to decompress") as info:
         sequence.read(sequence.rendered[2])
+    assert "\n" not in str(info.value)
+    assert capfd.readouterr() == ("", "")  # what the library says is in the message
     path.write_bytes(b"P6 480 270 255 not an exr at all")
     assert fault(folder) == "frame_2.exr: not an OpenEXR file"
     table = _parse(_Cursor(data))[0].end
     path.write_bytes(data[:table] + b"\0" * 8 + data[table + 8 :])
     assert "incomplete, 1 of 1 chunks" in fault(folder)
+
+
+def test_what_others_print_meanwhile_is_passed_on(folder, capfd):
+    """Three threads read damaged files, two print all the while, from Python and from C."""
+    path = folder / "frame_2.exr"
+    flat = dict.fromkeys(named_channels(*pixels()), np.ones((H, W), np.float32))
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, flat).write(str(path))
+    path.write_bytes(path.read_bytes()[:-15] + b"\xff" * 15)
+    sequence = open_sequence(folder)
+    done = threading.Event()
+
+    def read(_):
+        with pytest.raises(GffeError, match="Unable to decompress"):
+            sequence.read(sequence.rendered[2])
+
+    def talk(k):
+        while not done.is_set():
+            print(f"out {k}")
+            os.write(2, b"error %d\n" % k)
+            time.sleep(1e-4)
+
+    with ThreadPoolExecutor(5) as pool:
+        talking = [pool.submit(talk, k) for k in range(2)]
+        try:
+            list(pool.map(read, range(90)))
+        finally:
+            done.set()
+        for future in talking:
+            future.result()
+    out, err = capfd.readouterr()
+    assert set(out.splitlines()) == {"out 0", "out 1"} and set(err.splitlines()) == {"error 0", "error 1"}
+    assert out.count("\n") == err.count("\n")
+    os.write(2, b"as before\n")
+    assert capfd.readouterr() == ("", "as before\n")
+
+
+@pytest.mark.parametrize("window", [(0, 0, -1, 35), (0, 0, -2, 35), (0, 5, 12, 3)])
+def test_empty_display_window(folder, window):
+    header = {"type": OpenEXR.scanlineimage}
+    path = folder / "frame_1.exr"
+    OpenEXR.File(header, contiguous(named_channels(*pixels(1)))).write(str(path))
+    data = path.read_bytes()
+    box = data.index(b"displayWindow\0box2i\0") + len(b"displayWindow\0box2i\0") + 4
+    path.write_bytes(data[:box] + struct.pack("<4i", *window) + data[box + 16 :])
+    edit(folder, lambda d: d["frames"][2].pop("display_camera", None))
+    numbers = " ".join(map(str, window))
+    assert fault(folder) == (f"frame_1.exr: the display window {numbers} is empty (expected x0 ≤ x1 and y0 ≤ y1)")
+
+
+@pytest.mark.parametrize("file", ["frame_1.exr", "sequence.json"])
+@pytest.mark.parametrize("kind", ["pipe", "socket", "device", "folder"])
+def test_regular_files_only(folder, file, kind):
+    """Opening a pipe waits for its other end, a device may never end."""
+    path = folder / file
+    path.unlink()
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        here = Path.cwd()
+        os.chdir(folder)  # the name of a socket must be short
+        try:
+            socket.socket(socket.AF_UNIX).bind(file)
+        finally:
+            os.chdir(here)
+    said = []
+
+    def opening():
+        said.append(fault(folder))
+
+    thread = threading.Thread(target=opening, daemon=True)
+    thread.start()
+    thread.join(10)
+    assert said and file in said[0] and "cannot be read" in said[0]
+
+
+def test_names_are_shown_escaped(folder):
+    """Neither a line break nor a terminal's control sequence of a file's name gets through."""
+    name = "a\n\x1b[31mred\u202e.exr"
+    edit(folder, lambda d: d["frames"][2].update(file=name))
+    assert fault(folder).startswith(r"a\n\x1b[31mred\u202e.exr: no such file")
+    edit(folder, lambda d: d["frames"][2].update(file="half \ud800.exr"))
+    assert "file must be the name of an EXR file" in fault(folder)
+    edit(folder, lambda d: d["frames"][2].update(file="not UTF-8 \udcff.exr"))  # but a name on disk
+    assert fault(folder).startswith(r"not UTF-8 \udcff.exr: no such file")
+    for name in ("../\x1b[2J", "\n/../.."):
+        edit(folder, lambda d, name=name: d["frames"][2].update(file=name))
+        assert fault(folder).isprintable()
 
 
 def test_missing_file_and_folder(folder, tmp_path):
@@ -102,6 +204,15 @@ BROKEN = {
     "infinite camera": (set_camera({"cx": 1e999}), "not finite"),
     "huge camera": (set_camera({"cx": 10**400}), "not finite"),
     "camera of text": (set_camera({"fy": "wide"}), "must be numbers"),
+    "number as text": (set_camera({"fx": "1"}), "must be numbers"),
+    "truth value": (set_camera({"fx": True}), "must be numbers"),
+    "matrix of text": (set_camera({"world_to_view": np.eye(4).astype(str).tolist()}), "of numbers"),
+    "matrix of truth values": (set_camera({"world_to_view": np.eye(4, dtype=bool).tolist()}), "of numbers"),
+    "one truth value": (set_camera({"world_to_view": [[True, 0, 0, 0], *np.eye(4)[1:].tolist()]}), "of numbers"),
+    "ragged matrix": (set_camera({"world_to_view": [[1, 0, 0, 0], [0, 1]]}), "of numbers"),
+    "time of text": (lambda d: d["frames"][2].update(time="1"), "time must be a finite number"),
+    "time of truth": (lambda d: d["frames"][2].update(time=True), "time must be a finite number"),
+    "alpha of truth": (lambda d: d["frames"][2].update(alpha=True), "alpha must be a finite number"),
     "3×3 camera": (set_camera({"world_to_view": [[1, 0, 0]] * 3}), "must be 4×4"),
     "camera without fx": (lambda d: d["frames"][2]["render_camera"].pop("fx"), "must have world_to_view"),
     "camera no object": (lambda d: d["frames"][2].update(render_camera=[1]), "must have world_to_view"),
@@ -133,6 +244,25 @@ def test_paths_stay_inside(folder, file):
     assert "frame 2" in message and ("stay inside" in message or "must be the name" in message)
 
 
+BAD_EXPOSURES = [0, -1, 1e-300, 9e-7, 1.1e6, 1e299, float("inf"), float("nan"), "1", True, [1], {}]
+
+
+@pytest.mark.parametrize("exposure", [*BAD_EXPOSURES, None])
+def test_exposures_are_checked_wherever_one_is_taken(tmp_path, exposure):
+    image = np.zeros((H, W, 3), np.float32)
+    takers = [
+        lambda: SequenceWriter(tmp_path / "out", W, H, 30, exposure),
+        lambda: display_values(image, exposure),
+        lambda: smape(image, image, exposure),
+        lambda: focus_mask(image, image, image[..., 0], exposure),
+        lambda: Pipeline.exposure.fset(object.__new__(Pipeline), exposure),
+    ]
+    for take in takers:
+        with pytest.raises(GffeError, match="exposure must be a finite number from"):
+            take()
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize(
     "change, expected",
     [
@@ -142,7 +272,10 @@ def test_paths_stay_inside(folder, file):
         ({"width": 0}, "width must be whole pixels"),
         ({"height": 9.5}, "height must be whole pixels"),
         ({"fps": 0}, "fps must be greater than 0"),
-        ({"exposure": "bright"}, "exposure must be a finite number"),
+        *(({"exposure": e}, "exposure must be a finite number from 1e-06 to 1e+06") for e in BAD_EXPOSURES),
+        ({"fps": True}, "fps must be a finite number"),
+        ({"width": True}, "width must be whole pixels"),
+        ({"unfinished": 1}, "unfinished must be true or false"),
         ({"frames": []}, "at least one frame"),
         ({"frames": [3]}, "frame 0: must be an object"),
     ],
@@ -180,3 +313,37 @@ def test_extrapolated_frames_may_coincide(folder):
 
     edit(folder, change)
     assert open_sequence(folder).extrapolated[0].alpha == 1
+
+
+@pytest.mark.slow
+def test_many_frames(folder):
+    """Opening takes the same few steps per frame however many there are, and reads no pixel."""
+    count = 200_000
+    document = json.loads((folder / "sequence.json").read_text())
+    frame = next(f for f in document["frames"] if f["file"] == "frame_1.exr")
+    document["frames"] = [frame | {"time": k / 30} for k in range(count)]
+    (folder / "sequence.json").write_text(json.dumps(document))
+    before = time.process_time()
+    sequence = open_sequence(folder)
+    assert time.process_time() - before < 15  # 4 on an idle core, 40 if each header is parsed
+    assert (
+        len(sequence.rendered) == count and sequence.rendered[-1].display_camera == sequence.rendered[0].render_camera
+    )
+
+
+def test_headers_that_are_alike_are_parsed_once(tmp_path, monkeypatch):
+    folder = write(tmp_path / "sequence", 40)
+    parsed = []
+    real = exr_header._parse
+    monkeypatch.setattr(exr_header, "_parse", lambda cursor: (parsed.append(1), real(cursor))[1])
+    sequence = open_sequence(folder)
+    assert len(parsed) <= 6  # the first frame, without motion; rendered; truth: of each share of the files
+    for entry in sequence.frames[1:]:  # and yet each has its own camera
+        header = exr_header.read_header(sequence.path / entry.file, "")
+        camera = entry.render_camera or entry.display_camera
+        np.testing.assert_allclose(header_cameras(header.parts[0])[1].position, camera.position, atol=1e-4)
+    reader = exr_header.HeaderReader()
+    for entry in sequence.frames[1:]:
+        shown = header_cameras(reader.read(sequence.path / entry.file, "").parts[0])[1]
+        camera = entry.render_camera or entry.display_camera
+        np.testing.assert_allclose(shown.position, camera.position, atol=1e-4)

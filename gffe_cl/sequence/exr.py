@@ -12,6 +12,7 @@ import OpenEXR
 
 from gffe_cl.errors import GffeError
 from gffe_cl.sequence.exr_header import ExrHeader, read_header
+from gffe_cl.sequence.library_messages import library_messages
 
 _FLOAT_CHANNELS = ("Z", "motion.")  # always float32; any other channel keeps half if it is half
 
@@ -25,14 +26,16 @@ def read_channels(path: Path, names, label: str, size=None) -> dict[str, np.ndar
     header = read_header(path, label)
     places = require_channels(header, names, label)
     require_size(header, names, size, label)
+    said: list[str] = []
     try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
+        with library_messages(path) as said, OpenEXR.File(str(path), separate_channels=True) as file:
             parts = [file.channels(i) for i in range(len(file.parts))]  # none if the library gave up
             if len(parts) != len(header.parts):
                 raise ValueError("corrupt pixel data")
             arrays = [parts[part][name].pixels for part, name in places]
     except Exception as error:
-        raise GffeError(f"{label}: damaged, the pixels cannot be decoded ({_one_line(error)})") from None
+        reason = "; ".join(dict.fromkeys((_one_line(error), *map(_one_line, said[:1]))))
+        raise GffeError(f"{label}: damaged, the pixels cannot be decoded ({reason})") from None
     return dict(zip(names, arrays, strict=True))
 
 
@@ -80,7 +83,8 @@ def write_channels(path: Path, channels: dict[str, np.ndarray], attributes: dict
         try:
             # The library takes any array for a contiguous one.
             contiguous = {name: np.ascontiguousarray(channel) for name, channel in channels.items()}
-            OpenEXR.File(header, contiguous).write(str(part_path))
+            with library_messages(part_path):
+                OpenEXR.File(header, contiguous).write(str(part_path))
         except RuntimeError as error:
             code = errno.ENOSPC if os.strerror(errno.ENOSPC) in str(error) else errno.EIO
             raise OSError(code, _one_line(error) if code == errno.EIO else os.strerror(code)) from None
