@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -17,8 +18,10 @@ from synthetic import Rect, Rects, camera
 
 from gffe_cl import open_sequence
 from gffe_cl.cli import main
+from gffe_cl.errors import GffeError
 from gffe_cl.metrics import METRICS, Metric
 from gffe_cl.run import alphas_for
+from gffe_cl.scenes import load_scene
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
 
 W, H = 64, 40
@@ -537,6 +540,7 @@ def test_structural_faults_end_with_one_line(gffe, scene, tmp_path, fault):
         (["-n", "0"], "1 to 7"),
         (["--alpha", "half"], "numbers"),
         (["--alpha", "-0.5"], "positive"),
+        (["--alpha", "0.5,0.50"], "alpha 0.5 is given twice"),
         (["--device", "no such device"], "no working device matches"),
         (["--history", "9"], "history"),
         (["--history", "2", "--order", "2"], "order"),
@@ -602,6 +606,142 @@ def test_interrupt_keeps_what_is_finished(tmp_path):
     assert child.returncode == 130 and err == f"interrupted: {len(made.frames)} finished frames are in {out}\n"
     assert 10 <= len(made.extrapolated) < 560
     assert {p.name for p in out.glob("*.exr")} == {e.file for e in made.frames}
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+def test_signals_during_the_first_second(pristine, tmp_path, kind):
+    """Whatever is being imported then: one line, and nothing half-written."""
+    for k in range(6):
+        code = "import sys; from gffe_cl.cli import main; print(flush=True); main()"  # from here on it is our business
+        command = [sys.executable, "-c", code, "run", str(pristine), str(tmp_path / "out"), "-n", "7"]
+        child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        child.stdout.readline()
+        time.sleep(0.02 + 0.15 * k)
+        child.send_signal(kind)
+        _, err = child.communicate(timeout=60)
+        assert child.returncode in (0, 130) and (err == "") == (child.returncode == 0), err
+        if child.returncode:
+            assert err.startswith("interrupted") and err.count("\n") == 1
+            assert ("finished frames are in" in err) == (tmp_path / "out").exists()
+        shutil.rmtree(tmp_path / "out", ignore_errors=True)
+
+
+def test_nothing_heavy_before_the_handlers():
+    heavy = ("numpy", "pyopencl", "typer", "rich", "ctypes", "json", "gffe_cl.opencl")
+    for module in ("gffe_cl.cli", "gffe_cl"):
+        code = f"import sys, {module}; print([name for name in {heavy} if name in sys.modules])"
+        child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        assert child.stdout == "[]\n"
+
+
+def test_an_interrupt_that_cannot_pass_comes_again():
+    """In a destructor an exception is only printed; the interrupt must not be lost with it."""
+    code = (
+        "import signal, sys, time\n"
+        "from gffe_cl.cli import commands, main\n"
+        "class Last:\n"
+        "    def __del__(self): signal.raise_signal(signal.SIGTERM)\n"
+        "def invoke(arguments):\n"
+        "    last = Last(); del last\n"
+        "    time.sleep(30)\n"
+        "commands.invoke = invoke\n"
+        "main()"
+    )
+    child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=20)
+    assert (child.returncode, child.stderr) == (130, "interrupted\n")
+
+
+def test_a_second_run_into_a_folder_is_refused(gffe, pristine, tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(ZeroDivisionError), SequenceWriter(out, W, H, 30.0, generator="gffe-cl run"):
+        code, _, err = gffe("run", pristine, out)
+        assert code == 2 and f"{out}: another run is writing into it, process {os.getpid()}" in err
+        code, _, err = gffe("compare", out, pristine)
+        assert code == 2 and "is still being written" in err
+        raise ZeroDivisionError  # ends the first one
+    assert gffe("run", pristine, out)[0] == 0
+
+
+def test_failed_run_keeps_an_earlier_result(gffe, scene, tmp_path):
+    out = tmp_path / "out"
+    assert gffe("run", scene, out, "--dump-stages")[0] == 0
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    shutil.copy(scene / "frame_000003.exr", tmp_path / "own.exr")
+    os.replace(tmp_path / "own.exr", scene / "frame_000003.exr")  # no longer a link to that of the result
+    _spoil(scene / "frame_000003.exr", "Z", lambda a: a.__setitem__((3, 4), np.nan))
+    code, _, err = gffe("run", scene, out, "--strict", "--dump-stages", "--no-motion")
+    assert code == 2 and "frame_000003.exr" in err
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+
+
+def test_outputs_do_not_land_on_sequences(gffe, scene, tmp_path):
+    """Not on its files, whatever they are called, and nowhere that nothing can be written."""
+    shutil.copy(scene / "frame_000001.exr", scene / "picture.png")
+    before = {path: path.read_bytes() for path in scene.iterdir()}
+    targets = [scene / "sequence.json", scene / "frame_000001.exr", scene / "new.exr", scene / "picture.png", scene]
+    (tmp_path / "alias.json").symlink_to(scene / "frame_000002.exr")
+    for target in (*targets, tmp_path / "alias.json", tmp_path / "nowhere" / "r.json"):
+        commands = {
+            "--json": ("run", scene, tmp_path / "out"),
+            "--sheet": ("study", "room", "--shading"),
+            "--screenshot": ("view", scene),
+        }
+        for option, command in commands.items():
+            code, _, err = gffe(*command, option, target)
+            assert code == 2 and f"{option} {target}" in err and len(err.splitlines()) == 1, err
+    assert {path: path.read_bytes() for path in scene.iterdir()} == before and not (tmp_path / "out").exists()
+
+
+def test_names_do_not_reach_the_terminal_raw(gffe, scene, tmp_path):
+    name = "\x1b[31mred[bold]\n.exr"
+    (scene / "truth_000002_0500.exr").rename(scene / name)
+    for frame in (document := json.loads((scene / "sequence.json").read_text()))["frames"]:
+        if frame["file"] == "truth_000002_0500.exr":
+            frame["file"], frame["kind"], frame["alpha"] = name, "extrapolated", 0.5
+    (scene / "sequence.json").write_text(json.dumps(document))
+    made = tmp_path / "\x1b[2Jout\n"
+    outputs = [gffe("compare", scene, scene), gffe("compare", scene, tmp_path / name), gffe("run", scene, made)]
+    assert [code for code, _, _ in outputs] == [2, 2, 0]
+    _, text, err = gffe("compare", made, scene)
+    for shown in (text, err, *(part for output in outputs for part in output[1:])):
+        assert "\x1b" not in shown and all(line.isprintable() for line in shown.splitlines())
+    assert r"\x1b[2Jout\n" in outputs[2][1]
+
+
+def test_output_that_nobody_reads(pristine):
+    """A closed pipe or a full disk is one line, too."""
+    for target, said in (("|true", "Broken pipe"), (">/dev/full", "No space left")):
+        command = f"{shlex.quote(sys.executable)} -m gffe_cl --help {target}"
+        child = subprocess.run(["bash", "-o", "pipefail", "-c", command], capture_output=True, text=True)
+        assert "Traceback" not in child.stderr and "Exception ignored" not in child.stderr, child.stderr
+        assert child.returncode == 0 or said in child.stderr
+
+
+@pytest.mark.parametrize("seed", [10**20, -1, 2**32])
+def test_seeds(gffe, tmp_path, seed):
+    commands = [
+        ("render", "room", tmp_path / "out", "--seed"),
+        ("run", "room", tmp_path / "out", "--seed"),
+        ("demo", "-o", tmp_path / "out", "--seed"),
+        ("view", "room", "--seed"),
+        ("study", "room", "--seeds"),
+    ]
+    for command in commands:
+        code, _, err = gffe(*command, seed)
+        assert code == 2 and len(err.splitlines()) == 1 and ("seed" in err), (command, err)
+    with pytest.raises(GffeError, match=r"seed must be a whole number from 0 to 4294967295"):
+        load_scene("room", seed)
+    assert load_scene("room", 2**32 - 1).seed == 2**32 - 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unfinished_sequence_says_so(gffe, scene, tmp_path):
+    with pytest.raises(KeyboardInterrupt), SequenceWriter(tmp_path / "cut", W, H, 30.0) as writer:
+        for entry in open_sequence(scene).rendered:
+            writer.link(entry, scene / entry.file)
+        raise KeyboardInterrupt
+    code, _, err = gffe("run", tmp_path / "cut", tmp_path / "out")
+    assert code == 0 and "unfinished, what wrote it was interrupted after 4 frames" in err
 
 
 def test_failed_run_leaves_other_files_alone(gffe, scene, tmp_path):

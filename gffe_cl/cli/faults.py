@@ -24,6 +24,8 @@ def explain(error: BaseException, interrupts: Interrupts) -> int:
         message = f"{getattr(error, 'filename', None) or 'system'}: {getattr(error, 'strerror', None) or error}"
         if isinstance(error, OSError):
             _drop_unwritable_output()
+    elif isinstance(error, SystemExit):  # the console's, which has dropped its output then
+        message = "system: Broken pipe"
     elif hasattr(error, "format_message"):  # usage errors of the command line library
         message = f"{error.format_message()} (see `gffe --help`)"
     else:

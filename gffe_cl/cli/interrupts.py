@@ -61,9 +61,17 @@ class Interrupts:
             self._hook(unraisable)
             return
         self.received = 0
-        again = threading.Timer(_SOON, _thread.interrupt_main, (next(iter(self._before)),))
+        again = threading.Timer(_SOON, _interrupt, (next(iter(self._before)),))
         again.daemon = True
         again.start()
+
+
+def _interrupt(kind) -> None:
+    """As if the signal had come from outside: a call that waits ends, too."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident, kind)
+    else:
+        _thread.interrupt_main(kind)
 
 
 def _end_quietly(kinds) -> None:
