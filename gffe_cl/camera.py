@@ -251,7 +251,7 @@ def _matrix(given) -> np.ndarray:
         array = np.array(given)
     except ValueError:
         array = None  # rows of several lengths
-    if array is None or array.dtype.kind not in "iuf" or not _all_numbers(given):
+    if array is None or array.dtype.kind not in "iuf" or not array.shape or not _all_numbers(given):
         raise GffeError("camera: world_to_view is not a 4×4 matrix of numbers")
     if array.shape != (4, 4):
         raise GffeError(f"camera: world_to_view must be 4×4, got {'×'.join(map(str, array.shape))}")

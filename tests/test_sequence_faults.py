@@ -4,6 +4,7 @@ import json
 import os
 import socket
 import struct
+import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -85,7 +86,7 @@ def test_what_others_print_meanwhile_is_passed_on(folder, capfd):
 
     def talk(k):
         while not done.is_set():
-            print(f"out {k}")
+            sys.stdout.write(f"out {k}\n")
             os.write(2, b"error %d\n" % k)
             time.sleep(1e-4)
 
@@ -209,6 +210,7 @@ BROKEN = {
     "matrix of text": (set_camera({"world_to_view": np.eye(4).astype(str).tolist()}), "of numbers"),
     "matrix of truth values": (set_camera({"world_to_view": np.eye(4, dtype=bool).tolist()}), "of numbers"),
     "one truth value": (set_camera({"world_to_view": [[True, 0, 0, 0], *np.eye(4)[1:].tolist()]}), "of numbers"),
+    "matrix of one number": (set_camera({"world_to_view": 0.5}), "of numbers"),
     "ragged matrix": (set_camera({"world_to_view": [[1, 0, 0, 0], [0, 1]]}), "of numbers"),
     "time of text": (lambda d: d["frames"][2].update(time="1"), "time must be a finite number"),
     "time of truth": (lambda d: d["frames"][2].update(time=True), "time must be a finite number"),
