@@ -742,6 +742,10 @@ def test_an_unfinished_sequence_says_so(gffe, scene, tmp_path):
         raise KeyboardInterrupt
     code, _, err = gffe("run", tmp_path / "cut", tmp_path / "out")
     assert code == 0 and "unfinished, what wrote it was interrupted after 4 frames" in err
+    document = json.loads((tmp_path / "out" / "sequence.json").read_text())
+    (tmp_path / "out" / "sequence.json").write_text(json.dumps(document | {"unfinished": True}))
+    code, _, err = gffe("compare", tmp_path / "out", scene)
+    assert code == 0 and f"{tmp_path / 'out'}: unfinished" in err
 
 
 def test_failed_run_leaves_other_files_alone(gffe, scene, tmp_path):

@@ -19,6 +19,7 @@ from gffe_cl.cli.common import (
     plain,
     progress_bars,
     steps,
+    warn,
     write_json,
 )
 from gffe_cl.cli.options import SCN, takes_options
@@ -61,6 +62,9 @@ def compare(
     if gae is not None and mask != "focus":
         raise GffeError("--gae goes with --mask focus")
     first, second, third = open_sequence(a), open_sequence(b), None if gae is None else open_sequence(gae)
+    for sequence in (first, second, third):
+        if sequence is not None and sequence.unfinished:
+            warn(sequence.warnings()[0])
     with progress_bars() as progress:
         advance = steps(progress)("Comparing", len(first.extrapolated))
         result = compare_sequences(first, second, mask, lambda done, total: advance(), third)
