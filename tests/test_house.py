@@ -11,7 +11,9 @@ from gffe_cl.options import OPTIONS
 
 # Lowest first. A room is a module or a package; rooms on one floor know nothing of each other.
 FLOORS = (
-    ("errors", "metrics"),
+    ("errors",),
+    ("files", "values"),
+    ("metrics",),
     ("opencl", "camera", "inference"),
     ("frame", "window"),
     ("buffers",),
@@ -118,7 +120,7 @@ def circle(graph):
 def test_modules_import_only_from_floors_below(graph):
     inside = {module: imported - {"__init__"} for module, imported in graph.items() if module != "__init__"}
     assert upwards(inside, FLOORS) == []
-    assert {module for module, imported in graph.items() if "__init__" in imported} <= {"cli"}  # for the version
+    assert {module for module, imported in graph.items() if "__init__" in imported} <= {"cli.commands"}  # for the version
 
 
 def test_rooms_of_the_viewer_import_only_from_floors_below(graph):
