@@ -120,7 +120,9 @@ def circle(graph):
 def test_modules_import_only_from_floors_below(graph):
     inside = {module: imported - {"__init__"} for module, imported in graph.items() if module != "__init__"}
     assert upwards(inside, FLOORS) == []
-    assert {module for module, imported in graph.items() if "__init__" in imported} <= {"cli.commands"}  # for the version
+    assert {module for module, imported in graph.items() if "__init__" in imported} <= {
+        "cli.commands"
+    }  # for the version
 
 
 def test_rooms_of_the_viewer_import_only_from_floors_below(graph):

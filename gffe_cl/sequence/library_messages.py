@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _STDERR = 2
+_MOST_BYTES = 1 << 20
 
 
 @contextmanager
@@ -77,6 +78,9 @@ class _Listener:
         with suppress(OSError):  # no standard error at all
             if self._file is None:
                 self._file = _nameless_file()
+            if self._passed > _MOST_BYTES:
+                os.ftruncate(self._file, 0)
+                self._passed = 0
             self._stderr = os.dup(_STDERR)
             os.dup2(self._file, _STDERR)
 
@@ -104,10 +108,8 @@ class _Listener:
             with suppress(OSError):
                 os.write(self._stderr, text)
         if last:
-            os.ftruncate(self._file, 0)
-            os.lseek(self._file, 0, os.SEEK_SET)
             os.close(self._stderr)
-            self._stderr, self._passed = None, 0
+            self._stderr = None
 
 
 class _Stdout:
@@ -124,10 +126,14 @@ class _Stdout:
 
 
 def _nameless_file() -> int:
-    if hasattr(os, "memfd_create"):
-        return os.memfd_create("gffe-messages")
-    with tempfile.TemporaryFile() as file:
-        return os.dup(file.fileno())
+    """Several threads write to it at once: each at its end."""
+    descriptor, path = tempfile.mkstemp(prefix="gffe-messages-")
+    os.close(descriptor)
+    try:
+        return os.open(path, os.O_RDWR | os.O_APPEND)
+    finally:
+        with suppress(OSError):
+            os.unlink(path)
 
 
 _listener = _Listener()
