@@ -165,6 +165,7 @@ class Pipeline:
 
     @property
     def exposure(self) -> float:
+        """Factor on colour before display, 1e-6 to 1e6; GffeError for others."""
         return self._exposure
 
     @exposure.setter

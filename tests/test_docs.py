@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from typer.main import get_command
 
-from gffe_cl.cli import app
+from gffe_cl.cli.commands import app
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")] + sorted(
@@ -57,8 +57,10 @@ def _commands():
 
 
 @pytest.mark.parametrize("words", list(_commands()))
-def test_commands_parse(words):
+def test_commands_parse(words, tmp_path, monkeypatch):
     """As the command line parses them: the command, its options, their values' types, no argument missing."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").mkdir()
     get_command(app).commands[words[0]].make_context(words[0], words[1:])
 
 

@@ -13,8 +13,7 @@ from gffe_cl.options import OPTIONS
 FLOORS = (
     ("errors",),
     ("files", "values"),
-    ("metrics",),
-    ("opencl", "camera", "inference"),
+    ("opencl", "camera", "inference", "metrics"),
     ("frame", "window"),
     ("buffers",),
     ("stage", "sequence", "scenes"),

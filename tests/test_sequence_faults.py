@@ -81,7 +81,7 @@ def test_what_others_print_meanwhile_is_passed_on(folder, capfd):
     done = threading.Event()
 
     def read(_):
-        with pytest.raises(GffeError, match="unable to decompress|Unable to decompress"):
+        with pytest.raises(GffeError, match=r"unable to decompress|Unable to decompress"):
             sequence.read(sequence.rendered[2])
 
     def talk(k):
