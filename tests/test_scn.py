@@ -575,6 +575,7 @@ def train(tmp_path, monkeypatch, capsys):
     return call
 
 
+@pytest.mark.long
 def test_however_short_the_time_there_is_a_model_in_the_end(train, tmp_path):
     """Clips take all of it, and yet some steps are done; the same command goes on with the clips it began with."""
     recipe = ("--seed", "3", "--batch", "1", "--steps", "1000")

@@ -85,12 +85,16 @@ def screen():
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["missing"], "missing: no such folder"),
+        pytest.param(["missing"], "missing: no such folder", marks=pytest.mark.long),
         (["broken"], "not valid JSON"),
         (["in", "--layer", "nonsense"], "no layer is called 'nonsense'"),
-        (["in", "--frame", "6"], "--frame must be 0 to 5, got 6"),
-        (["in", "--pixel", "13,0"], "--pixel must be inside 13×9, got 13,0"),
-        (["in", "--compare", "flip error", "--layer", "frame.depth"], "--compare flip error: FLIP"),
+        pytest.param(["in", "--frame", "6"], "--frame must be 0 to 5, got 6", marks=pytest.mark.long),
+        pytest.param(["in", "--pixel", "13,0"], "--pixel must be inside 13×9, got 13,0", marks=pytest.mark.long),
+        pytest.param(
+            ["in", "--compare", "flip error", "--layer", "frame.depth"],
+            "--compare flip error: FLIP",
+            marks=pytest.mark.long,
+        ),
         (["in", "--screenshot", "a.jpg"], "a.jpg: a screenshot's name must end in .png"),
     ],
 )

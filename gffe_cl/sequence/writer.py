@@ -131,7 +131,7 @@ class SequenceWriter:
                 if not interrupted:
                     raise
             self._pending.popleft()
-        frames = sorted(self._description.frames, key=lambda entry: (entry.time, KINDS.index(entry.kind)))
+        frames = sorted(self._description.frames, key=lambda entry: (entry.time, KINDS.index(entry.kind), entry.file))
         if not frames:
             self._folder.discard()
             if not interrupted:
