@@ -327,7 +327,7 @@ def test_many_frames(folder):
     (folder / "sequence.json").write_text(json.dumps(document))
     before = time.process_time()
     sequence = open_sequence(folder)
-    assert time.process_time() - before < 15  # 4 on an idle core, 40 if each header is parsed
+    assert time.process_time() - before < 20  # 8, on cores that others share; 50 if each header is parsed
     assert (
         len(sequence.rendered) == count and sequence.rendered[-1].display_camera == sequence.rendered[0].render_camera
     )
@@ -339,7 +339,7 @@ def test_headers_that_are_alike_are_parsed_once(tmp_path, monkeypatch):
     real = exr_header._parse
     monkeypatch.setattr(exr_header, "_parse", lambda cursor: (parsed.append(1), real(cursor))[1])
     sequence = open_sequence(folder)
-    assert len(parsed) <= 6  # the first frame, without motion; rendered; truth: of each share of the files
+    assert len(parsed) == 3  # the first frame, without motion; rendered; truth
     for entry in sequence.frames[1:]:  # and yet each has its own camera
         header = exr_header.read_header(sequence.path / entry.file, "")
         camera = entry.render_camera or entry.display_camera

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,8 +30,6 @@ from gffe_cl.sequence.read_ahead import read_ahead
 COLOR = ("R", "G", "B")
 MOTION = ("motion.x", "motion.y")
 RENDERED = (*COLOR, "Z", *MOTION)
-_THREADS = 4
-_SHARE = 512  # frames
 
 
 class Sequence:
@@ -183,30 +180,19 @@ def open_sequence(path) -> Sequence:
         raise GffeError(f"{folder}: {unfinished}")
     description = parse_description(read_text(json_path), json_path.name)
 
-    def sniff(entries: list[tuple[int, FrameEntry]]) -> None:
-        reader, passed = HeaderReader(), set()
-        for index, entry in entries:
-            header = reader.read(f"{folder}/{entry.file}", entry.file)
-            alike = header.layout, entry.kind, entry.reset, entry.render_size
-            if alike not in passed:
-                _check_channels(entry, header)
-            _complete_cameras(entry, header, description, index, json_path.name)
-            if alike not in passed:
-                size = entry.render_size or (description.width, description.height)
-                exr.require_size(header, RENDERED[:4] if entry.kind == "rendered" else COLOR, size, entry.file)
-            if header.layout:
-                passed.add(alike)
-
-    entries = list(enumerate(description.frames))
-    with ThreadPoolExecutor(_THREADS, thread_name_prefix="gffe-sniff") as pool:
-        shares = [entries[k : k + _SHARE] for k in range(0, len(entries), _SHARE)]
-        futures = [pool.submit(sniff, share) for share in shares]
-        try:
-            for future in futures:
-                future.result()
-        finally:
-            for future in futures:
-                future.cancel()
+    # On one thread: the system calls are so short that threads only wait for each other.
+    reader, passed = HeaderReader(), set()
+    for index, entry in enumerate(description.frames):
+        header = reader.read(f"{folder}/{entry.file}", entry.file)
+        alike = header.layout, entry.kind, entry.reset, entry.render_size
+        if alike not in passed:
+            _check_channels(entry, header)
+        _complete_cameras(entry, header, description, index, json_path.name)
+        if alike not in passed:
+            size = entry.render_size or (description.width, description.height)
+            exr.require_size(header, RENDERED[:4] if entry.kind == "rendered" else COLOR, size, entry.file)
+        if header.layout:
+            passed.add(alike)
     return Sequence(folder, description)
 
 
