@@ -157,9 +157,10 @@ class OutputFolder:
             self._make_folder(self.path)
             with contextlib.suppress(FileExistsError):
                 self.staging.mkdir()
-            if self.staging.is_symlink() or (not journal.is_file() and any(self.staging.iterdir())):
-                raise GffeError(f"{self.staging}: exists and was not written by gffe-cl (expected another folder)")
             try:
+                there = os.listdir(self.staging)  # the journal comes first and goes last
+                if self.staging.is_symlink() or (there and _JOURNAL not in there):
+                    raise GffeError(f"{self.staging}: exists and was not written by gffe-cl (expected another folder)")
                 file = open(journal, "a+", encoding="utf-8", errors="replace")  # noqa: SIM115
             except FileNotFoundError:
                 continue
