@@ -115,8 +115,9 @@ class HeaderReader:
     def __init__(self):
         self._known: list[_Known] = []
 
-    def read(self, path: Path, label: str) -> ExrHeader:
-        """Header of the EXR file at `path`, checked to be complete; `label` names the file in errors.
+    def read(self, path: Path, label: str, matrices: bool = True) -> ExrHeader:
+        """Header of the EXR file at `path`, checked to be complete; `label` names the file in errors. Without
+        `matrices` those may be another file's.
 
         Raises GffeError if the file is missing, no EXR, deep, or ends before its last chunk of pixels.
         """
@@ -124,7 +125,7 @@ class HeaderReader:
             file, size = descriptor_of(path)
             try:
                 data = os.read(file, _FIRST_BYTES)
-                header = self._known_header(data) or self._parsed(file, data, size, label)
+                header = self._known_header(data, matrices) or self._parsed(file, data, size, label)
                 _check_chunks(file, data, size, header, label)
             finally:
                 os.close(file)
@@ -134,9 +135,9 @@ class HeaderReader:
             raise GffeError(f"{label}: cannot be read ({error.strerror or error})") from None
         return header
 
-    def _known_header(self, data: bytes) -> ExrHeader | None:
+    def _known_header(self, data: bytes, matrices: bool) -> ExrHeader | None:
         for known in self._known:
-            header = known.header_of(data)
+            header = known.header_of(data, matrices)
             if header:
                 return header
         return None
@@ -165,10 +166,12 @@ class _Known:
         starts = [*(span.start for span in spans), header.end]
         self._same = [(a, b, data[a:b]) for a, b in zip(ends, starts, strict=True)]
 
-    def header_of(self, data: bytes) -> ExrHeader | None:
+    def header_of(self, data: bytes, matrices: bool = True) -> ExrHeader | None:
         for start, end, piece in self._same:
             if data[start:end] != piece:
                 return None
+        if not matrices or not self._spans:
+            return self._header
         parts = [part.with_matrices({}) for part in self._header.parts]
         for index, name, form, start, end in self._spans:
             parts[index].matrices[name] = (form, data[start:end])
@@ -303,7 +306,7 @@ def _check_chunks(file, data, size, header, label):
             return
         if count < 0 or table + 8 * count > size:
             raise GffeError(f"{label}: truncated, {size} bytes end inside the chunk table")
-        offsets = np.frombuffer(_bytes_at(file, data, table, 8 * count), "<u8").tolist()
+        offsets = struct.unpack(f"<{count}Q", _bytes_at(file, data, table, 8 * count))
         table += 8 * count
         missing = offsets.count(0)
         if missing:

@@ -183,7 +183,7 @@ def open_sequence(path) -> Sequence:
     # On one thread: the system calls are so short that threads only wait for each other.
     reader, passed = HeaderReader(), set()
     for index, entry in enumerate(description.frames):
-        header = reader.read(f"{folder}/{entry.file}", entry.file)
+        header = reader.read(f"{folder}/{entry.file}", entry.file, matrices=_lacks_camera(entry))
         alike = header.layout, entry.kind, entry.reset, entry.render_size
         if alike not in passed:
             _check_channels(entry, header)
@@ -208,6 +208,11 @@ def _check_channels(entry, header):
             raise GffeError(f"{entry.file}: no channel '{name}' ({needed})")
 
 
+def _lacks_camera(entry) -> bool:
+    """Whether the JSON leaves out the camera that the EXR header may have."""
+    return (entry.render_camera if entry.kind == "rendered" else entry.display_camera) is None
+
+
 def _complete_cameras(entry, header, description, index, json_name):
     """Cameras that the JSON leaves out: from the EXR header, else (display) the render camera's frustum."""
     size = (description.width, description.height)
@@ -215,9 +220,8 @@ def _complete_cameras(entry, header, description, index, json_name):
     rendered = entry.kind == "rendered"
     if rendered and entry.render_camera is not None:
         _complete_overscan(entry, part, size)
-    wanted = entry.render_camera is None if rendered else entry.display_camera is None
     try:
-        if wanted and has_camera(part):
+        if _lacks_camera(entry) and has_camera(part):
             _take_header_cameras(entry, part, size)
         if not rendered:
             return
