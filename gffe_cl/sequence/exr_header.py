@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import struct
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ _TILED, _NON_IMAGE, _MULTI_PART = 0x200, 0x800, 0x1000
 _FIRST_BYTES = 1 << 14
 _MAX_HEADER = 1 << 26
 _MOST_KNOWN = 4
+_TOO_MANY = 1 << 40  # chunks: no file holds their table
 # Scan lines per chunk: no compression, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB, HTJ2K256, HTJ2K32
 _CHUNK_LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256, 256, 32)
 _PIXEL_TYPES = ("uint32", "float16", "float32")
@@ -67,6 +69,12 @@ class ExrHeader:
     multi_part: bool = False
     end: int = 0  # bytes; the chunk offset table follows
     layout: object = None  # the same object for headers that are alike but for their matrices
+
+    @cached_property
+    def chunk_tables(self) -> list[struct.Struct | None]:
+        """Of each part; None where only the library knows how many chunks there are."""
+        counts = map(_chunk_count, self.parts)
+        return [None if n is None else struct.Struct(f"<{n if n >= 0 else _TOO_MANY}Q") for n in counts]
 
     def find(self, channel: str) -> tuple[int, str] | None:
         """(part, name there) of a channel: the first part that has it; `part.channel` names a part's own."""
@@ -300,14 +308,14 @@ def _chunk_count(part: ExrPart) -> int | None:
 def _check_chunks(file, data, size, header, label):
     """Every chunk must have been written, and the last one must end inside the file. `data`: its first bytes."""
     table = header.end
-    for part in header.parts:
-        count = _chunk_count(part)
-        if count is None:
+    for part, chunks in zip(header.parts, header.chunk_tables, strict=True):
+        if chunks is None:
             return
-        if count < 0 or table + 8 * count > size:
+        if table + chunks.size > size:
             raise GffeError(f"{label}: truncated, {size} bytes end inside the chunk table")
-        offsets = struct.unpack(f"<{count}Q", _bytes_at(file, data, table, 8 * count))
-        table += 8 * count
+        offsets = chunks.unpack(_bytes_at(file, data, table, chunks.size))
+        count = len(offsets)
+        table += chunks.size
         missing = offsets.count(0)
         if missing:
             raise GffeError(f"{label}: incomplete, {missing} of {count} chunks were never written")
