@@ -167,6 +167,14 @@ def test_a_temporary_folder_of_others_is_not_trusted(tmp_path, monkeypatch):
     assert runtimes._temporary_folder() != own
 
 
+def test_files_of_the_working_folder_do_not_disturb_probing(tmp_path, monkeypatch):
+    for name in ("copy", "json", "select", "numpy"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('not the module that was meant')\n")
+    monkeypatch.chdir(tmp_path)
+    infos = device_module.list_devices()
+    assert infos and all(info.index != "–" for info in infos)
+
+
 def test_unknown_device_is_refused_by_name(device):
     with pytest.raises(GffeError, match="no working device matches 'abacus'"):
         device_module.open_device("abacus")

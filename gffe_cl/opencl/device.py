@@ -206,7 +206,10 @@ def _crashing_vendors() -> dict[str, DeviceInfo]:
 
 def _run_child(arguments: list[str], seconds: float, variables: dict[str, str] | None = None) -> tuple[str, str]:
     """What this module prints as a program, and how it failed ("" if it did not)."""
-    command = [sys.executable, "-m", "gffe_cl.opencl.device", *arguments]
+    # Without the working folder on the path, where a file may have the name of a module of Python's.
+    run = "runpy.run_module('gffe_cl.opencl.device', None, '__main__', True)"
+    start = f"import runpy, sys; sys.path.append({str(Path(__file__).parents[2])!r}); {run}"
+    command = [sys.executable, "-P", "-c", start, *arguments]
     hidden = {} if installed_runtimes_are_exposed() else {HIDE_INSTALLED: "1"}
     environment = os.environ | hidden | (variables or {})
     try:
