@@ -123,7 +123,7 @@ __kernel void scatter_level(const int source_width, const int source_height, con
 }
 
 /* Writes the winners of fill_keys or push_keys, fragments of an old level, into a level; `restart` empties the rest. */
-__kernel void settle_level(const int level_width, const int level_height, const int restart, const Reprojection to_current,
+SPARSE __kernel void settle_level(const int level_width, const int level_height, const int restart, const Reprojection to_current,
                            __global const Key *keys, __global const uint *winners, __global const half *old_color,
                            __global const float *old_depth, __global const float2 *old_px, __global half *level_color,
                            __global float *level_depth, __global float2 *level_px, __global uchar *level_state) {
@@ -214,7 +214,7 @@ inline bool inside_mover(const int dst_x, const int dst_y, const int target_widt
 
 /* Fills the pixels that fragments of this level won, from the level's texels around the winner: weighted by
    their distance in the target image, of the winner's surface only. */
-__kernel void fill_from_level(const int source_width, const int source_height, const int level, const int target_width,
+SPARSE __kernel void fill_from_level(const int source_width, const int source_height, const int level, const int target_width,
                               const int target_height, const float2 zoom, const Reprojection to_target,
                               const Reprojection to_source, __global const half *level_color,
                               __global const float *level_depth, __global const float2 *level_px,

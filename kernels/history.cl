@@ -143,7 +143,7 @@ inline float depth_met(const float2 px_prev, const float z_expected, const float
 }
 
 /* Algorithm 1. history: k-1 planes of (P_i, 1), or (P_0, 0) where P_i is not known. */
-__kernel void track_history(const int source_width, const int source_height, const int positions /* k */,
+SPARSE __kernel void track_history(const int source_width, const int source_height, const int positions /* k */,
                             const int has_previous,
                             __global const float *depth, __global const float2 *motion,
                             __global const float *depth_prev, __global const uchar *dynamic_prev,

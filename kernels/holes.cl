@@ -191,7 +191,7 @@ inline void fill_pixel(const int dst_x, const int dst_y, const int dst, const fl
 
 /* Fills what is still invalid, from the far side or from the block means; motion is that of a static point. Only pixels that
    were valid before are read. */
-__kernel void fill_holes(const int target_width, const int target_height, const int blocks_width,
+SPARSE __kernel void fill_holes(const int target_width, const int target_height, const int blocks_width,
                          const int blocks_height, const int reach,
                          __global const uchar *filled_by, __global const float4 *block_color,
                          __global const float *block_inverse_depth, const Reprojection to_source,
