@@ -13,9 +13,11 @@ inline void add(float4 *sum, float *inverse_sum, const float pixel_weight, const
     *inverse_sum += weight * (isinf(z) ? 0.0f : divide(1.0f, z));
 }
 
-/* Weighted sums over 32x32 blocks: (colour, 1) and inverse depth. One work-group of 32 per block, one column each. */
+/* Weighted sums over 32x32 blocks: (colour, 1) and inverse depth; zeros where no hole asks for them. One work-group of 32 per
+   block, one column each. */
 __kernel void downsample(const int target_width, const int target_height, const int source_width, const int source_height,
-                         const int blocks_width, __global const half *color, __global const float *depth,
+                         const int blocks_width, __global const uint *beyond_reach, __global const half *color,
+                         __global const float *depth,
                          __global const uchar *filled_by, __global const half *source_color,
                          __global const float *source_depth, __global float4 *block_color,
                          __global float *block_inverse_depth) {
@@ -26,7 +28,8 @@ __kernel void downsample(const int target_width, const int target_height, const 
     const int dst_x = bx * BLOCK + lane;
     float4 sum = (float4)(0.0f);
     float inverse_sum = 0.0f;
-    for (int k = 0; k < BLOCK; ++k) {
+    const int rows = beyond_reach[0] ? BLOCK : 0;
+    for (int k = 0; k < rows; ++k) {
         const int dst_y = by * BLOCK + k;
         if (dst_x >= target_width || dst_y >= target_height) break;
         const int dst = dst_y * target_width + dst_x;
@@ -189,20 +192,35 @@ inline void fill_pixel(const int dst_x, const int dst_y, const int dst, const fl
     motion[dst] = px_source.z > 0.0f ? px_source.xy - centre : (float2)(0.0f);
 }
 
-/* Fills what is still invalid, from the far side or from the block means; motion is that of a static point. Only pixels that
-   were valid before are read. */
-SPARSE __kernel void fill_holes(const int target_width, const int target_height, const int blocks_width,
-                         const int blocks_height, const int reach,
-                         __global const uchar *filled_by, __global const float4 *block_color,
-                         __global const float *block_inverse_depth, const Reprojection to_source,
-                         __global half *color, __global float *depth, __global float2 *motion) {
+/* Fills what is still invalid from the far side; motion is that of a static point. Only pixels that were valid before are read.
+   *beyond_reach: whether there are holes without one. */
+SPARSE __kernel void fill_far_side(const int target_width, const int target_height, const int reach,
+                                   __global const uchar *filled_by, const Reprojection to_source, __global half *color,
+                                   __global float *depth, __global float2 *motion, __global uint *beyond_reach) {
     const int dst_x = get_global_id(0), dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const int dst = dst_y * target_width + dst_x;
     if (filled_by[dst] != BY_NOTHING) return;
     float4 mean;
-    if (!far_side(dst_x, dst_y, target_width, target_height, reach, filled_by, color, depth, &mean))
-        mean = block_mean(dst_x, dst_y, blocks_width, blocks_height, block_color, block_inverse_depth);
+    if (far_side(dst_x, dst_y, target_width, target_height, reach, filled_by, color, depth, &mean))
+        fill_pixel(dst_x, dst_y, dst, mean, to_source, color, depth, motion);
+    else
+        atomic_or(beyond_reach, 1u);
+}
+
+/* Fills the rest from the block means. */
+SPARSE __kernel void fill_from_blocks(const int target_width, const int target_height, const int blocks_width,
+                                      const int blocks_height, const int reach, __global const uint *beyond_reach,
+                                      __global const uchar *filled_by, __global const float4 *block_color,
+                                      __global const float *block_inverse_depth, const Reprojection to_source,
+                                      __global half *color, __global float *depth, __global float2 *motion) {
+    const int dst_x = get_global_id(0), dst_y = get_global_id(1);
+    if (!beyond_reach[0] || dst_x >= target_width || dst_y >= target_height) return;
+    const int dst = dst_y * target_width + dst_x;
+    if (filled_by[dst] != BY_NOTHING) return;
+    float4 mean;
+    if (far_side(dst_x, dst_y, target_width, target_height, reach, filled_by, color, depth, &mean)) return;
+    mean = block_mean(dst_x, dst_y, blocks_width, blocks_height, block_color, block_inverse_depth);
     fill_pixel(dst_x, dst_y, dst, mean, to_source, color, depth, motion);
 }
 
@@ -214,7 +232,7 @@ __kernel void label_filled(const int target_width, const int target_height, __gl
     if (filled_by[dst] == BY_NOTHING) filled_by[dst] = BY_HOLE_FILLING;
 }
 
-/* The same as fill_holes, from the completed level 1 of push-pull. */
+/* Fills all of it, from the completed level 1 of push-pull. */
 __kernel void fill_from_pyramid(const int target_width, const int target_height, const int level_width,
                                 const int level_height,
                                 __global const uchar *filled_by, __global const float4 *level_mean,

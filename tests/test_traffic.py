@@ -42,7 +42,7 @@ def test_levels_and_shares_count(device):
     _, shares, one = counted(device, levels=1)
     once, twice = (moved["background"]["scatter_level"] for moved in (one, counted(device, levels=2)[2]))
     assert once < twice < 1.5 * once
-    fill = one["holes"]["fill_holes"]
+    fill = one["holes"]["fill_far_side"]
     assert fill == pytest.approx(1 + shares["unfilled"] * (8 + 4) * 2 + shares["unfilled"] * 8, rel=0.02)
 
 

@@ -22,6 +22,7 @@ SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
     "disoccluded": ("frame.disoccluded", lambda mask: mask != 0),
     "mixed": ("frame.mixed", lambda mask: mask != 0),
     "unfilled": ("frame.filled_by", lambda label: (label == BY_HOLE_FILLING) | (label == BY_NOTHING)),
+    "beyond reach": ("holes.beyond_reach", lambda flag: flag != 0),
     "remembered": ("background.state_0", lambda state: state == REMEMBERED),
 }
 SHARES["holes"] = SHARES["disoccluded"]  # with those that are mixed, see `counters`
@@ -33,7 +34,8 @@ def counters(pipeline: Pipeline) -> dict[str, float]:
     for name, (buffer, counts) in SHARES.items():
         owner, _, rest = buffer.partition(".")
         found = pipeline.board.frame if owner == "frame" else pipeline.stages.get(owner)
-        counted[name] = float(counts(found.read(rest)).mean()) if found else 0.0
+        there = found and any(spec.name == rest for spec in found.buffers)
+        counted[name] = float(counts(found.read(rest)).mean()) if there else 0.0
     counted["holes"] += counted["mixed"]
     return counted
 

@@ -58,34 +58,55 @@ class Downsampled(HoleFilling):
         BufferSpec(
             "block_inverse_depth", np.float32, (), "blocks", "weighted sum of inverse depth per block, 1/world units"
         ),
+        BufferSpec("beyond_reach", np.uint32, (), "once", "1 if a hole has no far side within reach"),
     )
     kernels = (
         Kernel(
-            "downsample",
-            "target",
-            _VALID | {"source_color": "rendered.color", "source_depth": "rendered.depth"},
-            {"block_color": "holes.block_color", "block_inverse_depth": "holes.block_inverse_depth"},
-            group="BLOCK",
-        ),
-        Kernel(
-            "fill_holes",
+            "fill_far_side",
             "target",
             {
                 "filled_by": "frame.filled_by",
                 "color": Access("frame.color", "unfilled"),
                 "depth": Access("frame.depth", "unfilled"),
-                "block_color": Access("holes.block_color", "unfilled"),
-                "block_inverse_depth": Access("holes.block_inverse_depth", "unfilled"),
+                "beyond_reach": "holes.beyond_reach",
             },
-            _FILLED,
+            _FILLED | {"beyond_reach": "holes.beyond_reach"},
+        ),
+        Kernel(
+            "downsample",
+            "target",
+            {name: Access(buffer, "beyond reach") for name, buffer in _VALID.items()}
+            | {
+                "beyond_reach": "holes.beyond_reach",
+                "source_color": Access("rendered.color", "beyond reach"),
+                "source_depth": Access("rendered.depth", "beyond reach"),
+            },
+            {"block_color": "holes.block_color", "block_inverse_depth": "holes.block_inverse_depth"},
+            group="BLOCK",
+        ),
+        Kernel(
+            "fill_from_blocks",
+            "target",
+            {
+                "beyond_reach": "holes.beyond_reach",
+                "filled_by": Access("frame.filled_by", "beyond reach"),
+                "color": Access("frame.color", "beyond reach"),
+                "depth": Access("frame.depth", "beyond reach"),
+                "block_color": Access("holes.block_color", "beyond reach"),
+                "block_inverse_depth": Access("holes.block_inverse_depth", "beyond reach"),
+            },
+            {name: Access(access.buffer, "beyond reach") for name, access in _FILLED.items()},
         ),
         _LABELLED,
     )
 
     def fill_holes(self, to_source: np.ndarray) -> None:
+        """The blocks are made only if a hole has no far side within reach, which the device finds out."""
         blocks = self.sizes.of("blocks")
+        self.fill("beyond_reach", 0)
+        self.launch("fill_far_side", reach=self.reach, to_source=to_source)
         self.launch("downsample", (blocks[0] * BLOCK, blocks[1]))
-        self.launch("fill_holes", reach=self.reach, to_source=to_source)
+        self.launch("fill_from_blocks", reach=self.reach, to_source=to_source)
 
 
 class FarSide(Downsampled):
