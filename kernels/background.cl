@@ -123,10 +123,11 @@ __kernel void scatter_level(const int source_width, const int source_height, con
 }
 
 /* Writes the winners of fill_keys or push_keys, fragments of an old level, into a level; `restart` empties the rest. */
-SPARSE __kernel void settle_level(const int level_width, const int level_height, const int restart, const Reprojection to_current,
-                           __global const Key *keys, __global const uint *winners, __global const half *old_color,
-                           __global const float *old_depth, __global const float2 *old_px, __global half *level_color,
-                           __global float *level_depth, __global float2 *level_px, __global uchar *level_state) {
+SPARSE __kernel void settle_level(const int level_width, const int level_height, const int restart,
+                                  const Reprojection to_current, __global const Key *keys, __global const uint *winners,
+                                  __global const half *old_color, __global const float *old_depth,
+                                  __global const float2 *old_px, __global half *level_color, __global float *level_depth,
+                                  __global float2 *level_px, __global uchar *level_state) {
     const int texel_x = get_global_id(0), texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
     const int texel = texel_y * level_width + texel_x;
