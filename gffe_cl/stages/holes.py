@@ -52,7 +52,7 @@ class Downsampled(HoleFilling):
             np.float32,
             ("R", "G", "B", "weight"),
             "blocks",
-            "weighted sum of valid colour per 32×32 block",
+            "weighted sum of valid colour per 32×32 block; 0 where no hole asks for it",
             "color",
         ),
         BufferSpec(
