@@ -129,8 +129,7 @@ class Board:
             return getattr(getattr(self, owner), rest)
         if owner == "frame":
             return self.frame.buffer[rest]
-        stage = self.stages[owner]
-        return stage.before[rest[:-1]] if rest.endswith("'") else stage.buffer[rest]
+        return self.stages[owner].own(rest)
 
     def spec(self, name: str) -> BufferSpec:
         owner, _, rest = name.partition(".")
@@ -179,6 +178,10 @@ class Stage(Owner):
         """Names of the buffers of the extrapolated frame that the stage writes."""
         written = (access.buffer for kernel in cls.kernels for kind, _, access in kernel.accesses() if kind == "writes")
         return tuple(dict.fromkeys(name.removeprefix("frame.") for name in written if name.startswith("frame.")))
+
+    def own(self, name: str) -> cl.Buffer:
+        """A buffer of this stage; with an apostrophe what is kept of the frame before."""
+        return self.before[name[:-1]] if name.endswith("'") else self.buffer[name]
 
     def swap(self) -> None:
         """What was made becomes what is kept of the frame before."""
@@ -235,9 +238,7 @@ class Stage(Owner):
     def _buffer(self, name: str, given: Mapping[str, Any]) -> cl.Buffer:
         name = name.format(**given) if "{" in name else name
         owner, _, rest = name.partition(".")
-        if owner == self.name:
-            return self.before[rest[:-1]] if rest.endswith("'") else self.buffer[rest]
-        return self.board.buffer(name)
+        return self.own(rest) if owner == self.name else self.board.buffer(name)
 
     def _scalar(self, name: str) -> Any:
         """The value of an argument that is a size or an option."""
@@ -288,10 +289,8 @@ class NearestStage(Stage):
 
     def clear_keys(self, prefix: str, size: tuple[int, int]) -> None:
         """Enqueue emptying the keys of an image of (width, height), before fragments are offered."""
-        pixels = math.prod(size)
-        self.fill(f"{prefix}keys", 0xFF, pixels * (8 if self.board.int64 else 4))
-        if not self.board.int64:
-            self.fill(f"{prefix}winners", 0xFF, pixels * 4)
+        for name in (f"{prefix}keys", f"{prefix}winners")[: len(self.passes)]:
+            self.fill(name, 0xFF, math.prod(size) * self.spec(name).bytes_per_pixel)
 
 
 def read_some_rows(device: Device, depth: cl.Buffer, size: tuple[int, int], every: int = 16) -> np.ndarray:

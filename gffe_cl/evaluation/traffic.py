@@ -25,19 +25,18 @@ SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
     "beyond reach": ("holes.beyond_reach", lambda flag: flag != 0),
     "remembered": ("background.state_0", lambda state: state == REMEMBERED),
 }
-SHARES["holes"] = SHARES["disoccluded"]  # with those that are mixed, see `counters`
 
 
 def counters(pipeline: Pipeline) -> dict[str, float]:
-    """The share of the pixels that each of `SHARES` has in the present frame, 0 where its stage is off."""
+    """The share of the pixels that each of `SHARES` has in the present frame, 0 where its stage is off; and "holes": what
+    the background may fill, disoccluded or mixed pixels."""
     counted = {}
     for name, (buffer, counts) in SHARES.items():
         owner, _, rest = buffer.partition(".")
         found = pipeline.board.frame if owner == "frame" else pipeline.stages.get(owner)
         there = found and any(spec.name == rest for spec in found.buffers)
         counted[name] = float(counts(found.read(rest)).mean()) if there else 0.0
-    counted["holes"] += counted["mixed"]
-    return counted
+    return counted | {"holes": counted["disoccluded"] + counted["mixed"]}
 
 
 Launches = dict[str, list[tuple[Kernel, dict[str, Any]]]]  # by stage: kernels, with what was given to each launch
