@@ -28,8 +28,8 @@ SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
 
 
 def counters(pipeline: Pipeline) -> dict[str, float]:
-    """The share of the pixels that each of `SHARES` has in the present frame, 0 where its stage is off; and "holes": what
-    the background may fill, disoccluded or mixed pixels."""
+    """The share of the pixels that each of `SHARES` has in the present frame, 0 where its stage is off; and "holes":
+    the disoccluded or mixed pixels, which the background may fill."""
     counted = {}
     for name, (buffer, counts) in SHARES.items():
         owner, _, rest = buffer.partition(".")
