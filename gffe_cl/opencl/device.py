@@ -97,6 +97,11 @@ class Device:
         return f"<Device {self.info.index} {self.info.name} ({self.info.platform})>"
 
     @cached_property
+    def lanes(self) -> int:
+        """Pixels per work-item in dense kernels (wide.h): 8 on CPUs, 1 on everything else; `GFFE_LANES` overrides it."""
+        return int(os.environ.get("GFFE_LANES") or (8 if self.info.kind == "cpu" else 1))
+
+    @cached_property
     def int64_atomics(self) -> bool:
         """Whether a 64-bit atomic minimum builds and gives the right answer here."""
         return _try_int64_atomics(self.context, self.queue)

@@ -22,6 +22,7 @@ from gffe_cl.errors import GffeError
 from gffe_cl.opencl.device import Device, quiet_builds
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
+_WIDE = re.compile(r"\bLANES\b")
 _COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
 _DEFINE = re.compile(r"^\s*#define\s+([A-Z]\w*)\s+([^\s(].*?)\s*$", re.MULTILINE)
 _ENUM = re.compile(r"\benum\s*\{([\w\s,]*)\}")
@@ -60,7 +61,7 @@ class Program:
             raise GffeError(f"kernels/{name}.cl does not build on {device.info.name}:\n{_log(error)}") from None
         self.kernels = {kernel.function_name: kernel for kernel in built.all_kernels()}
         self.arguments = parse_kernels(source)
-        self.constants = parse_constants(source)
+        self.constants = parse_constants(source) | variant
         for kernel in self.kernels.values():
             told = _told_names(kernel)
             parsed = [argument.name for argument in self.arguments.get(kernel.function_name, ())]
@@ -90,6 +91,8 @@ def build(device: Device, name: str, **variant: int) -> Program:
     them from one thread. Raises GffeError with the compiler's log (file and line) when it does not build.
     """
     source = expand(f"{name}.cl")
+    if _WIDE.search(source):
+        variant = {"LANES": device.lanes, "RUN": 16 if device.lanes > 1 else 1} | variant
     key = (name, source, *sorted(variant.items()))
     if key not in device.programs:
         device.programs[key] = Program(device, name, source, variant)

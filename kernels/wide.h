@@ -1,0 +1,131 @@
+/* LANES pixels of a row per work-item: 8 on CPUs, whose compilers do not find them by themselves, 1 on GPUs.
+
+   What every pixel needs is written once, in the types and functions below, for both. The rare pixel that needs more goes
+   through a function of one pixel, lane by lane. Arithmetic, comparisons and `condition ? a : b` are OpenCL C's own, for
+   scalars and vectors alike; combine conditions with &, | and !, never with && and ||. */
+
+#if LANES == 8
+
+#define WIDE __attribute__((vec_type_hint(float8)))  /* before a kernel: it is wide already */
+typedef float8 Floats;
+typedef int8 Ints;    /* of conditions: -1 or 0 */
+typedef uint8 Uints;
+typedef uchar8 Bytes;
+#define ANY(condition) any(condition)
+#define ALL(condition) all(condition)
+#define load_floats vload8
+#define load_bytes vload8
+#define store_floats vstore8
+#define store_ints vstore8
+#define store_bytes vstore8
+#define to_floats convert_float8
+#define to_ints convert_int8
+#define to_uints convert_uint8
+#define to_bytes convert_uchar8
+#define ints_as_floats as_float8
+#define floats_as_ints as_int8
+#define LANE_NUMBERS ((int8)(0, 1, 2, 3, 4, 5, 6, 7))
+
+/* p[i] of each lane. */
+#define GATHER(p, i) ((p)[(i).s0], (p)[(i).s1], (p)[(i).s2], (p)[(i).s3], (p)[(i).s4], (p)[(i).s5], (p)[(i).s6], (p)[(i).s7])
+#define gather_floats(p, i) ((float8)GATHER(p, i))
+#define gather_bytes(p, i) ((uchar8)GATHER(p, i))
+
+inline Floats load_xy(__global const float2 *p, Floats *y) {
+    const float16 xy = vload16(0, (__global const float *)p);
+    *y = xy.odd;
+    return xy.even;
+}
+
+inline void store_xy(const Floats x, const Floats y, __global float2 *p) {
+    vstore16((float16)(x.s0, y.s0, x.s1, y.s1, x.s2, y.s2, x.s3, y.s3, x.s4, y.s4, x.s5, y.s5, x.s6, y.s6, x.s7, y.s7), 0,
+             (__global float *)p);
+}
+
+#else
+
+#define WIDE
+typedef float Floats;
+typedef int Ints;     /* of conditions: 1 or 0 */
+typedef uint Uints;
+typedef uchar Bytes;
+#define ANY(condition) ((condition) != 0)
+#define ALL(condition) ((condition) != 0)
+#define load_floats(i, p) ((p)[i])
+#define load_bytes(i, p) ((p)[i])
+#define store_floats(v, i, p) ((p)[i] = (v))
+#define store_ints(v, i, p) ((p)[i] = (v))
+#define store_bytes(v, i, p) ((p)[i] = (v))
+#define to_floats convert_float
+#define to_ints convert_int
+#define to_uints convert_uint
+#define to_bytes convert_uchar
+#define ints_as_floats as_float
+#define floats_as_ints as_int
+#define LANE_NUMBERS 0
+#define gather_floats(p, i) ((p)[i])
+#define gather_bytes(p, i) ((p)[i])
+
+inline Floats load_xy(__global const float2 *p, Floats *y) {
+    *y = (*p).y;
+    return (*p).x;
+}
+
+inline void store_xy(const Floats x, const Floats y, __global float2 *p) { *p = (float2)(x, y); }
+
+#endif
+
+/* RUN bytes at once, 16 on CPUs and 1 on GPUs: whether all of them are 0, for kernels that find little to do. */
+#if RUN == 16
+#define SCAN __attribute__((vec_type_hint(uchar16)))  /* before such a kernel */
+inline bool run_is_zero(__global const uchar *p) {
+    const ulong2 bits = as_ulong2(vload16(0, p));
+    return (bits.x | bits.y) == 0;
+}
+#else
+#define SCAN
+inline bool run_is_zero(__global const uchar *p) { return *p == 0; }
+#endif
+
+/* x + 0.5 of each lane's pixel. */
+inline Floats row_centres(const int x) { return to_floats(LANE_NUMBERS) + ((float)x + 0.5f); }
+
+/* View-space or pixel positions, lane by lane. */
+typedef struct { Floats x, y, z; } Wide3;
+
+/* divide of common.h. */
+inline Floats wide_divide(const Floats a, const Floats b) {
+    const Floats q = a / b;
+    const Floats size = fabs(q), size_b = fabs(b);
+    const Floats q_c = q * 4097.0f, b_c = b * 4097.0f;
+    const Floats q_hi = q_c - (q_c - q), b_hi = b_c - (b_c - b);
+    const Floats q_lo = q - q_hi, b_lo = b - b_hi;
+    const Floats product = q * b;
+    const Floats error = ((q_hi * b_hi - product) + q_hi * b_lo + q_lo * b_hi) + q_lo * b_lo;
+    const Floats remainder = (a - product) - error;
+    const Ints safe = (size > 1e-15f) & (size < 1e15f) & (size_b > 1e-15f) & (size_b < 1e15f);
+    return safe ? q + remainder / b : q;
+}
+
+/* unproject of common.h. */
+inline Wide3 wide_unproject(const Floats px_x, const Floats px_y, const Floats z, const Pinhole inverse) {
+    const Floats scale = isinf(z) ? (Floats)(1.0f) : z;
+    const Wide3 v = {(px_x - inverse.z) * inverse.x * scale, (px_y - inverse.w) * inverse.y * scale, scale};
+    return v;
+}
+
+/* reproject of common.h, with the same bits. */
+inline Wide3 wide_reproject(const Floats px_x, const Floats px_y, const Floats z, const Reprojection r) {
+    const Ints sky = isinf(z);
+    const Wide3 v = wide_unproject(px_x, px_y, z, r.source_inverse);
+    const Floats x = r.row0.x * v.x + r.row0.y * v.y + r.row0.z * v.z;
+    const Floats y = r.row1.x * v.x + r.row1.y * v.y + r.row1.z * v.z;
+    const Floats depth = r.row2.x * v.x + r.row2.y * v.y + r.row2.z * v.z;
+    const Floats target_x = sky ? x : x + r.row0.w, target_y = sky ? y : y + r.row1.w, target_z = sky ? depth : depth + r.row2.w;
+    const Ints front = target_z > 0.0f;
+    Wide3 out;
+    out.x = front ? wide_divide(r.target.x * target_x, target_z) + r.target.z : (Floats)(0.0f);
+    out.y = front ? wide_divide(r.target.y * target_y, target_z) + r.target.w : (Floats)(0.0f);
+    out.z = front ? (sky ? (Floats)(INFINITY) : target_z) : (Floats)(-1.0f);
+    return out;
+}
