@@ -51,6 +51,8 @@ class Sizes:
             "source": self.source,
             "target": self.target,
             "blocks": halved(self.target, 5),
+            "source_blocks": halved(self.source, 3),
+            "target_blocks": halved(self.target, 3),
             "network": tuple(-(-n // MULTIPLE) * MULTIPLE for n in halved(self.target, 1)),
             "once": (1, 1),
         }[grid]
@@ -61,12 +63,13 @@ class BufferSpec:
     """One named buffer.
 
     `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "blocks"
-    (target / 32, rounded up), "level0" … (source / 2^l, rounded up), "mip1" … (target / 2^l, rounded up), "network"
+    (target / 32, rounded up), "source_blocks" and "target_blocks" (each / 8), "level0" … (source / 2^l, rounded up), "mip1" … (target / 2^l, rounded up), "network"
     (target / 2, rounded up to multiples of 16) or "once" (no image). `components` name its channels; a single one goes
     without. `view` says what it means, and so how to show it: "color" (linear RGB), "depth" (view z), "motion" (pixels,
     from here), "place" (position in pixels), "world" (position in the view space of the rendered camera), "mask" (0 or
     1), "label" (`labels` name its values), "scalar". `mapped`: the host works in it. `kept`: that of the frame before
-    is kept too. `scratch`: of no interest once the stage is through.
+    is kept too. `scratch`: of no interest once the stage is through. `planar`: on the device the channels lie one after
+    another, each an image.
     """
 
     name: str
@@ -80,6 +83,7 @@ class BufferSpec:
     mapped: bool = False
     kept: bool = False
     scratch: bool = False
+    planar: bool = False
 
     @property
     def channels(self) -> int:
@@ -99,6 +103,15 @@ class BufferSpec:
         width, height = self.size(sizes)
         shape = (height, width) if self.grid != "once" else ()
         return (self.planes,) * (self.planes > 1) + shape + (self.channels,) * (self.channels > 1 or not shape)
+
+    def host_array(self, sizes: Sizes) -> tuple[np.ndarray, np.ndarray]:
+        """A new array of `shape`, and the C-contiguous one that shares its memory and lies as the device has it."""
+        shape = self.shape(sizes)
+        if not self.planar:
+            array = np.empty(shape, self.dtype)
+            return array, array
+        flat = np.empty((shape[-1], *shape[:-1]), self.dtype)
+        return np.moveaxis(flat, 0, -1), flat
 
     def nbytes(self, sizes: Sizes) -> int:
         return int(np.prod(self.shape(sizes))) * np.dtype(self.dtype).itemsize
@@ -146,13 +159,14 @@ class Owner:
 
     def read(self, name: str) -> np.ndarray:
         """Copy a named buffer to the host."""
-        spec = self.spec(name)
-        out = np.empty(spec.shape(self.sizes), spec.dtype)
-        cl.enqueue_copy(self.device.queue, out, self.buffer[name])
+        out, flat = self.spec(name).host_array(self.sizes)
+        cl.enqueue_copy(self.device.queue, flat, self.buffer[name])
         return out
 
     def upload(self, name: str, values: np.ndarray) -> None:
-        """Copy host values into a named buffer."""
+        """Copy host values, shaped as `read` gives them, into a named buffer."""
+        if self.spec(name).planar:
+            values = np.ascontiguousarray(np.moveaxis(values, -1, 0))
         cl.enqueue_copy(self.device.queue, self.buffer[name], values)
 
 

@@ -125,6 +125,10 @@ class Options:
         True, "crack closing", "A fragment covers what its pixel maps to; off: single pixels, as in the paper.",
         flag="--no-crack-closing",
     )  # fmt: skip
+    blocks: bool = _option(
+        True, "backward blocks", "Blocks that one smooth surface covers are warped backward; off: everything is splatted.",
+        flag="--no-blocks", needs="crack_closing",
+    )  # fmt: skip
     levels: int = _option(
         2, "background levels", "L: level 0 holds what moving objects hide, deeper ones what static surfaces do.",
         low=0, high=MAX_LEVELS, off=0, off_label="background collection",

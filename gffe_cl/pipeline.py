@@ -28,6 +28,7 @@ from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
 from gffe_cl.stage import Board, Output, Stage, Step
 from gffe_cl.stages.background import Background
+from gffe_cl.stages.blocks import Blocks
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.holes import FILLINGS, HoleFilling
@@ -92,6 +93,7 @@ STAGES: tuple[type[Stage], ...] = (
     HistoryTracking,
     Surfaces,
     PositionPrediction,
+    Blocks,
     Warp,
     Background,
     HoleFilling,
@@ -288,7 +290,7 @@ class Pipeline:
         step = Step(source, self._previous, self._times, camera, time, alpha, self.exposure)
         for stage in self.stages.values():
             if target_position is not None and isinstance(stage, PositionPrediction):
-                stage.upload("target_position", np.ascontiguousarray(target_position, np.float32))
+                stage.upload("target_position", np.asarray(target_position, np.float32)[..., :3])
             else:
                 stage.extrapolated(step)
             if stage.name in self._outputs:

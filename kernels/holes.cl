@@ -33,7 +33,7 @@ __kernel void downsample(const int target_width, const int target_height, const 
         const int dst_y = by * BLOCK + k;
         if (dst_x >= target_width || dst_y >= target_height) break;
         const int dst = dst_y * target_width + dst_x;
-        if (filled_by[dst] != BY_NOTHING) {
+        if (filled_by[dst] != BY_HOLE_FILLING) {
             add(&sum, &inverse_sum, 1.0f, load_color(color, dst), depth[dst]);
         }
         const int src = (dst_y * source_height / target_height) * source_width + dst_x * source_width / target_width;
@@ -74,7 +74,7 @@ inline bool far_side(const int dst_x, const int dst_y, const int target_width, c
             const int beside_x = dst_x + t * dx, beside_y = dst_y + t * dy;
             if (!inside(beside_x, beside_y, target_width, target_height)) break;
             const int beside = beside_y * target_width + beside_x;
-            if (filled_by[beside] == BY_NOTHING) continue;
+            if (filled_by[beside] == BY_HOLE_FILLING) continue;
             met[count] = beside;
             inverse[count] = isinf(depth[beside]) ? 0.0f : divide(1.0f, depth[beside]);
             weight[count] = divide(1.0f, (float)t * step);
@@ -109,7 +109,7 @@ __kernel void push_image(const int target_width, const int target_height, const 
     for (int k = 0; k < 4; ++k) {
         const int dst_x = 2 * texel_x + (k & 1), dst_y = 2 * texel_y + (k >> 1);
         if (!inside(dst_x, dst_y, target_width,
-                    target_height) || filled_by[dst_y * target_width + dst_x] == BY_NOTHING) continue;
+                    target_height) || filled_by[dst_y * target_width + dst_x] == BY_HOLE_FILLING) continue;
         add(&sum, &inverse_sum, 1.0f, load_color(color, dst_y * target_width + dst_x), depth[dst_y * target_width + dst_x]);
     }
     const bool any = sum.w > 0.0f;
@@ -200,7 +200,7 @@ SPARSE __kernel void fill_far_side(const int target_width, const int target_heig
     const int dst_x = get_global_id(0), dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const int dst = dst_y * target_width + dst_x;
-    if (filled_by[dst] != BY_NOTHING) return;
+    if (filled_by[dst] != BY_HOLE_FILLING) return;
     float4 mean;
     if (far_side(dst_x, dst_y, target_width, target_height, reach, filled_by, color, depth, &mean))
         fill_pixel(dst_x, dst_y, dst, mean, to_source, color, depth, motion);
@@ -217,7 +217,7 @@ SPARSE __kernel void fill_from_blocks(const int target_width, const int target_h
     const int dst_x = get_global_id(0), dst_y = get_global_id(1);
     if (!beyond_reach[0] || dst_x >= target_width || dst_y >= target_height) return;
     const int dst = dst_y * target_width + dst_x;
-    if (filled_by[dst] != BY_NOTHING) return;
+    if (filled_by[dst] != BY_HOLE_FILLING) return;
     float4 mean;
     if (far_side(dst_x, dst_y, target_width, target_height, reach, filled_by, color, depth, &mean)) return;
     mean = block_mean(dst_x, dst_y, blocks_width, blocks_height, block_color, block_inverse_depth);
@@ -229,7 +229,7 @@ __kernel void label_filled(const int target_width, const int target_height, __gl
     const int dst_x = get_global_id(0), dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const int dst = dst_y * target_width + dst_x;
-    if (filled_by[dst] == BY_NOTHING) filled_by[dst] = BY_HOLE_FILLING;
+    if (filled_by[dst] == BY_HOLE_FILLING) filled_by[dst] = BY_HOLE_FILLING;
 }
 
 /* Fills all of it, from the completed level 1 of push-pull. */
@@ -241,7 +241,7 @@ __kernel void fill_from_pyramid(const int target_width, const int target_height,
     const int dst_x = get_global_id(0), dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const int dst = dst_y * target_width + dst_x;
-    if (filled_by[dst] != BY_NOTHING) return;
+    if (filled_by[dst] != BY_HOLE_FILLING) return;
     fill_pixel(dst_x, dst_y, dst, upsampled(dst_x, dst_y, level_width, level_height, level_mean), to_source, color,
                depth, motion);
 }

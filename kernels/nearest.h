@@ -13,7 +13,8 @@ typedef uint Key;   /* depth bits; the index is found in a second pass */
 /* One key for depth and index with 64-bit atomics; else pass 0 finds the least depth, pass 1 the least index of it. */
 inline void offer(const int pass, __global Key *keys, __global uint *winners, const int c, const float z, const uint i) {
 #ifdef INT64_ATOMICS
-    atom_min(keys + c, ((ulong)as_uint(z) << 32) | i);
+    const Key key = ((ulong)as_uint(z) << 32) | i;
+    if (keys[c] > key) atom_min(keys + c, key);
 #else
     if (pass == 0) atomic_min(keys + c, as_uint(z));
     else if (keys[c] == as_uint(z)) atomic_min(winners + c, i);
@@ -25,5 +26,13 @@ inline uint winner_of(__global const Key *keys, __global const uint *winners, co
     return (uint)keys[c];
 #else
     return winners[c];
+#endif
+}
+
+/* Sets all bits, for the next who offers. */
+inline void forget(__global Key *keys, __global uint *winners, const int c) {
+    keys[c] = (Key)(-1);
+#ifndef INT64_ATOMICS
+    winners[c] = NOBODY;
 #endif
 }

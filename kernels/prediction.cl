@@ -1,39 +1,59 @@
 /* Position prediction (paper: 'Position estimation'): NP = P_0 + alpha (P_0 - P_1), or the polynomial of order m
-   through P_0 ... P_m at their real times. */
+   through P_0 ... P_m at their real times. Static fragments, LANES at once, are only reprojected. */
 
 #include "common.h"
+#include "wide.h"
 
 /* weights[o - 1][i - 1]: factor of (P_i - P_0) in the polynomial of order o <= 4. */
 typedef struct { float4 order1, order2, order3, order4; } Polynomial;
 
-/* target_position: (px in the target image, view depth there, 0); depth -1 where there is nothing to splat. */
-__kernel void predict_positions(const int source_width, const int source_height, const int order,
-                                __global const float *depth, __global const uchar *dynamic_mask,
-                                __global const float4 *history, const Polynomial polynomial,
-                                const Reprojection to_target, __global float4 *target_position) {
-    const int src_x = get_global_id(0), src_y = get_global_id(1);
-    if (src_x >= source_width || src_y >= source_height) return;
+/* (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */
+inline float3 predicted_position(const int src_x, const int src_y, const int source_width, const int source_height,
+                                 const int order, __global const float *depth, __global const uchar *dynamic_mask,
+                                 __global const float4 *history, const Polynomial polynomial, const Reprojection to_target) {
     const int src = src_y * source_width + src_x, plane = source_width * source_height;
     const float z = depth[src];
-    float4 result = (float4)(0.0f, 0.0f, -1.0f, 0.0f);
-    if (INVALID_DEPTH(z)) {
-        target_position[src] = result;
-        return;
+    if (INVALID_DEPTH(z)) return (float3)(0.0f, 0.0f, -1.0f);
+    if (!dynamic_mask[src]) return reproject(pixel_centre(src_x, src_y), z, to_target);
+    const float3 p0 = unproject(pixel_centre(src_x, src_y), z, to_target.source_inverse);
+    int known = 0;
+    while (known < order && history[known * plane + src].w != 0.0f) ++known;
+    const float4 weights = known == 1 ? polynomial.order1 : known == 2 ? polynomial.order2
+                         : known == 3 ? polynomial.order3 : polynomial.order4;
+    const float weight[4] = {weights.x, weights.y, weights.z, weights.w};
+    float3 predicted = p0;
+    for (int k = 0; k < known; ++k) predicted += weight[k] * (history[k * plane + src].xyz - p0);
+    const float3 target_pos = move_to_target(predicted, to_target);
+    if (!(target_pos.z > 0.0f)) return (float3)(0.0f, 0.0f, -1.0f);
+    return (float3)(project(target_pos, to_target.target), target_pos.z);
+}
+
+/* target_position: planes of x, y and depth. */
+WIDE __kernel void predict_positions(const int source_width, const int source_height, const int order,
+                                     __global const float *depth, __global const uchar *dynamic_mask,
+                                     __global const float4 *history, const Polynomial polynomial,
+                                     const Reprojection to_target, __global float *target_position) {
+    const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
+    if (src_x >= source_width || src_y >= source_height) return;
+    const int src = src_y * source_width + src_x, plane = source_width * source_height;
+    const bool whole = src_x + LANES <= source_width;
+    bool movers = false;
+    if (whole) {
+        const Floats z = load_floats(0, depth + src);
+        const Wide3 target = wide_reproject(row_centres(src_x), (Floats)((float)src_y + 0.5f), z, to_target);
+        const Ints valid = z > 0.0f;
+        store_floats(valid ? target.x : (Floats)(0.0f), 0, target_position + src);
+        store_floats(valid ? target.y : (Floats)(0.0f), 0, target_position + plane + src);
+        store_floats(valid ? target.z : (Floats)(-1.0f), 0, target_position + 2 * plane + src);
+        movers = ANY(to_ints(load_bytes(0, dynamic_mask + src)) != 0);
     }
-    if (!dynamic_mask[src]) {
-        result.xyz = reproject(pixel_centre(src_x, src_y), z, to_target);
-    } else {
-        const float3 p0 = unproject(pixel_centre(src_x, src_y), z, to_target.source_inverse);
-        int known = 0;
-        while (known < order && history[known * plane + src].w != 0.0f) ++known;
-        const float4 weights = known == 1 ? polynomial.order1 : known == 2 ? polynomial.order2
-                             : known == 3 ? polynomial.order3 : polynomial.order4;
-        const float weight[4] = {weights.x, weights.y, weights.z, weights.w};
-        float3 predicted = p0;
-        for (int k = 0; k < known; ++k) predicted += weight[k] * (history[k * plane + src].xyz - p0);
-        const float3 target_pos = move_to_target(predicted, to_target);
-        if (target_pos.z > 0.0f)
-            result.xyz = (float3)(project(target_pos, to_target.target), target_pos.z);
+    if (whole && !movers) return;
+    for (int k = src; k < src + min(LANES, source_width - src_x); ++k) {
+        if (whole && !dynamic_mask[k]) continue;
+        const float3 place = predicted_position(src_x + k - src, src_y, source_width, source_height, order, depth,
+                                                dynamic_mask, history, polynomial, to_target);
+        target_position[k] = place.x;
+        target_position[plane + k] = place.y;
+        target_position[2 * plane + k] = place.z;
     }
-    target_position[src] = result;
 }

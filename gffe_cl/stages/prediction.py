@@ -21,10 +21,11 @@ class PositionPrediction(Stage):
         BufferSpec(
             "target_position",
             np.float32,
-            ("x", "y", "depth", "unused"),
+            ("x", "y", "depth"),
             "source",
-            "predicted position of each fragment: x, y in target pixels, view depth (−1: nothing to splat), 0",
+            "predicted position of each fragment: x, y in target pixels, view depth (−1: nothing to splat)",
             "place",
+            planar=True,
         ),
     )
     kernels = (
@@ -37,6 +38,7 @@ class PositionPrediction(Stage):
                 "history": Access("history.history", "dynamic"),
             },
             {"target_position": "prediction.target_position"},
+            step=("LANES", 1),
         ),
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from gffe_cl.buffers import BY_HOLE_FILLING, BY_NOTHING
 from gffe_cl.stage import Board, Kernel, NearestStage, Step, zoom
 
 _KEYS = {"keys": "warp.keys", "winners": "warp.winners"}
@@ -13,12 +14,26 @@ class Warp(NearestStage):
 
     name = "warp"
     kernels = (
-        Kernel("splat", "source", _FRAGMENTS | _KEYS, _KEYS),
+        Kernel(
+            "splat",
+            "source",
+            _FRAGMENTS | _KEYS | {"reach": "blocks.reach", "block_class": "blocks.block_class"},
+            _KEYS,
+            step=("LANES", 1),
+        ),
         Kernel(
             "resolve",
             "target",
-            _KEYS | _FRAGMENTS | {"color": "rendered.color", "dynamic_mask": "history.dynamic_mask"},
-            {
+            _KEYS
+            | _FRAGMENTS
+            | {
+                "block_class": "blocks.block_class",
+                "block_source": "blocks.block_source",
+                "color": "rendered.color",
+                "dynamic_mask": "history.dynamic_mask",
+            },
+            _KEYS
+            | {
                 "out_color": "frame.color",
                 "out_depth": "frame.depth",
                 "out_motion": "frame.motion",
@@ -27,6 +42,7 @@ class Warp(NearestStage):
                 "filled_by": "frame.filled_by",
                 "mixed": "frame.mixed",
             },
+            step=("LANES", 1),
         ),
     )
 
@@ -36,7 +52,7 @@ class Warp(NearestStage):
 
     def extrapolated(self, step: Step) -> None:
         magnification = zoom(step.frame.camera, step.camera)
-        self.clear_keys("", self.sizes.target)
         for splat_pass in self.passes:
             self.launch("splat", zoom=magnification, **{"pass": splat_pass})
-        self.launch("resolve", zoom=magnification)
+        fills = self.board.options.hole_filling != "none"
+        self.launch("resolve", zoom=magnification, unfilled_label=BY_HOLE_FILLING if fills else BY_NOTHING)

@@ -60,34 +60,42 @@ class DeviceLayer:
     def read(self, queue: cl.CommandQueue) -> tuple[np.ndarray, cl.Event]:
         """(planes?, H, W, channels?) on the host, valid after the event."""
         (width, height), planes, channels = self.size, self.spec.planes, self.spec.channels
-        out = np.empty((planes,) * (planes > 1) + (height, width) + (channels,) * (channels > 1), self.spec.dtype)
-        return out, cl.enqueue_copy(queue, out, self.buffer, is_blocking=False)
+        if self.spec.planar:
+            flat = np.empty((channels, height, width), self.spec.dtype)
+            out = np.moveaxis(flat, 0, -1)
+        else:
+            out = np.empty((planes,) * (planes > 1) + (height, width) + (channels,) * (channels > 1), self.spec.dtype)
+            flat = out
+        return out, cl.enqueue_copy(queue, flat, self.buffer, is_blocking=False)
 
     def read_block(
         self, queue: cl.CommandQueue, x: int, y: int, width=1, height=1
     ) -> tuple[np.ndarray, list[cl.Event]]:
         """(planes, height, width, channels) from pixel (x, y) on, all inside; valid after the events."""
-        out = np.empty((self.spec.planes, height, width, self.spec.channels), self.spec.dtype)
-        pixel, events = out.itemsize * self.spec.channels, []
-        for plane in range(self.spec.planes):
+        planes, channels = self.spec.planes, self.spec.channels
+        if self.spec.planar:
+            planes, channels = channels, 1
+        out = np.empty((planes, height, width, channels), self.spec.dtype)
+        pixel, events = out.itemsize * channels, []
+        for plane in range(planes):
             for row in range(height):
                 offset = ((plane * self.size[1] + y + row) * self.size[0] + x) * pixel
                 events.append(
                     cl.enqueue_copy(queue, out[plane, row], self.buffer, src_offset=offset, is_blocking=False)
                 )
-        return out, events
+        return (out[..., 0].transpose(1, 2, 0)[None] if self.spec.planar else out), events
 
     def place(self, px: tuple[int, int], source_px: tuple[float, float] | None) -> tuple[int, int] | None:
         """The pixel or texel that belongs to display pixel `px` and to `source_px`, a position in the rendered image;
         None where there is none."""
         grid = self.spec.grid
-        if grid == "source" or grid.startswith("level"):
+        if grid in ("source", "source_blocks") or grid.startswith("level"):
             if source_px is None:
                 return None
-            shift = int(grid[5:]) if grid.startswith("level") else 0
+            shift = int(grid[5:]) if grid.startswith("level") else 3 if grid == "source_blocks" else 0
             x, y = (int(np.floor(c)) >> shift for c in source_px)
         else:
-            shift = {"blocks": 5, "network": 1}.get(grid, 0)
+            shift = {"blocks": 5, "target_blocks": 3, "network": 1}.get(grid, 0)
             shift = int(grid[3:]) if grid.startswith("mip") else shift
             x, y = (c >> shift for c in px)
         return (x, y) if 0 <= x < self.size[0] and 0 <= y < self.size[1] else None

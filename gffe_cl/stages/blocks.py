@@ -1,0 +1,72 @@
+"""Blocks: which parts of the new frame need no splatting (for 'Warping')."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gffe_cl.buffers import BufferSpec
+from gffe_cl.opencl.program import constants
+from gffe_cl.stage import Kernel, NearestStage, Step, zoom
+
+_CONSTANTS = constants("blocks.cl")
+SPLATTED, BACKWARD = _CONSTANTS["SPLATTED"], _CONSTANTS["BACKWARD"]
+CLASSES = ((SPLATTED, "splatted: edges, movers, disocclusions"), (BACKWARD, "one smooth surface, warped backward"))
+
+
+class Blocks(NearestStage):
+    """Finds the blocks of 8×8 pixels that one smooth surface covers: they are warped backward, the others are splatted."""
+
+    name = "blocks"
+    buffers = (
+        BufferSpec(
+            "smooth", np.uint8, (), "source_blocks", "1 where predicted positions change linearly over the block", "mask"
+        ),
+        BufferSpec(
+            "block_class", np.uint8, (), "target_blocks", "how the block is warped", "label", labels=CLASSES
+        ),
+        BufferSpec(
+            "reach", np.int32, ("x0", "y0", "x1", "y1"), "source_blocks", "target blocks that a block reaches",
+            scratch=True,
+        ),
+        BufferSpec(
+            "reached_by", np.int32, ("x0", "y0", "x1", "y1"), "target_blocks", "source blocks that reach a block",
+            scratch=True,
+        ),
+        BufferSpec(
+            "block_source", np.float32, ("x", "y", "xx", "xy", "yx", "yy", "unused", "unused"), "target_blocks",
+            "where the block's centre comes from, and the inverse of its flow", scratch=True,
+        ),
+    )  # fmt: skip
+    kernels = (
+        Kernel(
+            "find_reach",
+            "source_blocks",
+            {
+                "depth": "rendered.depth",
+                "links": "surfaces.links",
+                "target_position": "prediction.target_position",
+                "reached_by": "blocks.reached_by",
+            },
+            {"smooth": "blocks.smooth", "reach": "blocks.reach", "reached_by": "blocks.reached_by"},
+        ),
+        Kernel(
+            "classify_blocks",
+            "target_blocks",
+            {
+                "smooth": "blocks.smooth",
+                "reached_by": "blocks.reached_by",
+                "target_position": "prediction.target_position",
+            },
+            {
+                "reached_by": "blocks.reached_by",
+                "block_class": "blocks.block_class",
+                "block_source": "blocks.block_source",
+                "keys": "warp.keys",
+                "winners": "warp.winners",
+            },
+        ),
+    )
+
+    def extrapolated(self, step: Step) -> None:
+        self.launch("find_reach", zoom=zoom(step.frame.camera, step.camera))
+        self.launch("classify_blocks")

@@ -1,0 +1,206 @@
+/* Blocks: which parts of the new frame need no splatting (for 'Warping').
+
+   A source block is smooth if predicted positions change linearly over it: all of one surface, nothing that folds. Every
+   source block marks the target blocks that its fragments' footprints reach. A target block is warped backward if all that
+   reach it lie side by side and are smooth: then one surface covers it, and nothing can be before it. */
+
+#include "common.h"
+#include "wide.h"
+#include "flow.h"
+#include "blocks.h"
+#include "nearest.h"
+
+#define FAR_OFF 0x3FFFFFFF        /* more than any block's coordinate */
+#define SIDE_BY_SIDE 3            /* blocks, each way, that may reach a target block which is warped backward */
+#define BEND_MOST 0.001953125f    /* 2^-9 px: by how much a smooth block's positions deviate from linear per pixel */
+#define SHEAR_MOST 0.25f          /* of a smooth block, per source pixel and zoom ... */
+#define STRETCH_LOW 0.5f          /* ... and how it is stretched */
+#define STRETCH_HIGH 2.0f
+#define ALL_LINKS 15
+
+/* Box of target pixels. */
+typedef struct { float x0, y0, x1, y1; } Box;
+
+/* Reach of one source block pixel by pixel. */
+inline void reach_of_pixels(const int x0, const int y0, const int source_width, const int source_height,
+                            const int target_width, const int target_height, const float2 zoom,
+                            __global const float *depth, __global const uchar *links,
+                            __global const float *target_position, Box *box) {
+    const int plane = source_width * source_height;
+    for (int src_y = y0; src_y < min(y0 + BLOCK, source_height); ++src_y)
+        for (int src_x = x0; src_x < min(x0 + BLOCK, source_width); ++src_x) {
+            const int src = src_y * source_width + src_x;
+            const float3 here = position_of(target_position, src, plane);
+            if (!may_land(here, target_width, target_height)) continue;
+            const float2 half_size = footprint(flow_at(src, source_width, plane, here, depth[src], links, target_position, zoom));
+            box->x0 = fmin(box->x0, here.x - half_size.x);
+            box->y0 = fmin(box->y0, here.y - half_size.y);
+            box->x1 = fmax(box->x1, here.x + half_size.x);
+            box->y1 = fmax(box->y1, here.y + half_size.y);
+        }
+}
+
+/* Whether the links of all pixels up to two beyond the block are complete. */
+inline bool is_one_surface(const int x0, const int y0, const int source_width, const int source_height,
+                           __global const uchar *links) {
+    if (x0 < 2 || y0 < 2 || x0 + BLOCK + 2 > source_width || y0 + BLOCK + 2 > source_height) return false;
+    Bytes common = (Bytes)(ALL_LINKS);
+    for (int y = y0 - 2; y < y0 + BLOCK + 2; ++y)
+        for (int x = x0; x < x0 + BLOCK; x += LANES) {
+            __global const uchar *row = links + y * source_width + x;
+            common &= load_bytes(0, row - 2) & load_bytes(0, row - 1) & load_bytes(0, row) & load_bytes(0, row + 1)
+                   & load_bytes(0, row + 2);
+        }
+    return ALL(to_ints(common) == ALL_LINKS);
+}
+
+/* Whether positions are linear over the block, within BEND_MOST; then *box is its reach. */
+inline bool is_linear(const int x0, const int y0, const int source_width, const int plane, const float2 zoom,
+                      __global const float *depth, __global const float *target_position, Box *box) {
+    Floats low_x = (Floats)(INFINITY), low_y = low_x, high_x = -low_x, high_y = -low_x, half_x = (Floats)(0.0f), half_y = half_x;
+    Ints linear = (Ints)(1) == (Ints)(1);
+    for (int x = x0; x < x0 + BLOCK; x += LANES) {
+        Floats before_x = (Floats)(0.0f), before_y = before_x;
+        for (int y = y0; y < y0 + BLOCK; ++y) {
+            const int src = y * source_width + x;
+            __global const float *p = target_position + src;
+            const Floats here_x = load_floats(0, p), left_x = load_floats(0, p - 1), right_x = load_floats(0, p + 1);
+            const Floats up_x = load_floats(0, p - source_width), down_x = load_floats(0, p + source_width);
+            p += plane;
+            const Floats here_y = load_floats(0, p), left_y = load_floats(0, p - 1), right_y = load_floats(0, p + 1);
+            const Floats up_y = load_floats(0, p - source_width), down_y = load_floats(0, p + source_width);
+            const Floats z = load_floats(0, p + plane), z_source = load_floats(0, depth + src);
+
+            linear &= (z > 0.0f) & (z_source <= STRETCH_HIGH * z) & (z <= STRETCH_HIGH * z_source);
+            linear &= (fabs((right_x - here_x) - (here_x - left_x)) <= BEND_MOST)
+                      & (fabs((right_y - here_y) - (here_y - left_y)) <= BEND_MOST)
+                      & (fabs((down_x - here_x) - (here_x - up_x)) <= BEND_MOST)
+                      & (fabs((down_y - here_y) - (here_y - up_y)) <= BEND_MOST);
+            const Floats xx = 0.5f * (right_x - left_x), xy = 0.5f * (right_y - left_y);
+            const Floats yx = 0.5f * (down_x - up_x), yy = 0.5f * (down_y - up_y);
+            linear &= (xx >= STRETCH_LOW * zoom.x) & (xx <= STRETCH_HIGH * zoom.x) & (fabs(yx) <= SHEAR_MOST * zoom.x)
+                      & (yy >= STRETCH_LOW * zoom.y) & (yy <= STRETCH_HIGH * zoom.y) & (fabs(xy) <= SHEAR_MOST * zoom.y);
+            if (y > y0) linear &= (fabs(xx - before_x) <= BEND_MOST) & (fabs(xy - before_y) <= BEND_MOST);
+            before_x = xx;
+            before_y = xy;
+            low_x = here_x < low_x ? here_x : low_x;
+            low_y = here_y < low_y ? here_y : low_y;
+            high_x = here_x > high_x ? here_x : high_x;
+            high_y = here_y > high_y ? here_y : high_y;
+            const Floats size_x = fabs(xx) + fabs(yx), size_y = fabs(xy) + fabs(yy);
+            half_x = size_x > half_x ? size_x : half_x;
+            half_y = size_y > half_y ? size_y : half_y;
+        }
+        if (!ALL(linear)) return false;
+    }
+    float lanes[6][LANES];
+    store_floats(low_x, 0, lanes[0]);
+    store_floats(low_y, 0, lanes[1]);
+    store_floats(high_x, 0, lanes[2]);
+    store_floats(high_y, 0, lanes[3]);
+    store_floats(half_x, 0, lanes[4]);
+    store_floats(half_y, 0, lanes[5]);
+    float half_width = 0.0f, half_height = 0.0f;
+    for (int k = 0; k < LANES; ++k) {
+        box->x0 = fmin(box->x0, lanes[0][k]);
+        box->y0 = fmin(box->y0, lanes[1][k]);
+        box->x1 = fmax(box->x1, lanes[2][k]);
+        box->y1 = fmax(box->y1, lanes[3][k]);
+        half_width = fmax(half_width, lanes[4][k]);
+        half_height = fmax(half_height, lanes[5][k]);
+    }
+    box->x0 -= FOOTPRINT_HALF * half_width;
+    box->y0 -= FOOTPRINT_HALF * half_height;
+    box->x1 += FOOTPRINT_HALF * half_width;
+    box->y1 += FOOTPRINT_HALF * half_height;
+    return true;
+}
+
+/* One work-item per source block. smooth: whether it is. reach: the target blocks x0, y0, x1, y1 that it reaches, x1 < x0 if
+   none. reached_by: for each target block the extent of the source blocks that reach it, as the largest of FAR_OFF - x,
+   FAR_OFF - y, x + 1, y + 1; of blocks that are not smooth, everything. */
+WIDE __kernel void find_reach(const int source_width, const int source_height, const int target_width,
+                              const int target_height, const int blocks, const int crack_closing, const float2 zoom,
+                              __global const float *depth, __global const uchar *links,
+                              __global const float *target_position, __global uchar *smooth, __global int4 *reach,
+                              __global int *reached_by) {
+    const int bx = get_global_id(0), by = get_global_id(1);
+    const int source_blocks = blocks_along(source_width);
+    if (bx >= source_blocks || by >= blocks_along(source_height) || !(blocks && crack_closing)) return;
+    const int x0 = bx * BLOCK, y0 = by * BLOCK;
+    Box box = {INFINITY, INFINITY, -INFINITY, -INFINITY};
+    const bool is_smooth = is_one_surface(x0, y0, source_width, source_height, links)
+        && is_linear(x0, y0, source_width, source_width * source_height, zoom, depth, target_position, &box);
+    if (!is_smooth) {
+        box.x0 = box.y0 = INFINITY;
+        box.x1 = box.y1 = -INFINITY;
+        reach_of_pixels(x0, y0, source_width, source_height, target_width, target_height, zoom, depth, links,
+                        target_position, &box);
+    }
+    smooth[by * source_blocks + bx] = is_smooth;
+    const int target_blocks = blocks_along(target_width);
+    int4 reached = (int4)(1, 1, 0, 0);
+    if (box.x1 > 0.0f && box.y1 > 0.0f && box.x0 < (float)target_width && box.y0 < (float)target_height)
+        reached = (int4)((int)fmax(box.x0, 0.0f) / BLOCK, (int)fmax(box.y0, 0.0f) / BLOCK,
+                         (int)fmin(box.x1, (float)(target_width - 1)) / BLOCK,
+                         (int)fmin(box.y1, (float)(target_height - 1)) / BLOCK);
+    reach[by * source_blocks + bx] = reached;
+    const int extent[4] = {FAR_OFF - (is_smooth ? bx : 0), FAR_OFF - (is_smooth ? by : 0), is_smooth ? bx + 1 : FAR_OFF,
+                           is_smooth ? by + 1 : FAR_OFF};
+    for (int y = reached.y; y <= reached.w; ++y)
+        for (int x = reached.x; x <= reached.z; ++x)
+            for (int k = 0; k < 4; ++k) atomic_max(reached_by + 4 * (y * target_blocks + x) + k, extent[k]);
+}
+
+/* Where the centre of a target block comes from, by Newton's method from the middle of the source blocks that reach it:
+   (source px, slopes of the inverse xx, xy, yx, yy); false if that leads elsewhere. */
+inline bool find_source(const float2 centre, const int4 extent, const int source_width, const int plane,
+                        __global const float *target_position, float8 *source) {
+    const int x0 = extent.x * BLOCK, y0 = extent.y * BLOCK, x1 = (extent.z + 1) * BLOCK - 1, y1 = (extent.w + 1) * BLOCK - 1;
+    float2 px = 0.5f * (float2)((float)(x0 + x1 + 1), (float)(y0 + y1 + 1));
+    for (int k = 0; k < 4; ++k) {
+        const int src_x = clamp((int)floor(px.x), x0, x1), src_y = clamp((int)floor(px.y), y0, y1);
+        const int src = src_y * source_width + src_x;
+        __global const float *p = target_position + src, *q = p + plane;
+        const float xx = 0.5f * (p[1] - p[-1]), xy = 0.5f * (q[1] - q[-1]);
+        const float yx = 0.5f * (p[source_width] - p[-source_width]), yy = 0.5f * (q[source_width] - q[-source_width]);
+        const float inverse = 1.0f / (xx * yy - yx * xy), dx = centre.x - *p, dy = centre.y - *q;
+        const float2 step = (float2)((yy * dx - yx * dy) * inverse, (xx * dy - xy * dx) * inverse);
+        px = pixel_centre(src_x, src_y) + step;
+        if (fabs(step.x) <= 0.51f && fabs(step.y) <= 0.51f) {
+            *source = (float8)(px, yy * inverse, -yx * inverse, -xy * inverse, xx * inverse, 0.0f, 0.0f);
+            return true;
+        }
+    }
+    return false;
+}
+
+/* One work-item per target block: its class, and of those to be warped backward where their centre comes from. Forgets what
+   reached it, for the next frame, and empties the keys of those that are splatted. */
+__kernel void classify_blocks(const int source_width, const int source_height, const int target_width,
+                              const int target_height, __global const float *target_position,
+                              __global const uchar *smooth, __global int *reached_by, __global uchar *block_class,
+                              __global float8 *block_source, __global Key *keys, __global uint *winners) {
+    const int bx = get_global_id(0), by = get_global_id(1);
+    const int source_blocks = blocks_along(source_width), target_blocks = blocks_along(target_width);
+    if (bx >= target_blocks || by >= blocks_along(target_height)) return;
+    const int block = by * target_blocks + bx;
+    const int4 extent = (int4)(FAR_OFF - reached_by[4 * block], FAR_OFF - reached_by[4 * block + 1],
+                               reached_by[4 * block + 2] - 1, reached_by[4 * block + 3] - 1);
+    vstore4((int4)(0), block, reached_by);
+    bool backward = (bx + 1) * BLOCK <= target_width && extent.x <= extent.z && extent.y <= extent.w && extent.z - extent.x < SIDE_BY_SIDE
+                    && extent.w - extent.y < SIDE_BY_SIDE;
+    for (int y = extent.y; backward && y <= extent.w; ++y)
+        for (int x = extent.x; x <= extent.z; ++x) backward = backward && smooth[y * source_blocks + x];
+    if (backward) {
+        float8 source;
+        const float2 centre = (float2)((float)(bx * BLOCK + BLOCK / 2), (float)(by * BLOCK + BLOCK / 2));
+        backward = find_source(centre, extent, source_width, source_width * source_height, target_position, &source);
+        if (backward) block_source[block] = source;
+    }
+    block_class[block] = backward ? BACKWARD : SPLATTED;
+    if (backward) return;
+    for (int dst_y = by * BLOCK; dst_y < min((by + 1) * BLOCK, target_height); ++dst_y)
+        for (int dst_x = bx * BLOCK; dst_x < min((bx + 1) * BLOCK, target_width); ++dst_x)
+            forget(keys, winners, dst_y * target_width + dst_x);
+}

@@ -1,0 +1,73 @@
+/* Where source pixels go: predicted positions and their slopes (warp.cl, blocks.cl). */
+
+#define FOOTPRINT_HALF 0.65f     /* half a source pixel and a margin for second-order terms */
+#define FOOTPRINT_REACH 8        /* px: the most that a fragment covers to each side */
+#define STRETCH_MOST 4.0f        /* a footprint stretched more than this over what depth explains is not trusted */
+
+/* Predicted position of fragment `src`: (px in the target image, view depth there). */
+inline float3 position_of(__global const float *target_position, const int src, const int plane) {
+    return (float3)(target_position[src], target_position[plane + src], target_position[2 * plane + src]);
+}
+
+/* Target position as a linear function of the source position around one source pixel. */
+typedef struct {
+    float3 ddx, ddy;         /* change of (px, py, z) per source pixel to the right, down */
+    float det;               /* of the 2x2 part: target px^2 per source px^2 */
+} Flow;
+
+inline float3 slope(const int bits, const int forward, const int backward, const float3 here, const int src, const int step,
+                    const int plane, __global const float *target_position, bool *linked) {
+    float3 sum = (float3)(0.0f);
+    float count = 0.0f;
+    if (bits & forward) {
+        const float3 there = position_of(target_position, src + step, plane);
+        if (there.z > 0.0f) { sum += there - here; count += 1.0f; }
+    }
+    if (bits & backward) {
+        const float3 there = position_of(target_position, src - step, plane);
+        if (there.z > 0.0f) { sum += here - there; count += 1.0f; }
+    }
+    *linked = count > 0.0f;
+    if (isinf(here.z)) sum.z = 0.0f;
+    return count == 2.0f ? sum * 0.5f : sum;
+}
+
+/* From the linked neighbours; along a direction without any, what depth alone explains. */
+inline Flow flow_at(const int src, const int source_width, const int plane, const float3 here, const float z_source,
+                    __global const uchar *links, __global const float *target_position, const float2 zoom) {
+    const int bits = links[src];
+    Flow flow;
+    bool linked_x, linked_y;
+    flow.ddx = slope(bits, LINK_RIGHT, LINK_LEFT, here, src, 1, plane, target_position, &linked_x);
+    flow.ddy = slope(bits, LINK_DOWN, LINK_UP, here, src, source_width, plane, target_position, &linked_y);
+    const float nearer = isinf(here.z) ? 1.0f : divide(z_source, here.z);
+    const float scale_x = zoom.x * nearer, scale_y = zoom.y * nearer;
+    const float most = STRETCH_MOST * fmax(scale_x, scale_y);
+    if (!linked_x || fabs(flow.ddx.x) > most || fabs(flow.ddx.y) > most) flow.ddx = (float3)(scale_x, 0.0f, 0.0f);
+    if (!linked_y || fabs(flow.ddy.x) > most || fabs(flow.ddy.y) > most) flow.ddy = (float3)(0.0f, scale_y, 0.0f);
+    flow.det = flow.ddx.x * flow.ddy.y - flow.ddy.x * flow.ddx.y;
+    if (!(flow.det > 0.02f * scale_x * scale_y)) {  /* folded or edge-on: the neighbours say nothing about the footprint */
+        flow.ddx = (float3)(scale_x, 0.0f, 0.0f);
+        flow.ddy = (float3)(0.0f, scale_y, 0.0f);
+        flow.det = scale_x * scale_y;
+    }
+    return flow;
+}
+
+/* Source px, times the determinant, that correspond to (x, y) target px. */
+inline float2 source_offset(const Flow flow, const float x, const float y) {
+    return (float2)(flow.ddy.y * x - flow.ddy.x * y, flow.ddx.x * y - flow.ddx.y * x);
+}
+
+/* px to each side of its position that a fragment covers. */
+inline float2 footprint(const Flow flow) {
+    return (float2)(fmin(FOOTPRINT_HALF * (fabs(flow.ddx.x) + fabs(flow.ddy.x)), (float)FOOTPRINT_REACH),
+                    fmin(FOOTPRINT_HALF * (fabs(flow.ddx.y) + fabs(flow.ddy.y)), (float)FOOTPRINT_REACH));
+}
+
+/* Whether anything of a fragment at `here` may land in the image. */
+inline bool may_land(const float3 here, const int target_width, const int target_height) {
+    const float reach = (float)FOOTPRINT_REACH;
+    return here.z > 0.0f && here.x > -reach && here.y > -reach && here.x < (float)target_width + reach
+           && here.y < (float)target_height + reach;
+}
