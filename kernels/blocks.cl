@@ -164,7 +164,7 @@ inline bool find_source(const float2 centre, const int4 extent, const int source
         __global const float *p = target_position + src, *q = p + plane;
         const float xx = 0.5f * (p[1] - p[-1]), xy = 0.5f * (q[1] - q[-1]);
         const float yx = 0.5f * (p[source_width] - p[-source_width]), yy = 0.5f * (q[source_width] - q[-source_width]);
-        const float inverse = 1.0f / (xx * yy - yx * xy), dx = centre.x - *p, dy = centre.y - *q;
+        const float inverse = divide(1.0f, xx * yy - yx * xy), dx = centre.x - *p, dy = centre.y - *q;
         const float2 step = (float2)((yy * dx - yx * dy) * inverse, (xx * dy - xy * dx) * inverse);
         px = pixel_centre(src_x, src_y) + step;
         if (fabs(step.x) <= 0.51f && fabs(step.y) <= 0.51f) {

@@ -34,3 +34,20 @@ inline float3 cubic(const int x0, const int y0, const float u, const float v, co
     return (float3)(least(most(sum.r, low.r), high.r), least(most(sum.g, low.g), high.g), least(most(sum.b, low.b),
                                                                                                 high.b));
 }
+
+/* The same of 4x4 taps from index `first` on, whole rows of half x4 at a time; false where a tap is no finite number. */
+inline bool cubic_of_finite(const int first, const float u, const float v, const int width, __global const half *color,
+                            float3 *rgb) {
+    const float4 wx = cubic_weights(u), wy = cubic_weights(v);
+    __global const half *p = color + 4 * first;
+    const float16 a = vload_half16(0, p), b = vload_half16(0, p + 4 * width), c = vload_half16(0, p + 8 * width),
+                  d = vload_half16(0, p + 12 * width);
+    const float16 columns = wy.x * a + wy.y * b + wy.z * c + wy.w * d;
+    const float4 sum = wx.x * columns.s0123 + wx.y * columns.s4567 + wx.z * columns.s89ab + wx.w * columns.scdef;
+    const float16 low_columns = b < c ? b : c, high_columns = b < c ? c : b;
+    const float4 low = low_columns.s4567 < low_columns.s89ab ? low_columns.s4567 : low_columns.s89ab;
+    const float4 high = high_columns.s4567 < high_columns.s89ab ? high_columns.s89ab : high_columns.s4567;
+    const float4 raised = sum < low ? low : sum;
+    *rgb = (high < raised ? high : raised).xyz;
+    return fabs(sum.x) <= COLOR_MAX && fabs(sum.y) <= COLOR_MAX && fabs(sum.z) <= COLOR_MAX;
+}

@@ -162,7 +162,11 @@ inline float3 resample(const int src_x, const int src_y, const float2 d, const i
                          dx, dy, here, flow) <= SAME_MOTION;
         alike |= (int)tap_alike << k;
     }
-    if (alike == 0xFF) return cubic(src_x + ox - 1, src_y + oy - 1, u, v, source_width, (__global const uint2 *)color);
+    float3 rgb;
+    if (alike == 0xFF) {
+        if (cubic_of_finite((src_y + oy - 1) * source_width + src_x + ox - 1, u, v, source_width, color, &rgb)) return rgb;
+        return cubic(src_x + ox - 1, src_y + oy - 1, u, v, source_width, (__global const uint2 *)color);
+    }
     float3 sum = (float3)(0.0f);
     float weight_sum = 0.0f;
     for (int tap = 0; tap < 4; ++tap) {
@@ -221,7 +225,7 @@ inline void resolve_pixel(const int dst_x, const int dst_y, const int source_wid
     if (is_mixed) forget(keys, winners, dst);
 }
 
-/* Neighbourhoods of LANES fragments in one plane of positions. */
+/* What LANES fragments and those beside them have in one plane. */
 typedef struct { Floats here, left, right, up, down; } Around;
 
 inline Around around(__global const float *plane, const int source_width, const Ints src, const int first, const bool is_run) {
@@ -243,56 +247,163 @@ inline Around around(__global const float *plane, const int source_width, const 
     return a;
 }
 
-/* LANES pixels of a block that shows one smooth surface, each from the fragment to whose pixel the block's flow leads. */
-inline void resolve_backward(const int dst_x, const int dst_y, const int source_width, const int source_height,
-                             const int target_width, const float8 source, __global const half *color,
-                             __global const uchar *dynamic_mask, __global const float *target_position,
-                             __global half *out_color, __global float *out_depth, __global float2 *out_motion,
-                             __global uchar *out_dynamic, __global uchar *disoccluded, __global uchar *filled_by,
-                             __global uchar *mixed) {
+/* Flow of LANES fragments. */
+typedef struct { Floats xx, xy, xz, yx, yy, yz, det; } WideFlow;
+
+/* slope, of one component. */
+inline Floats wide_slope(const Floats before, const Floats here, const Floats after, const Ints use_before, const Ints use_after) {
+    const Floats sum = (use_after ? after - here : (Floats)(0.0f)) + (use_before ? here - before : (Floats)(0.0f));
+    return (use_before & use_after) ? sum * 0.5f : sum;
+}
+
+/* flow_at. `bits`: links. */
+inline WideFlow wide_flow(const Around x, const Around y, const Around z, const Ints bits, const Floats z_source,
+                          const float2 zoom) {
+    const Ints left = ((bits & LINK_LEFT) != 0) & (z.left > 0.0f), right = ((bits & LINK_RIGHT) != 0) & (z.right > 0.0f);
+    const Ints up = ((bits & LINK_UP) != 0) & (z.up > 0.0f), down = ((bits & LINK_DOWN) != 0) & (z.down > 0.0f);
+    const Ints sky = isinf(z.here);
+    const Floats none = (Floats)(0.0f);
+    WideFlow f;
+    f.xx = wide_slope(x.left, x.here, x.right, left, right);
+    f.xy = wide_slope(y.left, y.here, y.right, left, right);
+    f.xz = sky ? none : wide_slope(z.left, z.here, z.right, left, right);
+    f.yx = wide_slope(x.up, x.here, x.down, up, down);
+    f.yy = wide_slope(y.up, y.here, y.down, up, down);
+    f.yz = sky ? none : wide_slope(z.up, z.here, z.down, up, down);
+    const Floats nearer = sky ? (Floats)(1.0f) : wide_divide(z_source, z.here);
+    const Floats scale_x = zoom.x * nearer, scale_y = zoom.y * nearer;
+    const Floats most = STRETCH_MOST * (scale_x > scale_y ? scale_x : scale_y);
+    const Ints known_x = (left | right) & !(fabs(f.xx) > most) & !(fabs(f.xy) > most);
+    const Ints known_y = (up | down) & !(fabs(f.yx) > most) & !(fabs(f.yy) > most);
+    f.xx = known_x ? f.xx : scale_x;
+    f.xy = known_x ? f.xy : none;
+    f.yx = known_y ? f.yx : none;
+    f.yy = known_y ? f.yy : scale_y;
+    const Floats det = f.xx * f.yy - f.yx * f.xy;
+    const Ints open = det > 0.02f * scale_x * scale_y;
+    f.xx = open ? f.xx : scale_x;
+    f.xy = open ? f.xy : none;
+    f.xz = (open & known_x) ? f.xz : none;
+    f.yx = open ? f.yx : none;
+    f.yy = open ? f.yy : scale_y;
+    f.yz = (open & known_y) ? f.yz : none;
+    f.det = open ? det : scale_x * scale_y;
+    return f;
+}
+
+/* Of fragments within one smooth surface: nothing to check. */
+inline WideFlow smooth_flow(const Around x, const Around y, const Around z) {
+    WideFlow f;
+    f.xx = ((x.right - x.here) + (x.here - x.left)) * 0.5f;
+    f.xy = ((y.right - y.here) + (y.here - y.left)) * 0.5f;
+    f.yx = ((x.down - x.here) + (x.here - x.up)) * 0.5f;
+    f.yy = ((y.down - y.here) + (y.here - y.up)) * 0.5f;
+    const Ints sky = isinf(z.here);
+    f.xz = sky ? (Floats)(0.0f) : ((z.right - z.here) + (z.here - z.left)) * 0.5f;
+    f.yz = sky ? (Floats)(0.0f) : ((z.down - z.here) + (z.here - z.up)) * 0.5f;
+    f.det = f.xx * f.yy - f.yx * f.xy;
+    return f;
+}
+
+/* deviation of fragments at (dx, dy) from the winners; infinite or no number where they go nowhere. */
+inline Floats wide_deviation(const Floats there_x, const Floats there_y, const Floats dx, const Floats dy, const Floats here_x,
+                             const Floats here_y, const WideFlow f) {
+    const Floats ex = fabs(there_x - here_x - f.xx * dx - f.yx * dy), ey = fabs(there_y - here_y - f.xy * dx - f.yy * dy);
+    return ex > ey ? ex : ey;
+}
+
+/* Which lanes have no neighbour from which step_off_silhouette steps off. */
+inline Ints stays(const Around x, const Around y, const Around depth, const WideFlow f) {
+    const Floats near = depth.here * NEARER, one = (Floats)(1.0f), none = (Floats)(0.0f);
+    const Ints nearer = (depth.left < near) | (depth.right < near) | (depth.up < near) | (depth.down < near);
+    if (!ANY(nearer)) return !nearer;
+    return !((depth.left < near) & (wide_deviation(x.left, y.left, -one, none, x.here, y.here, f) > MOVES_AWAY))
+           & !((depth.right < near) & (wide_deviation(x.right, y.right, one, none, x.here, y.here, f) > MOVES_AWAY))
+           & !((depth.up < near) & (wide_deviation(x.up, y.up, none, -one, x.here, y.here, f) > MOVES_AWAY))
+           & !((depth.down < near) & (wide_deviation(x.down, y.down, none, one, x.here, y.here, f) > MOVES_AWAY));
+}
+
+/* Which lanes are resampled with all 4x4 taps around (ox, oy) from the winners: see resample. */
+inline Ints move_alike(const Ints src, const Floats ox, const Floats oy, const int source_width, const int plane,
+                       const Floats here_x, const Floats here_y, const WideFlow f, __global const float *target_position) {
+    const Ints base = src + to_ints(oy) * source_width + to_ints(ox);
+    int first[LANES];
+    store_ints(base, 0, first);
+    const bool is_run = ALL(base == first[0] + LANE_NUMBERS);
+    Ints alike = base == base;
+    for (int k = 0; k < 8; ++k) {
+        const int dx = k < 4 ? (k & 1) : 3 * (k & 1) - 1, dy = k < 4 ? (k >> 1) : 3 * ((k >> 1) & 1) - 1;
+        __global const float *p = target_position + dy * source_width + dx, *q = p + plane;
+        const Floats there_x = is_run ? load_floats(0, p + first[0]) : gather_floats(p, base);
+        const Floats there_y = is_run ? load_floats(0, q + first[0]) : gather_floats(q, base);
+        alike &= wide_deviation(there_x, there_y, ox + (float)dx, oy + (float)dy, here_x, here_y, f) <= SAME_MOTION;
+    }
+    return alike;
+}
+
+/* LANES pixels from the fragments (src_x, src_y), which lie two pixels within the image. Gives the lanes that are done: those
+   whose surroundings move along; `smooth`: all do. */
+inline Ints resolve_lanes(const bool smooth, const int dst_x, const int dst_y, const Ints src_x, const Ints src_y, const Ints use,
+                          const int source_width, const int source_height, const int target_width, const float2 zoom,
+                          __global const half *color, __global const float *depth, __global const uchar *dynamic_mask,
+                          __global const uchar *links, __global const float *target_position, __global half *out_color,
+                          __global float *out_depth, __global float2 *out_motion, __global uchar *out_dynamic,
+                          __global uchar *disoccluded, __global uchar *filled_by, __global uchar *mixed) {
     const int dst = dst_y * target_width + dst_x, plane = source_width * source_height;
     const Floats centre_x = row_centres(dst_x);
     const float centre_y = (float)dst_y + 0.5f;
-    const Floats from_middle_x = centre_x - (float)(dst_x / BLOCK * BLOCK + BLOCK / 2);
-    const float from_middle_y = centre_y - (float)(dst_y / BLOCK * BLOCK + BLOCK / 2);
-    const Floats src_x = floor(source.s0 + source.s2 * from_middle_x + source.s3 * from_middle_y);
-    const Floats src_y = floor(source.s1 + source.s4 * from_middle_x + source.s5 * from_middle_y);
-    const Ints src = to_ints(src_y) * source_width + to_ints(src_x);
-    int lane_src[LANES];
-    store_ints(src, 0, lane_src);
-    const bool is_run = ALL(src == lane_src[0] + LANE_NUMBERS);
+    const Ints src = src_y * source_width + src_x;
+    int first[LANES];
+    store_ints(src, 0, first);
+    const bool is_run = ALL(src == first[0] + LANE_NUMBERS);
 
-    const Around x = around(target_position, source_width, src, lane_src[0], is_run);
-    const Around y = around(target_position + plane, source_width, src, lane_src[0], is_run);
-    const Around z = around(target_position + 2 * plane, source_width, src, lane_src[0], is_run);
-    const Floats xx = (x.right - x.left) * 0.5f, xy = (y.right - y.left) * 0.5f, xz = (z.right - z.left) * 0.5f;
-    const Floats yx = (x.down - x.up) * 0.5f, yy = (y.down - y.up) * 0.5f, yz = (z.down - z.up) * 0.5f;
-    const Floats inverse = 1.0f / (xx * yy - yx * xy), ex = centre_x - x.here, ey = centre_y - y.here;
-    Floats dx = (yy * ex - yx * ey) * inverse, dy = (xx * ey - xy * ex) * inverse;
+    const Around x = around(target_position, source_width, src, first[0], is_run);
+    const Around y = around(target_position + plane, source_width, src, first[0], is_run);
+    const Around z = around(target_position + 2 * plane, source_width, src, first[0], is_run);
+    WideFlow f;
+    Ints done = use;
+    if (smooth) {
+        f = smooth_flow(x, y, z);
+    } else {
+        const Around shown = around(depth, source_width, src, first[0], is_run);
+        const Bytes bits = is_run ? load_bytes(0, links + first[0]) : gather_bytes(links, src);
+        f = wide_flow(x, y, z, to_ints(bits), shown.here, zoom);
+        done &= stays(x, y, shown, f);
+    }
+    const Floats ex = centre_x - x.here, ey = centre_y - y.here;
+    Floats dx = clamp(wide_divide(f.yy * ex - f.yx * ey, f.det), -1.0f, 1.0f);
+    Floats dy = clamp(wide_divide(f.xx * ey - f.xy * ex, f.det), -1.0f, 1.0f);
     dx = fabs(dx) < STILL ? (Floats)(0.0f) : dx;
     dy = fabs(dy) < STILL ? (Floats)(0.0f) : dy;
+    const Floats ox = floor(dx), oy = floor(dy);
+    if (!smooth) done &= ((dx == 0.0f) & (dy == 0.0f)) | move_alike(src, ox, oy, source_width, plane, x.here, y.here, f, target_position);
 
-    const Floats out_z = z.here + xz * dx + yz * dy;
-    store_floats(out_z > 0.0f ? out_z : z.here, 0, out_depth + dst);  /* sky: infinity, its differences are no numbers */
-    store_xy((src_x + 0.5f) + dx - centre_x, (src_y + 0.5f) + dy - centre_y, out_motion + dst);
-    const Bytes none = (Bytes)(0);
-    store_bytes((Bytes)(dynamic_mask[lane_src[0]]), 0, out_dynamic + dst);
-    store_bytes(none, 0, disoccluded + dst);
-    store_bytes(none, 0, mixed + dst);
-    store_bytes((Bytes)(BY_WARP), 0, filled_by + dst);
+    const Floats out_z = z.here + f.xz * dx + f.yz * dy;
+    const Ints own = (floor(x.here) == centre_x - 0.5f) & (floor(y.here) == centre_y - 0.5f);
+    store_floats(out_z > 0.0f ? out_z : z.here, 0, out_depth + dst);
+    store_xy((to_floats(src_x) + 0.5f) + dx - centre_x, (to_floats(src_y) + 0.5f) + dy - centre_y, out_motion + dst);
+    store_bytes(is_run ? load_bytes(0, dynamic_mask + first[0]) : gather_bytes(dynamic_mask, src), 0, out_dynamic + dst);
+    store_bytes((Bytes)(0), 0, disoccluded + dst);
+    store_bytes((Bytes)(0), 0, mixed + dst);
+    store_bytes(to_bytes(own ? (Ints)(BY_WARP) : (Ints)(BY_CRACK_CLOSING)), 0, filled_by + dst);
 
-    const Floats fx = floor(dx), fy = floor(dy);
-    int tap[LANES];
+    int tap[LANES], lane_done[LANES];
     float u[LANES], v[LANES];
-    store_ints(src + to_ints(fy) * source_width + to_ints(fx), 0, tap);
-    store_floats(dx - fx, 0, u);
-    store_floats(dy - fy, 0, v);
+    store_ints(src + to_ints(oy) * source_width + to_ints(ox), 0, tap);
+    store_ints(done, 0, lane_done);
+    store_floats(dx - ox, 0, u);
+    store_floats(dy - oy, 0, v);
     for (int k = 0; k < LANES; ++k) {
-        const float3 rgb = u[k] == 0.0f && v[k] == 0.0f
-            ? load_color(color, tap[k])
-            : cubic(tap[k] % source_width - 1, tap[k] / source_width - 1, u[k], v[k], source_width, (__global const uint2 *)color);
+        if (!lane_done[k]) continue;
+        float3 rgb;
+        if (u[k] == 0.0f && v[k] == 0.0f)
+            rgb = load_color(color, tap[k]);
+        else if (!cubic_of_finite(tap[k] - source_width - 1, u[k], v[k], source_width, color, &rgb))
+            rgb = cubic(tap[k] % source_width - 1, tap[k] / source_width - 1, u[k], v[k], source_width,
+                        (__global const uint2 *)color);
         store_color(rgb, out_color, dst + k);
     }
+    return done;
 }
 
 /* LANES pixels per work-item. */
@@ -306,13 +417,36 @@ WIDE __kernel void resolve(const int source_width, const int source_height, cons
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const int block = dst_y / BLOCK * blocks_along(target_width) + dst_x / BLOCK;
+    Ints done = (Ints)(0), src_x, src_y;
     if (block_class[block] == BACKWARD) {
-        resolve_backward(dst_x, dst_y, source_width, source_height, target_width, block_source[block], color, dynamic_mask,
-                         target_position, out_color, out_depth, out_motion, out_dynamic, disoccluded, filled_by, mixed);
+        const float8 source = block_source[block];
+        const Floats from_x = row_centres(dst_x) - (float)(dst_x / BLOCK * BLOCK + BLOCK / 2);
+        const float from_y = (float)dst_y + 0.5f - (float)(dst_y / BLOCK * BLOCK + BLOCK / 2);
+        src_x = to_ints(floor(source.s0 + source.s2 * from_x + source.s3 * from_y));
+        src_y = to_ints(floor(source.s1 + source.s4 * from_x + source.s5 * from_y));
+        resolve_lanes(true, dst_x, dst_y, src_x, src_y, src_x == src_x, source_width, source_height, target_width, zoom, color,
+                      depth, dynamic_mask, links, target_position, out_color, out_depth, out_motion, out_dynamic, disoccluded,
+                      filled_by, mixed);
         return;
     }
-    for (int x = dst_x; x < min(dst_x + LANES, target_width); ++x)
-        resolve_pixel(x, dst_y, source_width, source_height, target_width, unfilled_label, zoom, keys, winners, color, depth,
-                      dynamic_mask, links, target_position, out_color, out_depth, out_motion, out_dynamic, disoccluded,
-                      filled_by, mixed);
+    if (dst_x + LANES <= target_width) {
+        uint winner[LANES];
+        for (int k = 0; k < LANES; ++k) winner[k] = winner_of(keys, winners, dst_y * target_width + dst_x + k);
+        const Uints src = load_uints(0, winner);
+        src_y = to_ints(src / (uint)source_width);
+        src_x = to_ints(src) - src_y * source_width;
+        const Ints use = (src != NOBODY) & (src_x >= 2) & (src_y >= 2) & (src_x < source_width - 2) & (src_y < source_height - 2);
+        if (ANY(use))
+            done = resolve_lanes(false, dst_x, dst_y, use ? src_x : (Ints)(2), use ? src_y : (Ints)(2), use, source_width,
+                                 source_height, target_width, zoom, color, depth, dynamic_mask, links, target_position,
+                                 out_color, out_depth, out_motion, out_dynamic, disoccluded, filled_by, mixed);
+    }
+    if (ALL(done)) return;
+    int lane_done[LANES];
+    store_ints(done, 0, lane_done);
+    for (int k = 0; k < min(LANES, target_width - dst_x); ++k)
+        if (!lane_done[k])
+            resolve_pixel(dst_x + k, dst_y, source_width, source_height, target_width, unfilled_label, zoom, keys, winners,
+                          color, depth, dynamic_mask, links, target_position, out_color, out_depth, out_motion, out_dynamic,
+                          disoccluded, filled_by, mixed);
 }
