@@ -35,10 +35,9 @@ inline float3 cubic(const int x0, const int y0, const float u, const float v, co
                                                                                                 high.b));
 }
 
-/* The same of 4x4 taps from index `first` on, whole rows of half x4 at a time; false where a tap is no finite number. */
-inline bool cubic_of_finite(const int first, const float u, const float v, const int width, __global const half *color,
-                            float3 *rgb) {
-    const float4 wx = cubic_weights(u), wy = cubic_weights(v);
+/* The same of the 4x4 taps from index `first` on, whole rows of half x4 at a time; false where a tap is no finite number. */
+inline bool cubic_of_finite(const int first, const float4 wx, const float4 wy, const int width, __global const half *color,
+                            float4 *rgb) {
     __global const half *p = color + 4 * first;
     const float16 a = vload_half16(0, p), b = vload_half16(0, p + 4 * width), c = vload_half16(0, p + 8 * width),
                   d = vload_half16(0, p + 12 * width);
@@ -48,6 +47,6 @@ inline bool cubic_of_finite(const int first, const float u, const float v, const
     const float4 low = low_columns.s4567 < low_columns.s89ab ? low_columns.s4567 : low_columns.s89ab;
     const float4 high = high_columns.s4567 < high_columns.s89ab ? high_columns.s89ab : high_columns.s4567;
     const float4 raised = sum < low ? low : sum;
-    *rgb = (high < raised ? high : raised).xyz;
+    *rgb = high < raised ? high : raised;
     return fabs(sum.x) <= COLOR_MAX && fabs(sum.y) <= COLOR_MAX && fabs(sum.z) <= COLOR_MAX;
 }

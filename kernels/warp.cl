@@ -162,9 +162,10 @@ inline float3 resample(const int src_x, const int src_y, const float2 d, const i
                          dx, dy, here, flow) <= SAME_MOTION;
         alike |= (int)tap_alike << k;
     }
-    float3 rgb;
+    float4 rgb;
     if (alike == 0xFF) {
-        if (cubic_of_finite((src_y + oy - 1) * source_width + src_x + ox - 1, u, v, source_width, color, &rgb)) return rgb;
+        if (cubic_of_finite((src_y + oy - 1) * source_width + src_x + ox - 1, cubic_weights(u), cubic_weights(v), source_width,
+                            color, &rgb)) return rgb.xyz;
         return cubic(src_x + ox - 1, src_y + oy - 1, u, v, source_width, (__global const uint2 *)color);
     }
     float3 sum = (float3)(0.0f);
@@ -341,6 +342,45 @@ inline Ints move_alike(const Ints src, const Floats ox, const Floats oy, const i
     return alike;
 }
 
+/* Cubic weights of LANES positions, four at a time. */
+inline void store_weights(const Floats t, float4 *weights) {
+    const Floats t2 = t * t, t3 = t2 * t;
+    float lanes[4][LANES];
+    store_floats(-0.5f * t + t2 - 0.5f * t3, 0, lanes[0]);
+    store_floats(1.0f - 2.5f * t2 + 1.5f * t3, 0, lanes[1]);
+    store_floats(0.5f * t + 2.0f * t2 - 1.5f * t3, 0, lanes[2]);
+    store_floats(0.5f * t3 - 0.5f * t2, 0, lanes[3]);
+    for (int k = 0; k < LANES; ++k) weights[k] = (float4)(lanes[0][k], lanes[1][k], lanes[2][k], lanes[3][k]);
+}
+
+/* Colours at (u, v) from the pixels `tap`, cubic, for the lanes that are done. */
+inline void resample_lanes(const int dst, const Ints done, const Ints tap, const Floats u, const Floats v,
+                           const int source_width, __global const half *color, __global half *out_color) {
+    int lane_tap[LANES], lane_done[LANES], lane_exact[LANES];
+    float lane_u[LANES], lane_v[LANES];
+    float4 wx[LANES], wy[LANES];
+    store_ints(done, 0, lane_done);
+    store_ints(tap, 0, lane_tap);
+    store_ints((u == 0.0f) & (v == 0.0f), 0, lane_exact);
+    store_floats(u, 0, lane_u);
+    store_floats(v, 0, lane_v);
+    store_weights(u, wx);
+    store_weights(v, wy);
+    for (int k = 0; k < LANES; ++k) {
+        if (!lane_done[k]) continue;
+        const int first = lane_tap[k] - source_width - 1;
+        float4 rgb;
+        if (!lane_exact[k] && cubic_of_finite(first, wx[k], wy[k], source_width, color, &rgb)) {
+            vstore_half4_rte((float4)(rgb.xyz, 0.0f), dst + k, out_color);
+            continue;
+        }
+        const int tap_y = lane_tap[k] / source_width, tap_x = lane_tap[k] - tap_y * source_width;
+        store_color(lane_exact[k] ? load_color(color, lane_tap[k])
+                                  : cubic(tap_x - 1, tap_y - 1, lane_u[k], lane_v[k], source_width, (__global const uint2 *)color),
+                    out_color, dst + k);
+    }
+}
+
 /* LANES pixels from the fragments (src_x, src_y), which lie two pixels within the image. Gives the lanes that are done: those
    whose surroundings move along; `smooth`: all do. */
 inline Ints resolve_lanes(const bool smooth, const int dst_x, const int dst_y, const Ints src_x, const Ints src_y, const Ints use,
@@ -387,22 +427,7 @@ inline Ints resolve_lanes(const bool smooth, const int dst_x, const int dst_y, c
     store_bytes((Bytes)(0), 0, mixed + dst);
     store_bytes(to_bytes(own ? (Ints)(BY_WARP) : (Ints)(BY_CRACK_CLOSING)), 0, filled_by + dst);
 
-    int tap[LANES], lane_done[LANES];
-    float u[LANES], v[LANES];
-    store_ints(src + to_ints(oy) * source_width + to_ints(ox), 0, tap);
-    store_ints(done, 0, lane_done);
-    store_floats(dx - ox, 0, u);
-    store_floats(dy - oy, 0, v);
-    for (int k = 0; k < LANES; ++k) {
-        if (!lane_done[k]) continue;
-        float3 rgb;
-        if (u[k] == 0.0f && v[k] == 0.0f)
-            rgb = load_color(color, tap[k]);
-        else if (!cubic_of_finite(tap[k] - source_width - 1, u[k], v[k], source_width, color, &rgb))
-            rgb = cubic(tap[k] % source_width - 1, tap[k] / source_width - 1, u[k], v[k], source_width,
-                        (__global const uint2 *)color);
-        store_color(rgb, out_color, dst + k);
-    }
+    resample_lanes(dst, done, src + to_ints(oy) * source_width + to_ints(ox), dx - ox, dy - oy, source_width, color, out_color);
     return done;
 }
 
@@ -433,7 +458,9 @@ WIDE __kernel void resolve(const int source_width, const int source_height, cons
         uint winner[LANES];
         for (int k = 0; k < LANES; ++k) winner[k] = winner_of(keys, winners, dst_y * target_width + dst_x + k);
         const Uints src = load_uints(0, winner);
-        src_y = to_ints(src / (uint)source_width);
+        src_y = to_ints(to_floats(src) * (1.0f / (float)source_width));  /* one off at most */
+        src_x = to_ints(src) - src_y * source_width;
+        src_y += src_x < 0 ? (Ints)(-1) : src_x >= source_width ? (Ints)(1) : (Ints)(0);
         src_x = to_ints(src) - src_y * source_width;
         const Ints use = (src != NOBODY) & (src_x >= 2) & (src_y >= 2) & (src_x < source_width - 2) & (src_y < source_height - 2);
         if (ANY(use))
