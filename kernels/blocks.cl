@@ -20,44 +20,109 @@
 
 /* Box of target pixels. */
 typedef struct { float x0, y0, x1, y1; } Box;
+#define NOWHERE {INFINITY, INFINITY, -INFINITY, -INFINITY}
+
+/* What LANES fragments reach, taken together. */
+typedef struct { Floats x0, y0, x1, y1; } Boxes;
+
+inline Floats larger(const Floats a, const Floats b) { return a > b ? a : b; }
+inline Floats smaller(const Floats a, const Floats b) { return a < b ? a : b; }
+
+inline Box box_of(const Boxes boxes) {
+    float lanes[4][LANES];
+    store_floats(boxes.x0, 0, lanes[0]);
+    store_floats(boxes.y0, 0, lanes[1]);
+    store_floats(boxes.x1, 0, lanes[2]);
+    store_floats(boxes.y1, 0, lanes[3]);
+    Box box = {lanes[0][0], lanes[1][0], lanes[2][0], lanes[3][0]};
+    for (int k = 1; k < LANES; ++k) {
+        box.x0 = fmin(box.x0, lanes[0][k]);
+        box.y0 = fmin(box.y0, lanes[1][k]);
+        box.x1 = fmax(box.x1, lanes[2][k]);
+        box.y1 = fmax(box.y1, lanes[3][k]);
+    }
+    return box;
+}
 
 /* Reach of one source block pixel by pixel. */
-inline void reach_of_pixels(const int x0, const int y0, const int source_width, const int source_height,
-                            const int target_width, const int target_height, const float2 zoom,
-                            __global const float *depth, __global const uchar *links,
-                            __global const float *target_position, Box *box) {
+inline Box reach_of_pixels(const int x0, const int y0, const int source_width, const int source_height,
+                           const int target_width, const int target_height, const float2 zoom,
+                           __global const float *depth, __global const uchar *links,
+                           __global const float *target_position) {
     const int plane = source_width * source_height;
+    Box box = NOWHERE;
     for (int src_y = y0; src_y < min(y0 + BLOCK, source_height); ++src_y)
         for (int src_x = x0; src_x < min(x0 + BLOCK, source_width); ++src_x) {
             const int src = src_y * source_width + src_x;
             const float3 here = position_of(target_position, src, plane);
             if (!may_land(here, target_width, target_height)) continue;
             const float2 half_size = footprint(flow_at(src, source_width, plane, here, depth[src], links, target_position, zoom));
-            box->x0 = fmin(box->x0, here.x - half_size.x);
-            box->y0 = fmin(box->y0, here.y - half_size.y);
-            box->x1 = fmax(box->x1, here.x + half_size.x);
-            box->y1 = fmax(box->y1, here.y + half_size.y);
+            box.x0 = fmin(box.x0, here.x - half_size.x);
+            box.y0 = fmin(box.y0, here.y - half_size.y);
+            box.x1 = fmax(box.x1, here.x + half_size.x);
+            box.y1 = fmax(box.y1, here.y + half_size.y);
         }
+    return box;
+}
+
+/* The most that positions change towards either neighbour, if that is used, in one component; at least `least`. */
+inline Floats most_change(__global const float *p, const int step, const Ints use_before, const Ints use_after, const Floats least,
+                          const Floats most) {
+    const Floats here = load_floats(0, p), none = (Floats)(0.0f);
+    const Floats before = use_before ? fabs(here - load_floats(0, p - step)) : none;
+    const Floats after = use_after ? fabs(load_floats(0, p + step) - here) : none;
+    return smaller(larger(larger(before, after), least), most);
+}
+
+/* The same of a block one pixel within the image, or a little more: footprints are not made out one by one. */
+inline Box reach_of_lanes(const int x0, const int y0, const int source_width, const int plane, const int target_width,
+                          const int target_height, const float2 zoom, __global const float *depth,
+                          __global const uchar *links, __global const float *target_position) {
+    const Floats none = (Floats)(0.0f), reach = (Floats)(FOOTPRINT_REACH), far_off = (Floats)(INFINITY);
+    Boxes boxes = {far_off, far_off, -far_off, -far_off};
+    for (int src_y = y0; src_y < y0 + BLOCK; ++src_y)
+        for (int src_x = x0; src_x < x0 + BLOCK; src_x += LANES) {
+            const int src = src_y * source_width + src_x;
+            __global const float *p = target_position + src, *q = p + plane, *r = q + plane;
+            const Floats x = load_floats(0, p), y = load_floats(0, q), z = load_floats(0, r);
+            const Ints lands = (z > 0.0f) & (x > -reach) & (y > -reach) & (x < (float)target_width + reach)
+                               & (y < (float)target_height + reach);
+            const Ints bits = to_ints(load_bytes(0, links + src));
+            const Ints left = ((bits & LINK_LEFT) != 0) & (load_floats(0, r - 1) > 0.0f);
+            const Ints right = ((bits & LINK_RIGHT) != 0) & (load_floats(0, r + 1) > 0.0f);
+            const Ints up = ((bits & LINK_UP) != 0) & (load_floats(0, r - source_width) > 0.0f);
+            const Ints down = ((bits & LINK_DOWN) != 0) & (load_floats(0, r + source_width) > 0.0f);
+            const Floats nearer = isinf(z) ? (Floats)(1.0f) : load_floats(0, depth + src) * 1.001f / z;
+            const Floats scale_x = zoom.x * nearer, scale_y = zoom.y * nearer, most = STRETCH_MOST * larger(scale_x, scale_y);
+            const Floats half_x = smaller(FOOTPRINT_HALF * (most_change(p, 1, left, right, scale_x, most)
+                                                            + most_change(p, source_width, up, down, none, most)), reach);
+            const Floats half_y = smaller(FOOTPRINT_HALF * (most_change(q, 1, left, right, none, most)
+                                                            + most_change(q, source_width, up, down, scale_y, most)), reach);
+            boxes.x0 = smaller(lands ? x - half_x : far_off, boxes.x0);
+            boxes.y0 = smaller(lands ? y - half_y : far_off, boxes.y0);
+            boxes.x1 = larger(lands ? x + half_x : -far_off, boxes.x1);
+            boxes.y1 = larger(lands ? y + half_y : -far_off, boxes.y1);
+        }
+    return box_of(boxes);
 }
 
 /* Whether the links of all pixels up to two beyond the block are complete. */
 inline bool is_one_surface(const int x0, const int y0, const int source_width, const int source_height,
                            __global const uchar *links) {
     if (x0 < 2 || y0 < 2 || x0 + BLOCK + 2 > source_width || y0 + BLOCK + 2 > source_height) return false;
-    Bytes common = (Bytes)(ALL_LINKS);
-    for (int y = y0 - 2; y < y0 + BLOCK + 2; ++y)
-        for (int x = x0; x < x0 + BLOCK; x += LANES) {
-            __global const uchar *row = links + y * source_width + x;
-            common &= load_bytes(0, row - 2) & load_bytes(0, row - 1) & load_bytes(0, row) & load_bytes(0, row + 1)
-                   & load_bytes(0, row + 2);
-        }
-    return ALL(to_ints(common) == ALL_LINKS);
+    uchar8 common = (uchar8)(ALL_LINKS);
+    for (int y = y0 - 2; y < y0 + BLOCK + 2; ++y) {
+        __global const uchar *row = links + y * source_width + x0;
+        common &= vload8(0, row - 2) & vload8(0, row + 2);
+    }
+    return as_ulong(common) == as_ulong((uchar8)(ALL_LINKS));
 }
 
 /* Whether positions are linear over the block, within BEND_MOST; then *box is its reach. */
 inline bool is_linear(const int x0, const int y0, const int source_width, const int plane, const float2 zoom,
                       __global const float *depth, __global const float *target_position, Box *box) {
-    Floats low_x = (Floats)(INFINITY), low_y = low_x, high_x = -low_x, high_y = -low_x, half_x = (Floats)(0.0f), half_y = half_x;
+    const Floats far_off = (Floats)(INFINITY);
+    Boxes boxes = {far_off, far_off, -far_off, -far_off};
     Ints linear = (Ints)(1) == (Ints)(1);
     for (int x = x0; x < x0 + BLOCK; x += LANES) {
         Floats before_x = (Floats)(0.0f), before_y = before_x;
@@ -83,36 +148,15 @@ inline bool is_linear(const int x0, const int y0, const int source_width, const 
             if (y > y0) linear &= (fabs(xx - before_x) <= BEND_MOST) & (fabs(xy - before_y) <= BEND_MOST);
             before_x = xx;
             before_y = xy;
-            low_x = here_x < low_x ? here_x : low_x;
-            low_y = here_y < low_y ? here_y : low_y;
-            high_x = here_x > high_x ? here_x : high_x;
-            high_y = here_y > high_y ? here_y : high_y;
-            const Floats size_x = fabs(xx) + fabs(yx), size_y = fabs(xy) + fabs(yy);
-            half_x = size_x > half_x ? size_x : half_x;
-            half_y = size_y > half_y ? size_y : half_y;
+            const Floats half_x = FOOTPRINT_HALF * (fabs(xx) + fabs(yx)), half_y = FOOTPRINT_HALF * (fabs(xy) + fabs(yy));
+            boxes.x0 = smaller(here_x - half_x, boxes.x0);
+            boxes.y0 = smaller(here_y - half_y, boxes.y0);
+            boxes.x1 = larger(here_x + half_x, boxes.x1);
+            boxes.y1 = larger(here_y + half_y, boxes.y1);
         }
         if (!ALL(linear)) return false;
     }
-    float lanes[6][LANES];
-    store_floats(low_x, 0, lanes[0]);
-    store_floats(low_y, 0, lanes[1]);
-    store_floats(high_x, 0, lanes[2]);
-    store_floats(high_y, 0, lanes[3]);
-    store_floats(half_x, 0, lanes[4]);
-    store_floats(half_y, 0, lanes[5]);
-    float half_width = 0.0f, half_height = 0.0f;
-    for (int k = 0; k < LANES; ++k) {
-        box->x0 = fmin(box->x0, lanes[0][k]);
-        box->y0 = fmin(box->y0, lanes[1][k]);
-        box->x1 = fmax(box->x1, lanes[2][k]);
-        box->y1 = fmax(box->y1, lanes[3][k]);
-        half_width = fmax(half_width, lanes[4][k]);
-        half_height = fmax(half_height, lanes[5][k]);
-    }
-    box->x0 -= FOOTPRINT_HALF * half_width;
-    box->y0 -= FOOTPRINT_HALF * half_height;
-    box->x1 += FOOTPRINT_HALF * half_width;
-    box->y1 += FOOTPRINT_HALF * half_height;
+    *box = box_of(boxes);
     return true;
 }
 
@@ -128,15 +172,15 @@ WIDE __kernel void find_reach(const int source_width, const int source_height, c
     const int source_blocks = blocks_along(source_width);
     if (bx >= source_blocks || by >= blocks_along(source_height) || !(blocks && crack_closing)) return;
     const int x0 = bx * BLOCK, y0 = by * BLOCK;
-    Box box = {INFINITY, INFINITY, -INFINITY, -INFINITY};
+    const int plane = source_width * source_height;
+    Box box;
     const bool is_smooth = is_one_surface(x0, y0, source_width, source_height, links)
-        && is_linear(x0, y0, source_width, source_width * source_height, zoom, depth, target_position, &box);
-    if (!is_smooth) {
-        box.x0 = box.y0 = INFINITY;
-        box.x1 = box.y1 = -INFINITY;
-        reach_of_pixels(x0, y0, source_width, source_height, target_width, target_height, zoom, depth, links,
-                        target_position, &box);
-    }
+        && is_linear(x0, y0, source_width, plane, zoom, depth, target_position, &box);
+    const bool within = x0 >= 1 && y0 >= 1 && x0 + BLOCK + 1 <= source_width && y0 + BLOCK + 1 <= source_height;
+    if (!is_smooth)
+        box = within ? reach_of_lanes(x0, y0, source_width, plane, target_width, target_height, zoom, depth, links, target_position)
+                     : reach_of_pixels(x0, y0, source_width, source_height, target_width, target_height, zoom, depth, links,
+                                       target_position);
     smooth[by * source_blocks + bx] = is_smooth;
     const int target_blocks = blocks_along(target_width);
     int4 reached = (int4)(1, 1, 0, 0);
