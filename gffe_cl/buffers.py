@@ -23,6 +23,7 @@ RGBA = ("R", "G", "B", "A")
 XY = ("x", "y")
 
 _LABELS = constants("common.h")
+BLOCK = tuple(constants("blocks.h")[f"BLOCK_{side}"] for side in ("WIDTH", "HEIGHT"))  # pixels
 BY_HOLE_FILLING, BY_NOTHING = _LABELS["BY_HOLE_FILLING"], _LABELS["BY_NOTHING"]
 BY_WARP, BY_CRACK_CLOSING = _LABELS["BY_WARP"], _LABELS["BY_CRACK_CLOSING"]
 FILLED_BY = (
@@ -51,8 +52,8 @@ class Sizes:
             "source": self.source,
             "target": self.target,
             "blocks": halved(self.target, 5),
-            "source_blocks": halved(self.source, 3),
-            "target_blocks": halved(self.target, 3),
+            "source_blocks": _blocks(self.source),
+            "target_blocks": _blocks(self.target),
             "network": tuple(-(-n // MULTIPLE) * MULTIPLE for n in halved(self.target, 1)),
             "once": (1, 1),
         }[grid]
@@ -63,7 +64,7 @@ class BufferSpec:
     """One named buffer.
 
     `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "blocks"
-    (target / 32, rounded up), "source_blocks" and "target_blocks" (each / 8), "level0" … (source / 2^l, rounded up), "mip1" … (target / 2^l, rounded up), "network"
+    (target / 32, rounded up), "source_blocks" and "target_blocks" (each, in blocks of 8×4), "level0" … (source / 2^l, rounded up), "mip1" … (target / 2^l, rounded up), "network"
     (target / 2, rounded up to multiples of 16) or "once" (no image). `components` name its channels; a single one goes
     without. `view` says what it means, and so how to show it: "color" (linear RGB), "depth" (view z), "motion" (pixels,
     from here), "place" (position in pixels), "world" (position in the view space of the rendered camera), "mask" (0 or
@@ -207,6 +208,10 @@ class DeviceFrame:
     @property
     def buffers(self) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer]:
         return self.color, self.depth, self.motion
+
+
+def _blocks(size: tuple[int, int]) -> tuple[int, int]:
+    return tuple(-(-n // side) for n, side in zip(size, BLOCK, strict=True))
 
 
 def halved(size: tuple[int, int], times: int) -> tuple[int, int]:

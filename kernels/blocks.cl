@@ -11,7 +11,8 @@
 #include "nearest.h"
 
 #define FAR_OFF 0x3FFFFFFF        /* more than any block's coordinate */
-#define SIDE_BY_SIDE 3            /* blocks, each way, that may reach a target block which is warped backward */
+#define COLUMNS_MOST 3            /* of source blocks that reach a target block which is warped backward */
+#define ROWS_MOST 4
 #define BEND_MOST 0.001953125f    /* 2^-9 px: by how much a smooth block's positions deviate from linear per pixel */
 #define SHEAR_MOST 0.25f          /* of a smooth block, per source pixel and zoom ... */
 #define STRETCH_LOW 0.5f          /* ... and how it is stretched */
@@ -51,8 +52,8 @@ inline Box reach_of_pixels(const int x0, const int y0, const int source_width, c
                            __global const float *target_position) {
     const int plane = source_width * source_height;
     Box box = NOWHERE;
-    for (int src_y = y0; src_y < min(y0 + BLOCK, source_height); ++src_y)
-        for (int src_x = x0; src_x < min(x0 + BLOCK, source_width); ++src_x) {
+    for (int src_y = y0; src_y < min(y0 + BLOCK_HEIGHT, source_height); ++src_y)
+        for (int src_x = x0; src_x < min(x0 + BLOCK_WIDTH, source_width); ++src_x) {
             const int src = src_y * source_width + src_x;
             const float3 here = position_of(target_position, src, plane);
             if (!may_land(here, target_width, target_height)) continue;
@@ -80,8 +81,8 @@ inline Box reach_of_lanes(const int x0, const int y0, const int source_width, co
                           __global const uchar *links, __global const float *target_position) {
     const Floats none = (Floats)(0.0f), reach = (Floats)(FOOTPRINT_REACH), far_off = (Floats)(INFINITY);
     Boxes boxes = {far_off, far_off, -far_off, -far_off};
-    for (int src_y = y0; src_y < y0 + BLOCK; ++src_y)
-        for (int src_x = x0; src_x < x0 + BLOCK; src_x += LANES) {
+    for (int src_y = y0; src_y < y0 + BLOCK_HEIGHT; ++src_y)
+        for (int src_x = x0; src_x < x0 + BLOCK_WIDTH; src_x += LANES) {
             const int src = src_y * source_width + src_x;
             __global const float *p = target_position + src, *q = p + plane, *r = q + plane;
             const Floats x = load_floats(0, p), y = load_floats(0, q), z = load_floats(0, r);
@@ -109,9 +110,9 @@ inline Box reach_of_lanes(const int x0, const int y0, const int source_width, co
 /* Whether the links of all pixels up to two beyond the block are complete. */
 inline bool is_one_surface(const int x0, const int y0, const int source_width, const int source_height,
                            __global const uchar *links) {
-    if (x0 < 2 || y0 < 2 || x0 + BLOCK + 2 > source_width || y0 + BLOCK + 2 > source_height) return false;
+    if (x0 < 2 || y0 < 2 || x0 + BLOCK_WIDTH + 2 > source_width || y0 + BLOCK_HEIGHT + 2 > source_height) return false;
     uchar8 common = (uchar8)(ALL_LINKS);
-    for (int y = y0 - 2; y < y0 + BLOCK + 2; ++y) {
+    for (int y = y0 - 2; y < y0 + BLOCK_HEIGHT + 2; ++y) {
         __global const uchar *row = links + y * source_width + x0;
         common &= vload8(0, row - 2) & vload8(0, row + 2);
     }
@@ -124,9 +125,9 @@ inline bool is_linear(const int x0, const int y0, const int source_width, const 
     const Floats far_off = (Floats)(INFINITY);
     Boxes boxes = {far_off, far_off, -far_off, -far_off};
     Ints linear = (Ints)(1) == (Ints)(1);
-    for (int x = x0; x < x0 + BLOCK; x += LANES) {
+    for (int x = x0; x < x0 + BLOCK_WIDTH; x += LANES) {
         Floats before_x = (Floats)(0.0f), before_y = before_x;
-        for (int y = y0; y < y0 + BLOCK; ++y) {
+        for (int y = y0; y < y0 + BLOCK_HEIGHT; ++y) {
             const int src = y * source_width + x;
             __global const float *p = target_position + src;
             const Floats here_x = load_floats(0, p), left_x = load_floats(0, p - 1), right_x = load_floats(0, p + 1);
@@ -169,25 +170,25 @@ WIDE __kernel void find_reach(const int source_width, const int source_height, c
                               __global const float *target_position, __global uchar *smooth, __global int4 *reach,
                               __global int *reached_by) {
     const int bx = get_global_id(0), by = get_global_id(1);
-    const int source_blocks = blocks_along(source_width);
-    if (bx >= source_blocks || by >= blocks_along(source_height) || !(blocks && crack_closing)) return;
-    const int x0 = bx * BLOCK, y0 = by * BLOCK;
+    const int source_blocks = block_columns(source_width);
+    if (bx >= source_blocks || by >= block_rows(source_height) || !(blocks && crack_closing)) return;
+    const int x0 = bx * BLOCK_WIDTH, y0 = by * BLOCK_HEIGHT;
     const int plane = source_width * source_height;
     Box box;
     const bool is_smooth = is_one_surface(x0, y0, source_width, source_height, links)
         && is_linear(x0, y0, source_width, plane, zoom, depth, target_position, &box);
-    const bool within = x0 >= 1 && y0 >= 1 && x0 + BLOCK + 1 <= source_width && y0 + BLOCK + 1 <= source_height;
+    const bool within = x0 >= 1 && y0 >= 1 && x0 + BLOCK_WIDTH + 1 <= source_width && y0 + BLOCK_HEIGHT + 1 <= source_height;
     if (!is_smooth)
         box = within ? reach_of_lanes(x0, y0, source_width, plane, target_width, target_height, zoom, depth, links, target_position)
                      : reach_of_pixels(x0, y0, source_width, source_height, target_width, target_height, zoom, depth, links,
                                        target_position);
     smooth[by * source_blocks + bx] = is_smooth;
-    const int target_blocks = blocks_along(target_width);
+    const int target_blocks = block_columns(target_width);
     int4 reached = (int4)(1, 1, 0, 0);
     if (box.x1 > 0.0f && box.y1 > 0.0f && box.x0 < (float)target_width && box.y0 < (float)target_height)
-        reached = (int4)((int)fmax(box.x0, 0.0f) / BLOCK, (int)fmax(box.y0, 0.0f) / BLOCK,
-                         (int)fmin(box.x1, (float)(target_width - 1)) / BLOCK,
-                         (int)fmin(box.y1, (float)(target_height - 1)) / BLOCK);
+        reached = (int4)((int)fmax(box.x0, 0.0f) / BLOCK_WIDTH, (int)fmax(box.y0, 0.0f) / BLOCK_HEIGHT,
+                         (int)fmin(box.x1, (float)(target_width - 1)) / BLOCK_WIDTH,
+                         (int)fmin(box.y1, (float)(target_height - 1)) / BLOCK_HEIGHT);
     reach[by * source_blocks + bx] = reached;
     const int extent[4] = {FAR_OFF - (is_smooth ? bx : 0), FAR_OFF - (is_smooth ? by : 0), is_smooth ? bx + 1 : FAR_OFF,
                            is_smooth ? by + 1 : FAR_OFF};
@@ -200,7 +201,7 @@ WIDE __kernel void find_reach(const int source_width, const int source_height, c
    (source px, slopes of the inverse xx, xy, yx, yy); false if that leads elsewhere. */
 inline bool find_source(const float2 centre, const int4 extent, const int source_width, const int plane,
                         __global const float *target_position, float8 *source) {
-    const int x0 = extent.x * BLOCK, y0 = extent.y * BLOCK, x1 = (extent.z + 1) * BLOCK - 1, y1 = (extent.w + 1) * BLOCK - 1;
+    const int x0 = extent.x * BLOCK_WIDTH, y0 = extent.y * BLOCK_HEIGHT, x1 = (extent.z + 1) * BLOCK_WIDTH - 1, y1 = (extent.w + 1) * BLOCK_HEIGHT - 1;
     float2 px = 0.5f * (float2)((float)(x0 + x1 + 1), (float)(y0 + y1 + 1));
     for (int k = 0; k < 4; ++k) {
         const int src_x = clamp((int)floor(px.x), x0, x1), src_y = clamp((int)floor(px.y), y0, y1);
@@ -226,25 +227,25 @@ __kernel void classify_blocks(const int source_width, const int source_height, c
                               __global const uchar *smooth, __global int *reached_by, __global uchar *block_class,
                               __global float8 *block_source, __global Key *keys, __global uint *winners) {
     const int bx = get_global_id(0), by = get_global_id(1);
-    const int source_blocks = blocks_along(source_width), target_blocks = blocks_along(target_width);
-    if (bx >= target_blocks || by >= blocks_along(target_height)) return;
+    const int source_blocks = block_columns(source_width), target_blocks = block_columns(target_width);
+    if (bx >= target_blocks || by >= block_rows(target_height)) return;
     const int block = by * target_blocks + bx;
     const int4 extent = (int4)(FAR_OFF - reached_by[4 * block], FAR_OFF - reached_by[4 * block + 1],
                                reached_by[4 * block + 2] - 1, reached_by[4 * block + 3] - 1);
     vstore4((int4)(0), block, reached_by);
-    bool backward = (bx + 1) * BLOCK <= target_width && extent.x <= extent.z && extent.y <= extent.w && extent.z - extent.x < SIDE_BY_SIDE
-                    && extent.w - extent.y < SIDE_BY_SIDE;
+    bool backward = (bx + 1) * BLOCK_WIDTH <= target_width && extent.x <= extent.z && extent.y <= extent.w && extent.z - extent.x < COLUMNS_MOST
+                    && extent.w - extent.y < ROWS_MOST;
     for (int y = extent.y; backward && y <= extent.w; ++y)
         for (int x = extent.x; x <= extent.z; ++x) backward = backward && smooth[y * source_blocks + x];
     if (backward) {
         float8 source;
-        const float2 centre = (float2)((float)(bx * BLOCK + BLOCK / 2), (float)(by * BLOCK + BLOCK / 2));
+        const float2 centre = (float2)((float)(bx * BLOCK_WIDTH + BLOCK_WIDTH / 2), (float)(by * BLOCK_HEIGHT + BLOCK_HEIGHT / 2));
         backward = find_source(centre, extent, source_width, source_width * source_height, target_position, &source);
         if (backward) block_source[block] = source;
     }
     block_class[block] = backward ? BACKWARD : SPLATTED;
     if (backward) return;
-    for (int dst_y = by * BLOCK; dst_y < min((by + 1) * BLOCK, target_height); ++dst_y)
-        for (int dst_x = bx * BLOCK; dst_x < min((bx + 1) * BLOCK, target_width); ++dst_x)
+    for (int dst_y = by * BLOCK_HEIGHT; dst_y < min((by + 1) * BLOCK_HEIGHT, target_height); ++dst_y)
+        for (int dst_x = bx * BLOCK_WIDTH; dst_x < min((bx + 1) * BLOCK_WIDTH, target_width); ++dst_x)
             forget(keys, winners, dst_y * target_width + dst_x);
 }

@@ -1,7 +1,14 @@
-/* Blocks of 8x8 pixels, of source and of target images (blocks.cl, warp.cl). */
+/* Blocks of 8x4 pixels, of source and of target images (blocks.cl, warp.cl). */
 
-#define BLOCK 8
+#define BLOCK_WIDTH 8
+#define BLOCK_HEIGHT 4
 #define SPLATTED 0   /* a target block whose pixels are won by the nearest of the fragments that are splatted there */
 #define BACKWARD 1   /* one whose pixels all show one smooth surface: warped backward */
 
-inline int blocks_along(const int side) { return (side + BLOCK - 1) / BLOCK; }
+inline int block_columns(const int width) { return (width + BLOCK_WIDTH - 1) / BLOCK_WIDTH; }
+inline int block_rows(const int height) { return (height + BLOCK_HEIGHT - 1) / BLOCK_HEIGHT; }
+
+/* Index of the block of pixel (x, y). */
+inline int block_of(const int x, const int y, const int width) {
+    return y / BLOCK_HEIGHT * block_columns(width) + x / BLOCK_WIDTH;
+}

@@ -95,7 +95,7 @@ inline bool splat_inside(const int src_x, const int src_y, const int source_widt
 inline bool any_splatted(const int4 reached, const int target_width, __global const uchar *block_class) {
     for (int y = reached.y; y <= reached.w; ++y)
         for (int x = reached.x; x <= reached.z; ++x)
-            if (block_class[y * blocks_along(target_width) + x] == SPLATTED) return true;
+            if (block_class[y * block_columns(target_width) + x] == SPLATTED) return true;
     return false;
 }
 
@@ -108,7 +108,7 @@ WIDE __kernel void splat(const int source_width, const int source_height, const 
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     if (blocks && crack_closing
-        && !any_splatted(reach[src_y / BLOCK * blocks_along(source_width) + src_x / BLOCK], target_width, block_class)) return;
+        && !any_splatted(reach[block_of(src_x, src_y, source_width)], target_width, block_class)) return;
     if (crack_closing && splat_inside(src_x, src_y, source_width, source_height, target_width, target_height, pass, zoom,
                                       depth, links, target_position, keys, winners)) return;
     for (int x = src_x; x < min(src_x + LANES, source_width); ++x)
@@ -441,12 +441,12 @@ WIDE __kernel void resolve(const int source_width, const int source_height, cons
                            __global uchar *disoccluded, __global uchar *filled_by, __global uchar *mixed) {
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
-    const int block = dst_y / BLOCK * blocks_along(target_width) + dst_x / BLOCK;
+    const int block = block_of(dst_x, dst_y, target_width);
     Ints done = (Ints)(0), src_x, src_y;
     if (block_class[block] == BACKWARD) {
         const float8 source = block_source[block];
-        const Floats from_x = row_centres(dst_x) - (float)(dst_x / BLOCK * BLOCK + BLOCK / 2);
-        const float from_y = (float)dst_y + 0.5f - (float)(dst_y / BLOCK * BLOCK + BLOCK / 2);
+        const Floats from_x = row_centres(dst_x) - (float)(dst_x / BLOCK_WIDTH * BLOCK_WIDTH + BLOCK_WIDTH / 2);
+        const float from_y = (float)dst_y + 0.5f - (float)(dst_y / BLOCK_HEIGHT * BLOCK_HEIGHT + BLOCK_HEIGHT / 2);
         src_x = to_ints(floor(source.s0 + source.s2 * from_x + source.s3 * from_y));
         src_y = to_ints(floor(source.s1 + source.s4 * from_x + source.s5 * from_y));
         resolve_lanes(true, dst_x, dst_y, src_x, src_y, src_x == src_x, source_width, source_height, target_width, zoom, color,

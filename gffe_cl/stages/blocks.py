@@ -14,7 +14,7 @@ CLASSES = ((SPLATTED, "splatted: edges, movers, disocclusions"), (BACKWARD, "one
 
 
 class Blocks(NearestStage):
-    """Finds the blocks of 8×8 pixels that one smooth surface covers: they are warped backward, the others are splatted."""
+    """Finds the blocks of 8×4 pixels that one smooth surface covers: they are warped backward, the others are splatted."""
 
     name = "blocks"
     buffers = (
