@@ -21,14 +21,14 @@ SCENE = Rects(
 )
 
 
-def frames(width, height, count=4, spoil=True):
+def frames(width, height, count=4, spoil=True, scene=SCENE):
     rng = np.random.default_rng(5)
     cameras = [
         camera(width, height, (0.1 * k, 0.02 * k, 0.15 * k), 0.02 * k, 0.004 * k * k, 0.01 * k) for k in range(count)
     ]
     previous = None
     for k in range(count):
-        frame = SCENE.frame(cameras[k], k / 30, width, height, previous, reset=k == 0)
+        frame = scene.frame(cameras[k], k / 30, width, height, previous, reset=k == 0)
         previous = (cameras[k], k / 30)
         if spoil and k:
             for array, values in (
@@ -58,9 +58,9 @@ def run(device, width, height, options, int64=None, target=None, spoil=True):
 
 
 OPTIONS = [
-    Options(shading_inputs=True),
-    Options(history=4, order=3, levels=3),
-    Options(hole_filling="push-pull"),
+    Options(shading_inputs=True, blocks=False),  # blocks: test_blocks.py
+    Options(history=4, order=3, levels=3, blocks=False),
+    Options(hole_filling="push-pull", blocks=False),
     Options(crack_closing=False, static_threshold=0.7, levels=0, hole_filling="downsample"),
 ]
 

@@ -13,11 +13,11 @@ from gffe_cl.opencl.program import constants
 F = np.float32
 INF = F(np.inf)
 COMMON = SimpleNamespace(**constants("common.h"))
-HISTORY, SURFACES, WARP, BACKGROUND, HOLES, SHADING, CORRECTION = (
+HISTORY, SURFACES, BLOCKS, WARP, BACKGROUND, HOLES, SHADING, CORRECTION = (
     SimpleNamespace(**{name: F(value) if isinstance(value, float) else value for name, value in found.items()})
     for found in (
         constants(f"{name}.cl")
-        for name in ("history", "surfaces", "warp", "background", "holes", "shading", "correction")
+        for name in ("history", "surfaces", "blocks", "warp", "background", "holes", "shading", "correction")
     )
 )
 NOBODY = WARP.NOBODY
@@ -219,10 +219,9 @@ def track_history(
 
 
 def predict_positions(depth, dynamic, history, order, weights, to_target):
-    """(H, W, 4) float32: px in the target image, view depth (−1: nothing), 0."""
+    """(H, W, 3) float32: px in the target image, view depth (−1: nothing)."""
     px = centres(*depth.shape)
-    out = np.zeros((*depth.shape, 4), F)
-    out[..., :3] = reproject(px, depth, to_target)
+    out = reproject(px, depth, to_target)
     p0 = unproject(px, depth, to_target[4])
     known = np.cumprod(history[:order, ..., 3] != 0, axis=0).sum(0)
     predicted = p0.copy()
@@ -233,8 +232,8 @@ def predict_positions(depth, dynamic, history, order, weights, to_target):
     target = move(predicted, to_target)
     moved = np.concatenate([project(target, to_target[5]), target[..., 2:]], -1)
     moved[~(target[..., 2] > 0)] = (0, 0, -1)
-    out[dynamic > 0, :3] = moved[dynamic > 0]
-    out[invalid(depth), :3] = (0, 0, -1)
+    out[dynamic > 0] = moved[dynamic > 0]
+    out[invalid(depth)] = (0, 0, -1)
     return out
 
 
@@ -272,7 +271,7 @@ def link_surfaces(depth, dynamic):
 
 
 def flow(target_position, depth, links, zoom):
-    """Jacobian columns ddx, ddy (H, W, 4) and the inverse of its 2×2 part (xx, xy, yx, yy)."""
+    """Jacobian columns ddx, ddy (H, W, 3) and the determinant of its 2×2 part."""
     here = target_position
     sky = np.isinf(here[..., 2])
 
@@ -294,8 +293,8 @@ def flow(target_position, depth, links, zoom):
         scale_x, scale_y = zoom[0] * nearer, zoom[1] * nearer
         most = WARP.STRETCH_MOST * np.maximum(scale_x, scale_y)
         zero = np.zeros_like(scale_x)
-        plain_x = np.stack([scale_x, zero, zero, zero], -1)
-        plain_y = np.stack([zero, scale_y, zero, zero], -1)
+        plain_x = np.stack([scale_x, zero, zero], -1)
+        plain_y = np.stack([zero, scale_y, zero], -1)
         bad_x = ~linked_x | (np.abs(ddx[..., 0]) > most) | (np.abs(ddx[..., 1]) > most)
         bad_y = ~linked_y | (np.abs(ddy[..., 0]) > most) | (np.abs(ddy[..., 1]) > most)
         ddx, ddy = np.where(bad_x[..., None], plain_x, ddx), np.where(bad_y[..., None], plain_y, ddy)
@@ -303,33 +302,98 @@ def flow(target_position, depth, links, zoom):
         folded = ~(det > F(0.02) * scale_x * scale_y)
         ddx, ddy = np.where(folded[..., None], plain_x, ddx), np.where(folded[..., None], plain_y, ddy)
         det = np.where(folded, scale_x * scale_y, det)
-        inverse = np.stack([ddy[..., 1], -ddy[..., 0], -ddx[..., 1], ddx[..., 0]], -1) / det[..., None]
-    return ddx.astype(F), ddy.astype(F), inverse.astype(F)
+    return ddx.astype(F), ddy.astype(F), det.astype(F)
 
 
-def _source_offset(inverse, d):
-    return np.stack(
-        [
-            inverse[..., 0] * d[..., 0] + inverse[..., 1] * d[..., 1],
-            inverse[..., 2] * d[..., 0] + inverse[..., 3] * d[..., 1],
-        ],
-        -1,
-    )
+def _source_offset(ddx, ddy, d):
+    """Times the determinant."""
+    x, y = d[..., 0], d[..., 1]
+    return np.stack([ddy[..., 1] * x - ddy[..., 0] * y, ddx[..., 0] * y - ddx[..., 1] * x], -1)
+
+
+def smooth_blocks(target_position, depth, links, zoom):
+    """(rows, columns) bool: source blocks over which predicted positions change linearly."""
+    height, width = depth.shape
+    rows, columns = -(-height // BLOCKS.BLOCK_HEIGHT), -(-width // BLOCKS.BLOCK_WIDTH)
+    linked = np.zeros((height + 4, width + 4), bool)  # with a border that is not
+    linked[2:-2, 2:-2] = links == BLOCKS.ALL_LINKS
+    smooth = np.zeros((rows, columns), bool)
+    for by in range(rows):
+        for bx in range(columns):
+            y, x = by * BLOCKS.BLOCK_HEIGHT, bx * BLOCKS.BLOCK_WIDTH
+            y1, x1 = y + BLOCKS.BLOCK_HEIGHT, x + BLOCKS.BLOCK_WIDTH
+            if y1 > height or x1 > width or not linked[y : y1 + 4, x : x1 + 4].all():
+                continue
+            around = target_position[y - 1 : y1 + 1, x - 1 : x1 + 1]
+            here = around[1:-1, 1:-1]
+            left, right, up, down = around[1:-1, :-2], around[1:-1, 2:], around[:-2, 1:-1], around[2:, 1:-1]
+            z, z_source = here[..., 2], depth[y:y1, x:x1]
+            left, right, up, down, here = (a[..., :2] for a in (left, right, up, down, here))
+            most = BLOCKS.STRETCH_HIGH
+            flat = (z > 0) & (z_source <= most * z) & (z <= most * z_source)
+            for a, b in ((left, right), (up, down)):
+                bend = np.abs((b - here) - (here - a))
+                flat &= (bend <= BLOCKS.BEND_MOST).all(-1)
+            ddx, ddy = F(0.5) * (right - left), F(0.5) * (down - up)
+            for along, across, size in ((ddx[..., 0], ddy[..., 0], zoom[0]), (ddy[..., 1], ddx[..., 1], zoom[1])):
+                flat &= (along >= BLOCKS.STRETCH_LOW * size) & (along <= most * size)
+                flat &= np.abs(across) <= BLOCKS.SHEAR_MOST * size
+            turn = np.abs(ddx[1:] - ddx[:-1]) <= BLOCKS.BEND_MOST
+            smooth[by, bx] = flat.all() and turn.all()
+    return smooth
+
+
+def block_classes(smooth, target_position, depth, links, zoom, target_size):
+    """(rows, columns) bool: target blocks that are warped backward. Of blocks that are not smooth the reach is taken
+    fragment by fragment: the kernel's may be larger, so it may give fewer."""
+    width, height = target_size
+    side = np.array((BLOCKS.BLOCK_WIDTH, BLOCKS.BLOCK_HEIGHT))
+    rows, columns = -(-height // side[1]), -(-width // side[0])
+    low, high = np.full((rows, columns, 2), 10**6), np.full((rows, columns, 2), -1)
+    spoilt = np.zeros((rows, columns), bool)
+    ddx, ddy, _ = flow(target_position, depth, links, zoom)
+    here = target_position[..., :2]
+    reach = F(WARP.FOOTPRINT_REACH)
+    half = np.minimum(WARP.FOOTPRINT_HALF * (np.abs(ddx[..., :2]) + np.abs(ddy[..., :2])), reach)
+    with np.errstate(invalid="ignore"):
+        lands = (target_position[..., 2] > 0) & (here > -reach).all(-1) & (here < np.array(target_size, F) + reach).all(-1)
+    for by, bx in np.ndindex(*smooth.shape):
+        part = np.s_[by * side[1] : (by + 1) * side[1], bx * side[0] : (bx + 1) * side[0]]
+        use = lands[part]
+        if not use.any():
+            continue
+        first, last = (here[part] - half[part])[use].min(0), (here[part] + half[part])[use].max(0)
+        if (last <= 0).any() or (first >= target_size).any():
+            continue
+        x0, y0 = (np.maximum(first, 0).astype(int) // side).tolist()
+        x1, y1 = (np.minimum(last, np.array(target_size) - 1).astype(int) // side).tolist()
+        reached = np.s_[y0 : y1 + 1, x0 : x1 + 1]
+        low[reached], high[reached] = np.minimum(low[reached], (bx, by)), np.maximum(high[reached], (bx, by))
+        spoilt[reached] |= not smooth[by, bx]
+    backward = np.zeros((rows, columns), bool)
+    for by, bx in np.argwhere(~spoilt & (high >= low).all(-1)):
+        (x0, y0), (x1, y1) = low[by, bx], high[by, bx]
+        near = x1 - x0 < BLOCKS.COLUMNS_MOST and y1 - y0 < BLOCKS.ROWS_MOST
+        backward[by, bx] = near and smooth[y0 : y1 + 1, x0 : x1 + 1].all()
+    if width % side[0]:
+        backward[:, -1] = False
+    return backward
 
 
 def splat(target_position, depth, links, zoom, target_size, close_cracks):
     """(H', W') uint64 keys: depth bits << 32 | source index; all ones where nothing lands."""
     width, height = target_size
     keys = np.full(height * width, np.iinfo(np.uint64).max, np.uint64)
-    here = target_position.reshape(-1, 4)
-    ddx, ddy, inverse = (a.reshape(-1, 4) for a in flow(target_position, depth, links, zoom))
+    here = target_position.reshape(-1, 3)
+    ddx, ddy, det = flow(target_position, depth, links, zoom)
+    ddx, ddy, limit = ddx.reshape(-1, 3), ddy.reshape(-1, 3), WARP.FOOTPRINT_HALF * det.reshape(-1)
     index = np.arange(len(here), dtype=np.uint64)
     reach = F(WARP.FOOTPRINT_REACH)
     with np.errstate(invalid="ignore"):
         lands = (here[:, 2] > 0) & (here[:, :2] > -reach).all(1)
         lands &= (here[:, 0] < width + reach) & (here[:, 1] < height + reach)
     key = (np.ascontiguousarray(here[:, 2]).view(np.uint32).astype(np.uint64) << np.uint64(32)) | index
-    here, ddx, ddy, inverse, key = (a[lands] for a in (here, ddx, ddy, inverse, key))
+    here, ddx, ddy, limit, key = (a[lands] for a in (here, ddx, ddy, limit, key))
     own = np.floor(here[:, :2]).astype(int)
 
     def offer(x, y, use):
@@ -339,13 +403,14 @@ def splat(target_position, depth, links, zoom, target_size, close_cracks):
     offer(own[:, 0], own[:, 1], np.ones(len(own), bool))
     if close_cracks:
         half = np.minimum(WARP.FOOTPRINT_HALF * (np.abs(ddx[:, :2]) + np.abs(ddy[:, :2])), reach)
-        first = np.ceil(here[:, :2] - half - F(0.5)).astype(int)
-        last = np.floor(here[:, :2] + half - F(0.5)).astype(int)
+        half = half + F(0.51)
+        first = np.ceil(here[:, :2] - half).astype(int)
+        last = np.floor(here[:, :2] + half - F(1)).astype(int)
         for oy in range(int((last - first)[:, 1].max(initial=-1)) + 1):
             for ox in range(int((last - first)[:, 0].max(initial=-1)) + 1):
                 t = first + (ox, oy)
-                d = np.abs(_source_offset(inverse, (t.astype(F) + F(0.5)) - here[:, :2]))
-                offer(t[:, 0], t[:, 1], (t <= last).all(1) & (t != own).any(1) & (d <= WARP.FOOTPRINT_HALF).all(1))
+                d = np.abs(_source_offset(ddx, ddy, (t.astype(F) + F(0.5)) - here[:, :2]))
+                offer(t[:, 0], t[:, 1], (t <= last).all(1) & (t != own).any(1) & (d <= limit[:, None]).all(1))
     return keys.reshape(height, width)
 
 
@@ -376,11 +441,11 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
     s = np.where(holes, 0, keys & np.uint64(NOBODY)).astype(int)
     sy, sx = np.divmod(s, source_width)
     here = target_position[sy, sx]
-    ddx, ddy, inverse = (a[sy, sx] for a in flow(target_position, depth, links, zoom))
+    ddx, ddy, det = (a[sy, sx] for a in flow(target_position, depth, links, zoom))
     centre = centres(height, width)
     with np.errstate(invalid="ignore"):
-        exact = np.clip(_source_offset(inverse, centre - here[..., :2]), F(-1), F(1))
-    d = np.rint(exact * WARP.SUBPIXEL_STEPS) * F(1 / WARP.SUBPIXEL_STEPS)
+        d = np.clip(_source_offset(ddx, ddy, centre - here[..., :2]) / det[..., None], F(-1), F(1))
+    d = np.where(np.abs(d) < WARP.STILL, F(0), d)
 
     def at(dx, dy):
         x, y = sx + dx, sy + dy
@@ -423,11 +488,11 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
     everywhere = np.all([alike[tap] for tap in told_by], axis=0)
     wx, wy = _cubic_weights(u), _cubic_weights(v)
     cubic = np.zeros((height, width, 3), F)
-    for ty in range(4):
-        row = np.zeros((height, width, 3), F)
-        for tx in range(4):
-            row = row + wx[tx][..., None] * taps[ty, tx]
-        cubic = cubic + wy[ty][..., None] * row
+    for tx in range(4):
+        column = np.zeros((height, width, 3), F)
+        for ty in range(4):
+            column = column + wy[ty][..., None] * taps[ty, tx]
+        cubic = cubic + wx[tx][..., None] * column
     stack = np.stack([taps[ty, tx] for ty in (1, 2) for tx in (1, 2)])
     cubic = np.clip(cubic, stack.min(0), stack.max(0))
     linear, weights = np.zeros((height, width, 3), F), np.zeros((height, width), F)
