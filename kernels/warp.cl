@@ -229,23 +229,22 @@ inline void resolve_pixel(const int dst_x, const int dst_y, const int source_wid
 /* What LANES fragments and those beside them have in one plane. */
 typedef struct { Floats here, left, right, up, down; } Around;
 
-inline Around around(__global const float *plane, const int source_width, const Ints src, const int first, const bool is_run) {
-    Around a;
+inline void look_around(__global const float *plane, const int source_width, const Ints src, const int first, const bool is_run,
+                        Around *a) {
     if (is_run) {
         __global const float *p = plane + first;
-        a.here = load_floats(0, p);
-        a.left = load_floats(0, p - 1);
-        a.right = load_floats(0, p + 1);
-        a.up = load_floats(0, p - source_width);
-        a.down = load_floats(0, p + source_width);
+        a->here = load_floats(0, p);
+        a->left = load_floats(0, p - 1);
+        a->right = load_floats(0, p + 1);
+        a->up = load_floats(0, p - source_width);
+        a->down = load_floats(0, p + source_width);
     } else {
-        a.here = gather_floats(plane, src);
-        a.left = gather_floats(plane - 1, src);
-        a.right = gather_floats(plane + 1, src);
-        a.up = gather_floats(plane - source_width, src);
-        a.down = gather_floats(plane + source_width, src);
+        a->here = gather_floats(plane, src);
+        a->left = gather_floats(plane - 1, src);
+        a->right = gather_floats(plane + 1, src);
+        a->up = gather_floats(plane - source_width, src);
+        a->down = gather_floats(plane + source_width, src);
     }
-    return a;
 }
 
 /* Flow of LANES fragments. */
@@ -258,8 +257,8 @@ inline Floats wide_slope(const Floats before, const Floats here, const Floats af
 }
 
 /* flow_at. `bits`: links. */
-inline WideFlow wide_flow(const Around x, const Around y, const Around z, const Ints bits, const Floats z_source,
-                          const float2 zoom) {
+inline void wide_flow(const Around x, const Around y, const Around z, const Ints bits, const Floats z_source, const float2 zoom,
+                      WideFlow *flow) {
     const Ints left = ((bits & LINK_LEFT) != 0) & (z.left > 0.0f), right = ((bits & LINK_RIGHT) != 0) & (z.right > 0.0f);
     const Ints up = ((bits & LINK_UP) != 0) & (z.up > 0.0f), down = ((bits & LINK_DOWN) != 0) & (z.down > 0.0f);
     const Ints sky = isinf(z.here);
@@ -289,11 +288,11 @@ inline WideFlow wide_flow(const Around x, const Around y, const Around z, const 
     f.yy = open ? f.yy : scale_y;
     f.yz = (open & known_y) ? f.yz : none;
     f.det = open ? det : scale_x * scale_y;
-    return f;
+    *flow = f;
 }
 
 /* Of fragments within one smooth surface: nothing to check. */
-inline WideFlow smooth_flow(const Around x, const Around y, const Around z) {
+inline void smooth_flow(const Around x, const Around y, const Around z, WideFlow *flow) {
     WideFlow f;
     f.xx = ((x.right - x.here) + (x.here - x.left)) * 0.5f;
     f.xy = ((y.right - y.here) + (y.here - y.left)) * 0.5f;
@@ -303,7 +302,7 @@ inline WideFlow smooth_flow(const Around x, const Around y, const Around z) {
     f.xz = sky ? (Floats)(0.0f) : ((z.right - z.here) + (z.here - z.left)) * 0.5f;
     f.yz = sky ? (Floats)(0.0f) : ((z.down - z.here) + (z.here - z.up)) * 0.5f;
     f.det = f.xx * f.yy - f.yx * f.xy;
-    return f;
+    *flow = f;
 }
 
 /* deviation of fragments at (dx, dy) from the winners; infinite or no number where they go nowhere. */
@@ -397,17 +396,19 @@ inline Ints resolve_lanes(const bool smooth, const int dst_x, const int dst_y, c
     store_ints(src, 0, first);
     const bool is_run = ALL(src == first[0] + LANE_NUMBERS);
 
-    const Around x = around(target_position, source_width, src, first[0], is_run);
-    const Around y = around(target_position + plane, source_width, src, first[0], is_run);
-    const Around z = around(target_position + 2 * plane, source_width, src, first[0], is_run);
+    Around x, y, z;  /* given back by pointer: Oclgrind does not know what inlining makes of returned structs */
+    look_around(target_position, source_width, src, first[0], is_run, &x);
+    look_around(target_position + plane, source_width, src, first[0], is_run, &y);
+    look_around(target_position + 2 * plane, source_width, src, first[0], is_run, &z);
     WideFlow f;
     Ints done = use;
     if (smooth) {
-        f = smooth_flow(x, y, z);
+        smooth_flow(x, y, z, &f);
     } else {
-        const Around shown = around(depth, source_width, src, first[0], is_run);
+        Around shown;
+        look_around(depth, source_width, src, first[0], is_run, &shown);
         const Bytes bits = is_run ? load_bytes(0, links + first[0]) : gather_bytes(links, src);
-        f = wide_flow(x, y, z, to_ints(bits), shown.here, zoom);
+        wide_flow(x, y, z, to_ints(bits), shown.here, zoom, &f);
         done &= stays(x, y, shown, f);
     }
     const Floats ex = centre_x - x.here, ey = centre_y - y.here;
