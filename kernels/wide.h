@@ -89,6 +89,17 @@ inline bool run_is_zero(__global const uchar *p) {
 inline bool run_is_zero(__global const uchar *p) { return *p == 0; }
 #endif
 
+/* Stores the first `count` lanes, or all if it is more: the last pixels of a row. */
+inline void store_some_bytes(const Bytes v, const int count, __global uchar *p) {
+    if (count >= LANES) {
+        store_bytes(v, 0, p);
+        return;
+    }
+    uchar lanes[LANES];
+    store_bytes(v, 0, lanes);
+    for (int k = 0; k < count; ++k) p[k] = lanes[k];
+}
+
 /* x + 0.5 of each lane's pixel. */
 inline Floats row_centres(const int x) { return to_floats(LANE_NUMBERS) + ((float)x + 0.5f); }
 

@@ -271,6 +271,18 @@ def link_surfaces(depth, dynamic):
     return links
 
 
+def unmixed(depth, dynamic):
+    """(H, W) uint8: 1 where depth is valid and no pixel within 2 px is dynamic or nearer."""
+    keep = ~invalid(depth)
+    around = range(-SURFACES.GROW, SURFACES.GROW + 1)
+    for dy in around:
+        for dx in around:
+            with np.errstate(invalid="ignore"):
+                nearer = _shifted(depth, dx, dy, np.inf) < depth * SURFACES.NEARER
+            keep &= ~(_shifted(dynamic, dx, dy, 0) > 0) & ~nearer
+    return keep.astype(np.uint8)
+
+
 def flow(target_position, depth, links, zoom):
     """Jacobian columns ddx, ddy (H, W, 4) and the inverse of its 2×2 part (xx, xy, yx, yy)."""
     here = target_position
@@ -618,13 +630,7 @@ EMPTY_TEXEL, SHOWN, REMEMBERED = BACKGROUND.EMPTY, BACKGROUND.SHOWN, BACKGROUND.
 def collect_shown(color, depth, dynamic, collect):
     """Level 0 before anything is remembered: a dict of color (H, W, 4) float16, depth, px, state."""
     height, width = depth.shape
-    keep = np.full((height, width), collect) & ~invalid(depth)
-    around = range(-BACKGROUND.GROW, BACKGROUND.GROW + 1)
-    for dy in around:
-        for dx in around:
-            with np.errstate(invalid="ignore"):
-                nearer = _shifted(depth, dx, dy, np.inf) < depth * BACKGROUND.NEARER
-            keep &= ~(_shifted(dynamic, dx, dy, 0) > 0) & ~nearer
+    keep = collect & (unmixed(depth, dynamic) > 0)
     packed = np.zeros((height, width, 4), np.float16)
     packed[..., :3] = load_color(color)
     return {
