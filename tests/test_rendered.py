@@ -4,9 +4,13 @@ import numpy as np
 import pyopencl as cl
 import pytest
 import twins
+from test_twins import frames
 
-from gffe_cl.buffers import Sizes
-from gffe_cl.stage import Board
+from gffe_cl.buffers import DeviceFrame, Sizes
+from gffe_cl.frame import pack_frame
+from gffe_cl.options import Options
+from gffe_cl.stage import Board, Step, reprojection
+from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.surfaces import Surfaces
 
 SIZES = [(1, 1), (2, 5), (8, 1), (13, 9), (16, 12), (61, 37)]
@@ -51,3 +55,37 @@ def test_surfaces(device, lanes, size):
         stage.launch("find_surfaces", **given)
         assert np.array_equal(stage.read("links"), twins.link_surfaces(depth, dynamic)), k
         assert np.array_equal(stage.read("unmixed"), twins.unmixed(depth, dynamic)), k
+
+
+@pytest.mark.parametrize("positions", [2, 4])
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_history(device, lanes, size, positions):
+    """Masks and thresholds over four frames; the histogram begins each frame empty, and nothing is known of what is
+    static, or has become so."""
+    width, height = size
+    board = Board(device, Sizes(size, size), Options(history=positions, order=1))
+    stage = HistoryTracking(board)
+    past = dynamic = history = None
+    for frame in frames(width, height, 5):
+        packed = pack_frame(frame, height, width)
+        board.previous = board.rendered
+        board.rendered = DeviceFrame.allocate(device, size, frame.camera, frame.camera, frame.time)
+        board.rendered.upload(device, packed)
+        stage.rendered(Step(board.rendered, board.previous, []))
+        if past is None:
+            expected = np.zeros((height, width)), np.zeros((positions - 1, height, width, 4))
+        else:
+            to_previous = reprojection(frame.camera, past.camera)
+            histogram = twins.residual_histogram(frame.depth, frame.motion, to_previous)
+            assert np.array_equal(stage.read("residual_histogram"), histogram)
+            threshold = twins.noise_threshold_squared(histogram)
+            assert stage.read("static_threshold_squared") == threshold
+            turned = to_previous, reprojection(past.camera, frame.camera)
+            before = past.depth, dynamic, history
+            expected = twins.track_history(frame.depth, frame.motion, positions, threshold, *turned, *before)
+        dynamic, history = stage.read("dynamic_mask"), stage.read("history").reshape(positions - 1, height, width, 4)
+        assert np.array_equal(dynamic, expected[0])
+        assert np.array_equal(history[..., 3], expected[1][..., 3])
+        assert np.allclose(history[:, dynamic > 0], expected[1][:, dynamic > 0], rtol=1e-5, atol=1e-5)
+        past = frame
+    assert dynamic.any() or width * height < 200

@@ -180,19 +180,20 @@ def track_history(
     dynamic_prev,
     history_prev,
 ):
-    """Algorithm 1; `depth_prev` None after a reset. Returns dynamic mask (H, W) and history (k−1, H, W, 4)."""
+    """Algorithm 1; `depth_prev` None after a reset. Returns dynamic mask (H, W) and history (k−1, H, W, 4), 0 where
+    static."""
     height, width = depth.shape
     px = centres(height, width)
     p0 = unproject(px, depth, to_previous[4])
     dynamic = np.zeros((height, width), np.uint8)
-    history = np.concatenate([p0, np.ones((height, width, 1), F)], -1)[None].repeat(positions - 1, 0)
+    history = np.zeros((positions - 1, height, width, 4), F)
     if depth_prev is None:
         return dynamic, history
     r2, where = static_residual_squared(depth, motion, to_previous)
     usable = np.isfinite(motion).all(-1)
     dynamic[:] = ~usable | (where[..., 2] < 0) | ~(r2 <= threshold_squared)
     dynamic[invalid(depth) | np.isinf(depth)] = 0
-    history[:, dynamic > 0, 3] = 0
+    history[:, dynamic > 0, :3] = p0[dynamic > 0]
     for y, x in np.argwhere((dynamic > 0) & usable & (where[..., 2] > 0)):
         px_prev, at = px[y, x] + motion[y, x], where[y, x]
         sideways = (abs(px_prev[0] - at[0]) + abs(px_prev[1] - at[1])) * from_previous[4, 0] * at[2]
