@@ -1,11 +1,15 @@
 /* History tracking (paper: 'Motion estimation', appendix Algorithm 1).
-   Positions are in the view space of the current rendered camera: P_0 is what depth gives, P_1 ... P_{k-1} are stored. */
+   Positions are in the view space of the current rendered camera: P_0 is what depth gives, P_1 ... P_{k-1} are stored for
+   what is dynamic. */
 
 #include "common.h"
+#include "wide.h"
 
 #define RESIDUAL_BINS 64
 #define RESIDUAL_FIRST_BIN 214   /* bits of 2^-20 >> 22: the squared residual of the first bin, in px^2 */
 #define RESIDUAL_STRIDE 4        /* every 4th pixel of every 4th row is enough for a quantile */
+#define RESIDUAL_ROWS 4          /* ... of which a work-item takes so many */
+#define GROUP 64                 /* work-items per work-group of find_threshold */
 #define SCATTER_DISTANCE 8       /* px, diagonally: far enough for quantisation errors to differ, near enough for one surface */
 
 #define SEARCH_RADIUS 2          /* px around x' in which the right surface is looked for */
@@ -13,54 +17,37 @@
 #define DEPTH_PER_MOTION 2.0f    /* ... and what is added per unit of its sideways motion */
 #define DEPTH_CHANGE_MOST 0.12f  /* relative change within an interval of a surface that fills the neighbourhood of x' */
 
-/* Where pixel (x, y) of depth z was if it is static: (px in the previous frame, z there). */
-inline float3 static_position(const int src_x, const int src_y, const float z, const Reprojection to_previous) {
-    return reproject(pixel_centre(src_x, src_y), z, to_previous);
-}
-
-inline float2 previous_position(const int src_x, const int src_y, const float2 mv_px) {
-    return pixel_centre(src_x, src_y) + mv_px;
-}
-
 inline float squared_distance(const float2 a, const float2 b) {
     const float dx = a.x - b.x, dy = a.y - b.y;
     return dx * dx + dy * dy;
 }
 
-/* Residual x^ - x' of the static test at a pixel; false where it does not apply. */
-inline bool static_residual(const int src_x, const int src_y, const int source_width, __global const float *depth,
-                            __global const float2 *motion, const Reprojection to_previous, float2 *residual) {
-    const float z = depth[src_y * source_width + src_x];
-    const float2 mv_px = motion[src_y * source_width + src_x];
-    if (INVALID_DEPTH(z) || isinf(z) || !isfinite(mv_px.x) || !isfinite(mv_px.y)) return false;
-    const float3 px_static = static_position(src_x, src_y, z, to_previous);
-    *residual = px_static.xy - previous_position(src_x, src_y, mv_px);
-    return px_static.z > 0.0f;
+/* Residual x^ - x' of the static test at pixels; returns where it applies. */
+inline Ints static_residual(const Ints src_x, const int src_y, const int source_width, const int source_height,
+                            __global const float *depth, __global const float2 *motion, const Reprojection to_previous,
+                            Floats *residual_x, Floats *residual_y) {
+    const Ints there = src_x < (src_y < source_height ? source_width : 0);
+    const Ints src = there ? src_y * source_width + src_x : (Ints)(0);
+    const Floats z = gather_floats(depth, src), px_x = to_floats(src_x) + 0.5f, px_y = (float)src_y + 0.5f;
+    __global const float *mv_px = (__global const float *)motion;
+    const Floats mv_x = gather_floats(mv_px, 2 * src), mv_y = gather_floats(mv_px, 2 * src + 1);
+    const Wide3 px_static = wide_reproject(px_x, px_y, z, to_previous);
+    *residual_x = px_static.x - (px_x + mv_x);
+    *residual_y = px_static.y - (px_y + mv_y);
+    return there & (z > 0.0f) & !isinf(z) & isfinite(mv_x) & isfinite(mv_y) & (px_static.z > 0.0f);
 }
 
-inline int residual_bin(const float2 residual) {
-    const float r2 = residual.x * residual.x + residual.y * residual.y;
-    return clamp((int)(as_uint(r2) >> 22) - RESIDUAL_FIRST_BIN, 0, RESIDUAL_BINS - 1);
-}
-
-/* Two histograms over a subset of the pixels, two bins per octave: of the squared residual, and of its squared change over a
-   short distance. */
-__kernel void residual_histogram(const int source_width, const int source_height,
-                                 __global const float *depth, __global const float2 *motion,
-                                 const Reprojection to_previous, __global int *histogram) {
-    const int src_x = get_global_id(0) * RESIDUAL_STRIDE, src_y = get_global_id(1) * RESIDUAL_STRIDE;
-    if (src_x >= source_width || src_y >= source_height) return;
-    float2 here, there;
-    if (!static_residual(src_x, src_y, source_width, depth, motion, to_previous, &here)) return;
-    atomic_inc(histogram + residual_bin(here));
-    const int near_x = src_x + SCATTER_DISTANCE, near_y = src_y + SCATTER_DISTANCE;
-    if (near_x < source_width && near_y < source_height
-        && static_residual(near_x, near_y, source_width, depth, motion, to_previous, &there))
-        atomic_inc(histogram + RESIDUAL_BINS + residual_bin(here - there));
+/* Adds 1 to the bins of squared residuals. */
+inline void count_residuals(__local int *histogram, const Ints counts, const Floats x, const Floats y) {
+    const Ints bin = ((floats_as_ints(x * x + y * y) >> 22) & 0x3ff) - RESIDUAL_FIRST_BIN;
+    int bins[LANES];
+    store_ints(counts ? clamp(bin, (Ints)(0), (Ints)(RESIDUAL_BINS - 1)) : (Ints)(-1), 0, bins);
+    for (int k = 0; k < LANES; ++k)
+        if (bins[k] >= 0) atomic_inc(histogram + bins[k]);
 }
 
 /* Upper bound of the bin below which `share` of a histogram's counts lie; *total is their number. */
-inline float quantile(__global const int *histogram, const float share, int *total) {
+inline float quantile(__local const int *histogram, const float share, int *total) {
     *total = 0;
     for (int b = 0; b < RESIDUAL_BINS; ++b) *total += histogram[b];
     int below = 0, bin = 0;
@@ -75,13 +62,47 @@ inline float quantile(__global const int *histogram, const float share, int *tot
 /* epsilon from the noise floor: 4 times the lower quartile of the residual, or the median of its change if that is less,
    within [low, high] px. The quartile belongs to static pixels as long as a quarter of the frame is static; where a mover
    fills more, its residual is large but does not change from pixel to pixel, as noise does. */
-__kernel void noise_threshold(__global const int *histogram, const float low, const float high,
-                              __global float *threshold_squared) {
+inline float noise_threshold_squared(__local const int *histogram, const float low, const float high) {
     int total, pairs;
     const float residual = quantile(histogram, 0.25f, &total);
     const float change = quantile(histogram + RESIDUAL_BINS, 0.5f, &pairs);
     const float noise = pairs ? fmin(residual, change) : residual;
-    threshold_squared[0] = total ? clamp(16.0f * noise, low * low, high * high) : low * low;
+    return total ? clamp(16.0f * noise, low * low, high * high) : low * low;
+}
+
+/* Two histograms over a subset of the pixels, two bins per octave: of the squared residual, and of its squared change over a
+   short distance; and the threshold that follows. Every work-group counts by itself and adds what it has to `pending`; the
+   last one of them, told by the number of groups that are done, takes that out again, so it is zero for the next frame. */
+WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void find_threshold(const int source_width, const int source_height, const float low, const float high,
+                    __global const float *depth, __global const float2 *motion, const Reprojection to_previous,
+                    __global int *pending, __global int *histogram, __global float *threshold_squared) {
+    const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
+    const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE, item = get_local_id(0);
+    __local int counts[2 * RESIDUAL_BINS], groups_before;
+    for (int b = item; b < 2 * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (int src_y = first; src_y < min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, source_height); src_y += RESIDUAL_STRIDE) {
+        Floats x, y, near_x, near_y;
+        const Ints use = static_residual(src_x, src_y, source_width, source_height, depth, motion, to_previous, &x, &y);
+        const Ints near_use = static_residual(src_x + SCATTER_DISTANCE, src_y + SCATTER_DISTANCE, source_width, source_height,
+                                              depth, motion, to_previous, &near_x, &near_y);
+        count_residuals(counts, use, x, y);
+        count_residuals(counts + RESIDUAL_BINS, use & near_use, x - near_x, y - near_y);
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (int b = item; b < 2 * RESIDUAL_BINS; b += GROUP)
+        if (counts[b]) atomic_add(pending + b, counts[b]);
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    if (item == 0) groups_before = atomic_inc(pending + 2 * RESIDUAL_BINS);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (groups_before + 1 < (int)(get_num_groups(0) * get_num_groups(1))) return;
+
+    for (int b = item; b < 2 * RESIDUAL_BINS; b += GROUP) histogram[b] = counts[b] = atomic_xchg(pending + b, 0);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (item) return;
+    atomic_xchg(pending + 2 * RESIDUAL_BINS, 0);
+    *threshold_squared = noise_threshold_squared(counts, low, high);
 }
 
 inline bool plausible(const float z, const float z_expected, const float tolerance) {
@@ -142,55 +163,75 @@ inline float depth_met(const float2 px_prev, const float z_expected, const float
     return high - low <= DEPTH_TOLERANCE * low ? sum : -1.0f;
 }
 
-/* Algorithm 1. history: k-1 planes of (P_i, 1), or (P_0, 0) where P_i is not known. */
-SPARSE __kernel void track_history(const int source_width, const int source_height, const int positions /* k */,
-                            const int has_previous,
-                            __global const float *depth, __global const float2 *motion,
-                            __global const float *depth_prev, __global const uchar *dynamic_prev,
-                            __global const float4 *history_prev,
-                            const Reprojection to_previous, const Reprojection from_previous,
-                            __global const float *threshold_squared,
-                            __global uchar *dynamic_mask, __global float4 *history) {
-    const int src_x = get_global_id(0), src_y = get_global_id(1);
-    if (src_x >= source_width || src_y >= source_height) return;
+/* What else Algorithm 1 does for a dynamic fragment: P_1 ... from the previous frame. */
+inline void find_history(const int src_x, const int src_y, const int source_width, const int source_height,
+                         const int positions, __global const float *depth, __global const float2 *motion,
+                         __global const float *depth_prev, __global const uchar *dynamic_prev,
+                         __global const float4 *history_prev, const Reprojection to_previous,
+                         const Reprojection from_previous, __global float4 *history) {
     const int src = src_y * source_width + src_x, plane = source_width * source_height;
     const float z = depth[src];
-    const float3 p0 = unproject(pixel_centre(src_x, src_y), z, to_previous.source_inverse);
-
-    bool is_dynamic = false;
+    const float2 mv_px = motion[src], px_prev = pixel_centre(src_x, src_y) + mv_px;
+    const float3 px_static = reproject(pixel_centre(src_x, src_y), z, to_previous);
     int known = 0;  /* how many of P_1 ... are known */
-    if (has_previous && !INVALID_DEPTH(z) && !isinf(z)) {
-        const float2 mv_px = motion[src];
-        const float2 px_prev = previous_position(src_x, src_y, mv_px);
-        const float3 px_static = static_position(src_x, src_y, z, to_previous);
-        const bool usable = isfinite(mv_px.x) && isfinite(mv_px.y);
-        const float r2 = squared_distance(px_static.xy, px_prev);
-        is_dynamic = !usable || px_static.z < 0.0f || !(r2 <= threshold_squared[0]);
-        if (is_dynamic && usable && px_static.z > 0.0f) {
-            const float sideways = (fabs(px_prev.x - px_static.x) + fabs(px_prev.y - px_static.y))
-                                   * from_previous.source_inverse.x * px_static.z;
-            const float tolerance = DEPTH_TOLERANCE * px_static.z + DEPTH_PER_MOTION * sideways;
-            int nearest = 0;
-            const float z_prev = depth_met(px_prev, px_static.z, tolerance, source_width, source_height, depth_prev,
-                                           &nearest);
-            if (z_prev > 0.0f) {
-                const float3 p1_prev = unproject(px_prev, z_prev, from_previous.source_inverse);
-                history[src] = (float4)(move_to_target(p1_prev, from_previous), 1.0f);
-                known = 1;
-                /* P_i[x] = P'_{i-1}[x'], carried over with the offset between x' and the pixel it is read from. */
-                const float3 at_nearest = unproject(pixel_centre(nearest % source_width, nearest / source_width),
-                                                    depth_prev[nearest],
-                                                    from_previous.source_inverse);
-                const float3 offset = p1_prev - at_nearest;
-                for (; known < positions - 1; ++known) {
-                    float4 older = (float4)(at_nearest, 1.0f);
-                    if (dynamic_prev[nearest]) older = history_prev[(known - 1) * plane + nearest];
-                    if (older.w == 0.0f) break;
-                    history[known * plane + src] = (float4)(move_to_target(older.xyz + offset, from_previous), 1.0f);
-                }
+    if (isfinite(mv_px.x) && isfinite(mv_px.y) && px_static.z > 0.0f) {
+        const float sideways = (fabs(px_prev.x - px_static.x) + fabs(px_prev.y - px_static.y))
+                               * from_previous.source_inverse.x * px_static.z;
+        const float tolerance = DEPTH_TOLERANCE * px_static.z + DEPTH_PER_MOTION * sideways;
+        int nearest = 0;
+        const float z_prev = depth_met(px_prev, px_static.z, tolerance, source_width, source_height, depth_prev, &nearest);
+        if (z_prev > 0.0f) {
+            const float3 p1_prev = unproject(px_prev, z_prev, from_previous.source_inverse);
+            history[src] = (float4)(move_to_target(p1_prev, from_previous), 1.0f);
+            known = 1;
+            /* P_i[x] = P'_{i-1}[x'], carried over with the offset between x' and the pixel it is read from. */
+            const float3 at_nearest = unproject(pixel_centre(nearest % source_width, nearest / source_width),
+                                                depth_prev[nearest], from_previous.source_inverse);
+            const float3 offset = p1_prev - at_nearest;
+            for (; known < positions - 1; ++known) {
+                float4 older = (float4)(at_nearest, 1.0f);
+                if (dynamic_prev[nearest]) older = history_prev[(known - 1) * plane + nearest];
+                if (older.w == 0.0f) break;
+                history[known * plane + src] = (float4)(move_to_target(older.xyz + offset, from_previous), 1.0f);
             }
         }
     }
-    dynamic_mask[src] = is_dynamic;
-    for (int k = known; k < positions - 1; ++k) history[k * plane + src] = (float4)(p0, is_dynamic ? 0.0f : 1.0f);
+    const float3 p0 = unproject(pixel_centre(src_x, src_y), z, to_previous.source_inverse);
+    for (int k = known; k < positions - 1; ++k) history[k * plane + src] = (float4)(p0, 0.0f);
+}
+
+/* Algorithm 1. history: k-1 planes of (P_i, 1), or (P_0, 0) where P_i is not known; of dynamic fragments, and nothing that is
+   known elsewhere: dynamic_mask tells where there was something in it. What is static takes the test and nothing more. */
+WIDE __kernel void track_history(const int source_width, const int source_height, const int positions /* k */,
+                                 const int has_previous, __global const float *depth, __global const float2 *motion,
+                                 __global const float *depth_prev, __global const uchar *dynamic_prev,
+                                 __global const float4 *history_prev, const Reprojection to_previous,
+                                 const Reprojection from_previous, __global const float *threshold_squared,
+                                 __global uchar *dynamic_mask, __global float4 *history) {
+    const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
+    if (src_x >= source_width || src_y >= source_height) return;
+    const int src = src_y * source_width + src_x, plane = source_width * source_height;
+    const int count = min(source_width - src_x, LANES);
+    Ints moves = 0;
+    if (has_previous) {
+        const Floats px_x = row_centres(src_x), px_y = (float)src_y + 0.5f;
+        Floats mv_y;
+        const Floats z = load_some_floats(count, depth + src), mv_x = load_some_xy(count, motion + src, &mv_y);
+        const Wide3 px_static = wide_reproject(px_x, px_y, z, to_previous);
+        const Floats dx = px_static.x - (px_x + mv_x), dy = px_static.y - (px_y + mv_y);
+        moves = (z > 0.0f) & !isinf(z) & ((px_static.z < 0.0f) | !(dx * dx + dy * dy <= *threshold_squared));
+    }
+    uchar moved[LANES], is_dynamic[LANES];
+    const Bytes mask = to_bytes(moves ? (Ints)(1) : (Ints)(0)), before = load_some_bytes(count, dynamic_mask + src);
+    store_some_bytes(mask, count, dynamic_mask + src);
+    if (!ANY(to_ints(mask | before) != 0)) return;
+    store_bytes(before, 0, moved);
+    store_bytes(mask, 0, is_dynamic);
+    for (int lane = 0; lane < count; ++lane) {
+        if (is_dynamic[lane])
+            find_history(src_x + lane, src_y, source_width, source_height, positions, depth, motion, depth_prev, dynamic_prev,
+                         history_prev, to_previous, from_previous, history);
+        else if (moved[lane])
+            for (int k = 0; k < positions - 1; ++k) history[k * plane + src + lane] = (float4)(0.0f);
+    }
 }

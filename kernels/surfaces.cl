@@ -1,47 +1,113 @@
-/* Surfaces of a rendered frame: which neighbouring pixels show one surface (for 'Warping' and the background). */
+/* Surfaces of a rendered frame: which neighbouring pixels show one surface (for 'Warping' and the background), and which
+   pixels cannot hold the colour of another one (for the background).
+   Where depth hardly changes and nothing near moves, links follow without a division. */
 
 #include "common.h"
+#include "wide.h"
 
 #define SURFACE_STEP 0.02f       /* relative step of inverse depth between neighbours of one surface ... */
 #define SURFACE_CURVATURE 0.005f /* ... or relative deviation from the plane through them, where they are steeper */
+#define SMALL_STEP 0.0199f       /* relative step of depth that is within SURFACE_STEP however it is rounded */
 
+#define GROW 2                   /* px around dynamic or nearer fragments where colours may be mixed with theirs */
+#define NEARER 0.9f
 
-inline float inverse_depth_at(const int x, const int y, const int source_width, const int source_height,
-                              __global const float *depth) {
-    if (!inside(x, y, source_width, source_height)) return -1.0f;
-    const float z = depth[y * source_width + x];
-    if (INVALID_DEPTH(z)) return -1.0f;
-    return isinf(z) ? 0.0f : divide(1.0f, z);
+/* A rendered frame and a place in it: pixels from (x, y) on. `inner`: all that is looked at lies inside. */
+typedef struct {
+    int width, height, x, y;
+    bool inner;
+    __global const float *depth;
+    __global const uchar *dynamic_mask;
+} Place;
+
+/* Depth of the pixels at an offset, NaN outside of the image. */
+inline Floats depth_beside(const Place p, const int dx, const int dy) {
+    __global const float *row = p.depth + (p.y + dy) * p.width + p.x + dx;
+    if (p.inner) return load_floats(0, row);
+    float z[LANES];
+    for (int k = 0; k < LANES; ++k) z[k] = inside(p.x + dx + k, p.y + dy, p.width, p.height) ? row[k] : NAN;
+    return load_floats(0, z);
 }
 
-/* Whether b, next to a, continues a's surface; a2 lies behind a, b2 behind b. Inverse depths, 0 sky, -1 none. */
-inline bool continues(const float a2, const float a, const float b, const float b2) {
-    if (a < 0.0f || b < 0.0f) return false;
-    if (a == 0.0f || b == 0.0f) return a == b;
-    const float size = fmax(a, b);
-    if (fabs(a - b) <= SURFACE_STEP * size) return true;
-    if (a2 > 0.0f && fabs((a - a2) - (b - a)) <= SURFACE_CURVATURE * size) return true;
-    return b2 > 0.0f && fabs((b2 - b) - (b - a)) <= SURFACE_CURVATURE * size;
+/* Whether they are dynamic, 0 outside. */
+inline Bytes dynamic_beside(const Place p, const int dx, const int dy) {
+    __global const uchar *row = p.dynamic_mask + (p.y + dy) * p.width + p.x + dx;
+    if (p.inner) return load_bytes(0, row);
+    uchar dynamic[LANES];
+    for (int k = 0; k < LANES; ++k) dynamic[k] = inside(p.x + dx + k, p.y + dy, p.width, p.height) ? row[k] : 0;
+    return load_bytes(0, dynamic);
 }
 
-/* links: which of the four neighbours belong to the same surface and are equally static or dynamic. */
-__kernel void link_surfaces(const int source_width, const int source_height, __global const float *depth,
-                            __global const uchar *dynamic_mask, __global uchar *links) {
-    const int src_x = get_global_id(0), src_y = get_global_id(1);
-    if (src_x >= source_width || src_y >= source_height) return;
-    const int src = src_y * source_width + src_x;
-    const uchar own = dynamic_mask[src];
-    const float a = inverse_depth_at(src_x, src_y, source_width, source_height, depth);
-    float w[4][3];
-    for (int k = 0; k < 4; ++k) {
-        const int dx = k == 0 ? 1 : k == 2 ? -1 : 0, dy = k == 1 ? 1 : k == 3 ? -1 : 0;
-        w[k][0] = inverse_depth_at(src_x + dx, src_y + dy, source_width, source_height, depth);
-        w[k][1] = inverse_depth_at(src_x + 2 * dx, src_y + 2 * dy, source_width, source_height, depth);
-        w[k][2] = inside(src_x + dx, src_y + dy, source_width,
-                         source_height) && dynamic_mask[src + dy * source_width + dx] == own ? 1.0f : 0.0f;
+/* 0 sky, -1 none. */
+inline Floats inverse_depth_beside(const Place p, const int dx, const int dy) {
+    const Floats z = depth_beside(p, dx, dy);
+    return z > 0.0f ? wide_divide((Floats)(1.0f), z) : (Floats)(-1.0f);
+}
+
+/* Whether b, next to a, continues a's surface; a2 lies behind a, b2 behind b. Inverse depths. */
+inline Ints continues(const Floats a2, const Floats a, const Floats b, const Floats b2) {
+    const Floats size = SURFACE_CURVATURE * fmax(a, b);
+    const Ints near = (fabs(a - b) <= SURFACE_STEP * fmax(a, b)) | ((a2 > 0.0f) & (fabs((a - a2) - (b - a)) <= size))
+                      | ((b2 > 0.0f) & (fabs((b2 - b) - (b - a)) <= size));
+    const Ints sky = (a == 0.0f) | (b == 0.0f);
+    return (a >= 0.0f) & (b >= 0.0f) & ((sky & (a == b)) | (!sky & near));
+}
+
+/* Links from inverse depths and the dynamic mask. */
+inline Ints links_of(const Place p) {
+    const Ints own = to_ints(dynamic_beside(p, 0, 0));
+    const Floats a = inverse_depth_beside(p, 0, 0);
+    Ints links = 0;
+    for (int axis = 0; axis < 2; ++axis) {
+        const int dx = axis == 0, dy = axis == 1;
+        const Floats ahead = inverse_depth_beside(p, dx, dy), behind = inverse_depth_beside(p, -dx, -dy);
+        const Ints to_ahead = continues(behind, a, ahead, inverse_depth_beside(p, 2 * dx, 2 * dy))
+                              & (to_ints(dynamic_beside(p, dx, dy)) == own);
+        const Ints to_behind = continues(ahead, a, behind, inverse_depth_beside(p, -2 * dx, -2 * dy))
+                               & (to_ints(dynamic_beside(p, -dx, -dy)) == own);
+        links |= to_ahead ? (Ints)(LINK_RIGHT << axis) : (Ints)(0);
+        links |= to_behind ? (Ints)(LINK_LEFT << axis) : (Ints)(0);
     }
-    uchar bits = 0;
-    for (int k = 0; k < 4; ++k)
-        if (w[k][2] != 0.0f && continues(w[(k + 2) & 3][0], a, w[k][0], w[k][1])) bits |= 1 << k;
-    links[src] = bits;
+    return links;
+}
+
+/* Whether neighbours are of one surface whatever lies behind them, or both sky. */
+inline Ints hardly_differs(const Floats a, const Floats b) {
+    return (a == b) | (fabs(a - b) <= SMALL_STEP * (a < b ? a : b));
+}
+
+/* links: which of the four neighbours belong to the same surface and are equally static or dynamic. unmixed: 1 where depth is
+   valid and no pixel within GROW is dynamic or nearer. */
+inline void find(const Place p, __global uchar *links, __global uchar *unmixed) {
+    const Floats z = depth_beside(p, 0, 0);
+    Floats nearest = z;
+    Bytes moving = 0;
+    for (int dy = -GROW; dy <= GROW; ++dy)
+        for (int dx = -GROW; dx <= GROW; ++dx) {
+            const Floats beside = depth_beside(p, dx, dy);
+            nearest = beside < nearest ? beside : nearest;
+            moving |= dynamic_beside(p, dx, dy);
+        }
+    const Ints clean = (z > 0.0f) & !(nearest < z * NEARER) & (to_ints(moving) == 0);
+    const Ints plain = clean & hardly_differs(z, depth_beside(p, 1, 0)) & hardly_differs(z, depth_beside(p, -1, 0))
+                       & hardly_differs(z, depth_beside(p, 0, 1)) & hardly_differs(z, depth_beside(p, 0, -1));
+    const Ints all_links = LINK_RIGHT | LINK_DOWN | LINK_LEFT | LINK_UP;
+    const int i = p.y * p.width + p.x, count = p.width - p.x;
+    store_some_bytes(to_bytes(ALL(plain) ? all_links : links_of(p)), count, links + i);
+    store_some_bytes(to_bytes(clean ? (Ints)(1) : (Ints)(0)), count, unmixed + i);
+}
+
+WIDE __kernel void find_surfaces(const int source_width, const int source_height, __global const float *depth,
+                                 __global const uchar *dynamic_mask, __global uchar *links, __global uchar *unmixed) {
+    const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
+    if (src_x >= source_width || src_y >= source_height) return;
+    const bool inner = src_x >= GROW && src_x + LANES + GROW <= source_width && src_y >= GROW && src_y + GROW < source_height;
+    Place p = {source_width, source_height, src_x, src_y, inner, depth, dynamic_mask};
+    if (inner) {
+        p.inner = true;
+        find(p, links, unmixed);
+    } else {
+        p.inner = false;
+        find(p, links, unmixed);
+    }
 }

@@ -29,7 +29,7 @@ def test_bytes_per_pixel_are_those_of_the_buffers(device):
     _, shares, moved = counted(device, levels=0, hole_filling="none")
     assert 0.05 < shares["dynamic"] < 0.5 and 0 < shares["disoccluded"] < 0.5 and shares["remembered"] == 0
     assert moved["prediction"]["predict_positions"] == pytest.approx(4 + 1 + 16 * shares["dynamic"] + 16)
-    assert moved["surfaces"]["link_surfaces"] == pytest.approx(4 + 1 + 1)
+    assert moved["surfaces"]["find_surfaces"] == pytest.approx(4 + 1 + 1 + 1)
     key = 8  # one of 64 bits, or key and winner
     splats = 1 if device.int64_atomics else 2
     per_splat = 4 + 1 + 16 + 2 * key + (8 / (W * H) if device.int64_atomics else 0)
@@ -84,14 +84,17 @@ def test_kernels_and_constants_are_read_from_the_source():
     assert [a.name for a in kernels["second"]] == ["nodes", "count", "zoom"]
 
 
+_WRITTEN = {"links": "surfaces.links", "unmixed": "surfaces.unmixed"}
+
+
 @pytest.mark.parametrize(
     ("reads", "writes", "complaint"),
     [
-        ({"depth": "rendered.depth"}, {"links": "surfaces.links"}, "declared"),
-        ({"depth": "rendered.depth", "mask": "history.dynamic_mask"}, {"links": "surfaces.links"}, "declared"),
+        ({"depth": "rendered.depth"}, _WRITTEN, "declared"),
+        ({"depth": "rendered.depth", "mask": "history.dynamic_mask"}, _WRITTEN, "declared"),
         (
             {"depth": "rendered.depth"},
-            {"links": "surfaces.links", "dynamic_mask": Access("history.dynamic_mask")},
+            _WRITTEN | {"dynamic_mask": Access("history.dynamic_mask")},
             "declared as written",
         ),
     ],
@@ -100,10 +103,10 @@ def test_wrong_declarations_are_refused(device, reads, writes, complaint):
     class Wrong(Stage):
         name = "surfaces"
         buffers = Surfaces.buffers
-        kernels = (Kernel("link_surfaces", "source", reads, writes),)
+        kernels = (Kernel("find_surfaces", "source", reads, writes),)
 
     board = Pipeline(device, W, H).board
-    with pytest.raises(AssertionError, match=f"link_surfaces: {complaint}"):
+    with pytest.raises(AssertionError, match=f"find_surfaces: {complaint}"):
         Wrong(board)
 
 

@@ -180,19 +180,20 @@ def track_history(
     dynamic_prev,
     history_prev,
 ):
-    """Algorithm 1; `depth_prev` None after a reset. Returns dynamic mask (H, W) and history (k−1, H, W, 4)."""
+    """Algorithm 1; `depth_prev` None after a reset. Returns dynamic mask (H, W) and history (k−1, H, W, 4), 0 where
+    static."""
     height, width = depth.shape
     px = centres(height, width)
     p0 = unproject(px, depth, to_previous[4])
     dynamic = np.zeros((height, width), np.uint8)
-    history = np.concatenate([p0, np.ones((height, width, 1), F)], -1)[None].repeat(positions - 1, 0)
+    history = np.zeros((positions - 1, height, width, 4), F)
     if depth_prev is None:
         return dynamic, history
     r2, where = static_residual_squared(depth, motion, to_previous)
     usable = np.isfinite(motion).all(-1)
     dynamic[:] = ~usable | (where[..., 2] < 0) | ~(r2 <= threshold_squared)
     dynamic[invalid(depth) | np.isinf(depth)] = 0
-    history[:, dynamic > 0, 3] = 0
+    history[:, dynamic > 0, :3] = p0[dynamic > 0]
     for y, x in np.argwhere((dynamic > 0) & usable & (where[..., 2] > 0)):
         px_prev, at = px[y, x] + motion[y, x], where[y, x]
         sideways = (abs(px_prev[0] - at[0]) + abs(px_prev[1] - at[1])) * from_previous[4, 0] * at[2]
@@ -268,6 +269,18 @@ def link_surfaces(depth, dynamic):
         same = (a >= 0) & (b >= 0) & np.where(sky, a == b, near)
         links |= (same & (_shifted(dynamic, dx, dy, 2) == dynamic)).astype(np.uint8) << bit
     return links
+
+
+def unmixed(depth, dynamic):
+    """(H, W) uint8: 1 where depth is valid and no pixel within 2 px is dynamic or nearer."""
+    keep = ~invalid(depth)
+    around = range(-SURFACES.GROW, SURFACES.GROW + 1)
+    for dy in around:
+        for dx in around:
+            with np.errstate(invalid="ignore"):
+                nearer = _shifted(depth, dx, dy, np.inf) < depth * SURFACES.NEARER
+            keep &= ~(_shifted(dynamic, dx, dy, 0) > 0) & ~nearer
+    return keep.astype(np.uint8)
 
 
 def flow(target_position, depth, links, zoom):
@@ -683,13 +696,7 @@ EMPTY_TEXEL, SHOWN, REMEMBERED = BACKGROUND.EMPTY, BACKGROUND.SHOWN, BACKGROUND.
 def collect_shown(color, depth, dynamic, collect):
     """Level 0 before anything is remembered: a dict of color (H, W, 4) float16, depth, px, state."""
     height, width = depth.shape
-    keep = np.full((height, width), collect) & ~invalid(depth)
-    around = range(-BACKGROUND.GROW, BACKGROUND.GROW + 1)
-    for dy in around:
-        for dx in around:
-            with np.errstate(invalid="ignore"):
-                nearer = _shifted(depth, dx, dy, np.inf) < depth * BACKGROUND.NEARER
-            keep &= ~(_shifted(dynamic, dx, dy, 0) > 0) & ~nearer
+    keep = collect & (unmixed(depth, dynamic) > 0)
     packed = np.zeros((height, width, 4), np.float16)
     packed[..., :3] = load_color(color)
     return {

@@ -13,7 +13,8 @@ from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
 # Bounds of the automatic static threshold ε, in pixels.
 THRESHOLD_LOW, THRESHOLD_HIGH = 0.25, 4.0
 _CONSTANTS = constants("history.cl")
-_SAMPLED = _CONSTANTS["RESIDUAL_STRIDE"] ** -2
+_STRIDE = _CONSTANTS["RESIDUAL_STRIDE"]
+_SAMPLED = _STRIDE**-2
 
 
 class HistoryTracking(Stage):
@@ -21,15 +22,15 @@ class HistoryTracking(Stage):
 
     name = "history"
     buffers = (
-        BufferSpec("dynamic_mask", np.uint8, (), "source", "1 where the static test failed (M^dyn)", "mask", kept=True),
+        BufferSpec("dynamic_mask", np.uint8, (), "source", "1 where the static test failed (M^dyn)", "mask"),
         BufferSpec(
             "history",
             np.float32,
             ("x", "y", "z", "known"),
             "source",
-            "positions P_1 … P_{k−1} in the view space of the rendered camera, world units; known = 0: P_0 instead",
+            "positions P_1 … P_{k−1} of dynamic fragments in the view space of the rendered camera, world units;"
+            " known = 0: static, or P_0 instead",
             "world",
-            kept=True,
         ),
         BufferSpec("static_threshold_squared", np.float32, (), "once", "ε², px²"),
         BufferSpec(
@@ -40,21 +41,32 @@ class HistoryTracking(Stage):
             "squared static residual, and its squared change over 8 px; two bins per octave",
             planes=2,
         ),
+        BufferSpec(
+            "pending",
+            np.int32,
+            (),
+            "once",
+            "the histograms while they are counted, and how many work-groups are done",
+            planes=2 * _CONSTANTS["RESIDUAL_BINS"] + 1,
+            scratch=True,
+        ),
     )
     kernels = (
         Kernel(
-            "residual_histogram",
+            "find_threshold",
             "source",
-            {"depth": Access("rendered.depth", _SAMPLED), "motion": Access("rendered.motion", _SAMPLED)},
-            {"histogram": "history.residual_histogram"},
-            step=("RESIDUAL_STRIDE", "RESIDUAL_STRIDE"),
-        ),
-        Kernel(
-            "noise_threshold",
-            "once",
-            {"histogram": "history.residual_histogram"},
-            {"threshold_squared": "history.static_threshold_squared"},
-            group=1,
+            {
+                "depth": Access("rendered.depth", _SAMPLED),
+                "motion": Access("rendered.motion", _SAMPLED),
+                "pending": "history.pending",
+            },
+            {
+                "pending": "history.pending",
+                "histogram": "history.residual_histogram",
+                "threshold_squared": "history.static_threshold_squared",
+            },
+            step=("LANES", "RESIDUAL_ROWS"),
+            group="GROUP",
         ),
         Kernel(
             "track_history",
@@ -63,19 +75,27 @@ class HistoryTracking(Stage):
                 "depth": "rendered.depth",
                 "motion": "rendered.motion",
                 "depth_prev": Access("previous.depth", "dynamic"),
-                "dynamic_prev": Access("history.dynamic_mask'", "dynamic"),
-                "history_prev": Access("history.history'", "dynamic"),
+                "dynamic_prev": Access("history.dynamic_mask'", "dynamic", planes=0),
+                "history_prev": Access("history.history'", "dynamic", planes=0),
                 "threshold_squared": "history.static_threshold_squared",
+                "dynamic_mask": "history.dynamic_mask",
             },
-            {"dynamic_mask": "history.dynamic_mask", "history": "history.history"},
+            {"dynamic_mask": "history.dynamic_mask", "history": Access("history.history", "dynamic")},
+            step=("LANES", 1),
         ),
     )
 
     def __init__(self, board: Board):
         self.positions = board.options.history
-        self.buffers = tuple(
-            replace(spec, planes=self.positions - 1) if spec.name == "history" else spec for spec in self.buffers
-        )
+        if self.positions > 2:  # only then is anything kept of the frame before
+            *others, track = self.kernels
+            planes = {"dynamic_prev": 1, "history_prev": self.positions - 2}
+            reads = {name: replace(track.reads[name], planes=count) for name, count in planes.items()}
+            self.kernels = (*others, replace(track, reads={**track.reads, **reads}))
+            kept = {"dynamic_mask": {}, "history": {"planes": self.positions - 1}}
+            self.buffers = tuple(
+                replace(spec, kept=True, **kept[spec.name]) if spec.name in kept else spec for spec in self.buffers
+            )
         super().__init__(board)
         threshold = board.options.static_threshold
         self.automatic = threshold is None
@@ -89,14 +109,16 @@ class HistoryTracking(Stage):
         before = previous or step.frame
         to_previous = reprojection(step.frame.camera, before.camera)
         if self.automatic and previous is not None:
-            self.fill("residual_histogram", 0)
-            self.launch("residual_histogram", to_previous=to_previous)
-            self.launch("noise_threshold", low=THRESHOLD_LOW, high=THRESHOLD_HIGH)
+            samples = tuple(-(-n // _STRIDE) for n in self.sizes.source)
+            self.launch("find_threshold", samples, to_previous=to_previous, low=THRESHOLD_LOW, high=THRESHOLD_HIGH)
+        kept = "'" if self.positions > 2 else ""  # else it reads nothing of them
         self.launch(
             "track_history",
             positions=self.positions,
             has_previous=previous is not None,
             depth_prev=before.depth,
+            dynamic_prev=self.own("dynamic_mask" + kept),
+            history_prev=self.own("history" + kept),
             to_previous=to_previous,
             from_previous=reprojection(before.camera, step.frame.camera),
         )

@@ -1,0 +1,91 @@
+"""Stages of a rendered frame, bit for bit, for all numbers of lanes and images smaller than a lane's reach."""
+
+import numpy as np
+import pyopencl as cl
+import pytest
+import twins
+from test_twins import frames
+
+from gffe_cl.buffers import DeviceFrame, Sizes
+from gffe_cl.frame import pack_frame
+from gffe_cl.options import Options
+from gffe_cl.stage import Board, Step, reprojection
+from gffe_cl.stages.history import HistoryTracking
+from gffe_cl.stages.surfaces import Surfaces
+
+SIZES = [(1, 1), (2, 5), (8, 1), (13, 9), (16, 12), (61, 37)]
+
+
+@pytest.fixture(params=[8, 1])
+def lanes(request, device, monkeypatch):
+    monkeypatch.setitem(device.__dict__, "lanes", request.param)
+
+
+def uneven_depth(rng, width, height):
+    """Planes, steps of depth of all sizes, sky, bad values."""
+    y, x = np.mgrid[:height, :width]
+    depth = (8 + 0.3 * x + 0.05 * y * rng.uniform(0, 1)) * (
+        1 + rng.choice([0, 0.0195, 0.02, 0.021, 0.12], (height, width))
+    )
+    smooth = rng.random((height, width)) < np.where(x % 32 < 20, 0.999, 0.5)
+    depth = np.where(smooth, 9 + 0.01 * y + 0.02 * x, depth).astype(np.float32)
+    for value in (np.inf, np.nan, 0, -2, 1e30, 1e-30):
+        depth[rng.random((height, width)) < 0.01] = value
+    depth[: height // 4] = np.inf
+    return depth
+
+
+def uploaded(device, array):
+    buffer = device.buffer(array.nbytes)
+    cl.enqueue_copy(device.queue, buffer, array)
+    return buffer
+
+
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_surfaces(device, lanes, size):
+    """Where depth jumps, and where it does not."""
+    width, height = size
+    rng = np.random.default_rng(width)
+    board = Board(device, Sizes(size, size))
+    stage = Surfaces(board)
+    for k in range(4):
+        depth = uneven_depth(rng, width, height)
+        dynamic = (rng.random((height, width)) < 0.02 * (k > 1)).astype(np.uint8)
+        given = {"depth": uploaded(device, depth), "dynamic_mask": uploaded(device, dynamic)}
+        stage.launch("find_surfaces", **given)
+        assert np.array_equal(stage.read("links"), twins.link_surfaces(depth, dynamic)), k
+        assert np.array_equal(stage.read("unmixed"), twins.unmixed(depth, dynamic)), k
+
+
+@pytest.mark.parametrize("positions", [2, 4])
+@pytest.mark.parametrize("size", SIZES, ids=str)
+def test_history(device, lanes, size, positions):
+    """Masks and thresholds over four frames; the histogram begins each frame empty, and nothing is known of what is
+    static, or has become so."""
+    width, height = size
+    board = Board(device, Sizes(size, size), Options(history=positions, order=1))
+    stage = HistoryTracking(board)
+    past = dynamic = history = None
+    for frame in frames(width, height, 5):
+        packed = pack_frame(frame, height, width)
+        board.previous = board.rendered
+        board.rendered = DeviceFrame.allocate(device, size, frame.camera, frame.camera, frame.time)
+        board.rendered.upload(device, packed)
+        stage.rendered(Step(board.rendered, board.previous, []))
+        if past is None:
+            expected = np.zeros((height, width)), np.zeros((positions - 1, height, width, 4))
+        else:
+            to_previous = reprojection(frame.camera, past.camera)
+            histogram = twins.residual_histogram(frame.depth, frame.motion, to_previous)
+            assert np.array_equal(stage.read("residual_histogram"), histogram)
+            threshold = twins.noise_threshold_squared(histogram)
+            assert stage.read("static_threshold_squared") == threshold
+            turned = to_previous, reprojection(past.camera, frame.camera)
+            before = past.depth, dynamic, history
+            expected = twins.track_history(frame.depth, frame.motion, positions, threshold, *turned, *before)
+        dynamic, history = stage.read("dynamic_mask"), stage.read("history").reshape(positions - 1, height, width, 4)
+        assert np.array_equal(dynamic, expected[0])
+        assert np.array_equal(history[..., 3], expected[1][..., 3])
+        assert np.allclose(history[:, dynamic > 0], expected[1][:, dynamic > 0], rtol=1e-5, atol=1e-5)
+        past = frame
+    assert dynamic.any() or width * height < 200
