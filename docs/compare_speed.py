@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shutil
 import statistics
 import subprocess
 import sys
@@ -48,7 +49,7 @@ PARTS = {
 # ---- one version, in a process of its own ------------------------------------------------------------------
 
 
-def serve(footage: Path, device: str | None, scn: bool) -> None:
+def serve(footage: Path, device: str, scn: bool) -> None:
     """Time the frames that standard input asks for, a line of JSON each."""
     replies = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what drivers print
@@ -171,10 +172,10 @@ def store(footage, folder: Path) -> None:
     (folder / "about.json").write_text(json.dumps(about))
 
 
-def compare(footage, folder: Path, trees: list[Path], device: str | None, repeats: int, scn: bool) -> dict:
+def compare(footage, folder: Path, trees: list[Path], device: str, repeats: int, scn: bool) -> dict:
     """Milliseconds of both versions by part: the least, the median, and the ratios old : new of either."""
     store(footage, folder)
-    arguments = [str(folder), *(["--device", device] if device else []), *(["--scn"] if scn else [])]
+    arguments = [str(folder), "--device", device, *(["--scn"] if scn else [])]
     versions = [Version(tree, *arguments) for tree in trees]
     if versions[0].device != versions[1].device:
         sys.exit(
@@ -231,33 +232,30 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=16, help="counted pairs of frames")
     parser.add_argument("--frame", type=int, help="which rendered frame; default: the bench's")
     parser.add_argument("--scn", action="store_true", help="with the shading correction network")
-    parser.add_argument("--device", help="intel, pocl, …; default: the best one")
+    parser.add_argument("--device", action="append", help="intel, pocl, …; may be repeated; default: the best one")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.serve:
-        serve(asked.serve, asked.device, asked.scn)
+        serve(asked.serve, asked.device[0], asked.scn)
         return
 
-    from gffe_cl.evaluation.footage import SCENE, scene_footage, sequence_footage
+    from gffe_cl.evaluation.footage import SCENE, footage_of
     from gffe_cl.opencl.device import open_device
-    from gffe_cl.sequence import open_sequence
 
-    device = open_device(asked.device)
     width, height = (int(n) for n in asked.size.split("x"))
     reports = []
     with tempfile.TemporaryDirectory(prefix="compare_speed_") as temporary:
         folder = Path(temporary)
         trees = [checkout(asked.old, folder / "old"), checkout(asked.new, folder / "new")]
-        subjects = [*asked.scene, *map(Path, asked.sequence)] or [SCENE]
-        for number, subject in enumerate(subjects):
-            if isinstance(subject, Path):
-                footage = sequence_footage(device, open_sequence(subject), (width, height), asked.frame)
-            else:
-                footage = scene_footage(device, subject, width, height, asked.frame)
+        subjects = [*asked.scene, *asked.sequence] or [SCENE]
+        for number, (subject, name) in enumerate((s, d) for s in subjects for d in asked.device or [None]):
+            device = open_device(name)
+            footage = footage_of(device, subject, (width, height), asked.frame)
             place = folder / f"footage_{number}"
             reports.append(compare(footage, place, trees, device.info.index, asked.repeats, asked.scn))
             show(reports[-1])
+            shutil.rmtree(place)
     if asked.json:
         asked.json.write_text(json.dumps({"old": asked.old, "new": asked.new, "of": reports}, indent=1))
 

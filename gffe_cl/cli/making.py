@@ -209,11 +209,11 @@ def _open_source(
 ) -> tuple[Device, Recorded | Live]:
     """A folder is a sequence; what is none may be the name of a scene, which `live` says how to render."""
     from gffe_cl.opencl.device import open_device
-    from gffe_cl.scenes import SCENES, load_scene
+    from gffe_cl.scenes import SCENES, is_scene, load_scene
     from gffe_cl.sequence import open_sequence
     from gffe_cl.source import Live, Recorded
 
-    if str(sequence) in SCENES and not sequence.exists():
+    if is_scene(str(sequence)):
         size, frames, fps, seed = live.values()
         size = parse_size("960x540" if size is None else size)
         scene, opened = load_scene(str(sequence), 0 if seed is None else seed), open_device(device)

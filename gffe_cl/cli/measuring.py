@@ -1,4 +1,4 @@
-"""The commands that measure: compare, study, bench."""
+"""The commands that measure pictures: compare, study."""
 
 from __future__ import annotations
 
@@ -22,19 +22,17 @@ from gffe_cl.cli.common import (
     warn,
     write_json,
 )
-from gffe_cl.cli.options import SCN, takes_options
+from gffe_cl.cli.options import takes_options
 from gffe_cl.errors import GffeError
 from gffe_cl.files import replacing
 
 if TYPE_CHECKING:
-    from gffe_cl.evaluation.bench import SizeBench
     from gffe_cl.evaluation.compare import Comparison
     from gffe_cl.evaluation.disocclusions import DisocclusionStudy
     from gffe_cl.evaluation.methods import SceneStudy
     from gffe_cl.evaluation.shading import ShadingStudy
     from gffe_cl.evaluation.windows import WindowStudy
     from gffe_cl.metrics import Metric
-    from gffe_cl.opencl.device import DeviceInfo
     from gffe_cl.options import Options
 
 
@@ -275,64 +273,3 @@ def _print_studies(studies: list[SceneStudy]) -> None:
         table.add_row(r.scene, str(r.seed), *figures)
     out.print(table)
     out.print(f"{'; '.join(metric.title for metric in metrics)}.")
-
-
-@app.command()
-@takes_options("levels", *SCN)
-def bench(
-    sizes: Annotated[
-        str, typer.Option(help="Width × height, separated by commas.")
-    ] = "960x540,1280x720,1920x1080,3840x2160",
-    repeats: Annotated[int, typer.Option(help="Timed frames per size.")] = 15,
-    device: Annotated[
-        str | None, typer.Option("--device", help="One device [dim](default: every device that works)[/].")
-    ] = None,
-    json_path: JsonOption = None,
-    *,
-    options: Options,
-) -> None:
-    """Time every stage, in milliseconds and in bytes per pixel, beside the paper's table."""
-    from dataclasses import asdict
-
-    from gffe_cl.evaluation.bench import PAPER, Copier, bench_size
-    from gffe_cl.opencl.device import list_devices, open_device, open_info
-
-    if repeats < 1:
-        raise GffeError(f"--repeats must be at least 1, got {repeats}")
-    parsed = [parse_size(text) for text in sizes.split(",")]
-    if device is None:
-        opened = [open_info(info) for info in list_devices() if info.works] or [open_device()]
-    else:
-        opened = [open_device(device)]
-    report = []
-    for one in opened:
-        with progress_bars() as progress:
-            advance = steps(progress)(f"{one.info.name} ({one.info.platform})", len(parsed) * (repeats + 3))
-            copier = Copier(one)
-            results = [bench_size(one, copier, *size, options, repeats, advance) for size in parsed]
-        _print_bench(one.info, results)
-        report.append({"device": one.info.name, "platform": one.info.platform, "copied by": copier.way,
-                       "sizes": [asdict(r) for r in results]})  # fmt: skip
-    write_json(json_path, {"devices": report, "paper": PAPER})
-
-
-def _print_bench(info: DeviceInfo, results: list[SizeBench]) -> None:
-    from gffe_cl.evaluation.bench import PAPER
-
-    heads = (*(f"{r.width}×{r.height}" for r in results), "must move", "paper, 1080p")
-    title = f"{info.name} ({info.platform})"
-    table = Table("bytes per pixel (ms)", *heads, title=title, box=None, header_style="bold")
-    last = results[-1]
-    for name in results[0].milliseconds:
-        figures = [f"{r.bytes_per_pixel[name]:.0f} ({r.milliseconds[name]:.2f})" for r in results]
-        must = f"{last.must_move[name]:.0f}" if name in last.must_move else ""
-        style = "bold" if name in ("GAE", "SCN") else None
-        table.add_row(name, *figures, must, str(PAPER.get(name) or ""), style=style)
-    table.add_row("wall time, ms", *(f"{r.wall:.2f}" for r in results), "", "")
-    table.add_row("copy bandwidth, GB/s", *(f"{r.bandwidth:.1f}" for r in results), "", "672")
-    table.add_row("device memory, MiB", *(f"{r.memory / 2**20:.0f}" for r in results), "", "")
-    out.print(table)
-    shares = ", ".join(f"{name} {share:.2%}" for name, share in last.shares.items())
-    out.print(f"Must move: what the stages declare, at {last.width}×{last.height}; shares of the pixels: {shares}.")
-    sizes = ", ".join(f"{name} {nbytes / 2**20:.1f}" for name, nbytes in last.memory_by_stage.items())
-    out.print(f"Device memory there, MiB: {sizes}; two rendered frames beside.")

@@ -65,7 +65,8 @@ def view(
 ) -> None:
     """Open the viewer: play, look into every stage, find out why a pixel is wrong."""
     from gffe_cl.inference import load_network
-    from gffe_cl.viewer.engine.opening import ScenePlan, is_scene
+    from gffe_cl.scenes import is_scene
+    from gffe_cl.viewer.engine.opening import ScenePlan
     from gffe_cl.viewer.start import Shot, leaving, require_display
     from gffe_cl.viewer.start import measure as measure_playback
     from gffe_cl.viewer.start import view as run_viewer

@@ -7,24 +7,26 @@ time of a frame stands beside.
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
+from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.buffers import DeviceFrame
-from gffe_cl.camera import Camera
+from gffe_cl.buffers import DeviceFrame, Sizes
 from gffe_cl.evaluation import traffic
-from gffe_cl.frame import BYTES_PER_PIXEL, RenderedFrame
+from gffe_cl.evaluation.footage import Footage, Turn
+from gffe_cl.frame import BYTES_PER_PIXEL
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import build
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.scenes import SceneRenderer, load_scene
 from gffe_cl.stage import Board, read_some_rows
+from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.window import WindowChooser, fixed_window
 
@@ -44,11 +46,8 @@ PAPER = {
     "SCN, network": None,
     "SCN": 745,
 }
-_SCN = {"shading": "SCN, inputs", "correction": "SCN, kernels", "network": "SCN, network"}  # parts by timing
 _COPY_BYTES = 256 << 20
 _COPY_RUN = 64
-_SCENE, _START = "plaza", 1.0
-_WARM_UP = 3
 _WINDOW = 1.2  # times the display, for presentation
 
 
@@ -67,9 +66,12 @@ class SizeBench:
     wall: float
     bandwidth: float  # GB/s, read and written
     memory: int  # bytes of device memory: the pipeline's buffers and two rendered frames
+    memory_gae: int  # without what shading correction has
     must_move: dict[str, float]  # bytes per pixel by part, as the stages declare (`traffic`)
     shares: dict[str, float]  # of the pixels, by which they declare it
     memory_by_stage: dict[str, int]  # bytes
+    kernels: dict[str, float]  # milliseconds by "stage.kernel", all launches for the two frames together
+    commands: dict[str, int]  # enqueued for the two frames: kernels, fills and copies; "GAE" and "SCN"
 
 
 class Copier:
@@ -101,112 +103,143 @@ class Copier:
         return 2 * _COPY_BYTES / max(event.profile.end - event.profile.start, 1)
 
 
+@dataclass
+class _Samples:
+    """What the counted turns took: milliseconds by part and by kernel, wall time, and GB/s of the copies in between."""
+
+    parts: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    kernels: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    walls: list[float] = field(default_factory=list)
+    bandwidths: list[float] = field(default_factory=list)
+    commands: dict[str, int] = field(default_factory=dict)
+
+    def medians(self) -> dict[str, float]:
+        """Milliseconds by part, in the paper's order, with the sums."""
+        order = [name for name in PAPER if name in self.parts] + [name for name in self.parts if name not in PAPER]
+        return _with_sums({name: statistics.median(self.parts[name]) for name in order})
+
+
 def bench_size(
     device: Device,
     copier: Copier,
-    width: int,
-    height: int,
+    footage: Footage,
     options: Options,
     repeats: int,
-    on_frame: Callable[[], None] = lambda: None,
+    on_pair: Callable[[], None] = lambda: None,
 ) -> SizeBench:
-    """Time `repeats` frame pairs (one submitted from device buffers, one extrapolated) of a built-in scene."""
+    """Time `repeats` frame pairs (one submitted from device buffers, one extrapolated) of `footage`."""
+    footage = footage.on(device)
+    presentation = Presentation(Board(device, Sizes((footage.width, footage.height), (footage.width, footage.height))))
     before = device.allocated
-    frames, target = _scene_frames(device, width, height)
-    pipeline = Pipeline(device, width, height, options)
-    pipeline.exposure = load_scene(_SCENE).exposure
-    memory = device.allocated - before
-    presentation = Presentation(Board(device, pipeline.sizes))
-    samples: dict[str, list[float]] = {}
-    walls, bandwidths = [], []
-    for k in range(_WARM_UP + repeats):
-        frame = frames[k % 2]
-        frame.time, frame.reset = k / 30, k == 0
+    pipeline = Pipeline(device, footage.width, footage.height, options)
+    pipeline.exposure = footage.exposure
+    samples, launches = _Samples(), {}
+    for turn in footage.turns(repeats):
         bandwidth = copier.bandwidth()
         device.queue.finish()
-        start = time.perf_counter()
-        pipeline.submit(frame)
-        collection = _milliseconds(pipeline, "background")
-        pipeline.extrapolate(target, frame.time + 0.5 / 30)
-        device.queue.finish()
-        wall = (time.perf_counter() - start) * 1e3
-        parts = pipeline.take_timings()
-        parts["misc"] = _windowing(device, presentation, frames, k % 2)
-        if "background" in parts:
-            parts["background, collection"] = collection
-            parts["background, projection"] = parts.pop("background")
-        parts = {_SCN.get(name, name): milliseconds for name, milliseconds in parts.items()}
-        if k >= _WARM_UP:
-            walls.append(wall)
-            bandwidths.append(bandwidth)
-            for name, milliseconds in parts.items():
-                samples.setdefault(name, []).append(milliseconds)
-        on_frame()
-    bandwidth = statistics.median(bandwidths)
-    order = [name for name in PAPER if name in samples] + [name for name in samples if name not in PAPER]
-    milliseconds = {name: statistics.median(samples[name]) for name in order}
-    scn = {name: milliseconds.pop(name) for name in order if name in _SCN.values()}
-    milliseconds["GAE"] = sum(milliseconds.values())
-    if scn:
-        milliseconds |= scn | {"SCN": sum(scn.values())}
-    per_pixel = {name: ms * 1e6 * bandwidth / (width * height) for name, ms in milliseconds.items()}
-    must_move, shares = _must_move(pipeline, frames[_WARM_UP + repeats & 1], target, _WARM_UP + repeats)
-    by_stage = traffic.memory(pipeline)
-    walls_ms = statistics.median(walls)
-    return SizeBench(width, height, milliseconds, per_pixel, walls_ms, bandwidth, memory, must_move, shares, by_stage)
-
-
-def _must_move(pipeline: Pipeline, frame: RenderedFrame, target: Camera, k: int) -> tuple[dict, dict]:
-    """Bytes per pixel by part, "GAE" and "SCN" among them, of one more pair of frames; and the shares."""
-    frame.time, frame.reset = k / 30, False
-    rendered = traffic.launches_of(pipeline, lambda: pipeline.submit(frame))
-    made = traffic.launches_of(pipeline, lambda: pipeline.extrapolate(target, frame.time + 0.5 / 30))
+        launches = _timed_pair(pipeline, footage, turn, samples)
+        if turn.counts:
+            samples.parts["misc"].append(_windowing(device, presentation, turn))
+            samples.bandwidths.append(bandwidth)
+            on_pair()
+    bandwidth = statistics.median(samples.bandwidths)
+    milliseconds = samples.medians()
+    pixels = footage.width * footage.height
     shares = traffic.counters(pipeline)
-    parts: dict[str, float] = {}
-    for which, launches in (("collection", rendered), ("projection", made)):
-        for stage, kernels in traffic.bytes_per_pixel(pipeline, launches, shares).items():
-            name = f"background, {which}" if stage == "background" else _SCN.get(stage, stage)
-            parts[name] = parts.get(name, 0.0) + sum(kernels.values())
-    scn = {name: parts.pop(name) for name in list(parts) if name in _SCN.values()}
-    parts["GAE"] = sum(parts.values())
-    return parts | (scn | {"SCN": sum(scn.values())} if scn else {}), shares
+    by_stage = traffic.memory(pipeline)
+    frames = 2 * sum(BYTES_PER_PIXEL) * pixels
+    return SizeBench(
+        footage.width,
+        footage.height,
+        milliseconds,
+        bytes_per_pixel={name: ms * 1e6 * bandwidth / pixels for name, ms in milliseconds.items()},
+        wall=statistics.median(samples.walls),
+        bandwidth=bandwidth,
+        memory=device.allocated - before + frames,
+        memory_gae=frames + sum(nbytes for name, nbytes in by_stage.items() if name not in traffic.SCN),
+        must_move=_must_move(pipeline, launches, shares),
+        shares=shares,
+        memory_by_stage=by_stage,
+        kernels={name: statistics.median(taken) for name, taken in samples.kernels.items()},
+        commands=samples.commands,
+    )
 
 
-def _windowing(device: Device, presentation: Presentation, frames: list[RenderedFrame], index: int) -> float:
+def growth(results: list[SizeBench]) -> float | None:
+    """The x of time ~ pixels^x, by least squares over the sizes; None for one size. Time is that of GAE times the
+    bandwidth meanwhile, so that a busy machine does not matter."""
+    pixels = np.log([r.width * r.height for r in results])
+    if np.ptp(pixels) == 0:
+        return None
+    return float(1 + np.polyfit(pixels, np.log([r.bytes_per_pixel["GAE"] for r in results]), 1)[0])
+
+
+def _timed_pair(pipeline: Pipeline, footage: Footage, turn: Turn, samples: _Samples) -> dict[str, traffic.Launches]:
+    """Submit and extrapolate; what was launched for either. Adds to `samples` if the turn counts."""
+    events: dict[str, dict[str, list]] = {}
+    launches: dict[str, traffic.Launches] = {}
+    start = time.perf_counter()
+    for when, work in (
+        ("rendered", lambda: pipeline.submit(turn.frame)),
+        ("extrapolated", lambda: pipeline.extrapolate(turn.camera, turn.time(footage.interval))),
+    ):
+        launches[when] = traffic.launches_of(pipeline, work)
+        events[when] = {name: stage.take_events() for name, stage in pipeline.stages.items()}
+    pipeline.device.queue.finish()
+    wall = (time.perf_counter() - start) * 1e3
+    correction = pipeline.stages.get(ShadingCorrection.name)
+    network = correction.take_network_milliseconds() if correction else None
+    if not turn.counts:
+        return launches
+    parts: dict[str, float] = defaultdict(float)
+    kernels: dict[str, float] = defaultdict(float)
+    commands: dict[str, int] = defaultdict(int)
+    for when, stages in events.items():
+        for stage, done in stages.items():
+            for kernel, event in done:
+                milliseconds = (event.profile.end - event.profile.start) * 1e-6
+                kernels[f"{stage}.{kernel}"] += milliseconds
+                parts[traffic.part(stage, when)] += milliseconds
+                commands["SCN" if stage in traffic.SCN else "GAE"] += 1
+    if network is not None:
+        parts[traffic.SCN["network"]] = network
+    for taken, into in ((parts, samples.parts), (kernels, samples.kernels)):
+        for name, milliseconds in taken.items():
+            into[name].append(milliseconds)
+    samples.walls.append(wall)
+    samples.commands = dict(commands)
+    return launches
+
+
+def _must_move(pipeline: Pipeline, launches: dict[str, traffic.Launches], shares: dict[str, float]) -> dict[str, float]:
+    """Bytes per pixel by part, "GAE" and "SCN" among them, of what was launched for a pair of frames."""
+    parts: dict[str, float] = defaultdict(float)
+    for when, launched in launches.items():
+        for stage, kernels in traffic.bytes_per_pixel(pipeline, launched, shares).items():
+            parts[traffic.part(stage, when)] += sum(kernels.values())
+    return _with_sums(parts)
+
+
+def _with_sums(parts: dict[str, float]) -> dict[str, float]:
+    """Those of GAE, "GAE", those of SCN, "SCN"."""
+    scn = {name: value for name, value in parts.items() if name in traffic.SCN.values()}
+    gae = {name: value for name, value in parts.items() if name not in scn}
+    return gae | {"GAE": math.fsum(gae.values())} | (scn | {"SCN": math.fsum(scn.values())} if scn else {})
+
+
+def _windowing(device: Device, presentation: Presentation, turn: Turn) -> float:
     """Milliseconds of what an adaptive window adds to a rendered frame: choosing it (on the host, with the nearest
     depth read back) and presenting its display part."""
     size = presentation.sizes.target
     windows = WindowChooser("adaptive", size, [0.5])
     start = time.perf_counter()
-    windows.observe(read_some_rows(device, frames[index].depth, size))
-    windows.choose(frames[index].camera, frames[1 - index].camera)
+    windows.observe(read_some_rows(device, turn.frame.depth, size))
+    windows.choose(turn.frame.camera, turn.before.camera)
     host = (time.perf_counter() - start) * 1e3
     now, before = (
         DeviceFrame(f.color, f.depth, f.motion, fixed_window(_WINDOW).camera(f.camera, size), f.camera, f.time)
-        for f in (frames[index], frames[1 - index])
+        for f in (turn.frame, turn.before)
     )
     presentation.present(now, before)
     device.queue.finish()
     return host + presentation.take_milliseconds()
-
-
-def _milliseconds(pipeline: Pipeline, name: str) -> float:
-    """Kernel time of the stage `name` since it was last asked; waits for the device."""
-    pipeline.device.queue.finish()
-    stage = pipeline.stages.get(name)
-    return stage.take_milliseconds() if stage else 0.0
-
-
-def _scene_frames(device: Device, width: int, height: int) -> tuple[list[RenderedFrame], Camera]:
-    """Two rendered frames, as device buffers, that are played back and forth, and the camera between them."""
-    scene = load_scene(_SCENE)
-    renderer = SceneRenderer(device, scene, width, height, samples=1)
-    times = [_START, _START + 1 / 30]
-    cameras = [scene.camera(t, width, height) for t in times]
-    frames = []
-    for k in range(2):
-        image = renderer.render(times[k], cameras[k], times[1 - k], cameras[1 - k])
-        buffers = tuple(device.buffer(size * width * height) for size in BYTES_PER_PIXEL)
-        image.copy_to(buffers)
-        frames.append(RenderedFrame(*buffers, cameras[k], times[k]))
-    return frames, scene.camera(_START + 0.5 / 30, width, height)

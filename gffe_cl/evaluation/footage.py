@@ -16,8 +16,8 @@ from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import RenderedFrame, pack_frame
 from gffe_cl.opencl.device import Device
-from gffe_cl.scenes import SceneRenderer, load_scene
-from gffe_cl.sequence import Sequence
+from gffe_cl.scenes import SceneRenderer, is_scene, load_scene
+from gffe_cl.sequence import Sequence, open_sequence
 from gffe_cl.stages.presentation import present
 
 SCENE, SCENE_FRAME = "plaza", 31  # by default: the later one of a scene's two frames, at SCENE_FPS
@@ -77,6 +77,19 @@ class Footage:
     def on(self, device: Device) -> Footage:
         """The same in buffers of `device`."""
         return replace(self, frames=tuple(_uploaded(device, frame) for frame in self.frames))
+
+
+def is_sequence(subject: str | None) -> bool:
+    """Whether `footage_of` takes this for the folder of a sequence."""
+    return subject is not None and not is_scene(subject)
+
+
+def footage_of(device: Device, subject: str | None, size: tuple[int, int] | None, number: int | None = None) -> Footage:
+    """Of the built-in scene of that name (None: `SCENE`), else of the sequence in that folder; `size` None: the
+    sequence's own."""
+    if is_sequence(subject):
+        return sequence_footage(device, open_sequence(subject), size, number)
+    return scene_footage(device, subject or SCENE, *size, number)
 
 
 def scene_footage(device: Device, name: str, width: int, height: int, number: int | None = None) -> Footage:

@@ -26,6 +26,15 @@ SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
     "remembered": ("background.state_0", lambda state: state == REMEMBERED),
 }
 
+SCN = {"shading": "SCN, inputs", "correction": "SCN, kernels", "network": "SCN, network"}  # parts by stage
+
+
+def part(stage: str, when: str) -> str:
+    """What the work of a stage after `submit` ("rendered") or in `extrapolate` ("extrapolated") is called in tables."""
+    if stage == "background":
+        return f"background, {'collection' if when == 'rendered' else 'projection'}"
+    return SCN.get(stage, stage)
+
 
 def counters(pipeline: Pipeline) -> dict[str, float]:
     """The share of the pixels that each of `SHARES` has in the present frame, 0 where its stage is off; and "holes":

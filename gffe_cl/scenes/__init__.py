@@ -14,6 +14,7 @@ nothing else.
 from __future__ import annotations
 
 import importlib
+from pathlib import Path
 
 import numpy as np
 
@@ -41,8 +42,14 @@ __all__ = [
     "SceneFrames",
     "SceneImage",
     "SceneRenderer",
+    "is_scene",
     "load_scene",
 ]
+
+
+def is_scene(target: str) -> bool:
+    """Whether this names a built-in scene, not a sequence: a folder of that name comes first."""
+    return target in SCENES and not Path(target).exists()
 
 
 def load_scene(name: str, seed: int = 0) -> Scene:

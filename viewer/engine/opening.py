@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-from gffe_cl.scenes import SCENES, load_scene
+from gffe_cl.scenes import is_scene, load_scene
 from gffe_cl.sequence import open_sequence
 from gffe_cl.viewer.engine.sources import FrameSource, RecordedSource, SceneSource
 
@@ -16,11 +16,6 @@ class ScenePlan(NamedTuple):
     width: int
     height: int
     seed: int
-
-
-def is_scene(target: str) -> bool:
-    """Whether this names a built-in scene, not a sequence."""
-    return target in SCENES and not Path(target).exists()
 
 
 def make_source(target: str, window: str | None, plan: ScenePlan, device) -> FrameSource:
