@@ -145,6 +145,13 @@ def checkout(version: str, folder: Path) -> Path:
     return folder
 
 
+def called(version: str) -> str:
+    """A version by its commit."""
+    folder, commit = (version, "HEAD") if Path(version).is_dir() else (str(ROOT), version)
+    told = subprocess.run(["git", "-C", folder, "rev-parse", "--short", commit], capture_output=True, text=True)
+    return told.stdout.strip() or version
+
+
 def store(footage, folder: Path) -> None:
     """Put footage where both versions find it."""
     from gffe_cl.frame import pack_frame
@@ -212,6 +219,15 @@ def compare(footage, folder: Path, trees: list[Path], device: str, repeats: int,
     return report
 
 
+def rounded(value):
+    """Without digits that mean nothing."""
+    if isinstance(value, dict):
+        return {key: rounded(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [rounded(inner) for inner in value]
+    return round(value, 3) if isinstance(value, float) else value
+
+
 def show(report: dict) -> None:
     least, median = report["least"], report["median"]
     print(f"\n{report['of']}, {report['width']}×{report['height']}, {report['device']}")
@@ -257,7 +273,8 @@ def main() -> None:
             show(reports[-1])
             shutil.rmtree(place)
     if asked.json:
-        asked.json.write_text(json.dumps({"old": asked.old, "new": asked.new, "of": reports}, indent=1))
+        document = {"old": called(asked.old), "new": called(asked.new), "of": reports}
+        asked.json.write_text(json.dumps(rounded(document), indent=1) + "\n")
 
 
 if __name__ == "__main__":

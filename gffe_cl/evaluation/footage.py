@@ -134,7 +134,7 @@ def sequence_footage(
         camera = truth and (truth.display_camera or truth.render_camera)
         frames.append(enlarged(frame, width, height))
         cameras.append(camera and camera.scaled(*factors))
-    name = str(sequence.path)
+    name = sequence.path.resolve().name
     return Footage(name, width, height, sequence.exposure, interval, tuple(frames), tuple(cameras), forward=True)
 
 

@@ -1,0 +1,173 @@
+"""Writes the tables of docs/performance.md, from the figures in docs/measured/.
+
+    python docs/make_performance.py                              the tables, from what is recorded
+    python docs/make_performance.py --measure [--sequence DIR]   counts first what must move, on plaza, forest and a
+                                                                 sequence: the same on any machine
+
+The other two records: `gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json`, and
+`python docs/compare_speed.py … --json docs/measured/speed.json`, on a quiet machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from make_tables import between_markers, table
+
+FOLDER = Path(__file__).parent
+PAGE, MEASURED = FOLDER / "performance.md", FOLDER / "measured"
+SIZE, SCENES = (1920, 1080), ("plaza", "forest")
+
+
+@dataclass(frozen=True)
+class Gpu:
+    name: str
+    bandwidth: float  # GB/s, by the data sheet
+
+
+GPUS = (Gpu("GeForce RTX 4070 Ti Super", 672), Gpu("Radeon RX 7800 XT", 624), Gpu("Arc A770, 16 GB", 560))
+SHARE_OF_PEAK = 0.8  # of the data sheet's bandwidth that a good copy reaches
+PER_COMMAND = 5.0  # microseconds from the end of one command to the start of the next
+PIXELS = {"1080p": 1920 * 1080, "4K": 3840 * 2160}
+
+
+def milliseconds(gpu: Gpu, bytes_per_pixel: float, commands: int, pixels: int) -> float:
+    """The model: traffic by bandwidth, and a fixed cost for each command."""
+    return bytes_per_pixel * pixels / (SHARE_OF_PEAK * gpu.bandwidth * 1e6) + commands * PER_COMMAND * 1e-3
+
+
+def must_move_table() -> str:
+    found = recorded("must_move")
+    parts = dict.fromkeys(part for one in found.values() for part in one["must_move"])
+    rows = [
+        (_bold(part), *(_number(one["must_move"].get(part), bold=_is_sum(part)) for one in found.values()))
+        for part in parts
+    ]
+    rows.append(("commands, GAE", *(str(one["commands"]["GAE"]) for one in found.values())))
+    rows.append(("device memory, GAE, MiB", *(f"{one['memory_gae'] / 2**20:.0f}" for one in found.values())))
+    for share in ("dynamic", "disoccluded", "remembered"):
+        rows.append((f"{share} pixels", *(f"{one['shares'][share]:.2%}" for one in found.values())))
+    return table(("bytes per pixel", *(f"`{name}`" for name in found)), rows)
+
+
+def traffic_table() -> str:
+    lanes = recorded("traffic")["lanes"]
+    first = next(iter(lanes.values()))
+    rows = []
+    for name, moved in first.items():
+        counted = (_number(kernels[name]["loaded"] + kernels[name]["stored"], 1) for kernels in lanes.values())
+        rows.append((f"`{name}`", _number(moved["declared"], 1), *counted))
+    heads = (f"loaded and stored, {'one pixel' if n == '1' else f'{n} pixels'} a work-item" for n in lanes)
+    return table(("bytes per pixel", "must move", *heads), rows)
+
+
+def model_table() -> str:
+    found = recorded("must_move")
+    heads = [f"`{name}`, {size}" for name in found for size in PIXELS]
+    rows = []
+    for gpu in GPUS:
+        times = (
+            milliseconds(gpu, one["must_move"]["GAE"], one["commands"]["GAE"], pixels)
+            for one in found.values()
+            for pixels in PIXELS.values()
+        )
+        rows.append((gpu.name, str(gpu.bandwidth), *(f"{ms:.2f}" for ms in times)))
+    return table(("model, ms", "GB/s", *heads), rows)
+
+
+def speed_table() -> str:
+    rows = []
+    for one in recorded("speed")["of"]:
+        old, new, ratio = (one["least"][side] for side in ("old", "new", "ratio"))
+        for part in ("GAE", "SCN, inputs and kernels"):
+            if part in ratio:
+                where = f"`{one['of']}`, {one['width']}×{one['height']}, {_runtime(one['device'])}"
+                rows.append((where, part, f"{old[part]:.1f}", f"{new[part]:.1f}", f"**{ratio[part]:.2f}**"))
+    return table(("", "", "61564f7, ms", "now, ms", "times as fast"), rows)
+
+
+TABLES: dict[str, Callable[[], str]] = {
+    "must_move": must_move_table, "traffic": traffic_table, "model": model_table, "speed": speed_table
+}  # fmt: skip
+
+
+def recorded(name: str) -> dict[str, Any]:
+    return json.loads((MEASURED / f"{name}.json").read_text())
+
+
+def with_tables(text: str) -> str:
+    """The page with all its tables as the records have them now."""
+    for name, make in TABLES.items():
+        text = between_markers(text, name, make())
+    return text
+
+
+def measure(sequence: Path | None, device: str | None) -> None:
+    """Record what must move, the commands and the memory."""
+    from gffe_cl.opencl.device import open_device
+
+    found = dict(counted(open_device(device), [*SCENES, *([str(sequence)] if sequence else [])]))
+    (MEASURED / "must_move.json").write_text(json.dumps(found, indent=1) + "\n")
+
+
+def counted(device, subjects: list[str]) -> Iterator[tuple[str, dict]]:
+    from gffe_cl.evaluation.bench import Copier, bench_size
+    from gffe_cl.evaluation.footage import footage_of
+    from gffe_cl.options import Options
+
+    copier = Copier(device)
+    for subject in subjects:
+        footage = footage_of(device, subject, SIZE)
+        result = bench_size(device, copier, footage, Options(), repeats=1)
+        yield (
+            footage.name,
+            {
+                "size": SIZE,
+                "commands": result.commands,
+                "memory_gae": result.memory_gae,
+                "memory_by_stage": result.memory_by_stage,
+                "must_move": {part: round(nbytes, 2) for part, nbytes in result.must_move.items()},
+                "shares": {name: round(share, 5) for name, share in result.shares.items()},
+            },
+        )
+
+
+def _number(value: float | None, digits: int = 0, bold: bool = False) -> str:
+    text = "" if value is None or math.isnan(value) else f"{value:.{digits}f}"
+    return f"**{text}**" if bold else text
+
+
+def _is_sum(part: str) -> bool:
+    return part in ("GAE", "SCN")
+
+
+def _bold(part: str) -> str:
+    return f"**{part}**" if _is_sum(part) else part
+
+
+def _runtime(device: str) -> str:
+    """What to call a device by, of "name (platform)"."""
+    known = {"Intel(R) OpenCL": "Intel's runtime", "Portable Computing Language": "PoCL"}
+    return next((short for platform, short in known.items() if f"({platform})" in device), device)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--measure", action="store_true")
+    parser.add_argument("--sequence", type=Path)
+    parser.add_argument("--device")
+    asked = parser.parse_args()
+    MEASURED.mkdir(exist_ok=True)
+    if asked.measure:
+        measure(asked.sequence, asked.device)
+    PAGE.write_text(with_tables(PAGE.read_text()))
+
+
+if __name__ == "__main__":
+    main()
