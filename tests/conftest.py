@@ -3,10 +3,12 @@ so that nothing hangs on them but the tests of themselves (test_quality.py)."""
 
 import functools
 import os
+import sys
 
 import pytest
 
 from gffe_cl import inference
+from gffe_cl.cli import main
 from gffe_cl.opencl.device import list_devices, open_info, select
 
 
@@ -51,6 +53,23 @@ def device(request):
     if info.index not in _opened:
         _opened[info.index] = open_info(info)
     return _opened[info.index]
+
+
+@pytest.fixture
+def gffe(monkeypatch, capsys):
+    """Runs `gffe ARGS…` in this process: (exit code, stdout, stderr)."""
+
+    def call(*args):
+        monkeypatch.setattr(sys, "argv", ["gffe", *map(str, args)])
+        code = 0
+        try:
+            main()
+        except SystemExit as stop:
+            code = stop.code or 0
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
 
 
 def pytest_collection_modifyitems(items):

@@ -17,7 +17,6 @@ from scn_models import constant_model
 from synthetic import Rect, Rects, camera
 
 from gffe_cl import open_sequence
-from gffe_cl.cli import main
 from gffe_cl.errors import GffeError
 from gffe_cl.metrics import METRICS, Metric
 from gffe_cl.run import alphas_for
@@ -57,23 +56,6 @@ def pristine(tmp_path_factory):
 @pytest.fixture
 def scene(pristine, tmp_path):
     return shutil.copytree(pristine, tmp_path / "in")
-
-
-@pytest.fixture
-def gffe(monkeypatch, capsys):
-    """Runs `gffe ARGS…` in this process: (exit code, stdout, stderr)."""
-
-    def call(*args):
-        monkeypatch.setattr(sys, "argv", ["gffe", *map(str, args)])
-        code = 0
-        try:
-            main()
-        except SystemExit as stop:
-            code = stop.code or 0
-        captured = capsys.readouterr()
-        return code, captured.out, captured.err
-
-    return call
 
 
 # ---- what works ----------------------------------------------------------------------------------------
@@ -789,42 +771,6 @@ def test_unwritable_home(tmp_path):
 def test_no_arguments_show_help(gffe):
     code, text, err = gffe()
     assert code == 0 and "Commands" in text and not err
-
-
-def test_bench(gffe, tmp_path):
-    code, text, _ = gffe("bench", "--sizes", "64x48,33x20", "--repeats", 1, "--json", tmp_path / "b.json")
-    assert code == 0 and "bytes per pixel" in text
-    report = json.loads((tmp_path / "b.json").read_text())
-    for one in report["devices"]:
-        for size in one["sizes"]:
-            parts = {
-                "history",
-                "prediction",
-                "warp",
-                "background, collection",
-                "surfaces",
-                "background, projection",
-                "holes",
-                "misc",
-            }
-            assert parts | {"GAE"} == set(size["milliseconds"]) and size["bandwidth"] > 0 and size["memory"] > 0
-            total = sum(ms for name, ms in size["milliseconds"].items() if name != "GAE")
-            assert size["milliseconds"]["GAE"] == pytest.approx(total)
-            per_pixel = size["bytes_per_pixel"]["warp"] * size["width"] * size["height"]
-            assert per_pixel == pytest.approx(size["milliseconds"]["warp"] * 1e6 * size["bandwidth"])
-
-
-def test_bench_of_shading_correction(gffe, tmp_path):
-    model = constant_model(tmp_path / "m.onnx")
-    options = ("--sizes", "64x48", "--repeats", 1, "--scn-model", model, "--json", tmp_path / "b.json")
-    code, text, _ = gffe("bench", *options)
-    assert code == 0 and "SCN, network" in text
-    for one in json.loads((tmp_path / "b.json").read_text())["devices"]:
-        parts = one["sizes"][0]["milliseconds"]
-        scn = [parts[f"SCN, {name}"] for name in ("inputs", "kernels", "network")]
-        assert min(scn) > 0 and parts["SCN"] == pytest.approx(sum(scn))
-        others = sum(ms for name, ms in parts.items() if name != "GAE" and not name.startswith("SCN"))
-        assert parts["GAE"] == pytest.approx(others)
 
 
 def test_study(gffe, tmp_path):

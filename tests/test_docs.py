@@ -76,7 +76,7 @@ def test_commands_that_prose_names_exist():
 
 
 def test_options_that_prose_names_exist():
-    others = {"--logdir", "--nproc-per-node", "--write", "--editable", "--all-files"}  # of other programs
+    others = {"--logdir", "--nproc-per-node", "--write", "--editable", "--all-files", "--scene"}  # of other programs
     known = {f for c in get_command(app).commands.values() for p in c.params for f in (*p.opts, *p.secondary_opts)}
     for name, text in TEXTS.items():
         assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) - {"--help", *others} <= known, name
@@ -121,6 +121,14 @@ def test_tables_are_up_to_date():
             assert with_tables(text) == text, f"{name}: run python docs/make_tables.py"
     for table in TABLES:
         assert any(f"<!-- {table}:begin -->\n|" in text for text in TEXTS.values()), table
+
+
+def test_tables_of_performance_are_those_of_the_records():
+    from make_performance import TABLES, with_tables
+
+    page = TEXTS["docs/performance.md"]
+    assert with_tables(page) == page, "run python docs/make_performance.py"
+    assert all(f"<!-- {table}:begin -->\n|" in page for table in TABLES)
 
 
 def test_reference_is_up_to_date():
