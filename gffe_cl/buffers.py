@@ -44,19 +44,23 @@ class Sizes:
 
     def of(self, grid: str) -> tuple[int, int]:
         """Width and height of a grid, see `BufferSpec`."""
-        if grid.startswith("mip"):
-            return halved(self.target, int(grid[3:]))
-        if grid.startswith("level"):
-            return halved(self.source, int(grid[5:]))
-        return {
-            "source": self.source,
-            "target": self.target,
-            "blocks": halved(self.target, 5),
-            "source_blocks": _blocks(self.source),
-            "target_blocks": _blocks(self.target),
-            "network": tuple(-(-n // MULTIPLE) * MULTIPLE for n in halved(self.target, 1)),
-            "once": (1, 1),
-        }[grid]
+        if grid == "once":
+            return (1, 1)
+        image = self.source if lies_on_source(grid) else self.target
+        texels = tuple(-(-n // side) for n, side in zip(image, texel_of(grid), strict=True))
+        return tuple(-(-n // MULTIPLE) * MULTIPLE for n in texels) if grid == "network" else texels
+
+
+def texel_of(grid: str) -> tuple[int, int]:
+    """Width and height in pixels that a texel of a grid covers, of the image that the grid is laid over."""
+    if grid.startswith(("level", "mip")):
+        return (1 << int(grid.removeprefix("level").removeprefix("mip")),) * 2
+    return {"blocks": (32, 32), "source_blocks": BLOCK, "target_blocks": BLOCK, "network": (2, 2)}.get(grid, (1, 1))
+
+
+def lies_on_source(grid: str) -> bool:
+    """Whether a grid is laid over the rendered image; else over the extrapolated one."""
+    return grid in ("source", "source_blocks") or grid.startswith("level")
 
 
 @dataclass(frozen=True)
@@ -64,11 +68,11 @@ class BufferSpec:
     """One named buffer.
 
     `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "blocks"
-    (target / 32, rounded up), "source_blocks" and "target_blocks" (each, in blocks of 8×4), "level0" … (source / 2^l, rounded up), "mip1" … (target / 2^l, rounded up), "network"
-    (target / 2, rounded up to multiples of 16) or "once" (no image). `components` name its channels; a single one goes
-    without. `view` says what it means, and so how to show it: "color" (linear RGB), "depth" (view z), "motion" (pixels,
-    from here), "place" (position in pixels), "world" (position in the view space of the rendered camera), "mask" (0 or
-    1), "label" (`labels` name its values), "scalar". `mapped`: the host works in it. `kept`: that of the frame before
+    (target / 32, rounded up), "source_blocks" and "target_blocks" (blocks of 8×4), "level0" … (source / 2^l, rounded
+    up), "mip1" … (target / 2^l, rounded up), "network" (target / 2, rounded up to multiples of 16) or "once" (no
+    image). `components` name its channels; a single one goes without. `view` says what it means, and so how to show it:
+    "color" (linear RGB), "depth" (view z), "motion" (pixels, from here), "place" (position in pixels), "world"
+    (position in the view space of the rendered camera), "mask" (0 or 1), "label" (`labels` name its values), "scalar". `mapped`: the host works in it. `kept`: that of the frame before
     is kept too. `scratch`: of no interest once the stage is through. `planar`: on the device the channels lie one after
     another, each an image.
     """
@@ -208,10 +212,6 @@ class DeviceFrame:
     @property
     def buffers(self) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer]:
         return self.color, self.depth, self.motion
-
-
-def _blocks(size: tuple[int, int]) -> tuple[int, int]:
-    return tuple(-(-n // side) for n, side in zip(size, BLOCK, strict=True))
 
 
 def halved(size: tuple[int, int], times: int) -> tuple[int, int]:

@@ -126,7 +126,7 @@ class Options:
         flag="--no-crack-closing",
     )  # fmt: skip
     blocks: bool = _option(
-        True, "backward blocks", "Blocks that one smooth surface covers are warped backward; off: everything is splatted.",
+        True, "backward blocks", "Blocks that show one smooth surface are warped backward; off: all is splatted.",
         flag="--no-blocks", needs="crack_closing",
     )  # fmt: skip
     levels: int = _option(

@@ -18,7 +18,8 @@ SIZES = [((160, 96), None), ((131, 75), (160, 96)), ((160, 96), (93, 50)), ((9, 
 def both(device, source, options, size, target, to, time):
     """The last frame with blocks and without, the pipelines too."""
     pipelines = [
-        Pipeline(device, *(target or size), Options(**options, blocks=blocks), render_size=size) for blocks in (True, False)
+        Pipeline(device, *(target or size), Options(**options, blocks=blocks), render_size=size)
+        for blocks in (True, False)
     ]
     for frame in source:
         for pipeline in pipelines:
@@ -30,10 +31,14 @@ def both(device, source, options, size, target, to, time):
 
 def assert_same_picture(with_blocks, without):
     """Masks are equal, and all but one in a thousand of the pixels that the warp makes are, within the tolerances."""
-    read = [{spec.name: p.board.frame.read(spec.name) for spec in p.board.frame.buffers} for p in (with_blocks, without)]
+    read = [
+        {spec.name: p.board.frame.read(spec.name) for spec in p.board.frame.buffers} for p in (with_blocks, without)
+    ]
     for name in ("dynamic", "disoccluded", "mixed"):
         assert np.array_equal(read[0][name], read[1][name]), name
-    labels = [np.where(r["filled_by"] == twins.COMMON.BY_CRACK_CLOSING, twins.COMMON.BY_WARP, r["filled_by"]) for r in read]
+    labels = [
+        np.where(r["filled_by"] == twins.COMMON.BY_CRACK_CLOSING, twins.COMMON.BY_WARP, r["filled_by"]) for r in read
+    ]
     assert np.array_equal(*labels)
     motion = np.abs(read[0]["motion"] - read[1]["motion"]).max(-1)
     color = [np.minimum(r["color"][..., :3].astype(np.float32), 1) for r in read]

@@ -207,7 +207,7 @@ def test_every_layer_equals_a_plain_run(device):
             assert_same(result.images, expected[at])
         assert source.asked == [0, 1, 2, 3, 4, 5]
         assert set(result.milliseconds) == {
-            "history", "surfaces", "prediction", "warp", "background", "holes", "shading"
+            "history", "surfaces", "prediction", "blocks", "warp", "background", "holes", "shading"
         }  # fmt: skip
         assert min(result.milliseconds.values()) > 0 and result.wall_ms > result.readback_ms > 0
 
@@ -400,10 +400,11 @@ def test_inspection_equals_the_whole_buffers(device, tmp_path):
             sx, sy = np.floor(seen.source).astype(int)
             places = {"target": (x, y), "source": (sx, sy), "level0": (sx, sy), "level1": (sx >> 1, sy >> 1)}
             places |= {"blocks": (x // 32, y // 32), "network": (x // 2, y // 2)}
+            places |= {"target_blocks": (x // 8, y // 4), "source_blocks": (sx // 8, sy // 4)}
             outside = not (0 <= sx < W and 0 <= sy < H)
             for name, image in images.items():
                 spec = specs[name]
-                if outside and spec.grid in ("source", "level0", "level1"):
+                if outside and spec.grid in ("source", "source_blocks", "level0", "level1"):
                     assert name not in seen.values
                     continue
                 px, py = places[spec.grid]

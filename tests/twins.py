@@ -369,7 +369,9 @@ def block_classes(smooth, target_position, depth, links, zoom, target_size):
     reach = F(WARP.FOOTPRINT_REACH)
     half = np.minimum(WARP.FOOTPRINT_HALF * (np.abs(ddx[..., :2]) + np.abs(ddy[..., :2])), reach)
     with np.errstate(invalid="ignore"):
-        lands = (target_position[..., 2] > 0) & (here > -reach).all(-1) & (here < np.array(target_size, F) + reach).all(-1)
+        lands = (
+            (target_position[..., 2] > 0) & (here > -reach).all(-1) & (here < np.array(target_size, F) + reach).all(-1)
+        )
     for by, bx in np.ndindex(*smooth.shape):
         part = np.s_[by * side[1] : (by + 1) * side[1], bx * side[0] : (bx + 1) * side[0]]
         use = lands[part]

@@ -6,6 +6,8 @@ import numpy as np
 from imgui_bundle import imgui
 from viewer_gui_driver import CTRL, KEY, SHIFT, Gui, collector
 
+from gffe_cl.buffers import lies_on_source, texel_of
+
 CASES, case = collector()
 
 
@@ -160,9 +162,8 @@ def inspector(gui: Gui):
         at_source = inspection.source and tuple(int(np.floor(c)) for c in inspection.source)
         for name, value in inspection.values.items():
             spec, image = model.contents.spec(name), images[name]
-            level = int(spec.grid[5:]) if spec.grid.startswith("level") else 0
-            px = (x, y) if spec.grid == "target" else at_source
-            px = (x >> 5, y >> 5) if spec.grid == "blocks" else tuple(c >> level for c in px)
+            px = at_source if lies_on_source(spec.grid) else (x, y)
+            px = tuple(c // side for c, side in zip(px, texel_of(spec.grid), strict=True))
             here = np.ravel(image[:, px[1], px[0]] if spec.planes > 1 else image[px[1], px[0]])
             compared.append(name)
             if not np.array_equal(np.ravel(value), here, equal_nan=True):

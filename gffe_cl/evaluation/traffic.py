@@ -15,11 +15,13 @@ from gffe_cl.buffers import BY_HOLE_FILLING, BY_NOTHING
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.stage import Kernel
 from gffe_cl.stages.background import REMEMBERED
+from gffe_cl.stages.blocks import SPLATTED, Blocks
 
 # Shares of the pixels by name, as `Access.share` has them: the buffer that tells, and which of its values count.
 SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
     "dynamic": ("history.dynamic_mask", lambda mask: mask != 0),
     "disoccluded": ("frame.disoccluded", lambda mask: mask != 0),
+    "splatted": ("blocks.block_class", lambda block: block == SPLATTED),
     "mixed": ("frame.mixed", lambda mask: mask != 0),
     "unfilled": ("frame.filled_by", lambda label: (label == BY_HOLE_FILLING) | (label == BY_NOTHING)),
     "beyond reach": ("holes.beyond_reach", lambda flag: flag != 0),
@@ -38,14 +40,17 @@ def part(stage: str, when: str) -> str:
 
 def counters(pipeline: Pipeline) -> dict[str, float]:
     """The share of the pixels that each of `SHARES` has in the present frame, 0 where its stage is off; and "holes":
-    the disoccluded or mixed pixels, which the background may fill."""
+    the disoccluded or mixed pixels, which the background may fill; "splatting": the source blocks that are splatted."""
     counted = {}
     for name, (buffer, counts) in SHARES.items():
         owner, _, rest = buffer.partition(".")
         found = pipeline.board.frame if owner == "frame" else pipeline.stages.get(owner)
         there = found and any(spec.name == rest for spec in found.buffers)
         counted[name] = float(counts(found.read(rest)).mean()) if there else 0.0
-    return counted | {"holes": counted["disoccluded"] + counted["mixed"]}
+    return counted | {
+        "holes": counted["disoccluded"] + counted["mixed"],
+        "splatting": float(pipeline.stages[Blocks.name].splatting().mean()),
+    }
 
 
 Launches = dict[str, list[tuple[Kernel, dict[str, Any]]]]  # by stage: kernels, with what was given to each launch

@@ -6,24 +6,24 @@ import numpy as np
 
 from gffe_cl.buffers import BufferSpec
 from gffe_cl.opencl.program import constants
-from gffe_cl.stage import Kernel, NearestStage, Step, zoom
+from gffe_cl.stage import Access, Kernel, NearestStage, Step, zoom
 
 _CONSTANTS = constants("blocks.cl")
+_FIVE_PER_BLOCK = 5 / (_CONSTANTS["BLOCK_WIDTH"] * _CONSTANTS["BLOCK_HEIGHT"])  # pixels, in find_source
 SPLATTED, BACKWARD = _CONSTANTS["SPLATTED"], _CONSTANTS["BACKWARD"]
 CLASSES = ((SPLATTED, "splatted: edges, movers, disocclusions"), (BACKWARD, "one smooth surface, warped backward"))
 
 
 class Blocks(NearestStage):
-    """Finds the blocks of 8×4 pixels that one smooth surface covers: they are warped backward, the others are splatted."""
+    """Finds the blocks of 8×4 pixels that one smooth surface covers, to be warped backward; the others are splatted."""
 
     name = "blocks"
     buffers = (
         BufferSpec(
-            "smooth", np.uint8, (), "source_blocks", "1 where predicted positions change linearly over the block", "mask"
+            "smooth", np.uint8, (), "source_blocks", "1 where predicted positions change linearly over the block",
+            "mask",
         ),
-        BufferSpec(
-            "block_class", np.uint8, (), "target_blocks", "how the block is warped", "label", labels=CLASSES
-        ),
+        BufferSpec("block_class", np.uint8, (), "target_blocks", "how the block is warped", "label", labels=CLASSES),
         BufferSpec(
             "reach", np.int32, ("x0", "y0", "x1", "y1"), "source_blocks", "target blocks that a block reaches",
             scratch=True,
@@ -55,17 +55,27 @@ class Blocks(NearestStage):
             {
                 "smooth": "blocks.smooth",
                 "reached_by": "blocks.reached_by",
-                "target_position": "prediction.target_position",
+                "target_position": Access("prediction.target_position", _FIVE_PER_BLOCK),
             },
             {
                 "reached_by": "blocks.reached_by",
                 "block_class": "blocks.block_class",
                 "block_source": "blocks.block_source",
-                "keys": "warp.keys",
-                "winners": "warp.winners",
+                "keys": Access("warp.keys", "splatted"),
+                "winners": Access("warp.winners", "splatted"),
             },
         ),
     )
+
+    def splatting(self) -> np.ndarray:
+        """(rows, columns) bool: the source blocks whose fragments are splatted in the present frame."""
+        reach, splatted = self.read("reach"), self.read("block_class") == SPLATTED
+        if not (self.board.options.blocks and self.board.options.crack_closing):
+            return np.ones(reach.shape[:2], bool)
+        sums = np.pad(np.cumsum(np.cumsum(splatted, 0), 1), ((1, 0), (1, 0)))
+        x0, y0, x1, y1 = np.moveaxis(reach, -1, 0)
+        within = sums[y1 + 1, x1 + 1] - sums[y0, x1 + 1] - sums[y1 + 1, x0] + sums[y0, x0]
+        return (x1 >= x0) & (y1 >= y0) & (within > 0)
 
     def extrapolated(self, step: Step) -> None:
         self.launch("find_reach", zoom=zoom(step.frame.camera, step.camera))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from gffe_cl.buffers import BY_HOLE_FILLING, BY_NOTHING
-from gffe_cl.stage import Board, Kernel, NearestStage, Step, zoom
+from gffe_cl.stage import Access, Board, Kernel, NearestStage, Step, zoom
 
-_KEYS = {"keys": "warp.keys", "winners": "warp.winners"}
-_FRAGMENTS = {"depth": "rendered.depth", "links": "surfaces.links", "target_position": "prediction.target_position"}
+
+def _keys(share: str) -> dict[str, Access]:
+    return {name: Access(f"warp.{name}", share) for name in ("keys", "winners")}
 
 
 class Warp(NearestStage):
@@ -17,22 +18,31 @@ class Warp(NearestStage):
         Kernel(
             "splat",
             "source",
-            _FRAGMENTS | _KEYS | {"reach": "blocks.reach", "block_class": "blocks.block_class"},
-            _KEYS,
+            {
+                "reach": "blocks.reach",
+                "block_class": "blocks.block_class",
+                "depth": Access("rendered.depth", "splatting"),
+                "links": Access("surfaces.links", "splatting"),
+                "target_position": Access("prediction.target_position", "splatting"),
+            }
+            | _keys("splatted"),
+            _keys("splatted"),
             step=("LANES", 1),
         ),
         Kernel(
             "resolve",
             "target",
-            _KEYS
-            | _FRAGMENTS
-            | {
+            {
                 "block_class": "blocks.block_class",
                 "block_source": "blocks.block_source",
                 "color": "rendered.color",
+                "depth": Access("rendered.depth", "splatted"),
+                "links": Access("surfaces.links", "splatted"),
                 "dynamic_mask": "history.dynamic_mask",
-            },
-            _KEYS
+                "target_position": "prediction.target_position",
+            }
+            | _keys("splatted"),
+            _keys("mixed")
             | {
                 "out_color": "frame.color",
                 "out_depth": "frame.depth",

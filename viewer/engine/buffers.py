@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.buffers import BufferSpec
+from gffe_cl.buffers import BufferSpec, lies_on_source, texel_of
 from gffe_cl.camera import Camera
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.viewer.engine import names
@@ -88,16 +88,11 @@ class DeviceLayer:
     def place(self, px: tuple[int, int], source_px: tuple[float, float] | None) -> tuple[int, int] | None:
         """The pixel or texel that belongs to display pixel `px` and to `source_px`, a position in the rendered image;
         None where there is none."""
-        grid = self.spec.grid
-        if grid in ("source", "source_blocks") or grid.startswith("level"):
+        if lies_on_source(self.spec.grid):
             if source_px is None:
                 return None
-            shift = int(grid[5:]) if grid.startswith("level") else 3 if grid == "source_blocks" else 0
-            x, y = (int(np.floor(c)) >> shift for c in source_px)
-        else:
-            shift = {"blocks": 5, "target_blocks": 3, "network": 1}.get(grid, 0)
-            shift = int(grid[3:]) if grid.startswith("mip") else shift
-            x, y = (c >> shift for c in px)
+            px = tuple(int(np.floor(c)) for c in source_px)
+        x, y = (c // side for c, side in zip(px, texel_of(self.spec.grid), strict=True))
         return (x, y) if 0 <= x < self.size[0] and 0 <= y < self.size[1] else None
 
 

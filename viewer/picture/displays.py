@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gffe_cl.buffers import BufferSpec, Sizes
+from gffe_cl.buffers import Sizes, lies_on_source, texel_of
 from gffe_cl.camera import Camera
 from gffe_cl.viewer.engine.layers import NATIVE, LayerSpec
 from gffe_cl.viewer.picture.colors import COLOR_MAPS, Rgb
@@ -106,13 +106,13 @@ class FrameInfo:
     target_area: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
 
     def area(self, spec: LayerSpec) -> tuple[float, float, float, float]:
-        if spec.grid == "network":
-            size = self.target_size or self.display_size
-            padded = BufferSpec("", np.float32, (), "network", "").size(Sizes(size, size))
-            x, y = (n / 2 / m for n, m in zip(size, padded, strict=True))
-            left, top, right, bottom = self.target_area
-            return left * x, top * y, right * x, bottom * y
-        return self.source_area if spec.grid == "source" or spec.grid.startswith("level") else self.target_area
+        area = self.source_area if lies_on_source(spec.grid) else self.target_area
+        if spec.grid not in ("network", "blocks", "source_blocks", "target_blocks"):
+            return area
+        image = (self.render_size if lies_on_source(spec.grid) else self.target_size) or self.display_size
+        texels = Sizes(image, image).of(spec.grid)
+        x, y = (n / (m * side) for n, m, side in zip(image, texels, texel_of(spec.grid), strict=True))
+        return area[0] * x, area[1] * y, area[2] * x, area[3] * y
 
     def own_place(self, spec: LayerSpec) -> tuple[float, float, float, float]:
         """(scale x, scale y, offset x, offset y): a texel's own position in the image that its place lies in is
