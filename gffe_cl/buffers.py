@@ -72,9 +72,9 @@ class BufferSpec:
     up), "mip1" … (target / 2^l, rounded up), "network" (target / 2, rounded up to multiples of 16) or "once" (no
     image). `components` name its channels; a single one goes without. `view` says what it means, and so how to show it:
     "color" (linear RGB), "depth" (view z), "motion" (pixels, from here), "place" (position in pixels), "world"
-    (position in the view space of the rendered camera), "mask" (0 or 1), "label" (`labels` name its values), "scalar". `mapped`: the host works in it. `kept`: that of the frame before
-    is kept too. `scratch`: of no interest once the stage is through. `planar`: on the device the channels lie one after
-    another, each an image.
+    (position in the view space of the rendered camera), "mask" (0 or 1), "label" (`labels` name its values),
+    "scalar". `mapped`: the host works in it. `kept`: that of the frame before is kept too. `scratch`: of no interest
+    once the stage is through. `planar`: on the device the channels lie one after another, each an image.
     """
 
     name: str
