@@ -50,3 +50,33 @@ inline bool cubic_of_finite(const int first, const float4 wx, const float4 wy, c
     *rgb = high < raised ? high : raised;
     return fabs(sum.x) <= COLOR_MAX && fabs(sum.y) <= COLOR_MAX && fabs(sum.z) <= COLOR_MAX;
 }
+
+#if LANES == 8
+
+/* Weights of four pixels, each for the four channels of its texel. */
+#define SPREAD(w) ((w).s0000111122223333)
+#define WITHOUT_ALPHA(c) ((float16)((c).s012, 0.0f, (c).s456, 0.0f, (c).s89a, 0.0f, (c).scde, 0.0f))
+
+/* The same of four pixels in a row whose taps lie in a row. */
+inline bool cubic_of_four(const int first, const float4 *wx, const float4 *wy, const int width, __global const half *color,
+                          const int dst, __global half *out_color) {
+    float16 sum, low, high;
+#pragma unroll
+    for (int tx = 0; tx < 4; ++tx) {
+        __global const half *p = color + 4 * (first + tx);
+        const float16 a = vload_half16(0, p), b = vload_half16(0, p + 4 * width), c = vload_half16(0, p + 8 * width),
+                      d = vload_half16(0, p + 12 * width);
+        const float16 column = SPREAD(wy[0]) * a + SPREAD(wy[1]) * b + SPREAD(wy[2]) * c + SPREAD(wy[3]) * d;
+        sum = tx == 0 ? SPREAD(wx[0]) * column : sum + SPREAD(wx[tx]) * column;
+        if (tx == 0 || tx == 3) continue;
+        const float16 lower = b < c ? b : c, higher = b < c ? c : b;
+        low = tx == 1 ? lower : low < lower ? low : lower;
+        high = tx == 1 ? higher : high < higher ? higher : high;
+    }
+    sum = WITHOUT_ALPHA(sum);
+    const float16 raised = sum < low ? low : sum;
+    vstore_half16_rte(WITHOUT_ALPHA(high < raised ? high : raised), 0, out_color + 4 * dst);
+    return all(fabs(sum) <= COLOR_MAX);
+}
+
+#endif

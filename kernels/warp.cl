@@ -341,35 +341,54 @@ inline Ints move_alike(const Ints src, const Floats ox, const Floats oy, const i
     return alike;
 }
 
-/* Cubic weights of LANES positions, four at a time. */
-inline void store_weights(const Floats t, float4 *weights) {
+/* Cubic weights of LANES positions, by tap. */
+inline void weights_of(const Floats t, Floats *weights) {
     const Floats t2 = t * t, t3 = t2 * t;
-    float lanes[4][LANES];
-    store_floats(-0.5f * t + t2 - 0.5f * t3, 0, lanes[0]);
-    store_floats(1.0f - 2.5f * t2 + 1.5f * t3, 0, lanes[1]);
-    store_floats(0.5f * t + 2.0f * t2 - 1.5f * t3, 0, lanes[2]);
-    store_floats(0.5f * t3 - 0.5f * t2, 0, lanes[3]);
-    for (int k = 0; k < LANES; ++k) weights[k] = (float4)(lanes[0][k], lanes[1][k], lanes[2][k], lanes[3][k]);
+    weights[0] = -0.5f * t + t2 - 0.5f * t3;
+    weights[1] = 1.0f - 2.5f * t2 + 1.5f * t3;
+    weights[2] = 0.5f * t + 2.0f * t2 - 1.5f * t3;
+    weights[3] = 0.5f * t3 - 0.5f * t2;
 }
+
+#if LANES == 8
+/* All lanes, whose taps lie in a row; false where a tap is no finite number. */
+inline bool resample_run(const int dst, const int first, const Floats *wx, const Floats *wy, const int source_width,
+                         __global const half *color, __global half *out_color) {
+    const float4 left_x[4] = {wx[0].lo, wx[1].lo, wx[2].lo, wx[3].lo}, left_y[4] = {wy[0].lo, wy[1].lo, wy[2].lo, wy[3].lo};
+    const float4 right_x[4] = {wx[0].hi, wx[1].hi, wx[2].hi, wx[3].hi}, right_y[4] = {wy[0].hi, wy[1].hi, wy[2].hi, wy[3].hi};
+    return cubic_of_four(first, left_x, left_y, source_width, color, dst, out_color)
+           & cubic_of_four(first + 4, right_x, right_y, source_width, color, dst + 4, out_color);
+}
+#endif
 
 /* Colours at (u, v) from the pixels `tap`, cubic, for the lanes that are done. */
 inline void resample_lanes(const int dst, const Ints done, const Ints tap, const Floats u, const Floats v,
                            const int source_width, __global const half *color, __global half *out_color) {
     int lane_tap[LANES], lane_done[LANES], lane_exact[LANES];
-    float lane_u[LANES], lane_v[LANES];
-    float4 wx[LANES], wy[LANES];
-    store_ints(done, 0, lane_done);
+    float lane_u[LANES], lane_v[LANES], lanes_x[4][LANES], lanes_y[4][LANES];
+    Floats wx[4], wy[4];
     store_ints(tap, 0, lane_tap);
+    weights_of(u, wx);
+    weights_of(v, wy);
+#if LANES == 8
+    if (ALL(done & (tap == lane_tap[0] + LANE_NUMBERS))
+        && resample_run(dst, lane_tap[0] - source_width - 1, wx, wy, source_width, color, out_color)) return;
+#endif
+    store_ints(done, 0, lane_done);
     store_ints((u == 0.0f) & (v == 0.0f), 0, lane_exact);
     store_floats(u, 0, lane_u);
     store_floats(v, 0, lane_v);
-    store_weights(u, wx);
-    store_weights(v, wy);
+    for (int k = 0; k < 4; ++k) {
+        store_floats(wx[k], 0, lanes_x[k]);
+        store_floats(wy[k], 0, lanes_y[k]);
+    }
     for (int k = 0; k < LANES; ++k) {
         if (!lane_done[k]) continue;
         const int first = lane_tap[k] - source_width - 1;
+        const float4 lane_x = (float4)(lanes_x[0][k], lanes_x[1][k], lanes_x[2][k], lanes_x[3][k]);
+        const float4 lane_y = (float4)(lanes_y[0][k], lanes_y[1][k], lanes_y[2][k], lanes_y[3][k]);
         float4 rgb;
-        if (!lane_exact[k] && cubic_of_finite(first, wx[k], wy[k], source_width, color, &rgb)) {
+        if (!lane_exact[k] && cubic_of_finite(first, lane_x, lane_y, source_width, color, &rgb)) {
             vstore_half4_rte((float4)(rgb.xyz, 0.0f), dst + k, out_color);
             continue;
         }
