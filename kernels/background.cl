@@ -61,7 +61,8 @@ inline bool may_be_at(const int src, const float z, const int source_width, __gl
     *margin = 0.0f;
     *behind = true;
     if (INVALID_DEPTH(z_shown)) return true;
-    *margin = SAME_SURFACE * z_shown + slope_at(src, source_width, depth, links);
+    *margin = SAME_SURFACE * z_shown;
+    if (fabs(z - z_shown) > *margin) *margin += slope_at(src, source_width, depth, links);
     *behind = isinf(z) ? !isinf(z_shown) : z > z_shown + *margin;
     const bool before = isinf(z_shown) ? !isinf(z) : z < z_shown - *margin;
     return !before && (*behind || !dynamic_mask[src]);
@@ -115,10 +116,12 @@ inline void offer_fragment(const float3 now, const uint texel, const Collection 
         const int corner_x = (int)floor(px_x), corner_y = (int)floor(px_y);
         if (!inside(corner_x, corner_y, to.width, to.height)) continue;
         const int cell = (corner_y >> level) * level_width + (corner_x >> level);
-        if (cell == filled || to.taken[cell] != EMPTY) continue;
+        const uint bits = as_uint(z) | GIVES_WAY;
+        if (cell == filled || (level == 0 && cell == own) || to.taken[cell] != EMPTY
+            || !may_win(to.pass, to.fill_keys, cell, bits, texel)) continue;
         if (may_be_at(corner_y * to.width + corner_x, z, to.width, to.depth, to.dynamic_mask, to.links, &margin, &behind)
             && (level == 0 || behind))
-            offer_bits(to.pass, to.fill_keys, to.fill_winners, cell, as_uint(z) | GIVES_WAY, texel);
+            offer_bits(to.pass, to.fill_keys, to.fill_winners, cell, bits, texel);
     }
 }
 
@@ -128,15 +131,23 @@ inline Ints may_be_offered(const Wide3 now, const Collection to) {
     const Ints in = (now.z > 0.0f) & (now.x >= 0.0f) & (now.y >= 0.0f) & (now.x < (float)to.width)
         & (now.y < (float)to.height);
     const Floats x = in ? now.x : (Floats)(0.0f), y = in ? now.y : (Floats)(0.0f);
+    const Ints cell = (to_ints(y) >> level) * level_width + (to_ints(x) >> level);
+    const Floats most = now.z * (1.0f - 0.95f * SAME_SURFACE);  /* one that is behind is behind this */
+#if LANES > 1
+    /* As a rule they lie side by side: three rows of texels hold all that they touch. */
+    const int first = ((int)y.s0 >> level) * level_width + ((int)x.s0 >> level), row = level_width;
+    const bool inner = first >= row + RUN / 2 && first + row + RUN <= level_width * level_side(to.height, level);
+    if (inner && ALL(cell == first + LANE_NUMBERS) && !ANY(most > load_floats(0, to.level_depth + first))
+        && !run_has(to.taken + first - RUN / 4, EMPTY) && !run_has(to.taken + first - row - RUN / 4, EMPTY)
+        && !run_has(to.taken + first + row - RUN / 4, EMPTY)) return (Ints)(0);
+#endif
     const float reach = TOUCHES * (float)(1 << level);
     const Ints x0 = to_ints(fmax(x - reach, 0.0f)) >> level, x1 = min(to_ints(x + reach), to.width - 1) >> level;
     const Ints y0 = (to_ints(fmax(y - reach, 0.0f)) >> level) * level_width;
     const Ints y1 = (min(to_ints(y + reach), to.height - 1) >> level) * level_width;
     const Bytes all_taken = min(min(gather_bytes(to.taken, y0 + x0), gather_bytes(to.taken, y0 + x1)),
                                 min(gather_bytes(to.taken, y1 + x0), gather_bytes(to.taken, y1 + x1)));
-    const Floats z_level = gather_floats(to.level_depth, (to_ints(y) >> level) * level_width + (to_ints(x) >> level));
-    const Ints same = now.z <= z_level * (1.0f + 0.99f * SAME_SURFACE);
-    return in & ((to_ints(all_taken) == EMPTY) | !same);
+    return in & ((to_ints(all_taken) == EMPTY) | (most > gather_floats(to.level_depth, cell)));
 }
 
 /* Offers the fragments of B'_level. */
@@ -191,30 +202,42 @@ typedef struct {
     __global uchar *state;
 } Level;
 
-/* Puts the winner of a texel into it, a fragment of an old level, and empties the key. */
-inline void settle(const int texel, __global Key *keys, __global uint *winners, const Texels old,
-                   const Reprojection to_current, const Level level) {
-    const uint winner = winner_of(keys, winners, texel);
-    level.state[texel] = winner == NOBODY ? EMPTY : REMEMBERED;
-    if (winner == NOBODY) return;
-    forget(keys, winners, texel);
-    const float3 now = reproject(px_of(old, winner), depth_of(old, winner), to_current);
-    level.depth[texel] = now.z;
-    level.px[texel] = now.xy;
-    store_color(color_of(old, winner), level.color, texel);
-}
-
-/* RUN texels of a level: those that are taken stay, the others get their winners. */
-inline void settle_run(const int first, const int count, const int collect, __global const uchar *taken,
-                       __global Key *keys, __global uint *winners, const Texels old, const Reprojection to_current,
-                       const Level level) {
-    if (collect && count == RUN && !run_has(taken + first, EMPTY)) {
+/* Puts the winners of `count` texels, at most RUN, into them, fragments of an old level, and empties their keys. Texels that are
+   `taken` stay; 0: none is. */
+inline void settle_run(const int first, const int count, __global const uchar *taken, __global Key *keys,
+                       __global uint *winners, const Texels old, const Reprojection to_current, const Level level) {
+    if (taken && count == RUN && !run_has(taken + first, EMPTY)) {
         copy_run(taken + first, level.state + first);
         return;
     }
-    for (int texel = first; texel < first + count; ++texel) {
-        if (collect && taken[texel] != EMPTY) level.state[texel] = taken[texel];
-        else settle(texel, keys, winners, old, to_current, level);
+    uint winner[RUN];
+    float x[RUN], y[RUN], z[RUN];
+    bool any = false;
+    for (int k = 0; k < count; ++k) {
+        const int texel = first + k;
+        const uchar state = taken ? taken[texel] : EMPTY;
+        winner[k] = state == EMPTY ? winner_of(keys, winners, texel) : NOBODY;
+        level.state[texel] = winner[k] == NOBODY ? state : REMEMBERED;
+        if (winner[k] == NOBODY) continue;
+        any = true;
+        forget(keys, winners, texel);
+        const float2 px = px_of(old, winner[k]);
+        x[k] = px.x;
+        y[k] = px.y;
+        z[k] = depth_of(old, winner[k]);
+        store_color(color_of(old, winner[k]), level.color, texel);
+    }
+    if (!any) return;
+    for (int k = 0; k < RUN; k += LANES) {
+        const Wide3 now = wide_reproject(load_floats(0, x + k), load_floats(0, y + k), load_floats(0, z + k), to_current);
+        store_floats(now.x, 0, x + k);
+        store_floats(now.y, 0, y + k);
+        store_floats(now.z, 0, z + k);
+    }
+    for (int k = 0; k < count; ++k) {
+        if (winner[k] == NOBODY) continue;
+        level.depth[first + k] = z[k];
+        level.px[first + k] = (float2)(x[k], y[k]);
     }
 }
 
@@ -230,8 +253,8 @@ SCAN __kernel void settle_level(const int source_width, const int level_width, c
     if (texel_x >= level_width || texel_y >= level_height) return;
     const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, source_width};
     const Level level = {level_color, level_depth, level_px, level_state};
-    settle_run(texel_y * level_width + texel_x, min(RUN, level_width - texel_x), collect, taken, fill_keys, fill_winners, old,
-               to_current, level);
+    settle_run(texel_y * level_width + texel_x, min(RUN, level_width - texel_x), collect ? taken : 0, fill_keys, fill_winners,
+               old, to_current, level);
 }
 
 /* The same, and begins the next level with what was pushed down. */
@@ -248,13 +271,13 @@ SCAN __kernel void settle_and_push(const int source_width, const int level_width
     if (texel_x >= level_width || texel_y >= level_height) return;
     const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, source_width};
     const Level level = {level_color, level_depth, level_px, level_state};
-    settle_run(texel_y * level_width + texel_x, min(RUN, level_width - texel_x), collect, taken, fill_keys, fill_winners, old,
-               to_current, level);
+    settle_run(texel_y * level_width + texel_x, min(RUN, level_width - texel_x), collect ? taken : 0, fill_keys, fill_winners,
+               old, to_current, level);
     if ((texel_x | texel_y) & 1) return;
     const Level next = {next_color, next_depth, next_px, next_state};
     const int next_width = (level_width + 1) / 2, next_x = texel_x / 2;
-    for (int x = next_x; x < min(next_x + (RUN + 1) / 2, next_width); ++x)
-        settle(texel_y / 2 * next_width + x, push_keys, push_winners, old, to_current, next);
+    settle_run(texel_y / 2 * next_width + next_x, min((RUN + 1) / 2, next_width - next_x), 0, push_keys, push_winners, old,
+               to_current, next);
 }
 
 /* ---- projection --------------------------------------------------------------------------------------------- */
@@ -263,32 +286,6 @@ SCAN __kernel void settle_and_push(const int source_width, const int level_width
 #define REACH 16.0f              /* px: the most that a texel covers to each side */
 #define FOOTPRINT_HALF 1.25f     /* of a texel's side: of fragments that met in a texel one is left, so gaps reach two texels */
 
-/* Offers a remembered fragment to the pixels that the warp left invalid, and to pixels of its surface whose own colour is a
-   makeshift: their fragment's colour was mixed with that of a silhouette. `level`: how large it is. */
-inline void project_texel(const float2 px, const float z_source, const uint texel, const int level, const int target_width,
-                          const int target_height, const int pass, const float2 zoom, const Reprojection to_target,
-                          __global const uchar *disoccluded, __global const uchar *mixed, __global const float *depth,
-                          __global Key *keys, __global uint *winners) {
-    const float3 there = reproject(px, z_source, to_target);
-    if (!(there.z > 0.0f && there.x > -REACH && there.y > -REACH && there.x < (float)target_width + REACH
-          && there.y < (float)target_height + REACH)) return;
-    const float nearer = isinf(there.z) ? 1.0f : divide(z_source, there.z);
-    const float side = (float)(1 << level) * FOOTPRINT_HALF * nearer;
-    const float half_x = fmin(fmax(side * zoom.x, 0.5f), REACH), half_y = fmin(fmax(side * zoom.y, 0.5f), REACH);
-    const int x0 = max((int)ceil(there.x - half_x - 0.5f), 0), x1 = min((int)floor(there.x + half_x - 0.5f),
-                                                                        target_width - 1);
-    const int y0 = max((int)ceil(there.y - half_y - 0.5f), 0), y1 = min((int)floor(there.y + half_y - 0.5f),
-                                                                        target_height - 1);
-    for (int dst_y = y0; dst_y <= y1; ++dst_y)
-        for (int dst_x = x0; dst_x <= x1; ++dst_x) {
-            const int dst = dst_y * target_width + dst_x;
-            if (!(disoccluded[dst] | mixed[dst])) continue;
-            const float z = depth[dst];
-            const bool alike = is_same_surface(there.z, z, SAME_SURFACE * z);
-            if (disoccluded[dst] || (mixed[dst] && alike)) offer(pass, keys, winners, dst, there.z, texel);
-        }
-}
-
 /* The levels lie one after another: `starts` are the first texels of levels 1 to 3. */
 inline int level_of(const int texel, const int4 starts) {
     return (texel >= starts.x) + (texel >= starts.y) + (texel >= starts.z);
@@ -296,6 +293,19 @@ inline int level_of(const int texel, const int4 starts) {
 
 inline int start_of(const int level, const int4 starts) {
     return level == 0 ? 0 : level == 1 ? starts.x : level == 2 ? starts.y : starts.z;
+}
+
+/* Offers a fragment to the pixels from (x0, y0) to (x1, y1) that the warp left invalid, and to those of its surface whose own
+   colour is a makeshift: their fragment's colour was mixed with that of a silhouette. */
+inline void offer_to_pixels(const int x0, const int y0, const int x1, const int y1, const float z, const uint texel,
+                            const int target_width, const int pass, __global const uchar *disoccluded,
+                            __global const uchar *mixed, __global const float *depth, __global Key *keys,
+                            __global uint *winners) {
+    for (int dst_y = y0; dst_y <= y1; ++dst_y)
+        for (int dst = dst_y * target_width + x0; dst <= dst_y * target_width + x1; ++dst) {
+            const bool alike = mixed[dst] && is_same_surface(z, depth[dst], SAME_SURFACE * depth[dst]);
+            if (disoccluded[dst] || alike) offer(pass, keys, winners, dst, z, texel);
+        }
 }
 
 /* Offers the remembered fragments of all levels, RUN texels per work-item; what lies between two levels is EMPTY. */
@@ -307,11 +317,30 @@ SCAN __kernel void project_levels(const int texels, const int4 starts, const int
                                   __global uint *winners) {
     const int first = get_global_id(0) * RUN;
     if (first >= texels || !run_has(levels_state + first, REMEMBERED)) return;
-    const int level = level_of(first, starts);
-    for (int texel = first; texel < first + RUN; ++texel)
-        if (levels_state[texel] == REMEMBERED)
-            project_texel(levels_px[texel], levels_depth[texel], (uint)texel, level, target_width, target_height, pass, zoom,
-                          to_target, disoccluded, mixed, depth, keys, winners);
+    const float level_size = FOOTPRINT_HALF * (float)(1 << level_of(first, starts));
+    for (int texel = first; texel < first + RUN; texel += LANES) {
+        Floats px_y;
+        const Floats px_x = load_xy(levels_px + texel, &px_y), z_source = load_floats(0, levels_depth + texel);
+        const Wide3 there = wide_reproject(px_x, px_y, z_source, to_target);
+        const Ints may_reach = (to_ints(load_bytes(0, levels_state + texel)) == REMEMBERED) & (there.z > 0.0f)
+            & (there.x > -REACH) & (there.y > -REACH) & (there.x < (float)target_width + REACH)
+            & (there.y < (float)target_height + REACH);
+        if (!ANY(may_reach)) continue;
+        const Floats nearer = isinf(there.z) ? (Floats)(1.0f) : wide_divide(z_source, there.z), side = level_size * nearer;
+        const Floats half_x = fmin(fmax(side * zoom.x, 0.5f), REACH), half_y = fmin(fmax(side * zoom.y, 0.5f), REACH);
+        int reaches[LANES], x0[LANES], y0[LANES], x1[LANES], y1[LANES];
+        float z[LANES];
+        store_ints(may_reach, 0, reaches);
+        store_floats(there.z, 0, z);
+        store_ints(max(to_ints(ceil(there.x - half_x - 0.5f)), 0), 0, x0);
+        store_ints(max(to_ints(ceil(there.y - half_y - 0.5f)), 0), 0, y0);
+        store_ints(min(to_ints(floor(there.x + half_x - 0.5f)), target_width - 1), 0, x1);
+        store_ints(min(to_ints(floor(there.y + half_y - 0.5f)), target_height - 1), 0, y1);
+        for (int k = 0; k < LANES; ++k)
+            if (reaches[k])
+                offer_to_pixels(x0[k], y0[k], x1[k], y1[k], z[k], (uint)(texel + k), target_width, pass, disoccluded, mixed,
+                                depth, keys, winners);
+    }
 }
 
 #define INSIDE_REACH 8           /* px to each side between which a hole counts as inside a moving object */

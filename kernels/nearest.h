@@ -12,15 +12,23 @@ typedef uint Key;   /* depth bits; the index is found in a second pass */
 #endif
 
 /* `depth_bits`: those of a positive float, perhaps with GIVES_WAY. One key for them and the index with 64-bit atomics; else
-   pass 0 finds the least of them, pass 1 the least index of it. */
+   pass 0 finds the least of them, pass 1 the least index of it. An offer that cannot win any more need not be made. */
+inline bool may_win(const int pass, __global const Key *keys, const int c, const uint depth_bits, const uint i) {
+#ifdef INT64_ATOMICS
+    return keys[c] > (((ulong)depth_bits << 32) | i);
+#else
+    return pass == 0 ? keys[c] > depth_bits : keys[c] == depth_bits;
+#endif
+}
+
 inline void offer_bits(const int pass, __global Key *keys, __global uint *winners, const int c, const uint depth_bits,
                        const uint i) {
+    if (!may_win(pass, keys, c, depth_bits, i)) return;
 #ifdef INT64_ATOMICS
-    const Key key = ((ulong)depth_bits << 32) | i;
-    if (keys[c] > key) atom_min(keys + c, key);
+    atom_min(keys + c, ((ulong)depth_bits << 32) | i);
 #else
-    if (pass == 0) { if (keys[c] > depth_bits) atomic_min(keys + c, depth_bits); }
-    else if (keys[c] == depth_bits) atomic_min(winners + c, i);
+    if (pass == 0) atomic_min(keys + c, depth_bits);
+    else atomic_min(winners + c, i);
 #endif
 }
 
