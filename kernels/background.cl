@@ -202,24 +202,32 @@ typedef struct {
     __global uchar *state;
 } Level;
 
-/* Puts the winners of `count` texels, at most RUN, into them, fragments of an old level, and empties their keys. Texels that are
-   `taken` stay; 0: none is. */
-inline void settle_run(const int first, const int count, __global const uchar *taken, __global Key *keys,
-                       __global uint *winners, const Texels old, const Reprojection to_current, const Level level) {
-    if (taken && count == RUN && !run_has(taken + first, EMPTY)) {
-        copy_run(taken + first, level.state + first);
-        return;
-    }
-    uint winner[RUN];
-    float x[RUN], y[RUN], z[RUN];
-    bool any = false;
+/* Whether nobody was offered to any of LANES texels. */
+inline bool nobody_came(__global const Key *keys, __global const uint *winners, const int first) {
+#if LANES == 1
+    return winner_of(keys, winners, first) == NOBODY;
+#elif defined(INT64_ATOMICS)
+    const ulong8 key = vload8(0, keys + first);
+    const ulong4 half_of_them = key.lo & key.hi;
+    return (half_of_them.x & half_of_them.y & half_of_them.z & half_of_them.w) == (ulong)(-1);
+#else
+    return ALL(vload8(0, winners + first) == NOBODY);
+#endif
+}
+
+/* Puts the winners of `count` texels, at most LANES, into them, fragments of an old level, and empties their keys. Texels that
+   are `taken` stay; 0: none is. */
+inline void settle(const int first, const int count, __global const uchar *taken, __global Key *keys, __global uint *winners,
+                   const Texels old, const Reprojection to_current, const Level level) {
+    uint winner[LANES];
+    float x[LANES], y[LANES], z[LANES];
+    const bool nobody = count == LANES && nobody_came(keys, winners, first);
     for (int k = 0; k < count; ++k) {
         const int texel = first + k;
         const uchar state = taken ? taken[texel] : EMPTY;
-        winner[k] = state == EMPTY ? winner_of(keys, winners, texel) : NOBODY;
+        winner[k] = !nobody && state == EMPTY ? winner_of(keys, winners, texel) : NOBODY;
         level.state[texel] = winner[k] == NOBODY ? state : REMEMBERED;
         if (winner[k] == NOBODY) continue;
-        any = true;
         forget(keys, winners, texel);
         const float2 px = px_of(old, winner[k]);
         x[k] = px.x;
@@ -227,18 +235,28 @@ inline void settle_run(const int first, const int count, __global const uchar *t
         z[k] = depth_of(old, winner[k]);
         store_color(color_of(old, winner[k]), level.color, texel);
     }
-    if (!any) return;
-    for (int k = 0; k < RUN; k += LANES) {
-        const Wide3 now = wide_reproject(load_floats(0, x + k), load_floats(0, y + k), load_floats(0, z + k), to_current);
-        store_floats(now.x, 0, x + k);
-        store_floats(now.y, 0, y + k);
-        store_floats(now.z, 0, z + k);
-    }
+    if (nobody) return;
+    const Wide3 now = wide_reproject(load_floats(0, x), load_floats(0, y), load_floats(0, z), to_current);
+    store_floats(now.x, 0, x);
+    store_floats(now.y, 0, y);
+    store_floats(now.z, 0, z);
     for (int k = 0; k < count; ++k) {
         if (winner[k] == NOBODY) continue;
         level.depth[first + k] = z[k];
         level.px[first + k] = (float2)(x[k], y[k]);
     }
+}
+
+/* RUN texels of a level from column x on. */
+inline void settle_run(const int x, const int y, const int width, __global const uchar *taken, __global Key *keys,
+                       __global uint *winners, const Texels old, const Reprojection to_current, const Level level) {
+    const int first = y * width + x;
+    if (taken && x + RUN <= width && !run_has(taken + first, EMPTY)) {
+        copy_run(taken + first, level.state + first);
+        return;
+    }
+    for (int k = 0; k < min(RUN, width - x); k += LANES)
+        settle(first + k, min(LANES, width - x - k), taken, keys, winners, old, to_current, level);
 }
 
 /* Completes a level. */
@@ -253,8 +271,7 @@ SCAN __kernel void settle_level(const int source_width, const int level_width, c
     if (texel_x >= level_width || texel_y >= level_height) return;
     const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, source_width};
     const Level level = {level_color, level_depth, level_px, level_state};
-    settle_run(texel_y * level_width + texel_x, min(RUN, level_width - texel_x), collect ? taken : 0, fill_keys, fill_winners,
-               old, to_current, level);
+    settle_run(texel_x, texel_y, level_width, collect ? taken : 0, fill_keys, fill_winners, old, to_current, level);
 }
 
 /* The same, and begins the next level with what was pushed down. */
@@ -271,13 +288,11 @@ SCAN __kernel void settle_and_push(const int source_width, const int level_width
     if (texel_x >= level_width || texel_y >= level_height) return;
     const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, source_width};
     const Level level = {level_color, level_depth, level_px, level_state};
-    settle_run(texel_y * level_width + texel_x, min(RUN, level_width - texel_x), collect ? taken : 0, fill_keys, fill_winners,
-               old, to_current, level);
+    settle_run(texel_x, texel_y, level_width, collect ? taken : 0, fill_keys, fill_winners, old, to_current, level);
     if ((texel_x | texel_y) & 1) return;
     const Level next = {next_color, next_depth, next_px, next_state};
     const int next_width = (level_width + 1) / 2, next_x = texel_x / 2;
-    settle_run(texel_y / 2 * next_width + next_x, min((RUN + 1) / 2, next_width - next_x), 0, push_keys, push_winners, old,
-               to_current, next);
+    settle(texel_y / 2 * next_width + next_x, min(LANES, next_width - next_x), 0, push_keys, push_winners, old, to_current, next);
 }
 
 /* ---- projection --------------------------------------------------------------------------------------------- */
