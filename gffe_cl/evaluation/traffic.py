@@ -24,7 +24,7 @@ SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
     "splatted": ("blocks.block_class", lambda block: block == SPLATTED),
     "mixed": ("frame.mixed", lambda mask: mask != 0),
     "unfilled": ("frame.filled_by", lambda label: (label == BY_HOLE_FILLING) | (label == BY_NOTHING)),
-    "beyond reach": ("holes.beyond_reach", lambda flag: flag != 0),
+    "beyond reach": ("holes.block_color", lambda sums: sums[..., 3] != 0),
     "remembered": ("background.state_0", lambda state: state == REMEMBERED),
     "not shown": ("background.state_0", lambda state: state != SHOWN),
 }
