@@ -239,53 +239,60 @@ SPARSE __kernel void fill_from_blocks(const int target_width, const int target_h
                                       __global float4 *block_color, __global float *block_inverse_depth) {
     __local float4 sums[RING * RING], strip_sums[GROUP];
     __local float inverse_sums[RING * RING], strip_inverse_sums[GROUP];
-    __local uint asked[RING * RING];
+    __local uint asked[RING * RING], any_asks;
     const int lane = get_local_id(0);
     const int tile_x = get_group_id(0) * TILE * BLOCK, dst_y = get_group_id(1) * TILE * BLOCK + lane;
     const int ring_x = get_group_id(0) * TILE - 1, ring_y = get_group_id(1) * TILE - 1;
     const int end_x = dst_y < target_height ? min(tile_x + TILE * BLOCK, target_width) : tile_x;
+    const int own_x = ring_x + 1 + lane % TILE, own_y = ring_y + 1 + lane / TILE, own = own_y * blocks_width + own_x;
+    const bool has_own = lane < TILE * TILE && own_x < blocks_width && own_y < blocks_height;
     float2 between;
 
     if (lane < RING * RING) asked[lane] = 0;
+    if (lane == 0) any_asks = 0;
+    if (has_own) {
+        block_color[own] = (float4)(0.0f);
+        block_inverse_depth[own] = 0.0f;
+    }
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int run_x = tile_x; run_x < end_x; run_x += RUN) {
         if (run_x + RUN <= end_x && !run_has(filled_by + dst_y * target_width + run_x, BY_HOLE_FILLING)) continue;
         for (int dst_x = run_x; dst_x < min(run_x + RUN, end_x); ++dst_x) {
             if (!asks(dst_y * target_width + dst_x, reach, filled_by, depth)) continue;
             const int2 first = first_block(dst_x, dst_y, &between);
+            atomic_or(&any_asks, 1u);
             for (int tap = 0; tap < 4; ++tap)
                 atomic_or(asked + tap_in_ring(first, tap, ring_x, ring_y, blocks_width, blocks_height), 1u);
         }
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 
+    if (!any_asks) return;
+
     for (int k = 0; k < RING * RING; ++k) {
-        const int block_x = ring_x + k % RING, block_y = ring_y + k / RING;
-        const bool own = k % RING > 0 && k % RING <= TILE && k / RING > 0 && k / RING <= TILE
-            && block_x < blocks_width && block_y < blocks_height;
+        if (!asked[k]) continue;
+        float inverse_sum;
+        strip_sums[lane] = sum_strip((ring_x + k % RING) * BLOCK + lane % BLOCK,
+                                     (ring_y + k / RING) * BLOCK + lane / BLOCK * STRIP, target_width, target_height,
+                                     source_width, source_height, filled_by, color, depth, source_color, source_depth,
+                                     &inverse_sum);
+        strip_inverse_sums[lane] = inverse_sum;
+        barrier(CLK_LOCAL_MEM_FENCE);
         if (lane == 0) {
             sums[k] = (float4)(0.0f);
             inverse_sums[k] = 0.0f;
-        }
-        if (asked[k]) {
-            float inverse_sum;
-            strip_sums[lane] = sum_strip(block_x * BLOCK + lane % BLOCK, block_y * BLOCK + lane / BLOCK * STRIP, target_width,
-                                         target_height, source_width, source_height, filled_by, color, depth, source_color,
-                                         source_depth, &inverse_sum);
-            strip_inverse_sums[lane] = inverse_sum;
-            barrier(CLK_LOCAL_MEM_FENCE);
-            for (int j = 0; lane == 0 && j < GROUP; ++j) {
+            for (int j = 0; j < GROUP; ++j) {
                 sums[k] += strip_sums[j];
                 inverse_sums[k] += strip_inverse_sums[j];
             }
-            barrier(CLK_LOCAL_MEM_FENCE);
         }
-        if (lane == 0 && own) {
-            block_color[block_y * blocks_width + block_x] = sums[k];
-            block_inverse_depth[block_y * blocks_width + block_x] = inverse_sums[k];
-        }
+        barrier(CLK_LOCAL_MEM_FENCE);
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    const int own_in_ring = (lane / TILE + 1) * RING + lane % TILE + 1;
+    if (has_own && asked[own_in_ring]) {
+        block_color[own] = sums[own_in_ring];
+        block_inverse_depth[own] = inverse_sums[own_in_ring];
+    }
 
     for (int run_x = tile_x; run_x < end_x; run_x += RUN) {
         if (run_x + RUN <= end_x && !run_has(filled_by + dst_y * target_width + run_x, BY_HOLE_FILLING)) continue;
