@@ -7,6 +7,7 @@ apostrophe means what a stage kept of the frame before, as in the paper: "histor
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import accumulate
@@ -229,6 +230,6 @@ _ALIGNMENT = 1024  # texels between the starts of levels: no device asks for mor
 
 def level_starts(size: tuple[int, int], levels: int) -> list[int]:
     """The first texel of each background level of an image of `size` where they lie one after another, and the end."""
-    sides = (halved(size, level) for level in range(levels))
-    texels = (-(-width * height // _ALIGNMENT) * _ALIGNMENT for width, height in sides)
+    sides = ([-(-side // (1 << level)) for side in size] for level in range(levels))
+    texels = (-(-math.prod(side) // _ALIGNMENT) * _ALIGNMENT for side in sides)
     return [0, *accumulate(texels)]

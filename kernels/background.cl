@@ -247,10 +247,12 @@ inline void settle(const int first, const int count, __global const uchar *taken
     }
 }
 
-/* RUN texels of a level from column x on. */
-inline void settle_run(const int x, const int y, const int width, __global const uchar *taken, __global Key *keys,
-                       __global uint *winners, const Texels old, const Reprojection to_current, const Level level) {
+/* RUN texels of a level from column x on. Not to `collect`: what the frame shows stays out. */
+inline void settle_run(const int x, const int y, const int width, const int collect, __global const uchar *shown,
+                       __global Key *keys, __global uint *winners, const Texels old, const Reprojection to_current,
+                       const Level level) {
     const int first = y * width + x;
+    __global const uchar *taken = collect ? shown : 0;
     if (taken && x + RUN <= width && !run_has(taken + first, EMPTY)) {
         copy_run(taken + first, level.state + first);
         return;
@@ -271,7 +273,7 @@ SCAN __kernel void settle_level(const int source_width, const int level_width, c
     if (texel_x >= level_width || texel_y >= level_height) return;
     const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, source_width};
     const Level level = {level_color, level_depth, level_px, level_state};
-    settle_run(texel_x, texel_y, level_width, collect ? taken : 0, fill_keys, fill_winners, old, to_current, level);
+    settle_run(texel_x, texel_y, level_width, collect, taken, fill_keys, fill_winners, old, to_current, level);
 }
 
 /* The same, and begins the next level with what was pushed down. */
@@ -288,7 +290,7 @@ SCAN __kernel void settle_and_push(const int source_width, const int level_width
     if (texel_x >= level_width || texel_y >= level_height) return;
     const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, source_width};
     const Level level = {level_color, level_depth, level_px, level_state};
-    settle_run(texel_x, texel_y, level_width, collect ? taken : 0, fill_keys, fill_winners, old, to_current, level);
+    settle_run(texel_x, texel_y, level_width, collect, taken, fill_keys, fill_winners, old, to_current, level);
     if ((texel_x | texel_y) & 1) return;
     const Level next = {next_color, next_depth, next_px, next_state};
     const int next_width = (level_width + 1) / 2, next_x = texel_x / 2;

@@ -69,7 +69,7 @@ class Background(NearestStage):
                 "depth": Access("rendered.depth", "not shown"),
                 "dynamic_mask": Access("history.dynamic_mask", "not shown"),
                 "links": Access("surfaces.links", "not shown"),
-                "frame_depth": Access("previous.depth"),
+                "frame_depth": Access("{depth_of_shown}"),
                 "taken": Access("{taken_by}"),
                 "level_depth": Access("{depth_of_taken}"),
             }
@@ -153,17 +153,26 @@ class Background(NearestStage):
         to_current = reprojection(step.previous.camera if collect else step.frame.camera, step.frame.camera)
         for level in range(self.levels):
             last = level + 1 == self.levels
-            given = {"level": level, "old": level, "next": level + 1, "to_current": to_current} | self._taken(level)
+            given = {"level": level, "old": level, "next": level + 1, "to_current": to_current} | self.of_level(level)
             for scatter_pass in self.passes if collect else ():
                 self.launch("scatter_level", last_level=self.levels - 1, **given, **{"pass": scatter_pass})
             self.launch("settle_level" if last else "settle_and_push", collect=collect, **given)
 
     @staticmethod
-    def _taken(level: int) -> dict[str, str]:
-        """Which buffer says what a level holds before anything is offered to it, and which one how deep that is."""
+    def of_level(level: int) -> dict[str, str]:
+        """Which buffers say what a level holds before anything is offered to it, how deep that is, and how deep what the
+        old level shows (only level 0 does)."""
         if level == 0:
-            return {"taken_by": "surfaces.unmixed", "depth_of_taken": "rendered.depth"}
-        return {"taken_by": f"background.state_{level}", "depth_of_taken": f"background.depth_{level}"}
+            return {
+                "taken_by": "surfaces.unmixed",
+                "depth_of_taken": "rendered.depth",
+                "depth_of_shown": "previous.depth",
+            }
+        return {
+            "taken_by": f"background.state_{level}",
+            "depth_of_taken": f"background.depth_{level}",
+            "depth_of_shown": f"background.depth_{level}'",
+        }
 
     def extrapolated(self, step: Step) -> None:
         """Fill the pixels that the warp left invalid, nearest fragment of all levels first."""
