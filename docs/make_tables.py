@@ -122,6 +122,7 @@ def _accessed(stage: type[Stage], kind: str) -> list[str]:
     """Buffers that the stage's kernels read or write, scratch left out; l stands for a level."""
     scratch = ("keys", "winners")
     names = [a.buffer for kernel in stage.kernels for which, _, a in kernel.accesses() if which == kind and a.buffer]
+    names = [Background.of_level(0).get(name.strip("{}"), name) for name in names]
     names = [re.sub(r"\{\w+\}", "l", name) for name in names if not name.rstrip("'").endswith(scratch)]
     return list(dict.fromkeys(names))
 

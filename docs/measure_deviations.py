@@ -84,20 +84,21 @@ GAE: dict[str, Change] = {
     "resampling is cubic, not bilinear": Change(edits={"warp.cl": {"alike == 0xFF": "false"}}),
     "no colours mixed with a silhouette that moves away": Change(constants={"warp.cl": {"MOVES_AWAY": "1e30f"}}),
     "… of these, what the background knows replaces": Change(
-        edits={"background.cl": {"(mixed[dst] && alike)": "(mixed[dst] && alike && false)"}}
+        edits={"background.cl": {"mixed[dst] && is_same_surface": "false && is_same_surface"}}
     ),
     "the surface met at x' is checked": Change(
         constants={"history.cl": {"DEPTH_TOLERANCE": "1e30f", "SEARCH_RADIUS": "0"}}
     ),
     "nothing is collected after a reset": Change(
-        edits={"background.cl": {"bool keep = collect && !INVALID_DEPTH(z);": "bool keep = !INVALID_DEPTH(z);"}}
+        edits={"background.cl": {"taken = collect ? shown : 0;": "taken = shown;"}}
     ),
-    "nothing is collected beside movers and nearer surfaces": Change(constants={"background.cl": {"GROW": "0"}}),
+    "nothing is collected beside movers and nearer surfaces": Change(constants={"surfaces.cl": {"GROW": "0"}}),
     "fragments must be deeper by a margin (case 2)": Change(
         edits={
             "background.cl": {
                 "z > z_shown + *margin;": "z > z_shown;",
                 "z > z_level + level_margin)": "z > z_level)",
+                "now.z * (1.0f - 0.95f * SAME_SURFACE)": "now.z",
             }
         }
     ),

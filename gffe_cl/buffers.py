@@ -7,8 +7,10 @@ apostrophe means what a stage kept of the frame before, as in the paper: "histor
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 import pyopencl as cl
@@ -46,6 +48,8 @@ class Sizes:
         """Width and height of a grid, see `BufferSpec`."""
         if grid == "once":
             return (1, 1)
+        if grid.startswith("levels"):
+            return level_starts(self.source, int(grid.removeprefix("levels")))[-1], 1
         image = self.source if lies_on_source(grid) else self.target
         texels = tuple(-(-n // side) for n, side in zip(image, texel_of(grid), strict=True))
         return tuple(-(-n // MULTIPLE) * MULTIPLE for n in texels) if grid == "network" else texels
@@ -69,12 +73,13 @@ class BufferSpec:
 
     `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "blocks"
     (target / 32, rounded up), "source_blocks" and "target_blocks" (blocks of 8×4), "level0" … (source / 2^l, rounded
-    up), "mip1" … (target / 2^l, rounded up), "network" (target / 2, rounded up to multiples of 16) or "once" (no
-    image). `components` name its channels; a single one goes without. `view` says what it means, and so how to show it:
-    "color" (linear RGB), "depth" (view z), "motion" (pixels, from here), "place" (position in pixels), "world"
-    (position in the view space of the rendered camera), "mask" (0 or 1), "label" (`labels` name its values),
-    "scalar". `mapped`: the host works in it. `kept`: that of the frame before is kept too. `scratch`: of no interest
-    once the stage is through. `planar`: on the device the channels lie one after another, each an image.
+    up), "levels1" … (so many of these one after another), "mip1" … (target / 2^l, rounded up), "network" (target / 2,
+    rounded up to multiples of 16) or "once" (no image). `components` name its channels; a single one goes without.
+    `view` says what it means, and so how to show it: "color" (linear RGB), "depth" (view z), "motion" (pixels, from
+    here), "place" (position in pixels), "world" (position in the view space of the rendered camera), "mask" (0 or 1),
+    "label" (`labels` name its values), "scalar". `mapped`: the host works in it. `kept`: that of the frame before is
+    kept too. `scratch`: of no interest once the stage is through. `part_of`: the buffer in which it lies. `planar`: on
+    the device the channels lie one after another, each an image.
     """
 
     name: str
@@ -88,6 +93,7 @@ class BufferSpec:
     mapped: bool = False
     kept: bool = False
     scratch: bool = False
+    part_of: str = ""
     planar: bool = False
 
     @property
@@ -217,3 +223,13 @@ class DeviceFrame:
 def halved(size: tuple[int, int], times: int) -> tuple[int, int]:
     """(ceil(W / 2^times), ceil(H / 2^times))."""
     return tuple(-(-n // (1 << times)) for n in size)
+
+
+_ALIGNMENT = 1024  # texels between the starts of levels: no device asks for more bytes of a part of a buffer
+
+
+def level_starts(size: tuple[int, int], levels: int) -> list[int]:
+    """The first texel of each background level of an image of `size` where they lie one after another, and the end."""
+    sides = ([-(-side // (1 << level)) for side in size] for level in range(levels))
+    texels = (-(-math.prod(side) // _ALIGNMENT) * _ALIGNMENT for side in sides)
+    return [0, *accumulate(texels)]

@@ -1,42 +1,44 @@
 /* Hierarchical background collection and projection (paper: 'Hierarchical Background Collection').
    Level l has ceil(W / 2^l) x ceil(H / 2^l) texels over the rendered image. A texel holds one fragment: its colour, its view
-   depth and its pixel position (not the texel's centre) in the camera of the frame for which the level was collected. */
+   depth and its pixel position (not the texel's centre) in the camera of the frame for which the level was collected. SHOWN
+   texels are not stored: they are that frame's own pixels.
+   Fragments of B'_l that only meet the surface that they are of are skipped LANES at once, pixels and texels that hold nothing to
+   do RUN at once. */
 
 #include "common.h"
+#include "wide.h"
 #include "nearest.h"
 
 #define EMPTY 0
-#define SHOWN 1        /* a static fragment of the current frame: the warp projects it */
+#define SHOWN 1        /* of level 0: a static fragment of the frame itself: the warp projects it */
 #define REMEMBERED 2   /* of an earlier frame */
 
 #define SAME_SURFACE 0.02f   /* relative depth within which two fragments may be of the same surface */
-#define GROW 2               /* px around dynamic or nearer fragments where colours may be mixed with theirs */
-#define NEARER 0.9f
 
 inline int level_side(const int side, const int level) { return (side + (1 << level) - 1) >> level; }
 
-/* B_0 starts from the static fragments of the rendered frame. Left out are those whose colour may be mixed with that of a
-   dynamic or nearer neighbour. */
-__kernel void collect_shown(const int source_width, const int source_height, const int collect, __global const half *color,
-                            __global const float *depth, __global const uchar *dynamic_mask,
-                            __global half *level_color, __global float *level_depth, __global float2 *level_px,
-                            __global uchar *level_state) {
-    const int src_x = get_global_id(0), src_y = get_global_id(1);
-    if (src_x >= source_width || src_y >= source_height) return;
-    const int src = src_y * source_width + src_x;
-    const float z = depth[src];
-    bool keep = collect && !INVALID_DEPTH(z);
-    for (int dy = -GROW; dy <= GROW; ++dy)
-        for (int dx = -GROW; dx <= GROW; ++dx) {
-            if (!inside(src_x + dx, src_y + dy, source_width, source_height)) continue;
-            const int near = src + dy * source_width + dx;
-            keep = keep && !dynamic_mask[near] && !(depth[near] < z * NEARER);
-        }
-    level_state[src] = keep ? SHOWN : EMPTY;
-    level_depth[src] = z;
-    level_px[src] = pixel_centre(src_x, src_y);
-    store_color(load_color(color, src), level_color, src);
+/* Texels to read, and the frame whose pixels are those that are SHOWN. */
+typedef struct {
+    __global const half *color, *frame_color;
+    __global const float *depth, *frame_depth;
+    __global const float2 *px;
+    __global const uchar *state;
+    int frame_width;
+} Texels;
+
+inline float depth_of(const Texels t, const int texel) {
+    return t.state[texel] == SHOWN ? t.frame_depth[texel] : t.depth[texel];
 }
+
+inline float2 px_of(const Texels t, const int texel) {
+    return t.state[texel] == SHOWN ? pixel_centre(texel % t.frame_width, texel / t.frame_width) : t.px[texel];
+}
+
+inline float3 color_of(const Texels t, const int texel) {
+    return load_color(t.state[texel] == SHOWN ? t.frame_color : t.color, texel);
+}
+
+/* ---- collection --------------------------------------------------------------------------------------------- */
 
 /* How much the depth of the surface at pixel i changes within a pixel. */
 inline float slope_at(const int src, const int source_width, __global const float *depth, __global const uchar *links) {
@@ -59,129 +61,303 @@ inline bool may_be_at(const int src, const float z, const int source_width, __gl
     *margin = 0.0f;
     *behind = true;
     if (INVALID_DEPTH(z_shown)) return true;
-    *margin = SAME_SURFACE * z_shown + slope_at(src, source_width, depth, links);
+    *margin = SAME_SURFACE * z_shown;
+    if (fabs(z - z_shown) > *margin) *margin += slope_at(src, source_width, depth, links);
     *behind = isinf(z) ? !isinf(z_shown) : z > z_shown + *margin;
     const bool before = isinf(z_shown) ? !isinf(z) : z < z_shown - *margin;
     return !before && (*behind || !dynamic_mask[src]);
 }
 
-#define OWN_TEXEL 0
-#define TOUCHED_TEXELS 1
+#define TOUCHES 0.499f       /* of a texel's side: how far a fragment reaches to the texels beside its own */
 
-/* Every fragment of B'_level is offered, where it lies now (phase OWN_TEXEL), to B_level if that is still empty there (case 1:
-   fill_keys), or to the next level if it lies behind what B_level holds (case 2: push_keys). Then (phase TOUCHED_TEXELS) to the
-   texels that are still empty and that it touches: without that, fragments that move by less than half a pixel per frame would
-   never get past the border of what the current frame shows, and fragments that met in one texel would leave a gap beside it. */
-__kernel void scatter_level(const int source_width, const int source_height, const int level, const int last_level,
-                            const int phase,
-                            const int pass, const Reprojection to_current, __global const float *depth,
-                            __global const uchar *dynamic_mask, __global const uchar *links,
-                            __global const float *old_depth, __global const float2 *old_px,
-                            __global const uchar *old_state, __global const float *level_depth,
-                            __global const uchar *level_state, __global Key *fill_keys, __global uint *fill_winners,
-                            __global Key *push_keys, __global uint *push_winners) {
-    const int texel_x = get_global_id(0), texel_y = get_global_id(1);
-    const int level_width = level_side(source_width, level), level_height = level_side(source_height, level);
-    if (texel_x >= level_width || texel_y >= level_height) return;
-    const int texel = texel_y * level_width + texel_x;
-    if (old_state[texel] == EMPTY) return;
-    const float3 now = reproject(old_px[texel], old_depth[texel], to_current);
+/* The current frame, what a level of it holds already (`taken`, and how deep), and whom fragments are offered to. */
+typedef struct {
+    int width, height, level, last_level, pass;
+    __global const float *depth;
+    __global const uchar *dynamic_mask, *links, *taken;
+    __global const float *level_depth;
+    __global Key *fill_keys, *push_keys;
+    __global uint *fill_winners, *push_winners;
+} Collection;
+
+inline bool lands(const float3 now, const int width, const int height) {
+    return now.z > 0.0f && now.x >= 0.0f && now.y >= 0.0f && now.x < (float)width && now.y < (float)height;
+}
+
+/* Offers a fragment of B'_level, where it lies now, to B_level if its texel is still empty (case 1: fill_keys), or to the next
+   level if it lies behind what B_level holds (case 2: push_keys). And to the empty texels that it touches, where every fragment
+   of their own goes before: without that, fragments that move by less than half a pixel per frame would never get past the
+   border of what the current frame shows, and fragments that met in one texel would leave a gap beside it. */
+inline void offer_fragment(const float3 now, const uint texel, const Collection to) {
+    if (!lands(now, to.width, to.height)) return;
+    const int level = to.level, level_width = level_side(to.width, level);
     const float z = now.z;
-    if (!(z > 0.0f && now.x >= 0.0f && now.y >= 0.0f && now.x < (float)source_width && now.y < (float)source_height)) return;
     const int src_x = (int)floor(now.x), src_y = (int)floor(now.y);
+    const int own = (src_y >> level) * level_width + (src_x >> level);
     float margin;
     bool behind;
-
-    if (phase == TOUCHED_TEXELS) {
-        const float reach = 0.499f * (float)(1 << level);
-        for (int k = 0; k < 4; ++k) {
-            const float px_x = now.x + ((k & 1) ? reach : -reach), px_y = now.y + ((k >> 1) ? reach : -reach);
-            const int corner_x = (int)floor(px_x), corner_y = (int)floor(px_y);
-            if (!inside(corner_x, corner_y, source_width, source_height)) continue;
-            const int cell = (corner_y >> level) * level_width + (corner_x >> level);
-            if (level_state[cell] != EMPTY) continue;
-            if (!may_be_at(corner_y * source_width + corner_x, z, source_width, depth, dynamic_mask, links, &margin,
-                           &behind)) continue;
-            if (level == 0 || behind) offer(pass, fill_keys, fill_winners, cell, z, (uint)texel);
+    int filled = -1;
+    if (may_be_at(src_y * to.width + src_x, z, to.width, to.depth, to.dynamic_mask, to.links, &margin, &behind)
+        && (level == 0 || behind)) {  /* else it is seen again: B_0 has it fresh */
+        if (to.taken[own] == EMPTY) {
+            offer(to.pass, to.fill_keys, to.fill_winners, own, z, texel);
+            filled = own;
+        } else if (level < to.last_level) {
+            const float z_level = to.level_depth[own];
+            const float level_margin = level == 0 ? margin : 2.0f * SAME_SURFACE * z_level;
+            if (isinf(z) ? !isinf(z_level) : z > z_level + level_margin)
+                offer(to.pass, to.push_keys, to.push_winners,
+                      (src_y >> (level + 1)) * level_side(to.width, level + 1) + (src_x >> (level + 1)), z, texel);
         }
-        return;
     }
-    if (!may_be_at(src_y * source_width + src_x, z, source_width, depth, dynamic_mask, links, &margin, &behind)) return;
-    if (level > 0 && !behind) return;  /* seen again: B_0 has it fresh */
-    const int cell = (src_y >> level) * level_width + (src_x >> level);
-    if (level_state[cell] == EMPTY) {
-        offer(pass, fill_keys, fill_winners, cell, z, (uint)texel);
-    } else if (level < last_level) {
-        const float z_level = level_depth[cell];
-        const float level_margin = level == 0 ? margin : 2.0f * SAME_SURFACE * z_level;
-        if (isinf(z) ? !isinf(z_level) : z > z_level + level_margin) {
-            const int next_width = level_side(source_width, level + 1);
-            offer(pass, push_keys, push_winners, (src_y >> (level + 1)) * next_width + (src_x >> (level + 1)), z,
-                  (uint)texel);
-        }
+    const float reach = TOUCHES * (float)(1 << level);
+    for (int k = 0; k < 4; ++k) {
+        const float px_x = now.x + ((k & 1) ? reach : -reach), px_y = now.y + ((k >> 1) ? reach : -reach);
+        const int corner_x = (int)floor(px_x), corner_y = (int)floor(px_y);
+        if (!inside(corner_x, corner_y, to.width, to.height)) continue;
+        const int cell = (corner_y >> level) * level_width + (corner_x >> level);
+        const uint bits = as_uint(z) | GIVES_WAY;
+        if (cell == filled || (level == 0 && cell == own) || to.taken[cell] != EMPTY
+            || !may_win(to.pass, to.fill_keys, cell, bits, texel)) continue;
+        if (may_be_at(corner_y * to.width + corner_x, z, to.width, to.depth, to.dynamic_mask, to.links, &margin, &behind)
+            && (level == 0 || behind))
+            offer_bits(to.pass, to.fill_keys, to.fill_winners, cell, bits, texel);
     }
 }
 
-/* Writes the winners of fill_keys or push_keys, fragments of an old level, into a level; `restart` empties the rest. */
-SPARSE __kernel void settle_level(const int level_width, const int level_height, const int restart,
-                                  const Reprojection to_current, __global const Key *keys, __global const uint *winners,
-                                  __global const half *old_color, __global const float *old_depth,
-                                  __global const float2 *old_px, __global half *level_color, __global float *level_depth,
-                                  __global float2 *level_px, __global uchar *level_state) {
-    const int texel_x = get_global_id(0), texel_y = get_global_id(1);
+/* Whether offer_fragment may offer any: not one whose texels are all taken, by what is not nearer than its own surface. */
+inline Ints may_be_offered(const Wide3 now, const Collection to) {
+    const int level = to.level, level_width = level_side(to.width, level);
+    const Ints in = (now.z > 0.0f) & (now.x >= 0.0f) & (now.y >= 0.0f) & (now.x < (float)to.width)
+        & (now.y < (float)to.height);
+    const Floats x = in ? now.x : (Floats)(0.0f), y = in ? now.y : (Floats)(0.0f);
+    const Ints cell = (to_ints(y) >> level) * level_width + (to_ints(x) >> level);
+    const Floats most = now.z * (1.0f - 0.95f * SAME_SURFACE);  /* one that is behind is behind this */
+#if LANES > 1
+    /* As a rule they lie side by side: three rows of texels hold all that they touch. */
+    const int first = ((int)y.s0 >> level) * level_width + ((int)x.s0 >> level), row = level_width;
+    const bool inner = first >= row + RUN / 2 && first + row + RUN <= level_width * level_side(to.height, level);
+    if (inner && ALL(cell == first + LANE_NUMBERS) && !ANY(most > load_floats(0, to.level_depth + first))
+        && !run_has(to.taken + first - RUN / 4, EMPTY) && !run_has(to.taken + first - row - RUN / 4, EMPTY)
+        && !run_has(to.taken + first + row - RUN / 4, EMPTY)) return (Ints)(0);
+#endif
+    const float reach = TOUCHES * (float)(1 << level);
+    const Ints x0 = to_ints(fmax(x - reach, 0.0f)) >> level, x1 = min(to_ints(x + reach), to.width - 1) >> level;
+    const Ints y0 = (to_ints(fmax(y - reach, 0.0f)) >> level) * level_width;
+    const Ints y1 = (min(to_ints(y + reach), to.height - 1) >> level) * level_width;
+    const Bytes all_taken = min(min(gather_bytes(to.taken, y0 + x0), gather_bytes(to.taken, y0 + x1)),
+                                min(gather_bytes(to.taken, y1 + x0), gather_bytes(to.taken, y1 + x1)));
+    return in & ((to_ints(all_taken) == EMPTY) | (most > gather_floats(to.level_depth, cell)));
+}
+
+/* Offers the fragments of B'_level. */
+WIDE __kernel void scatter_level(const int source_width, const int source_height, const int level, const int last_level,
+                                 const int pass, const Reprojection to_current, __global const float *depth,
+                                 __global const uchar *dynamic_mask, __global const uchar *links,
+                                 __global const float *frame_depth, __global const float *old_depth,
+                                 __global const float2 *old_px, __global const uchar *old_state,
+                                 __global const uchar *taken, __global const float *level_depth, __global Key *fill_keys,
+                                 __global uint *fill_winners, __global Key *push_keys, __global uint *push_winners) {
+    const int texel_x = get_global_id(0) * LANES, texel_y = get_global_id(1);
+    const int level_width = level_side(source_width, level), level_height = level_side(source_height, level);
     if (texel_x >= level_width || texel_y >= level_height) return;
     const int texel = texel_y * level_width + texel_x;
-    const uint winner = winner_of(keys, winners, texel);
-    if (winner == NOBODY) {
-        if (restart) level_state[texel] = EMPTY;
+    const Collection to = {source_width, source_height, level, last_level, pass, depth, dynamic_mask, links, taken,
+                           level_depth, fill_keys, push_keys, fill_winners, push_winners};
+    if (texel_x + LANES > level_width) {
+        const Texels old = {0, 0, old_depth, frame_depth, old_px, old_state, source_width};
+        for (int k = 0; k < level_width - texel_x; ++k)
+            if (old_state[texel + k] != EMPTY)
+                offer_fragment(reproject(px_of(old, texel + k), depth_of(old, texel + k), to_current), texel + k, to);
         return;
     }
-    const float3 now = reproject(old_px[winner], old_depth[winner], to_current);
-    level_state[texel] = REMEMBERED;
-    level_depth[texel] = now.z;
-    level_px[texel] = now.xy;
-    vstore_half4_rte(vload_half4(winner, old_color), texel, level_color);
+    const Ints state = to_ints(load_bytes(0, old_state + texel)), remembered = state == REMEMBERED;
+    if (!ANY(state != EMPTY)) return;
+    Floats px_x = row_centres(texel_x), px_y = (Floats)((float)texel_y + 0.5f), z = load_floats(0, frame_depth + texel);
+    if (ANY(remembered)) {
+        Floats old_y;
+        const Floats old_x = load_xy(old_px + texel, &old_y);
+        px_x = remembered ? old_x : px_x;
+        px_y = remembered ? old_y : px_y;
+        z = remembered ? load_floats(0, old_depth + texel) : z;
+    }
+    const Wide3 now = wide_reproject(px_x, px_y, z, to_current);
+    const Ints wanted = (state != EMPTY) & may_be_offered(now, to);
+    if (!ANY(wanted)) return;
+    float now_x[LANES], now_y[LANES], now_z[LANES];
+    int is_wanted[LANES];
+    store_floats(now.x, 0, now_x);
+    store_floats(now.y, 0, now_y);
+    store_floats(now.z, 0, now_z);
+    store_ints(wanted, 0, is_wanted);
+    for (int k = 0; k < LANES; ++k)
+        if (is_wanted[k]) offer_fragment((float3)(now_x[k], now_y[k], now_z[k]), texel + k, to);
+}
+
+/* Texels to write. */
+typedef struct {
+    __global half *color;
+    __global float *depth;
+    __global float2 *px;
+    __global uchar *state;
+} Level;
+
+/* Whether nobody was offered to any of LANES texels. */
+inline bool nobody_came(__global const Key *keys, __global const uint *winners, const int first) {
+#if LANES == 1
+    return winner_of(keys, winners, first) == NOBODY;
+#elif defined(INT64_ATOMICS)
+    const ulong8 key = vload8(0, keys + first);
+    const ulong4 half_of_them = key.lo & key.hi;
+    return (half_of_them.x & half_of_them.y & half_of_them.z & half_of_them.w) == (ulong)(-1);
+#else
+    return ALL(vload8(0, winners + first) == NOBODY);
+#endif
+}
+
+/* Puts the winners of `count` texels, at most LANES, into them, fragments of an old level, and empties their keys. Texels that
+   are `taken` stay; 0: none is. */
+inline void settle(const int first, const int count, __global const uchar *taken, __global Key *keys, __global uint *winners,
+                   const Texels old, const Reprojection to_current, const Level level) {
+    uint winner[LANES];
+    float x[LANES], y[LANES], z[LANES];
+    const bool nobody = count == LANES && nobody_came(keys, winners, first);
+    for (int k = 0; k < count; ++k) {
+        const int texel = first + k;
+        const uchar state = taken ? taken[texel] : EMPTY;
+        winner[k] = !nobody && state == EMPTY ? winner_of(keys, winners, texel) : NOBODY;
+        level.state[texel] = winner[k] == NOBODY ? state : REMEMBERED;
+        if (winner[k] == NOBODY) continue;
+        forget(keys, winners, texel);
+        const float2 px = px_of(old, winner[k]);
+        x[k] = px.x;
+        y[k] = px.y;
+        z[k] = depth_of(old, winner[k]);
+        store_color(color_of(old, winner[k]), level.color, texel);
+    }
+    if (nobody) return;
+    const Wide3 now = wide_reproject(load_floats(0, x), load_floats(0, y), load_floats(0, z), to_current);
+    store_floats(now.x, 0, x);
+    store_floats(now.y, 0, y);
+    store_floats(now.z, 0, z);
+    for (int k = 0; k < count; ++k) {
+        if (winner[k] == NOBODY) continue;
+        level.depth[first + k] = z[k];
+        level.px[first + k] = (float2)(x[k], y[k]);
+    }
+}
+
+/* RUN texels of a level from column x on. Not to `collect`: what the frame shows stays out. */
+inline void settle_run(const int x, const int y, const int width, const int collect, __global const uchar *shown,
+                       __global Key *keys, __global uint *winners, const Texels old, const Reprojection to_current,
+                       const Level level) {
+    const int first = y * width + x;
+    __global const uchar *taken = collect ? shown : 0;
+    if (taken && x + RUN <= width && !run_has(taken + first, EMPTY)) {
+        copy_run(taken + first, level.state + first);
+        return;
+    }
+    for (int k = 0; k < min(RUN, width - x); k += LANES)
+        settle(first + k, min(LANES, width - x - k), taken, keys, winners, old, to_current, level);
+}
+
+/* Completes a level. */
+SCAN __kernel void settle_level(const int source_width, const int level_width, const int level_height, const int collect,
+                                const Reprojection to_current, __global const uchar *taken, __global Key *fill_keys,
+                                __global uint *fill_winners, __global const half *frame_color,
+                                __global const float *frame_depth, __global const half *old_color,
+                                __global const float *old_depth, __global const float2 *old_px,
+                                __global const uchar *old_state, __global half *level_color, __global float *level_depth,
+                                __global float2 *level_px, __global uchar *level_state) {
+    const int texel_x = get_global_id(0) * RUN, texel_y = get_global_id(1);
+    if (texel_x >= level_width || texel_y >= level_height) return;
+    const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, source_width};
+    const Level level = {level_color, level_depth, level_px, level_state};
+    settle_run(texel_x, texel_y, level_width, collect, taken, fill_keys, fill_winners, old, to_current, level);
+}
+
+/* The same, and begins the next level with what was pushed down. */
+SCAN __kernel void settle_and_push(const int source_width, const int level_width, const int level_height, const int collect,
+                                   const Reprojection to_current, __global const uchar *taken, __global Key *fill_keys,
+                                   __global uint *fill_winners, __global Key *push_keys, __global uint *push_winners,
+                                   __global const half *frame_color, __global const float *frame_depth,
+                                   __global const half *old_color, __global const float *old_depth,
+                                   __global const float2 *old_px, __global const uchar *old_state,
+                                   __global half *level_color, __global float *level_depth, __global float2 *level_px,
+                                   __global uchar *level_state, __global half *next_color, __global float *next_depth,
+                                   __global float2 *next_px, __global uchar *next_state) {
+    const int texel_x = get_global_id(0) * RUN, texel_y = get_global_id(1);
+    if (texel_x >= level_width || texel_y >= level_height) return;
+    const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, source_width};
+    const Level level = {level_color, level_depth, level_px, level_state};
+    settle_run(texel_x, texel_y, level_width, collect, taken, fill_keys, fill_winners, old, to_current, level);
+    if ((texel_x | texel_y) & 1) return;
+    const Level next = {next_color, next_depth, next_px, next_state};
+    const int next_width = (level_width + 1) / 2, next_x = texel_x / 2;
+    settle(texel_y / 2 * next_width + next_x, min(LANES, next_width - next_x), 0, push_keys, push_winners, old, to_current, next);
 }
 
 /* ---- projection --------------------------------------------------------------------------------------------- */
 
-#define LEVEL_SHIFT 28           /* of the level in the index of a projected fragment */
 #define ENOUGH_WEIGHT 0.5f
 #define REACH 16.0f              /* px: the most that a texel covers to each side */
 #define FOOTPRINT_HALF 1.25f     /* of a texel's side: of fragments that met in a texel one is left, so gaps reach two texels */
 
-/* Offers the remembered fragments of a level to the pixels that the warp left invalid, and those of the same surface to
-   pixels whose own colour is a makeshift: their fragment's colour was mixed with that of a silhouette. */
-__kernel void project_level(const int source_width, const int source_height, const int level, const int target_width,
-                            const int target_height, const int pass, const float2 zoom, const Reprojection to_target,
-                            __global const float *level_depth, __global const float2 *level_px,
-                            __global const uchar *level_state, __global const uchar *disoccluded,
+/* The levels lie one after another: `starts` are the first texels of levels 1 to 3. */
+inline int level_of(const int texel, const int4 starts) {
+    return (texel >= starts.x) + (texel >= starts.y) + (texel >= starts.z);
+}
+
+inline int start_of(const int level, const int4 starts) {
+    return level == 0 ? 0 : level == 1 ? starts.x : level == 2 ? starts.y : starts.z;
+}
+
+/* Offers a fragment to the pixels from (x0, y0) to (x1, y1) that the warp left invalid, and to those of its surface whose own
+   colour is a makeshift: their fragment's colour was mixed with that of a silhouette. */
+inline void offer_to_pixels(const int x0, const int y0, const int x1, const int y1, const float z, const uint texel,
+                            const int target_width, const int pass, __global const uchar *disoccluded,
                             __global const uchar *mixed, __global const float *depth, __global Key *keys,
                             __global uint *winners) {
-    const int texel_x = get_global_id(0), texel_y = get_global_id(1);
-    const int level_width = level_side(source_width, level), level_height = level_side(source_height, level);
-    if (texel_x >= level_width || texel_y >= level_height) return;
-    const int texel = texel_y * level_width + texel_x;
-    if (level_state[texel] != REMEMBERED) return;
-    const float z_source = level_depth[texel];
-    const float3 there = reproject(level_px[texel], z_source, to_target);
-    if (!(there.z > 0.0f && there.x > -REACH && there.y > -REACH && there.x < (float)target_width + REACH
-          && there.y < (float)target_height + REACH)) return;
-    const float nearer = isinf(there.z) ? 1.0f : divide(z_source, there.z);
-    const float side = (float)(1 << level) * FOOTPRINT_HALF * nearer;
-    const float half_x = fmin(fmax(side * zoom.x, 0.5f), REACH), half_y = fmin(fmax(side * zoom.y, 0.5f), REACH);
-    const int x0 = max((int)ceil(there.x - half_x - 0.5f), 0), x1 = min((int)floor(there.x + half_x - 0.5f),
-                                                                        target_width - 1);
-    const int y0 = max((int)ceil(there.y - half_y - 0.5f), 0), y1 = min((int)floor(there.y + half_y - 0.5f),
-                                                                        target_height - 1);
     for (int dst_y = y0; dst_y <= y1; ++dst_y)
-        for (int dst_x = x0; dst_x <= x1; ++dst_x) {
-            const int dst = dst_y * target_width + dst_x;
-            const float z = depth[dst];
-            const bool alike = is_same_surface(there.z, z, SAME_SURFACE * z);
-            if (disoccluded[dst] || (mixed[dst] && alike))
-                offer(pass, keys, winners, dst, there.z, (uint)texel | ((uint)level << LEVEL_SHIFT));
+        for (int dst = dst_y * target_width + x0; dst <= dst_y * target_width + x1; ++dst) {
+            const bool alike = mixed[dst] && is_same_surface(z, depth[dst], SAME_SURFACE * depth[dst]);
+            if (disoccluded[dst] || alike) offer(pass, keys, winners, dst, z, texel);
         }
+}
+
+/* Offers the remembered fragments of all levels, RUN texels per work-item; what lies between two levels is EMPTY. */
+SCAN __kernel void project_levels(const int texels, const int4 starts, const int target_width, const int target_height,
+                                  const int pass, const float2 zoom, const Reprojection to_target,
+                                  __global const float *levels_depth, __global const float2 *levels_px,
+                                  __global const uchar *levels_state, __global const uchar *disoccluded,
+                                  __global const uchar *mixed, __global const float *depth, __global Key *keys,
+                                  __global uint *winners) {
+    const int first = get_global_id(0) * RUN;
+    if (first >= texels || !run_has(levels_state + first, REMEMBERED)) return;
+    const float level_size = FOOTPRINT_HALF * (float)(1 << level_of(first, starts));
+    for (int texel = first; texel < first + RUN; texel += LANES) {
+        Floats px_y;
+        const Floats px_x = load_xy(levels_px + texel, &px_y), z_source = load_floats(0, levels_depth + texel);
+        const Wide3 there = wide_reproject(px_x, px_y, z_source, to_target);
+        const Ints may_reach = (to_ints(load_bytes(0, levels_state + texel)) == REMEMBERED) & (there.z > 0.0f)
+            & (there.x > -REACH) & (there.y > -REACH) & (there.x < (float)target_width + REACH)
+            & (there.y < (float)target_height + REACH);
+        if (!ANY(may_reach)) continue;
+        const Floats nearer = isinf(there.z) ? (Floats)(1.0f) : wide_divide(z_source, there.z), side = level_size * nearer;
+        const Floats half_x = fmin(fmax(side * zoom.x, 0.5f), REACH), half_y = fmin(fmax(side * zoom.y, 0.5f), REACH);
+        int reaches[LANES], x0[LANES], y0[LANES], x1[LANES], y1[LANES];
+        float z[LANES];
+        store_ints(may_reach, 0, reaches);
+        store_floats(there.z, 0, z);
+        store_ints(max(to_ints(ceil(there.x - half_x - 0.5f)), 0), 0, x0);
+        store_ints(max(to_ints(ceil(there.y - half_y - 0.5f)), 0), 0, y0);
+        store_ints(min(to_ints(floor(there.x + half_x - 0.5f)), target_width - 1), 0, x1);
+        store_ints(min(to_ints(floor(there.y + half_y - 0.5f)), target_height - 1), 0, y1);
+        for (int k = 0; k < LANES; ++k)
+            if (reaches[k])
+                offer_to_pixels(x0[k], y0[k], x1[k], y1[k], z[k], (uint)(texel + k), target_width, pass, disoccluded, mixed,
+                                depth, keys, winners);
+    }
 }
 
 #define INSIDE_REACH 8           /* px to each side between which a hole counts as inside a moving object */
@@ -213,62 +389,71 @@ inline bool inside_mover(const int dst_x, const int dst_y, const int target_widt
     return false;
 }
 
-/* Fills the pixels that fragments of this level won, from the level's texels around the winner: weighted by
-   their distance in the target image, of the winner's surface only. */
-SPARSE __kernel void fill_from_level(const int source_width, const int source_height, const int level, const int target_width,
-                              const int target_height, const float2 zoom, const Reprojection to_target,
-                              const Reprojection to_source, __global const half *level_color,
-                              __global const float *level_depth, __global const float2 *level_px,
-                              __global const uchar *level_state, __global const uchar *disoccluded,
-                              __global const uchar *is_dynamic, __global const Key *keys,
-                              __global const uint *winners, __global half *color, __global float *out_depth,
-                              __global float2 *motion, __global uchar *filled_by) {
-    const int dst_x = get_global_id(0), dst_y = get_global_id(1);
-    if (dst_x >= target_width || dst_y >= target_height) return;
-    const int dst = dst_y * target_width + dst_x;
-    const uint winner = winner_of(keys, winners, dst);
-    if (winner == NOBODY || (int)(winner >> LEVEL_SHIFT) != level) return;
-    if (disoccluded[dst] && inside_mover(dst_x, dst_y, target_width, target_height, disoccluded, is_dynamic,
-                                         out_depth)) return;
-    const int texel = winner & ((1u << LEVEL_SHIFT) - 1);
-    const int level_width = level_side(source_width, level), level_height = level_side(source_height, level);
-    const int texel_x = texel % level_width, texel_y = texel / level_width;
-    const float z_winner = level_depth[texel];
-    const float2 centre = pixel_centre(dst_x, dst_y);
-
-    const float nearest_z = reproject(level_px[texel], z_winner, to_target).z;
-    const float3 px_source = reproject(centre, nearest_z, to_source);
-    if (!(px_source.z > 0.0f && px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)source_width
-          && px_source.y < (float)source_height)) return;  /* out of screen: only the footprint reaches there */
-    const float nearer = isinf(nearest_z) ? 1.0f : divide(z_winner, nearest_z);
-    const float side_x = (float)(1 << level) * nearer * zoom.x, side_y = (float)(1 << level) * nearer * zoom.y;
-    /* Within one texel's side; within two where that catches too little, as in the gaps between irregular fragments. */
+/* Colour of the texels around a winner, weighted by their distance in the target image from `centre`, of the winner's surface
+   only: within one texel's side; within two where that catches too little, as in the gaps between irregular fragments. */
+inline float3 color_around(const int winner, const int start, const int level_width, const int level_height, const float z_winner,
+                           const float2 side, const float2 centre, const Reprojection to_target, const Texels texels) {
+    const int texel_x = (winner - start) % level_width, texel_y = (winner - start) / level_width;
     float3 sum;
     float weight_sum;
     for (int reach = 1; reach <= 2; ++reach) {
         sum = (float3)(0.0f);
         weight_sum = 0.0f;
-        const float inverse_x = divide(1.0f, side_x * (float)reach), inverse_y = divide(1.0f, side_y * (float)reach);
+        const float inverse_x = divide(1.0f, side.x * (float)reach), inverse_y = divide(1.0f, side.y * (float)reach);
         for (int dy = -reach; dy <= reach; ++dy)
             for (int dx = -reach; dx <= reach; ++dx) {
                 if (!inside(texel_x + dx, texel_y + dy, level_width, level_height)) continue;
-                const int tap = texel + dy * level_width + dx;
-                const float z = level_depth[tap];
-                if (level_state[tap] == EMPTY) continue;
+                const int tap = winner + dy * level_width + dx;
+                if (texels.state[tap] == EMPTY) continue;
+                const float z = depth_of(texels, tap);
                 if (!is_same_surface(z, z_winner, 2.0f * SAME_SURFACE * z_winner)) continue;
-                const float3 there = reproject(level_px[tap], z, to_target);
+                const float3 there = reproject(px_of(texels, tap), z, to_target);
                 if (!(there.z > 0.0f)) continue;
                 const float wx = 1.0f - fabs(there.x - centre.x) * inverse_x;
                 const float wy = 1.0f - fabs(there.y - centre.y) * inverse_y;
                 if (!(wx > 0.0f && wy > 0.0f)) continue;
-                sum += wx * wy * load_color(level_color, tap);
+                sum += wx * wy * color_of(texels, tap);
                 weight_sum += wx * wy;
             }
         if (weight_sum >= ENOUGH_WEIGHT) break;
     }
-    store_color(weight_sum > 0.01f ? mean_of(sum, weight_sum) : load_color(level_color, texel), color, dst);
-    filled_by[dst] = (uchar)(1 + level);
-    if (!disoccluded[dst]) return;
-    out_depth[dst] = nearest_z;
-    motion[dst] = px_source.xy - centre;
+    return weight_sum > 0.01f ? mean_of(sum, weight_sum) : color_of(texels, winner);
+}
+
+/* Fills the pixels that remembered fragments won, RUN per work-item. */
+SCAN __kernel void fill_from_levels(const int source_width, const int source_height, const int4 starts, const int target_width,
+                                    const int target_height, const float2 zoom, const Reprojection to_target,
+                                    const Reprojection to_source, __global const half *frame_color,
+                                    __global const float *frame_depth, __global const half *levels_color,
+                                    __global const float *levels_depth, __global const float2 *levels_px,
+                                    __global const uchar *levels_state, __global const uchar *disoccluded,
+                                    __global const uchar *mixed, __global const uchar *is_dynamic, __global const Key *keys,
+                                    __global const uint *winners, __global half *color, __global float *depth,
+                                    __global float2 *motion, __global uchar *filled_by) {
+    const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
+    if (first_x >= target_width || dst_y >= target_height) return;
+    const int first = dst_y * target_width + first_x;
+    if (first_x + RUN <= target_width && run_is_zero(disoccluded + first) && run_is_zero(mixed + first)) return;
+    const Texels texels = {levels_color, frame_color, levels_depth, frame_depth, levels_px, levels_state, source_width};
+    for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
+        const int dst = dst_y * target_width + dst_x;
+        if (!(disoccluded[dst] | mixed[dst])) continue;
+        const uint winner = winner_of(keys, winners, dst);
+        if (winner == NOBODY) continue;
+        if (disoccluded[dst] && inside_mover(dst_x, dst_y, target_width, target_height, disoccluded, is_dynamic, depth)) continue;
+        const int level = level_of(winner, starts);
+        const float z_winner = levels_depth[winner];
+        const float2 centre = pixel_centre(dst_x, dst_y);
+        const float nearest_z = reproject(levels_px[winner], z_winner, to_target).z;
+        const float3 px_source = reproject(centre, nearest_z, to_source);
+        if (!lands(px_source, source_width, source_height)) continue;  /* out of screen: only the footprint reaches there */
+        const float nearer = isinf(nearest_z) ? 1.0f : divide(z_winner, nearest_z);
+        const float2 side = (float2)((float)(1 << level) * nearer * zoom.x, (float)(1 << level) * nearer * zoom.y);
+        store_color(color_around(winner, start_of(level, starts), level_side(source_width, level),
+                                 level_side(source_height, level), z_winner, side, centre, to_target, texels), color, dst);
+        filled_by[dst] = (uchar)(1 + level);
+        if (!disoccluded[dst]) continue;
+        depth[dst] = nearest_z;
+        motion[dst] = px_source.xy - centre;
+    }
 }

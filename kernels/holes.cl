@@ -1,7 +1,10 @@
 /* Hole filling: what is still invalid is continued from the far side of the disocclusion, or comes from the image
-   downsampled 32 times (paper: 'Shading correction network'). */
+   downsampled 32 times (paper: 'Shading correction network').
+   To be filled are the pixels that are labelled so; labels and valid pixels stay as they are. RUN pixels without any are skipped
+   at once, and blocks are summed up only where a pixel asks for them. */
 
 #include "common.h"
+#include "wide.h"
 
 #define BLOCK 32
 #define RENDERED_WEIGHT 0.0009765625f  /* of the rendered frame beside valid pixels: decides only where there are none */
@@ -13,49 +16,35 @@ inline void add(float4 *sum, float *inverse_sum, const float pixel_weight, const
     *inverse_sum += weight * (isinf(z) ? 0.0f : divide(1.0f, z));
 }
 
-/* Weighted sums over 32x32 blocks: (colour, 1) and inverse depth; zeros where no hole asks for them. One work-group of 32 per
-   block, one column each. */
-__kernel void downsample(const int target_width, const int target_height, const int source_width, const int source_height,
-                         const int blocks_width, __global const uint *beyond_reach, __global const half *color,
-                         __global const float *depth,
-                         __global const uchar *filled_by, __global const half *source_color,
-                         __global const float *source_depth, __global float4 *block_color,
-                         __global float *block_inverse_depth) {
-    __local float4 column_color[BLOCK];
-    __local float column_inverse_depth[BLOCK];
-    const int lane = get_local_id(0);
-    const int bx = get_group_id(0), by = get_group_id(1);
-    const int dst_x = bx * BLOCK + lane;
-    float4 sum = (float4)(0.0f);
-    float inverse_sum = 0.0f;
-    const int rows = beyond_reach[0] ? BLOCK : 0;
-    for (int k = 0; k < rows; ++k) {
-        const int dst_y = by * BLOCK + k;
-        if (dst_x >= target_width || dst_y >= target_height) break;
-        const int dst = dst_y * target_width + dst_x;
-        if (filled_by[dst] != BY_HOLE_FILLING) {
-            add(&sum, &inverse_sum, 1.0f, load_color(color, dst), depth[dst]);
-        }
-        const int src = (dst_y * source_height / target_height) * source_width + dst_x * source_width / target_width;
-        const float z = source_depth[src];
-        if (!INVALID_DEPTH(z)) add(&sum, &inverse_sum, RENDERED_WEIGHT, load_color(source_color, src), z);
-    }
-    column_color[lane] = sum;
-    column_inverse_depth[lane] = inverse_sum;
-    barrier(CLK_LOCAL_MEM_FENCE);
-    if (lane != 0) return;
-    for (int k = 1; k < BLOCK; ++k) {
-        sum += column_color[k];
-        inverse_sum += column_inverse_depth[k];
-    }
-    block_color[by * blocks_width + bx] = sum;
-    block_inverse_depth[by * blocks_width + bx] = inverse_sum;
-}
-
 /* ---- far side ------------------------------------------------------------------------------------------------ */
 
 #define DIRECTIONS 8
+#define AT_ONCE 4                /* labels that are read at once: a march waits for memory a quarter of `reach` times at most */
 #define FAR_SIDE 1.3f            /* inverse depths up to this times the least belong to the far side */
+
+/* Steps of length `step` that stay within `reach`, at most `room`. */
+inline int steps_within(const int reach, const float step, const int room) {
+    int steps = min(room, (int)((float)reach / step) + 1);
+    while (steps > 0 && (float)steps * step > (float)reach) --steps;
+    return steps;
+}
+
+inline int room(const int at, const int direction, const int side) {
+    return direction > 0 ? side - 1 - at : direction < 0 ? at : INT_MAX;
+}
+
+/* The first of `steps` pixels, `offset` apart from each other, that is valid, counted from 1; 0: none. */
+inline int first_valid(const int dst, const int offset, const int steps, __global const uchar *filled_by) {
+    int t = 1;
+    for (; t + AT_ONCE <= steps; t += AT_ONCE) {
+        bool any = false;
+        for (int k = 0; k < AT_ONCE; ++k) any |= filled_by[dst + (t + k) * offset] != BY_HOLE_FILLING;
+        if (any) break;
+    }
+    for (; t <= steps; ++t)
+        if (filled_by[dst + t * offset] != BY_HOLE_FILLING) return t;
+    return 0;
+}
 
 /* What a disocclusion shows is the surface on its far side, continued: of the first valid pixels in eight directions, up
    to `reach` px away, the mean of those on the far side, weighted by the inverse of their distance.
@@ -63,6 +52,7 @@ __kernel void downsample(const int target_width, const int target_height, const 
 inline bool far_side(const int dst_x, const int dst_y, const int target_width, const int target_height, const int reach,
                      __global const uchar *filled_by, __global const half *color, __global const float *depth,
                      float4 *mean) {
+    const int dst = dst_y * target_width + dst_x;
     int met[DIRECTIONS];
     float inverse[DIRECTIONS], weight[DIRECTIONS];
     float least = INFINITY;
@@ -70,18 +60,15 @@ inline bool far_side(const int dst_x, const int dst_y, const int target_width, c
     for (int k = 0; k < DIRECTIONS; ++k) {
         const int dx = k < 3 ? 1 : k < 6 ? -1 : 0, dy = k == 7 ? -1 : k == 6 ? 1 : k % 3 - 1;
         const float step = dx && dy ? 1.41421356f : 1.0f;
-        for (int t = 1; (float)t * step <= (float)reach; ++t) {
-            const int beside_x = dst_x + t * dx, beside_y = dst_y + t * dy;
-            if (!inside(beside_x, beside_y, target_width, target_height)) break;
-            const int beside = beside_y * target_width + beside_x;
-            if (filled_by[beside] == BY_HOLE_FILLING) continue;
-            met[count] = beside;
-            inverse[count] = isinf(depth[beside]) ? 0.0f : divide(1.0f, depth[beside]);
-            weight[count] = divide(1.0f, (float)t * step);
-            least = fmin(least, inverse[count]);
-            ++count;
-            break;
-        }
+        const int steps = steps_within(reach, step, min(room(dst_x, dx, target_width), room(dst_y, dy, target_height)));
+        const int t = first_valid(dst, dy * target_width + dx, steps, filled_by);
+        if (t == 0) continue;
+        const int beside = dst + t * (dy * target_width + dx);
+        met[count] = beside;
+        inverse[count] = isinf(depth[beside]) ? 0.0f : divide(1.0f, depth[beside]);
+        weight[count] = divide(1.0f, (float)t * step);
+        least = fmin(least, inverse[count]);
+        ++count;
     }
     float4 sum = (float4)(0.0f);
     float weight_sum = 0.0f;
@@ -164,24 +151,6 @@ __kernel void pull_level(const int level_width, const int level_height, const in
 
 /* ---- fill ------------------------------------------------------------------------------------------------------ */
 
-/* Bilinear interpolation of the block means: (colour, inverse depth). */
-inline float4 block_mean(const int dst_x, const int dst_y, const int blocks_width, const int blocks_height,
-                         __global const float4 *block_color, __global const float *block_inverse_depth) {
-    const float bx = ((float)dst_x + 0.5f) * (1.0f / BLOCK) - 0.5f, by = ((float)dst_y + 0.5f) * (1.0f / BLOCK) - 0.5f;
-    const int x0 = (int)floor(bx), y0 = (int)floor(by);
-    const float u = bx - (float)x0, v = by - (float)y0;
-    float4 sum = (float4)(0.0f);
-    float inverse_sum = 0.0f;
-    for (int tap = 0; tap < 4; ++tap) {
-        const int tap_x = clamp(x0 + (tap & 1), 0, blocks_width - 1), tap_y = clamp(y0 + (tap >> 1), 0, blocks_height - 1);
-        const float weight = bilinear_weight(tap, u, v);
-        sum += weight * block_color[tap_y * blocks_width + tap_x];
-        inverse_sum += weight * block_inverse_depth[tap_y * blocks_width + tap_x];
-    }
-    if (!(sum.w > 0.0f)) return (float4)(0.0f);
-    return (float4)(divide(sum.x, sum.w), divide(sum.y, sum.w), divide(sum.z, sum.w), divide(inverse_sum, sum.w));
-}
-
 inline void fill_pixel(const int dst_x, const int dst_y, const int dst, const float4 mean, const Reprojection to_source,
                        __global half *color, __global float *depth, __global float2 *motion) {
     const float z = mean.w > 0.0f ? divide(1.0f, mean.w) : INFINITY;
@@ -192,44 +161,157 @@ inline void fill_pixel(const int dst_x, const int dst_y, const int dst, const fl
     motion[dst] = px_source.z > 0.0f ? px_source.xy - centre : (float2)(0.0f);
 }
 
-/* Fills what is still invalid from the far side; motion is that of a static point. Only pixels that were valid before are read.
-   *beyond_reach: whether there are holes without one. */
-SPARSE __kernel void fill_far_side(const int target_width, const int target_height, const int reach,
-                                   __global const uchar *filled_by, const Reprojection to_source, __global half *color,
-                                   __global float *depth, __global float2 *motion, __global uint *beyond_reach) {
-    const int dst_x = get_global_id(0), dst_y = get_global_id(1);
-    if (dst_x >= target_width || dst_y >= target_height) return;
-    const int dst = dst_y * target_width + dst_x;
-    if (filled_by[dst] != BY_HOLE_FILLING) return;
-    float4 mean;
-    if (far_side(dst_x, dst_y, target_width, target_height, reach, filled_by, color, depth, &mean))
-        fill_pixel(dst_x, dst_y, dst, mean, to_source, color, depth, motion);
-    else
-        atomic_or(beyond_reach, 1u);
+#define BEYOND_REACH -1.0f   /* depth of pixels that have no far side within reach, until they are filled */
+
+/* Fills what is still invalid from the far side; motion is that of a static point. RUN pixels per work-item. */
+SCAN __kernel void fill_far_side(const int target_width, const int target_height, const int reach,
+                                 __global const uchar *filled_by, const Reprojection to_source, __global half *color,
+                                 __global float *depth, __global float2 *motion) {
+    const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
+    if (first_x >= target_width || dst_y >= target_height) return;
+    const int first = dst_y * target_width + first_x;
+    if (first_x + RUN <= target_width && !run_has(filled_by + first, BY_HOLE_FILLING)) return;
+    for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
+        const int dst = dst_y * target_width + dst_x;
+        if (filled_by[dst] != BY_HOLE_FILLING) continue;
+        float4 mean;
+        if (far_side(dst_x, dst_y, target_width, target_height, reach, filled_by, color, depth, &mean))
+            fill_pixel(dst_x, dst_y, dst, mean, to_source, color, depth, motion);
+        else
+            depth[dst] = BEYOND_REACH;
+    }
 }
 
-/* Fills the rest from the block means. */
-SPARSE __kernel void fill_from_blocks(const int target_width, const int target_height, const int blocks_width,
-                                      const int blocks_height, const int reach, __global const uint *beyond_reach,
-                                      __global const uchar *filled_by, __global const float4 *block_color,
-                                      __global const float *block_inverse_depth, const Reprojection to_source,
-                                      __global half *color, __global float *depth, __global float2 *motion) {
-    const int dst_x = get_global_id(0), dst_y = get_global_id(1);
-    if (!beyond_reach[0] || dst_x >= target_width || dst_y >= target_height) return;
-    const int dst = dst_y * target_width + dst_x;
-    if (filled_by[dst] != BY_HOLE_FILLING) return;
-    float4 mean;
-    if (far_side(dst_x, dst_y, target_width, target_height, reach, filled_by, color, depth, &mean)) return;
-    mean = block_mean(dst_x, dst_y, blocks_width, blocks_height, block_color, block_inverse_depth);
-    fill_pixel(dst_x, dst_y, dst, mean, to_source, color, depth, motion);
+/* ---- block means ------------------------------------------------------------------------------------------------- */
+
+#define TILE 4               /* blocks along the side of what one work-group fills: it needs those around them, too */
+#define RING (TILE + 2)
+#define GROUP 128            /* work-items of it: one per row of pixels, or BLOCK columns of strips */
+#define STRIP 8              /* rows of a block that one work-item sums up */
+
+/* Where a pixel lies between the centres of four blocks: the first one, and how far from it. */
+inline int2 first_block(const int dst_x, const int dst_y, float2 *between) {
+    const float2 b = pixel_centre(dst_x, dst_y) * (1.0f / BLOCK) - 0.5f;
+    const float2 first = floor(b);
+    *between = b - first;
+    return convert_int2(first);
 }
 
-/* Labels what was filled: apart from filling, which reads the labels of its surroundings. */
-__kernel void label_filled(const int target_width, const int target_height, __global uchar *filled_by) {
-    const int dst_x = get_global_id(0), dst_y = get_global_id(1);
-    if (dst_x >= target_width || dst_y >= target_height) return;
-    const int dst = dst_y * target_width + dst_x;
-    if (filled_by[dst] == BY_HOLE_FILLING) filled_by[dst] = BY_HOLE_FILLING;
+/* Index in the ring of one of the four, clamped to the image; (ring_x, ring_y): the ring's first block. */
+inline int tap_in_ring(const int2 first, const int tap, const int ring_x, const int ring_y, const int blocks_width,
+                       const int blocks_height) {
+    const int block_x = clamp(first.x + (tap & 1), 0, blocks_width - 1);
+    const int block_y = clamp(first.y + (tap >> 1), 0, blocks_height - 1);
+    return (block_y - ring_y) * RING + block_x - ring_x;
+}
+
+/* Weighted sums, (colour, 1) and inverse depth, over STRIP rows of a column: of valid pixels, and a little of the rendered
+   frame. */
+inline float4 sum_strip(const int dst_x, const int first_y, const int target_width, const int target_height,
+                        const int source_width, const int source_height, __global const uchar *filled_by,
+                        __global const half *color, __global const float *depth, __global const half *source_color,
+                        __global const float *source_depth, float *inverse_sum) {
+    float4 sum = (float4)(0.0f);
+    *inverse_sum = 0.0f;
+    if (dst_x >= target_width) return sum;
+    for (int dst_y = first_y; dst_y < min(first_y + STRIP, target_height); ++dst_y) {
+        const int dst = dst_y * target_width + dst_x;
+        if (filled_by[dst] != BY_HOLE_FILLING) add(&sum, inverse_sum, 1.0f, load_color(color, dst), depth[dst]);
+        const int src = (dst_y * source_height / target_height) * source_width + dst_x * source_width / target_width;
+        const float z = source_depth[src];
+        if (!INVALID_DEPTH(z)) add(&sum, inverse_sum, RENDERED_WEIGHT, load_color(source_color, src), z);
+    }
+    return sum;
+}
+
+/* Whether a pixel is to be filled from blocks: all that are invalid where `reach` is 0. */
+inline bool asks(const int dst, const int reach, __global const uchar *filled_by, __global const float *depth) {
+    return filled_by[dst] == BY_HOLE_FILLING && (reach == 0 || depth[dst] == BEYOND_REACH);
+}
+
+/* Fills the rest from the means of 32x32 blocks, interpolated. Every work-group fills TILE x TILE blocks: it sums up those of
+   them, and of the ring around them, that its pixels ask for. The sums are kept for who wants to look at them. */
+SPARSE __kernel void fill_from_blocks(const int target_width, const int target_height, const int source_width,
+                                      const int source_height, const int blocks_width, const int blocks_height, const int reach,
+                                      const Reprojection to_source, __global const uchar *filled_by,
+                                      __global const half *source_color, __global const float *source_depth,
+                                      __global half *color, __global float *depth, __global float2 *motion,
+                                      __global float4 *block_color, __global float *block_inverse_depth) {
+    __local float4 sums[RING * RING], strip_sums[GROUP];
+    __local float inverse_sums[RING * RING], strip_inverse_sums[GROUP];
+    __local uint asked[RING * RING], any_asks;
+    const int lane = get_local_id(0);
+    const int tile_x = get_group_id(0) * TILE * BLOCK, dst_y = get_group_id(1) * TILE * BLOCK + lane;
+    const int ring_x = get_group_id(0) * TILE - 1, ring_y = get_group_id(1) * TILE - 1;
+    const int end_x = dst_y < target_height ? min(tile_x + TILE * BLOCK, target_width) : tile_x;
+    const int own_x = ring_x + 1 + lane % TILE, own_y = ring_y + 1 + lane / TILE, own = own_y * blocks_width + own_x;
+    const bool has_own = lane < TILE * TILE && own_x < blocks_width && own_y < blocks_height;
+    float2 between;
+
+    if (lane < RING * RING) asked[lane] = 0;
+    if (lane == 0) any_asks = 0;
+    if (has_own) {
+        block_color[own] = (float4)(0.0f);
+        block_inverse_depth[own] = 0.0f;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (int run_x = tile_x; run_x < end_x; run_x += RUN) {
+        if (run_x + RUN <= end_x && !run_has(filled_by + dst_y * target_width + run_x, BY_HOLE_FILLING)) continue;
+        for (int dst_x = run_x; dst_x < min(run_x + RUN, end_x); ++dst_x) {
+            if (!asks(dst_y * target_width + dst_x, reach, filled_by, depth)) continue;
+            const int2 first = first_block(dst_x, dst_y, &between);
+            atomic_or(&any_asks, 1u);
+            for (int tap = 0; tap < 4; ++tap)
+                atomic_or(asked + tap_in_ring(first, tap, ring_x, ring_y, blocks_width, blocks_height), 1u);
+        }
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+
+    if (!any_asks) return;
+
+    for (int k = 0; k < RING * RING; ++k) {
+        if (!asked[k]) continue;
+        float inverse_sum;
+        strip_sums[lane] = sum_strip((ring_x + k % RING) * BLOCK + lane % BLOCK,
+                                     (ring_y + k / RING) * BLOCK + lane / BLOCK * STRIP, target_width, target_height,
+                                     source_width, source_height, filled_by, color, depth, source_color, source_depth,
+                                     &inverse_sum);
+        strip_inverse_sums[lane] = inverse_sum;
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (lane == 0) {
+            sums[k] = (float4)(0.0f);
+            inverse_sums[k] = 0.0f;
+            for (int j = 0; j < GROUP; ++j) {
+                sums[k] += strip_sums[j];
+                inverse_sums[k] += strip_inverse_sums[j];
+            }
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+    }
+    const int own_in_ring = (lane / TILE + 1) * RING + lane % TILE + 1;
+    if (has_own && asked[own_in_ring]) {
+        block_color[own] = sums[own_in_ring];
+        block_inverse_depth[own] = inverse_sums[own_in_ring];
+    }
+
+    for (int run_x = tile_x; run_x < end_x; run_x += RUN) {
+        if (run_x + RUN <= end_x && !run_has(filled_by + dst_y * target_width + run_x, BY_HOLE_FILLING)) continue;
+        for (int dst_x = run_x; dst_x < min(run_x + RUN, end_x); ++dst_x) {
+            const int dst = dst_y * target_width + dst_x;
+            if (!asks(dst, reach, filled_by, depth)) continue;
+            const int2 first = first_block(dst_x, dst_y, &between);
+            float4 sum = (float4)(0.0f);
+            float inverse_sum = 0.0f;
+            for (int tap = 0; tap < 4; ++tap) {
+                const float weight = bilinear_weight(tap, between.x, between.y);
+                const int k = tap_in_ring(first, tap, ring_x, ring_y, blocks_width, blocks_height);
+                sum += weight * sums[k];
+                inverse_sum += weight * inverse_sums[k];
+            }
+            const float4 mean = sum.w > 0.0f ? (float4)(mean_of(sum.xyz, sum.w), divide(inverse_sum, sum.w)) : (float4)(0.0f);
+            fill_pixel(dst_x, dst_y, dst, mean, to_source, color, depth, motion);
+        }
+    }
 }
 
 /* Fills all of it, from the completed level 1 of push-pull. */

@@ -2,6 +2,7 @@
    result does not depend on the order of execution. Keys and winners start with all bits set. */
 
 #define NOBODY 0xFFFFFFFFu
+#define GIVES_WAY 0x80000000u  /* of a depth's bits: every offer without it is nearer */
 
 #ifdef INT64_ATOMICS
 #pragma OPENCL EXTENSION cl_khr_int64_extended_atomics : enable
@@ -10,15 +11,32 @@ typedef ulong Key;  /* depth bits << 32 | index */
 typedef uint Key;   /* depth bits; the index is found in a second pass */
 #endif
 
-/* One key for depth and index with 64-bit atomics; else pass 0 finds the least depth, pass 1 the least index of it. */
-inline void offer(const int pass, __global Key *keys, __global uint *winners, const int c, const float z, const uint i) {
+/* `depth_bits`: those of a positive float, perhaps with GIVES_WAY. One key for them and the index with 64-bit atomics; else
+   pass 0 finds the least of them, pass 1 the least index of it. An offer that cannot win any more need not be made: a plain look
+   costs less than an atomic, and one that comes too early only makes an offer in vain. */
+#define LOOKS 1  /* 0 for Oclgrind, which takes that look for a race */
+
+inline bool may_win(const int pass, __global const Key *keys, const int c, const uint depth_bits, const uint i) {
 #ifdef INT64_ATOMICS
-    const Key key = ((ulong)as_uint(z) << 32) | i;
-    if (keys[c] > key) atom_min(keys + c, key);
+    return !LOOKS || keys[c] > (((ulong)depth_bits << 32) | i);
 #else
-    if (pass == 0) atomic_min(keys + c, as_uint(z));
-    else if (keys[c] == as_uint(z)) atomic_min(winners + c, i);
+    return pass == 0 ? !LOOKS || keys[c] > depth_bits : keys[c] == depth_bits;
 #endif
+}
+
+inline void offer_bits(const int pass, __global Key *keys, __global uint *winners, const int c, const uint depth_bits,
+                       const uint i) {
+    if (!may_win(pass, keys, c, depth_bits, i)) return;
+#ifdef INT64_ATOMICS
+    atom_min(keys + c, ((ulong)depth_bits << 32) | i);
+#else
+    if (pass == 0) atomic_min(keys + c, depth_bits);
+    else atomic_min(winners + c, i);
+#endif
+}
+
+inline void offer(const int pass, __global Key *keys, __global uint *winners, const int c, const float z, const uint i) {
+    offer_bits(pass, keys, winners, c, as_uint(z), i);
 }
 
 inline uint winner_of(__global const Key *keys, __global const uint *winners, const int c) {

@@ -644,6 +644,19 @@ def far_side(warped, y, x, reach):
     return sum(w * c for c, w in far) / sum(w for _, w in far)
 
 
+def asked_blocks(warped, reach):
+    """(h, w) bool: the 32×32 blocks between whose centres a hole lies that has no far side."""
+    height, width = warped["depth"].shape
+    asked = np.zeros((-(-height // HOLES.BLOCK), -(-width // HOLES.BLOCK)), bool)
+    for y, x in np.argwhere(warped["filled_by"] == COMMON.BY_NOTHING):
+        if far_side(warped, y, x, reach) is None:
+            y0, x0 = ((c + 0.5) / HOLES.BLOCK - 0.5 for c in (y, x))
+            for tap in range(4):
+                ty, tx = int(np.floor(y0)) + (tap >> 1), int(np.floor(x0)) + (tap & 1)
+                asked[np.clip(ty, 0, asked.shape[0] - 1), np.clip(tx, 0, asked.shape[1] - 1)] = True
+    return asked
+
+
 def fill_holes(warped, color_sum, inverse_sum, to_source, reach):
     """Colour, depth, motion of the warped frame with its holes filled: from the far side within `reach` px,
     else from the block sums; by push-pull if these are None."""

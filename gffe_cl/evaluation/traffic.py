@@ -14,7 +14,7 @@ import numpy as np
 from gffe_cl.buffers import BY_HOLE_FILLING, BY_NOTHING
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.stage import Kernel
-from gffe_cl.stages.background import REMEMBERED
+from gffe_cl.stages.background import REMEMBERED, SHOWN
 from gffe_cl.stages.blocks import SPLATTED, Blocks
 
 # Shares of the pixels by name, as `Access.share` has them: the buffer that tells, and which of its values count.
@@ -24,8 +24,9 @@ SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
     "splatted": ("blocks.block_class", lambda block: block == SPLATTED),
     "mixed": ("frame.mixed", lambda mask: mask != 0),
     "unfilled": ("frame.filled_by", lambda label: (label == BY_HOLE_FILLING) | (label == BY_NOTHING)),
-    "beyond reach": ("holes.beyond_reach", lambda flag: flag != 0),
+    "beyond reach": ("holes.block_color", lambda sums: sums[..., 3] != 0),
     "remembered": ("background.state_0", lambda state: state == REMEMBERED),
+    "not shown": ("background.state_0", lambda state: state != SHOWN),
 }
 
 SCN = {"shading": "SCN, inputs", "correction": "SCN, kernels", "network": "SCN, network"}  # parts by stage
@@ -88,6 +89,6 @@ def memory(pipeline: Pipeline) -> dict[str, int]:
     """Bytes of device memory by stage, and "frame" for the extrapolated frame; rendered frames apart."""
     owners = {"frame": pipeline.board.frame} | pipeline.stages
     return {
-        name: sum(spec.nbytes(pipeline.sizes) * (1 + spec.kept) for spec in owner.buffers)
+        name: sum(spec.nbytes(pipeline.sizes) * (1 + spec.kept) for spec in owner.buffers if not spec.part_of)
         for name, owner in owners.items()
     }

@@ -2,37 +2,59 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Iterable
+from dataclasses import replace
 
-from gffe_cl.buffers import RGBA, XY, BufferSpec
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.buffers import RGBA, XY, BufferSpec, level_starts
 from gffe_cl.opencl.program import constants
 from gffe_cl.stage import Access, Board, Kernel, NearestStage, Step, reprojection, zoom
 
 MAX_LEVELS = 4
 _CONSTANTS = constants("background.cl")
-_OWN_TEXEL, _TOUCHED_TEXELS = _CONSTANTS["OWN_TEXEL"], _CONSTANTS["TOUCHED_TEXELS"]  # phases of scatter_level
-REMEMBERED = _CONSTANTS["REMEMBERED"]
+REMEMBERED, SHOWN = _CONSTANTS["REMEMBERED"], _CONSTANTS["SHOWN"]
 STATES = (
     (_CONSTANTS["EMPTY"], "empty"),
-    (_CONSTANTS["SHOWN"], "shown by the current frame"),
+    (SHOWN, "shown by the current frame"),
     (REMEMBERED, "remembered"),
 )
 
-_FRAME = {"depth": "rendered.depth", "dynamic_mask": "history.dynamic_mask", "links": "surfaces.links"}
 
-
-def _keys(which: str, share: str | float = 1.0, prefix: str = "") -> dict:
-    """Keys and winners, as arguments that begin with `prefix`."""
-    return {f"{prefix}{name}": Access(f"background.{which}_{name}", share) for name in ("keys", "winners")}
-
-
-_OFFERED = _keys("fill", "remembered", "fill_") | _keys("push", "remembered", "push_")
-_PROJECTED = _keys("target", "holes")
+def _keys(which: str, share: str | float = 1.0) -> dict[str, Access]:
+    """Keys and winners of what is offered to "fill" a level or to "push" to the next."""
+    return {f"{which}_{name}": Access(f"background.{which}_{name}", share) for name in ("keys", "winners")}
 
 
 def _level(names: str, level: str = "level", share: str | float = 1.0, prefix: str = "level_", kept: str = "") -> dict:
     """Buffers of the level that the launch gives."""
     return {f"{prefix}{name}": Access(f"background.{name}_{{{level}}}{kept}", share) for name in names.split()}
+
+
+def _levels(names: str, share: str | float = 1.0) -> dict[str, Access]:
+    """Buffers of all levels."""
+    return {f"levels_{name}": Access(f"background.{name}", share) for name in names.split()}
+
+
+def _old(names: str) -> dict[str, Access]:
+    return _level(names, "old", "remembered", "old_", "'")
+
+
+_OFFERED = _keys("fill", "remembered") | _keys("push", "remembered")
+_SETTLED = _level("color depth px", share="remembered") | _level("state") | _keys("fill", "remembered")
+_SETTLING = (
+    {"taken": Access("{taken_by}"), "frame_color": Access("previous.color", "remembered")}
+    | {"frame_depth": Access("previous.depth", "remembered")}
+    | _keys("fill", "not shown")
+    | _old("color depth px state")
+)
+_PUSHED = (
+    _level("color depth px", "next", "remembered", "next_")
+    | _level("state", "next", prefix="next_")
+    | _keys("push", "remembered")
+)
+_PROJECTED = {"keys": Access("warp.keys", "holes"), "winners": Access("warp.winners", "holes")}
 
 
 class Background(NearestStage):
@@ -41,62 +63,69 @@ class Background(NearestStage):
     name = "background"
     kernels = (
         Kernel(
-            "collect_shown",
-            "source",
-            {"color": "rendered.color", "depth": "rendered.depth", "dynamic_mask": "history.dynamic_mask"},
-            _level("color depth px state"),
-        ),
-        Kernel(
             "scatter_level",
             "level{level}",
-            _FRAME | _level("depth px state", prefix="old_", kept="'") | _level("depth state") | _OFFERED,
+            {
+                "depth": Access("rendered.depth", "not shown"),
+                "dynamic_mask": Access("history.dynamic_mask", "not shown"),
+                "links": Access("surfaces.links", "not shown"),
+                "frame_depth": Access("{depth_of_shown}"),
+                "taken": Access("{taken_by}"),
+                "level_depth": Access("{depth_of_taken}"),
+            }
+            | _level("depth px", share="remembered", prefix="old_", kept="'")
+            | _level("state", prefix="old_", kept="'")
+            | _OFFERED,
             _OFFERED,
+            step=("LANES", 1),
         ),
+        Kernel("settle_level", "level{level}", _SETTLING, _SETTLED, step=("RUN", 1)),
+        Kernel("settle_and_push", "level{level}", _SETTLING | _keys("push"), _SETTLED | _PUSHED, step=("RUN", 1)),
         Kernel(
-            "settle_level",
-            "level{level}",
-            _keys("{which}") | _level("color depth px", "old", "remembered", "old_", "'"),
-            _level("color depth px state", share="remembered"),
-        ),
-        Kernel(
-            "project_level",
-            "level{level}",
-            _level("depth px", share="remembered")
-            | _level("state")
+            "project_levels",
+            "levels{levels}",
+            _levels("depth px", "remembered")
+            | _levels("state")
             | {
                 "disoccluded": Access("frame.disoccluded", "remembered"),
                 "mixed": Access("frame.mixed", "remembered"),
-                "depth": Access("frame.depth", "remembered"),
+                "depth": Access("frame.depth", "holes"),
             }
             | _PROJECTED,
             _PROJECTED,
+            step=("RUN", 1),
         ),
         Kernel(
-            "fill_from_level",
+            "fill_from_levels",
             "target",
-            _keys("target")
-            | _level("color depth px state", share="holes")
-            | {
-                "disoccluded": Access("frame.disoccluded", "holes"),
-                "is_dynamic": Access("frame.dynamic", "holes"),
-                "out_depth": Access("frame.depth", "holes"),
-            },
+            {
+                "frame_color": Access("rendered.color", "holes"),
+                "frame_depth": Access("rendered.depth", "holes"),
+                "disoccluded": "frame.disoccluded",
+                "mixed": "frame.mixed",
+                "is_dynamic": Access("frame.dynamic", "disoccluded"),
+                "depth": Access("frame.depth", "disoccluded"),
+            }
+            | _levels("color depth px state", "holes")
+            | _PROJECTED,
             {
                 "color": Access("frame.color", "holes"),
-                "out_depth": Access("frame.depth", "disoccluded"),
+                "depth": Access("frame.depth", "disoccluded"),
                 "motion": Access("frame.motion", "disoccluded"),
                 "filled_by": Access("frame.filled_by", "holes"),
             },
+            step=("RUN", 1),
         ),
     )
 
     def __init__(self, board: Board):
         self.levels = board.options.levels
+        self.starts = level_starts(board.sizes.source, self.levels)
         self.buffers = (
             *(spec for level in range(self.levels) for spec in _level_buffers(level)),
+            *(_all_levels(spec, self.levels) for spec in _level_buffers(0)),
             *self.keys(board, "fill_", "source"),
             *self.keys(board, "push_", "level1"),
-            *self.keys(board, "target_", "target"),
         )
         super().__init__(board)
 
@@ -104,68 +133,81 @@ class Background(NearestStage):
     def is_wanted(cls, options) -> bool:
         return options.levels > 0
 
+    def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
+        """New device buffers by name; those of single levels are parts of those of all levels."""
+        specs = list(specs)
+        made = super().allocate(spec for spec in specs if not spec.part_of)
+        for spec in specs:
+            if spec.part_of:
+                start = self.starts[int(spec.grid.removeprefix("level"))] * spec.bytes_per_pixel
+                made[spec.name] = made[spec.part_of].get_sub_region(start, spec.nbytes(self.sizes))
+        return made
+
     def rendered(self, step: Step) -> None:
         """Collect; after a reset nothing is kept, nor collected, because what moves is not known yet."""
         self.swap()
-        self.launch("collect_shown", level=0, collect=step.previous is not None)
-        if step.previous is None:
-            for level in range(1, self.levels):
-                self.fill(f"state_{level}", 0)
-            return
-        to_current = reprojection(step.previous.camera, step.frame.camera)
+        collect = step.previous is not None
+        if not collect:
+            self.clear_keys("fill_", self.sizes.source)
+            self.clear_keys("push_", self.sizes.of("level1"))
+        to_current = reprojection(step.previous.camera if collect else step.frame.camera, step.frame.camera)
         for level in range(self.levels):
-            self.clear_keys("push_", self.sizes.of(f"level{level + 1}"))
-            self._scatter(level, _OWN_TEXEL, to_current)
-            self._settle(level, level, "fill", to_current)
-            if level + 1 < self.levels:
-                self._settle(level + 1, level, "push", to_current)
-            self._scatter(level, _TOUCHED_TEXELS, to_current)
-            self._settle(level, level, "fill", to_current)
+            last = level + 1 == self.levels
+            given = {"level": level, "old": level, "next": level + 1, "to_current": to_current} | self.of_level(level)
+            for scatter_pass in self.passes if collect else ():
+                self.launch("scatter_level", last_level=self.levels - 1, **given, **{"pass": scatter_pass})
+            self.launch("settle_level" if last else "settle_and_push", collect=collect, **given)
 
-    def _scatter(self, level: int, phase: int, to_current: np.ndarray) -> None:
-        self.clear_keys("fill_", self.sizes.of(f"level{level}"))
-        for scatter_pass in self.passes:
-            self.launch(
-                "scatter_level",
-                level=level,
-                last_level=self.levels - 1,
-                phase=phase,
-                to_current=to_current,
-                **{"pass": scatter_pass},
-            )
-
-    def _settle(self, level: int, old: int, which: str, to_current: np.ndarray) -> None:
-        """Put the winners of the old level `old` into `level`; what was pushed down begins it anew."""
-        self.launch("settle_level", level=level, old=old, which=which, restart=which == "push", to_current=to_current)
+    @staticmethod
+    def of_level(level: int) -> dict[str, str]:
+        """Which buffers say what a level holds before anything is offered to it, how deep that is, and how deep what the
+        old level shows (only level 0 does)."""
+        if level == 0:
+            return {
+                "taken_by": "surfaces.unmixed",
+                "depth_of_taken": "rendered.depth",
+                "depth_of_shown": "previous.depth",
+            }
+        return {
+            "taken_by": f"background.state_{level}",
+            "depth_of_taken": f"background.depth_{level}",
+            "depth_of_shown": f"background.depth_{level}'",
+        }
 
     def extrapolated(self, step: Step) -> None:
         """Fill the pixels that the warp left invalid, nearest fragment of all levels first."""
         source, target = step.frame.camera, step.camera
-        cameras = {"zoom": zoom(source, target), "to_target": reprojection(source, target)}
-        self.clear_keys("target_", self.sizes.target)
+        texels = self.starts[self.levels]
+        starts = [*self.starts[1 : self.levels], *[texels] * MAX_LEVELS][:MAX_LEVELS]
+        given = {
+            "starts": np.array(starts, np.int32),
+            "zoom": zoom(source, target),
+            "to_target": reprojection(source, target),
+        }
         for project_pass in self.passes:
-            for level in range(self.levels):
-                self.launch("project_level", level=level, **cameras, **{"pass": project_pass})
-        for level in range(self.levels):
-            self.launch("fill_from_level", level=level, to_source=reprojection(target, source), **cameras)
+            self.launch("project_levels", levels=self.levels, texels=texels, **given, **{"pass": project_pass})
+        self.launch("fill_from_levels", to_source=reprojection(target, source), **given)
 
 
 def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
-    grid = f"level{level}"
+    where = "where it is remembered; what is shown is in the rendered frame" if level == 0 else "where it is remembered"
+    about = f"background level {level}"
+
+    def spec(name, dtype, components, description, view, **more):
+        return BufferSpec(
+            f"{name}_{level}", dtype, components, f"level{level}", description, view, kept=True, part_of=name, **more
+        )
+
     return (
-        BufferSpec(
-            f"color_{level}", np.float16, RGBA, grid, f"colour of background level {level} (B_{level})", "color",
-            kept=True,
-        ),
-        BufferSpec(
-            f"depth_{level}", np.float32, (), grid, f"view depth of background level {level}, world units", "depth",
-            kept=True,
-        ),
-        BufferSpec(
-            f"px_{level}", np.float32, XY, grid, "where its fragment lies in the rendered image, pixels", "place",
-            kept=True,
-        ),
-        BufferSpec(
-            f"state_{level}", np.uint8, (), grid, "what the level knows there", "label", labels=STATES, kept=True
-        ),
-    )  # fmt: skip
+        spec("color", np.float16, RGBA, f"colour of {about} (B_{level}) {where}", "color"),
+        spec("depth", np.float32, (), f"view depth of {about} there, world units", "depth"),
+        spec("px", np.float32, XY, "where its fragment lies in the rendered image, pixels", "place"),
+        spec("state", np.uint8, (), "what the level knows there", "label", labels=STATES),
+    )
+
+
+def _all_levels(spec: BufferSpec, levels: int) -> BufferSpec:
+    """The buffer that holds that of all levels, one after another."""
+    return replace(
+        spec, name=spec.part_of, grid=f"levels{levels}", part_of="", scratch=True, description="of all levels"
+    )

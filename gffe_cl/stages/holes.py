@@ -13,19 +13,18 @@ from gffe_cl.buffers import BufferSpec
 from gffe_cl.opencl.program import constants
 from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
 
-BLOCK = constants("holes.cl")["BLOCK"]
+_CONSTANTS = constants("holes.cl")
+_TILE, _GROUP = _CONSTANTS["TILE"], _CONSTANTS["GROUP"]
 _VALID = {"color": "frame.color", "depth": "frame.depth", "filled_by": "frame.filled_by"}
-_FILLED = {
-    "color": Access("frame.color", "unfilled"),
-    "depth": Access("frame.depth", "unfilled"),
-    "motion": Access("frame.motion", "unfilled"),
-}
-_LABELLED = Kernel(
-    "label_filled",
-    "target",
-    {"filled_by": "frame.filled_by"},
-    {"filled_by": Access("frame.filled_by", "unfilled")},
-)
+
+
+def _image(share: str) -> dict[str, Access]:
+    """Colour and depth of the new frame, as far as they are read around a share of the pixels."""
+    return {name: Access(f"frame.{name}", share) for name in ("color", "depth")}
+
+
+def _filled(share: str) -> dict[str, Access]:
+    return {name: Access(f"frame.{name}", share) for name in ("color", "depth", "motion")}
 
 
 class HoleFilling(Stage):
@@ -36,7 +35,6 @@ class HoleFilling(Stage):
 
     def extrapolated(self, step: Step) -> None:
         self.fill_holes(reprojection(step.camera, step.frame.camera))
-        self.launch("label_filled")
 
     def fill_holes(self, to_source: np.ndarray) -> None:
         """`to_source`: from the new frame's camera to the rendered frame's."""
@@ -58,55 +56,33 @@ class Downsampled(HoleFilling):
         BufferSpec(
             "block_inverse_depth", np.float32, (), "blocks", "weighted sum of inverse depth per block, 1/world units"
         ),
-        BufferSpec("beyond_reach", np.uint32, (), "once", "1 if a hole has no far side within reach"),
     )
     kernels = (
         Kernel(
             "fill_far_side",
             "target",
-            {
-                "filled_by": "frame.filled_by",
-                "color": Access("frame.color", "unfilled"),
-                "depth": Access("frame.depth", "unfilled"),
-                "beyond_reach": "holes.beyond_reach",
-            },
-            _FILLED | {"beyond_reach": "holes.beyond_reach"},
-        ),
-        Kernel(
-            "downsample",
-            "target",
-            {name: Access(buffer, "beyond reach") for name, buffer in _VALID.items()}
-            | {
-                "beyond_reach": "holes.beyond_reach",
-                "source_color": Access("rendered.color", "beyond reach"),
-                "source_depth": Access("rendered.depth", "beyond reach"),
-            },
-            {"block_color": "holes.block_color", "block_inverse_depth": "holes.block_inverse_depth"},
-            group="BLOCK",
+            {"filled_by": "frame.filled_by"} | _image("unfilled"),
+            _filled("unfilled"),
+            step=("RUN", 1),
         ),
         Kernel(
             "fill_from_blocks",
             "target",
             {
-                "beyond_reach": "holes.beyond_reach",
-                "filled_by": Access("frame.filled_by", "beyond reach"),
-                "color": Access("frame.color", "beyond reach"),
-                "depth": Access("frame.depth", "beyond reach"),
-                "block_color": Access("holes.block_color", "beyond reach"),
-                "block_inverse_depth": Access("holes.block_inverse_depth", "beyond reach"),
-            },
-            {name: Access(access.buffer, "beyond reach") for name, access in _FILLED.items()},
+                "filled_by": "frame.filled_by",
+                "source_color": Access("rendered.color", "beyond reach"),
+                "source_depth": Access("rendered.depth", "beyond reach"),
+            }
+            | _image("beyond reach"),
+            _filled("beyond reach")
+            | {"block_color": "holes.block_color", "block_inverse_depth": "holes.block_inverse_depth"},
+            group="GROUP",
         ),
-        _LABELLED,
     )
 
     def fill_holes(self, to_source: np.ndarray) -> None:
-        """The blocks are made only if a hole has no far side within reach, which the device finds out."""
-        blocks = self.sizes.of("blocks")
-        self.fill("beyond_reach", 0)
-        self.launch("fill_far_side", reach=self.reach, to_source=to_source)
-        self.launch("downsample", (blocks[0] * BLOCK, blocks[1]))
-        self.launch("fill_from_blocks", reach=self.reach, to_source=to_source)
+        width, height = (-(-blocks // _TILE) for blocks in self.sizes.of("blocks"))
+        self.launch("fill_from_blocks", (width * _GROUP, height), reach=self.reach, to_source=to_source)
 
 
 class FarSide(Downsampled):
@@ -115,6 +91,10 @@ class FarSide(Downsampled):
     def __init__(self, board: Board):
         self.reach = max(16, board.sizes.target[0] // 10)
         super().__init__(board)
+
+    def fill_holes(self, to_source: np.ndarray) -> None:
+        self.launch("fill_far_side", reach=self.reach, to_source=to_source)
+        super().fill_holes(to_source)
 
 
 class PushPull(HoleFilling):
@@ -142,9 +122,8 @@ class PushPull(HoleFilling):
             "fill_from_pyramid",
             "target",
             {"filled_by": "frame.filled_by", "level_mean": Access("holes.mean_1", "unfilled")},
-            _FILLED,
+            _filled("unfilled"),
         ),
-        _LABELLED,
     )
 
     def __init__(self, board: Board):
