@@ -36,6 +36,9 @@ if TYPE_CHECKING:
 @app.command()
 def devices(
     kind: Annotated[str | None, typer.Option(help="Only devices of this kind: gpu, cpu or other.")] = None,
+    refresh: Annotated[
+        bool, typer.Option("--refresh", help="Probe them anew, whatever is known of them from before.")
+    ] = False,
     json_path: JsonOption = None,
 ) -> None:
     """List every OpenCL device: whether a kernel really runs on it, and what it lacks."""
@@ -43,7 +46,7 @@ def devices(
 
     from gffe_cl.opencl.device import HOW_TO_GET_ONE, best_of, list_devices
 
-    infos = [info for info in list_devices() if kind in (None, info.kind)]
+    infos = [info for info in list_devices(refresh) if kind in (None, info.kind)]
     table = Table("", "index", "device", "platform", "kernel runs", "lacks", box=None, header_style="bold")
     working = [info for info in infos if info.works]
     default = best_of(working) if working else None
@@ -59,7 +62,7 @@ def devices(
     if infos:
         out.print(table)
     if default:
-        out.print("* the default; choose another with --device or GFFE_DEVICE")
+        out.print("* the default; choose another with --device or GFFE_DEVICE (--refresh probes anew)")
     write_json(json_path, {"devices": [asdict(i) | {"default": i is default} for i in infos]})
     if not working:
         raise GffeError(f"no OpenCL device{f' of kind {kind}' if kind else ''} runs a kernel: {HOW_TO_GET_ONE}")
