@@ -9,6 +9,7 @@ from gffe_cl.errors import GffeError
 from gffe_cl.opencl.device import Device
 from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
+from gffe_cl.sequence.exr import DEFAULT_COMPRESSION
 from gffe_cl.source import rendered_entry
 from gffe_cl.window import WindowChooser
 
@@ -26,13 +27,14 @@ def render_sequence(
     per_frame: int = 1,
     samples: int = 8,
     window: str = "off",
+    compression: str = DEFAULT_COMPRESSION,
     on_frame: Callable[[], None] = lambda: None,
 ) -> int:
     """Render `frames` frames of `scene` at `fps` into the folder `output`; returns how many were written.
 
     With `ground_truth`, also `per_frame` frames after each, with their own depth and motion (to the
     rendered frame before), for measuring. `window` is "off", "fixed:FACTOR" or "adaptive": covering the frames in
-    between. `on_frame` is called after every frame.
+    between. `compression` is that of the EXRs (see `SequenceWriter`). `on_frame` is called after every frame.
     """
     if frames < 1:
         raise GffeError(f"--frames must be at least 1, got {frames}")
@@ -43,7 +45,10 @@ def render_sequence(
     alphas = [j / (per_frame + 1) for j in range(1, per_frame + 1)]
     renderer = SceneRenderer(device, scene, width, height, samples)
     made = SceneFrames(renderer, WindowChooser(window, (width, height), alphas))
-    with SequenceWriter(output, width, height, fps, scene.exposure, generator="gffe-cl render") as writer:
+    writing = SequenceWriter(
+        output, width, height, fps, scene.exposure, generator="gffe-cl render", compression=compression
+    )
+    with writing as writer:
         for k, frame in enumerate(made.sequence(frames, fps)):
             writer.add(rendered_entry(k, frame), named_channels(frame.color, frame.depth, frame.motion))
             on_frame()

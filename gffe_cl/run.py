@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from time import perf_counter
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
 from gffe_cl.pipeline import ExtrapolatedFrame, Pipeline
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
-from gffe_cl.sequence.exr import write_channels
+from gffe_cl.sequence.exr import DEFAULT_COMPRESSION, codec_seconds, write_channels
 from gffe_cl.source import Source
 
 _MOST_ALPHA = 100
@@ -28,12 +29,14 @@ MASKS = {"mask.dynamic": "dynamic", "mask.disoccluded": "disoccluded", "mask.fil
 @dataclass
 class RunReport:
     """What a run did: frames made, bad pixels met, warnings, milliseconds per stage and frame (kernels; "network":
-    wall time)."""
+    wall time), and seconds of the whole run: "wall", of these in "kernels" and "network", and "codec_cpu", CPU time for
+    reading and writing EXRs."""
 
     extrapolated: int
     bad_pixels: BadPixels
     warnings: list[str]
     milliseconds: dict[str, float]
+    seconds: dict[str, float] = field(default_factory=dict)
 
 
 def alphas_for(n: int) -> list[float]:
@@ -53,15 +56,18 @@ def run_sequence(
     predicted_camera: bool = False,
     strict: bool = False,
     dump_stages: bool = False,
+    compression: str = DEFAULT_COMPRESSION,
     on_frame: Callable[[], None] = lambda: None,
 ) -> RunReport:
     """Extrapolate after every rendered frame of `source` and write the result to `output`.
 
     The cameras after a rendered frame are those that `source` knows for the times of all new frames there; if it lacks
-    one, or `predicted_camera` asks for it, all of them are C̄. `on_frame` is called after each extrapolated frame.
+    one, or `predicted_camera` asks for it, all of them are C̄. `compression` is that of new EXRs (see `SequenceWriter`).
+    `on_frame` is called after each extrapolated frame.
 
     Raises GffeError for structural faults; then `output` is as it was before.
     """
+    start, codec = perf_counter(), codec_seconds()
     alphas = sorted(alphas)
     twice = [a for a, b in zip(alphas, alphas[1:], strict=False) if a == b]
     if twice:
@@ -71,16 +77,19 @@ def run_sequence(
         raise GffeError(f"alpha must be positive numbers up to {_MOST_ALPHA}, got {given}")
     source.refuse(output)
     size = (source.width, source.height)
+    writing = SequenceWriter(
+        output, *size, source.fps, source.exposure, generator="gffe-cl run", compression=compression
+    )
+    frames = source.frames(alphas, strict)  # the first ones are read while kernels are built
     pipeline = Pipeline(device, *size, options, render_size=source.render_size, fps=source.fps)
     pipeline.exposure = source.exposure
     suffixes = _suffixes(alphas)
     report = RunReport(0, BadPixels(), [], {})
     timings: dict[str, float] = defaultdict(float)
-    writing = SequenceWriter(output, *size, source.fps, source.exposure, generator="gffe-cl run")
     if dump_stages:
         pipeline.keep()
     with writing as writer:
-        for entry, frame, packed in source.frames(alphas, strict):
+        for entry, frame, packed in frames:
             pipeline.submit(frame, packed)
             source.store(writer, entry, frame)
             if dump_stages:
@@ -99,7 +108,8 @@ def run_sequence(
                 )
                 if dump_stages:
                     dump_buffers(pipeline, writer.folder("stages") / Path(made.file).stem)
-                writer.add(made, output_channels(extrapolated, frame.camera, frame.shown_camera, frame.color.dtype))
+                channels = output_channels(extrapolated, frame.camera, frame.shown_camera, frame.color.dtype)
+                writer.add(made, channels, owned=True)
                 report.extrapolated += 1
                 on_frame()
             for name, milliseconds in pipeline.take_timings().items():
@@ -107,6 +117,13 @@ def run_sequence(
     report.bad_pixels = pipeline.bad_pixels
     report.warnings = source.warnings() + _network_warnings(pipeline)
     report.milliseconds = {name: total / max(report.extrapolated, 1) for name, total in timings.items()}
+    network = timings.pop("network", 0.0) * 1e-3
+    report.seconds = {
+        "wall": perf_counter() - start,
+        "kernels": sum(timings.values()) * 1e-3,
+        "network": network,
+        "codec_cpu": codec_seconds() - codec,
+    }
     return report
 
 
@@ -128,7 +145,8 @@ def output_channels(
     (pixels, into the source frame as displayed) where it was rendered through another window."""
     motion = extrapolated.numpy("motion")
     dtype = np.float32 if color_dtype == np.float32 else np.float16
-    channels = named_channels(extrapolated.numpy("color").astype(dtype), extrapolated.numpy("depth"), motion)
+    color = extrapolated.numpy("color").astype(dtype, copy=False)
+    channels = named_channels(color, extrapolated.numpy("depth"), motion)
     channels |= {channel: extrapolated.numpy(name) for channel, name in MASKS.items()}
     if render_camera != display_camera:
         height, width = motion.shape[:2]

@@ -22,6 +22,7 @@ from gffe_cl.sequence import (
     refuse_same_folder,
     require_clean,
 )
+from gffe_cl.sequence.read_ahead import usable_cores
 from gffe_cl.stages.presentation import present
 from gffe_cl.window import WindowChooser
 
@@ -93,8 +94,13 @@ class Recorded:
                 require_clean(entry.file, packed.bad)
             return frame, packed
 
+        return self._cut_frames(
+            self.sequence.prefetch(self.sequence.rendered, read=read, ahead=2 + usable_cores() // 4)
+        )
+
+    def _cut_frames(self, whole):
         before = None
-        for entry, (frame, packed) in self.sequence.prefetch(self.sequence.rendered, read=read):
+        for entry, (frame, packed) in whole:
             if not self._cut:
                 yield entry, frame, packed
                 continue

@@ -1,15 +1,20 @@
 """Fixtures: every usable OpenCL device once (`GFFE_DEVICE` narrows the choice); the weights of the package are hidden,
-so that nothing hangs on them but the tests of themselves (test_quality.py)."""
+so that nothing hangs on them but the tests of themselves (test_quality.py). What is known of devices is found out anew
+by each run, and kept from the user's cache."""
 
 import functools
 import os
 import sys
+import tempfile
 
 import pytest
 
 from gffe_cl import inference
 from gffe_cl.cli import main
 from gffe_cl.opencl.device import list_devices, open_info, select
+
+_cache = tempfile.TemporaryDirectory(prefix="gffe-tests-")  # children of tests share it
+os.environ["GFFE_DEVICE_CACHE"] = _cache.name
 
 
 @functools.cache

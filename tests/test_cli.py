@@ -86,6 +86,33 @@ def test_run_and_compare(gffe, scene, tmp_path):
     assert gffe("compare", out, scene, "--mask", "mask.dynamic")[0] == 0
 
 
+def test_run_says_what_it_spent(gffe, scene, tmp_path):
+    """In seconds: at its end, and as figures."""
+    code, text, _ = gffe("run", scene, tmp_path / "out", "--json", tmp_path / "run.json")
+    assert code == 0
+    assert re.search(r"s: kernels \d+\.\d, network \d+\.\d, meanwhile EXRs \d+\.\d of CPU time on \d+ cores", text)
+    spent = json.loads((tmp_path / "run.json").read_text())["seconds"]
+    assert list(spent) == ["wall", "kernels", "network", "codec_cpu"]
+    assert spent["wall"] > spent["kernels"] > 0 and spent["codec_cpu"] > 0
+
+
+def test_compression_is_chosen(gffe, scene, tmp_path):
+    def compressions(folder):
+        paths = sorted(folder.glob("extrapolated_*.exr") if folder.name == "out" else folder.glob("*.exr"))
+        return {OpenEXR.File(str(path), header_only=True).header()["compression"] for path in paths}
+
+    assert gffe("run", scene, tmp_path / "out", "--compression", "rle", "--no-scn")[0] == 0
+    assert compressions(tmp_path / "out") == {OpenEXR.RLE_COMPRESSION}
+    assert gffe("run", scene, tmp_path / "out", "--no-scn")[0] == 0
+    assert compressions(tmp_path / "out") == {OpenEXR.ZIP_COMPRESSION}
+    options = ("--size", "32x18", "--frames", "2", "--compression", "none")
+    assert gffe("render", "plaza", tmp_path / "rendered", *options)[0] == 0
+    assert compressions(tmp_path / "rendered") == {OpenEXR.NO_COMPRESSION}
+    code, _, err = gffe("run", scene, tmp_path / "jpeg", "--compression", "jpeg")
+    assert code == 2 and "compression must be one of none, rle, zips, zip" in err and "got 'jpeg'" in err
+    assert not (tmp_path / "jpeg").exists()
+
+
 def test_output_can_be_fed_on(gffe, scene, tmp_path):
     assert gffe("run", scene, tmp_path / "a")[0] == 0
     assert gffe("run", tmp_path / "a", tmp_path / "b", "-n", "2")[0] == 0

@@ -5,7 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ import pytest
 
 from gffe_cl import GffeError
 from gffe_cl.opencl import device as device_module
-from gffe_cl.opencl import runtimes
+from gffe_cl.opencl import probing, runtimes
 from gffe_cl.opencl.device import DeviceInfo, best_of, select
 from gffe_cl.opencl.program import build, expand, kernel_folder
 from gffe_cl.opencl.runtimes import only_vendors, vendors
@@ -39,6 +39,17 @@ def test_selection():
     assert best_of([POCL, INTEL]) is INTEL and best_of([POCL, INTEL, GPU]) is GPU
 
 
+def test_noise_does_not_choose_the_default():
+    for factor in (0.7, 1, 1.4):
+        as_fast = replace(POCL, megapixels_per_second=factor * INTEL.megapixels_per_second)
+        assert best_of([as_fast, INTEL]) is INTEL and best_of([INTEL, as_fast]) is INTEL
+        again = replace(INTEL, index="1:1", megapixels_per_second=as_fast.megapixels_per_second)
+        assert best_of([POCL, INTEL, again]) is INTEL
+    clearly_faster = replace(POCL, megapixels_per_second=1.6 * INTEL.megapixels_per_second)
+    assert best_of([clearly_faster, INTEL]) is clearly_faster
+    assert best_of([clearly_faster, INTEL, GPU]) is GPU
+
+
 def test_a_crashing_driver_is_blamed_and_survived(monkeypatch):
     """The child dies at the second of three devices: that one is marked, the others are probed."""
     calls = []
@@ -58,8 +69,8 @@ def test_a_crashing_driver_is_blamed_and_survived(monkeypatch):
             lines.append(json.dumps(asdict(device)))
         return subprocess.CompletedProcess(command, code, "\n".join(lines), "")
 
-    monkeypatch.setattr(device_module.subprocess, "run", child)
-    found = {d.index: d for d in device_module.list_devices()}
+    monkeypatch.setattr(probing.subprocess, "run", child)
+    found = {d.index: d for d in device_module.list_devices(refresh=True)}
     assert found["0:0"].works and found["2:0"].works and not found["1:0"].works
     assert "crashed" in found["1:0"].problem and len(calls) == 2
 
@@ -171,7 +182,7 @@ def test_files_of_the_working_folder_do_not_disturb_probing(tmp_path, monkeypatc
     for name in ("copy", "json", "select", "numpy"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit('not the module that was meant')\n")
     monkeypatch.chdir(tmp_path)
-    infos = device_module.list_devices()
+    infos = device_module.list_devices(refresh=True)
     assert infos and all(info.index != "–" for info in infos)
 
 

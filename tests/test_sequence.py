@@ -11,7 +11,7 @@ from tiny_sequence import H, W, camera, contiguous, edit, pixels, write
 
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
-from gffe_cl.frame import BadPixels, pack_frame
+from gffe_cl.frame import BadPixels, RenderedFrame, pack_frame
 from gffe_cl.sequence import (
     FrameEntry,
     SequenceWriter,
@@ -22,6 +22,7 @@ from gffe_cl.sequence import (
 from gffe_cl.sequence.checks import zero_motion_warning
 from gffe_cl.sequence.exr_header import ExrPart
 from gffe_cl.sequence.header_camera import camera_attributes, header_cameras
+from gffe_cl.sequence.read_ahead import read_ahead
 
 
 @pytest.fixture
@@ -252,3 +253,39 @@ def test_prefetch_stops_with_its_consumer(folder):
     reading.close()
     assert len(started) <= 4
     assert not [t for t in threading.enumerate() if t.name.startswith("gffe-read")]
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
+def test_bad_pixels_of_every_type(dtype):
+    """Colours beyond half or not finite, in any channel, whether few or none."""
+    rng = np.random.default_rng(1)
+    most = np.finfo(np.float16).max
+    beyond = [value for value in (1e5, -1e5) if dtype != np.float16]
+    for bad in ((), (np.nan,), (np.inf,), (-np.inf,), *((value,) for value in beyond), (np.nan, np.inf, *beyond)):
+        for channels in (3, 4):
+            color = rng.uniform(-1, 1, (5, 7, channels)).astype(dtype)
+            color[0, 0, 0], color[0, 1, 1] = most, -most
+            expected = color[..., :3].astype(np.float64)
+            for k, value in enumerate(bad):
+                color[1 + k, 2, k % 3] = value
+                expected[1 + k, 2, k % 3] = np.clip(np.nan_to_num(value), -most, most)
+            frame = RenderedFrame(color, np.ones((5, 7), np.float32), np.zeros((5, 7, 2), np.float32), None, 0.0)
+            packed = pack_frame(frame, 5, 7)
+            clamped = sum(map(np.isfinite, bad))
+            assert packed.bad == BadPixels(color=len(bad) - clamped, clamped=clamped)
+            assert np.array_equal(packed.color[..., :3], expected.astype(np.float16)) and not packed.color[..., 3].any()
+
+
+def test_bad_depth_and_motion_are_counted():
+    depth, motion = np.ones((5, 7), np.float32), np.zeros((5, 7, 2), np.float32)
+    depth[0, :4] = np.nan, 0, -1, np.inf  # the last one is sky
+    motion[2, 0], motion[2, 1, 1], motion[2, 2, 0] = np.nan, np.inf, -np.inf
+    frame = RenderedFrame(np.zeros((5, 7, 3), np.float16), depth, motion, None, 0.0)
+    assert pack_frame(frame, 5, 7).bad == BadPixels(depth=3, motion=3)
+
+
+def test_reading_ahead_starts_at_once():
+    started = threading.Event()
+    ahead = read_ahead([1, 2, 3], lambda item: started.set() or 10 * item)
+    assert started.wait(5)
+    assert list(ahead) == [(1, 10), (2, 20), (3, 30)]

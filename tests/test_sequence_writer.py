@@ -7,6 +7,7 @@ import resource
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -25,6 +26,7 @@ from gffe_cl.sequence import (
     refuse_same_folder,
 )
 from gffe_cl.sequence import exr as exr_module
+from gffe_cl.sequence import writer as writer_module
 from gffe_cl.sequence.exr_header import read_header
 from gffe_cl.sequence.folder import OutputFolder
 
@@ -338,3 +340,98 @@ def test_header_of_written_file(folder):
         **dict.fromkeys(["Z", "motion.x", "motion.y"], "float32"),
     }
     assert set(part.matrices) == {"worldToCamera", "worldToNDC"}
+
+
+# ---- compression --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("compression", exr_module.COMPRESSIONS)
+def test_compressions(tmp_path, compression):
+    """Whatever is chosen is what the file says; only dwaa and dwab change a bit, and of colours only."""
+    color, depth, motion = pixels(0)
+    with SequenceWriter(tmp_path / "out", W, H, 30, compression=compression) as writer:
+        writer.add(rendered(0), named_channels(color, depth, motion))
+    sequence = open_sequence(tmp_path / "out")
+    entry = sequence.frames[0]
+    stored = OpenEXR.File(str(tmp_path / "out" / entry.file), header_only=True).header()["compression"]
+    assert stored == getattr(OpenEXR, f"{'NO' if compression == 'none' else compression.upper()}_COMPRESSION")
+    frame = sequence.read(entry)
+    assert np.array_equal(frame.depth, depth) and np.array_equal(frame.motion, motion)
+    if compression.startswith("dwa"):
+        np.testing.assert_allclose(frame.color, color, rtol=0.2, atol=0.2)
+    else:
+        assert np.array_equal(frame.color, color)
+
+
+def test_unknown_compressions_are_refused(tmp_path, monkeypatch):
+    with pytest.raises(GffeError, match=r"compression must be one of none, rle, .*, got 'jpeg'"):
+        SequenceWriter(tmp_path, W, H, 30, compression="jpeg")
+    monkeypatch.delattr(OpenEXR, "HTJ2K256_COMPRESSION", raising=False)
+    with pytest.raises(GffeError, match="'htj2k256' needs a newer OpenEXR"):
+        SequenceWriter(tmp_path, W, H, 30, compression="htj2k256")
+
+
+def test_types_of_stored_channels():
+    """As NumPy converts them; a copy unless the array may be kept."""
+    rng = np.random.default_rng(2)
+    image = rng.uniform(0, 255, (7, 5, 3))
+    for dtype in (np.float16, np.float32, np.float64, np.uint8, np.bool_, np.uint32):
+        for array in (image[..., 0].astype(dtype), np.moveaxis(image.astype(dtype), -1, 0)[1], image[::2, ::2, 0] > 99):
+            small = array.dtype in (np.float16, np.uint8, np.bool_)
+            expected = np.float16 if small else np.uint32 if array.dtype == np.uint32 else np.float32
+            for copy in (True, False):
+                stored = exr_module.stored_type("mask.dynamic", array, copy)
+                assert stored.dtype == expected and np.array_equal(stored, array.astype(expected))
+                assert stored.flags.c_contiguous and not (copy and np.may_share_memory(stored, array))
+                assert exr_module.stored_type("Z", array, copy).dtype == np.float32
+
+
+def test_what_is_not_owned_is_copied_at_once(tmp_path):
+    color, depth, motion = (np.array(array) for array in pixels(0))
+    with SequenceWriter(tmp_path / "out", W, H, 30, threads=1) as writer:
+        for k in range(4):
+            depth[:] = k + 1
+            writer.add(rendered(k), named_channels(color, depth, motion))
+            writer.add(
+                FrameEntry(f"owned_{k}.exr", rendered(k).time + 1e-3, "extrapolated"),
+                {name: np.full((H, W), k, np.float32) for name in "RGB"},
+                owned=True,
+            )
+    sequence = open_sequence(tmp_path / "out")
+    assert [sequence.read(entry).depth.max() for entry in sequence.rendered] == [1, 2, 3, 4]
+    assert [sequence.read_color(entry).max() for entry in sequence.extrapolated] == [0, 1, 2, 3]
+
+
+def test_frames_under_way_are_few(tmp_path, monkeypatch):
+    """As many as there are threads and a few more, or as fit into memory; `add` waits for the rest."""
+    now, most, lock = [0], [0], threading.Lock()
+    really = exr_module.write_channels
+
+    def slowly(*arguments):
+        with lock:
+            now[0] += 1
+            most[0] = max(most[0], now[0])
+        time.sleep(0.02)
+        really(*arguments)
+        with lock:
+            now[0] -= 1
+
+    monkeypatch.setattr(exr_module, "write_channels", slowly)
+    for threads, budget, allowed in ((3, 1 << 30, 3), (3, 1, 1), (1, 1 << 30, 1)):
+        most[0] = 0
+        monkeypatch.setattr(writer_module, "_MOST_BYTES", budget)
+        with SequenceWriter(tmp_path / "out", W, H, 30, threads=threads) as writer:
+            for k in range(6):
+                writer.add(rendered(k), named_channels(*pixels(k)))
+                assert len(writer._pending) <= (1 if budget == 1 else threads + 2)
+        assert most[0] == allowed
+
+
+def test_cpu_time_in_the_library_is_counted(tmp_path):
+    before = exr_module.codec_seconds()
+    write(tmp_path / "out", 3)
+    between = exr_module.codec_seconds()
+    sequence = open_sequence(tmp_path / "out")
+    assert between > before
+    sequence.read(sequence.frames[0])
+    assert exr_module.codec_seconds() > between

@@ -51,6 +51,13 @@ JsonOption = Annotated[
 ]
 
 
+CompressionOption = Annotated[
+    str,
+    typer.Option(
+        "--compression",
+        help="Of new EXRs: none, rle, zips, zip, piz, htj2k256; dwaa and dwab approximate the colours.",
+    ),
+]
 WindowOption = Annotated[
     str, typer.Option("--window", help="Rendering window: adaptive, fixed:1.2 (times the display) or off.")
 ]

@@ -10,6 +10,7 @@ import typer
 from rich.table import Table
 
 from gffe_cl.cli.common import (
+    CompressionOption,
     DeviceOption,
     JsonOption,
     WindowOption,
@@ -36,6 +37,9 @@ if TYPE_CHECKING:
 @app.command()
 def devices(
     kind: Annotated[str | None, typer.Option(help="Only devices of this kind: gpu, cpu or other.")] = None,
+    refresh: Annotated[
+        bool, typer.Option("--refresh", help="Probe them anew, whatever is known of them from before.")
+    ] = False,
     json_path: JsonOption = None,
 ) -> None:
     """List every OpenCL device: whether a kernel really runs on it, and what it lacks."""
@@ -43,7 +47,7 @@ def devices(
 
     from gffe_cl.opencl.device import HOW_TO_GET_ONE, best_of, list_devices
 
-    infos = [info for info in list_devices() if kind in (None, info.kind)]
+    infos = [info for info in list_devices(refresh) if kind in (None, info.kind)]
     table = Table("", "index", "device", "platform", "kernel runs", "lacks", box=None, header_style="bold")
     working = [info for info in infos if info.works]
     default = best_of(working) if working else None
@@ -59,7 +63,7 @@ def devices(
     if infos:
         out.print(table)
     if default:
-        out.print("* the default; choose another with --device or GFFE_DEVICE")
+        out.print("* the default; choose another with --device or GFFE_DEVICE (--refresh probes anew)")
     write_json(json_path, {"devices": [asdict(i) | {"default": i is default} for i in infos]})
     if not working:
         raise GffeError(f"no OpenCL device{f' of kind {kind}' if kind else ''} runs a kernel: {HOW_TO_GET_ONE}")
@@ -124,6 +128,7 @@ def render(
             help="Rendering window: adaptive (covers frames in between, see -n), fixed:1.2 (times the display) or off."
         ),
     ] = "off",
+    compression: CompressionOption = "zip",
     device: DeviceOption = None,
 ) -> None:
     """Render a built-in scene to a sequence: colour, depth, motion vectors and cameras."""
@@ -138,7 +143,7 @@ def render(
         total = frames * (1 + per_frame * ground_truth)
         count = render_sequence(
             built, output, opened, width, height, frames, fps,
-            ground_truth=ground_truth, per_frame=per_frame, samples=samples, window=window,
+            ground_truth=ground_truth, per_frame=per_frame, samples=samples, window=window, compression=compression,
             on_frame=steps(progress)(f"Rendering '{scene}'", total),
         )  # fmt: skip
     out.print(f"{count} frames in {plain(output)}")
@@ -179,6 +184,7 @@ def run(
         float | None, typer.Option(help="Of a built-in scene: rendered frames per second [dim](default 30)[/].")
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Of a built-in scene: its variation [dim](default 0)[/].")] = None,
+    compression: CompressionOption = "zip",
     json_path: JsonOption = None,
     *,
     options: Options,
@@ -197,7 +203,7 @@ def run(
     with progress_bars() as progress:
         report = run_sequence(
             source, output, opened, options, alphas,
-            predicted_camera=camera == "predicted", strict=strict, dump_stages=dump_stages,
+            predicted_camera=camera == "predicted", strict=strict, dump_stages=dump_stages, compression=compression,
             on_frame=steps(progress)("Extrapolating", source.count * len(alphas)),
         )  # fmt: skip
     _print_report(report, output)
@@ -227,12 +233,19 @@ def _open_source(
 
 
 def _print_report(report: RunReport, output: Path) -> None:
+    from gffe_cl.sequence.read_ahead import usable_cores
+
     for warning in report.warnings:
         warn(warning)
     if report.bad_pixels:
         warn(f"bad pixels in the input, survived: {report.bad_pixels}")
     times = ", ".join(f"{name} {ms:.1f}" for name, ms in report.milliseconds.items() if ms)
     out.print(f"{report.extrapolated} extrapolated frames in {plain(output)} (ms per frame: {times})")
+    spent = report.seconds
+    out.print(
+        f"{spent['wall']:.1f} s: kernels {spent['kernels']:.1f}, network {spent['network']:.1f}, meanwhile EXRs"
+        f" {spent['codec_cpu']:.1f} of CPU time on {usable_cores()} cores"
+    )
 
 
 def _report_json(report: RunReport, info: DeviceInfo) -> dict:
@@ -241,6 +254,7 @@ def _report_json(report: RunReport, info: DeviceInfo) -> dict:
         "device": info.name,
         "platform": info.platform,
         "milliseconds": report.milliseconds,
+        "seconds": report.seconds,
         "bad_pixels": vars(report.bad_pixels),
         "warnings": report.warnings,
     }

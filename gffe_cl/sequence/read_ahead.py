@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import islice
 
 
+def usable_cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def read_ahead(items: Iterable, function: Callable, ahead: int = 2) -> Iterator[tuple]:
-    """Yield (item, function(item)) in order, `function` running on threads for the next `ahead`.
+    """Yield (item, function(item)) in order, `function` running on threads for the next `ahead`, from now on.
 
     An exception of `function` is raised when its item's turn comes. Leaving the loop (break, exception,
     Ctrl-C) drops what was not started and waits for what was.
@@ -17,8 +23,12 @@ def read_ahead(items: Iterable, function: Callable, ahead: int = 2) -> Iterator[
     ahead = max(1, ahead)
     items = iter(items)
     pool = ThreadPoolExecutor(ahead, thread_name_prefix="gffe-read")
+    pending = deque((item, pool.submit(function, item)) for item in islice(items, ahead))
+    return _in_order(items, function, pool, pending)
+
+
+def _in_order(items: Iterator, function: Callable, pool: ThreadPoolExecutor, pending: deque) -> Iterator[tuple]:
     try:
-        pending = deque((item, pool.submit(function, item)) for item in islice(items, ahead))
         while pending:
             item, future = pending.popleft()
             result = future.result()

@@ -18,7 +18,11 @@ from gffe_cl.sequence import exr
 from gffe_cl.sequence.description import KINDS, Description, FrameEntry, describe, parse_description
 from gffe_cl.sequence.folder import GENERATOR, OutputFolder
 from gffe_cl.sequence.header_camera import camera_attributes
+from gffe_cl.sequence.read_ahead import usable_cores
 from gffe_cl.values import require_exposure
+
+_WAITING = 2  # frames, besides those that are being compressed
+_MOST_BYTES = 2 << 30  # of frames under way
 
 
 class SequenceWriter:
@@ -32,10 +36,13 @@ class SequenceWriter:
         Display size in pixels.
     fps, exposure : float
         Exposure from 1e-6 to 1e6.
-    threads : int
-        EXRs are compressed on so many threads; `add` waits while twice as many frames are under way.
+    threads : int or None
+        EXRs are compressed on so many threads, by default one for each processor core; `add` waits while many more
+        frames than that are under way.
     generator : str
         Who writes; only an earlier output of the same generator is replaced.
+    compression : str
+        Of the EXRs: none, rle, zips, zip, piz, htj2k256, dwaa or dwab. All but the last two keep every bit.
 
     Frames are written into a folder of their own and come to `path`, with `sequence.json`, when the context is left:
     until then an earlier output stays as it was. Left by KeyboardInterrupt, `sequence.json` lists the frames that were
@@ -53,8 +60,9 @@ class SequenceWriter:
         height: int,
         fps: float,
         exposure: float = 1.0,
-        threads: int = 2,
+        threads: int | None = None,
         generator: str = GENERATOR,
+        compression: str = exr.DEFAULT_COMPRESSION,
     ):
         self.path = Path(path)
         self._description = Description(int(width), int(height), float(fps), require_exposure(exposure), [])
@@ -62,7 +70,9 @@ class SequenceWriter:
         self._folder = OutputFolder(self.path, generator)
         self._pending: deque = deque()
         self._times: set[float] = set()
-        self._threads = max(1, threads)
+        self._bytes = 0  # of the channels under way
+        self._compression = exr.require_compression(compression)
+        self._threads = max(1, usable_cores() if threads is None else threads)
         self._pool: ThreadPoolExecutor | None = None
         self._kept: str | None = None
 
@@ -71,8 +81,9 @@ class SequenceWriter:
         self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="gffe-write")
         return self
 
-    def add(self, entry: FrameEntry, channels: dict[str, np.ndarray]) -> None:
-        """Write the frame `entry` from `channels`: channel name → (H, W) array, copied before this returns.
+    def add(self, entry: FrameEntry, channels: dict[str, np.ndarray], *, owned: bool = False) -> None:
+        """Write the frame `entry` from `channels`: channel name → (H, W) array, copied before this returns, or later
+        if they are `owned` by the writer from now on.
 
         Half stays half, masks of bool and uint8 become half, `Z` and `motion.*` float32. (H, W) is the
         entry's render size, else the display size.
@@ -80,14 +91,18 @@ class SequenceWriter:
         if entry.kind == "rendered" and entry.render_camera is None:
             raise GffeError(f"{entry.file}: no render_camera (rendered frames need one)")
         width, height = self._size_of(entry)
-        stored = {}
         for name, array in channels.items():
             if np.shape(array) != (height, width):
                 shape = f"({height}, {width}), got {np.shape(array)}"
                 raise GffeError(f"{entry.file}: channel '{name}' must have shape {shape}")
-            stored[name] = exr.stored_type(name, array)
+        given = channels if owned else {name: exr.stored_type(name, array) for name, array in channels.items()}
         attributes = self._attributes(entry)
-        self._submit(entry, lambda path: exr.write_channels(path, stored, attributes))
+
+        def write(path: Path) -> None:
+            stored = {name: exr.stored_type(name, array, copy=False) for name, array in given.items()}
+            exr.write_channels(path, stored, attributes, self._compression)
+
+        self._submit(entry, write, sum(np.asarray(array).nbytes for array in given.values()))
 
     def link(self, entry: FrameEntry, source_path) -> None:
         """Let the frame `entry` be the existing EXR file `source_path`: a hard link, or else a copy."""
@@ -126,7 +141,7 @@ class SequenceWriter:
     def _finish(self, interrupted: bool) -> None:
         while self._pending:
             try:
-                self._pending[0].result()
+                self._pending[0][0].result()
             except (GffeError, OSError):
                 if not interrupted:
                     raise
@@ -148,11 +163,13 @@ class SequenceWriter:
         self._pool.shutdown(wait=True, cancel_futures=True)
         self._pending.clear()
 
-    def _submit(self, entry: FrameEntry, write) -> None:
+    def _submit(self, entry: FrameEntry, write: Callable[[Path], None], nbytes: int = 0) -> None:
         if self._pool is None:
             raise GffeError(f"{self.path}: not open (use `with SequenceWriter(…) as writer:`)")
-        while self._pending and (self._pending[0].done() or len(self._pending) >= 2 * self._threads):
-            self._pending.popleft().result()
+        while self._pending and (self._pending[0][0].done() or self._is_busy(nbytes)):
+            future, held = self._pending.popleft()
+            self._bytes -= held
+            future.result()
         entry = replace(entry)
         if not np.isfinite(entry.time) or (entry.kind != "extrapolated" and entry.time in self._times):
             raise GffeError(f"{entry.file}: time {entry.time:g} s (expected a finite one of its own)")
@@ -167,7 +184,11 @@ class SequenceWriter:
                 raise GffeError(f"{path}: cannot be written ({error.strerror or error})") from None
             self._description.frames.append(entry)
 
-        self._pending.append(self._pool.submit(job))
+        self._pending.append((self._pool.submit(job), nbytes))
+        self._bytes += nbytes
+
+    def _is_busy(self, nbytes: int) -> bool:
+        return len(self._pending) >= self._threads + _WAITING or self._bytes + nbytes > _MOST_BYTES
 
     def _size_of(self, entry) -> tuple[int, int]:
         return entry.render_size or (self._description.width, self._description.height)

@@ -1,0 +1,149 @@
+"""What probing found, kept for later processes: it takes half a second, and its figures hang on what else the machine
+does.
+
+There is one file for each state of drivers and machine (`fingerprint`), in the cache folder or in that which
+`GFFE_DEVICE_CACHE` names; nothing is kept where that is "off". A folder that cannot be read or written is no error.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import time
+from contextlib import suppress
+from dataclasses import asdict, fields
+from pathlib import Path
+
+import pyopencl as cl
+
+from gffe_cl.opencl import probing
+from gffe_cl.opencl.probing import DeviceInfo, Probed
+from gffe_cl.opencl.runtimes import HIDE_INSTALLED, cache_folder, installed_runtimes_are_exposed, vendors
+
+_FOLDER = "GFFE_DEVICE_CACHE"
+_NAME = "devices-{}.json"
+_MOST_FILES = 16
+_HOUR = 3600.0
+# What drivers are told by the environment, and where their libraries come from.
+_TOLD = (
+    "CL_", "CUDA_", "GPU_", "HIP_", "HSA_", "MESA_", "NEO", "NVIDIA_", "OCL_", "OCLGRIND_", "ONEAPI_", "OPENCL_",
+    "POCL_", "ROCR_", "RUSTICL_", "SYCL_", "ZE_", "LD_PRELOAD", "LD_LIBRARY_PATH", HIDE_INSTALLED,
+)  # fmt: skip
+_NODES = ("/dev/dri/*", "/dev/nvidia*", "/dev/kfd", "/dev/dxg", "/dev/mali*")
+_KERNEL_DRIVERS = ("/proc/driver/nvidia/version", "/sys/module/amdgpu/version", "/sys/module/i915/srcversion")
+_LIBRARIES = ("/usr/lib/*-linux-gnu*", "/usr/lib64", "/usr/lib", "/usr/local/lib*")
+
+
+def fingerprint() -> str:
+    """Of all that probing hangs on: drivers and their libraries, variables that they read, the machine."""
+    facts = [
+        hashlib.sha256(Path(probing.__file__).read_bytes()).hexdigest(),
+        cl.VERSION_TEXT,
+        installed_runtimes_are_exposed(),
+        [(icd.name, _text(icd), _stamps(_text(icd))) for icd in vendors()],
+        sorted((name, value) for name, value in os.environ.items() if name.startswith(_TOLD)),
+        (platform.node(), platform.release(), platform.machine(), os.cpu_count(), _processor()),
+        [(str(node), os.access(node, os.R_OK | os.W_OK)) for node in _matching(_NODES)],
+        [_text(Path(path)) for path in _KERNEL_DRIVERS],
+        _stamp(Path("/etc/ld.so.cache")),
+    ]
+    return hashlib.sha256(repr(facts).encode("utf-8", "surrogateescape")).hexdigest()[:24]
+
+
+def recall(key: str) -> Probed | None:
+    """What was kept as `key`; None if nothing was. What did not work is tried again after an hour, and everything after
+    a day where drivers cannot be told apart by their files."""
+    folder = _folder()
+    if folder is None:
+        return None
+    try:
+        document = json.loads((folder / _NAME.format(key)).read_text("utf-8"))
+        age = time.time() - float(document["time"])
+        found = Probed(
+            [_device(device) for device in document["devices"]],
+            {str(icd): _device(device) for icd, device in document["crashing"].items()},
+        )
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None
+    broken = found.crashing or not found.devices or not all(device.works for device in found.devices)
+    longest = _HOUR if broken else float("inf") if vendors() else 24 * _HOUR
+    return found if 0 <= age <= longest else None
+
+
+def keep(key: str, found: Probed) -> None:
+    """Let later processes recall `found` as `key`."""
+    folder = _folder()
+    if folder is None:
+        return
+    document = {
+        "time": time.time(),
+        "devices": [asdict(device) for device in found.devices],
+        "crashing": {icd: asdict(device) for icd, device in found.crashing.items()},
+    }
+    partial = folder / f".{key}.{os.getpid()}.partial"
+    with suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            partial.write_text(json.dumps(document, indent=1), "utf-8")
+            partial.replace(folder / _NAME.format(key))
+        finally:
+            with suppress(OSError):
+                partial.unlink()
+        kept = sorted(folder.glob(_NAME.format("*")), key=lambda path: path.stat().st_mtime, reverse=True)
+        for path in kept[_MOST_FILES:]:
+            path.unlink(missing_ok=True)
+
+
+def _folder() -> Path | None:
+    chosen = os.environ.get(_FOLDER)
+    if chosen:
+        return None if chosen == "off" else Path(chosen)
+    with suppress(OSError):
+        return cache_folder()
+    return None
+
+
+def _device(document: dict) -> DeviceInfo:
+    """TypeError unless the fields are of the types that they are described as."""
+    info = DeviceInfo(**document)
+    for name, value in ((field.name, getattr(info, field.name)) for field in fields(DeviceInfo)):
+        kind = {"works": bool, "lacks": list, "megapixels_per_second": (int, float)}.get(name, str)
+        if not isinstance(value, kind):
+            raise TypeError(name)
+    return info
+
+
+def _stamps(library: str) -> list:
+    """Of the files that the library of an `.icd` file may be."""
+    if not library:
+        return []
+    if "/" in library:
+        return [_stamp(Path(library))]
+    folders = os.environ.get("LD_LIBRARY_PATH", "").split(":")
+    return [_stamp(folder / library) for folder in (*map(Path, filter(None, folders)), *_matching(_LIBRARIES))]
+
+
+def _stamp(path: Path) -> tuple | None:
+    with suppress(OSError):
+        facts = path.stat()
+        return str(path), facts.st_mtime_ns, facts.st_size
+    return None
+
+
+def _matching(patterns: tuple[str, ...]) -> list[Path]:
+    with suppress(OSError):
+        return [path for pattern in patterns for path in sorted(Path("/").glob(pattern.removeprefix("/")))]
+    return []
+
+
+def _text(path: Path) -> str:
+    with suppress(OSError), open(path, encoding="utf-8", errors="replace") as file:
+        return file.read(4096).strip()
+    return ""
+
+
+def _processor() -> str:
+    lines = _text(Path("/proc/cpuinfo")).splitlines()
+    return next((line for line in lines if line.startswith("model name")), platform.processor())

@@ -1,0 +1,233 @@
+"""Probing OpenCL devices, in a child process: a driver may crash there.
+
+A device counts only after a kernel has been built and run on it. A driver that crashes while its devices are listed is
+found by listing each vendor's in a child of its own, and left out.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+import warnings
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import pyopencl as cl
+
+from gffe_cl.opencl.runtimes import (
+    HIDE_INSTALLED,
+    VENDORS,
+    hide_vendors,
+    installed_runtimes_are_exposed,
+    only_vendors,
+    vendors,
+)
+
+_PROBE_SECONDS = 120
+_LIST_SECONDS = 30  # of one vendor
+_RANKING_SECONDS = 0.1  # of repeating the probe kernel: other processes disturb single runs
+_PROBED = "probed"  # last line of a child: what happens after it is no device's fault
+
+
+@dataclass
+class DeviceInfo:
+    """What probing found out about one OpenCL device."""
+
+    index: str  # "platform:device"; "–" of a driver that crashes before it has told its devices
+    name: str
+    platform: str
+    version: str  # of the platform; names PoCL, which calls itself "Portable Computing Language"
+    driver: str
+    kind: str  # "gpu", "cpu" or "other"
+    works: bool = False
+    problem: str = ""  # why it does not work
+    lacks: list[str] = field(default_factory=list)
+    megapixels_per_second: float = 0.0  # of the probe kernel; only for ranking
+
+
+@dataclass
+class Probed:
+    """What probing found: `devices` as they can be listed once the vendors `crashing`, by the names of their `.icd`
+    files, are hidden."""
+
+    devices: list[DeviceInfo] = field(default_factory=list)
+    crashing: dict[str, DeviceInfo] = field(default_factory=dict)
+
+
+def probe() -> Probed:
+    """Probe every OpenCL device. A driver that crashes or hangs while its devices are listed is hidden, from this
+    process too."""
+    found, failure = _probe_in_child()
+    if not failure:
+        return Probed(found)
+    crashing = _crashing_vendors()
+    if not crashing:  # none does alone
+        return Probed([DeviceInfo("–", "unknown", "all drivers together", "", "", "other", problem=failure)])
+    hide_vendors(set(crashing))
+    return Probed(_probe_in_child()[0], crashing)
+
+
+def _cl_devices() -> list[tuple[str, cl.Platform, cl.Device]]:
+    found = []
+    try:
+        platforms = cl.get_platforms()
+    except cl.Error:
+        return found
+    for p, platform in enumerate(platforms):
+        try:
+            devices = platform.get_devices()
+        except cl.Error:
+            continue
+        found += [(f"{p}:{d}", platform, device) for d, device in enumerate(devices)]
+    return found
+
+
+def _probe_in_child() -> tuple[list[DeviceInfo], str]:
+    """Probe in child processes; when one dies, blame the device it was at and go on after it. The devices, and why they
+    could not be listed ("" if they could)."""
+    found: dict[str, DeviceInfo] = {}
+    while True:
+        output, failure = _run_child(sorted(found), _PROBE_SECONDS)
+        current = None
+        for line in output.splitlines():
+            if line.startswith("{"):
+                info = DeviceInfo(**json.loads(line))
+                found[info.index] = info
+                current = None if info.works or info.problem else info
+        if not failure or current is None:
+            failure = "" if _PROBED in output.splitlines() else failure
+            return sorted(found.values(), key=lambda info: info.index), failure
+        current.problem = failure
+
+
+def _crashing_vendors() -> dict[str, DeviceInfo]:
+    """The vendors whose devices cannot be listed, by the name of their `.icd` file; each is tried alone."""
+    crashing = {}
+    for icd in vendors():
+        output, failure = _run_child(["--list"], _LIST_SECONDS, {VENDORS: str(only_vendors([icd]))})
+        if _PROBED not in output.splitlines():
+            library = icd.read_text().strip()
+            problem = f"{failure} while it is listed: {library} is left out"
+            crashing[icd.name] = DeviceInfo("–", Path(library).name, icd.name, "", "", "other", problem=problem)
+    return crashing
+
+
+def _run_child(arguments: list[str], seconds: float, variables: dict[str, str] | None = None) -> tuple[str, str]:
+    """What this module prints as a program, and how it failed ("" if it did not)."""
+    # Without the working folder on the path, where a file may have the name of a module of Python's.
+    run = "runpy.run_module('gffe_cl.opencl.probing', None, '__main__', True)"
+    start = f"import runpy, sys; sys.path.append({str(Path(__file__).parents[2])!r}); {run}"
+    command = [sys.executable, "-P", "-c", start, *arguments]
+    hidden = {} if installed_runtimes_are_exposed() else {HIDE_INSTALLED: "1"}
+    environment = os.environ | hidden | (variables or {})
+    try:
+        child = subprocess.run(command, capture_output=True, text=True, timeout=seconds, env=environment)
+    except subprocess.TimeoutExpired as error:
+        output = error.stdout.decode() if isinstance(error.stdout, bytes) else (error.stdout or "")
+        return output, f"driver hangs ({seconds:g} s)"
+    return child.stdout, f"driver crashed (exit code {child.returncode})" if child.returncode else ""
+
+
+def _probe(index: str, platform: cl.Platform, device: cl.Device) -> None:
+    kind = "gpu" if device.type & cl.device_type.GPU else "cpu" if device.type & cl.device_type.CPU else "other"
+    info = DeviceInfo(
+        index,
+        device.name.strip(),
+        platform.name.strip(),
+        platform.version.strip(),
+        device.driver_version.strip(),
+        kind,
+    )
+    print(json.dumps(asdict(info)), flush=True)  # names the culprit should the driver crash now
+    try:
+        context = cl.Context([device])
+        queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
+        info.megapixels_per_second = _run_probe_kernel(context, queue)
+        info.works = True
+        if not try_int64_atomics(context, queue):
+            info.lacks.append("64-bit atomics (two-pass warp instead)")
+        if not device.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT:
+            info.lacks.append("correctly rounded division (done in software)")
+        if not device.image_support:
+            info.lacks.append("images (not needed)")
+    except Exception as error:  # whatever a driver throws
+        info.problem = " ".join(str(error).split())[:200] or type(error).__name__
+    print(json.dumps(asdict(info)), flush=True)
+
+
+_PROBE_SOURCE = """
+#pragma OPENCL FP_CONTRACT OFF
+__kernel void probe(__global const float *a, __global half *b, const int n) {
+    const int i = get_global_id(0);
+    if (i >= n) return;
+    float x = a[i];
+    for (int k = 0; k < 32; ++k) x = x * 0.5f + 1.0f / (1.0f + x * x);
+    vstore_half_rte(a[i] < 2.0f ? a[i] : x, i, b);
+}
+"""
+
+_INT64_SOURCE = """
+#pragma OPENCL EXTENSION cl_khr_int64_extended_atomics : enable
+__kernel void least(__global ulong *a) {
+    const ulong i = get_global_id(0);
+    atom_min(a + (i & 1), ((63ul - i) << 33) | i);
+}
+"""
+
+
+def _run_probe_kernel(context, queue) -> float:
+    import numpy as np
+
+    n = 1 << 18 if "oclgrind" not in os.environ.get("LD_PRELOAD", "") else 64
+    host = np.linspace(0.0, 4.0, n, dtype=np.float32)
+    flags = cl.mem_flags
+    a = cl.Buffer(context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=host)
+    b = cl.Buffer(context, flags.WRITE_ONLY, 2 * n)
+    with quiet_builds():
+        kernel = cl.Kernel(cl.Program(context, _PROBE_SOURCE).build(), "probe")
+    times, end = [], time.perf_counter() + _RANKING_SECONDS
+    while len(times) < 3 or (len(times) < 20 and time.perf_counter() < end):
+        event = kernel(queue, (n,), None, a, b, np.int32(n))
+        event.wait()
+        times.append(event.profile.end - event.profile.start)
+    out = np.empty(n, np.float16)
+    cl.enqueue_copy(queue, out, b)
+    if not np.array_equal(out[host < 2], host[host < 2].astype(np.float16)):
+        raise RuntimeError("a trivial kernel gives wrong results")
+    return n / max(min(times[1:]), 1) * 1e3
+
+
+@contextmanager
+def quiet_builds():
+    """Hides drivers' remarks on builds that succeed, unless PYOPENCL_COMPILER_OUTPUT=1 asks for them."""
+    with warnings.catch_warnings():
+        if not os.environ.get("PYOPENCL_COMPILER_OUTPUT"):
+            warnings.simplefilter("ignore", cl.CompilerWarning)
+        yield
+
+
+def try_int64_atomics(context: cl.Context, queue: cl.CommandQueue) -> bool:
+    """Whether a 64-bit atomic minimum builds and gives the right answer."""
+    import numpy as np
+
+    try:
+        with quiet_builds():
+            kernel = cl.Kernel(cl.Program(context, _INT64_SOURCE).build(), "least")
+        out = np.full(2, np.iinfo(np.uint64).max, np.uint64)
+        buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR, hostbuf=out)
+        kernel(queue, (64,), None, buffer)
+        cl.enqueue_copy(queue, out, buffer)
+    except (cl.Error, RuntimeError):
+        return False
+    return out.tolist() == [(1 << 33) | 62, 63]
+
+
+if __name__ == "__main__":
+    for _index, _platform, _device in _cl_devices():
+        if _index not in sys.argv[1:] and "--list" not in sys.argv[1:]:
+            _probe(_index, _platform, _device)
+    print(_PROBED, flush=True)
