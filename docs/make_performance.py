@@ -67,6 +67,11 @@ def traffic_table() -> str:
     return table(("bytes per pixel", "must move", *heads), rows)
 
 
+def size_of_traffic() -> str:
+    found = recorded("traffic")
+    return f"On `{found['of']}`, {found['size'][0]}×{found['size'][1]}."
+
+
 def model_table() -> str:
     found = recorded("must_move")
     heads = [f"`{name}`, {size}" for name in found for size in PIXELS]
@@ -93,8 +98,12 @@ def speed_table() -> str:
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    "must_move": must_move_table, "traffic": traffic_table, "model": model_table, "speed": speed_table
-}  # fmt: skip
+    "must_move": must_move_table,
+    "traffic_size": size_of_traffic,
+    "traffic": traffic_table,
+    "model": model_table,
+    "speed": speed_table,
+}
 
 
 def recorded(name: str) -> dict[str, Any]:

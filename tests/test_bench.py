@@ -240,9 +240,10 @@ def test_traffic_does_not_grow(lanes):
     if shutil.which("oclgrind") is None:
         assert not os.environ.get("CI"), "CI must have oclgrind"
         pytest.skip("oclgrind is not installed")
-    shown = footage.scene_footage(open_device(), footage.SCENE, *counting.SIZE)
+    table = json.loads(TABLE.read_text())
+    shown = footage.scene_footage(open_device(), table["of"], *table["size"])
     now = counting.report({lanes: counting.count(shown, Options(), lanes)}, shown)
-    found = counting.grown(json.loads(TABLE.read_text()), now)
+    found = counting.grown(table, now)
     assert not found, "\n".join([*found, f"If that is meant to be: {RECORD}"])
 
 
