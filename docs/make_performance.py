@@ -51,7 +51,7 @@ def must_move_table() -> str:
     ]
     rows.append(("commands, GAE", *(str(one["commands"]["GAE"]) for one in found.values())))
     rows.append(("device memory, GAE, MiB", *(f"{one['memory_gae'] / 2**20:.0f}" for one in found.values())))
-    for share in ("dynamic", "disoccluded", "remembered"):
+    for share in ("dynamic", "disoccluded", "remembered", "splatted"):
         rows.append((f"{share} pixels", *(f"{one['shares'][share]:.2%}" for one in found.values())))
     return table(("bytes per pixel", *(f"`{name}`" for name in found)), rows)
 
