@@ -69,7 +69,9 @@ def traffic_table() -> str:
 
 def size_of_traffic() -> str:
     found = recorded("traffic")
-    return f"On `{found['of']}`, {found['size'][0]}×{found['size'][1]}."
+    width, height = found["part"]
+    whole = "×".join(map(str, found["size"]))
+    return f"In {width}×{height} pixels of `{found['of']}`, {whole}, which are much like the rest."
 
 
 def model_table() -> str:

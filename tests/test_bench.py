@@ -133,6 +133,18 @@ def test_turns_follow_the_frame_that_motion_refers_to():
     assert [turn.frame.reset for turn in turns] == [True] + [False] * 5 and turns[0].before is None
 
 
+def test_a_part_sees_what_the_whole_does():
+    shown = footage.scene_footage(open_device(), "room", 64, 48)
+    part = shown.part(20, 16, (0.25, 0.5))
+    assert (part.width, part.height) == (20, 16) == part.frames[0].depth.shape[::-1]
+    assert np.array_equal(part.frames[1].motion, shown.frames[1].motion[16:32, 6:26])
+    pixel = np.array([3.5, 4.5])
+    one = part.frames[0].camera.unproject(pixel, 2.0)
+    assert np.allclose(one, shown.frames[0].camera.unproject(pixel + (6, 16), 2.0))
+    assert part.cameras[0].cx == shown.cameras[0].cx - 6
+    assert shown.part(100, 100, (0.5, 0.5)).frames[0].color.shape == (48, 64, 3)
+
+
 def test_loops_avoid_resets(tmp_path):
     sequence = open_sequence(tiny_sequence.write(tmp_path / "in", frames=12))
     assert footage._loop(sequence, None) == (3, 9) and footage._loop(sequence, 1) == (0, 6)
