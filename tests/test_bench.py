@@ -38,6 +38,7 @@ def test_bench(gffe, tmp_path):
             parts = {
                 "history",
                 "prediction",
+                "blocks",
                 "warp",
                 "background, collection",
                 "surfaces",
