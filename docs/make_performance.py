@@ -51,7 +51,7 @@ def must_move_table() -> str:
     ]
     rows.append(("commands, GAE", *(str(one["commands"]["GAE"]) for one in found.values())))
     rows.append(("device memory, GAE, MiB", *(f"{one['memory_gae'] / 2**20:.0f}" for one in found.values())))
-    for share in ("dynamic", "disoccluded", "remembered"):
+    for share in ("dynamic", "disoccluded", "remembered", "splatted"):
         rows.append((f"{share} pixels", *(f"{one['shares'][share]:.2%}" for one in found.values())))
     return table(("bytes per pixel", *(f"`{name}`" for name in found)), rows)
 
@@ -65,6 +65,13 @@ def traffic_table() -> str:
         rows.append((f"`{name}`", _number(moved["declared"], 1), *counted))
     heads = (f"loaded and stored, {'one pixel' if n == '1' else f'{n} pixels'} a work-item" for n in lanes)
     return table(("bytes per pixel", "must move", *heads), rows)
+
+
+def size_of_traffic() -> str:
+    found = recorded("traffic")
+    width, height = found["part"]
+    whole = "×".join(map(str, found["size"]))
+    return f"In {width}×{height} pixels of `{found['of']}`, {whole}, which are much like the rest."
 
 
 def model_table() -> str:
@@ -93,8 +100,12 @@ def speed_table() -> str:
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    "must_move": must_move_table, "traffic": traffic_table, "model": model_table, "speed": speed_table
-}  # fmt: skip
+    "must_move": must_move_table,
+    "traffic_size": size_of_traffic,
+    "traffic": traffic_table,
+    "model": model_table,
+    "speed": speed_table,
+}
 
 
 def recorded(name: str) -> dict[str, Any]:

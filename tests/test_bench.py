@@ -38,6 +38,7 @@ def test_bench(gffe, tmp_path):
             parts = {
                 "history",
                 "prediction",
+                "blocks",
                 "warp",
                 "background, collection",
                 "surfaces",
@@ -131,6 +132,18 @@ def test_turns_follow_the_frame_that_motion_refers_to():
     turns = list(there_and_back.turns(3))
     assert [turn.index for turn in turns] == [0, 1, 0, 1, 0, 1] and sum(turn.counts for turn in turns) == 3
     assert [turn.frame.reset for turn in turns] == [True] + [False] * 5 and turns[0].before is None
+
+
+def test_a_part_sees_what_the_whole_does():
+    shown = footage.scene_footage(open_device(), "room", 64, 48)
+    part = shown.part(20, 16, (0.25, 0.5))
+    assert (part.width, part.height) == (20, 16) == part.frames[0].depth.shape[::-1]
+    assert np.array_equal(part.frames[1].motion, shown.frames[1].motion[16:32, 6:26])
+    pixel = np.array([3.5, 4.5])
+    one = part.frames[0].camera.unproject(pixel, 2.0)
+    assert np.allclose(one, shown.frames[0].camera.unproject(pixel + (6, 16), 2.0))
+    assert part.cameras[0].cx == shown.cameras[0].cx - 6
+    assert shown.part(100, 100, (0.5, 0.5)).frames[0].color.shape == (48, 64, 3)
 
 
 def test_loops_avoid_resets(tmp_path):
@@ -240,9 +253,10 @@ def test_traffic_does_not_grow(lanes):
     if shutil.which("oclgrind") is None:
         assert not os.environ.get("CI"), "CI must have oclgrind"
         pytest.skip("oclgrind is not installed")
-    shown = footage.scene_footage(open_device(), footage.SCENE, *counting.SIZE)
+    table = json.loads(TABLE.read_text())
+    shown = footage.scene_footage(open_device(), table["of"], *table["size"])
     now = counting.report({lanes: counting.count(shown, Options(), lanes)}, shown)
-    found = counting.grown(json.loads(TABLE.read_text()), now)
+    found = counting.grown(table, now)
     assert not found, "\n".join([*found, f"If that is meant to be: {RECORD}"])
 
 

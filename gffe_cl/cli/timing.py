@@ -48,8 +48,8 @@ def bench(
         bool,
         typer.Option(
             "--traffic",
-            help="Instead of timing, count the bytes that each kernel loads and stores, with Oclgrind and"
-            " at one small size (--sizes).",
+            help="Instead of timing, count the bytes that each kernel loads and stores, with Oclgrind, in a part of the"
+            " images of one size [dim](default: 1920x1080)[/].",
         ),
     ] = False,
     lanes: Annotated[
@@ -126,7 +126,7 @@ def _bench_traffic(
     from gffe_cl.evaluation.footage import footage_of
 
     if sizes and len(sizes) > 1:
-        raise GffeError("--traffic takes one size, a small one: every instruction is simulated")
+        raise GffeError(f"--traffic takes one size, got {len(sizes)}")
     footage = footage_of(device, subject, sizes[0] if sizes else SIZE, frame)
     counted = {n: count(footage, options, n) for n in lanes}
     for n, kernels in counted.items():
@@ -179,7 +179,7 @@ def _print_traffic(footage: Footage, lanes: int, kernels: dict[str, KernelTraffi
     from gffe_cl.evaluation.traffic import SCN as SCN_PARTS
 
     form = "one pixel per work-item, as on GPUs" if lanes == 1 else f"{lanes} pixels per work-item, as on CPUs"
-    title = plain(f"{footage.name}, {footage.width}×{footage.height}, {form}")
+    title = plain(f"{footage.name}, a part of {footage.width}×{footage.height}, {form}")
     heads = ("must move", "loaded", "stored", "counted : must move")
     table = Table("bytes per pixel", *heads, title=title, box=None, header_style="bold")
     gae = {name: moved for name, moved in kernels.items() if name.partition(".")[0] not in SCN_PARTS}

@@ -74,6 +74,25 @@ class Footage:
         """Of `turns`."""
         return sum(1 for _ in self.turns(counted))
 
+    def part(self, width: int, height: int, centre: tuple[float, float]) -> Footage:
+        """A part of the images, of at most that size, around `centre` (shares of width and height); host arrays."""
+        width, height = min(width, self.width), min(height, self.height)
+        x = min(max(int(self.width * centre[0] - width / 2), 0), self.width - width)
+        y = min(max(int(self.height * centre[1] - height / 2), 0), self.height - height)
+
+        def cut(array: np.ndarray) -> np.ndarray:
+            return np.ascontiguousarray(array[y : y + height, x : x + width])
+
+        def moved(camera: Camera) -> Camera:
+            return replace(camera, cx=camera.cx - x, cy=camera.cy - y)
+
+        frames = tuple(
+            replace(f, color=cut(f.color), depth=cut(f.depth), motion=cut(f.motion), camera=moved(f.camera))
+            for f in self.frames
+        )
+        cameras = tuple(camera and moved(camera) for camera in self.cameras)
+        return replace(self, width=width, height=height, frames=frames, cameras=cameras)
+
     def on(self, device: Device) -> Footage:
         """The same in buffers of `device`."""
         return replace(self, frames=tuple(_uploaded(device, frame) for frame in self.frames))
