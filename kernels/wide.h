@@ -4,6 +4,8 @@
    through a function of one pixel, lane by lane. Arithmetic, comparisons and `condition ? a : b` are OpenCL C's own, for
    scalars and vectors alike; combine conditions with &, | and !, never with && and ||. */
 
+#define INLINE inline __attribute__((always_inline))  /* for what compilers for CPUs else leave as a call */
+
 #if LANES == 8
 
 #define WIDE __attribute__((vec_type_hint(float8)))  /* before a kernel: it is wide already */
