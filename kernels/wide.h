@@ -94,19 +94,19 @@ inline bool run_is_zero(__global const uchar *p) { return *p == 0; }
 /* The first `count` lanes, or all if it is more, for the last pixels of a row. Loads repeat the last of them. */
 inline Floats load_some_floats(const int count, __global const float *p) {
     if (count >= LANES) return load_floats(0, p);
-    const Ints i = min(LANE_NUMBERS, count - 1);
+    const Ints i = min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
     return gather_floats(p, i);
 }
 
 inline Bytes load_some_bytes(const int count, __global const uchar *p) {
     if (count >= LANES) return load_bytes(0, p);
-    const Ints i = min(LANE_NUMBERS, count - 1);
+    const Ints i = min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
     return gather_bytes(p, i);
 }
 
 inline Floats load_some_xy(const int count, __global const float2 *p, Floats *y) {
     if (count >= LANES) return load_xy(p, y);
-    const Ints i = 2 * min(LANE_NUMBERS, count - 1);
+    const Ints i = 2 * min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
     *y = gather_floats((__global const float *)p, i + 1);
     return gather_floats((__global const float *)p, i);
 }
