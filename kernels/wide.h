@@ -21,6 +21,7 @@ typedef uchar8 Bytes;
 #define store_floats vstore8
 #define store_ints vstore8
 #define store_bytes vstore8
+#define store_halfs(v, i, p) vstore_half8_rte(v, i, p)
 #define to_floats convert_float8
 #define to_ints convert_int8
 #define to_uints convert_uint8
@@ -60,6 +61,7 @@ typedef uchar Bytes;
 #define store_floats(v, i, p) ((p)[i] = (v))
 #define store_ints(v, i, p) ((p)[i] = (v))
 #define store_bytes(v, i, p) ((p)[i] = (v))
+#define store_halfs(v, i, p) vstore_half_rte(v, i, p)
 #define to_floats convert_float
 #define to_ints convert_int
 #define to_uints convert_uint
@@ -119,6 +121,22 @@ inline void store_some_bytes(const Bytes v, const int count, __global uchar *p) 
     uchar lanes[LANES];
     store_bytes(v, 0, lanes);
     for (int k = 0; k < count; ++k) p[k] = lanes[k];
+}
+
+inline void store_some_halfs(const Floats v, const int count, __global half *p) {
+    if (count >= LANES) {
+        store_halfs(v, 0, p);
+        return;
+    }
+    float lanes[LANES];
+    store_floats(v, 0, lanes);
+    for (int k = 0; k < count; ++k) vstore_half_rte(lanes[k], k, p);
+}
+
+/* is_same_surface of common.h. */
+inline Ints wide_is_same_surface(const Floats z, const Floats expected, const Floats tolerance) {
+    const Ints near = fabs(z - expected) <= tolerance;
+    return isinf(expected) ? isinf(z) : near;
 }
 
 /* x + 0.5 of each lane's pixel. */

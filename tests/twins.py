@@ -898,7 +898,7 @@ def prepare_inputs(warped, motion, color_prev, depth_prev, to_previous):
             continue
         x0, y0 = int(np.floor(bx - F(0.5))), int(np.floor(by - F(0.5)))
         u, v = bx - F(0.5) - F(x0), by - F(0.5) - F(y0)
-        total, weights = np.zeros(3, F), F(0)
+        columns, weights = np.zeros((2, 3), F), F(0)
         for tap in range(4):
             tx, ty = x0 + (tap & 1), y0 + (tap >> 1)
             if not (0 <= tx < source_width and 0 <= ty < source_height):
@@ -907,7 +907,9 @@ def prepare_inputs(warped, motion, color_prev, depth_prev, to_previous):
             if not (np.isinf(d) if np.isinf(z) else abs(d - z) <= tolerance[y, x]):
                 continue
             weight = (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
-            total, weights = total + weight * rgb[ty, tx], weights + weight
+            columns[tap & 1] += weight * rgb[ty, tx]
+            weights = weights + weight
+        total = columns[0] + columns[1]
         if weights >= F(0.25):
             out[y, x] = (*np.clip(total / weights, -COLOR_MAX, COLOR_MAX), 1)
     return out, mask
