@@ -1,6 +1,6 @@
 /* Around the shading correction network (paper: 'Shading Correction Network'): the previous rendered frame warped backward
-   to t + alpha, the input mask, and the focus mask that it learns. A static pixel whose surface fills all four taps takes their
-   weighted sum; only the others are looked at one by one. */
+   to t + alpha, the input mask, and the focus mask that it learns. Only pixels that move, or come from the image's border, are
+   looked at one by one. */
 
 #include "common.h"
 #include "rgb.h"
@@ -8,6 +8,7 @@
 
 #define SAME_SURFACE 0.03f      /* relative depth within which the surface met in the previous frame is the fragment's ... */
 #define DEPTH_PER_MOTION 2.0f   /* ... and what is added per unit of its sideways motion, as in history tracking */
+#define LEAST_WEIGHT 0.25f      /* of the taps that show the surface */
 #define MASK_DYNAMIC 1.0f
 #define MASK_DISOCCLUDED 0.0f
 #define MASK_REST 0.5f
@@ -50,7 +51,7 @@ inline bool color_before(const float3 before, const float tolerance, const int s
         sum += weight * load_color(color_prev, tap_y * source_width + tap_x);
         weight_sum += weight;
     }
-    if (!(weight_sum >= 0.25f)) return false;
+    if (!(weight_sum >= LEAST_WEIGHT)) return false;
     *rgb = mean_of(sum, weight_sum);
     return true;
 }
@@ -83,31 +84,39 @@ WIDE __kernel void prepare_inputs(const int target_width, const int target_heigh
     const Floats z = load_some_floats(count, depth + dst), px_y = (float)dst_y + 0.5f;
     const Wide3 before = wide_reproject(row_centres(dst_x), px_y, z, to_previous);
     const Floats fx = before.x - 0.5f, fy = before.y - 0.5f, tolerance = SAME_SURFACE * before.z;
-    Ints plain = !moves & (before.z > 0.0f) & (fx >= 0.0f) & (fx < (float)(source_width - 1)) & (fy >= 0.0f)
+    Ints inner = !moves & (before.z > 0.0f) & (fx >= 0.0f) & (fx < (float)(source_width - 1)) & (fy >= 0.0f)
                  & (fy < (float)(source_height - 1));
-    if (!has_previous) plain = 0;
-    const Ints x0 = to_ints(plain ? fx : (Floats)(0.0f)), y0 = to_ints(plain ? fy : (Floats)(0.0f));
+    if (!has_previous) inner = 0;
+    const Ints x0 = to_ints(inner ? fx : (Floats)(0.0f)), y0 = to_ints(inner ? fy : (Floats)(0.0f));
     const Ints first = y0 * source_width + x0;
     const Floats u = fx - to_floats(x0), v = fy - to_floats(y0);
+    const bool in_a_row = ALL(inner & (first == FIRST_LANE(first) + LANE_NUMBERS));
+    Floats weight[4], weight_sum = 0.0f;
     for (int tap = 0; tap < 4; ++tap) {
-        const Ints at = plain ? first + (tap & 1) + (tap >> 1) * source_width : (Ints)(0);
-        plain &= wide_is_same_surface(gather_floats(depth_prev, at), before.z, tolerance);
+        const Ints at = inner ? first + (tap & 1) + (tap >> 1) * source_width : (Ints)(0);
+        const Floats z_prev = in_a_row ? load_floats(0, depth_prev + FIRST_LANE(at)) : gather_floats(depth_prev, at);
+        const Ints same = wide_is_same_surface(z_prev, before.z, tolerance);
+        weight[tap] = same ? ((tap & 1) ? u : 1.0f - u) * ((tap >> 1) ? v : 1.0f - v) : (Floats)(0.0f);
+        weight_sum += weight[tap];
     }
-    int lane_first[LANES], lane_plain[LANES];
-    float before_x[LANES], before_y[LANES], before_z[LANES], weights[4][LANES];
+    const Floats scale = wide_divide((Floats)(1.0f), weight_sum);
+    int lane_first[LANES], lane_inner[LANES];
+    float before_x[LANES], before_y[LANES], before_z[LANES], weights[4][LANES], weight_sums[LANES];
     store_ints(first, 0, lane_first);
-    store_ints(plain, 0, lane_plain);
+    store_ints(inner, 0, lane_inner);
     store_floats(before.x, 0, before_x);
     store_floats(before.y, 0, before_y);
     store_floats(before.z, 0, before_z);
-    store_floats((1.0f - u) * (1.0f - v), 0, weights[0]);
-    store_floats(u * (1.0f - v), 0, weights[1]);
-    store_floats((1.0f - u) * v, 0, weights[2]);
-    store_floats(u * v, 0, weights[3]);
+    store_floats(weight_sum, 0, weight_sums);
+    for (int tap = 0; tap < 4; ++tap) store_floats(weight[tap] * scale, 0, weights[tap]);
     for (int k = 0; k < count; ++k) {
         float4 sum;
         const float4 taps = (float4)(weights[0][k], weights[1][k], weights[2][k], weights[3][k]);
-        if (lane_plain[k] && sum_of_finite(lane_first[k], taps, source_width, color_prev, &sum)) {
+        if (lane_inner[k] && !(weight_sums[k] >= LEAST_WEIGHT)) {
+            vstore_half4_rte((float4)(load_color(color, dst + k), 0.0f), dst + k, warped_previous);
+            continue;
+        }
+        if (lane_inner[k] && sum_of_finite(lane_first[k], taps, source_width, color_prev, &sum)) {
             vstore_half4_rte((float4)(sum.xyz, 1.0f), dst + k, warped_previous);
             continue;
         }
