@@ -35,6 +35,9 @@ typedef uchar8 Bytes;
 #define GATHER(p, i) ((p)[(i).s0], (p)[(i).s1], (p)[(i).s2], (p)[(i).s3], (p)[(i).s4], (p)[(i).s5], (p)[(i).s6], (p)[(i).s7])
 #define gather_floats(p, i) ((float8)GATHER(p, i))
 #define gather_bytes(p, i) ((uchar8)GATHER(p, i))
+#define gather_halfs(p, i)                                                                                             \
+    ((float8)(vload_half((i).s0, p), vload_half((i).s1, p), vload_half((i).s2, p), vload_half((i).s3, p),              \
+              vload_half((i).s4, p), vload_half((i).s5, p), vload_half((i).s6, p), vload_half((i).s7, p)))
 
 inline Floats load_xy(__global const float2 *p, Floats *y) {
     const float16 xy = vload16(0, (__global const float *)p);
@@ -73,6 +76,7 @@ typedef uchar Bytes;
 #define FIRST_LANE(v) (v)
 #define gather_floats(p, i) ((p)[i])
 #define gather_bytes(p, i) ((p)[i])
+#define gather_halfs(p, i) vload_half(i, p)
 
 inline Floats load_xy(__global const float2 *p, Floats *y) {
     *y = (*p).y;
