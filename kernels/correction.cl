@@ -88,10 +88,30 @@ inline Floats exp_less_one(const Floats x) {
 
 /* mu-law of colour: 1 at three stops above display white, no upper limit. `law`: mu * exposure / 8, 1 / ln(1 + mu), and
    their reciprocals. */
-inline Floats encode(const Floats c, const float4 law) { return log_of(1.0f + law.x * most(c, 0.0f)) * law.y; }
+inline Floats lifted(const Floats c, const float4 law) {
+    const Floats positive = c > 0.0f ? c : (Floats)(0.0f);  /* NaN is 0 */
+    return 1.0f + law.x * least(positive, COLOR_MAX);
+}
+
+inline Floats encode(const Floats c, const float4 law) { return log_of(lifted(c, law)) * law.y; }
 
 inline Floats decode(const Floats e, const float4 law) {
     return least(exp_less_one(least(most(e, 0.0f) * law.w, 88.0f)) * law.z, COLOR_MAX);
+}
+
+/* The sum of four encoded numbers: logarithms of two products, which stay below 1e28. */
+inline Floats encoded_sum(const Floats a, const Floats b, const Floats c, const Floats d, const float4 law) {
+    return (log_of(lifted(a, law) * lifted(b, law)) + log_of(lifted(c, law) * lifted(d, law))) * law.y;
+}
+
+/* Means over 2x2 pixels, encoded, of an image: three planes of the network's input. */
+inline void store_colors(const bool inner, const int *first, const Ints *at, const float4 law, __global const half *color,
+                         const int plane_size, __global float *planes) {
+    WideRgb c[4];
+    for (int tap = 0; tap < 4; ++tap) c[tap] = inner ? load_rgb_alternate(color + 4 * first[tap]) : gather_rgb(color, at[tap]);
+    store_floats(0.25f * encoded_sum(c[0].r, c[1].r, c[2].r, c[3].r, law), 0, planes);
+    store_floats(0.25f * encoded_sum(c[0].g, c[1].g, c[2].g, c[3].g, law), 0, planes + plane_size);
+    store_floats(0.25f * encoded_sum(c[0].b, c[1].b, c[2].b, c[3].b, law), 0, planes + 2 * plane_size);
 }
 
 /* Planes of the network's input: means over 2x2 pixels, the image's border repeated. */
@@ -103,26 +123,22 @@ WIDE __kernel void network_input(const int target_width, const int target_height
     const int net_x = get_global_id(0) * LANES, net_y = get_global_id(1);
     if (net_x >= network_width || net_y >= network_height) return;
     const bool inner = 2 * (net_x + LANES) < target_width;
-    Floats sums[8];
-    for (int plane = 0; plane < 8; ++plane) sums[plane] = 0.0f;
+    int first[4];
+    Ints at[4];
+    Floats inverse = 0.0f, mask = 0.0f;
     for (int tap = 0; tap < 4; ++tap) {
-        const int row = min(2 * net_y + (tap >> 1), target_height - 1) * target_width, first = row + 2 * net_x + (tap & 1);
-        const Ints at = row + min(2 * (net_x + LANE_NUMBERS) + (tap & 1), (Ints)(target_width - 1));
-        const WideRgb now = inner ? load_rgb_alternate(color + 4 * first) : gather_rgb(color, at);
-        const WideRgb before = inner ? load_rgb_alternate(warped_previous + 4 * first) : gather_rgb(warped_previous, at);
-        const Floats z = inner ? load_floats_alternate(depth + first) : gather_floats(depth, at);
-        const Floats mask = inner ? load_halfs_alternate(input_mask + first) : gather_halfs(input_mask, at);
-        sums[0] += encode(now.r, law);
-        sums[1] += encode(now.g, law);
-        sums[2] += encode(now.b, law);
-        sums[3] += encode(before.r, law);
-        sums[4] += encode(before.g, law);
-        sums[5] += encode(before.b, law);
-        sums[6] += least(wide_divide((Floats)(*median_depth), z), MAX_INVERSE_DEPTH);
-        sums[7] += mask;
+        const int row = min(2 * net_y + (tap >> 1), target_height - 1) * target_width;
+        first[tap] = row + 2 * net_x + (tap & 1);
+        at[tap] = row + min(2 * (net_x + LANE_NUMBERS) + (tap & 1), (Ints)(target_width - 1));
+        const Floats z = inner ? load_floats_alternate(depth + first[tap]) : gather_floats(depth, at[tap]);
+        inverse += least(wide_divide((Floats)(*median_depth), z), MAX_INVERSE_DEPTH);
+        mask += inner ? load_halfs_alternate(input_mask + first[tap]) : gather_halfs(input_mask, at[tap]);
     }
     const int net = net_y * network_width + net_x, plane_size = network_width * network_height;
-    for (int plane = 0; plane < 8; ++plane) store_floats(0.25f * sums[plane], 0, frames + plane * plane_size + net);
+    store_colors(inner, first, at, law, color, plane_size, frames + net);
+    store_colors(inner, first, at, law, warped_previous, plane_size, frames + 3 * plane_size + net);
+    store_floats(0.25f * inverse, 0, frames + 6 * plane_size + net);
+    store_floats(0.25f * mask, 0, frames + 7 * plane_size + net);
 }
 
 /* The four taps, in an image at half resolution, of pixels from (x, y) on. `inner`: those to the left and to the right are
@@ -204,8 +220,8 @@ WIDE __kernel void correct(const int target_width, const int target_height, cons
     if (x >= target_width || y >= target_height) return;
     const int i = y * target_width + x, plane = network_width * network_height, count = target_width - x;
     const Taps taps = taps_of(x, y, network_width, network_height);
-    const WideRgb c = count >= LANES ? load_rgb_run(color + 4 * i)
-                                     : gather_rgb(color, i + min((Ints)(LANE_NUMBERS), (Ints)(count - 1)));
+    const WideRgb c = finite_rgb(count >= LANES ? load_rgb_run(color + 4 * i)
+                                                : gather_rgb(color, i + min((Ints)(LANE_NUMBERS), (Ints)(count - 1))));
     const Floats keep = interpolate(correction + 3 * plane, &taps);
     const Floats low_r = interpolate(frames, &taps);
     const Floats low_g = interpolate(frames + plane, &taps);

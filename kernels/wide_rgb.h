@@ -1,4 +1,4 @@
-/* Colours of half images, LANES pixels at once. */
+/* Colours of half images, LANES pixels at once, as they are: finite_rgb makes numbers of what is none. */
 
 #include "wide.h"
 
@@ -8,6 +8,11 @@ typedef struct { Floats r, g, b; } WideRgb;
 inline Floats finite(const Floats c) {
     const Floats number = c == c ? c : (Floats)(0.0f), low = number < -COLOR_MAX ? (Floats)(-COLOR_MAX) : number;
     return low < COLOR_MAX ? low : (Floats)(COLOR_MAX);
+}
+
+inline WideRgb finite_rgb(const WideRgb c) {
+    const WideRgb rgb = {finite(c.r), finite(c.g), finite(c.b)};
+    return rgb;
 }
 
 /* Colours of the pixels i. */
@@ -21,7 +26,7 @@ inline WideRgb gather_rgb(__global const half *color, const Ints i) {
         g[k] = c.y;
         b[k] = c.z;
     }
-    const WideRgb rgb = {finite(load_floats(0, r)), finite(load_floats(0, g)), finite(load_floats(0, b))};
+    const WideRgb rgb = {load_floats(0, r), load_floats(0, g), load_floats(0, b)};
     return rgb;
 }
 
@@ -30,8 +35,8 @@ inline WideRgb gather_rgb(__global const half *color, const Ints i) {
 /* Of a row, from the first on. */
 inline WideRgb load_rgb_run(__global const half *color) {
     const float16 a = vload_half16(0, color), b = vload_half16(1, color);
-    const WideRgb rgb = {finite((float8)(a.s048c, b.s048c)), finite((float8)(a.s159d, b.s159d)),
-                         finite((float8)(a.s26ae, b.s26ae))};
+    const WideRgb rgb = {(float8)(a.s048c, b.s048c), (float8)(a.s159d, b.s159d),
+                         (float8)(a.s26ae, b.s26ae)};
     return rgb;
 }
 
@@ -45,8 +50,8 @@ inline void store_rgb_run(const WideRgb c, __global half *color) {
 /* Every second pixel of a row, from the first on; reads up to the one after the last. */
 inline WideRgb load_rgb_alternate(__global const half *color) {
     const float16 a = vload_half16(0, color), b = vload_half16(1, color), c = vload_half16(2, color), d = vload_half16(3, color);
-    const WideRgb rgb = {finite((float8)(a.s08, b.s08, c.s08, d.s08)), finite((float8)(a.s19, b.s19, c.s19, d.s19)),
-                         finite((float8)(a.s2a, b.s2a, c.s2a, d.s2a))};
+    const WideRgb rgb = {(float8)(a.s08, b.s08, c.s08, d.s08), (float8)(a.s19, b.s19, c.s19, d.s19),
+                         (float8)(a.s2a, b.s2a, c.s2a, d.s2a)};
     return rgb;
 }
 
