@@ -2,7 +2,7 @@
    frame that its output makes of the extrapolated one. */
 
 #include "common.h"
-#include "rgb.h"
+#include "wide_rgb.h"
 
 #define BIN_BITS 16       /* dropped from a depth: bins are 1/128 of a power of two wide */
 #define BINS 32768
@@ -49,12 +49,16 @@ void find_median(__global const uint *histogram, __global float *median_depth) {
     *median_depth = total ? as_float((bin << BIN_BITS) | (1u << (BIN_BITS - 1))) : 1.0f;
 }
 
+/* Of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN. */
+inline Floats least(const Floats a, const float b) { return a < b ? a : (Floats)(b); }
+inline Floats most(const Floats a, const float b) { return a < b ? (Floats)(b) : a; }
+
 /* ln(x) for x >= 1, to about a unit in the last place: of Cephes (Moshier), without branches. Built-in functions differ
    between runtimes, and not all of them are fast. */
-inline float log_of(const float x) {
-    const int exponent = (as_int(x) - 0x3f3504f3) >> 23;  /* of the power of two within sqrt(2) */
-    const float e = (float)exponent, m = as_float(as_int(x) - (exponent << 23)) - 1.0f, z = m * m;
-    float y = 7.0376836292e-2f;
+inline Floats log_of(const Floats x) {
+    const Ints exponent = (floats_as_ints(x) - 0x3f3504f3) >> 23;  /* of the power of two within sqrt(2) */
+    const Floats e = to_floats(exponent), m = ints_as_floats(floats_as_ints(x) - (exponent << 23)) - 1.0f, z = m * m;
+    Floats y = 7.0376836292e-2f;
     y = y * m - 1.1514610310e-1f;
     y = y * m + 1.1676998740e-1f;
     y = y * m - 1.2420140846e-1f;
@@ -68,117 +72,170 @@ inline float log_of(const float x) {
 }
 
 /* exp(x) - 1 for x from 0 to 88, likewise. */
-inline float exp_less_one(const float x) {
-    const float n = floor(x * 1.44269504088896341f + 0.5f);
-    const float r = x - n * 0.693359375f + n * 2.12194440e-4f;
-    float y = 1.9875691500e-4f;
+inline Floats exp_less_one(const Floats x) {
+    const Floats n = floor(x * 1.44269504088896341f + 0.5f);
+    const Floats r = x - n * 0.693359375f + n * 2.12194440e-4f;
+    Floats y = 1.9875691500e-4f;
     y = y * r + 1.3981999507e-3f;
     y = y * r + 8.3334519073e-3f;
     y = y * r + 4.1665795894e-2f;
     y = y * r + 1.6666665459e-1f;
     y = y * r + 5.0000001201e-1f;
     y = y * r * r + r;
-    const float power = as_float(((int)n + 127) << 23);
+    const Floats power = ints_as_floats((to_ints(n) + 127) << 23);
     return y * power + (power - 1.0f);
 }
 
 /* mu-law of colour: 1 at three stops above display white, no upper limit. `law`: mu * exposure / 8, 1 / ln(1 + mu), and
    their reciprocals. */
-inline float encode(const float c, const float4 law) { return log_of(1.0f + law.x * most(c, 0.0f)) * law.y; }
+inline Floats lifted(const Floats c, const float4 law) {
+    const Floats positive = c > 0.0f ? c : (Floats)(0.0f);  /* NaN is 0 */
+    return 1.0f + law.x * least(positive, COLOR_MAX);
+}
 
-inline float decode(const float e, const float4 law) {
+inline Floats encode(const Floats c, const float4 law) { return log_of(lifted(c, law)) * law.y; }
+
+inline Floats decode(const Floats e, const float4 law) {
     return least(exp_less_one(least(most(e, 0.0f) * law.w, 88.0f)) * law.z, COLOR_MAX);
 }
 
-/* Planes of the network's input: means over 2x2 pixels, the image's border repeated. */
-__kernel void network_input(const int target_width, const int target_height, const int network_width,
-                            const int network_height,
-                            const float4 law, __global const uint2 *color /* half x4 */,
-                            __global const uint2 *warped_previous /* half x4 */, __global const float *depth,
-                            __global const half *input_mask, __global const float *median_depth, __global float *frames) {
-    const int net_x = get_global_id(0), net_y = get_global_id(1);
-    if (net_x >= network_width || net_y >= network_height) return;
-    const float median = *median_depth;
-    Rgb now = {0.0f, 0.0f, 0.0f}, before = now;
-    float inverse = 0.0f, mask = 0.0f;
-#pragma unroll
-    for (int tap = 0; tap < 4; ++tap) {
-        const int dst_x = min(2 * net_x + (tap & 1), target_width - 1);
-        const int dst_y = min(2 * net_y + (tap >> 1), target_height - 1), dst = dst_y * target_width + dst_x;
-        const Rgb a = load_rgb(color, dst), b = load_rgb(warped_previous, dst);
-        now.r += encode(a.r, law);
-        now.g += encode(a.g, law);
-        now.b += encode(a.b, law);
-        before.r += encode(b.r, law);
-        before.g += encode(b.g, law);
-        before.b += encode(b.b, law);
-        inverse += least(divide(median, depth[dst]), MAX_INVERSE_DEPTH);
-        mask += vload_half(dst, input_mask);
-    }
-    const int net = net_y * network_width + net_x, plane = network_width * network_height;
-    frames[net] = 0.25f * now.r;
-    frames[net + plane] = 0.25f * now.g;
-    frames[net + 2 * plane] = 0.25f * now.b;
-    frames[net + 3 * plane] = 0.25f * before.r;
-    frames[net + 4 * plane] = 0.25f * before.g;
-    frames[net + 5 * plane] = 0.25f * before.b;
-    frames[net + 6 * plane] = 0.25f * inverse;
-    frames[net + 7 * plane] = 0.25f * mask;
+/* The sum of four encoded numbers: logarithms of two products, which stay below 1e28. */
+inline Floats encoded_sum(const Floats a, const Floats b, const Floats c, const Floats d, const float4 law) {
+    return (log_of(lifted(a, law) * lifted(b, law)) + log_of(lifted(c, law) * lifted(d, law))) * law.y;
 }
 
-/* The four taps of bilinear interpolation of an image at half resolution. */
-typedef struct { int a, b, c, d; float wa, wb, wc, wd; } Taps;
+/* Means over 2x2 pixels, encoded, of an image: three planes of the network's input. */
+inline void store_colors(const bool inner, const int *first, const Ints *at, const float4 law, __global const half *color,
+                         const int plane_size, __global float *planes) {
+    WideRgb c[4];
+    for (int tap = 0; tap < 4; ++tap) c[tap] = inner ? load_rgb_alternate(color + 4 * first[tap]) : gather_rgb(color, at[tap]);
+    store_floats(0.25f * encoded_sum(c[0].r, c[1].r, c[2].r, c[3].r, law), 0, planes);
+    store_floats(0.25f * encoded_sum(c[0].g, c[1].g, c[2].g, c[3].g, law), 0, planes + plane_size);
+    store_floats(0.25f * encoded_sum(c[0].b, c[1].b, c[2].b, c[3].b, law), 0, planes + 2 * plane_size);
+}
+
+/* Planes of the network's input: means over 2x2 pixels, the image's border repeated. */
+WIDE __kernel void network_input(const int target_width, const int target_height, const int network_width,
+                                 const int network_height, const float4 law, __global const half *color,
+                                 __global const half *warped_previous, __global const float *depth,
+                                 __global const half *input_mask, __global const float *median_depth,
+                                 __global float *frames) {
+    const int net_x = get_global_id(0) * LANES, net_y = get_global_id(1);
+    if (net_x >= network_width || net_y >= network_height) return;
+    const bool inner = 2 * (net_x + LANES) < target_width;
+    int first[4];
+    Ints at[4];
+    Floats inverse = 0.0f, mask = 0.0f;
+    for (int tap = 0; tap < 4; ++tap) {
+        const int row = min(2 * net_y + (tap >> 1), target_height - 1) * target_width;
+        first[tap] = row + 2 * net_x + (tap & 1);
+        at[tap] = row + min(2 * (net_x + LANE_NUMBERS) + (tap & 1), (Ints)(target_width - 1));
+        const Floats z = inner ? load_floats_alternate(depth + first[tap]) : gather_floats(depth, at[tap]);
+        inverse += least(wide_divide((Floats)(*median_depth), z), MAX_INVERSE_DEPTH);
+        mask += inner ? load_halfs_alternate(input_mask + first[tap]) : gather_halfs(input_mask, at[tap]);
+    }
+    const int net = net_y * network_width + net_x, plane_size = network_width * network_height;
+    store_colors(inner, first, at, law, color, plane_size, frames + net);
+    store_colors(inner, first, at, law, warped_previous, plane_size, frames + 3 * plane_size + net);
+    store_floats(0.25f * inverse, 0, frames + 6 * plane_size + net);
+    store_floats(0.25f * mask, 0, frames + 7 * plane_size + net);
+}
+
+/* The four taps, in an image at half resolution, of pixels from (x, y) on. `inner`: those to the left and to the right are
+   in 8 pixels from `first` on, else `left` and `right`. */
+typedef struct {
+    int top, bottom, first;
+    Ints left, right;
+    Floats u;
+    float v;
+    bool inner;
+} Taps;
 
 inline Taps taps_of(const int x, const int y, const int width, const int height) {
-    const int x0 = (x - 1) >> 1, y0 = (y - 1) >> 1;
-    const int left = max(x0, 0), right = min(x0 + 1, width - 1);
-    const int top = max(y0, 0) * width, bottom = min(y0 + 1, height - 1) * width;
-    const float u = (x & 1) ? 0.25f : 0.75f, v = (y & 1) ? 0.25f : 0.75f;
-    const Taps taps = {top + left, top + right, bottom + left, bottom + right,
-                       (1.0f - u) * (1.0f - v), u * (1.0f - v), (1.0f - u) * v, u * v};
-    return taps;
+    const Ints columns = x + LANE_NUMBERS, x0 = (columns - 1) >> 1;
+    const int y0 = (y - 1) >> 1, first = (x >> 1) - 1;
+    Taps t;
+    t.top = max(y0, 0) * width;
+    t.bottom = min(y0 + 1, height - 1) * width;
+    t.first = first;
+    t.left = max(x0, (Ints)(0));
+    t.right = min(x0 + 1, (Ints)(width - 1));
+    t.u = (columns & 1) == 1 ? (Floats)(0.25f) : (Floats)(0.75f);
+    t.v = (y & 1) ? 0.25f : 0.75f;
+    t.inner = first >= 0 && first + 8 <= width;
+    return t;
 }
 
-inline float interpolate(__global const float *image, const Taps t) {
-    return t.wa * image[t.a] + t.wb * image[t.b] + t.wc * image[t.c] + t.wd * image[t.d];
+/* Bilinear interpolation of a plane. */
+INLINE Floats interpolate(__global const float *plane, const Taps *t) {
+    Floats a, b, c, d;
+#if LANES == 8
+    if (t->inner) {
+        const float8 top = vload8(0, plane + t->top + t->first), bottom = vload8(0, plane + t->bottom + t->first);
+        a = top.s01122334;
+        b = top.s12233445;
+        c = bottom.s01122334;
+        d = bottom.s12233445;
+    } else
+#endif
+    {
+        a = gather_floats(plane + t->top, t->left);
+        b = gather_floats(plane + t->top, t->right);
+        c = gather_floats(plane + t->bottom, t->left);
+        d = gather_floats(plane + t->bottom, t->right);
+    }
+    const Floats u = t->u;
+    const float v = t->v;
+    return (1.0f - u) * (1.0f - v) * a + u * (1.0f - v) * b + (1.0f - u) * v * c + u * v * d;
+}
+
+/* Stores the lanes of a mixture that hold, of the others the extrapolated colour's own bits. */
+inline void store_where(const Ints holds, const WideRgb c, const int count, __global const half *color, __global half *out) {
+    if (count >= LANES && ALL(holds)) {
+        store_rgb_run(c, out);
+        return;
+    }
+    int lane_holds[LANES];
+    float r[LANES], g[LANES], b[LANES];
+    store_ints(holds, 0, lane_holds);
+    store_floats(c.r, 0, r);
+    store_floats(c.g, 0, g);
+    store_floats(c.b, 0, b);
+    for (int k = 0; k < min(count, LANES); ++k) {
+        if (lane_holds[k]) {
+            vstore_half4_rte((float4)(r[k], g[k], b[k], 0.0f), k, out);
+        } else {
+            ((__global uint2 *)out)[k] = ((__global const uint2 *)color)[k];
+        }
+    }
 }
 
 /* refined: the network's image, the detail of the extrapolated one kept as it says; out_color: that within the focus mask,
    the extrapolated colour's own bits where the mask is 0. Output that is not finite counts as no mask. */
-__kernel void correct(const int target_width, const int target_height, const int network_width, const int network_height,
-                      const float4 law, const int within_mask, __global const uint2 *color /* half x4 */,
-                      __global const float *frames, __global const float *correction,
-                      __global uint2 *refined /* half x4 */, __global half *focus_mask,
-                      __global uint2 *out_color /* half x4 */) {
-    const int x = get_global_id(0), y = get_global_id(1);
+WIDE __kernel void correct(const int target_width, const int target_height, const int network_width, const int network_height,
+                           const float4 law, const int within_mask, __global const half *color,
+                           __global const float *frames, __global const float *correction, __global half *refined,
+                           __global half *focus_mask, __global half *out_color) {
+    const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= target_width || y >= target_height) return;
-    const int i = y * target_width + x, plane = network_width * network_height;
+    const int i = y * target_width + x, plane = network_width * network_height, count = target_width - x;
     const Taps taps = taps_of(x, y, network_width, network_height);
-    const Rgb c = load_rgb(color, i);
-    const float keep = interpolate(correction + 3 * plane, taps);
-    const float low_r = interpolate(frames, taps);
-    const float low_g = interpolate(frames + plane, taps);
-    const float low_b = interpolate(frames + 2 * plane, taps);
-    const float e_r = low_r + interpolate(correction, taps) + keep * (encode(c.r, law) - low_r);
-    const float e_g = low_g + interpolate(correction + plane, taps) + keep * (encode(c.g, law) - low_g);
-    const float e_b = low_b + interpolate(correction + 2 * plane, taps) + keep * (encode(c.b, law) - low_b);
-    const float m = interpolate(correction + 4 * plane, taps);
-    const bool usable = isfinite(e_r + e_g + e_b + m);
-    const float mask = usable && m >= LEAST_MASK ? least(m, 1.0f) : 0.0f;
-    vstore_half_rte(mask, i, focus_mask);
-    /* Stores of their own per case: see shading.cl. */
-    const float r = decode(e_r, law), g = decode(e_g, law), b = decode(e_b, law);
-    if (usable) {
-        vstore_half4_rte((float4)(r, g, b, 0.0f), i, (__global half *)refined);
-    } else {
-        refined[i] = color[i];
-    }
-    const float share = within_mask ? mask : usable ? 1.0f : 0.0f;
-    if (share > 0.0f) {
-        const float rest = 1.0f - share;
-        vstore_half4_rte((float4)(c.r * rest + r * share, c.g * rest + g * share, c.b * rest + b * share, 0.0f), i,
-                         (__global half *)out_color);
-    } else {
-        out_color[i] = color[i];
-    }
+    const WideRgb c = finite_rgb(count >= LANES ? load_rgb_run(color + 4 * i)
+                                                : gather_rgb(color, i + min((Ints)(LANE_NUMBERS), (Ints)(count - 1))));
+    const Floats keep = interpolate(correction + 3 * plane, &taps);
+    const Floats low_r = interpolate(frames, &taps);
+    const Floats low_g = interpolate(frames + plane, &taps);
+    const Floats low_b = interpolate(frames + 2 * plane, &taps);
+    const Floats e_r = low_r + interpolate(correction, &taps) + keep * (encode(c.r, law) - low_r);
+    const Floats e_g = low_g + interpolate(correction + plane, &taps) + keep * (encode(c.g, law) - low_g);
+    const Floats e_b = low_b + interpolate(correction + 2 * plane, &taps) + keep * (encode(c.b, law) - low_b);
+    const Floats m = interpolate(correction + 4 * plane, &taps);
+    const Ints usable = isfinite(e_r + e_g + e_b + m);
+    const Floats mask = (usable & (m >= LEAST_MASK)) ? least(m, 1.0f) : (Floats)(0.0f);
+    store_some_halfs(mask, count, focus_mask + i);
+    const WideRgb made = {decode(e_r, law), decode(e_g, law), decode(e_b, law)};
+    store_where(usable, made, count, color + 4 * i, refined + 4 * i);
+    const Floats whole = usable ? (Floats)(1.0f) : (Floats)(0.0f), share = within_mask ? mask : whole, rest = 1.0f - share;
+    const WideRgb mixed = {c.r * rest + made.r * share, c.g * rest + made.g * share, c.b * rest + made.b * share};
+    store_where(share > 0.0f, mixed, count, color + 4 * i, out_color + 4 * i);
 }

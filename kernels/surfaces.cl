@@ -1,13 +1,14 @@
 /* Surfaces of a rendered frame: which neighbouring pixels show one surface (for 'Warping' and the background), and which
    pixels cannot hold the colour of another one (for the background).
-   Where depth hardly changes and nothing near moves, links follow without a division. */
+   Where depth changes by little, or by much between two flat surfaces, links follow from it without a division. */
 
 #include "common.h"
 #include "wide.h"
 
 #define SURFACE_STEP 0.02f       /* relative step of inverse depth between neighbours of one surface ... */
 #define SURFACE_CURVATURE 0.005f /* ... or relative deviation from the plane through them, where they are steeper */
-#define SMALL_STEP 0.0199f       /* relative step of depth that is within SURFACE_STEP however it is rounded */
+#define SMALL_STEP 0.0199f       /* relative step of depth that is within SURFACE_STEP, however that is rounded ... */
+#define LARGE_STEP 0.032f        /* ... and one that is beyond it, and beyond SURFACE_CURVATURE beside a small one */
 
 #define GROW 2                   /* px around dynamic or nearer fragments where colours may be mixed with theirs */
 #define NEARER 0.9f
@@ -21,25 +22,25 @@ typedef struct {
 } Place;
 
 /* Depth of the pixels at an offset, NaN outside of the image. */
-inline Floats depth_beside(const Place p, const int dx, const int dy) {
-    __global const float *row = p.depth + (p.y + dy) * p.width + p.x + dx;
-    if (p.inner) return load_floats(0, row);
-    float z[LANES];
-    for (int k = 0; k < LANES; ++k) z[k] = inside(p.x + dx + k, p.y + dy, p.width, p.height) ? row[k] : NAN;
-    return load_floats(0, z);
+INLINE Floats depth_beside(const Place p, const int dx, const int dy) {
+    if (p.inner) return load_floats(0, p.depth + (p.y + dy) * p.width + p.x + dx);
+    if (p.y + dy < 0 || p.y + dy >= p.height) return (Floats)(NAN);
+    const Ints x = p.x + dx + LANE_NUMBERS, there = clamp(x, (Ints)(0), (Ints)(p.width - 1));
+    const Floats z = gather_floats(p.depth + (p.y + dy) * p.width, there);
+    return x == there ? z : (Floats)(NAN);
 }
 
 /* Whether they are dynamic, 0 outside. */
-inline Bytes dynamic_beside(const Place p, const int dx, const int dy) {
-    __global const uchar *row = p.dynamic_mask + (p.y + dy) * p.width + p.x + dx;
-    if (p.inner) return load_bytes(0, row);
-    uchar dynamic[LANES];
-    for (int k = 0; k < LANES; ++k) dynamic[k] = inside(p.x + dx + k, p.y + dy, p.width, p.height) ? row[k] : 0;
-    return load_bytes(0, dynamic);
+INLINE Bytes dynamic_beside(const Place p, const int dx, const int dy) {
+    if (p.inner) return load_bytes(0, p.dynamic_mask + (p.y + dy) * p.width + p.x + dx);
+    if (p.y + dy < 0 || p.y + dy >= p.height) return (Bytes)(0);
+    const Ints x = p.x + dx + LANE_NUMBERS, there = clamp(x, (Ints)(0), (Ints)(p.width - 1));
+    const Bytes dynamic = gather_bytes(p.dynamic_mask + (p.y + dy) * p.width, there);
+    return to_bytes(x == there ? to_ints(dynamic) : (Ints)(0));
 }
 
 /* 0 sky, -1 none. */
-inline Floats inverse_depth_beside(const Place p, const int dx, const int dy) {
+INLINE Floats inverse_depth_beside(const Place p, const int dx, const int dy) {
     const Floats z = depth_beside(p, dx, dy);
     return z > 0.0f ? wide_divide((Floats)(1.0f), z) : (Floats)(-1.0f);
 }
@@ -53,32 +54,56 @@ inline Ints continues(const Floats a2, const Floats a, const Floats b, const Flo
     return (a >= 0.0f) & (b >= 0.0f) & ((sky & (a == b)) | (!sky & near));
 }
 
-/* Links from inverse depths and the dynamic mask. */
-inline Ints links_of(const Place p) {
-    const Ints own = to_ints(dynamic_beside(p, 0, 0));
+/* Links by inverse depth. */
+INLINE Ints links_by_inverse_depth(const Place p) {
     const Floats a = inverse_depth_beside(p, 0, 0);
     Ints links = 0;
     for (int axis = 0; axis < 2; ++axis) {
         const int dx = axis == 0, dy = axis == 1;
         const Floats ahead = inverse_depth_beside(p, dx, dy), behind = inverse_depth_beside(p, -dx, -dy);
-        const Ints to_ahead = continues(behind, a, ahead, inverse_depth_beside(p, 2 * dx, 2 * dy))
-                              & (to_ints(dynamic_beside(p, dx, dy)) == own);
-        const Ints to_behind = continues(ahead, a, behind, inverse_depth_beside(p, -2 * dx, -2 * dy))
-                               & (to_ints(dynamic_beside(p, -dx, -dy)) == own);
+        const Ints to_ahead = continues(behind, a, ahead, inverse_depth_beside(p, 2 * dx, 2 * dy));
+        const Ints to_behind = continues(ahead, a, behind, inverse_depth_beside(p, -2 * dx, -2 * dy));
         links |= to_ahead ? (Ints)(LINK_RIGHT << axis) : (Ints)(0);
         links |= to_behind ? (Ints)(LINK_LEFT << axis) : (Ints)(0);
     }
     return links;
 }
 
-/* Whether neighbours are of one surface whatever lies behind them, or both sky. */
-inline Ints hardly_differs(const Floats a, const Floats b) {
+inline Ints small_step(const Floats a, const Floats b) {
     return (a == b) | (fabs(a - b) <= SMALL_STEP * (a < b ? a : b));
+}
+
+inline Ints large_step(const Floats a, const Floats b) { return fabs(a - b) > LARGE_STEP * (a < b ? a : b); }
+
+/* The same by depth; *clear is left where that tells. */
+INLINE Ints links_by_depth(const Place p, Ints *clear) {
+    const Floats z = depth_beside(p, 0, 0);
+    *clear = z > 0.0f;
+    Ints links = 0;
+    for (int axis = 0; axis < 2; ++axis) {
+        const int dx = axis == 0, dy = axis == 1;
+        const Floats ahead = depth_beside(p, dx, dy), behind = depth_beside(p, -dx, -dy);
+        const Ints to_ahead = small_step(z, ahead), to_behind = small_step(z, behind);
+        *clear &= to_ahead | (large_step(z, ahead) & to_behind & small_step(ahead, depth_beside(p, 2 * dx, 2 * dy)));
+        *clear &= to_behind | (large_step(z, behind) & to_ahead & small_step(behind, depth_beside(p, -2 * dx, -2 * dy)));
+        links |= to_ahead ? (Ints)(LINK_RIGHT << axis) : (Ints)(0);
+        links |= to_behind ? (Ints)(LINK_LEFT << axis) : (Ints)(0);
+    }
+    return links;
+}
+
+/* Links to neighbours that are equally static or dynamic. */
+INLINE Ints links_by_motion(const Place p) {
+    const Ints own = to_ints(dynamic_beside(p, 0, 0));
+    const Ints right = to_ints(dynamic_beside(p, 1, 0)) == own, down = to_ints(dynamic_beside(p, 0, 1)) == own;
+    const Ints left = to_ints(dynamic_beside(p, -1, 0)) == own, up = to_ints(dynamic_beside(p, 0, -1)) == own;
+    return (right ? (Ints)(LINK_RIGHT) : (Ints)(0)) | (down ? (Ints)(LINK_DOWN) : (Ints)(0))
+           | (left ? (Ints)(LINK_LEFT) : (Ints)(0)) | (up ? (Ints)(LINK_UP) : (Ints)(0));
 }
 
 /* links: which of the four neighbours belong to the same surface and are equally static or dynamic. unmixed: 1 where depth is
    valid and no pixel within GROW is dynamic or nearer. */
-inline void find(const Place p, __global uchar *links, __global uchar *unmixed) {
+INLINE void find(const Place p, __global uchar *links, __global uchar *unmixed) {
     const Floats z = depth_beside(p, 0, 0);
     Floats nearest = z;
     Bytes moving = 0;
@@ -89,11 +114,12 @@ inline void find(const Place p, __global uchar *links, __global uchar *unmixed) 
             moving |= dynamic_beside(p, dx, dy);
         }
     const Ints clean = (z > 0.0f) & !(nearest < z * NEARER) & (to_ints(moving) == 0);
-    const Ints plain = clean & hardly_differs(z, depth_beside(p, 1, 0)) & hardly_differs(z, depth_beside(p, -1, 0))
-                       & hardly_differs(z, depth_beside(p, 0, 1)) & hardly_differs(z, depth_beside(p, 0, -1));
-    const Ints all_links = LINK_RIGHT | LINK_DOWN | LINK_LEFT | LINK_UP;
+    Ints clear;
+    Ints linked = links_by_depth(p, &clear);
+    if (!ALL(clear)) linked = links_by_inverse_depth(p);
+    if (ANY(to_ints(moving) != 0)) linked &= links_by_motion(p);
     const int i = p.y * p.width + p.x, count = p.width - p.x;
-    store_some_bytes(to_bytes(ALL(plain) ? all_links : links_of(p)), count, links + i);
+    store_some_bytes(to_bytes(linked), count, links + i);
     store_some_bytes(to_bytes(clean ? (Ints)(1) : (Ints)(0)), count, unmixed + i);
 }
 

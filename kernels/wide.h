@@ -4,6 +4,8 @@
    through a function of one pixel, lane by lane. Arithmetic, comparisons and `condition ? a : b` are OpenCL C's own, for
    scalars and vectors alike; combine conditions with &, | and !, never with && and ||. */
 
+#define INLINE inline __attribute__((always_inline))  /* for what compilers for CPUs else leave as a call */
+
 #if LANES == 8
 
 #define WIDE __attribute__((vec_type_hint(float8)))  /* before a kernel: it is wide already */
@@ -19,6 +21,7 @@ typedef uchar8 Bytes;
 #define store_floats vstore8
 #define store_ints vstore8
 #define store_bytes vstore8
+#define store_halfs(v, i, p) vstore_half8_rte(v, i, p)
 #define to_floats convert_float8
 #define to_ints convert_int8
 #define to_uints convert_uint8
@@ -26,11 +29,15 @@ typedef uchar8 Bytes;
 #define ints_as_floats as_float8
 #define floats_as_ints as_int8
 #define LANE_NUMBERS ((int8)(0, 1, 2, 3, 4, 5, 6, 7))
+#define FIRST_LANE(v) ((v).s0)
 
 /* p[i] of each lane. */
 #define GATHER(p, i) ((p)[(i).s0], (p)[(i).s1], (p)[(i).s2], (p)[(i).s3], (p)[(i).s4], (p)[(i).s5], (p)[(i).s6], (p)[(i).s7])
 #define gather_floats(p, i) ((float8)GATHER(p, i))
 #define gather_bytes(p, i) ((uchar8)GATHER(p, i))
+#define gather_halfs(p, i)                                                                                             \
+    ((float8)(vload_half((i).s0, p), vload_half((i).s1, p), vload_half((i).s2, p), vload_half((i).s3, p),              \
+              vload_half((i).s4, p), vload_half((i).s5, p), vload_half((i).s6, p), vload_half((i).s7, p)))
 
 inline Floats load_xy(__global const float2 *p, Floats *y) {
     const float16 xy = vload16(0, (__global const float *)p);
@@ -58,6 +65,7 @@ typedef uchar Bytes;
 #define store_floats(v, i, p) ((p)[i] = (v))
 #define store_ints(v, i, p) ((p)[i] = (v))
 #define store_bytes(v, i, p) ((p)[i] = (v))
+#define store_halfs(v, i, p) vstore_half_rte(v, i, p)
 #define to_floats convert_float
 #define to_ints convert_int
 #define to_uints convert_uint
@@ -65,8 +73,10 @@ typedef uchar Bytes;
 #define ints_as_floats as_float
 #define floats_as_ints as_int
 #define LANE_NUMBERS 0
+#define FIRST_LANE(v) (v)
 #define gather_floats(p, i) ((p)[i])
 #define gather_bytes(p, i) ((p)[i])
+#define gather_halfs(p, i) vload_half(i, p)
 
 inline Floats load_xy(__global const float2 *p, Floats *y) {
     *y = (*p).y;
@@ -100,19 +110,19 @@ inline void copy_run(__global const uchar *from, __global uchar *to) { *to = *fr
 /* The first `count` lanes, or all if it is more, for the last pixels of a row. Loads repeat the last of them. */
 inline Floats load_some_floats(const int count, __global const float *p) {
     if (count >= LANES) return load_floats(0, p);
-    const Ints i = min(LANE_NUMBERS, count - 1);
+    const Ints i = min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
     return gather_floats(p, i);
 }
 
 inline Bytes load_some_bytes(const int count, __global const uchar *p) {
     if (count >= LANES) return load_bytes(0, p);
-    const Ints i = min(LANE_NUMBERS, count - 1);
+    const Ints i = min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
     return gather_bytes(p, i);
 }
 
 inline Floats load_some_xy(const int count, __global const float2 *p, Floats *y) {
     if (count >= LANES) return load_xy(p, y);
-    const Ints i = 2 * min(LANE_NUMBERS, count - 1);
+    const Ints i = 2 * min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
     *y = gather_floats((__global const float *)p, i + 1);
     return gather_floats((__global const float *)p, i);
 }
@@ -125,6 +135,22 @@ inline void store_some_bytes(const Bytes v, const int count, __global uchar *p) 
     uchar lanes[LANES];
     store_bytes(v, 0, lanes);
     for (int k = 0; k < count; ++k) p[k] = lanes[k];
+}
+
+inline void store_some_halfs(const Floats v, const int count, __global half *p) {
+    if (count >= LANES) {
+        store_halfs(v, 0, p);
+        return;
+    }
+    float lanes[LANES];
+    store_floats(v, 0, lanes);
+    for (int k = 0; k < count; ++k) vstore_half_rte(lanes[k], k, p);
+}
+
+/* is_same_surface of common.h. */
+inline Ints wide_is_same_surface(const Floats z, const Floats expected, const Floats tolerance) {
+    const Ints near = fabs(z - expected) <= tolerance;
+    return isinf(expected) ? isinf(z) : near;
 }
 
 /* x + 0.5 of each lane's pixel. */

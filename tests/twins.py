@@ -911,7 +911,7 @@ def prepare_inputs(warped, motion, color_prev, depth_prev, to_previous):
             continue
         x0, y0 = int(np.floor(bx - F(0.5))), int(np.floor(by - F(0.5)))
         u, v = bx - F(0.5) - F(x0), by - F(0.5) - F(y0)
-        total, weights = np.zeros(3, F), F(0)
+        columns, weights = np.zeros((2, 3), F), F(0)
         for tap in range(4):
             tx, ty = x0 + (tap & 1), y0 + (tap >> 1)
             if not (0 <= tx < source_width and 0 <= ty < source_height):
@@ -920,7 +920,9 @@ def prepare_inputs(warped, motion, color_prev, depth_prev, to_previous):
             if not (np.isinf(d) if np.isinf(z) else abs(d - z) <= tolerance[y, x]):
                 continue
             weight = (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
-            total, weights = total + weight * rgb[ty, tx], weights + weight
+            columns[tap & 1] += weight * rgb[ty, tx]
+            weights = weights + weight
+        total = columns[0] + columns[1]
         if weights >= F(0.25):
             out[y, x] = (*np.clip(total / weights, -COLOR_MAX, COLOR_MAX), 1)
     return out, mask
@@ -931,7 +933,10 @@ def prepare_inputs(warped, motion, color_prev, depth_prev, to_previous):
 
 def encode(color, exposure):
     """μ-law: ln(1 + μ · exposure · c / 8) / ln(1 + μ) for μ = 5000; negative colour is black."""
-    x = F(1) + F(5000 * exposure / 8) * np.maximum(color, F(0))
+    return _log(F(1) + F(5000 * exposure / 8) * np.maximum(color, F(0))) * F(1 / np.log1p(5000))
+
+
+def _log(x):
     bits = x.view(np.int32)
     exponent = (bits - 0x3F3504F3) >> 23
     e, m = exponent.astype(F), (bits - (exponent << 23)).view(F) - F(1)
@@ -941,7 +946,7 @@ def encode(color, exposure):
     y = (y * m + F(-2.4999993993e-1)) * m + F(3.3333331174e-1)
     z = m * m
     y = y * m * z - F(2.12194440e-4) * e - F(0.5) * z
-    return (m + y + F(0.693359375) * e) * F(1 / np.log1p(5000))
+    return m + y + F(0.693359375) * e
 
 
 def decode(encoded, exposure):
@@ -968,14 +973,22 @@ def depth_median(depth):
 def network_input(color, previous, depth, mask, exposure, network_size):
     """(8, h, w) float32 from the GAE frame, the warped previous frame (H, W, 4) and the input mask (H, W)."""
     inverse = np.minimum(depth_median(depth) / depth, CORRECTION.MAX_INVERSE_DEPTH)
-    colors = [encode(load_color(image), exposure) for image in (color, previous)]
-    planes = np.concatenate([*colors, inverse[..., None], mask.astype(F)[..., None]], -1)
+    planes = np.concatenate([inverse[..., None], mask.astype(F)[..., None]], -1)
     (height, width), (w, h) = depth.shape, network_size
     j, i = np.mgrid[:h, :w]
-    total = np.zeros((h, w, 8), F)
-    for tap in range(4):
-        total = total + planes[np.minimum(2 * j + (tap >> 1), height - 1), np.minimum(2 * i + (tap & 1), width - 1)]
-    return np.moveaxis(F(0.25) * total, -1, 0)
+
+    def taps(image):
+        return [
+            image[np.minimum(2 * j + (tap >> 1), height - 1), np.minimum(2 * i + (tap & 1), width - 1)]
+            for tap in range(4)
+        ]
+
+    lifted = [taps(F(1) + F(5000 * exposure / 8) * np.maximum(load_color(c), F(0))) for c in (color, previous)]
+    colors = [(_log(a * b) + _log(c * d)) * F(1 / np.log1p(5000)) for a, b, c, d in lifted]
+    total = np.zeros((h, w, 2), F)
+    for tap in taps(planes):
+        total = total + tap
+    return np.moveaxis(F(0.25) * np.concatenate([*colors, total], -1), -1, 0)
 
 
 def correct(color, frames, correction, exposure, within_mask=True):

@@ -77,6 +77,7 @@ class ShadingCorrection(Stage):
                 "median_depth": "correction.median_depth",
             },
             {"frames": "correction.frames"},
+            step=("LANES", 1),
         ),
         Kernel(
             "correct",
@@ -91,6 +92,7 @@ class ShadingCorrection(Stage):
                 "focus_mask": "correction.focus_mask",
                 "out_color": "correction.color",
             },
+            step=("LANES", 1),
         ),
     )
 

@@ -40,6 +40,7 @@ class ShadingInputs(Stage):
                 "depth_prev": "previous.depth",
             },
             {"warped_previous": "shading.warped_previous", "input_mask": "shading.input_mask"},
+            step=("LANES", 1),
         ),
     )
 
