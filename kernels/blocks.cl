@@ -222,7 +222,7 @@ inline bool find_source(const float2 centre, const int4 extent, const int source
 
 /* One work-item per target block: its class, and of those to be warped backward where their centre comes from. Forgets what
    reached it, for the next frame, and empties the keys of those that are splatted. */
-__kernel void classify_blocks(const int source_width, const int source_height, const int target_width,
+SPARSE __kernel void classify_blocks(const int source_width, const int source_height, const int target_width,
                               const int target_height, __global const float *target_position,
                               __global const uchar *smooth, __global int *reached_by, __global uchar *block_class,
                               __global float8 *block_source, __global Key *keys, __global uint *winners) {
