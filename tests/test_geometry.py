@@ -539,15 +539,16 @@ def test_outputs_of_the_stages_can_be_kept(device):
     pipeline.extrapolate(camera(W, H, (0.3, 0, 0)), 4.5 / 30)
     read = {f"{owner.name}.{spec.name}": owner.read(spec.name) for owner, spec in pipeline.named_buffers()}
     expected = {f"{s}.{n}" for s in ("warp", "background", "holes") for n in ("color", "depth", "motion", "filled_by")}
+    expected.remove("holes.filled_by")  # labelled so by the warp
     assert {f"{stage}.{spec.name}" for stage, spec in pipeline.outputs()} == expected <= set(read)
-    assert set(np.unique(read["warp.filled_by"])) == {0, 253, 254}
-    assert {1, 253} <= set(np.unique(read["background.filled_by"])) and 255 not in read["background.filled_by"]
-    assert 253 not in read["holes.filled_by"]
+    assert set(np.unique(read["warp.filled_by"])) == {0, 254, 255}
+    assert set(np.unique(read["background.filled_by"])) >= {1, 255}
     for name in ("color", "depth", "motion", "filled_by"):
-        assert read[f"holes.{name}"].tobytes() == read[f"frame.{name}"].tobytes()
+        last = "background" if name == "filled_by" else "holes"
+        assert read[f"{last}.{name}"].tobytes() == read[f"frame.{name}"].tobytes()
         changed = (read[f"warp.{name}"] != read[f"background.{name}"]).reshape(H, W, -1).any(-1)
         own = read["frame.mixed"] == 1 if name in ("color", "filled_by") else False
-        assert changed.any() and ((read["warp.filled_by"] == 253) | own)[changed].all()
+        assert changed.any() and ((read["warp.filled_by"] == 255) | own)[changed].all()
     pipeline.keep(["background.depth", "frame.color"])
     names = {f"{owner.name}.{spec.name}" for owner, spec in pipeline.named_buffers()}
     assert names & expected == {"background.depth"}

@@ -160,8 +160,8 @@ class Background(NearestStage):
 
     @staticmethod
     def of_level(level: int) -> dict[str, str]:
-        """Which buffers say what a level holds before anything is offered to it, how deep that is, and how deep what the
-        old level shows (only level 0 does)."""
+        """Which buffers say what a level holds before anything is offered to it, how deep that is, and how deep what it
+        showed before was (only level 0 shows anything)."""
         if level == 0:
             return {
                 "taken_by": "surfaces.unmixed",
