@@ -290,7 +290,7 @@ class Pipeline:
         step = Step(source, self._previous, self._times, camera, time, alpha, self.exposure)
         for stage in self.stages.values():
             if target_position is not None and isinstance(stage, PositionPrediction):
-                stage.upload("target_position", np.asarray(target_position, np.float32)[..., :3])
+                stage.take(target_position)
             else:
                 stage.extrapolated(step)
             if stage.name in self._outputs:

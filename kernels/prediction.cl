@@ -7,14 +7,20 @@
 /* weights[o - 1][i - 1]: factor of (P_i - P_0) in the polynomial of order o <= 4. */
 typedef struct { float4 order1, order2, order3, order4; } Polynomial;
 
+#define NOWHERE -1.0e9f  /* px: far off any image */
+
 /* (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */
 inline float3 predicted_position(const int src_x, const int src_y, const int source_width, const int source_height,
                                  const int order, __global const float *depth, __global const uchar *dynamic_mask,
                                  __global const float4 *history, const Polynomial polynomial, const Reprojection to_target) {
     const int src = src_y * source_width + src_x, plane = source_width * source_height;
     const float z = depth[src];
-    if (INVALID_DEPTH(z)) return (float3)(0.0f, 0.0f, -1.0f);
-    if (!dynamic_mask[src]) return reproject(pixel_centre(src_x, src_y), z, to_target);
+    const float3 nowhere = (float3)(NOWHERE, NOWHERE, -1.0f);
+    if (INVALID_DEPTH(z)) return nowhere;
+    if (!dynamic_mask[src]) {
+        const float3 place = reproject(pixel_centre(src_x, src_y), z, to_target);
+        return place.z > 0.0f ? place : nowhere;
+    }
     const float3 p0 = unproject(pixel_centre(src_x, src_y), z, to_target.source_inverse);
     int known = 0;
     while (known < order && history[known * plane + src].w != 0.0f) ++known;
@@ -24,7 +30,7 @@ inline float3 predicted_position(const int src_x, const int src_y, const int sou
     float3 predicted = p0;
     for (int k = 0; k < known; ++k) predicted += weight[k] * (history[k * plane + src].xyz - p0);
     const float3 target_pos = move_to_target(predicted, to_target);
-    if (!(target_pos.z > 0.0f)) return (float3)(0.0f, 0.0f, -1.0f);
+    if (!(target_pos.z > 0.0f)) return nowhere;
     return (float3)(project(target_pos, to_target.target), target_pos.z);
 }
 
@@ -41,9 +47,9 @@ WIDE __kernel void predict_positions(const int source_width, const int source_he
     if (whole) {
         const Floats z = load_floats(0, depth + src);
         const Wide3 target = wide_reproject(row_centres(src_x), (Floats)((float)src_y + 0.5f), z, to_target);
-        const Ints valid = z > 0.0f;
-        store_floats(valid ? target.x : (Floats)(0.0f), 0, target_position + src);
-        store_floats(valid ? target.y : (Floats)(0.0f), 0, target_position + plane + src);
+        const Ints valid = (z > 0.0f) & (target.z > 0.0f);
+        store_floats(valid ? target.x : (Floats)(NOWHERE), 0, target_position + src);
+        store_floats(valid ? target.y : (Floats)(NOWHERE), 0, target_position + plane + src);
         store_floats(valid ? target.z : (Floats)(-1.0f), 0, target_position + 2 * plane + src);
         movers = ANY(to_ints(load_bytes(0, dynamic_mask + src)) != 0);
     }

@@ -146,6 +146,22 @@ inline int2 step_off_silhouette(const int src_x, const int src_y, const int sour
     return deviation(there, step.x, step.y, here, flow) <= SAME_MOTION ? step : (int2)(0, 0);
 }
 
+#define ALL_ALIKE 0xFF  /* of taps that move alike: bits 0 to 3 the inner ones, 4 to 7 the corners */
+
+/* Colour at (u, v) from pixel `tap`, bilinear, of those of the four taps that move alike; else that of the winner. */
+inline float3 of_those_alike(const int alike, const int tap, const float u, const float v, const int source_width,
+                             const int winner, __global const half *color) {
+    float3 sum = (float3)(0.0f);
+    float weight_sum = 0.0f;
+    for (int k = 0; k < 4; ++k) {
+        if (!((alike >> k) & 1)) continue;
+        const float weight = bilinear_weight(k, u, v);
+        sum += weight * load_color(color, tap + (k >> 1) * source_width + (k & 1));
+        weight_sum += weight;
+    }
+    return weight_sum > 0.01f ? mean_of(sum, weight_sum) : load_color(color, winner);
+}
+
 /* Colour at (src_x, src_y) + d. Cubic where the neighbourhood moves alike, which its four inner taps and its corners
    tell; else bilinear over those of the four taps that move alike. */
 inline float3 resample(const int src_x, const int src_y, const float2 d, const int source_width, const int source_height,
@@ -154,7 +170,7 @@ inline float3 resample(const int src_x, const int src_y, const float2 d, const i
     if (d.x == 0.0f && d.y == 0.0f) return load_color(color, src_y * source_width + src_x);
     const int ox = (int)floor(d.x), oy = (int)floor(d.y);
     const float u = d.x - (float)ox, v = d.y - (float)oy;
-    int alike = 0;  /* bits 0 to 3: the inner taps; 4 to 7: the corners */
+    int alike = 0;
     for (int k = 0; k < 8; ++k) {
         const int dx = ox + (k < 4 ? (k & 1) : 3 * (k & 1) - 1), dy = oy + (k < 4 ? (k >> 1) : 3 * ((k >> 1) & 1) - 1);
         const bool tap_alike = inside(src_x + dx, src_y + dy, source_width, source_height)
@@ -163,21 +179,10 @@ inline float3 resample(const int src_x, const int src_y, const float2 d, const i
         alike |= (int)tap_alike << k;
     }
     float4 rgb;
-    if (alike == 0xFF) {
-        if (cubic_of_finite((src_y + oy - 1) * source_width + src_x + ox - 1, cubic_weights(u), cubic_weights(v), source_width,
-                            color, &rgb)) return rgb.xyz;
-        return cubic(src_x + ox - 1, src_y + oy - 1, u, v, source_width, (__global const uint2 *)color);
-    }
-    float3 sum = (float3)(0.0f);
-    float weight_sum = 0.0f;
-    for (int tap = 0; tap < 4; ++tap) {
-        if (!((alike >> tap) & 1)) continue;
-        const float weight = bilinear_weight(tap, u, v);
-        sum += weight * load_color(color, (src_y + oy + (tap >> 1)) * source_width + src_x + ox + (tap & 1));
-        weight_sum += weight;
-    }
-    if (!(weight_sum > 0.01f)) return load_color(color, src_y * source_width + src_x);
-    return mean_of(sum, weight_sum);
+    const int tap = (src_y + oy) * source_width + src_x + ox;
+    if (alike != ALL_ALIKE) return of_those_alike(alike, tap, u, v, source_width, src_y * source_width + src_x, color);
+    if (cubic_of_finite(tap - source_width - 1, cubic_weights(u), cubic_weights(v), source_width, color, &rgb)) return rgb.xyz;
+    return cubic(src_x + ox - 1, src_y + oy - 1, u, v, source_width, (__global const uint2 *)color);
 }
 
 /* What rounding moved, less than STILL, did not move. */
@@ -323,20 +328,21 @@ inline Ints stays(const Around x, const Around y, const Around depth, const Wide
            & !((depth.down < near) & (wide_deviation(x.down, y.down, none, one, x.here, y.here, f) > MOVES_AWAY));
 }
 
-/* Which lanes are resampled with all 4x4 taps around (ox, oy) from the winners: see resample. */
-inline Ints move_alike(const Ints src, const Floats ox, const Floats oy, const int source_width, const int plane,
+/* Which taps around (ox, oy) from the winners move alike, in bits: see resample. */
+inline Ints taps_alike(const Ints src, const Floats ox, const Floats oy, const int source_width, const int plane,
                        const Floats here_x, const Floats here_y, const WideFlow f, __global const float *target_position) {
     const Ints base = src + to_ints(oy) * source_width + to_ints(ox);
     int first[LANES];
     store_ints(base, 0, first);
     const bool is_run = ALL(base == first[0] + LANE_NUMBERS);
-    Ints alike = base == base;
+    Ints alike = (Ints)(0);
     for (int k = 0; k < 8; ++k) {
         const int dx = k < 4 ? (k & 1) : 3 * (k & 1) - 1, dy = k < 4 ? (k >> 1) : 3 * ((k >> 1) & 1) - 1;
         __global const float *p = target_position + dy * source_width + dx, *q = p + plane;
         const Floats there_x = is_run ? load_floats(0, p + first[0]) : gather_floats(p, base);
         const Floats there_y = is_run ? load_floats(0, q + first[0]) : gather_floats(q, base);
-        alike &= wide_deviation(there_x, there_y, ox + (float)dx, oy + (float)dy, here_x, here_y, f) <= SAME_MOTION;
+        const Ints tap_alike = wide_deviation(there_x, there_y, ox + (float)dx, oy + (float)dy, here_x, here_y, f) <= SAME_MOTION;
+        alike |= tap_alike ? (Ints)(1 << k) : (Ints)(0);
     }
     return alike;
 }
@@ -361,21 +367,24 @@ inline bool resample_run(const int dst, const int first, const Floats *wx, const
 }
 #endif
 
-/* Colours at (u, v) from the pixels `tap`, cubic, for the lanes that are done. */
-inline void resample_lanes(const int dst, const Ints done, const Ints tap, const Floats u, const Floats v,
-                           const int source_width, __global const half *color, __global half *out_color) {
-    int lane_tap[LANES], lane_done[LANES], lane_exact[LANES];
+/* Colours at (u, v) from the pixels `tap`, next to the winners `src`, for the lanes in `use`. */
+inline void resample_lanes(const int dst, const Ints use, const Ints alike, const Ints src, const Ints tap, const Floats u,
+                           const Floats v, const int source_width, __global const half *color, __global half *out_color) {
+    int lane_tap[LANES], lane_use[LANES], lane_exact[LANES], lane_alike[LANES], lane_src[LANES];
     float lane_u[LANES], lane_v[LANES], lanes_x[4][LANES], lanes_y[4][LANES];
     Floats wx[4], wy[4];
     store_ints(tap, 0, lane_tap);
     weights_of(u, wx);
     weights_of(v, wy);
+    const Ints exact = (u == 0.0f) & (v == 0.0f);
 #if LANES == 8
-    if (ALL(done & (tap == lane_tap[0] + LANE_NUMBERS))
+    if (ALL(use & ((alike == ALL_ALIKE) | exact) & (tap == lane_tap[0] + LANE_NUMBERS))
         && resample_run(dst, lane_tap[0] - source_width - 1, wx, wy, source_width, color, out_color)) return;
 #endif
-    store_ints(done, 0, lane_done);
-    store_ints((u == 0.0f) & (v == 0.0f), 0, lane_exact);
+    store_ints(use, 0, lane_use);
+    store_ints(exact, 0, lane_exact);
+    store_ints(alike, 0, lane_alike);
+    store_ints(src, 0, lane_src);
     store_floats(u, 0, lane_u);
     store_floats(v, 0, lane_v);
     for (int k = 0; k < 4; ++k) {
@@ -383,24 +392,25 @@ inline void resample_lanes(const int dst, const Ints done, const Ints tap, const
         store_floats(wy[k], 0, lanes_y[k]);
     }
     for (int k = 0; k < LANES; ++k) {
-        if (!lane_done[k]) continue;
-        const int first = lane_tap[k] - source_width - 1;
-        const float4 lane_x = (float4)(lanes_x[0][k], lanes_x[1][k], lanes_x[2][k], lanes_x[3][k]);
-        const float4 lane_y = (float4)(lanes_y[0][k], lanes_y[1][k], lanes_y[2][k], lanes_y[3][k]);
+        if (!lane_use[k]) continue;
         float4 rgb;
-        if (!lane_exact[k] && cubic_of_finite(first, lane_x, lane_y, source_width, color, &rgb)) {
-            vstore_half4_rte((float4)(rgb.xyz, 0.0f), dst + k, out_color);
-            continue;
+        if (lane_exact[k]) {
+            rgb.xyz = load_color(color, lane_tap[k]);
+        } else if (lane_alike[k] != ALL_ALIKE) {
+            rgb.xyz = of_those_alike(lane_alike[k], lane_tap[k], lane_u[k], lane_v[k], source_width, lane_src[k], color);
+        } else {
+            const float4 lane_x = (float4)(lanes_x[0][k], lanes_x[1][k], lanes_x[2][k], lanes_x[3][k]);
+            const float4 lane_y = (float4)(lanes_y[0][k], lanes_y[1][k], lanes_y[2][k], lanes_y[3][k]);
+            const int tap_y = lane_tap[k] / source_width, tap_x = lane_tap[k] - tap_y * source_width;
+            if (!cubic_of_finite(lane_tap[k] - source_width - 1, lane_x, lane_y, source_width, color, &rgb))
+                rgb.xyz = cubic(tap_x - 1, tap_y - 1, lane_u[k], lane_v[k], source_width, (__global const uint2 *)color);
         }
-        const int tap_y = lane_tap[k] / source_width, tap_x = lane_tap[k] - tap_y * source_width;
-        store_color(lane_exact[k] ? load_color(color, lane_tap[k])
-                                  : cubic(tap_x - 1, tap_y - 1, lane_u[k], lane_v[k], source_width, (__global const uint2 *)color),
-                    out_color, dst + k);
+        store_color(rgb.xyz, out_color, dst + k);
     }
 }
 
 /* LANES pixels from the fragments (src_x, src_y), which lie two pixels within the image. Gives the lanes that are done: those
-   whose surroundings move along; `smooth`: all do. */
+   of `use` that stay where they are at silhouettes; `smooth`: there are none. */
 inline Ints resolve_lanes(const bool smooth, const int dst_x, const int dst_y, const Ints src_x, const Ints src_y, const Ints use,
                           const int source_width, const int source_height, const int target_width, const float2 zoom,
                           __global const half *color, __global const float *depth, __global const uchar *dynamic_mask,
@@ -436,7 +446,7 @@ inline Ints resolve_lanes(const bool smooth, const int dst_x, const int dst_y, c
     dx = fabs(dx) < STILL ? (Floats)(0.0f) : dx;
     dy = fabs(dy) < STILL ? (Floats)(0.0f) : dy;
     const Floats ox = floor(dx), oy = floor(dy);
-    if (!smooth) done &= ((dx == 0.0f) & (dy == 0.0f)) | move_alike(src, ox, oy, source_width, plane, x.here, y.here, f, target_position);
+    const Ints alike = smooth ? (Ints)(ALL_ALIKE) : taps_alike(src, ox, oy, source_width, plane, x.here, y.here, f, target_position);
 
     const Floats out_z = z.here + f.xz * dx + f.yz * dy;
     const Ints own = (floor(x.here) == centre_x - 0.5f) & (floor(y.here) == centre_y - 0.5f);
@@ -447,7 +457,7 @@ inline Ints resolve_lanes(const bool smooth, const int dst_x, const int dst_y, c
     store_bytes((Bytes)(0), 0, mixed + dst);
     store_bytes(to_bytes(own ? (Ints)(BY_WARP) : (Ints)(BY_CRACK_CLOSING)), 0, filled_by + dst);
 
-    resample_lanes(dst, done, src + to_ints(oy) * source_width + to_ints(ox), dx - ox, dy - oy, source_width, color, out_color);
+    resample_lanes(dst, done, alike, src, src + to_ints(oy) * source_width + to_ints(ox), dx - ox, dy - oy, source_width, color, out_color);
     return done;
 }
 

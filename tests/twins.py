@@ -13,11 +13,11 @@ from gffe_cl.opencl.program import constants
 F = np.float32
 INF = F(np.inf)
 COMMON = SimpleNamespace(**constants("common.h"))
-HISTORY, SURFACES, BLOCKS, WARP, BACKGROUND, HOLES, SHADING, CORRECTION = (
+HISTORY, SURFACES, PREDICTION, BLOCKS, WARP, BACKGROUND, HOLES, SHADING, CORRECTION = (
     SimpleNamespace(**{name: F(value) if isinstance(value, float) else value for name, value in found.items()})
     for found in (
         constants(f"{name}.cl")
-        for name in ("history", "surfaces", "blocks", "warp", "background", "holes", "shading", "correction")
+        for name in ("history", "surfaces", "prediction", "blocks", "warp", "background", "holes", "shading", "correction")
     )
 )
 NOBODY = WARP.NOBODY
@@ -232,9 +232,8 @@ def predict_positions(depth, dynamic, history, order, weights, to_target):
         predicted = np.where((known > k)[..., None], predicted + step, predicted)
     target = move(predicted, to_target)
     moved = np.concatenate([project(target, to_target[5]), target[..., 2:]], -1)
-    moved[~(target[..., 2] > 0)] = (0, 0, -1)
     out[dynamic > 0] = moved[dynamic > 0]
-    out[invalid(depth)] = (0, 0, -1)
+    out[invalid(depth) | ~(out[..., 2] > 0)] = (PREDICTION.NOWHERE, PREDICTION.NOWHERE, -1)
     return out
 
 

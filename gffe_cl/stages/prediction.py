@@ -7,9 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from gffe_cl.buffers import BufferSpec
+from gffe_cl.opencl.program import constants
 from gffe_cl.stage import Access, Kernel, Stage, Step, reprojection
 
 MAX_ORDER = 4
+NOWHERE = constants("prediction.cl")["NOWHERE"]  # px
 
 
 class PositionPrediction(Stage):
@@ -23,7 +25,7 @@ class PositionPrediction(Stage):
             np.float32,
             ("x", "y", "depth"),
             "source",
-            "predicted position of each fragment: x, y in target pixels, view depth (−1: nothing to splat)",
+            "predicted position of each fragment: x, y in target pixels (−1e9: nowhere), view depth (−1)",
             "place",
             planar=True,
         ),
@@ -49,6 +51,12 @@ class PositionPrediction(Stage):
             polynomial=polynomial_weights(step.times, step.time, MAX_ORDER),
             to_target=reprojection(step.frame.camera, step.camera),
         )
+
+    def take(self, target_position: np.ndarray) -> None:
+        """Have these positions, (H, W, 3 or 4) float32, instead."""
+        values = np.array(target_position[..., :3], np.float32)
+        values[~(values[..., 2] > 0)] = (NOWHERE, NOWHERE, -1)
+        self.upload("target_position", values)
 
 
 def polynomial_weights(times: Sequence[float], time: float, max_order: int) -> np.ndarray:
