@@ -66,43 +66,29 @@ inline Box reach_of_pixels(const int x0, const int y0, const int source_width, c
     return box;
 }
 
-/* The most that positions change towards either neighbour, if that is used, in one component; at least `least`. */
-inline Floats most_change(__global const float *p, const int step, const Ints use_before, const Ints use_after, const Floats least,
-                          const Floats most) {
-    const Floats here = load_floats(0, p), none = (Floats)(0.0f);
-    const Floats before = use_before ? fabs(here - load_floats(0, p - step)) : none;
-    const Floats after = use_after ? fabs(load_floats(0, p + step) - here) : none;
-    return smaller(larger(larger(before, after), least), most);
-}
-
-/* The same of a block one pixel within the image, or a little more: footprints are not made out one by one. */
+/* The same of a block one pixel within the image. */
 inline Box reach_of_lanes(const int x0, const int y0, const int source_width, const int plane, const int target_width,
                           const int target_height, const float2 zoom, __global const float *depth,
                           __global const uchar *links, __global const float *target_position) {
-    const Floats none = (Floats)(0.0f), reach = (Floats)(FOOTPRINT_REACH), far_off = (Floats)(INFINITY);
+    const Floats reach = (Floats)(FOOTPRINT_REACH), far_off = (Floats)(INFINITY);
     Boxes boxes = {far_off, far_off, -far_off, -far_off};
     for (int src_y = y0; src_y < y0 + BLOCK_HEIGHT; ++src_y)
         for (int src_x = x0; src_x < x0 + BLOCK_WIDTH; src_x += LANES) {
             const int src = src_y * source_width + src_x;
-            __global const float *p = target_position + src, *q = p + plane, *r = q + plane;
-            const Floats x = load_floats(0, p), y = load_floats(0, q), z = load_floats(0, r);
-            const Ints lands = (z > 0.0f) & (x > -reach) & (y > -reach) & (x < (float)target_width + reach)
-                               & (y < (float)target_height + reach);
-            const Ints bits = to_ints(load_bytes(0, links + src));
-            const Ints left = ((bits & LINK_LEFT) != 0) & (load_floats(0, r - 1) > 0.0f);
-            const Ints right = ((bits & LINK_RIGHT) != 0) & (load_floats(0, r + 1) > 0.0f);
-            const Ints up = ((bits & LINK_UP) != 0) & (load_floats(0, r - source_width) > 0.0f);
-            const Ints down = ((bits & LINK_DOWN) != 0) & (load_floats(0, r + source_width) > 0.0f);
-            const Floats nearer = isinf(z) ? (Floats)(1.0f) : load_floats(0, depth + src) * 1.001f / z;
-            const Floats scale_x = zoom.x * nearer, scale_y = zoom.y * nearer, most = STRETCH_MOST * larger(scale_x, scale_y);
-            const Floats half_x = smaller(FOOTPRINT_HALF * (most_change(p, 1, left, right, scale_x, most)
-                                                            + most_change(p, source_width, up, down, none, most)), reach);
-            const Floats half_y = smaller(FOOTPRINT_HALF * (most_change(q, 1, left, right, none, most)
-                                                            + most_change(q, source_width, up, down, scale_y, most)), reach);
-            boxes.x0 = smaller(lands ? x - half_x : far_off, boxes.x0);
-            boxes.y0 = smaller(lands ? y - half_y : far_off, boxes.y0);
-            boxes.x1 = larger(lands ? x + half_x : -far_off, boxes.x1);
-            boxes.y1 = larger(lands ? y + half_y : -far_off, boxes.y1);
+            Around x, y, z;
+            WideFlow f;
+            look_around(target_position, source_width, (Ints)(0), src, true, &x);
+            look_around(target_position + plane, source_width, (Ints)(0), src, true, &y);
+            look_around(target_position + 2 * plane, source_width, (Ints)(0), src, true, &z);
+            wide_flow(x, y, z, to_ints(load_bytes(0, links + src)), load_floats(0, depth + src), zoom, &f);
+            const Ints lands = (z.here > 0.0f) & (x.here > -reach) & (y.here > -reach) & (x.here < (float)target_width + reach)
+                               & (y.here < (float)target_height + reach);
+            const Floats half_x = smaller(FOOTPRINT_HALF * (fabs(f.xx) + fabs(f.yx)), reach);
+            const Floats half_y = smaller(FOOTPRINT_HALF * (fabs(f.xy) + fabs(f.yy)), reach);
+            boxes.x0 = smaller(lands ? x.here - half_x : far_off, boxes.x0);
+            boxes.y0 = smaller(lands ? y.here - half_y : far_off, boxes.y0);
+            boxes.x1 = larger(lands ? x.here + half_x : -far_off, boxes.x1);
+            boxes.y1 = larger(lands ? y.here + half_y : -far_off, boxes.y1);
         }
     return box_of(boxes);
 }

@@ -1,4 +1,4 @@
-/* Where source pixels go: predicted positions and their slopes (warp.cl, blocks.cl). */
+/* Where source pixels go: predicted positions and their slopes (warp.cl, blocks.cl), one by one and LANES at once. */
 
 #define FOOTPRINT_HALF 0.65f     /* half a source pixel and a margin for second-order terms */
 #define FOOTPRINT_REACH 8        /* px: the most that a fragment covers to each side */
@@ -70,4 +70,71 @@ inline bool may_land(const float3 here, const int target_width, const int target
     const float reach = (float)FOOTPRINT_REACH;
     return here.z > 0.0f && here.x > -reach && here.y > -reach && here.x < (float)target_width + reach
            && here.y < (float)target_height + reach;
+}
+
+/* ---- LANES at once ------------------------------------------------------------------------------------------- */
+
+/* What LANES fragments and those beside them have in one plane. */
+typedef struct { Floats here, left, right, up, down; } Around;
+
+inline void look_around(__global const float *plane, const int source_width, const Ints src, const int first, const bool is_run,
+                        Around *a) {
+    if (is_run) {
+        __global const float *p = plane + first;
+        a->here = load_floats(0, p);
+        a->left = load_floats(0, p - 1);
+        a->right = load_floats(0, p + 1);
+        a->up = load_floats(0, p - source_width);
+        a->down = load_floats(0, p + source_width);
+    } else {
+        a->here = gather_floats(plane, src);
+        a->left = gather_floats(plane - 1, src);
+        a->right = gather_floats(plane + 1, src);
+        a->up = gather_floats(plane - source_width, src);
+        a->down = gather_floats(plane + source_width, src);
+    }
+}
+
+/* Flow of LANES fragments. */
+typedef struct { Floats xx, xy, xz, yx, yy, yz, det; } WideFlow;
+
+/* slope, of one component. */
+inline Floats wide_slope(const Floats before, const Floats here, const Floats after, const Ints use_before, const Ints use_after) {
+    const Floats sum = (use_after ? after - here : (Floats)(0.0f)) + (use_before ? here - before : (Floats)(0.0f));
+    return (use_before & use_after) ? sum * 0.5f : sum;
+}
+
+/* flow_at. `bits`: links. */
+inline void wide_flow(const Around x, const Around y, const Around z, const Ints bits, const Floats z_source, const float2 zoom,
+                      WideFlow *flow) {
+    const Ints left = ((bits & LINK_LEFT) != 0) & (z.left > 0.0f), right = ((bits & LINK_RIGHT) != 0) & (z.right > 0.0f);
+    const Ints up = ((bits & LINK_UP) != 0) & (z.up > 0.0f), down = ((bits & LINK_DOWN) != 0) & (z.down > 0.0f);
+    const Ints sky = isinf(z.here);
+    const Floats none = (Floats)(0.0f);
+    WideFlow f;
+    f.xx = wide_slope(x.left, x.here, x.right, left, right);
+    f.xy = wide_slope(y.left, y.here, y.right, left, right);
+    f.xz = sky ? none : wide_slope(z.left, z.here, z.right, left, right);
+    f.yx = wide_slope(x.up, x.here, x.down, up, down);
+    f.yy = wide_slope(y.up, y.here, y.down, up, down);
+    f.yz = sky ? none : wide_slope(z.up, z.here, z.down, up, down);
+    const Floats nearer = sky ? (Floats)(1.0f) : wide_divide(z_source, z.here);
+    const Floats scale_x = zoom.x * nearer, scale_y = zoom.y * nearer;
+    const Floats most = STRETCH_MOST * (scale_x > scale_y ? scale_x : scale_y);
+    const Ints known_x = (left | right) & !(fabs(f.xx) > most) & !(fabs(f.xy) > most);
+    const Ints known_y = (up | down) & !(fabs(f.yx) > most) & !(fabs(f.yy) > most);
+    f.xx = known_x ? f.xx : scale_x;
+    f.xy = known_x ? f.xy : none;
+    f.yx = known_y ? f.yx : none;
+    f.yy = known_y ? f.yy : scale_y;
+    const Floats det = f.xx * f.yy - f.yx * f.xy;
+    const Ints open = det > 0.02f * scale_x * scale_y;
+    f.xx = open ? f.xx : scale_x;
+    f.xy = open ? f.xy : none;
+    f.xz = (open & known_x) ? f.xz : none;
+    f.yx = open ? f.yx : none;
+    f.yy = open ? f.yy : scale_y;
+    f.yz = (open & known_y) ? f.yz : none;
+    f.det = open ? det : scale_x * scale_y;
+    *flow = f;
 }

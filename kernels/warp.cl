@@ -14,7 +14,6 @@
 #define SAME_MOTION 0.5f         /* px: fragments that deviate less from the winner's motion are resampled with it */
 #define MOVES_AWAY 1.0f          /* px: a nearer neighbour that deviates more uncovers what it was mixed with */
 #define NEARER 0.97f
-#define ALL_LINKS 15
 
 /* ---- splat --------------------------------------------------------------------------------------------------- */
 
@@ -45,50 +44,39 @@ inline void splat_fragment(const int src_x, const int src_y, const int source_wi
         }
 }
 
-/* LANES fragments inside a surface that cover no more than the 3x3 pixels around their own; false where they are not. */
-inline bool splat_inside(const int src_x, const int src_y, const int source_width, const int source_height,
-                         const int target_width, const int target_height, const int pass, const float2 zoom,
-                         __global const float *depth, __global const uchar *links, __global const float *target_position,
-                         __global Key *keys, __global uint *winners) {
-    const int src = src_y * source_width + src_x, plane = source_width * source_height;
-    if (src_x + LANES > source_width || !ALL(to_ints(load_bytes(0, links + src)) == ALL_LINKS)) return false;
-    __global const float *p = target_position + src, *q = p + plane, *r = q + plane;
-    const Floats x = load_floats(0, p), y = load_floats(0, q), z = load_floats(0, r);
-    const Floats xx = ((load_floats(0, p + 1) - x) + (x - load_floats(0, p - 1))) * 0.5f;
-    const Floats xy = ((load_floats(0, q + 1) - y) + (y - load_floats(0, q - 1))) * 0.5f;
-    const Floats yx = ((load_floats(0, p + source_width) - x) + (x - load_floats(0, p - source_width))) * 0.5f;
-    const Floats yy = ((load_floats(0, q + source_width) - y) + (y - load_floats(0, q - source_width))) * 0.5f;
-    const Ints lands = (z > 0.0f) & (load_floats(0, r + 1) > 0.0f) & (load_floats(0, r - 1) > 0.0f)
-                       & (load_floats(0, r + source_width) > 0.0f) & (load_floats(0, r - source_width) > 0.0f);
-    const Floats nearer = isinf(z) ? (Floats)(1.0f) : wide_divide(load_floats(0, depth + src), z);
-    const Floats scale_x = zoom.x * nearer, scale_y = zoom.y * nearer;
-    const Floats most = STRETCH_MOST * (scale_x > scale_y ? scale_x : scale_y);
-    const Floats det = xx * yy - yx * xy, own_x = floor(x), own_y = floor(y);
-    const Ints small = (fabs(xx) <= most) & (fabs(xy) <= most) & (fabs(yx) <= most) & (fabs(yy) <= most)
-                       & (det > 0.02f * scale_x * scale_y) & (FOOTPRINT_HALF * (fabs(xx) + fabs(yx)) < 1.49f)
-                       & (FOOTPRINT_HALF * (fabs(xy) + fabs(yy)) < 1.49f);
-    const Ints within = (own_x >= 1.0f) & (own_y >= 1.0f) & (own_x < (float)(target_width - 1))
-                        & (own_y < (float)(target_height - 1));
-    if (!ALL(lands & small & within)) return false;
-
-    const Floats limit = FOOTPRINT_HALF * det;
+/* LANES fragments, one pixel within the image, of which most cover no more than the 3x3 pixels around their own; gives the lanes
+   that are done. */
+inline Ints splat_lanes(const int src, const int source_width, const int plane, const int target_width, const int target_height,
+                        const int pass, const float2 zoom, __global const float *depth, __global const uchar *links,
+                        __global const float *target_position, __global Key *keys, __global uint *winners) {
+    Around x, y, z;
+    look_around(target_position, source_width, (Ints)(0), src, true, &x);
+    look_around(target_position + plane, source_width, (Ints)(0), src, true, &y);
+    look_around(target_position + 2 * plane, source_width, (Ints)(0), src, true, &z);
+    WideFlow f;
+    wide_flow(x, y, z, to_ints(load_bytes(0, links + src)), load_floats(0, depth + src), zoom, &f);
+    const Floats own_x = floor(x.here), own_y = floor(y.here);
+    const Ints within = (z.here > 0.0f) & (own_x >= 1.0f) & (own_y >= 1.0f) & (own_x < (float)(target_width - 1))
+                        & (own_y < (float)(target_height - 1)) & (FOOTPRINT_HALF * (fabs(f.xx) + fabs(f.yx)) < 1.49f)
+                        & (FOOTPRINT_HALF * (fabs(f.xy) + fabs(f.yy)) < 1.49f);
+    const Floats limit = FOOTPRINT_HALF * f.det;
     Ints covers = (Ints)(16);  /* bit 3 (dy + 1) + dx + 1; its own pixel always */
     for (int k = 0; k < 9; ++k) {
-        const Floats dx = (own_x + ((float)(k % 3) - 0.5f)) - x, dy = (own_y + ((float)(k / 3) - 0.5f)) - y;
-        const Ints covered = (fabs(yy * dx - yx * dy) <= limit) & (fabs(xx * dy - xy * dx) <= limit);
+        const Floats dx = (own_x + ((float)(k % 3) - 0.5f)) - x.here, dy = (own_y + ((float)(k / 3) - 0.5f)) - y.here;
+        const Ints covered = (fabs(f.yy * dx - f.yx * dy) <= limit) & (fabs(f.xx * dy - f.xy * dx) <= limit);
         covers |= covered ? (Ints)(1 << k) : (Ints)(0);
     }
     int lane_covers[LANES], lane_dst[LANES];
     float lane_z[LANES];
-    store_ints(covers, 0, lane_covers);
+    store_ints(within ? covers : (Ints)(0), 0, lane_covers);
     store_ints(to_ints(own_y) * target_width + to_ints(own_x), 0, lane_dst);
-    store_floats(z, 0, lane_z);
+    store_floats(z.here, 0, lane_z);
     for (int lane = 0; lane < LANES; ++lane)
         for (int left = lane_covers[lane]; left; left &= left - 1) {
             const int k = 31 - clz(left & -left), dy = (k * 11) >> 5, dx = k - 3 * dy;
             offer(pass, keys, winners, lane_dst[lane] + (dy - 1) * target_width + dx - 1, lane_z[lane], (uint)(src + lane));
         }
-    return true;
+    return within;
 }
 
 /* Whether any of the target blocks x0, y0, x1, y1 is splatted. */
@@ -109,11 +97,17 @@ WIDE __kernel void splat(const int source_width, const int source_height, const 
     if (src_x >= source_width || src_y >= source_height) return;
     if (blocks && crack_closing
         && !any_splatted(reach[block_of(src_x, src_y, source_width)], target_width, block_class)) return;
-    if (crack_closing && splat_inside(src_x, src_y, source_width, source_height, target_width, target_height, pass, zoom,
-                                      depth, links, target_position, keys, winners)) return;
-    for (int x = src_x; x < min(src_x + LANES, source_width); ++x)
-        splat_fragment(x, src_y, source_width, source_height, target_width, target_height, crack_closing, pass, zoom, depth,
-                       links, target_position, keys, winners);
+    Ints done = (Ints)(0);
+    if (crack_closing && src_x >= 1 && src_y >= 1 && src_x + LANES < source_width && src_y + 1 < source_height)
+        done = splat_lanes(src_y * source_width + src_x, source_width, source_width * source_height, target_width,
+                           target_height, pass, zoom, depth, links, target_position, keys, winners);
+    if (ALL(done)) return;
+    int lane_done[LANES];
+    store_ints(done, 0, lane_done);
+    for (int k = 0; k < min(LANES, source_width - src_x); ++k)
+        if (!lane_done[k])
+            splat_fragment(src_x + k, src_y, source_width, source_height, target_width, target_height, crack_closing, pass,
+                           zoom, depth, links, target_position, keys, winners);
 }
 
 /* ---- resample ------------------------------------------------------------------------------------------------ */
@@ -229,71 +223,6 @@ inline void resolve_pixel(const int dst_x, const int dst_y, const int source_wid
     mixed[dst] = is_mixed;
     filled_by[dst] = (int)floor(here.x) == dst_x && (int)floor(here.y) == dst_y ? BY_WARP : BY_CRACK_CLOSING;
     if (is_mixed) forget(keys, winners, dst);
-}
-
-/* What LANES fragments and those beside them have in one plane. */
-typedef struct { Floats here, left, right, up, down; } Around;
-
-inline void look_around(__global const float *plane, const int source_width, const Ints src, const int first, const bool is_run,
-                        Around *a) {
-    if (is_run) {
-        __global const float *p = plane + first;
-        a->here = load_floats(0, p);
-        a->left = load_floats(0, p - 1);
-        a->right = load_floats(0, p + 1);
-        a->up = load_floats(0, p - source_width);
-        a->down = load_floats(0, p + source_width);
-    } else {
-        a->here = gather_floats(plane, src);
-        a->left = gather_floats(plane - 1, src);
-        a->right = gather_floats(plane + 1, src);
-        a->up = gather_floats(plane - source_width, src);
-        a->down = gather_floats(plane + source_width, src);
-    }
-}
-
-/* Flow of LANES fragments. */
-typedef struct { Floats xx, xy, xz, yx, yy, yz, det; } WideFlow;
-
-/* slope, of one component. */
-inline Floats wide_slope(const Floats before, const Floats here, const Floats after, const Ints use_before, const Ints use_after) {
-    const Floats sum = (use_after ? after - here : (Floats)(0.0f)) + (use_before ? here - before : (Floats)(0.0f));
-    return (use_before & use_after) ? sum * 0.5f : sum;
-}
-
-/* flow_at. `bits`: links. */
-inline void wide_flow(const Around x, const Around y, const Around z, const Ints bits, const Floats z_source, const float2 zoom,
-                      WideFlow *flow) {
-    const Ints left = ((bits & LINK_LEFT) != 0) & (z.left > 0.0f), right = ((bits & LINK_RIGHT) != 0) & (z.right > 0.0f);
-    const Ints up = ((bits & LINK_UP) != 0) & (z.up > 0.0f), down = ((bits & LINK_DOWN) != 0) & (z.down > 0.0f);
-    const Ints sky = isinf(z.here);
-    const Floats none = (Floats)(0.0f);
-    WideFlow f;
-    f.xx = wide_slope(x.left, x.here, x.right, left, right);
-    f.xy = wide_slope(y.left, y.here, y.right, left, right);
-    f.xz = sky ? none : wide_slope(z.left, z.here, z.right, left, right);
-    f.yx = wide_slope(x.up, x.here, x.down, up, down);
-    f.yy = wide_slope(y.up, y.here, y.down, up, down);
-    f.yz = sky ? none : wide_slope(z.up, z.here, z.down, up, down);
-    const Floats nearer = sky ? (Floats)(1.0f) : wide_divide(z_source, z.here);
-    const Floats scale_x = zoom.x * nearer, scale_y = zoom.y * nearer;
-    const Floats most = STRETCH_MOST * (scale_x > scale_y ? scale_x : scale_y);
-    const Ints known_x = (left | right) & !(fabs(f.xx) > most) & !(fabs(f.xy) > most);
-    const Ints known_y = (up | down) & !(fabs(f.yx) > most) & !(fabs(f.yy) > most);
-    f.xx = known_x ? f.xx : scale_x;
-    f.xy = known_x ? f.xy : none;
-    f.yx = known_y ? f.yx : none;
-    f.yy = known_y ? f.yy : scale_y;
-    const Floats det = f.xx * f.yy - f.yx * f.xy;
-    const Ints open = det > 0.02f * scale_x * scale_y;
-    f.xx = open ? f.xx : scale_x;
-    f.xy = open ? f.xy : none;
-    f.xz = (open & known_x) ? f.xz : none;
-    f.yx = open ? f.yx : none;
-    f.yy = open ? f.yy : scale_y;
-    f.yz = (open & known_y) ? f.yz : none;
-    f.det = open ? det : scale_x * scale_y;
-    *flow = f;
 }
 
 /* Of fragments within one smooth surface: nothing to check. */
