@@ -356,8 +356,7 @@ def smooth_blocks(target_position, depth, links, zoom):
 
 
 def block_classes(smooth, target_position, depth, links, zoom, target_size):
-    """(rows, columns) bool: target blocks that are warped backward. Of blocks that are not smooth the reach is taken
-    fragment by fragment: the kernel's may be larger, so it may give fewer."""
+    """(rows, columns) bool: target blocks that are warped backward."""
     width, height = target_size
     side = np.array((BLOCKS.BLOCK_WIDTH, BLOCKS.BLOCK_HEIGHT))
     rows, columns = -(-height // side[1]), -(-width // side[0])
