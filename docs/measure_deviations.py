@@ -80,8 +80,8 @@ class Change:
 # By what is named in docs/deviations.md.
 GAE: dict[str, Change] = {
     "fragments cover what their pixel maps to": Change({"crack_closing": False}),
-    "colour is resampled at its sub-pixel position": Change(constants={"warp.cl": {"SUBPIXEL_STEPS": "1.0f"}}),
-    "resampling is cubic, not bilinear": Change(edits={"warp.cl": {"alike == 0xFF": "false"}}),
+    "colour is resampled at its sub-pixel position": Change(constants={"warp.cl": {"STILL": "1e9f"}}),
+    "resampling is cubic, not bilinear": Change({"blocks": False}, {"warp.cl": {"ALL_ALIKE": "0x1FF"}}),
     "no colours mixed with a silhouette that moves away": Change(constants={"warp.cl": {"MOVES_AWAY": "1e30f"}}),
     "… of these, what the background knows replaces": Change(
         edits={"background.cl": {"mixed[dst] && is_same_surface": "false && is_same_surface"}}
