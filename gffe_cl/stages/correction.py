@@ -26,8 +26,8 @@ class ShadingCorrection(Stage):
     refined = e⁻¹(U(L) + U(Δ) + U(keep) · (g − U(L))), final = GAE · (1 − U(M)) + refined · U(M) in linear colour.
 
     `network_milliseconds`: time in the network since last taken, apart from the kernels'. `unusable_pixels`: of all
-    frames so far, where the network gave NaN or infinity; they keep the GAE colour. `with_refined`: whether `refined` is
-    made too, from the next frame on.
+    frames so far, where the network gave NaN or infinity; they keep the GAE colour. `with_refined`: whether `refined`
+    is made too, from the next frame on.
     """
 
     name = "correction"
@@ -47,7 +47,10 @@ class ShadingCorrection(Stage):
             planes=constants("correction.cl")["BINS"], scratch=True,
         ),
         BufferSpec("median_depth", np.float32, (), "once", "of the finite depths, to 1/256"),
-        BufferSpec("refined", np.float16, RGBA, "target", "the network's image, without focus mask (made where somebody looks at it)", "color"),
+        BufferSpec(
+            "refined", np.float16, RGBA, "target", "the network's image, without focus mask; made where somebody looks"
+            " at it", "color",
+        ),
         BufferSpec("focus_mask", np.float16, (), "target", "where it counts (M), 0 below 1/32"),
         BufferSpec("color", np.float16, RGBA, "target", "the final image: refined within M, else GAE", "color"),
     )  # fmt: skip
