@@ -344,9 +344,11 @@ class Pipeline:
                 yield stage, replace(spec, description=f"{spec.description}, as the stage '{stage}' left it")
 
     def keep(self, names: Iterable[str] | None = None) -> None:
-        """From the next frame on keep the outputs `names`, such as "warp.color" (None: all), and no others. Names of
-        other buffers are ignored."""
+        """From the next frame on keep the outputs `names`, such as "warp.color" (None: all), and no others; and make
+        "correction.refined" only if it is among them. Names of other buffers are ignored."""
         wanted = None if names is None else set(names)
+        if correction := self.stages.get(ShadingCorrection.name):
+            correction.with_refined = wanted is None or "correction.refined" in wanted
         found: dict[str, list[BufferSpec]] = {}
         for stage, spec in self.outputs():
             found.setdefault(stage, []).append(spec)

@@ -189,10 +189,14 @@ INLINE Floats interpolate(__global const float *plane, const Taps *t) {
     return (1.0f - u) * (1.0f - v) * a + u * (1.0f - v) * b + (1.0f - u) * v * c + u * v * d;
 }
 
-/* Stores the lanes of a mixture that hold, of the others the extrapolated colour's own bits. */
+/* Stores the lanes of a mixture that hold, and of the others the extrapolated colour's own bits. */
 inline void store_where(const Ints holds, const WideRgb c, const int count, __global const half *color, __global half *out) {
     if (count >= LANES && ALL(holds)) {
         store_rgb_run(c, out);
+        return;
+    }
+    if (count >= LANES && !ANY(holds)) {
+        copy_rgb_run(color, out);
         return;
     }
     int lane_holds[LANES];
@@ -211,15 +215,23 @@ inline void store_where(const Ints holds, const WideRgb c, const int count, __gl
 }
 
 /* refined: the network's image, the detail of the extrapolated one kept as it says; out_color: that within the focus mask,
-   the extrapolated colour's own bits where the mask is 0. Output that is not finite counts as no mask. */
+   the extrapolated colour's own bits where the mask is 0. Output that is not finite counts as no mask. `refined` is made only
+   for whoever asks for it: else a run of pixels without mask is a copy. */
 WIDE __kernel void correct(const int target_width, const int target_height, const int network_width, const int network_height,
-                           const float4 law, const int within_mask, __global const half *color,
-                           __global const float *frames, __global const float *correction, __global half *refined,
-                           __global half *focus_mask, __global half *out_color) {
+                           const float4 law, const int within_mask, const int with_refined,
+                           __global const half *color, __global const float *frames, __global const float *correction,
+                           __global half *refined, __global half *focus_mask, __global half *out_color) {
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= target_width || y >= target_height) return;
     const int i = y * target_width + x, plane = network_width * network_height, count = target_width - x;
     const Taps taps = taps_of(x, y, network_width, network_height);
+    const Floats m = interpolate(correction + 4 * plane, &taps);
+    if (within_mask && !with_refined && !ANY(m >= LEAST_MASK)) {
+        const WideRgb none = {0.0f, 0.0f, 0.0f};
+        store_some_halfs((Floats)(0.0f), count, focus_mask + i);
+        store_where((Ints)(0), none, count, color + 4 * i, out_color + 4 * i);
+        return;
+    }
     const WideRgb c = finite_rgb(count >= LANES ? load_rgb_run(color + 4 * i)
                                                 : gather_rgb(color, i + min((Ints)(LANE_NUMBERS), (Ints)(count - 1))));
     const Floats keep = interpolate(correction + 3 * plane, &taps);
@@ -229,12 +241,11 @@ WIDE __kernel void correct(const int target_width, const int target_height, cons
     const Floats e_r = low_r + interpolate(correction, &taps) + keep * (encode(c.r, law) - low_r);
     const Floats e_g = low_g + interpolate(correction + plane, &taps) + keep * (encode(c.g, law) - low_g);
     const Floats e_b = low_b + interpolate(correction + 2 * plane, &taps) + keep * (encode(c.b, law) - low_b);
-    const Floats m = interpolate(correction + 4 * plane, &taps);
     const Ints usable = isfinite(e_r + e_g + e_b + m);
     const Floats mask = (usable & (m >= LEAST_MASK)) ? least(m, 1.0f) : (Floats)(0.0f);
     store_some_halfs(mask, count, focus_mask + i);
     const WideRgb made = {decode(e_r, law), decode(e_g, law), decode(e_b, law)};
-    store_where(usable, made, count, color + 4 * i, refined + 4 * i);
+    if (with_refined) store_where(usable, made, count, color + 4 * i, refined + 4 * i);
     const Floats whole = usable ? (Floats)(1.0f) : (Floats)(0.0f), share = within_mask ? mask : whole, rest = 1.0f - share;
     const WideRgb mixed = {c.r * rest + made.r * share, c.g * rest + made.g * share, c.b * rest + made.b * share};
     store_where(share > 0.0f, mixed, count, color + 4 * i, out_color + 4 * i);

@@ -65,6 +65,33 @@ inline bool sum_of_finite(const int first, const float4 weights, const int width
     return fabs((*rgb).x) <= COLOR_MAX && fabs((*rgb).y) <= COLOR_MAX && fabs((*rgb).z) <= COLOR_MAX;
 }
 
+#if LANES == 8
+
+/* The same for a run of pixels whose taps follow one another, four at a time, with valid = 1. */
+inline bool store_sums_of_finite(const int first, const Floats *weight, const int width, __global const half *color,
+                                 __global half *warped) {
+    float16 sums[2];
+    for (int part = 0; part < 2; ++part) {
+        __global const half *top = color + 4 * (first + 4 * part), *bottom = top + 4 * width;
+        float4 w[4];
+        for (int tap = 0; tap < 4; ++tap) w[tap] = part ? weight[tap].hi : weight[tap].lo;
+        sums[part] = (w[0].s0000111122223333 * vload_half16(0, top) + w[2].s0000111122223333 * vload_half16(0, bottom))
+                     + (w[1].s0000111122223333 * vload_half16(0, top + 4) + w[3].s0000111122223333 * vload_half16(0, bottom + 4));
+        if (!all(fabs(sums[part]) <= COLOR_MAX)) return false;
+        sums[part].s37bf = (float4)(1.0f);
+    }
+    vstore_half16_rte(sums[0], 0, warped);
+    vstore_half16_rte(sums[1], 1, warped);
+    return true;
+}
+
+#else
+
+inline bool store_sums_of_finite(const int first, const Floats *weight, const int width, __global const half *color,
+                                 __global half *warped) { return false; }
+
+#endif
+
 /* warped_previous: (colour of t-1 at this pixel's surface, 1), or (GAE colour, 0) where that was hidden or outside then. */
 WIDE __kernel void prepare_inputs(const int target_width, const int target_height, const int source_width,
                                   const int source_height, const int has_previous, __global const half *color,
@@ -100,6 +127,9 @@ WIDE __kernel void prepare_inputs(const int target_width, const int target_heigh
         weight_sum += weight[tap];
     }
     const Floats scale = wide_divide((Floats)(1.0f), weight_sum);
+    for (int tap = 0; tap < 4; ++tap) weight[tap] *= scale;
+    if (count >= LANES && in_a_row && ALL(weight_sum >= LEAST_WEIGHT)
+        && store_sums_of_finite(FIRST_LANE(first), weight, source_width, color_prev, warped_previous + 4 * dst)) return;
     int lane_first[LANES], lane_inner[LANES];
     float before_x[LANES], before_y[LANES], before_z[LANES], weights[4][LANES], weight_sums[LANES];
     store_ints(first, 0, lane_first);
@@ -108,7 +138,7 @@ WIDE __kernel void prepare_inputs(const int target_width, const int target_heigh
     store_floats(before.y, 0, before_y);
     store_floats(before.z, 0, before_z);
     store_floats(weight_sum, 0, weight_sums);
-    for (int tap = 0; tap < 4; ++tap) store_floats(weight[tap] * scale, 0, weights[tap]);
+    for (int tap = 0; tap < 4; ++tap) store_floats(weight[tap], 0, weights[tap]);
     for (int k = 0; k < count; ++k) {
         float4 sum;
         const float4 taps = (float4)(weights[0][k], weights[1][k], weights[2][k], weights[3][k]);

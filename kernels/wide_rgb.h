@@ -47,6 +47,10 @@ inline void store_rgb_run(const WideRgb c, __global half *color) {
                                 c.r.s7, c.g.s7, c.b.s7, 0.0f), 1, color);
 }
 
+inline void copy_rgb_run(__global const half *color, __global half *out) {
+    vstore16(vload16(0, (__global const uint *)color), 0, (__global uint *)out);
+}
+
 /* Every second pixel of a row, from the first on; reads up to the one after the last. */
 inline WideRgb load_rgb_alternate(__global const half *color) {
     const float16 a = vload_half16(0, color), b = vload_half16(1, color), c = vload_half16(2, color), d = vload_half16(3, color);
@@ -64,6 +68,10 @@ inline WideRgb load_rgb_run(__global const half *color) { return gather_rgb(colo
 
 inline void store_rgb_run(const WideRgb c, __global half *color) {
     vstore_half4_rte((float4)(c.r, c.g, c.b, 0.0f), 0, color);
+}
+
+inline void copy_rgb_run(__global const half *color, __global half *out) {
+    *(__global uint2 *)out = *(__global const uint2 *)color;
 }
 
 #define load_rgb_alternate load_rgb_run

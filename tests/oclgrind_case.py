@@ -52,6 +52,7 @@ def shading(device):
         correction.prepare(0.5)
         correction.upload("correction", said)
         for within_mask in (True, False):
+            correction.with_refined = within_mask
             correction.compose(0.5, within_mask)
         correction.skip()
         focus.make(correction.buffer["color"], 0.5)

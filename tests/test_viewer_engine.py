@@ -161,6 +161,7 @@ def plain_run(device, source_frames, setup, wanted, camera_at=pose, size=(W, H),
     """(slot → layers) of a pipeline that plays all frames in order; `wanted` slots (k, j)."""
     pipeline = Pipeline(device, *size, setup.options, fps=FPS, **given)
     pipeline.exposure = exposure
+    pipeline.keep(["correction.refined"])
     kept = {}
     for k, frame in enumerate(source_frames):
         pipeline.submit(frame)
@@ -585,7 +586,7 @@ def test_kernels_of_shading_correction_are_reloaded(device, tmp_path, monkeypatc
         wait_for(lambda: engine.build_error)
         assert f"correction.cl:{text.count(chr(10)) + 1}" in engine.build_error
         assert ask(engine, 13, setup, ("final",)).images["final"].tobytes() == good["final"].tobytes()
-        path.write_text(text.replace("const Rgb c = load_rgb(color, i);", "Rgb c = load_rgb(color, i); c.r += 0.5f;"))
+        path.write_text(text.replace("{c.r * rest", "{0.5f + c.r * rest"))
         changed = wait_for(lambda: (answer := engine.poll()) and engine.build_error is None and answer).images
         different = (changed["final"] != good["final"]).any(-1)
         assert different.any() and not different.all()

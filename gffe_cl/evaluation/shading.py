@@ -55,6 +55,7 @@ def study_shading(
     scene_frames = SceneFrames(SceneRenderer(device, scene, width, height))
     pipeline = Pipeline(device, width, height, options or Options(shading_correction=True), fps=fps)
     pipeline.exposure = scene.exposure
+    pipeline.keep(["correction.refined"])
     errors = {method: RegionErrors() for method in METHODS}
     corrected, crops = [], []
     metrics = measurable()

@@ -12,10 +12,22 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.buffers import BY_HOLE_FILLING, BY_NOTHING
+from gffe_cl.inference import MULTIPLE
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.stage import Kernel
 from gffe_cl.stages.background import REMEMBERED, SHOWN
 from gffe_cl.stages.blocks import SPLATTED, Blocks
+
+_STILL = 1 / 64  # change of encoded colour from t − 1 to t + α
+
+
+def still_tiles(frames: np.ndarray) -> np.ndarray:
+    """(h/16, w/16) bool, from (8, h, w), what the network sees: whether nothing changes visibly within a tile from the
+    frame before on, so that it cannot hold any focus."""
+    change = np.abs(frames[:3] - frames[3:6]).max(0)
+    height, width = change.shape
+    return change.reshape(height // MULTIPLE, MULTIPLE, width // MULTIPLE, MULTIPLE).max((1, 3)) < _STILL
+
 
 # Shares of the pixels by name, as `Access.share` has them: the buffer that tells, and which of its values count.
 SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
@@ -27,6 +39,8 @@ SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
     "beyond reach": ("holes.block_color", lambda sums: sums[..., 3] != 0),
     "remembered": ("background.state_0", lambda state: state == REMEMBERED),
     "not shown": ("background.state_0", lambda state: state != SHOWN),
+    "focus": ("correction.focus_mask", lambda mask: mask != 0),
+    "still tiles": ("correction.frames", still_tiles),  # of the network
 }
 
 SCN = {"shading": "SCN, inputs", "correction": "SCN, kernels", "network": "SCN, network"}  # parts by stage

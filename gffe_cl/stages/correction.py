@@ -26,7 +26,8 @@ class ShadingCorrection(Stage):
     refined = e⁻¹(U(L) + U(Δ) + U(keep) · (g − U(L))), final = GAE · (1 − U(M)) + refined · U(M) in linear colour.
 
     `network_milliseconds`: time in the network since last taken, apart from the kernels'. `unusable_pixels`: of all
-    frames so far, where the network gave NaN or infinity; they keep the GAE colour.
+    frames so far, where the network gave NaN or infinity; they keep the GAE colour. `with_refined`: whether `refined`
+    is made too, from the next frame on.
     """
 
     name = "correction"
@@ -46,7 +47,10 @@ class ShadingCorrection(Stage):
             planes=constants("correction.cl")["BINS"], scratch=True,
         ),
         BufferSpec("median_depth", np.float32, (), "once", "of the finite depths, to 1/256"),
-        BufferSpec("refined", np.float16, RGBA, "target", "the network's image, without focus mask", "color"),
+        BufferSpec(
+            "refined", np.float16, RGBA, "target", "the network's image, without focus mask; made where somebody looks"
+            " at it", "color",
+        ),
         BufferSpec("focus_mask", np.float16, (), "target", "where it counts (M), 0 below 1/32"),
         BufferSpec("color", np.float16, RGBA, "target", "the final image: refined within M, else GAE", "color"),
     )  # fmt: skip
@@ -88,7 +92,7 @@ class ShadingCorrection(Stage):
                 "correction": "correction.correction",
             },
             {
-                "refined": "correction.refined",
+                "refined": Access("correction.refined", 0.0),  # unless `with_refined`
                 "focus_mask": "correction.focus_mask",
                 "out_color": "correction.color",
             },
@@ -104,6 +108,7 @@ class ShadingCorrection(Stage):
             self.network = load_network(board.options.scn_model, board.options.scn_provider)
         self.network_milliseconds = 0.0
         self.unusable_pixels = 0
+        self.with_refined = False
 
     @classmethod
     def is_wanted(cls, options) -> bool:
@@ -120,7 +125,7 @@ class ShadingCorrection(Stage):
 
     def skip(self) -> None:
         """Nothing to go by: the final image is the extrapolated one."""
-        for name in ("color", "refined"):
+        for name in ("color", "refined") if self.with_refined else ("color",):
             self.copy(f"correction.{name}", "frame.color")
         self.fill("focus_mask", 0)
 
@@ -144,8 +149,8 @@ class ShadingCorrection(Stage):
                 array.base.release(self.device.queue)
 
     def compose(self, exposure: float, within_mask: bool) -> None:
-        """Fill `refined`, `focus_mask` and `color`; without `within_mask` the whole image is the network's."""
-        self.launch("correct", law=_law(exposure), within_mask=within_mask)
+        """Fill `focus_mask` and `color`; without `within_mask` the whole image is the network's."""
+        self.launch("correct", law=_law(exposure), within_mask=within_mask, with_refined=self.with_refined)
 
     @property
     def network_size(self) -> tuple[int, int]:
