@@ -17,7 +17,10 @@ HISTORY, SURFACES, PREDICTION, BLOCKS, WARP, BACKGROUND, HOLES, SHADING, CORRECT
     SimpleNamespace(**{name: F(value) if isinstance(value, float) else value for name, value in found.items()})
     for found in (
         constants(f"{name}.cl")
-        for name in ("history", "surfaces", "prediction", "blocks", "warp", "background", "holes", "shading", "correction")
+        for name in (
+            *("history", "surfaces", "prediction", "blocks", "warp", "background"),
+            *("holes", "shading", "correction"),
+        )
     )
 )
 NOBODY = WARP.NOBODY
