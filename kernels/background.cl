@@ -55,7 +55,7 @@ inline float slope_at(const int src, const int source_width, __global const floa
 
 /* Whether the current frame allows a static fragment of depth z at pixel `src`: not in front of what is seen there (it would be
    seen, so it is gone), behind it where that is dynamic. *behind: hidden by it. */
-inline bool may_be_at(const int src, const float z, const int source_width, __global const float *depth,
+INLINE bool may_be_at(const int src, const float z, const int source_width, __global const float *depth,
                       __global const uchar *dynamic_mask, __global const uchar *links, float *margin, bool *behind) {
     const float z_shown = depth[src];
     *margin = 0.0f;
@@ -68,6 +68,7 @@ inline bool may_be_at(const int src, const float z, const int source_width, __gl
     return !before && (*behind || !dynamic_mask[src]);
 }
 
+#define BEHIND (1.0f - 0.95f * SAME_SURFACE)  /* times the depth of a fragment: nearer than that is what it is behind */
 #define TOUCHES 0.499f       /* of a texel's side: how far a fragment reaches to the texels beside its own */
 
 /* The current frame, what a level of it holds already (`taken`, and how deep), and whom fragments are offered to. */
@@ -88,11 +89,11 @@ inline bool lands(const float3 now, const int width, const int height) {
    level if it lies behind what B_level holds (case 2: push_keys). And to the empty texels that it touches, where every fragment
    of their own goes before: without that, fragments that move by less than half a pixel per frame would never get past the
    border of what the current frame shows, and fragments that met in one texel would leave a gap beside it. */
-inline void offer_fragment(const float3 now, const uint texel, const Collection to) {
+INLINE void offer_fragment(const float3 now, const uint texel, const Collection to) {
     if (!lands(now, to.width, to.height)) return;
     const int level = to.level, level_width = level_side(to.width, level);
     const float z = now.z;
-    const int src_x = (int)floor(now.x), src_y = (int)floor(now.y);
+    const int src_x = (int)now.x, src_y = (int)now.y;
     const int own = (src_y >> level) * level_width + (src_x >> level);
     float margin;
     bool behind;
@@ -113,8 +114,8 @@ inline void offer_fragment(const float3 now, const uint texel, const Collection 
     const float reach = TOUCHES * (float)(1 << level);
     for (int k = 0; k < 4; ++k) {
         const float px_x = now.x + ((k & 1) ? reach : -reach), px_y = now.y + ((k >> 1) ? reach : -reach);
-        const int corner_x = (int)floor(px_x), corner_y = (int)floor(px_y);
-        if (!inside(corner_x, corner_y, to.width, to.height)) continue;
+        const int corner_x = (int)px_x, corner_y = (int)px_y;
+        if (px_x < 0.0f || px_y < 0.0f || corner_x >= to.width || corner_y >= to.height) continue;
         const int cell = (corner_y >> level) * level_width + (corner_x >> level);
         const uint bits = as_uint(z) | GIVES_WAY;
         if (cell == filled || (level == 0 && cell == own) || to.taken[cell] != EMPTY
@@ -125,29 +126,63 @@ inline void offer_fragment(const float3 now, const uint texel, const Collection 
     }
 }
 
-/* Whether offer_fragment may offer any: not one whose texels are all taken, by what is not nearer than its own surface. */
-inline Ints may_be_offered(const Wide3 now, const Collection to) {
-    const int level = to.level, level_width = level_side(to.width, level);
+#if LANES > 1
+/* Whether nothing can be offered of LANES fragments, which lie roughly here now: they land in one row, almost side by side, and
+   three rows of texels, which hold all that they touch, are taken, by what is not nearer than their own surface. */
+INLINE bool only_meet_surfaces(const Wide3 now, const Collection to) {
+    const int row = level_side(to.width, to.level), size = row * level_side(to.height, to.level), edge = RUN / 4;
+    const float scale = 1.0f / (float)(1 << to.level), error = ROUGHLY * (float)max(to.width, to.height);
+    const Ints in = (now.z > 0.0f) & (now.x > 1.0f) & (now.y > 1.0f) & (now.x < (float)(to.width - 1))
+        & (now.y < (float)(to.height - 1));
+    if (!ALL(in)) return false;
+    const Floats x = now.x * scale, y = now.y * scale;
+    const Ints cell_x = to_ints(x), cell_y = to_ints(y);
+    const Ints sure = fmax(fabs(x - to_floats(cell_x) - 0.5f), fabs(y - to_floats(cell_y) - 0.5f)) < 0.5f - error;
+    const int first_x = cell_x.s0, first = cell_y.s0 * row + first_x;
+    if (first < row + edge || first + row + RUN > size
+        || !ALL(sure & (cell_y == cell_y.s0) & (cell_x > first_x - edge) & (cell_x < first_x + RUN - edge - 1))) return false;
+    __global const uchar *here = to.taken + first - edge;
+    if (run_has(here, EMPTY) || run_has(here - row, EMPTY) || run_has(here + row, EMPTY)) return false;
+    const bool is_run = ALL(cell_x == first_x + LANE_NUMBERS);
+    const Floats z = is_run ? load_floats(0, to.level_depth + first)
+                            : gather_floats(to.level_depth, cell_x + (first - first_x));
+    return !ANY(now.z * BEHIND > z);
+}
+
+/* The least state of the texels that LANES fragments touch, which land in one row from texel `first` on, side by side. */
+INLINE Bytes least_taken_of_run(const int first, const int row, const Ints left, const Ints up, __global const uchar *taken) {
+    __global const uchar *p = taken + first, *above = p - row, *below = p + row;
+    const char8 is_left = convert_char8(left), is_up = convert_char8(up);
+    const Bytes beside = is_left ? load_bytes(0, p - 1) : load_bytes(0, p + 1);
+    const Bytes next = is_up ? load_bytes(0, above) : load_bytes(0, below);
+    const Bytes next_above = is_left ? load_bytes(0, above - 1) : load_bytes(0, above + 1);
+    const Bytes next_below = is_left ? load_bytes(0, below - 1) : load_bytes(0, below + 1);
+    return min(min(load_bytes(0, p), beside), min(next, is_up ? next_above : next_below));
+}
+#endif
+
+/* Whether offer_fragment may offer any: not one whose texels are all taken, by what is not nearer than its own surface. Those
+   are its own and, at most, three on the nearer sides of it. */
+INLINE Ints may_be_offered(const Wide3 now, const Collection to) {
+    const int level = to.level, row = level_side(to.width, level), rows = level_side(to.height, level);
     const Ints in = (now.z > 0.0f) & (now.x >= 0.0f) & (now.y >= 0.0f) & (now.x < (float)to.width)
         & (now.y < (float)to.height);
-    const Floats x = in ? now.x : (Floats)(0.0f), y = in ? now.y : (Floats)(0.0f);
-    const Ints cell = (to_ints(y) >> level) * level_width + (to_ints(x) >> level);
-    const Floats most = now.z * (1.0f - 0.95f * SAME_SURFACE);  /* one that is behind is behind this */
+    const Floats scale = (Floats)(1.0f / (float)(1 << level));
+    const Floats x = in ? now.x * scale : (Floats)(0.0f), y = in ? now.y * scale : (Floats)(0.0f);
+    const Ints cell_x = to_ints(x), cell_y = to_ints(y);
+    const Ints left = x - to_floats(cell_x) < 0.5f, up = y - to_floats(cell_y) < 0.5f;
+    const Floats most = now.z * BEHIND;
 #if LANES > 1
-    /* As a rule they lie side by side: three rows of texels hold all that they touch. */
-    const int first = ((int)y.s0 >> level) * level_width + ((int)x.s0 >> level), row = level_width;
-    const bool inner = first >= row + RUN / 2 && first + row + RUN <= level_width * level_side(to.height, level);
-    if (inner && ALL(cell == first + LANE_NUMBERS) && !ANY(most > load_floats(0, to.level_depth + first))
-        && !run_has(to.taken + first - RUN / 4, EMPTY) && !run_has(to.taken + first - row - RUN / 4, EMPTY)
-        && !run_has(to.taken + first + row - RUN / 4, EMPTY)) return (Ints)(0);
+    const int first = cell_y.s0 * row + cell_x.s0;
+    if (first > row && first + row + RUN <= row * rows && ALL((cell_y == cell_y.s0) & (cell_x == cell_x.s0 + LANE_NUMBERS)))
+        return in & ((to_ints(least_taken_of_run(first, row, left, up, to.taken)) == EMPTY)
+                     | (most > load_floats(0, to.level_depth + first)));
 #endif
-    const float reach = TOUCHES * (float)(1 << level);
-    const Ints x0 = to_ints(fmax(x - reach, 0.0f)) >> level, x1 = min(to_ints(x + reach), to.width - 1) >> level;
-    const Ints y0 = (to_ints(fmax(y - reach, 0.0f)) >> level) * level_width;
-    const Ints y1 = (min(to_ints(y + reach), to.height - 1) >> level) * level_width;
-    const Bytes all_taken = min(min(gather_bytes(to.taken, y0 + x0), gather_bytes(to.taken, y0 + x1)),
-                                min(gather_bytes(to.taken, y1 + x0), gather_bytes(to.taken, y1 + x1)));
-    return in & ((to_ints(all_taken) == EMPTY) | (most > gather_floats(to.level_depth, cell)));
+    const Ints beside = clamp(cell_x + (left ? (Ints)(-1) : (Ints)(1)), (Ints)(0), (Ints)(row - 1));
+    const Ints next = clamp(cell_y + (up ? (Ints)(-1) : (Ints)(1)), (Ints)(0), (Ints)(rows - 1)) * row, own = cell_y * row;
+    const Bytes least_taken = min(min(gather_bytes(to.taken, own + cell_x), gather_bytes(to.taken, own + beside)),
+                                  min(gather_bytes(to.taken, next + cell_x), gather_bytes(to.taken, next + beside)));
+    return in & ((to_ints(least_taken) == EMPTY) | (most > gather_floats(to.level_depth, own + cell_x)));
 }
 
 /* Offers the fragments of B'_level. */
@@ -181,6 +216,9 @@ WIDE __kernel void scatter_level(const int source_width, const int source_height
         px_y = remembered ? old_y : px_y;
         z = remembered ? load_floats(0, old_depth + texel) : z;
     }
+#if LANES > 1
+    if (only_meet_surfaces(wide_reproject_roughly(px_x, px_y, z, to_current), to)) return;
+#endif
     const Wide3 now = wide_reproject(px_x, px_y, z, to_current);
     const Ints wanted = (state != EMPTY) & may_be_offered(now, to);
     if (!ANY(wanted)) return;
@@ -217,15 +255,18 @@ inline bool nobody_came(__global const Key *keys, __global const uint *winners, 
 
 /* Puts the winners of `count` texels, at most LANES, into them, fragments of an old level, and empties their keys. Texels that
    are `taken` stay; 0: none is. */
-inline void settle(const int first, const int count, __global const uchar *taken, __global Key *keys, __global uint *winners,
+INLINE void settle(const int first, const int count, __global const uchar *taken, __global Key *keys, __global uint *winners,
                    const Texels old, const Reprojection to_current, const Level level) {
     uint winner[LANES];
     float x[LANES], y[LANES], z[LANES];
-    const bool nobody = count == LANES && nobody_came(keys, winners, first);
+    if (count == LANES && nobody_came(keys, winners, first)) {
+        store_bytes(taken ? load_bytes(0, taken + first) : (Bytes)(EMPTY), 0, level.state + first);
+        return;
+    }
     for (int k = 0; k < count; ++k) {
         const int texel = first + k;
         const uchar state = taken ? taken[texel] : EMPTY;
-        winner[k] = !nobody && state == EMPTY ? winner_of(keys, winners, texel) : NOBODY;
+        winner[k] = state == EMPTY ? winner_of(keys, winners, texel) : NOBODY;
         level.state[texel] = winner[k] == NOBODY ? state : REMEMBERED;
         if (winner[k] == NOBODY) continue;
         forget(keys, winners, texel);
@@ -235,7 +276,6 @@ inline void settle(const int first, const int count, __global const uchar *taken
         z[k] = depth_of(old, winner[k]);
         store_color(color_of(old, winner[k]), level.color, texel);
     }
-    if (nobody) return;
     const Wide3 now = wide_reproject(load_floats(0, x), load_floats(0, y), load_floats(0, z), to_current);
     store_floats(now.x, 0, x);
     store_floats(now.y, 0, y);
@@ -248,7 +288,7 @@ inline void settle(const int first, const int count, __global const uchar *taken
 }
 
 /* RUN texels of a level from column x on. Not to `collect`: what the frame shows stays out. */
-inline void settle_run(const int x, const int y, const int width, const int collect, __global const uchar *shown,
+INLINE void settle_run(const int x, const int y, const int width, const int collect, __global const uchar *shown,
                        __global Key *keys, __global uint *winners, const Texels old, const Reprojection to_current,
                        const Level level) {
     const int first = y * width + x;
@@ -315,14 +355,17 @@ inline int start_of(const int level, const int4 starts) {
 /* Offers a fragment to the pixels from (x0, y0) to (x1, y1) that the warp left invalid, and to those of its surface whose own
    colour is a makeshift: their fragment's colour was mixed with that of a silhouette. */
 inline void offer_to_pixels(const int x0, const int y0, const int x1, const int y1, const float z, const uint texel,
-                            const int target_width, const int pass, __global const uchar *disoccluded,
-                            __global const uchar *mixed, __global const float *depth, __global Key *keys,
-                            __global uint *winners) {
-    for (int dst_y = y0; dst_y <= y1; ++dst_y)
-        for (int dst = dst_y * target_width + x0; dst <= dst_y * target_width + x1; ++dst) {
+                            const int target_width, const int pixels, const int pass,
+                            __global const uchar *disoccluded, __global const uchar *mixed, __global const float *depth,
+                            __global Key *keys, __global uint *winners) {
+    for (int dst_y = y0; dst_y <= y1; ++dst_y) {
+        const int first = dst_y * target_width + x0, last = dst_y * target_width + x1;
+        if (first + RUN <= pixels && last - first < RUN && run_is_zero(disoccluded + first) && run_is_zero(mixed + first)) continue;
+        for (int dst = first; dst <= last; ++dst) {
             const bool alike = mixed[dst] && is_same_surface(z, depth[dst], SAME_SURFACE * depth[dst]);
             if (disoccluded[dst] || alike) offer(pass, keys, winners, dst, z, texel);
         }
+    }
 }
 
 /* Offers the remembered fragments of all levels, RUN texels per work-item; what lies between two levels is EMPTY. */
@@ -355,8 +398,8 @@ SCAN __kernel void project_levels(const int texels, const int4 starts, const int
         store_ints(min(to_ints(floor(there.y + half_y - 0.5f)), target_height - 1), 0, y1);
         for (int k = 0; k < LANES; ++k)
             if (reaches[k])
-                offer_to_pixels(x0[k], y0[k], x1[k], y1[k], z[k], (uint)(texel + k), target_width, pass, disoccluded, mixed,
-                                depth, keys, winners);
+                offer_to_pixels(x0[k], y0[k], x1[k], y1[k], z[k], (uint)(texel + k), target_width,
+                                target_width * target_height, pass, disoccluded, mixed, depth, keys, winners);
     }
 }
 
@@ -364,7 +407,7 @@ SCAN __kernel void project_levels(const int texels, const int4 starts, const int
 #define ONE_OBJECT 0.05f         /* relative depth within which two dynamic fragments are of one object */
 
 /* Depth of the first pixel that is not disoccluded from (x, y) in a direction, if it is dynamic; else -1. */
-inline float dynamic_beside(const int dst_x, const int dst_y, const int dx, const int dy, const int target_width,
+INLINE float dynamic_beside(const int dst_x, const int dst_y, const int dx, const int dy, const int target_width,
                             const int target_height,
                             __global const uchar *disoccluded, __global const uchar *is_dynamic, __global const float *depth) {
     for (int t = 1; t <= INSIDE_REACH; ++t) {
@@ -377,7 +420,7 @@ inline float dynamic_beside(const int dst_x, const int dst_y, const int dx, cons
 }
 
 /* Whether the hole at (x, y) lies between two parts of one moving object: then it is the object's, not the background's. */
-inline bool inside_mover(const int dst_x, const int dst_y, const int target_width, const int target_height,
+INLINE bool inside_mover(const int dst_x, const int dst_y, const int target_width, const int target_height,
                          __global const uchar *disoccluded,
                          __global const uchar *is_dynamic, __global const float *depth) {
     for (int axis = 0; axis < 2; ++axis) {
@@ -391,7 +434,7 @@ inline bool inside_mover(const int dst_x, const int dst_y, const int target_widt
 
 /* Colour of the texels around a winner, weighted by their distance in the target image from `centre`, of the winner's surface
    only: within one texel's side; within two where that catches too little, as in the gaps between irregular fragments. */
-inline float3 color_around(const int winner, const int start, const int level_width, const int level_height, const float z_winner,
+INLINE float3 color_around(const int winner, const int start, const int level_width, const int level_height, const float z_winner,
                            const float2 side, const float2 centre, const Reprojection to_target, const Texels texels) {
     const int texel_x = (winner - start) % level_width, texel_y = (winner - start) / level_width;
     float3 sum;
@@ -400,21 +443,36 @@ inline float3 color_around(const int winner, const int start, const int level_wi
         sum = (float3)(0.0f);
         weight_sum = 0.0f;
         const float inverse_x = divide(1.0f, side.x * (float)reach), inverse_y = divide(1.0f, side.y * (float)reach);
-        for (int dy = -reach; dy <= reach; ++dy)
-            for (int dx = -reach; dx <= reach; ++dx) {
-                if (!inside(texel_x + dx, texel_y + dy, level_width, level_height)) continue;
-                const int tap = winner + dy * level_width + dx;
-                if (texels.state[tap] == EMPTY) continue;
-                const float z = depth_of(texels, tap);
-                if (!is_same_surface(z, z_winner, 2.0f * SAME_SURFACE * z_winner)) continue;
-                const float3 there = reproject(px_of(texels, tap), z, to_target);
-                if (!(there.z > 0.0f)) continue;
-                const float wx = 1.0f - fabs(there.x - centre.x) * inverse_x;
-                const float wy = 1.0f - fabs(there.y - centre.y) * inverse_y;
-                if (!(wx > 0.0f && wy > 0.0f)) continue;
-                sum += wx * wy * color_of(texels, tap);
-                weight_sum += wx * wy;
+        const int taps_side = 2 * reach + 1, taps = taps_side * taps_side;
+        for (int first = 0; first < taps; first += LANES) {
+            int tap[LANES];
+            float x[LANES], y[LANES], z[LANES], weight[LANES];
+            for (int k = 0; k < LANES; ++k) {
+                const int dx = (first + k) % taps_side - reach, dy = (first + k) / taps_side - reach;
+                tap[k] = winner + dy * level_width + dx;
+                z[k] = -1.0f;  /* none: it does not land */
+                x[k] = y[k] = 0.0f;
+                if (first + k >= taps || !inside(texel_x + dx, texel_y + dy, level_width, level_height)) continue;
+                const uchar state = texels.state[tap[k]];
+                if (state == EMPTY) continue;
+                const float z_tap = state == SHOWN ? texels.frame_depth[tap[k]] : texels.depth[tap[k]];
+                if (!is_same_surface(z_tap, z_winner, 2.0f * SAME_SURFACE * z_winner)) continue;
+                const float2 px = state == SHOWN ? pixel_centre(texel_x + dx, texel_y + dy) : texels.px[tap[k]];
+                x[k] = px.x;
+                y[k] = px.y;
+                z[k] = z_tap;
             }
+            const Floats z_taps = load_floats(0, z);
+            const Wide3 there = wide_reproject(load_floats(0, x), load_floats(0, y), z_taps, to_target);
+            const Floats wx = 1.0f - fabs(there.x - centre.x) * inverse_x, wy = 1.0f - fabs(there.y - centre.y) * inverse_y;
+            const Ints counts = (z_taps > 0.0f) & (there.z > 0.0f) & (wx > 0.0f) & (wy > 0.0f);
+            store_floats(counts ? wx * wy : (Floats)(0.0f), 0, weight);
+            for (int k = 0; k < LANES; ++k) {
+                if (!(weight[k] > 0.0f)) continue;
+                sum += weight[k] * color_of(texels, tap[k]);
+                weight_sum += weight[k];
+            }
+        }
         if (weight_sum >= ENOUGH_WEIGHT) break;
     }
     return weight_sum > 0.01f ? mean_of(sum, weight_sum) : color_of(texels, winner);
