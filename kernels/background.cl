@@ -360,7 +360,8 @@ inline void offer_to_pixels(const int x0, const int y0, const int x1, const int 
                             __global Key *keys, __global uint *winners) {
     for (int dst_y = y0; dst_y <= y1; ++dst_y) {
         const int first = dst_y * target_width + x0, last = dst_y * target_width + x1;
-        if (first + RUN <= pixels && last - first < RUN && run_is_zero(disoccluded + first) && run_is_zero(mixed + first)) continue;
+        if (first + RUN <= pixels && last - first < RUN && run_is_zero(disoccluded + first) && run_is_zero(mixed + first))
+            continue;
         for (int dst = first; dst <= last; ++dst) {
             const bool alike = mixed[dst] && is_same_surface(z, depth[dst], SAME_SURFACE * depth[dst]);
             if (disoccluded[dst] || alike) offer(pass, keys, winners, dst, z, texel);
@@ -379,12 +380,13 @@ SCAN __kernel void project_levels(const int texels, const int4 starts, const int
     if (first >= texels || !run_has(levels_state + first, REMEMBERED)) return;
     const float level_size = FOOTPRINT_HALF * (float)(1 << level_of(first, starts));
     for (int texel = first; texel < first + RUN; texel += LANES) {
+        const Ints remembered = to_ints(load_bytes(0, levels_state + texel)) == REMEMBERED;
+        if (!ANY(remembered)) continue;
         Floats px_y;
         const Floats px_x = load_xy(levels_px + texel, &px_y), z_source = load_floats(0, levels_depth + texel);
         const Wide3 there = wide_reproject(px_x, px_y, z_source, to_target);
-        const Ints may_reach = (to_ints(load_bytes(0, levels_state + texel)) == REMEMBERED) & (there.z > 0.0f)
-            & (there.x > -REACH) & (there.y > -REACH) & (there.x < (float)target_width + REACH)
-            & (there.y < (float)target_height + REACH);
+        const Ints may_reach = remembered & (there.z > 0.0f) & (there.x > -REACH) & (there.y > -REACH)
+            & (there.x < (float)target_width + REACH) & (there.y < (float)target_height + REACH);
         if (!ANY(may_reach)) continue;
         const Floats nearer = isinf(there.z) ? (Floats)(1.0f) : wide_divide(z_source, there.z), side = level_size * nearer;
         const Floats half_x = fmin(fmax(side * zoom.x, 0.5f), REACH), half_y = fmin(fmax(side * zoom.y, 0.5f), REACH);
