@@ -94,13 +94,13 @@ GAE: dict[str, Change] = {
     ),
     "nothing is collected beside movers and nearer surfaces": Change(constants={"surfaces.cl": {"GROW": "0"}}),
     "fragments must be deeper by a margin (case 2)": Change(
+        constants={"background.cl": {"BEHIND": "1.0f"}},
         edits={
             "background.cl": {
                 "z > z_shown + *margin;": "z > z_shown;",
                 "z > z_level + level_margin)": "z > z_level)",
-                "now.z * (1.0f - 0.95f * SAME_SURFACE)": "now.z",
             }
-        }
+        },
     ),
     "background texels cover what they map to": Change(constants={"background.cl": {"FOOTPRINT_HALF": "0.0f"}}),
     "holes inside a mover are not the background's": Change(constants={"background.cl": {"INSIDE_REACH": "0"}}),

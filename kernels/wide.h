@@ -181,7 +181,7 @@ inline Wide3 wide_unproject(const Floats px_x, const Floats px_y, const Floats z
 }
 
 /* reproject of common.h: `exactly`, with the same bits, or with plain divisions. */
-INLINE Wide3 wide_reproject_so(const bool exactly, const Floats px_x, const Floats px_y, const Floats z, const Reprojection r) {
+inline Wide3 wide_reproject_so(const bool exactly, const Floats px_x, const Floats px_y, const Floats z, const Reprojection r) {
     const Ints sky = isinf(z);
     const Wide3 v = wide_unproject(px_x, px_y, z, r.source_inverse);
     const Floats x = r.row0.x * v.x + r.row0.y * v.y + r.row0.z * v.z;
