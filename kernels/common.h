@@ -36,9 +36,12 @@ typedef struct {
 
 /* a / b, correctly rounded but for one case in millions, from a division that is good to a few ulp:
    the remainder a - q b is computed exactly (Dekker's product) and its quotient added.
-   Plain division where a magnitude would leave the range in which that is exact. */
+   Plain division where a magnitude would leave the range in which that is exact, and on devices that divide exactly. */
 inline float divide(const float a, const float b) {
     const float q = a / b;
+#ifdef EXACT_DIVISION
+    return q;
+#else
     const float size = fabs(q), size_b = fabs(b);
     if (!(size > 1e-15f && size < 1e15f && size_b > 1e-15f && size_b < 1e15f)) return q;
     const float q_c = q * 4097.0f, b_c = b * 4097.0f;
@@ -48,6 +51,7 @@ inline float divide(const float a, const float b) {
     const float error = ((q_hi * b_hi - product) + q_hi * b_lo + q_lo * b_hi) + q_lo * b_lo;
     const float remainder = (a - product) - error;
     return q + remainder / b;
+#endif
 }
 
 inline float2 pixel_centre(const int x, const int y) { return (float2)((float)x + 0.5f, (float)y + 0.5f); }

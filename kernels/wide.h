@@ -162,6 +162,9 @@ typedef struct { Floats x, y, z; } Wide3;
 /* divide of common.h. */
 inline Floats wide_divide(const Floats a, const Floats b) {
     const Floats q = a / b;
+#ifdef EXACT_DIVISION
+    return q;
+#else
     const Floats size = fabs(q), size_b = fabs(b);
     const Floats q_c = q * 4097.0f, b_c = b * 4097.0f;
     const Floats q_hi = q_c - (q_c - q), b_hi = b_c - (b_c - b);
@@ -171,6 +174,7 @@ inline Floats wide_divide(const Floats a, const Floats b) {
     const Floats remainder = (a - product) - error;
     const Ints safe = (size > 1e-15f) & (size < 1e15f) & (size_b > 1e-15f) & (size_b < 1e15f);
     return safe ? q + remainder / b : q;
+#endif
 }
 
 /* unproject of common.h. */

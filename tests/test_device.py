@@ -231,8 +231,12 @@ __kernel void quotients(const int n, __global const float *a, __global const flo
 """
 
 
-def test_division_is_correctly_rounded(device, sources):
+@pytest.mark.parametrize("exact", [False, True], ids=["corrected", "plain"])
+def test_division_is_correctly_rounded(device, sources, exact, monkeypatch):
     """`divide` against NumPy's: equal, but for one in a hundred thousand that may be off by one ulp."""
+    if exact and not device.exact_division:
+        pytest.skip("this device's division is not exact")
+    monkeypatch.setitem(device.__dict__, "exact_division", exact)
     (sources / "arithmetic.cl").write_text(ARITHMETIC)
     program = build(device, "arithmetic")
     rng = np.random.default_rng(3)

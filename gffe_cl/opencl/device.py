@@ -81,6 +81,11 @@ class Device:
         return int(os.environ.get("GFFE_LANES") or (8 if self.info.kind == "cpu" else 1))
 
     @cached_property
+    def exact_division(self) -> bool:
+        """Whether plain division is correctly rounded here; else kernels correct it (`divide` of common.h)."""
+        return self.info.exact_division
+
+    @cached_property
     def int64_atomics(self) -> bool:
         """Whether a 64-bit atomic minimum builds and gives the right answer here."""
         return try_int64_atomics(self.context, self.queue)

@@ -109,7 +109,9 @@ def _device(document: dict) -> DeviceInfo:
     """TypeError unless the fields are of the types that they are described as."""
     info = DeviceInfo(**document)
     for name, value in ((field.name, getattr(info, field.name)) for field in fields(DeviceInfo)):
-        kind = {"works": bool, "lacks": list, "megapixels_per_second": (int, float)}.get(name, str)
+        kind = {"works": bool, "exact_division": bool, "lacks": list, "megapixels_per_second": (int, float)}.get(
+            name, str
+        )
         if not isinstance(value, kind):
             raise TypeError(name)
     return info

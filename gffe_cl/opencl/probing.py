@@ -46,6 +46,7 @@ class DeviceInfo:
     works: bool = False
     problem: str = ""  # why it does not work
     lacks: list[str] = field(default_factory=list)
+    exact_division: bool = False  # found out by trying
     megapixels_per_second: float = 0.0  # of the probe kernel; only for ranking
 
 
@@ -150,7 +151,8 @@ def _probe(index: str, platform: cl.Platform, device: cl.Device) -> None:
         info.works = True
         if not try_int64_atomics(context, queue):
             info.lacks.append("64-bit atomics (two-pass warp instead)")
-        if not device.single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT:
+        info.exact_division = try_exact_division(context, queue)
+        if not info.exact_division:
             info.lacks.append("correctly rounded division (done in software)")
         if not device.image_support:
             info.lacks.append("images (not needed)")
@@ -224,6 +226,38 @@ def try_int64_atomics(context: cl.Context, queue: cl.CommandQueue) -> bool:
     except (cl.Error, RuntimeError):
         return False
     return out.tolist() == [(1 << 33) | 62, 63]
+
+
+_DIVISION_SOURCE = """
+__kernel void divide(__global const float *a, __global const float *b, __global float *one, __global float *eight) {
+    const int i = get_global_id(0);
+    one[i] = a[i] / b[i];
+    vstore8(vload8(i, a) / vload8(i, b), i, eight);
+}
+"""
+
+
+def try_exact_division(context: cl.Context, queue: cl.CommandQueue) -> bool:
+    """Whether plain division, of scalars and of vectors, is correctly rounded here, whatever the driver promises: of
+    half a million quotients all."""
+    import numpy as np
+
+    n = 1 << 16 if "oclgrind" not in os.environ.get("LD_PRELOAD", "") else 64
+    rng = np.random.default_rng(0)
+    a, b = ((rng.normal(size=8 * n) * 10 ** rng.uniform(-6, 6, 8 * n)).astype(np.float32) for _ in range(2))
+    flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+    try:
+        with quiet_builds():
+            kernel = cl.Kernel(cl.Program(context, _DIVISION_SOURCE).build(), "divide")
+        one, eight = (cl.Buffer(context, cl.mem_flags.WRITE_ONLY, 4 * 8 * n) for _ in range(2))
+        kernel(queue, (n,), None, *(cl.Buffer(context, flags, hostbuf=x) for x in (a, b)), one, eight)
+        found = np.empty_like(a), np.empty_like(a)
+        for array, buffer in zip(found, (one, eight), strict=True):
+            cl.enqueue_copy(queue, array, buffer)
+    except (cl.Error, RuntimeError):
+        return False
+    expected = a / b
+    return np.array_equal(found[0][:n], expected[:n]) and np.array_equal(found[1], expected)
 
 
 if __name__ == "__main__":

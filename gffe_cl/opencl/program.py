@@ -93,6 +93,8 @@ def build(device: Device, name: str, **variant: int) -> Program:
     source = expand(f"{name}.cl")
     if _WIDE.search(source):
         variant = {"LANES": device.lanes, "RUN": 16 if device.lanes > 1 else 1} | variant
+    if device.exact_division and "EXACT_DIVISION" in source:
+        variant = {"EXACT_DIVISION": 1} | variant
     key = (name, source, *sorted(variant.items()))
     if key not in device.programs:
         device.programs[key] = Program(device, name, source, variant)
