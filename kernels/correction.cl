@@ -6,18 +6,19 @@
 
 #define BIN_BITS 16       /* dropped from a depth: bins are 1/128 of a power of two wide */
 #define BINS 32768
-#define STRIP 16          /* rows per work-item of depth_histogram: equal bins in a run cost one atomic */
+#define COUNTED_ROWS 8    /* depth_histogram counts every eighth row */
+#define STRIP 128         /* rows per work-item of depth_histogram: equal bins in a run cost one atomic */
 #define SCANNERS 64       /* work-items of find_median */
 #define MAX_INVERSE_DEPTH 8.0f
 #define LEAST_MASK 0.03125f  /* a smaller focus mask is 0 */
 
-/* How often each bin of finite depth occurs. */
+/* How often each bin of finite depth occurs in some of the rows. */
 __kernel void depth_histogram(const int target_width, const int target_height, __global const float *depth,
                               __global uint *histogram) {
     const int dst_x = get_global_id(0), first = get_global_id(1) * STRIP;
     if (dst_x >= target_width) return;
     uint bin = 0, run = 0;
-    for (int dst_y = first; dst_y < min(first + STRIP, target_height); ++dst_y) {
+    for (int dst_y = first; dst_y < min(first + STRIP, target_height); dst_y += COUNTED_ROWS) {
         const float z = depth[dst_y * target_width + dst_x];
         if (INVALID_DEPTH(z) || isinf(z)) continue;
         const uint here = as_uint(z) >> BIN_BITS;
@@ -184,7 +185,8 @@ WIDE __kernel void network_input(const int target_width, const int target_height
         const int row = min(2 * net_y + part, target_height - 1) * target_width;
         first[part] = row + 2 * net_x;
         Pairs z, m;
-        for (int side = 0; side < 2; ++side) at[2 * part + side] = row + min(2 * (net_x + LANE_NUMBERS) + side, (Ints)(target_width - 1));
+        for (int side = 0; side < 2; ++side)
+            at[2 * part + side] = row + min(2 * (net_x + LANE_NUMBERS) + side, (Ints)(target_width - 1));
         if (inner) {
             z = load_pairs(depth + first[part]);
             m = load_half_pairs(input_mask + first[part]);
@@ -194,7 +196,7 @@ WIDE __kernel void network_input(const int target_width, const int target_height
             m.even = gather_halfs(input_mask, at[2 * part]);
             m.odd = gather_halfs(input_mask, at[2 * part + 1]);
         }
-        const Pairs quotient = *median_depth / z, nearness = quotient < MAX_INVERSE_DEPTH ? quotient : (Pairs)(MAX_INVERSE_DEPTH);
+        const Pairs near = *median_depth / z, nearness = near < MAX_INVERSE_DEPTH ? near : (Pairs)(MAX_INVERSE_DEPTH);
         inverse += nearness.even + nearness.odd;
         mask += m.even + m.odd;
     }

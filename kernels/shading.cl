@@ -1,6 +1,6 @@
 /* Around the shading correction network (paper: 'Shading Correction Network'): the previous rendered frame warped backward
-   to t + alpha, the input mask, and the focus mask that it learns. Only pixels that move, or come from the image's border, are
-   looked at one by one. */
+   to t + alpha, the input mask, and the focus mask that it learns. Only pixels whose taps lie apart from their neighbours', or
+   at the image's border, are looked at one by one. */
 
 #include "common.h"
 #include "rgb.h"
@@ -13,11 +13,9 @@
 #define MASK_DISOCCLUDED 0.0f
 #define MASK_REST 0.5f
 
-/* Colour of t-1 at a pixel's surface (see position_before), of the taps that show it; false where they show too little of it. */
+/* Colour of t-1 at a pixel's surface (see position_before), of the taps that show it; false where they show too little. */
 inline bool color_before(const float3 before, const float tolerance, const int source_width, const int source_height,
                          __global const half *color_prev, __global const float *depth_prev, float3 *rgb) {
-    if (!(before.z > 0.0f && before.x > -1.5f && before.y > -1.5f && before.x < (float)source_width + 0.5f
-          && before.y < (float)source_height + 0.5f)) return false;
     const int x0 = (int)floor(before.x), y0 = (int)floor(before.y);
     float3 sum = (float3)(0.0f);
     float weight_sum = 0.0f;
@@ -52,22 +50,30 @@ inline float16 sum_of_four(const int first, const float4 *w, const int width, __
            + (w[1].s0000111122223333 * vload_half16(0, top + 4) + w[3].s0000111122223333 * vload_half16(0, bottom + 4));
 }
 
-/* The same for a strip of pixels, with valid = 1: their taps are the pixels from `first` on, or from `second` on. */
-inline bool store_sums_of_finite(const int first, const int second, const Ints in_second, const Floats *weight,
-                                 const int width, __global const half *color, __global half *warped) {
+/* The same for a strip of pixels, with valid = 1: their taps are the pixels from `first` on, or from `second` on. Those that
+   are `lost` get (GAE colour, 0). */
+inline bool store_strip(const int first, const int second, const Ints in_second, const Ints lost, const Floats *weight,
+                        const int width, __global const half *color_prev, __global const half *color, __global half *warped) {
     float16 sums[2];
 #pragma unroll
     for (int part = 0; part < 2; ++part) {
         float4 w[4];
+#pragma unroll
         for (int tap = 0; tap < 4; ++tap) w[tap] = part ? weight[tap].hi : weight[tap].lo;
-        sums[part] = sum_of_four(first + 4 * part, w, width, color);
+        sums[part] = sum_of_four(first + 4 * part, w, width, color_prev);
         if (second != first) {
             const int4 other = part ? in_second.hi : in_second.lo;
-            sums[part] = other.s0000111122223333 ? sum_of_four(second + 4 * part, w, width, color) : sums[part];
+            sums[part] = other.s0000111122223333 ? sum_of_four(second + 4 * part, w, width, color_prev) : sums[part];
         }
-        if (!all(fabs(sums[part]) <= COLOR_MAX)) return false;
         sums[part].s37bf = (float4)(1.0f);
+        if (ANY(lost)) {
+            const int4 here = part ? lost.hi : lost.lo;
+            float16 gae = vload_half16(part, color);
+            gae.s37bf = (float4)(0.0f);
+            sums[part] = here.s0000111122223333 ? gae : sums[part];
+        }
     }
+    if (!all((fabs(sums[0]) <= COLOR_MAX) & (fabs(sums[1]) <= COLOR_MAX))) return false;
     vstore_half16_rte(sums[0], 0, warped);
     vstore_half16_rte(sums[1], 1, warped);
     return true;
@@ -75,8 +81,10 @@ inline bool store_sums_of_finite(const int first, const int second, const Ints i
 
 #else
 
-inline bool store_sums_of_finite(const int first, const int second, const Ints in_second, const Floats *weight,
-                                 const int width, __global const half *color, __global half *warped) { return false; }
+inline bool store_strip(const int first, const int second, const Ints in_second, const Ints lost, const Floats *weight,
+                        const int width, __global const half *color_prev, __global const half *color, __global half *warped) {
+    return false;
+}
 
 #endif
 
@@ -137,52 +145,66 @@ WIDE __kernel void prepare_inputs(const int target_width, const int target_heigh
         follow_motion(moves, px_x, px_y, mv_x, mv_y, source_width, source_height, motion, to_previous.target.x, &before,
                       &tolerance);
     }
-    Ints inner = (before.z > 0.0f) & (before.x >= 0.0f) & (before.x < (float)(source_width - 1)) & (before.y >= 0.0f)
-                 & (before.y < (float)(source_height - 1));
-    if (!has_previous) inner = 0;
+    if (!has_previous) before.z = -1.0f;
+    const Ints inner = (before.z > 0.0f) & (before.x >= 0.0f) & (before.x < (float)(source_width - 1)) & (before.y >= 0.0f)
+                       & (before.y < (float)(source_height - 1));
     const Ints x0 = to_ints(inner ? before.x : (Floats)(0.0f)), y0 = to_ints(inner ? before.y : (Floats)(0.0f));
     const Ints tap_0 = y0 * source_width + x0;
     const Floats u = before.x - to_floats(x0), v = before.y - to_floats(y0);
 
-    /* A strip's taps follow one another but for a jump, which its ends tell. */
-    const int first = FIRST_LANE(tap_0), last = LAST_LANE(tap_0) - (LANES - 1);
-    const bool in_image = max(first, last) + LANES + source_width < source_width * source_height;
-    const int second = last >= 0 ? last : first;
+    /* The taps of most strips follow one another but for one jump, which the ends tell. */
+    const int first = FIRST_LANE(tap_0), last = LAST_LANE(tap_0) - (LANES - 1), second = last >= 0 ? last : first;
     const Ints in_first = tap_0 == first + LANE_NUMBERS, in_second = !in_first & (tap_0 == second + LANE_NUMBERS);
-    const bool in_a_row = ALL(in_first);
+    const Ints in_runs = inner & (in_first | in_second);
+    const bool in_image = max(first, second) + LANES + source_width < source_width * source_height;
+    const bool all_in_runs = in_image && ALL(in_runs | !inner);
+    const Floats nearest = isinf(before.z) ? before.z : before.z - tolerance, farthest = before.z + tolerance;
     Floats weight[4], weight_sum = 0.0f;
+#pragma unroll
     for (int tap = 0; tap < 4; ++tap) {
-        const Ints at = inner ? tap_0 + (tap & 1) + (tap >> 1) * source_width : (Ints)(0);
-        const Floats z_prev = in_a_row && in_image ? load_floats(0, depth_prev + FIRST_LANE(at)) : gather_floats(depth_prev, at);
-        const Ints same = inner & wide_is_same_surface(z_prev, before.z, tolerance);
+        const int step = (tap & 1) + (tap >> 1) * source_width;
+        Floats z_prev;
+        if (all_in_runs) {
+            z_prev = load_floats(0, depth_prev + first + step);
+            if (second != first) z_prev = in_second ? load_floats(0, depth_prev + second + step) : z_prev;
+        } else {
+            const Ints at = inner ? tap_0 + step : (Ints)(0);
+            z_prev = gather_floats(depth_prev, at);
+        }
+        const Ints same = inner & (z_prev >= nearest) & (z_prev <= farthest);
         weight[tap] = same ? ((tap & 1) ? u : 1.0f - u) * ((tap >> 1) ? v : 1.0f - v) : (Floats)(0.0f);
         weight_sum += weight[tap];
     }
     const Ints shown = weight_sum >= LEAST_WEIGHT;
     if (!ALL(weight_sum > 0.99999f)) {
         const Floats scale = shown ? 1.0f / weight_sum : (Floats)(0.0f);
+#pragma unroll
         for (int tap = 0; tap < 4; ++tap) weight[tap] *= scale;
     }
-    Ints rest = !(shown & (in_first | in_second));
-    if (count < LANES || ALL(rest) || !in_image
-        || !store_sums_of_finite(first, second, in_second, weight, source_width, color_prev, warped_previous + 4 * dst)) rest = 1;
+    const Ints met = (before.z > 0.0f) & (before.x > -1.0f) & (before.x < (float)source_width) & (before.y > -1.0f)
+                     & (before.y < (float)source_height);
+    const Ints lost = !met | (inner & !shown);
+    Ints rest = !lost & !(shown & in_runs);
+    if (count < LANES || !in_image || ALL(rest)
+        || !store_strip(first, second, in_second, lost, weight, source_width, color_prev, color + 4 * dst,
+                        warped_previous + 4 * dst)) rest = 1;
     if (!ANY(rest != 0)) return;
-    int lane_first[LANES], lane_inner[LANES], lane_rest[LANES];
-    float before_x[LANES], before_y[LANES], before_z[LANES], tolerances[LANES], weights[4][LANES], weight_sums[LANES];
+    int lane_first[LANES], lane_inner[LANES], lane_lost[LANES], lane_rest[LANES];
+    float before_x[LANES], before_y[LANES], before_z[LANES], tolerances[LANES], weights[4][LANES];
     store_ints(tap_0, 0, lane_first);
     store_ints(inner, 0, lane_inner);
+    store_ints(lost, 0, lane_lost);
     store_ints(rest, 0, lane_rest);
     store_floats(before.x, 0, before_x);
     store_floats(before.y, 0, before_y);
     store_floats(before.z, 0, before_z);
     store_floats(tolerance, 0, tolerances);
-    store_floats(weight_sum, 0, weight_sums);
     for (int tap = 0; tap < 4; ++tap) store_floats(weight[tap], 0, weights[tap]);
     for (int k = 0; k < count; ++k) {
         if (!lane_rest[k]) continue;
         float4 sum;
         const float4 taps = (float4)(weights[0][k], weights[1][k], weights[2][k], weights[3][k]);
-        if (lane_inner[k] && !(weight_sums[k] >= LEAST_WEIGHT)) {
+        if (lane_lost[k]) {
             vstore_half4_rte((float4)(load_color(color, dst + k), 0.0f), dst + k, warped_previous);
             continue;
         }
@@ -191,8 +213,8 @@ WIDE __kernel void prepare_inputs(const int target_width, const int target_heigh
             continue;
         }
         float3 rgb;
-        const bool seen = has_previous && color_before((float3)(before_x[k], before_y[k], before_z[k]), tolerances[k],
-                                                       source_width, source_height, color_prev, depth_prev, &rgb);
+        const bool seen = color_before((float3)(before_x[k], before_y[k], before_z[k]), tolerances[k], source_width,
+                                       source_height, color_prev, depth_prev, &rgb);
         /* Stores of their own per case: Intel's vectoriser (2026.2) takes one decision for all lanes where a vector is selected
            before one store. */
         if (seen) {

@@ -81,7 +81,8 @@ def test_network_input_equals_its_twin(device, size, exposure):
     ],
 )
 def test_median_depth(device, depth, expected):
-    frame, _, correction = made_stages(device, (50, 40))
+    frame, _, correction = made_stages(device, (50, 320))
+    depth = np.stack([depth, *[np.full_like(depth, 7.0)] * 7], 1).reshape(320, 50)  # every eighth row counts
     put(frame, depth=depth.astype(np.float32))
     correction.prepare(1.0)
     assert correction.read("median_depth") == pytest.approx(expected, rel=1 / 200, abs=1e-40)
