@@ -977,8 +977,8 @@ def decode(encoded, exposure):
 
 
 def depth_median(depth):
-    """Middle of the bin, 1/128 of a power of two wide, that holds the median of the finite depths of every eighth row; 1
-    without."""
+    """Middle of the bin, 1/128 of a power of two wide, that holds the median of the finite depths in every eighth row;
+    1 without."""
     depth = depth[:: CORRECTION.COUNTED_ROWS]
     bits = np.sort(depth[np.isfinite(depth) & (depth > 0)].view(np.uint32))
     if not len(bits):
