@@ -6,18 +6,19 @@
 
 #define BIN_BITS 16       /* dropped from a depth: bins are 1/128 of a power of two wide */
 #define BINS 32768
-#define STRIP 16          /* rows per work-item of depth_histogram: equal bins in a run cost one atomic */
+#define COUNTED_ROWS 8    /* depth_histogram counts every eighth row */
+#define STRIP 128         /* rows per work-item of depth_histogram: equal bins in a run cost one atomic */
 #define SCANNERS 64       /* work-items of find_median */
 #define MAX_INVERSE_DEPTH 8.0f
 #define LEAST_MASK 0.03125f  /* a smaller focus mask is 0 */
 
-/* How often each bin of finite depth occurs. */
+/* How often each bin of finite depth occurs in some of the rows. */
 __kernel void depth_histogram(const int target_width, const int target_height, __global const float *depth,
                               __global uint *histogram) {
     const int dst_x = get_global_id(0), first = get_global_id(1) * STRIP;
     if (dst_x >= target_width) return;
     uint bin = 0, run = 0;
-    for (int dst_y = first; dst_y < min(first + STRIP, target_height); ++dst_y) {
+    for (int dst_y = first; dst_y < min(first + STRIP, target_height); dst_y += COUNTED_ROWS) {
         const float z = depth[dst_y * target_width + dst_x];
         if (INVALID_DEPTH(z) || isinf(z)) continue;
         const uint here = as_uint(z) >> BIN_BITS;
@@ -53,11 +54,15 @@ void find_median(__global const uint *histogram, __global float *median_depth) {
 inline Floats least(const Floats a, const float b) { return a < b ? a : (Floats)(b); }
 inline Floats most(const Floats a, const float b) { return a < b ? (Floats)(b) : a; }
 
-/* ln(x) for x >= 1, to about a unit in the last place: of Cephes (Moshier), without branches. Built-in functions differ
-   between runtimes, and not all of them are fast. */
-inline Floats log_of(const Floats x) {
-    const Ints exponent = (floats_as_ints(x) - 0x3f3504f3) >> 23;  /* of the power of two within sqrt(2) */
-    const Floats e = to_floats(exponent), m = ints_as_floats(floats_as_ints(x) - (exponent << 23)) - 1.0f, z = m * m;
+/* Of the power of two within sqrt(2) of x > 0. */
+inline Ints exponent_of(const Floats x) { return (floats_as_ints(x) - 0x3f3504f3) >> 23; }
+
+inline Floats mantissa_of(const Floats x, const Ints exponent) { return ints_as_floats(floats_as_ints(x) - (exponent << 23)); }
+
+/* ln(mantissa * 2^exponent), to about a unit in the last place: of Cephes (Moshier), without branches. Built-in functions
+   differ between runtimes, and not all of them are fast. */
+inline Floats log_of_parts(const Floats mantissa, const Ints exponent) {
+    const Floats e = to_floats(exponent), m = mantissa - 1.0f, z = m * m;
     Floats y = 7.0376836292e-2f;
     y = y * m - 1.1514610310e-1f;
     y = y * m + 1.1676998740e-1f;
@@ -69,6 +74,19 @@ inline Floats log_of(const Floats x) {
     y = y * m + 3.3333331174e-1f;
     y = y * m * z - 2.12194440e-4f * e - 0.5f * z;
     return m + y + 0.693359375f * e;
+}
+
+/* ln(x) and ln(a * b) for numbers >= 1; the product may be too large for a float. */
+inline Floats log_of(const Floats x) {
+    const Ints exponent = exponent_of(x);
+    return log_of_parts(mantissa_of(x, exponent), exponent);
+}
+
+inline Floats log_of_product(const Floats a, const Floats b) {
+    const Ints of_a = exponent_of(a), of_b = exponent_of(b);
+    const Floats product = mantissa_of(a, of_a) * mantissa_of(b, of_b);
+    const Ints more = exponent_of(product);
+    return log_of_parts(mantissa_of(product, more), of_a + of_b + more);
 }
 
 /* exp(x) - 1 for x from 0 to 88, likewise. */
@@ -87,11 +105,10 @@ inline Floats exp_less_one(const Floats x) {
 }
 
 /* mu-law of colour: 1 at three stops above display white, no upper limit. `law`: mu * exposure / 8, 1 / ln(1 + mu), and
-   their reciprocals. */
-inline Floats lifted(const Floats c, const float4 law) {
-    const Floats positive = c > 0.0f ? c : (Floats)(0.0f);  /* NaN is 0 */
-    return 1.0f + law.x * least(positive, COLOR_MAX);
-}
+   their reciprocals. NaN is 0. */
+#define LIFTED(type, c, law) (1.0f + (law).x * ((c) > 0.0f ? ((c) < COLOR_MAX ? (c) : (type)(COLOR_MAX)) : (type)(0.0f)))
+
+inline Floats lifted(const Floats c, const float4 law) { return LIFTED(Floats, c, law); }
 
 inline Floats encode(const Floats c, const float4 law) { return log_of(lifted(c, law)) * law.y; }
 
@@ -99,19 +116,57 @@ inline Floats decode(const Floats e, const float4 law) {
     return least(exp_less_one(least(most(e, 0.0f) * law.w, 88.0f)) * law.z, COLOR_MAX);
 }
 
-/* The sum of four encoded numbers: logarithms of two products, which stay below 1e28. */
-inline Floats encoded_sum(const Floats a, const Floats b, const Floats c, const Floats d, const float4 law) {
-    return (log_of(lifted(a, law) * lifted(b, law)) + log_of(lifted(c, law) * lifted(d, law))) * law.y;
+/* Products of two rows of lifted colours, which stay below 1e28: of the left and of the right pixels of 2x2. */
+typedef struct { WideRgb left, right; } Columns;
+
+#if LANES == 8
+
+#define CHANNEL(p, c) ((float8)((p)[0].s##c, (p)[1].s##c, (p)[2].s##c, (p)[3].s##c))
+
+inline float16 lifted_rows(const int part, const float4 law, __global const half *top, __global const half *bottom) {
+    const float16 a = vload_half16(part, top), b = vload_half16(part, bottom);
+    return LIFTED(float16, a, law) * LIFTED(float16, b, law);
+}
+
+inline void load_columns(const float4 law, __global const half *top, __global const half *bottom, Columns *columns) {
+    float16 p[4];
+#pragma unroll
+    for (int part = 0; part < 4; ++part) p[part] = lifted_rows(part, law, top, bottom);
+    const Columns c = {{CHANNEL(p, 08), CHANNEL(p, 19), CHANNEL(p, 2a)}, {CHANNEL(p, 4c), CHANNEL(p, 5d), CHANNEL(p, 6e)}};
+    *columns = c;
+}
+
+#else
+
+inline void load_columns(const float4 law, __global const half *top, __global const half *bottom, Columns *columns) {
+    const float8 a = vload_half8(0, top), b = vload_half8(0, bottom), p = LIFTED(float8, a, law) * LIFTED(float8, b, law);
+    const Columns c = {{p.s0, p.s1, p.s2}, {p.s4, p.s5, p.s6}};
+    *columns = c;
+}
+
+#endif
+
+inline WideRgb lifted_rgb(const Ints top, const Ints bottom, const float4 law, __global const half *color) {
+    const WideRgb a = gather_rgb(color, top), b = gather_rgb(color, bottom);
+    const WideRgb product = {lifted(a.r, law) * lifted(b.r, law), lifted(a.g, law) * lifted(b.g, law),
+                             lifted(a.b, law) * lifted(b.b, law)};
+    return product;
 }
 
 /* Means over 2x2 pixels, encoded, of an image: three planes of the network's input. */
 inline void store_colors(const bool inner, const int *first, const Ints *at, const float4 law, __global const half *color,
                          const int plane_size, __global float *planes) {
-    WideRgb c[4];
-    for (int tap = 0; tap < 4; ++tap) c[tap] = inner ? load_rgb_alternate(color + 4 * first[tap]) : gather_rgb(color, at[tap]);
-    store_floats(0.25f * encoded_sum(c[0].r, c[1].r, c[2].r, c[3].r, law), 0, planes);
-    store_floats(0.25f * encoded_sum(c[0].g, c[1].g, c[2].g, c[3].g, law), 0, planes + plane_size);
-    store_floats(0.25f * encoded_sum(c[0].b, c[1].b, c[2].b, c[3].b, law), 0, planes + 2 * plane_size);
+    Columns c;
+    if (inner) {
+        load_columns(law, color + 4 * first[0], color + 4 * first[1], &c);
+    } else {
+        c.left = lifted_rgb(at[0], at[2], law, color);
+        c.right = lifted_rgb(at[1], at[3], law, color);
+    }
+    const float scale = 0.25f * law.y;
+    store_floats(scale * log_of_product(c.left.r, c.right.r), 0, planes);
+    store_floats(scale * log_of_product(c.left.g, c.right.g), 0, planes + plane_size);
+    store_floats(scale * log_of_product(c.left.b, c.right.b), 0, planes + 2 * plane_size);
 }
 
 /* Planes of the network's input: means over 2x2 pixels, the image's border repeated. */
@@ -122,17 +177,28 @@ WIDE __kernel void network_input(const int target_width, const int target_height
                                  __global float *frames) {
     const int net_x = get_global_id(0) * LANES, net_y = get_global_id(1);
     if (net_x >= network_width || net_y >= network_height) return;
-    const bool inner = 2 * (net_x + LANES) < target_width;
-    int first[4];
+    const bool inner = 2 * (net_x + LANES) <= target_width;
+    int first[2];
     Ints at[4];
     Floats inverse = 0.0f, mask = 0.0f;
-    for (int tap = 0; tap < 4; ++tap) {
-        const int row = min(2 * net_y + (tap >> 1), target_height - 1) * target_width;
-        first[tap] = row + 2 * net_x + (tap & 1);
-        at[tap] = row + min(2 * (net_x + LANE_NUMBERS) + (tap & 1), (Ints)(target_width - 1));
-        const Floats z = inner ? load_floats_alternate(depth + first[tap]) : gather_floats(depth, at[tap]);
-        inverse += least(wide_divide((Floats)(*median_depth), z), MAX_INVERSE_DEPTH);
-        mask += inner ? load_halfs_alternate(input_mask + first[tap]) : gather_halfs(input_mask, at[tap]);
+    for (int part = 0; part < 2; ++part) {
+        const int row = min(2 * net_y + part, target_height - 1) * target_width;
+        first[part] = row + 2 * net_x;
+        Pairs z, m;
+        for (int side = 0; side < 2; ++side)
+            at[2 * part + side] = row + min(2 * (net_x + LANE_NUMBERS) + side, (Ints)(target_width - 1));
+        if (inner) {
+            z = load_pairs(depth + first[part]);
+            m = load_half_pairs(input_mask + first[part]);
+        } else {
+            z.even = gather_floats(depth, at[2 * part]);
+            z.odd = gather_floats(depth, at[2 * part + 1]);
+            m.even = gather_halfs(input_mask, at[2 * part]);
+            m.odd = gather_halfs(input_mask, at[2 * part + 1]);
+        }
+        const Pairs near = *median_depth / z, nearness = near < MAX_INVERSE_DEPTH ? near : (Pairs)(MAX_INVERSE_DEPTH);
+        inverse += nearness.even + nearness.odd;
+        mask += m.even + m.odd;
     }
     const int net = net_y * network_width + net_x, plane_size = network_width * network_height;
     store_colors(inner, first, at, law, color, plane_size, frames + net);

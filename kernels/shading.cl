@@ -1,6 +1,6 @@
 /* Around the shading correction network (paper: 'Shading Correction Network'): the previous rendered frame warped backward
-   to t + alpha, the input mask, and the focus mask that it learns. Only pixels that move, or come from the image's border, are
-   looked at one by one. */
+   to t + alpha, the input mask, and the focus mask that it learns. Only pixels whose taps lie apart from their neighbours', or
+   at the image's border, are looked at one by one. */
 
 #include "common.h"
 #include "rgb.h"
@@ -13,41 +13,17 @@
 #define MASK_DISOCCLUDED 0.0f
 #define MASK_REST 0.5f
 
-/* Where pixel `centre` of the target was at t-1, if that is `as_static` (px in the previous image, depth there) for a static
-   point, or one that was filled in; a dynamic one by the motion of both intervals. *tolerance in depth. */
-inline float3 position_before(const float2 centre, const float3 as_static, const int is_dynamic, const float2 mv_px,
-                              const int source_width, const int source_height, __global const float2 *motion,
-                              const Reprojection to_previous, float *tolerance) {
-    float3 before = as_static;
-    *tolerance = SAME_SURFACE * before.z;
-    if (!is_dynamic || !(before.z > 0.0f)) return before;
-    const float2 px_now = centre + mv_px;
-    const int src_x = (int)floor(px_now.x), src_y = (int)floor(px_now.y);
-    if (!inside(src_x, src_y, source_width, source_height)) return (float3)(0.0f, 0.0f, -1.0f);
-    const float2 mv_before = motion[src_y * source_width + src_x];
-    if (!isfinite(mv_before.x) || !isfinite(mv_before.y)) return (float3)(0.0f, 0.0f, -1.0f);
-    const float2 px_before = px_now + mv_before;
-    const float sideways = (fabs(px_before.x - before.x) + fabs(px_before.y - before.y))
-                           * divide(before.z, to_previous.target.x);
-    *tolerance += DEPTH_PER_MOTION * sideways;
-    before.xy = px_before;
-    return before;
-}
-
-/* Colour of t-1 at a pixel's surface, of the taps that show it; false where they show too little of it. */
+/* Colour of t-1 at a pixel's surface (see position_before), of the taps that show it; false where they show too little. */
 inline bool color_before(const float3 before, const float tolerance, const int source_width, const int source_height,
                          __global const half *color_prev, __global const float *depth_prev, float3 *rgb) {
-    if (!(before.z > 0.0f && before.x > -1.0f && before.y > -1.0f && before.x < (float)source_width + 1.0f
-          && before.y < (float)source_height + 1.0f)) return false;
-    const float fx = before.x - 0.5f, fy = before.y - 0.5f;
-    const int x0 = (int)floor(fx), y0 = (int)floor(fy);
+    const int x0 = (int)floor(before.x), y0 = (int)floor(before.y);
     float3 sum = (float3)(0.0f);
     float weight_sum = 0.0f;
     for (int tap = 0; tap < 4; ++tap) {
         const int tap_x = x0 + (tap & 1), tap_y = y0 + (tap >> 1);
         if (!inside(tap_x, tap_y, source_width, source_height)) continue;
         if (!is_same_surface(depth_prev[tap_y * source_width + tap_x], before.z, tolerance)) continue;
-        const float weight = bilinear_weight(tap, fx - (float)x0, fy - (float)y0);
+        const float weight = bilinear_weight(tap, before.x - (float)x0, before.y - (float)y0);
         sum += weight * load_color(color_prev, tap_y * source_width + tap_x);
         weight_sum += weight;
     }
@@ -67,19 +43,37 @@ inline bool sum_of_finite(const int first, const float4 weights, const int width
 
 #if LANES == 8
 
-/* The same for a run of pixels whose taps follow one another, four at a time, with valid = 1. */
-inline bool store_sums_of_finite(const int first, const Floats *weight, const int width, __global const half *color,
-                                 __global half *warped) {
+/* The same of four pixels whose taps follow one another. */
+inline float16 sum_of_four(const int first, const float4 *w, const int width, __global const half *color) {
+    __global const half *top = color + 4 * first, *bottom = top + 4 * width;
+    return (w[0].s0000111122223333 * vload_half16(0, top) + w[2].s0000111122223333 * vload_half16(0, bottom))
+           + (w[1].s0000111122223333 * vload_half16(0, top + 4) + w[3].s0000111122223333 * vload_half16(0, bottom + 4));
+}
+
+/* The same for a strip of pixels, with valid = 1: their taps are the pixels from `first` on, or from `second` on. Those that
+   are `lost` get (GAE colour, 0). */
+inline bool store_strip(const int first, const int second, const Ints in_second, const Ints lost, const Floats *weight,
+                        const int width, __global const half *color_prev, __global const half *color, __global half *warped) {
     float16 sums[2];
+#pragma unroll
     for (int part = 0; part < 2; ++part) {
-        __global const half *top = color + 4 * (first + 4 * part), *bottom = top + 4 * width;
         float4 w[4];
+#pragma unroll
         for (int tap = 0; tap < 4; ++tap) w[tap] = part ? weight[tap].hi : weight[tap].lo;
-        sums[part] = (w[0].s0000111122223333 * vload_half16(0, top) + w[2].s0000111122223333 * vload_half16(0, bottom))
-                     + (w[1].s0000111122223333 * vload_half16(0, top + 4) + w[3].s0000111122223333 * vload_half16(0, bottom + 4));
-        if (!all(fabs(sums[part]) <= COLOR_MAX)) return false;
+        sums[part] = sum_of_four(first + 4 * part, w, width, color_prev);
+        if (second != first) {
+            const int4 other = part ? in_second.hi : in_second.lo;
+            sums[part] = other.s0000111122223333 ? sum_of_four(second + 4 * part, w, width, color_prev) : sums[part];
+        }
         sums[part].s37bf = (float4)(1.0f);
+        if (ANY(lost)) {
+            const int4 here = part ? lost.hi : lost.lo;
+            float16 gae = vload_half16(part, color);
+            gae.s37bf = (float4)(0.0f);
+            sums[part] = here.s0000111122223333 ? gae : sums[part];
+        }
     }
+    if (!all((fabs(sums[0]) <= COLOR_MAX) & (fabs(sums[1]) <= COLOR_MAX))) return false;
     vstore_half16_rte(sums[0], 0, warped);
     vstore_half16_rte(sums[1], 1, warped);
     return true;
@@ -87,10 +81,44 @@ inline bool store_sums_of_finite(const int first, const Floats *weight, const in
 
 #else
 
-inline bool store_sums_of_finite(const int first, const Floats *weight, const int width, __global const half *color,
-                                 __global half *warped) { return false; }
+inline bool store_strip(const int first, const int second, const Ints in_second, const Ints lost, const Floats *weight,
+                        const int width, __global const half *color_prev, __global const half *color, __global half *warped) {
+    return false;
+}
 
 #endif
+
+/* Where pixels of a row, of depth z, were at t-1 if they are static or were filled in: pixels of the previous image, less half
+   a pixel, and depth there. reproject of common.h with fewer divisions. */
+inline Wide3 position_before(const Floats px_x, const float px_y, const Floats z, const Reprojection r) {
+    const Floats x = (px_x - r.source_inverse.z) * r.source_inverse.x, nearness = 1.0f / z;  /* of the sky: 0 */
+    const float y = (px_y - r.source_inverse.w) * r.source_inverse.y;
+    const Floats depth = r.row2.x * x + (r.row2.y * y + r.row2.z) + r.row2.w * nearness, per_depth = 1.0f / depth;
+    Wide3 before;
+    before.x = r.target.x * (r.row0.x * x + (r.row0.y * y + r.row0.z) + r.row0.w * nearness) * per_depth + (r.target.z - 0.5f);
+    before.y = r.target.y * (r.row1.x * x + (r.row1.y * y + r.row1.z) + r.row1.w * nearness) * per_depth + (r.target.w - 0.5f);
+    before.z = depth * z;
+    return before;
+}
+
+/* The same of those that move, by the motion of both intervals: z is -1 where it is unknown. *tolerance in depth. */
+inline void follow_motion(const Ints moves, const Floats px_x, const Floats px_y, const Floats mv_x, const Floats mv_y,
+                          const int source_width, const int source_height, __global const float2 *motion, const float focal,
+                          Wide3 *before, Floats *tolerance) {
+    const Floats x = px_x + mv_x, y = px_y + mv_y;
+    const Ints in_image = (x >= 0.0f) & (x < (float)source_width) & (y >= 0.0f) & (y < (float)source_height);
+    const Ints follows = moves & (before->z > 0.0f) & in_image;
+    const Ints at = to_ints(follows ? y : (Floats)(0.0f)) * source_width + to_ints(follows ? x : (Floats)(0.0f));
+    const Floats mv_before_x = gather_floats((__global const float *)motion, 2 * at);
+    const Floats mv_before_y = gather_floats((__global const float *)motion, 2 * at + 1);
+    const Ints known = follows & isfinite(mv_before_x) & isfinite(mv_before_y);
+    const Floats x_before = x + mv_before_x - 0.5f, y_before = y + mv_before_y - 0.5f;
+    const Floats sideways = (fabs(x_before - before->x) + fabs(y_before - before->y)) * (before->z / focal);
+    *tolerance = known ? *tolerance + DEPTH_PER_MOTION * sideways : *tolerance;
+    before->x = known ? x_before : before->x;
+    before->y = known ? y_before : before->y;
+    before->z = (!moves | known) ? before->z : (Floats)(-1.0f);
+}
 
 /* warped_previous: (colour of t-1 at this pixel's surface, 1), or (GAE colour, 0) where that was hidden or outside then. */
 WIDE __kernel void prepare_inputs(const int target_width, const int target_height, const int source_width,
@@ -105,44 +133,78 @@ WIDE __kernel void prepare_inputs(const int target_width, const int target_heigh
     const int dst = dst_y * target_width + dst_x, count = min(target_width - dst_x, LANES);
     const Ints moves = to_ints(load_some_bytes(count, is_dynamic + dst)) != 0;
     const Ints hidden = to_ints(load_some_bytes(count, disoccluded + dst)) != 0;
-    const Floats rest = hidden ? (Floats)(MASK_DISOCCLUDED) : (Floats)(MASK_REST);
-    store_some_halfs(moves ? (Floats)(MASK_DYNAMIC) : rest, count, input_mask + dst);
+    const Floats still = hidden ? (Floats)(MASK_DISOCCLUDED) : (Floats)(MASK_REST);
+    store_some_halfs(moves ? (Floats)(MASK_DYNAMIC) : still, count, input_mask + dst);
 
-    const Floats z = load_some_floats(count, depth + dst), px_y = (float)dst_y + 0.5f;
-    const Wide3 before = wide_reproject(row_centres(dst_x), px_y, z, to_previous);
-    const Floats fx = before.x - 0.5f, fy = before.y - 0.5f, tolerance = SAME_SURFACE * before.z;
-    Ints inner = !moves & (before.z > 0.0f) & (fx >= 0.0f) & (fx < (float)(source_width - 1)) & (fy >= 0.0f)
-                 & (fy < (float)(source_height - 1));
-    if (!has_previous) inner = 0;
-    const Ints x0 = to_ints(inner ? fx : (Floats)(0.0f)), y0 = to_ints(inner ? fy : (Floats)(0.0f));
-    const Ints first = y0 * source_width + x0;
-    const Floats u = fx - to_floats(x0), v = fy - to_floats(y0);
-    const bool in_a_row = ALL(inner & (first == FIRST_LANE(first) + LANE_NUMBERS));
+    const Floats px_x = row_centres(dst_x), px_y = (float)dst_y + 0.5f;
+    Wide3 before = position_before(px_x, (float)dst_y + 0.5f, load_some_floats(count, depth + dst), to_previous);
+    Floats tolerance = SAME_SURFACE * before.z;
+    if (ANY(moves)) {
+        Floats mv_y;
+        const Floats mv_x = load_some_xy(count, out_motion + dst, &mv_y);
+        follow_motion(moves, px_x, px_y, mv_x, mv_y, source_width, source_height, motion, to_previous.target.x, &before,
+                      &tolerance);
+    }
+    if (!has_previous) before.z = -1.0f;
+    const Ints inner = (before.z > 0.0f) & (before.x >= 0.0f) & (before.x < (float)(source_width - 1)) & (before.y >= 0.0f)
+                       & (before.y < (float)(source_height - 1));
+    const Ints x0 = to_ints(inner ? before.x : (Floats)(0.0f)), y0 = to_ints(inner ? before.y : (Floats)(0.0f));
+    const Ints tap_0 = y0 * source_width + x0;
+    const Floats u = before.x - to_floats(x0), v = before.y - to_floats(y0);
+
+    /* The taps of most strips follow one another but for one jump, which the ends tell. */
+    const int first = FIRST_LANE(tap_0), last = LAST_LANE(tap_0) - (LANES - 1), second = last >= 0 ? last : first;
+    const Ints in_first = tap_0 == first + LANE_NUMBERS, in_second = !in_first & (tap_0 == second + LANE_NUMBERS);
+    const Ints in_runs = inner & (in_first | in_second);
+    const bool in_image = max(first, second) + LANES + source_width < source_width * source_height;
+    const bool all_in_runs = in_image && ALL(in_runs | !inner);
+    const Floats nearest = isinf(before.z) ? before.z : before.z - tolerance, farthest = before.z + tolerance;
     Floats weight[4], weight_sum = 0.0f;
+#pragma unroll
     for (int tap = 0; tap < 4; ++tap) {
-        const Ints at = inner ? first + (tap & 1) + (tap >> 1) * source_width : (Ints)(0);
-        const Floats z_prev = in_a_row ? load_floats(0, depth_prev + FIRST_LANE(at)) : gather_floats(depth_prev, at);
-        const Ints same = wide_is_same_surface(z_prev, before.z, tolerance);
+        const int step = (tap & 1) + (tap >> 1) * source_width;
+        Floats z_prev;
+        if (all_in_runs) {
+            z_prev = load_floats(0, depth_prev + first + step);
+            if (second != first) z_prev = in_second ? load_floats(0, depth_prev + second + step) : z_prev;
+        } else {
+            const Ints at = inner ? tap_0 + step : (Ints)(0);
+            z_prev = gather_floats(depth_prev, at);
+        }
+        const Ints same = inner & (z_prev >= nearest) & (z_prev <= farthest);
         weight[tap] = same ? ((tap & 1) ? u : 1.0f - u) * ((tap >> 1) ? v : 1.0f - v) : (Floats)(0.0f);
         weight_sum += weight[tap];
     }
-    const Floats scale = wide_divide((Floats)(1.0f), weight_sum);
-    for (int tap = 0; tap < 4; ++tap) weight[tap] *= scale;
-    if (count >= LANES && in_a_row && ALL(weight_sum >= LEAST_WEIGHT)
-        && store_sums_of_finite(FIRST_LANE(first), weight, source_width, color_prev, warped_previous + 4 * dst)) return;
-    int lane_first[LANES], lane_inner[LANES];
-    float before_x[LANES], before_y[LANES], before_z[LANES], weights[4][LANES], weight_sums[LANES];
-    store_ints(first, 0, lane_first);
+    const Ints shown = weight_sum >= LEAST_WEIGHT;
+    if (!ALL(weight_sum > 0.99999f)) {
+        const Floats scale = shown ? 1.0f / weight_sum : (Floats)(0.0f);
+#pragma unroll
+        for (int tap = 0; tap < 4; ++tap) weight[tap] *= scale;
+    }
+    const Ints met = (before.z > 0.0f) & (before.x > -1.0f) & (before.x < (float)source_width) & (before.y > -1.0f)
+                     & (before.y < (float)source_height);
+    const Ints lost = !met | (inner & !shown);
+    Ints rest = !lost & !(shown & in_runs);
+    if (count < LANES || !in_image || ALL(rest)
+        || !store_strip(first, second, in_second, lost, weight, source_width, color_prev, color + 4 * dst,
+                        warped_previous + 4 * dst)) rest = 1;
+    if (!ANY(rest != 0)) return;
+    int lane_first[LANES], lane_inner[LANES], lane_lost[LANES], lane_rest[LANES];
+    float before_x[LANES], before_y[LANES], before_z[LANES], tolerances[LANES], weights[4][LANES];
+    store_ints(tap_0, 0, lane_first);
     store_ints(inner, 0, lane_inner);
+    store_ints(lost, 0, lane_lost);
+    store_ints(rest, 0, lane_rest);
     store_floats(before.x, 0, before_x);
     store_floats(before.y, 0, before_y);
     store_floats(before.z, 0, before_z);
-    store_floats(weight_sum, 0, weight_sums);
+    store_floats(tolerance, 0, tolerances);
     for (int tap = 0; tap < 4; ++tap) store_floats(weight[tap], 0, weights[tap]);
     for (int k = 0; k < count; ++k) {
+        if (!lane_rest[k]) continue;
         float4 sum;
         const float4 taps = (float4)(weights[0][k], weights[1][k], weights[2][k], weights[3][k]);
-        if (lane_inner[k] && !(weight_sums[k] >= LEAST_WEIGHT)) {
+        if (lane_lost[k]) {
             vstore_half4_rte((float4)(load_color(color, dst + k), 0.0f), dst + k, warped_previous);
             continue;
         }
@@ -150,13 +212,9 @@ WIDE __kernel void prepare_inputs(const int target_width, const int target_heigh
             vstore_half4_rte((float4)(sum.xyz, 1.0f), dst + k, warped_previous);
             continue;
         }
-        const float3 as_static = (float3)(before_x[k], before_y[k], before_z[k]);
-        float lane_tolerance;
-        const float3 was = position_before(pixel_centre(dst_x + k, dst_y), as_static, is_dynamic[dst + k], out_motion[dst + k],
-                                           source_width, source_height, motion, to_previous, &lane_tolerance);
         float3 rgb;
-        const bool seen = has_previous && color_before(was, lane_tolerance, source_width, source_height, color_prev,
-                                                       depth_prev, &rgb);
+        const bool seen = color_before((float3)(before_x[k], before_y[k], before_z[k]), tolerances[k], source_width,
+                                       source_height, color_prev, depth_prev, &rgb);
         /* Stores of their own per case: Intel's vectoriser (2026.2) takes one decision for all lanes where a vector is selected
            before one store. */
         if (seen) {

@@ -30,6 +30,7 @@ typedef uchar8 Bytes;
 #define floats_as_ints as_int8
 #define LANE_NUMBERS ((int8)(0, 1, 2, 3, 4, 5, 6, 7))
 #define FIRST_LANE(v) ((v).s0)
+#define LAST_LANE(v) ((v).s7)
 
 /* p[i] of each lane. */
 #define GATHER(p, i) ((p)[(i).s0], (p)[(i).s1], (p)[(i).s2], (p)[(i).s3], (p)[(i).s4], (p)[(i).s5], (p)[(i).s6], (p)[(i).s7])
@@ -74,6 +75,7 @@ typedef uchar Bytes;
 #define floats_as_ints as_int
 #define LANE_NUMBERS 0
 #define FIRST_LANE(v) (v)
+#define LAST_LANE(v) (v)
 #define gather_floats(p, i) ((p)[i])
 #define gather_bytes(p, i) ((p)[i])
 #define gather_halfs(p, i) vload_half(i, p)

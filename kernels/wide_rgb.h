@@ -51,16 +51,10 @@ inline void copy_rgb_run(__global const half *color, __global half *out) {
     vstore16(vload16(0, (__global const uint *)color), 0, (__global uint *)out);
 }
 
-/* Every second pixel of a row, from the first on; reads up to the one after the last. */
-inline WideRgb load_rgb_alternate(__global const half *color) {
-    const float16 a = vload_half16(0, color), b = vload_half16(1, color), c = vload_half16(2, color), d = vload_half16(3, color);
-    const WideRgb rgb = {(float8)(a.s08, b.s08, c.s08, d.s08), (float8)(a.s19, b.s19, c.s19, d.s19),
-                         (float8)(a.s2a, b.s2a, c.s2a, d.s2a)};
-    return rgb;
-}
-
-#define load_floats_alternate(p) (vload16(0, p).even)
-#define load_halfs_alternate(p) (vload_half16(0, p).even)
+/* Two numbers of each lane, which follow one another. */
+typedef float16 Pairs;
+#define load_pairs(p) vload16(0, p)
+#define load_half_pairs(p) vload_half16(0, p)
 
 #else
 
@@ -74,8 +68,8 @@ inline void copy_rgb_run(__global const half *color, __global half *out) {
     *(__global uint2 *)out = *(__global const uint2 *)color;
 }
 
-#define load_rgb_alternate load_rgb_run
-#define load_floats_alternate(p) (*(p))
-#define load_halfs_alternate(p) vload_half(0, p)
+typedef float2 Pairs;
+#define load_pairs(p) vload2(0, p)
+#define load_half_pairs(p) vload_half2(0, p)
 
 #endif

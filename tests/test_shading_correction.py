@@ -8,7 +8,7 @@ import pytest
 import twins
 from scn_models import ALPHA, FLOAT, FRAMES, constant_model, look_model, movers_model, save
 from synthetic import Rect, Rects, camera
-from test_twins import assert_close, run
+from test_twins import run
 
 from gffe_cl import GffeError, Options, Pipeline, inference
 from gffe_cl.buffers import Sizes
@@ -54,7 +54,7 @@ def made_stages(device, size):
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("exposure", [1.0, 0.05])
 def test_network_input_equals_its_twin(device, size, exposure):
-    """To the bit, but for roundings of the device's division."""
+    """To the bit, but for the device's division."""
     color, depth, previous, mask = images(size, np.random.default_rng(1))
     frame, shading, correction = made_stages(device, size)
     put(frame, color=color, depth=depth)
@@ -65,7 +65,7 @@ def test_network_input_equals_its_twin(device, size, exposure):
     got = correction.read("frames")
     assert got.shape[2] % 16 == got.shape[1] % 16 == 0 and got.shape[2] >= size[0] / 2
     expected = twins.network_input(color, previous, depth, mask, exposure, correction.network_size)
-    assert_close(got, expected)
+    np.testing.assert_allclose(got[6], expected[6], rtol=1e-6)
     assert np.array_equal(np.delete(got, 6, 0), np.delete(expected, 6, 0))
 
 
@@ -81,7 +81,8 @@ def test_network_input_equals_its_twin(device, size, exposure):
     ],
 )
 def test_median_depth(device, depth, expected):
-    frame, _, correction = made_stages(device, (50, 40))
+    frame, _, correction = made_stages(device, (50, 320))
+    depth = np.stack([depth, *[np.full_like(depth, 7.0)] * 7], 1).reshape(320, 50)  # every eighth row counts
     put(frame, depth=depth.astype(np.float32))
     correction.prepare(1.0)
     assert correction.read("median_depth") == pytest.approx(expected, rel=1 / 200, abs=1e-40)

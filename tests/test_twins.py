@@ -180,7 +180,8 @@ def test_stages_equal_their_twins(device, options, size, target):
         shown = {spec.name: pipeline.board.frame.read(spec.name) for spec in pipeline.board.frame.buffers}
         previous, mask = twins.prepare_inputs(shown, motion, past.color, past.depth, reprojection(to, past.camera))
         assert np.array_equal(pipeline.stages["shading"].read("input_mask"), mask)
-        assert_close(pipeline.stages["shading"].read("warped_previous"), previous)
+        # Positions, by the device's division, are good to 1/1000 px, and halves are rounded from either side.
+        np.testing.assert_allclose(pipeline.stages["shading"].read("warped_previous"), previous, rtol=2e-3, atol=1e-3)
         assert 0.5 < previous[..., 3].mean() < 1
 
 

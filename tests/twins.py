@@ -937,10 +937,25 @@ def encode(color, exposure):
     return _log(F(1) + F(5000 * exposure / 8) * np.maximum(color, F(0))) * F(1 / np.log1p(5000))
 
 
-def _log(x):
+def _parts(x):
+    """Mantissa and exponent: of the power of two within sqrt(2)."""
     bits = x.view(np.int32)
     exponent = (bits - 0x3F3504F3) >> 23
-    e, m = exponent.astype(F), (bits - (exponent << 23)).view(F) - F(1)
+    return (bits - (exponent << 23)).view(F), exponent
+
+
+def _log(x):
+    return _log_of_parts(*_parts(x))
+
+
+def _log_of_product(a, b):
+    (mantissa_a, of_a), (mantissa_b, of_b) = _parts(a), _parts(b)
+    mantissa, more = _parts(mantissa_a * mantissa_b)
+    return _log_of_parts(mantissa, of_a + of_b + more)
+
+
+def _log_of_parts(mantissa, exponent):
+    e, m = exponent.astype(F), mantissa - F(1)
     y = F(7.0376836292e-2)
     for c in (-1.1514610310e-1, 1.1676998740e-1, -1.2420140846e-1, 1.4249322787e-1, -1.6668057665e-1, 2.0000714765e-1):
         y = y * m + F(c)
@@ -962,7 +977,9 @@ def decode(encoded, exposure):
 
 
 def depth_median(depth):
-    """Middle of the bin, 1/128 of a power of two wide, that holds the median of the finite depths; 1 without."""
+    """Middle of the bin, 1/128 of a power of two wide, that holds the median of the finite depths in every eighth row;
+    1 without."""
+    depth = depth[:: CORRECTION.COUNTED_ROWS]
     bits = np.sort(depth[np.isfinite(depth) & (depth > 0)].view(np.uint32))
     if not len(bits):
         return F(1)
@@ -985,11 +1002,11 @@ def network_input(color, previous, depth, mask, exposure, network_size):
         ]
 
     lifted = [taps(F(1) + F(5000 * exposure / 8) * np.maximum(load_color(c), F(0))) for c in (color, previous)]
-    colors = [(_log(a * b) + _log(c * d)) * F(1 / np.log1p(5000)) for a, b, c, d in lifted]
+    colors = [_log_of_product(a * c, b * d) * (F(0.25) * F(1 / np.log1p(5000))) for a, b, c, d in lifted]
     total = np.zeros((h, w, 2), F)
     for tap in taps(planes):
         total = total + tap
-    return np.moveaxis(F(0.25) * np.concatenate([*colors, total], -1), -1, 0)
+    return np.moveaxis(np.concatenate([*colors, F(0.25) * total], -1), -1, 0)
 
 
 def correct(color, frames, correction, exposure, within_mask=True):

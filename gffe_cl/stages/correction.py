@@ -46,7 +46,7 @@ class ShadingCorrection(Stage):
             "histogram", np.uint32, (), "once", "of the depths' leading bits",
             planes=constants("correction.cl")["BINS"], scratch=True,
         ),
-        BufferSpec("median_depth", np.float32, (), "once", "of the finite depths, to 1/256"),
+        BufferSpec("median_depth", np.float32, (), "once", "of the finite depths of every eighth row, to 1/256"),
         BufferSpec(
             "refined", np.float16, RGBA, "target", "the network's image, without focus mask; made where somebody looks"
             " at it", "color",
@@ -59,7 +59,7 @@ class ShadingCorrection(Stage):
         Kernel(
             "depth_histogram",
             "target",
-            {"depth": "frame.depth", "histogram": "correction.histogram"},
+            {"depth": Access("frame.depth", 1 / 8), "histogram": "correction.histogram"},
             {"histogram": "correction.histogram"},
             step=(1, "STRIP"),
         ),
