@@ -22,7 +22,8 @@ from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import Program, build
 
 _EVENTS = 1024  # kept per stage for whoever asks for timings
-_ROW = 64  # work-items of a work-group, all in one row: rows stream better than squares on CPUs
+# Work-items of a work-group, all in one row: rows stream better than squares on CPUs, where long ones cost least.
+_ROW, _ROW_OF_LANES = 64, 128
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,8 @@ class Access:
 class Kernel:
     """A kernel of a stage.
 
-    `grid` has its work-items, one per `step` pixels each way (a number, or the name of a constant of the kernel file).
+    `grid` has its work-items, one per `step` pixels each way (a number, or the name of a constant of the kernel file);
+    `group` of them, in a row, make a work-group (None: as suits the device).
     `reads` and `writes` go by the names of its arguments; what is read and written is in both. "" stands for a buffer
     that each launch gives.
     """
@@ -52,7 +54,7 @@ class Kernel:
     reads: Mapping[str, Access | str] = field(default_factory=dict)
     writes: Mapping[str, Access | str] = field(default_factory=dict)
     step: tuple[int | str, int | str] = (1, 1)
-    group: int | str = _ROW
+    group: int | str | None = None
 
     def accesses(self) -> Iterator[tuple[str, str, Access]]:
         """("reads" or "writes", argument, access) of each."""
@@ -207,7 +209,8 @@ class Stage(Owner):
             if argument.name not in values:
                 values[argument.name] = self._scalar(argument.name)
         width, height = (-(-n // self._number(step)) for n, step in zip(size, kernel.step, strict=True))
-        group = self._number(kernel.group)
+        row = _ROW_OF_LANES if self.device.lanes > 1 else _ROW
+        group = self._number(kernel.group) if kernel.group else row
         grid = (-(-width // group) * group, height)
         self.events.append((name, self.program.launch(self.device.queue, name, grid, (group, 1), values)))
 
