@@ -173,7 +173,7 @@ def plain_run(device, source_frames, setup, wanted, camera_at=pose, size=(W, H),
                 layers = {
                     f"{stage.name}.{spec.name}": stage.read(spec.name)
                     for stage, spec in pipeline.named_buffers()
-                    if spec.grid != "once"
+                    if spec.grid != "once" and (j or not spec.transient)
                 }
                 kept[k, j] = layers | {"final": made.numpy("color")}
         if len(kept) == len(wanted):

@@ -28,6 +28,7 @@ class PositionPrediction(Stage):
             "predicted position of each fragment: x, y in target pixels (−1e9: nowhere), view depth (−1)",
             "place",
             planar=True,
+            transient=True,
         ),
     )
     kernels = (

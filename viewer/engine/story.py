@@ -144,10 +144,10 @@ class _Fragment:
             names.RENDERED_MOTION,
             names.DYNAMIC_MASK,
             names.HISTORY,
-            names.TARGET_POSITION,
+            *((names.TARGET_POSITION,) if shot.moment.alpha else ()),
         )
         values = read_blocks(pipeline, {name: (layers[name], *at, 1, 1) for name in wanted})
-        depth, motion, mask, history, target = (values[name].reshape(len(values[name]), -1) for name in wanted)
+        depth, motion, mask, history, *target = (values[name].reshape(len(values[name]), -1) for name in wanted)
         depth, motion, dynamic = float(depth[0, 0]), motion[0].astype(np.float64), bool(mask[0, 0])
         px = np.add(at, 0.5)
         residual = _residual(shot, px, depth, motion) if pipeline.options.motion else None
@@ -156,8 +156,8 @@ class _Fragment:
         known = [place for place in history if dynamic and place[3] != 0]
         path = [_projected(place[:3], shot.moment.display_camera) for place in known[::-1]]
         path.append(moved(px, shot.moment.render_camera, shot.moment.display_camera))
-        if shot.moment.alpha and target[0, 2] > 0:
-            path.append(tuple(map(float, target[0, :2])))
+        if target and target[0][0, 2] > 0:
+            path.append(tuple(map(float, target[0][0, :2])))
         used = min(len(known), pipeline.options.order) if shot.moment.alpha else -1
         sentences = _fragment_sentences(pipeline, shot, depth, motion, dynamic, residual, threshold, used)
         return cls(tuple(point for point in path if point), dynamic, residual, threshold, sentences)
