@@ -182,7 +182,7 @@ class Owner:
         cl.enqueue_copy(self.device.queue, flat, self.buffer[name])
         if spec.known_where:
             where, value = spec.known_where
-            out[self.read(where) != value] = 0
+            (out if spec.channels > 1 else out[..., None])[..., self.read(where) != value, :] = 0
         return out
 
     def upload(self, name: str, values: np.ndarray) -> None:

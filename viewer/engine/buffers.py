@@ -60,8 +60,8 @@ class DeviceLayer:
     known: DeviceLayer | None = None
 
     def keep_known(self, values: np.ndarray, known: np.ndarray) -> None:
-        """Set what was read to 0 where it holds nothing; `known`: what was read of that layer there."""
-        values[known != self.spec.known_where[1]] = 0
+        """Set values (…, H, W, channels) to 0 where the layer holds nothing; `known` (H, W): what was read there."""
+        values[..., known != self.spec.known_where[1], :] = 0
 
     def read(self, queue: cl.CommandQueue) -> tuple[np.ndarray, cl.Event]:
         """(planes?, H, W, channels?) on the host, valid after the event."""
@@ -129,7 +129,8 @@ def read_layers(pipeline: Pipeline, layers: dict[str, DeviceLayer], wanted: Iter
     if read:
         cl.wait_for_events([event for _, event in (*read.values(), *known.values())])
     for name, (where, _) in known.items():
-        layers[name].keep_known(read[name][0], where)
+        array, layer = read[name][0], layers[name]
+        layer.keep_known(array if layer.spec.channels > 1 else array[..., None], where)
     return {name: array for name, (array, _) in read.items()}
 
 
@@ -161,7 +162,7 @@ def read_blocks(pipeline: Pipeline, wanted: dict[str, tuple]) -> dict[str, np.nd
     if events:
         cl.wait_for_events(events)
     for name, (where, _) in known.items():
-        wanted[name][0].keep_known(read[name][0], where[..., 0])
+        wanted[name][0].keep_known(read[name][0], where[0, ..., 0])
     return {name: array for name, (array, _) in read.items()}
 
 
