@@ -79,7 +79,9 @@ class BufferSpec:
     here), "place" (position in pixels), "world" (position in the view space of the rendered camera), "mask" (0 or 1),
     "label" (`labels` name its values), "scalar". `mapped`: the host works in it. `kept`: that of the frame before is
     kept too. `scratch`: of no interest once the stage is through. `part_of`: the buffer in which it lies. `planar`: on
-    the device the channels lie one after another, each an image.
+    the device the channels lie one after another, each an image. `transient`: written in each `extrapolate` before it
+    is read, so until the next `submit` it may lie in memory that another stage lends. `known_where`: a buffer of the
+    same owner, and the value that it has wherever this one holds anything; elsewhere it reads as 0.
     """
 
     name: str
@@ -95,6 +97,8 @@ class BufferSpec:
     scratch: bool = False
     part_of: str = ""
     planar: bool = False
+    transient: bool = False
+    known_where: tuple[str, int] | None = None
 
     @property
     def channels(self) -> int:
@@ -149,7 +153,8 @@ EXTRAPOLATED = (
 
 
 class Owner:
-    """Who has named buffers: `name`, `buffers` (their descriptions) and `buffer` (by name, on the device)."""
+    """Who has named buffers: `name`, `buffers` (their descriptions), `buffer` (by name, on the device) and `nbytes` of
+    what was allocated for them."""
 
     name = ""
     buffers: tuple[BufferSpec, ...] = ()
@@ -157,12 +162,14 @@ class Owner:
     def __init__(self, device: Device, sizes: Sizes):
         self.device, self.sizes = device, sizes
         self.buffer: dict[str, cl.Buffer] = {}
+        self.nbytes = 0
 
     def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
         """New device buffers by name, all bits zero."""
         made = {spec.name: self.device.buffer(spec.nbytes(self.sizes), spec.mapped) for spec in specs}
         for buffer in made.values():
             cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint8(0), 0, buffer.size)
+            self.nbytes += buffer.size
         return made
 
     def spec(self, name: str) -> BufferSpec:
@@ -170,8 +177,12 @@ class Owner:
 
     def read(self, name: str) -> np.ndarray:
         """Copy a named buffer to the host."""
-        out, flat = self.spec(name).host_array(self.sizes)
+        spec = self.spec(name)
+        out, flat = spec.host_array(self.sizes)
         cl.enqueue_copy(self.device.queue, flat, self.buffer[name])
+        if spec.known_where:
+            where, value = spec.known_where
+            (out if spec.channels > 1 else out[..., None])[..., self.read(where) != value, :] = 0
         return out
 
     def upload(self, name: str, values: np.ndarray) -> None:
@@ -205,10 +216,11 @@ class DeviceFrame:
     time: float
 
     @classmethod
-    def allocate(cls, device: Device, size: tuple[int, int], camera, display_camera, time) -> DeviceFrame:
-        """New buffers for images of `size` (width, height)."""
-        pixels = size[0] * size[1]
-        return cls(*(device.buffer(pixels * n) for n in BYTES_PER_PIXEL), camera, display_camera, time)
+    def allocate(cls, device: Device, size: tuple[int, int], camera, display_camera, time, motion=None) -> DeviceFrame:
+        """New buffers for images of `size` (width, height); `motion`: the buffer to use for that."""
+        *others, moved = (size[0] * size[1] * n for n in BYTES_PER_PIXEL)
+        buffers = (*map(device.buffer, others), motion or device.buffer(moved))
+        return cls(*buffers, camera, display_camera, time)
 
     def upload(self, device: Device, packed: PackedFrame) -> None:
         """Copy host arrays in."""
@@ -225,11 +237,15 @@ def halved(size: tuple[int, int], times: int) -> tuple[int, int]:
     return tuple(-(-n // (1 << times)) for n in size)
 
 
-_ALIGNMENT = 1024  # texels between the starts of levels: no device asks for more bytes of a part of a buffer
+_ALIGNMENT = 1024  # texels, or bytes, between the starts of parts of a buffer: no device asks for more bytes
+
+
+def aligned(n: int) -> int:
+    """The first start of a part of a buffer that is not before texel, or byte, `n`."""
+    return -(-n // _ALIGNMENT) * _ALIGNMENT
 
 
 def level_starts(size: tuple[int, int], levels: int) -> list[int]:
     """The first texel of each background level of an image of `size` where they lie one after another, and the end."""
     sides = ([-(-side // (1 << level)) for side in size] for level in range(levels))
-    texels = (-(-math.prod(side) // _ALIGNMENT) * _ALIGNMENT for side in sides)
-    return [0, *accumulate(texels)]
+    return [0, *accumulate(aligned(math.prod(side)) for side in sides)]

@@ -19,6 +19,7 @@ HALF_MAX = 65504.0
 _HALF_EXPONENT = 0x7C00  # its bits, all of them set in NaN and infinity
 _SAME_POSE = 1e-6
 BYTES_PER_PIXEL = (8, 4, 8)  # of colour, depth and motion on the device
+KEPT_BYTES_PER_PIXEL = 2 * (8 + 4) + 8  # of two frames: nothing reads the motion of the one before
 
 
 @dataclass

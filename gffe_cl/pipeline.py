@@ -158,6 +158,7 @@ class Pipeline:
         self.bad_pixels = BadPixels()
         self.board = Board(device, self.sizes, self.options, int64_atomics)
         self.stages: dict[str, Stage] = {stage.name: stage(self.board) for stage in stages_of(self.options)}
+        self.board.allocate_rest()
         self.presentation: Presentation | None = None  # made with the first windowed frame
         self._outputs: dict[str, Output] = {}  # what is kept of each stage's
         self._slots: list[DeviceFrame] = []
@@ -239,7 +240,8 @@ class Pipeline:
         self.bad_pixels += packed.bad
         if len(self._slots) < 2:
             cameras = (frame.camera, display_camera, frame.time)
-            self._slots.append(DeviceFrame.allocate(self.device, self.sizes.source, *cameras))
+            motion = self._slots[0].motion if self._slots else None  # nothing reads that of the frame before
+            self._slots.append(DeviceFrame.allocate(self.device, self.sizes.source, *cameras, motion))
         else:
             self._slots.append(self._slots.pop(0))
         slot = self._slots[-1]

@@ -116,6 +116,7 @@ class Board:
         self.device, self.sizes, self.options = device, sizes, options
         self.int64 = device.int64_atomics if int64 is None else int64
         self.stages: dict[str, Stage] = {}
+        self.transient: list[tuple[Stage, BufferSpec]] = []  # of all stages so far
         self.rendered: DeviceFrame | None = None
         self.previous: DeviceFrame | None = None  # the rendered frame itself where there is none before
 
@@ -123,6 +124,12 @@ class Board:
     def frame(self) -> ExtrapolatedBuffers:
         """The extrapolated frame."""
         return ExtrapolatedBuffers(self.device, self.sizes)
+
+    def allocate_rest(self) -> None:
+        """Allocate the transient buffers to which no stage lends memory."""
+        for stage, spec in self.transient:
+            if spec.name not in stage.buffer:
+                stage.buffer |= stage.allocate([spec])
 
     def buffer(self, name: str) -> cl.Buffer:
         """Of that name. KeyError if no stage has it."""
@@ -157,12 +164,13 @@ class Stage(Owner):
         self.program: Program = build(self.device, self.name, **variant)
         self.events: deque[tuple[str, cl.Event]] = deque(maxlen=_EVENTS)
         self.launches: list[tuple[Kernel, dict]] | None = None  # with what was given, while somebody counts
-        self.buffer = self.allocate(self.buffers)
+        self.buffer = self.allocate(spec for spec in self.buffers if not spec.transient)
         self.before = self.allocate(spec for spec in self.buffers if spec.kept)
         self._kernels = {kernel.name: kernel for kernel in self.kernels}
         self._check()
         if self.registered:
             board.stages[self.name] = self
+            board.transient += [(self, spec) for spec in self.buffers if spec.transient]
 
     @classmethod
     def is_wanted(cls, options: Any) -> bool:
@@ -281,13 +289,15 @@ class NearestStage(Stage):
         super().__init__(board, **({"INT64_ATOMICS": 1} if board.int64 else {}))
 
     @staticmethod
-    def keys(board: Board, prefix: str, grid: str) -> tuple[BufferSpec, BufferSpec]:
-        """The buffers of keys and winners for a grid, "<prefix>keys" and "<prefix>winners"."""
+    def keys(board: Board, prefix: str, grid: str, **more: Any) -> tuple[BufferSpec, BufferSpec]:
+        """The buffers of keys and winners for a grid, "<prefix>keys" and "<prefix>winners"; `more`: of their specs."""
         about = "nearest fragment offered to each pixel: depth" + (", index" if board.int64 else "")
         dtype, winners = (np.uint64, "once") if board.int64 else (np.uint32, grid)
         return (
-            BufferSpec(f"{prefix}keys", dtype, (), grid, about, scratch=True),
-            BufferSpec(f"{prefix}winners", np.uint32, (), winners, "its index, without 64-bit atomics", scratch=True),
+            BufferSpec(f"{prefix}keys", dtype, (), grid, about, scratch=True, **more),
+            BufferSpec(
+                f"{prefix}winners", np.uint32, (), winners, "its index, without 64-bit atomics", scratch=True, **more
+            ),
         )
 
     def clear_keys(self, prefix: str, size: tuple[int, int]) -> None:

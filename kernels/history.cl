@@ -1,6 +1,6 @@
 /* History tracking (paper: 'Motion estimation', appendix Algorithm 1).
-   Positions are in the view space of the current rendered camera: P_0 is what depth gives, P_1 ... P_{k-1} are stored for
-   what is dynamic. */
+   Positions are in the view space of the current rendered camera: P_0 is what depth gives. P_1 of what is dynamic is where its
+   motion points to, at the depth met there, which is all that is stored of it for k = 2; for more, P_1 ... P_{k-1} are. */
 
 #include "common.h"
 #include "wide.h"
@@ -168,19 +168,21 @@ inline void find_history(const int src_x, const int src_y, const int source_widt
                          const int positions, __global const float *depth, __global const float2 *motion,
                          __global const float *depth_prev, __global const uchar *dynamic_prev,
                          __global const float4 *history_prev, const Reprojection to_previous,
-                         const Reprojection from_previous, __global float4 *history) {
+                         const Reprojection from_previous, __global float *met_depth, __global float4 *history) {
     const int src = src_y * source_width + src_x, plane = source_width * source_height;
     const float z = depth[src];
     const float2 mv_px = motion[src], px_prev = pixel_centre(src_x, src_y) + mv_px;
     const float3 px_static = reproject(pixel_centre(src_x, src_y), z, to_previous);
     int known = 0;  /* how many of P_1 ... are known */
+    met_depth[src] = 0.0f;
     if (isfinite(mv_px.x) && isfinite(mv_px.y) && px_static.z > 0.0f) {
         const float sideways = (fabs(px_prev.x - px_static.x) + fabs(px_prev.y - px_static.y))
                                * from_previous.source_inverse.x * px_static.z;
         const float tolerance = DEPTH_TOLERANCE * px_static.z + DEPTH_PER_MOTION * sideways;
         int nearest = 0;
         const float z_prev = depth_met(px_prev, px_static.z, tolerance, source_width, source_height, depth_prev, &nearest);
-        if (z_prev > 0.0f) {
+        if (z_prev > 0.0f) met_depth[src] = z_prev;
+        if (z_prev > 0.0f && positions > 2) {
             const float3 p1_prev = unproject(px_prev, z_prev, from_previous.source_inverse);
             history[src] = (float4)(move_to_target(p1_prev, from_previous), 1.0f);
             known = 1;
@@ -196,21 +198,22 @@ inline void find_history(const int src_x, const int src_y, const int source_widt
             }
         }
     }
+    if (positions == 2) return;
     const float3 p0 = unproject(pixel_centre(src_x, src_y), z, to_previous.source_inverse);
     for (int k = known; k < positions - 1; ++k) history[k * plane + src] = (float4)(p0, 0.0f);
 }
 
-/* Algorithm 1. history: k-1 planes of (P_i, 1), or (P_0, 0) where P_i is not known; of dynamic fragments, and nothing that is
-   known elsewhere: dynamic_mask tells where there was something in it. What is static takes the test and nothing more. */
+/* Algorithm 1. Of dynamic fragments, met_depth: 0 where none is; history, for k > 2: k-1 planes of (P_i, 1), or (P_0, 0) where
+   P_i is not known. What is static takes the test and nothing more. */
 WIDE __kernel void track_history(const int source_width, const int source_height, const int positions /* k */,
                                  const int has_previous, __global const float *depth, __global const float2 *motion,
                                  __global const float *depth_prev, __global const uchar *dynamic_prev,
                                  __global const float4 *history_prev, const Reprojection to_previous,
                                  const Reprojection from_previous, __global const float *threshold_squared,
-                                 __global uchar *dynamic_mask, __global float4 *history) {
+                                 __global uchar *dynamic_mask, __global float *met_depth, __global float4 *history) {
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
-    const int src = src_y * source_width + src_x, plane = source_width * source_height;
+    const int src = src_y * source_width + src_x;
     const int count = min(source_width - src_x, LANES);
     Ints moves = 0;
     if (has_previous) {
@@ -221,17 +224,13 @@ WIDE __kernel void track_history(const int source_width, const int source_height
         const Floats dx = px_static.x - (px_x + mv_x), dy = px_static.y - (px_y + mv_y);
         moves = (z > 0.0f) & !isinf(z) & ((px_static.z < 0.0f) | !(dx * dx + dy * dy <= *threshold_squared));
     }
-    uchar moved[LANES], is_dynamic[LANES];
-    const Bytes mask = to_bytes(moves ? (Ints)(1) : (Ints)(0)), before = load_some_bytes(count, dynamic_mask + src);
+    uchar is_dynamic[LANES];
+    const Bytes mask = to_bytes(moves ? (Ints)(1) : (Ints)(0));
     store_some_bytes(mask, count, dynamic_mask + src);
-    if (!ANY(to_ints(mask | before) != 0)) return;
-    store_bytes(before, 0, moved);
+    if (!ANY(moves)) return;
     store_bytes(mask, 0, is_dynamic);
-    for (int lane = 0; lane < count; ++lane) {
+    for (int lane = 0; lane < count; ++lane)
         if (is_dynamic[lane])
             find_history(src_x + lane, src_y, source_width, source_height, positions, depth, motion, depth_prev, dynamic_prev,
-                         history_prev, to_previous, from_previous, history);
-        else if (moved[lane])
-            for (int k = 0; k < positions - 1; ++k) history[k * plane + src + lane] = (float4)(0.0f);
-    }
+                         history_prev, to_previous, from_previous, met_depth, history);
 }

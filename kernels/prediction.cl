@@ -1,5 +1,6 @@
 /* Position prediction (paper: 'Position estimation'): NP = P_0 + alpha (P_0 - P_1), or the polynomial of order m
-   through P_0 ... P_m at their real times. Static fragments, LANES at once, are only reprojected. */
+   through P_0 ... P_m at their real times. Static fragments, LANES at once, are only reprojected; P_1 is where the fragment's
+   motion points to in the frame before, at the depth met there. */
 
 #include "common.h"
 #include "wide.h"
@@ -11,8 +12,10 @@ typedef struct { float4 order1, order2, order3, order4; } Polynomial;
 
 /* (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */
 inline float3 predicted_position(const int src_x, const int src_y, const int source_width, const int source_height,
-                                 const int order, __global const float *depth, __global const uchar *dynamic_mask,
-                                 __global const float4 *history, const Polynomial polynomial, const Reprojection to_target) {
+                                 const int order, __global const float *depth, __global const float2 *motion,
+                                 __global const uchar *dynamic_mask, __global const float *met_depth,
+                                 __global const float4 *history, const Polynomial polynomial, const Reprojection from_previous,
+                                 const Reprojection to_target) {
     const int src = src_y * source_width + src_x, plane = source_width * source_height;
     const float z = depth[src];
     const float3 nowhere = (float3)(NOWHERE, NOWHERE, -1.0f);
@@ -22,13 +25,17 @@ inline float3 predicted_position(const int src_x, const int src_y, const int sou
         return place.z > 0.0f ? place : nowhere;
     }
     const float3 p0 = unproject(pixel_centre(src_x, src_y), z, to_target.source_inverse);
-    int known = 0;
-    while (known < order && history[known * plane + src].w != 0.0f) ++known;
+    int known = order > 0 && met_depth[src] > 0.0f;
+    while (known > 0 && known < order && history[known * plane + src].w != 0.0f) ++known;
     const float4 weights = known == 1 ? polynomial.order1 : known == 2 ? polynomial.order2
                          : known == 3 ? polynomial.order3 : polynomial.order4;
     const float weight[4] = {weights.x, weights.y, weights.z, weights.w};
     float3 predicted = p0;
-    for (int k = 0; k < known; ++k) predicted += weight[k] * (history[k * plane + src].xyz - p0);
+    if (known > 0) {
+        const float3 p1_prev = unproject(pixel_centre(src_x, src_y) + motion[src], met_depth[src], from_previous.source_inverse);
+        predicted += weight[0] * (move_to_target(p1_prev, from_previous) - p0);
+    }
+    for (int k = 1; k < known; ++k) predicted += weight[k] * (history[k * plane + src].xyz - p0);
     const float3 target_pos = move_to_target(predicted, to_target);
     if (!(target_pos.z > 0.0f)) return nowhere;
     return (float3)(project(target_pos, to_target.target), target_pos.z);
@@ -36,9 +43,10 @@ inline float3 predicted_position(const int src_x, const int src_y, const int sou
 
 /* target_position: planes of x, y and depth. */
 WIDE __kernel void predict_positions(const int source_width, const int source_height, const int order,
-                                     __global const float *depth, __global const uchar *dynamic_mask,
+                                     __global const float *depth, __global const float2 *motion,
+                                     __global const uchar *dynamic_mask, __global const float *met_depth,
                                      __global const float4 *history, const Polynomial polynomial,
-                                     const Reprojection to_target, __global float *target_position) {
+                                     const Reprojection from_previous, const Reprojection to_target, __global float *target_position) {
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x, plane = source_width * source_height;
@@ -56,8 +64,8 @@ WIDE __kernel void predict_positions(const int source_width, const int source_he
     if (whole && !movers) return;
     for (int k = src; k < src + min(LANES, source_width - src_x); ++k) {
         if (whole && !dynamic_mask[k]) continue;
-        const float3 place = predicted_position(src_x + k - src, src_y, source_width, source_height, order, depth,
-                                                dynamic_mask, history, polynomial, to_target);
+        const float3 place = predicted_position(src_x + k - src, src_y, source_width, source_height, order, depth, motion,
+                                                dynamic_mask, met_depth, history, polynomial, from_previous, to_target);
         target_position[k] = place.x;
         target_position[plane + k] = place.y;
         target_position[2 * plane + k] = place.z;

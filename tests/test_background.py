@@ -1,6 +1,7 @@
 """What the background promises, where the exact answer is known."""
 
 import numpy as np
+import pyopencl as cl
 import pytest
 from synthetic import Rect, Rects, camera
 
@@ -187,3 +188,31 @@ def test_any_number_of_levels(device, levels):
     out = pipeline.extrapolate(camera(W - 1, H - 3, (0.3, 0, 0)), 5.5 / 30)
     assert set(np.unique(out.numpy("filled_by"))) <= {0, 254, 255, *range(1, levels + 1)}
     assert np.isfinite(out.numpy("color")).all()
+
+
+@pytest.mark.parametrize(("levels", "int64"), [(0, None), (1, None), (2, False), (4, None)])
+def test_lent_memory_holds_nothing_that_is_needed(device, levels, int64):
+    """Whatever lies in transient buffers after `submit`, also after a reset: two frames made from each are the same,
+    and so is what the background remembers."""
+    bars = [Rect((x, 0, 4), (0.12, 9), frequency=0.2, velocity=(3 * (x > 2), 0, 0)) for x in np.arange(-4, 8, 0.8)]
+    scene, cams = Rects([WALL, *bars]), [camera(W, H, (0.09 * k, 0, 0)) for k in range(8)]
+
+    def made(filler):
+        pipeline, seen = Pipeline(device, W, H, Options(levels=levels), int64_atomics=int64), []
+        for k, cam in enumerate(cams):
+            previous = (cams[k - 1], (k - 1) / 30) if k % 5 else None
+            pipeline.submit(scene.frame(cam, k / 30, W, H, previous, reset=previous is None))
+            for stage, spec in pipeline.board.transient:
+                buffer = stage.buffer[spec.name]
+                cl.enqueue_fill_buffer(device.queue, buffer, np.uint8(filler), 0, buffer.size)
+            for part in (0.3, 0.6):
+                new = pipeline.extrapolate(cam, (k + part) / 30)
+                seen += [new.numpy(name).tobytes() for name in ("color", "depth", "motion", "filled_by")]
+            if levels:
+                background = pipeline.stages["background"]
+                seen += [background.read(f"{name}_0").tobytes() for name in ("color", "depth", "px", "state")]
+        assert (new.numpy("disoccluded") == 1).any()
+        return seen
+
+    expected = made(0)
+    assert all(made(filler) == expected for filler in (0xA5, 0xFF))

@@ -76,7 +76,7 @@ def test_bench_of_a_sequence(gffe, tmp_path, small_copies):
         assert size["kernels"]["warp.resolve"] > 0
         assert size["kernels"]["warp.resolve"] < size["milliseconds"]["GAE"]
         assert size["commands"]["GAE"] > len(size["kernels"]) / 2
-        assert 0 < size["memory_gae"] == size["memory"] == sum(size["memory_by_stage"].values()) + 2 * 20 * 13 * 9
+        assert 0 < size["memory_gae"] == size["memory"] == sum(size["memory_by_stage"].values()) + (2 * 12 + 8) * 13 * 9
 
 
 @pytest.mark.parametrize(

@@ -281,7 +281,7 @@ def test_an_object_coming_straight_at_the_camera(device, approach):
         frame.motion[y, x] = away * (1 - approach) - away
         pipeline.submit(frame)
     dynamic = pipeline.stages["history"].read("dynamic_mask") == 1
-    known = pipeline.stages["history"].read("history")[..., 3] == 1
+    known = pipeline.stages["history"].read("met_depth") > 0
     assert dynamic.sum() > 150 and known[dynamic].mean() > 0.9
     out = pipeline.extrapolate(cam, 3.5 / 30)
     expected = 8 * ((1 - approach) ** 3 + 0.5 * ((1 - approach) ** 3 - (1 - approach) ** 2))

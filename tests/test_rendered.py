@@ -73,7 +73,7 @@ def test_history(device, lanes, size, positions):
         board.rendered.upload(device, packed)
         stage.rendered(Step(board.rendered, board.previous, []))
         if past is None:
-            expected = np.zeros((height, width)), np.zeros((positions - 1, height, width, 4))
+            expected = *(np.zeros((height, width)) for _ in range(2)), np.zeros((positions - 1, height, width, 4))
         else:
             to_previous = reprojection(frame.camera, past.camera)
             histogram = twins.residual_histogram(frame.depth, frame.motion, to_previous)
@@ -83,9 +83,11 @@ def test_history(device, lanes, size, positions):
             turned = to_previous, reprojection(past.camera, frame.camera)
             before = past.depth, dynamic, history
             expected = twins.track_history(frame.depth, frame.motion, positions, threshold, *turned, *before)
-        dynamic, history = stage.read("dynamic_mask"), stage.read("history").reshape(positions - 1, height, width, 4)
+        dynamic, met, history = (stage.read(name) for name in ("dynamic_mask", "met_depth", "history"))
         assert np.array_equal(dynamic, expected[0])
-        assert np.array_equal(history[..., 3], expected[1][..., 3])
-        assert np.allclose(history[:, dynamic > 0], expected[1][:, dynamic > 0], rtol=1e-5, atol=1e-5)
+        assert np.array_equal(met > 0, expected[1] > 0) and np.allclose(met, expected[1], rtol=1e-5)
+        if positions > 2:  # else the depth met is all that is stored
+            assert np.array_equal(history[..., 3], expected[2][..., 3])
+            assert np.allclose(history[:, dynamic > 0], expected[2][:, dynamic > 0], rtol=1e-5, atol=1e-5)
         past = frame
     assert dynamic.any() or width * height < 200

@@ -173,7 +173,7 @@ def plain_run(device, source_frames, setup, wanted, camera_at=pose, size=(W, H),
                 layers = {
                     f"{stage.name}.{spec.name}": stage.read(spec.name)
                     for stage, spec in pipeline.named_buffers()
-                    if spec.grid != "once"
+                    if spec.grid != "once" and (j or not spec.transient)
                 }
                 kept[k, j] = layers | {"final": made.numpy("color")}
         if len(kept) == len(wanted):
@@ -277,7 +277,7 @@ def test_options_change_what_they_should(device):
         "motion": (False, {"final", "history.dynamic_mask", "prediction.target_position"}, {"rendered.depth"}),
         "static_threshold": (40.0, {"history.dynamic_mask", "frame.dynamic"}, {"rendered.motion"}),
         "history": (4, set(), upto_submit | {"final"}),
-        "levels": (1, set(), {"history.history", "surfaces.links", "background.color_0", "background.px_0"}),
+        "levels": (1, set(), {"history.met_depth", "surfaces.links", "background.color_0", "background.px_0"}),
         "shading_inputs": (False, set(), upto_submit | {"final", "background.color_1"}),
     }
     with running(device, Clip()) as engine:

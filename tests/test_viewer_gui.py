@@ -180,7 +180,7 @@ def test_parameters(values):
 
 def test_rendering_window(values):
     assert values["windowed"] and not values["windowed when off"] and values["windowed again"]
-    assert {"rendered.color", "rendered.depth", "history.history", "final"} <= set(values["changed"])
+    assert {"rendered.color", "rendered.depth", "history.met_depth", "final"} <= set(values["changed"])
     assert "truth" in values["same"] and values["after switching back"] == []
 
 
@@ -242,7 +242,7 @@ def test_flip_error(values):
 def test_inspector(values):
     for pixel in values["pixels"]:
         assert pixel["wrong"] == [], pixel
-        assert {"final", "rendered.color", "frame.motion", "history.history", "background.color_0"} <= set(
+        assert {"final", "rendered.color", "frame.motion", "history.met_depth", "background.color_0"} <= set(
             pixel["compared"]
         )
     assert len(values["pixels"]) == 5 and values["left"]

@@ -183,15 +183,16 @@ def track_history(
     dynamic_prev,
     history_prev,
 ):
-    """Algorithm 1; `depth_prev` None after a reset. Returns dynamic mask (H, W) and history (k−1, H, W, 4), 0 where
-    static."""
+    """Algorithm 1; `depth_prev` None after a reset. Returns dynamic mask (H, W), the depth met (H, W) and history
+    (k−1, H, W, 4), 0 where static."""
     height, width = depth.shape
     px = centres(height, width)
     p0 = unproject(px, depth, to_previous[4])
     dynamic = np.zeros((height, width), np.uint8)
+    met_depth = np.zeros((height, width), F)
     history = np.zeros((positions - 1, height, width, 4), F)
     if depth_prev is None:
-        return dynamic, history
+        return dynamic, met_depth, history
     r2, where = static_residual_squared(depth, motion, to_previous)
     usable = np.isfinite(motion).all(-1)
     dynamic[:] = ~usable | (where[..., 2] < 0) | ~(r2 <= threshold_squared)
@@ -204,6 +205,7 @@ def track_history(
         z_prev, nearest = _depth_met(px_prev, at[2], tolerance, depth_prev)
         if not z_prev > 0:
             continue
+        met_depth[y, x] = z_prev
         p1_prev = unproject(px_prev, z_prev, from_previous[4])
         history[0, y, x] = (*move(p1_prev, from_previous), 1)
         ny, nx = divmod(nearest, width)
@@ -216,7 +218,7 @@ def track_history(
             if older[3] == 0:
                 break
             history[k, y, x] = (*move(older[:3] + offset, from_previous), 1)
-    return dynamic, history
+    return dynamic, met_depth, history
 
 
 # ---- prediction ----------------------------------------------------------------------------------------

@@ -39,7 +39,7 @@ def layers(gui: Gui):
         gui.key(KEY.down_arrow)
         gui.settle()
         values["seen"][name] = {"shown": model.view.a, "view": model.contents.spec(name).view} | _look(gui)
-        if name in ("history.history", "frame.filled_by", "background.depth_0", "rendered.motion"):
+        if name in ("history.met_depth", "frame.filled_by", "background.depth_0", "rendered.motion"):
             gui.shot(f"layers, {name}")
     gui.key(KEY.up_arrow)
     values["after Up"] = model.view.a

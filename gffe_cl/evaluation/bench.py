@@ -20,7 +20,7 @@ import pyopencl as cl
 from gffe_cl.buffers import DeviceFrame, Sizes
 from gffe_cl.evaluation import traffic
 from gffe_cl.evaluation.footage import Footage, Turn
-from gffe_cl.frame import BYTES_PER_PIXEL
+from gffe_cl.frame import KEPT_BYTES_PER_PIXEL
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import build
 from gffe_cl.options import Options
@@ -66,7 +66,7 @@ class SizeBench:
     bytes_per_pixel: dict[str, float]
     wall: float
     bandwidth: float  # GB/s, read and written
-    memory: int  # bytes of device memory: the pipeline's buffers and two rendered frames
+    memory: int  # bytes of device memory: the pipeline's buffers and two rendered frames, motion of one only
     memory_gae: int  # without what shading correction has
     must_move: dict[str, float]  # bytes per pixel by part, as the stages declare (`traffic`)
     shares: dict[str, float]  # of the pixels, by which they declare it
@@ -147,7 +147,7 @@ def bench_size(
     pixels = footage.width * footage.height
     shares = traffic.counters(pipeline)
     by_stage = traffic.memory(pipeline)
-    frames = 2 * sum(BYTES_PER_PIXEL) * pixels
+    frames = KEPT_BYTES_PER_PIXEL * pixels
     return SizeBench(
         footage.width,
         footage.height,

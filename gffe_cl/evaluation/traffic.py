@@ -101,8 +101,4 @@ def bytes_per_pixel(pipeline: Pipeline, launches: Launches, shares: dict[str, fl
 
 def memory(pipeline: Pipeline) -> dict[str, int]:
     """Bytes of device memory by stage, and "frame" for the extrapolated frame; rendered frames apart."""
-    owners = {"frame": pipeline.board.frame} | pipeline.stages
-    return {
-        name: sum(spec.nbytes(pipeline.sizes) * (1 + spec.kept) for spec in owner.buffers if not spec.part_of)
-        for name, owner in owners.items()
-    }
+    return {name: owner.nbytes for name, owner in ({"frame": pipeline.board.frame} | pipeline.stages).items()}

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.buffers import RGBA, XY, BufferSpec, level_starts
+from gffe_cl.buffers import RGBA, XY, BufferSpec, Sizes, aligned, level_starts
 from gffe_cl.opencl.program import constants
-from gffe_cl.stage import Access, Board, Kernel, NearestStage, Step, reprojection, zoom
+from gffe_cl.stage import Access, Board, Kernel, NearestStage, Stage, Step, reprojection, zoom
 
 MAX_LEVELS = 4
 _CONSTANTS = constants("background.cl")
@@ -58,7 +58,11 @@ _PROJECTED = {"keys": Access("warp.keys", "holes"), "winners": Access("warp.winn
 
 
 class Background(NearestStage):
-    """Remembers, in L levels, the static fragments that are hidden now, and fills disocclusions from them."""
+    """Remembers, in L levels, the static fragments that are hidden now, and fills disocclusions from them.
+
+    After collection nothing reads what the levels were before: until the next one, that memory is lent for the
+    transient buffers of all stages made before this one.
+    """
 
     name = "background"
     kernels = (
@@ -121,27 +125,51 @@ class Background(NearestStage):
     def __init__(self, board: Board):
         self.levels = board.options.levels
         self.starts = level_starts(board.sizes.source, self.levels)
+        all_levels = [_all_levels(spec, self.levels) for spec in _level_buffers(0)]
+        state = all_levels.pop()  # must last: what lies between two levels is EMPTY
+        lent = [_lent(stage, spec) for stage, spec in board.transient]
+        self._places = _side_by_side(all_levels, board.sizes) | _side_by_side(lent, board.sizes)
+        nbytes = max(start + spec.nbytes(board.sizes) for spec, start in self._places.items())
         self.buffers = (
             *(spec for level in range(self.levels) for spec in _level_buffers(level)),
-            *(_all_levels(spec, self.levels) for spec in _level_buffers(0)),
+            BufferSpec("memory", np.uint8, (), "once", "of levels", planes=nbytes, kept=True, scratch=True),
+            state,
+            *self._places,
             *self.keys(board, "fill_", "source"),
             *self.keys(board, "push_", "level1"),
         )
         super().__init__(board)
+        self._lend()
 
     @classmethod
     def is_wanted(cls, options) -> bool:
         return options.levels > 0
 
     def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
-        """New device buffers by name; those of single levels are parts of those of all levels."""
+        """New device buffers by name; those of single levels are parts of those of all levels, which with what is lent
+        are parts of one."""
         specs = list(specs)
         made = super().allocate(spec for spec in specs if not spec.part_of)
+        places = {spec.name: start for spec, start in self._places.items()}
         for spec in specs:
-            if spec.part_of:
+            if not spec.part_of:
+                continue
+            whole, start = spec.part_of, places.get(spec.name, 0)
+            if spec.name not in places:
                 start = self.starts[int(spec.grid.removeprefix("level"))] * spec.bytes_per_pixel
-                made[spec.name] = made[spec.part_of].get_sub_region(start, spec.nbytes(self.sizes))
+                if whole in places:
+                    whole, start = "memory", start + places[whole]
+            made[spec.name] = made[whole].get_sub_region(start, spec.nbytes(self.sizes))
         return made
+
+    def swap(self) -> None:
+        super().swap()
+        self._lend()
+
+    def _lend(self) -> None:
+        for stage, spec in self.board.transient:
+            if (name := _lent(stage, spec).name) in self.before:
+                stage.buffer[spec.name] = self.before[name]
 
     def rendered(self, step: Step) -> None:
         """Collect; after a reset nothing is kept, nor collected, because what moves is not known yet."""
@@ -192,6 +220,7 @@ class Background(NearestStage):
 def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
     where = "where it is remembered; what is shown is in the rendered frame" if level == 0 else "where it is remembered"
     about = f"background level {level}"
+    known = {"known_where": (f"state_{level}", REMEMBERED)}
 
     def spec(name, dtype, components, description, view, **more):
         return BufferSpec(
@@ -199,15 +228,32 @@ def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
         )
 
     return (
-        spec("color", np.float16, RGBA, f"colour of {about} (B_{level}) {where}", "color"),
-        spec("depth", np.float32, (), f"view depth of {about} there, world units", "depth"),
-        spec("px", np.float32, XY, "where its fragment lies in the rendered image, pixels", "place"),
+        spec("color", np.float16, RGBA, f"colour of {about} (B_{level}) {where}", "color", **known),
+        spec("depth", np.float32, (), f"view depth of {about} there, world units", "depth", **known),
+        spec("px", np.float32, XY, "where its fragment lies in the rendered image, pixels", "place", **known),
         spec("state", np.uint8, (), "what the level knows there", "label", labels=STATES),
     )
 
 
 def _all_levels(spec: BufferSpec, levels: int) -> BufferSpec:
     """The buffer that holds that of all levels, one after another."""
+    part_of = "memory" if spec.known_where else ""
     return replace(
-        spec, name=spec.part_of, grid=f"levels{levels}", part_of="", scratch=True, description="of all levels"
-    )
+        spec, name=spec.part_of, grid=f"levels{levels}", part_of=part_of, scratch=True, description="of all levels",
+        known_where=None,
+    )  # fmt: skip
+
+
+def _lent(stage: Stage, spec: BufferSpec) -> BufferSpec:
+    """The part that is lent for a transient buffer."""
+    name = f"{stage.name}.{spec.name}"
+    return replace(spec, name=name, part_of="memory", kept=True, scratch=True, transient=False)
+
+
+def _side_by_side(specs: Iterable[BufferSpec], sizes: Sizes) -> dict[BufferSpec, int]:
+    """Parts of one buffer, and the bytes at which they begin."""
+    starts, end = {}, 0
+    for spec in specs:
+        starts[spec] = end
+        end = aligned(end + spec.nbytes(sizes))
+    return starts

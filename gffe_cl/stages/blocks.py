@@ -26,7 +26,7 @@ class Blocks(NearestStage):
         BufferSpec("block_class", np.uint8, (), "target_blocks", "how the block is warped", "label", labels=CLASSES),
         BufferSpec(
             "reach", np.int32, ("x0", "y0", "x1", "y1"), "source_blocks", "target blocks that a block reaches",
-            scratch=True,
+            scratch=True, transient=True,
         ),
         BufferSpec(
             "reached_by", np.int32, ("x0", "y0", "x1", "y1"), "target_blocks", "source blocks that reach a block",
@@ -34,7 +34,7 @@ class Blocks(NearestStage):
         ),
         BufferSpec(
             "block_source", np.float32, ("x", "y", "xx", "xy", "yx", "yy", "unused", "unused"), "target_blocks",
-            "where the block's centre comes from, and the inverse of its flow", scratch=True,
+            "where the block's centre comes from, and the inverse of its flow", scratch=True, transient=True,
         ),
     )  # fmt: skip
     kernels = (

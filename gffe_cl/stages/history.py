@@ -24,13 +24,24 @@ class HistoryTracking(Stage):
     buffers = (
         BufferSpec("dynamic_mask", np.uint8, (), "source", "1 where the static test failed (M^dyn)", "mask"),
         BufferSpec(
+            "met_depth",
+            np.float32,
+            (),
+            "source",
+            "view depth in the frame before of a dynamic fragment's surface, where its motion points to (tells P_1);"
+            " 0: static, or not known",
+            "depth",
+            known_where=("dynamic_mask", 1),
+        ),
+        BufferSpec(
             "history",
             np.float32,
             ("x", "y", "z", "known"),
             "source",
-            "positions P_1 … P_{k−1} of dynamic fragments in the view space of the rendered camera, world units;"
-            " known = 0: static, or P_0 instead",
+            "for k > 2 only: positions P_1 … P_{k−1} of dynamic fragments in the view space of the rendered camera,"
+            " world units; known = 0: static, or P_0 instead",
             "world",
+            known_where=("dynamic_mask", 1),
         ),
         BufferSpec("static_threshold_squared", np.float32, (), "once", "ε², px²"),
         BufferSpec(
@@ -78,24 +89,27 @@ class HistoryTracking(Stage):
                 "dynamic_prev": Access("history.dynamic_mask'", "dynamic", planes=0),
                 "history_prev": Access("history.history'", "dynamic", planes=0),
                 "threshold_squared": "history.static_threshold_squared",
-                "dynamic_mask": "history.dynamic_mask",
             },
-            {"dynamic_mask": "history.dynamic_mask", "history": Access("history.history", "dynamic")},
+            {
+                "dynamic_mask": "history.dynamic_mask",
+                "met_depth": Access("history.met_depth", "dynamic"),
+                "history": Access("history.history", "dynamic"),
+            },
             step=("LANES", 1),
         ),
     )
 
     def __init__(self, board: Board):
         self.positions = board.options.history
-        if self.positions > 2:  # only then is anything kept of the frame before
+        if self.positions > 2:  # only then are positions stored, and is anything kept of the frame before
             *others, track = self.kernels
             planes = {"dynamic_prev": 1, "history_prev": self.positions - 2}
             reads = {name: replace(track.reads[name], planes=count) for name, count in planes.items()}
             self.kernels = (*others, replace(track, reads={**track.reads, **reads}))
-            kept = {"dynamic_mask": {}, "history": {"planes": self.positions - 1}}
-            self.buffers = tuple(
-                replace(spec, kept=True, **kept[spec.name]) if spec.name in kept else spec for spec in self.buffers
-            )
+            changes = {"dynamic_mask": {"kept": True}, "history": {"kept": True, "planes": self.positions - 1}}
+        else:
+            changes = {"history": {"grid": "once", "scratch": True, "known_where": None}}
+        self.buffers = tuple(replace(spec, **changes.get(spec.name, {})) for spec in self.buffers)
         super().__init__(board)
         threshold = board.options.static_threshold
         self.automatic = threshold is None

@@ -28,6 +28,7 @@ class PositionPrediction(Stage):
             "predicted position of each fragment: x, y in target pixels (−1e9: nowhere), view depth (−1)",
             "place",
             planar=True,
+            transient=True,
         ),
     )
     kernels = (
@@ -36,7 +37,9 @@ class PositionPrediction(Stage):
             "source",
             {
                 "depth": "rendered.depth",
+                "motion": Access("rendered.motion", "dynamic"),
                 "dynamic_mask": "history.dynamic_mask",
+                "met_depth": Access("history.met_depth", "dynamic"),
                 "history": Access("history.history", "dynamic"),
             },
             {"target_position": "prediction.target_position"},
@@ -45,10 +48,12 @@ class PositionPrediction(Stage):
     )
 
     def extrapolated(self, step: Step) -> None:
+        before = step.previous or step.frame
         self.launch(
             "predict_positions",
             order=min(self.board.options.order, len(step.times) - 1),
             polynomial=polynomial_weights(step.times, step.time, MAX_ORDER),
+            from_previous=reprojection(before.camera, step.frame.camera),
             to_target=reprojection(step.frame.camera, step.camera),
         )
 

@@ -57,7 +57,7 @@ class Warp(NearestStage):
     )
 
     def __init__(self, board: Board):
-        self.buffers = self.keys(board, "", "target")
+        self.buffers = self.keys(board, "", "target", transient=True)
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pyopencl as cl
@@ -51,11 +51,17 @@ class Shot:
 
 @dataclass(frozen=True)
 class DeviceLayer:
-    """An image in a device buffer, as `spec` says; `size`: (width, height)."""
+    """An image in a device buffer, as `spec` says; `size`: (width, height); `known`: the layer that tells where it
+    holds anything, see `BufferSpec`."""
 
     buffer: cl.Buffer
     spec: BufferSpec
     size: tuple[int, int]
+    known: DeviceLayer | None = None
+
+    def keep_known(self, values: np.ndarray, known: np.ndarray) -> None:
+        """Set values (…, H, W, channels) to 0 where the layer holds nothing; `known` (H, W): what was read there."""
+        values[..., known != self.spec.known_where[1], :] = 0
 
     def read(self, queue: cl.CommandQueue) -> tuple[np.ndarray, cl.Event]:
         """(planes?, H, W, channels?) on the host, valid after the event."""
@@ -99,17 +105,32 @@ class DeviceLayer:
 def device_layers(pipeline: Pipeline, shot: Shot) -> dict[str, DeviceLayer]:
     """All images of the slot by the layers' names.
 
-    At a rendered slot the stages after `submit` still hold the extrapolated frame before it.
+    At a rendered slot the stages after `submit` still hold the extrapolated frame before it, but for what is transient.
     """
     images = {name: (FRAME_BUFFERS[name], buffer) for name, buffer in shot.buffers.items()} | named_images(pipeline)
-    return {name: DeviceLayer(buffer, spec, spec.size(pipeline.sizes)) for name, (spec, buffer) in images.items()}
+    layers = {
+        name: DeviceLayer(buffer, spec, spec.size(pipeline.sizes))
+        for name, (spec, buffer) in images.items()
+        if shot.moment.alpha or not spec.transient
+    }
+    for name, layer in layers.items():
+        if layer.spec.known_where:
+            known = layers[f"{name.partition('.')[0]}.{layer.spec.known_where[0]}"]
+            layers[name] = replace(layer, known=known)
+    return layers
 
 
 def read_layers(pipeline: Pipeline, layers: dict[str, DeviceLayer], wanted: Iterable[str]) -> dict[str, np.ndarray]:
     """Those of `wanted` that exist, each in an array of its own, with one wait for all."""
-    read = {name: layers[name].read(pipeline.device.queue) for name in wanted if name in layers}
+    queue = pipeline.device.queue
+    layers = {name: layers[name] for name in wanted if name in layers}
+    read = {name: layer.read(queue) for name, layer in layers.items()}
+    known = {name: layer.known.read(queue) for name, layer in layers.items() if layer.known}
     if read:
-        cl.wait_for_events([event for _, event in read.values()])
+        cl.wait_for_events([event for _, event in (*read.values(), *known.values())])
+    for name, (where, _) in known.items():
+        array, layer = read[name][0], layers[name]
+        layer.keep_known(array if layer.spec.channels > 1 else array[..., None], where)
     return {name: array for name, (array, _) in read.items()}
 
 
@@ -134,10 +155,14 @@ def pixel_values(pipeline: Pipeline, shot: Shot, x: int, y: int) -> dict[str, np
 
 def read_blocks(pipeline: Pipeline, wanted: dict[str, tuple]) -> dict[str, np.ndarray]:
     """`DeviceLayer.read_block` of (layer, x, y, width, height) each, with one wait for all."""
-    read = {name: layer.read_block(pipeline.device.queue, *where) for name, (layer, *where) in wanted.items()}
-    events = [event for _, these in read.values() for event in these]
+    queue = pipeline.device.queue
+    read = {name: layer.read_block(queue, *where) for name, (layer, *where) in wanted.items()}
+    known = {name: layer.known.read_block(queue, *where) for name, (layer, *where) in wanted.items() if layer.known}
+    events = [event for _, these in (*read.values(), *known.values()) for event in these]
     if events:
         cl.wait_for_events(events)
+    for name, (where, _) in known.items():
+        wanted[name][0].keep_known(read[name][0], where[0, ..., 0])
     return {name: array for name, (array, _) in read.items()}
 
 

@@ -10,7 +10,7 @@ DEPTH, MOTION, DYNAMIC = "frame.depth", "frame.motion", "frame.dynamic"
 DISOCCLUDED, FILLED_BY, MIXED = "frame.disoccluded", "frame.filled_by", "frame.mixed"
 
 # of stages
-HISTORY, DYNAMIC_MASK = "history.history", "history.dynamic_mask"
+HISTORY, MET_DEPTH, DYNAMIC_MASK = "history.history", "history.met_depth", "history.dynamic_mask"
 TARGET_POSITION = "prediction.target_position"
 FOCUS_MASK = "correction.focus_mask"
 

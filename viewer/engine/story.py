@@ -139,25 +139,21 @@ class _Fragment:
             return None
         if landed:
             at = _fragment_that_landed(pipeline, layers, at, *landed)
-        wanted = (
-            names.RENDERED_DEPTH,
-            names.RENDERED_MOTION,
-            names.DYNAMIC_MASK,
-            names.HISTORY,
-            names.TARGET_POSITION,
-        )
+        wanted = (names.RENDERED_DEPTH, names.RENDERED_MOTION, names.DYNAMIC_MASK, names.MET_DEPTH)
+        wanted += tuple(name for name in (names.HISTORY, names.TARGET_POSITION) if name in layers)
         values = read_blocks(pipeline, {name: (layers[name], *at, 1, 1) for name in wanted})
-        depth, motion, mask, history, target = (values[name].reshape(len(values[name]), -1) for name in wanted)
+        depth, motion, mask, met, *_ = (values[name].reshape(len(values[name]), -1) for name in wanted)
         depth, motion, dynamic = float(depth[0, 0]), motion[0].astype(np.float64), bool(mask[0, 0])
         px = np.add(at, 0.5)
         residual = _residual(shot, px, depth, motion) if pipeline.options.motion else None
         history_stage = pipeline.stages["history"]
         threshold = None if residual is None else float(np.sqrt(history_stage.read("static_threshold_squared")[0]))
-        known = [place for place in history if dynamic and place[3] != 0]
-        path = [_projected(place[:3], shot.moment.display_camera) for place in known[::-1]]
+        known = _known_places(shot, px + motion, float(met[0, 0]), values.get(names.HISTORY)) if dynamic else []
+
+        path = [_projected(place, shot.moment.display_camera) for place in known[::-1]]
         path.append(moved(px, shot.moment.render_camera, shot.moment.display_camera))
-        if shot.moment.alpha and target[0, 2] > 0:
-            path.append(tuple(map(float, target[0, :2])))
+        if (target := values.get(names.TARGET_POSITION)) is not None and target.flat[2] > 0:
+            path.append(tuple(map(float, target.flat[:2])))
         used = min(len(known), pipeline.options.order) if shot.moment.alpha else -1
         sentences = _fragment_sentences(pipeline, shot, depth, motion, dynamic, residual, threshold, used)
         return cls(tuple(point for point in path if point), dynamic, residual, threshold, sentences)
@@ -267,6 +263,16 @@ def _around(at, reach: int, size) -> tuple[int, int, int, int]:
     """x, y, width, height of the block up to `reach` around `at`, within an image of `size`."""
     low = [max(c - reach, 0) for c in at]
     return (*low, *(min(c + reach + 1, s) - first for c, s, first in zip(at, size, low, strict=True)))
+
+
+def _known_places(shot: Shot, px_prev, met_depth: float, history) -> list[np.ndarray]:
+    """P_1 … as far as they are known, in the view space of the rendered camera. `history`: what is stored, if it is."""
+    if shot.moment.previous_camera is None or not met_depth > 0:
+        return []
+    world = shot.moment.previous_camera.unproject(px_prev, met_depth)
+    older = [] if history is None else history.reshape(-1, 4)[1:]
+    matrix = shot.moment.render_camera.world_to_view
+    return [matrix[:3, :3] @ world + matrix[:3, 3], *(place[:3] for place in older if place[3] != 0)]
 
 
 def _projected(view_pos, camera: Camera) -> tuple[float, float] | None:
