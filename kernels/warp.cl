@@ -285,17 +285,6 @@ inline void weights_of(const Floats t, Floats *weights) {
     weights[3] = 0.5f * t3 - 0.5f * t2;
 }
 
-#if LANES == 8
-/* All lanes, whose taps lie in a row; false where a tap is no finite number. */
-inline bool resample_run(const int dst, const int first, const Floats *wx, const Floats *wy, const int source_width,
-                         __global const half *color, __global half *out_color) {
-    const float4 left_x[4] = {wx[0].lo, wx[1].lo, wx[2].lo, wx[3].lo}, left_y[4] = {wy[0].lo, wy[1].lo, wy[2].lo, wy[3].lo};
-    const float4 right_x[4] = {wx[0].hi, wx[1].hi, wx[2].hi, wx[3].hi}, right_y[4] = {wy[0].hi, wy[1].hi, wy[2].hi, wy[3].hi};
-    return cubic_of_four(first, left_x, left_y, source_width, color, dst, out_color)
-           & cubic_of_four(first + 4, right_x, right_y, source_width, color, dst + 4, out_color);
-}
-#endif
-
 /* Colours at (u, v) from the pixels `tap`, next to the winners `src`, for the lanes in `use`. */
 inline void resample_lanes(const int dst, const Ints use, const Ints alike, const Ints src, const Ints tap, const Floats u,
                            const Floats v, const int source_width, __global const half *color, __global half *out_color) {
@@ -307,10 +296,21 @@ inline void resample_lanes(const int dst, const Ints use, const Ints alike, cons
     weights_of(v, wy);
     const Ints exact = (u == 0.0f) & (v == 0.0f);
 #if LANES == 8
-    if (ALL(use & ((alike == ALL_ALIKE) | exact) & (tap == lane_tap[0] + LANE_NUMBERS))
-        && resample_run(dst, lane_tap[0] - source_width - 1, wx, wy, source_width, color, out_color)) return;
+    /* Halves whose taps lie in a row; where a tap is no finite number, and elsewhere, one lane after another. */
+    const Ints whole = use & ((alike == ALL_ALIKE) | exact), in_row = tap - LANE_NUMBERS;
+    const float4 left_x[4] = {wx[0].lo, wx[1].lo, wx[2].lo, wx[3].lo}, left_y[4] = {wy[0].lo, wy[1].lo, wy[2].lo, wy[3].lo};
+    const float4 right_x[4] = {wx[0].hi, wx[1].hi, wx[2].hi, wx[3].hi}, right_y[4] = {wy[0].hi, wy[1].hi, wy[2].hi, wy[3].hi};
+    const int above = source_width + 1;
+    const bool left = all(whole.lo & (in_row.lo == lane_tap[0]))
+        && cubic_of_four(lane_tap[0] - above, left_x, left_y, source_width, color, dst, out_color);
+    const bool right = all(whole.hi & (in_row.hi == lane_tap[4] - 4))
+        && cubic_of_four(lane_tap[4] - above, right_x, right_y, source_width, color, dst + 4, out_color);
+    if (left && right) return;
+    const Ints rest = use & (Ints)((int4)(left ? 0 : -1), (int4)(right ? 0 : -1));
+#else
+    const Ints rest = use;
 #endif
-    store_ints(use, 0, lane_use);
+    store_ints(rest, 0, lane_use);
     store_ints(exact, 0, lane_exact);
     store_ints(alike, 0, lane_alike);
     store_ints(src, 0, lane_src);
