@@ -61,9 +61,17 @@ inline Ints splat_lanes(const int src, const int source_width, const int plane, 
                         & (FOOTPRINT_HALF * (fabs(f.xy) + fabs(f.yy)) < 1.49f);
     const Floats limit = FOOTPRINT_HALF * f.det;
     Ints covers = (Ints)(16);  /* bit 3 (dy + 1) + dx + 1; its own pixel always */
+    Floats across_x[3], across_y[3], down_x[3], down_y[3];  /* of source_offset at the three columns and rows */
+    for (int k = 0; k < 3; ++k) {
+        const Floats dx = (own_x + ((float)k - 0.5f)) - x.here, dy = (own_y + ((float)k - 0.5f)) - y.here;
+        across_x[k] = f.yy * dx;
+        across_y[k] = f.xy * dx;
+        down_x[k] = f.yx * dy;
+        down_y[k] = f.xx * dy;
+    }
+#pragma unroll
     for (int k = 0; k < 9; ++k) {
-        const Floats dx = (own_x + ((float)(k % 3) - 0.5f)) - x.here, dy = (own_y + ((float)(k / 3) - 0.5f)) - y.here;
-        const Ints covered = (fabs(f.yy * dx - f.yx * dy) <= limit) & (fabs(f.xx * dy - f.xy * dx) <= limit);
+        const Ints covered = (fabs(across_x[k % 3] - down_x[k / 3]) <= limit) & (fabs(down_y[k / 3] - across_y[k % 3]) <= limit);
         covers |= covered ? (Ints)(1 << k) : (Ints)(0);
     }
     int lane_covers[LANES], lane_dst[LANES];
