@@ -98,6 +98,7 @@ inline bool is_one_surface(const int x0, const int y0, const int source_width, c
                            __global const uchar *links) {
     if (x0 < 2 || y0 < 2 || x0 + BLOCK_WIDTH + 2 > source_width || y0 + BLOCK_HEIGHT + 2 > source_height) return false;
     uchar8 common = (uchar8)(ALL_LINKS);
+#pragma unroll
     for (int y = y0 - 2; y < y0 + BLOCK_HEIGHT + 2; ++y) {
         __global const uchar *row = links + y * source_width + x0;
         common &= vload8(0, row - 2) & vload8(0, row + 2);
@@ -113,6 +114,7 @@ inline bool is_linear(const int x0, const int y0, const int source_width, const 
     Ints linear = (Ints)(1) == (Ints)(1);
     for (int x = x0; x < x0 + BLOCK_WIDTH; x += LANES) {
         Floats before_x = (Floats)(0.0f), before_y = before_x;
+#pragma unroll
         for (int y = y0; y < y0 + BLOCK_HEIGHT; ++y) {
             const int src = y * source_width + x;
             __global const float *p = target_position + src;

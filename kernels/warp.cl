@@ -273,6 +273,7 @@ inline Ints taps_alike(const Ints src, const Floats ox, const Floats oy, const i
     store_ints(base, 0, first);
     const bool is_run = ALL(base == first[0] + LANE_NUMBERS);
     Ints alike = (Ints)(0);
+#pragma unroll
     for (int k = 0; k < 8; ++k) {
         const int dx = k < 4 ? (k & 1) : 3 * (k & 1) - 1, dy = k < 4 ? (k >> 1) : 3 * ((k >> 1) & 1) - 1;
         __global const float *p = target_position + dy * source_width + dx, *q = p + plane;
