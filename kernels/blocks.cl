@@ -99,8 +99,8 @@ inline bool is_one_surface(const int x0, const int y0, const int source_width, c
     if (x0 < 2 || y0 < 2 || x0 + BLOCK_WIDTH + 2 > source_width || y0 + BLOCK_HEIGHT + 2 > source_height) return false;
     uchar8 common = (uchar8)(ALL_LINKS);
 #pragma unroll
-    for (int y = y0 - 2; y < y0 + BLOCK_HEIGHT + 2; ++y) {
-        __global const uchar *row = links + y * source_width + x0;
+    for (int k = -2; k < BLOCK_HEIGHT + 2; ++k) {
+        __global const uchar *row = links + (y0 + k) * source_width + x0;
         common &= vload8(0, row - 2) & vload8(0, row + 2);
     }
     return as_ulong(common) == as_ulong((uchar8)(ALL_LINKS));
@@ -115,8 +115,8 @@ inline bool is_linear(const int x0, const int y0, const int source_width, const 
     for (int x = x0; x < x0 + BLOCK_WIDTH; x += LANES) {
         Floats before_x = (Floats)(0.0f), before_y = before_x;
 #pragma unroll
-        for (int y = y0; y < y0 + BLOCK_HEIGHT; ++y) {
-            const int src = y * source_width + x;
+        for (int k = 0; k < BLOCK_HEIGHT; ++k) {
+            const int src = (y0 + k) * source_width + x;
             __global const float *p = target_position + src;
             const Floats here_x = load_floats(0, p), left_x = load_floats(0, p - 1), right_x = load_floats(0, p + 1);
             const Floats up_x = load_floats(0, p - source_width), down_x = load_floats(0, p + source_width);
@@ -134,7 +134,7 @@ inline bool is_linear(const int x0, const int y0, const int source_width, const 
             const Floats yx = 0.5f * (down_x - up_x), yy = 0.5f * (down_y - up_y);
             linear &= (xx >= STRETCH_LOW * zoom.x) & (xx <= STRETCH_HIGH * zoom.x) & (fabs(yx) <= SHEAR_MOST * zoom.x)
                       & (yy >= STRETCH_LOW * zoom.y) & (yy <= STRETCH_HIGH * zoom.y) & (fabs(xy) <= SHEAR_MOST * zoom.y);
-            if (y > y0) linear &= (fabs(xx - before_x) <= BEND_MOST) & (fabs(xy - before_y) <= BEND_MOST);
+            if (k > 0) linear &= (fabs(xx - before_x) <= BEND_MOST) & (fabs(xy - before_y) <= BEND_MOST);
             before_x = xx;
             before_y = xy;
             const Floats half_x = FOOTPRINT_HALF * (fabs(xx) + fabs(yx)), half_y = FOOTPRINT_HALF * (fabs(xy) + fabs(yy));

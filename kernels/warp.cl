@@ -417,7 +417,7 @@ WIDE __kernel void resolve(const int source_width, const int source_height, cons
         const float from_y = (float)dst_y + 0.5f - (float)(dst_y / BLOCK_HEIGHT * BLOCK_HEIGHT + BLOCK_HEIGHT / 2);
         src_x = to_ints(floor(source.s0 + source.s2 * from_x + source.s3 * from_y));
         src_y = to_ints(floor(source.s1 + source.s4 * from_x + source.s5 * from_y));
-        resolve_lanes(true, dst_x, dst_y, src_x, src_y, src_x == src_x, source_width, source_height, target_width, zoom, color,
+        resolve_lanes(true, dst_x, dst_y, src_x, src_y, LANE_NUMBERS >= 0, source_width, source_height, target_width, zoom, color,
                       depth, dynamic_mask, links, target_position, out_color, out_depth, out_motion, out_dynamic, disoccluded,
                       filled_by, mixed);
         return;
