@@ -206,8 +206,8 @@ def _run_probe_kernel(context, queue) -> float:
 
 @contextmanager
 def quiet_builds():
-    """Hides drivers' remarks on builds that succeed, unless PYOPENCL_COMPILER_OUTPUT=1 asks for them. Signals wait until
-    a build is through, or compilers complain that what they started was interrupted."""
+    """Hides drivers' remarks on builds that succeed, unless PYOPENCL_COMPILER_OUTPUT=1 asks for them. Signals wait
+    until a build is through, or compilers complain that what they started was interrupted."""
     held = {getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)}
     can_wait = hasattr(signal, "pthread_sigmask")
     before = signal.pthread_sigmask(signal.SIG_BLOCK, held) if can_wait else set()
