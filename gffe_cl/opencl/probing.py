@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -206,19 +205,11 @@ def _run_probe_kernel(context, queue) -> float:
 
 @contextmanager
 def quiet_builds():
-    """Hides drivers' remarks on builds that succeed, unless PYOPENCL_COMPILER_OUTPUT=1 asks for them. Signals wait
-    until a build is through, or compilers complain that what they started was interrupted."""
-    held = {getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)}
-    can_wait = hasattr(signal, "pthread_sigmask")
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, held) if can_wait else set()
-    try:
-        with warnings.catch_warnings():
-            if not os.environ.get("PYOPENCL_COMPILER_OUTPUT"):
-                warnings.simplefilter("ignore", cl.CompilerWarning)
-            yield
-    finally:
-        if can_wait:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    """Hides drivers' remarks on builds that succeed, unless PYOPENCL_COMPILER_OUTPUT=1 asks for them."""
+    with warnings.catch_warnings():
+        if not os.environ.get("PYOPENCL_COMPILER_OUTPUT"):
+            warnings.simplefilter("ignore", cl.CompilerWarning)
+        yield
 
 
 def try_int64_atomics(context: cl.Context, queue: cl.CommandQueue) -> bool:
