@@ -247,5 +247,4 @@ def aligned(n: int) -> int:
 
 def level_starts(size: tuple[int, int], levels: int) -> list[int]:
     """The first texel of each background level of an image of `size` where they lie one after another, and the end."""
-    sides = ([-(-side // (1 << level)) for side in size] for level in range(levels))
-    return [0, *accumulate(aligned(math.prod(side)) for side in sides)]
+    return [0, *accumulate(aligned(math.prod(halved(size, level))) for level in range(levels))]
