@@ -303,7 +303,7 @@ inline void resample_lanes(const int dst, const Ints use, const Ints alike, cons
     store_ints(tap, 0, lane_tap);
     weights_of(u, wx);
     weights_of(v, wy);
-    const Ints exact = (u == 0.0f) & (v == 0.0f);
+    const Ints exact = (tap == src) & (u == 0.0f) & (v == 0.0f);
 #if LANES == 8
     /* Halves whose taps lie in a row; where a tap is no finite number, and elsewhere, one lane after another. */
     const Ints whole = use & ((alike == ALL_ALIKE) | exact), in_row = tap - LANE_NUMBERS;
