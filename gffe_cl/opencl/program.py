@@ -22,7 +22,6 @@ from gffe_cl.errors import GffeError
 from gffe_cl.opencl.device import Device, quiet_builds
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
-_WIDE = re.compile(r"\bLANES\b")
 _COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
 _DEFINE = re.compile(r"^\s*#define\s+([A-Z]\w*)\s+([^\s(].*?)\s*$", re.MULTILINE)
 _ENUM = re.compile(r"\benum\s*\{([\w\s,]*)\}")
@@ -91,10 +90,10 @@ def build(device: Device, name: str, **variant: int) -> Program:
     them from one thread. Raises GffeError with the compiler's log (file and line) when it does not build.
     """
     source = expand(f"{name}.cl")
-    if _WIDE.search(source):
-        variant = {"LANES": device.lanes, "RUN": 16 if device.lanes > 1 else 1} | variant
-    if device.exact_division and "EXACT_DIVISION" in source:
-        variant = {"EXACT_DIVISION": 1} | variant
+    choices = {"LANES": device.lanes, "RUN": 16 if device.lanes > 1 else 1}
+    if device.exact_division:
+        choices["EXACT_DIVISION"] = 1
+    variant = {choice: value for choice, value in choices.items() if choice in source} | variant
     key = (name, source, *sorted(variant.items()))
     if key not in device.programs:
         device.programs[key] = Program(device, name, source, variant)
