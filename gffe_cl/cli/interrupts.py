@@ -56,9 +56,11 @@ class Interrupts:
             raise KeyboardInterrupt
 
     def _unraisable(self, unraisable) -> None:
-        """Where an exception cannot pass, in a destructor or a library's callback, it is raised again soon after."""
+        """Where an interrupt cannot pass, in a destructor or a library's callback, it is raised again soon after. What
+        else complains after one is half-made objects that go."""
         if not issubclass(unraisable.exc_type, KeyboardInterrupt):
-            self._hook(unraisable)
+            if not self.received:
+                self._hook(unraisable)
             return
         self.received = 0
         again = threading.Timer(_SOON, _interrupt, (next(iter(self._before)),))
