@@ -1,8 +1,8 @@
 """What probing found, kept for later processes: it takes half a second, and its figures hang on what else the machine
 does.
 
-There is one file for each state of drivers and machine (`fingerprint`), in the cache folder or in that which
-`GFFE_DEVICE_CACHE` names; nothing is kept where that is "off". A folder that cannot be read or written is no error.
+There is one file for each state of drivers and machine (`fingerprint`). A folder that cannot be read or written is no
+error.
 """
 
 from __future__ import annotations
@@ -20,9 +20,8 @@ import pyopencl as cl
 
 from gffe_cl.opencl import probing
 from gffe_cl.opencl.probing import DeviceInfo, Probed
-from gffe_cl.opencl.runtimes import HIDE_INSTALLED, cache_folder, installed_runtimes_are_exposed, vendors
+from gffe_cl.opencl.runtimes import HIDE_INSTALLED, installed_runtimes_are_exposed, kept_folder, vendors
 
-_FOLDER = "GFFE_DEVICE_CACHE"
 _NAME = "devices-{}.json"
 _MOST_FILES = 16
 _HOUR = 3600.0
@@ -55,7 +54,7 @@ def fingerprint() -> str:
 def recall(key: str) -> Probed | None:
     """What was kept as `key`; None if nothing was. What did not work is tried again after an hour, and everything after
     a day where drivers cannot be told apart by their files."""
-    folder = _folder()
+    folder = kept_folder()
     if folder is None:
         return None
     try:
@@ -74,7 +73,7 @@ def recall(key: str) -> Probed | None:
 
 def keep(key: str, found: Probed) -> None:
     """Let later processes recall `found` as `key`."""
-    folder = _folder()
+    folder = kept_folder()
     if folder is None:
         return
     document = {
@@ -94,15 +93,6 @@ def keep(key: str, found: Probed) -> None:
         kept = sorted(folder.glob(_NAME.format("*")), key=lambda path: path.stat().st_mtime, reverse=True)
         for path in kept[_MOST_FILES:]:
             path.unlink(missing_ok=True)
-
-
-def _folder() -> Path | None:
-    chosen = os.environ.get(_FOLDER)
-    if chosen:
-        return None if chosen == "off" else Path(chosen)
-    with suppress(OSError):
-        return cache_folder()
-    return None
 
 
 def _device(document: dict) -> DeviceInfo:

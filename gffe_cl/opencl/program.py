@@ -20,6 +20,7 @@ import pyopencl as cl
 
 from gffe_cl.errors import GffeError
 from gffe_cl.opencl.device import Device, quiet_builds
+from gffe_cl.opencl.kept_programs import built_program
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
 _COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)
@@ -55,7 +56,7 @@ class Program:
         options = [f"-D{key}={value}" for key, value in sorted(variant.items())]
         try:
             with quiet_builds():
-                built = cl.Program(device.context, source).build(options=["-cl-kernel-arg-info", *options])
+                built = built_program(device.context, source, ("-cl-kernel-arg-info", *options))
         except cl.RuntimeError as error:
             raise GffeError(f"kernels/{name}.cl does not build on {device.info.name}:\n{_log(error)}") from None
         self.kernels = {kernel.function_name: kernel for kernel in built.all_kernels()}

@@ -23,6 +23,7 @@ from pathlib import Path
 
 import platformdirs
 
+_KEPT = "GFFE_DEVICE_CACHE"
 VENDORS = "OCL_ICD_VENDORS"  # the ICD loader's variable: a folder of `.icd` files, or one such file
 _SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
 # What libintelocl.so finds only when these are already loaded, in this order.
@@ -45,6 +46,17 @@ def cache_folder() -> Path:
     except OSError:
         folder = _temporary_folder()
     return folder
+
+
+def kept_folder() -> Path | None:
+    """Where what was found and built is kept for later processes: `cache_folder`, or what `GFFE_DEVICE_CACHE` names;
+    None where that is "off", or where there is none."""
+    chosen = os.environ.get(_KEPT)
+    if chosen:
+        return None if chosen == "off" else Path(chosen)
+    with suppress(OSError):
+        return cache_folder()
+    return None
 
 
 def _temporary_folder() -> Path:

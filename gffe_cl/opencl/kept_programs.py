@@ -1,0 +1,75 @@
+"""Built programs, kept for later processes: some drivers take seconds to build what loads in milliseconds.
+
+pyopencl keeps them too, but behind a lock that a killed process leaves behind: everybody after it waits for a minute.
+Here a file is whole or not there at all, so that nobody waits for anybody. A folder that cannot be read or written is
+no error.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+from contextlib import suppress
+from pathlib import Path
+
+import pyopencl as cl
+from pyopencl.characterize import has_src_build_cache
+
+from gffe_cl.opencl.runtimes import kept_folder
+
+_FOLDER = "kernels"
+_MOST_FILES = 256
+
+
+def built_program(context: cl.Context, source: str, options: tuple[str, ...] = ()) -> cl.Program:
+    """`source` built for the one device of `context`. Raises cl.RuntimeError with the compiler's log."""
+    device = context.devices[0]
+    path = None if has_src_build_cache(device) else _path(device, source, options)
+    if path is not None:
+        with suppress(OSError, cl.Error):
+            return _built(cl.Program(context, [device], [path.read_bytes()]), options)
+    program = _built(cl.Program(context, source), options)
+    if path is not None:
+        with suppress(OSError, cl.Error):
+            _keep(program.get_info(cl.program_info.BINARIES)[0], path)
+    return program
+
+
+def _built(program: cl.Program, options: tuple[str, ...]) -> cl.Program:
+    return program.build(options=list(options), cache_dir=False)
+
+
+def _path(device: cl.Device, source: str, options: tuple[str, ...]) -> Path | None:
+    """Where a program is kept: named by all that it hangs on."""
+    folder = kept_folder()
+    if folder is None:
+        return None
+    driver = device.platform
+    facts = (
+        source, options, device.name, device.version, device.driver_version, driver.name, driver.version,
+        cl.VERSION_TEXT, os.environ.get("LD_PRELOAD"), _processor(),
+    )  # fmt: skip
+    return folder / _FOLDER / f"{hashlib.sha256(repr(facts).encode('utf-8', 'surrogateescape')).hexdigest()[:32]}.bin"
+
+
+def _processor() -> list[str]:
+    """What code for CPUs hangs on: homes are shared between machines."""
+    with suppress(OSError), open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
+        first, *_ = file.read(1 << 14).split("\n\n")
+        return [line for line in first.splitlines() if line.startswith(("model name", "flags", "Features"))]
+    return [platform.processor()]
+
+
+def _keep(binary: bytes, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial")
+    try:
+        partial.write_bytes(binary)
+        partial.replace(path)
+    finally:
+        with suppress(OSError):
+            partial.unlink()
+    kept = sorted(path.parent.glob("*.bin"), key=lambda file: file.stat().st_mtime, reverse=True)
+    for file in kept[_MOST_FILES:]:
+        file.unlink(missing_ok=True)
