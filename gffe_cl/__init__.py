@@ -36,6 +36,7 @@ __version__ = "0.1.0"
 _HOME = {
     "Camera": "camera",
     "predict_camera": "camera",
+    "predict_camera_at": "camera_path",
     "Device": "opencl.device",
     "DeviceInfo": "opencl.device",
     "list_devices": "opencl.device",

@@ -12,7 +12,8 @@ import pyopencl as cl
 import pyopencl.array
 
 from gffe_cl.buffers import EXTRAPOLATED, RGBA, BufferSpec, DeviceFrame, Owner, Sizes
-from gffe_cl.camera import Camera, predict_camera
+from gffe_cl.camera import Camera
+from gffe_cl.camera_path import POSES, predict_camera_at
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import (
     BYTES_PER_PIXEL,
@@ -165,6 +166,7 @@ class Pipeline:
         self._current: DeviceFrame | None = None
         self._previous: DeviceFrame | None = None
         self._times: list[float] = []  # of rendered frames since the last reset, newest first
+        self._path: list[Camera] = []  # what they show through
 
     @property
     def exposure(self) -> float:
@@ -191,11 +193,13 @@ class Pipeline:
         on_device = self._on_device(frame, packed)
         if frame.reset:
             self._times.clear()
+            self._path.clear()
             self._previous = None
         else:
             self._previous = self._current
         self._current = on_device
         self._times = [frame.time, *self._times[:MAX_ORDER]]
+        self._path = [on_device.display_camera, *self._path[: POSES - 1]]
         self.board.rendered, self.board.previous = self._current, self._previous or self._current
         step = Step(self._current, self._previous, self._times)
         for stage in self.stages.values():
@@ -256,11 +260,9 @@ class Pipeline:
         return self._times[0] - self._times[1] if len(self._times) > 1 else 1.0 / self.fps
 
     def predict_camera(self, alpha: float) -> Camera:
-        """C̄ at t + α from the last two display cameras; the last one itself after a reset."""
-        self._need_frame()
-        if self._previous is None:
-            return self._current.display_camera
-        return predict_camera(self._previous.display_camera, self._current.display_camera, alpha)
+        """C̄ at t + α from the last display cameras (`predict_camera_at`); the last one itself after a reset."""
+        time = self._need_frame().time + alpha * self.interval
+        return predict_camera_at(time, self._path, self._times[: len(self._path)], self.options.camera_order)
 
     def extrapolate(
         self,

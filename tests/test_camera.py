@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gffe_cl import Camera, GffeError, predict_camera
+from gffe_cl import Camera, GffeError, predict_camera, predict_camera_at
+from gffe_cl.camera_path import rotation_matrix, rotation_vector
 
 angle = st.floats(-3, 3)
 coordinate = st.floats(-100, 100)
@@ -116,3 +117,87 @@ def test_refused(change, message):
     good = {"world_to_view": np.eye(4), "fx": 100, "fy": 100, "cx": 50, "cy": 40}
     with pytest.raises(GffeError, match=message):
         Camera(**good | change)
+
+
+# ---- from more than two poses ----------------------------------------------------------------------------
+
+
+def swinging(time, jump=0.0):
+    """A camera that accelerates along a curve while it turns."""
+    from synthetic import camera
+
+    return camera(64, 48, (2 * time + 3 * time**2 + jump, 0.2 * time, time**2), yaw=0.3 * time + 0.9 * time**2)
+
+
+def px_error(predicted, true):
+    """Mean distance in pixels of what both show at depth 5."""
+    px = np.stack(np.meshgrid(np.linspace(1, 63, 5), np.linspace(1, 47, 4)), -1).reshape(-1, 2)
+    return np.linalg.norm(predicted.project(true.unproject(px, np.full(len(px), 5.0)))[0] - px, axis=1).mean()
+
+
+@pytest.mark.parametrize("times", [(0.3, 0.2, 0.1, 0.0), (0.3, 0.2, 0.1), (0.3, 0.25, 0.1, 0.05)])
+def test_an_accelerating_camera_goes_on(times):
+    """Whatever the intervals: hardly any error where the linear prediction has some."""
+    cameras = [swinging(t) for t in times]
+    for alpha in (0.5, 1.0):
+        time = times[0] + alpha * (times[0] - times[1])
+        errors = [px_error(predict_camera_at(time, cameras, times, order), swinging(time)) for order in (1, 2)]
+        assert errors[1] < 0.1 * errors[0], errors
+
+
+def test_order_1_and_two_poses_are_linear():
+    cameras, times = [swinging(t) for t in (0.3, 0.2, 0.1)], (0.3, 0.2, 0.1)
+    linear = predict_camera(cameras[1], cameras[0], 0.5)
+    for predicted in (predict_camera_at(0.35, cameras, times, 1), predict_camera_at(0.35, cameras[:2], times[:2])):
+        np.testing.assert_allclose(predicted.world_to_view, linear.world_to_view, atol=1e-12)
+    assert predict_camera_at(0.35, cameras[:1], times[:1]) == cameras[0]
+
+
+def test_after_a_jump_the_prediction_is_linear():
+    """And when it has come to rest nothing of the jump is left."""
+    times = (0.3, 0.2, 0.1, 0.0)
+    cameras = [swinging(t, jump=9.0 * (t > 0.25)) for t in times]
+    linear = predict_camera(cameras[1], cameras[0], 0.5)
+    np.testing.assert_allclose(predict_camera_at(0.35, cameras, times).position, linear.position, atol=1e-12)
+    after, rest = (0.4, *times[:3]), swinging(0.4, jump=9.0)
+    linear = predict_camera(cameras[0], rest, 0.5)
+    np.testing.assert_allclose(
+        predict_camera_at(0.45, [rest, *cameras[:3]], after).position, linear.position, atol=1e-12
+    )
+
+
+def test_noise_does_not_go_on():
+    """A hand that trembles costs hardly more than with the linear prediction."""
+    from synthetic import camera
+
+    rng = np.random.default_rng(0)
+    cameras = [camera(64, 48, yaw=y, roll=r) for y, r in rng.normal(size=(60, 2)) * 0.01]
+    errors = {1: [], 2: []}
+    for k in range(4, 59):
+        past = cameras[k : k - 4 : -1]
+        for order, found in errors.items():
+            found.append(px_error(predict_camera_at(k + 1, past, range(k, k - 4, -1), order), cameras[k + 1]))
+    assert np.mean(errors[2]) < 1.1 * np.mean(errors[1])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(cameras(), min_size=3, max_size=4), st.floats(0, 2))
+def test_predicted_from_many_is_a_camera(path, alpha):
+    predicted = predict_camera_at(alpha, path, range(0, -len(path), -1))
+    rotation = predicted.world_to_view[:3, :3]
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
+    if alpha == 0:
+        np.testing.assert_allclose(predicted.world_to_view, path[0].world_to_view, atol=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.floats(-1, 1), min_size=3, max_size=3))
+def test_rotation_vectors(vector):
+    np.testing.assert_allclose(rotation_vector(rotation_matrix(np.array(vector))), vector, atol=1e-9)
+
+
+def test_poses_that_make_no_path():
+    one = swinging(0.0)
+    for cameras, times, order in (([], [], 2), ([one], [0, 1], 2), ([one, one], [0, 0], 2), ([one], [0], 3)):
+        with pytest.raises(GffeError, match="camera: "):
+            predict_camera_at(1.0, cameras, times, order)

@@ -14,7 +14,7 @@ FLOORS = (
     ("errors",),
     ("files", "values"),
     ("opencl", "camera", "inference", "metrics"),
-    ("frame", "window"),
+    ("frame", "window", "camera_path"),
     ("buffers",),
     ("stage", "sequence", "scenes"),
     ("stages",),
