@@ -236,7 +236,9 @@ def test_every_option_that_is_remembered_comes_back():
             if option.is_module and option.automatic and other:
                 continue  # is off or automatic
             parameters = Parameters(Options(), Playback())
-            parameters.set(name, other if option.kind is str or option.kind is bool else other + 1)
+            if option.kind in (int, float):
+                other += 1 if other < option.high else -1
+            parameters.set(name, other)
             kept = parameters.value(name)
             assert getattr(restored(parameters.preferences()), name) == (kept if option.remembered else usual), name
 
