@@ -116,7 +116,7 @@ class Version:
         if not scn:
             parts["wall time"], parts["CPU time"] = heard["wall"], heard["cpu"] / (os.cpu_count() or 1)
         gae = sum(milliseconds for name, milliseconds in parts.items() if name not in ("wall time", "CPU time"))
-        own = {"SCN, inputs and kernels": scn["SCN, inputs"] + scn["SCN, kernels"]} if scn else {}
+        own = {"SCN, inputs and kernels": scn.get("SCN, inputs", 0.0) + scn["SCN, kernels"]} if scn else {}
         return dict(parts) | {"GAE": gae} | scn | own
 
     def close(self) -> None:

@@ -349,10 +349,11 @@ class Pipeline:
 
     def keep(self, names: Iterable[str] | None = None) -> None:
         """From the next frame on keep the outputs `names`, such as "warp.color" (None: all), and no others; and make
-        "correction.refined" only if it is among them. Names of other buffers are ignored."""
+        what only lookers want ("correction.refined", "shading.…") only if it is among them. Names of other buffers are
+        ignored."""
         wanted = None if names is None else set(names)
-        if correction := self.stages.get(ShadingCorrection.name):
-            correction.with_refined = wanted is None or "correction.refined" in wanted
+        for stage in self.stages.values():
+            stage.look_at(wanted)
         found: dict[str, list[BufferSpec]] = {}
         for stage, spec in self.outputs():
             found.setdefault(stage, []).append(spec)

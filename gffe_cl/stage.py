@@ -177,6 +177,10 @@ class Stage(Owner):
         """Whether the pipeline's options ask for this stage."""
         return True
 
+    def look_at(self, names: set[str] | None) -> None:
+        """From the next frame on somebody looks at the buffers `names`, such as "correction.refined" (None: at all): what
+        nobody looks at need not be made."""
+
     def rendered(self, step: Step) -> None:
         """Work on a rendered frame, once, after it was submitted."""
 

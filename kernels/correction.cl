@@ -1,8 +1,7 @@
 /* What surrounds the shading correction network (paper: 'Shading Correction Network'): its input at half resolution, and the
    frame that its output makes of the extrapolated one. */
 
-#include "common.h"
-#include "wide_rgb.h"
+#include "previous.h"
 
 #define BIN_BITS 16       /* dropped from a depth: bins are 1/128 of a power of two wide */
 #define BINS 32768
@@ -116,95 +115,76 @@ inline Floats decode(const Floats e, const float4 law) {
     return least(exp_less_one(least(most(e, 0.0f) * law.w, 88.0f)) * law.z, COLOR_MAX);
 }
 
-/* Products of two rows of lifted colours, which stay below 1e28: of the left and of the right pixels of 2x2. */
-typedef struct { WideRgb left, right; } Columns;
-
-#if LANES == 8
-
-#define CHANNEL(p, c) ((float8)((p)[0].s##c, (p)[1].s##c, (p)[2].s##c, (p)[3].s##c))
-
-inline float16 lifted_rows(const int part, const float4 law, __global const half *top, __global const half *bottom) {
-    const float16 a = vload_half16(part, top), b = vload_half16(part, bottom);
-    return LIFTED(float16, a, law) * LIFTED(float16, b, law);
-}
-
-inline void load_columns(const float4 law, __global const half *top, __global const half *bottom, Columns *columns) {
-    float16 p[4];
+/* Of a strip of two rows: products of lifted colours, which stay below 1e28. */
+inline Strip lifted_rows(const Strip top, const Strip bottom, const float4 law) {
+    Strip product;
 #pragma unroll
-    for (int part = 0; part < 4; ++part) p[part] = lifted_rows(part, law, top, bottom);
-    const Columns c = {{CHANNEL(p, 08), CHANNEL(p, 19), CHANNEL(p, 2a)}, {CHANNEL(p, 4c), CHANNEL(p, 5d), CHANNEL(p, 6e)}};
-    *columns = c;
-}
-
-#else
-
-inline void load_columns(const float4 law, __global const half *top, __global const half *bottom, Columns *columns) {
-    const float8 a = vload_half8(0, top), b = vload_half8(0, bottom), p = LIFTED(float8, a, law) * LIFTED(float8, b, law);
-    const Columns c = {{p.s0, p.s1, p.s2}, {p.s4, p.s5, p.s6}};
-    *columns = c;
-}
-
-#endif
-
-inline WideRgb lifted_rgb(const Ints top, const Ints bottom, const float4 law, __global const half *color) {
-    const WideRgb a = gather_rgb(color, top), b = gather_rgb(color, bottom);
-    const WideRgb product = {lifted(a.r, law) * lifted(b.r, law), lifted(a.g, law) * lifted(b.g, law),
-                             lifted(a.b, law) * lifted(b.b, law)};
+    for (int part = 0; part < PARTS; ++part)
+        product.part[part] = LIFTED(Texels, top.part[part], law) * LIFTED(Texels, bottom.part[part], law);
     return product;
 }
 
-/* Means over 2x2 pixels, encoded, of an image: three planes of the network's input. */
-inline void store_colors(const bool inner, const int *first, const Ints *at, const float4 law, __global const half *color,
-                         const int plane_size, __global float *planes) {
-    Columns c;
-    if (inner) {
-        load_columns(law, color + 4 * first[0], color + 4 * first[1], &c);
-    } else {
-        c.left = lifted_rgb(at[0], at[2], law, color);
-        c.right = lifted_rgb(at[1], at[3], law, color);
-    }
+#if LANES == 8
+#define CHANNEL(a, b, c) ((float8)((a).part[0].s##c, (a).part[1].s##c, (b).part[0].s##c, (b).part[1].s##c))
+#define LEFT(a, b) {CHANNEL(a, b, 08), CHANNEL(a, b, 19), CHANNEL(a, b, 2a)}
+#define RIGHT(a, b) {CHANNEL(a, b, 4c), CHANNEL(a, b, 5d), CHANNEL(a, b, 6e)}
+#else
+#define LEFT(a, b) {(a).part[0].x, (a).part[0].y, (a).part[0].z}
+#define RIGHT(a, b) {(b).part[0].x, (b).part[0].y, (b).part[0].z}
+#endif
+
+/* Means over 2x2 pixels, encoded, of what lifted_rows made of two strips side by side: three planes of the network's input. */
+inline void store_colors(const Strip a, const Strip b, const float4 law, const int plane_size, __global float *planes) {
+    const WideRgb left = LEFT(a, b), right = RIGHT(a, b);
     const float scale = 0.25f * law.y;
-    store_floats(scale * log_of_product(c.left.r, c.right.r), 0, planes);
-    store_floats(scale * log_of_product(c.left.g, c.right.g), 0, planes + plane_size);
-    store_floats(scale * log_of_product(c.left.b, c.right.b), 0, planes + 2 * plane_size);
+    store_floats(scale * log_of_product(left.r, right.r), 0, planes);
+    store_floats(scale * log_of_product(left.g, right.g), 0, planes + plane_size);
+    store_floats(scale * log_of_product(left.b, right.b), 0, planes + 2 * plane_size);
 }
 
 /* Planes of the network's input: means over 2x2 pixels, the image's border repeated. */
-WIDE __kernel void network_input(const int target_width, const int target_height, const int network_width,
-                                 const int network_height, const float4 law, __global const half *color,
-                                 __global const half *warped_previous, __global const float *depth,
-                                 __global const half *input_mask, __global const float *median_depth,
-                                 __global float *frames) {
+WIDE __kernel void network_input(const int target_width, const int target_height, const int source_width,
+                                 const int source_height, const int network_width, const int network_height, const float4 law,
+                                 __global const half *color, __global const float *depth, __global const float2 *out_motion,
+                                 __global const uchar *is_dynamic, __global const uchar *disoccluded,
+                                 __global const float2 *motion, __global const half *color_prev,
+                                 __global const float *depth_prev, const Reprojection to_previous,
+                                 __global const float *median_depth, __global float *planes) {
     const int net_x = get_global_id(0) * LANES, net_y = get_global_id(1);
     if (net_x >= network_width || net_y >= network_height) return;
-    const bool inner = 2 * (net_x + LANES) <= target_width;
-    int first[2];
-    Ints at[4];
-    Floats inverse = 0.0f, mask = 0.0f;
-    for (int part = 0; part < 2; ++part) {
-        const int row = min(2 * net_y + part, target_height - 1) * target_width;
-        first[part] = row + 2 * net_x;
-        Pairs z, m;
-        for (int side = 0; side < 2; ++side)
-            at[2 * part + side] = row + min(2 * (net_x + LANE_NUMBERS) + side, (Ints)(target_width - 1));
-        if (inner) {
-            z = load_pairs(depth + first[part]);
-            m = load_half_pairs(input_mask + first[part]);
-        } else {
-            z.even = gather_floats(depth, at[2 * part]);
-            z.odd = gather_floats(depth, at[2 * part + 1]);
-            m.even = gather_halfs(input_mask, at[2 * part]);
-            m.odd = gather_halfs(input_mask, at[2 * part + 1]);
+    const Frames frames = {1, target_width, source_width, source_height, color, color_prev, depth, depth_prev,
+                           out_motion, motion, is_dynamic, disoccluded, to_previous};
+    StripOfFrame strips[2][2];
+    Strip gae[2], previous[2];
+#pragma unroll
+    for (int side = 0; side < 2; ++side) {
+        const int x = min(2 * net_x + side * LANES, target_width - 1);
+        Strip colors[2], before[2];
+#pragma unroll
+        for (int row = 0; row < 2; ++row) {
+            strips[row][side] = strip_of_frame(&frames, x, min(2 * net_y + row, target_height - 1));
+            colors[row] = load_strip(strips[row][side].count, color + 4 * strips[row][side].first);
+            before[row] = as_halfs(previous_of(&frames, &strips[row][side], colors[row]));
         }
-        const Pairs near = *median_depth / z, nearness = near < MAX_INVERSE_DEPTH ? near : (Pairs)(MAX_INVERSE_DEPTH);
-        inverse += nearness.even + nearness.odd;
-        mask += m.even + m.odd;
+        gae[side] = lifted_rows(colors[0], colors[1], law);
+        previous[side] = lifted_rows(before[0], before[1], law);
     }
-    const int net = net_y * network_width + net_x, plane_size = network_width * network_height;
-    store_colors(inner, first, at, law, color, plane_size, frames + net);
-    store_colors(inner, first, at, law, warped_previous, plane_size, frames + 3 * plane_size + net);
-    store_floats(0.25f * inverse, 0, frames + 6 * plane_size + net);
-    store_floats(0.25f * mask, 0, frames + 7 * plane_size + net);
+    Floats inverse = 0.0f, mask = 0.0f;
+#pragma unroll
+    for (int row = 0; row < 2; ++row) {
+        const StripOfFrame *a = strips[row], *b = strips[row] + 1;
+        const Pairs near = *median_depth / (Pairs)(a->depth, b->depth);
+        const Pairs nearness = near < MAX_INVERSE_DEPTH ? near : (Pairs)(MAX_INVERSE_DEPTH);
+        const Pairs masks = (Pairs)(input_mask_of(a), input_mask_of(b));
+        inverse += nearness.even + nearness.odd;
+        mask += masks.even + masks.odd;
+    }
+    const int plane_size = network_width * network_height;
+    __global float *out = planes + net_y * network_width + net_x;
+    store_colors(gae[0], gae[1], law, plane_size, out);
+    store_colors(previous[0], previous[1], law, plane_size, out + 3 * plane_size);
+    store_floats(0.25f * inverse, 0, out + 6 * plane_size);
+    store_floats(0.25f * mask, 0, out + 7 * plane_size);
 }
 
 /* The four taps, in an image at half resolution, of pixels from (x, y) on. `inner`: those to the left and to the right are

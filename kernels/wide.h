@@ -29,6 +29,7 @@ typedef uchar8 Bytes;
 #define ints_as_floats as_float8
 #define floats_as_ints as_int8
 #define LANE_NUMBERS ((int8)(0, 1, 2, 3, 4, 5, 6, 7))
+#define ALL_LANES ((int8)(-1))
 #define FIRST_LANE(v) ((v).s0)
 #define LAST_LANE(v) ((v).s7)
 
@@ -74,6 +75,7 @@ typedef uchar Bytes;
 #define ints_as_floats as_float
 #define floats_as_ints as_int
 #define LANE_NUMBERS 0
+#define ALL_LANES 1
 #define FIRST_LANE(v) (v)
 #define LAST_LANE(v) (v)
 #define gather_floats(p, i) ((p)[i])

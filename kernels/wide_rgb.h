@@ -53,8 +53,19 @@ inline void copy_rgb_run(__global const half *color, __global half *out) {
 
 /* Two numbers of each lane, which follow one another. */
 typedef float16 Pairs;
-#define load_pairs(p) vload16(0, p)
-#define load_half_pairs(p) vload_half16(0, p)
+
+/* All channels of some pixels that follow one another, as they lie in memory: of a strip of LANES pixels in PARTS. */
+typedef float16 Texels;
+#define TEXELS 4
+#define PARTS 2
+#define VALID(texels) (texels).s37bf  /* the fourth channel */
+#define OF_TEXELS(v, part) ((part) ? (v).hi.s0000111122223333 : (v).lo.s0000111122223333)  /* a number, or a condition, ... */
+#define WHERE_TEXELS(v, part) OF_TEXELS(v, part)  /* ... of each pixel for its channels */
+#define ALL_TEXELS(condition) all(condition)
+#define load_texels(i, p) vload_half16(i, p)
+#define reload_texels(i, p) vload16(i, p)
+#define store_texels(v, i, p) vstore16(v, i, p)
+#define store_half_texels(v, i, p) vstore_half16_rte(v, i, p)
 
 #else
 
@@ -69,7 +80,51 @@ inline void copy_rgb_run(__global const half *color, __global half *out) {
 }
 
 typedef float2 Pairs;
-#define load_pairs(p) vload2(0, p)
-#define load_half_pairs(p) vload_half2(0, p)
+
+typedef float4 Texels;
+#define TEXELS 1
+#define PARTS 1
+#define VALID(texels) (texels).w
+#define OF_TEXELS(v, part) ((float4)(v))
+#define WHERE_TEXELS(v, part) ((int4)(-(v)))
+#define ALL_TEXELS(condition) all(condition)
+#define load_texels(i, p) vload_half4(i, p)
+#define reload_texels(i, p) vload4(i, p)
+#define store_texels(v, i, p) vstore4(v, i, p)
+#define store_half_texels(v, i, p) vstore_half4_rte(v, i, p)
 
 #endif
+
+typedef struct { Texels part[PARTS]; } Strip;
+
+/* The first `count` of LANES pixels, or all if it is more, as for load_some_floats of wide.h. */
+inline Strip load_strip(const int count, __global const half *color) {
+    Strip s;
+    if (count >= LANES) {
+        for (int part = 0; part < PARTS; ++part) s.part[part] = load_texels(part, color);
+        return s;
+    }
+    float texels[4 * LANES];
+    for (int k = 0; k < LANES; ++k) vstore4(vload_half4(min(k, count - 1), color), k, texels);
+    for (int part = 0; part < PARTS; ++part) s.part[part] = reload_texels(part, texels);
+    return s;
+}
+
+inline void store_strip(const Strip s, const int count, __global half *color) {
+    if (count >= LANES) {
+        for (int part = 0; part < PARTS; ++part) store_half_texels(s.part[part], part, color);
+        return;
+    }
+    float texels[4 * LANES];
+    for (int part = 0; part < PARTS; ++part) store_texels(s.part[part], part, texels);
+    for (int k = 0; k < count; ++k) vstore_half4_rte(vload4(k, texels), k, color);
+}
+
+/* A strip as it comes back from a half image. */
+inline Strip as_halfs(const Strip s) {
+    Strip out;
+    ushort bits[4 * LANES];
+    for (int part = 0; part < PARTS; ++part) store_half_texels(s.part[part], part, (half *)bits);
+    for (int part = 0; part < PARTS; ++part) out.part[part] = load_texels(part, (const half *)bits);
+    return out;
+}

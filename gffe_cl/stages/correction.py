@@ -11,7 +11,8 @@ import pyopencl as cl
 from gffe_cl.buffers import RGBA, BufferSpec
 from gffe_cl.inference import INPUT_PLANES, OUTPUT_PLANES, Network, load_network
 from gffe_cl.opencl.program import constants
-from gffe_cl.stage import Access, Board, Kernel, Stage, Step
+from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.shading import SEEN
 
 MU = 5000.0
 HEADROOM = 8.0  # exposed colour that is encoded as 1: three stops above display white
@@ -74,13 +75,10 @@ class ShadingCorrection(Stage):
             "network_input",
             "network",
             {
-                "color": "frame.color",
-                "warped_previous": "shading.warped_previous",
-                "depth": "frame.depth",
-                "input_mask": "shading.input_mask",
+                **SEEN,
                 "median_depth": "correction.median_depth",
             },
-            {"frames": "correction.frames"},
+            {"planes": "correction.frames"},
             step=("LANES", 1),
         ),
         Kernel(
@@ -114,12 +112,15 @@ class ShadingCorrection(Stage):
     def is_wanted(cls, options) -> bool:
         return options.corrects_shading
 
+    def look_at(self, names: set[str] | None) -> None:
+        self.with_refined = names is None or "correction.refined" in names
+
     def extrapolated(self, step: Step) -> None:
         """Make the final image of the filled frame; waits for the network."""
         if step.previous is None:
             self.skip()
             return
-        self.prepare(step.exposure)
+        self.prepare(step)
         self.infer(step.alpha)
         self.compose(step.exposure, self.board.options.focus_mask)
 
@@ -129,12 +130,13 @@ class ShadingCorrection(Stage):
             self.copy(f"correction.{name}", "frame.color")
         self.fill("focus_mask", 0)
 
-    def prepare(self, exposure: float) -> None:
-        """Fill `frames`. `exposure`: factor before display."""
+    def prepare(self, step: Step) -> None:
+        """Fill `frames`."""
         self.fill("histogram", 0)
         self.launch("depth_histogram")
         self.launch("find_median")
-        self.launch("network_input", law=_law(exposure))
+        to_previous = reprojection(step.camera, step.previous.camera)
+        self.launch("network_input", law=_law(step.exposure), to_previous=to_previous)
 
     def infer(self, alpha: float) -> None:
         """Fill `correction`: the network works in the mapped buffers: no copy where host and device share memory."""

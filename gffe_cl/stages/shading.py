@@ -9,9 +9,24 @@ from gffe_cl.buffers import BufferSpec
 from gffe_cl.metrics import FOCUS_SMAPE, SMAPE_EPSILON
 from gffe_cl.stage import Access, Kernel, Stage, Step, reprojection
 
+# What kernels read to know what the previous rendered frame shows at pixels of the extrapolated one (previous.h).
+SEEN = {
+    "color": "frame.color",
+    "depth": "frame.depth",
+    "out_motion": Access("frame.motion", "dynamic"),
+    "is_dynamic": "frame.dynamic",
+    "disoccluded": "frame.disoccluded",
+    "motion": Access("rendered.motion", "dynamic"),
+    "color_prev": "previous.color",
+    "depth_prev": "previous.depth",
+}
+
 
 class ShadingInputs(Stage):
-    """The previous rendered frame warped backward to t + α, ghosts replaced, and the input mask."""
+    """The previous rendered frame warped backward to t + α, ghosts replaced, and the input mask.
+
+    For whoever looks at them: the network's own come from the same functions, without the images at full size.
+    """
 
     name = "shading"
     buffers = (
@@ -29,27 +44,24 @@ class ShadingInputs(Stage):
         Kernel(
             "prepare_inputs",
             "target",
-            {
-                "color": "frame.color",
-                "depth": "frame.depth",
-                "out_motion": Access("frame.motion", "dynamic"),
-                "is_dynamic": "frame.dynamic",
-                "disoccluded": "frame.disoccluded",
-                "motion": Access("rendered.motion", "dynamic"),
-                "color_prev": "previous.color",
-                "depth_prev": "previous.depth",
-            },
+            SEEN,
             {"warped_previous": "shading.warped_previous", "input_mask": "shading.input_mask"},
             step=("LANES", 1),
         ),
     )
+    is_looked_at = True
 
     @classmethod
     def is_wanted(cls, options) -> bool:
-        return options.shading_inputs or options.corrects_shading
+        return options.shading_inputs
+
+    def look_at(self, names: set[str] | None) -> None:
+        self.is_looked_at = names is None or any(f"{self.name}.{spec.name}" in names for spec in self.buffers)
 
     def extrapolated(self, step: Step) -> None:
         """After a reset everything is GAE colour."""
+        if not self.is_looked_at:
+            return
         before = step.previous or step.frame
         self.launch(
             "prepare_inputs",
