@@ -178,8 +178,8 @@ class Stage(Owner):
         return True
 
     def look_at(self, names: set[str] | None) -> None:
-        """From the next frame on somebody looks at the buffers `names`, such as "correction.refined" (None: at all): what
-        nobody looks at need not be made."""
+        """From the next frame on somebody looks at the buffers `names`, such as "correction.refined" (None: at all of
+        them): what nobody looks at need not be made."""
 
     def rendered(self, step: Step) -> None:
         """Work on a rendered frame, once, after it was submitted."""

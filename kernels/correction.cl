@@ -6,27 +6,37 @@
 #define BIN_BITS 16       /* dropped from a depth: bins are 1/128 of a power of two wide */
 #define BINS 32768
 #define COUNTED_ROWS 8    /* depth_histogram counts every eighth row */
-#define STRIP 128         /* rows per work-item of depth_histogram: equal bins in a run cost one atomic */
+#define STRIP 128         /* rows per work-item of depth_histogram: equal bins one after another cost one atomic */
 #define SCANNERS 64       /* work-items of find_median */
 #define MAX_INVERSE_DEPTH 8.0f
 #define LEAST_MASK 0.03125f  /* a smaller focus mask is 0 */
 
 /* How often each bin of finite depth occurs in some of the rows. */
-__kernel void depth_histogram(const int target_width, const int target_height, __global const float *depth,
-                              __global uint *histogram) {
-    const int dst_x = get_global_id(0), first = get_global_id(1) * STRIP;
-    if (dst_x >= target_width) return;
-    uint bin = 0, run = 0;
+WIDE __kernel void depth_histogram(const int target_width, const int target_height, __global const float *depth,
+                                   __global uint *histogram) {
+    const int dst_x = get_global_id(0) * LANES, first = get_global_id(1) * STRIP, count = target_width - dst_x;
+    if (count <= 0) return;
+    int bin = -1;
+    uint run = 0;
     for (int dst_y = first; dst_y < min(first + STRIP, target_height); dst_y += COUNTED_ROWS) {
-        const float z = depth[dst_y * target_width + dst_x];
-        if (INVALID_DEPTH(z) || isinf(z)) continue;
-        const uint here = as_uint(z) >> BIN_BITS;
-        if (run && here != bin) {
-            atomic_add(histogram + bin, run);
-            run = 0;
+        const Floats z = load_some_floats(count, depth + dst_y * target_width + dst_x);
+        const Ints counts = (LANE_NUMBERS < count) & (z > 0.0f) & !isinf(z);
+        const Ints bins = counts ? floats_as_ints(z) >> BIN_BITS : (Ints)(-1);
+        if (ALL(bins == bin)) {
+            if (bin >= 0) run += LANES;
+            continue;
         }
-        bin = here;
-        ++run;
+        int lane_bins[LANES];
+        store_ints(bins, 0, lane_bins);
+        for (int k = 0; k < LANES; ++k) {
+            if (lane_bins[k] < 0) continue;
+            if (lane_bins[k] != bin) {
+                if (run) atomic_add(histogram + bin, run);
+                bin = lane_bins[k];
+                run = 0;
+            }
+            ++run;
+        }
     }
     if (run) atomic_add(histogram + bin, run);
 }
@@ -154,25 +164,19 @@ WIDE __kernel void network_input(const int target_width, const int target_height
     if (net_x >= network_width || net_y >= network_height) return;
     const Frames frames = {1, target_width, source_width, source_height, color, color_prev, depth, depth_prev,
                            out_motion, motion, is_dynamic, disoccluded, to_previous};
-    StripOfFrame strips[2][2];
-    Strip gae[2], previous[2];
+    StripOfFrame strips[4];  /* left, right; of two rows */
+    Strip colors[4], before[4];
 #pragma unroll
-    for (int side = 0; side < 2; ++side) {
-        const int x = min(2 * net_x + side * LANES, target_width - 1);
-        Strip colors[2], before[2];
-#pragma unroll
-        for (int row = 0; row < 2; ++row) {
-            strips[row][side] = strip_of_frame(&frames, x, min(2 * net_y + row, target_height - 1));
-            colors[row] = load_strip(strips[row][side].count, color + 4 * strips[row][side].first);
-            before[row] = as_halfs(previous_of(&frames, &strips[row][side], colors[row]));
-        }
-        gae[side] = lifted_rows(colors[0], colors[1], law);
-        previous[side] = lifted_rows(before[0], before[1], law);
+    for (int k = 0; k < 4; ++k) {
+        const int x = min(2 * net_x + (k & 1) * LANES, target_width - 1), y = min(2 * net_y + (k >> 1), target_height - 1);
+        strips[k] = strip_of_frame(&frames, x, y);
+        colors[k] = load_strip(strips[k].count, color + 4 * strips[k].first);
+        before[k] = as_halfs(previous_of(&frames, strips + k, colors[k]));
     }
     Floats inverse = 0.0f, mask = 0.0f;
 #pragma unroll
     for (int row = 0; row < 2; ++row) {
-        const StripOfFrame *a = strips[row], *b = strips[row] + 1;
+        const StripOfFrame *a = strips + 2 * row, *b = a + 1;
         const Pairs near = *median_depth / (Pairs)(a->depth, b->depth);
         const Pairs nearness = near < MAX_INVERSE_DEPTH ? near : (Pairs)(MAX_INVERSE_DEPTH);
         const Pairs masks = (Pairs)(input_mask_of(a), input_mask_of(b));
@@ -181,8 +185,8 @@ WIDE __kernel void network_input(const int target_width, const int target_height
     }
     const int plane_size = network_width * network_height;
     __global float *out = planes + net_y * network_width + net_x;
-    store_colors(gae[0], gae[1], law, plane_size, out);
-    store_colors(previous[0], previous[1], law, plane_size, out + 3 * plane_size);
+    store_colors(lifted_rows(colors[0], colors[2], law), lifted_rows(colors[1], colors[3], law), law, plane_size, out);
+    store_colors(lifted_rows(before[0], before[2], law), lifted_rows(before[1], before[3], law), law, plane_size, out + 3 * plane_size);
     store_floats(0.25f * inverse, 0, out + 6 * plane_size);
     store_floats(0.25f * mask, 0, out + 7 * plane_size);
 }

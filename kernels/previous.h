@@ -54,25 +54,6 @@ inline Wide3 position_before(const Floats px_x, const float px_y, const Floats z
     return before;
 }
 
-/* The same of those that move, by the motion of both intervals: z is -1 where it is unknown. *tolerance in depth. */
-inline void follow_motion(const Ints moves, const Floats px_x, const Floats px_y, const Floats mv_x, const Floats mv_y,
-                          const int source_width, const int source_height, __global const float2 *motion, const float focal,
-                          Wide3 *before, Floats *tolerance) {
-    const Floats x = px_x + mv_x, y = px_y + mv_y;
-    const Ints in_image = (x >= 0.0f) & (x < (float)source_width) & (y >= 0.0f) & (y < (float)source_height);
-    const Ints follows = moves & (before->z > 0.0f) & in_image;
-    const Ints at = to_ints(follows ? y : (Floats)(0.0f)) * source_width + to_ints(follows ? x : (Floats)(0.0f));
-    const Floats mv_before_x = gather_floats((__global const float *)motion, 2 * at);
-    const Floats mv_before_y = gather_floats((__global const float *)motion, 2 * at + 1);
-    const Ints known = follows & isfinite(mv_before_x) & isfinite(mv_before_y);
-    const Floats x_before = x + mv_before_x - 0.5f, y_before = y + mv_before_y - 0.5f;
-    const Floats sideways = (fabs(x_before - before->x) + fabs(y_before - before->y)) * (before->z / focal);
-    *tolerance = known ? *tolerance + DEPTH_PER_MOTION * sideways : *tolerance;
-    before->x = known ? x_before : before->x;
-    before->y = known ? y_before : before->y;
-    before->z = (!moves | known) ? before->z : (Floats)(-1.0f);
-}
-
 /* A strip of LANES pixels of a row, from the first of `count` that are left of it, which a row's last strip has fewer of: lanes
    beyond are the last pixel. */
 typedef struct {
@@ -101,25 +82,100 @@ inline Floats input_mask_of(const StripOfFrame *s) {
     return s->moves ? (Floats)(MASK_DYNAMIC) : still;
 }
 
-/* Where a strip's pixels were at t-1, less half a pixel, and depth there: -1 where that is unknown. *tolerance in depth. */
-inline Wide3 strip_before(const Frames *f, const StripOfFrame *s, Floats *tolerance) {
-    Wide3 before = position_before(s->px_x, s->px_y, s->depth, f->to_previous);
-    *tolerance = SAME_SURFACE * before.z;
-    if (ANY(s->moves)) {
-        Floats mv_y;
-        const Floats mv_x = load_some_xy(s->count, f->out_motion + s->first, &mv_y);
-        follow_motion(s->moves, s->px_x, s->px_y, mv_x, mv_y, f->source_width, f->source_height, f->motion,
-                      f->to_previous.target.x, &before, tolerance);
-    }
-    if (!f->known) before.z = -1.0f;
-    return before;
+/* Where a strip's pixels were at t-1. `tolerance`: in depth. Of those that are `inner`, all four taps are in the image, from
+   tap_0 on. Of most strips they follow one another but for one jump, which the ends tell: they are those from `first` on, or,
+   where in_second, from `second` on. */
+typedef struct {
+    Wide3 before;  /* pixels, less half a pixel, and depth there: -1 where it is unknown */
+    Floats tolerance, weight[4];
+    Ints inner, tap_0, in_second, in_runs;
+    int first, second;
+} StripTaps;
+
+/* The same of those that move, by the motion of both intervals. */
+inline void follow_motion(const Frames *f, const StripOfFrame *s, StripTaps *t) {
+    Floats mv_y;
+    const Floats mv_x = load_some_xy(s->count, f->out_motion + s->first, &mv_y);
+    const Floats x = s->px_x + mv_x, y = s->px_y + mv_y;
+    const Ints in_image = (x >= 0.0f) & (x < (float)f->source_width) & (y >= 0.0f) & (y < (float)f->source_height);
+    const Ints follows = s->moves & (t->before.z > 0.0f) & in_image;
+    const Ints at = to_ints(follows ? y : (Floats)(0.0f)) * f->source_width + to_ints(follows ? x : (Floats)(0.0f));
+    const Floats mv_before_x = gather_floats((__global const float *)f->motion, 2 * at);
+    const Floats mv_before_y = gather_floats((__global const float *)f->motion, 2 * at + 1);
+    const Ints known = follows & isfinite(mv_before_x) & isfinite(mv_before_y);
+    const Floats x_before = x + mv_before_x - 0.5f, y_before = y + mv_before_y - 0.5f;
+    const Floats sideways = (fabs(x_before - t->before.x) + fabs(y_before - t->before.y))
+                            * (t->before.z / f->to_previous.target.x);
+    t->tolerance = known ? t->tolerance + DEPTH_PER_MOTION * sideways : t->tolerance;
+    t->before.x = known ? x_before : t->before.x;
+    t->before.y = known ? y_before : t->before.y;
+    t->before.z = (!s->moves | known) ? t->before.z : (Floats)(-1.0f);
 }
 
-/* Sum, by weights, of the taps of pixels whose 2x2 taps follow one another, from `first` on. */
-inline Texels sum_of_run(const int part, const int first, const Texels *w, const int width, __global const half *color) {
-    __global const half *top = color + 4 * (first + part * TEXELS), *bottom = top + 4 * width;
-    return (w[0] * load_texels(0, top) + w[2] * load_texels(0, bottom))
-           + (w[1] * load_texels(0, top + 4) + w[3] * load_texels(0, bottom + 4));
+inline void find_taps(const Frames *f, StripTaps *t) {
+    const int width = f->source_width, height = f->source_height;
+    const Wide3 before = t->before;
+    t->inner = (before.z > 0.0f) & (before.x >= 0.0f) & (before.x < (float)(width - 1)) & (before.y >= 0.0f)
+               & (before.y < (float)(height - 1));
+    const Ints x0 = to_ints(t->inner ? before.x : (Floats)(0.0f)), y0 = to_ints(t->inner ? before.y : (Floats)(0.0f));
+    const Floats u = before.x - to_floats(x0), v = before.y - to_floats(y0);
+    const Ints tap_0 = y0 * width + x0;
+    const int first = FIRST_LANE(tap_0), last = LAST_LANE(tap_0) - (LANES - 1), second = last >= 0 ? last : first;
+    const Ints in_first = tap_0 == first + LANE_NUMBERS;
+    t->weight[0] = (1.0f - u) * (1.0f - v);
+    t->weight[1] = u * (1.0f - v);
+    t->weight[2] = (1.0f - u) * v;
+    t->weight[3] = u * v;
+    t->tap_0 = tap_0;
+    t->first = first;
+    t->second = second;
+    t->in_second = !in_first & (tap_0 == second + LANE_NUMBERS);
+    t->in_runs = t->inner & (in_first | t->in_second);
+}
+
+/* Weights of taps that are of another surface become 0. The sum of the others. */
+inline Floats weigh(const Frames *f, const bool all_in_runs, StripTaps *t) {
+    const Floats z = t->before.z, nearest = isinf(z) ? z : z - t->tolerance, farthest = z + t->tolerance;
+    Floats sum = 0.0f;
+#pragma unroll
+    for (int tap = 0; tap < 4; ++tap) {
+        const int step = (tap & 1) + (tap >> 1) * f->source_width;
+        Floats z_prev;
+        if (all_in_runs) {
+            z_prev = load_floats(0, f->depth_prev + t->first + step);
+            if (t->second != t->first)
+                z_prev = t->in_second ? load_floats(0, f->depth_prev + t->second + step) : z_prev;
+        } else {
+            const Ints at = t->inner ? t->tap_0 + step : (Ints)(0);
+            z_prev = gather_floats(f->depth_prev, at);
+        }
+        const Ints same = t->inner & (z_prev >= nearest) & (z_prev <= farthest);
+        t->weight[tap] = same ? t->weight[tap] : (Floats)(0.0f);
+        sum += t->weight[tap];
+    }
+    return sum;
+}
+
+/* The sum, by weights, of taps that follow one another from `first` on. */
+inline Strip sum_of_run(const int first, const StripTaps *t, const int width, __global const half *color) {
+    const Strip a = load_strip(LANES, color + 4 * first), b = load_strip(LANES, color + 4 * (first + 1));
+    const Strip c = load_strip(LANES, color + 4 * (first + width)), d = load_strip(LANES, color + 4 * (first + width + 1));
+    Strip sum;
+#pragma unroll
+    for (int p = 0; p < PARTS; ++p)
+        sum.part[p] = (OF_TEXELS(t->weight[0], p) * a.part[p] + OF_TEXELS(t->weight[2], p) * c.part[p])
+                      + (OF_TEXELS(t->weight[1], p) * b.part[p] + OF_TEXELS(t->weight[3], p) * d.part[p]);
+    return sum;
+}
+
+/* The same of taps that are in either run. */
+inline Strip sum_of_runs(const StripTaps *t, const int width, __global const half *color) {
+    Strip sum = sum_of_run(t->first, t, width, color);
+    if (t->second == t->first) return sum;
+    const Strip other = sum_of_run(t->second, t, width, color);
+#pragma unroll
+    for (int p = 0; p < PARTS; ++p) sum.part[p] = WHERE_TEXELS(t->in_second, p) ? other.part[p] : sum.part[p];
+    return sum;
 }
 
 /* What one pixel shows: (colour of t-1, 1) by its taps of known weights where it is `weighted` and they are numbers, or by those
@@ -138,98 +194,71 @@ inline float4 texel_before(const Frames *f, const int pixel, const bool lost, co
     return (float4)(load_color(f->color, pixel), 0.0f);
 }
 
-/* I^w of a strip, as halfs: (colour of t-1 at the pixel's surface, 1), or (GAE colour, 0) where that was hidden or outside then.
-   `gae`: the strip's colours. */
-INLINE Strip previous_of(const Frames *f, const StripOfFrame *s, const Strip gae) {
-    const int width = f->source_width, height = f->source_height;
-    Floats tolerance;
-    const Wide3 before = strip_before(f, s, &tolerance);
-    const Ints inner = (before.z > 0.0f) & (before.x >= 0.0f) & (before.x < (float)(width - 1)) & (before.y >= 0.0f)
-                       & (before.y < (float)(height - 1));
-    const Ints x0 = to_ints(inner ? before.x : (Floats)(0.0f)), y0 = to_ints(inner ? before.y : (Floats)(0.0f));
-    const Ints tap_0 = y0 * width + x0;
-    const Floats u = before.x - to_floats(x0), v = before.y - to_floats(y0);
-
-    /* The taps of most strips follow one another but for one jump, which the ends tell. */
-    const int first = FIRST_LANE(tap_0), last = LAST_LANE(tap_0) - (LANES - 1), second = last >= 0 ? last : first;
-    const Ints in_first = tap_0 == first + LANE_NUMBERS, in_second = !in_first & (tap_0 == second + LANE_NUMBERS);
-    const Ints in_runs = inner & (in_first | in_second);
-    const bool in_image = max(first, second) + LANES + width < width * height;
-    const bool all_in_runs = in_image && ALL(in_runs | !inner);
-    const Floats nearest = isinf(before.z) ? before.z : before.z - tolerance, farthest = before.z + tolerance;
-    Floats weight[4], weight_sum = 0.0f;
-#pragma unroll
-    for (int tap = 0; tap < 4; ++tap) {
-        const int step = (tap & 1) + (tap >> 1) * width;
-        Floats z_prev;
-        if (all_in_runs) {
-            z_prev = load_floats(0, f->depth_prev + first + step);
-            if (second != first) z_prev = in_second ? load_floats(0, f->depth_prev + second + step) : z_prev;
-        } else {
-            const Ints at = inner ? tap_0 + step : (Ints)(0);
-            z_prev = gather_floats(f->depth_prev, at);
-        }
-        const Ints same = inner & (z_prev >= nearest) & (z_prev <= farthest);
-        weight[tap] = same ? ((tap & 1) ? u : 1.0f - u) * ((tap >> 1) ? v : 1.0f - v) : (Floats)(0.0f);
-        weight_sum += weight[tap];
+/* What the pixels of a strip that are `rest` show. */
+inline void look_one_by_one(const Frames *f, const StripOfFrame *s, const StripTaps *t, const Ints lost, const Ints rest,
+                            Strip *out) {
+    int lane_first[LANES], lane_weighted[LANES], lane_lost[LANES], lane_rest[LANES];
+    float before_x[LANES], before_y[LANES], before_z[LANES], tolerances[LANES], weights[4][LANES], texels[4 * LANES];
+    store_ints(t->tap_0, 0, lane_first);
+    store_ints(t->inner, 0, lane_weighted);
+    store_ints(lost, 0, lane_lost);
+    store_ints(rest, 0, lane_rest);
+    store_floats(t->before.x, 0, before_x);
+    store_floats(t->before.y, 0, before_y);
+    store_floats(t->before.z, 0, before_z);
+    store_floats(t->tolerance, 0, tolerances);
+    for (int tap = 0; tap < 4; ++tap) store_floats(t->weight[tap], 0, weights[tap]);
+    for (int part = 0; part < PARTS; ++part) store_texels(out->part[part], part, texels);
+    for (int k = 0; k < LANES; ++k) {
+        if (!lane_rest[k]) continue;
+        const float4 taps = (float4)(weights[0][k], weights[1][k], weights[2][k], weights[3][k]);
+        const float3 place = (float3)(before_x[k], before_y[k], before_z[k]);
+        vstore4(texel_before(f, s->first + min(k, s->count - 1), lane_lost[k], lane_weighted[k], lane_first[k], taps, place,
+                             tolerances[k]), k, texels);
     }
+    for (int part = 0; part < PARTS; ++part) out->part[part] = reload_texels(part, texels);
+}
+
+/* I^w of a strip: (colour of t-1 at the pixel's surface, 1), or (GAE colour, 0) where that was hidden or outside then. `gae`: the
+   strip's colours. */
+INLINE Strip previous_of(const Frames *f, const StripOfFrame *s, const Strip gae) {
+    StripTaps taps;
+    taps.before = position_before(s->px_x, s->px_y, s->depth, f->to_previous);
+    taps.tolerance = SAME_SURFACE * taps.before.z;
+    if (ANY(s->moves)) follow_motion(f, s, &taps);
+    if (!f->known) taps.before.z = -1.0f;
+    find_taps(f, &taps);
+    const bool runs_in_image = max(taps.first, taps.second) + LANES + f->source_width < f->source_width * f->source_height;
+    const Floats weight_sum = weigh(f, runs_in_image && ALL(taps.in_runs | !taps.inner), &taps);
     const Ints shown = weight_sum >= LEAST_WEIGHT;
     if (!ALL(weight_sum > 0.99999f)) {
         const Floats scale = shown ? 1.0f / weight_sum : (Floats)(0.0f);
 #pragma unroll
-        for (int tap = 0; tap < 4; ++tap) weight[tap] *= scale;
+        for (int tap = 0; tap < 4; ++tap) taps.weight[tap] *= scale;
     }
-    const Ints met = (before.z > 0.0f) & (before.x > -1.0f) & (before.x < (float)width) & (before.y > -1.0f)
-                     & (before.y < (float)height);
-    const Ints lost = !met | (inner & !shown);
-    Ints rest = !lost & !(shown & in_runs);
+    const Wide3 before = taps.before;
+    const Ints met = (before.z > 0.0f) & (before.x > -1.0f) & (before.x < (float)f->source_width) & (before.y > -1.0f)
+                     & (before.y < (float)f->source_height);
+    const Ints lost = !met | (taps.inner & !shown);
+    Ints rest = !lost & !(shown & taps.in_runs);
     Strip out = gae;
-    if (!in_image || ALL(rest)) {
-        rest = ALL_LANES;
-    } else {
-        int finite = 1;
+    if (runs_in_image && !ALL(rest)) {
+        out = sum_of_runs(&taps, f->source_width, f->color_prev);
+        bool finite = true;
 #pragma unroll
         for (int part = 0; part < PARTS; ++part) {
-            Texels w[4];
-#pragma unroll
-            for (int tap = 0; tap < 4; ++tap) w[tap] = OF_TEXELS(weight[tap], part);
-            Texels sum = sum_of_run(part, first, w, width, f->color_prev);
-            if (second != first) {
-                const Texels other = sum_of_run(part, second, w, width, f->color_prev);
-                sum = WHERE_TEXELS(in_second, part) ? other : sum;
-            }
-            VALID(sum) = 1.0f;
+            VALID(out.part[part]) = 1.0f;
             if (ANY(lost)) {
                 Texels own = gae.part[part];
                 VALID(own) = 0.0f;
-                sum = WHERE_TEXELS(lost, part) ? own : sum;
+                out.part[part] = WHERE_TEXELS(lost, part) ? own : out.part[part];
             }
-            finite &= ALL_TEXELS(fabs(sum) <= COLOR_MAX);
-            out.part[part] = sum;
+            finite &= ALL_TEXELS(fabs(out.part[part]) <= COLOR_MAX);
         }
         if (!finite) rest = ALL_LANES;
+    } else {
+        rest = ALL_LANES;
     }
-    if (ANY(rest)) {
-        int lane_first[LANES], lane_weighted[LANES], lane_lost[LANES], lane_rest[LANES];
-        float before_x[LANES], before_y[LANES], before_z[LANES], tolerances[LANES], weights[4][LANES], texels[4 * LANES];
-        store_ints(tap_0, 0, lane_first);
-        store_ints(inner, 0, lane_weighted);
-        store_ints(lost, 0, lane_lost);
-        store_ints(rest, 0, lane_rest);
-        store_floats(before.x, 0, before_x);
-        store_floats(before.y, 0, before_y);
-        store_floats(before.z, 0, before_z);
-        store_floats(tolerance, 0, tolerances);
-        for (int tap = 0; tap < 4; ++tap) store_floats(weight[tap], 0, weights[tap]);
-        for (int part = 0; part < PARTS; ++part) store_texels(out.part[part], part, texels);
-        for (int k = 0; k < LANES; ++k) {
-            if (!lane_rest[k]) continue;
-            const float4 taps = (float4)(weights[0][k], weights[1][k], weights[2][k], weights[3][k]);
-            const float3 place = (float3)(before_x[k], before_y[k], before_z[k]);
-            vstore4(texel_before(f, s->first + min(k, s->count - 1), lane_lost[k], lane_weighted[k], lane_first[k], taps, place,
-                                 tolerances[k]), k, texels);
-        }
-        for (int part = 0; part < PARTS; ++part) out.part[part] = reload_texels(part, texels);
-    }
+    if (ANY(rest)) look_one_by_one(f, s, &taps, lost, rest, &out);
     return out;
 }

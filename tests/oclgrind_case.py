@@ -7,15 +7,13 @@ from pathlib import Path
 from shutil import copytree
 
 import numpy as np
+from test_shading_correction import made_stages
 from test_twins import run
 
-from gffe_cl.buffers import Sizes
 from gffe_cl.opencl.device import open_device
 from gffe_cl.opencl.program import kernel_folder
 from gffe_cl.options import Options
-from gffe_cl.stage import Board
-from gffe_cl.stages.correction import ShadingCorrection
-from gffe_cl.stages.shading import FocusMask, ShadingInputs
+from gffe_cl.stages.shading import FocusMask
 
 WIDTH, HEIGHT = 64, 48
 
@@ -41,15 +39,12 @@ def stages(device, int64):
 def shading(device):
     """What surrounds the shading correction network, on images of odd sizes, with output made up."""
     for size in ((37, 21), (1, 1)):
-        sizes = Sizes(size, size)
-        board = Board(device, sizes)
-        ShadingInputs(board)
-        correction, focus = ShadingCorrection(board, load=False), FocusMask(board)
-        shape = correction.spec("correction").shape(sizes)
+        _, inputs, correction, step = made_stages(device, size, 0.5)
+        focus = FocusMask(correction.board)
+        shape = correction.spec("correction").shape(correction.sizes)
         said = np.random.default_rng(0).normal(0, 1, shape).astype(np.float32)
-        depth = np.arange(1, size[0] * size[1] + 1, dtype=np.float32)
-        board.frame.upload("depth", depth)
-        correction.prepare(0.5)
+        inputs.extrapolated(step)
+        correction.prepare(step)
         correction.upload("correction", said)
         for within_mask in (True, False):
             correction.with_refined = within_mask

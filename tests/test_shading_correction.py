@@ -11,10 +11,11 @@ from synthetic import Rect, Rects, camera
 from test_twins import run
 
 from gffe_cl import GffeError, Options, Pipeline, inference
-from gffe_cl.buffers import Sizes
+from gffe_cl.buffers import DeviceFrame, Sizes
+from gffe_cl.frame import BadPixels, PackedFrame
 from gffe_cl.inference import load_network
 from gffe_cl.opencl.device import quiet_builds
-from gffe_cl.stage import Board
+from gffe_cl.stage import Board, Step
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.shading import ShadingInputs
 
@@ -32,20 +33,35 @@ def put(stage, **arrays):
 
 
 def images(size, rng):
-    """An extrapolated frame with all there can be: (colour, depth, warped previous, input mask)."""
+    """What a frame may hold: colours (H, W, 4), and depth (H, W) of patches at many distances, which change a little
+    with each call."""
     height, width = size[1], size[0]
-    colors = [rng.lognormal(-1, 2, (height, width, 4)).astype(np.float16) for _ in range(2)]
-    for color in colors:
-        for value in (0, -3, 60000, -0.0, 6e-8):
-            color[rng.integers(height), rng.integers(width), rng.integers(3)] = value
-    depth = rng.lognormal(1, 2, (height, width)).astype(np.float32)
-    depth[rng.random((height, width)) < 0.2] = np.inf
-    return colors[0], depth, colors[1], rng.choice([0, 0.5, 1], (height, width)).astype(np.float16)
+    color = rng.lognormal(-1, 2, (height, width, 4)).astype(np.float16)
+    for value in (0, -3, 60000, -0.0, 6e-8):
+        color[rng.integers(height), rng.integers(width), rng.integers(3)] = value
+    patches = np.random.default_rng(0).lognormal(1, 2, (height // 9 + 1, width // 21 + 1)).astype(np.float32)
+    patches[rng.random(patches.shape) < 0.2] = np.inf
+    depth = patches.repeat(9, 0).repeat(21, 1)[:height, :width]
+    return color, np.ascontiguousarray(depth * rng.uniform(0.99, 1.01, depth.shape).astype(np.float32))
 
 
-def made_stages(device, size):
-    board = Board(device, Sizes(size, size))
-    return board.frame, ShadingInputs(board), ShadingCorrection(board, load=False)
+def made_stages(device, size, exposure=1.0, seed=1):
+    """The extrapolated frame, both stages around the network, and what they are to work on."""
+    board, rng = Board(device, Sizes(size, size)), np.random.default_rng(seed)
+    now, before = (camera(*size, position) for position in ((0.02, 0.01, 0.005), (0, 0, 0)))
+    color, depth = images(size, rng)
+    motion = rng.uniform(-2, 2, (*depth.shape, 2)).astype(np.float32)
+    color[rng.random(depth.shape) < 0.01] = np.nan
+    motion[rng.random(depth.shape) < 0.1] = np.inf
+    board.previous = DeviceFrame.allocate(device, size, before, before, 0.0)
+    board.previous.upload(device, PackedFrame(color, depth, motion, BadPixels()))
+    board.rendered = board.previous
+    frame, some = board.frame, rng.random((2, *depth.shape)) < 0.1
+    color, depth = images(size, rng)
+    put(frame, color=color, depth=depth, motion=motion[::-1])
+    put(frame, dynamic=some[0].astype(np.uint8), disoccluded=some[1].astype(np.uint8))
+    step = Step(board.rendered, board.previous, [1.0, 0.0], now, 1.5, 0.5, exposure)
+    return frame, ShadingInputs(board), ShadingCorrection(board, load=False), step
 
 
 # ---- kernels -------------------------------------------------------------------------------------------
@@ -54,13 +70,15 @@ def made_stages(device, size):
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("exposure", [1.0, 0.05])
 def test_network_input_equals_its_twin(device, size, exposure):
-    """To the bit, but for the device's division."""
-    color, depth, previous, mask = images(size, np.random.default_rng(1))
-    frame, shading, correction = made_stages(device, size)
-    put(frame, color=color, depth=depth)
-    put(shading, warped_previous=previous, input_mask=mask)
+    """To the bit, but for the device's division; from the same colours of t−1 as are shown to those who look."""
+    frame, shading, correction, step = made_stages(device, size, exposure)
     for _ in range(2):  # nothing is left over
-        correction.prepare(exposure)
+        correction.prepare(step)
+    shading.extrapolated(step)
+    color, depth = frame.read("color"), frame.read("depth")
+    previous, mask = shading.read("warped_previous"), shading.read("input_mask")
+    if min(size) > 30:
+        assert 0.3 < previous[..., 3].mean() < 0.9 and set(np.unique(mask)) == {0, 0.5, 1}
     assert correction.read("median_depth") == twins.depth_median(depth)
     got = correction.read("frames")
     assert got.shape[2] % 16 == got.shape[1] % 16 == 0 and got.shape[2] >= size[0] / 2
@@ -81,10 +99,10 @@ def test_network_input_equals_its_twin(device, size, exposure):
     ],
 )
 def test_median_depth(device, depth, expected):
-    frame, _, correction = made_stages(device, (50, 320))
+    frame, _, correction, step = made_stages(device, (50, 320))
     depth = np.stack([depth, *[np.full_like(depth, 7.0)] * 7], 1).reshape(320, 50)  # every eighth row counts
     put(frame, depth=depth.astype(np.float32))
-    correction.prepare(1.0)
+    correction.prepare(step)
     assert correction.read("median_depth") == pytest.approx(expected, rel=1 / 200, abs=1e-40)
     assert correction.read("median_depth") == twins.depth_median(depth.astype(np.float32))
 
@@ -93,16 +111,13 @@ def test_median_depth(device, depth, expected):
 @pytest.mark.parametrize(("within_mask", "with_refined"), [(True, True), (True, False), (False, False)])
 @pytest.mark.parametrize("exposure", [1.0, 0.05])
 def test_correct_equals_its_twin(device, size, within_mask, with_refined, exposure):
-    rng = np.random.default_rng(2)
-    color, depth, previous, mask = images(size, rng)
-    frame, shading, correction = made_stages(device, size)
-    put(frame, color=color, depth=depth)
-    put(shading, warped_previous=previous, input_mask=mask)
-    correction.prepare(exposure)
-    frames = correction.read("frames")
+    rng = np.random.default_rng(3)
+    frame, _, correction, step = made_stages(device, size, exposure, seed=2)
+    correction.prepare(step)
+    color, frames = frame.read("color"), correction.read("frames")
     said = rng.normal(0, 0.3, correction.spec("correction").shape(correction.sizes)).astype(np.float32)
     said[3] = rng.uniform(-0.5, 1.5, said[3].shape)
-    said[4] = np.where(rng.random(said[4].shape) < 0.6, 0, rng.uniform(-0.1, 1.2, said[4].shape))
+    said[4] = np.where(rng.random(said[4].shape) < 0.6, 0, rng.uniform(-0.1, 2, said[4].shape))
     for value in (np.nan, np.inf, -np.inf, 1e38):
         said[rng.integers(5), rng.integers(said.shape[1]), rng.integers(said.shape[2])] = value
     put(correction, correction=said)

@@ -16,10 +16,10 @@ COMMON = SimpleNamespace(**constants("common.h"))
 HISTORY, SURFACES, PREDICTION, BLOCKS, WARP, BACKGROUND, HOLES, SHADING, CORRECTION = (
     SimpleNamespace(**{name: F(value) if isinstance(value, float) else value for name, value in found.items()})
     for found in (
-        constants(f"{name}.cl")
+        constants(name)
         for name in (
-            *("history", "surfaces", "prediction", "blocks", "warp", "background"),
-            *("holes", "shading", "correction"),
+            *("history.cl", "surfaces.cl", "prediction.cl", "blocks.cl", "warp.cl", "background.cl"),
+            *("holes.cl", "previous.h", "correction.cl"),
         )
     )
 )

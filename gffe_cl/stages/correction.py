@@ -62,7 +62,7 @@ class ShadingCorrection(Stage):
             "target",
             {"depth": Access("frame.depth", 1 / 8), "histogram": "correction.histogram"},
             {"histogram": "correction.histogram"},
-            step=(1, "STRIP"),
+            step=("LANES", "STRIP"),
         ),
         Kernel(
             "find_median",
