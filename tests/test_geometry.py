@@ -527,6 +527,10 @@ def test_input_mask_is_zero_where_pixels_are_disoccluded(device):
     assert np.array_equal(mask == 0, disoccluded) and np.array_equal(mask == 1, dynamic & ~disoccluded)
     filled = out.numpy("filled_by")
     assert ((filled >= 1) & (filled <= 2) & ~disoccluded).any()
+    pipeline.take_timings()
+    pipeline.keep(["final"])
+    pipeline.extrapolate(still, 4.6 / 30)
+    assert pipeline.take_timings()["shading"] == 0  # nobody looks
 
 
 def test_outputs_of_the_stages_can_be_kept(device):

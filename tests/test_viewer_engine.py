@@ -161,7 +161,7 @@ def plain_run(device, source_frames, setup, wanted, camera_at=pose, size=(W, H),
     """(slot → layers) of a pipeline that plays all frames in order; `wanted` slots (k, j)."""
     pipeline = Pipeline(device, *size, setup.options, fps=FPS, **given)
     pipeline.exposure = exposure
-    pipeline.keep(["correction.refined"])
+    pipeline.keep(["correction.refined", "shading.warped_previous", "shading.input_mask"])
     kept = {}
     for k, frame in enumerate(source_frames):
         pipeline.submit(frame)

@@ -62,7 +62,9 @@ def test_layers_of_a_pipeline_come_in_its_order(device, tmp_path):
     own = [name for name, spec in layers.items() if spec.group == "frame"]
     assert own[: len(FRAME_LAYERS) - 1] == [name for name in FRAME_LAYERS if name != "gae"]  # it is "final"
     assert "history.static_threshold_squared" not in layers  # no image
-    layers = layers_of(Pipeline(device, 64, 48, Options(scn_model=constant_model(tmp_path / "m.onnx"))))
+    layers = layers_of(
+        Pipeline(device, 64, 48, Options(shading_inputs=True, scn_model=constant_model(tmp_path / "m.onnx")))
+    )
     assert list(dict.fromkeys(spec.group for spec in layers.values())) == [*stages, "correction"]
     assert list(layers)[: len(FRAME_LAYERS)] == list(FRAME_LAYERS)
     assert {"correction.frames", "correction.refined", "correction.focus_mask"} <= set(layers)
