@@ -171,7 +171,8 @@ WIDE __kernel void network_input(const int target_width, const int target_height
         const int x = min(2 * net_x + (k & 1) * LANES, target_width - 1), y = min(2 * net_y + (k >> 1), target_height - 1);
         strips[k] = strip_of_frame(&frames, x, y);
         colors[k] = load_strip(strips[k].count, color + 4 * strips[k].first);
-        before[k] = as_halfs(previous_of(&frames, strips + k, colors[k]));
+        previous_of(&frames, strips + k, colors + k, before + k);
+        before[k] = as_halfs(before[k]);
     }
     Floats inverse = 0.0f, mask = 0.0f;
 #pragma unroll

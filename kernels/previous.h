@@ -219,9 +219,9 @@ inline void look_one_by_one(const Frames *f, const StripOfFrame *s, const StripT
     for (int part = 0; part < PARTS; ++part) out->part[part] = reload_texels(part, texels);
 }
 
-/* I^w of a strip: (colour of t-1 at the pixel's surface, 1), or (GAE colour, 0) where that was hidden or outside then. `gae`: the
+/* I^w of a strip: (colour of t-1 at the pixel's surface, 1), or (GAE colour, 0) where that was hidden or outside then. gae: the
    strip's colours. */
-INLINE Strip previous_of(const Frames *f, const StripOfFrame *s, const Strip gae) {
+INLINE void previous_of(const Frames *f, const StripOfFrame *s, const Strip *gae, Strip *previous) {
     StripTaps taps;
     taps.before = position_before(s->px_x, s->px_y, s->depth, f->to_previous);
     taps.tolerance = SAME_SURFACE * taps.before.z;
@@ -241,7 +241,7 @@ INLINE Strip previous_of(const Frames *f, const StripOfFrame *s, const Strip gae
                      & (before.y < (float)f->source_height);
     const Ints lost = !met | (taps.inner & !shown);
     Ints rest = !lost & !(shown & taps.in_runs);
-    Strip out = gae;
+    Strip out = *gae;
     if (runs_in_image && !ALL(rest)) {
         out = sum_of_runs(&taps, f->source_width, f->color_prev);
         bool finite = true;
@@ -249,7 +249,7 @@ INLINE Strip previous_of(const Frames *f, const StripOfFrame *s, const Strip gae
         for (int part = 0; part < PARTS; ++part) {
             VALID(out.part[part]) = 1.0f;
             if (ANY(lost)) {
-                Texels own = gae.part[part];
+                Texels own = gae->part[part];
                 VALID(own) = 0.0f;
                 out.part[part] = WHERE_TEXELS(lost, part) ? own : out.part[part];
             }
@@ -260,5 +260,5 @@ INLINE Strip previous_of(const Frames *f, const StripOfFrame *s, const Strip gae
         rest = ALL_LANES;
     }
     if (ANY(rest)) look_one_by_one(f, s, &taps, lost, rest, &out);
-    return out;
+    *previous = out;
 }

@@ -17,7 +17,9 @@ WIDE __kernel void prepare_inputs(const int target_width, const int target_heigh
     const Frames frames = {has_previous, target_width, source_width, source_height, color, color_prev, depth, depth_prev,
                            out_motion, motion, is_dynamic, disoccluded, to_previous};
     const StripOfFrame here = strip_of_frame(&frames, dst_x, dst_y);
-    const Strip previous = previous_of(&frames, &here, load_strip(here.count, color + 4 * here.first));
+    const Strip gae = load_strip(here.count, color + 4 * here.first);
+    Strip previous;
+    previous_of(&frames, &here, &gae, &previous);
     store_some_halfs(input_mask_of(&here), here.count, input_mask + here.first);
     store_strip(previous, here.count, warped_previous + 4 * here.first);
 }
