@@ -199,7 +199,7 @@ def _timed_pair(pipeline: Pipeline, footage: Footage, turn: Turn, samples: _Samp
             for kernel, event in done:
                 milliseconds = (event.profile.end - event.profile.start) * 1e-6
                 kernels[f"{stage}.{kernel}"] += milliseconds
-                parts[traffic.part(stage, when)] += milliseconds
+                parts[traffic.part(stage, when, kernel)] += milliseconds
                 commands["SCN" if stage in traffic.SCN else "GAE"] += 1
     if network is not None:
         parts[traffic.SCN["network"]] = network
@@ -216,7 +216,8 @@ def _must_move(pipeline: Pipeline, launches: dict[str, traffic.Launches], shares
     parts: dict[str, float] = defaultdict(float)
     for when, launched in launches.items():
         for stage, kernels in traffic.bytes_per_pixel(pipeline, launched, shares).items():
-            parts[traffic.part(stage, when)] += sum(kernels.values())
+            for kernel, nbytes in kernels.items():
+                parts[traffic.part(stage, when, kernel)] += nbytes
     return _with_sums(parts)
 
 

@@ -46,10 +46,12 @@ SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
 SCN = {"shading": "SCN, inputs", "correction": "SCN, kernels", "network": "SCN, network"}  # parts by stage
 
 
-def part(stage: str, when: str) -> str:
+def part(stage: str, when: str, kernel: str) -> str:
     """What the work of a stage after `submit` ("rendered") or in `extrapolate` ("extrapolated") is called in tables."""
     if stage == "background":
         return f"background, {'collection' if when == 'rendered' else 'projection'}"
+    if stage == "correction" and kernel != "correct":
+        return SCN["shading"]
     return SCN.get(stage, stage)
 
 
