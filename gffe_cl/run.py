@@ -23,6 +23,7 @@ from gffe_cl.sequence.exr import DEFAULT_COMPRESSION, codec_seconds, write_chann
 from gffe_cl.source import Source
 
 _MOST_ALPHA = 100
+_MOTION_STEPS = np.float32(1024)  # per pixel, of motion in files
 MASKS = {"mask.dynamic": "dynamic", "mask.disoccluded": "disoccluded", "mask.filled_by": "filled_by"}
 
 
@@ -142,8 +143,9 @@ def output_channels(
     extrapolated: ExtrapolatedFrame, render_camera: Camera, display_camera: Camera, color_dtype=np.float16
 ) -> dict[str, np.ndarray]:
     """EXR channels of an extrapolated frame: R G B, Z, motion.x motion.y, mask.*, and `motion.display.*`
-    (pixels, into the source frame as displayed) where it was rendered through another window."""
-    motion = extrapolated.numpy("motion")
+    (pixels, into the source frame as displayed) where it was rendered through another window. Motion is rounded to
+    1/1024 px: the bits below are noise, which no compression shrinks."""
+    motion = _rounded(extrapolated.numpy("motion"))
     dtype = np.float32 if color_dtype == np.float32 else np.float16
     color = extrapolated.numpy("color").astype(dtype, copy=False)
     channels = named_channels(color, extrapolated.numpy("depth"), motion)
@@ -156,8 +158,15 @@ def output_channels(
             focal = [(c.fx, c.fy)[axis] for c in (render_camera, display_camera)]
             middle = [(c.cx, c.cy)[axis] for c in (render_camera, display_camera)]
             shown = (motion[..., axis] + centre - middle[0]) * (focal[1] / focal[0]) + middle[1]
-            channels[f"motion.display.{name}"] = (shown - centre).astype(np.float32)
+            channels[f"motion.display.{name}"] = _rounded((shown - centre).astype(np.float32))
     return channels
+
+
+def _rounded(motion: np.ndarray) -> np.ndarray:
+    """`motion` itself, to the next 1/1024 px."""
+    np.multiply(motion, _MOTION_STEPS, out=motion)
+    np.rint(motion, out=motion)
+    return np.multiply(motion, 1 / _MOTION_STEPS, out=motion)
 
 
 def dump_buffers(pipeline: Pipeline, folder: Path) -> None:
