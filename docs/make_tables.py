@@ -131,6 +131,7 @@ def _described(owner: str, specs: Iterable[BufferSpec]) -> list[tuple[str, ...]]
     rows = []
     for k, spec in enumerate(specs):
         kind = f"{spec.dtype.__name__}{f' ×{spec.channels}' if spec.channels > 1 else ''}"
+        kind = spec.packing.name if spec.packing else kind
         planes = f", {spec.planes} planes" if spec.planes > 1 else ""
         size = str(spec.bytes_per_pixel * spec.planes * (1 + spec.kept))
         owned = f"**`{owner}`**" if k == 0 else ""

@@ -20,6 +20,7 @@ from gffe_cl.frame import BYTES_PER_PIXEL, PackedFrame
 from gffe_cl.inference import MULTIPLE
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import constants
+from gffe_cl.packing import Packing
 
 RGBA = ("R", "G", "B", "A")
 XY = ("x", "y")
@@ -81,7 +82,8 @@ class BufferSpec:
     kept too. `scratch`: of no interest once the stage is through. `part_of`: the buffer in which it lies. `planar`: on
     the device the channels lie one after another, each an image. `transient`: written in each `extrapolate` before it
     is read, so until the next `submit` it may lie in memory that another stage lends. `known_where`: a buffer of the
-    same owner, and the value that it has wherever this one holds anything; elsewhere it reads as 0.
+    same owner, and the value that it has wherever this one holds anything; elsewhere it reads as 0. `packing`: how it
+    lies on the device, if not as `dtype` and `components` say.
     """
 
     name: str
@@ -99,6 +101,7 @@ class BufferSpec:
     planar: bool = False
     transient: bool = False
     known_where: tuple[str, int] | None = None
+    packing: Packing | None = None
 
     @property
     def channels(self) -> int:
@@ -106,8 +109,16 @@ class BufferSpec:
 
     @property
     def bytes_per_pixel(self) -> int:
-        """Of its own grid, one plane."""
-        return self.channels * np.dtype(self.dtype).itemsize
+        """Of its own grid, one plane, on the device."""
+        return self.stored_channels * np.dtype(self.stored_dtype).itemsize
+
+    @property
+    def stored_channels(self) -> int:
+        return self.packing.channels if self.packing else self.channels
+
+    @property
+    def stored_dtype(self) -> type:
+        return self.packing.dtype if self.packing else self.dtype
 
     def size(self, sizes: Sizes) -> tuple[int, int]:
         """Width and height in pixels or texels."""
@@ -119,17 +130,28 @@ class BufferSpec:
         shape = (height, width) if self.grid != "once" else ()
         return (self.planes,) * (self.planes > 1) + shape + (self.channels,) * (self.channels > 1 or not shape)
 
-    def host_array(self, sizes: Sizes) -> tuple[np.ndarray, np.ndarray]:
-        """A new array of `shape`, and the C-contiguous one that shares its memory and lies as the device has it."""
-        shape = self.shape(sizes)
+    def host_array(self, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+        """For an image of `size`, or none for "once": a new array (planes?, H, W, channels) of what is stored, and the
+        C-contiguous one that shares its memory and lies as the device has it."""
+        shape = (self.planes,) * (self.planes > 1) + (size[1], size[0]) * (self.grid != "once")
         if not self.planar:
-            array = np.empty(shape, self.dtype)
+            array = np.empty((*shape, self.stored_channels), self.stored_dtype)
             return array, array
-        flat = np.empty((shape[-1], *shape[:-1]), self.dtype)
+        flat = np.empty((self.channels, *shape), self.dtype)
         return np.moveaxis(flat, 0, -1), flat
 
+    def values(self, stored: np.ndarray, known: np.ndarray | None, x: int = 0, y: int = 0) -> np.ndarray:
+        """What a block (…, H, W, channels) from pixel (x, y) on means, as it was read from the device; `known` (H, W):
+        the buffer of `known_where` there."""
+        if self.packing:
+            stored = self.packing.unpack(stored, x, y, texel_of(self.grid)[0])
+        if self.known_where:
+            stored[..., known != self.known_where[1], :] = 0
+        return stored
+
     def nbytes(self, sizes: Sizes) -> int:
-        return int(np.prod(self.shape(sizes))) * np.dtype(self.dtype).itemsize
+        """On the device."""
+        return self.bytes_per_pixel * self.planes * math.prod(self.size(sizes))
 
 
 RENDERED = (
@@ -178,12 +200,10 @@ class Owner:
     def read(self, name: str) -> np.ndarray:
         """Copy a named buffer to the host."""
         spec = self.spec(name)
-        out, flat = spec.host_array(self.sizes)
+        stored, flat = spec.host_array(spec.size(self.sizes))
         cl.enqueue_copy(self.device.queue, flat, self.buffer[name])
-        if spec.known_where:
-            where, value = spec.known_where
-            (out if spec.channels > 1 else out[..., None])[..., self.read(where) != value, :] = 0
-        return out
+        known = self.read(spec.known_where[0]) if spec.known_where else None
+        return spec.values(stored, known).reshape(spec.shape(self.sizes))
 
     def upload(self, name: str, values: np.ndarray) -> None:
         """Copy host values, shaped as `read` gives them, into a named buffer."""

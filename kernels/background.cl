@@ -2,6 +2,9 @@
    Level l has ceil(W / 2^l) x ceil(H / 2^l) texels over the rendered image. A texel holds one fragment: its colour, its view
    depth and its pixel position (not the texel's centre) in the camera of the frame for which the level was collected. SHOWN
    texels are not stored: they are that frame's own pixels.
+   Stored positions are two 16-bit offsets from the texel's centre, x in the lower half, in PX_UNITS of the texel's side: that
+   holds what TOUCHES it. Stored colours are RGB9E5: mantissas of 9 bits, R in the lowest, that share an exponent of 5
+   (as in EXT_texture_shared_exponent); negative ones become 0, large ones COLOR_MOST.
    Fragments of B'_l that only meet the surface that they are of are skipped LANES at once, pixels and texels that hold nothing to
    do RUN at once. */
 
@@ -17,25 +20,68 @@
 
 inline int level_side(const int side, const int level) { return (side + (1 << level) - 1) >> level; }
 
-/* Texels to read, and the frame whose pixels are those that are SHOWN. */
+#define COLOR_MOST 65408.0f     /* 511 * 2^7, the largest RGB9E5 */
+#define COLOR_FINEST 1.52587890625e-5f  /* 2^-16: colours below that share the least exponent */
+
+inline uint pack_color(const float3 c) {
+    const float3 kept = clamp(c, 0.0f, COLOR_MOST);
+    const float most = fmax(fmax(kept.x, kept.y), fmax(kept.z, COLOR_FINEST));
+    const uint exponent = ((as_uint(most) + 0x4000u) >> 23) - 111u;  /* 0 to 31, of what `most` is rounded to */
+    const uint3 mantissas = convert_uint3_rte(kept * as_float((151u - exponent) << 23));
+    return mantissas.x | mantissas.y << 9 | mantissas.z << 18 | exponent << 27;
+}
+
+inline float3 unpack_color(const uint bits) {
+    const float unit = as_float(((bits >> 27) + 103u) << 23);  /* 2^(exponent - 24) */
+    return convert_float3((uint3)(bits & 511u, (bits >> 9) & 511u, (bits >> 18) & 511u)) * unit;
+}
+
+#define PX_UNITS 32768.0f       /* of a stored position, per side of a texel */
+
+inline float2 texel_centre(const int texel_x, const int texel_y, const int level) {
+    return pixel_centre(texel_x, texel_y) * (float)(1 << level);
+}
+
+inline int pack_px(const float2 px, const float2 centre, const int level) {
+    const float2 offset = (px - centre) * (PX_UNITS / (float)(1 << level));
+    return as_int(convert_short2_sat_rte(offset));
+}
+
+/* Pixel positions of LANES texels, from their centres. */
+inline void load_px(__global const int *px, const int level, Floats *px_x, Floats *px_y) {
+    const Ints bits = load_ints(0, px);
+    const float unit = (float)(1 << level) / PX_UNITS;
+    *px_x += to_floats((bits << 16) >> 16) * unit;
+    *px_y += to_floats(bits >> 16) * unit;
+}
+
+/* Texels of a level, or of all, to read, and the frame whose pixels are those that are SHOWN. */
 typedef struct {
-    __global const half *color, *frame_color;
+    __global const uint *color;
+    __global const half *frame_color;
     __global const float *depth, *frame_depth;
-    __global const float2 *px;
+    __global const int *px;
     __global const uchar *state;
-    int frame_width;
+    int level, width;  /* of what is read of now */
 } Texels;
 
 inline float depth_of(const Texels t, const int texel) {
     return t.state[texel] == SHOWN ? t.frame_depth[texel] : t.depth[texel];
 }
 
-inline float2 px_of(const Texels t, const int texel) {
-    return t.state[texel] == SHOWN ? pixel_centre(texel % t.frame_width, texel / t.frame_width) : t.px[texel];
+/* `texel` is at (x, y) of its level. */
+inline float2 px_of(const Texels t, const int texel, const int x, const int y) {
+    const float2 centre = texel_centre(x, y, t.level);
+    if (t.state[texel] == SHOWN) return centre;
+    return centre + convert_float2(as_short2(t.px[texel])) * ((float)(1 << t.level) / PX_UNITS);
 }
 
 inline float3 color_of(const Texels t, const int texel) {
-    return load_color(t.state[texel] == SHOWN ? t.frame_color : t.color, texel);
+    return t.state[texel] == SHOWN ? load_color(t.frame_color, texel) : unpack_color(t.color[texel]);
+}
+
+inline uint packed_color_of(const Texels t, const int texel) {
+    return t.state[texel] == SHOWN ? pack_color(load_color(t.frame_color, texel)) : t.color[texel];
 }
 
 /* ---- collection --------------------------------------------------------------------------------------------- */
@@ -190,7 +236,7 @@ WIDE __kernel void scatter_level(const int source_width, const int source_height
                                  const int pass, const Reprojection to_current, __global const float *depth,
                                  __global const uchar *dynamic_mask, __global const uchar *links,
                                  __global const float *frame_depth, __global const float *old_depth,
-                                 __global const float2 *old_px, __global const uchar *old_state,
+                                 __global const int *old_px, __global const uchar *old_state,
                                  __global const uchar *taken, __global const float *level_depth, __global Key *fill_keys,
                                  __global uint *fill_winners, __global Key *push_keys, __global uint *push_winners) {
     const int texel_x = get_global_id(0) * LANES, texel_y = get_global_id(1);
@@ -200,18 +246,22 @@ WIDE __kernel void scatter_level(const int source_width, const int source_height
     const Collection to = {source_width, source_height, level, last_level, pass, depth, dynamic_mask, links, taken,
                            level_depth, fill_keys, push_keys, fill_winners, push_winners};
     if (texel_x + LANES > level_width) {
-        const Texels old = {0, 0, old_depth, frame_depth, old_px, old_state, source_width};
-        for (int k = 0; k < level_width - texel_x; ++k)
-            if (old_state[texel + k] != EMPTY)
-                offer_fragment(reproject(px_of(old, texel + k), depth_of(old, texel + k), to_current), texel + k, to);
+        const Texels old = {0, 0, old_depth, frame_depth, old_px, old_state, level, level_width};
+        for (int k = 0; k < level_width - texel_x; ++k) {
+            if (old_state[texel + k] == EMPTY) continue;
+            const float2 px = px_of(old, texel + k, texel_x + k, texel_y);
+            offer_fragment(reproject(px, depth_of(old, texel + k), to_current), texel + k, to);
+        }
         return;
     }
     const Ints state = to_ints(load_bytes(0, old_state + texel)), remembered = state == REMEMBERED;
     if (!ANY(state != EMPTY)) return;
-    Floats px_x = row_centres(texel_x), px_y = (Floats)((float)texel_y + 0.5f), z = load_floats(0, frame_depth + texel);
+    const float side = (float)(1 << level);
+    Floats px_x = row_centres(texel_x) * side, px_y = (Floats)(((float)texel_y + 0.5f) * side);
+    Floats z = load_floats(0, frame_depth + texel);
     if (ANY(remembered)) {
-        Floats old_y;
-        const Floats old_x = load_xy(old_px + texel, &old_y);
+        Floats old_x = px_x, old_y = px_y;
+        load_px(old_px + texel, level, &old_x, &old_y);
         px_x = remembered ? old_x : px_x;
         px_y = remembered ? old_y : px_y;
         z = remembered ? load_floats(0, old_depth + texel) : z;
@@ -234,10 +284,11 @@ WIDE __kernel void scatter_level(const int source_width, const int source_height
 
 /* Texels to write. */
 typedef struct {
-    __global half *color;
+    __global uint *color;
     __global float *depth;
-    __global float2 *px;
+    __global int *px;
     __global uchar *state;
+    int level, width;
 } Level;
 
 /* Whether nobody was offered to any of LANES texels. */
@@ -253,10 +304,21 @@ inline bool nobody_came(__global const Key *keys, __global const uint *winners, 
 #endif
 }
 
-/* Puts the winners of `count` texels, at most LANES, into them, fragments of an old level, and empties their keys. Texels that
-   are `taken` stay; 0: none is. */
-INLINE void settle(const int first, const int count, __global const uchar *taken, __global Key *keys, __global uint *winners,
-                   const Texels old, const Reprojection to_current, const Level level) {
+/* Empties the keys of RUN texels of level 0 if any of them may be filled: what is `taken` is offered nothing. */
+SCAN __kernel void empty_keys(const int source_width, const int source_height, __global const uchar *taken,
+                              __global Key *fill_keys, __global uint *fill_winners) {
+    const int texel_x = get_global_id(0) * RUN, texel_y = get_global_id(1);
+    if (texel_x >= source_width || texel_y >= source_height) return;
+    const int first = texel_y * source_width + texel_x, count = min(RUN, source_width - texel_x);
+    if (count == RUN && !run_has(taken + first, EMPTY)) return;
+    for (int k = 0; k < count; ++k) forget(fill_keys, fill_winners, first + k);
+}
+
+/* Puts the winners of `count` texels, at most LANES, from (x, y) on into them, fragments of an old level, and empties their
+   keys. Texels that are `taken` stay; 0: none is. */
+INLINE void settle(const int first_x, const int texel_y, const int count, __global const uchar *taken, __global Key *keys,
+                   __global uint *winners, const Texels old, const Reprojection to_current, const Level level) {
+    const int first = texel_y * level.width + first_x;
     uint winner[LANES];
     float x[LANES], y[LANES], z[LANES];
     if (count == LANES && nobody_came(keys, winners, first)) {
@@ -270,11 +332,11 @@ INLINE void settle(const int first, const int count, __global const uchar *taken
         level.state[texel] = winner[k] == NOBODY ? state : REMEMBERED;
         if (winner[k] == NOBODY) continue;
         forget(keys, winners, texel);
-        const float2 px = px_of(old, winner[k]);
+        const float2 px = px_of(old, winner[k], (int)winner[k] % old.width, (int)winner[k] / old.width);
         x[k] = px.x;
         y[k] = px.y;
         z[k] = depth_of(old, winner[k]);
-        store_color(color_of(old, winner[k]), level.color, texel);
+        level.color[texel] = packed_color_of(old, winner[k]);
     }
     const Wide3 now = wide_reproject(load_floats(0, x), load_floats(0, y), load_floats(0, z), to_current);
     store_floats(now.x, 0, x);
@@ -283,58 +345,57 @@ INLINE void settle(const int first, const int count, __global const uchar *taken
     for (int k = 0; k < count; ++k) {
         if (winner[k] == NOBODY) continue;
         level.depth[first + k] = z[k];
-        level.px[first + k] = (float2)(x[k], y[k]);
+        level.px[first + k] = pack_px((float2)(x[k], y[k]), texel_centre(first_x + k, texel_y, level.level), level.level);
     }
 }
 
 /* RUN texels of a level from column x on. Not to `collect`: what the frame shows stays out. */
-INLINE void settle_run(const int x, const int y, const int width, const int collect, __global const uchar *shown,
-                       __global Key *keys, __global uint *winners, const Texels old, const Reprojection to_current,
-                       const Level level) {
-    const int first = y * width + x;
+INLINE void settle_run(const int x, const int y, const int collect, __global const uchar *shown, __global Key *keys,
+                       __global uint *winners, const Texels old, const Reprojection to_current, const Level level) {
+    const int width = level.width, first = y * width + x;
     __global const uchar *taken = collect ? shown : 0;
     if (taken && x + RUN <= width && !run_has(taken + first, EMPTY)) {
         copy_run(taken + first, level.state + first);
         return;
     }
     for (int k = 0; k < min(RUN, width - x); k += LANES)
-        settle(first + k, min(LANES, width - x - k), taken, keys, winners, old, to_current, level);
+        settle(x + k, y, min(LANES, width - x - k), taken, keys, winners, old, to_current, level);
 }
 
 /* Completes a level. */
-SCAN __kernel void settle_level(const int source_width, const int level_width, const int level_height, const int collect,
+SCAN __kernel void settle_level(const int level, const int level_width, const int level_height, const int collect,
                                 const Reprojection to_current, __global const uchar *taken, __global Key *fill_keys,
                                 __global uint *fill_winners, __global const half *frame_color,
-                                __global const float *frame_depth, __global const half *old_color,
-                                __global const float *old_depth, __global const float2 *old_px,
-                                __global const uchar *old_state, __global half *level_color, __global float *level_depth,
-                                __global float2 *level_px, __global uchar *level_state) {
+                                __global const float *frame_depth, __global const uint *old_color,
+                                __global const float *old_depth, __global const int *old_px,
+                                __global const uchar *old_state, __global uint *level_color, __global float *level_depth,
+                                __global int *level_px, __global uchar *level_state) {
     const int texel_x = get_global_id(0) * RUN, texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
-    const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, source_width};
-    const Level level = {level_color, level_depth, level_px, level_state};
-    settle_run(texel_x, texel_y, level_width, collect, taken, fill_keys, fill_winners, old, to_current, level);
+    const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, level, level_width};
+    const Level own = {level_color, level_depth, level_px, level_state, level, level_width};
+    settle_run(texel_x, texel_y, collect, taken, fill_keys, fill_winners, old, to_current, own);
 }
 
 /* The same, and begins the next level with what was pushed down. */
-SCAN __kernel void settle_and_push(const int source_width, const int level_width, const int level_height, const int collect,
+SCAN __kernel void settle_and_push(const int level, const int level_width, const int level_height, const int collect,
                                    const Reprojection to_current, __global const uchar *taken, __global Key *fill_keys,
                                    __global uint *fill_winners, __global Key *push_keys, __global uint *push_winners,
                                    __global const half *frame_color, __global const float *frame_depth,
-                                   __global const half *old_color, __global const float *old_depth,
-                                   __global const float2 *old_px, __global const uchar *old_state,
-                                   __global half *level_color, __global float *level_depth, __global float2 *level_px,
-                                   __global uchar *level_state, __global half *next_color, __global float *next_depth,
-                                   __global float2 *next_px, __global uchar *next_state) {
+                                   __global const uint *old_color, __global const float *old_depth,
+                                   __global const int *old_px, __global const uchar *old_state,
+                                   __global uint *level_color, __global float *level_depth, __global int *level_px,
+                                   __global uchar *level_state, __global uint *next_color, __global float *next_depth,
+                                   __global int *next_px, __global uchar *next_state) {
     const int texel_x = get_global_id(0) * RUN, texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
-    const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, source_width};
-    const Level level = {level_color, level_depth, level_px, level_state};
-    settle_run(texel_x, texel_y, level_width, collect, taken, fill_keys, fill_winners, old, to_current, level);
+    const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, level, level_width};
+    const Level own = {level_color, level_depth, level_px, level_state, level, level_width};
+    settle_run(texel_x, texel_y, collect, taken, fill_keys, fill_winners, old, to_current, own);
     if ((texel_x | texel_y) & 1) return;
-    const Level next = {next_color, next_depth, next_px, next_state};
     const int next_width = (level_width + 1) / 2, next_x = texel_x / 2;
-    settle(texel_y / 2 * next_width + next_x, min(LANES, next_width - next_x), 0, push_keys, push_winners, old, to_current, next);
+    const Level next = {next_color, next_depth, next_px, next_state, level + 1, next_width};
+    settle(next_x, texel_y / 2, min(LANES, next_width - next_x), 0, push_keys, push_winners, old, to_current, next);
 }
 
 /* ---- projection --------------------------------------------------------------------------------------------- */
@@ -370,25 +431,33 @@ inline void offer_to_pixels(const int x0, const int y0, const int x1, const int 
 }
 
 /* Offers the remembered fragments of all levels, RUN texels per work-item; what lies between two levels is EMPTY. */
-SCAN __kernel void project_levels(const int texels, const int4 starts, const int target_width, const int target_height,
+SCAN __kernel void project_levels(const int source_width, const int texels, const int4 starts, const int target_width, const int target_height,
                                   const int pass, const float2 zoom, const Reprojection to_target,
-                                  __global const float *levels_depth, __global const float2 *levels_px,
+                                  __global const float *levels_depth, __global const int *levels_px,
                                   __global const uchar *levels_state, __global const uchar *disoccluded,
                                   __global const uchar *mixed, __global const float *depth, __global Key *keys,
                                   __global uint *winners) {
     const int first = get_global_id(0) * RUN;
     if (first >= texels || !run_has(levels_state + first, REMEMBERED)) return;
-    const float level_size = FOOTPRINT_HALF * (float)(1 << level_of(first, starts));
+    const int level = level_of(first, starts), start = start_of(level, starts), width = level_side(source_width, level);
+    const float texel_size = (float)(1 << level);
     for (int texel = first; texel < first + RUN; texel += LANES) {
         const Ints remembered = to_ints(load_bytes(0, levels_state + texel)) == REMEMBERED;
         if (!ANY(remembered)) continue;
-        Floats px_y;
-        const Floats px_x = load_xy(levels_px + texel, &px_y), z_source = load_floats(0, levels_depth + texel);
+        Ints texel_x = LANE_NUMBERS + (texel - start) % width, texel_y = (Ints)((texel - start) / width);
+        for (Ints beyond = texel_x >= width; ANY(beyond); beyond = texel_x >= width) {
+            texel_x -= beyond ? (Ints)(width) : (Ints)(0);
+            texel_y += beyond ? (Ints)(1) : (Ints)(0);
+        }
+        Floats px_x = (to_floats(texel_x) + 0.5f) * texel_size, px_y = (to_floats(texel_y) + 0.5f) * texel_size;
+        load_px(levels_px + texel, level, &px_x, &px_y);
+        const Floats z_source = load_floats(0, levels_depth + texel);
         const Wide3 there = wide_reproject(px_x, px_y, z_source, to_target);
         const Ints may_reach = remembered & (there.z > 0.0f) & (there.x > -REACH) & (there.y > -REACH)
             & (there.x < (float)target_width + REACH) & (there.y < (float)target_height + REACH);
         if (!ANY(may_reach)) continue;
-        const Floats nearer = isinf(there.z) ? (Floats)(1.0f) : wide_divide(z_source, there.z), side = level_size * nearer;
+        const Floats nearer = isinf(there.z) ? (Floats)(1.0f) : wide_divide(z_source, there.z);
+        const Floats side = FOOTPRINT_HALF * texel_size * nearer;
         const Floats half_x = fmin(fmax(side * zoom.x, 0.5f), REACH), half_y = fmin(fmax(side * zoom.y, 0.5f), REACH);
         int reaches[LANES], x0[LANES], y0[LANES], x1[LANES], y1[LANES];
         float z[LANES];
@@ -436,9 +505,9 @@ INLINE bool inside_mover(const int dst_x, const int dst_y, const int target_widt
 
 /* Colour of the texels around a winner, weighted by their distance in the target image from `centre`, of the winner's surface
    only: within one texel's side; within two where that catches too little, as in the gaps between irregular fragments. */
-INLINE float3 color_around(const int winner, const int start, const int level_width, const int level_height, const float z_winner,
+INLINE float3 color_around(const int winner, const int texel_x, const int texel_y, const int level_height, const float z_winner,
                            const float2 side, const float2 centre, const Reprojection to_target, const Texels texels) {
-    const int texel_x = (winner - start) % level_width, texel_y = (winner - start) / level_width;
+    const int level_width = texels.width;
     float3 sum;
     float weight_sum;
     for (int reach = 1; reach <= 2; ++reach) {
@@ -459,7 +528,7 @@ INLINE float3 color_around(const int winner, const int start, const int level_wi
                 if (state == EMPTY) continue;
                 const float z_tap = state == SHOWN ? texels.frame_depth[tap[k]] : texels.depth[tap[k]];
                 if (!is_same_surface(z_tap, z_winner, 2.0f * SAME_SURFACE * z_winner)) continue;
-                const float2 px = state == SHOWN ? pixel_centre(texel_x + dx, texel_y + dy) : texels.px[tap[k]];
+                const float2 px = px_of(texels, tap[k], texel_x + dx, texel_y + dy);
                 x[k] = px.x;
                 y[k] = px.y;
                 z[k] = z_tap;
@@ -484,8 +553,8 @@ INLINE float3 color_around(const int winner, const int start, const int level_wi
 SCAN __kernel void fill_from_levels(const int source_width, const int source_height, const int4 starts, const int target_width,
                                     const int target_height, const float2 zoom, const Reprojection to_target,
                                     const Reprojection to_source, __global const half *frame_color,
-                                    __global const float *frame_depth, __global const half *levels_color,
-                                    __global const float *levels_depth, __global const float2 *levels_px,
+                                    __global const float *frame_depth, __global const uint *levels_color,
+                                    __global const float *levels_depth, __global const int *levels_px,
                                     __global const uchar *levels_state, __global const uchar *disoccluded,
                                     __global const uchar *mixed, __global const uchar *is_dynamic, __global const Key *keys,
                                     __global const uint *winners, __global half *color, __global float *depth,
@@ -494,23 +563,24 @@ SCAN __kernel void fill_from_levels(const int source_width, const int source_hei
     if (first_x >= target_width || dst_y >= target_height) return;
     const int first = dst_y * target_width + first_x;
     if (first_x + RUN <= target_width && run_is_zero(disoccluded + first) && run_is_zero(mixed + first)) return;
-    const Texels texels = {levels_color, frame_color, levels_depth, frame_depth, levels_px, levels_state, source_width};
     for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
         const int dst = dst_y * target_width + dst_x;
         if (!(disoccluded[dst] | mixed[dst])) continue;
         const uint winner = winner_of(keys, winners, dst);
         if (winner == NOBODY) continue;
         if (disoccluded[dst] && inside_mover(dst_x, dst_y, target_width, target_height, disoccluded, is_dynamic, depth)) continue;
-        const int level = level_of(winner, starts);
+        const int level = level_of(winner, starts), start = start_of(level, starts), width = level_side(source_width, level);
+        const int texel_x = ((int)winner - start) % width, texel_y = ((int)winner - start) / width;
+        const Texels texels = {levels_color, frame_color, levels_depth, frame_depth, levels_px, levels_state, level, width};
         const float z_winner = levels_depth[winner];
         const float2 centre = pixel_centre(dst_x, dst_y);
-        const float nearest_z = reproject(levels_px[winner], z_winner, to_target).z;
+        const float nearest_z = reproject(px_of(texels, winner, texel_x, texel_y), z_winner, to_target).z;
         const float3 px_source = reproject(centre, nearest_z, to_source);
         if (!lands(px_source, source_width, source_height)) continue;  /* out of screen: only the footprint reaches there */
         const float nearer = isinf(nearest_z) ? 1.0f : divide(z_winner, nearest_z);
         const float2 side = (float2)((float)(1 << level) * nearer * zoom.x, (float)(1 << level) * nearer * zoom.y);
-        store_color(color_around(winner, start_of(level, starts), level_side(source_width, level),
-                                 level_side(source_height, level), z_winner, side, centre, to_target, texels), color, dst);
+        store_color(color_around(winner, texel_x, texel_y, level_side(source_height, level), z_winner, side, centre, to_target,
+                                 texels), color, dst);
         filled_by[dst] = (uchar)(1 + level);
         if (!disoccluded[dst]) continue;
         depth[dst] = nearest_z;

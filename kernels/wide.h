@@ -17,6 +17,7 @@ typedef uchar8 Bytes;
 #define ALL(condition) all(condition)
 #define load_floats vload8
 #define load_bytes vload8
+#define load_ints(i, p) vload8(i, p)
 #define load_uints(i, p) vload8(i, p)
 #define store_floats vstore8
 #define store_ints vstore8
@@ -63,6 +64,7 @@ typedef uchar Bytes;
 #define ALL(condition) ((condition) != 0)
 #define load_floats(i, p) ((p)[i])
 #define load_bytes(i, p) ((p)[i])
+#define load_ints(i, p) ((p)[i])
 #define load_uints(i, p) ((p)[i])
 #define store_floats(v, i, p) ((p)[i] = (v))
 #define store_ints(v, i, p) ((p)[i] = (v))

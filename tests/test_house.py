@@ -14,7 +14,7 @@ FLOORS = (
     ("errors",),
     ("files", "values"),
     ("opencl", "camera", "inference", "metrics"),
-    ("frame", "window", "camera_path"),
+    ("frame", "window", "camera_path", "packing"),
     ("buffers",),
     ("stage", "sequence", "scenes"),
     ("stages",),

@@ -10,6 +10,7 @@ import pyopencl as cl
 
 from gffe_cl.buffers import RGBA, XY, BufferSpec, Sizes, aligned, level_starts
 from gffe_cl.opencl.program import constants
+from gffe_cl.packing import OFFSET, RGB9E5
 from gffe_cl.stage import Access, Board, Kernel, NearestStage, Stage, Step, reprojection, zoom
 
 MAX_LEVELS = 4
@@ -22,9 +23,13 @@ STATES = (
 )
 
 
+# Parts of this stage's memory that are lent for others' keys; transient buffers else lie in the levels of the frame before.
+_LENT_KEYS = {"warp.keys": "key_memory", "warp.winners": "winner_memory"}
+
+
 def _keys(which: str, share: str | float = 1.0) -> dict[str, Access]:
     """Keys and winners of what is offered to "fill" a level or to "push" to the next."""
-    return {f"{which}_{name}": Access(f"background.{which}_{name}", share) for name in ("keys", "winners")}
+    return {f"{which}_{name}": Access(f"background.{{{which}_by}}_{name}", share) for name in ("keys", "winners")}
 
 
 def _level(names: str, level: str = "level", share: str | float = 1.0, prefix: str = "level_", kept: str = "") -> dict:
@@ -60,12 +65,19 @@ _PROJECTED = {"keys": Access("warp.keys", "holes"), "winners": Access("warp.winn
 class Background(NearestStage):
     """Remembers, in L levels, the static fragments that are hidden now, and fills disocclusions from them.
 
-    After collection nothing reads what the levels were before: until the next one, that memory is lent for the
-    transient buffers of all stages made before this one.
+    After collection nothing reads what the levels were before, nor the keys of even levels: until the next one, that
+    memory is lent for the transient buffers of all stages made before this one.
     """
 
     name = "background"
     kernels = (
+        Kernel(
+            "empty_keys",
+            "source",
+            {"taken": "surfaces.unmixed"},
+            _keys("fill", "not shown"),
+            step=("RUN", 1),
+        ),
         Kernel(
             "scatter_level",
             "level{level}",
@@ -127,16 +139,26 @@ class Background(NearestStage):
         self.starts = level_starts(board.sizes.source, self.levels)
         all_levels = [_all_levels(spec, self.levels) for spec in _level_buffers(0)]
         state = all_levels.pop()  # must last: what lies between two levels is EMPTY
+        even = [
+            replace(spec, part_of=whole)
+            for spec, whole in zip(self.keys(board, "even_", "source"), _LENT_KEYS.values(), strict=True)
+        ]
         lent = [_lent(stage, spec) for stage, spec in board.transient]
-        self._places = _side_by_side(all_levels, board.sizes) | _side_by_side(lent, board.sizes)
-        nbytes = max(start + spec.nbytes(board.sizes) for spec, start in self._places.items())
+        in_levels = [spec for spec in lent if spec.kept]
+        self._places = _side_by_side(all_levels, board.sizes) | _side_by_side(in_levels, board.sizes)
+        self._places |= dict.fromkeys([*even, *(spec for spec in lent if not spec.kept)], 0)
+        nbytes = dict.fromkeys(("memory", *_LENT_KEYS.values()), 0)
+        for spec, start in self._places.items():
+            nbytes[spec.part_of] = max(nbytes[spec.part_of], start + spec.nbytes(board.sizes))
         self.buffers = (
             *(spec for level in range(self.levels) for spec in _level_buffers(level)),
-            BufferSpec("memory", np.uint8, (), "once", "of levels", planes=nbytes, kept=True, scratch=True),
+            *(
+                BufferSpec(whole, np.uint8, (), "once", "of parts", planes=n, kept=whole == "memory", scratch=True)
+                for whole, n in nbytes.items()
+            ),
             state,
             *self._places,
-            *self.keys(board, "fill_", "source"),
-            *self.keys(board, "push_", "level1"),
+            *self.keys(board, "odd_", "level1"),
         )
         super().__init__(board)
         self._lend()
@@ -147,7 +169,7 @@ class Background(NearestStage):
 
     def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
         """New device buffers by name; those of single levels are parts of those of all levels, which with what is lent
-        are parts of one."""
+        are parts of one, and so are keys."""
         specs = list(specs)
         made = super().allocate(spec for spec in specs if not spec.part_of)
         places = {spec.name: start for spec, start in self._places.items()}
@@ -167,17 +189,20 @@ class Background(NearestStage):
         self._lend()
 
     def _lend(self) -> None:
+        mine = self.buffer | self.before
         for stage, spec in self.board.transient:
-            if (name := _lent(stage, spec).name) in self.before:
-                stage.buffer[spec.name] = self.before[name]
+            if (name := _lent(stage, spec).name) in mine:
+                stage.buffer[spec.name] = mine[name]
 
     def rendered(self, step: Step) -> None:
         """Collect; after a reset nothing is kept, nor collected, because what moves is not known yet."""
         self.swap()
         collect = step.previous is not None
-        if not collect:
-            self.clear_keys("fill_", self.sizes.source)
-            self.clear_keys("push_", self.sizes.of("level1"))
+        if collect:
+            self.launch("empty_keys", **self.of_level(0))
+        else:
+            self.clear_keys("even_", self.sizes.source)
+            self.clear_keys("odd_", self.sizes.of("level1"))
         to_current = reprojection(step.previous.camera if collect else step.frame.camera, step.frame.camera)
         for level in range(self.levels):
             last = level + 1 == self.levels
@@ -185,18 +210,22 @@ class Background(NearestStage):
             for scatter_pass in self.passes if collect else ():
                 self.launch("scatter_level", last_level=self.levels - 1, **given, **{"pass": scatter_pass})
             self.launch("settle_level" if last else "settle_and_push", collect=collect, **given)
+            if collect and level == 0 and self.levels > 2:
+                self.clear_keys("even_", self.sizes.of("level2"))
 
     @staticmethod
     def of_level(level: int) -> dict[str, str]:
         """Which buffers say what a level holds before anything is offered to it, how deep that is, and how deep what it
-        showed before was (only level 0 shows anything)."""
+        showed before was (only level 0 shows anything); and which keys have what is offered to it and to the next one:
+        once a level is settled its own are empty."""
+        keys = dict(zip(("fill_by", "push_by"), ("odd", "even") if level % 2 else ("even", "odd"), strict=True))
         if level == 0:
-            return {
+            return keys | {
                 "taken_by": "surfaces.unmixed",
                 "depth_of_taken": "rendered.depth",
                 "depth_of_shown": "previous.depth",
             }
-        return {
+        return keys | {
             "taken_by": f"background.state_{level}",
             "depth_of_taken": f"background.depth_{level}",
             "depth_of_shown": f"background.depth_{level}'",
@@ -228,9 +257,9 @@ def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
         )
 
     return (
-        spec("color", np.float16, RGBA, f"colour of {about} (B_{level}) {where}", "color", **known),
+        spec("color", np.float16, RGBA, f"colour of {about} (B_{level}) {where}", "color", packing=RGB9E5, **known),
         spec("depth", np.float32, (), f"view depth of {about} there, world units", "depth", **known),
-        spec("px", np.float32, XY, "where its fragment lies in the rendered image, pixels", "place", **known),
+        spec("px", np.float32, XY, "where its fragment lies in the rendered image, pixels", "place", packing=OFFSET, **known),
         spec("state", np.uint8, (), "what the level knows there", "label", labels=STATES),
     )
 
@@ -245,9 +274,10 @@ def _all_levels(spec: BufferSpec, levels: int) -> BufferSpec:
 
 
 def _lent(stage: Stage, spec: BufferSpec) -> BufferSpec:
-    """The part that is lent for a transient buffer."""
+    """The part that is lent for a transient buffer; `kept`: of what the levels were before."""
     name = f"{stage.name}.{spec.name}"
-    return replace(spec, name=name, part_of="memory", kept=True, scratch=True, transient=False)
+    whole = _LENT_KEYS.get(name, "memory")
+    return replace(spec, name=name, part_of=whole, kept=whole == "memory", scratch=True, transient=False)
 
 
 def _side_by_side(specs: Iterable[BufferSpec], sizes: Sizes) -> dict[BufferSpec, int]:

@@ -59,29 +59,20 @@ class DeviceLayer:
     size: tuple[int, int]
     known: DeviceLayer | None = None
 
-    def keep_known(self, values: np.ndarray, known: np.ndarray) -> None:
-        """Set values (…, H, W, channels) to 0 where the layer holds nothing; `known` (H, W): what was read there."""
-        values[..., known != self.spec.known_where[1], :] = 0
-
     def read(self, queue: cl.CommandQueue) -> tuple[np.ndarray, cl.Event]:
-        """(planes?, H, W, channels?) on the host, valid after the event."""
-        (width, height), planes, channels = self.size, self.spec.planes, self.spec.channels
-        if self.spec.planar:
-            flat = np.empty((channels, height, width), self.spec.dtype)
-            out = np.moveaxis(flat, 0, -1)
-        else:
-            out = np.empty((planes,) * (planes > 1) + (height, width) + (channels,) * (channels > 1), self.spec.dtype)
-            flat = out
-        return out, cl.enqueue_copy(queue, flat, self.buffer, is_blocking=False)
+        """What is stored, (planes?, H, W, channels), on the host, valid after the event."""
+        stored, flat = self.spec.host_array(self.size)
+        return stored, cl.enqueue_copy(queue, flat, self.buffer, is_blocking=False)
 
     def read_block(
         self, queue: cl.CommandQueue, x: int, y: int, width=1, height=1
     ) -> tuple[np.ndarray, list[cl.Event]]:
-        """(planes, height, width, channels) from pixel (x, y) on, all inside; valid after the events."""
-        planes, channels = self.spec.planes, self.spec.channels
+        """What is stored, (planes, height, width, channels), from pixel (x, y) on, all inside; valid after the
+        events."""
+        planes, channels = self.spec.planes, self.spec.stored_channels
         if self.spec.planar:
             planes, channels = channels, 1
-        out = np.empty((planes, height, width, channels), self.spec.dtype)
+        out = np.empty((planes, height, width, channels), self.spec.stored_dtype)
         pixel, events = out.itemsize * channels, []
         for plane in range(planes):
             for row in range(height):
@@ -121,17 +112,19 @@ def device_layers(pipeline: Pipeline, shot: Shot) -> dict[str, DeviceLayer]:
 
 
 def read_layers(pipeline: Pipeline, layers: dict[str, DeviceLayer], wanted: Iterable[str]) -> dict[str, np.ndarray]:
-    """Those of `wanted` that exist, each in an array of its own, with one wait for all."""
+    """Those of `wanted` that exist, each (planes?, H, W, channels?) in an array of its own, with one wait for all."""
     queue = pipeline.device.queue
     layers = {name: layers[name] for name in wanted if name in layers}
     read = {name: layer.read(queue) for name, layer in layers.items()}
     known = {name: layer.known.read(queue) for name, layer in layers.items() if layer.known}
     if read:
         cl.wait_for_events([event for _, event in (*read.values(), *known.values())])
-    for name, (where, _) in known.items():
-        array, layer = read[name][0], layers[name]
-        layer.keep_known(array if layer.spec.channels > 1 else array[..., None], where)
-    return {name: array for name, (array, _) in read.items()}
+    values = {}
+    for name, (stored, _) in read.items():
+        spec = layers[name].spec
+        found = spec.values(stored, known[name][0][..., 0] if name in known else None)
+        values[name] = found if spec.channels > 1 else found[..., 0]
+    return values
 
 
 def source_position(pipeline: Pipeline, shot: Shot, x: int, y: int) -> tuple[float, float] | None:
@@ -154,16 +147,18 @@ def pixel_values(pipeline: Pipeline, shot: Shot, x: int, y: int) -> dict[str, np
 
 
 def read_blocks(pipeline: Pipeline, wanted: dict[str, tuple]) -> dict[str, np.ndarray]:
-    """`DeviceLayer.read_block` of (layer, x, y, width, height) each, with one wait for all."""
+    """Values (planes, height, width, channels) from (layer, x, y, width, height) each, with one wait for all."""
     queue = pipeline.device.queue
     read = {name: layer.read_block(queue, *where) for name, (layer, *where) in wanted.items()}
     known = {name: layer.known.read_block(queue, *where) for name, (layer, *where) in wanted.items() if layer.known}
     events = [event for _, these in (*read.values(), *known.values()) for event in these]
     if events:
         cl.wait_for_events(events)
-    for name, (where, _) in known.items():
-        wanted[name][0].keep_known(read[name][0], where[0, ..., 0])
-    return {name: array for name, (array, _) in read.items()}
+    values = {}
+    for name, (stored, _) in read.items():
+        layer, x, y, *_ = wanted[name]
+        values[name] = layer.spec.values(stored, known[name][0][0, ..., 0] if name in known else None, x, y)
+    return values
 
 
 def moved(px, image: Camera, other: Camera) -> tuple[float, float]:

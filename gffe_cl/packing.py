@@ -1,0 +1,46 @@
+"""How values lie packed in device buffers, and what they mean on the host (kernels/background.cl packs them)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gffe_cl.opencl.program import constants
+
+_PX_UNITS = constants("background.cl")["PX_UNITS"]
+
+
+@dataclass(frozen=True)
+class Packing:
+    """A form in which pixels are stored: `name` as tables have it, `channels` of `dtype` each.
+
+    `unpack` turns those of a block, (…, H, W, channels), into values (…, H, W, channels of the buffer), given column
+    and row of its first texel and the side of a texel in pixels.
+    """
+
+    name: str
+    dtype: type
+    channels: int
+    unpack: Callable[[np.ndarray, int, int, int], np.ndarray]
+
+
+def _unpack_color(stored: np.ndarray, x: int, y: int, side: int) -> np.ndarray:
+    bits = stored[..., 0]
+    color = np.zeros((*bits.shape, 4), np.float16)
+    unit = np.ldexp(np.float32(1), (bits >> 27).astype(np.int32) - 24)
+    for channel in range(3):
+        color[..., channel] = (bits >> 9 * channel & 511) * unit
+    return color
+
+
+def _unpack_place(stored: np.ndarray, x: int, y: int, side: int) -> np.ndarray:
+    height, width = stored.shape[-3:-1]
+    row, column = np.mgrid[y : y + height, x : x + width].astype(np.float32) + np.float32(0.5)
+    unit = np.float32(side / _PX_UNITS)
+    return np.stack([column, row], -1) * np.float32(side) + stored.astype(np.float32) * unit
+
+
+RGB9E5 = Packing("RGB9E5", np.uint32, 1, _unpack_color)
+OFFSET = Packing("int16 ×2", np.int16, 2, _unpack_place)
