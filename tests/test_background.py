@@ -64,7 +64,8 @@ def test_wall_behind_a_fence_comes_from_level_one(device):
 
 
 def test_hidden_wall_does_not_creep(device):
-    """A wall hidden for 60 frames of a 0.4 px/frame pan reappears within half a pixel of where it belongs."""
+    """A wall hidden for 60 frames of a 0.4 px/frame pan reappears within half a pixel of where it belongs, as far as
+    remembered colours tell, whose rounding is worth 0.2 px here."""
     wall = Rect((0, 0, 10), ramp=True)
     still = camera(W, H)
     step = 0.4 * 10 / still.fx  # world units per frame that shift the wall by 0.4 px
@@ -91,7 +92,8 @@ def test_hidden_wall_does_not_creep(device):
     world = cam.unproject(np.stack([x + 0.5, y + 0.5], -1), np.full(len(x), 10.0))
     where = (out.numpy("color")[revealed][:, :2].astype(np.float64) - 0.5) / 0.05  # the ramp tells the place
     error_px = np.abs(world[:, :2] - where) * still.fx / 10
-    assert np.quantile(error_px, 0.95) < 0.5, np.quantile(error_px, (0.5, 0.95, 1))
+    rounding_px = 2.0**-10 / 0.05 * still.fx / 10  # of colours from 0.5 to 1
+    assert np.quantile(error_px, 0.95) < 0.5 + rounding_px, np.quantile(error_px, (0.5, 0.95, 1))
 
 
 def test_depth_noise_does_not_push_the_surface_down(device):

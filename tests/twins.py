@@ -725,6 +725,25 @@ def collect_shown(color, depth, dynamic, collect):
     }
 
 
+def as_rgb9e5(color):
+    """(…, 4) float16 of colours (…, 3 or 4) once they were stored in three mantissas that share an exponent."""
+    kept = np.clip(color[..., :3].astype(np.float64), 0, BACKGROUND.COLOR_MOST)
+    exponent = np.floor(np.log2(np.maximum(kept.max(-1, keepdims=True), 2.0**-16)))
+    carries = np.rint(kept.max(-1, keepdims=True) * 2.0 ** (8 - exponent)) == 512
+    unit = 2.0 ** (exponent + carries - 8)
+    out = np.zeros((*color.shape[:-1], 4), np.float16)
+    out[..., :3] = np.rint(kept / unit) * unit
+    return out
+
+
+def as_offset(px, texel, level):
+    """(2,) float32 of a position once it was stored as the offset from the centre of `texel` (row, column)."""
+    side = F(1 << level)
+    centre = (np.array(texel[::-1], F) + F(0.5)) * side
+    units = np.clip(np.rint((px - centre) * (BACKGROUND.PX_UNITS / side)), -32768, 32767)
+    return centre + units * (side / BACKGROUND.PX_UNITS)
+
+
 def _slopes(depth, links):
     most = np.zeros(depth.shape, F)
     for bit, (dx, dy) in enumerate(_STEPS):
@@ -754,10 +773,12 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
     def offer(best, cell, z, i):
         best[cell] = min(best.get(cell, (INF, 1 << 40)), (z, i))
 
-    def settle(best, into, before, now):
+    def settle(best, level, before, now):
+        into = levels[level]
         for cell, (z, i) in best.items():
             into["state"][cell], into["depth"][cell] = REMEMBERED, z
-            into["px"][cell], into["color"][cell] = now[i, :2], before["color"].reshape(-1, 4)[i]
+            into["px"][cell] = as_offset(now[i, :2], cell, level)
+            into["color"][cell] = as_rgb9e5(before["color"].reshape(-1, 4)[i])
 
     levels = [{name: array.copy() for name, array in level0.items()}]
     for level, before in enumerate(levels_before):
@@ -782,9 +803,9 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
                 level_margin = margin if level == 0 else F(2) * BACKGROUND.SAME_SURFACE * base
                 if not np.isinf(base) if np.isinf(z[i]) else z[i] > base + level_margin:
                     offer(push, (sy >> (level + 1), sx >> (level + 1)), z[i], i)
-        settle(fill, current, before, now)
+        settle(fill, level, before, now)
         if push:
-            settle(push, levels[level + 1], before, now)
+            settle(push, level + 1, before, now)
         reach = F(0.499) * F(1 << level)
         for i in fragments:
             for dx, dy in ((-reach, -reach), (reach, -reach), (-reach, reach), (reach, reach)):
@@ -795,7 +816,7 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
                 allowed, _, behind = may_be_at(sy, sx, z[i])
                 if allowed and (level == 0 or behind):
                     offer(touched, cell, z[i], i)
-        settle(touched, current, before, now)
+        settle(touched, level, before, now)
     return levels
 
 
