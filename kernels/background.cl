@@ -27,7 +27,7 @@ inline uint pack_color(const float3 c) {
     const float3 kept = clamp(c, 0.0f, COLOR_MOST);
     const float most = fmax(fmax(kept.x, kept.y), fmax(kept.z, COLOR_FINEST));
     const uint exponent = ((as_uint(most) + 0x4000u) >> 23) - 111u;  /* 0 to 31, of what `most` is rounded to */
-    const uint3 mantissas = convert_uint3_rte(kept * as_float((151u - exponent) << 23));
+    const uint3 mantissas = convert_uint3(rint(kept * as_float((151u - exponent) << 23)));
     return mantissas.x | mantissas.y << 9 | mantissas.z << 18 | exponent << 27;
 }
 
@@ -38,21 +38,20 @@ inline float3 unpack_color(const uint bits) {
 
 #define PX_UNITS 32768.0f       /* of a stored position, per side of a texel */
 
-inline float2 texel_centre(const int texel_x, const int texel_y, const int level) {
-    return pixel_centre(texel_x, texel_y) * (float)(1 << level);
+/* Pixel positions from the centres of texels: LANES of them, packed and back. */
+inline Ints pack_px(const Floats offset_x, const Floats offset_y, const int level) {
+    const float units = PX_UNITS / (float)(1 << level);
+    const Floats x = clamp(rint(offset_x * units), -PX_UNITS, PX_UNITS - 1.0f);
+    const Floats y = clamp(rint(offset_y * units), -PX_UNITS, PX_UNITS - 1.0f);
+    return (to_ints(x) & 0xFFFF) | (to_ints(y) << 16);
 }
 
-inline int pack_px(const float2 px, const float2 centre, const int level) {
-    const float2 offset = (px - centre) * (PX_UNITS / (float)(1 << level));
-    return as_int(convert_short2_sat_rte(offset));
+inline Floats unpack_x(const Ints packed, const int level) {
+    return to_floats((packed << 16) >> 16) * ((float)(1 << level) / PX_UNITS);
 }
 
-/* Pixel positions of LANES texels, from their centres. */
-inline void load_px(__global const int *px, const int level, Floats *px_x, Floats *px_y) {
-    const Ints bits = load_ints(0, px);
-    const float unit = (float)(1 << level) / PX_UNITS;
-    *px_x += to_floats((bits << 16) >> 16) * unit;
-    *px_y += to_floats(bits >> 16) * unit;
+inline Floats unpack_y(const Ints packed, const int level) {
+    return to_floats(packed >> 16) * ((float)(1 << level) / PX_UNITS);
 }
 
 /* Texels of a level, or of all, to read, and the frame whose pixels are those that are SHOWN. */
@@ -62,7 +61,7 @@ typedef struct {
     __global const float *depth, *frame_depth;
     __global const int *px;
     __global const uchar *state;
-    int level, width;  /* of what is read of now */
+    int level, width;  /* of that level, or of the one that is read now */
 } Texels;
 
 inline float depth_of(const Texels t, const int texel) {
@@ -71,9 +70,10 @@ inline float depth_of(const Texels t, const int texel) {
 
 /* `texel` is at (x, y) of its level. */
 inline float2 px_of(const Texels t, const int texel, const int x, const int y) {
-    const float2 centre = texel_centre(x, y, t.level);
+    const float2 centre = pixel_centre(x, y) * (float)(1 << t.level);
     if (t.state[texel] == SHOWN) return centre;
-    return centre + convert_float2(as_short2(t.px[texel])) * ((float)(1 << t.level) / PX_UNITS);
+    const int packed = t.px[texel];
+    return centre + (float2)((float)((packed << 16) >> 16), (float)(packed >> 16)) * ((float)(1 << t.level) / PX_UNITS);
 }
 
 inline float3 color_of(const Texels t, const int texel) {
@@ -260,10 +260,9 @@ WIDE __kernel void scatter_level(const int source_width, const int source_height
     Floats px_x = row_centres(texel_x) * side, px_y = (Floats)(((float)texel_y + 0.5f) * side);
     Floats z = load_floats(0, frame_depth + texel);
     if (ANY(remembered)) {
-        Floats old_x = px_x, old_y = px_y;
-        load_px(old_px + texel, level, &old_x, &old_y);
-        px_x = remembered ? old_x : px_x;
-        px_y = remembered ? old_y : px_y;
+        const Ints packed = remembered ? load_ints(0, old_px + texel) : (Ints)(0);
+        px_x += unpack_x(packed, level);
+        px_y += unpack_y(packed, level);
         z = remembered ? load_floats(0, old_depth + texel) : z;
     }
 #if LANES > 1
@@ -320,7 +319,8 @@ INLINE void settle(const int first_x, const int texel_y, const int count, __glob
                    __global uint *winners, const Texels old, const Reprojection to_current, const Level level) {
     const int first = texel_y * level.width + first_x;
     uint winner[LANES];
-    float x[LANES], y[LANES], z[LANES];
+    int packed[LANES];
+    float z[LANES];
     if (count == LANES && nobody_came(keys, winners, first)) {
         store_bytes(taken ? load_bytes(0, taken + first) : (Bytes)(EMPTY), 0, level.state + first);
         return;
@@ -332,20 +332,23 @@ INLINE void settle(const int first_x, const int texel_y, const int count, __glob
         level.state[texel] = winner[k] == NOBODY ? state : REMEMBERED;
         if (winner[k] == NOBODY) continue;
         forget(keys, winners, texel);
-        const float2 px = px_of(old, winner[k], (int)winner[k] % old.width, (int)winner[k] / old.width);
-        x[k] = px.x;
-        y[k] = px.y;
+        packed[k] = old.state[winner[k]] == SHOWN ? 0 : old.px[winner[k]];
         z[k] = depth_of(old, winner[k]);
         level.color[texel] = packed_color_of(old, winner[k]);
     }
-    const Wide3 now = wide_reproject(load_floats(0, x), load_floats(0, y), load_floats(0, z), to_current);
-    store_floats(now.x, 0, x);
-    store_floats(now.y, 0, y);
+    Ints old_x, old_y;
+    wide_column_and_row(to_ints(load_uints(0, winner)), old.width, &old_x, &old_y);
+    const float old_side = (float)(1 << old.level), side = (float)(1 << level.level);
+    const Ints offset = load_ints(0, packed);
+    const Floats px_x = (to_floats(old_x) + 0.5f) * old_side + unpack_x(offset, old.level);
+    const Floats px_y = (to_floats(old_y) + 0.5f) * old_side + unpack_y(offset, old.level);
+    const Wide3 now = wide_reproject(px_x, px_y, load_floats(0, z), to_current);
+    store_ints(pack_px(now.x - row_centres(first_x) * side, now.y - ((float)texel_y + 0.5f) * side, level.level), 0, packed);
     store_floats(now.z, 0, z);
     for (int k = 0; k < count; ++k) {
         if (winner[k] == NOBODY) continue;
         level.depth[first + k] = z[k];
-        level.px[first + k] = pack_px((float2)(x[k], y[k]), texel_centre(first_x + k, texel_y, level.level), level.level);
+        level.px[first + k] = packed[k];
     }
 }
 
@@ -444,13 +447,11 @@ SCAN __kernel void project_levels(const int source_width, const int texels, cons
     for (int texel = first; texel < first + RUN; texel += LANES) {
         const Ints remembered = to_ints(load_bytes(0, levels_state + texel)) == REMEMBERED;
         if (!ANY(remembered)) continue;
-        Ints texel_x = LANE_NUMBERS + (texel - start) % width, texel_y = (Ints)((texel - start) / width);
-        for (Ints beyond = texel_x >= width; ANY(beyond); beyond = texel_x >= width) {
-            texel_x -= beyond ? (Ints)(width) : (Ints)(0);
-            texel_y += beyond ? (Ints)(1) : (Ints)(0);
-        }
-        Floats px_x = (to_floats(texel_x) + 0.5f) * texel_size, px_y = (to_floats(texel_y) + 0.5f) * texel_size;
-        load_px(levels_px + texel, level, &px_x, &px_y);
+        Ints texel_x, texel_y;
+        wide_column_and_row(LANE_NUMBERS + (texel - start), width, &texel_x, &texel_y);
+        const Ints packed = load_ints(0, levels_px + texel);
+        const Floats px_x = (to_floats(texel_x) + 0.5f) * texel_size + unpack_x(packed, level);
+        const Floats px_y = (to_floats(texel_y) + 0.5f) * texel_size + unpack_y(packed, level);
         const Floats z_source = load_floats(0, levels_depth + texel);
         const Wide3 there = wide_reproject(px_x, px_y, z_source, to_target);
         const Ints may_reach = remembered & (there.z > 0.0f) & (there.x > -REACH) & (there.y > -REACH)

@@ -426,10 +426,7 @@ WIDE __kernel void resolve(const int source_width, const int source_height, cons
         uint winner[LANES];
         for (int k = 0; k < LANES; ++k) winner[k] = winner_of(keys, winners, dst_y * target_width + dst_x + k);
         const Uints src = load_uints(0, winner);
-        src_y = to_ints(to_floats(src) * (1.0f / (float)source_width));  /* one off at most */
-        src_x = to_ints(src) - src_y * source_width;
-        src_y += src_x < 0 ? (Ints)(-1) : src_x >= source_width ? (Ints)(1) : (Ints)(0);
-        src_x = to_ints(src) - src_y * source_width;
+        wide_column_and_row(to_ints(src), source_width, &src_x, &src_y);
         const Ints use = (src != NOBODY) & (src_x >= 2) & (src_y >= 2) & (src_x < source_width - 2) & (src_y < source_height - 2);
         if (ANY(use))
             done = resolve_lanes(false, dst_x, dst_y, use ? src_x : (Ints)(2), use ? src_y : (Ints)(2), use, source_width,

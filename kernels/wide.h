@@ -162,6 +162,13 @@ inline Ints wide_is_same_surface(const Floats z, const Floats expected, const Fl
 /* x + 0.5 of each lane's pixel. */
 inline Floats row_centres(const int x) { return to_floats(LANE_NUMBERS) + ((float)x + 0.5f); }
 
+/* Where pixel i of an image is. */
+inline void wide_column_and_row(const Ints i, const int width, Ints *column, Ints *row) {
+    const Ints near = to_ints(to_floats(i) * (1.0f / (float)width)), rest = i - near * width;  /* one row off at most */
+    *row = near + (rest < 0 ? (Ints)(-1) : rest >= width ? (Ints)(1) : (Ints)(0));
+    *column = i - *row * width;
+}
+
 /* View-space or pixel positions, lane by lane. */
 typedef struct { Floats x, y, z; } Wide3;
 
