@@ -23,12 +23,13 @@ inline int level_side(const int side, const int level) { return (side + (1 << le
 #define COLOR_MOST 65408.0f     /* 511 * 2^7, the largest RGB9E5 */
 #define COLOR_FINEST 1.52587890625e-5f  /* 2^-16: colours below that share the least exponent */
 
-inline uint pack_color(const float3 c) {
-    const float3 kept = clamp(c, 0.0f, COLOR_MOST);
-    const float most = fmax(fmax(kept.x, kept.y), fmax(kept.z, COLOR_FINEST));
-    const uint exponent = ((as_uint(most) + 0x4000u) >> 23) - 111u;  /* 0 to 31, of what `most` is rounded to */
-    const uint3 mantissas = convert_uint3(rint(kept * as_float((151u - exponent) << 23)));
-    return mantissas.x | mantissas.y << 9 | mantissas.z << 18 | exponent << 27;
+/* LANES colours. */
+inline Ints pack_colors(const Floats r, const Floats g, const Floats b) {
+    const Floats red = clamp(r, 0.0f, COLOR_MOST), green = clamp(g, 0.0f, COLOR_MOST), blue = clamp(b, 0.0f, COLOR_MOST);
+    const Floats most = fmax(fmax(red, green), fmax(blue, COLOR_FINEST));
+    const Ints exponent = ((floats_as_ints(most) + 0x4000) >> 23) - 111;  /* 0 to 31, of what `most` is rounded to */
+    const Floats scale = ints_as_floats((151 - exponent) << 23);
+    return to_ints(rint(red * scale)) | to_ints(rint(green * scale)) << 9 | to_ints(rint(blue * scale)) << 18 | exponent << 27;
 }
 
 inline float3 unpack_color(const uint bits) {
@@ -78,10 +79,6 @@ inline float2 px_of(const Texels t, const int texel, const int x, const int y) {
 
 inline float3 color_of(const Texels t, const int texel) {
     return t.state[texel] == SHOWN ? load_color(t.frame_color, texel) : unpack_color(t.color[texel]);
-}
-
-inline uint packed_color_of(const Texels t, const int texel) {
-    return t.state[texel] == SHOWN ? pack_color(load_color(t.frame_color, texel)) : t.color[texel];
 }
 
 /* ---- collection --------------------------------------------------------------------------------------------- */
@@ -318,23 +315,30 @@ SCAN __kernel void empty_keys(const int source_width, const int source_height, _
 INLINE void settle(const int first_x, const int texel_y, const int count, __global const uchar *taken, __global Key *keys,
                    __global uint *winners, const Texels old, const Reprojection to_current, const Level level) {
     const int first = texel_y * level.width + first_x;
-    uint winner[LANES];
-    int packed[LANES];
-    float z[LANES];
     if (count == LANES && nobody_came(keys, winners, first)) {
         store_bytes(taken ? load_bytes(0, taken + first) : (Bytes)(EMPTY), 0, level.state + first);
         return;
     }
-    for (int k = 0; k < count; ++k) {
-        const int texel = first + k;
-        const uchar state = taken ? taken[texel] : EMPTY;
-        winner[k] = state == EMPTY ? winner_of(keys, winners, texel) : NOBODY;
-        level.state[texel] = winner[k] == NOBODY ? state : REMEMBERED;
+    uint winner[LANES];
+    int packed[LANES], color[LANES], is_shown[LANES], any_shown = 0;
+    float z[LANES], r[LANES], g[LANES], b[LANES];
+    for (int k = 0; k < count; ++k) {  /* loads before stores: those of lanes would wait for them */
+        winner[k] = taken && taken[first + k] != EMPTY ? NOBODY : winner_of(keys, winners, first + k);
         if (winner[k] == NOBODY) continue;
-        forget(keys, winners, texel);
-        packed[k] = old.state[winner[k]] == SHOWN ? 0 : old.px[winner[k]];
-        z[k] = depth_of(old, winner[k]);
-        level.color[texel] = packed_color_of(old, winner[k]);
+        is_shown[k] = old.state[winner[k]] == SHOWN;
+        if (is_shown[k]) {
+            const float3 shown = load_color(old.frame_color, winner[k]);
+            r[k] = shown.x;
+            g[k] = shown.y;
+            b[k] = shown.z;
+            z[k] = old.frame_depth[winner[k]];
+            packed[k] = 0;
+            any_shown = 1;
+        } else {
+            color[k] = (int)old.color[winner[k]];
+            z[k] = old.depth[winner[k]];
+            packed[k] = old.px[winner[k]];
+        }
     }
     Ints old_x, old_y;
     wide_column_and_row(to_ints(load_uints(0, winner)), old.width, &old_x, &old_y);
@@ -345,10 +349,18 @@ INLINE void settle(const int first_x, const int texel_y, const int count, __glob
     const Wide3 now = wide_reproject(px_x, px_y, load_floats(0, z), to_current);
     store_ints(pack_px(now.x - row_centres(first_x) * side, now.y - ((float)texel_y + 0.5f) * side, level.level), 0, packed);
     store_floats(now.z, 0, z);
+    if (any_shown) {
+        const Ints shown = pack_colors(load_floats(0, r), load_floats(0, g), load_floats(0, b));
+        store_ints(load_ints(0, is_shown) != 0 ? shown : load_ints(0, color), 0, color);
+    }
     for (int k = 0; k < count; ++k) {
+        const int texel = first + k;
+        level.state[texel] = winner[k] != NOBODY ? REMEMBERED : taken ? taken[texel] : EMPTY;
         if (winner[k] == NOBODY) continue;
-        level.depth[first + k] = z[k];
-        level.px[first + k] = packed[k];
+        forget(keys, winners, texel);
+        level.color[texel] = (uint)color[k];
+        level.depth[texel] = z[k];
+        level.px[texel] = packed[k];
     }
 }
 

@@ -281,9 +281,10 @@ def _lent(stage: Stage, spec: BufferSpec) -> BufferSpec:
 
 
 def _side_by_side(specs: Iterable[BufferSpec], sizes: Sizes) -> dict[BufferSpec, int]:
-    """Parts of one buffer, and the bytes at which they begin."""
+    """Parts of one buffer, and the bytes at which they begin: not all at one place of a page, where texels of one index
+    would take each other's place in caches."""
     starts, end = {}, 0
     for spec in specs:
         starts[spec] = end
-        end = aligned(end + spec.nbytes(sizes))
+        end = aligned(end + spec.nbytes(sizes) + 1)
     return starts
