@@ -23,7 +23,7 @@ STATES = (
 )
 
 
-# Parts of this stage's memory that are lent for others' keys; transient buffers else lie in the levels of the frame before.
+# Memory of this stage that is lent for others' keys; other transient buffers lie in the levels of the frame before.
 _LENT_KEYS = {"warp.keys": "key_memory", "warp.winners": "winner_memory"}
 
 
@@ -259,7 +259,9 @@ def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
     return (
         spec("color", np.float16, RGBA, f"colour of {about} (B_{level}) {where}", "color", packing=RGB9E5, **known),
         spec("depth", np.float32, (), f"view depth of {about} there, world units", "depth", **known),
-        spec("px", np.float32, XY, "where its fragment lies in the rendered image, pixels", "place", packing=OFFSET, **known),
+        spec(
+            "px", np.float32, XY, "where its fragment lies in the rendered image, px", "place", packing=OFFSET, **known
+        ),
         spec("state", np.uint8, (), "what the level knows there", "label", labels=STATES),
     )
 
