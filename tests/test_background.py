@@ -6,6 +6,7 @@ import pytest
 from synthetic import Rect, Rects, camera
 
 from gffe_cl import Options, Pipeline
+from gffe_cl.packing import OFFSET, RGB9E5
 
 W, H = 128, 80
 WALL = Rect((0, 0, 10), frequency=0.25)
@@ -218,3 +219,11 @@ def test_lent_memory_holds_nothing_that_is_needed(device, levels, int64):
 
     expected = made(0)
     assert all(made(filler) == expected for filler in (0xA5, 0xFF))
+
+
+def test_packed_texels_read_as_what_they_mean():
+    """A colour of three mantissas times 2^(exponent − 24), and a place from the texel's centre, in a block's corner."""
+    bits = np.array([[[256 | 128 << 9 | 1 << 18 | 16 << 27], [511 | 31 << 27]]], np.uint32)
+    assert RGB9E5.unpack(bits, 0, 0, 1).tolist() == [[[1, 0.5, 2**-8, 0], [65408, 0, 0, 0]]]
+    stored = np.array([[[16384, -32768]]], np.int16)
+    assert OFFSET.unpack(stored, 3, 2, 2).tolist() == [[[8, 3]]]
