@@ -3,13 +3,15 @@
     blender -b scene.blend --python export_gffe.py -- OUT --every 2
     python export_gffe.py scene.blend -- OUT --every 2                   with the `bpy` wheel of PyPI
 
-OUT gets `cameras.json` and one multilayer EXR per frame, `frame_NNNN.exr`. Every `--every`-th frame of the scene's range is
-*rendered*; `--between` frames of truth, evenly spaced, lie between two rendered ones (by default those frames of the scene
-that do). A rendered frame holds the scene's own view layer (Combined, antialiased, half) and a layer `Data` of one sample
-at the pixel's centre: `Depth.Z`, planar, 1e10 where nothing is, and `Vector.X/.Y`, pixels with y up, the place in the
-previous *rendered* frame minus the place here. Truth holds the colour only. The .blend file is never written to.
+OUT gets `cameras.json` and one multilayer EXR per frame, `frame_NNNN.exr`. Of the scene's range, every `--every`-th
+frame is *rendered*; between two of them lie `--between` frames of truth, evenly spaced, by default those frames of the
+scene that do. A rendered frame holds the scene's own view layer (`Combined`: antialiased, half) and a layer `Data` of
+one sample at the pixel's centre: `Depth.Z`, planar, 1e10 where nothing is, and `Vector.X`, `.Y`, pixels with y up, the
+place in the previous *rendered* frame minus the place here. Truth holds the colour only. The .blend file is never
+written to.
 
-Files that are there already are kept, so an interrupted export goes on where it stopped; `--overwrite` renders them anew.
+Files that are there already are kept, so that an interrupted export goes on where it stopped; `--overwrite` renders
+them anew.
 """
 
 from __future__ import annotations
@@ -24,7 +26,6 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-LAYER = "Data"  # the view layer of depth and vectors
 KINDS = ("rendered", "ground_truth", "camera_only")
 _MOST = 900  # of what Blender's time remapping takes
 _VIEW_AXES = np.diag((1.0, -1.0, -1.0, 1.0))  # Blender's camera looks along −z, y up
@@ -45,15 +46,14 @@ class Moment:
 
 
 def moments(start: int, end: int, every: int, between: int, fps: float, truth: bool = True) -> list[Moment]:
-    """All frames of the export, in order; the range ends with what can follow the last rendered frame."""
+    """All frames of the export, in order: of the frames `start` … `end`, up to the end of the last one's duration."""
     found = []
-    for k, rendered in enumerate(range(start, end + 1, every)):
+    for rendered in range(start, end + 1, every):
         for j in range(between + 1):
             scene_frame = rendered + every * j / (between + 1)
-            if scene_frame > end + 1 - every / (between + 1) + 1e-9 and j:
-                break
-            kind = KINDS[0] if j == 0 else KINDS[1] if truth else KINDS[2]
-            found.append(Moment(k * (between + 1) + j, scene_frame, (scene_frame - start) / fps, kind))
+            if scene_frame < end + 1:
+                kind = KINDS[0] if j == 0 else KINDS[1] if truth else KINDS[2]
+                found.append(Moment(len(found), scene_frame, (scene_frame - start) / fps, kind))
     return found
 
 
@@ -66,71 +66,75 @@ def export(
     truth: bool = True,
     overwrite: bool = False,
 ) -> None:
-    """Render the current scene into the folder `out`. `start` and `end` default to the scene's range, `between` to
-    every − 1; without `truth`, frames in between are cameras only."""
+    """Render the current scene, whose settings are changed, into the folder `out`. `start` and `end` default to the
+    scene's range, `between` to every − 1; without `truth`, frames in between are cameras only."""
     scene = bpy.context.scene
     between = every - 1 if between is None else between
     start, end = (scene.frame_start if start is None else start), (scene.frame_end if end is None else end)
     _require(scene, start, end, every, between)
+    data = _prepare(scene, every)
+    frames = moments(start, end, every, between, scene.render.fps / scene.render.fps_base, truth)
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    color, data = _prepare(scene, every)
-    every_frame = moments(start, end, every, between, scene.render.fps / scene.render.fps_base, truth)
-    frames = []
-    for moment in every_frame:
-        _set_time(scene, moment.scene_frame / every)
-        frames.append(_described(scene, moment))
+    _write_cameras(scene, out / "cameras.json", frames, every, overwrite)
+    for moment in frames:
         if moment.kind != "camera_only" and (overwrite or not (out / moment.file).exists()):
-            _render(scene, out / moment.file, color, data if moment.kind == "rendered" else None)
+            _set_time(scene, moment.scene_frame / every)
+            data.use = moment.kind == "rendered"
+            _render(scene, out / moment.file)
             print(f"{moment.file}: {moment.kind}, frame {moment.scene_frame:g}", flush=True)
-    width, height = _size(scene)
-    document = {"width": width, "height": height, "frames": frames}
-    _written(out / "cameras.json", lambda path: path.write_text(json.dumps(document, indent=1) + "\n"))
 
 
 def _require(scene, start: int, end: int, every: int, between: int) -> None:
-    if scene.render.engine != "CYCLES":
-        raise SystemExit(f"the render engine is {scene.render.engine} (expected CYCLES: others have no exact vectors)")
+    render = scene.render
+    if render.engine != "CYCLES":
+        raise SystemExit(f"the render engine is {render.engine} (expected CYCLES: only its vectors are exact)")
     if scene.camera is None or scene.camera.data.type != "PERSP":
         raise SystemExit("the scene needs an active camera with a perspective lens")
     if not (1 <= every <= _MOST and between >= 0 and start <= end):
         raise SystemExit(f"expected 1 ≤ every ≤ {_MOST}, between ≥ 0 and start ≤ end")
-    if scene.render.use_border or scene.render.use_multiview:
-        raise SystemExit("render regions and stereo cannot be exported: switch them off")
+    if render.use_border or render.use_multiview:
+        raise SystemExit("a render region or stereo cannot be exported: switch it off")
+    if render.pixel_aspect_x != render.pixel_aspect_y:
+        raise SystemExit("pixels must be square: Blender cannot write others to multi-part EXR")
+    if render.frame_map_old != render.frame_map_new:
+        raise SystemExit("the scene stretches time: set Time Stretching's Old and New to the same value")
 
 
-def _prepare(scene, every: int):
-    """Passes, samples and time. Returns the view layers of colour and of data."""
+def _prepare(scene, every: int) -> bpy.types.ViewLayer:
+    """Set passes, samples, output and time. Returns the view layer of data."""
     color = bpy.context.view_layer
     for layer in scene.view_layers:
-        layer.use = False
-    data = scene.view_layers.get(LAYER) or scene.view_layers.new(LAYER)
+        layer.use = layer == color
+    data = scene.view_layers.new("Data")
+    for name in ("use_solid", "use_strand", "use_volumes", "material_override"):
+        setattr(data, name, getattr(color, name))
     _copy_visibility(color.layer_collection, data.layer_collection)
     _only_passes(color, "combined")
     _only_passes(data, "z", "vector")
-    if scene.cycles.use_layer_samples == "IGNORE":
+    cycles, render = scene.cycles, scene.render
+    if cycles.use_layer_samples == "IGNORE":
         color.samples = 0
-    data.samples = 1  # the first sample is the pixel's centre, and the passes are means over samples
-    scene.cycles.use_layer_samples = "USE"
+    cycles.use_layer_samples = "USE"
+    data.samples = 1  # passes are means over samples, of which the first lies at the pixel's centre
+    cycles.sample_offset = 0
     data.cycles.use_denoising = False
-    for one in bpy.data.objects:  # off, an object has no vectors either
+    for one in bpy.data.objects:  # of the camera: else its part of the vectors is missing
         one.cycles.use_motion_blur = one.cycles.use_deform_motion = True
-    render = scene.render
-    render.use_motion_blur = False  # with it, vectors are zero
+    render.use_motion_blur = False  # with it, all vectors are zero
     if scene.camera.data.dof.use_dof:
-        print("depth of field is switched off: depth and vectors of one sample do not fit to it")
+        print("depth of field is switched off: depth and vectors cannot be out of focus")
         scene.camera.data.dof.use_dof = False
     render.use_compositing = render.use_sequencer = False
-    render.use_persistent_data = False
     render.frame_map_new = _MOST // every  # Blender's previous frame becomes the previous rendered one
     render.frame_map_old = every * render.frame_map_new
     settings = render.image_settings
     if hasattr(settings, "media_type"):  # Blender 5
         settings.media_type = "MULTI_LAYER_IMAGE"
-    settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "16"  # half for colours, float for the rest
-    settings.exr_codec = "ZIP"
+    settings.file_format, settings.exr_codec = "OPEN_EXR_MULTILAYER", "ZIP"
+    settings.color_depth = "16"  # of colours: depth and vectors are float all the same
     render.use_file_extension = False
-    return color, data
+    return data
 
 
 def _only_passes(layer, *wanted: str) -> None:
@@ -162,13 +166,24 @@ def _size(scene) -> tuple[int, int]:
     )
 
 
+def _write_cameras(scene, path: Path, frames: list[Moment], every: int, overwrite: bool) -> None:
+    described = []
+    for moment in frames:
+        _set_time(scene, moment.scene_frame / every)
+        described.append(_described(scene, moment))
+    width, height = _size(scene)
+    text = json.dumps({"width": width, "height": height, "frames": described}, indent=1) + "\n"
+    if path.exists() and path.read_text() != text and not overwrite:
+        raise SystemExit(f"{path.parent} holds another export: choose another folder, or --overwrite")
+    _whole(path, lambda part: part.write_text(text))
+
+
 def _described(scene, moment: Moment) -> dict:
-    """The frame with its camera, pixels from the top left corner, as `cameras.json` has it."""
+    """The frame with its camera: x right, y down, z forward; pixels from the top left corner."""
     width, height = _size(scene)
     graph = bpy.context.evaluated_depsgraph_get()
     camera = scene.camera.evaluated_get(graph)
-    aspect = {"scale_x": scene.render.pixel_aspect_x, "scale_y": scene.render.pixel_aspect_y}
-    projection = camera.calc_matrix_camera(graph, x=width, y=height, **aspect)
+    projection = camera.calc_matrix_camera(graph, x=width, y=height)
     return {
         "frame": moment.index,
         "file": None if moment.kind == "camera_only" else moment.file,
@@ -191,18 +206,15 @@ def _world_to_view(camera_to_world: np.ndarray) -> np.ndarray:
     return _VIEW_AXES @ np.linalg.inv(pose)
 
 
-def _render(scene, path: Path, color, data) -> None:
-    color.use = True
-    scene.view_layers[LAYER].use = data is not None
-
-    def render(path: Path) -> None:
-        scene.render.filepath = os.fspath(path.absolute())
+def _render(scene, path: Path) -> None:
+    def render(part: Path) -> None:
+        scene.render.filepath = os.fspath(part.absolute())
         bpy.ops.render.render(write_still=True)
 
-    _written(path, render)
+    _whole(path, render)
 
 
-def _written(path: Path, write) -> None:
+def _whole(path: Path, write) -> None:
     """A file is whole or not there at all."""
     part = path.with_name(f".{path.name}.part")
     write(part)
@@ -210,7 +222,8 @@ def _written(path: Path, write) -> None:
 
 
 def main(argv: list[str]) -> None:
-    before, _, after = _split(argv)
+    at = argv.index("--") if "--" in argv else len(argv)
+    before, after = argv[:at], argv[at + 1 :]
     parser = argparse.ArgumentParser("export_gffe.py", description=__doc__.partition("\n")[0])
     parser.add_argument("out", help="folder to write")
     parser.add_argument("--every", type=int, default=1, help="every so many frames of the scene are rendered")
@@ -225,11 +238,6 @@ def main(argv: list[str]) -> None:
             parser.error("expected: export_gffe.py scene.blend -- OUT …")
         bpy.ops.wm.open_mainfile(filepath=before[0])
     export(given.out, given.every, given.between, given.start, given.end, not given.no_truth, given.overwrite)
-
-
-def _split(argv: list[str]) -> tuple[list[str], str, list[str]]:
-    at = argv.index("--") if "--" in argv else len(argv)
-    return argv[:at], "--", argv[at + 1 :]
 
 
 if __name__ == "__main__":
