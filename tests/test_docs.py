@@ -77,6 +77,7 @@ def test_commands_that_prose_names_exist():
 
 def test_options_that_prose_names_exist():
     others = {"--logdir", "--nproc-per-node", "--write", "--editable", "--all-files", "--scene"}  # of other programs
+    others |= {"--python", "--every", "--between", "--no-truth", "--overwrite"}  # of Blender and its script
     known = {f for c in get_command(app).commands.values() for p in c.params for f in (*p.opts, *p.secondary_opts)}
     for name, text in TEXTS.items():
         assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) - {"--help", *others} <= known, name
