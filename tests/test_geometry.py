@@ -202,7 +202,7 @@ def test_seven_frames_from_one(device):
 
 
 def test_polynomial_follows_acceleration(device):
-    """Constant acceleration: order 2 predicts what order 1 misses."""
+    """Constant acceleration: order 2 predicts what order 1 misses, and so does order 1 with acceleration."""
     cam = camera(W, H)
 
     def frame(k, reset=False):
@@ -214,7 +214,7 @@ def test_polynomial_follows_acceleration(device):
         return f, scene
 
     errors = []
-    for options in (Options(history=3, order=1), Options(history=3, order=2)):
+    for options in (Options(acceleration=False), Options(history=3, order=2), Options()):
         pipeline = Pipeline(device, W, H, options)
         for k in range(6, 12):
             pipeline.submit(frame(k, k == 6)[0])
@@ -223,7 +223,7 @@ def test_polynomial_follows_acceleration(device):
         truth = frame(12)[0]
         both = near & (truth.depth < 10)
         errors.append(np.abs(out.numpy("motion") - truth.motion)[both].mean())
-    assert errors[1] < 0.02 and errors[0] > 0.1, errors
+    assert max(errors[1:]) < 0.02 and errors[0] > 0.1, errors
 
 
 def test_threshold_follows_quantised_motion(device):
