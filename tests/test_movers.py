@@ -39,10 +39,10 @@ def rotor(rate):
 BARS = [Group([Box((x, 1, 0.9), (0.07, 2, 0.07), GREY) for x in np.arange(-1.5, 1.6, 0.3)])]
 # By name: groups, and by how many dB at t + ½ and t + 1 linear prediction is beaten at least.
 CASES = {
-    "a ball that flies": (ball(FLIGHT), 0.03, 0.2),
+    "a ball that flies": (ball(FLIGHT), 0.03, 0.1),
     "a ball that bounces": (ball(Place(-1.2, 0.3, 0) @ Carry((2.4, 0, 0), 1.0) @ Bounce(0.7, 0.45)), 0.1, 0.3),
     "a ball that rolls and stops": (ball(Place(-0.6, 0.3, 0) @ Stops()), -0.03, -0.03),
-    "a rotor": (rotor(240), 0.05, 0.3),
+    "a rotor": (rotor(240), 0.05, 0.15),
     "a fast rotor": (rotor(720), 1.0, 1.0),
     "swinging legs": ([leg(-0.2, 0, 0.0), leg(0.3, 0.2, 0.5)], 0.0, 0.03),
     "a ball behind bars": (ball(FLIGHT) + BARS, -0.03, 0.0),

@@ -26,8 +26,8 @@ def counted(device, **options):
 
 
 def test_bytes_per_pixel_are_those_of_the_buffers(device):
-    """Counted by hand: prediction reads depth, mask, where dynamic fragments were and how cells accelerate, and writes a
-    position; …"""
+    """Counted by hand: prediction reads depth, mask, where dynamic fragments were and how their cells accelerate, and
+    writes a position; …"""
     _, shares, moved = counted(device, levels=0, hole_filling="none")
     assert 0.05 < shares["dynamic"] < 0.5 and 0 < shares["disoccluded"] < 0.5 and shares["remembered"] == 0
     assert moved["prediction"]["predict_positions"] == pytest.approx(
