@@ -26,6 +26,12 @@ inline Mover mover_of_cell(const int cell_x, const int cell_y, const int source_
                            const Reprojection from_previous) {
     const int end_x = min((cell_x + 1) * CELL, source_width), end_y = min((cell_y + 1) * CELL, source_height);
     Mover mover = {(float3)(0.0f), (float2)(0.0f), 0.0f, 0.0f};
+    if (end_x - cell_x * CELL == CELL && end_y - cell_y * CELL == CELL) {
+        __global const uchar *row = dynamic_mask + cell_y * CELL * source_width + cell_x * CELL;
+        const uchar4 any = vload4(0, row) | vload4(0, row + source_width) | vload4(0, row + 2 * source_width)
+                           | vload4(0, row + 3 * source_width);
+        if (as_uint(any) == 0) return mover;
+    }
     float nearest = INFINITY;
     for (int src_y = cell_y * CELL; src_y < end_y; ++src_y)
         for (int src_x = cell_x * CELL; src_x < end_x; ++src_x) {
