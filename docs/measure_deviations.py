@@ -89,6 +89,7 @@ GAE: dict[str, Change] = {
     "the surface met at x' is checked": Change(
         constants={"history.cl": {"DEPTH_TOLERANCE": "1e30f", "SEARCH_RADIUS": "0"}}
     ),
+    "movers' acceleration goes on": Change({"acceleration": False}),
     "nothing is collected after a reset": Change(
         edits={"background.cl": {"taken = collect ? shown : 0;": "taken = shown;"}}
     ),

@@ -116,6 +116,10 @@ class Options:
         1, "prediction order", "m: degree of the position prediction, below the history; 1 is linear, the paper's.",
         low=1, high=MAX_ORDER, flag="--order",
     )  # fmt: skip
+    acceleration: bool = _option(
+        True, "acceleration", "Movers' paths bend on as they have, beside the linear prediction of order 1.",
+        flag="--no-acceleration", needs="motion",
+    )  # fmt: skip
     static_threshold: float | None = _option(
         None, "static threshold", "ε: pixels of motion from which a fragment is dynamic; auto follows the noise of the"
         " motion vectors.", kind=float, low=0.0, high=1e6, usual_high=8.0, unit="pixels", automatic="auto",

@@ -28,6 +28,7 @@ from gffe_cl.frame import (
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
 from gffe_cl.stage import Board, Output, Stage, Step
+from gffe_cl.stages.acceleration import Acceleration
 from gffe_cl.stages.background import Background
 from gffe_cl.stages.blocks import Blocks
 from gffe_cl.stages.correction import ShadingCorrection
@@ -92,6 +93,7 @@ _LIKE = {"gae": "color"}  # what is described like another buffer
 # In the order in which they work, on rendered frames and on new ones.
 STAGES: tuple[type[Stage], ...] = (
     HistoryTracking,
+    Acceleration,
     Surfaces,
     PositionPrediction,
     Blocks,

@@ -1,20 +1,33 @@
 /* Position prediction (paper: 'Position estimation'): NP = P_0 + alpha (P_0 - P_1), or the polynomial of order m
    through P_0 ... P_m at their real times. Static fragments, LANES at once, are only reprojected; P_1 is where the fragment's
-   motion points to in the frame before, at the depth met there. */
+   motion points to in the frame before, at the depth met there. What acceleration.cl trusts of a mover's acceleration is added to
+   the linear prediction. */
 
 #include "common.h"
 #include "wide.h"
+#include "cells.h"
 
 /* weights[o - 1][i - 1]: factor of (P_i - P_0) in the polynomial of order o <= 4. */
 typedef struct { float4 order1, order2, order3, order4; } Polynomial;
 
 #define NOWHERE -1.0e9f  /* px: far off any image */
 
+/* What acceleration adds to the position of a fragment after alpha intervals. */
+inline float3 bend(const int src_x, const int src_y, const int source_width, const float z, const float alpha,
+                   __global const float4 *velocity, __global const float4 *acceleration) {
+    const int cell = cell_of(src_x, src_y, source_width);
+    const float4 a = acceleration[cell];
+    if (!(a.w > 0.0f) || !is_of_cell(z, velocity[cell].w)) return (float3)(0.0f);
+    return (alpha * (alpha + 1.0f) * a.w) * a.xyz;
+}
+
 /* (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */
 inline float3 predicted_position(const int src_x, const int src_y, const int source_width, const int source_height,
-                                 const int order, __global const float *depth, __global const float2 *motion,
-                                 __global const uchar *dynamic_mask, __global const float *met_depth,
-                                 __global const float4 *history, const Polynomial polynomial, const Reprojection from_previous,
+                                 const int order, const int bends, const float alpha, __global const float *depth,
+                                 __global const float2 *motion, __global const uchar *dynamic_mask,
+                                 __global const float *met_depth, __global const float4 *history,
+                                 __global const float4 *velocity, __global const float4 *acceleration,
+                                 const Polynomial polynomial, const Reprojection from_previous,
                                  const Reprojection to_target) {
     const int src = src_y * source_width + src_x, plane = source_width * source_height;
     const float z = depth[src];
@@ -34,6 +47,7 @@ inline float3 predicted_position(const int src_x, const int src_y, const int sou
     if (known > 0) {
         const float3 p1_prev = unproject(pixel_centre(src_x, src_y) + motion[src], met_depth[src], from_previous.source_inverse);
         predicted += weight[0] * (move_to_target(p1_prev, from_previous) - p0);
+        if (bends) predicted += bend(src_x, src_y, source_width, z, alpha, velocity, acceleration);
     }
     for (int k = 1; k < known; ++k) predicted += weight[k] * (history[k * plane + src].xyz - p0);
     const float3 target_pos = move_to_target(predicted, to_target);
@@ -41,12 +55,14 @@ inline float3 predicted_position(const int src_x, const int src_y, const int sou
     return (float3)(project(target_pos, to_target.target), target_pos.z);
 }
 
-/* target_position: planes of x, y and depth. */
+/* target_position: planes of x, y and depth. `bends`: whether velocity and acceleration are known, of cells. */
 WIDE __kernel void predict_positions(const int source_width, const int source_height, const int order,
-                                     __global const float *depth, __global const float2 *motion,
-                                     __global const uchar *dynamic_mask, __global const float *met_depth,
-                                     __global const float4 *history, const Polynomial polynomial,
-                                     const Reprojection from_previous, const Reprojection to_target, __global float *target_position) {
+                                     const int bends, const float alpha, __global const float *depth,
+                                     __global const float2 *motion, __global const uchar *dynamic_mask,
+                                     __global const float *met_depth, __global const float4 *history,
+                                     __global const float4 *velocity, __global const float4 *acceleration,
+                                     const Polynomial polynomial, const Reprojection from_previous,
+                                     const Reprojection to_target, __global float *target_position) {
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x, plane = source_width * source_height;
@@ -64,8 +80,9 @@ WIDE __kernel void predict_positions(const int source_width, const int source_he
     if (whole && !movers) return;
     for (int k = src; k < src + min(LANES, source_width - src_x); ++k) {
         if (whole && !dynamic_mask[k]) continue;
-        const float3 place = predicted_position(src_x + k - src, src_y, source_width, source_height, order, depth, motion,
-                                                dynamic_mask, met_depth, history, polynomial, from_previous, to_target);
+        const float3 place = predicted_position(src_x + k - src, src_y, source_width, source_height, order, bends, alpha, depth,
+                                                motion, dynamic_mask, met_depth, history, velocity, acceleration, polynomial,
+                                                from_previous, to_target);
         target_position[k] = place.x;
         target_position[plane + k] = place.y;
         target_position[2 * plane + k] = place.z;

@@ -13,6 +13,8 @@
 #define GROW 2                   /* px around dynamic or nearer fragments where colours may be mixed with theirs */
 #define NEARER 0.9f
 
+#define REACH 2                  /* px around a pixel that are looked at: GROW, and 2 for links */
+
 /* A rendered frame and a place in it: pixels from (x, y) on. `inner`: all that is looked at lies inside. */
 typedef struct {
     int width, height, x, y;
@@ -127,7 +129,7 @@ WIDE __kernel void find_surfaces(const int source_width, const int source_height
                                  __global const uchar *dynamic_mask, __global uchar *links, __global uchar *unmixed) {
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
-    const bool inner = src_x >= GROW && src_x + LANES + GROW <= source_width && src_y >= GROW && src_y + GROW < source_height;
+    const bool inner = src_x >= REACH && src_x + LANES + REACH <= source_width && src_y >= REACH && src_y + REACH < source_height;
     Place p = {source_width, source_height, src_x, src_y, inner, depth, dynamic_mask};
     if (inner) {
         p.inner = true;

@@ -202,7 +202,7 @@ def test_seven_frames_from_one(device):
 
 
 def test_polynomial_follows_acceleration(device):
-    """Constant acceleration: order 2 predicts what order 1 misses."""
+    """Constant acceleration: order 2 predicts what order 1 misses, and so does order 1 with acceleration."""
     cam = camera(W, H)
 
     def frame(k, reset=False):
@@ -214,7 +214,7 @@ def test_polynomial_follows_acceleration(device):
         return f, scene
 
     errors = []
-    for options in (Options(history=3, order=1), Options(history=3, order=2)):
+    for options in (Options(acceleration=False), Options(history=3, order=2), Options()):
         pipeline = Pipeline(device, W, H, options)
         for k in range(6, 12):
             pipeline.submit(frame(k, k == 6)[0])
@@ -223,18 +223,20 @@ def test_polynomial_follows_acceleration(device):
         truth = frame(12)[0]
         both = near & (truth.depth < 10)
         errors.append(np.abs(out.numpy("motion") - truth.motion)[both].mean())
-    assert errors[1] < 0.02 and errors[0] > 0.1, errors
+    assert max(errors[1:]) < 0.02 and errors[0] > 0.1, errors
 
 
-def test_threshold_follows_quantised_motion(device):
-    """Motion rounded to 1.5 px must not make the static world dynamic; a mover stays dynamic."""
+@pytest.mark.parametrize("pace", [1.0, 0.15])
+def test_threshold_follows_quantised_motion(device, pace):
+    """Motion rounded to 1.5 px must not make the static world dynamic, be it that the camera is slow and most vectors
+    are equal; a mover stays dynamic."""
     fractions = []
     for step in (None, 1.5):
         pipeline = Pipeline(device, W, H)
         previous = None
         scene = Rects([WALL, Rect((0, 0, 6), (0.8, 0.8), velocity=(12, 0, 0))])
         for k in range(3):
-            cam = camera(W, H, (0.11 * k, 0.02 * k, 0.2 * k), 0.02 * k)
+            cam = camera(W, H, (0.11 * k * pace, 0.02 * k * pace, 0.2 * k * pace), 0.02 * k * pace)
             frame = scene.frame(cam, k / 30, W, H, previous, reset=k == 0)
             if step:
                 frame.motion = (np.round(frame.motion / step) * step).astype(np.float32)

@@ -60,15 +60,21 @@ def run(device, width, height, options, int64=None, target=None, spoil=True):
 OPTIONS = [
     Options(shading_inputs=True, blocks=False),  # blocks: test_blocks.py
     Options(history=4, order=3, levels=3, blocks=False),
-    Options(hole_filling="push-pull", blocks=False),
+    Options(hole_filling="push-pull", blocks=False, acceleration=False),
     Options(crack_closing=False, static_threshold=0.7, levels=0, hole_filling="downsample"),
 ]
 
 
 def _state(pipeline, frame):
-    """What the next frame starts from: dynamic mask, history, background levels; `frame`: the last one."""
+    """What the next frame starts from: dynamic mask, history, background levels, movers; `frame`: the last one."""
     history = pipeline.stages["history"]
-    return history.read("dynamic_mask"), _planes(history), _levels(pipeline, frame)
+    return history.read("dynamic_mask"), _planes(history), _levels(pipeline, frame), _movers(pipeline)
+
+
+def _movers(pipeline):
+    """Velocity and acceleration of cells, None where that is off."""
+    stage = pipeline.stages.get("acceleration")
+    return stage and (stage.read("velocity"), stage.read("acceleration"))
 
 
 def _levels(pipeline, frame):
@@ -106,7 +112,7 @@ def test_stages_equal_their_twins(device, options, size, target):
         threshold = twins.noise_threshold_squared(histogram)
     assert pipeline.stages["history"].read("static_threshold_squared") == threshold
 
-    dynamic_before, history_before, levels_before = before
+    dynamic_before, history_before, levels_before, movers_before = before
     dynamic, met_depth, history = twins.track_history(
         depth,
         motion,
@@ -127,7 +133,22 @@ def test_stages_equal_their_twins(device, options, size, target):
     times = [f.time for f in reversed(seen)]
     to_target = reprojection(now.camera, to)
     weights = polynomial_weights(times, time, 4)
-    predicted = twins.predict_positions(depth, dynamic, history, options.order, weights, to_target)
+    movers = _movers(pipeline)
+    assert bool(movers) == (options.acceleration and options.order == 1)
+    if movers:
+        ratio = np.float32((times[0] - times[1]) / (times[1] - times[2]))
+        turned = to_previous, reprojection(past.camera, now.camera)
+        met = pipeline.stages["history"].read("met_depth")
+        expected = twins.track_acceleration(depth, motion, dynamic, met, *movers_before, ratio, *turned)
+        assert np.array_equal(movers[0][..., 3] > 0, expected[0][..., 3] > 0)
+        assert np.array_equal(movers[1][..., 3] < 0, expected[1][..., 3] < 0)
+        assert (movers[1][..., 3] > 0).mean() > 0.01
+        for got, wanted in zip(movers, expected, strict=True):
+            np.testing.assert_allclose(got[..., :3], wanted[..., :3], atol=2e-5)
+        np.testing.assert_allclose(movers[1][..., 3], expected[1][..., 3], atol=0.02)  # of small accelerations
+    predicted = twins.predict_positions(
+        depth, dynamic, history, options.order, weights, to_target, extrapolated.alpha, movers
+    )
     got = pipeline.stages["prediction"].read("target_position")
     assert np.array_equal(got[..., 2] > 0, predicted[..., 2] > 0)
     assert_close(got, predicted)
@@ -221,14 +242,15 @@ def test_five_runs_give_the_same_bits(device):
         assert bits == first
 
 
-def test_devices_agree():
+@pytest.mark.parametrize("options", [Options(history=3, order=2), Options()], ids=["order 2", "acceleration"])
+def test_devices_agree(options):
     """All usable devices give the same bits in every buffer that can be compared."""
     infos = [info for info in list_devices() if info.works and info.platform != "Oclgrind"]
     if len(infos) < 2:
         pytest.skip("needs two devices")
     results = []
     for info in infos:
-        pipeline = run(open_info(info), 96, 64, Options(history=3, order=2))[0]
+        pipeline = run(open_info(info), 96, 64, options)[0]
         results.append({f"{s.name}.{b.name}": s.read(b.name) for s, b in pipeline.named_buffers()})
     for name, first in results[0].items():
         for other in results[1:]:

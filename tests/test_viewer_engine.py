@@ -277,6 +277,7 @@ def test_options_change_what_they_should(device):
         "motion": (False, {"final", "history.dynamic_mask", "prediction.target_position"}, {"rendered.depth"}),
         "static_threshold": (40.0, {"history.dynamic_mask", "frame.dynamic"}, {"rendered.motion"}),
         "history": (4, set(), upto_submit | {"final"}),
+        "acceleration": (False, {"prediction.target_position"}, upto_submit),
         "levels": (1, set(), {"history.met_depth", "surfaces.links", "background.color_0", "background.px_0"}),
         "shading_inputs": (False, set(), upto_submit | {"final", "background.color_1"}),
     }
@@ -291,7 +292,7 @@ def test_options_change_what_they_should(device):
             for layer in same:
                 assert after[layer].tobytes() == before[layer].tobytes(), (name, layer)
             seen[name] = set(after)
-        order = Options(history=4, order=2)
+        order = Options(history=4, order=2, acceleration=False)
         assert ask(engine, 13, Setup(replace(order, order=1)), "all").images["history.history"].shape == (3, H, W, 4)
         predicted = [ask(engine, 13, Setup(replace(order, order=o)), "all").images for o in (1, 2)]
         assert np.abs(np.subtract(*(p["prediction.target_position"][..., :2] for p in predicted))).max() > 0.01
@@ -399,13 +400,14 @@ def test_inspection_equals_the_whole_buffers(device, tmp_path):
             source = images["frame.motion"][y, x] + (x + 0.5, y + 0.5)
             assert seen.pixel == (x, y) and seen.slot == 13 and seen.source == pytest.approx(source, abs=1e-4)
             sx, sy = np.floor(seen.source).astype(int)
-            places = {"target": (x, y), "source": (sx, sy), "level0": (sx, sy), "level1": (sx >> 1, sy >> 1)}
+            places = {"target": (x, y), "source": (sx, sy)}
+            places |= {f"level{level}": (sx >> level, sy >> level) for level in range(3)}
             places |= {"blocks": (x // 32, y // 32), "network": (x // 2, y // 2)}
             places |= {"target_blocks": (x // 8, y // 4), "source_blocks": (sx // 8, sy // 4)}
             outside = not (0 <= sx < W and 0 <= sy < H)
             for name, image in images.items():
                 spec = specs[name]
-                if outside and spec.grid in ("source", "source_blocks", "level0", "level1"):
+                if outside and spec.grid in ("source", "source_blocks", "level0", "level1", "level2"):
                     assert name not in seen.values
                     continue
                 px, py = places[spec.grid]
@@ -860,6 +862,14 @@ def test_stories_tell_of_the_fragment_that_landed(device):
         for story in told:
             assert story.dynamic == bool(dynamic[story.pixel[1], story.pixel[0]])
             np.testing.assert_allclose(story.trajectory[-1], np.add(story.pixel, 0.5), atol=0.5001)
+
+
+def test_stories_of_acceleration(device):
+    """The mover falls: nearly all of its acceleration lasts."""
+    with running(device, Clip()) as engine:
+        told = stories(engine, Setup(), 13, lambda i: (i["frame.filled_by"] == 0) & (i["frame.dynamic"] == 1))
+        bent = [story.sentences[-1] for story in told if "of its acceleration counts" in story.sentences[-1]]
+        assert len(bent) > len(told) / 2 and sum(int(said.split("%")[0]) > 80 for said in bent) > len(bent) / 2
 
 
 def test_stories_of_cracks_rendered_frames_and_no_motion(device):

@@ -13,13 +13,13 @@ from gffe_cl.opencl.program import constants
 F = np.float32
 INF = F(np.inf)
 COMMON = SimpleNamespace(**constants("common.h"))
-HISTORY, SURFACES, PREDICTION, BLOCKS, WARP, BACKGROUND, HOLES, SHADING, CORRECTION = (
+HISTORY, ACCELERATION, SURFACES, PREDICTION, BLOCKS, WARP, BACKGROUND, HOLES, SHADING, CORRECTION = (
     SimpleNamespace(**{name: F(value) if isinstance(value, float) else value for name, value in found.items()})
     for found in (
         constants(name)
         for name in (
-            *("history.cl", "surfaces.cl", "prediction.cl", "blocks.cl", "warp.cl", "background.cl"),
-            *("holes.cl", "previous.h", "correction.cl"),
+            *("history.cl", "acceleration.cl", "surfaces.cl", "prediction.cl", "blocks.cl", "warp.cl"),
+            *("background.cl", "holes.cl", "previous.h", "correction.cl"),
         )
     )
 )
@@ -84,7 +84,8 @@ def static_residual_squared(depth, motion, to_previous):
 
 
 def residual_histogram(depth, motion, to_previous):
-    """(2, 64) int32: of the squared residual, and of its squared change over 8 px diagonally."""
+    """(3, 64) int32: of the squared residual, and of its squared change over 8 px diagonally, where motion differs and
+    where it is the same."""
     height, width = depth.shape
     px = centres(height, width)
     where = reproject(px, depth, to_previous)
@@ -102,8 +103,10 @@ def residual_histogram(depth, motion, to_previous):
     sampled = np.zeros_like(use)
     sampled[::stride, ::stride] = True
     near, near_use = _shifted(residual, apart, apart, np.nan), _shifted(use, apart, apart, False)
-    with np.errstate(over="ignore"):
-        counts = histogram(residual[sampled & use]), histogram((residual - near)[sampled & use & near_use])
+    same = (motion == _shifted(motion, apart, apart, np.nan)).all(-1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        pairs, change = sampled & use & near_use, residual - near
+        counts = histogram(residual[sampled & use]), histogram(change[pairs & ~same]), histogram(change[pairs & same])
     return np.stack(counts).astype(np.int32)
 
 
@@ -112,12 +115,16 @@ def noise_threshold_squared(histogram, low=0.25, high=4.0):
         bin_ = int(np.argmax(np.cumsum(counts) >= share * counts.sum()))
         return np.array([(bin_ + 1 + HISTORY.RESIDUAL_FIRST_BIN) << 22], np.uint32).view(F)[0]
 
-    if histogram[0].sum() == 0:
+    residuals, changes, same_motion = histogram
+    if residuals.sum() == 0:
         return F(low * low)
-    noise = quantile(histogram[0], 0.25)
-    if histogram[1].sum():
-        noise = min(noise, quantile(histogram[1], 0.5))
-    return np.clip(F(16) * noise, F(low * low), F(high * high))
+    noise = quantile(residuals, 0.25)
+    pairs = changes.sum() + same_motion.sum()
+    if 3 * same_motion[HISTORY.PLATEAU_BIN :].sum() > pairs:
+        noise = min(F(36) * noise, quantile(changes, 0.75) if changes.sum() else INF)
+    else:
+        noise = F(16) * (min(noise, quantile(changes + same_motion, 0.5)) if pairs else noise)
+    return np.clip(noise, F(low * low), F(high * high))
 
 
 def _depth_met(px, expected, tolerance, depth_prev):
@@ -221,11 +228,84 @@ def track_history(
     return dynamic, met_depth, history
 
 
+# ---- acceleration --------------------------------------------------------------------------------------
+
+
+def _is_of_cell(z, cell_depth):
+    return abs(z - cell_depth) <= ACCELERATION.CELL_TOLERANCE * cell_depth
+
+
+def _mover_of_cell(inside, p0, p1, px_prev, depth, met_depth):
+    """Mean velocity, position and depths of the nearest mover among pixels `inside`; None if there is none."""
+    nearest = min((depth[at] for at in inside), default=INF)
+    of_it = [at for at in inside if _is_of_cell(depth[at], nearest)]
+    if not of_it:
+        return None
+    count = F(len(of_it))
+    return [sum((a[at] for at in of_it), F(0)) / count for a in (p0 - p1, px_prev, depth, met_depth)]
+
+
+def _trust(velocity, found, before):
+    size, speed = (found * found).sum(), ACCELERATION.BEND_MOST**2 * (velocity * velocity).sum()
+    if not size > 0:
+        return F(0)
+    lasted = np.clip((found * before).sum() / size, F(0), F(1))
+    return lasted * (speed / size) if size > speed else lasted
+
+
+def track_acceleration(
+    depth, motion, dynamic, met_depth, velocity_prev, acceleration_prev, ratio, to_previous, from_previous
+):
+    """Velocity and depth, acceleration and trust of cells, (⌈H/4⌉, ⌈W/4⌉, 4) each."""
+    side, (height, width) = ACCELERATION.CELL, depth.shape
+    cells = -(-height // side), -(-width // side)
+    velocity, acceleration = np.zeros((*cells, 4), F), np.zeros((*cells, 4), F)
+    acceleration[..., 3] = -1
+    known = (dynamic > 0) & (met_depth > 0)
+    px = centres(height, width)
+    with np.errstate(all="ignore"):
+        px_prev = px + motion
+        p0 = unproject(px, depth, to_previous[4])
+        p1 = move(unproject(px_prev, met_depth, from_previous[4]), from_previous)
+    for y, x in np.ndindex(cells):
+        rows, columns = range(side * y, min(side * y + side, height)), range(side * x, min(side * x + side, width))
+        inside = [(j, i) for j in rows for i in columns if known[j, i]]
+        mover = _mover_of_cell(inside, p0, p1, px_prev, depth, met_depth)
+        if mover is None:
+            continue
+        v, at, z, z_prev = mover
+        velocity[y, x] = (*v, z)
+        at = at / F(side) - F(0.5)
+        x0, y0 = map(int, np.floor(at))
+        was, before, weights, before_weights = np.zeros(3, F), np.zeros(3, F), F(0), F(0)
+        for tap in range(4):
+            i, j = x0 + (tap & 1), y0 + (tap >> 1)
+            if not (0 <= i < cells[1] and 0 <= j < cells[0]):
+                continue
+            v_prev, a_prev = velocity_prev[j, i], acceleration_prev[j, i]
+            if not v_prev[3] > 0 or not _is_of_cell(v_prev[3], z_prev):
+                continue
+            u, w = at - (x0, y0)
+            weight = F(u if tap & 1 else 1 - u) * F(w if tap >> 1 else 1 - w)
+            was, weights = was + weight * v_prev[:3], weights + weight
+            if a_prev[3] >= 0:
+                before, before_weights = before + weight * a_prev[:3], before_weights + weight
+        if not weights > 0:
+            continue
+        found = (v - ratio * rotate(was / weights, from_previous)) * (ratio / (1 + ratio))
+        trust = F(0)
+        if before_weights > 0:
+            trust = _trust(v, found, ratio * ratio * rotate(before / before_weights, from_previous))
+        acceleration[y, x] = (*found, trust)
+    return velocity, acceleration
+
+
 # ---- prediction ----------------------------------------------------------------------------------------
 
 
-def predict_positions(depth, dynamic, history, order, weights, to_target):
-    """(H, W, 3) float32: px in the target image, view depth (−1: nothing)."""
+def predict_positions(depth, dynamic, history, order, weights, to_target, alpha=0, movers=None):
+    """(H, W, 3) float32: px in the target image, view depth (−1: nothing). `movers`: velocity and acceleration of
+    cells, where acceleration is used."""
     px = centres(*depth.shape)
     out = reproject(px, depth, to_target)
     p0 = unproject(px, depth, to_target[4])
@@ -235,6 +315,16 @@ def predict_positions(depth, dynamic, history, order, weights, to_target):
         weight = np.where(known > 0, weights[np.maximum(known, 1) - 1, k], F(0))
         step = weight[..., None] * (history[k, ..., :3] - p0)
         predicted = np.where((known > k)[..., None], predicted + step, predicted)
+    if movers:
+        height, width = depth.shape
+        side = PREDICTION.CELL
+        velocity, acceleration = (a.repeat(side, 0).repeat(side, 1)[:height, :width] for a in movers)
+        with np.errstate(invalid="ignore"):
+            near = np.abs(depth - velocity[..., 3]) <= PREDICTION.CELL_TOLERANCE * velocity[..., 3]
+        bends = (known > 0) & near & (acceleration[..., 3] > 0)
+        alpha = F(alpha)
+        step = (alpha * (alpha + F(1)) * acceleration[..., 3:]) * acceleration[..., :3]
+        predicted = np.where(bends[..., None], predicted + step, predicted)
     target = move(predicted, to_target)
     moved = np.concatenate([project(target, to_target[5]), target[..., 2:]], -1)
     out[dynamic > 0] = moved[dynamic > 0]

@@ -49,8 +49,9 @@ class HistoryTracking(Stage):
             np.int32,
             tuple(f"bin{b}" for b in range(_CONSTANTS["RESIDUAL_BINS"])),
             "once",
-            "squared static residual, and its squared change over 8 px; two bins per octave",
-            planes=2,
+            "squared static residual, and its squared change over 8 px where motion differs and where it is the same;"
+            " two bins per octave",
+            planes=_CONSTANTS["HISTOGRAMS"],
         ),
         BufferSpec(
             "pending",
@@ -58,7 +59,7 @@ class HistoryTracking(Stage):
             (),
             "once",
             "the histograms while they are counted, and how many work-groups are done",
-            planes=2 * _CONSTANTS["RESIDUAL_BINS"] + 1,
+            planes=_CONSTANTS["HISTOGRAMS"] * _CONSTANTS["RESIDUAL_BINS"] + 1,
             scratch=True,
         ),
     )

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from gffe_cl.buffers import BufferSpec
 from gffe_cl.opencl.program import constants
-from gffe_cl.stage import Access, Kernel, Stage, Step, reprojection
+from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.acceleration import Acceleration
 
 MAX_ORDER = 4
 NOWHERE = constants("prediction.cl")["NOWHERE"]  # px
@@ -16,7 +18,7 @@ NOWHERE = constants("prediction.cl")["NOWHERE"]  # px
 
 class PositionPrediction(Stage):
     """Where every fragment will be at t + α, projected with the target camera: by the polynomial of degree m through
-    m + 1 positions; m = 1 is the paper's choice."""
+    m + 1 positions; m = 1 is the paper's choice, to which the acceleration of movers may be added."""
 
     name = "prediction"
     buffers = (
@@ -41,17 +43,29 @@ class PositionPrediction(Stage):
                 "dynamic_mask": "history.dynamic_mask",
                 "met_depth": Access("history.met_depth", "dynamic"),
                 "history": Access("history.history", "dynamic"),
+                "velocity": Access("acceleration.velocity", "dynamic"),
+                "acceleration": Access("acceleration.acceleration", "dynamic"),
             },
             {"target_position": "prediction.target_position"},
             step=("LANES", 1),
         ),
     )
 
+    def __init__(self, board: Board):
+        self.bends = Acceleration.name in board.stages
+        if not self.bends:  # it reads nothing of them
+            (predict,) = self.kernels
+            nothing = dict.fromkeys(("velocity", "acceleration"), Access("history.history", planes=0))
+            self.kernels = (replace(predict, reads={**predict.reads, **nothing}),)
+        super().__init__(board)
+
     def extrapolated(self, step: Step) -> None:
         before = step.previous or step.frame
         self.launch(
             "predict_positions",
             order=min(self.board.options.order, len(step.times) - 1),
+            bends=self.bends,
+            alpha=step.alpha,
             polynomial=polynomial_weights(step.times, step.time, MAX_ORDER),
             from_previous=reprojection(before.camera, step.frame.camera),
             to_target=reprojection(step.frame.camera, step.camera),

@@ -11,6 +11,7 @@ DISOCCLUDED, FILLED_BY, MIXED = "frame.disoccluded", "frame.filled_by", "frame.m
 
 # of stages
 HISTORY, MET_DEPTH, DYNAMIC_MASK = "history.history", "history.met_depth", "history.dynamic_mask"
+VELOCITY, ACCELERATION = "acceleration.velocity", "acceleration.acceleration"
 TARGET_POSITION = "prediction.target_position"
 FOCUS_MASK = "correction.focus_mask"
 

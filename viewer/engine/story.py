@@ -17,6 +17,8 @@ from gffe_cl.viewer.engine.buffers import Shot, device_layers, moved, pixel_valu
 
 _MIXED = 2 * constants("background.cl")["SAME_SURFACE"]  # relative depth within which texels of a level are mixed
 
+_CELLS = constants("cells.h")
+
 
 @dataclass(frozen=True)
 class Story:
@@ -155,8 +157,20 @@ class _Fragment:
         if (target := values.get(names.TARGET_POSITION)) is not None and target.flat[2] > 0:
             path.append(tuple(map(float, target.flat[:2])))
         used = min(len(known), pipeline.options.order) if shot.moment.alpha else -1
-        sentences = _fragment_sentences(pipeline, shot, depth, motion, dynamic, residual, threshold, used)
+        bend = _bend(pipeline, layers, at, depth) if used == 1 else 0.0
+        sentences = _fragment_sentences(pipeline, shot, depth, motion, dynamic, residual, threshold, used, bend)
         return cls(tuple(point for point in path if point), dynamic, residual, threshold, sentences)
+
+
+def _bend(pipeline, layers, at, depth: float) -> float:
+    """How much of its mover's acceleration counts for the fragment at source pixel `at`, 0 to 1."""
+    if names.ACCELERATION not in layers:
+        return 0.0
+    cell = (layers[name] for name in (names.VELOCITY, names.ACCELERATION))
+    where = (at[0] // _CELLS["CELL"], at[1] // _CELLS["CELL"], 1, 1)
+    values = read_blocks(pipeline, {layer.spec.name: (layer, *where) for layer in cell})
+    mover_depth, trust = (float(array.flat[3]) for array in values.values())
+    return max(trust, 0.0) if abs(depth - mover_depth) <= _CELLS["CELL_TOLERANCE"] * mover_depth else 0.0
 
 
 def _fragment_that_landed(pipeline, layers, at, pixel, inside: bool, dynamic: bool) -> tuple[int, int]:
@@ -181,7 +195,7 @@ def _residual(shot: Shot, px, depth: float, motion) -> float | None:
     return float(np.hypot(*(was - px - motion))) if z > 0 else None
 
 
-def _fragment_sentences(pipeline, shot, depth, motion, dynamic, residual, threshold, used) -> tuple[str, ...]:
+def _fragment_sentences(pipeline, shot, depth, motion, dynamic, residual, threshold, used, bend) -> tuple[str, ...]:
     if not depth > 0:
         return (f"Its depth ({depth:g}) is invalid, so nothing of it is splatted.",)
     if depth == np.inf:
@@ -203,6 +217,8 @@ def _fragment_sentences(pipeline, shot, depth, motion, dynamic, residual, thresh
     elif dynamic and used > 0:
         how = "linearly" if used == 1 else f"by a polynomial of order {used}"
         said.append(f"Predicted {how} from its last {used + 1} positions.")
+        if bend > 0:
+            said.append(f"{bend:.0%} of its acceleration counts too: so much of that there was before.")
     return tuple(said)
 
 

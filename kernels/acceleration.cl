@@ -1,0 +1,115 @@
+/* Acceleration of movers (beyond the paper: 'Position estimation' with a second-order term where it can be trusted).
+   The nearest mover of each cell has a mean velocity; its change since the frame before, met where the mover's motion points
+   to, is its acceleration. What noise and bad vectors feign does not last, nor what a mover does that bounces or stops: only
+   as much of it counts as there was an interval before. Cells without a mover are skipped. */
+
+#include "common.h"
+#include "cells.h"
+
+#define BEND_MOST 0.25f  /* an acceleration of more than this share of the velocity counts less, the more the larger it is */
+
+/* What a cell's fragments of one mover have in common. */
+typedef struct {
+    float3 velocity;  /* view space, world units per interval */
+    float2 px_prev;   /* where they were */
+    float depth, depth_prev;
+} Mover;
+
+inline bool is_known(const int src, __global const uchar *dynamic_mask, __global const float *met_depth) {
+    return dynamic_mask[src] && met_depth[src] > 0.0f;
+}
+
+/* The nearest mover of a cell; depth 0 if there is none. */
+inline Mover mover_of_cell(const int cell_x, const int cell_y, const int source_width, const int source_height,
+                           __global const float *depth, __global const float2 *motion, __global const uchar *dynamic_mask,
+                           __global const float *met_depth, const Reprojection to_previous,
+                           const Reprojection from_previous) {
+    const int end_x = min((cell_x + 1) * CELL, source_width), end_y = min((cell_y + 1) * CELL, source_height);
+    Mover mover = {(float3)(0.0f), (float2)(0.0f), 0.0f, 0.0f};
+    if (end_x - cell_x * CELL == CELL && end_y - cell_y * CELL == CELL) {
+        __global const uchar *row = dynamic_mask + cell_y * CELL * source_width + cell_x * CELL;
+        const uchar4 any = vload4(0, row) | vload4(0, row + source_width) | vload4(0, row + 2 * source_width)
+                           | vload4(0, row + 3 * source_width);
+        if (as_uint(any) == 0) return mover;
+    }
+    float nearest = INFINITY;
+    for (int src_y = cell_y * CELL; src_y < end_y; ++src_y)
+        for (int src_x = cell_x * CELL; src_x < end_x; ++src_x) {
+            const int src = src_y * source_width + src_x;
+            if (is_known(src, dynamic_mask, met_depth)) nearest = fmin(nearest, depth[src]);
+        }
+    if (isinf(nearest)) return mover;
+
+    float count = 0.0f;
+    for (int src_y = cell_y * CELL; src_y < end_y; ++src_y)
+        for (int src_x = cell_x * CELL; src_x < end_x; ++src_x) {
+            const int src = src_y * source_width + src_x;
+            if (!is_known(src, dynamic_mask, met_depth) || !is_of_cell(depth[src], nearest)) continue;
+            const float2 px = pixel_centre(src_x, src_y), px_prev = px + motion[src];
+            const float3 p1_prev = unproject(px_prev, met_depth[src], from_previous.source_inverse);
+            mover.velocity += unproject(px, depth[src], to_previous.source_inverse) - move_to_target(p1_prev, from_previous);
+            mover.px_prev += px_prev;
+            mover.depth += depth[src];
+            mover.depth_prev += met_depth[src];
+            count += 1.0f;
+        }
+    mover.velocity = mean_of(mover.velocity, count);
+    mover.px_prev = (float2)(divide(mover.px_prev.x, count), divide(mover.px_prev.y, count));
+    mover.depth = divide(mover.depth, count);
+    mover.depth_prev = divide(mover.depth_prev, count);
+    return mover;
+}
+
+/* How much of an acceleration counts, 0 to 1: what of it there was an interval before, and that it bends the path gently. */
+inline float trust(const float3 velocity, const float3 acceleration, const float3 before) {
+    const float3 va = velocity * velocity, aa = acceleration * acceleration, ab = acceleration * before;
+    const float size = aa.x + aa.y + aa.z, speed = BEND_MOST * BEND_MOST * (va.x + va.y + va.z);
+    if (!(size > 0.0f)) return 0.0f;
+    const float lasted = clamp(divide(ab.x + ab.y + ab.z, size), 0.0f, 1.0f);
+    return size > speed ? lasted * divide(speed, size) : lasted;
+}
+
+/* velocity: (xyz, view depth of the mover, 0: none). acceleration: per interval squared, such that after alpha intervals it
+   has added alpha (alpha + 1) of it; w: its trust, -1 where it is not known. `ratio`: of the last two intervals. */
+SPARSE __kernel void track_acceleration(const int source_width, const int source_height, const int level_width,
+                                        const int level_height, const float ratio,
+                                        __global const float *depth, __global const float2 *motion,
+                                        __global const uchar *dynamic_mask, __global const float *met_depth,
+                                        __global const float4 *velocity_prev, __global const float4 *acceleration_prev,
+                                        const Reprojection to_previous, const Reprojection from_previous,
+                                        __global float4 *velocity, __global float4 *acceleration) {
+    const int cell_x = get_global_id(0), cell_y = get_global_id(1);
+    if (cell_x >= level_width || cell_y >= level_height) return;
+    const int cell = cell_y * level_width + cell_x;
+    const Mover mover = mover_of_cell(cell_x, cell_y, source_width, source_height, depth, motion, dynamic_mask, met_depth,
+                                      to_previous, from_previous);
+    velocity[cell] = (float4)(mover.velocity, mover.depth);
+    acceleration[cell] = (float4)(0.0f, 0.0f, 0.0f, -1.0f);
+    if (!(mover.depth > 0.0f)) return;
+
+    const float per_px = 1.0f / (float)CELL;
+    const float fx = mover.px_prev.x * per_px - 0.5f, fy = mover.px_prev.y * per_px - 0.5f;
+    const int x0 = (int)floor(fx), y0 = (int)floor(fy);
+    float3 velocity_sum = (float3)(0.0f), before_sum = (float3)(0.0f);
+    float weight_sum = 0.0f, before_weight_sum = 0.0f;
+    for (int tap = 0; tap < 4; ++tap) {
+        const int tap_x = x0 + (tap & 1), tap_y = y0 + (tap >> 1);
+        if (!inside(tap_x, tap_y, level_width, level_height)) continue;
+        const float4 v = velocity_prev[tap_y * level_width + tap_x], a = acceleration_prev[tap_y * level_width + tap_x];
+        if (!(v.w > 0.0f) || !is_of_cell(v.w, mover.depth_prev)) continue;
+        const float weight = bilinear_weight(tap, fx - (float)x0, fy - (float)y0);
+        velocity_sum += weight * v.xyz;
+        weight_sum += weight;
+        if (a.w < 0.0f) continue;
+        before_sum += weight * a.xyz;
+        before_weight_sum += weight;
+    }
+    if (!(weight_sum > 0.0f)) return;
+    const float3 was = rotate_to_target(mean_of(velocity_sum, weight_sum), from_previous);
+    const float3 found = (mover.velocity - ratio * was) * divide(ratio, 1.0f + ratio);
+    float trusted = 0.0f;
+    if (before_weight_sum > 0.0f)
+        trusted = trust(mover.velocity, found,
+                        ratio * ratio * rotate_to_target(mean_of(before_sum, before_weight_sum), from_previous));
+    acceleration[cell] = (float4)(found, trusted);
+}
