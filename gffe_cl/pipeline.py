@@ -31,6 +31,7 @@ from gffe_cl.stage import Board, Output, Stage, Step
 from gffe_cl.stages.background import Background
 from gffe_cl.stages.blocks import Blocks
 from gffe_cl.stages.correction import ShadingCorrection
+from gffe_cl.stages.hidden import HiddenParts
 from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.holes import FILLINGS, HoleFilling
 from gffe_cl.stages.prediction import MAX_ORDER, PositionPrediction
@@ -96,6 +97,7 @@ STAGES: tuple[type[Stage], ...] = (
     PositionPrediction,
     Blocks,
     Warp,
+    HiddenParts,
     Background,
     HoleFilling,
     ShadingInputs,

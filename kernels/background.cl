@@ -562,7 +562,8 @@ INLINE float3 color_around(const int winner, const int texel_x, const int texel_
     return weight_sum > 0.01f ? mean_of(sum, weight_sum) : color_of(texels, winner);
 }
 
-/* Fills the pixels that remembered fragments won, RUN per work-item. */
+/* Fills the pixels that remembered fragments won, RUN per work-item. Of a makeshift and what is remembered, two estimates of one
+   surface, the mean is shown. */
 SCAN __kernel void fill_from_levels(const int source_width, const int source_height, const int4 starts, const int target_width,
                                     const int target_height, const float2 zoom, const Reprojection to_target,
                                     const Reprojection to_source, __global const half *frame_color,
@@ -581,6 +582,7 @@ SCAN __kernel void fill_from_levels(const int source_width, const int source_hei
         if (!(disoccluded[dst] | mixed[dst])) continue;
         const uint winner = winner_of(keys, winners, dst);
         if (winner == NOBODY) continue;
+        if (disoccluded[dst] && filled_by[dst] == BY_HIDDEN_PART) continue;
         if (disoccluded[dst] && inside_mover(dst_x, dst_y, target_width, target_height, disoccluded, is_dynamic, depth)) continue;
         const int level = level_of(winner, starts), start = start_of(level, starts), width = level_side(source_width, level);
         const int texel_x = ((int)winner - start) % width, texel_y = ((int)winner - start) / width;
@@ -592,8 +594,9 @@ SCAN __kernel void fill_from_levels(const int source_width, const int source_hei
         if (!lands(px_source, source_width, source_height)) continue;  /* out of screen: only the footprint reaches there */
         const float nearer = isinf(nearest_z) ? 1.0f : divide(z_winner, nearest_z);
         const float2 side = (float2)((float)(1 << level) * nearer * zoom.x, (float)(1 << level) * nearer * zoom.y);
-        store_color(color_around(winner, texel_x, texel_y, level_side(source_height, level), z_winner, side, centre, to_target,
-                                 texels), color, dst);
+        const float3 remembered = color_around(winner, texel_x, texel_y, level_side(source_height, level), z_winner, side, centre,
+                                               to_target, texels);
+        store_color(disoccluded[dst] ? remembered : 0.5f * (remembered + load_color(color, dst)), color, dst);
         filled_by[dst] = (uchar)(1 + level);
         if (!disoccluded[dst]) continue;
         depth[dst] = nearest_z;

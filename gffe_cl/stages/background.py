@@ -121,6 +121,8 @@ class Background(NearestStage):
                 "mixed": "frame.mixed",
                 "is_dynamic": Access("frame.dynamic", "disoccluded"),
                 "depth": Access("frame.depth", "disoccluded"),
+                "color": Access("frame.color", "mixed"),
+                "filled_by": Access("frame.filled_by", "disoccluded"),
             }
             | _levels("color depth px state", "holes")
             | _PROJECTED,
