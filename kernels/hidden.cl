@@ -1,7 +1,7 @@
 /* Hidden parts of movers: disocclusions that belong to a moving object, not to what is static behind it.
    What would fill one moves as the dynamic fragments beside it do, so its place in the rendered frame is known; and as the
-   warp brought nothing from there it was hidden. Where that frame shows nothing nearer at that place, the mover has no part
-   there, and the hole is left to the background.
+   warp brought nothing from there it was hidden, or its depth is invalid. Where that frame shows something at that place that
+   is not nearer, the mover has no part there, and the hole is left to the background.
    RUN pixels without a hole, or without a dynamic pixel within reach, are skipped at once. */
 
 #include "common.h"
@@ -57,7 +57,7 @@ inline int steps_to_mover(const int dst_x, const int dst_y, const int2 d, const 
     if (!(px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)f.source_width
           && px_source.y < (float)f.source_height)) return 0;
     const float z_shown = f.source_depth[(int)px_source.y * f.source_width + (int)px_source.x];
-    return z_shown > 0.0f && z_shown < HIDES * reproject(pixel_centre(x, y), z, f.to_source).z ? t : 0;
+    return INVALID_DEPTH(z_shown) || z_shown < HIDES * reproject(pixel_centre(x, y), z, f.to_source).z ? t : 0;
 }
 
 /* The direction, of those with `t` steps to a mover, in which the mover lies that the hole belongs to: one close by, or else the

@@ -119,8 +119,6 @@ class Background(NearestStage):
                 "frame_depth": Access("rendered.depth", "holes"),
                 "disoccluded": "frame.disoccluded",
                 "mixed": "frame.mixed",
-                "is_dynamic": Access("frame.dynamic", "disoccluded"),
-                "depth": Access("frame.depth", "disoccluded"),
                 "color": Access("frame.color", "mixed"),
                 "filled_by": Access("frame.filled_by", "disoccluded"),
             }

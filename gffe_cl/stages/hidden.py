@@ -8,7 +8,7 @@ _FILLED = {name: Access(f"frame.{name}", "hidden parts") for name in ("color", "
 
 
 class HiddenParts(Stage):
-    """Decides which disocclusions are a mover's own, hidden in the rendered frame, and continues the mover into them."""
+    """Decides which disocclusions are a mover's own, hidden in the rendered frame, and continues it into them."""
 
     name = "hidden"
     kernels = (
