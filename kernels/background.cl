@@ -533,11 +533,41 @@ INLINE float3 color_around(const int winner, const int texel_x, const int texel_
     return weight_sum > 0.01f ? mean_of(sum, weight_sum) : color_of(texels, winner);
 }
 
-/* Fills the pixels that remembered fragments won, RUN per work-item, but for movers' hidden parts. Of a makeshift and what is
-   remembered, two estimates of one surface, the mean is shown. */
+/* The frame before: of its pixels those that are SHOWN hold their own surface's colour only. */
+typedef struct {
+    int width, height;
+    __global const half *color;
+    __global const float *depth;
+    __global const uchar *state;
+    Reprojection to_previous;
+} Before;
+
+/* Colour of a static point in the frame before; false where that did not show its surface all around. */
+INLINE bool shown_before(const float2 centre, const float z, const Before before, float3 *rgb) {
+    const float3 px_prev = reproject(centre, z, before.to_previous);
+    if (!(px_prev.z > 0.0f && px_prev.x >= 0.5f && px_prev.y >= 0.5f && px_prev.x < (float)before.width - 0.5f
+          && px_prev.y < (float)before.height - 0.5f)
+        || before.state[(int)px_prev.y * before.width + (int)px_prev.x] != SHOWN) return false;
+    const int x0 = (int)(px_prev.x - 0.5f), y0 = (int)(px_prev.y - 0.5f);
+    const float u = px_prev.x - 0.5f - (float)x0, v = px_prev.y - 0.5f - (float)y0;
+    float3 sum = (float3)(0.0f);
+    for (int tap = 0; tap < 4; ++tap) {
+        const int i = (y0 + (tap >> 1)) * before.width + x0 + (tap & 1);
+        if (!is_same_surface(before.depth[i], px_prev.z, 2.0f * SAME_SURFACE * px_prev.z)) return false;
+        sum += bilinear_weight(tap, u, v) * load_color(before.color, i);
+    }
+    *rgb = sum;
+    return true;
+}
+
+/* Fills the pixels that remembered fragments won, RUN per work-item, but for movers' hidden parts. Where the frame before still
+   showed the surface its colour comes from there, at full resolution. Of a makeshift and what is remembered, two estimates of
+   one surface, the mean is shown. */
 SCAN __kernel void fill_from_levels(const int source_width, const int source_height, const int4 starts, const int target_width,
                                     const int target_height, const float2 zoom, const Reprojection to_target,
-                                    const Reprojection to_source, __global const half *frame_color,
+                                    const Reprojection to_source, const int has_previous, const Reprojection to_previous,
+                                    __global const half *color_prev, __global const float *depth_prev,
+                                    __global const uchar *state_prev, __global const half *frame_color,
                                     __global const float *frame_depth, __global const uint *levels_color,
                                     __global const float *levels_depth, __global const int *levels_px,
                                     __global const uchar *levels_state, __global const uchar *disoccluded,
@@ -548,6 +578,7 @@ SCAN __kernel void fill_from_levels(const int source_width, const int source_hei
     if (first_x >= target_width || dst_y >= target_height) return;
     const int first = dst_y * target_width + first_x;
     if (first_x + RUN <= target_width && run_is_zero(disoccluded + first) && run_is_zero(mixed + first)) return;
+    const Before before = {source_width, source_height, color_prev, depth_prev, state_prev, to_previous};
     for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
         const int dst = dst_y * target_width + dst_x;
         if (!(disoccluded[dst] | mixed[dst])) continue;
@@ -564,8 +595,10 @@ SCAN __kernel void fill_from_levels(const int source_width, const int source_hei
         if (!lands(px_source, source_width, source_height)) continue;  /* out of screen: only the footprint reaches there */
         const float nearer = isinf(nearest_z) ? 1.0f : divide(z_winner, nearest_z);
         const float2 side = (float2)((float)(1 << level) * nearer * zoom.x, (float)(1 << level) * nearer * zoom.y);
-        const float3 remembered = color_around(winner, texel_x, texel_y, level_side(source_height, level), z_winner, side, centre,
-                                               to_target, texels);
+        float3 remembered;
+        if (!has_previous || !shown_before(centre, nearest_z, before, &remembered))
+            remembered = color_around(winner, texel_x, texel_y, level_side(source_height, level), z_winner, side, centre,
+                                      to_target, texels);
         store_color(disoccluded[dst] ? remembered : 0.5f * (remembered + load_color(color, dst)), color, dst);
         filled_by[dst] = (uchar)(1 + level);
         if (!disoccluded[dst]) continue;

@@ -158,7 +158,8 @@ def test_stages_equal_their_twins(device, options, size, target):
             for name in ("color", "depth", "px"):
                 assert_close(got_level[name][kept], expected[name][kept])
         assert (levels[0]["state"] == twins.REMEMBERED).any()
-        warped |= twins.project_background(warped, _levels(pipeline, now), zoom, to_target, to_source)
+        before = (past.color, past.depth, twins.unmixed(past.depth, dynamic_before), reprojection(to, past.camera))
+        warped |= twins.project_background(warped, _levels(pipeline, now), zoom, to_target, to_source, before)
         assert np.isin(warped["filled_by"], range(1, options.levels + 1)).any()
     unfilled = warped["filled_by"] == twins.COMMON.BY_NOTHING
     labels = np.where(unfilled, twins.COMMON.BY_HOLE_FILLING, warped["filled_by"])

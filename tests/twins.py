@@ -889,8 +889,28 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
     return levels
 
 
-def project_background(warped, levels, zoom, to_target, to_source):
-    """color, depth, motion and filled_by of the warped frame after background projection."""
+def shown_before(px, z, color_prev, depth_prev, unmixed_prev, to_previous):
+    """Colour of a static point in the frame before, or None."""
+    height, width = depth_prev.shape
+    x, y, z_prev = reproject(px[None], np.array([z], F), to_previous)[0]
+    if not (z_prev > 0 and 0.5 <= x < width - 0.5 and 0.5 <= y < height - 0.5) or not unmixed_prev[int(y), int(x)]:
+        return None
+    x0, y0 = int(x - F(0.5)), int(y - F(0.5))
+    u, v = x - F(0.5) - F(x0), y - F(0.5) - F(y0)
+    found = np.zeros(3, F)
+    for tap in range(4):
+        at = y0 + (tap >> 1), x0 + (tap & 1)
+        d = depth_prev[at]
+        if not (np.isinf(d) if np.isinf(z_prev) else abs(d - z_prev) <= F(2) * BACKGROUND.SAME_SURFACE * z_prev):
+            return None
+        weight = (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
+        found = found + weight * load_color(color_prev[at])
+    return found
+
+
+def project_background(warped, levels, zoom, to_target, to_source, before):
+    """color, depth, motion and filled_by of the warped frame after background projection; `before`: the arguments of
+    `shown_before` from color_prev on."""
     out = {name: warped[name].copy() for name in ("color", "depth", "motion", "filled_by")}
     height, width = warped["depth"].shape
     source_size = levels[0]["depth"].shape[::-1]
@@ -947,6 +967,8 @@ def project_background(warped, levels, zoom, to_target, to_source):
             if weights >= BACKGROUND.ENOUGH_WEIGHT:
                 break
         found = total / weights if weights > F(0.01) else load_color(level["color"][ty, tx])
+        sharp = shown_before(px[y, x], z, *before)
+        found = found if sharp is None else sharp
         out["color"][y, x, :3] = found if holes[y, x] else F(0.5) * (found + load_color(warped["color"][y, x]))
         out["filled_by"][y, x] = 1 + number
         if holes[y, x]:
