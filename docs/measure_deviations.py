@@ -83,7 +83,7 @@ GAE: dict[str, Change] = {
     "colour is resampled at its sub-pixel position": Change(constants={"warp.cl": {"STILL": "1e9f"}}),
     "resampling is cubic, not bilinear": Change({"blocks": False}, {"warp.cl": {"ALL_ALIKE": "0x1FF"}}),
     "no colours mixed with a silhouette that moves away": Change(constants={"warp.cl": {"MOVES_AWAY": "1e30f"}}),
-    "… of these, what the background knows replaces": Change(
+    "… of these, the mean with what the background knows": Change(
         edits={"background.cl": {"mixed[dst] && is_same_surface": "false && is_same_surface"}}
     ),
     "the surface met at x' is checked": Change(
@@ -104,8 +104,19 @@ GAE: dict[str, Change] = {
         },
     ),
     "background texels cover what they map to": Change(constants={"background.cl": {"FOOTPRINT_HALF": "0.0f"}}),
-    "holes inside a mover are not the background's": Change(constants={"background.cl": {"INSIDE_REACH": "0"}}),
+    "what the frame before showed is taken from there": Change(
+        edits={"background.cl": {"!has_previous || !shown_before": "true || !shown_before"}}
+    ),
+    "hidden parts of movers": Change({"hidden_parts": False}),
     "holes continue their far side": Change({"hole_filling": "downsample"}),
+    "what lies beyond the image has no far side": Change(
+        edits={
+            "holes.cl": {
+                "*mean = weighted_mean(count, met, inverse, weight, color);\n    const float3": "*mean ="
+                " weighted_mean(count, met, inverse, weight, color);\n    return true;\n    const float3"
+            }
+        }
+    ),
 }
 PAPER = Change()
 for change in GAE.values():

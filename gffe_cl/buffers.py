@@ -29,9 +29,11 @@ _LABELS = constants("common.h")
 BLOCK = tuple(constants("blocks.h")[f"BLOCK_{side}"] for side in ("WIDTH", "HEIGHT"))  # pixels
 BY_HOLE_FILLING, BY_NOTHING = _LABELS["BY_HOLE_FILLING"], _LABELS["BY_NOTHING"]
 BY_WARP, BY_CRACK_CLOSING = _LABELS["BY_WARP"], _LABELS["BY_CRACK_CLOSING"]
+BY_HIDDEN_PART = _LABELS["BY_HIDDEN_PART"]
 FILLED_BY = (
     (BY_WARP, "its own fragment"),
     *((1 + level, f"background level {level}") for level in range(4)),
+    (BY_HIDDEN_PART, "hidden part of a mover"),
     (BY_NOTHING, "nothing"),
     (BY_CRACK_CLOSING, "crack closing"),
     (BY_HOLE_FILLING, "hole filling"),

@@ -137,6 +137,10 @@ class Options:
         True, "backward blocks", "Blocks that show one smooth surface are warped backward; off: all is splatted.",
         flag="--no-blocks", needs="crack_closing",
     )  # fmt: skip
+    hidden_parts: bool = _option(
+        True, "hidden parts of movers", "Disocclusions that a mover's own motion explains continue the mover; off: they"
+        " are the background's.", flag="--no-hidden-parts", needs="motion",
+    )  # fmt: skip
     levels: int = _option(
         2, "background levels", "L: level 0 holds what moving objects hide, deeper ones what static surfaces do.",
         low=0, high=MAX_LEVELS, off=0, off_label="background collection",

@@ -32,6 +32,7 @@ from gffe_cl.stages.acceleration import Acceleration
 from gffe_cl.stages.background import Background
 from gffe_cl.stages.blocks import Blocks
 from gffe_cl.stages.correction import ShadingCorrection
+from gffe_cl.stages.hidden import HiddenParts
 from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.holes import FILLINGS, HoleFilling
 from gffe_cl.stages.prediction import MAX_ORDER, PositionPrediction
@@ -98,6 +99,7 @@ STAGES: tuple[type[Stage], ...] = (
     PositionPrediction,
     Blocks,
     Warp,
+    HiddenParts,
     Background,
     HoleFilling,
     ShadingInputs,

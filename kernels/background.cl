@@ -487,35 +487,6 @@ SCAN __kernel void project_levels(const int source_width, const int texels, cons
     }
 }
 
-#define INSIDE_REACH 8           /* px to each side between which a hole counts as inside a moving object */
-#define ONE_OBJECT 0.05f         /* relative depth within which two dynamic fragments are of one object */
-
-/* Depth of the first pixel that is not disoccluded from (x, y) in a direction, if it is dynamic; else -1. */
-INLINE float dynamic_beside(const int dst_x, const int dst_y, const int dx, const int dy, const int target_width,
-                            const int target_height,
-                            __global const uchar *disoccluded, __global const uchar *is_dynamic, __global const float *depth) {
-    for (int t = 1; t <= INSIDE_REACH; ++t) {
-        const int beside_x = dst_x + t * dx, beside_y = dst_y + t * dy;
-        if (!inside(beside_x, beside_y, target_width, target_height)) return -1.0f;
-        const int beside = beside_y * target_width + beside_x;
-        if (!disoccluded[beside]) return is_dynamic[beside] ? depth[beside] : -1.0f;
-    }
-    return -1.0f;
-}
-
-/* Whether the hole at (x, y) lies between two parts of one moving object: then it is the object's, not the background's. */
-INLINE bool inside_mover(const int dst_x, const int dst_y, const int target_width, const int target_height,
-                         __global const uchar *disoccluded,
-                         __global const uchar *is_dynamic, __global const float *depth) {
-    for (int axis = 0; axis < 2; ++axis) {
-        const int dx = axis == 0, dy = axis == 1;
-        const float a = dynamic_beside(dst_x, dst_y, dx, dy, target_width, target_height, disoccluded, is_dynamic, depth);
-        const float b = dynamic_beside(dst_x, dst_y, -dx, -dy, target_width, target_height, disoccluded, is_dynamic, depth);
-        if (a > 0.0f && b > 0.0f && fabs(a - b) <= ONE_OBJECT * fmin(a, b)) return true;
-    }
-    return false;
-}
-
 /* Colour of the texels around a winner, weighted by their distance in the target image from `centre`, of the winner's surface
    only: within one texel's side; within two where that catches too little, as in the gaps between irregular fragments. */
 INLINE float3 color_around(const int winner, const int texel_x, const int texel_y, const int level_height, const float z_winner,
@@ -562,26 +533,58 @@ INLINE float3 color_around(const int winner, const int texel_x, const int texel_
     return weight_sum > 0.01f ? mean_of(sum, weight_sum) : color_of(texels, winner);
 }
 
-/* Fills the pixels that remembered fragments won, RUN per work-item. */
+/* The frame before: of its pixels those that are SHOWN hold their own surface's colour only. */
+typedef struct {
+    int width, height;
+    __global const half *color;
+    __global const float *depth;
+    __global const uchar *state;
+    Reprojection to_previous;
+} Before;
+
+/* Colour of a static point in the frame before; false where that did not show its surface all around. */
+INLINE bool shown_before(const float2 centre, const float z, const Before before, float3 *rgb) {
+    const float3 px_prev = reproject(centre, z, before.to_previous);
+    if (!(px_prev.z > 0.0f && px_prev.x >= 0.5f && px_prev.y >= 0.5f && px_prev.x < (float)before.width - 0.5f
+          && px_prev.y < (float)before.height - 0.5f)
+        || before.state[(int)px_prev.y * before.width + (int)px_prev.x] != SHOWN) return false;
+    const int x0 = (int)(px_prev.x - 0.5f), y0 = (int)(px_prev.y - 0.5f);
+    const float u = px_prev.x - 0.5f - (float)x0, v = px_prev.y - 0.5f - (float)y0;
+    float3 sum = (float3)(0.0f);
+    for (int tap = 0; tap < 4; ++tap) {
+        const int i = (y0 + (tap >> 1)) * before.width + x0 + (tap & 1);
+        if (!is_same_surface(before.depth[i], px_prev.z, 2.0f * SAME_SURFACE * px_prev.z)) return false;
+        sum += bilinear_weight(tap, u, v) * load_color(before.color, i);
+    }
+    *rgb = sum;
+    return true;
+}
+
+/* Fills the pixels that remembered fragments won, RUN per work-item, but for movers' hidden parts. Where the frame before still
+   showed the surface its colour comes from there, at full resolution. Of a makeshift and what is remembered, two estimates of
+   one surface, the mean is shown. */
 SCAN __kernel void fill_from_levels(const int source_width, const int source_height, const int4 starts, const int target_width,
                                     const int target_height, const float2 zoom, const Reprojection to_target,
-                                    const Reprojection to_source, __global const half *frame_color,
+                                    const Reprojection to_source, const int has_previous, const Reprojection to_previous,
+                                    __global const half *color_prev, __global const float *depth_prev,
+                                    __global const uchar *state_prev, __global const half *frame_color,
                                     __global const float *frame_depth, __global const uint *levels_color,
                                     __global const float *levels_depth, __global const int *levels_px,
                                     __global const uchar *levels_state, __global const uchar *disoccluded,
-                                    __global const uchar *mixed, __global const uchar *is_dynamic, __global const Key *keys,
-                                    __global const uint *winners, __global half *color, __global float *depth,
-                                    __global float2 *motion, __global uchar *filled_by) {
+                                    __global const uchar *mixed, __global const Key *keys, __global const uint *winners,
+                                    __global half *color, __global float *depth, __global float2 *motion,
+                                    __global uchar *filled_by) {
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
     const int first = dst_y * target_width + first_x;
     if (first_x + RUN <= target_width && run_is_zero(disoccluded + first) && run_is_zero(mixed + first)) return;
+    const Before before = {source_width, source_height, color_prev, depth_prev, state_prev, to_previous};
     for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
         const int dst = dst_y * target_width + dst_x;
         if (!(disoccluded[dst] | mixed[dst])) continue;
         const uint winner = winner_of(keys, winners, dst);
         if (winner == NOBODY) continue;
-        if (disoccluded[dst] && inside_mover(dst_x, dst_y, target_width, target_height, disoccluded, is_dynamic, depth)) continue;
+        if (disoccluded[dst] && filled_by[dst] == BY_HIDDEN_PART) continue;
         const int level = level_of(winner, starts), start = start_of(level, starts), width = level_side(source_width, level);
         const int texel_x = ((int)winner - start) % width, texel_y = ((int)winner - start) / width;
         const Texels texels = {levels_color, frame_color, levels_depth, frame_depth, levels_px, levels_state, level, width};
@@ -592,8 +595,11 @@ SCAN __kernel void fill_from_levels(const int source_width, const int source_hei
         if (!lands(px_source, source_width, source_height)) continue;  /* out of screen: only the footprint reaches there */
         const float nearer = isinf(nearest_z) ? 1.0f : divide(z_winner, nearest_z);
         const float2 side = (float2)((float)(1 << level) * nearer * zoom.x, (float)(1 << level) * nearer * zoom.y);
-        store_color(color_around(winner, texel_x, texel_y, level_side(source_height, level), z_winner, side, centre, to_target,
-                                 texels), color, dst);
+        float3 remembered;
+        if (!has_previous || !shown_before(centre, nearest_z, before, &remembered))
+            remembered = color_around(winner, texel_x, texel_y, level_side(source_height, level), z_winner, side, centre,
+                                      to_target, texels);
+        store_color(disoccluded[dst] ? remembered : 0.5f * (remembered + load_color(color, dst)), color, dst);
         filled_by[dst] = (uchar)(1 + level);
         if (!disoccluded[dst]) continue;
         depth[dst] = nearest_z;

@@ -5,6 +5,7 @@
 
 #include "common.h"
 #include "wide.h"
+#include "march.h"
 
 #define BLOCK 32
 #define RENDERED_WEIGHT 0.0009765625f  /* of the rendered frame beside valid pixels: decides only where there are none */
@@ -18,20 +19,7 @@ inline void add(float4 *sum, float *inverse_sum, const float pixel_weight, const
 
 /* ---- far side ------------------------------------------------------------------------------------------------ */
 
-#define DIRECTIONS 8
-#define AT_ONCE 4                /* labels that are read at once: a march waits for memory a quarter of `reach` times at most */
 #define FAR_SIDE 1.3f            /* inverse depths up to this times the least belong to the far side */
-
-/* Steps of length `step` that stay within `reach`, at most `room`. */
-inline int steps_within(const int reach, const float step, const int room) {
-    int steps = min(room, (int)((float)reach / step) + 1);
-    while (steps > 0 && (float)steps * step > (float)reach) --steps;
-    return steps;
-}
-
-inline int room(const int at, const int direction, const int side) {
-    return direction > 0 ? side - 1 - at : direction < 0 ? at : INT_MAX;
-}
 
 /* The first of `steps` pixels, `offset` apart from each other, that is valid, counted from 1; 0: none. */
 inline int first_valid(const int dst, const int offset, const int steps, __global const uchar *filled_by) {
@@ -46,40 +34,55 @@ inline int first_valid(const int dst, const int offset, const int steps, __globa
     return 0;
 }
 
-/* What a disocclusion shows is the surface on its far side, continued: of the first valid pixels in eight directions, up
-   to `reach` px away, the mean of those on the far side, weighted by the inverse of their distance.
-   Gives (colour, inverse depth); false where no direction meets a valid pixel. */
-inline bool far_side(const int dst_x, const int dst_y, const int target_width, const int target_height, const int reach,
-                     __global const uchar *filled_by, __global const half *color, __global const float *depth,
-                     float4 *mean) {
-    const int dst = dst_y * target_width + dst_x;
-    int met[DIRECTIONS];
-    float inverse[DIRECTIONS], weight[DIRECTIONS];
-    float least = INFINITY;
-    int count = 0;
-    for (int k = 0; k < DIRECTIONS; ++k) {
-        const int dx = k < 3 ? 1 : k < 6 ? -1 : 0, dy = k == 7 ? -1 : k == 6 ? 1 : k % 3 - 1;
-        const float step = dx && dy ? 1.41421356f : 1.0f;
-        const int steps = steps_within(reach, step, min(room(dst_x, dx, target_width), room(dst_y, dy, target_height)));
-        const int t = first_valid(dst, dy * target_width + dx, steps, filled_by);
-        if (t == 0) continue;
-        const int beside = dst + t * (dy * target_width + dx);
-        met[count] = beside;
-        inverse[count] = isinf(depth[beside]) ? 0.0f : divide(1.0f, depth[beside]);
-        weight[count] = divide(1.0f, (float)t * step);
-        least = fmin(least, inverse[count]);
-        ++count;
-    }
+/* Mean (colour, inverse depth) of pixels with weights. */
+inline float4 weighted_mean(const int count, const int *px, const float *inverse, const float *weight,
+                            __global const half *color) {
     float4 sum = (float4)(0.0f);
     float weight_sum = 0.0f;
     for (int k = 0; k < count; ++k) {
-        if (inverse[k] > least * FAR_SIDE) continue;
-        sum += weight[k] * (float4)(load_color(color, met[k]), inverse[k]);
+        if (!(weight[k] > 0.0f)) continue;
+        sum += weight[k] * (float4)(load_color(color, px[k]), inverse[k]);
         weight_sum += weight[k];
     }
+    return (float4)(mean_of(sum.xyz, weight_sum), divide(sum.w, weight_sum));
+}
+
+/* Where a static pixel is in the rendered image, and its depth there; z <= 0: behind the camera. */
+inline float3 static_source(const int dst_x, const int dst_y, const float inverse_depth, const Reprojection to_source) {
+    return reproject(pixel_centre(dst_x, dst_y), inverse_depth > 0.0f ? divide(1.0f, inverse_depth) : INFINITY, to_source);
+}
+
+/* What a disocclusion shows is the surface on its far side, continued: of the first valid pixels in eight directions, up
+   to `reach` px away, the mean of those on the far side, weighted by the inverse of their distance. A surface whose
+   continuation lies outside of the rendered image was not hidden by anything: there all directions count, those close by most.
+   Gives (colour, inverse depth); false where no direction meets a valid pixel. */
+inline bool far_side(const int dst_x, const int dst_y, const int target_width, const int target_height, const int source_width,
+                     const int source_height, const int reach, const Reprojection to_source, __global const uchar *filled_by,
+                     __global const half *color, __global const float *depth, float4 *mean) {
+    const int dst = dst_y * target_width + dst_x;
+    int met[DIRECTIONS];
+    float inverse[DIRECTIONS], closeness[DIRECTIONS], weight[DIRECTIONS];
+    float least = INFINITY;
+    int count = 0;
+    for (int k = 0; k < DIRECTIONS; ++k) {
+        const int2 d = direction(k);
+        const int offset = d.y * target_width + d.x;
+        const int t = first_valid(dst, offset, steps_within(reach, d, dst_x, dst_y, target_width, target_height), filled_by);
+        if (t == 0) continue;
+        met[count] = dst + t * offset;
+        inverse[count] = isinf(depth[met[count]]) ? 0.0f : divide(1.0f, depth[met[count]]);
+        closeness[count] = divide(1.0f, (float)t * step_length(d));
+        least = fmin(least, inverse[count]);
+        ++count;
+    }
     if (count == 0) return false;
-    *mean = (float4)(divide(sum.x, weight_sum), divide(sum.y, weight_sum), divide(sum.z, weight_sum), divide(sum.w,
-                                                                                                             weight_sum));
+    for (int k = 0; k < count; ++k) weight[k] = inverse[k] > least * FAR_SIDE ? 0.0f : closeness[k];
+    *mean = weighted_mean(count, met, inverse, weight, color);
+    const float3 px_source = static_source(dst_x, dst_y, mean->w, to_source);
+    if (px_source.z > 0.0f && px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)source_width
+        && px_source.y < (float)source_height) return true;
+    for (int k = 0; k < count; ++k) weight[k] = closeness[k] * closeness[k];
+    *mean = weighted_mean(count, met, inverse, weight, color);
     return true;
 }
 
@@ -153,20 +156,19 @@ __kernel void pull_level(const int level_width, const int level_height, const in
 
 inline void fill_pixel(const int dst_x, const int dst_y, const int dst, const float4 mean, const Reprojection to_source,
                        __global half *color, __global float *depth, __global float2 *motion) {
-    const float z = mean.w > 0.0f ? divide(1.0f, mean.w) : INFINITY;
-    const float2 centre = pixel_centre(dst_x, dst_y);
-    const float3 px_source = reproject(centre, z, to_source);
+    const float3 px_source = static_source(dst_x, dst_y, mean.w, to_source);
     store_color(mean.xyz, color, dst);
-    depth[dst] = z;
-    motion[dst] = px_source.z > 0.0f ? px_source.xy - centre : (float2)(0.0f);
+    depth[dst] = mean.w > 0.0f ? divide(1.0f, mean.w) : INFINITY;
+    motion[dst] = px_source.z > 0.0f ? px_source.xy - pixel_centre(dst_x, dst_y) : (float2)(0.0f);
 }
 
 #define BEYOND_REACH -1.0f   /* depth of pixels that have no far side within reach, until they are filled */
 
 /* Fills what is still invalid from the far side; motion is that of a static point. RUN pixels per work-item. */
-SCAN __kernel void fill_far_side(const int target_width, const int target_height, const int reach,
-                                 __global const uchar *filled_by, const Reprojection to_source, __global half *color,
-                                 __global float *depth, __global float2 *motion) {
+SCAN __kernel void fill_far_side(const int target_width, const int target_height, const int source_width,
+                                 const int source_height, const int reach, __global const uchar *filled_by,
+                                 const Reprojection to_source, __global half *color, __global float *depth,
+                                 __global float2 *motion) {
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
     const int first = dst_y * target_width + first_x;
@@ -175,7 +177,8 @@ SCAN __kernel void fill_far_side(const int target_width, const int target_height
         const int dst = dst_y * target_width + dst_x;
         if (filled_by[dst] != BY_HOLE_FILLING) continue;
         float4 mean;
-        if (far_side(dst_x, dst_y, target_width, target_height, reach, filled_by, color, depth, &mean))
+        if (far_side(dst_x, dst_y, target_width, target_height, source_width, source_height, reach, to_source, filled_by, color,
+                     depth, &mean))
             fill_pixel(dst_x, dst_y, dst, mean, to_source, color, depth, motion);
         else
             depth[dst] = BEYOND_REACH;

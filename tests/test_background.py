@@ -6,6 +6,7 @@ import pytest
 from synthetic import Rect, Rects, camera
 
 from gffe_cl import Options, Pipeline
+from gffe_cl.buffers import BY_HIDDEN_PART
 from gffe_cl.packing import OFFSET, RGB9E5
 
 W, H = 128, 80
@@ -40,7 +41,9 @@ def test_square_crossing_a_wall_leaves_no_wrong_pixel(device, levels):
     holes = out.numpy("disoccluded") == 1
     assert (holes & wall).sum() > 30 and (out.numpy("filled_by")[holes & wall] == 1).all()
     error = np.abs(out.numpy("color").astype(np.float32) - truth.color.astype(np.float32)).max(-1)
-    assert (error[wall] < 0.01).all(), (error[wall] >= 0.01).sum()
+    mixed = pipeline.board.frame.read("mixed") == 1
+    assert (error[wall & ~mixed] < 0.01).all(), (error[wall & ~mixed] >= 0.01).sum()
+    assert (error[wall & mixed] < 0.05).all(), error[wall & mixed].max()
 
 
 def test_wall_behind_a_fence_comes_from_level_one(device):
@@ -163,7 +166,7 @@ def test_hole_inside_a_moving_object_is_not_the_backgrounds(device):
     truth = scene.frame(still, 7.5 / 30, W, H)
     inside = (out.numpy("disoccluded") == 1) & (truth.depth < 7)
     inside[:, : int(np.nonzero(truth.depth < 7)[1].min()) + 3] = False  # the trailing edge is no hole inside
-    assert 9 <= inside.sum() <= 30 and (out.numpy("filled_by")[inside] == 255).all()
+    assert 9 <= inside.sum() <= 30 and (out.numpy("filled_by")[inside] == BY_HIDDEN_PART).all()
     assert (out.numpy("color")[inside, 0] > 2).all()
 
 

@@ -544,7 +544,8 @@ def test_outputs_of_the_stages_can_be_kept(device):
     submit(pipeline, scene, cameras, [k / 30 for k in range(5)])
     pipeline.extrapolate(camera(W, H, (0.3, 0, 0)), 4.5 / 30)
     read = {f"{owner.name}.{spec.name}": owner.read(spec.name) for owner, spec in pipeline.named_buffers()}
-    expected = {f"{s}.{n}" for s in ("warp", "background", "holes") for n in ("color", "depth", "motion", "filled_by")}
+    stages = ("warp", "hidden", "background", "holes")
+    expected = {f"{s}.{n}" for s in stages for n in ("color", "depth", "motion", "filled_by")}
     expected.remove("holes.filled_by")  # labelled so by the warp
     assert {f"{stage}.{spec.name}" for stage, spec in pipeline.outputs()} == expected <= set(read)
     assert set(np.unique(read["warp.filled_by"])) == {0, 254, 255}

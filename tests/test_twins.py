@@ -165,6 +165,10 @@ def test_stages_equal_their_twins(device, options, size, target):
         assert np.array_equal(pipeline.board.frame.read(name), warped[name]), name
     assert warped["disoccluded"].any()
 
+    to_source = reprojection(to, now.camera)
+    warped |= twins.fill_hidden_parts(warped, depth, zoom, to_source, pipeline.stages["hidden"].reach)
+    assert (warped["filled_by"] == twins.COMMON.BY_HIDDEN_PART).any()
+
     if options.levels:
         to_current = reprojection(past.camera, now.camera)
         level0 = twins.collect_shown(color, depth, dynamic, True)
@@ -175,9 +179,8 @@ def test_stages_equal_their_twins(device, options, size, target):
             for name in ("color", "depth", "px"):
                 assert_close(got_level[name][kept], expected[name][kept])
         assert (levels[0]["state"] == twins.REMEMBERED).any()
-        warped |= twins.project_background(
-            warped, _levels(pipeline, now), zoom, to_target, reprojection(to, now.camera)
-        )
+        before = (past.color, past.depth, twins.unmixed(past.depth, dynamic_before), reprojection(to, past.camera))
+        warped |= twins.project_background(warped, _levels(pipeline, now), zoom, to_target, to_source, before)
         assert np.isin(warped["filled_by"], range(1, options.levels + 1)).any()
     unfilled = warped["filled_by"] == twins.COMMON.BY_NOTHING
     labels = np.where(unfilled, twins.COMMON.BY_HOLE_FILLING, warped["filled_by"])
@@ -186,11 +189,11 @@ def test_stages_equal_their_twins(device, options, size, target):
     sums = (None, None)
     if options.hole_filling != "push-pull":
         reach = pipeline.stages["holes"].reach
-        asked = twins.asked_blocks(warped, reach)
+        asked = twins.asked_blocks(warped, reach, to_source, size)
         sums = tuple((array.T * asked.T).T for array in twins.downsample(warped, color, depth))
         np.testing.assert_allclose(pipeline.stages["holes"].read("block_color"), sums[0], rtol=1e-4, atol=1e-4)
         np.testing.assert_allclose(pipeline.stages["holes"].read("block_inverse_depth"), sums[1], rtol=1e-4, atol=1e-5)
-    filled = twins.fill_holes(warped, *sums, reprojection(to, now.camera), pipeline.stages["holes"].reach)
+    filled = twins.fill_holes(warped, *sums, to_source, pipeline.stages["holes"].reach, size)
     holes = unfilled
     for name in ("color", "depth", "motion"):
         got_image = pipeline.board.frame.read(name)
@@ -273,11 +276,12 @@ def test_block_means_reach_over_work_groups(device, filling):
     holes = left["filled_by"] == twins.COMMON.BY_HOLE_FILLING
     before = left | {"filled_by": np.where(holes, twins.COMMON.BY_NOTHING, left["filled_by"])}
     stage = pipeline.stages["holes"]
-    asked = twins.asked_blocks(before, stage.reach)
+    to_source = reprojection(to, frame.camera)
+    asked = twins.asked_blocks(before, stage.reach, to_source, (width, height))
     assert holes.mean() > 0.1 and 5 < asked.sum() < asked.size
     sums = tuple((array.T * asked.T).T for array in twins.downsample(before, frame.color, frame.depth))
     np.testing.assert_allclose(stage.read("block_color"), sums[0], rtol=1e-4, atol=1e-4)
-    filled = twins.fill_holes(before, *sums, reprojection(to, frame.camera), stage.reach)
+    filled = twins.fill_holes(before, *sums, to_source, stage.reach, (width, height))
     for name in ("color", "depth", "motion"):
         got = pipeline.board.frame.read(name)
         assert got[~holes].tobytes() == left[name][~holes].tobytes()

@@ -13,14 +13,34 @@ from gffe_cl.opencl.program import constants
 F = np.float32
 INF = F(np.inf)
 COMMON = SimpleNamespace(**constants("common.h"))
-HISTORY, ACCELERATION, SURFACES, PREDICTION, BLOCKS, WARP, BACKGROUND, HOLES, SHADING, CORRECTION = (
-    SimpleNamespace(**{name: F(value) if isinstance(value, float) else value for name, value in found.items()})
-    for found in (
-        constants(name)
-        for name in (
-            *("history.cl", "acceleration.cl", "surfaces.cl", "prediction.cl", "blocks.cl", "warp.cl"),
-            *("background.cl", "holes.cl", "previous.h", "correction.cl"),
-        )
+(
+    HISTORY,
+    ACCELERATION,
+    SURFACES,
+    PREDICTION,
+    BLOCKS,
+    WARP,
+    HIDDEN,
+    BACKGROUND,
+    HOLES,
+    SHADING,
+    CORRECTION,
+) = (
+    SimpleNamespace(
+        **{name: F(value) if isinstance(value, float) else value for name, value in constants(file).items()}
+    )
+    for file in (
+        "history.cl",
+        "acceleration.cl",
+        "surfaces.cl",
+        "prediction.cl",
+        "blocks.cl",
+        "warp.cl",
+        "hidden.cl",
+        "background.cl",
+        "holes.cl",
+        "previous.h",
+        "correction.cl",
     )
 )
 NOBODY = WARP.NOBODY
@@ -710,39 +730,52 @@ def push_pull(warped):
     return _upsample(means[0], height, width)
 
 
-_DIRECTIONS = ((1, -1), (1, 0), (1, 1), (-1, -1), (-1, 0), (-1, 1), (0, 1), (0, -1))
+_DIRECTIONS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
 
 
-def far_side(warped, y, x, reach):
-    """(colour, inverse depth) of the far side around one hole, or None."""
-    height, width = warped["depth"].shape
+def march(y, x, d, reach, shape):
+    """(distance in px, (y, x)) of the pixels from (y, x) on in direction d that lie in the image and within reach."""
+    step = F(1.41421356) if d[0] and d[1] else F(1)
+    t = 1
+    while F(t) * step <= F(reach):
+        qx, qy = x + t * d[0], y + t * d[1]
+        if not (0 <= qx < shape[1] and 0 <= qy < shape[0]):
+            return
+        yield F(t) * step, (qy, qx)
+        t += 1
+
+
+def far_side(warped, y, x, reach, to_source, source_size):
+    """(colour, inverse depth) of the far side around one hole, or None; `source_size`: (width, height)."""
     met = []
-    for dx, dy in _DIRECTIONS:
-        step = F(1.41421356) if dx and dy else F(1)
-        t = 1
-        while F(t) * step <= F(reach):
-            qx, qy = x + t * dx, y + t * dy
-            if not (0 <= qx < width and 0 <= qy < height):
-                break
-            if warped["filled_by"][qy, qx] != COMMON.BY_NOTHING:
-                z = warped["depth"][qy, qx]
+    for d in _DIRECTIONS:
+        for distance, q in march(y, x, d, reach, warped["depth"].shape):
+            if warped["filled_by"][q] != COMMON.BY_NOTHING:
+                z = warped["depth"][q]
                 inverse = F(0) if np.isinf(z) else F(1) / z
-                met.append((inverse, F(1) / (F(t) * step), load_color(warped["color"][qy, qx])))
+                met.append((inverse, F(1) / distance, np.append(load_color(warped["color"][q]), inverse)))
                 break
-            t += 1
     if not met:
         return None
+
+    def mean(weighted):
+        return sum(w * values for w, values in weighted) / sum(w for w, _ in weighted)
+
     least = min(inverse for inverse, _, _ in met)
-    far = [(np.append(c, inverse), w) for inverse, w, c in met if not inverse > least * HOLES.FAR_SIDE]
-    return sum(w * c for c, w in far) / sum(w for _, w in far)
+    found = mean([(w, values) for inverse, w, values in met if not inverse > least * HOLES.FAR_SIDE])
+    z = np.array([F(1) / found[3] if found[3] > 0 else INF], F)
+    at = reproject(np.array([[x + 0.5, y + 0.5]], F), z, to_source)[0]
+    if at[2] > 0 and 0 <= at[0] < source_size[0] and 0 <= at[1] < source_size[1]:
+        return found
+    return mean([(w * w, values) for _, w, values in met])
 
 
-def asked_blocks(warped, reach):
+def asked_blocks(warped, reach, to_source, source_size):
     """(h, w) bool: the 32×32 blocks between whose centres a hole lies that has no far side."""
     height, width = warped["depth"].shape
     asked = np.zeros((-(-height // HOLES.BLOCK), -(-width // HOLES.BLOCK)), bool)
     for y, x in np.argwhere(warped["filled_by"] == COMMON.BY_NOTHING):
-        if far_side(warped, y, x, reach) is None:
+        if far_side(warped, y, x, reach, to_source, source_size) is None:
             y0, x0 = ((c + 0.5) / HOLES.BLOCK - 0.5 for c in (y, x))
             for tap in range(4):
                 ty, tx = int(np.floor(y0)) + (tap >> 1), int(np.floor(x0)) + (tap & 1)
@@ -750,7 +783,7 @@ def asked_blocks(warped, reach):
     return asked
 
 
-def fill_holes(warped, color_sum, inverse_sum, to_source, reach):
+def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_size):
     """Colour, depth, motion of the warped frame with its holes filled: from the far side within `reach` px,
     else from the block sums; by push-pull if these are None."""
     if color_sum is None:
@@ -773,7 +806,7 @@ def fill_holes(warped, color_sum, inverse_sum, to_source, reach):
         mean_inverse = np.where(total[..., 3] > 0, inverse / total[..., 3], 0)
     holes = warped["filled_by"] == COMMON.BY_NOTHING
     for y, x in np.argwhere(holes):
-        found = far_side(warped, y, x, reach)
+        found = far_side(warped, y, x, reach, to_source, source_size)
         if found is not None:
             mean[y, x], mean_inverse[y, x] = found[:3], found[3]
     return _filled(warped, mean, mean_inverse, to_source)
@@ -794,6 +827,62 @@ def static_motion(px, z, to_source):
     """Motion into the source image of static points at depth z of the target."""
     where = reproject(px, z, to_source)
     return np.where((where[..., 2] > 0)[..., None], where[..., :2] - px, F(0))
+
+
+# ---- hidden parts of movers ----------------------------------------------------------------------------
+
+
+def fill_hidden_parts(warped, source_depth, zoom, to_source, reach):
+    """color, depth, motion and filled_by of the warped frame with the hidden parts of movers."""
+    out = {name: warped[name].copy() for name in ("color", "depth", "motion", "filled_by")}
+    depth, holes, dynamic = warped["depth"], warped["disoccluded"] > 0, warped["dynamic"] > 0
+    height, width = source_depth.shape
+
+    def moves_along(q, y, x):
+        offset = [F(x - q[1]) / zoom[0], F(y - q[0]) / zoom[1]]
+        return np.array([q[1] + 0.5, q[0] + 0.5], F) + warped["motion"][q] + np.array(offset, F)
+
+    def mover(y, x, d):
+        """(distance, pixel) of the first mover in direction d, or None."""
+        before = []
+        for distance, q in march(y, x, d, reach, depth.shape):
+            if not dynamic[q]:
+                before += [] if holes[q] else [depth[q]]
+                continue
+            if any(not z < depth[q] * HIDDEN.STANDS_BEFORE for z in before):
+                return None
+            px = moves_along(q, y, x)
+            if not (0 <= px[0] < width and 0 <= px[1] < height):
+                return None
+            shown = source_depth[int(px[1]), int(px[0])]
+            then = reproject(np.array([[q[1] + 0.5, q[0] + 0.5]], F), depth[q][None], to_source)[0, 2]
+            return (distance, q) if not shown > 0 or shown < HIDDEN.HIDES * then else None
+        return None
+
+    def same(a, b):
+        return abs(a - b) <= HIDDEN.ONE_OBJECT * min(a, b)
+
+    for y, x in np.argwhere(holes):
+        met = [mover(y, x, d) for d in _DIRECTIONS]
+        found = [m for m in met if m]
+        if not found:
+            continue
+        distance, of = min(found, key=lambda m: m[0])
+        if distance * F(HIDDEN.BESIDE) > F(reach):
+            pairs = [(met[k], met[(k + 4) % 8]) for k in range(8) if met[k] and met[(k + 4) % 8]]
+            pairs = [a for a, b in pairs if a[0] + b[0] <= F(reach) and same(depth[a[1]], depth[b[1]])]
+            if not pairs:
+                continue
+            of = min(pairs, key=lambda m: m[0])[1]
+        z = depth[of]
+        alike = [(F(1) / d, q) for d, q in found if abs(depth[q] - z) <= HIDDEN.ONE_OBJECT * z]
+        total = sum(w for w, _ in alike)
+        out["color"][y, x, :3] = sum(w * load_color(warped["color"][q]) for w, q in alike) / total
+        out["depth"][y, x] = sum(w * depth[q] for w, q in alike) / total
+        px = sum(w * moves_along(q, y, x) for w, q in alike) / total
+        out["motion"][y, x] = px - np.array([x + 0.5, y + 0.5], F)
+        out["filled_by"][y, x] = COMMON.BY_HIDDEN_PART
+    return out
 
 
 # ---- background ----------------------------------------------------------------------------------------
@@ -910,8 +999,28 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
     return levels
 
 
-def project_background(warped, levels, zoom, to_target, to_source):
-    """color, depth, motion and filled_by of the warped frame after background projection."""
+def shown_before(px, z, color_prev, depth_prev, unmixed_prev, to_previous):
+    """Colour of a static point in the frame before, or None."""
+    height, width = depth_prev.shape
+    x, y, z_prev = reproject(px[None], np.array([z], F), to_previous)[0]
+    if not (z_prev > 0 and 0.5 <= x < width - 0.5 and 0.5 <= y < height - 0.5) or not unmixed_prev[int(y), int(x)]:
+        return None
+    x0, y0 = int(x - F(0.5)), int(y - F(0.5))
+    u, v = x - F(0.5) - F(x0), y - F(0.5) - F(y0)
+    found = np.zeros(3, F)
+    for tap in range(4):
+        at = y0 + (tap >> 1), x0 + (tap & 1)
+        d = depth_prev[at]
+        if not (np.isinf(d) if np.isinf(z_prev) else abs(d - z_prev) <= F(2) * BACKGROUND.SAME_SURFACE * z_prev):
+            return None
+        weight = (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
+        found = found + weight * load_color(color_prev[at])
+    return found
+
+
+def project_background(warped, levels, zoom, to_target, to_source, before):
+    """color, depth, motion and filled_by of the warped frame after background projection; `before`: the arguments of
+    `shown_before` from color_prev on."""
     out = {name: warped[name].copy() for name in ("color", "depth", "motion", "filled_by")}
     height, width = warped["depth"].shape
     source_size = levels[0]["depth"].shape[::-1]
@@ -938,24 +1047,8 @@ def project_background(warped, levels, zoom, to_target, to_source):
                     best[cell] = min(best.get(cell, (INF, 99, 0)), key)
     px = centres(height, width)
 
-    def beside(y, x, dx, dy):
-        for t in range(1, BACKGROUND.INSIDE_REACH + 1):
-            qx, qy = x + t * dx, y + t * dy
-            if not (0 <= qx < width and 0 <= qy < height):
-                return F(-1)
-            if not holes[qy, qx]:
-                return warped["depth"][qy, qx] if warped["dynamic"][qy, qx] else F(-1)
-        return F(-1)
-
-    def inside_mover(y, x):
-        for dx, dy in ((1, 0), (0, 1)):
-            a, b = beside(y, x, dx, dy), beside(y, x, -dx, -dy)
-            if a > 0 and b > 0 and abs(a - b) <= BACKGROUND.ONE_OBJECT * min(a, b):
-                return True
-        return False
-
     for (y, x), (z, number, i) in best.items():
-        if holes[y, x] and inside_mover(y, x):
+        if warped["filled_by"][y, x] == COMMON.BY_HIDDEN_PART:
             continue
         at = reproject(px[y, x][None], np.array([z], F), to_source)[0]
         if not (at[2] > 0 and 0 <= at[0] < source_size[0] and 0 <= at[1] < source_size[1]):
@@ -983,7 +1076,10 @@ def project_background(warped, levels, zoom, to_target, to_source):
                         weights = weights + wx * wy
             if weights >= BACKGROUND.ENOUGH_WEIGHT:
                 break
-        out["color"][y, x, :3] = total / weights if weights > F(0.01) else load_color(level["color"][ty, tx])
+        found = total / weights if weights > F(0.01) else load_color(level["color"][ty, tx])
+        sharp = shown_before(px[y, x], z, *before)
+        found = found if sharp is None else sharp
+        out["color"][y, x, :3] = found if holes[y, x] else F(0.5) * (found + load_color(warped["color"][y, x]))
         out["filled_by"][y, x] = 1 + number
         if holes[y, x]:
             out["depth"][y, x] = z

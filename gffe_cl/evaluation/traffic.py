@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gffe_cl.buffers import BY_HOLE_FILLING, BY_NOTHING
+from gffe_cl.buffers import BY_HIDDEN_PART, BY_HOLE_FILLING, BY_NOTHING
 from gffe_cl.inference import MULTIPLE
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.stage import Kernel
@@ -34,6 +34,7 @@ SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
     "dynamic": ("history.dynamic_mask", lambda mask: mask != 0),
     "disoccluded": ("frame.disoccluded", lambda mask: mask != 0),
     "splatted": ("blocks.block_class", lambda block: block == SPLATTED),
+    "hidden parts": ("frame.filled_by", lambda label: label == BY_HIDDEN_PART),
     "mixed": ("frame.mixed", lambda mask: mask != 0),
     "unfilled": ("frame.filled_by", lambda label: (label == BY_HOLE_FILLING) | (label == BY_NOTHING)),
     "beyond reach": ("holes.block_color", lambda sums: sums[..., 3] != 0),

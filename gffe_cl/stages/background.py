@@ -119,8 +119,11 @@ class Background(NearestStage):
                 "frame_depth": Access("rendered.depth", "holes"),
                 "disoccluded": "frame.disoccluded",
                 "mixed": "frame.mixed",
-                "is_dynamic": Access("frame.dynamic", "disoccluded"),
-                "depth": Access("frame.depth", "disoccluded"),
+                "color_prev": Access("previous.color", "holes"),
+                "depth_prev": Access("previous.depth", "holes"),
+                "state_prev": Access("background.state_0'", "holes"),
+                "color": Access("frame.color", "mixed"),
+                "filled_by": Access("frame.filled_by", "disoccluded"),
             }
             | _levels("color depth px state", "holes")
             | _PROJECTED,
@@ -243,7 +246,14 @@ class Background(NearestStage):
         }
         for project_pass in self.passes:
             self.launch("project_levels", levels=self.levels, texels=texels, **given, **{"pass": project_pass})
-        self.launch("fill_from_levels", to_source=reprojection(target, source), **given)
+        before = step.previous or step.frame
+        self.launch(
+            "fill_from_levels",
+            to_source=reprojection(target, source),
+            has_previous=step.previous is not None,
+            to_previous=reprojection(target, before.camera),
+            **given,
+        )
 
 
 def _level_buffers(level: int) -> tuple[BufferSpec, ...]:

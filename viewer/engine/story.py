@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gffe_cl.buffers import BY_CRACK_CLOSING, BY_HOLE_FILLING, BY_NOTHING, BY_WARP, FILLED_BY
+from gffe_cl.buffers import BY_CRACK_CLOSING, BY_HIDDEN_PART, BY_HOLE_FILLING, BY_NOTHING, BY_WARP, FILLED_BY
 from gffe_cl.camera import Camera
 from gffe_cl.opencl.program import constants
 from gffe_cl.pipeline import Pipeline
@@ -94,6 +94,8 @@ def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, 
     label, level = _filled_by(number), number - 1 if 1 <= number <= MAX_LEVELS else None
     if number in (BY_HOLE_FILLING, BY_NOTHING):
         return Story((x, y), label, source_px, sentences=_hole_sentences(pipeline, shot, source_px))
+    if number == BY_HIDDEN_PART:
+        return Story((x, y), label, source_px, sentences=_hidden_sentences(shot, source_px, values))
     if level is not None and values[names.DISOCCLUDED][0]:
         return _background_story(pipeline, shot, (x, y), source_px, level, values)
     landed = (x, y), number == BY_WARP, bool(values[names.DYNAMIC][0])
@@ -220,6 +222,18 @@ def _fragment_sentences(pipeline, shot, depth, motion, dynamic, residual, thresh
         if bend > 0:
             said.append(f"{bend:.0%} of its acceleration counts too: so much of that there was before.")
     return tuple(said)
+
+
+def _hidden_sentences(shot: Shot, source_px, values) -> tuple[str, ...]:
+    depth, front = float(values[names.DEPTH][0]), None
+    if names.RENDERED_DEPTH in values:
+        front = float(values[names.RENDERED_DEPTH][0])
+    where = f" at ({source_px[0]:.1f}, {source_px[1]:.1f})" if source_px else ""
+    shown = "" if front is None else f", which shows depth {front:.4g} there; the depth here is {depth:.4g}"
+    return (
+        "A hidden part of a mover: the mean of the mover around it, with its motion.",
+        f"Moving like that it was{where} of rendered frame {shot.moment.k}{shown}.",
+    )
 
 
 def _hole_sentences(pipeline: Pipeline, shot: Shot, source_px) -> tuple[str, ...]:

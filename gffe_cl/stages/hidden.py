@@ -1,0 +1,45 @@
+"""Hidden parts of movers: disocclusions that belong to a moving object, not to the background (beyond the paper)."""
+
+from __future__ import annotations
+
+from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection, zoom
+
+_FILLED = {name: Access(f"frame.{name}", "hidden parts") for name in ("color", "depth", "motion", "filled_by")}
+
+
+class HiddenParts(Stage):
+    """Decides which disocclusions are a mover's own, hidden in the rendered frame, and continues it into them."""
+
+    name = "hidden"
+    kernels = (
+        Kernel(
+            "fill_hidden_parts",
+            "target",
+            {
+                "source_depth": Access("rendered.depth", "hidden parts"),
+                "disoccluded": "frame.disoccluded",
+                "is_dynamic": Access("frame.dynamic", "disoccluded"),
+                "color": Access("frame.color", "hidden parts"),
+                "depth": Access("frame.depth", "hidden parts"),
+                "motion": Access("frame.motion", "hidden parts"),
+            },
+            _FILLED,
+            step=("RUN", 1),
+        ),
+    )
+
+    def __init__(self, board: Board):
+        self.reach = max(8, board.sizes.target[0] // 48)  # px, in which movers are looked for
+        super().__init__(board)
+
+    @classmethod
+    def is_wanted(cls, options) -> bool:
+        return options.hidden_parts and options.motion
+
+    def extrapolated(self, step: Step) -> None:
+        self.launch(
+            "fill_hidden_parts",
+            reach=self.reach,
+            zoom=zoom(step.frame.camera, step.camera),
+            to_source=reprojection(step.camera, step.frame.camera),
+        )

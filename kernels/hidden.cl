@@ -1,0 +1,141 @@
+/* Hidden parts of movers: disocclusions that belong to a moving object, not to what is static behind it.
+   What would fill one moves as the dynamic fragments beside it do, so its place in the rendered frame is known; and as the
+   warp brought nothing from there it was hidden, or its depth is invalid. Where that frame shows something at that place that
+   is not nearer, the mover has no part there, and the hole is left to the background.
+   RUN pixels without a hole, or without a dynamic pixel within reach, are skipped at once. */
+
+#include "common.h"
+#include "wide.h"
+#include "march.h"
+
+#define ONE_OBJECT 0.05f  /* relative depth within which two dynamic fragments are of one object ... */
+#define HIDES 0.95f       /* ... and times the depth of a mover: what is nearer is another one, and may hide it */
+#define STANDS_BEFORE 0.97f  /* times the depth of a mover: its parts are looked for behind static pixels nearer than that */
+#define BESIDE 3          /* a mover that is nearer than this part of the reach need not be on both sides */
+
+/* The new frame, and the depth of the rendered one. */
+typedef struct {
+    int width, height, source_width, source_height, reach;
+    float2 zoom;
+    Reprojection to_source;
+    __global const uchar *disoccluded, *is_dynamic;
+    __global const float *depth, *source_depth;
+    __global const float2 *motion;
+} Frames;
+
+/* Where the pixel `offset` away from (x, y) was in the rendered image if it moves as that one does. */
+inline float2 moves_along(const int x, const int y, const int2 offset, const Frames f) {
+    return pixel_centre(x, y) + f.motion[y * f.width + x]
+           + (float2)(divide((float)offset.x, f.zoom.x), divide((float)offset.y, f.zoom.y));
+}
+
+/* The first of `steps` pixels, `offset` apart from each other, that is dynamic, counted from 1; 0: none. */
+inline int first_dynamic(const int dst, const int offset, const int steps, __global const uchar *is_dynamic) {
+    int t = 1;
+    for (; t + AT_ONCE <= steps; t += AT_ONCE) {
+        uchar any = 0;
+        for (int k = 0; k < AT_ONCE; ++k) any |= is_dynamic[dst + (t + k) * offset];
+        if (any) break;
+    }
+    for (; t <= steps; ++t)
+        if (is_dynamic[dst + t * offset]) return t;
+    return 0;
+}
+
+/* Steps to the first mover in direction d, behind what stands before it, of which a part may have been hidden here; 0: none. */
+inline int steps_to_mover(const int dst_x, const int dst_y, const int2 d, const Frames f) {
+    const int dst = dst_y * f.width + dst_x, offset = d.y * f.width + d.x;
+    const int t = first_dynamic(dst, offset, steps_within(f.reach, d, dst_x, dst_y, f.width, f.height), f.is_dynamic);
+    if (t == 0) return 0;
+    const float z = f.depth[dst + t * offset];
+    for (int k = 1; k < t; ++k) {
+        const int between = dst + k * offset;
+        if (!f.disoccluded[between] && !(f.depth[between] < z * STANDS_BEFORE)) return 0;
+    }
+    const int x = dst_x + t * d.x, y = dst_y + t * d.y;
+    const float2 px_source = moves_along(x, y, -t * d, f);
+    if (!(px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)f.source_width
+          && px_source.y < (float)f.source_height)) return 0;
+    const float z_shown = f.source_depth[(int)px_source.y * f.source_width + (int)px_source.x];
+    return INVALID_DEPTH(z_shown) || z_shown < HIDES * reproject(pixel_centre(x, y), z, f.to_source).z ? t : 0;
+}
+
+/* The direction, of those with `t` steps to a mover, in which the mover lies that the hole belongs to: one close by, or else the
+   nearest that is on both sides; -1: none. */
+inline int owner(const int *t, const float *z, const int reach) {
+    int nearest = -1, between = -1;
+    float least = INFINITY, least_between = INFINITY;
+    for (int k = 0; k < DIRECTIONS; ++k) {
+        const float step = step_length(direction(k)), distance = (float)t[k] * step;
+        const int other = (k + 4) & 7;
+        if (t[k] == 0) continue;
+        if (distance < least) { least = distance; nearest = k; }
+        if (t[other] && (float)(t[k] + t[other]) * step <= (float)reach && distance < least_between
+            && fabs(z[k] - z[other]) <= ONE_OBJECT * fmin(z[k], z[other])) {
+            least_between = distance;
+            between = k;
+        }
+    }
+    return least * (float)BESIDE <= (float)reach ? nearest : between;
+}
+
+/* Fills a hole with the mean of the mover that it belongs to around it, weighted by the inverse of distance. */
+inline void fill_hidden_part(const int dst_x, const int dst_y, const Frames f, __global half *color, __global float *depth,
+                             __global float2 *motion, __global uchar *filled_by) {
+    const int dst = dst_y * f.width + dst_x;
+    int t[DIRECTIONS];
+    float z[DIRECTIONS];
+    for (int k = 0; k < DIRECTIONS; ++k) {
+        const int2 d = direction(k);
+        t[k] = steps_to_mover(dst_x, dst_y, d, f);
+        z[k] = t[k] ? f.depth[dst + t[k] * (d.y * f.width + d.x)] : 0.0f;
+    }
+    const int of = owner(t, z, f.reach);
+    if (of < 0) return;
+    float3 sum = (float3)(0.0f);
+    float2 px_sum = (float2)(0.0f);
+    float z_sum = 0.0f, weight_sum = 0.0f;
+    for (int k = 0; k < DIRECTIONS; ++k) {
+        if (t[k] == 0 || !(fabs(z[k] - z[of]) <= ONE_OBJECT * z[of])) continue;
+        const int2 d = direction(k);
+        const int x = dst_x + t[k] * d.x, y = dst_y + t[k] * d.y;
+        const float weight = divide(1.0f, (float)t[k] * step_length(d));
+        sum += weight * load_color(color, y * f.width + x);
+        px_sum += weight * moves_along(x, y, -t[k] * d, f);
+        z_sum += weight * z[k];
+        weight_sum += weight;
+    }
+    store_color(mean_of(sum, weight_sum), color, dst);
+    depth[dst] = divide(z_sum, weight_sum);
+    motion[dst] = (float2)(divide(px_sum.x, weight_sum), divide(px_sum.y, weight_sum)) - pixel_centre(dst_x, dst_y);
+    filled_by[dst] = BY_HIDDEN_PART;
+}
+
+/* Whether nothing within `reach` of RUN pixels is dynamic. */
+inline bool nothing_moves(const int first_x, const int dst_y, const int reach, const int width, const int height,
+                          __global const uchar *is_dynamic) {
+    if (RUN == 1 || width < RUN) return false;  /* pixel by pixel that takes longer than to look in eight directions */
+    const int x0 = max(first_x - reach, 0), x1 = min(first_x + RUN + reach, width);
+    for (int y = max(dst_y - reach, 0); y <= min(dst_y + reach, height - 1); ++y)
+        for (int x = x0; x < x1; x += RUN)
+            if (!run_is_zero(is_dynamic + y * width + min(x, width - RUN))) return false;
+    return true;
+}
+
+/* RUN pixels per work-item. */
+SCAN __kernel void fill_hidden_parts(const int source_width, const int source_height, const int target_width,
+                                     const int target_height, const int reach, const float2 zoom, const Reprojection to_source,
+                                     __global const float *source_depth, __global const uchar *disoccluded,
+                                     __global const uchar *is_dynamic, __global half *color, __global float *depth,
+                                     __global float2 *motion, __global uchar *filled_by) {
+    const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
+    if (first_x >= target_width || dst_y >= target_height) return;
+    const int first = dst_y * target_width + first_x;
+    if (first_x + RUN <= target_width && run_is_zero(disoccluded + first)) return;
+    if (nothing_moves(first_x, dst_y, reach, target_width, target_height, is_dynamic)) return;
+    const Frames f = {target_width, target_height, source_width, source_height, reach, zoom, to_source, disoccluded, is_dynamic,
+                      depth, source_depth, motion};
+    for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x)
+        if (disoccluded[dst_y * target_width + dst_x])
+            fill_hidden_part(dst_x, dst_y, f, color, depth, motion, filled_by);
+}
