@@ -36,6 +36,7 @@ from gffe_cl.stages.holes import FILLINGS, HoleFilling
 from gffe_cl.stages.prediction import MAX_ORDER, PositionPrediction
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import ShadingInputs
+from gffe_cl.stages.silhouettes import Silhouettes
 from gffe_cl.stages.surfaces import Surfaces
 from gffe_cl.stages.warp import Warp
 from gffe_cl.values import require_exposure
@@ -98,6 +99,7 @@ STAGES: tuple[type[Stage], ...] = (
     Warp,
     Background,
     HoleFilling,
+    Silhouettes,
     ShadingInputs,
     ShadingCorrection,
 )
