@@ -5,7 +5,6 @@
 
 #include "common.h"
 #include "wide.h"
-#include "cubic.h"
 #include "flow.h"
 #include "blocks.h"
 
@@ -14,13 +13,16 @@
 #define SAME_LAYER 0.85f     /* least ratio of the depths of fragments of one layer */
 #define ALONG 3.0f           /* px by which fragments of a layer may deviate from its motion ... */
 #define ALIKE 1.0f           /* ... and those from which one colour is interpolated */
-#define BESIDE_OTHER 0.05f   /* weight of colours next to the other layer, which may be mixed, too */
+#define AT_EDGE 0.05f        /* weight of colours at edges, which may be mixed, too */
 #define TOO_ALIKE 0.02f      /* squared relative contrast of two layers below which colours do not tell the coverage */
 
 /* Values of `layer`: the pixel belongs to one of two layers around it that move apart. */
 #define NO_LAYER 0
 #define FAR 1
 #define NEAR 2
+
+#define ALL_LINKS 15
+#define MARKED 3             /* px around a layer's fragments within which silhouettes are looked for; less than a block's sides */
 
 /* Weight of pixel k of 3x3 in the middle one's coverage: a pixel's area, filtered over two. */
 inline float tent(const int k) { return k == 4 ? 4.0f : (k & 1) ? 2.0f : 1.0f; }
@@ -31,22 +33,6 @@ inline float between(const float nearest, const float farthest) {
 }
 
 inline bool is_step(const float nearest, const float farthest) { return nearest < (1.0f - STEP) * farthest; }
-
-/* Least and greatest of what was met so far, lane by lane. */
-typedef struct { Floats low, high; } Range;
-
-INLINE void widen(Range *range, const Floats v) {
-    range->low = v < range->low ? v : range->low;
-    range->high = v > range->high ? v : range->high;
-}
-
-/* Which of LANES pixels, one pixel within an image, lie at a step of depth. */
-INLINE Ints wide_is_step(__global const float *depth, const int i, const int width) {
-    Range range = {(Floats)(INFINITY), (Floats)(0.0f)};
-#pragma unroll
-    for (int k = 0; k < 9; ++k) widen(&range, load_floats(0, depth + i + (k / 3 - 1) * width + k % 3 - 1));
-    return range.low < (1.0f - STEP) * range.high;
-}
 
 inline float3 not_negative(const float3 c) { return fmax(c, 0.0f); }
 
@@ -60,76 +46,71 @@ typedef struct {
     __global const half *color;
 } Source;
 
-/* The 5x5 pixels around (x, y), clamped to the image, in bits: `valid` those that hold a depth, `near` those that are nearer than
-   `middle`. */
-#define PIXEL_OF_3X3(k) (6 + (k) % 3 + (k) / 3 * 5)
-typedef struct { uint valid, near; } Sides;
+/* LANES pixels of an image from (x, y) on. `inner`: those around lie inside, too; else they are clamped to it. */
+typedef struct { int x, y, width, height; bool inner; } Strip;
 
-inline int pixel_beside(const Source s, const int x, const int y, const int dx, const int dy) {
-    return clamp(y + dy, 0, s.height - 1) * s.width + clamp(x + dx, 0, s.width - 1);
+INLINE Floats beside(const Strip p, __global const float *plane, const int dx, const int dy) {
+    if (p.inner) return load_floats(0, plane + (p.y + dy) * p.width + p.x + dx);
+    const Ints x = clamp(p.x + dx + LANE_NUMBERS, (Ints)(0), (Ints)(p.width - 1));
+    return gather_floats(plane + clamp(p.y + dy, 0, p.height - 1) * p.width, x);
 }
 
-inline Sides sides_of(const Source s, const int x, const int y, const float middle, __global const float *depth) {
-    Sides sides = {0, 0};
-    for (int k = 0; k < 25; ++k) {
-        const float z = depth[pixel_beside(s, x, y, k % 5 - 2, k / 5 - 2)];
-        sides.valid |= (uint)!INVALID_DEPTH(z) << k;
-        sides.near |= (uint)(z < middle) << k;
-    }
-    sides.near &= sides.valid;
-    return sides;
-}
-
-/* Whether bit k and those of the pixels beside it are alike. */
-inline bool is_pure(const uint near, const int k) {
-    const uint cross = 1u << (k - 5) | 7u << (k - 1) | 1u << (k + 5);
-    return (near & cross) == 0 || (near & cross) == cross;
-}
-
-/* Whether two layers around (x, y), on both sides of depth *middle, move apart. */
-inline bool layers_part(const Source s, const int x, const int y, __global const float *depth, float *middle) {
-    const int src = y * s.width + x, plane = s.width * s.height;
-    const float3 here = position_of(s.target_position, src, plane);
-    if (INVALID_DEPTH(depth[src]) || !(here.z > 0.0f)) return false;
-    float nearest = INFINITY, farthest = 0.0f;
+/* Which of them lie at a step of depth, and what is halfway between its sides. */
+INLINE Ints wide_is_step(const Strip p, __global const float *depth, Floats *middle) {
+    Floats nearest = INFINITY, farthest = 0.0f;
+#pragma unroll
     for (int k = 0; k < 9; ++k) {
-        const float z = depth[pixel_beside(s, x, y, k % 3 - 1, k / 3 - 1)];
-        if (INVALID_DEPTH(z)) continue;
-        nearest = fmin(nearest, z);
-        farthest = fmax(farthest, z);
+        const Floats z = beside(p, depth, k % 3 - 1, k / 3 - 1);
+        nearest = (z > 0.0f) & (z < nearest) ? z : nearest;
+        farthest = z > farthest ? z : farthest;
     }
-    if (!is_step(nearest, farthest)) return false;
-    *middle = between(nearest, farthest);
+    const Ints step = nearest < (1.0f - STEP) * farthest;
+    if (ANY(step)) *middle = 2.0f * nearest * (isinf(farthest) ? (Floats)(1.0f) : wide_divide(farthest, nearest + farthest));
+    return step;
+}
+
+/* Which of them have layers around, on both sides of depth *middle, that move apart. */
+INLINE Ints layers_part(const Strip p, const Source s, __global const float *depth, Floats *middle) {
+    const Ints step = wide_is_step(p, depth, middle);
+    if (!ANY(step)) return step;
+    __global const float *to_x = s.target_position, *to_y = to_x + p.width * p.height, *to_z = to_y + p.width * p.height;
+    const Floats x = beside(p, to_x, 0, 0), y = beside(p, to_y, 0, 0), z = beside(p, depth, 0, 0);
+    const Ints is_near = z < *middle;
+    Ints part = (Ints)(0);
+#pragma unroll
     for (int k = 0; k < 9; ++k) {
-        const int dx = k % 3 - 1, dy = k / 3 - 1, beside = src + dy * s.width + dx;
-        if (!inside(x + dx, y + dy, s.width, s.height) || INVALID_DEPTH(depth[beside])) continue;
-        if ((depth[beside] < *middle) == (depth[src] < *middle)) continue;
-        const float3 there = position_of(s.target_position, beside, plane);
-        const float ex = there.x - here.x - s.zoom.x * (float)dx, ey = there.y - here.y - s.zoom.y * (float)dy;
-        if (there.z > 0.0f && fmax(fabs(ex), fabs(ey)) > MOVES_APART) return true;
+        const int dx = k % 3 - 1, dy = k / 3 - 1;
+        if (!p.inner && (p.y + dy < 0 || p.y + dy >= p.height)) continue;
+        const Floats there = beside(p, depth, dx, dy);
+        const Floats ex = fabs(beside(p, to_x, dx, dy) - x - s.zoom.x * (float)dx);
+        const Floats ey = fabs(beside(p, to_y, dx, dy) - y - s.zoom.y * (float)dy);
+        Ints other = ((there < *middle) != is_near) & (there > 0.0f) & (beside(p, to_z, dx, dy) > 0.0f);
+        if (!p.inner) other &= (p.x + dx + LANE_NUMBERS >= 0) & (p.x + dx + LANE_NUMBERS < p.width);
+        part |= other & ((ex > MOVES_APART) | (ey > MOVES_APART));
     }
-    return false;
+    return step & part & (z > 0.0f) & (beside(p, to_z, 0, 0) > 0.0f);
 }
 
 /* The nearer layer's share of pixel (x, y), and the colour of what it covers: where the pixel's colour lies between the mean
    colours of both layers around, as far as these differ; else from the pixels that each layer has. */
-inline float4 unmix(const Source s, const int x, const int y, const float middle, __global const float *depth) {
-    const Sides sides = sides_of(s, x, y, middle, depth);
+inline float4 unmix(const Source s, const int x, const int y, const float middle, __global const float *depth,
+                    __global const uchar *links) {
+    const int src = y * s.width + x;
     float4 near_sum = (float4)(0.0f), far_sum = (float4)(0.0f);
     float near_area = 0.0f, area = 0.0f;
     for (int k = 0; k < 9; ++k) {
-        const int bit = PIXEL_OF_3X3(k);
-        if (!(sides.valid >> bit & 1u)) continue;
-        const float3 c = not_negative(load_color(s.color, pixel_beside(s, x, y, k % 3 - 1, k / 3 - 1)));
-        const float4 weighted = (is_pure(sides.near, bit) ? tent(k) : BESIDE_OTHER * tent(k)) * (float4)(c, 1.0f);
-        const bool is_near = sides.near >> bit & 1u;
+        const int dx = k % 3 - 1, dy = k / 3 - 1, there = src + dy * s.width + dx;
+        if (!inside(x + dx, y + dy, s.width, s.height) || INVALID_DEPTH(depth[there])) continue;
+        const float3 c = not_negative(load_color(s.color, there));
+        const float4 weighted = (links[there] == ALL_LINKS ? tent(k) : AT_EDGE * tent(k)) * (float4)(c, 1.0f);
+        const bool is_near = depth[there] < middle;
         near_sum += is_near ? weighted : (float4)(0.0f);
         far_sum += is_near ? (float4)(0.0f) : weighted;
         near_area += is_near ? tent(k) : 0.0f;
         area += tent(k);
     }
-    const bool is_near = depth[y * s.width + x] < middle;
-    const float3 own = not_negative(load_color(s.color, y * s.width + x));
+    const bool is_near = depth[src] < middle;
+    const float3 own = not_negative(load_color(s.color, src));
     const float3 near_color = near_sum.xyz * divide(1.0f, near_sum.w), far_color = far_sum.xyz * divide(1.0f, far_sum.w);
     const float3 contrast = near_color - far_color, size = fmax(near_color, far_color);
     const float scale = divide(1.0f, 1e-4f + fmax(size.x, fmax(size.y, size.z)));
@@ -142,48 +123,47 @@ inline float4 unmix(const Source s, const int x, const int y, const float middle
     return (float4)(is_near ? far_color : not_negative(own - coverage * contrast), coverage);
 }
 
-/* Which of LANES pixels, one pixel within the image, may have layers around that move apart. */
-INLINE Ints layers_may_part(const Source s, const int src, __global const float *depth) {
-    const Ints step = wide_is_step(depth, src, s.width);
-    if (!ANY(step)) return step;
-    const float none = INFINITY;
-    Range x = {(Floats)(none), (Floats)(-none)}, y = x;
-#pragma unroll
-    for (int k = 0; k < 9; ++k) {
-        const int dx = k % 3 - 1, dy = k / 3 - 1;
-        __global const float *p = s.target_position + src + dy * s.width + dx;
-        widen(&x, load_floats(0, p) - s.zoom.x * (float)dx);
-        widen(&y, load_floats(0, p + s.width * s.height) - s.zoom.y * (float)dy);
+/* Marks the blocks around the pixel where a fragment goes. */
+inline void mark_around(const float2 px, const int width, const int height, __global uchar *marked) {
+    if (!(px.x > -(float)MARKED && px.y > -(float)MARKED && px.x < (float)(width + MARKED) && px.y < (float)(height + MARKED))) return;
+    for (int k = 0; k < 4; ++k) {
+        const int x = (int)px.x + ((k & 1) ? MARKED : -MARKED), y = (int)px.y + ((k >> 1) ? MARKED : -MARKED);
+        marked[block_of(clamp(x, 0, width - 1), clamp(y, 0, height - 1), width)] = 1;
     }
-    return step & ((x.high - x.low > 0.99f * MOVES_APART) | (y.high - y.low > 0.99f * MOVES_APART));
 }
 
-/* Which layer each pixel belongs to; in `behind`, where it does, (colour of the far layer, coverage of the near one). */
-WIDE __kernel void find_layers(const int source_width, const int source_height, const float2 zoom, __global const float *depth,
-                               __global const uchar *links, __global const float *target_position, __global const half *color,
-                               __global uchar *layer, __global half *behind) {
+/* Which layer each pixel belongs to; in `behind`, where it does, (colour of the far layer, coverage of the near one). Marks the
+   target blocks where they go. */
+WIDE __kernel void find_layers(const int source_width, const int source_height, const int target_width, const int target_height,
+                               const float2 zoom, __global const float *depth, __global const uchar *links,
+                               __global const float *target_position, __global const half *color, __global uchar *layer,
+                               __global half *behind, __global uchar *marked) {
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x, count = min(source_width - src_x, LANES);
-    const Ints linked = to_ints(load_some_bytes(count, links + src));
     const Source s = {source_width, source_height, zoom, target_position, color};
-    Ints edge = linked != (LINK_RIGHT | LINK_DOWN | LINK_LEFT | LINK_UP);
-    if (ANY(edge) && src_x >= 1 && src_y >= 1 && src_x + LANES < source_width && src_y + 1 < source_height)
-        edge &= layers_may_part(s, src, depth);
-    if (!ANY(edge)) {
-        store_some_bytes((Bytes)(NO_LAYER), count, layer + src);
-        return;
-    }
-    int lane_edge[LANES];
-    store_ints(edge, 0, lane_edge);
-    for (int k = 0; k < count; ++k) {
-        float middle;
-        uchar found = NO_LAYER;
-        if (lane_edge[k] && layers_part(s, src_x + k, src_y, depth, &middle)) {
-            vstore_half4_rte(unmix(s, src_x + k, src_y, middle, depth), src + k, behind);
-            found = depth[src + k] < middle ? NEAR : FAR;
+    Strip p = {src_x, src_y, source_width, source_height, false};
+    Floats middle = 0.0f;
+    Ints part = to_ints(load_some_bytes(count, links + src)) != ALL_LINKS;
+    if (ANY(part)) {
+        if (src_x >= 1 && src_y >= 1 && src_x + LANES < source_width && src_y + 1 < source_height) {
+            p.inner = true;
+            part &= layers_part(p, s, depth, &middle);
+        } else {
+            part &= layers_part(p, s, depth, &middle);
         }
-        layer[src + k] = found;
+    }
+    const Ints is_near = beside(p, depth, 0, 0) < middle;
+    store_some_bytes(to_bytes(part ? (is_near ? (Ints)(NEAR) : (Ints)(FAR)) : (Ints)(NO_LAYER)), count, layer + src);
+    if (!ANY(part)) return;
+    int lane_part[LANES];
+    float lane_middle[LANES];
+    store_ints(part, 0, lane_part);
+    store_floats(middle, 0, lane_middle);
+    for (int k = 0; k < count; ++k) {
+        if (!lane_part[k]) continue;
+        vstore_half4_rte(unmix(s, src_x + k, src_y, lane_middle[k], depth, links), src + k, behind);
+        mark_around(position_of(target_position, src + k, source_width * source_height).xy, target_width, target_height, marked);
     }
 }
 
@@ -247,71 +227,32 @@ inline bool without_near(const Source s, const Layers l, const Shown f, const in
     return weight_sum > 0.05f;
 }
 
-/* Rows of 4x4 pixels, one after another. */
-#define FOUR_ROWS(load, p, width) \
-    ((float16)(load(0, p), load(0, (p) + (width)), load(0, (p) + 2 * (width)), load(0, (p) + 3 * (width))))
-typedef struct { float16 r, g, b, a; } Taps;
-
-inline Taps load_taps(__global const half *color, const int first, const int width) {
-    const float16 row_0 = vload_half16(0, color + 4 * first), row_1 = vload_half16(0, color + 4 * (first + width));
-    const float16 row_2 = vload_half16(0, color + 4 * (first + 2 * width)), row_3 = vload_half16(0, color + 4 * (first + 3 * width));
-    const Taps taps = {(float16)(row_0.s048c, row_1.s048c, row_2.s048c, row_3.s048c),
-                       (float16)(row_0.s159d, row_1.s159d, row_2.s159d, row_3.s159d),
-                       (float16)(row_0.s26ae, row_1.s26ae, row_2.s26ae, row_3.s26ae),
-                       (float16)(row_0.s37bf, row_1.s37bf, row_2.s37bf, row_3.s37bf)};
-    return taps;
-}
-
-inline float16 finite(const float16 c) {  /* NaN and what is negative count as 0 */
-    const float16 low = c > 0.0f ? c : (float16)(0.0f);
-    return low < COLOR_MAX ? low : (float16)(COLOR_MAX);
-}
-
-inline float sum_of(const float16 v) {
-    const float8 halves = v.lo + v.hi;
-    const float4 quarters = halves.lo + halves.hi;
-    return (quarters.x + quarters.y) + (quarters.z + quarters.w);
-}
-
-/* Mean of the taps, within what the inner ones of `known` hold. */
-inline float mean_of_taps(const float16 taps, const float16 weights, const float scale, const int16 known) {
-    const float16 lows = known ? taps : (float16)(INFINITY), highs = known ? taps : (float16)(0.0f);
-    const float low = fmin(fmin(lows.s5, lows.s6), fmin(lows.s9, lows.sa)), high = fmax(fmax(highs.s5, highs.s6), fmax(highs.s9, highs.sa));
-    return clamp(sum_of(weights * taps) * scale, low, high);
-}
-
-/* The near layer at `px_source` of the rendered frame: (its colour times its coverage, its coverage), cubic. False if it is not
+/* The near layer at `px_source` of the rendered frame, bilinear: (its colour times its coverage, its coverage). False if it is not
    known: out of the image, or hidden by something else. */
 inline bool near_layer(const Source s, const Layers l, const float2 px, const float2 px_source, const float z, float4 *near) {
-    const int x = (int)floor(px_source.x - 0.5f) - 1, y = (int)floor(px_source.y - 0.5f) - 1;
-    if (x < 0 || y < 0 || x + 4 > s.width || y + 4 > s.height) return false;
-    const int first = y * s.width + x, plane = s.width * s.height;
-    const float4 columns = (float4)(0.5f, 1.5f, 2.5f, 3.5f);
-    const float4 from_x = ((float)x - px_source.x) + columns, from_y = ((float)y - px_source.y) + columns;
-    __global const float *p = s.target_position + first;
-    const float16 to_z = FOUR_ROWS(vload4, p + 2 * plane, s.width);
-    const float16 ex = fabs(FOUR_ROWS(vload4, p, s.width) - px.x - s.zoom.x * from_x.s0123012301230123);
-    const float16 ey = fabs(FOUR_ROWS(vload4, p + plane, s.width) - px.y - s.zoom.y * from_y.s0000111122223333);
-    const int16 along = (to_z * SAME_LAYER <= z) & (z * SAME_LAYER <= to_z) & (ex < ALONG) & (ey < ALONG);
-    const int16 known = along | !(to_z > 0.0f) | (to_z >= z);
-    const float4 wx = cubic_weights(-from_x.y), wy = cubic_weights(-from_y.y);
-    const float16 weights = known ? wx.s0123012301230123 * wy.s0000111122223333 : (float16)(0.0f);
-    const float weight_sum = sum_of(weights);
-    if (!(weight_sum > 0.5f) || !(known.s5 | known.s6 | known.s9 | known.sa)) return false;
-
-    __global const uchar *layers = l.layer + first;
-    const int16 layer = convert_int16((uchar16)(vload4(0, layers), vload4(0, layers + s.width), vload4(0, layers + 2 * s.width),
-                                                vload4(0, layers + 3 * s.width)));
-    const Taps shown = load_taps(s.color, first, s.width), behind = load_taps(l.behind, first, s.width);
-    const int16 covered = along & (layer != NEAR), shared = (along & (layer == NEAR)) | (!along & (layer == FAR));
-    const int16 seen_behind = along & (layer == FAR);
-    const float16 share = shared ? behind.a : (float16)(0.0f), none = (float16)(0.0f);
-    const float16 rest = 1.0f - share;
-#define OF_NEAR_LAYER(c) (covered ? (seen_behind ? finite(behind.c) : finite(shown.c)) : shared ? finite(finite(shown.c) - rest * finite(behind.c)) : none)
-    const float scale = divide(1.0f, weight_sum);
-    const float coverage = mean_of_taps(covered ? (float16)(1.0f) : share, weights, scale, known);
-    *near = (float4)(mean_of_taps(OF_NEAR_LAYER(r), weights, scale, known), mean_of_taps(OF_NEAR_LAYER(g), weights, scale, known),
-                     mean_of_taps(OF_NEAR_LAYER(b), weights, scale, known), coverage);
+    const int x0 = (int)floor(px_source.x - 0.5f), y0 = (int)floor(px_source.y - 0.5f);
+    const float u = px_source.x - 0.5f - (float)x0, v = px_source.y - 0.5f - (float)y0;
+    float4 sum = (float4)(0.0f);
+    float weight_sum = 0.0f;
+    for (int k = 0; k < 4; ++k) {
+        const int x = x0 + (k & 1), y = y0 + (k >> 1), src = y * s.width + x;
+        if (!inside(x, y, s.width, s.height)) continue;
+        const float3 there = position_of(s.target_position, src, s.width * s.height);
+        const bool along = goes_along(s, x, y, there, px, px_source, z, ALONG);
+        if (!along && there.z > 0.0f && there.z < z) continue;
+        const uchar layer = l.layer[src];
+        const float weight = bilinear_weight(k, u, v);
+        weight_sum += weight;
+        if (along && layer != NEAR) {
+            sum += weight * (float4)(not_negative(load_color(layer == FAR ? l.behind : s.color, src)), 1.0f);
+        } else if (along || layer == FAR) {
+            const float4 unmixed = vload_half4(src, l.behind);
+            const float3 own = not_negative(load_color(s.color, src));
+            sum += weight * (float4)(not_negative(own - (1.0f - unmixed.w) * unmixed.xyz), unmixed.w);
+        }
+    }
+    if (!(weight_sum > 0.5f)) return false;
+    *near = sum * divide(1.0f, weight_sum);
     return true;
 }
 
@@ -383,55 +324,45 @@ inline uchar soften_pixel(const Source s, const Layers l, const Shown f, const i
     return 1;
 }
 
-/* Whether a strip of pixels and all around it are warped backward: they show one surface. */
-inline bool is_smooth(const int dst_x, const int dst_y, const int width, const int height, __global const uchar *block_class) {
-    const int x0 = max(dst_x - 1, 0) / BLOCK_WIDTH, x1 = min(dst_x + LANES, width - 1) / BLOCK_WIDTH;
-    const int y0 = max(dst_y - 1, 0) / BLOCK_HEIGHT, y1 = min(dst_y + 1, height - 1) / BLOCK_HEIGHT;
-    for (int y = y0; y <= y1; ++y)
-        for (int x = x0; x <= x1; ++x)
-            if (block_class[y * block_columns(width) + x] != BACKWARD) return false;
-    return true;
-}
-
-/* Which of LANES pixels, one pixel within the image, may lie between layers that move apart. */
-INLINE Ints may_have_pair(const Source s, const Shown f, const int dst) {
-    const Ints step = wide_is_step(f.depth, dst, f.width);
-    if (!ANY(step)) return step;
+/* Which of LANES pixels may lie between layers that move apart. */
+INLINE Ints may_have_pair(const Strip p, const Source s, const Shown f) {
+    Floats middle;
+    const Ints step = wide_is_step(p, f.depth, &middle);
+    if (!p.inner || !ANY(step)) return step;
     const float none = INFINITY, back_x = 1.0f - 1.0f / s.zoom.x, back_y = 1.0f - 1.0f / s.zoom.y;
-    Range x = {(Floats)(none), (Floats)(-none)}, y = x;
+    Floats low_x = none, high_x = -none, low_y = none, high_y = -none;
 #pragma unroll
     for (int k = 0; k < 9; ++k) {
         const int dx = k % 3 - 1, dy = k / 3 - 1;
-        Floats motion_y;
-        const Floats motion_x = load_xy(f.motion + dst + dy * f.width + dx, &motion_y);
-        widen(&x, motion_x + back_x * (float)dx);
-        widen(&y, motion_y + back_y * (float)dy);
+        Floats y;
+        const Floats x = load_xy(f.motion + (p.y + dy) * p.width + p.x + dx, &y) + back_x * (float)dx;
+        y += back_y * (float)dy;
+        low_x = x < low_x ? x : low_x;
+        high_x = x > high_x ? x : high_x;
+        low_y = y < low_y ? y : low_y;
+        high_y = y > high_y ? y : high_y;
     }
-    return step & ((x.high - x.low > 0.99f * MOVES_APART) | (y.high - y.low > 0.99f * MOVES_APART));
+    return step & ((high_x - low_x > 0.99f * MOVES_APART) | (high_y - low_y > 0.99f * MOVES_APART));
 }
 
 /* Which of LANES pixels may show pixels of a far layer. */
-INLINE Ints may_be_mixed(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y) {
+INLINE Ints may_be_mixed(const Strip p, const Source s, const Layers l, const Shown f) {
+    if (!p.inner) return (Ints)(-1);
     Floats motion_y;
-    const Floats motion_x = load_xy(f.motion + dst_y * f.width + dst_x, &motion_y);
-    const Floats px_x = row_centres(dst_x) + motion_x - 0.5f, px_y = (float)dst_y + 0.5f + motion_y - 0.5f;
+    const Floats motion_x = load_xy(f.motion + p.y * p.width + p.x, &motion_y);
+    const Floats px_x = row_centres(p.x) + motion_x - 0.5f, px_y = (float)p.y + 0.5f + motion_y - 0.5f;
     const Ints in_image = (px_x >= 0.0f) & (px_y >= 0.0f) & (px_x < (float)(s.width - 1)) & (px_y < (float)(s.height - 1));
     if (!ALL(in_image)) return (Ints)(-1);
     const Ints taps = to_ints(px_y) * s.width + to_ints(px_x);
-    const int first = FIRST_LANE(taps);
-    const bool is_run = ALL(taps == first + LANE_NUMBERS);
     Ints mixed = (Ints)(0);
 #pragma unroll
-    for (int k = 0; k < 4; ++k) {
-        __global const uchar *p = l.layer + (k >> 1) * s.width + (k & 1);
-        mixed |= to_ints(is_run ? load_bytes(0, p + first) : gather_bytes(p, taps)) == FAR;
-    }
+    for (int k = 0; k < 4; ++k) mixed |= to_ints(gather_bytes(l.layer + (k >> 1) * s.width + (k & 1), taps)) == FAR;
     return mixed;
 }
 
 /* The new colours, and `coverage`: 0 where a pixel stays as it is, else 1 + 254 times the nearer layer's share. */
 WIDE __kernel void soften(const int source_width, const int source_height, const int target_width, const int target_height,
-                          const float2 zoom, __global const uchar *block_class,
+                          const float2 zoom, __global const uchar *marked,
                           __global const float *target_position, __global const half *source_color, __global const uchar *layer,
                           __global const half *behind, __global const half *color, __global const float *depth,
                           __global const float2 *motion, __global const uchar *filled_by, __global const uchar *mixed,
@@ -442,11 +373,15 @@ WIDE __kernel void soften(const int source_width, const int source_height, const
     const Source s = {source_width, source_height, zoom, target_position, source_color};
     const Layers l = {layer, behind};
     const Shown f = {target_width, target_height, color, depth, motion, filled_by, mixed};
+    Strip p = {dst_x, dst_y, target_width, target_height, false};
     Ints soft = (Ints)(0);
-    if (!is_smooth(dst_x, dst_y, target_width, target_height, block_class)) {
-        soft = (Ints)(-1);
-        if (dst_x >= 1 && dst_y >= 1 && dst_x + LANES < target_width && dst_y + 1 < target_height)
-            soft = may_have_pair(s, f, dst) | may_be_mixed(s, l, f, dst_x, dst_y);
+    if (marked[block_of(dst_x, dst_y, target_width)]) {
+        if (dst_x >= 1 && dst_y >= 1 && dst_x + LANES < target_width && dst_y + 1 < target_height) {
+            p.inner = true;
+            soft = may_have_pair(p, s, f) | may_be_mixed(p, s, l, f);
+        } else {
+            soft = may_have_pair(p, s, f) | may_be_mixed(p, s, l, f);
+        }
     }
     if (!ANY(soft)) {
         store_some_bytes((Bytes)(0), count, coverage + dst);

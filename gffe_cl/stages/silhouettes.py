@@ -33,6 +33,9 @@ class Silhouettes(Stage):
             "colour of the far side at such steps, and the near side's share of the pixel", "color",
         ),
         BufferSpec(
+            "marked", np.uint8, (), "target_blocks", "1 where fragments go that lie at such steps", "mask"
+        ),
+        BufferSpec(
             "coverage", np.uint8, (), "target", "1 + 254 times the share of the nearer surface; 0: left as it was"
         ),
         BufferSpec("softened", np.float16, RGBA, "target", "new colours at silhouettes", "color", scratch=True),
@@ -47,17 +50,21 @@ class Silhouettes(Stage):
                 "target_position": Access("prediction.target_position", "layers"),
                 "color": Access("rendered.color", "layers"),
             },
-            {"layer": "silhouettes.layer", "behind": Access("silhouettes.behind", "layers")},
+            {
+                "layer": "silhouettes.layer",
+                "behind": Access("silhouettes.behind", "layers"),
+                "marked": Access("silhouettes.marked", "near silhouettes"),
+            },
             step=("LANES", 1),
         ),
         Kernel(
             "soften",
             "target",
             {
-                "block_class": "blocks.block_class",
-                "depth": Access("frame.depth", "splatted"),
-                "motion": Access("frame.motion", "splatted"),
-                "layer": Access("silhouettes.layer", "splatted"),
+                "marked": "silhouettes.marked",
+                "depth": Access("frame.depth", "near silhouettes"),
+                "motion": Access("frame.motion", "near silhouettes"),
+                "layer": Access("silhouettes.layer", "near silhouettes"),
                 "filled_by": Access("frame.filled_by", "softened"),
                 "mixed": Access("frame.mixed", "softened"),
                 "color": Access("frame.color", "softened"),
@@ -83,6 +90,7 @@ class Silhouettes(Stage):
 
     def extrapolated(self, step: Step) -> None:
         magnification = zoom(step.frame.camera, step.camera)
+        self.fill("marked", 0)
         self.launch("find_layers", zoom=magnification)
         self.launch("soften", zoom=magnification)
         self.launch("apply_softened")
