@@ -22,6 +22,7 @@
 #define NEAR 2
 
 #define ALL_LINKS 15
+#define ANYWHERE 1e8f        /* px: fragments that go nowhere are told to go farther away */
 #define MARKED 3             /* px around a layer's fragments within which silhouettes are looked for; less than a block's sides */
 
 /* Weight of pixel k of 3x3 in the middle one's coverage: a pixel's area, filtered over two. */
@@ -55,40 +56,43 @@ INLINE Floats beside(const Strip p, __global const float *plane, const int dx, c
     return gather_floats(plane + clamp(p.y + dy, 0, p.height - 1) * p.width, x);
 }
 
-/* Which of them lie at a step of depth, and what is halfway between its sides. */
-INLINE Ints wide_is_step(const Strip p, __global const float *depth, Floats *middle) {
+/* Depths of the 3x3 pixels around each of them, and what lies halfway between the sides if these are apart. */
+typedef struct { Floats z[9], middle; } Depths;
+
+/* Which of them lie at a step of depth. */
+INLINE Ints at_step(const Strip p, __global const float *depth, Depths *d) {
     Floats nearest = INFINITY, farthest = 0.0f;
 #pragma unroll
     for (int k = 0; k < 9; ++k) {
         const Floats z = beside(p, depth, k % 3 - 1, k / 3 - 1);
         nearest = (z > 0.0f) & (z < nearest) ? z : nearest;
         farthest = z > farthest ? z : farthest;
+        d->z[k] = z;
     }
     const Ints step = nearest < (1.0f - STEP) * farthest;
-    if (ANY(step)) *middle = 2.0f * nearest * (isinf(farthest) ? (Floats)(1.0f) : wide_divide(farthest, nearest + farthest));
+    if (ANY(step)) d->middle = 2.0f * nearest * (isinf(farthest) ? (Floats)(1.0f) : wide_divide(farthest, nearest + farthest));
     return step;
 }
 
-/* Which of them have layers around, on both sides of depth *middle, that move apart. */
-INLINE Ints layers_part(const Strip p, const Source s, __global const float *depth, Floats *middle) {
-    const Ints step = wide_is_step(p, depth, middle);
+/* Which of them have layers around, on both sides of d->middle, that move apart. */
+INLINE Ints layers_part(const Strip p, const Source s, __global const float *depth, Depths *d) {
+    const Ints step = at_step(p, depth, d);
     if (!ANY(step)) return step;
-    __global const float *to_x = s.target_position, *to_y = to_x + p.width * p.height, *to_z = to_y + p.width * p.height;
-    const Floats x = beside(p, to_x, 0, 0), y = beside(p, to_y, 0, 0), z = beside(p, depth, 0, 0);
-    const Ints is_near = z < *middle;
+    __global const float *to_x = s.target_position, *to_y = to_x + p.width * p.height;
+    const Floats x = beside(p, to_x, 0, 0), y = beside(p, to_y, 0, 0);
+    const Ints is_near = d->z[4] < d->middle;
     Ints part = (Ints)(0);
 #pragma unroll
     for (int k = 0; k < 9; ++k) {
         const int dx = k % 3 - 1, dy = k / 3 - 1;
-        if (!p.inner && (p.y + dy < 0 || p.y + dy >= p.height)) continue;
-        const Floats there = beside(p, depth, dx, dy);
+        if (k == 4 || (!p.inner && (p.y + dy < 0 || p.y + dy >= p.height))) continue;
         const Floats ex = fabs(beside(p, to_x, dx, dy) - x - s.zoom.x * (float)dx);
         const Floats ey = fabs(beside(p, to_y, dx, dy) - y - s.zoom.y * (float)dy);
-        Ints other = ((there < *middle) != is_near) & (there > 0.0f) & (beside(p, to_z, dx, dy) > 0.0f);
+        Ints other = ((d->z[k] < d->middle) != is_near) & (d->z[k] > 0.0f) & (ex < ANYWHERE);
         if (!p.inner) other &= (p.x + dx + LANE_NUMBERS >= 0) & (p.x + dx + LANE_NUMBERS < p.width);
         part |= other & ((ex > MOVES_APART) | (ey > MOVES_APART));
     }
-    return step & part & (z > 0.0f) & (beside(p, to_z, 0, 0) > 0.0f);
+    return step & part & (d->z[4] > 0.0f);
 }
 
 /* The nearer layer's share of pixel (x, y), and the colour of what it covers: where the pixel's colour lies between the mean
@@ -143,23 +147,26 @@ WIDE __kernel void find_layers(const int source_width, const int source_height, 
     const int src = src_y * source_width + src_x, count = min(source_width - src_x, LANES);
     const Source s = {source_width, source_height, zoom, target_position, color};
     Strip p = {src_x, src_y, source_width, source_height, false};
-    Floats middle = 0.0f;
+    Depths d;
     Ints part = to_ints(load_some_bytes(count, links + src)) != ALL_LINKS;
     if (ANY(part)) {
         if (src_x >= 1 && src_y >= 1 && src_x + LANES < source_width && src_y + 1 < source_height) {
             p.inner = true;
-            part &= layers_part(p, s, depth, &middle);
+            part &= layers_part(p, s, depth, &d);
         } else {
-            part &= layers_part(p, s, depth, &middle);
+            part &= layers_part(p, s, depth, &d);
         }
     }
-    const Ints is_near = beside(p, depth, 0, 0) < middle;
-    store_some_bytes(to_bytes(part ? (is_near ? (Ints)(NEAR) : (Ints)(FAR)) : (Ints)(NO_LAYER)), count, layer + src);
-    if (!ANY(part)) return;
+    if (!ANY(part)) {
+        store_some_bytes((Bytes)(NO_LAYER), count, layer + src);
+        return;
+    }
+    const Ints side = d.z[4] < d.middle ? (Ints)(NEAR) : (Ints)(FAR);
+    store_some_bytes(to_bytes(part ? side : (Ints)(NO_LAYER)), count, layer + src);
     int lane_part[LANES];
     float lane_middle[LANES];
     store_ints(part, 0, lane_part);
-    store_floats(middle, 0, lane_middle);
+    store_floats(d.middle, 0, lane_middle);
     for (int k = 0; k < count; ++k) {
         if (!lane_part[k]) continue;
         vstore_half4_rte(unmix(s, src_x + k, src_y, lane_middle[k], depth, links), src + k, behind);
@@ -281,21 +288,22 @@ inline bool find_pair(const Source s, const Layers l, const Shown f, const int d
     float3 near_sum = (float3)(0.0f), far_color = (float3)(0.0f);
     float2 far_sum = (float2)(0.0f);
     float near_weight = 0.0f, far_weight = 0.0f;
-    for (int k = 0; k < 9; ++k) {
-        const int dx = k % 3 - 1, dy = k / 3 - 1, beside = dst + dy * f.width + dx;
-        if (!inside(dst_x + dx, dst_y + dy, f.width, f.height) || f.filled_by[beside] == BY_NOTHING) continue;
-        const bool is_near = f.depth[beside] < middle;
-        if (is_near ? near_is_own != (k == 4) || !is_warped(f.filled_by[beside]) : own_near == (k == 4)) continue;
-        const float2 px = pixel_centre(dst_x + dx, dst_y + dy) + f.motion[beside] - back * (float2)((float)dx, (float)dy);
+    for (int i = 0; i < 9; ++i) {  /* itself, those beside it, and at its corners where there are none */
+        const int k = (int)(0x862075314L >> 4 * i) & 15, dx = k % 3 - 1, dy = k / 3 - 1, there = dst + dy * f.width + dx;
+        if (!inside(dst_x + dx, dst_y + dy, f.width, f.height) || f.filled_by[there] == BY_NOTHING) continue;
+        const bool is_near = f.depth[there] < middle;
+        if (is_near && (!is_warped(f.filled_by[there]) || (near_weight > 0.0f && (near_is_own || i >= 5)))) continue;
+        if (!is_near && far_weight > 0.0f && (!own_near || i >= 5)) continue;
+        const float2 px = pixel_centre(dst_x + dx, dst_y + dy) + f.motion[there] - back * (float2)((float)dx, (float)dy);
         if (is_near) {
-            near_sum += tent(k) * (float3)(px, f.depth[beside]);
-            near_weight += tent(k);
+            near_sum += (float3)(px, f.depth[there]);
+            near_weight += 1.0f;
         } else {
             float3 rgb;
             without_near(s, l, f, dst_x + dx, dst_y + dy, &rgb);
-            far_sum += tent(k) * px;
-            far_color += tent(k) * rgb;
-            far_weight += tent(k);
+            far_sum += px;
+            far_color += rgb;
+            far_weight += 1.0f;
         }
     }
     if (near_weight == 0.0f || far_weight == 0.0f) return false;
@@ -326,8 +334,8 @@ inline uchar soften_pixel(const Source s, const Layers l, const Shown f, const i
 
 /* Which of LANES pixels may lie between layers that move apart. */
 INLINE Ints may_have_pair(const Strip p, const Source s, const Shown f) {
-    Floats middle;
-    const Ints step = wide_is_step(p, f.depth, &middle);
+    Depths d;
+    const Ints step = at_step(p, f.depth, &d);
     if (!p.inner || !ANY(step)) return step;
     const float none = INFINITY, back_x = 1.0f - 1.0f / s.zoom.x, back_y = 1.0f - 1.0f / s.zoom.y;
     Floats low_x = none, high_x = -none, low_y = none, high_y = -none;
