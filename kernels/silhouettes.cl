@@ -22,7 +22,7 @@
 #define NEAR 2
 
 #define ALL_LINKS 15
-#define ANYWHERE 1e8f        /* px: fragments that go nowhere are told to go farther away */
+#define ANYWHERE 100000000.0f /* px: fragments that go nowhere are told to go farther away */
 #define MARKED 3             /* px around a layer's fragments within which silhouettes are looked for; less than a block's sides */
 
 /* Weight of pixel k of 3x3 in the middle one's coverage: a pixel's area, filtered over two. */
@@ -283,17 +283,20 @@ inline bool find_pair(const Source s, const Layers l, const Shown f, const int d
     }
     if (f.filled_by[dst] == BY_NOTHING || !is_step(nearest, farthest)) return false;
     const float middle = between(nearest, farthest);
-    const bool own_near = f.depth[dst] < middle, near_is_own = own_near && is_warped(f.filled_by[dst]);
     const float2 back = (float2)(divide(1.0f, s.zoom.x), divide(1.0f, s.zoom.y));
     float3 near_sum = (float3)(0.0f), far_color = (float3)(0.0f);
     float2 far_sum = (float2)(0.0f);
     float near_weight = 0.0f, far_weight = 0.0f;
+    bool near_known = false, far_known = false;
     for (int i = 0; i < 9; ++i) {  /* itself, those beside it, and at its corners where there are none */
+        if (i == 1 || i == 5) {
+            near_known = near_weight > 0.0f;
+            far_known = far_weight > 0.0f;
+        }
         const int k = (int)(0x862075314L >> 4 * i) & 15, dx = k % 3 - 1, dy = k / 3 - 1, there = dst + dy * f.width + dx;
         if (!inside(dst_x + dx, dst_y + dy, f.width, f.height) || f.filled_by[there] == BY_NOTHING) continue;
         const bool is_near = f.depth[there] < middle;
-        if (is_near && (!is_warped(f.filled_by[there]) || (near_weight > 0.0f && (near_is_own || i >= 5)))) continue;
-        if (!is_near && far_weight > 0.0f && (!own_near || i >= 5)) continue;
+        if (is_near ? near_known || !is_warped(f.filled_by[there]) : far_known) continue;
         const float2 px = pixel_centre(dst_x + dx, dst_y + dy) + f.motion[there] - back * (float2)((float)dx, (float)dy);
         if (is_near) {
             near_sum += (float3)(px, f.depth[there]);
