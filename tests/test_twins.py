@@ -213,7 +213,10 @@ def assert_silhouettes(pipeline, before, color, depth, links, zoom):
     difference = np.abs(stage.read("coverage").astype(int) - coverage)
     assert (difference <= 1).all() and 0.02 < (coverage > 0).mean() < 0.6
     np.testing.assert_allclose(
-        pipeline.board.frame.read("color")[..., :3].astype(np.float32), softened.astype(np.float32), rtol=2e-3, atol=2e-3
+        pipeline.board.frame.read("color")[..., :3].astype(np.float32),
+        softened.astype(np.float32),
+        rtol=2e-3,
+        atol=2e-3,
     )
 
 

@@ -9,8 +9,7 @@ from gffe_cl.opencl.program import constants
 F = np.float32
 CONSTANTS = constants("silhouettes.cl")
 STEP, MOVES_APART, SAME_LAYER, ALONG, ALIKE, AT_EDGE, TOO_ALIKE = (
-    F(CONSTANTS[name])
-    for name in ("STEP", "MOVES_APART", "SAME_LAYER", "ALONG", "ALIKE", "AT_EDGE", "TOO_ALIKE")
+    F(CONSTANTS[name]) for name in ("STEP", "MOVES_APART", "SAME_LAYER", "ALONG", "ALIKE", "AT_EDGE", "TOO_ALIKE")
 )
 FAR, NEAR, MARKED = CONSTANTS["FAR"], CONSTANTS["NEAR"], CONSTANTS["MARKED"]
 AROUND = [(dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]

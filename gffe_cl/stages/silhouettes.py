@@ -1,4 +1,5 @@
-"""Soft silhouettes: edges of what moves over something else keep the rendered frame's antialiasing (not in the paper)."""
+"""Soft silhouettes: edges of what moves over something else stay antialiased as the rendered frame has them (not in the
+paper)."""
 
 from __future__ import annotations
 
