@@ -14,7 +14,7 @@
 #define ALONG 3.0f           /* px by which fragments of a layer may deviate from its motion ... */
 #define ALIKE 1.0f           /* ... and those from which one colour is interpolated */
 #define AT_EDGE 0.05f        /* weight of colours at edges, which may be mixed, too */
-#define TOO_ALIKE 0.02f      /* squared relative contrast of two layers below which colours do not tell the coverage */
+#define TOO_ALIKE 0.03125f   /* squared relative contrast of two layers below which colours tell the coverage in part only */
 
 /* Values of `layer`: the pixel belongs to one of two layers around it that move apart. */
 #define NO_LAYER 0
@@ -122,7 +122,7 @@ inline float4 unmix(const Source s, const int x, const int y, const float middle
     const float squared = relative.x * relative.x + relative.y * relative.y + relative.z * relative.z;
     const float along = offset.x * relative.x + offset.y * relative.y + offset.z * relative.z;
     const float by_color = squared > 0.0f ? clamp(divide(along, squared), is_near ? 0.5f : 0.0f, is_near ? 1.0f : 0.5f) : 0.0f;
-    const float trust = divide(squared, squared + TOO_ALIKE);
+    const float trust = fmin(squared * (1.0f / TOO_ALIKE), 1.0f);
     const float coverage = trust * by_color + (1.0f - trust) * divide(near_area, area);
     return (float4)(is_near ? far_color : not_negative(own - coverage * contrast), coverage);
 }

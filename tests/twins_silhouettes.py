@@ -84,7 +84,7 @@ def unmixed(color, depth, links, x, y, near_by, middle):
     squared, along = (relative * relative).sum(), (offset * relative).sum()
     low, high = (F(0.5), F(1)) if is_near else (F(0), F(0.5))
     by_color = np.clip(along / squared, low, high) if squared > 0 else F(0)
-    trust = squared / (squared + TOO_ALIKE)
+    trust = min(squared * (F(1) / TOO_ALIKE), F(1))
     coverage = trust * by_color + (F(1) - trust) * (areas[1] / areas.sum())
     return np.append(far if is_near else np.maximum(own - coverage * contrast, 0), coverage)
 
