@@ -105,6 +105,7 @@ GAE: dict[str, Change] = {
     "background texels cover what they map to": Change(constants={"background.cl": {"FOOTPRINT_HALF": "0.0f"}}),
     "holes inside a mover are not the background's": Change(constants={"background.cl": {"INSIDE_REACH": "0"}}),
     "holes continue their far side": Change({"hole_filling": "downsample"}),
+    "silhouettes stay antialiased": Change({"soft_silhouettes": False}),
 }
 PAPER = Change()
 for change in GAE.values():

@@ -16,6 +16,8 @@
 #define AT_EDGE 0.05f        /* weight of colours at edges, which may be mixed, too */
 #define TOO_ALIKE 0.03125f   /* squared relative contrast of two layers below which colours tell the coverage in part only */
 
+#define SHARPER 1.25f        /* steepness of coverage, which interpolation has smoothed */
+
 /* Values of `layer`: the pixel belongs to one of two layers around it that move apart. */
 #define NO_LAYER 0
 #define FAR 1
@@ -234,7 +236,7 @@ inline bool without_near(const Source s, const Layers l, const Shown f, const in
     return weight_sum > 0.05f;
 }
 
-/* The near layer at `px_source` of the rendered frame, bilinear: (its colour times its coverage, its coverage). False if it is not
+/* The near layer at `px_source` of the rendered frame, bilinear and sharpened: (its colour times its coverage, its coverage). False if it is not
    known: out of the image, or hidden by something else. */
 inline bool near_layer(const Source s, const Layers l, const float2 px, const float2 px_source, const float z, float4 *near) {
     const int x0 = (int)floor(px_source.x - 0.5f), y0 = (int)floor(px_source.y - 0.5f);
@@ -259,7 +261,8 @@ inline bool near_layer(const Source s, const Layers l, const float2 px, const fl
         }
     }
     if (!(weight_sum > 0.5f)) return false;
-    *near = sum * divide(1.0f, weight_sum);
+    const float share = divide(sum.w, weight_sum), coverage = clamp(SHARPER * (share - 0.5f) + 0.5f, 0.0f, 1.0f);
+    *near = (float4)(sum.xyz * (coverage > 0.0f ? divide(coverage, sum.w) : 0.0f), coverage);
     return true;
 }
 

@@ -8,8 +8,9 @@ from gffe_cl.opencl.program import constants
 
 F = np.float32
 CONSTANTS = constants("silhouettes.cl")
-STEP, MOVES_APART, SAME_LAYER, ALONG, ALIKE, AT_EDGE, TOO_ALIKE = (
-    F(CONSTANTS[name]) for name in ("STEP", "MOVES_APART", "SAME_LAYER", "ALONG", "ALIKE", "AT_EDGE", "TOO_ALIKE")
+STEP, MOVES_APART, SAME_LAYER, ALONG, ALIKE, AT_EDGE, TOO_ALIKE, SHARPER = (
+    F(CONSTANTS[name])
+    for name in ("STEP", "MOVES_APART", "SAME_LAYER", "ALONG", "ALIKE", "AT_EDGE", "TOO_ALIKE", "SHARPER")
 )
 FAR, NEAR, MARKED = CONSTANTS["FAR"], CONSTANTS["NEAR"], CONSTANTS["MARKED"]
 AROUND = [(dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
@@ -162,7 +163,10 @@ class Softening:
             elif along or layer == FAR:
                 share = np.maximum(own - (F(1) - behind[3]) * behind[:3], 0)
                 total += weight * np.append(share, behind[3])
-        return total * (F(1) / weights) if weights > 0.5 else None
+        if not weights > 0.5:
+            return None
+        coverage = np.clip(SHARPER * (total[3] / weights - F(0.5)) + F(0.5), F(0), F(1))
+        return np.append(total[:3] * (coverage / total[3] if coverage > 0 else F(0)), coverage)
 
     def pair(self, x, y):
         """(place of the near layer, its depth, colour of the far one)."""
