@@ -117,6 +117,7 @@ GAE: dict[str, Change] = {
             }
         }
     ),
+    "silhouettes stay antialiased": Change({"soft_silhouettes": False}),
 }
 PAPER = Change()
 for change in GAE.values():

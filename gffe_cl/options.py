@@ -151,6 +151,10 @@ class Options:
         "far-side", "hole filling", "What neither the rendered frame nor the background shows.",
         choices={name: filling.sentence for name, filling in FILLINGS.items()}, off="none", flag="--hole-filling",
     )  # fmt: skip
+    soft_silhouettes: bool = _option(
+        True, "soft silhouettes", "Edges of what moves over something else stay antialiased; off: as the warp leaves"
+        " them, as in the paper.", flag="--no-soft-silhouettes",
+    )  # fmt: skip
     shading_inputs: bool = _option(
         False, "inputs of shading correction", "Make them where shading correction is off, too.", remembered=False
     )

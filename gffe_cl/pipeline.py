@@ -38,6 +38,7 @@ from gffe_cl.stages.holes import FILLINGS, HoleFilling
 from gffe_cl.stages.prediction import MAX_ORDER, PositionPrediction
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import ShadingInputs
+from gffe_cl.stages.silhouettes import Silhouettes
 from gffe_cl.stages.surfaces import Surfaces
 from gffe_cl.stages.warp import Warp
 from gffe_cl.values import require_exposure
@@ -102,6 +103,7 @@ STAGES: tuple[type[Stage], ...] = (
     HiddenParts,
     Background,
     HoleFilling,
+    Silhouettes,
     ShadingInputs,
     ShadingCorrection,
 )

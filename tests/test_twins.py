@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import twins
+import twins_silhouettes
 from synthetic import Rect, Rects, camera
 
 from gffe_cl.opencl.device import list_devices, open_info
@@ -47,6 +48,7 @@ def run(device, width, height, options, int64=None, target=None, spoil=True):
     """Submit four frames; returns the pipeline, its last two host frames and the target camera and time."""
     pipeline = Pipeline(device, *(target or (width, height)), options, render_size=(width, height), int64_atomics=int64)
     seen = []
+    pipeline.keep()
     for frame in frames(width, height, spoil=spoil):
         before = _state(pipeline, seen[-1]) if seen else None
         pipeline.submit(frame)
@@ -195,13 +197,20 @@ def test_stages_equal_their_twins(device, options, size, target):
         np.testing.assert_allclose(pipeline.stages["holes"].read("block_inverse_depth"), sums[1], rtol=1e-4, atol=1e-5)
     filled = twins.fill_holes(warped, *sums, to_source, pipeline.stages["holes"].reach, size)
     holes = unfilled
+    before_softening = pipeline.board.frame.read("color")
+    if options.soft_silhouettes:
+        kept = (owner for owner, _ in pipeline.named_buffers() if isinstance(owner, Output) and owner.name == "holes")
+        before_softening = next(kept).read("color")
     for name in ("color", "depth", "motion"):
-        got_image = pipeline.board.frame.read(name)
+        got_image = before_softening if name == "color" else pipeline.board.frame.read(name)
         assert_close(got_image[~holes], filled[name][~holes])
         # Block sums are float32 on the device and float64 in the twin.
         np.testing.assert_allclose(
             got_image[holes].astype(np.float32), filled[name][holes].astype(np.float32), rtol=2e-3, atol=2e-3
         )
+
+    if options.soft_silhouettes:
+        assert_silhouettes(pipeline, before_softening, color, depth, links, zoom)
 
     if options.shading_inputs:
         shown = {spec.name: pipeline.board.frame.read(spec.name) for spec in pipeline.board.frame.buffers}
@@ -210,6 +219,29 @@ def test_stages_equal_their_twins(device, options, size, target):
         # Positions, by the device's division, are good to 1/1000 px, and halves are rounded from either side.
         np.testing.assert_allclose(pipeline.stages["shading"].read("warped_previous"), previous, rtol=2e-3, atol=1e-3)
         assert 0.5 < previous[..., 3].mean() < 1
+
+
+def assert_silhouettes(pipeline, before, color, depth, links, zoom):
+    """From the device's own layers, motion and positions, as far as they lie on the path of a rounding."""
+    stage, positions = pipeline.stages["silhouettes"], pipeline.stages["prediction"].read("target_position")
+    layer, behind = twins_silhouettes.find_layers(color, depth, links, positions, zoom)
+    got = stage.read("layer"), stage.read("behind")
+    assert np.array_equal(got[0], layer)
+    assert {twins_silhouettes.FAR, twins_silhouettes.NEAR} <= set(np.unique(layer))
+    np.testing.assert_allclose(got[1][layer > 0].astype(np.float32), behind[layer > 0], rtol=2e-3, atol=2e-3)
+    marked = twins_silhouettes.mark_blocks(layer, positions, pipeline.sizes.target)
+    assert np.array_equal(stage.read("marked"), marked)
+    shown = {spec.name: pipeline.board.frame.read(spec.name) for spec in pipeline.board.frame.buffers}
+    twin = twins_silhouettes.Softening(shown | {"color": before}, color, positions, got, zoom)
+    coverage, softened = twin.run(marked)
+    difference = np.abs(stage.read("coverage").astype(int) - coverage)
+    assert (difference <= 1).all() and 0.02 < (coverage > 0).mean() < 0.6
+    np.testing.assert_allclose(
+        pipeline.board.frame.read("color")[..., :3].astype(np.float32),
+        softened.astype(np.float32),
+        rtol=2e-3,
+        atol=2e-3,
+    )
 
 
 def _planes(stage):
@@ -264,7 +296,7 @@ def test_devices_agree(options):
 def test_block_means_reach_over_work_groups(device, filling):
     """A large hole on an image larger than what one work-group fills: labels stay, sums and fills are the twin's."""
     width, height = 301, 170
-    pipeline = Pipeline(device, width, height, Options(hole_filling=filling))
+    pipeline = Pipeline(device, width, height, Options(hole_filling=filling, soft_silhouettes=False))
     for frame in frames(width, height, count=2, spoil=False):
         pipeline.submit(frame)
     names = ("color", "depth", "motion", "filled_by")

@@ -20,7 +20,9 @@ from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 # Shading correction is off: `shading_study` measures that.
 METHODS: dict[str, Options | None] = {
     "repeat": None,
-    "literal": Options(crack_closing=False, levels=2, hole_filling="downsample", shading_correction=False),
+    "literal": Options(
+        crack_closing=False, levels=2, hole_filling="downsample", soft_silhouettes=False, shading_correction=False
+    ),
     "static": Options(motion=False, shading_correction=False),
     "gae": Options(shading_correction=False),
     "oracle": Options(shading_correction=False),

@@ -40,6 +40,9 @@ SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
     "beyond reach": ("holes.block_color", lambda sums: sums[..., 3] != 0),
     "remembered": ("background.state_0", lambda state: state == REMEMBERED),
     "not shown": ("background.state_0", lambda state: state != SHOWN),
+    "layers": ("silhouettes.layer", lambda layer: layer != 0),
+    "near silhouettes": ("silhouettes.marked", lambda marked: marked != 0),
+    "softened": ("silhouettes.coverage", lambda coverage: coverage != 0),
     "focus": ("correction.focus_mask", lambda mask: mask != 0),
     "still tiles": ("correction.frames", still_tiles),  # of the network
 }

@@ -1,0 +1,97 @@
+"""Soft silhouettes: edges of what moves over something else stay antialiased as the rendered frame has them (not in the
+paper)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gffe_cl.buffers import RGBA, BufferSpec
+from gffe_cl.opencl.program import constants
+from gffe_cl.stage import Access, Kernel, Stage, Step, zoom
+
+_CONSTANTS = constants("silhouettes.cl")
+LAYERS = tuple(
+    (_CONSTANTS[name], about)
+    for name, about in (
+        ("NO_LAYER", "no step of depth whose sides move apart"),
+        ("FAR", "the far side of one"),
+        ("NEAR", "the near side of one"),
+    )
+)
+
+
+class Silhouettes(Stage):
+    """Unmixes the pixels at silhouettes of the rendered frame, and composes them anew over what lies behind in the new
+    frame."""
+
+    name = "silhouettes"
+    buffers = (
+        BufferSpec(
+            "layer", np.uint8, (), "source", "sides of a step of depth that move apart", "label", labels=LAYERS
+        ),
+        BufferSpec(
+            "behind", np.float16, ("R", "G", "B", "coverage"), "source",
+            "colour of the far side at such steps, and the near side's share of the pixel", "color",
+        ),
+        BufferSpec(
+            "marked", np.uint8, (), "target_blocks", "1 where fragments go that lie at such steps", "mask"
+        ),
+        BufferSpec(
+            "coverage", np.uint8, (), "target", "1 + 254 times the share of the nearer surface; 0: left as it was"
+        ),
+        BufferSpec("softened", np.float16, RGBA, "target", "new colours at silhouettes", "color", scratch=True),
+    )  # fmt: skip
+    kernels = (
+        Kernel(
+            "find_layers",
+            "source",
+            {
+                "links": "surfaces.links",
+                "depth": Access("rendered.depth", "layers"),
+                "target_position": Access("prediction.target_position", "layers"),
+                "color": Access("rendered.color", "layers"),
+            },
+            {
+                "layer": "silhouettes.layer",
+                "behind": Access("silhouettes.behind", "layers"),
+                "marked": Access("silhouettes.marked", "near silhouettes"),
+            },
+            step=("LANES", 1),
+        ),
+        Kernel(
+            "soften",
+            "target",
+            {
+                "marked": "silhouettes.marked",
+                "depth": Access("frame.depth", "near silhouettes"),
+                "motion": Access("frame.motion", "near silhouettes"),
+                "layer": Access("silhouettes.layer", "near silhouettes"),
+                "filled_by": Access("frame.filled_by", "softened"),
+                "mixed": Access("frame.mixed", "softened"),
+                "color": Access("frame.color", "softened"),
+                "behind": Access("silhouettes.behind", "softened"),
+                "source_color": Access("rendered.color", "softened"),
+                "target_position": Access("prediction.target_position", "softened"),
+            },
+            {"coverage": "silhouettes.coverage", "softened": Access("silhouettes.softened", "softened")},
+            step=("LANES", 1),
+        ),
+        Kernel(
+            "apply_softened",
+            "target",
+            {"coverage": "silhouettes.coverage", "softened": Access("silhouettes.softened", "softened")},
+            {"color": Access("frame.color", "softened")},
+            step=("RUN", 1),
+        ),
+    )
+
+    @classmethod
+    def is_wanted(cls, options) -> bool:
+        return options.soft_silhouettes
+
+    def extrapolated(self, step: Step) -> None:
+        magnification = zoom(step.frame.camera, step.camera)
+        self.fill("marked", 0)
+        self.launch("find_layers", zoom=magnification)
+        self.launch("soften", zoom=magnification)
+        self.launch("apply_softened")

@@ -1,0 +1,198 @@
+"""NumPy twin of kernels/silhouettes.cl, pixel by pixel."""
+
+import numpy as np
+from twins import COMMON
+
+from gffe_cl.buffers import BLOCK
+from gffe_cl.opencl.program import constants
+
+F = np.float32
+CONSTANTS = constants("silhouettes.cl")
+STEP, MOVES_APART, SAME_LAYER, ALONG, ALIKE, AT_EDGE, TOO_ALIKE, SHARPER = (
+    F(CONSTANTS[name])
+    for name in ("STEP", "MOVES_APART", "SAME_LAYER", "ALONG", "ALIKE", "AT_EDGE", "TOO_ALIKE", "SHARPER")
+)
+FAR, NEAR, MARKED = CONSTANTS["FAR"], CONSTANTS["NEAR"], CONSTANTS["MARKED"]
+AROUND = [(dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+OWN_BESIDE_CORNERS = ([(0, 0)], [(0, -1), (-1, 0), (1, 0), (0, 1)], [(-1, -1), (1, -1), (-1, 1), (1, 1)])
+
+
+def tent(dx, dy):
+    return F(4 >> (abs(dx) + abs(dy)))
+
+
+def color_of(color):
+    """What load_color gives, nothing negative."""
+    rgb = np.nan_to_num(color[..., :3].astype(F), nan=0, posinf=COMMON.COLOR_MAX, neginf=0)
+    return np.clip(rgb, 0, COMMON.COLOR_MAX)
+
+
+def halfway(depths):
+    """Between the sides of a step of depth; None if there is none."""
+    valid = [z for z in depths if z > 0]
+    if not valid or not min(valid) < (F(1) - STEP) * max(valid):
+        return None
+    nearest, farthest = F(min(valid)), F(max(valid))
+    return F(2) * nearest * (F(1) if np.isinf(farthest) else farthest / (nearest + farthest))
+
+
+def find_layers(color, depth, links, target_position, zoom):
+    """layer (H, W) uint8, behind (H, W, 4) float32."""
+    height, width = depth.shape
+    color, layer = color_of(color), np.zeros((height, width), np.uint8)
+    behind = np.zeros((height, width, 4), F)
+    for y, x in np.argwhere(links != 15):
+        near_by = [(x + dx, y + dy, dx, dy) for dx, dy in AROUND if 0 <= x + dx < width and 0 <= y + dy < height]
+        middle = halfway([depth[v, u] for u, v, *_ in near_by])
+        if middle is None or not depth[y, x] > 0:
+            continue
+        is_near = depth[y, x] < middle
+        here = target_position[y, x]
+        parts = False
+        for u, v, dx, dy in near_by:
+            e = np.abs(target_position[v, u, :2] - here[:2] - zoom * np.array([dx, dy], F))
+            other = depth[v, u] > 0 and (depth[v, u] < middle) != is_near
+            parts |= bool(other and e[0] < CONSTANTS["ANYWHERE"] and e.max() > MOVES_APART)
+        if parts:
+            layer[y, x] = NEAR if is_near else FAR
+            behind[y, x] = unmixed(color, depth, links, x, y, near_by, middle)
+    return layer, behind
+
+
+def mark_blocks(layer, target_position, size):
+    """Target blocks, (rows, columns), where layers go; `size`: width and height of the new frame."""
+    marked = np.zeros((-(-size[1] // BLOCK[1]), -(-size[0] // BLOCK[0])), np.uint8)
+    for px in target_position[layer > 0][:, :2]:
+        if (px > -MARKED).all() and (px < np.add(size, MARKED)).all():
+            for k in range(4):
+                at = np.trunc(px).astype(int) + np.where([k & 1, k >> 1], MARKED, -MARKED)
+                x, y = np.clip(at, 0, np.subtract(size, 1)) // BLOCK
+                marked[y, x] = 1
+    return marked
+
+
+def unmixed(color, depth, links, x, y, near_by, middle):
+    sums, areas = np.zeros((2, 4), F), np.zeros(2, F)
+    for u, v, dx, dy in near_by:
+        if depth[v, u] > 0:
+            side = int(depth[v, u] < middle)
+            sums[side] += tent(dx, dy) * (F(1) if links[v, u] == 15 else AT_EDGE) * np.append(color[v, u], F(1))
+            areas[side] += tent(dx, dy)
+    far, near = (s[:3] * (F(1) / s[3]) for s in sums)
+    is_near, own, contrast = depth[y, x] < middle, color[y, x], near - far
+    scale = F(1) / (F(1e-4) + max(near.max(), far.max()))
+    relative, offset = contrast * scale, (own - far) * scale
+    squared, along = (relative * relative).sum(), (offset * relative).sum()
+    low, high = (F(0.5), F(1)) if is_near else (F(0), F(0.5))
+    by_color = np.clip(along / squared, low, high) if squared > 0 else F(0)
+    trust = min(squared * (F(1) / TOO_ALIKE), F(1))
+    coverage = trust * by_color + (F(1) - trust) * (areas[1] / areas.sum())
+    return np.append(far if is_near else np.maximum(own - coverage * contrast, 0), coverage)
+
+
+class Softening:
+    """The new frame's silhouettes. `shown`: its buffers by name, before; `layers`: what find_layers gives."""
+
+    def __init__(self, shown, color, target_position, layers, zoom):
+        self.shown, self.target_position, self.zoom = shown, target_position, zoom
+        self.source, (self.layer, self.behind) = color, layers
+        self.behind = self.behind.astype(np.float16).astype(F)
+        self.warped = np.isin(shown["filled_by"], (COMMON.BY_WARP, COMMON.BY_CRACK_CLOSING))
+        self.filled = shown["filled_by"] != COMMON.BY_NOTHING
+
+    def run(self, marked):
+        """coverage (H, W) uint8, color (H, W, 3) float16."""
+        coverage = np.zeros(self.warped.shape, np.uint8)
+        color = self.shown["color"][..., :3].copy()
+        for y, x in np.ndindex(coverage.shape):
+            if not marked[y // BLOCK[1], x // BLOCK[0]]:
+                continue
+            pair = self.pair(x, y)
+            near = pair and self.near_layer(x, y, *pair[:2])
+            if near is not None and pair:
+                color[y, x] = near[:3] + (F(1) - near[3]) * pair[2]
+                coverage[y, x] = int(F(1) + F(254) * near[3] + F(0.5))
+                continue
+            rgb, is_other = self.without_near(x, y)
+            if is_other:
+                color[y, x], coverage[y, x] = rgb, 1
+        return coverage, color
+
+    def taps(self, x, y, px_source, z, most):
+        """(x, y, weight, whether it goes along, depth it goes to) of the four pixels around a place that lie inside."""
+        first = np.floor(px_source - F(0.5))
+        u, v = px_source - F(0.5) - first
+        for k in range(4):
+            i, j = int(first[0]) + (k & 1), int(first[1]) + (k >> 1)
+            if 0 <= i < self.layer.shape[1] and 0 <= j < self.layer.shape[0]:
+                there = self.target_position[j, i]
+                centre = np.array([x, y], F) + F(0.5)
+                e = np.abs(there[:2] - centre - self.zoom * (np.array([i, j], F) + F(0.5) - px_source))
+                along = there[2] * SAME_LAYER <= z and z * SAME_LAYER <= there[2] and e.max() < most
+                yield i, j, (u if k & 1 else F(1) - u) * (v if k >> 1 else F(1) - v), along, there[2]
+
+    def without_near(self, x, y):
+        rgb = np.nan_to_num(self.shown["color"][y, x, :3].astype(F), nan=0)
+        if not self.warped[y, x] or self.shown["mixed"][y, x]:
+            return rgb, False
+        px_source = np.array([x, y], F) + F(0.5) + self.shown["motion"][y, x]
+        taps = list(self.taps(x, y, px_source, self.shown["depth"][y, x], ALIKE))
+        if not any(self.layer[j, i] == FAR for i, j, *_ in taps):
+            return rgb, False
+        total, weights = np.zeros(3, F), F(0)
+        for i, j, weight, along, _ in taps:
+            if along:
+                own = self.behind[j, i, :3] if self.layer[j, i] == FAR else self.signed(i, j)
+                total += weight * own
+                weights += weight
+        return (total / weights, True) if weights > F(0.05) else (rgb, False)
+
+    def signed(self, i, j):
+        rgb = np.nan_to_num(self.source[j, i, :3].astype(F), nan=0, posinf=np.inf, neginf=-np.inf)
+        return np.clip(rgb, -COMMON.COLOR_MAX, COMMON.COLOR_MAX)
+
+    def near_layer(self, x, y, px_source, z):
+        total, weights = np.zeros(4, F), F(0)
+        for i, j, weight, along, to_z in self.taps(x, y, px_source, z, ALONG):
+            if not along and 0 < to_z < z:
+                continue
+            weights += weight
+            layer, behind, own = self.layer[j, i], self.behind[j, i], color_of(self.source[j, i])
+            if along and layer != NEAR:
+                total += weight * np.append(np.maximum(behind[:3], 0) if layer == FAR else own, F(1))
+            elif along or layer == FAR:
+                share = np.maximum(own - (F(1) - behind[3]) * behind[:3], 0)
+                total += weight * np.append(share, behind[3])
+        if not weights > 0.5:
+            return None
+        coverage = np.clip(SHARPER * (total[3] / weights - F(0.5)) + F(0.5), F(0), F(1))
+        return np.append(total[:3] * (coverage / total[3] if coverage > 0 else F(0)), coverage)
+
+    def pair(self, x, y):
+        """(place of the near layer, its depth, colour of the far one)."""
+        height, width = self.warped.shape
+        groups = [
+            [(x + dx, y + dy, dx, dy) for dx, dy in group if 0 <= x + dx < width and 0 <= y + dy < height]
+            for group in OWN_BESIDE_CORNERS
+        ]
+        groups = [[g for g in group if self.filled[g[1], g[0]]] for group in groups]
+        depth = self.shown["depth"]
+        middle = halfway([depth[v, u] for group in groups for u, v, *_ in group])
+        if not self.filled[y, x] or middle is None:
+            return None
+        near, far = [], []
+        for group in groups:
+            sides = [(g, depth[g[1], g[0]] < middle) for g in group]
+            near = near or [g for g, is_near in sides if is_near and self.warped[g[1], g[0]]]
+            far = far or [g for g, is_near in sides if not is_near]
+        if not near or not far:
+            return None
+        near_px, far_px = (np.mean([self.place(*g) for g in side], 0, dtype=F) for side in (near, far))
+        if not np.abs(near_px - far_px).max() > MOVES_APART:
+            return None
+        behind = np.mean([self.without_near(u, v)[0] for u, v, *_ in far], 0, dtype=F)
+        return near_px, np.mean([depth[v, u] for u, v, *_ in near], dtype=F), behind
+
+    def place(self, u, v, dx, dy):
+        back = (F(1) / self.zoom) * np.array([dx, dy], F)
+        return np.array([u, v], F) + F(0.5) + self.shown["motion"][v, u] - back
