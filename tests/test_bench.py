@@ -37,6 +37,7 @@ def test_bench(gffe, tmp_path):
         for size in one["sizes"]:
             parts = {
                 "history",
+                "acceleration",
                 "prediction",
                 "blocks",
                 "warp",

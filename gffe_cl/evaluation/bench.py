@@ -33,6 +33,7 @@ from gffe_cl.window import WindowChooser, fixed_window
 # Bytes per pixel of the paper's table at 1080p (RTX 4070 Ti Super, 672 GB/s), by our parts.
 PAPER = {
     "history": 337,
+    "acceleration": None,
     "surfaces": None,
     "background, collection": 366,
     "prediction": 71,
