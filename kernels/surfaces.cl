@@ -127,7 +127,9 @@ WIDE __kernel void find_surfaces(const int source_width, const int source_height
                                  __global const uchar *dynamic_mask, __global uchar *links, __global uchar *unmixed) {
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
-    const bool inner = src_x >= GROW && src_x + LANES + GROW <= source_width && src_y >= GROW && src_y + GROW < source_height;
+    const int around = max(GROW, 2);  /* px that are looked at: links need two */
+    const bool inner = src_x >= around && src_x + LANES + around <= source_width && src_y >= around
+                       && src_y + around < source_height;
     Place p = {source_width, source_height, src_x, src_y, inner, depth, dynamic_mask};
     if (inner) {
         p.inner = true;
