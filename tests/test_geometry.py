@@ -551,7 +551,7 @@ def test_outputs_of_the_stages_can_be_kept(device):
     assert set(np.unique(read["warp.filled_by"])) == {0, 254, 255}
     assert set(np.unique(read["background.filled_by"])) >= {1, 255}
     for name in ("color", "depth", "motion", "filled_by"):
-        last = "background" if name == "filled_by" else "holes"
+        last = {"filled_by": "background", "color": "silhouettes"}.get(name, "holes")
         assert read[f"{last}.{name}"].tobytes() == read[f"frame.{name}"].tobytes()
         changed = (read[f"warp.{name}"] != read[f"background.{name}"]).reshape(H, W, -1).any(-1)
         own = read["frame.mixed"] == 1 if name in ("color", "filled_by") else False

@@ -208,7 +208,8 @@ def test_every_layer_equals_a_plain_run(device):
             assert_same(result.images, expected[at])
         assert source.asked == [0, 1, 2, 3, 4, 5]
         assert set(result.milliseconds) == {
-            "history", "surfaces", "prediction", "blocks", "warp", "hidden", "background", "holes", "shading"
+            *("history", "acceleration", "surfaces", "prediction", "blocks", "warp"),
+            *("hidden", "background", "holes", "silhouettes", "shading"),
         }  # fmt: skip
         assert min(result.milliseconds.values()) > 0 and result.wall_ms > result.readback_ms > 0
 
@@ -877,6 +878,8 @@ def test_stories_of_cracks_rendered_frames_and_no_motion(device):
         for story in stories(engine, Setup(), 13, lambda i: i["frame.filled_by"] == 254):
             assert "Crack closing" in story.sentences[0] and len(story.trajectory) >= 2
             assert np.linalg.norm(np.subtract(story.trajectory[-1], story.pixel) - 0.5) < 2
+        for story in stories(engine, Setup(), 13, lambda i: i["silhouettes.coverage"] > 0):
+            assert "Soft silhouettes" in story.sentences[-1]
         still = stories(engine, Setup(Options(motion=False)), 13, lambda i: i["frame.filled_by"] == 0)
         assert all(s.residual is None and ("off" in s.sentences[1] or "Sky" in s.sentences[1]) for s in still)
         for story in stories(engine, Setup(), 12, lambda i: i["history.dynamic_mask"] == 1):

@@ -32,6 +32,7 @@ class Silhouettes(Stage):
         BufferSpec(
             "behind", np.float16, ("R", "G", "B", "coverage"), "source",
             "colour of the far side at such steps, and the near side's share of the pixel", "color",
+            scratch=True,
         ),
         BufferSpec(
             "marked", np.uint8, (), "target_blocks", "1 where fragments go that lie at such steps", "mask"

@@ -72,7 +72,18 @@ def pixel_story(pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str
             else Story((x, y), "rendered frame", source_px)
         )
     values = values or pixel_values(pipeline, shot, x, y)
-    return _with_correction(_how_it_was_made(pipeline, shot, x, y, source_px, values), pipeline, values)
+    made = _with_silhouette(_how_it_was_made(pipeline, shot, x, y, source_px, values), values)
+    return _with_correction(made, pipeline, values)
+
+
+def _with_silhouette(story: Story, values: dict[str, np.ndarray]) -> Story:
+    coverage = int(values.get(names.COVERAGE, (0,))[0])
+    if not coverage:
+        return story
+    said = f"Soft silhouettes: a nearer surface covers {(coverage - 1) / 254:.0%} of it."
+    if coverage == 1:
+        said = "Soft silhouettes: the colour of a nearer surface, which was mixed in, is taken out."
+    return replace(story, sentences=(*story.sentences, said))
 
 
 def _with_correction(story: Story, pipeline: Pipeline, values: dict[str, np.ndarray]) -> Story:
