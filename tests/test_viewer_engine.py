@@ -58,6 +58,13 @@ SCENE = Rects(
         Falling((0.2, -0.8, 4), (0.5, 0.4), velocity=(2, 0.5, -1), frequency=0.8, tint=(0.2, 0.5, 0.3)),
     ]
 )
+BARRED = Rects(
+    [
+        Rect((0, 0, 14), (9, 20), frequency=0.12),
+        Rect((-0.8, 0, 8), (1.2, 0.8), velocity=(5, 0, 0), frequency=0.1),
+        *(Rect((x, 0, 4), (0.06, 3), frequency=0.2) for x in np.arange(-1.5, 1.6, 0.5)),
+    ]
+)
 MOVER = 2
 
 
@@ -67,11 +74,11 @@ def pose(at):
 
 
 @functools.cache
-def frames():
+def frames(barred=False):
     made = []
     for k in range(COUNT):
         before = (pose(k - 1), (k - 1) / FPS) if k else None
-        made.append(SCENE.frame(pose(k), k / FPS, W, H, before, reset=k == 0))
+        made.append((BARRED if barred else SCENE).frame(pose(k), k / FPS, W, H, before, reset=k == 0))
     return made
 
 
@@ -910,6 +917,25 @@ def test_stories_of_holes_and_of_the_background(device):
             engine, Setup(Options(hole_filling="none", levels=0)), 13, lambda i: i["frame.filled_by"] == 253
         )
         assert all("Hole filling is off" in s.sentences[1] and "no background" in s.sentences[0] for s in empty)
+
+
+class BarredClip(Clip):
+    """A mover behind bars."""
+
+    def rendered(self, k):
+        return frames(barred=True)[k]
+
+    def packed(self, k):
+        return pack_frame(frames(barred=True)[k], H, W)
+
+
+def test_stories_of_hidden_parts(device):
+    """They tell of the bar that hid the mover."""
+    with running(device, BarredClip()) as engine:
+        told = stories(engine, Setup(), 13, lambda i: i["frame.filled_by"] == 250)
+        assert all(s.filled_by == "hidden part of a mover" and "with its motion" in s.sentences[0] for s in told)
+        bars = [float(s.sentences[1].split("shows depth ")[1].split(" ")[0]) for s in told]
+        assert max(bars) < 6 and all("depth here is" in s.sentences[1] for s in told)
 
 
 def test_stories_of_corrected_pixels(device, tmp_path):
