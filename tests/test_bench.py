@@ -41,10 +41,12 @@ def test_bench(gffe, tmp_path):
                 "prediction",
                 "blocks",
                 "warp",
+                "hidden",
                 "background, collection",
                 "surfaces",
                 "background, projection",
                 "holes",
+                "silhouettes",
                 "misc",
             }
             assert parts | {"GAE"} == set(size["milliseconds"]) and size["bandwidth"] > 0 and size["memory"] > 0

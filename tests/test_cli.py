@@ -194,7 +194,7 @@ def test_dump_stages(gffe, scene, tmp_path):
         assert name in once or (folder / f"{name}.exr").is_file(), name
     planes = OpenEXR.File(str(folder / "history.history.exr"), separate_channels=True).channels()
     assert {"1.x", "2.known"} <= set(planes)
-    dumped = _pixels(folder / "warp.color.exr")
+    dumped = _pixels(folder / "silhouettes.color.exr")
     made = _pixels(tmp_path / "out" / "extrapolated_000003_0500.exr")
     assert all(dumped[name] == made[name] for name in "RGB")
 

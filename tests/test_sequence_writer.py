@@ -5,6 +5,7 @@ import errno
 import os
 import resource
 import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -94,8 +95,12 @@ def test_interrupted_while_it_ends(tmp_path, monkeypatch):
         real(folder, files)
 
     monkeypatch.setattr(OutputFolder, "_move", move)
-    with pytest.raises(KeyboardInterrupt) as stop:
-        write(tmp_path / "out")
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # shells have what runs behind them ignore it
+    try:
+        with pytest.raises(KeyboardInterrupt) as stop:
+            write(tmp_path / "out")
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert stop.value.__notes__ == [f"{tmp_path / 'out'} is complete"]
     assert len(open_sequence(tmp_path / "out").frames) == 6 and not open_sequence(tmp_path / "out").unfinished
 

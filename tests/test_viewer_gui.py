@@ -20,7 +20,10 @@ pytestmark = pytest.mark.slow
 FRAME = ("rendered.", "truth", "presentation.")
 # layers that are made anew for every generated frame
 LEFT_BY_BACKGROUND = tuple(f"background.{name}" for name in ("color", "depth", "motion", "filled_by"))
-AFTER_SUBMIT = ("frame.", "blocks.", "warp.", *LEFT_BY_BACKGROUND, "holes.", "shading.", "final", "focus_truth")
+AFTER_SUBMIT = (
+    *("frame.", "blocks.", "warp.", "hidden.", *LEFT_BY_BACKGROUND, "holes.", "silhouettes."),
+    *("shading.", "final", "focus_truth"),
+)
 
 
 def _start(arguments: list[str], environment: dict[str, str], folder: Path) -> float:
@@ -119,15 +122,18 @@ def test_in_and_out(values):
     [
         (
             "motion estimation",
-            (*AFTER_SUBMIT, "history.", "surfaces.", "prediction.", "background."),
+            (*AFTER_SUBMIT, "history.", "acceleration.", "surfaces.", "prediction.", "background."),
             ("history.dynamic_mask", "prediction.target_position", "frame.dynamic", "final"),
-            (),
+            ("hidden.", "acceleration."),
         ),
         ("background collection", AFTER_SUBMIT, ("frame.filled_by", "frame.color", "final"), ("background.", "warp.")),
         ("crack closing", AFTER_SUBMIT, ("frame.filled_by", "frame.disoccluded", "frame.color", "final"), ()),
         (
             "hole filling",
-            ("frame.", "warp.filled_by", "background.filled_by", "shading.", "final", "focus_truth"),
+            (
+                *("frame.", "warp.filled_by", "hidden.filled_by", "background.filled_by", "silhouettes."),
+                *("shading.", "final", "focus_truth"),
+            ),
             ("frame.color", "frame.depth", "frame.filled_by", "final"),
             ("holes.",),
         ),
