@@ -153,12 +153,6 @@ inline void store_some_halfs(const Floats v, const int count, __global half *p) 
     for (int k = 0; k < count; ++k) vstore_half_rte(lanes[k], k, p);
 }
 
-/* is_same_surface of common.h. */
-inline Ints wide_is_same_surface(const Floats z, const Floats expected, const Floats tolerance) {
-    const Ints near = fabs(z - expected) <= tolerance;
-    return isinf(expected) ? isinf(z) : near;
-}
-
 /* x + 0.5 of each lane's pixel. */
 inline Floats row_centres(const int x) { return to_floats(LANE_NUMBERS) + ((float)x + 0.5f); }
 

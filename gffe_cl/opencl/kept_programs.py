@@ -16,7 +16,7 @@ from pathlib import Path
 import pyopencl as cl
 from pyopencl.characterize import has_src_build_cache
 
-from gffe_cl.opencl.runtimes import kept_folder
+from gffe_cl.opencl.runtimes import keep_file, kept_folder
 
 _FOLDER = "kernels"
 _MOST_FILES = 256
@@ -32,7 +32,7 @@ def built_program(context: cl.Context, source: str, options: tuple[str, ...] = (
     program = _built(cl.Program(context, source), options)
     if path is not None:
         with suppress(OSError, cl.Error):
-            _keep(program.get_info(cl.program_info.BINARIES)[0], path)
+            keep_file(path, program.get_info(cl.program_info.BINARIES)[0], "*.bin", _MOST_FILES)
     return program
 
 
@@ -59,17 +59,3 @@ def _processor() -> list[str]:
         first, *_ = file.read(1 << 14).split("\n\n")
         return [line for line in first.splitlines() if line.startswith(("model name", "flags", "Features"))]
     return [platform.processor()]
-
-
-def _keep(binary: bytes, path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial")
-    try:
-        partial.write_bytes(binary)
-        partial.replace(path)
-    finally:
-        with suppress(OSError):
-            partial.unlink()
-    kept = sorted(path.parent.glob("*.bin"), key=lambda file: file.stat().st_mtime, reverse=True)
-    for file in kept[_MOST_FILES:]:
-        file.unlink(missing_ok=True)

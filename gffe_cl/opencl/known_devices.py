@@ -20,7 +20,7 @@ import pyopencl as cl
 
 from gffe_cl.opencl import probing
 from gffe_cl.opencl.probing import DeviceInfo, Probed
-from gffe_cl.opencl.runtimes import HIDE_INSTALLED, installed_runtimes_are_exposed, kept_folder, vendors
+from gffe_cl.opencl.runtimes import HIDE_INSTALLED, installed_runtimes_are_exposed, keep_file, kept_folder, vendors
 
 _NAME = "devices-{}.json"
 _MOST_FILES = 16
@@ -81,18 +81,9 @@ def keep(key: str, found: Probed) -> None:
         "devices": [asdict(device) for device in found.devices],
         "crashing": {icd: asdict(device) for icd, device in found.crashing.items()},
     }
-    partial = folder / f".{key}.{os.getpid()}.partial"
     with suppress(OSError):
-        folder.mkdir(parents=True, exist_ok=True)
-        try:
-            partial.write_text(json.dumps(document, indent=1), "utf-8")
-            partial.replace(folder / _NAME.format(key))
-        finally:
-            with suppress(OSError):
-                partial.unlink()
-        kept = sorted(folder.glob(_NAME.format("*")), key=lambda path: path.stat().st_mtime, reverse=True)
-        for path in kept[_MOST_FILES:]:
-            path.unlink(missing_ok=True)
+        path = folder / _NAME.format(key)
+        keep_file(path, json.dumps(document, indent=1).encode("utf-8"), _NAME.format("*"), _MOST_FILES)
 
 
 def _device(document: dict) -> DeviceInfo:

@@ -59,6 +59,22 @@ def kept_folder() -> Path | None:
     return None
 
 
+def keep_file(path: Path, content: bytes, alike: str, most: int) -> None:
+    """Write a file that is whole or not there at all, whoever else writes it; of those that match `alike` beside it the
+    `most` newest stay."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial")
+    try:
+        partial.write_bytes(content)
+        partial.replace(path)
+    finally:
+        with suppress(OSError):
+            partial.unlink()
+    kept = sorted(path.parent.glob(alike), key=lambda file: file.stat().st_mtime, reverse=True)
+    for file in kept[most:]:
+        file.unlink(missing_ok=True)
+
+
 def _temporary_folder() -> Path:
     """A folder for temporary files that only this user can write to: drivers are loaded from what it names."""
     user = os.getuid() if hasattr(os, "getuid") else "user"
