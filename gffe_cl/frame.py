@@ -7,6 +7,7 @@ motion float ×2, row-major.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -122,15 +123,16 @@ def pack_frame(frame: RenderedFrame, height: int, width: int) -> PackedFrame:
     bad = BadPixels()
 
     rgb = color[..., :3]
+    packed = _lies_as_on_device(color)
     if not _fits_half(rgb):
         finite = np.isfinite(rgb)
         over = np.abs(rgb) > HALF_MAX
         bad.color = int((~finite).any(-1).sum())
         bad.clamped = int((over & finite).any(-1).sum())
         rgb = np.clip(np.nan_to_num(rgb, nan=0.0, posinf=HALF_MAX, neginf=-HALF_MAX), -HALF_MAX, HALF_MAX)
-    packed = np.zeros((height, width, 4), np.float16)
-    for c in range(3):  # several times as fast as all at once
-        packed[..., c] = rgb[..., c]
+        packed = None
+    if packed is None:
+        packed = color_of_planes(rgb[..., c] for c in range(3)).base
 
     depth = np.ascontiguousarray(depth, np.float32)
     bad.depth = depth.size - int(np.count_nonzero(depth > 0))
@@ -146,10 +148,30 @@ def pack_frame(frame: RenderedFrame, height: int, width: int) -> PackedFrame:
     return PackedFrame(packed, depth, motion, bad)
 
 
+def color_of_planes(planes: Iterable[np.ndarray]) -> np.ndarray:
+    """(H, W, 3) float16 from three images (H, W), as the device wants them: a fourth channel, which is not seen, is 0.
+    `pack_frame` takes it without a copy."""
+    first, *others = planes
+    color = np.zeros((*first.shape, 4), np.float16)
+    for c, plane in enumerate((first, *others)):  # several times as fast as all at once
+        color[..., c] = plane
+    return color[..., :3]
+
+
+def _lies_as_on_device(color: np.ndarray) -> np.ndarray | None:
+    """The (H, W, 4) array of what `color_of_planes` made; None for any other array."""
+    whole = color.base
+    if not isinstance(whole, np.ndarray) or whole.dtype != np.float16 or whole.shape != (*color.shape[:2], 4):
+        return None
+    same = color.dtype == whole.dtype and color.strides == whole.strides and color.ctypes.data == whole.ctypes.data
+    return whole if same and whole.flags.c_contiguous and not whole[..., 3].view(np.uint16).any() else None
+
+
 def _fits_half(values: np.ndarray) -> bool:
-    """Whether all are finite and within ±65504."""
-    if values.dtype == np.float16:  # bits: NumPy's arithmetic of halves is slow
-        return bool((values.view(np.uint16) & _HALF_EXPONENT).max() < _HALF_EXPONENT)
+    """Whether all of (H, W, n) are finite and within ±65504."""
+    if values.dtype == np.float16:  # bits, one channel after another: NumPy's arithmetic of halves is slow
+        planes = (values[..., c].view(np.uint16) for c in range(values.shape[-1]))
+        return all((plane & _HALF_EXPONENT).max() < _HALF_EXPONENT for plane in planes)
     return bool(max(values.max(), -values.min()) <= HALF_MAX)  # both are NaN if one value is
 
 

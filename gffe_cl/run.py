@@ -30,8 +30,8 @@ MASKS = {"mask.dynamic": "dynamic", "mask.disoccluded": "disoccluded", "mask.fil
 @dataclass
 class RunReport:
     """What a run did: frames made, bad pixels met, warnings, milliseconds per stage and frame (kernels; "network":
-    wall time), and seconds of the whole run: "wall", of these in "kernels" and "network", and "codec_cpu", CPU time for
-    reading and writing EXRs."""
+    wall time), and seconds of the whole run: "wall", of these until kernels were ready ("start"), in "kernels" and in
+    "network", and "codec_cpu", CPU time for reading and writing EXRs."""
 
     extrapolated: int
     bad_pixels: BadPixels
@@ -84,6 +84,7 @@ def run_sequence(
     frames = source.frames(alphas, strict)  # the first ones are read while kernels are built
     pipeline = Pipeline(device, *size, options, render_size=source.render_size, fps=source.fps)
     pipeline.exposure = source.exposure
+    started = perf_counter()
     suffixes = _suffixes(alphas)
     report = RunReport(0, BadPixels(), [], {})
     timings: dict[str, float] = defaultdict(float)
@@ -109,8 +110,11 @@ def run_sequence(
                 )
                 if dump_stages:
                     dump_buffers(pipeline, writer.folder("stages") / Path(made.file).stem)
-                channels = output_channels(extrapolated, frame.camera, frame.shown_camera, frame.color.dtype)
-                writer.add(made, channels, owned=True)
+                writer.add(
+                    made,
+                    output_channels(extrapolated, frame.camera, frame.shown_camera, frame.color.dtype),
+                    owned=True,
+                )
                 report.extrapolated += 1
                 on_frame()
             for name, milliseconds in pipeline.take_timings().items():
@@ -121,6 +125,7 @@ def run_sequence(
     network = timings.pop("network", 0.0) * 1e-3
     report.seconds = {
         "wall": perf_counter() - start,
+        "start": started - start,
         "kernels": sum(timings.values()) * 1e-3,
         "network": network,
         "codec_cpu": codec_seconds() - codec,

@@ -190,6 +190,7 @@ def run(
     options: Options,
 ) -> None:
     """Extrapolate after every rendered frame of a sequence, or of a built-in scene that is rendered meanwhile."""
+    from gffe_cl.memory import keep_freed_memory
     from gffe_cl.run import alphas_for, run_sequence
 
     if n is not None and alpha is not None:
@@ -199,6 +200,7 @@ def run(
         raise GffeError(f"--camera must be 'truth' or 'predicted', got '{camera}'")
     options = replace(options, shading_inputs=dump_stages)
     live = {"--size": size, "--frames": frames, "--fps": fps, "--seed": seed}
+    keep_freed_memory()
     opened, source = _open_source(sequence, window, device, live)
     with progress_bars() as progress:
         report = run_sequence(

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.errors import GffeError
-from gffe_cl.frame import RenderedFrame, require_one_pose
+from gffe_cl.frame import RenderedFrame, color_of_planes, require_one_pose
 from gffe_cl.sequence import exr
 from gffe_cl.sequence.checks import time_warnings, zero_motion_warning
 from gffe_cl.sequence.description import (
@@ -275,5 +275,7 @@ def _has_motion(header: ExrHeader) -> bool:
 
 
 def _stack_color(channels) -> np.ndarray:
+    if all(channels[name].dtype == np.float16 for name in COLOR):
+        return color_of_planes(channels[name] for name in COLOR)
     color = np.stack([channels[name] for name in COLOR], -1)
     return color if color.dtype in (np.float16, np.float32) else color.astype(np.float32)

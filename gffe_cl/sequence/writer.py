@@ -83,7 +83,7 @@ class SequenceWriter:
 
     def add(self, entry: FrameEntry, channels: dict[str, np.ndarray], *, owned: bool = False) -> None:
         """Write the frame `entry` from `channels`: channel name → (H, W) array, copied before this returns, or later
-        if they are `owned` by the writer from now on.
+        if they, and the dict, are `owned` by the writer from now on, which empties it.
 
         Half stays half, masks of bool and uint8 become half, `Z` and `motion.*` float32. (H, W) is the
         entry's render size, else the display size.
@@ -96,13 +96,13 @@ class SequenceWriter:
                 shape = f"({height}, {width}), got {np.shape(array)}"
                 raise GffeError(f"{entry.file}: channel '{name}' must have shape {shape}")
         given = channels if owned else {name: exr.stored_type(name, array) for name, array in channels.items()}
-        attributes = self._attributes(entry)
+        attributes, nbytes = self._attributes(entry), sum(np.asarray(array).nbytes for array in given.values())
 
         def write(path: Path) -> None:
-            stored = {name: exr.stored_type(name, array, copy=False) for name, array in given.items()}
+            stored = {name: exr.stored_type(name, given.pop(name), copy=False) for name in list(given)}
             exr.write_channels(path, stored, attributes, self._compression)
 
-        self._submit(entry, write, sum(np.asarray(array).nbytes for array in given.values()))
+        self._submit(entry, write, nbytes)
 
     def link(self, entry: FrameEntry, source_path) -> None:
         """Let the frame `entry` be the existing EXR file `source_path`: a hard link, or else a copy."""
