@@ -209,6 +209,8 @@ class Pipeline:
         self.board.rendered, self.board.previous = self._current, self._previous or self._current
         step = Step(self._current, self._previous, self._times)
         for stage in self.stages.values():
+            stage.swap()
+        for stage in self.stages.values():
             stage.rendered(step)
         if self.presentation is None and not self._shown_whole(on_device):
             self.presentation = Presentation(self.board)

@@ -198,7 +198,7 @@ class Stage(Owner):
         return self.before[name[:-1]] if name.endswith("'") else self.buffer[name]
 
     def swap(self) -> None:
-        """What was made becomes what is kept of the frame before."""
+        """What was made becomes what is kept of the frame before: for all stages, before any works on a rendered frame."""
         for name, buffer in self.before.items():
             self.before[name], self.buffer[name] = self.buffer[name], buffer
 

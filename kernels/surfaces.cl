@@ -1,9 +1,11 @@
 /* Surfaces of a rendered frame: which neighbouring pixels show one surface (for 'Warping' and the background), and which
-   pixels cannot hold the colour of another one (for the background).
+   pixels cannot hold the colour of another one: those are what level 0 of the background shows (background.cl).
    Where depth changes by little, or by much between two flat surfaces, links follow from it without a division. */
 
 #include "common.h"
 #include "wide.h"
+#include "nearest.h"
+#include "levels.h"
 
 #define SURFACE_STEP 0.02f       /* relative step of inverse depth between neighbours of one surface ... */
 #define SURFACE_CURVATURE 0.005f /* ... or relative deviation from the plane through them, where they are steeper */
@@ -103,9 +105,16 @@ INLINE Ints links_by_motion(const Place p) {
            | (left ? (Ints)(LINK_LEFT) : (Ints)(0)) | (up ? (Ints)(LINK_UP) : (Ints)(0));
 }
 
-/* links: which of the four neighbours belong to the same surface and are equally static or dynamic. unmixed: 1 where depth is
-   valid and no pixel within GROW is dynamic or nearer. */
-INLINE void find(const Place p, __global uchar *links, __global uchar *unmixed) {
+/* What the background knows before it collects: the state of level 0, and whom fragments are offered to that may fill it. */
+typedef struct {
+    __global uchar *state;
+    __global Key *fill_keys;
+    __global uint *fill_winners;
+} Collecting;
+
+/* links: which of the four neighbours belong to the same surface and are equally static or dynamic. To `collect`: texels are
+   SHOWN where depth is valid and no pixel within GROW is dynamic or nearer; the others are EMPTY, and nobody is offered to them. */
+INLINE void find(const Place p, const int collect, __global uchar *links, const Collecting to) {
     const Floats z = depth_beside(p, 0, 0);
     Floats nearest = z;
     Bytes moving = 0;
@@ -122,20 +131,25 @@ INLINE void find(const Place p, __global uchar *links, __global uchar *unmixed) 
     if (ANY(to_ints(moving) != 0)) linked &= links_by_motion(p);
     const int i = p.y * p.width + p.x, count = p.width - p.x;
     store_some_bytes(to_bytes(linked), count, links + i);
-    store_some_bytes(to_bytes(clean ? (Ints)(1) : (Ints)(0)), count, unmixed + i);
+    if (!collect) return;
+    store_some_bytes(to_bytes(clean ? (Ints)(SHOWN) : (Ints)(EMPTY)), count, to.state + i);
+    if (ALL(clean)) return;
+    for (int k = 0; k < min(count, LANES); ++k) forget(to.fill_keys, to.fill_winners, i + k);
 }
 
-WIDE __kernel void find_surfaces(const int source_width, const int source_height, __global const float *depth,
-                                 __global const uchar *dynamic_mask, __global uchar *links, __global uchar *unmixed) {
+WIDE __kernel void find_surfaces(const int source_width, const int source_height, const int collect, __global const float *depth,
+                                 __global const uchar *dynamic_mask, __global uchar *links, __global uchar *state,
+                                 __global Key *fill_keys, __global uint *fill_winners) {
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const bool inner = src_x >= REACH && src_x + LANES + REACH <= source_width && src_y >= REACH && src_y + REACH < source_height;
     Place p = {source_width, source_height, src_x, src_y, inner, depth, dynamic_mask};
+    const Collecting to = {state, fill_keys, fill_winners};
     if (inner) {
         p.inner = true;
-        find(p, links, unmixed);
+        find(p, collect, links, to);
     } else {
         p.inner = false;
-        find(p, links, unmixed);
+        find(p, collect, links, to);
     }
 }

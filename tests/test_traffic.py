@@ -101,7 +101,7 @@ def test_kernels_and_constants_are_read_from_the_source():
     assert [a.name for a in kernels["second"]] == ["nodes", "count", "zoom"]
 
 
-_WRITTEN = {"links": "surfaces.links", "unmixed": "surfaces.unmixed"}
+_WRITTEN = dict.fromkeys(("links", "state", "fill_keys", "fill_winners"), "surfaces.links")
 
 
 @pytest.mark.parametrize(

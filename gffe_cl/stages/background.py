@@ -47,10 +47,10 @@ def _old(names: str) -> dict[str, Access]:
 
 
 _OFFERED = _keys("fill", "remembered") | _keys("push", "remembered")
-_SETTLED = _level("color depth px", share="remembered") | _level("state") | _keys("fill", "remembered")
+_SETTLED = _level("color depth px state", share="remembered") | _keys("fill", "remembered")
 _SETTLING = (
-    {"taken": Access("{taken_by}"), "frame_color": Access("previous.color", "remembered")}
-    | {"frame_depth": Access("previous.depth", "remembered")}
+    {"frame_color": Access("previous.color", "remembered"), "frame_depth": Access("previous.depth", "remembered")}
+    | _level("state")
     | _keys("fill", "not shown")
     | _old("color depth px state")
 )
@@ -72,13 +72,6 @@ class Background(NearestStage):
     name = "background"
     kernels = (
         Kernel(
-            "empty_keys",
-            "source",
-            {"taken": "surfaces.unmixed"},
-            _keys("fill", "not shown"),
-            step=("RUN", 1),
-        ),
-        Kernel(
             "scatter_level",
             "level{level}",
             {
@@ -86,7 +79,7 @@ class Background(NearestStage):
                 "dynamic_mask": Access("history.dynamic_mask", "not shown"),
                 "links": Access("surfaces.links", "not shown"),
                 "frame_depth": Access("{depth_of_shown}"),
-                "taken": Access("{taken_by}"),
+                "taken": Access("background.state_{level}"),
                 "level_depth": Access("{depth_of_taken}"),
             }
             | _level("depth px", share="remembered", prefix="old_", kept="'")
@@ -198,12 +191,10 @@ class Background(NearestStage):
                 stage.buffer[spec.name] = mine[name]
 
     def rendered(self, step: Step) -> None:
-        """Collect; after a reset nothing is kept, nor collected, because what moves is not known yet."""
-        self.swap()
+        """Collect, into what `Surfaces` says is shown; after a reset nothing is kept, nor collected, because what moves
+        is not known yet."""
         collect = step.previous is not None
-        if collect:
-            self.launch("empty_keys", **self.of_level(0))
-        else:
+        if not collect:
             self.clear_keys("even_", self.sizes.source)
             self.clear_keys("odd_", self.sizes.of("level1"))
         to_current = reprojection(step.previous.camera if collect else step.frame.camera, step.frame.camera)
@@ -218,18 +209,13 @@ class Background(NearestStage):
 
     @staticmethod
     def of_level(level: int) -> dict[str, str]:
-        """Which buffers say what a level holds before anything is offered to it, how deep that is, and how deep what it
+        """Which buffers say how deep that is what a level holds before anything is offered to it, and how deep what it
         showed before was (only level 0 shows anything); and which keys have what is offered to it and to the next one:
         once a level is settled its own are empty."""
         keys = dict(zip(("fill_by", "push_by"), ("odd", "even") if level % 2 else ("even", "odd"), strict=True))
         if level == 0:
-            return keys | {
-                "taken_by": "surfaces.unmixed",
-                "depth_of_taken": "rendered.depth",
-                "depth_of_shown": "previous.depth",
-            }
+            return keys | {"depth_of_taken": "rendered.depth", "depth_of_shown": "previous.depth"}
         return keys | {
-            "taken_by": f"background.state_{level}",
             "depth_of_taken": f"background.depth_{level}",
             "depth_of_shown": f"background.depth_{level}'",
         }
