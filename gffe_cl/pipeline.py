@@ -165,7 +165,7 @@ class Pipeline:
         self.bad_pixels = BadPixels()
         self.board = Board(device, self.sizes, self.options, int64_atomics)
         self.stages: dict[str, Stage] = {stage.name: stage(self.board) for stage in stages_of(self.options)}
-        self.board.allocate_rest()
+        self.board.lend()
         self.presentation: Presentation | None = None  # made with the first windowed frame
         self._outputs: dict[str, Output] = {}  # what is kept of each stage's
         self._slots: list[DeviceFrame] = []
@@ -210,6 +210,7 @@ class Pipeline:
         step = Step(self._current, self._previous, self._times)
         for stage in self.stages.values():
             stage.swap()
+        self.board.lend()
         for stage in self.stages.values():
             stage.rendered(step)
         if self.presentation is None and not self._shown_whole(on_device):
