@@ -4,9 +4,9 @@
     python docs/measure_run.py --sequence SEQ     on a recorded sequence
 
 The ratio is the wall time of the run to kernels + network + (CPU time of the EXR codec ÷ cores): with its start, in
-which pipeline and kernels are made while the first frames are read, and without. Kernels and network are measured without the
-codec beside them, which would slow them down: the same frames, from memory. Runs and measurements take turns; of each
-the least counts.
+which pipeline and kernels are made while the first frames are read, and without. Kernels and network are measured
+without the codec beside them, which would slow them down: the same frames, from memory. Runs and measurements take
+turns; of each the least counts.
 """
 
 from __future__ import annotations

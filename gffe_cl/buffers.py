@@ -65,6 +65,20 @@ def texel_of(grid: str) -> tuple[int, int]:
     return {"blocks": (32, 32), "source_blocks": BLOCK, "target_blocks": BLOCK, "network": (2, 2)}.get(grid, (1, 1))
 
 
+def texels_over(grid: str, fine: str, x: int, y: int, width: int, height: int) -> tuple[int, int, int, int]:
+    """The block of texels of `grid`, x, y, width and height, over a block of texels of `fine`, which is no coarser."""
+    side_x, side_y = (n // m for n, m in zip(texel_of(grid), texel_of(fine), strict=True))
+    x0, y0 = x // side_x, y // side_y
+    return x0, y0, (x + width - 1) // side_x + 1 - x0, (y + height - 1) // side_y + 1 - y0
+
+
+def spread(texels: np.ndarray, grid: str, fine: str, x: int, y: int, width: int, height: int) -> np.ndarray:
+    """(height, width): for each texel of a block of `fine` that of `texels_over` that lies over it."""
+    side_x, side_y = (n // m for n, m in zip(texel_of(grid), texel_of(fine), strict=True))
+    rows, columns = np.arange(y, y + height) // side_y, np.arange(x, x + width) // side_x
+    return texels[np.ix_(rows - rows[0], columns - columns[0])]
+
+
 def lies_on_source(grid: str) -> bool:
     """Whether a grid is laid over the rendered image; else over the extrapolated one."""
     return grid in ("source", "source_blocks") or grid.startswith("level")
@@ -84,7 +98,8 @@ class BufferSpec:
     kept too. `scratch`: of no interest once the stage is through. `part_of`: the buffer in which it lies. `planar`: on
     the device the channels lie one after another, each an image. `transient`: written in each `extrapolate` before it
     is read, so until the next `submit` it may lie in memory that another stage lends. `known_where`: a buffer of the
-    same owner, and the value that it has wherever this one holds anything; elsewhere it reads as 0. `packing`: how it
+    same owner, perhaps on a coarser grid, and the value that it has wherever this one holds anything; elsewhere it
+    reads as 0. `packing`: how it
     lies on the device, if not as `dtype` and `components` say.
     """
 
@@ -204,7 +219,10 @@ class Owner:
         spec = self.spec(name)
         stored, flat = spec.host_array(spec.size(self.sizes))
         cl.enqueue_copy(self.device.queue, flat, self.buffer[name])
-        known = self.read(spec.known_where[0]) if spec.known_where else None
+        known = None
+        if spec.known_where:
+            telling = self.spec(spec.known_where[0])
+            known = spread(self.read(telling.name), telling.grid, spec.grid, 0, 0, *spec.size(self.sizes))
         return spec.values(stored, known).reshape(spec.shape(self.sizes))
 
     def upload(self, name: str, values: np.ndarray) -> None:

@@ -3,8 +3,7 @@
    depth and its pixel position (not the texel's centre) in the camera of the frame for which the level was collected. SHOWN
    texels are not stored: they are that frame's own pixels.
    Stored positions are two 16-bit offsets from the texel's centre, x in the lower half, in PX_UNITS of the texel's side: that
-   holds what TOUCHES it. Stored colours are RGB9E5: mantissas of 9 bits, R in the lowest, that share an exponent of 5
-   (as in EXT_texture_shared_exponent); negative ones become 0, large ones COLOR_MOST.
+   holds what TOUCHES it. Stored colours are RGB9E5.
    Fragments of B'_l that only meet the surface that they are of are skipped LANES at once, pixels and texels that hold nothing to
    do RUN at once. */
 
@@ -12,27 +11,11 @@
 #include "wide.h"
 #include "nearest.h"
 #include "levels.h"
+#include "rgb9e5.h"
 
 #define SAME_SURFACE 0.02f   /* relative depth within which two fragments may be of the same surface */
 
 inline int level_side(const int side, const int level) { return (side + (1 << level) - 1) >> level; }
-
-#define COLOR_MOST 65408.0f     /* 511 * 2^7, the largest RGB9E5 */
-#define COLOR_FINEST 1.52587890625e-5f  /* 2^-16: colours below that share the least exponent */
-
-/* LANES colours. */
-inline Ints pack_colors(const Floats r, const Floats g, const Floats b) {
-    const Floats red = clamp(r, 0.0f, COLOR_MOST), green = clamp(g, 0.0f, COLOR_MOST), blue = clamp(b, 0.0f, COLOR_MOST);
-    const Floats most = fmax(fmax(red, green), fmax(blue, COLOR_FINEST));
-    const Ints exponent = ((floats_as_ints(most) + 0x4000) >> 23) - 111;  /* 0 to 31, of what `most` is rounded to */
-    const Floats scale = ints_as_floats((151 - exponent) << 23);
-    return to_ints(rint(red * scale)) | to_ints(rint(green * scale)) << 9 | to_ints(rint(blue * scale)) << 18 | exponent << 27;
-}
-
-inline float3 unpack_color(const uint bits) {
-    const float unit = as_float(((bits >> 27) + 103u) << 23);  /* 2^(exponent - 24) */
-    return convert_float3((uint3)(bits & 511u, (bits >> 9) & 511u, (bits >> 18) & 511u)) * unit;
-}
 
 #define PX_UNITS 32768.0f       /* of a stored position, per side of a texel */
 

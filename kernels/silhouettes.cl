@@ -7,6 +7,7 @@
 #include "wide.h"
 #include "flow.h"
 #include "blocks.h"
+#include "rgb9e5.h"
 
 #define STEP 0.05f           /* relative step of inverse depth between two layers */
 #define MOVES_APART 0.5f     /* px: layers that deviate less are resampled together */
@@ -16,6 +17,7 @@
 #define AT_EDGE 0.05f        /* weight of colours at edges, which may be mixed, too */
 #define TOO_ALIKE 0.03125f   /* squared relative contrast of two layers below which colours tell the coverage in part only */
 
+#define SHARES 255.0f         /* of a pixel, stored as a byte */
 #define SHARPER 1.25f        /* steepness of coverage, which interpolation has smoothed */
 
 /* Values of `layer`: the pixel belongs to one of two layers around it that move apart. */
@@ -138,12 +140,12 @@ inline void mark_around(const float2 px, const int width, const int height, __gl
     }
 }
 
-/* Which layer each pixel belongs to; in `behind`, where it does, (colour of the far layer, coverage of the near one). Marks the
-   target blocks where they go. */
+/* Which layer each pixel belongs to; where it does, the colour of the far layer, `behind`, and the near one's `share` of the pixel.
+   Marks the target blocks where they go; they come unmarked. */
 WIDE __kernel void find_layers(const int source_width, const int source_height, const int target_width, const int target_height,
                                const float2 zoom, __global const float *depth, __global const uchar *links,
                                __global const float *target_position, __global const half *color, __global uchar *layer,
-                               __global half *behind, __global uchar *marked) {
+                               __global uint *behind, __global uchar *share, __global uchar *marked) {
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x, count = min(source_width - src_x, LANES);
@@ -171,7 +173,9 @@ WIDE __kernel void find_layers(const int source_width, const int source_height, 
     store_floats(d.middle, 0, lane_middle);
     for (int k = 0; k < count; ++k) {
         if (!lane_part[k]) continue;
-        vstore_half4_rte(unmix(s, src_x + k, src_y, lane_middle[k], depth, links), src + k, behind);
+        const float4 unmixed = unmix(s, src_x + k, src_y, lane_middle[k], depth, links);
+        behind[src + k] = pack_color(unmixed.xyz);
+        share[src + k] = (uchar)(SHARES * unmixed.w + 0.5f);
         mark_around(position_of(target_position, src + k, source_width * source_height).xy, target_width, target_height, marked);
     }
 }
@@ -190,7 +194,8 @@ typedef struct {
 /* The rendered frame's layers. */
 typedef struct {
     __global const uchar *layer;
-    __global const half *behind;
+    __global const uint *behind;
+    __global const uchar *share;
 } Layers;
 
 inline bool is_warped(const uchar filled_by) { return filled_by == BY_WARP || filled_by == BY_CRACK_CLOSING; }
@@ -229,7 +234,7 @@ inline bool without_near(const Source s, const Layers l, const Shown f, const in
         const float3 there = position_of(s.target_position, src, s.width * s.height);
         if (!goes_along(s, x, y, there, px, px_source, f.depth[dst], ALIKE)) continue;
         const float weight = bilinear_weight(k, u, v);
-        sum += weight * (l.layer[src] == FAR ? load_color(l.behind, src) : load_color(s.color, src));
+        sum += weight * (l.layer[src] == FAR ? unpack_color(l.behind[src]) : load_color(s.color, src));
         weight_sum += weight;
     }
     if (weight_sum > 0.05f) *rgb = mean_of(sum, weight_sum);
@@ -253,11 +258,11 @@ inline bool near_layer(const Source s, const Layers l, const float2 px, const fl
         const float weight = bilinear_weight(k, u, v);
         weight_sum += weight;
         if (along && layer != NEAR) {
-            sum += weight * (float4)(not_negative(load_color(layer == FAR ? l.behind : s.color, src)), 1.0f);
+            sum += weight * (float4)(layer == FAR ? unpack_color(l.behind[src]) : not_negative(load_color(s.color, src)), 1.0f);
         } else if (along || layer == FAR) {
-            const float4 unmixed = vload_half4(src, l.behind);
+            const float share = (float)l.share[src] * (1.0f / SHARES);
             const float3 own = not_negative(load_color(s.color, src));
-            sum += weight * (float4)(not_negative(own - (1.0f - unmixed.w) * unmixed.xyz), unmixed.w);
+            sum += weight * (float4)(not_negative(own - (1.0f - share) * unpack_color(l.behind[src])), share);
         }
     }
     if (!(weight_sum > 0.5f)) return false;
@@ -323,18 +328,18 @@ inline bool find_pair(const Source s, const Layers l, const Shown f, const int d
 }
 
 /* Value of `coverage` of a pixel, 0 if it stays as it is; else stores its colour. */
-inline uchar soften_pixel(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, __global half *softened) {
+inline uchar soften_pixel(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, __global uint *softened) {
     const int dst = dst_y * f.width + dst_x;
     Pair pair;
     float4 near;
     float3 rgb;
     if (find_pair(s, l, f, dst_x, dst_y, &pair)
         && near_layer(s, l, pixel_centre(dst_x, dst_y), pair.near_px, pair.near_z, &near)) {
-        store_color(near.xyz + (1.0f - near.w) * pair.far_color, softened, dst);
+        softened[dst] = pack_color(near.xyz + (1.0f - near.w) * pair.far_color);
         return (uchar)(1.0f + 254.0f * near.w + 0.5f);
     }
     if (!without_near(s, l, f, dst_x, dst_y, &rgb)) return 0;
-    store_color(rgb, softened, dst);
+    softened[dst] = pack_color(rgb);
     return 1;
 }
 
@@ -374,28 +379,27 @@ INLINE Ints may_be_mixed(const Strip p, const Source s, const Layers l, const Sh
     return mixed;
 }
 
-/* The new colours, and `coverage`: 0 where a pixel stays as it is, else 1 + 254 times the nearer layer's share. */
+/* The new colours, and `coverage`: 0 where a pixel stays as it is, else 1 + 254 times the nearer layer's share. Nothing in blocks
+   that are not marked. */
 WIDE __kernel void soften(const int source_width, const int source_height, const int target_width, const int target_height,
                           const float2 zoom, __global const uchar *marked,
                           __global const float *target_position, __global const half *source_color, __global const uchar *layer,
-                          __global const half *behind, __global const half *color, __global const float *depth,
+                          __global const uint *behind, __global const uchar *share, __global const half *color, __global const float *depth,
                           __global const float2 *motion, __global const uchar *filled_by, __global const uchar *mixed,
-                          __global uchar *coverage, __global half *softened) {
+                          __global uchar *coverage, __global uint *softened) {
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
-    if (dst_x >= target_width || dst_y >= target_height) return;
+    if (dst_x >= target_width || dst_y >= target_height || !marked[block_of(dst_x, dst_y, target_width)]) return;
     const int dst = dst_y * target_width + dst_x, count = min(target_width - dst_x, LANES);
     const Source s = {source_width, source_height, zoom, target_position, source_color};
-    const Layers l = {layer, behind};
+    const Layers l = {layer, behind, share};
     const Shown f = {target_width, target_height, color, depth, motion, filled_by, mixed};
     Strip p = {dst_x, dst_y, target_width, target_height, false};
     Ints soft = (Ints)(0);
-    if (marked[block_of(dst_x, dst_y, target_width)]) {
-        if (dst_x >= 1 && dst_y >= 1 && dst_x + LANES < target_width && dst_y + 1 < target_height) {
-            p.inner = true;
-            soft = may_have_pair(p, s, f) | may_be_mixed(p, s, l, f);
-        } else {
-            soft = may_have_pair(p, s, f) | may_be_mixed(p, s, l, f);
-        }
+    if (dst_x >= 1 && dst_y >= 1 && dst_x + LANES < target_width && dst_y + 1 < target_height) {
+        p.inner = true;
+        soft = may_have_pair(p, s, f) | may_be_mixed(p, s, l, f);
+    } else {
+        soft = may_have_pair(p, s, f) | may_be_mixed(p, s, l, f);
     }
     if (!ANY(soft)) {
         store_some_bytes((Bytes)(0), count, coverage + dst);
@@ -408,12 +412,16 @@ WIDE __kernel void soften(const int source_width, const int source_height, const
 }
 
 /* The new colours go to the frame, RUN pixels per work-item. */
-SCAN __kernel void apply_softened(const int target_width, const int target_height, __global const uchar *coverage,
-                                  __global const half *softened, __global half *color) {
+SCAN __kernel void apply_softened(const int target_width, const int target_height, __global const uchar *marked,
+                                  __global const uchar *coverage, __global const uint *softened, __global half *color) {
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
-    const int first = dst_y * target_width + first_x;
-    if (first_x + RUN <= target_width && run_is_zero(coverage + first)) return;
-    for (int dst = first; dst < dst_y * target_width + min(first_x + RUN, target_width); ++dst)
-        if (coverage[dst]) vstore_half4_rte(vload_half4(dst, softened), dst, color);
+    const int end_x = min(first_x + RUN, target_width);
+    for (int block_x = first_x; block_x < end_x; block_x += BLOCK_WIDTH) {
+        if (!marked[block_of(block_x, dst_y, target_width)]) continue;
+        for (int dst_x = block_x; dst_x < min(block_x + BLOCK_WIDTH, end_x); ++dst_x) {
+            const int dst = dst_y * target_width + dst_x;
+            if (coverage[dst]) store_color(unpack_color(softened[dst]), color, dst);
+        }
+    }
 }

@@ -224,7 +224,8 @@ def assert_silhouettes(pipeline, before, color, depth, links, zoom):
     """From the device's own layers, motion and positions, as far as they lie on the path of a rounding."""
     stage, positions = pipeline.stages["silhouettes"], pipeline.stages["prediction"].read("target_position")
     layer, behind = twins_silhouettes.find_layers(color, depth, links, positions, zoom)
-    got = stage.read("layer"), stage.read("behind")
+    share = stage.read("share").astype(np.float32) / np.float32(255)
+    got = stage.read("layer"), np.concatenate([stage.read("behind")[..., :3].astype(np.float32), share[..., None]], -1)
     assert np.array_equal(got[0], layer)
     assert {twins_silhouettes.FAR, twins_silhouettes.NEAR} <= set(np.unique(layer))
     np.testing.assert_allclose(got[1][layer > 0].astype(np.float32), behind[layer > 0], rtol=2e-3, atol=2e-3)
