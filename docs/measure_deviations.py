@@ -92,7 +92,10 @@ GAE: dict[str, Change] = {
     ),
     "movers' acceleration goes on": Change({"acceleration": False}),
     "nothing is collected after a reset": Change(
-        edits={"background.cl": {"taken = collect ? shown : 0;": "taken = shown;"}}
+        edits={
+            "surfaces.cl": {"if (!collect) return;": ""},
+            "background.cl": {"if (collect && x + RUN": "if (x + RUN", "collect != 0, keys": "true, keys"},
+        }
     ),
     "nothing is collected beside movers and nearer surfaces": Change(constants={"surfaces.cl": {"GROW": "0"}}),
     "fragments must be deeper by a margin (case 2)": Change(
