@@ -92,7 +92,8 @@ def test_run_says_what_it_spent(gffe, scene, tmp_path):
     assert code == 0
     assert re.search(r"s: kernels \d+\.\d, network \d+\.\d, meanwhile EXRs \d+\.\d of CPU time on \d+ cores", text)
     spent = json.loads((tmp_path / "run.json").read_text())["seconds"]
-    assert list(spent) == ["wall", "kernels", "network", "codec_cpu"]
+    assert list(spent) == ["wall", "start", "kernels", "network", "codec_cpu"]
+    assert 0 < spent["start"] < spent["wall"]
     assert spent["wall"] > spent["kernels"] > 0 and spent["codec_cpu"] > 0
 
 
