@@ -55,6 +55,7 @@ _HOME = {
     "OPTIONS": "options",
     "Pipeline": "pipeline",
     "PresentedFrame": "pipeline",
+    "open_capture": "formats",
     "FrameEntry": "sequence",
     "Sequence": "sequence",
     "SequenceWriter": "sequence",

@@ -154,9 +154,9 @@ class Camera:
     def from_unity(cls, view, projection, size, layout: str = "auto") -> Camera:
         """Camera from Unity's `camera.worldToCameraMatrix` and `camera.projectionMatrix`; parameters of `from_opengl`.
 
-        `GL.GetGPUProjectionMatrix(…)` is as good: that it may be upside down, for textures, is seen. `m.GetRow(0)` first
-        is "row-major", the memory of a `Matrix4x4` "column-major". The jitter of `nonJitteredProjectionMatrix` is not
-        in the camera, that of `projectionMatrix` is. Unity's world is left-handed, so `world_to_view` is mirrored.
+        `GL.GetGPUProjectionMatrix(…)` is as good: that it may be upside down, for textures, is seen. `m.GetRow(0)`
+        first is "row-major", the memory of a `Matrix4x4` "column-major". `projectionMatrix` holds the jitter,
+        `nonJitteredProjectionMatrix` does not. Unity's world is left-handed, so `world_to_view` is mirrored.
         """
         return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True, view_up=True))
 

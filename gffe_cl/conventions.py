@@ -1,7 +1,7 @@
 """From graphics APIs' and engines' conventions to ours: matrices, depth buffers and motion vectors.
 
-Ours: column vectors, view axes x right, y down, z forward, pixels from the top left corner, planar depth in world units,
-motion = (position in the previous rendered frame) − (position here) in pixels, y down.
+Ours: column vectors, view axes x right, y down, z forward, pixels from the top left corner, planar depth in world
+units, motion = (position in the previous rendered frame) − (position here) in pixels, y down.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class Pinhole(NamedTuple):
 def pinhole(view: Any, projection: Any, size: Any, layout: str, ndc_up: bool, view_up: bool = False) -> Pinhole:
     """The camera of an API whose normalised device coordinates go up (`ndc_up`) or down, on an image of `size` pixels.
 
-    Which way the view axes point follows from the projection P (column vectors): w = P₃₂ z, so z is forward where P₃₂ is
-    positive, and x, y agree with those of the device where P₀₀, P₁₁ are positive. With `view_up` the view's y is known
-    to be up, and a projection turned upside down is taken for one into a texture. Then, with P divided by P₃₂:
+    Which way the view axes point follows from the projection P (column vectors): w = P₃₂ z, so z is forward where P₃₂
+    is positive, and x, y agree with those of the device where P₀₀, P₁₁ are positive. With `view_up` the view's y is
+    known to be up, and a projection turned upside down is taken for one into a texture. Then, with P divided by P₃₂:
     fx = |P₀₀| W/2, cx = (1 + P₀₂) W/2; fy = |P₁₁| H/2, cy = (1 ± P₁₂) H/2.
     """
     width, height = _size(size)
@@ -207,8 +207,8 @@ def motion_from_unreal(rg: Any, size: Any, scale: float = 2.0) -> np.ndarray:
     """Motion in pixels (H, W, 2) float32 from the red and green channels (H, W, 2) of Movie Render Queue's motion
     vectors, around ½.
 
-    (R, G) becomes (−s W (R − ½), s H (G − ½)); s is 2 by default, and 1 for what Epic's own example says: reproject what
-    stands still to see which one it is. `size` is (W, H) in pixels.
+    (R, G) becomes (−s W (R − ½), s H (G − ½)); s is 2 by default, and 1 for what Epic's own example says: reproject
+    what stands still to see which one it is. `size` is (W, H) in pixels.
     """
     rg = _vectors(rg)
     width, height = _size(size)

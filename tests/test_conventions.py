@@ -123,7 +123,11 @@ def test_unity_into_a_texture():
 
 def test_our_own_matrices_come_back():
     camera = Camera.look_at((1, 2, 3), (0, 1, 0), (0, 1, 0), fx=300, fy=310, cx=170, cy=80)
-    for api, make in (("opengl", Camera.from_opengl), ("direct3d", Camera.from_direct3d), ("vulkan", Camera.from_vulkan)):
+    for api, make in (
+        ("opengl", Camera.from_opengl),
+        ("direct3d", Camera.from_direct3d),
+        ("vulkan", Camera.from_vulkan),
+    ):
         for reverse in (False, True):
             p = camera.projection_matrix(api, *SIZE, near=0.1, reverse_depth=reverse)
             made = make(camera.view_matrix(api), p, SIZE)
@@ -137,7 +141,9 @@ def test_unreal_pose():
     px, depth = ahead.project([(110, 20, 30), (110, 30, 30), (110, 20, 40)])
     np.testing.assert_allclose(px, [(160, 90), (176, 90), (160, 74)])
     np.testing.assert_allclose(depth, 100)
-    np.testing.assert_allclose(Camera.from_unreal_pose((0, 0, 0), (0, 90, 0), 90, SIZE).direction, (0, 1, 0), atol=1e-12)
+    np.testing.assert_allclose(
+        Camera.from_unreal_pose((0, 0, 0), (0, 90, 0), 90, SIZE).direction, (0, 1, 0), atol=1e-12
+    )
     np.testing.assert_allclose(Camera.from_unreal_pose((0, 0, 0), (30, 0, 0), 90, SIZE).direction[2], 0.5)
     leaning = Camera.from_unreal_pose((0, 0, 0), (0, 0, 10), 90, SIZE)
     assert leaning.up[1] == pytest.approx(np.sin(np.radians(10)))  # to the right, which is +y

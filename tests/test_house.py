@@ -17,7 +17,7 @@ FLOORS = (
     ("frame", "window", "camera_path", "packing"),
     ("buffers",),
     ("stage", "sequence", "scenes"),
-    ("stages",),
+    ("stages", "formats"),
     ("options",),
     ("pipeline", "source"),
     ("run", "render", "evaluation", "scn"),

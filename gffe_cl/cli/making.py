@@ -216,9 +216,9 @@ def _open_source(
     sequence: Path, window: str | None, device: str | None, live: dict[str, str | float | None]
 ) -> tuple[Device, Recorded | Live]:
     """A folder is a sequence; what is none may be the name of a scene, which `live` says how to render."""
+    from gffe_cl.formats import open_capture
     from gffe_cl.opencl.device import open_device
     from gffe_cl.scenes import SCENES, is_scene, load_scene
-    from gffe_cl.sequence import open_sequence
     from gffe_cl.source import Live, Recorded
 
     if is_scene(str(sequence)):
@@ -230,7 +230,7 @@ def _open_source(
     given = [option for option, value in live.items() if value is not None]
     if given:
         raise GffeError(f"{given[0]} is for built-in scenes ({', '.join(SCENES)}), {sequence} is none")
-    recorded, opened = open_sequence(sequence), open_device(device)
+    recorded, opened = open_capture(sequence), open_device(device)
     return opened, Recorded(recorded, opened, window)
 
 

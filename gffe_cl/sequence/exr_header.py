@@ -25,6 +25,8 @@ _TILED, _NON_IMAGE, _MULTI_PART = 0x200, 0x800, 0x1000
 _FIRST_BYTES = 1 << 14
 _MAX_HEADER = 1 << 26
 _MOST_KNOWN = 4
+_MOST_CHANNELS = 4096  # of all parts
+_MOST_SIDE = 1 << 20
 _TOO_MANY = 1 << 40  # chunks: no file holds their table
 # Scan lines per chunk: no compression, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB, HTJ2K256, HTJ2K32
 _CHUNK_LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256, 256, 32)
@@ -209,8 +211,9 @@ def _read_parts(file, data, size, label) -> tuple[ExrHeader, list[_Span]]:
             if length >= _MAX_HEADER:
                 raise GffeError(f"{label}: damaged EXR header") from None
             length *= 8
-        except (struct.error, ValueError, IndexError):
-            raise GffeError(f"{label}: damaged EXR header") from None
+        except (struct.error, ValueError, IndexError) as error:
+            reason = f" ({error})" if type(error) is ValueError and error.args else ""
+            raise GffeError(f"{label}: damaged EXR header{reason}") from None
         data = _bytes_at(file, b"", 0, length)
 
 
@@ -228,7 +231,11 @@ def _parse(cursor) -> tuple[ExrHeader, list[_Span]]:
             part.tile = None
         if not part.channels or min(part.size) < 1:
             raise ValueError
+        if max(part.size) > _MOST_SIDE:
+            raise ValueError(f"{part.size[0]}×{part.size[1]} pixels, expected at most {_MOST_SIDE} a side")
         parts.append(part)
+        if sum(len(one.channels) for one in parts) + len(parts) > _MOST_CHANNELS:
+            raise ValueError(f"expected at most {_MOST_CHANNELS} channels and parts")
         if not multi_part:
             break
     return ExrHeader(parts, multi_part, cursor.position), spans
@@ -289,6 +296,8 @@ def _parse_channels(value, part):
         kind, _, x_sampling, y_sampling = value.unpack("iIii")
         part.channels[name] = _PIXEL_TYPES[kind]
         part.subsampled |= (x_sampling, y_sampling) != (1, 1)
+        if len(part.channels) > _MOST_CHANNELS:
+            raise ValueError(f"expected at most {_MOST_CHANNELS} channels")
         name = value.text()
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
+from gffe_cl.formats import open_capture
 from gffe_cl.scenes import is_scene, load_scene
-from gffe_cl.sequence import open_sequence
 from gffe_cl.viewer.engine.sources import FrameSource, RecordedSource, SceneSource
 
 
@@ -23,6 +23,6 @@ def make_source(target: str, window: str | None, plan: ScenePlan, device) -> Fra
     if is_scene(target):
         source = SceneSource(load_scene(target, plan.seed), device, plan.width, plan.height, window=window)
     else:
-        source = RecordedSource(open_sequence(Path(target).expanduser()), device, window if window == "off" else None)
+        source = RecordedSource(open_capture(Path(target).expanduser()), device, window if window == "off" else None)
     source.target = target
     return source

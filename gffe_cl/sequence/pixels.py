@@ -1,0 +1,103 @@
+"""Where the pixels of a sequence come from: EXR files of our own form, or a foreign capture's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from gffe_cl.errors import GffeError
+from gffe_cl.frame import color_of_planes
+from gffe_cl.sequence import exr
+from gffe_cl.sequence.description import FrameEntry
+from gffe_cl.sequence.exr_header import ExrHeader, read_header
+
+COLOR = ("R", "G", "B")
+MOTION = ("motion.x", "motion.y")
+RENDERED = (*COLOR, "Z", *MOTION)
+
+
+class Pixels(Protocol):
+    """The pixels of frames, by their entries; `size` is (width, height) of the image. Everything raises GffeError,
+    naming the file, where that is missing or damaged. `notes`: what is worth a warning."""
+
+    notes: list[str]
+
+    def rendered(self, entry: FrameEntry, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """color (H, W, 3) float16 or float32, depth (H, W) float32, motion (H, W, 2) float32 or None, in our
+        conventions."""
+
+    def color(self, entry: FrameEntry, size: tuple[int, int]) -> np.ndarray:
+        """Linear RGB (H, W, 3), float16 or float32, of any frame."""
+
+    def channels(self, entry: FrameEntry, names: Iterable[str], size: tuple[int, int]) -> dict[str, np.ndarray]:
+        """Channels of our own form by name, (H, W) each."""
+
+    def exr_file(self, entry: FrameEntry) -> Path | None:
+        """The EXR file of our own form that holds the frame, if there is one: others link it."""
+
+
+class OwnPixels:
+    """One EXR file per frame, in our own form, in `folder`."""
+
+    def __init__(self, folder: Path):
+        self._folder = folder
+        self.notes = []
+
+    def rendered(self, entry, size):
+        path = self._folder / entry.file
+        header = read_header(path, entry.file)
+        names = RENDERED if has_motion(header) or not entry.reset else RENDERED[:4]
+        channels = exr.read_channels(path, names, entry.file, size)
+        depth = channels["Z"].astype(np.float32, copy=False)
+        motion = None
+        if len(names) == len(RENDERED):
+            motion = np.stack([channels[name] for name in MOTION], -1).astype(np.float32, copy=False)
+        return stack_color(channels), depth, motion
+
+    def color(self, entry, size):
+        return stack_color(self.channels(entry, COLOR, size))
+
+    def channels(self, entry, names, size):
+        return exr.read_channels(self._folder / entry.file, tuple(names), entry.file, size)
+
+    def exr_file(self, entry):
+        return self._folder / entry.file
+
+
+class ForeignPixels:
+    """Of other forms: what they give as `rendered` and `color` is all there is."""
+
+    def __init__(self):
+        self.notes: list[str] = []
+
+    def channels(self, entry, names, size):
+        names = tuple(names)
+        if set(names) <= set(COLOR):
+            found = dict(zip(COLOR, np.moveaxis(self.color(entry, size), -1, 0), strict=True))
+        else:
+            color, depth, motion = self.rendered(entry, size)
+            found = {**dict(zip(COLOR, np.moveaxis(color, -1, 0), strict=True)), "Z": depth}
+            if motion is not None:
+                found |= dict(zip(MOTION, np.moveaxis(motion, -1, 0), strict=True))
+        for name in names:
+            if name not in found:
+                raise GffeError(f"{entry.file}: no channel '{name}' (the capture gives {', '.join(found)})")
+        return {name: found[name] for name in names}
+
+    def exr_file(self, entry):
+        return None
+
+
+def has_motion(header: ExrHeader) -> bool:
+    return all(header.find(name) for name in MOTION)
+
+
+def stack_color(channels: dict[str, np.ndarray]) -> np.ndarray:
+    """(H, W, 3), float16 or float32, of the channels R, G, B."""
+    if all(channels[name].dtype == np.float16 for name in COLOR):
+        return color_of_planes(channels[name] for name in COLOR)
+    color = np.stack([channels[name] for name in COLOR], -1)
+    return color if color.dtype in (np.float16, np.float32) else color.astype(np.float32)
