@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gffe_cl.errors import GffeError
-from gffe_cl.formats import blender
+from gffe_cl.formats import blender, folder
 from gffe_cl.sequence.description import FILE_NAME
 from gffe_cl.sequence.reader import Sequence, open_sequence
 
@@ -19,26 +19,34 @@ class Format:
     name: str
     sentence: str
     example: str  # what the folder holds
-    recognises: Callable[[Path], bool]  # by the names of files and their first bytes; never raises GffeError
+    recognises: Callable[[Path], bool]  # a folder that has no sequence.json, by the names of its files
     open: Callable[[Path], Sequence]
 
 
+_JSON_FILES = (FILE_NAME, blender.FILE_NAME)
 FORMATS = {
     one.name: one
     for one in (
+        Format(
+            "gffe-sequence",
+            "The project's own form, which every command writes: sequence.json and one EXR per frame",
+            "sequence.json\nframe_000000.exr\ntruth_000000_0500.exr …",
+            lambda folder: False,
+            open_sequence,
+        ),
+        Format(
+            "gffe-folder",
+            "Images of any convention, EXR, PNG, NPY or NPZ, which a short sequence.json describes (docs/formats.md)",
+            'sequence.json: {"format": "gffe-folder", …}\ncolor/0000.png …\ndepth/0000.exr …\nmotion/0000.npy …',
+            lambda folder: False,
+            folder.open_folder,
+        ),
         Format(
             "blender",
             "Blender (Cycles): multilayer EXR, with the cameras.json of docs/blender/export_gffe.py",
             "cameras.json\nframe_0000.exr\nframe_0001.exr …",
             blender.is_blender,
             blender.open_blender,
-        ),
-        Format(
-            "gffe-sequence",
-            "the project's own: what every command writes",
-            "sequence.json\nframe_000000.exr\ntruth_000000_0500.exr …",
-            lambda folder: True,
-            open_sequence,
         ),
     )
 }
@@ -52,11 +60,16 @@ def open_capture(path) -> Sequence:
     are: a `Sequence` as `open_sequence` gives it. Raises GffeError, also for a folder of no known form.
     """
     path = Path(path)
-    folder = path.parent if path.suffix == ".json" and not path.is_dir() else path
+    place = path.parent if path.name in _JSON_FILES and not path.is_dir() else path
     try:
-        if not folder.is_dir() or (folder / FILE_NAME).exists():
+        if not place.is_dir():
             return open_sequence(path)
-        known = next(one for one in FORMATS.values() if one.recognises(folder))
+        described = place / FILE_NAME
+        if described.exists():
+            return folder.open_folder(place) if folder.is_folder(described) else open_sequence(place)
+        known = next((one for one in FORMATS.values() if one.recognises(place)), None)
     except OSError as error:
         raise GffeError(f"{path}: cannot be read ({error.strerror or error})") from None
-    return known.open(folder)
+    if known is None:
+        return open_sequence(path)  # says what is missing, or that a run was cut off
+    return known.open(place)
