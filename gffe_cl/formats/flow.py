@@ -55,20 +55,21 @@ def inverted_flow(
 
 def composed(
     motion: np.ndarray, depth: np.ndarray, camera: Camera,
-    between: np.ndarray, depth_between: np.ndarray, camera_between: Camera, before: Camera,
+    between: np.ndarray, depth_between: np.ndarray, camera_between: Camera, before: Camera, steps: int = 1,
 ) -> np.ndarray:  # fmt: skip
-    """Motion over two frames (H, W, 2) float32: m₂(x) = m(x) + m′(x + m(x)).
+    """Motion over one frame more (H, W, 2) float32: m₂(x) = m(x) + m′(x + m(x)).
 
-    `motion`, `depth`, `camera` are of the frame itself; `between`, `depth_between`, `camera_between` of the frame that
-    `motion` leads to; `before` is the camera of the one that `between` leads to. m′ is interpolated between pixels of
-    the same surface. What was hidden in between moves as what stands still, if it did until there, else on as it did.
+    `motion`, over so many `steps`, `depth`, `camera` are of the frame itself; `between`, `depth_between`,
+    `camera_between` of the frame that `motion` leads to; `before` is the camera of the one that `between` leads to. m′
+    is interpolated between pixels of the same surface. What was hidden in between moves as what stands still, if it did
+    until there, else on as it did.
     """
     still, depth_still = static_motion(depth, camera, camera_between)
     found, fits = sampled(between, depth_between, motion, depth_still)
     with np.errstate(invalid="ignore"):
         stands = np.linalg.norm(motion - still, axis=-1) <= 1
     whole, _ = static_motion(depth, camera, before)
-    hidden = np.where(stands[..., None] & np.isfinite(whole), whole, 2 * motion)
+    hidden = np.where(stands[..., None] & np.isfinite(whole), whole, motion * (steps + 1) / steps)
     return np.where(fits[..., None], motion + found, hidden).astype(np.float32)
 
 
