@@ -30,6 +30,7 @@ _MOST_SIDE = 1 << 20
 _TOO_MANY = 1 << 40  # chunks: no file holds their table
 # Scan lines per chunk: no compression, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB, HTJ2K256, HTJ2K32
 _CHUNK_LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256, 256, 32)
+_NUMBERS = {"int": "i", "float": "f", "double": "d", "rational": "iI"}
 _PIXEL_TYPES = ("uint32", "float16", "float32")
 
 
@@ -47,6 +48,7 @@ class ExrPart:
     subsampled: bool = False
     deep: bool = False
     matrices: dict[str, tuple[str, bytes]] = field(default_factory=dict)  # name → type, bytes; see `matrix`
+    texts: dict[str, str] = field(default_factory=dict)  # other attributes of text and numbers, by name
 
     @property
     def size(self) -> tuple[int, int]:
@@ -281,6 +283,10 @@ def _parse_part(cursor, index: int, spans: list[_Span]) -> ExrPart | None:
                 start = cursor.position - size
                 part.matrices[name] = (form, values)
                 spans.append(_Span(index, name, form, start, start + len(values)))
+            elif form == "string":
+                part.texts[name] = value.data.decode("utf-8", "replace")
+            elif form in _NUMBERS:
+                part.texts[name] = "/".join(map(str, value.unpack(_NUMBERS[form])))
         except _Short:
             raise ValueError from None
         name = cursor.text()
