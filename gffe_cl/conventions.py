@@ -104,12 +104,17 @@ def rigid(matrix: np.ndarray, name: str, tolerance: float = 1e-2) -> np.ndarray:
 
     GffeError unless it is a rotation (mirrored or not), a scale and a translation within `tolerance`.
     """
-    left, scale, right = np.linalg.svd(matrix[:3, :3])
-    if not (scale[2] > 0 and scale[0] / scale[2] - 1 <= tolerance):
-        raise GffeError(f"camera: {name} is singular or not rigid (expected a rotation and a translation)")
     made = np.eye(4)
-    made[:3, :3] = left @ right
-    made[:3, 3] = made[:3, :3] @ np.linalg.solve(matrix[:3, :3], matrix[:3, 3])
+    try:
+        with np.errstate(all="ignore"):
+            left, scale, right = np.linalg.svd(matrix[:3, :3])
+            fits = scale[2] > 0 and scale[0] / scale[2] - 1 <= tolerance
+            made[:3, :3] = left @ right
+            made[:3, 3] = made[:3, :3] @ np.linalg.solve(matrix[:3, :3], matrix[:3, 3])
+    except np.linalg.LinAlgError:
+        fits = False
+    if not fits:
+        raise GffeError(f"camera: {name} is singular or not rigid (expected a rotation and a translation)")
     return made
 
 

@@ -19,7 +19,7 @@ from gffe_cl.formats.capture import (
     whole_number,
 )
 from gffe_cl.formats.layers import Place, holding, layers_of, owner
-from gffe_cl.sequence.description import Description, FrameEntry
+from gffe_cl.sequence.description import Description, FrameEntry, check_file_name
 from gffe_cl.sequence.exr import decoded, require_parts
 from gffe_cl.sequence.exr_header import ExrHeader, HeaderReader, read_header
 from gffe_cl.sequence.pixels import ForeignPixels
@@ -135,7 +135,8 @@ def _frame(one, index: int, size) -> FrameEntry:
         file = ""
     elif file is None and isinstance(one.get("frame"), int):
         file = f"frame_{one['frame']:04d}.exr"
-    label = f"{label} ({file})" if isinstance(file, str) and file else label
+    if kind != "camera_only":
+        label = f"{label} ({check_file_name(file, label)})"
     time = require_number(one.get("time"), f"{label}: time")
     camera = camera_of(one, "world_to_camera", size, label)
     entry = FrameEntry(file, time, kind, reset=one.get("reset") is True, display_camera=camera)

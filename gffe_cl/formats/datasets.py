@@ -296,7 +296,7 @@ def _spring_array(path: Path, name: str, size: Size) -> np.ndarray:
     try:
         import h5py
     except ImportError:
-        raise GffeError("Spring's files need h5py (pip install h5py)") from None
+        raise GffeError("Spring's files need h5py (pip install gffe-cl[spring])") from None
     try:
         with h5py.File(path, "r") as file:
             stored = file[name]
