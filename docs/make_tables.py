@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from gffe_cl.buffers import EXTRAPOLATED, FILLED_BY, RENDERED, BufferSpec
+from gffe_cl.formats import FORMATS
 from gffe_cl.options import OPTIONS, Option
 from gffe_cl.pipeline import STAGES
 from gffe_cl.scenes import SCENES
@@ -85,6 +86,15 @@ def map_table() -> str:
     return table(("room", "file", "what it is for"), rows)
 
 
+def formats_table() -> str:
+    """Every form of captures that is opened: what it is, what its folder holds."""
+    rows = [
+        (f"`{one.name}`", one.sentence, "<br>".join(f"`{line}`" for line in one.example.splitlines()))
+        for one in FORMATS.values()
+    ]
+    return table(("form", "what it is", "the folder, for example"), rows)
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "options": options_table,
     "fillings": fillings_table,
@@ -93,6 +103,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "labels": labels_table,
     "scenes": scenes_table,
     "map": map_table,
+    "formats": formats_table,
 }
 
 

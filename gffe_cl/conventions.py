@@ -156,7 +156,7 @@ def depth_from_device(
 
     Returns
     -------
-    (…) float32: with P for column vectors, P₂₃ / (s z − P₂₂), s = P₃₂ = ±1; +inf beyond what the projection can show.
+    (…) float32: with P for column vectors, P₂₃ / (z − s P₂₂), s = P₃₂ = ±1; +inf beyond what the projection can show.
 
     Raises GffeError if `projection` is no perspective projection.
     """
@@ -202,7 +202,7 @@ def motion_from_ndc(motion: Any, size: Any, direction: str = "to_previous", y: s
 def motion_from_uv(motion: Any, size: Any, direction: str = "to_previous", y: str = "down") -> np.ndarray:
     """Motion in pixels (H, W, 2) float32 from motion in texture coordinates, 0 … 1 across the image.
 
-    (x, y) becomes (x · W, y · H); with `y` "up", as in OpenGL and Unity, (x · W, −y · H). `size` is (W, H) in pixels.
+    (x, y) becomes (x · W, y · H); with `y` "up", as in OpenGL, (x · W, −y · H). `size` is (W, H) in pixels.
     `direction` "to_previous": the given vectors are (previous − here); "from_previous", as of Unity: (here − previous).
     """
     return _scaled(motion, size, 1.0, direction, y)

@@ -186,3 +186,17 @@ def test_commands_take_it(tmp_path, monkeypatch):
     assert commands.invoke(["compare", "out", "in", "--fail-under", "15"]) == 0
     with pytest.raises(GffeError, match="overwrite its input"):
         commands.invoke(["run", "in", "in"])
+
+
+def test_the_viewer_and_bench_take_it(tmp_path):
+    from gffe_cl.evaluation.footage import sequence_footage
+    from gffe_cl.viewer.engine.opening import ScenePlan, make_source
+
+    folder = write_blender(tmp_path, shots())
+    source = make_source(str(folder), None, ScenePlan(W, H, 0), None)
+    np.testing.assert_array_equal(source.rendered(1).motion, shots()[2].motion)
+    np.testing.assert_array_equal(source.truth(1, 0.5), shots()[3].color)
+    assert source.camera(1, 0.5).intrinsics == shots()[3].camera.intrinsics and source.has_truth
+    source.close()
+    footage = sequence_footage(None, open_capture(folder))
+    assert len(footage.frames) == 3 and footage.cameras[1].intrinsics == shots()[3].camera.intrinsics

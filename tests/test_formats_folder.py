@@ -1,7 +1,9 @@
 """`gffe-folder`: a built-in scene written in many conventions, and read back within the precision of the encoding."""
 
 import json
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from test_formats_images import png
 from gffe_cl import Camera, GffeError, open_capture
 
 NEAR, FAR = 0.05, 400.0
+DOCS = Path(__file__).parent.parent / "docs"
 
 
 def rendered():
@@ -362,3 +365,59 @@ def test_faults(tmp_path, change, words):
         (tmp_path / "sequence.json").write_text(json.dumps(document))
     with pytest.raises(GffeError, match=words):
         open_capture(tmp_path)
+
+
+# Documentation
+
+BLOCKS = [json.loads(text) for text in re.findall(r"```json\n(.*?)```", (DOCS / "formats.md").read_text(), re.S)]
+EXAMPLES = [block for block in BLOCKS if block.get("format") == "gffe-folder"]
+
+
+def write_image(path, channels):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    image = np.random.default_rng(1).uniform(0.2, 0.8, (9, 16, len(channels))).astype(np.float32)
+    if path.suffix == ".exr":
+        write_exr(path, {name: image[..., i] for i, name in enumerate(channels)})
+    elif path.suffix == ".png":
+        Image.fromarray((image * 255).astype(np.uint8), "RGBA" if len(channels) == 4 else "RGB").save(path)
+    elif path.suffix == ".npy":
+        np.save(path, image)
+    else:
+        np.savez(path, velocity=image)
+
+
+@pytest.mark.parametrize("number", range(len(EXAMPLES)))
+def test_examples_of_the_documentation(tmp_path, number):
+    """Each schema opens, and all of its frames are read, with images as it says."""
+    document = {**EXAMPLES[number], "width": 16, "height": 9}
+    frames = document["frames"]
+    first = frames.get("first", 0) if isinstance(frames, dict) else 0
+    numbers = range(first, first + frames["count"]) if isinstance(frames, dict) else [f["number"] for f in frames]
+    defaults = {"color": "RGB", "ground_truth": "RGB", "depth": "R", "motion": "RG"}
+    for name, default in defaults.items():
+        for k in numbers if name in document else ():
+            channels = document[name].get("channels", list(default))
+            write_image(tmp_path / (document[name]["file"] % k), channels)
+    if "file" in document["camera"]:
+        (camera,) = (block for block in BLOCKS if "view" in block)
+        (tmp_path / "camera").mkdir()
+        for k in numbers:
+            (tmp_path / (document["camera"]["file"] % k)).write_text(json.dumps(camera))
+    (tmp_path / "sequence.json").write_text(json.dumps(document))
+    sequence = open_capture(tmp_path)
+    for k, entry in enumerate(sequence.rendered):
+        frame = sequence.read(entry)
+        assert (frame.depth > 0).all() and frame.camera.fx > 0 and (frame.motion is None) == (k == 0)
+    assert len(sequence.frames) == len(numbers) and len(EXAMPLES) >= 5
+    for entry in sequence.ground_truth:
+        assert sequence.read_color(entry).shape == (9, 16, 3)
+
+
+def test_every_key_is_documented():
+    from gffe_cl.formats import buffers, cameras, folder
+
+    page = (DOCS / "formats.md").read_text()
+    for module in (buffers, cameras, folder):
+        source = Path(module.__file__).read_text()
+        for key in re.findall(r"keys\.\w+\(\s*\"(\w+)\"", source):
+            assert f"`{key}`" in page or f'"{key}"' in page, key
