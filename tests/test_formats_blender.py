@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import OpenEXR
 import pytest
-from foreign import FPS, H, W, blender_frame, blender_layers, edit_json, shots, write_blender, write_exr
+from foreign import FPS, H, W, blender_frame, blender_layers, edit_json, shots, write_blender, write_exr, write_parts
 
 from gffe_cl import GffeError, open_capture, open_sequence
 from gffe_cl.cli import commands
@@ -69,6 +69,22 @@ def test_depth_by_its_newer_name_and_plain_truth(tmp_path):
 
     folder = write_blender(tmp_path, shots(), rename=renamed)
     write_exr(folder / "frame_0001.exr", dict(zip("RGB", np.moveaxis(shots()[1].color, -1, 0), strict=True)))
+    same(open_capture(folder), shots())
+
+
+@pytest.mark.parametrize("cut", ["before the pass", "before the component"])
+def test_parts_that_hold_a_part_of_the_name(tmp_path, cut):
+    """`ViewLayer` with `Combined.R`, or `ViewLayer.Combined` with `R`: names are unique in a part only."""
+    folder = write_blender(tmp_path, shots())
+    for number, shot in enumerate(shots()):
+        parts = {}
+        for layer, passes in blender_layers(shot).items():
+            view_layer, _, name = layer.partition(".")
+            if cut == "before the pass":
+                parts.setdefault(view_layer, {}).update({f"{name}.{c}": a for c, a in passes.items()})
+            else:
+                parts[layer] = passes
+        write_parts(folder / f"frame_{number:04d}.exr", parts)
     same(open_capture(folder), shots())
 
 

@@ -190,6 +190,15 @@ def test_sintel_faults(tmp_path):
         with pytest.raises(GffeError, match=words):
             open_capture(folder)
     cut.write_bytes(whole)
+    cut.unlink()
+    (tmp_path.parent / f"{tmp_path.name}.dpt").write_bytes(whole)
+    cut.symlink_to(tmp_path.parent / f"{tmp_path.name}.dpt")
+    with pytest.raises(GffeError, match="link out of the folder"):
+        open_capture(folder)
+    cut.unlink()
+    with pytest.raises(GffeError, match=r"frame_0002\.dpt"):
+        open_capture(folder)
+    cut.write_bytes(whole)
     (tmp_path / "camdata_left" / "alley_1" / "frame_0001.cam").unlink()
     with pytest.raises(GffeError, match=r"frame_0001\.cam: cannot be read"):
         open_capture(folder)

@@ -6,6 +6,7 @@ depth test; Spring has flow to the previous one.
 
 from __future__ import annotations
 
+import os
 import re
 import struct
 from collections.abc import Callable
@@ -42,6 +43,7 @@ class _Frame(NamedTuple):
     depth: Callable[[], np.ndarray]
     flow: Callable[[], np.ndarray] | None
     camera: Camera
+    files: tuple[Path, ...]  # all that are read of it but the colours
     backward: bool = False
 
 
@@ -68,11 +70,15 @@ class DatasetPixels(ForeignPixels):
         return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
-def _opened(folder: Path, frames: list[_Frame], size: Size, fps: float, notes: tuple[str, ...] = ()) -> Sequence:
+def _opened(
+    folder: Path, frames: list[_Frame], size: Size, fps: float, root: Path | None = None, notes: tuple[str, ...] = ()
+) -> Sequence:
+    """The sequence of `frames`; GffeError for files that are missing or linked from outside of `root` (the folder)."""
     if not 0 < len(frames) <= MOST_FRAMES:
         raise GffeError(f"{folder}: {len(frames)} frames (expected 1 to {MOST_FRAMES})")
     entries = {}
     for k, frame in enumerate(frames):
+        _require_files((frame.color, *frame.files), root or folder)
         check_planes(frame.color, "RGB", frame.color.name, size)
         before = frames[k - 1] if k else None
         cut = before is None or (frame.flow if frame.backward else before.flow) is None
@@ -82,6 +88,14 @@ def _opened(folder: Path, frames: list[_Frame], size: Size, fps: float, notes: t
     pixels = DatasetPixels(dict(zip(entries, frames, strict=True)))
     pixels.notes += notes
     return Sequence(folder, described(str(folder), size, entries.values(), fps), pixels)
+
+
+def _require_files(paths: tuple[Path, ...], root: Path) -> None:
+    for path in paths:
+        if not path.exists():
+            raise GffeError(f"{path.name}: no such file in {path.parent}")
+        if not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(root)):
+            raise GffeError(f"{path.name}: is a link out of the folder (expected a file in it)")
 
 
 def _images(folder: Path, pattern: str) -> list[Path]:
@@ -127,10 +141,9 @@ def open_sintel(folder: Path) -> Sequence:
             _sintel_header(flow, 2, size)
         camera = _sintel_camera(parts[2] / f"frame_{number}.cam")
         read_flow = (lambda flow=flow: _sintel_array(flow, 2, size)) if has_flow else None
-        frames.append(
-            _Frame(path, lambda depth=depth: _within(_sintel_array(depth, 1, size)[..., 0]), read_flow, camera)
-        )
-    return _opened(folder, frames, size, 24.0)
+        read_depth = lambda depth=depth: _within(_sintel_array(depth, 1, size)[..., 0])  # noqa: E731
+        frames.append(_Frame(path, read_depth, read_flow, camera, (depth, *([flow] if has_flow else []))))
+    return _opened(folder, frames, size, 24.0, folder.absolute().parent.parent)
 
 
 def _sintel_folders(folder: Path) -> tuple[Path, Path, Path] | None:
@@ -209,9 +222,9 @@ def open_tartanair(folder: Path) -> Sequence:
         camera = _camera(_from_ned(pose), *[_TARTANAIR_FOCAL] * 2, size[0] / 2, size[1] / 2, "pose_left.txt")
         read_flow = (lambda flow=flow: read_planes(flow, "01", flow.name, size)) if has_flow else None
         read_depth = lambda depth=depth: _within(read_planes(depth, "0", depth.name, size)[..., 0])  # noqa: E731
-        frames.append(_Frame(path, read_depth, read_flow, camera))
+        frames.append(_Frame(path, read_depth, read_flow, camera, (depth, *([flow] if has_flow else []))))
     note = "TartanAir's flow is the camera's: what moves by itself has wrong motion; 30 frames per second are assumed"
-    return _opened(folder, frames, size, 30.0, (note,))
+    return _opened(folder, frames, size, 30.0, notes=(note,))
 
 
 def _from_ned(pose: np.ndarray) -> np.ndarray:
@@ -260,8 +273,9 @@ def open_spring(folder: Path) -> Sequence:
         camera = _camera(matrix.reshape(4, 4), fx, fy, cx, cy, "extrinsics.txt")
         read_flow = (lambda flow=flow: _spring_array(flow, "flow", size)) if flow.exists() else None
         read_depth = lambda file=disparity, fx=fx: _from_disparity(file, fx, size)  # noqa: E731
-        frames.append(_Frame(path, read_depth, read_flow, camera, backward=True))
-    _spring_array(folder / "disp1_left" / f"disp1_left_{_number(images[0])}.dsp5", "disparity", size)
+        files = (disparity, *([flow] if read_flow else []))
+        frames.append(_Frame(path, read_depth, read_flow, camera, files, backward=True))
+    _spring_array(frames[0].files[0], "disparity", size)
     return _settled(folder, frames, size)
 
 

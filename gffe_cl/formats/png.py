@@ -111,8 +111,16 @@ def _inflated(path: Path, nbytes: int) -> bytes:
 
 def _unfiltered(filters: np.ndarray, coded: np.ndarray) -> np.ndarray:
     """(H, W, B) uint8 from lines as they are filtered: each byte is added to what its filter says of the bytes to the
-    left, above and above left. All pixels with one x + y at a time: they need only earlier ones."""
+    left, above and above left. Where that is all of them, pixels with one x + y at a time: they need earlier ones."""
     height, width, depth = coded.shape
+    if filters.max() <= 2:  # of the left or above alone: whole lines at a time
+        plain = coded.copy()
+        for y, kind in enumerate(filters):
+            if kind == 1:
+                np.cumsum(coded[y], axis=0, dtype=np.uint8, out=plain[y])
+            elif kind == 2 and y:
+                plain[y] += plain[y - 1]
+        return plain
     diagonals = np.zeros((width + height, height + 1, depth), np.int16)  # [x + y + 1, y + 1]: a border of zeros
     for at in range(width + height - 1):
         first, last = max(0, at - width + 1), min(at, height - 1) + 1

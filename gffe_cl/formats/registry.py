@@ -9,6 +9,7 @@ from pathlib import Path
 from gffe_cl.errors import GffeError
 from gffe_cl.formats import blender, datasets, folder, unreal
 from gffe_cl.sequence.description import FILE_NAME
+from gffe_cl.sequence.folder import why_unfinished
 from gffe_cl.sequence.reader import Sequence, open_sequence
 
 
@@ -102,5 +103,9 @@ def open_capture(path) -> Sequence:
     except OSError as error:
         raise GffeError(f"{path}: cannot be read ({error.strerror or error})") from None
     if known is None:
-        return open_sequence(path)  # says what is missing, or that a run was cut off
+        if why_unfinished(place):
+            return open_sequence(place)  # says so
+        raise GffeError(
+            f"{path}: no {FILE_NAME} in this folder, and no other known form (expected one of `gffe formats`)"
+        )
     return known.open(place)
