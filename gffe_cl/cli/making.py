@@ -152,7 +152,7 @@ def render(
 @app.command()
 @takes_options()
 def run(
-    sequence: Annotated[Path, typer.Argument(help="Folder of a sequence, or the name of a built-in scene.")],
+    sequence: Annotated[Path, typer.Argument(help="Folder of a capture (`gffe formats`), or a built-in scene.")],
     output: Annotated[Path, typer.Argument(help="Folder for the result, a sequence again.")],
     n: Annotated[
         int | None,

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 def view(
     target: Annotated[
         str | None,
-        typer.Argument(help="Folder of a sequence, or the name of a built-in scene [dim](default: none)[/]."),
+        typer.Argument(help="Folder of a capture (`gffe formats`), or a built-in scene [dim](default: none)[/]."),
     ] = None,
     n: Annotated[int, typer.Option("-n", help="Generated frames per rendered frame, 1 to 7.")] = 1,
     window: Annotated[
