@@ -367,6 +367,25 @@ def test_faults(tmp_path, change, words):
         open_capture(tmp_path)
 
 
+def test_captures_without_cameras(tmp_path):
+    """Injectors have none: calibration finds them, from buffers that need no camera."""
+    write(tmp_path)
+    edit_json(tmp_path / "sequence.json", lambda d: d.pop("camera"))
+    with pytest.raises(GffeError, match="camera must be an object"):
+        open_capture(tmp_path)
+    sequence = open_capture(tmp_path, cameras="optional")
+    frame = sequence.read(sequence.rendered[1])
+    assert sequence.rendered[1].render_camera is None and sequence.warnings() == []
+    np.testing.assert_array_equal(frame.motion, rendered()[1].motion)
+    for part, said in (("depth", {"encoding": "distance"}), ("motion", {"direction": "to_next"})):
+        document = edit_json(tmp_path / "sequence.json", lambda d, part=part, said=said: d[part].update(said))
+        with pytest.raises(GffeError, match="without a camera"):
+            open_capture(tmp_path, cameras="optional")
+        for key in said:
+            document[part].pop(key)
+        (tmp_path / "sequence.json").write_text(json.dumps(document))
+
+
 # Documentation
 
 BLOCKS = [json.loads(text) for text in re.findall(r"```json\n(.*?)```", (DOCS / "formats.md").read_text(), re.S)]

@@ -46,7 +46,7 @@ class _Frame:
 
     number: int
     entry: FrameEntry
-    camera: FoundCamera
+    camera: FoundCamera | None
     before: _Frame | None  # the rendered one before it, unless it is a reset
 
 
@@ -70,9 +70,10 @@ def is_folder(path: Path) -> bool:
     return bool(found) and found[1] == FORMAT.encode()
 
 
-def open_folder(folder: Path) -> Sequence:
-    """Open the capture in `folder`: the JSON and the headers of all images are checked. Raises GffeError."""
-    made, description = _parse(folder, read_json(folder / FILE_NAME))
+def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
+    """Open the capture in `folder`: the JSON and the headers of all images are checked. With `cameras` "optional" none
+    need be described. Raises GffeError."""
+    made, description = _parse(folder, read_json(folder / FILE_NAME), cameras == "needed")
     for frame in made.frames.values():
         if frame.entry.kind == "ground_truth":
             made.truth.buffer.check(folder, frame.number, made.size)
@@ -118,7 +119,7 @@ class FolderPixels(ForeignPixels):
         return inverted_flow(flow, self._depth(before), before.camera.camera, depth, frame.camera.camera)
 
 
-def _parse(folder: Path, document: dict) -> tuple[_Folder, Description]:
+def _parse(folder: Path, document: dict, cameras_needed: bool) -> tuple[_Folder, Description]:
     keys = Keys(document, FILE_NAME)
     keys.take("format")
     if keys.take("version", VERSION) != VERSION:
@@ -154,12 +155,14 @@ def _parse(folder: Path, document: dict) -> tuple[_Folder, Description]:
         if camera is None and files is not None:
             label = files.file(number)
             camera = read_json(files.path(folder, number))
-        found = parse_camera(camera, rules, size, label)
-        _require_projection(made.depth, found, label)
-        entry.display_camera = found.camera
+        found = None
+        if camera is not None or cameras_needed:
+            found = parse_camera(camera, rules, size, label)
+            entry.display_camera = found.camera
+        _require_camera(made, found, label)
         frame = _Frame(number, entry, found, None)
         if entry.kind == "rendered":
-            entry.render_camera = found.camera
+            entry.render_camera = entry.display_camera
             entry.reset = entry.reset or previous is None
             frame = _Frame(number, entry, found, None if entry.reset else previous)
             previous = frame
@@ -167,9 +170,18 @@ def _parse(folder: Path, document: dict) -> tuple[_Folder, Description]:
     return made, described(FILE_NAME, size, [entry for _, entry, _ in frames], fps, exposure)
 
 
-def _require_projection(depth: DepthBuffer, found: FoundCamera, label: str) -> None:
-    if depth.encoding == "device" and depth.near is None and found.projection is None:
+def _require_camera(made: _Folder, found: FoundCamera | None, label: str) -> None:
+    """GffeError if the camera says too little for what the buffers need of it."""
+    if made.depth.encoding == "device" and made.depth.near is None and (found is None or found.projection is None):
         raise GffeError(f"{label}: device depth needs a projection matrix, or near and far in depth")
+    if found is None:
+        for needs, what in (
+            (made.depth.encoding == "distance", "distances along the rays"),
+            (made.motion.to_next, "motion to the next frame"),
+            (made.motion.jitter_removed, "motion without jitter"),
+        ):
+            if needs:
+                raise GffeError(f"{label}: {what} cannot be converted without a camera")
 
 
 def _camera_files(keys: Keys) -> Buffer | None:

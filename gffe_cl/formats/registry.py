@@ -84,21 +84,23 @@ FORMATS = {
 }
 
 
-def open_capture(path) -> Sequence:
+def open_capture(path, *, cameras: str = "needed") -> Sequence:
     """Open the capture in the folder `path` (or whose JSON file is `path`), of any form in `gffe formats`:
     which one it is, its files tell.
 
     Everything that can be checked without decoding pixels is. Frames are read in our own conventions, whatever theirs
-    are: a `Sequence` as `open_sequence` gives it. Raises GffeError, also for a folder of no known form.
+    are: a `Sequence` as `open_sequence` gives it. With `cameras` "optional" those of our own form and of `gffe-folder`
+    may lack cameras, as there. Raises GffeError, also for a folder of no known form.
     """
     path = Path(path)
     place = path.parent if path.name in _JSON_FILES and not path.is_dir() else path
     try:
         if not place.is_dir():
-            return open_sequence(path)
+            return open_sequence(path, cameras=cameras)
         described = place / FILE_NAME
         if described.exists():
-            return folder.open_folder(place) if folder.is_folder(described) else open_sequence(place)
+            opened = folder.open_folder if folder.is_folder(described) else open_sequence
+            return opened(place, cameras=cameras)
         known = next((one for one in FORMATS.values() if one.recognises(place)), None)
     except OSError as error:
         raise GffeError(f"{path}: cannot be read ({error.strerror or error})") from None
