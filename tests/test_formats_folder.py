@@ -79,7 +79,7 @@ def test_plain(tmp_path):
 
 def device(shot, near=NEAR, far=FAR, reverse=False):
     z = np.float64(shot.depth)
-    value = near / z if np.isinf(far) else near * (far - z) / (z * (far - near))
+    value = near / z if np.isinf(far) else near * (far - np.minimum(z, 1e30)) / (np.minimum(z, 1e30) * (far - near))
     value = np.where(np.isinf(z), 0, value)
     return (value if reverse else 1 - value).astype(np.float32 if reverse else np.float64)
 

@@ -18,7 +18,7 @@ from gffe_cl.sequence.exr_header import ExrHeader, read_header
 from gffe_cl.sequence.library_messages import library_messages
 
 _FLOAT_CHANNELS = ("Z", "motion.")  # always float32; any other channel keeps half if it is half
-_MOST_BYTES = 2 << 30
+_MOST_BYTES = 4 << 30
 _BYTES = {"uint32": 4, "float16": 2, "float32": 4}
 _HALVES = np.arange(256, dtype=np.float16)  # of small integers
 
