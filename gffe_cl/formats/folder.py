@@ -95,28 +95,31 @@ class FolderPixels(ForeignPixels):
 
     def rendered(self, entry, size):
         frame = self._made.frames[entry.file]
-        depth = self._depth(frame)
-        motion = None
-        if frame.before:
-            motion = self._motion(frame, depth)
-            if self._made.motion.jitter_removed:
-                motion += np.float32(np.subtract(frame.before.camera.jitter, frame.camera.jitter))
-        return self._made.color.read(self._folder, frame.number, size), depth, motion
+        with np.errstate(all="ignore"):  # bad pixels are survived
+            depth, motion = self._depth(frame), None
+            if frame.before:
+                motion = self._motion(frame, depth)
+        return self.color(entry, size), depth, motion
 
     def color(self, entry, size):
         frame = self._made.frames[entry.file]
         buffer = self._made.truth if entry.kind == "ground_truth" else self._made.color
-        return buffer.read(self._folder, frame.number, size)
+        with np.errstate(all="ignore"):
+            return buffer.read(self._folder, frame.number, size)
 
     def _depth(self, frame: _Frame) -> np.ndarray:
         return self._made.depth.read(self._folder, frame.number, self._made.size, frame.camera)
 
     def _motion(self, frame: _Frame, depth: np.ndarray) -> np.ndarray:
-        if not self._made.motion.to_next:
-            return self._made.motion.read(self._folder, frame.number, self._made.size)
-        before = frame.before
-        flow = self._made.motion.read(self._folder, before.number, self._made.size)
-        return inverted_flow(flow, self._depth(before), before.camera.camera, depth, frame.camera.camera)
+        said, before = self._made.motion, frame.before
+        if said.to_next:
+            flow = said.read(self._folder, before.number, self._made.size)
+            motion = inverted_flow(flow, self._depth(before), before.camera.camera, depth, frame.camera.camera)
+        else:
+            motion = said.read(self._folder, frame.number, self._made.size)
+        if said.jitter_removed:
+            motion += np.float32(np.subtract(before.camera.jitter, frame.camera.jitter))
+        return motion
 
 
 def _parse(folder: Path, document: dict, cameras_needed: bool) -> tuple[_Folder, Description]:
