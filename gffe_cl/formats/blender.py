@@ -22,7 +22,7 @@ from gffe_cl.formats.layers import Place, holding, layers_of, owner
 from gffe_cl.sequence.description import Description, FrameEntry, check_file_name
 from gffe_cl.sequence.exr import decoded, require_parts
 from gffe_cl.sequence.exr_header import ExrHeader, HeaderReader, read_header
-from gffe_cl.sequence.pixels import ForeignPixels
+from gffe_cl.sequence.pixels import COLOR, ForeignPixels, stack_color
 from gffe_cl.sequence.reader import Sequence
 from gffe_cl.values import require_exposure, require_number, require_positive, shown
 
@@ -76,7 +76,7 @@ class BlenderPixels(ForeignPixels):
         depth = depth.astype(np.float32)
         depth[depth >= SKY] = np.inf
         motion = np.stack([vector[0], -vector[1]], -1).astype(np.float32) if vector else None
-        return np.stack(color, -1), depth, motion
+        return stack_color(dict(zip(COLOR, color, strict=True))), depth, motion
 
     def color(self, entry, size):
         if entry.kind == "rendered":
