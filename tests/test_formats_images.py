@@ -141,7 +141,7 @@ def test_more_pixels_than_the_header_says_are_not_inflated(tmp_path):
     image = np.zeros((H, W, 3), np.uint16)
     whole = png(image, 16, 2)
     at = whole.index(b"IDAT") - 4
-    (tmp_path / "a.png").write_bytes(whole[:at] + chunk(b"IDAT", zlib.compress(bytes(200_000_000), 9)))
+    (tmp_path / "a.png").write_bytes(whole[:at] + chunk(b"IDAT", zlib.compress(bytes(60_000_000), 9)))
     tracemalloc.start()
     np.testing.assert_array_equal(read_planes(tmp_path / "a.png", "RGB", "a", (W, H)), image)
     assert tracemalloc.get_traced_memory()[1] < 10e6
@@ -198,7 +198,7 @@ def test_damaged_anywhere(tmp_path):
     for name in ("a.npz", "a.npy", "a.png"):
         path = tmp_path / name
         whole = path.read_bytes()
-        for at in RNG.integers(0, len(whole), 120):
+        for at in RNG.integers(0, len(whole), 60):
             path.write_bytes(whole[:at] + bytes([whole[at] ^ int(RNG.integers(1, 256))]) + whole[at + 1 :])
             try:
                 assert read_planes(path, "RGB", name, (W, H)).shape == (H, W, 3)
