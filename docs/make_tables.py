@@ -21,13 +21,14 @@ from gffe_cl.pipeline import STAGES
 from gffe_cl.scenes import SCENES
 from gffe_cl.stage import Stage
 from gffe_cl.stages.background import Background, _level_buffers
+from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.holes import FILLINGS, FarSide, HoleFilling
 from gffe_cl.stages.presentation import Presentation
 
 FOLDER = Path(__file__).parent
 REPOSITORY = FOLDER.parent
-# Hole filling as it is by default, and what is made where there is a window.
-SHOWN: tuple[type[Stage], ...] = (*(FarSide if s is HoleFilling else s for s in STAGES), Presentation)
+# Hole filling as it is by default, and what is made where there is a window, or overlays.
+SHOWN: tuple[type[Stage], ...] = (*(FarSide if s is HoleFilling else s for s in STAGES), Presentation, Composition)
 
 
 def options_table() -> str:

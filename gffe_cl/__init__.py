@@ -48,6 +48,7 @@ _HOME = {
     "open_device": "opencl.device",
     "GffeError": "errors",
     "BadPixels": "frame",
+    "Overlays": "frame",
     "RenderedFrame": "frame",
     "pack_frame": "frame",
     "ExtrapolatedFrame": "pipeline",

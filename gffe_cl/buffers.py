@@ -11,11 +11,14 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
+import pyopencl.array
 
 from gffe_cl.camera import Camera
+from gffe_cl.errors import GffeError
 from gffe_cl.frame import BYTES_PER_PIXEL, PackedFrame
 from gffe_cl.inference import MULTIPLE
 from gffe_cl.opencl.device import Device
@@ -29,11 +32,12 @@ _LABELS = constants("common.h")
 BLOCK = tuple(constants("blocks.h")[f"BLOCK_{side}"] for side in ("WIDTH", "HEIGHT"))  # pixels
 BY_HOLE_FILLING, BY_NOTHING = _LABELS["BY_HOLE_FILLING"], _LABELS["BY_NOTHING"]
 BY_WARP, BY_CRACK_CLOSING = _LABELS["BY_WARP"], _LABELS["BY_CRACK_CLOSING"]
-BY_HIDDEN_PART = _LABELS["BY_HIDDEN_PART"]
+BY_HIDDEN_PART, BY_FIXED = _LABELS["BY_HIDDEN_PART"], _LABELS["BY_FIXED"]
 FILLED_BY = (
     (BY_WARP, "its own fragment"),
     *((1 + level, f"background level {level}") for level in range(4)),
     (BY_HIDDEN_PART, "hidden part of a mover"),
+    (BY_FIXED, "a pixel that stays in place"),
     (BY_NOTHING, "nothing"),
     (BY_CRACK_CLOSING, "crack closing"),
     (BY_HOLE_FILLING, "hole filling"),
@@ -275,6 +279,17 @@ class DeviceFrame:
 def halved(size: tuple[int, int], times: int) -> tuple[int, int]:
     """(ceil(W / 2^times), ceil(H / 2^times))."""
     return tuple(-(-n // (1 << times)) for n in size)
+
+
+def as_buffer(array: Any) -> cl.Buffer | None:
+    """The device buffer that `array` is; None for others. GffeError for a device array that is a part of one."""
+    if isinstance(array, cl.Buffer):
+        return array
+    if isinstance(array, cl.array.Array):
+        if array.offset or not array.flags.c_contiguous:
+            raise GffeError("frame: device arrays must be C-contiguous and start at offset 0 of their buffer")
+        return array.base_data
+    return None
 
 
 _ALIGNMENT = 1024  # texels, or bytes, between the starts of parts of a buffer: no device asks for more bytes

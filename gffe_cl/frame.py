@@ -24,6 +24,35 @@ KEPT_BYTES_PER_PIXEL = 2 * (8 + 4) + 8  # of two frames: nothing reads the motio
 
 
 @dataclass
+class Overlays:
+    """What lies over the picture and is not warped with it; NumPy arrays or device buffers, each of them optional.
+
+    Colours are linear and scene-referred as the frame's, and premultiplied: layer.rgb + (1 − layer.a) · picture is
+    shown. The frame's own colour has neither effects nor user interface in it; pixels of `fixed_mask` it has.
+
+    Parameters
+    ----------
+    fixed_mask : (H, W) bool or uint8, render pixels
+        Where the rendered picture stays in its place on the display: first-person hands and weapons, cockpits. It
+        should cover their antialiased edges. Behind them nothing is known. On the device uchar.
+    effects : (H, W, 4) float RGBA, render pixels
+        Smoke, fire, particles, lens flares: without depth, over all but the user interface. On the device half ×4.
+    effects_motion : (H, W, 2) float32, pixels, like the frame's motion
+        Along which the effects go on; None: they stay in place. On the device float ×2.
+    ui : (H, W, 4) float RGBA, display pixels
+        User interface, as it is in this frame. On the device half ×4.
+    """
+
+    fixed_mask: Any = None
+    effects: Any = None
+    effects_motion: Any = None
+    ui: Any = None
+
+
+OVERLAYS = ("fixed_mask", "effects", "effects_motion", "ui")
+
+
+@dataclass
 class RenderedFrame:
     """One finished frame of the renderer at time t.
 
@@ -41,6 +70,8 @@ class RenderedFrame:
         What is shown; None if it is the render camera.
     reset : bool
         Nothing before this frame may be used (scene cut, teleport, start).
+    overlays : Overlays or None
+        What is not to be warped with the picture.
     """
 
     color: Any
@@ -50,6 +81,7 @@ class RenderedFrame:
     time: float
     display_camera: Camera | None = None
     reset: bool = False
+    overlays: Overlays | None = None
 
     @property
     def shown_camera(self) -> Camera:

@@ -155,6 +155,10 @@ class Options:
         True, "soft silhouettes", "Edges of what moves over something else stay antialiased; off: as the warp leaves"
         " them, as in the paper.", flag="--no-soft-silhouettes",
     )  # fmt: skip
+    overlays: bool = _option(
+        True, "overlays", "Pixels that stay in place, effects and user interface, where rendered frames bring them.",
+        flag="--no-overlays",
+    )  # fmt: skip
     shading_inputs: bool = _option(
         False, "inputs of shading correction", "Make them where shading correction is off, too.", remembered=False
     )
