@@ -11,6 +11,7 @@ from synthetic import Rect, Rects, camera, psnr
 from gffe_cl import GffeError, Options, Overlays, Pipeline
 from gffe_cl.buffers import BY_FIXED, DeviceFrame, Sizes
 from gffe_cl.frame import PackedFrame
+from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels, open_sequence
 from gffe_cl.stage import Board
 from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.presentation import mapping
@@ -184,3 +185,30 @@ def test_wrong_overlays_are_refused_in_one_line(device):
             pipeline.submit(replace(frame, overlays=overlays))
         assert np.array_equal(pipeline.extrapolate().numpy("color"), before)
     pipeline.submit(replace(frame, overlays=Overlays(ui=np.zeros((H, W, 4)))))
+
+
+def test_channels_of_a_sequence_are_overlays(device, gffe, tmp_path):
+    """Written, read back, and composed by a run; half of a layer is a fault."""
+    rng = np.random.default_rng(0)
+    layer = rng.uniform(0, 1, (H, W, 4)).astype(np.float16)
+    overlays = Overlays(HELD, layer, rng.normal(0, 3, (H, W, 2)).astype(np.float32), layer[::-1])
+    frame = SCENE.frame(panning(0), 0.0, W, H, reset=True)
+    entry = FrameEntry("frame_0.exr", 0.0, reset=True, render_camera=panning(0))
+    with SequenceWriter(tmp_path / "in", W, H, 30.0) as writer:
+        writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, overlays))
+    sequence = open_sequence(tmp_path / "in")
+    read = sequence.read(sequence.rendered[0])
+    for name in ("fixed_mask", "effects", "effects_motion", "ui"):
+        assert np.array_equal(getattr(read.overlays, name), getattr(overlays, name)), name
+
+    assert gffe("run", tmp_path / "in", tmp_path / "out", "--no-scn", "--device", device.info.index)[0] == 0
+    made = open_sequence(tmp_path / "out")
+    labels = made.read_channels(made.extrapolated[0], ["mask.filled_by"])["mask.filled_by"]
+    assert (labels[HELD] == BY_FIXED).all() and not (labels[~HELD] == BY_FIXED).any()
+
+    channels = named_channels(frame.color, frame.depth, frame.motion, overlays)
+    del channels["ui.A"]
+    with SequenceWriter(tmp_path / "half", W, H, 30.0) as writer:
+        writer.add(entry, channels)
+    with pytest.raises(GffeError, match=r"no channel 'ui.A' \(expected all of ui.R, ui.G, ui.B, ui.A, or none\)"):
+        open_sequence(tmp_path / "half")

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from gffe_cl.errors import GffeError
-from gffe_cl.frame import color_of_planes
+from gffe_cl.frame import Overlays, color_of_planes
 from gffe_cl.sequence import exr
 from gffe_cl.sequence.description import FrameEntry
 from gffe_cl.sequence.exr_header import ExrHeader, read_header
@@ -17,6 +17,14 @@ from gffe_cl.sequence.exr_header import ExrHeader, read_header
 COLOR = ("R", "G", "B")
 MOTION = ("motion.x", "motion.y")
 RENDERED = (*COLOR, "Z", *MOTION)
+RGBA = ("R", "G", "B", "A")
+# What a rendered frame may have besides, by the fields of `Overlays`: all channels of one, or none.
+OVERLAY_CHANNELS = {
+    "fixed_mask": ("mask.fixed",),
+    "effects": tuple(f"effects.{name}" for name in RGBA),
+    "effects_motion": ("effects.motion.x", "effects.motion.y"),
+    "ui": tuple(f"ui.{name}" for name in RGBA),
+}
 
 
 class Pixels(Protocol):
@@ -28,6 +36,9 @@ class Pixels(Protocol):
     def rendered(self, entry: FrameEntry, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """color (H, W, 3) float16 or float32, depth (H, W) float32, motion (H, W, 2) float32 or None, in our
         conventions."""
+
+    def overlays(self, entry: FrameEntry, size: tuple[int, int]) -> Overlays | None:
+        """What lies over a rendered frame, if it brings anything."""
 
     def color(self, entry: FrameEntry, size: tuple[int, int]) -> np.ndarray:
         """Linear RGB (H, W, 3), float16 or float32, of any frame."""
@@ -57,6 +68,18 @@ class OwnPixels:
             motion = np.stack([channels[name] for name in MOTION], -1).astype(np.float32, copy=False)
         return stack_color(channels), depth, motion
 
+    def overlays(self, entry, size):
+        path = self._folder / entry.file
+        header = read_header(path, entry.file)
+        there = {field: names for field, names in OVERLAY_CHANNELS.items() if header.find(names[0])}
+        if not there:
+            return None
+        channels = exr.read_channels(path, tuple(n for names in there.values() for n in names), entry.file, size)
+        stacked = {field: np.stack([channels[name] for name in names], -1) for field, names in there.items()}
+        if "fixed_mask" in stacked:
+            stacked["fixed_mask"] = stacked["fixed_mask"][..., 0] > 0
+        return Overlays(**stacked)
+
     def color(self, entry, size):
         return stack_color(self.channels(entry, COLOR, size))
 
@@ -72,6 +95,9 @@ class ForeignPixels:
 
     def __init__(self):
         self.notes: list[str] = []
+
+    def overlays(self, entry, size):
+        return None
 
     def channels(self, entry, names, size):
         names = tuple(names)
@@ -93,6 +119,21 @@ class ForeignPixels:
 
 def has_motion(header: ExrHeader) -> bool:
     return all(header.find(name) for name in MOTION)
+
+
+def require_whole_overlays(header: ExrHeader, file: str, shown: bool) -> None:
+    """GffeError if only some channels of an overlay are there, or a user interface that cannot be in display pixels:
+    unless the image is `shown` as it is."""
+    for field, names in OVERLAY_CHANNELS.items():
+        missing = [name for name in names if not header.find(name)]
+        if missing and len(missing) < len(names):
+            raise GffeError(f"{file}: no channel '{missing[0]}' (expected all of {', '.join(names)}, or none)")
+        if field == "ui" and not missing and not shown:
+            raise GffeError(f"{file}: channels ui.* are in display pixels (expected render_size as the display's size)")
+        if field == "effects_motion" and not missing and not header.find(OVERLAY_CHANNELS["effects"][0]):
+            raise GffeError(
+                f"{file}: effects.motion without effects (expected {', '.join(OVERLAY_CHANNELS['effects'])})"
+            )
 
 
 def stack_color(channels: dict[str, np.ndarray]) -> np.ndarray:

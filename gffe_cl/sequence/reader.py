@@ -26,7 +26,7 @@ from gffe_cl.sequence.exr_header import HeaderReader
 from gffe_cl.sequence.folder import why_unfinished
 from gffe_cl.sequence.header_camera import has_camera, header_cameras
 from gffe_cl.sequence.matching import Timeline
-from gffe_cl.sequence.pixels import COLOR, MOTION, RENDERED, OwnPixels, Pixels
+from gffe_cl.sequence.pixels import COLOR, MOTION, RENDERED, OwnPixels, Pixels, require_whole_overlays
 from gffe_cl.sequence.read_ahead import read_ahead
 
 
@@ -122,8 +122,9 @@ class Sequence:
         return bool((at >= 0).all() and (at <= (width, height)).all())
 
     def read(self, entry: FrameEntry) -> RenderedFrame:
-        """The rendered frame `entry`: color (H, W, 3) float16 or float32 as stored, depth (H, W) float32,
-        motion (H, W, 2) float32 or None. Raises GffeError if the file changed for the worse since opening."""
+        """The rendered frame `entry`: color (H, W, 3) float16 or float32 as stored, depth (H, W) float32, motion
+        (H, W, 2) float32 or None; and the overlays that it brings. Raises GffeError if the file changed for the worse
+        since opening."""
         if entry.kind != "rendered":
             raise GffeError(f"{entry.file}: kind is {entry.kind} (expected a rendered frame)")
         size = self.size_of(entry)
@@ -143,6 +144,7 @@ class Sequence:
             entry.time,
             display_camera=None if shown_as_rendered else entry.display_camera,
             reset=entry.reset,
+            overlays=self._pixels.overlays(entry, size),
         )
 
     def read_channels(self, entry: FrameEntry, names: Iterable[str]) -> dict[str, np.ndarray]:
@@ -198,6 +200,8 @@ def open_sequence(path, *, cameras: str = "needed") -> Sequence:
         if alike not in passed:
             size = entry.render_size or (description.width, description.height)
             exr.require_size(header, RENDERED[:4] if entry.kind == "rendered" else COLOR, size, entry.file)
+            if entry.kind == "rendered":
+                require_whole_overlays(header, entry.file, size == (description.width, description.height))
         if header.layout:
             passed.add(alike)
     return Sequence(folder, description, OwnPixels(folder))

@@ -14,10 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.errors import GffeError
+from gffe_cl.frame import Overlays
 from gffe_cl.sequence import exr
 from gffe_cl.sequence.description import KINDS, Description, FrameEntry, describe, parse_description
 from gffe_cl.sequence.folder import GENERATOR, OutputFolder
 from gffe_cl.sequence.header_camera import camera_attributes
+from gffe_cl.sequence.pixels import OVERLAY_CHANNELS
 from gffe_cl.sequence.read_ahead import usable_cores
 from gffe_cl.values import require_exposure
 
@@ -212,13 +214,19 @@ class SequenceWriter:
         return camera_attributes(render, *stored)
 
 
-def named_channels(color, depth=None, motion=None) -> dict[str, np.ndarray]:
-    """Channels for `SequenceWriter.add` from color (H, W, 3 or 4), depth (H, W) and motion (H, W, 2)."""
+def named_channels(color, depth=None, motion=None, overlays: Overlays | None = None) -> dict[str, np.ndarray]:
+    """Channels for `SequenceWriter.add` from color (H, W, 3 or 4), depth (H, W), motion (H, W, 2), and overlays."""
     channels = dict(zip("RGB", np.moveaxis(np.asarray(color)[..., :3], -1, 0), strict=True))
     if depth is not None:
         channels["Z"] = np.asarray(depth)
     if motion is not None:
         channels["motion.x"], channels["motion.y"] = np.moveaxis(np.asarray(motion), -1, 0)
+    for field, names in OVERLAY_CHANNELS.items():
+        array = getattr(overlays, field, None)
+        if array is not None:
+            planes = np.moveaxis(np.atleast_3d(np.asarray(array)), -1, 0)
+            halves = planes.astype(np.float16) if field != "effects_motion" else planes.astype(np.float32)
+            channels |= dict(zip(names, halves, strict=True))
     return channels
 
 
