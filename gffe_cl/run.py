@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 
@@ -30,14 +30,16 @@ MASKS = {"mask.dynamic": "dynamic", "mask.disoccluded": "disoccluded", "mask.fil
 @dataclass
 class RunReport:
     """What a run did: frames made, bad pixels met, warnings, milliseconds per stage and frame (kernels; "network":
-    wall time), and seconds of the whole run: "wall", of these until kernels were ready ("start"), in "kernels" and in
-    "network", and "codec_cpu", CPU time for reading and writing EXRs."""
+    wall time), seconds of the whole run: "wall", of these until kernels were ready ("start"), in "kernels" and in
+    "network", and "codec_cpu", CPU time for reading and writing EXRs; and the files of rendered frames that were found to
+    be cuts."""
 
     extrapolated: int
     bad_pixels: BadPixels
     warnings: list[str]
     milliseconds: dict[str, float]
     seconds: dict[str, float] = field(default_factory=dict)
+    cuts: list[str] = field(default_factory=list)
 
 
 def alphas_for(n: int) -> list[float]:
@@ -93,6 +95,9 @@ def run_sequence(
     with writing as writer:
         for entry, frame, packed in frames:
             pipeline.submit(frame, packed)
+            if pipeline.is_cut:
+                report.cuts.append(entry.file)
+                entry = replace(entry, reset=True)
             source.store(writer, entry, frame)
             if dump_stages:
                 pipeline.present()
