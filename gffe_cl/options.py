@@ -106,7 +106,8 @@ class Options:
     """
 
     cut_detection: bool = _option(
-        True, "cut detection", "A rendered frame of which the one before shows nothing is a reset, told or not.",
+        True, "cut detection", "A rendered frame of which the one before shows nothing is a reset; off: resets must be"
+        " told.",
         flag="--no-cut-detection",
     )  # fmt: skip
     motion: bool = _option(

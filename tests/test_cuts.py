@@ -1,6 +1,7 @@
 """Cuts and teleports are found without being told, and nothing else is taken for one."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,10 +9,18 @@ import twins_cuts
 from synthetic import Rect, Rects, camera
 from test_twins import frames
 
+from gffe_cl.evaluation.compare import compare
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
+from gffe_cl.run import run_sequence
+from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels, open_sequence
+from gffe_cl.source import Recorded
 from gffe_cl.stage import reprojection
 from gffe_cl.stages.cuts import COUNTED, SAMPLES, is_cut
+from gffe_cl.viewer.engine.messages import Setup
+from gffe_cl.viewer.engine.seeking import Seeker
+from gffe_cl.viewer.engine.sources import RecordedSource
+from gffe_cl.viewer.state.contents import Contents
 
 WIDTH, HEIGHT, FPS = 96, 64, 30.0
 FIRST = Rects([Rect((0, 0, 9)), Rect((0, 0.6, 5), (0.6, 1.2), velocity=(2, 0, 0), frequency=2, tint=(0.7, 0.2, 0.1))])
@@ -121,6 +130,54 @@ def test_a_sudden_long_step_is_a_teleport_though_vectors_are_true(device):
         assert found(device, given) == expected
 
 
+def written(path, given):
+    """The frames as a sequence whose first frame alone is told as a reset, with made-up truth in between."""
+    with SequenceWriter(path, WIDTH, HEIGHT, FPS) as writer:
+        for k, frame in enumerate(given):
+            motion = frame.motion if k else None
+            entry = FrameEntry(f"frame_{k:06d}.exr", k / FPS, reset=k == 0, render_camera=frame.camera)
+            writer.add(entry, named_channels(frame.color, frame.depth, motion))
+            truth = FrameEntry(f"truth_{k:06d}.exr", (k + 0.5) / FPS, "ground_truth", display_camera=frame.camera)
+            writer.add(truth, named_channels(frame.color))
+    return open_sequence(path)
+
+
+def test_a_run_tells_of_cuts_and_writes_resets(device, tmp_path):
+    """So compare leaves out what has no history, and says so; without detection it does not."""
+    sequence = written(tmp_path / "in", [*shot(FIRST, 4), *list(shot(SECOND, 4, start=6))[1:]])
+    resets, counted, notes = {}, {}, {}
+    for detect in (True, False):
+        out, options = tmp_path / f"out-{detect}", Options(cut_detection=detect, shading_correction=False)
+        report = run_sequence(Recorded(sequence, device), out, device, options, [0.5])
+        assert (report.rendered, report.cuts) == (7, ["frame_000004.exr"] if detect else [])
+        made = open_sequence(out)
+        resets[detect] = [entry.file for entry in made.rendered if entry.reset]
+        result = compare(made, sequence)
+        counted[detect], notes[detect] = [frame.counted for frame in result.frames], result.notes
+    assert resets == {True: ["frame_000000.exr", "frame_000004.exr"], False: ["frame_000000.exr"]}
+    assert counted[True] == [False, False, True, True, False, False, True] and sum(counted[False]) == 5
+    assert "frame_000004.exr: reset in" in notes[True][0] and not notes[False]
+
+
+def test_the_viewer_shows_cuts(device, tmp_path):
+    """Those found up to the slot that is shown, beside the resets that are told."""
+    sequence = written(tmp_path, [*shot(FIRST, 4), *list(shot(SECOND, 4, start=6))[1:]])
+    sequence.rendered[2].reset = True
+    source = RecordedSource(sequence, device)
+    contents, seeker = Contents(), Seeker(device, source, lambda: False)
+    contents.open(source)
+    seeker.prepare(Setup())
+    for k, cuts in ((3, set()), (5, {4}), (1, {4})):
+        seeker.go_to(k, 0.0)
+        assert seeker.cuts == cuts
+    contents.result = SimpleNamespace(cuts=frozenset(seeker.cuts))
+    assert contents.resets == {4: "a cut was found here", 2: "reset"}
+    seeker.prepare(Setup(Options(cut_detection=False)))
+    seeker.go_to(5, 0.0)
+    assert seeker.cuts == set()
+    source.close()
+
+
 def counts(**changed):
     return dict.fromkeys(COUNTED, 1000) | {"passed": 0} | changed
 
@@ -130,10 +187,12 @@ def test_what_counts_mean():
     assert not is_cut(counts())
     assert is_cut(counts(inside=40)) and not is_cut(counts(inside=60))
     assert is_cut(counts(depth_right=390)) and not is_cut(counts(depth_right=410))
-    assert is_cut(counts(depth_right=790, contrast_right=240)) and not is_cut(counts(depth_right=790, contrast_right=260))
+    assert is_cut(counts(depth_right=790, contrast_right=240))
+    assert not is_cut(counts(depth_right=790, contrast_right=260))
     assert not is_cut(counts(depth_right=810, contrast_right=0))
     assert not is_cut(counts(compared=3, depth_right=0)), "all sky"
     assert is_cut(counts(depth_right=590, with_contrast=0, contrast_right=0))
     assert not is_cut(counts(depth_right=610, with_contrast=0, contrast_right=0))
-    assert is_cut(counts(passed=600), jumped=True) and not is_cut(counts(passed=600)) and not is_cut(counts(), jumped=True)
+    assert is_cut(counts(passed=600), jumped=True)
+    assert not is_cut(counts(passed=600)) and not is_cut(counts(), jumped=True)
     assert not is_cut({name: 50 * (name == "valid") for name in COUNTED}), "too few to say"

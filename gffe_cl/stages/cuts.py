@@ -61,8 +61,8 @@ class CutDetection(Stage):
         return options.cut_detection
 
     def is_cut(self, frame: DeviceFrame, previous: DeviceFrame | None) -> bool:
-        """Whether the rendered frame is to be treated as a reset. Waits for the device, unless `previous` is None: after
-        a reset."""
+        """Whether the rendered frame is to be treated as a reset; not known without a `previous` one. Waits for the
+        device."""
         before, self._step = self._step, None
         if previous is None:
             return False
