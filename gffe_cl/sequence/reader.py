@@ -108,6 +108,8 @@ class Sequence:
         """Whether all that is shown was rendered, to half a pixel of the display."""
         width, height = self.size_of(entry)
         display, render = entry.display_camera, entry.render_camera
+        if render is None:
+            return True
         corners = np.array([(0.5, 0.5), (self.width - 0.5, self.height - 0.5)])
         scale = np.array([render.fx / display.fx, render.fy / display.fy])
         at = (corners - (display.cx, display.cy)) * scale + (render.cx, render.cy)
@@ -161,11 +163,12 @@ class Sequence:
 
 
 @without_collections()
-def open_sequence(path) -> Sequence:
+def open_sequence(path, *, cameras: str = "needed") -> Sequence:
     """Open the sequence in the folder `path` (or whose `sequence.json` is `path`).
 
     JSON, cameras and the headers of all files are checked here, so that no later work meets a missing
-    channel or file, a wrong size, or a truncated file. Raises GffeError.
+    channel or file, a wrong size, or a truncated file. With `cameras` "optional" rendered frames may lack theirs (it is
+    None then), which nothing but calibration can work on. Raises GffeError.
     """
     path = Path(path)
     try:
@@ -187,7 +190,7 @@ def open_sequence(path) -> Sequence:
         alike = header.layout, entry.kind, entry.reset, entry.render_size
         if alike not in passed:
             _check_channels(entry, header)
-        _complete_cameras(entry, header, description, index, json_path.name)
+        _complete_cameras(entry, header, description, index, json_path.name, cameras == "needed")
         if alike not in passed:
             size = entry.render_size or (description.width, description.height)
             exr.require_size(header, RENDERED[:4] if entry.kind == "rendered" else COLOR, size, entry.file)
@@ -213,7 +216,7 @@ def _lacks_camera(entry) -> bool:
     return (entry.render_camera if entry.kind == "rendered" else entry.display_camera) is None
 
 
-def _complete_cameras(entry, header, description, index, json_name):
+def _complete_cameras(entry, header, description, index, json_name, needed):
     """Cameras that the JSON leaves out: from the EXR header, else (display) the render camera's frustum."""
     size = (description.width, description.height)
     part = header.parts[header.find("R")[0]]
@@ -223,7 +226,7 @@ def _complete_cameras(entry, header, description, index, json_name):
     try:
         if _lacks_camera(entry) and has_camera(part):
             _take_header_cameras(entry, part, size)
-        if not rendered:
+        if not rendered or (entry.render_camera is None and not needed):
             return
         if entry.render_camera is None:
             raise GffeError("no render_camera, and no worldToCamera and worldToNDC in the EXR header")
