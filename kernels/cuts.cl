@@ -61,8 +61,7 @@ inline void compare_depth(const float2 px_prev, const float expected, const int 
            : nearest <= expected * (1.0f + DEPTH_AGREES) && farthest >= expected * (1.0f - DEPTH_AGREES);
 }
 
-/* counts[row * COUNTS + what]. `camera_step`: world units that the camera has moved; what is nearer than twice that has been
-   passed. */
+/* counts[row * COUNTS + what]. `camera_step`: world units that the camera has moved; it has passed what is nearer than that. */
 __kernel __attribute__((reqd_work_group_size(SAMPLES_X, 1, 1)))
 void compare_samples(const int source_width, const int source_height, const float camera_step, __global const half *color,
                      __global const float *depth, __global const float2 *motion, __global const half *color_prev,
@@ -76,7 +75,7 @@ void compare_samples(const int source_width, const int source_height, const floa
     const float z = column < columns ? depth[y * source_width + x] : -1.0f;
     if (!INVALID_DEPTH(z)) {
         atomic_inc(found + VALID);
-        if (z < 2.0f * camera_step) atomic_inc(found + PASSED);
+        if (z < camera_step) atomic_inc(found + PASSED);
         const float2 px = pixel_centre(x, y), mv_px = motion[y * source_width + x], px_prev = px + mv_px;
         if (px_prev.x >= 0.0f && px_prev.y >= 0.0f && px_prev.x < (float)source_width && px_prev.y < (float)source_height) {
             atomic_inc(found + INSIDE);

@@ -121,7 +121,7 @@ def test_a_sudden_long_step_is_a_teleport_though_vectors_are_true(device):
     steps = {(0.02, 0, 0): [3], (0.9, 0, 0): []}
     for step, expected in steps.items():
         places = [tuple(k * s for s in step) for k in range(3)]
-        far = (places[2][0] + 3.0, 0, 5.5) if expected else tuple(3 * s for s in step)
+        far = (places[2][0] + 4.0, 0, 6.0) if expected else tuple(3 * s for s in step)
         given, before = [], None
         for k, place in enumerate([*places, far]):
             eye = camera(WIDTH, HEIGHT, place)

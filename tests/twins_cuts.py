@@ -56,7 +56,7 @@ def counts(color, depth, motion, color_prev, depth_prev, to_previous, camera_ste
     x, y = (a[~invalid(depth[y, x])] for a in (x, y))
     z, mv = depth[y, x], motion[y, x]
     found = dict.fromkeys(("valid", "passed"), 0)
-    found["valid"], found["passed"] = len(z), int((z < F(2) * F(camera_step)).sum())
+    found["valid"], found["passed"] = len(z), int((z < F(camera_step)).sum())
     px = np.stack([x, y], -1).astype(F) + F(0.5)
     px_prev = px + mv
     inside = ((px_prev >= 0) & (px_prev < np.array([width, height], F))).all(-1)

@@ -22,7 +22,7 @@ DEPTH_SURE = 0.4  # share of right depths below which it is a cut, whatever the 
 DEPTH_UNSURE = 0.8  # … and above which it is none
 CONTRAST_RIGHT = 0.25  # between the two it is one if the share of right contrasts is lower
 LEAST_CONTRASTS = 32  # without so many the depths decide alone, in the middle
-TELEPORT = 10.0  # times the step before it, of a step that is over half the depth of half of what is seen
+TELEPORT = 10.0  # times the step before it, of a step beyond half of what is seen
 
 
 class CutDetection(Stage):
