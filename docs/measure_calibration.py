@@ -131,6 +131,12 @@ def with_true_cameras(truth: Sequence, bare: Sequence) -> Sequence:
     return opened
 
 
+def signed(value: float) -> str:
+    """With two digits; zero has no sign."""
+    text = f"{value:+.2f}"
+    return text[1:] if text[1:] == "0.00" else text
+
+
 def turned(sequence: Sequence) -> float:
     """Degrees in all."""
     matrices = [entry.render_camera.world_to_view[:3, :3] for entry in sequence.rendered]
@@ -156,7 +162,7 @@ def rows(device: Device, scenes: list[str], seed: int) -> Iterator[str]:
                 except GffeError as error:
                     assert "not determined" in str(error), error
                     found, focal = calibrate_sequence(bare, out, view=view), "not determined by this motion"
-                focal = focal or f"{100 * (found.focal[0] / true.fx - 1):+.2f}%"
+                focal = focal or f"{signed(100 * (found.focal[0] / true.fx - 1))}%"
                 recovered = open_sequence(out)
                 off = np.percentile(static_residuals(truth, recovered), (50, 90))
                 gae = ["", ""]
@@ -166,7 +172,7 @@ def rows(device: Device, scenes: list[str], seed: int) -> Iterator[str]:
                         a, b = (
                             quality(s, truth, device, folder / f"run {k} {n}", predicted) for n, s in enumerate(pair)
                         )
-                        gae[k] = f"{a:.2f} ({a - b:+.2f})"
+                        gae[k] = f"{a:.2f} ({signed(a - b)})"
                 yield (
                     f"| {name} | {turned(truth):.1f}° | {variant} | {100 * (1 - found.static):.0f}% | {focal} |"
                     f" {off[0]:.3f} | {off[1]:.3f} | {gae[0]} | {gae[1]} |"
