@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from synthetic import Rect, Rects, camera
 
-from gffe_cl.calibration.calibrate import calibrate_sequence
+from gffe_cl.calibration.calibrate import Calibration, calibrate_sequence
 from gffe_cl.calibration.correspondences import Correspondences, correspondences
 from gffe_cl.calibration.focal import find_focal, lens_of_view, view_of_lens
 from gffe_cl.calibration.pose import Lens, fit, residuals, rotation_of
@@ -183,6 +183,36 @@ def test_what_makes_no_sense_is_said(gffe, tmp_path, options, message):
     folder, _ = bare(tmp_path / "in", frames=1)
     code, _, error = gffe("calibrate", folder, tmp_path / "out", *options)
     assert code == 2 and message in error and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("percentile_90", "static", "verdict"),
+    [(0.2, 0.7, "good"), (0.6, 0.7, "usable"), (1.4, 0.7, "poor"), (0.1, 0.3, "poor")],
+)
+def test_the_verdict_follows_from_the_residuals(percentile_90, static, verdict):
+    found = Calibration(5, 0, (60, 60), 56.0, None, 9.0, percentile_90 / 2, percentile_90, static)
+    assert found.verdict.startswith(f"{verdict}: ")
+
+
+def test_vectors_rounded_to_pixels_are_usable(tmp_path):
+    """Not good, and said so; after two movements the camera is still right to a pixel."""
+    folder, cameras = bare(tmp_path / "in", frames=3)
+    for k in range(1, 3):
+        frame = SCENE.frame(cameras[k], k / FPS, WIDTH, HEIGHT, (cameras[k - 1], (k - 1) / FPS))
+        channels = dict(zip("RGB", np.moveaxis(frame.color.astype(np.float16), -1, 0), strict=True)) | {
+            "Z": frame.depth
+        }
+        channels |= {f"motion.{name}": np.round(frame.motion[..., axis]) for axis, name in enumerate("xy")}
+        write_channels(folder / f"rendered_{k}.exr", {n: np.ascontiguousarray(c) for n, c in channels.items()}, {})
+    view = np.degrees(2 * np.arctan(WIDTH / 2 / cameras[0].fx))
+    found = calibrate_sequence(open_sequence(folder, cameras="optional"), tmp_path / "out", view=view)
+    assert found.verdict.startswith("usable") and 0.3 < found.percentile_90 < 0.7 and found.static > 0.8
+    last = open_sequence(tmp_path / "out").rendered[-1].render_camera
+    y, x = np.mgrid[4:HEIGHT:8, 4:WIDTH:8] + 0.5
+    world = cameras[-1].unproject(np.stack([x, y], -1), np.full(x.shape, 8.0))
+    relative = np.moveaxis(world, -1, 0).reshape(3, -1).T @ cameras[0].world_to_view[:3, :3].T
+    at = last.project(relative + cameras[0].world_to_view[:3, 3])[0]
+    assert np.abs(at - cameras[-1].project(world)[0].reshape(-1, 2)).max() < 1.0
 
 
 def test_one_frame_is_not_enough(gffe, tmp_path):

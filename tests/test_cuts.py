@@ -4,12 +4,14 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pyopencl as cl
 import pytest
 import twins_cuts
 from synthetic import Rect, Rects, camera
 from test_twins import frames
 
 from gffe_cl.evaluation.compare import compare
+from gffe_cl.frame import pack_frame
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.run import run_sequence
@@ -76,6 +78,22 @@ def test_a_cut_to_another_scene_is_a_reset(device):
         given = [*shot(FIRST, 4), *second]
         assert found(device, given) == [4]
         assert found(device, given, Options(cut_detection=False)) == []
+
+
+def test_cuts_are_found_in_device_buffers(device):
+    given = [*shot(FIRST, 3), *list(shot(SECOND, 4, start=6))[1:3]]
+    pipeline, cuts = Pipeline(device, WIDTH, HEIGHT, fps=FPS), []
+    for k, frame in enumerate(given):
+        packed = pack_frame(frame, HEIGHT, WIDTH)
+        buffers = [device.buffer(array.nbytes) for array in (packed.color, packed.depth, packed.motion)]
+        for buffer, array in zip(buffers, (packed.color, packed.depth, packed.motion), strict=True):
+            cl.enqueue_copy(device.queue, buffer, array)
+        color, depth, motion = buffers
+        pipeline.submit(
+            replace(frame, time=k / FPS, reset=k == 0, color=color, depth=depth, motion=motion, display_camera=None)
+        )
+        cuts.append(pipeline.is_cut)
+    assert cuts == [False, False, False, True, False]
 
 
 def test_after_a_cut_all_is_as_if_it_had_been_told(device):
