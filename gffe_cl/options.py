@@ -105,6 +105,11 @@ class Options:
     Raises GffeError for values that make no sense.
     """
 
+    cut_detection: bool = _option(
+        True, "cut detection", "A rendered frame of which the one before shows nothing is a reset; off: resets must be"
+        " told.",
+        flag="--no-cut-detection",
+    )  # fmt: skip
     motion: bool = _option(
         True, "motion estimation", "History tracking; off: everything is static.", flag="--no-motion"
     )

@@ -31,6 +31,7 @@ from gffe_cl.stages.background import Background
 from gffe_cl.stages.blocks import Blocks
 from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.correction import ShadingCorrection
+from gffe_cl.stages.cuts import CutDetection
 from gffe_cl.stages.hidden import HiddenParts
 from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.holes import FILLINGS, HoleFilling
@@ -93,6 +94,7 @@ _LIKE = {"gae": "color"}  # what is described like another buffer
 
 # In the order in which they work, on rendered frames and on new ones.
 STAGES: tuple[type[Stage], ...] = (
+    CutDetection,
     HistoryTracking,
     Acceleration,
     Surfaces,
@@ -137,6 +139,8 @@ class Pipeline:
         frame.
     bad_pixels : BadPixels
         Met so far.
+    is_cut : bool
+        Whether the last submitted frame was found to be a cut, of which nobody told: it was treated as a reset.
 
     Nothing is allocated on the device or compiled after construction, but for the first uploads of host arrays and
     with the first frame that is rendered through a window or brings overlays.
@@ -162,6 +166,7 @@ class Pipeline:
         self.fps = fps
         self._exposure = 1.0
         self.bad_pixels = BadPixels()
+        self.is_cut = False
         self.board = Board(device, self.sizes, self.options, int64_atomics)
         self.stages: dict[str, Stage] = {stage.name: stage(self.board) for stage in stages_of(self.options)}
         self.board.lend()
@@ -191,7 +196,8 @@ class Pipeline:
 
         Arrays may be NumPy arrays (copied to the device; bad pixels are added to `bad_pixels`) or device
         buffers, which are used in place: do not overwrite them before two more frames have been submitted.
-        `packed` may bring the result of `pack_frame`, done ahead on another thread.
+        `packed` may bring the result of `pack_frame`, done ahead on another thread. Returns at once, but with cut
+        detection waits for the device: `is_cut` says what it found.
 
         Raises GffeError for wrong shapes, missing motion, or a time that does not increase.
         """
@@ -204,16 +210,17 @@ class Pipeline:
         self._shown = on_device = self._on_device(frame, packed)
         if self.composition:
             on_device = self.composition.take(layers, on_device)
-        if frame.reset:
+        self._previous = None if frame.reset else self._current
+        self._current = on_device
+        self.board.rendered, self.board.previous = self._current, self._previous or self._current
+        detection = self.stages.get(CutDetection.name)
+        self.is_cut = detection is not None and detection.is_cut(self._current, self._previous)
+        if frame.reset or self.is_cut:
             self._times.clear()
             self._path.clear()
-            self._previous = None
-        else:
-            self._previous = self._current
-        self._current = on_device
+            self._previous, self.board.previous = None, self._current
         self._times = [frame.time, *self._times[:MAX_ORDER]]
         self._path = [on_device.display_camera, *self._path[: POSES - 1]]
-        self.board.rendered, self.board.previous = self._current, self._previous or self._current
         step = Step(self._current, self._previous, self._times)
         for stage in self.stages.values():
             stage.swap()

@@ -112,7 +112,7 @@ class Recorded:
     def store(self, writer, entry, frame):
         own = None if self._cut else self.sequence.exr_file(entry)
         if own is None:
-            writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
+            writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
         else:
             writer.link(entry, own)
 
@@ -152,7 +152,7 @@ class Live:
             yield rendered_entry(k, frame), frame, pack_frame(frame, self.height, self.width)
 
     def store(self, writer, entry, frame):
-        writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
+        writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
 
     def cameras_at(self, times):
         return [self.scene.camera(time, self.width, self.height) for time in times]

@@ -20,7 +20,7 @@ FLOORS = (
     ("stages", "formats"),
     ("options",),
     ("pipeline", "source"),
-    ("run", "render", "evaluation", "scn"),
+    ("run", "render", "evaluation", "calibration", "scn"),
     ("demo", "viewer"),
     ("cli",),
     ("__main__",),

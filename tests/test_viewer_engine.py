@@ -215,7 +215,7 @@ def test_every_layer_equals_a_plain_run(device):
             assert_same(result.images, expected[at])
         assert source.asked == [0, 1, 2, 3, 4, 5]
         assert set(result.milliseconds) == {
-            *("history", "surfaces", "prediction", "blocks", "warp"),
+            *("cuts", "history", "surfaces", "prediction", "blocks", "warp"),
             *("hidden", "background", "holes", "silhouettes", "shading"),
         }  # fmt: skip
         assert min(result.milliseconds.values()) > 0 and result.wall_ms > result.readback_ms > 0

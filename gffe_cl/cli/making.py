@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     from gffe_cl.source import Live, Recorded
 
 
+_MANY_CUTS = 0.2  # of the rendered frames
+
+
 @app.command()
 def devices(
     kind: Annotated[str | None, typer.Option(help="Only devices of this kind: gpu, cpu or other.")] = None,
@@ -241,6 +244,10 @@ def _print_report(report: RunReport, output: Path) -> None:
         warn(warning)
     if report.bad_pixels:
         warn(f"bad pixels in the input, survived: {report.bad_pixels}")
+    for file in report.cuts:
+        out.print(plain(f"cut at {file}: what was before is not used"))
+    if 1 < len(report.cuts) > _MANY_CUTS * report.rendered:
+        warn(f"{len(report.cuts)} of {report.rendered} rendered frames look like cuts: do the motion vectors fit?")
     times = ", ".join(f"{name} {ms:.1f}" for name, ms in report.milliseconds.items() if ms)
     out.print(f"{report.extrapolated} extrapolated frames in {plain(output)} (ms per frame: {times})")
     spent = report.seconds
@@ -258,5 +265,6 @@ def _report_json(report: RunReport, info: DeviceInfo) -> dict:
         "milliseconds": report.milliseconds,
         "seconds": report.seconds,
         "bad_pixels": vars(report.bad_pixels),
+        "cuts": report.cuts,
         "warnings": report.warnings,
     }

@@ -55,7 +55,7 @@ def import_capture(
     with writing as writer:
         for entry, frame, stays in _thinned(sequence, every):
             if stays:
-                writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
+                writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
             else:
                 _add_truth(writer, replace(entry, file=_truth_name(entry.file, names)), frame.color)
             report.rendered += stays
