@@ -20,7 +20,7 @@ FLOORS = (
     ("stages",),
     ("options",),
     ("pipeline", "source"),
-    ("run", "render", "evaluation", "scn"),
+    ("run", "render", "evaluation", "scn", "doctor"),
     ("demo", "viewer"),
     ("cli",),
     ("__main__",),

@@ -161,11 +161,12 @@ class Sequence:
 
 
 @without_collections()
-def open_sequence(path) -> Sequence:
+def open_sequence(path, mend: Callable[[str], str] | None = None) -> Sequence:
     """Open the sequence in the folder `path` (or whose `sequence.json` is `path`).
 
     JSON, cameras and the headers of all files are checked here, so that no later work meets a missing
-    channel or file, a wrong size, or a truncated file. Raises GffeError.
+    channel or file, a wrong size, or a truncated file. `mend` makes of the JSON text what is taken for it. Raises
+    GffeError.
     """
     path = Path(path)
     try:
@@ -178,7 +179,8 @@ def open_sequence(path) -> Sequence:
         raise GffeError(f"{path}: cannot be read ({error.strerror or error})") from None
     if unfinished:
         raise GffeError(f"{folder}: {unfinished}")
-    description = parse_description(read_text(json_path), json_path.name)
+    text = read_text(json_path)
+    description = parse_description(mend(text) if mend else text, json_path.name)
 
     # On one thread: the system calls are so short that threads only wait for each other.
     reader, passed = HeaderReader(), set()

@@ -1,0 +1,95 @@
+"""Frames in the wrong place, and cuts: pairs of frames that do not fit although most pairs do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gffe_cl.camera import Camera
+from gffe_cl.doctor.depths import rays
+from gffe_cl.doctor.evidence import Reach
+from gffe_cl.doctor.samples import NEXT, PREVIOUS, Look
+from gffe_cl.doctor.search import Reading
+
+_FITTING = 0.5  # share of samples that must agree, of the share in pairs that are right
+_AGREES = 0.1  # of the motion's length: residuals that agree
+_FINEST = 0.3  # pixels: residuals that always agree
+_LEAST = 0.3  # share of samples that agree in pairs that are right, or nothing can be told
+_WINDOW = 12  # frames before and after, among which the right one is looked for
+
+
+@dataclass
+class Order:
+    """What the pairs of frames say.
+
+    `fits`: {frame → share of samples that agree with the frame before}; `misfits`: frames that do not follow the one
+    before them; `order`: the frames in the order in which they follow each other, or None.
+    """
+
+    fits: dict[int, float]
+    misfits: list[int]
+    order: list[int] | None
+
+
+def examine_order(looks: dict[int, Look], reading: Reading, count: int, step: float) -> Order:
+    """Of `looks` of some of `count` rendered frames, `reading` being right for most. `step`: of quantised vectors."""
+    fits = {}
+    for index, look in looks.items():
+        if PREVIOUS in look.neighbours and reading.motion.step in look.neighbours:
+            fits[index] = _share(look, look.camera, look.camera_of(reading.motion.step), reading, step)
+    known = [share for share in fits.values() if np.isfinite(share)]
+    usual = float(np.median(known)) if known else 0.0
+    if usual < _LEAST:
+        return Order(fits, [], None)
+    misfits = [index for index, share in fits.items() if share < _FITTING * usual]
+    if not misfits or reading.motion.step != PREVIOUS or reading.motion.held_by:
+        return Order(fits, misfits, None)
+    before = {index: index - 1 for index in fits if index not in misfits}
+    for index in misfits:
+        others = {
+            other: _share(looks[index], looks[index].camera, looks[other].camera, reading, step)
+            for other in looks
+            if other != index and abs(other - index) <= _WINDOW
+        }
+        best = max(others, key=lambda other: np.nan_to_num(others[other]), default=None)
+        if best is not None and others[best] >= _FITTING * usual:
+            before[index] = best
+    return Order(fits, misfits, _chain(before, count) if len(looks) == count else None)
+
+
+def _chain(before: dict[int, int], count: int) -> list[int] | None:
+    """All frames in a row if `before` tells of all but one which frame it follows, and the row is not the given one."""
+    after = {previous: index for index, previous in before.items()}
+    starts = set(range(count)) - set(before)
+    if len(starts) != 1 or len(after) != len(before):
+        return None
+    row = [starts.pop()]
+    while row[-1] in after and len(row) <= count:
+        row.append(after[row[-1]])
+    return row if sorted(row) == list(range(count)) and row != list(range(count)) else None
+
+
+def _share(look: Look, here: Camera, there: Camera, reading: Reading, step: float) -> float:
+    """Share of samples whose motion agrees with a camera that went from `there` to `here`; NaN without motion."""
+    motion = reading.motion.pixels(look) if PREVIOUS in look.neighbours or NEXT in look.neighbours else None
+    if motion is None:
+        return float("nan")
+    at, target = reading.camera.read(here), reading.camera.read(there)
+    ray, m = rays(at, look.px), at.to_view_of(target)
+    n = len(ray)
+    reach = Reach(
+        ray,
+        ray @ m[:3, :3].T,
+        np.broadcast_to(m[:3, 3], (n, 3)),
+        np.broadcast_to((target.fx, target.fy), (n, 2)),
+        np.broadcast_to((target.cx, target.cy), (n, 2)),
+    )
+    off = reach.pixels(reading.depth.inverse(look.depth, ray)) - look.px - motion
+    use = look.solid & np.isfinite(motion).all(-1)
+    if use.sum() < 16:
+        return float("nan")
+    if reading.jitter:
+        off = off - np.nanmedian(off[use], axis=0)
+    scale = np.median(np.linalg.norm(motion[use], axis=-1))
+    return float((np.linalg.norm(off[use], axis=-1) <= max(_AGREES * scale, _FINEST, step)).mean())

@@ -1,0 +1,82 @@
+"""Motion vectors without the camera's part, or zero: cameras and depth are judged by the colours alone then."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gffe_cl.doctor.cameras import CameraReading, camera_readings
+from gffe_cl.doctor.depths import ALONG_RAYS, AS_GIVEN, DEVICE, PLANAR, DepthReading
+from gffe_cl.doctor.evidence import trimmed
+from gffe_cl.doctor.motions import MotionReading, motion_readings
+from gffe_cl.doctor.samples import PREVIOUS
+from gffe_cl.doctor.search import EDIT, Reading, Search, Verdict
+
+_NOTHING = 2e-3  # of the largest motion vector: shorter ones are none
+_VISIBLE = 0.25  # pixels that static points move where there should be motion
+_GAIN = 0.04  # of colour scores, by which another camera or depth must be better than what is given
+_MOVER = 0.05  # of the largest motion vector: longer ones are of movers
+_UNITS = (100.0, 0.01, 1000.0, 0.001)
+_PLANES = np.exp(np.linspace(np.log(0.005), np.log(20), 25))  # near planes tried, world units
+
+
+def without_camera(search: Search) -> Verdict | None:
+    """The verdict on motion vectors that lack the camera's part; None unless most are zero though the camera moves."""
+    stored = search.full.motion(MotionReading())
+    length = np.linalg.norm(stored, axis=-1)
+    solid = search.full.solid & np.isfinite(length)
+    if not solid.any():
+        return None
+    largest = float(np.quantile(length[solid], 0.999))
+    if np.median(length[solid]) > _NOTHING * largest:
+        return None
+    camera, depth = _by_colors(search)
+    static = search.full.static(camera, depth)
+    if not np.nanmedian(np.linalg.norm(static[solid], axis=-1)) > _VISIBLE:
+        return None
+    color = search.camera_color(camera, depth)
+    if not color > search.static_color(np.zeros_like(static), PREVIOUS) + _GAIN:
+        return None
+    motion = _of_movers(search, static, length > _MOVER * largest) if largest > 0 else None
+    motion = motion or replace(MotionReading(("zero",)), adds_camera=True)
+    return Verdict(Reading(motion, camera, depth), float("nan"), color, color)
+
+
+def _by_colors(search: Search) -> tuple[CameraReading, DepthReading]:
+    """The camera and the depth with which colours fit best; what is given where nothing is clearly better."""
+
+    def cost(pair) -> float:
+        return -np.nan_to_num(search.camera_color(*pair)) + _GAIN * (len(pair[0].parts) + (pair[1] != AS_GIVEN))
+
+    depths = [AS_GIVEN, DepthReading(ALONG_RAYS, (1.0,))]
+    depths += [DepthReading(PLANAR, (unit,)) for unit in _UNITS]
+    for near in _PLANES:
+        depths += [DepthReading(DEVICE, (0.0, 1 / near)), DepthReading(DEVICE, (1 / near, -1 / near))]
+    usual = CameraReading()
+    cameras = sorted(camera_readings(), key=lambda c: cost((c, AS_GIVEN)))[:3]
+    best = min(((c, d) for c in dict.fromkeys([usual, *cameras]) for d in depths), key=cost)
+    if best[1].model is DEVICE:
+        best = min(((best[0], _scaled(best[1], f)) for f in np.exp(np.linspace(-0.17, 0.17, 35))), key=cost)
+    return best
+
+
+def _scaled(depth: DepthReading, factor: float) -> DepthReading:
+    return replace(depth, coefficients=tuple(c * factor for c in depth.coefficients))
+
+
+def _of_movers(search: Search, static: np.ndarray, movers: np.ndarray) -> MotionReading | None:
+    """How the vectors of movers are to be read; None if there are too few of them."""
+    scores = {}
+    for reading in motion_readings():
+        if reading.step != PREVIOUS or reading.held_by:
+            continue
+        score = search.full.color_scores(search.full.motion(reading) + static, PREVIOUS)
+        use = movers & np.isfinite(score)
+        if use.sum() < 16:
+            return None
+        scores[reading] = trimmed(search.full.by_frame(score, use)) - EDIT * len(reading.parts)
+    best = max(scores, key=lambda r: np.nan_to_num(scores[r]))
+    if not scores[best] > scores[MotionReading()] + _GAIN:
+        best = MotionReading()
+    return replace(best, parts=("without the camera", *best.parts), adds_camera=True)
