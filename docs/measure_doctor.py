@@ -57,7 +57,8 @@ def measure(good: Kept, names: tuple[str, ...]) -> dict:
     bad = broken(good, list(names))
     diagnosis = examine(bad, bad.exposure)
     mended = [frame for _, frame in Repair(bad, diagnosis).frames()]
-    share = min(restored(mended, good.images))
+    motion, static = restored(mended, good.images)
+    share = static if "motion zero" in names else min(motion, static)  # what moved by itself is lost
     color = all(_same_color(a, b) for a, b in zip(mended, good.images, strict=True))
     return {
         "faults": list(names),

@@ -9,7 +9,7 @@ import numpy as np
 from gffe_cl.camera import Camera
 from gffe_cl.doctor.depths import rays
 from gffe_cl.doctor.evidence import Reach
-from gffe_cl.doctor.samples import NEXT, PREVIOUS, Look
+from gffe_cl.doctor.samples import PREVIOUS, Look
 from gffe_cl.doctor.search import Reading
 
 _FITTING = 0.5  # share of samples that must agree, of the share in pairs that are right
@@ -36,16 +36,17 @@ def examine_order(looks: dict[int, Look], reading: Reading, count: int, step: fl
     """Of `looks` of some of `count` rendered frames, `reading` being right for most. `step`: of quantised vectors."""
     fits = {}
     for index, look in looks.items():
-        if PREVIOUS in look.neighbours and reading.motion.step in look.neighbours:
+        if reading.motion.step in look.neighbours:
             fits[index] = _share(look, look.camera, look.camera_of(reading.motion.step), reading, step)
     known = [share for share in fits.values() if np.isfinite(share)]
     usual = float(np.median(known)) if known else 0.0
     if usual < _LEAST:
         return Order(fits, [], None)
     misfits = [index for index, share in fits.items() if share < _FITTING * usual]
-    if not misfits or reading.motion.step != PREVIOUS or reading.motion.held_by:
+    if not misfits or reading.motion.held_by:
         return Order(fits, misfits, None)
-    before = {index: index - 1 for index in fits if index not in misfits}
+    step_to = reading.motion.step
+    leads_to = {index: index + step_to for index in fits if index not in misfits}
     for index in misfits:
         others = {
             other: _share(looks[index], looks[index].camera, looks[other].camera, reading, step)
@@ -54,7 +55,8 @@ def examine_order(looks: dict[int, Look], reading: Reading, count: int, step: fl
         }
         best = max(others, key=lambda other: np.nan_to_num(others[other]), default=None)
         if best is not None and others[best] >= _FITTING * usual:
-            before[index] = best
+            leads_to[index] = best
+    before = leads_to if step_to == PREVIOUS else {target: index for index, target in leads_to.items()}
     return Order(fits, misfits, _chain(before, count) if len(looks) == count else None)
 
 
@@ -72,7 +74,7 @@ def _chain(before: dict[int, int], count: int) -> list[int] | None:
 
 def _share(look: Look, here: Camera, there: Camera, reading: Reading, step: float) -> float:
     """Share of samples whose motion agrees with a camera that went from `there` to `here`; NaN without motion."""
-    motion = reading.motion.pixels(look) if PREVIOUS in look.neighbours or NEXT in look.neighbours else None
+    motion = reading.motion.pixels(look)
     if motion is None:
         return float("nan")
     at, target = reading.camera.read(here), reading.camera.read(there)

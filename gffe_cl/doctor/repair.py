@@ -45,7 +45,7 @@ class Repair:
             entry, time = entries[index], entries[place].time
             reset = place == 0 or index in self._cuts or (entry.reset and index != 0)
             frame = self._geometry(index, time, reset)
-            made = self._with_motion(frame, index, None if reset else before)
+            made = self._with_motion(frame, index, self._order[place - 1], None if reset else before)
             shown = made.display_camera or made.camera
             yield replace(entry, time=time, reset=reset, render_camera=made.camera, display_camera=shown), made
             before = made
@@ -80,13 +80,15 @@ class Repair:
             z = np.where(w > 0, 1 / w, np.where(np.isnan(w), np.nan, np.inf))
         return z.reshape(height, width).astype(np.float32)
 
-    def _with_motion(self, frame: RenderedFrame, index: int, before: RenderedFrame | None) -> RenderedFrame:
+    def _with_motion(
+        self, frame: RenderedFrame, index: int, index_before: int, before: RenderedFrame | None
+    ) -> RenderedFrame:
         if before is None:
             return frame
         reading: MotionReading = self._reading.motion
         static = static_motion(frame, before.camera)
         if reading.step == NEXT:
-            motion = self._from_the_one_before(index, static, frame, before)
+            motion = self._from_the_one_before(index_before, static, frame, before)
         else:
             motion = self._converted(index + reading.held_by, static.shape)
             motion = static if motion is None else motion
@@ -112,9 +114,9 @@ class Repair:
         height, width = shape[:2]
         return np.asarray(stored, np.float64) @ self._reading.motion.matrix((width, height)).T
 
-    def _from_the_one_before(self, index, static, frame, before) -> np.ndarray:
+    def _from_the_one_before(self, index_before, static, frame, before) -> np.ndarray:
         """The vectors of the frame before lead here: turned round where something moves, static elsewhere."""
-        forward = self._converted(index - 1, static.shape)
+        forward = self._converted(index_before, static.shape)
         if forward is None:
             return static
         own = np.linalg.norm(forward - static_motion(before, frame.camera), axis=-1) > _OWN
