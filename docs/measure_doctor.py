@@ -1,7 +1,7 @@
 """Breaks good sequences in every way alone and in pairs, lets the doctor mend them, and writes how often it did.
 
     python docs/measure_doctor.py --write                     all cases: docs/doctor.md and docs/measured/doctor.json
-    python docs/measure_doctor.py --cases 40 --sequence DIR   some cases drawn by chance, on a sequence of one's own
+    python docs/measure_doctor.py --cases 20 --sequence DIR   20 cases drawn by chance, on a sequence of one's own
 
 A case is mended if the motion vectors are those of the good sequence to 0.1 px at 95% of the pixels, and depth with
 cameras carry static points to where the good ones do to 0.1 px at 95% of the pixels: sets of faults that cannot be
@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections import defaultdict
-from itertools import combinations
+from itertools import combinations, zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +29,7 @@ from gffe_cl.sequence import open_sequence
 PAGE = Path(__file__).parent / "doctor.md"
 RECORD = Path(__file__).parent / "measured" / "doctor.json"
 SCENES = [(name, seed) for name in ("gallery", "street", "factory", "courtyard") for seed in (1, 2)]
-SIZE, FRAMES = (240, 136), 12
+SIZE, FRAMES, FPS = (240, 136), 12, 30.0
 NEAR_ENOUGH, SHARE = 0.1, 0.95  # pixels, of the pixels
 _DRAWN = 11  # seed of the order of cases
 _ALONE = {"motion zero", "colour tone-mapped"}  # nothing is left of what these take away
@@ -49,7 +49,13 @@ def render(name: str, seed: int) -> Kept:
     from gffe_cl.opencl.device import open_device
 
     renderer = SceneRenderer(open_device(None), load_scene(name, seed), *SIZE, samples=4)
-    return Kept(list(SceneFrames(renderer).sequence(FRAMES)), renderer.scene.exposure)
+    frames = list(SceneFrames(renderer).sequence(FRAMES, FPS))
+    forward = []
+    for frame in frames:
+        later = frame.time + 1 / FPS
+        image = renderer.render(frame.time, frame.camera, later, renderer.scene.camera(later, *SIZE))
+        forward.append(image.read("motion"))
+    return Kept(frames, renderer.scene.exposure, FPS, forward)
 
 
 def measure(good: Kept, names: tuple[str, ...]) -> dict:
@@ -91,14 +97,20 @@ def _same_color(a, b) -> bool:
     )
 
 
+def drawn(sequence: str, wanted: list) -> list:
+    """All cases in an order of chance that is another one for every sequence; alone and pairs by turns."""
+    rng = np.random.default_rng([*sequence.encode(), _DRAWN])
+    alone, pairs = ([names for names in wanted if (len(names) > 1) == paired] for paired in (False, True))
+    rng.shuffle(alone)
+    rng.shuffle(pairs)
+    turns = [names for both in zip_longest(alone, pairs[: len(alone)]) for names in both if names]
+    return [tuple(names) for names in turns + pairs[len(alone) :]]
+
+
 def run(sequences: dict, wanted: list, most: int | None, record: Path | None) -> list[dict]:
     done = json.loads(record.read_text())["cases"] if record and record.exists() else []
     known = {(c["sequence"], tuple(c["faults"])) for c in done}
-    todo = [(s, names) for s in sequences for names in wanted if (s, names) not in known]
-    alone = [case for case in todo if len(case[1]) == 1]
-    pairs = [case for case in todo if len(case[1]) > 1]
-    np.random.default_rng(_DRAWN).shuffle(pairs)
-    chosen = sorted((alone + pairs)[:most], key=lambda case: list(sequences).index(case[0]))
+    chosen = [(name, names) for name in sequences for names in drawn(name, wanted)[:most] if (name, names) not in known]
     loaded: dict = {}
     for name, faults in chosen:
         if name not in loaded:
@@ -156,13 +168,16 @@ def with_tables(page: str) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sequence", type=Path, action="append", default=[], help="instead of the built-in scenes")
-    parser.add_argument("--cases", type=int, help="at most so many")
+    parser.add_argument("--cases", type=int, help="of each sequence, drawn by chance")
+    parser.add_argument("--scene", action="append", default=[], help="only this of the built-in ones, as gallery-1")
     parser.add_argument("--only", help="cases with this fault")
     parser.add_argument("--write", action="store_true", help="keep records, and write the page")
     parser.add_argument("--record", type=Path, default=RECORD)
     given = parser.parse_args()
     sequences = {p.name: lambda p=p: Kept.of(open_sequence(p)) for p in given.sequence} or {
-        f"{name}-{seed}": lambda name=name, seed=seed: render(name, seed) for name, seed in SCENES
+        f"{name}-{seed}": lambda name=name, seed=seed: render(name, seed)
+        for name, seed in SCENES
+        if not given.scene or f"{name}-{seed}" in given.scene
     }
     wanted = [names for names in cases() if not given.only or any(given.only in name for name in names)]
     done = run(sequences, wanted, given.cases, given.record if given.write else None)

@@ -163,7 +163,7 @@ def test_bad_pixels_are_a_note_that_says_where():
 def test_display_values_are_told_from_linear_ones():
     """Of edges between two colours whose pixels in between are mixtures; the curve is written out here."""
     rng = np.random.default_rng(5)
-    (a, b), share = rng.uniform(0, 1, (2, 300, 1, 3)), rng.uniform(0.2, 0.8, (300, 1, 1))
+    (a, b), share = rng.uniform(0, 1, (2, 900, 1, 3)), rng.uniform(0.2, 0.8, (900, 1, 1))
     linear = np.concatenate([a, a, a + share * (b - a), b, b], 1)
     shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     assert is_encoded(display_curve_votes([shown])) and not is_encoded(display_curve_votes([linear]))

@@ -19,10 +19,11 @@ _JITTER = 8  # positions of the Halton sequence
 
 
 class Kept:
-    """Rendered frames in memory, with what the doctor needs of a `Sequence`."""
+    """Rendered frames in memory, with what the doctor needs of a `Sequence`. `forward`: vectors to the next frame of
+    each, (H, W, 2) pixels, where they are known."""
 
-    def __init__(self, frames: list[RenderedFrame], exposure: float = 1.0, fps: float = 30.0):
-        self.images, self.exposure, self.fps = frames, exposure, fps
+    def __init__(self, frames: list[RenderedFrame], exposure: float = 1.0, fps: float = 30.0, forward=None):
+        self.images, self.exposure, self.fps, self.forward = frames, exposure, fps, forward
         self.height, self.width = np.shape(frames[0].depth)
         self.frames = [
             FrameEntry(f"frame_{k:06d}.exr", f.time, "rendered", f.reset, (self.width, self.height), f.camera, f.camera)
@@ -228,5 +229,8 @@ def broken(clip: Kept, names: list[str]) -> Kept:
     for name in names:
         if name not in BREAKS and name not in HARMLESS:
             raise GffeError(f"unknown fault '{name}': expected one of {', '.join((*BREAKS, *HARMLESS))}")
+        if name == "motion to the next frame" and clip.forward is not None:
+            frames = _with_motion(frames, clip.forward)
+            continue
         frames = (BREAKS[name][1] if name in BREAKS else HARMLESS[name])(frames)
     return Kept(frames, clip.exposure, clip.fps)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gffe_cl.doctor.findings import FAULT, NOTE, UNKNOWN, Finding, faults_of
+from gffe_cl.doctor.lacking import without_camera
 from gffe_cl.doctor.order import Order, examine_order
 from gffe_cl.doctor.samples import PREVIOUS, Clip, Look, take_looks
 from gffe_cl.doctor.search import Reading, Search, Verdict
-from gffe_cl.doctor.still import without_camera
 from gffe_cl.doctor.tone import display_curve_votes, is_encoded
 from gffe_cl.frame import BadPixels
 
@@ -20,8 +20,10 @@ _MOST_READ = 40  # frames
 _MARGIN = 0.06  # of the sum of scores, by which another reading must be better than what is given
 _STEPS = (1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125)  # of quantised vectors, pixels
 _VISIBLE = 0.3  # pixels, of what the camera's rotation and its translation move
-_UNEXPLAINED = 0.35  # share of samples that must agree, or something is wrong that nobody has named
+_UNEXPLAINED = 0.35  # share of samples that must agree roughly, or something is wrong that nobody has named
+_ROUGHLY = 0.25, 1.5  # of the motion's length, and pixels
 _ALIKE = 0.01  # difference of agreements below which two readings say the same
+_CUT = 0.15  # share of samples that agree: frames with less do not follow the one before
 _SKY_STILL = 0.05  # pixels
 
 
@@ -69,7 +71,9 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     found.looks = [looks[k] for k in deep if looks[k].neighbours]
     _note_bad_pixels(found, looks)
     if not any(PREVIOUS in look.neighbours for look in found.looks):
-        found.findings.append(Finding(UNKNOWN, "frames", "single frames", "no rendered frame has one before it"))
+        found.findings.append(
+            Finding(UNKNOWN, "frames", "single frames", "no rendered frame of 8 pixels or more has one before it")
+        )
         return found
     step = _quantised(found.looks)
     if step:
@@ -102,14 +106,11 @@ def _spread(count: int) -> list[int]:
 
 
 def _judge(found: Diagnosis, search: Search) -> None:
-    verdicts = search.candidates()
-    found.given = next(v for v in verdicts if v.reading == Reading())
-    found.best, found.others = verdicts[0], [v for v in verdicts[1:] if v.reading != verdicts[0].reading]
-    alone = without_camera(search)
-    if alone is not None:
-        found.best = alone
-    elif found.best.total < found.given.total + _MARGIN:
-        found.best = found.given
+    found.given, found.best = search.verdict(Reading()), without_camera(search)
+    if found.best is None:
+        verdicts = search.candidates()
+        found.best = verdicts[0] if verdicts[0].total >= found.given.total + _MARGIN else found.given
+        found.others = [v for v in verdicts if v.reading != found.best.reading]
     found.reading = found.best.reading
     found.findings += faults_of(found.reading, search.full.stored[search.full.solid])
 
@@ -123,8 +124,8 @@ def _tell_residuals(found: Diagnosis, search: Search) -> None:
         near = max(0.1 * float(np.median(length)) if len(length) else 0.0, 0.3, search.step)
         found.residuals[f"{name}_median"] = float(np.median(off)) if len(off) else float("nan")
         found.residuals[f"{name}_inliers"] = float((off <= near).mean()) if len(off) else float("nan")
-    fits = found.residuals["read_inliers"] >= _UNEXPLAINED
-    if not fits and not found.reading.motion.adds_camera:
+    roughly = max(_ROUGHLY[0] * float(np.median(length)), _ROUGHLY[1]) if len(length) else np.inf
+    if len(off) and (off <= roughly).mean() < _UNEXPLAINED:
         sentence = "motion vectors do not fit depth and cameras, and none of the known faults explains it"
         found.findings.append(Finding(FAULT, "frames", "unexplained", sentence))
 
@@ -136,7 +137,7 @@ def _judge_order(found: Diagnosis, looks: dict[int, Look]) -> None:
         sentence = f"frames are out of order: {', '.join(moved[:6])}{' …' if len(moved) > 6 else ''}"
         found.findings.append(Finding(FAULT, "frames", "out of order", sentence, "frames change places"))
         return
-    for index in order.misfits:
+    for index in (k for k in order.misfits if order.fits[k] < _CUT):
         sentence = f"cut at frame {index} ({looks[index].file}): it does not follow the frame before, and is no reset"
         found.findings.append(
             Finding(FAULT, "frames", "cut", sentence, "the frame is marked as a reset", {"frame": index})
@@ -203,11 +204,11 @@ def _tell_unknown(found: Diagnosis, search: Search) -> None:
         shifted = np.linalg.norm(
             bench.static(reading.camera, reading.depth) - (reach.pixels(still) - bench.px), axis=-1
         )
-    use = bench.solid & bench.has[PREVIOUS]
+    use = bench.solid & np.isfinite(shifted) & np.isfinite(turned)
     if not use.any():
         return
-    if np.nanquantile(shifted[use], 0.9) < _VISIBLE:
-        if np.nanquantile(turned[use], 0.9) < _VISIBLE:
+    if np.quantile(shifted[use], 0.9) < _VISIBLE:
+        if np.quantile(turned[use], 0.9) < _VISIBLE:
             sentence = "the camera stands still: nothing can be said of cameras and depth, and of motion only by movers"
             found.findings.append(Finding(UNKNOWN, "camera", "still camera", sentence))
         else:

@@ -34,6 +34,8 @@ class Order:
 
 def examine_order(looks: dict[int, Look], reading: Reading, count: int, step: float) -> Order:
     """Of `looks` of some of `count` rendered frames, `reading` being right for most. `step`: of quantised vectors."""
+    if reading.motion.adds_camera:  # such vectors say nothing of the camera
+        return Order({}, [], None)
     fits = {}
     for index, look in looks.items():
         if reading.motion.step in look.neighbours:

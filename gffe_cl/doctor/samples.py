@@ -16,6 +16,7 @@ from gffe_cl.sequence.read_ahead import read_ahead
 
 PREVIOUS, NEXT = -1, 1
 _TEXTURED = 0.02  # least difference of encoded colour between neighbours where colours tell places apart
+_SMALLEST = 8  # pixels: images that are smaller tell nothing
 _FAR = 1e9  # depths beyond this are nothing, as +inf
 
 
@@ -96,7 +97,7 @@ def take_looks(clip: Clip, indices: Iterable[int], samples: int, images: set[int
         raise GffeError("nothing to check: no rendered frame")
     for index, one in looks.items():
         before = looks.get(index - 1)
-        if before and not one.reset and before.size == one.size:
+        if before and not one.reset and before.size == one.size and min(one.size) >= _SMALLEST:
             one.neighbours[PREVIOUS], before.neighbours[NEXT] = before, one
     return looks
 

@@ -18,7 +18,7 @@ _REFINING, _PER_FRAME = 600, 120  # samples per frame, while parameters are refi
 _MOTIONS, _JOINT, _REFINED = 6, 8, 2
 _MOTION_MARGIN = 0.12  # motion readings whose colours fit so much worse than the best one's are not looked at
 _GOOD = 0.8  # an agreement that leaves nothing to explain
-_FOCALS = (0.6, 0.75, 0.87, 0.94, 1.0, 1.06, 1.15, 1.33, 1.67)
+FOCALS = (0.6, 0.75, 0.87, 0.94, 1.0, 1.06, 1.15, 1.33, 1.67)
 _FIRST_STEP, _LAST_STEP = 0.06, 2e-4  # of the logarithm of focal lengths
 _SAME_UNIT = 0.02  # units of depth and translation that differ by less are one
 _SAME_FOCAL = 0.004  # focal lengths likewise
@@ -168,7 +168,7 @@ class Search:
         usual = [c for c in camera_readings() if c.is_usual]
         add(self._joint(motions, camera_readings()))
         if not good():
-            add(self._joint(motions, [c.with_focal(k) for c in usual for k in _FOCALS if k != 1]))
+            add(self._joint(motions, [c.with_focal(k) for c in usual for k in FOCALS if k != 1]))
         if not good():
             jittered = self._joint(motions, usual, "?")
             add(replace(reading, jitter=which) for reading in jittered for which in ("motion", "camera"))
@@ -214,7 +214,7 @@ class Search:
     def _facing(self, reading: Reading) -> Reading:
         """Negative depths under some axes are positive ones under the opposite axes."""
         bench, ray = self.thin, self.thin.reach(reading.camera, reading.motion.step).ray
-        if reading.depth != AS_GIVEN and np.median(reading.depth.inverse(bench.stored, ray)[bench.solid]) < 0:
+        if reading.depth != AS_GIVEN and np.nanmedian(reading.depth.inverse(bench.stored, ray)[bench.solid]) < 0:
             depth = replace(reading.depth, coefficients=tuple(-c for c in reading.depth.coefficients))
             reading = replace(reading, depth=depth, camera=reading.camera.opposite())
         if reading.depth.model is PLANAR and abs(reading.depth.coefficients[0] - 1) < _SAME_UNIT:

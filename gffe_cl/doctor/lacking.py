@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.doctor.cameras import CameraReading, camera_readings
+from gffe_cl.doctor.cameras import CAMERA_AS_GIVEN, CameraReading, camera_readings
 from gffe_cl.doctor.depths import ALONG_RAYS, AS_GIVEN, DEVICE, PLANAR, DepthReading
 from gffe_cl.doctor.evidence import trimmed
 from gffe_cl.doctor.motions import MotionReading, motion_readings
 from gffe_cl.doctor.samples import PREVIOUS
-from gffe_cl.doctor.search import EDIT, Reading, Search, Verdict
+from gffe_cl.doctor.search import EDIT, FOCALS, Reading, Search, Verdict
 
 _NOTHING = 2e-3  # of the largest motion vector: shorter ones are none
 _VISIBLE = 0.25  # pixels that static points move where there should be motion
@@ -33,7 +33,8 @@ def without_camera(search: Search) -> Verdict | None:
         return None
     camera, depth = _by_colors(search)
     static = search.full.static(camera, depth)
-    if not np.nanmedian(np.linalg.norm(static[solid], axis=-1)) > _VISIBLE:
+    moved = np.linalg.norm(static[solid], axis=-1)
+    if not np.median(np.nan_to_num(moved)) > _VISIBLE:
         return None
     color = search.camera_color(camera, depth)
     if not color > search.static_color(np.zeros_like(static), PREVIOUS) + _GAIN:
@@ -47,18 +48,29 @@ def _by_colors(search: Search) -> tuple[CameraReading, DepthReading]:
     """The camera and the depth with which colours fit best; what is given where nothing is clearly better."""
 
     def cost(pair) -> float:
-        return -np.nan_to_num(search.camera_color(*pair)) + _GAIN * (len(pair[0].parts) + (pair[1] != AS_GIVEN))
+        camera, depth = pair
+        edits = len(camera.parts) + (camera.focal != 1) + (depth != AS_GIVEN)
+        return _GAIN * edits - np.nan_to_num(search.camera_color(camera, depth))
 
     depths = [AS_GIVEN, DepthReading(ALONG_RAYS, (1.0,))]
     depths += [DepthReading(PLANAR, (unit,)) for unit in _UNITS]
     for near in _PLANES:
         depths += [DepthReading(DEVICE, (0.0, 1 / near)), DepthReading(DEVICE, (1 / near, -1 / near))]
-    usual = CameraReading()
-    cameras = sorted(camera_readings(), key=lambda c: cost((c, AS_GIVEN)))[:3]
-    best = min(((c, d) for c in dict.fromkeys([usual, *cameras]) for d in depths), key=cost)
+    cameras = sorted(camera_readings(), key=lambda camera: cost((camera, AS_GIVEN)))[:3]
+    cameras = list(dict.fromkeys([CAMERA_AS_GIVEN, *cameras]))
+    best = min(((camera, depth) for camera in cameras for depth in depths), key=cost)
     if best[1].model is DEVICE:
-        best = min(((best[0], _scaled(best[1], f)) for f in np.exp(np.linspace(-0.17, 0.17, 35))), key=cost)
+        best = min(((best[0], _scaled(best[1], factor)) for factor in _around(1.0, 0.17, 35)), key=cost)
+    focal = min(
+        (camera.with_focal(f) for camera in {best[0], *cameras} for f in FOCALS), key=lambda c: cost((c, best[1]))
+    )
+    if cost((focal, best[1])) < cost(best):
+        best = min(((focal.with_focal(f), best[1]) for f in _around(focal.focal, 0.06, 25)), key=cost)
     return best
+
+
+def _around(middle: float, width: float, count: int) -> np.ndarray:
+    return middle * np.exp(np.linspace(-width, width, count))
 
 
 def _scaled(depth: DepthReading, factor: float) -> DepthReading:
