@@ -8,7 +8,7 @@ import numpy as np
 
 from gffe_cl.doctor.findings import FAULT, NOTE, UNKNOWN, Finding, faults_of
 from gffe_cl.doctor.lacking import without_camera
-from gffe_cl.doctor.order import Order, examine_order
+from gffe_cl.doctor.order import Order, Reordered, examine_order, shuffled_order
 from gffe_cl.doctor.samples import PREVIOUS, Clip, Look, take_looks
 from gffe_cl.doctor.search import Reading, Search, Verdict
 from gffe_cl.doctor.tone import display_curve_votes, is_encoded
@@ -16,7 +16,8 @@ from gffe_cl.frame import BadPixels
 
 _DEEP = 5  # frames that are looked at closely, with those before and after them
 _SAMPLES = 2500  # of each frame
-_MOST_READ = 40  # frames
+_MOST_READ, _MOST_PIXELS = 40, 80_000_000  # frames and pixels that are read, whichever is more
+_DOUBTFUL = 0.5  # agreements below that make one look for another order of frames
 _MARGIN = 0.06  # of the sum of scores, by which another reading must be better than what is given
 _STEPS = (1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125)  # of quantised vectors, pixels
 _VISIBLE = 0.3  # pixels, of what the camera's rotation and its translation move
@@ -66,7 +67,7 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     count = len(clip.rendered)
     deep = _deep_frames(count)
     beside = {k for index in deep for k in (index - 1, index, index + 1) if 0 <= k < count}
-    looks = take_looks(clip, beside | set(_spread(count)), _SAMPLES, beside, exposure)
+    looks = take_looks(clip, beside | set(_spread(count, _pixels(clip))), _SAMPLES, beside, exposure)
     found = Diagnosis([], Reading(), frames=len(looks))
     found.looks = [looks[k] for k in deep if looks[k].neighbours]
     _note_bad_pixels(found, looks)
@@ -81,6 +82,11 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
         sentence = f"vectors are quantised to {words} px: what moves slowly shakes a little"
         found.findings.append(Finding(NOTE, "motion", "quantised", sentence, figures={"step": step}))
     search = Search(found.looks, step)
+    found.given = search.verdict(Reading())
+    if not found.given.agreement >= _DOUBTFUL:
+        order = shuffled_order(looks, count, step)
+        if order is not None:
+            return _examine_reordered(clip, exposure, order, found)
     _judge(found, search)
     _tell_residuals(found, search)
     found.order = examine_order(looks, found.reading, count, step)
@@ -91,22 +97,39 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     return found
 
 
+def _examine_reordered(clip: Clip, exposure: float, order: list[int], given: Diagnosis) -> Diagnosis:
+    found = examine(Reordered(clip, order), exposure)
+    if found.order is not None and found.order.order is not None:
+        order = [order[k] for k in found.order.order]
+        found.findings = [finding for finding in found.findings if finding.name != "out of order"]
+    found.order, found.given = Order({}, [], order), given.given
+    found.looks = given.looks
+    _judge_order(found, {})
+    return found
+
+
 def _deep_frames(count: int) -> list[int]:
     if count < 3:
         return list(range(count))
     return sorted(set(np.linspace(1, count - 2, _DEEP).round().astype(int).tolist()))
 
 
-def _spread(count: int) -> list[int]:
+def _spread(count: int, pixels: int) -> list[int]:
     """All frames, or of long sequences runs of them."""
-    if count <= _MOST_READ:
+    if count <= max(_MOST_READ, _MOST_PIXELS // pixels):
         return list(range(count))
     starts = np.linspace(0, count - 4, _MOST_READ // 4).astype(int)
     return sorted({int(start) + k for start in starts for k in range(4)})
 
 
+def _pixels(clip: Clip) -> int:
+    """Of a rendered frame."""
+    entries = clip.rendered
+    return int(np.size(clip.read(entries[0]).depth)) if entries else 1
+
+
 def _judge(found: Diagnosis, search: Search) -> None:
-    found.given, found.best = search.verdict(Reading()), without_camera(search)
+    found.best = without_camera(search)
     if found.best is None:
         verdicts = search.candidates()
         found.best = verdicts[0] if verdicts[0].total >= found.given.total + _MARGIN else found.given
@@ -133,8 +156,8 @@ def _tell_residuals(found: Diagnosis, search: Search) -> None:
 def _judge_order(found: Diagnosis, looks: dict[int, Look]) -> None:
     order = found.order
     if order.order is not None:
-        moved = [looks[k].file for k, at in enumerate(order.order) if k != at]
-        sentence = f"frames are out of order: {', '.join(moved[:6])}{' …' if len(moved) > 6 else ''}"
+        moved = [str(k) for k, at in enumerate(order.order) if k != at]
+        sentence = f"frames are out of order: {', '.join(moved[:12])}{' …' if len(moved) > 12 else ''}"
         found.findings.append(Finding(FAULT, "frames", "out of order", sentence, "frames change places"))
         return
     for index in (k for k in order.misfits if order.fits[k] < _CUT):

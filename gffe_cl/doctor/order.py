@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gffe_cl.camera import Camera
 from gffe_cl.doctor.depths import rays
 from gffe_cl.doctor.evidence import Reach
-from gffe_cl.doctor.samples import PREVIOUS, Look
+from gffe_cl.doctor.motions import MOTION_AS_GIVEN
+from gffe_cl.doctor.samples import PREVIOUS, Clip, Look
 from gffe_cl.doctor.search import Reading
+from gffe_cl.frame import RenderedFrame
+from gffe_cl.sequence import FrameEntry
 
 _FITTING = 0.5  # share of samples that must agree, of the share in pairs that are right
 _AGREES = 0.1  # of the motion's length: residuals that agree
 _FINEST = 0.3  # pixels: residuals that always agree
 _LEAST = 0.3  # share of samples that agree in pairs that are right, or nothing can be told
-_WINDOW = 12  # frames before and after, among which the right one is looked for
+_SURE = 0.5  # share of samples that must agree with another frame than the one before
+_WINDOW = 24  # frames before and after, among which the right one is looked for
 
 
 @dataclass
@@ -30,6 +34,20 @@ class Order:
     fits: dict[int, float]
     misfits: list[int]
     order: list[int] | None
+
+
+class Reordered:
+    """A clip with its rendered frames in another order, at the same times."""
+
+    def __init__(self, clip: Clip, order: list[int]):
+        self._clip, entries = clip, clip.rendered
+        self.rendered = [
+            replace(entries[index], time=entries[place].time, reset=place == 0) for place, index in enumerate(order)
+        ]
+        self._given = {entry.file: entry for entry in entries}
+
+    def read(self, entry: FrameEntry) -> RenderedFrame:
+        return replace(self._clip.read(self._given[entry.file]), time=entry.time, reset=entry.reset)
 
 
 def examine_order(looks: dict[int, Look], reading: Reading, count: int, step: float) -> Order:
@@ -50,16 +68,36 @@ def examine_order(looks: dict[int, Look], reading: Reading, count: int, step: fl
     step_to = reading.motion.step
     leads_to = {index: index + step_to for index in fits if index not in misfits}
     for index in misfits:
-        others = {
-            other: _share(looks[index], looks[index].camera, looks[other].camera, reading, step)
-            for other in looks
-            if other != index and abs(other - index) <= _WINDOW
-        }
-        best = max(others, key=lambda other: np.nan_to_num(others[other]), default=None)
-        if best is not None and others[best] >= _FITTING * usual:
+        best, share = _best_other(looks, index, reading, step)
+        if share >= _FITTING * usual:
             leads_to[index] = best
     before = leads_to if step_to == PREVIOUS else {target: index for index, target in leads_to.items()}
     return Order(fits, misfits, _chain(before, count) if len(looks) == count else None)
+
+
+def shuffled_order(looks: dict[int, Look], count: int, step: float) -> list[int] | None:
+    """The order of frames whose vectors, as given, fit other frames than those before them; None if there is none."""
+    if len(looks) < count:
+        return None
+    before = {}
+    for index, look in looks.items():
+        if look.motion is None or not look.motion.any():
+            continue
+        best, share = _best_other(looks, index, Reading(), step)
+        if share >= _SURE:
+            before[index] = best
+    return _chain(before, count)
+
+
+def _best_other(looks: dict[int, Look], index: int, reading: Reading, step: float) -> tuple[int, float]:
+    """The frame whose camera fits the vectors of the frame `index` best, and the share of samples that agree."""
+    shares = {
+        other: np.nan_to_num(_share(looks[index], looks[index].camera, look.camera, reading, step))
+        for other, look in looks.items()
+        if other != index and abs(other - index) <= _WINDOW
+    }
+    best = max(shares, key=shares.get, default=index)
+    return best, float(shares.get(best, 0.0))
 
 
 def _chain(before: dict[int, int], count: int) -> list[int] | None:
@@ -76,7 +114,8 @@ def _chain(before: dict[int, int], count: int) -> list[int] | None:
 
 def _share(look: Look, here: Camera, there: Camera, reading: Reading, step: float) -> float:
     """Share of samples whose motion agrees with a camera that went from `there` to `here`; NaN without motion."""
-    motion = reading.motion.pixels(look)
+    stored = look.motion if reading.motion == MOTION_AS_GIVEN else reading.motion.stored(look)
+    motion = None if stored is None else stored @ reading.motion.matrix(look.size).T
     if motion is None:
         return float("nan")
     at, target = reading.camera.read(here), reading.camera.read(there)

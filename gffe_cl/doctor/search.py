@@ -164,17 +164,21 @@ class Search:
                 if reading not in found:
                     found[reading] = self.verdict(reading)
 
+        def refine() -> None:
+            for _ in range(2):
+                best = sorted(found.values(), key=lambda v: -v.total)[:_REFINED]
+                add(reading for verdict in best for reading in self._refined(verdict.reading))
+
         motions = self._motion_shortlist()
         usual = [c for c in camera_readings() if c.is_usual]
         add(self._joint(motions, camera_readings()))
         if not good():
             add(self._joint(motions, [c.with_focal(k) for c in usual for k in FOCALS if k != 1]))
+        refine()
         if not good():
             jittered = self._joint(motions, usual, "?")
             add(replace(reading, jitter=which) for reading in jittered for which in ("motion", "camera"))
-        for _ in range(2):
-            best = sorted(found.values(), key=lambda v: -v.total)[:_REFINED]
-            add(reading for verdict in best for reading in self._refined(verdict.reading))
+            refine()
         return sorted(found.values(), key=lambda v: -v.total)
 
     def _motion_shortlist(self) -> list[MotionReading]:
