@@ -14,8 +14,8 @@ from gffe_cl.doctor.samples import PREVIOUS
 from gffe_cl.doctor.search import EDIT, FOCALS, Reading, Search, Verdict
 
 _NOTHING = 2e-3  # of the largest motion vector: shorter ones are none
-_VISIBLE = 0.25  # pixels that static points move where there should be motion
-_GAIN = 0.04  # of colour scores, by which another camera or depth must be better than what is given
+_VISIBLE = 0.6  # pixels that static points move at least: less may be lost where vectors are in whole pixels
+_GAIN = 0.012  # of colour scores, that every deviation from what is given must bring
 _MOVER = 0.05  # of the largest motion vector: longer ones are of movers
 _UNITS = (100.0, 0.01, 1000.0, 0.001)
 _PLANES = np.exp(np.linspace(np.log(0.005), np.log(20), 25))  # near planes tried, world units
@@ -31,10 +31,11 @@ def without_camera(search: Search) -> Verdict | None:
     largest = float(np.quantile(length[solid], 0.999))
     if np.median(length[solid]) > _NOTHING * largest:
         return None
+    if not _moves(search.full.static(CAMERA_AS_GIVEN, AS_GIVEN)[solid]) > 0:
+        return None
     camera, depth = _by_colors(search)
     static = search.full.static(camera, depth)
-    moved = np.linalg.norm(static[solid], axis=-1)
-    if not np.median(np.nan_to_num(moved)) > _VISIBLE:
+    if not _moves(static[solid]) > max(_VISIBLE, search.step):
         return None
     color = search.camera_color(camera, depth)
     if not color > search.static_color(np.zeros_like(static), PREVIOUS) + _GAIN:
@@ -42,6 +43,11 @@ def without_camera(search: Search) -> Verdict | None:
     motion = _of_movers(search, static, length > _MOVER * largest) if largest > 0 else None
     motion = motion or replace(MotionReading(("zero",)), adds_camera=True)
     return Verdict(Reading(motion, camera, depth), float("nan"), color, color)
+
+
+def _moves(static: np.ndarray) -> float:
+    """Pixels that most samples move."""
+    return float(np.median(np.nan_to_num(np.linalg.norm(static, axis=-1))))
 
 
 def _by_colors(search: Search) -> tuple[CameraReading, DepthReading]:
@@ -56,7 +62,8 @@ def _by_colors(search: Search) -> tuple[CameraReading, DepthReading]:
     depths += [DepthReading(PLANAR, (unit,)) for unit in _UNITS]
     for near in _PLANES:
         depths += [DepthReading(DEVICE, (0.0, 1 / near)), DepthReading(DEVICE, (1 / near, -1 / near))]
-    cameras = sorted(camera_readings(), key=lambda camera: cost((camera, AS_GIVEN)))[:3]
+    cameras = [one for camera in camera_readings() for one in (camera, camera.opposite())]
+    cameras = sorted(cameras, key=lambda camera: cost((camera, AS_GIVEN)))[:3]
     cameras = list(dict.fromkeys([CAMERA_AS_GIVEN, *cameras]))
     best = min(((camera, depth) for camera in cameras for depth in depths), key=cost)
     if best[1].model is DEVICE:
