@@ -117,12 +117,17 @@ def run(sequences: dict, wanted: list, most: int | None, record: Path | None) ->
             loaded = {name: sequences[name]()}
         case = {"sequence": name} | measure(loaded[name], faults)
         done.append(case)
-        verdict = "ok  " if case["mended"] else "FAIL"
+        verdict = "ok  " if is_right(case) else "FAIL"
         named = ", ".join(case["named"]) or "intact"
         print(f"{verdict} {name}: {' + '.join(faults)} → {named} ({case['restored']:.1%})", flush=True)
         if record:
             record.write_text(json.dumps({"cases": done}, indent=0) + "\n")
     return done
+
+
+def is_right(case: dict) -> bool:
+    """Harmless changes raise no alarm, faults are mended."""
+    return not case["named"] if case["faults"][0] in HARMLESS else case["mended"]
 
 
 def tables(done: list[dict]) -> dict[str, str]:
@@ -134,7 +139,7 @@ def tables(done: list[dict]) -> dict[str, str]:
     }
     rows = ["| | cases | right |", "| --- | --- | --- |"]
     for name, group in groups.items():
-        right = sum(not c["named"] if name == "intact" else c["mended"] for c in group)
+        right = sum(map(is_right, group))
         words = {"intact": "intact: no alarm", "alone": "one fault: mended", "pairs": "two faults: mended"}[name]
         rows.append(f"| {words} | {len(group)} | {f'{right / len(group):.1%}' if group else '–'} |")
     return {"summary": "\n".join(rows), "confusion": _confusion(groups["intact"] + groups["alone"], groups["pairs"])}
@@ -146,11 +151,11 @@ def _confusion(single: list[dict], pairs: list[dict]) -> str:
     in_pairs: dict = defaultdict(list)
     for case in single:
         named[case["faults"][0]][" + ".join(case["named"]) or "nothing"] += 1
-        mended[case["faults"][0]].append(case["mended"])
+        mended[case["faults"][0]].append(is_right(case))
     for case in pairs:
         for fault in case["faults"]:
             in_pairs[fault].append(case["mended"])
-    rows = ["| broken by | the doctor names | mended | in pairs |", "| --- | --- | --- | --- |"]
+    rows = ["| broken by | the doctor names | right | in pairs |", "| --- | --- | --- | --- |"]
     for fault in (*HARMLESS, *BREAKS):
         if fault in named:
             words = "; ".join(f"{text} ({n})" for text, n in sorted(named[fault].items(), key=lambda item: -item[1]))

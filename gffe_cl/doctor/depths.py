@@ -120,7 +120,7 @@ def _drawn_start(basis, w, a, b) -> np.ndarray | None:
     one, two = np.random.default_rng(7).integers(len(w), size=(2, _DRAWS))
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = (w[two] - w[one]) / (basis[two, 1] - basis[one, 1])
-    lines = np.stack([w[one] - slope * basis[one, 1], slope], -1)
+        lines = np.stack([w[one] - slope * basis[one, 1], slope], -1)
     lines = lines[np.isfinite(lines).all(-1)]
     if not len(lines):
         return None

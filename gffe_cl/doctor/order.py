@@ -18,6 +18,7 @@ from gffe_cl.sequence import FrameEntry
 _FITTING = 0.5  # share of samples that must agree, of the share in pairs that are right
 _AGREES = 0.1  # of the motion's length: residuals that agree
 _FINEST = 0.3  # pixels: residuals that always agree
+_BETTER = 0.2  # share of samples by which another frame must fit better than the one before
 _LEAST = 0.3  # share of samples that agree in pairs that are right, or nothing can be told
 _SURE = 0.5  # share of samples that must agree with another frame than the one before
 _WINDOW = 24  # frames before and after, among which the right one is looked for
@@ -67,9 +68,9 @@ def examine_order(looks: dict[int, Look], reading: Reading, count: int, step: fl
         return Order(fits, misfits, None)
     step_to = reading.motion.step
     leads_to = {index: index + step_to for index in fits if index not in misfits}
-    for index in misfits:
+    for index in fits:  # where little moves, even frames that are no misfits may fit another one much better
         best, share = _best_other(looks, index, reading, step)
-        if share >= _FITTING * usual:
+        if share >= max(_FITTING * usual, fits[index] + _BETTER):
             leads_to[index] = best
     before = leads_to if step_to == PREVIOUS else {target: index for index, target in leads_to.items()}
     return Order(fits, misfits, _chain(before, count) if len(looks) == count else None)
