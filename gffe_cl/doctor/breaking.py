@@ -189,6 +189,10 @@ def _tone_mapped(frame):
 
 
 BREAKS: dict[str, tuple[str, Callable]] = {
+    "motion jitter not removed": ("motion", _jittered),
+    "motion without the camera": ("motion", _without_camera),
+    "motion to the next frame": ("motion", _to_next),
+    "motion one frame late": ("motion", _late),
     "motion negated": ("motion", _scaled_motion((-1, -1))),
     "motion y flipped": ("motion", _scaled_motion((1, -1))),
     "motion x and y swapped": ("motion", _motion(lambda v, size: v[..., ::-1])),
@@ -196,10 +200,6 @@ BREAKS: dict[str, tuple[str, Callable]] = {
     "motion in NDC": ("motion", _motion(lambda v, size: v / np.array(size) * 2)),
     "motion twice": ("motion", _scaled_motion(2)),
     "motion half": ("motion", _scaled_motion(0.5)),
-    "motion to the next frame": ("motion", _to_next),
-    "motion one frame late": ("motion", _late),
-    "motion jitter not removed": ("motion", _jittered),
-    "motion without the camera": ("motion", _without_camera),
     "motion zero": ("motion", _scaled_motion(0)),
     "depth reversed": ("depth", _depth(lambda z: NEAR / z)),
     "depth device": ("depth", _depth(lambda z: FAR / (FAR - NEAR) * (1 - NEAR / np.minimum(z, FAR)))),

@@ -32,6 +32,7 @@ _LAYOUTS: dict[tuple[str, ...], Callable] = {
     ("inverted",): _inverted,
     ("rotation transposed",): _rotation_transposed,
     ("position instead of translation",): _position_given,
+    ("inverted", "rotation transposed"): lambda m: _rotation_transposed(_inverted(m)),
 }
 SENTENCES = {
     "inverted": "camera matrices are inverted: they are view to world",
