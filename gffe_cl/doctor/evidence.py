@@ -16,6 +16,7 @@ from gffe_cl.doctor.motions import MotionReading
 from gffe_cl.doctor.samples import NEXT, PREVIOUS, Look, sampled
 
 _STILL = 0.05  # of the motion of most: samples below that say nothing about motion vectors
+_NOTHING = 2e-3  # of the largest motion vector: shorter ones are none
 _CHANCE = 0.2  # colour score where nothing is known
 
 
@@ -121,6 +122,11 @@ class Bench:
             off = np.abs(met - self.color[use]).mean(-1) / self.contrast[use]
             score[..., use] = np.where(inside, 1 / (1 + (off / 0.25) ** 2), _CHANCE)
         return score
+
+
+def mostly_nothing(length: np.ndarray) -> bool:
+    """Whether most of these motion vectors, by their lengths (N,), are none."""
+    return not len(length) or bool(np.median(length) <= _NOTHING * np.quantile(length, 0.999))
 
 
 def trimmed(by_frame: np.ndarray) -> float:

@@ -8,13 +8,12 @@ import numpy as np
 
 from gffe_cl.doctor.cameras import CAMERA_AS_GIVEN, CameraReading, camera_readings
 from gffe_cl.doctor.depths import ALONG_RAYS, AS_GIVEN, DEVICE, PLANAR, DepthReading
-from gffe_cl.doctor.evidence import trimmed
+from gffe_cl.doctor.evidence import mostly_nothing, trimmed
 from gffe_cl.doctor.motions import MotionReading, motion_readings
 from gffe_cl.doctor.samples import PREVIOUS
 from gffe_cl.doctor.search import EDIT, FOCALS, Reading, Search, Verdict
 
-_NOTHING = 2e-3  # of the largest motion vector: shorter ones are none
-_VISIBLE = 0.6  # pixels that static points move at least: less may be lost where vectors are in whole pixels
+_VISIBLE, _SEEN = 0.1, 0.2  # pixels that static points move, and the share of them that must
 _GAIN = 0.012  # of colour scores, that every deviation from what is given must bring
 _MOVER = 0.05  # of the largest motion vector: longer ones are of movers
 _UNITS = (100.0, 0.01, 1000.0, 0.001)
@@ -29,13 +28,15 @@ def without_camera(search: Search) -> Verdict | None:
     if not solid.any():
         return None
     largest = float(np.quantile(length[solid], 0.999))
-    if np.median(length[solid]) > _NOTHING * largest:
+    if not mostly_nothing(length[solid]):
         return None
-    if not _moves(search.full.static(CAMERA_AS_GIVEN, AS_GIVEN)[solid]) > 0:
+    step = search.step if largest > 0 else 1.0  # of vectors that may have been rounded to nothing
+    if not np.any(np.nan_to_num(search.full.static(CAMERA_AS_GIVEN, AS_GIVEN)[solid])):
         return None
     camera, depth = _by_colors(search)
     static = search.full.static(camera, depth)
-    if not _moves(static[solid]) > max(_VISIBLE, search.step):
+    seen = np.abs(np.nan_to_num(static[solid])).max(-1) > max(_VISIBLE, 0.55 * step)
+    if seen.mean() < _SEEN:
         return None
     color = search.camera_color(camera, depth)
     if not color > search.static_color(np.zeros_like(static), PREVIOUS) + _GAIN:
@@ -43,11 +44,6 @@ def without_camera(search: Search) -> Verdict | None:
     motion = _of_movers(search, static, length > _MOVER * largest) if largest > 0 else None
     motion = motion or replace(MotionReading(("zero",)), adds_camera=True)
     return Verdict(Reading(motion, camera, depth), float("nan"), color, color)
-
-
-def _moves(static: np.ndarray) -> float:
-    """Pixels that most samples move."""
-    return float(np.median(np.nan_to_num(np.linalg.norm(static, axis=-1))))
 
 
 def _by_colors(search: Search) -> tuple[CameraReading, DepthReading]:

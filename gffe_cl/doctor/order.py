@@ -77,7 +77,8 @@ def examine_order(looks: dict[int, Look], reading: Reading, count: int, step: fl
 
 
 def shuffled_order(looks: dict[int, Look], count: int, step: float) -> list[int] | None:
-    """The order of frames whose vectors, as given, fit other frames than those before them; None if there is none."""
+    """The order of frames whose vectors, as given, fit other frames than those before them; None if there is none, or
+    if it mostly runs backwards: then it is the vectors that lead to the next frame."""
     if len(looks) < count:
         return None
     before = {}
@@ -87,7 +88,8 @@ def shuffled_order(looks: dict[int, Look], count: int, step: float) -> list[int]
         best, share = _best_other(looks, index, Reading(), step)
         if share >= _SURE:
             before[index] = best
-    return _chain(before, count)
+    order = _chain(before, count)
+    return order if order is not None and np.median(np.diff(order)) > 0 else None
 
 
 def _best_other(looks: dict[int, Look], index: int, reading: Reading, step: float) -> tuple[int, float]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from gffe_cl.doctor.cameras import CAMERA_AS_GIVEN, CameraReading, camera_readings
 from gffe_cl.doctor.depths import AS_GIVEN, DEVICE, MODELS, PLANAR, DepthReading, fit_depth
-from gffe_cl.doctor.evidence import Bench, frame_offsets, log_score, moving, trimmed
+from gffe_cl.doctor.evidence import Bench, frame_offsets, log_score, mostly_nothing, moving, trimmed
 from gffe_cl.doctor.motions import MOTION_AS_GIVEN, MotionReading, motion_readings
 from gffe_cl.doctor.samples import PREVIOUS, Look
 from gffe_cl.doctor.wide import WideField
@@ -175,11 +175,16 @@ class Search:
         if not good():
             add(self._joint(motions, [c.with_focal(k) for c in usual for k in FOCALS if k != 1]))
         refine()
-        if not good():
+        if not good() and not self._lacks_motion():
             jittered = self._joint(motions, usual, "?")
             add(replace(reading, jitter=which) for reading in jittered for which in ("motion", "camera"))
             refine()
         return sorted(found.values(), key=lambda v: -v.total)
+
+    def _lacks_motion(self) -> bool:
+        """Whether vectors are mostly zero: then a constant per frame would explain anything."""
+        length = np.linalg.norm(self.full.motion(MOTION_AS_GIVEN), axis=-1)
+        return mostly_nothing(length[self.full.solid & np.isfinite(length)])
 
     def _motion_shortlist(self) -> list[MotionReading]:
         """Those along which the colours fit best, and the usual one first."""
