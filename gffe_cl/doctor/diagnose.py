@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,6 +22,8 @@ _MARGIN = 0.06  # of the sum of scores, by which another reading must be better 
 _STEPS = (1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125)  # of quantised vectors, pixels
 _VISIBLE = 0.3  # pixels, of what the camera's rotation and its translation move
 _UNEXPLAINED = 0.35  # share of samples that must agree roughly, or something is wrong that nobody has named
+_TELLING = 0.02  # of agreements: by less they do not decide
+_COLORS_ALONE = 0.12  # of colour scores, where they have to decide alone
 _ROUGHLY = 0.25, 1.5  # of the motion's length, and pixels
 _ALIKE = 0.01  # difference of agreements below which two readings say the same
 _CUT = 0.15  # share of samples that agree: frames with less do not follow the one before
@@ -132,10 +134,25 @@ def _judge(found: Diagnosis, search: Search) -> None:
     found.best = without_camera(search)
     if found.best is None:
         verdicts = search.candidates()
-        found.best = verdicts[0] if verdicts[0].total >= found.given.total + _MARGIN else found.given
+        found.best = _convincing(verdicts, found.given)
         found.others = [v for v in verdicts if v.reading != found.best.reading]
     found.reading = found.best.reading
     found.findings += faults_of(found.reading, search.full.stored[search.full.solid])
+
+
+def _convincing(verdicts: list[Verdict], given: Verdict) -> Verdict:
+    """The best of `verdicts`, or `given` if that is not clearly worse. Where depth and cameras say nothing, of a camera
+    that stands still, only movers' colours are left: they decide on signs, axes and units if they are sure."""
+    best = verdicts[0]
+    if best.total < given.total + _MARGIN:
+        return given
+    if best.agreement > given.agreement + _TELLING:
+        return best
+    for verdict in verdicts:
+        motion = verdict.reading.motion
+        if verdict.reading == replace(Reading(), motion=motion) and motion.step == PREVIOUS and not motion.held_by:
+            return verdict if verdict.motion_color > given.motion_color + _COLORS_ALONE else given
+    return given
 
 
 def _tell_residuals(found: Diagnosis, search: Search) -> None:
