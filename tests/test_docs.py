@@ -132,6 +132,13 @@ def test_tables_of_performance_are_those_of_the_records():
     assert all(f"<!-- {table}:begin -->\n" in page for table in TABLES)
 
 
+def test_tables_of_the_doctor_are_those_of_its_record():
+    from measure_doctor import with_tables
+
+    page = TEXTS["docs/doctor.md"]
+    assert with_tables(page) == page and "<!-- confusion:begin -->\n|" in page, "python docs/measure_doctor.py --write"
+
+
 def test_reference_is_up_to_date():
     from make_reference import reference
 

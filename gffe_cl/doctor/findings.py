@@ -91,9 +91,9 @@ def _unit_fault(unit: float) -> Finding:
         ):
             if abs(np.log(unit * ratio)) < _UNIT_SLACK:
                 sentence = f"{first} {words.format(second)}"
-                return Finding(FAULT, "depth", "units", sentence, "depths are scaled", {"unit": unit})
+                return Finding(FAULT, "depth", "units", sentence, "depths or positions are scaled", {"unit": unit})
     sentence = f"depths and camera positions have different units: {unit:.4g} of the cameras' is one of the depths'"
-    return Finding(FAULT, "depth", "units", sentence, "depths are scaled", {"unit": unit})
+    return Finding(FAULT, "depth", "units", sentence, "depths or positions are scaled", {"unit": unit})
 
 
 def _device_fault(depth: DepthReading, stored: np.ndarray) -> Finding:
