@@ -222,6 +222,16 @@ def test_what_cannot_be_opened_keeps_its_own_message(gffe, tmp_path):
     assert code == 2 and "no such folder" in err and text == ""
 
 
+def test_a_run_warns_of_what_does_not_fit(gffe, tmp_path):
+    bad = written(tmp_path / "bad", broken(clip(), ["motion negated"]))
+    code, _, err = gffe("run", bad, tmp_path / "a", "--no-scn")
+    said = " ".join(err.split())
+    assert code == 0 and "warning: motion vectors do not fit depth and cameras (median" in said
+    assert f"`gffe check {bad}` says more" in said
+    code, _, err = gffe("run", bad, tmp_path / "b", "--no-scn", "--no-check")
+    assert code == 0 and "do not fit" not in err
+
+
 def test_the_quick_form_warns():
     warning = quick_warning(broken(clip(), ["motion negated"]))
     assert warning and "do not fit depth and cameras (median" in warning
