@@ -15,7 +15,7 @@ from gffe_cl.doctor.wide import WideField
 
 EDIT = 0.02  # what every part of a hypothesis costs, in units of the scores
 _REFINING, _PER_FRAME = 600, 120  # samples per frame, while parameters are refined and while the field is wide
-_MOTIONS, _JOINT, _REFINED = 6, 8, 2
+_MOTIONS, _MOST_MOTIONS, _JOINT, _REFINED = 7, 80, 8, 2
 _MOTION_MARGIN = 0.12  # motion readings whose colours fit so much worse than the best one's are not looked at
 _GOOD = 0.8  # an agreement that leaves nothing to explain
 FOCALS = (0.6, 0.75, 0.87, 0.94, 1.0, 1.06, 1.15, 1.33, 1.67)
@@ -169,9 +169,14 @@ class Search:
                 best = sorted(found.values(), key=lambda v: -v.total)[:_REFINED]
                 add(reading for verdict in best for reading in self._refined(verdict.reading))
 
-        motions = self._motion_shortlist()
+        near = self._near_motions()
+        motions = near[:_MOTIONS]
         usual = [c for c in camera_readings() if c.is_usual]
         add(self._joint(motions, camera_readings()))
+        if not good() and len(near) > _MOTIONS:
+            found_among_all = self._joint(near, usual)
+            add(found_among_all)
+            motions = list(dict.fromkeys([*(r.motion for r in found_among_all), *motions]))[:_MOTIONS]
         if not good():
             add(self._joint(motions, [c.with_focal(k) for c in usual for k in FOCALS if k != 1]))
         refine()
@@ -186,13 +191,13 @@ class Search:
         length = np.linalg.norm(self.full.motion(MOTION_AS_GIVEN), axis=-1)
         return mostly_nothing(length[self.full.solid & np.isfinite(length)])
 
-    def _motion_shortlist(self) -> list[MotionReading]:
-        """Those along which the colours fit best, and the usual one first."""
+    def _near_motions(self) -> list[MotionReading]:
+        """Those along which the colours fit about as well as along the best, and the usual one first."""
         scores = self._motion_colors(motion_readings())
         cost = {reading: EDIT * len(reading.parts) - score for reading, score in scores.items()}
         ranked = sorted(cost, key=cost.get)
-        near = [m for m in ranked[:_MOTIONS] if cost[m] < cost[ranked[0]] + _MOTION_MARGIN]
-        return list(dict.fromkeys([MOTION_AS_GIVEN, *near]))
+        near = [m for m in ranked if cost[m] < cost[ranked[0]] + _MOTION_MARGIN]
+        return list(dict.fromkeys([MOTION_AS_GIVEN, *near]))[:_MOST_MOTIONS]
 
     def _motion_colors(self, readings: list[MotionReading]) -> dict[MotionReading, float]:
         """As `motion_color`, of many readings at once on few samples."""
