@@ -130,7 +130,7 @@ def run(sequences: dict, wanted: list, most: int | None, record: Path | None) ->
 
 
 def is_right(case: dict) -> bool:
-    """Harmless changes raise no alarm, faults are mended; vectors that are zero are named, too: static points get theirs
+    """Harmless changes raise no alarm, faults are mended. Vectors that are zero must be named: static points get theirs
     even if nothing is found."""
     if "motion zero" in case["faults"] and "motion: zero" not in case["named"]:
         return False
