@@ -13,6 +13,7 @@ from gffe_cl.cli.common import (
     CompressionOption,
     DeviceOption,
     JsonOption,
+    NoCheckOption,
     WindowOption,
     app,
     out,
@@ -188,6 +189,7 @@ def run(
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Of a built-in scene: its variation [dim](default 0)[/].")] = None,
     compression: CompressionOption = "zip",
+    no_check: NoCheckOption = False,
     json_path: JsonOption = None,
     *,
     options: Options,
@@ -205,6 +207,8 @@ def run(
     live = {"--size": size, "--frames": frames, "--fps": fps, "--seed": seed}
     keep_freed_memory()
     opened, source = _open_source(sequence, window, device, live)
+    if not no_check:
+        _check_quickly(source, sequence)
     with progress_bars() as progress:
         report = run_sequence(
             source, output, opened, options, alphas,
@@ -213,6 +217,15 @@ def run(
         )  # fmt: skip
     _print_report(report, output)
     write_json(json_path, _report_json(report, opened.info))
+
+
+def _check_quickly(source: Recorded | Live, target: Path) -> None:
+    from gffe_cl.doctor import quick_warning
+    from gffe_cl.source import Recorded
+
+    suspicion = quick_warning(source.sequence, source.exposure) if isinstance(source, Recorded) else None
+    if suspicion:
+        warn(f"{suspicion}; `gffe check {target}` says more")
 
 
 def _open_source(

@@ -10,6 +10,7 @@ import typer
 from gffe_cl.cli.common import (
     DeviceOption,
     JsonOption,
+    NoCheckOption,
     app,
     out,
     output_file,
@@ -59,6 +60,7 @@ def view(
     measure: Annotated[
         float | None, typer.Option(help="Play every frame for so many seconds, print how fast that was, and exit.")
     ] = None,
+    no_check: NoCheckOption = False,
     json_path: JsonOption = None,
     *,
     options: Options,
@@ -97,7 +99,10 @@ def view(
     require_display()
     by_hand = shot is None and measure is None
     settings, warning = Settings.load() if by_hand else (Settings(), None)
-    model = Model(settings, device=device, n=n, window=window, plan=plan, options=options, save_settings=by_hand)
+    model = Model(
+        settings, device=device, n=n, window=window, plan=plan, options=options, save_settings=by_hand,
+        check=not no_check,
+    )  # fmt: skip
     if warning:
         model.say(warning)
     with leaving(model):

@@ -169,12 +169,13 @@ class Sequence:
 
 
 @without_collections()
-def open_sequence(path, *, cameras: str = "needed") -> Sequence:
+def open_sequence(path, *, cameras: str = "needed", mend: Callable[[str], str] | None = None) -> Sequence:
     """Open the sequence in the folder `path` (or whose `sequence.json` is `path`).
 
     JSON, cameras and the headers of all files are checked here, so that no later work meets a missing
     channel or file, a wrong size, or a truncated file. With `cameras` "optional" rendered frames may lack theirs (it is
-    None then), which nothing but calibration can work on. Raises GffeError.
+    None then), which nothing but calibration can work on. `mend` makes of the JSON text what is taken for it. Raises
+    GffeError.
     """
     path = Path(path)
     try:
@@ -187,7 +188,8 @@ def open_sequence(path, *, cameras: str = "needed") -> Sequence:
         raise GffeError(f"{path}: cannot be read ({error.strerror or error})") from None
     if unfinished:
         raise GffeError(f"{folder}: {unfinished}")
-    description = parse_description(read_text(json_path), json_path.name)
+    text = read_text(json_path)
+    description = parse_description(mend(text) if mend else text, json_path.name)
 
     # On one thread: the system calls are so short that threads only wait for each other.
     reader, passed = HeaderReader(), set()

@@ -105,6 +105,7 @@ class RecordedSource(Recorded, FrameSource):
         self.windowed = self._cut
         super().__init__(sequence, device, window)
         self.name = sequence.path.resolve().name
+        self.suspicions: list[str] = []  # sentences, beside what reading warns of
         self._chosen = window
         self._entries = sequence.rendered
         self.resets = tuple(k for k, entry in enumerate(self._entries) if entry.reset or k == 0)
@@ -122,6 +123,9 @@ class RecordedSource(Recorded, FrameSource):
         super().__init__(self.sequence, self._device, window)
         self._chosen = window
         return self._cut != before
+
+    def warnings(self):
+        return [*super().warnings(), *self.suspicions]
 
     def reset_before(self, k):
         return self.resets[bisect_right(self.resets, k) - 1]
