@@ -426,10 +426,11 @@ INLINE Ints may_be_mixed(const Span p, const Source s, const Layers l, const Sho
     const Floats px_x = row_centres(p.x) + motion_x - 0.5f, px_y = (float)p.y + 0.5f + motion_y - 0.5f;
     const Ints in_image = (px_x >= 0.0f) & (px_y >= 0.0f) & (px_x < (float)(s.width - 1)) & (px_y < (float)(s.height - 1));
     if (!ALL(in_image)) return (Ints)(-1);
-    const Ints taps = to_ints(px_y) * s.width + to_ints(px_x);
+    Places taps;
+    places_at(to_ints(px_y) * s.width + to_ints(px_x), 0, s.width * (s.height - 1) - 1, &taps);
     Ints mixed = (Ints)(0);
 #pragma unroll
-    for (int k = 0; k < 4; ++k) mixed |= to_ints(gather_bytes(l.layer + (k >> 1) * s.width + (k & 1), taps)) == FAR;
+    for (int k = 0; k < 4; ++k) mixed |= bytes_at(l.layer + (k >> 1) * s.width + (k & 1), &taps) == FAR;
     return mixed;
 }
 
