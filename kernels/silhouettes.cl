@@ -141,8 +141,9 @@ INLINE Ints layers_part(const Span p, const Source s, __global const float *dept
 
 /* The nearer layer's share of pixels, and the colour of what it covers: where a pixel's colour lies between the mean colours of
    both layers around, as far as these differ; else from the pixels that each layer has. */
-INLINE WideRgb unmix(const Span p, const Depths *d, __global const half *color, __global const uchar *links, Floats *share) {
-    Strip near_sum, far_sum, own;
+INLINE void unmix(const Span p, const Depths *d, __global const half *color, __global const uchar *links, WideRgb *behind,
+                  Floats *share) {
+    Strip near_sum, far_sum;
     Floats near_area = 0.0f, area = 0.0f;
 #pragma unroll
     for (int part = 0; part < PARTS; ++part) near_sum.part[part] = far_sum.part[part] = (Texels)(0.0f);
@@ -154,7 +155,6 @@ INLINE WideRgb unmix(const Span p, const Depths *d, __global const half *color, 
         const Floats certain = bytes_beside(p, links, dx, dy) == ALL_LINKS ? weight : AT_EDGE * weight;
         const Floats near_weight = is_near ? certain : (Floats)(0.0f), far_weight = is_near ? (Floats)(0.0f) : certain;
         const Strip c = colors_beside(p, color, dx, dy);
-        if (k == 4) own = c;
 #pragma unroll
         for (int part = 0; part < PARTS; ++part) {
             near_sum.part[part] += OF_TEXELS(near_weight, part) * c.part[part];
@@ -165,7 +165,7 @@ INLINE WideRgb unmix(const Span p, const Depths *d, __global const half *color, 
     }
     const Ints is_near = d->z[4] < d->middle;
     const Floats per_near = wide_divide((Floats)(1.0f), fourth_of(near_sum)), per_far = wide_divide((Floats)(1.0f), fourth_of(far_sum));
-    const WideRgb own_color = rgb_of(own), near = scaled(rgb_of(near_sum), per_near), far = scaled(rgb_of(far_sum), per_far);
+    const WideRgb own_color = rgb_of(colors_beside(p, color, 0, 0)), near = scaled(rgb_of(near_sum), per_near), far = scaled(rgb_of(far_sum), per_far);
     const WideRgb contrast = less(near, far);
     const Floats size = fmax(fmax(near.r, far.r), fmax(fmax(near.g, far.g), fmax(near.b, far.b)));
     const Floats scale = wide_divide((Floats)(1.0f), 1e-4f + size);
@@ -177,9 +177,10 @@ INLINE WideRgb unmix(const Span p, const Depths *d, __global const half *color, 
     const Floats trust = fmin(squared * (1.0f / TOO_ALIKE), 1.0f);
     const Floats coverage = trust * by_color + (1.0f - trust) * wide_divide(near_area, area);
     const WideRgb rest = less(own_color, scaled(contrast, coverage));
-    const WideRgb behind = {is_near ? far.r : rest.r, is_near ? far.g : rest.g, is_near ? far.b : rest.b};
+    behind->r = is_near ? far.r : rest.r;
+    behind->g = is_near ? far.g : rest.g;
+    behind->b = is_near ? far.b : rest.b;
     *share = coverage;
-    return behind;
 }
 
 /* Marks the blocks around the pixel where a fragment goes. */
@@ -204,16 +205,16 @@ WIDE __kernel void find_layers(const int source_width, const int source_height, 
     Span p = {src_x, src_y, source_width, source_height, false};
     Depths d;
     Ints part = to_ints(load_some_bytes(count, links + src)) != ALL_LINKS;
-    Floats shares;
-    WideRgb colors;
+    Floats shares = 0.0f;
+    WideRgb colors = {0.0f, 0.0f, 0.0f};
     if (ANY(part)) {
         if (src_x >= 1 && src_y >= 1 && src_x + LANES < source_width && src_y + 1 < source_height) {
             p.inner = true;
             part &= layers_part(p, s, depth, &d);
-            if (ANY(part)) colors = unmix(p, &d, color, links, &shares);
+            if (ANY(part)) unmix(p, &d, color, links, &colors, &shares);
         } else {
             part &= layers_part(p, s, depth, &d);
-            if (ANY(part)) colors = unmix(p, &d, color, links, &shares);
+            if (ANY(part)) unmix(p, &d, color, links, &colors, &shares);
         }
     }
     if (!ANY(part)) {
@@ -450,7 +451,7 @@ WIDE __kernel void soften(const int source_width, const int source_height, const
     const Shown f = {target_width, target_height, color, depth, motion, filled_by, mixed};
     Span p = {dst_x, dst_y, target_width, target_height, false};
     Ints paired, soft;
-    LayerPairs pairs;
+    LayerPairs pairs = {0.0f, 0.0f, 0.0f, (Ints)(0)};
     if (dst_x >= 1 && dst_y >= 1 && dst_x + LANES < target_width && dst_y + 1 < target_height) {
         p.inner = true;
         paired = find_pairs(p, s, f, &pairs);
