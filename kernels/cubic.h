@@ -59,7 +59,7 @@ inline bool cubic_of_finite(const int first, const float4 wx, const float4 wy, c
 
 /* The same of four pixels in a row whose taps lie in a row. */
 inline bool cubic_of_four(const int first, const float4 *wx, const float4 *wy, const int width, __global const half *color,
-                          float16 *rgba) {
+                          const int dst, __global half *out_color) {
     float16 sum, low, high;
 #pragma unroll
     for (int tx = 0; tx < 4; ++tx) {
@@ -75,29 +75,8 @@ inline bool cubic_of_four(const int first, const float4 *wx, const float4 *wy, c
     }
     sum = WITHOUT_ALPHA(sum);
     const float16 raised = sum < low ? low : sum;
-    *rgba = WITHOUT_ALPHA(high < raised ? high : raised);
+    vstore_half16_rte(WITHOUT_ALPHA(high < raised ? high : raised), 0, out_color + 4 * dst);
     return all(fabs(sum) <= COLOR_MAX);
-}
-
-/* The same of those of four pixels that `use` says, from the pixels `tap`, if these lie in a row but for one jump; the others are
-   stored, too, as anything. Gives which are done. */
-inline int4 cubic_of_runs(const int4 use, const int4 tap, const float4 *wx, const float4 *wy, const int width, const int pixels,
-                          __global const half *color, const int dst, __global half *out_color) {
-    const int4 numbers = (int4)(0, 1, 2, 3);
-    const int runs[2] = {tap.s0, tap.s3 - 3}, above = width + 1;
-    int4 done = (int4)(0);
-    float16 rgba = (float16)(0.0f);
-#pragma unroll
-    for (int k = 0; k < 2; ++k) {
-        const int4 in_run = use & ~done & (tap == runs[k] + numbers);
-        float16 of_run;
-        if (!any(in_run) || runs[k] < above || runs[k] + 2 * above + 4 > pixels
-            || !cubic_of_four(runs[k] - above, wx, wy, width, color, &of_run)) continue;
-        rgba = SPREAD(in_run) ? of_run : rgba;
-        done |= in_run;
-    }
-    if (any(done)) vstore_half16_rte(rgba, 0, out_color + 4 * dst);
-    return done;
 }
 
 #endif

@@ -295,7 +295,7 @@ inline void weights_of(const Floats t, Floats *weights) {
 
 /* Colours at (u, v) from the pixels `tap`, next to the winners `src`, for the lanes in `use`. */
 inline void resample_lanes(const int dst, const Ints use, const Ints alike, const Ints src, const Ints tap, const Floats u,
-                           const Floats v, const int source_width, const int pixels, __global const half *color, __global half *out_color) {
+                           const Floats v, const int source_width, __global const half *color, __global half *out_color) {
     int lane_tap[LANES], lane_use[LANES], lane_exact[LANES], lane_alike[LANES], lane_src[LANES];
     float lane_u[LANES], lane_v[LANES], lanes_x[4][LANES], lanes_y[4][LANES];
     Floats wx[4], wy[4];
@@ -304,14 +304,17 @@ inline void resample_lanes(const int dst, const Ints use, const Ints alike, cons
     weights_of(v, wy);
     const Ints exact = (tap == src) & (u == 0.0f) & (v == 0.0f);
 #if LANES == 8
-    /* Halves whose taps lie in a row, but for a jump; where a tap is no finite number, and elsewhere, one lane after another. */
-    const Ints whole = use & ((alike == ALL_ALIKE) | exact);
+    /* Halves whose taps lie in a row; where a tap is no finite number, and elsewhere, one lane after another. */
+    const Ints whole = use & ((alike == ALL_ALIKE) | exact), in_row = tap - LANE_NUMBERS;
     const float4 left_x[4] = {wx[0].lo, wx[1].lo, wx[2].lo, wx[3].lo}, left_y[4] = {wy[0].lo, wy[1].lo, wy[2].lo, wy[3].lo};
     const float4 right_x[4] = {wx[0].hi, wx[1].hi, wx[2].hi, wx[3].hi}, right_y[4] = {wy[0].hi, wy[1].hi, wy[2].hi, wy[3].hi};
-    const int4 left = cubic_of_runs(whole.lo, tap.lo, left_x, left_y, source_width, pixels, color, dst, out_color);
-    const int4 right = cubic_of_runs(whole.hi, tap.hi, right_x, right_y, source_width, pixels, color, dst + 4, out_color);
-    const Ints rest = use & ~(Ints)(left, right);
-    if (!ANY(rest)) return;
+    const int above = source_width + 1;
+    const bool left = all(whole.lo & (in_row.lo == lane_tap[0]))
+        && cubic_of_four(lane_tap[0] - above, left_x, left_y, source_width, color, dst, out_color);
+    const bool right = all(whole.hi & (in_row.hi == lane_tap[4] - 4))
+        && cubic_of_four(lane_tap[4] - above, right_x, right_y, source_width, color, dst + 4, out_color);
+    if (left && right) return;
+    const Ints rest = use & (Ints)((int4)(left ? 0 : -1), (int4)(right ? 0 : -1));
 #else
     const Ints rest = use;
 #endif
@@ -389,7 +392,7 @@ inline Ints resolve_lanes(const bool smooth, const int dst_x, const int dst_y, c
     store_bytes((Bytes)(0), 0, mixed + dst);
     store_bytes(to_bytes(own ? (Ints)(BY_WARP) : (Ints)(BY_CRACK_CLOSING)), 0, filled_by + dst);
 
-    resample_lanes(dst, done, alike, src, src + to_ints(oy) * source_width + to_ints(ox), dx - ox, dy - oy, source_width, plane, color, out_color);
+    resample_lanes(dst, done, alike, src, src + to_ints(oy) * source_width + to_ints(ox), dx - ox, dy - oy, source_width, color, out_color);
     return done;
 }
 
