@@ -77,11 +77,9 @@ inline Box reach_of_lanes(const int x0, const int y0, const int source_width, co
             const int src = src_y * source_width + src_x;
             Around x, y, z;
             WideFlow f;
-            Places from;
-            places_from(src, &from);
-            look_around(target_position, source_width, &from, &x);
-            look_around(target_position + plane, source_width, &from, &y);
-            look_around(target_position + 2 * plane, source_width, &from, &z);
+            look_around(target_position, source_width, (Ints)(0), src, true, &x);
+            look_around(target_position + plane, source_width, (Ints)(0), src, true, &y);
+            look_around(target_position + 2 * plane, source_width, (Ints)(0), src, true, &z);
             wide_flow(x, y, z, to_ints(load_bytes(0, links + src)), load_floats(0, depth + src), zoom, &f);
             const Ints lands = (z.here > 0.0f) & (x.here > -reach) & (y.here > -reach) & (x.here < (float)target_width + reach)
                                & (y.here < (float)target_height + reach);

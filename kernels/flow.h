@@ -77,12 +77,22 @@ inline bool may_land(const float3 here, const int target_width, const int target
 /* What LANES fragments and those beside them have in one plane. */
 typedef struct { Floats here, left, right, up, down; } Around;
 
-inline void look_around(__global const float *plane, const int source_width, const Places *src, Around *a) {
-    a->here = floats_at(plane, src);
-    a->left = floats_at(plane - 1, src);
-    a->right = floats_at(plane + 1, src);
-    a->up = floats_at(plane - source_width, src);
-    a->down = floats_at(plane + source_width, src);
+inline void look_around(__global const float *plane, const int source_width, const Ints src, const int first, const bool is_run,
+                        Around *a) {
+    if (is_run) {
+        __global const float *p = plane + first;
+        a->here = load_floats(0, p);
+        a->left = load_floats(0, p - 1);
+        a->right = load_floats(0, p + 1);
+        a->up = load_floats(0, p - source_width);
+        a->down = load_floats(0, p + source_width);
+    } else {
+        a->here = gather_floats(plane, src);
+        a->left = gather_floats(plane - 1, src);
+        a->right = gather_floats(plane + 1, src);
+        a->up = gather_floats(plane - source_width, src);
+        a->down = gather_floats(plane + source_width, src);
+    }
 }
 
 /* Flow of LANES fragments. */

@@ -49,9 +49,9 @@ typedef struct { int x, y, width, height; bool inner; } Span;
 
 /* Whether the pixels (dx, dy) from them are in the image, where these are; if not all, the nearest that are. */
 INLINE Ints is_inside(const Span p, const int dx, const int dy) {
-    const Ints x = p.x + dx + LANE_NUMBERS;
-    const Ints in_row = (x >= 0) & (x < p.width);
-    return p.inner ? ALL_LANES : p.y + dy >= 0 && p.y + dy < p.height ? in_row : (Ints)(0);
+    if (p.inner) return ALL_LANES;
+    const Ints x = p.x + dx + LANE_NUMBERS, y = (Ints)(p.y + dy);
+    return (x >= 0) & (x < p.width) & (y >= 0) & (y < p.height);
 }
 
 INLINE int first_beside(const Span p, const int dx, const int dy) { return (p.y + dy) * p.width + p.x + dx; }
@@ -76,24 +76,20 @@ INLINE Floats xy_beside(const Span p, __global const float2 *plane, const int dx
 }
 
 /* Colours without what is negative or no number, and 1 as a fourth channel. */
-INLINE Strip colors_beside(const Span p, __global const half *color, const int dx, const int dy) {
-    Strip c;
-    if (p.inner) {
-        c = load_strip(LANES, color + 4 * first_beside(p, dx, dy));
-    } else {
+INLINE void colors_beside(const Span p, __global const half *color, const int dx, const int dy, Strip *c) {
+    float texels[4 * LANES];
+    if (!p.inner) {
         int pixel[LANES];
-        float texels[4 * LANES];
         store_ints(clamped_beside(p, dx, dy), 0, pixel);
         for (int k = 0; k < LANES; ++k) vstore4(vload_half4(pixel[k], color), k, texels);
-        for (int part = 0; part < PARTS; ++part) c.part[part] = reload_texels(part, texels);
     }
 #pragma unroll
     for (int part = 0; part < PARTS; ++part) {
-        const Texels low = c.part[part] > 0.0f ? c.part[part] : (Texels)(0.0f);
-        c.part[part] = low < COLOR_MAX ? low : (Texels)(COLOR_MAX);
-        VALID(c.part[part]) = 1.0f;
+        const Texels all = p.inner ? load_texels(part, color + 4 * first_beside(p, dx, dy)) : reload_texels(part, texels);
+        const Texels low = all > 0.0f ? all : (Texels)(0.0f);
+        c->part[part] = low < COLOR_MAX ? low : (Texels)(COLOR_MAX);
+        VALID(c->part[part]) = 1.0f;
     }
-    return c;
 }
 
 /* Depths of the 3x3 pixels around each of them, 0 where there is none, and what lies halfway between the sides if these are
@@ -141,7 +137,7 @@ INLINE Ints layers_part(const Span p, const Source s, __global const float *dept
 
 /* The nearer layer's share of pixels, and the colour of what it covers: where a pixel's colour lies between the mean colours of
    both layers around, as far as these differ; else from the pixels that each layer has. */
-INLINE void unmix(const Span p, const Depths *d, __global const half *color, __global const uchar *links, WideRgb *behind,
+INLINE void unmix(const Span p, const Depths *d, __global const half *color, __global const uchar *links, Floats *behind,
                   Floats *share) {
     Strip near_sum, far_sum;
     Floats near_area = 0.0f, area = 0.0f;
@@ -154,7 +150,8 @@ INLINE void unmix(const Span p, const Depths *d, __global const half *color, __g
         const Floats weight = (d->z[k] > 0.0f) & is_inside(p, dx, dy) ? (Floats)(tent(k)) : (Floats)(0.0f);
         const Floats certain = bytes_beside(p, links, dx, dy) == ALL_LINKS ? weight : AT_EDGE * weight;
         const Floats near_weight = is_near ? certain : (Floats)(0.0f), far_weight = is_near ? (Floats)(0.0f) : certain;
-        const Strip c = colors_beside(p, color, dx, dy);
+        Strip c;
+        colors_beside(p, color, dx, dy, &c);
 #pragma unroll
         for (int part = 0; part < PARTS; ++part) {
             near_sum.part[part] += OF_TEXELS(near_weight, part) * c.part[part];
@@ -164,22 +161,33 @@ INLINE void unmix(const Span p, const Depths *d, __global const half *color, __g
         area += weight;
     }
     const Ints is_near = d->z[4] < d->middle;
-    const Floats per_near = wide_divide((Floats)(1.0f), fourth_of(near_sum)), per_far = wide_divide((Floats)(1.0f), fourth_of(far_sum));
-    const WideRgb own_color = rgb_of(colors_beside(p, color, 0, 0)), near = scaled(rgb_of(near_sum), per_near), far = scaled(rgb_of(far_sum), per_far);
-    const WideRgb contrast = less(near, far);
-    const Floats size = fmax(fmax(near.r, far.r), fmax(fmax(near.g, far.g), fmax(near.b, far.b)));
+    Strip own_strip;
+    colors_beside(p, color, 0, 0, &own_strip);
+    Floats near[4], far[4], own[4];
+    channels_of(&near_sum, near);
+    channels_of(&far_sum, far);
+    channels_of(&own_strip, own);
+    const Floats per_near = wide_divide((Floats)(1.0f), near[3]), per_far = wide_divide((Floats)(1.0f), far[3]);
+    Floats size = 0.0f, squared = 0.0f, along = 0.0f;
+#pragma unroll
+    for (int c = 0; c < 3; ++c) {
+        near[c] *= per_near;
+        far[c] *= per_far;
+        size = fmax(size, fmax(near[c], far[c]));
+    }
     const Floats scale = wide_divide((Floats)(1.0f), 1e-4f + size);
-    const WideRgb relative = scaled(contrast, scale), offset = scaled(less(own_color, far), scale);
-    const Floats squared = relative.r * relative.r + relative.g * relative.g + relative.b * relative.b;
-    const Floats along = offset.r * relative.r + offset.g * relative.g + offset.b * relative.b;
+#pragma unroll
+    for (int c = 0; c < 3; ++c) {
+        const Floats relative = (near[c] - far[c]) * scale;
+        squared += relative * relative;
+        along += (own[c] - far[c]) * scale * relative;
+    }
     const Floats low = is_near ? (Floats)(0.5f) : (Floats)(0.0f);
     const Floats by_color = squared > 0.0f ? clamp(wide_divide(along, squared), low, low + 0.5f) : (Floats)(0.0f);
     const Floats trust = fmin(squared * (1.0f / TOO_ALIKE), 1.0f);
     const Floats coverage = trust * by_color + (1.0f - trust) * wide_divide(near_area, area);
-    const WideRgb rest = less(own_color, scaled(contrast, coverage));
-    behind->r = is_near ? far.r : rest.r;
-    behind->g = is_near ? far.g : rest.g;
-    behind->b = is_near ? far.b : rest.b;
+#pragma unroll
+    for (int c = 0; c < 3; ++c) behind[c] = is_near ? far[c] : own[c] - coverage * (near[c] - far[c]);
     *share = coverage;
 }
 
@@ -206,15 +214,15 @@ WIDE __kernel void find_layers(const int source_width, const int source_height, 
     Depths d;
     Ints part = to_ints(load_some_bytes(count, links + src)) != ALL_LINKS;
     Floats shares = 0.0f;
-    WideRgb colors = {0.0f, 0.0f, 0.0f};
+    Floats colors[3] = {0.0f, 0.0f, 0.0f};
     if (ANY(part)) {
         if (src_x >= 1 && src_y >= 1 && src_x + LANES < source_width && src_y + 1 < source_height) {
             p.inner = true;
             part &= layers_part(p, s, depth, &d);
-            if (ANY(part)) unmix(p, &d, color, links, &colors, &shares);
+            if (ANY(part)) unmix(p, &d, color, links, colors, &shares);
         } else {
             part &= layers_part(p, s, depth, &d);
-            if (ANY(part)) unmix(p, &d, color, links, &colors, &shares);
+            if (ANY(part)) unmix(p, &d, color, links, colors, &shares);
         }
     }
     if (!ANY(part)) {
@@ -225,7 +233,7 @@ WIDE __kernel void find_layers(const int source_width, const int source_height, 
     store_some_bytes(to_bytes(part ? side : (Ints)(NO_LAYER)), count, layer + src);
     int lane_part[LANES], lane_colors[LANES], lane_shares[LANES];
     store_ints(part, 0, lane_part);
-    store_ints(pack_colors(colors.r, colors.g, colors.b), 0, lane_colors);
+    store_ints(pack_colors(colors[0], colors[1], colors[2]), 0, lane_colors);
     store_ints(to_ints(SHARES * shares + 0.5f), 0, lane_shares);
     for (int k = 0; k < min(count, LANES); ++k) {
         if (!lane_part[k]) continue;
@@ -427,11 +435,15 @@ INLINE Ints may_be_mixed(const Span p, const Source s, const Layers l, const Sho
     const Floats px_x = row_centres(p.x) + motion_x - 0.5f, px_y = (float)p.y + 0.5f + motion_y - 0.5f;
     const Ints in_image = (px_x >= 0.0f) & (px_y >= 0.0f) & (px_x < (float)(s.width - 1)) & (px_y < (float)(s.height - 1));
     if (!ALL(in_image)) return (Ints)(-1);
-    Places taps;
-    places_at(to_ints(px_y) * s.width + to_ints(px_x), 0, s.width * (s.height - 1) - 1, &taps);
+    const Ints taps = to_ints(px_y) * s.width + to_ints(px_x);
+    const int first = FIRST_LANE(taps);
+    const bool is_run = ALL(taps == first + LANE_NUMBERS);
     Ints mixed = (Ints)(0);
 #pragma unroll
-    for (int k = 0; k < 4; ++k) mixed |= bytes_at(l.layer + (k >> 1) * s.width + (k & 1), &taps) == FAR;
+    for (int k = 0; k < 4; ++k) {
+        __global const uchar *layer = l.layer + (k >> 1) * s.width + (k & 1);
+        mixed |= to_ints(is_run ? load_bytes(0, layer + first) : gather_bytes(layer, taps)) == FAR;
+    }
     return mixed;
 }
 

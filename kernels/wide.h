@@ -151,48 +151,6 @@ inline void store_some_halfs(const Floats v, const int count, __global half *p) 
     for (int k = 0; k < count; ++k) vstore_half_rte(lanes[k], k, p);
 }
 
-/* Texels of LANES pixels, `least` or more from the first of `size` and from the last. In most rows they follow one another but
-   for one jump, which the ends tell: they are those from `first` on, or, where in_second, from `second` on. If not `in_runs`
-   they lie anywhere. */
-typedef struct {
-    Ints at, in_second;
-    int first, second, in_runs;
-} Places;
-
-INLINE void places_at(const Ints at, const int least, const int size, Places *places) {
-    const int first = FIRST_LANE(at), second = LAST_LANE(at) - (LANES - 1);
-    const Ints in_first = at == first + LANE_NUMBERS;
-    places->at = at;
-    places->first = first;
-    places->second = second;
-    places->in_second = !in_first;
-    places->in_runs = ALL(in_first | (at == second + LANE_NUMBERS)) && min(first, second) >= least
-                      && max(first, second) + LANES + least <= size;
-}
-
-INLINE void places_from(const int first, Places *places) {
-    places->at = first + LANE_NUMBERS;
-    places->first = places->second = first;
-    places->in_second = (Ints)(0);
-    places->in_runs = 1;
-}
-
-INLINE Floats floats_at(__global const float *p, const Places *places) {
-    if (!places->in_runs) return gather_floats(p, places->at);
-    const Floats v = load_floats(0, p + places->first);
-    if (places->second == places->first) return v;
-    const Floats other = load_floats(0, p + places->second);
-    return places->in_second ? other : v;
-}
-
-INLINE Ints bytes_at(__global const uchar *p, const Places *places) {
-    if (!places->in_runs) return to_ints(gather_bytes(p, places->at));
-    const Ints v = to_ints(load_bytes(0, p + places->first));
-    if (places->second == places->first) return v;
-    const Ints other = to_ints(load_bytes(0, p + places->second));
-    return places->in_second ? other : v;
-}
-
 /* x + 0.5 of each lane's pixel. */
 inline Floats row_centres(const int x) { return to_floats(LANE_NUMBERS) + ((float)x + 0.5f); }
 

@@ -15,16 +15,6 @@ inline WideRgb finite_rgb(const WideRgb c) {
     return rgb;
 }
 
-inline WideRgb scaled(const WideRgb c, const Floats by) {
-    const WideRgb rgb = {c.r * by, c.g * by, c.b * by};
-    return rgb;
-}
-
-inline WideRgb less(const WideRgb a, const WideRgb b) {
-    const WideRgb rgb = {a.r - b.r, a.g - b.g, a.b - b.b};
-    return rgb;
-}
-
 /* Colours of the pixels i. */
 inline WideRgb gather_rgb(__global const half *color, const Ints i) {
     int pixel[LANES];
@@ -107,21 +97,20 @@ typedef float4 Texels;
 
 typedef struct { Texels part[PARTS]; } Strip;
 
-/* The first three channels of its pixels, and the fourth. */
+/* Its four channels. */
+inline void channels_of(const Strip *s, Floats *channels) {
 #if LANES == 8
-#define CHANNEL_OF(s, c) ((float8)((s).part[0].c, (s).part[1].c))
-inline WideRgb rgb_of(const Strip s) {
-    const WideRgb rgb = {CHANNEL_OF(s, s048c), CHANNEL_OF(s, s159d), CHANNEL_OF(s, s26ae)};
-    return rgb;
-}
-inline Floats fourth_of(const Strip s) { return CHANNEL_OF(s, s37bf); }
+    channels[0] = (float8)(s->part[0].s048c, s->part[1].s048c);
+    channels[1] = (float8)(s->part[0].s159d, s->part[1].s159d);
+    channels[2] = (float8)(s->part[0].s26ae, s->part[1].s26ae);
+    channels[3] = (float8)(s->part[0].s37bf, s->part[1].s37bf);
 #else
-inline WideRgb rgb_of(const Strip s) {
-    const WideRgb rgb = {s.part[0].x, s.part[0].y, s.part[0].z};
-    return rgb;
-}
-inline Floats fourth_of(const Strip s) { return s.part[0].w; }
+    channels[0] = s->part[0].x;
+    channels[1] = s->part[0].y;
+    channels[2] = s->part[0].z;
+    channels[3] = s->part[0].w;
 #endif
+}
 
 /* The first `count` of LANES pixels, or all if it is more, as for load_some_floats of wide.h. */
 inline Strip load_strip(const int count, __global const half *color) {
