@@ -59,7 +59,7 @@ INLINE Ints at_step(Depths *d) {
 #pragma unroll
     for (int k = 0; k < 9; ++k) {
         const Floats z = d->z[k];
-        nearest = (z > 0.0f) & (z < nearest) ? z : nearest;
+        nearest = ((z > 0.0f) & (z < nearest)) ? z : nearest;
         farthest = z > farthest ? z : farthest;
     }
     const Ints step = nearest < (1.0f - STEP) * farthest;
@@ -318,7 +318,7 @@ INLINE Ints find_pairs(const Span p, const Source s, const Shown f, LayerPairs *
     for (int k = 0; k < 9; ++k) {
         const int dx = k % 3 - 1, dy = k / 3 - 1;
         const Ints filled_by = bytes_beside(p, f.filled_by, dx, dy);
-        d.z[k] = is_inside(p, dx, dy) & (filled_by != BY_NOTHING) ? d.z[k] : (Floats)(0.0f);
+        d.z[k] = (is_inside(p, dx, dy) & (filled_by != BY_NOTHING)) ? d.z[k] : (Floats)(0.0f);
         warped[k] = (filled_by == BY_WARP) | (filled_by == BY_CRACK_CLOSING);
     }
     const Ints step = at_step(&d);
