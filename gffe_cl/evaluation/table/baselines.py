@@ -1,7 +1,7 @@
 """What GFFE is compared with: methods of other kinds, in their plainest form, each a runner of the table.
 
 They stand for a way of doing it, not for somebody's product: published methods add what these leave out, networks above
-all. Runners take rendered frames by `submit(shot)` and make the picture of a moment by `make(moment)`: linear (H, W, 3).
+all. Runners take rendered frames by `submit(shot)` and make pictures of moments by `make(moment)`: linear (H, W, 3).
 """
 
 from __future__ import annotations

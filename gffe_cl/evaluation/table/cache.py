@@ -1,4 +1,4 @@
-"""Cells on disk, found again by a hash of all that they are made of; those that are there are whole, whatever happens."""
+"""Cells on disk, found again by a hash of all that they are made of; those that are there are whole."""
 
 from __future__ import annotations
 

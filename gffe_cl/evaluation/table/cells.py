@@ -81,7 +81,7 @@ def compute_cell(
     footage = _footage(subject, device)
     if method is None:
         return _describe(footage)
-    chosen = chosen_methods([method] if "=" not in method else [], onnx)[method]
+    chosen = chosen_methods([method], onnx)[method]
     return _measure(footage, chosen, device, videos, on_moment)
 
 

@@ -275,15 +275,17 @@ def parse_subject(
 
 
 def truths_after(sequence: Sequence) -> dict[str, list]:
-    """Entries of ground truth by the file of the rendered frame they follow, where that one has history."""
+    """Entries of ground truth by the file of the rendered frame they follow, where that one has history and a rendered
+    frame comes after it: what interpolates needs that, and all methods are measured at the same moments."""
     found: dict[str, list] = {}
-    rendered, since, history = sequence.rendered, 0, []
+    rendered, since, usable = sequence.rendered, 0, []
     for k, entry in enumerate(rendered):
         since = 0 if entry.reset or k == 0 else since + 1
-        history.append(since >= NO_HISTORY)
+        followed = k + 1 < len(rendered) and not rendered[k + 1].reset
+        usable.append(since >= NO_HISTORY and followed)
     for truth in sequence.ground_truth:
         index = sequence.rendered_before(truth.time)
-        if index is not None and history[index]:
+        if index is not None and usable[index]:
             found.setdefault(rendered[index].file, []).append(truth)
     return found
 
