@@ -100,7 +100,7 @@ class Metric:
 
     def missing(self) -> str | None:
         """None if it can be measured here, else a sentence: what to install."""
-        what = f"{self.label} needs {self.package}: pip install 'gffe-cl[metrics]'"
+        what = f"{self.label} needs {self.package}: pip install {self.package}"
         try:
             importlib.import_module(self.module)
         except ModuleNotFoundError:
