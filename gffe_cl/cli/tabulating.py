@@ -187,7 +187,7 @@ def _print(results: dict, with_budget: bool) -> None:
         before = groups[name]
         missing = len(results["sequences"]) - mean["sequences"]
         note = f" [dim](not on {missing})[/]" if missing else ""
-        table.add_row(name, plain(titles[name]) + note, *(c.text(mean[c.name]) for c in columns))
+        table.add_row(name, plain(titles[name]) + note, *(c.text(mean[c.name], c.name == "against") for c in columns))
     out.print(table)
     count = len(results["sequences"])
     out.print(f"Means over {count} sequence{'s' if count > 1 else ''}. Flicker: `gffe_cl.evaluation.table.flicker`.")

@@ -64,7 +64,7 @@ def fill(
     if len(set(names)) < len(names):
         raise GffeError(f"eval: two sequences have one name, {next(n for n in names if names.count(n) > 1)}")
     methods = chosen_methods(order.methods, order.onnx)
-    filled = Filled(methods, list(order.subjects), machine_of(device))
+    filled = Filled(methods, list(order.subjects), _machine(device, executor))
     cache, missing = Cache(folder), []
     for subject in order.subjects:
         identity = subject.identity()
@@ -87,6 +87,16 @@ def fill(
         filled.computed += 1
         _take(filled, work, cell, cache)
     return filled
+
+
+def _machine(device: str | None, executor: Executor | None) -> str:
+    """This one; a machine without a device may have others compute."""
+    try:
+        return machine_of(device)
+    except GffeError:
+        if executor is None:
+            raise
+        return "a cluster"
 
 
 def _in_this_process(items: list[Work], arguments: dict) -> Iterator[tuple[Work, Cell]]:

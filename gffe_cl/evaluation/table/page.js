@@ -2,7 +2,9 @@
 const results = JSON.parse(document.getElementById("results").textContent);
 const pictures = JSON.parse(document.getElementById("pictures").textContent);
 const report = document.getElementById("report");
+// The figures that frames have.
 const METRICS = ["psnr", "ssim", "flip", "flicker"];
+const COSTS = ["milliseconds", "bytes_per_pixel", "against"];
 const COLORS = ["#2f6fde", "#d9493f", "#2e9e5b", "#b06ad9", "#d98b1f", "#1f9fb0", "#c2508f", "#7d7f85"];
 // Of REGIONS, in order: as the picture of regions shows them.
 const REGION_COLORS = ["#e6463c", "#faa032", "#fadc46", "#5ac878", "#46a0fa", "#be6ef0", "#28282c"];
@@ -67,17 +69,18 @@ function sortable(heads, rows, onRow = null) {
   return make("div", { className: "scroll" }, make("table", {}, make("thead", {}, head), body));
 }
 
-const nameCell = method => ({
+const nameCell = (method, count = Infinity) => ({
   text: titles[method],
-  node: make("span", { title: method }, titles[method], make("span", { className: "group" }, groups[method])),
+  node: make("span", { title: method }, titles[method], make("span", { className: "group" },
+    count < results.sequences.length ? `${groups[method]}, on ${count} of ${results.sequences.length}` : groups[method])),
 });
 const waits = method => method === "interpolation" || /adds latency/.test(titles[method]);
 
 function methodTable(rows, onRow) {
-  const heads = [{ title: "method" }, ...results.columns.map(c => ({ title: c.title, higher: c.higher_is_better }))];
+  const heads = [{ title: "method" }, ...results.columns.map(c => ({ title: c.title, higher: COSTS.includes(c.name) ? undefined : c.higher_is_better }))];
   return sortable(heads, rows.map(row => ({
-    name: row.method, reference: waits(row.method),
-    cells: [nameCell(row.method), ...results.columns.map(c => ({ text: text(row[c.name], c.digits), value: row[c.name] }))],
+    name: row.method, reference: waits(row.method) || row.sequences < results.sequences.length,
+    cells: [nameCell(row.method, row.sequences), ...results.columns.map(c => ({ text: text(row[c.name], c.digits, c.name === "against"), value: row[c.name] }))],
   })), onRow);
 }
 
@@ -88,8 +91,8 @@ function regionTable(rows) {
     const column = columns[choice.value];
     const heads = [{ title: "method" }, ...regions.map(r => ({ title: r, hint: results.regions[r], higher: column.higher_is_better }))];
     holder.replaceChildren(sortable(heads, rows.map(row => ({
-      name: row.method, reference: waits(row.method),
-      cells: [nameCell(row.method), ...regions.map(r => ({ text: text(row.regions[r][column.name], column.digits), value: row.regions[r][column.name] }))],
+      name: row.method, reference: waits(row.method) || row.sequences < results.sequences.length,
+      cells: [nameCell(row.method, row.sequences), ...regions.map(r => ({ text: text(row.regions[r][column.name], column.digits), value: row.regions[r][column.name] }))],
     }))));
   };
   choice.addEventListener("change", draw);
@@ -206,7 +209,7 @@ function overview() {
     make("p", {}, `${results.date}. ${results.machine}. ${versions}.`),
     make("nav", {}, ...results.sequences.map(s => make("a", { href: `#${encodeURIComponent(s.name)}` }, s.name))),
     make("h2", {}, "All methods"),
-    make("p", {}, "Means over the sequences; the best of each column is marked, what waits for the next frame apart. A click on a head sorts."),
+    make("p", {}, "Means over the sequences; the best of each column is marked, apart from what waits for the next frame or was not measured on all of them. A click on a head sorts."),
     methodTable(results.means),
     make("h2", {}, "By region"),
     make("p", {}, "All frames of all sequences together."),

@@ -14,6 +14,7 @@ import numpy as np
 
 from gffe_cl.camera import Camera
 from gffe_cl.evaluation.disocclusions import shows, world_positions
+from gffe_cl.evaluation.table.image_space import pixel_centres
 from gffe_cl.evaluation.table.subjects import Footage, Guide, Shot
 from gffe_cl.metrics import focus_mask
 from gffe_cl.opencl.device import Device
@@ -32,6 +33,7 @@ REGIONS = {
 }
 _LABEL = {name: number for number, name in enumerate(REGIONS)}
 _SAME_SURFACE = 0.02  # of the depth
+_MUCH = 0.25  # of a pixel: a surface shows there if it has so much of it, in some pixel
 _STEP = 0.1  # of the depth, from which two neighbours are two surfaces
 
 
@@ -75,17 +77,19 @@ def labels_of(parts: dict[str, np.ndarray]) -> np.ndarray:
 def exact_parts(shot: Shot, guide: Guide) -> dict[str, np.ndarray]:
     """Masks but for "focus" and "rest", from what the renderer knows; `shot` without a window."""
     height, width = guide.depth.shape
-    y, x = np.mgrid[:height, :width] + 0.5
     with np.errstate(invalid="ignore"):
-        place = np.stack([x, y], -1) + guide.motion
+        place = pixel_centres(height, width) + guide.motion
         inside = (place >= 0).all(-1) & (place < (width, height)).all(-1) & ~np.isnan(guide.source_depth)
     place = np.where(inside[..., None], place, 0.5)
     visible = np.zeros_like(inside)
-    low = np.floor(place - 0.5).astype(int)
-    for dy in (0, 1):
-        for dx in (0, 1):
-            met = shot.frame.depth[np.clip(low[..., 1] + dy, 0, height - 1), np.clip(low[..., 0] + dx, 0, width - 1)]
-            visible |= same_surface(met, guide.source_depth)
+    low = np.floor(place - 0.5)
+    part = place - 0.5 - low
+    for tap in range(4):
+        dx, dy = tap & 1, tap >> 1
+        weight = np.where(dx, part[..., 0], 1 - part[..., 0]) * np.where(dy, part[..., 1], 1 - part[..., 1])
+        x = np.clip(low[..., 0].astype(int) + dx, 0, width - 1)
+        y = np.clip(low[..., 1].astype(int) + dy, 0, height - 1)
+        visible |= (weight >= _MUCH) & same_surface(shot.frame.depth[y, x], guide.source_depth)
     hidden = inside & ~visible
     nearest = place.astype(int)
     behind_mover = shot.moving[nearest[..., 1], nearest[..., 0]]

@@ -54,18 +54,23 @@ class Column:
 
 
 METRIC_COLUMNS = tuple(Column(m.name, m.title, m.digits, m.higher_is_better) for m in METRICS.values())
+AGAINST = Column("against", f"against {FULL}, dB", 2, True)
 FLICKER = Column("flicker", "flicker, %", 2, False)
 VIDEO_COLUMNS = tuple(
     Column(m.name, f"{m.label}, {m.unit}" if m.unit else m.label, m.digits, m.higher_is_better)
     for m in VIDEO_METRICS.values()
 )
 COST = (Column("milliseconds", "ms", 1, False), Column("bytes_per_pixel", "B/px", 0, False))
-COLUMNS = {c.name: c for c in (*METRIC_COLUMNS, FLICKER, *VIDEO_COLUMNS, *COST)}
+COLUMNS = {c.name: c for c in (METRIC_COLUMNS[0], AGAINST, *METRIC_COLUMNS[1:], FLICKER, *VIDEO_COLUMNS, *COST)}
 
 
 def results_of(filled: Filled, late: dict[float, Filled] | None = None) -> dict:
     """Everything, for JSON. `late`: tables of late warps by degrees of turn."""
     cells = [_cell(sequence, name, cell) for (sequence, name), cell in filled.cells.items()]
+    full = {cell["sequence"]: cell["psnr"] for cell in cells if cell["method"] == FULL}
+    for cell in cells:
+        known = cell["method"] != FULL and cell["sequence"] in full
+        cell["against"] = cell["psnr"] - full[cell["sequence"]] if known else None
     names = [subject.name for subject in filled.subjects]
     means = [mean for name in filled.methods if (mean := _mean(name, cells, filled, names))]
     present = [c.name for c in COLUMNS.values() if any(mean.get(c.name) is not None for mean in means)]
