@@ -132,6 +132,14 @@ def test_tables_of_performance_are_those_of_the_records():
     assert all(f"<!-- {table}:begin -->\n" in page for table in TABLES)
 
 
+def test_tables_of_results_are_those_of_the_record():
+    from make_results import TABLES, with_tables
+
+    pages = [TEXTS[name] for name in ("docs/results.md", "README.md")]
+    assert [with_tables(page) for page in pages] == pages, "run python docs/make_results.py"
+    assert all(any(f"<!-- {table}:begin -->\n|" in page for page in pages) for table in TABLES)
+
+
 def test_reference_is_up_to_date():
     from make_reference import reference
 

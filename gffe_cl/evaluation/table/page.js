@@ -260,3 +260,4 @@ function section(sequence) {
 report.replaceChildren();
 overview();
 results.sequences.forEach(section);
+if (location.hash) document.getElementById(decodeURIComponent(location.hash.slice(1)))?.scrollIntoView();
