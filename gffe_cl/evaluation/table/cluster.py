@@ -6,10 +6,14 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from functools import lru_cache
 
 from gffe_cl.errors import GffeError
+from gffe_cl.evaluation.table.cache import key_of
 from gffe_cl.evaluation.table.cells import Cell, compute_cell
 from gffe_cl.evaluation.table.engine import Executor, Work
+from gffe_cl.evaluation.table.methods import chosen_methods
+from gffe_cl.evaluation.table.subjects import Subject
 
 _PATIENCE = "20s"  # for a scheduler's answer
 _one_at_a_time = threading.Lock()  # of a worker's threads: they share a device
@@ -37,9 +41,7 @@ def _compute(client, items: list[Work], arguments: dict) -> Iterator[tuple[Work,
     from distributed import KilledWorker, as_completed
 
     on_moment = arguments.pop("on_moment")
-    futures = {
-        client.submit(_cell, work.subject, work.method, key=f"gffe-{work.key}", **arguments): work for work in items
-    }
+    futures = {client.submit(_cell, work, key=f"gffe-{work.key}", **arguments): work for work in items}
     try:
         for future in as_completed(list(futures)):
             work = futures.pop(future)
@@ -56,7 +58,19 @@ def _compute(client, items: list[Work], arguments: dict) -> Iterator[tuple[Work,
         client.cancel(list(futures))
 
 
-def _cell(subject, method, **arguments) -> Cell:
-    """On a worker."""
+def _cell(work: Work, **arguments) -> Cell:
+    """On a worker. GffeError if the same name would mean something else there."""
     with _one_at_a_time:
-        return compute_cell(subject, method, **arguments)
+        chosen = chosen_methods([work.method], arguments["onnx"]) if work.method else {}
+        method = chosen.get(work.method)
+        if key_of(_identity(work.subject), method and method.identity()) != work.key:
+            raise GffeError(
+                "--scheduler: a worker has another version of gffe-cl, other weights or other files of"
+                f" {work.subject.name} (expected the same as here)"
+            )
+        return compute_cell(work.subject, work.method, **arguments)
+
+
+@lru_cache(maxsize=4)
+def _identity(subject: Subject) -> dict:
+    return subject.identity()
