@@ -32,7 +32,7 @@ SHORT = (
     "guided",
     "interpolation",
 )
-_KEPT = ("date", "versions", "machine", "sequences", "methods", "means", "gains", "late")
+_KEPT = ("date", "command", "versions", "machine", "sequences", "methods", "means", "gains", "late")
 
 
 def recorded(results: dict[str, Any]) -> dict[str, Any]:
@@ -47,6 +47,7 @@ def about_table(found: dict) -> str:
     sizes = sorted({"×".join(map(str, s["size"])) for s in found["sequences"]})
     moments = sorted({s["moments"] for s in found["sequences"]})
     rows = [
+        ("made by", f"`{found['command']}`"),
         ("date", found["date"]),
         ("sequences", f"{len(found['sequences'])}, {', '.join(sizes)} pixels"),
         ("new frames of each", ", ".join(map(str, moments))),

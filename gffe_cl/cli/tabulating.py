@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shlex
+import sys
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -91,7 +93,7 @@ def evaluate(
         for turn in TURNS if late_warp and built_in else ():
             turned = tuple(_turned(subject, turn) for subject in built_in)
             late[turn] = fill(f"Late warp, {turn:g}°", Order(turned, LATE_WARP, recompute=fresh))
-    results = results_of(filled, late)
+    results = results_of(filled, late, shlex.join(["gffe", *sys.argv[1:]]))
     _write(output, results, filled)
     _print(results, budget)
 

@@ -206,7 +206,7 @@ function overview() {
   const versions = Object.entries(results.versions).map(([name, v]) => `${name} ${v}`).join(", ");
   report.append(
     make("h1", {}, "Frame extrapolation, evaluated"),
-    make("p", {}, `${results.date}. ${results.machine}. ${versions}.`),
+    make("p", {}, `${results.date}. ${results.command}. ${results.machine}. ${versions}.`),
     make("nav", {}, ...results.sequences.map(s => make("a", { href: `#${encodeURIComponent(s.name)}` }, s.name))),
     make("h2", {}, "All methods"),
     make("p", {}, "Means over the sequences; the best of each column is marked, apart from what waits for the next frame or was not measured on all of them. A click on a head sorts."),

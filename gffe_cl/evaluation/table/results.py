@@ -64,8 +64,8 @@ COST = (Column("milliseconds", "ms", 1, False), Column("bytes_per_pixel", "B/px"
 COLUMNS = {c.name: c for c in (METRIC_COLUMNS[0], AGAINST, *METRIC_COLUMNS[1:], FLICKER, *VIDEO_COLUMNS, *COST)}
 
 
-def results_of(filled: Filled, late: dict[float, Filled] | None = None) -> dict:
-    """Everything, for JSON. `late`: tables of late warps by degrees of turn."""
+def results_of(filled: Filled, late: dict[float, Filled] | None = None, command: str = "") -> dict:
+    """Everything, for JSON. `late`: tables of late warps by degrees of turn; `command`: how it was made."""
     cells = [_cell(sequence, name, cell) for (sequence, name), cell in filled.cells.items()]
     full = {cell["sequence"]: cell["psnr"] for cell in cells if cell["method"] == FULL}
     for cell in cells:
@@ -76,6 +76,7 @@ def results_of(filled: Filled, late: dict[float, Filled] | None = None) -> dict:
     present = [c.name for c in COLUMNS.values() if any(mean.get(c.name) is not None for mean in means)]
     return {
         "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d"),
+        "command": command,
         "versions": versions(),
         "machine": filled.machine,
         "columns": [asdict(COLUMNS[name]) for name in present],
