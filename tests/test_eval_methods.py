@@ -242,6 +242,19 @@ def test_cameras_turn_to_the_right():
     assert turned(CAMERA, 0) is CAMERA
 
 
+def test_figures_are_those_of_the_reference_packages():
+    from flip_evaluator import evaluate
+    from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+
+    rng = np.random.default_rng(5)
+    truth = display_values(texture(CENTRES))
+    shown = np.clip(truth + rng.normal(0, 0.05, truth.shape), 0, 1).astype(np.float32)
+    of = {name: metric.measure(shown, truth) for name, metric in METRICS.items()}
+    assert of["psnr"] == pytest.approx(peak_signal_noise_ratio(truth, shown, data_range=1), abs=5e-5)
+    assert of["ssim"] == pytest.approx(structural_similarity(truth, shown, data_range=1, channel_axis=-1), abs=5e-5)
+    assert of["flip"] == pytest.approx(evaluate(truth, shown, "LDR")[1], abs=5e-5)
+
+
 def test_metrics_that_cannot_run_say_why(monkeypatch):
     monkeypatch.setitem(sys.modules, "pycvvdp", None)
     images = [np.zeros((8, 8, 3), np.float32)] * 2

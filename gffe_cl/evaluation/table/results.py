@@ -217,7 +217,8 @@ def _skipped(filled: Filled) -> list[dict]:
         reasons.setdefault((method, reason), []).append(sequence)
     for cell in filled.cells.values():
         for name, reason in cell.document["skipped"].items():
-            reasons.setdefault((VIDEO_METRICS[name].label, reason), [])
+            label = VIDEO_METRICS[name].label
+            reasons.setdefault((label, reason.removeprefix(f"{label} ")), [])
     return [{"what": what, "reason": reason, "sequences": where} for (what, reason), where in reasons.items()]
 
 
