@@ -32,6 +32,7 @@ SHORT = (
     "guided",
     "interpolation",
 )
+README_ROWS = (FULL, "motion-vectors", "interpolation")
 _KEPT = ("date", "command", "versions", "machine", "sequences", "methods", "means", "gains", "late")
 
 
@@ -67,7 +68,7 @@ def methods_table(found: dict) -> str:
 def short_table(found: dict) -> str:
     present = [COLUMNS[name] for name in ("psnr", "ssim", "flip", "flicker")]
     means = {mean["method"]: mean for mean in found["means"]}
-    rows = [_method_row(found, means[name], present) for name in SHORT if name in means]
+    rows = [_method_row(found, means[name], present) for name in README_ROWS if name in means]
     return table(("mean over the scenes", *(c.title for c in present)), rows)
 
 
