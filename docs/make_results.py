@@ -2,6 +2,7 @@
 
 gffe eval --late-warp --out report
 python docs/make_results.py report/results.json    records what the tables need in docs/measured/eval.json
+    python docs/make_results.py … --late FILE          the same, with late warps from another report
 python docs/make_results.py                        the tables, from what is recorded
 """
 
@@ -33,12 +34,13 @@ SHORT = (
     "interpolation",
 )
 README_ROWS = (FULL, "motion-vectors", "interpolation")
-_KEPT = ("date", "command", "versions", "machine", "sequences", "methods", "means", "gains", "late")
+_KEPT = ("date", "command", "versions", "machine", "sequences", "methods", "means", "gains")
 
 
-def recorded(results: dict[str, Any]) -> dict[str, Any]:
-    """Of a report, what the tables need."""
+def recorded(results: dict[str, Any], late: dict[str, Any]) -> dict[str, Any]:
+    """Of a report, and of one with late warps, what the tables need."""
     found = {name: results[name] for name in _KEPT}
+    found |= {"late": late["late"], "late_command": late["command"]}
     found["cells"] = [{name: cell[name] for name in ("sequence", "method", "psnr")} for cell in results["cells"]]
     found["budget"] = results["budget"].get("all", [])
     return found
@@ -117,7 +119,8 @@ def late_table(found: dict) -> str:
         )
         for r in found["late"]
     ]
-    return table(("method", "turn", *(c.title for c in METRIC_COLUMNS), "not shown before"), rows)
+    made = table(("method", "turn", *(c.title for c in METRIC_COLUMNS), "not shown before"), rows)
+    return f"{made}\n\nMade by `{found['late_command']}`."
 
 
 def paper_table(found: dict) -> str:
@@ -172,9 +175,10 @@ def _db(value: float | None) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("report", nargs="?", type=Path)
-    report = parser.parse_args().report
-    if report:
-        found = recorded(json.loads(report.read_text("utf-8")))
+    parser.add_argument("--late", type=Path)
+    given = parser.parse_args()
+    if given.report:
+        found = recorded(*(json.loads(path.read_text("utf-8")) for path in (given.report, given.late or given.report)))
         RECORD.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", "utf-8")
     for page in (PAGE, README):
         page.write_text(with_tables(page.read_text("utf-8")), "utf-8")
