@@ -303,7 +303,7 @@ class Pipeline:
     ) -> ExtrapolatedFrame:
         """Make the frame at `time` (seconds; default: half an interval ahead) seen by `camera` (default:
         the predicted camera). Returns at once, unless it waits for the shading correction network; reading a buffer
-        waits.
+        waits. With the time of the rendered frame itself and a newer camera it is a late warp (α = 0).
 
         `target_position` (H, W, 4) float32 replaces position prediction, for experiments: x, y in target
         pixels, view depth there (−1: nothing), 0, for every pixel of the rendered frame.

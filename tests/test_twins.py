@@ -134,7 +134,7 @@ def test_stages_equal_their_twins(device, options, size, target):
 
     times = [f.time for f in reversed(seen)]
     to_target = reprojection(now.camera, to)
-    weights = polynomial_weights(times, time, 4)
+    weights = polynomial_weights(times, time, 5)
     movers = _movers(pipeline)
     assert bool(movers) == (options.acceleration and options.order == 1)
     if movers:
