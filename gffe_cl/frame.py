@@ -8,7 +8,7 @@ motion float ×2, row-major.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -49,7 +49,7 @@ class Overlays:
     ui: Any = None
 
 
-OVERLAYS = ("fixed_mask", "effects", "effects_motion", "ui")
+OVERLAYS = tuple(layer.name for layer in fields(Overlays))
 
 
 @dataclass

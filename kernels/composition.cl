@@ -21,6 +21,11 @@ __kernel void leave_out_fixed(const int source_width, const int source_height, _
     out_depth[i] = fixed_mask[i] ? NAN : depth[i];
 }
 
+/* Whether a pixel, in floats that may be too large for integers, lies in the image. */
+inline bool holds(const int width, const int height, const float2 px) {
+    return px.x >= 0.0f && px.y >= 0.0f && px.x < (float)width && px.y < (float)height;
+}
+
 /* A texel of a layer; what is no number is transparent. */
 inline float4 load_layer(__global const half *layer, const int i) {
     const float4 c = vload_half4(i, layer);
@@ -32,10 +37,9 @@ inline float4 layer_at(__global const half *layer, const float2 px, const int wi
     const float2 corner = px - 0.5f, first = floor(corner), part = corner - first;
     float4 sum = (float4)(0.0f);
     for (int tap = 0; tap < 4; ++tap) {
-        const float x = first.x + (float)(tap & 1), y = first.y + (float)(tap >> 1);
+        const float2 at = first + (float2)((float)(tap & 1), (float)(tap >> 1));
         const float weight = bilinear_weight(tap, part.x, part.y);
-        if (weight > 0.0f && x >= 0.0f && y >= 0.0f && x < (float)width && y < (float)height)
-            sum += weight * load_layer(layer, (int)y * width + (int)x);
+        if (weight > 0.0f && holds(width, height, at)) sum += weight * load_layer(layer, (int)at.y * width + (int)at.x);
     }
     return sum;
 }
@@ -48,7 +52,7 @@ inline float2 effects_origin(const float2 px, const float alpha, __global const 
     float2 origin = px;
     for (int k = 0; k < APPROACHES; ++k) {
         const float2 place = floor(origin);
-        if (!(place.x >= 0.0f && place.y >= 0.0f && place.x < (float)width && place.y < (float)height)) break;
+        if (!holds(width, height, place)) break;
         const float2 moved = alpha * motion[(int)place.y * width + (int)place.x];
         if (!isfinite(moved.x) || !isfinite(moved.y)) break;
         origin = px + moved;
@@ -57,7 +61,7 @@ inline float2 effects_origin(const float2 px, const float alpha, __global const 
 }
 
 __kernel void compose(const int target_width, const int target_height, const int source_width, const int source_height,
-                      const float4 to_render, const float alpha, const int has_fixed, const int has_effects,
+                      const float4 to_render, const float alpha, const int has_fixed_mask, const int has_effects,
                       const int has_effects_motion, const int has_ui, __global const uchar *fixed_mask,
                       __global const half *effects, __global const float2 *effects_motion, __global const half *ui,
                       __global const half *source_color, __global const float *source_depth, __global const half *color,
@@ -68,10 +72,9 @@ __kernel void compose(const int target_width, const int target_height, const int
     const int dst = y * target_width + x;
     const float2 px = pixel_centre(x, y), px_render = px * to_render.xy + to_render.zw;
     float3 picture = load_color(color, dst);
-    if (has_fixed) {
+    if (has_fixed_mask) {
         const float2 place = floor(px_render);
-        const bool rendered = place.x >= 0.0f && place.y >= 0.0f && place.x < (float)source_width &&
-                              place.y < (float)source_height;
+        const bool rendered = holds(source_width, source_height, place);
         const int src = rendered ? (int)place.y * source_width + (int)place.x : 0;
         if (rendered && fixed_mask[src]) {
             picture = load_color(source_color, src);

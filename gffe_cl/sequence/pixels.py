@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import chain
 from pathlib import Path
 from typing import Protocol
 
@@ -33,12 +34,11 @@ class Pixels(Protocol):
 
     notes: list[str]
 
-    def rendered(self, entry: FrameEntry, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """color (H, W, 3) float16 or float32, depth (H, W) float32, motion (H, W, 2) float32 or None, in our
-        conventions."""
-
-    def overlays(self, entry: FrameEntry, size: tuple[int, int]) -> Overlays | None:
-        """What lies over a rendered frame, if it brings anything."""
+    def read(
+        self, entry: FrameEntry, size: tuple[int, int]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, Overlays | None]:
+        """Of a rendered frame: color (H, W, 3) float16 or float32, depth (H, W) float32, motion (H, W, 2) float32 or
+        None, in our conventions; and what lies over it, if it brings anything."""
 
     def color(self, entry: FrameEntry, size: tuple[int, int]) -> np.ndarray:
         """Linear RGB (H, W, 3), float16 or float32, of any frame."""
@@ -57,28 +57,20 @@ class OwnPixels:
         self._folder = folder
         self.notes = []
 
-    def rendered(self, entry, size):
+    def read(self, entry, size):
         path = self._folder / entry.file
         header = read_header(path, entry.file)
         names = RENDERED if has_motion(header) or not entry.reset else RENDERED[:4]
-        channels = exr.read_channels(path, names, entry.file, size)
+        over = {field: those for field, those in OVERLAY_CHANNELS.items() if header.find(those[0])}
+        channels = exr.read_channels(path, (*names, *chain(*over.values())), entry.file, size)
         depth = channels["Z"].astype(np.float32, copy=False)
         motion = None
         if len(names) == len(RENDERED):
             motion = np.stack([channels[name] for name in MOTION], -1).astype(np.float32, copy=False)
-        return stack_color(channels), depth, motion
-
-    def overlays(self, entry, size):
-        path = self._folder / entry.file
-        header = read_header(path, entry.file)
-        there = {field: names for field, names in OVERLAY_CHANNELS.items() if header.find(names[0])}
-        if not there:
-            return None
-        channels = exr.read_channels(path, tuple(n for names in there.values() for n in names), entry.file, size)
-        stacked = {field: np.stack([channels[name] for name in names], -1) for field, names in there.items()}
-        if "fixed_mask" in stacked:
-            stacked["fixed_mask"] = stacked["fixed_mask"][..., 0] > 0
-        return Overlays(**stacked)
+        layers = {field: np.stack([channels[name] for name in those], -1) for field, those in over.items()}
+        if "fixed_mask" in layers:
+            layers["fixed_mask"] = layers["fixed_mask"][..., 0] > 0
+        return stack_color(channels), depth, motion, Overlays(**layers) if layers else None
 
     def color(self, entry, size):
         return stack_color(self.channels(entry, COLOR, size))
@@ -96,8 +88,12 @@ class ForeignPixels:
     def __init__(self):
         self.notes: list[str] = []
 
-    def overlays(self, entry, size):
-        return None
+    def read(self, entry, size):
+        return *self.rendered(entry, size), None
+
+    def rendered(self, entry, size) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """color, depth and motion as `read` gives them."""
+        raise NotImplementedError
 
     def channels(self, entry, names, size):
         names = tuple(names)

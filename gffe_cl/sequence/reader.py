@@ -128,7 +128,7 @@ class Sequence:
         if entry.kind != "rendered":
             raise GffeError(f"{entry.file}: kind is {entry.kind} (expected a rendered frame)")
         size = self.size_of(entry)
-        color, depth, motion = self._pixels.rendered(entry, size)
+        color, depth, motion, overlays = self._pixels.read(entry, size)
         camera = entry.render_camera
         previous = self._previous.get(entry.file)
         if previous and not entry.reset and camera and previous.render_camera:
@@ -144,7 +144,7 @@ class Sequence:
             entry.time,
             display_camera=None if shown_as_rendered else entry.display_camera,
             reset=entry.reset,
-            overlays=self._pixels.overlays(entry, size),
+            overlays=overlays,
         )
 
     def read_channels(self, entry: FrameEntry, names: Iterable[str]) -> dict[str, np.ndarray]:

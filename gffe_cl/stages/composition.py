@@ -96,7 +96,7 @@ class Composition(Stage):
         """`color` (display) with the overlays at t + α; `rendered`: it is the rendered frame's, in which what stays in
         place is in its place."""
         given, has = self._given, {f"has_{name}": int(name in self.layers) for name in OVERLAYS}
-        has["has_fixed"] = has.pop("has_fixed_mask") and not rendered
+        has["has_fixed_mask"] &= not rendered
         self.launch(
             "compose",
             to_render=mapping(given.display_camera, given.camera),
