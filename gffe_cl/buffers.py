@@ -101,7 +101,8 @@ class BufferSpec:
     "label" (`labels` name its values), "scalar". `mapped`: the host works in it. `kept`: that of the frame before is
     kept too. `scratch`: of no interest once the stage is through. `part_of`: the buffer in which it lies. `planar`: on
     the device the channels lie one after another, each an image. `transient`: written in each `extrapolate` before it
-    is read, so until the next `submit` it may lie in memory that another stage lends. `known_where`: a buffer of the
+    is read, so until the next `submit` it may lie in memory that another stage lends; `fleeting`: the same of each
+    `submit`, and of no use after it. `known_where`: a buffer of the
     same owner, perhaps on a coarser grid, and the value that it has wherever this one holds anything; elsewhere it
     reads as 0. `packing`: how it
     lies on the device, if not as `dtype` and `components` say.
@@ -121,6 +122,7 @@ class BufferSpec:
     part_of: str = ""
     planar: bool = False
     transient: bool = False
+    fleeting: bool = False
     known_where: tuple[str, int] | None = None
     packing: Packing | None = None
 
@@ -187,12 +189,7 @@ EXTRAPOLATED = (
     BufferSpec("dynamic", np.uint8, (), "target", "1 where the fragment shown is dynamic", "mask"),
     BufferSpec("disoccluded", np.uint8, (), "target", "1 where no fragment of the rendered frame lands", "mask"),
     BufferSpec("filled_by", np.uint8, (), "target", "what the pixel comes from", "label", labels=FILLED_BY),
-    BufferSpec(
-        "mixed", np.uint8, (), "target",
-        "1 where the fragment's colour was mixed with a silhouette's that moves away, and its neighbour's is shown",
-        "mask",
-    ),
-)  # fmt: skip
+)
 
 
 class Owner:

@@ -21,6 +21,7 @@ from gffe_cl.camera import Camera
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import Program, build
 
+_EXTRAPOLATE = 1000  # more than there are stages
 _EVENTS = 1024  # kept per stage for whoever asks for timings
 # Work-items of a work-group, all in one row: rows stream better than squares on CPUs, where long ones cost least.
 _ROW, _ROW_OF_LANES = 64, 128
@@ -111,16 +112,19 @@ class Board:
 
     `int64`: whether keys are 64 bits wide (see `NearestStage`); None: if the device has such atomics.
 
-    Stages lend memory that they do not need themselves between one `submit` and the next, for transient buffers of all
-    stages: several in one place, if no stage works with more than one of them.
+    Stages lend memory that they do not need themselves between one `submit` and the next, or once they have worked on
+    the rendered frame, for transient and fleeting buffers of all stages: several in one place, if no stage works with
+    more than one of them.
     """
 
     def __init__(self, device: Device, sizes: Sizes, options: Any = None, int64: bool | None = None):
         self.device, self.sizes, self.options = device, sizes, options
         self.int64 = device.int64_atomics if int64 is None else int64
         self.stages: dict[str, Stage] = {}
-        self.transient: list[tuple[Stage, BufferSpec]] = []  # of all stages so far
-        self.lent: list[tuple[Stage, str]] = []  # memory, by the stage's names of it
+        self.transient: list[tuple[Stage, BufferSpec]] = []  # of all stages so far, the fleeting ones too
+        self.lent: dict[
+            tuple[Stage, str], int
+        ] = {}  # memory, by the stage's names of it, and the work (`_use`) before it
         self.rendered: DeviceFrame | None = None
         self.previous: DeviceFrame | None = None  # the rendered frame itself where there is none before
 
@@ -128,6 +132,10 @@ class Board:
     def frame(self) -> ExtrapolatedBuffers:
         """The extrapolated frame."""
         return ExtrapolatedBuffers(self.device, self.sizes)
+
+    def lend_memory(self, stage: Stage, name: str, at_once: bool = False) -> None:
+        """Lend the memory that `stage` calls so, after `submit` or, `at_once`, after its own work there."""
+        self.lent[stage, name] = list(self.stages).index(stage.name) if at_once else _EXTRAPOLATE - 1
 
     def lend(self) -> None:
         """Give every transient buffer its place in lent memory, or one of its own if there is none: once all stages are
@@ -146,7 +154,8 @@ class Board:
         taken: dict[tuple[Stage, str], list] = {lent: [] for lent in self.lent}
         for stage, spec in sorted(self.transient, key=lambda one: -one[1].nbytes(self.sizes)):
             nbytes, used = spec.nbytes(self.sizes), self._use(stage, spec)
-            starts = {lent: _free_start(parts, nbytes, used) for lent, parts in taken.items()}
+            free = {lent: parts for lent, parts in taken.items() if self.lent[lent] < min(used)}
+            starts = {lent: _free_start(parts, nbytes, used) for lent, parts in free.items()}
             fitting = (lent for lent, start in starts.items() if start + nbytes <= lent[0].own(lent[1]).size)
             lent = next(fitting, None)
             places[stage.name, spec.name] = lent and (lent, starts[lent])
@@ -155,14 +164,15 @@ class Board:
         return places
 
     def _use(self, stage: Stage, spec: BufferSpec) -> frozenset[int]:
-        """The numbers of the stages at whose time a transient buffer is used: until the last one that names it, or all
-        that follow if it is of interest afterwards."""
+        """The work at whose time a buffer is used, that of stages on the rendered frame, by their numbers, and then on
+        the new one: until the last that names it, or all that follow if it is of interest afterwards."""
         name, used = f"{stage.name}.{spec.name}", []
         for number, other in enumerate(self.stages.values()):
             names_it = any(access.buffer == name for kernel in other.kernels for *_, access in kernel.accesses())
             if names_it or other is stage or (used and not spec.scratch):
                 used.append(number)
-        return frozenset(range(used[0], used[-1] + 1))
+        start = 0 if spec.fleeting else _EXTRAPOLATE
+        return frozenset(range(start + used[0], start + used[-1] + 1))
 
     def buffer(self, name: str) -> cl.Buffer:
         """Of that name. KeyError if no stage has it."""
@@ -207,13 +217,14 @@ class Stage(Owner):
         self.program: Program = build(self.device, self.name, **variant)
         self.events: deque[tuple[str, cl.Event]] = deque(maxlen=_EVENTS)
         self.launches: list[tuple[Kernel, dict]] | None = None  # with what was given, while somebody counts
-        self.buffer = self.allocate(spec for spec in self.buffers if not spec.transient)
+        borrowing = [spec for spec in self.buffers if spec.transient or spec.fleeting]
+        self.buffer = self.allocate(spec for spec in self.buffers if spec not in borrowing)
         self.before = self.allocate(spec for spec in self.buffers if spec.kept)
         self._kernels = {kernel.name: kernel for kernel in self.kernels}
         self._check()
         if self.registered:
             board.stages[self.name] = self
-            board.transient += [(self, spec) for spec in self.buffers if spec.transient]
+            board.transient += [(self, spec) for spec in borrowing]
 
     @classmethod
     def is_wanted(cls, options: Any) -> bool:

@@ -11,6 +11,7 @@
 #include "wide.h"
 #include "nearest.h"
 #include "levels.h"
+#include "blocks.h"
 #include "rgb9e5.h"
 
 #define SAME_SURFACE 0.02f   /* relative depth within which two fragments may be of the same surface */
@@ -537,12 +538,13 @@ SCAN __kernel void fill_from_levels(const int source_width, const int source_hei
                                     __global const uchar *state_prev, __global const half *frame_color,
                                     __global const float *frame_depth, __global const uint *levels_color,
                                     __global const float *levels_depth, __global const int *levels_px,
-                                    __global const uchar *levels_state, __global const uchar *disoccluded,
-                                    __global const uchar *mixed, __global const Key *keys, __global const uint *winners,
+                                    __global const uchar *levels_state, __global const uchar *block_class,
+                                    __global const uchar *disoccluded, __global const uchar *mixed, __global const Key *keys, __global const uint *winners,
                                     __global half *color, __global float *depth, __global float2 *motion,
                                     __global uchar *filled_by) {
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
+    if (run_is_backward(first_x, dst_y, target_width, block_class)) return;
     const int first = dst_y * target_width + first_x;
     if (first_x + RUN <= target_width && run_is_zero(disoccluded + first) && run_is_zero(mixed + first)) return;
     const Before before = {source_width, source_height, color_prev, depth_prev, state_prev, to_previous};

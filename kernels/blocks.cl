@@ -155,7 +155,7 @@ inline bool is_linear(const int x0, const int y0, const int source_width, const 
 WIDE __kernel void find_reach(const int source_width, const int source_height, const int target_width,
                               const int target_height, const int blocks, const int crack_closing, const float2 zoom,
                               __global const float *depth, __global const uchar *links,
-                              __global const float *target_position, __global uchar *smooth, __global int4 *reach,
+                              __global const float *target_position, __global uchar *smooth, __global short4 *reach,
                               __global int *reached_by) {
     const int bx = get_global_id(0), by = get_global_id(1);
     const int source_blocks = block_columns(source_width);
@@ -177,7 +177,7 @@ WIDE __kernel void find_reach(const int source_width, const int source_height, c
         reached = (int4)((int)fmax(box.x0, 0.0f) / BLOCK_WIDTH, (int)fmax(box.y0, 0.0f) / BLOCK_HEIGHT,
                          (int)fmin(box.x1, (float)(target_width - 1)) / BLOCK_WIDTH,
                          (int)fmin(box.y1, (float)(target_height - 1)) / BLOCK_HEIGHT);
-    reach[by * source_blocks + bx] = reached;
+    reach[by * source_blocks + bx] = convert_short4(reached);
     const int extent[4] = {FAR_OFF - (is_smooth ? bx : 0), FAR_OFF - (is_smooth ? by : 0), is_smooth ? bx + 1 : FAR_OFF,
                            is_smooth ? by + 1 : FAR_OFF};
     for (int y = reached.y; y <= reached.w; ++y)

@@ -7,6 +7,7 @@
 #include "common.h"
 #include "wide.h"
 #include "march.h"
+#include "blocks.h"
 
 #define ONE_OBJECT 0.05f  /* relative depth within which two dynamic fragments are of one object ... */
 #define HIDES 0.95f       /* ... and times the depth of a mover: what is nearer is another one, and may hide it */
@@ -125,11 +126,13 @@ inline bool nothing_moves(const int first_x, const int dst_y, const int reach, c
 /* RUN pixels per work-item. */
 SCAN __kernel void fill_hidden_parts(const int source_width, const int source_height, const int target_width,
                                      const int target_height, const int reach, const float2 zoom, const Reprojection to_source,
-                                     __global const float *source_depth, __global const uchar *disoccluded,
+                                     __global const float *source_depth, __global const uchar *block_class,
+                                     __global const uchar *disoccluded,
                                      __global const uchar *is_dynamic, __global half *color, __global float *depth,
                                      __global float2 *motion, __global uchar *filled_by) {
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
+    if (run_is_backward(first_x, dst_y, target_width, block_class)) return;
     const int first = dst_y * target_width + first_x;
     if (first_x + RUN <= target_width && run_is_zero(disoccluded + first)) return;
     if (nothing_moves(first_x, dst_y, reach, target_width, target_height, is_dynamic)) return;

@@ -6,6 +6,7 @@
 #include "common.h"
 #include "wide.h"
 #include "march.h"
+#include "blocks.h"
 
 #define BLOCK 32
 #define RENDERED_WEIGHT 0.0009765625f  /* of the rendered frame beside valid pixels: decides only where there are none */
@@ -166,11 +167,12 @@ inline void fill_pixel(const int dst_x, const int dst_y, const int dst, const fl
 
 /* Fills what is still invalid from the far side; motion is that of a static point. RUN pixels per work-item. */
 SCAN __kernel void fill_far_side(const int target_width, const int target_height, const int source_width,
-                                 const int source_height, const int reach, __global const uchar *filled_by,
-                                 const Reprojection to_source, __global half *color, __global float *depth,
+                                 const int source_height, const int reach, __global const uchar *block_class,
+                                 __global const uchar *filled_by, const Reprojection to_source, __global half *color, __global float *depth,
                                  __global float2 *motion) {
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
+    if (run_is_backward(first_x, dst_y, target_width, block_class)) return;
     const int first = dst_y * target_width + first_x;
     if (first_x + RUN <= target_width && !run_has(filled_by + first, BY_HOLE_FILLING)) return;
     for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {

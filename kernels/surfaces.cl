@@ -148,15 +148,19 @@ INLINE Ints links_by_motion(const Place p) {
            | (left ? (Ints)(LINK_LEFT) : (Ints)(0)) | (up ? (Ints)(LINK_UP) : (Ints)(0));
 }
 
-/* What the background knows before it collects: the state of level 0, and whom fragments are offered to that may fill it. */
+/* What the background knows before it collects: the state of level 0, whom fragments are offered to that may fill it, and to whom
+   those that are pushed to level 1. */
 typedef struct {
     __global uchar *state;
     __global Key *fill_keys;
     __global uint *fill_winners;
+    __global Key *push_keys;
+    __global uint *push_winners;
 } Collecting;
 
 /* links: which of the four neighbours belong to the same surface and are equally static or dynamic. To `collect`: texels are
-   SHOWN where depth is valid and no pixel within GROW is dynamic or nearer; the others are EMPTY, and nobody is offered to them. */
+   SHOWN where depth is valid and no pixel within GROW is dynamic or nearer; the others are EMPTY, and nobody is offered to them,
+   nor to level 1. */
 INLINE void find(const Place p, const int collect, __global uchar *links, const Collecting to) {
     const Floats z = depth_beside(p, 0, 0);
     Floats nearest;
@@ -170,18 +174,23 @@ INLINE void find(const Place p, const int collect, __global uchar *links, const 
     store_some_bytes(to_bytes(linked), count, links + i);
     if (!collect) return;
     store_some_bytes(to_bytes(clean ? (Ints)(SHOWN) : (Ints)(EMPTY)), count, to.state + i);
+    if (!((p.x | p.y) & 1)) {
+        const int level_width = (p.width + 1) / 2, first = p.y / 2 * level_width + p.x / 2;
+        for (int k = 0; k < (min(count, LANES) + 1) / 2; ++k) forget(to.push_keys, to.push_winners, first + k);
+    }
     if (ALL(clean)) return;
     for (int k = 0; k < min(count, LANES); ++k) forget(to.fill_keys, to.fill_winners, i + k);
 }
 
 WIDE __kernel void find_surfaces(const int source_width, const int source_height, const int collect, __global const float *depth,
                                  __global const uchar *dynamic_mask, __global uchar *links, __global uchar *state,
-                                 __global Key *fill_keys, __global uint *fill_winners) {
+                                 __global Key *fill_keys, __global uint *fill_winners, __global Key *push_keys,
+                                 __global uint *push_winners) {
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const bool inner = src_x >= MORE && src_x + LANES + MORE <= source_width && src_y >= REACH && src_y + REACH < source_height;
     Place p = {source_width, source_height, src_x, src_y, inner, depth, dynamic_mask};
-    const Collecting to = {state, fill_keys, fill_winners};
+    const Collecting to = {state, fill_keys, fill_winners, push_keys, push_winners};
     if (inner) {
         p.inner = true;
         find(p, collect, links, to);

@@ -99,12 +99,12 @@ inline bool any_splatted(const int4 reached, const int target_width, __global co
 WIDE __kernel void splat(const int source_width, const int source_height, const int target_width, const int target_height,
                          const int blocks, const int crack_closing, const int pass, const float2 zoom,
                          __global const float *depth, __global const uchar *links, __global const float *target_position,
-                         __global const int4 *reach, __global const uchar *block_class, __global Key *keys,
+                         __global const short4 *reach, __global const uchar *block_class, __global Key *keys,
                          __global uint *winners) {
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     if (blocks && crack_closing
-        && !any_splatted(reach[block_of(src_x, src_y, source_width)], target_width, block_class)) return;
+        && !any_splatted(convert_int4(reach[block_of(src_x, src_y, source_width)]), target_width, block_class)) return;
     Ints done = (Ints)(0);
     if (crack_closing && src_x >= 1 && src_y >= 1 && src_x + LANES < source_width && src_y + 1 < source_height)
         done = splat_lanes(src_y * source_width + src_x, source_width, source_width * source_height, target_width,

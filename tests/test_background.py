@@ -41,7 +41,7 @@ def test_square_crossing_a_wall_leaves_no_wrong_pixel(device, levels):
     holes = out.numpy("disoccluded") == 1
     assert (holes & wall).sum() > 30 and (out.numpy("filled_by")[holes & wall] == 1).all()
     error = np.abs(out.numpy("color").astype(np.float32) - truth.color.astype(np.float32)).max(-1)
-    mixed = pipeline.board.frame.read("mixed") == 1
+    mixed = pipeline.stages["warp"].read("mixed") == 1
     assert (error[wall & ~mixed] < 0.01).all(), (error[wall & ~mixed] >= 0.01).sum()
     assert (error[wall & mixed] < 0.05).all(), error[wall & mixed].max()
 

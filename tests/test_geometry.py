@@ -577,7 +577,7 @@ def test_outputs_of_the_stages_can_be_kept(device):
         last = {"filled_by": "background", "color": "silhouettes"}.get(name, "holes")
         assert read[f"{last}.{name}"].tobytes() == read[f"frame.{name}"].tobytes()
         changed = (read[f"warp.{name}"] != read[f"background.{name}"]).reshape(H, W, -1).any(-1)
-        own = read["frame.mixed"] == 1 if name in ("color", "filled_by") else False
+        own = read["warp.mixed"] == 1 if name in ("color", "filled_by") else False
         assert changed.any() and ((read["warp.filled_by"] == 255) | own)[changed].all()
     pipeline.keep(["background.depth", "frame.color"])
     names = {f"{owner.name}.{spec.name}" for owner, spec in pipeline.named_buffers()}

@@ -53,14 +53,19 @@ def test_surfaces(device, lanes, size):
         dynamic = (rng.random((height, width)) < 0.02 * (k > 1)).astype(np.uint8)
         given = {"depth": uploaded(device, depth), "dynamic_mask": uploaded(device, dynamic)}
         state, keys = np.full((height, width), 7, np.uint8), np.zeros((height, width), np.uint64)
+        pushed = {name: uploaded(device, keys) for name in ("push_keys", "push_winners")}
         written = {"state": uploaded(device, state), "fill_keys": uploaded(device, keys)}
-        stage.launch("find_surfaces", collect=True, **given, **written, fill_winners=uploaded(device, keys))
+        stage.launch("find_surfaces", collect=True, **given, **written, fill_winners=uploaded(device, keys), **pushed)
         cl.enqueue_copy(device.queue, state, written["state"])
         cl.enqueue_copy(device.queue, keys, written["fill_keys"])
         assert np.array_equal(stage.read("links"), twins.link_surfaces(depth, dynamic)), k
         assert np.array_equal(state, twins.unmixed(depth, dynamic)), k
         emptied = keys.view(np.uint32 if len(stage.passes) > 1 else np.uint64).ravel()[: state.size]
         assert (~emptied[state.ravel() == 0] == 0).all()
+        cl.enqueue_copy(device.queue, keys, pushed["push_keys"])
+        emptied = keys.view(emptied.dtype).ravel()
+        level1 = -(-width // 2) * -(-height // 2)
+        assert (~emptied[:level1] == 0).all() and not emptied[level1:].any()
 
 
 @pytest.mark.parametrize("positions", [2, 4])

@@ -36,7 +36,7 @@ def test_edges_are_the_truths(device):
     hard, soft = (extrapolated(device, Options(soft_silhouettes=on)) for on in (False, True))
     truth = antialiased(3.5, None).color.astype(np.float32)[..., :3]
     coverage = soft.stages["silhouettes"].read("coverage")
-    for name in ("depth", "motion", "dynamic", "disoccluded", "filled_by", "mixed"):
+    for name in ("depth", "motion", "dynamic", "disoccluded", "filled_by"):
         assert soft.board.frame.read(name).tobytes() == hard.board.frame.read(name).tobytes()
     colors = [p.board.frame.read("color")[..., :3].astype(np.float32) for p in (hard, soft)]
     assert np.array_equal(colors[0][coverage == 0], colors[1][coverage == 0])

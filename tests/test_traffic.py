@@ -38,7 +38,7 @@ def test_bytes_per_pixel_are_those_of_the_buffers(device):
     splats = 1 if device.int64_atomics else 2
     block = -(-W // 8) * -(-H // 4) / (W * H)  # blocks per pixel
     splatted, splatting = shares["splatted"], shares["splatting"]
-    per_splat = (4 + 1 + 12) * splatting + 2 * key * splatted + (16 + 1) * block
+    per_splat = (4 + 1 + 12) * splatting + 2 * key * splatted + (8 + 1) * block
     assert moved["warp"]["splat"] == pytest.approx(splats * per_splat, rel=1e-3)
     shown = 12 + 8 + 1 + (8 + 4 + 8 + 4 * 1)
     per_pixel = shown + (key + 4 + 1) * splatted + key * shares["mixed"] + (32 + 1) * block
@@ -51,7 +51,9 @@ def test_levels_and_shares_count(device):
     once, twice = (moved["background"]["scatter_level"] for moved in (one, counted(device, levels=2)[2]))
     assert once < twice < 1.5 * once
     fill = one["holes"]["fill_far_side"]
-    assert fill == pytest.approx(1 + shares["unfilled"] * (8 + 4) * 2 + shares["unfilled"] * 8, rel=0.02)
+    block = -(-W // 8) * -(-H // 4) / (W * H)
+    shown = shares["splatted"] + block
+    assert fill == pytest.approx(shown + shares["unfilled"] * (8 + 4) * 2 + shares["unfilled"] * 8, rel=0.02)
 
 
 def test_tiles_in_which_nothing_changes():
@@ -101,7 +103,7 @@ def test_kernels_and_constants_are_read_from_the_source():
     assert [a.name for a in kernels["second"]] == ["nodes", "count", "zoom"]
 
 
-_WRITTEN = dict.fromkeys(("links", "state", "fill_keys", "fill_winners"), "surfaces.links")
+_WRITTEN = dict.fromkeys(("links", "state", "fill_keys", "fill_winners", "push_keys", "push_winners"), "surfaces.links")
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
     "disoccluded": ("frame.disoccluded", lambda mask: mask != 0),
     "splatted": ("blocks.block_class", lambda block: block == SPLATTED),
     "hidden parts": ("frame.filled_by", lambda label: label == BY_HIDDEN_PART),
-    "mixed": ("frame.mixed", lambda mask: mask != 0),
+    "mixed": ("warp.mixed", lambda mask: mask != 0),
     "unfilled": ("frame.filled_by", lambda label: (label == BY_HOLE_FILLING) | (label == BY_NOTHING)),
     "beyond reach": ("holes.block_color", lambda sums: sums[..., 3] != 0),
     "remembered": ("background.state_0", lambda state: state == REMEMBERED),

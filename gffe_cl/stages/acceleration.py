@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pyopencl as cl
 
-from gffe_cl.buffers import BufferSpec
+from gffe_cl.buffers import BufferSpec, aligned
 from gffe_cl.opencl.program import constants
-from gffe_cl.stage import Access, Kernel, Stage, Step, reprojection
+from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
 
 _CELLS = f"level{constants('cells.h')['CELL'].bit_length() - 1}"
 
@@ -55,9 +58,27 @@ class Acceleration(Stage):
         ),
     )
 
+    def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
+        """New device buffers by name; both are parts of one, so that all of what is kept can be lent."""
+        specs = list(specs)
+        made = super().allocate(spec for spec in specs if not spec.part_of)
+        for spec in specs:
+            if spec.part_of:
+                start = self.start if spec.name == "acceleration" else 0
+                made[spec.name] = made["memory"].get_sub_region(start, spec.nbytes(self.sizes))
+        return made
+
     @classmethod
     def is_wanted(cls, options: Any) -> bool:
         return options.motion and options.acceleration and options.order == 1
+
+    def __init__(self, board: Board):
+        self.start = aligned(self.buffers[0].nbytes(board.sizes))  # of acceleration, in memory
+        nbytes = self.start + self.buffers[1].nbytes(board.sizes)
+        memory = BufferSpec("memory", np.uint8, (), "once", "of both", planes=nbytes, kept=True, scratch=True)
+        self.buffers = (*(replace(spec, part_of="memory") for spec in self.buffers), memory)
+        super().__init__(board)
+        board.lend_memory(self, "memory'", at_once=True)
 
     def rendered(self, step: Step) -> None:
         before = step.previous or step.frame

@@ -97,7 +97,7 @@ class Background(NearestStage):
             | _levels("state")
             | {
                 "disoccluded": Access("frame.disoccluded", "remembered"),
-                "mixed": Access("frame.mixed", "remembered"),
+                "mixed": Access("warp.mixed", "remembered"),
                 "depth": Access("frame.depth", "holes"),
             }
             | _PROJECTED,
@@ -110,8 +110,9 @@ class Background(NearestStage):
             {
                 "frame_color": Access("rendered.color", "holes"),
                 "frame_depth": Access("rendered.depth", "holes"),
-                "disoccluded": "frame.disoccluded",
-                "mixed": "frame.mixed",
+                "block_class": "blocks.block_class",
+                "disoccluded": Access("frame.disoccluded", "splatted"),
+                "mixed": Access("warp.mixed", "splatted"),
                 "color_prev": Access("previous.color", "holes"),
                 "depth_prev": Access("previous.depth", "holes"),
                 "state_prev": Access("background.state_0'", "holes"),
@@ -151,10 +152,11 @@ class Background(NearestStage):
             ),
             state,
             *self._places,
-            *self.keys(board, "odd_", "level1"),
+            *self.keys(board, "odd_", "level1", fleeting=True),
         )
         super().__init__(board)
-        board.lent += [(self, "memory'"), *((self, whole) for whole in _KEY_MEMORY)]
+        for name in ("memory'", *_KEY_MEMORY):
+            board.lend_memory(self, name)
 
     @classmethod
     def is_wanted(cls, options) -> bool:

@@ -28,8 +28,8 @@ class Blocks(NearestStage):
         ),
         BufferSpec("block_class", np.uint8, (), "target_blocks", "how the block is warped", "label", labels=CLASSES),
         BufferSpec(
-            "reach", np.int32, ("x0", "y0", "x1", "y1"), "source_blocks", "target blocks that a block reaches",
-            scratch=True,
+            "reach", np.int16, ("x0", "y0", "x1", "y1"), "source_blocks", "target blocks that a block reaches",
+            transient=True,
         ),
         BufferSpec(
             "reached_by", np.int32, ("x0", "y0", "x1", "y1"), "target_blocks", "source blocks that reach a block",

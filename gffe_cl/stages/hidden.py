@@ -17,7 +17,8 @@ class HiddenParts(Stage):
             "target",
             {
                 "source_depth": Access("rendered.depth", "hidden parts"),
-                "disoccluded": "frame.disoccluded",
+                "block_class": "blocks.block_class",
+                "disoccluded": Access("frame.disoccluded", "splatted"),
                 "is_dynamic": Access("frame.dynamic", "disoccluded"),
                 "color": Access("frame.color", "hidden parts"),
                 "depth": Access("frame.depth", "hidden parts"),

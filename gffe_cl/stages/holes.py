@@ -61,7 +61,8 @@ class Downsampled(HoleFilling):
         Kernel(
             "fill_far_side",
             "target",
-            {"filled_by": "frame.filled_by"} | _image("unfilled"),
+            {"block_class": "blocks.block_class", "filled_by": Access("frame.filled_by", "splatted")}
+            | _image("unfilled"),
             _filled("unfilled"),
             step=("RUN", 1),
         ),

@@ -78,7 +78,7 @@ class Silhouettes(Stage):
                 "motion": Access("frame.motion", "near silhouettes"),
                 "layer": Access("silhouettes.layer", "near silhouettes"),
                 "filled_by": Access("frame.filled_by", "softened"),
-                "mixed": Access("frame.mixed", "softened"),
+                "mixed": Access("warp.mixed", "softened"),
                 "color": Access("frame.color", "softened"),
                 "behind": Access("silhouettes.behind", "softened"),
                 "share": Access("silhouettes.share", "softened"),

@@ -14,6 +14,8 @@ _COLLECTING = {
     "state": Access("background.state_0"),
     "fill_keys": Access("background.even_keys", "not shown"),
     "fill_winners": Access("background.even_winners", "not shown"),
+    "push_keys": Access("background.odd_keys"),
+    "push_winners": Access("background.odd_winners"),
 }
 
 

@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
-from gffe_cl.buffers import BY_HOLE_FILLING, BY_NOTHING
+import numpy as np
+
+from gffe_cl.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpec
 from gffe_cl.stage import Access, Board, Kernel, NearestStage, Step, zoom
+
+_MIXED = BufferSpec(
+    "mixed", np.uint8, (), "target",
+    "1 where the fragment's colour was mixed with a silhouette's that moves away, and its neighbour's is shown", "mask",
+    transient=True,
+)  # fmt: skip
 
 
 def _keys(share: str) -> dict[str, Access]:
@@ -50,14 +58,14 @@ class Warp(NearestStage):
                 "out_dynamic": "frame.dynamic",
                 "disoccluded": "frame.disoccluded",
                 "filled_by": "frame.filled_by",
-                "mixed": "frame.mixed",
+                "mixed": "warp.mixed",
             },
             step=("LANES", 1),
         ),
     )
 
     def __init__(self, board: Board):
-        self.buffers = self.keys(board, "", "target", transient=True)
+        self.buffers = (_MIXED, *self.keys(board, "", "target", transient=True))
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:

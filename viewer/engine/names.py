@@ -7,7 +7,7 @@ RENDERED_COLOR, RENDERED_DEPTH, RENDERED_MOTION = "rendered.color", "rendered.de
 
 # of the extrapolated frame
 DEPTH, MOTION, DYNAMIC = "frame.depth", "frame.motion", "frame.dynamic"
-DISOCCLUDED, FILLED_BY, MIXED = "frame.disoccluded", "frame.filled_by", "frame.mixed"
+DISOCCLUDED, FILLED_BY, MIXED = "frame.disoccluded", "frame.filled_by", "warp.mixed"
 
 # of stages
 HISTORY, MET_DEPTH, DYNAMIC_MASK = "history.history", "history.met_depth", "history.dynamic_mask"
