@@ -122,9 +122,7 @@ class Board:
         self.int64 = device.int64_atomics if int64 is None else int64
         self.stages: dict[str, Stage] = {}
         self.transient: list[tuple[Stage, BufferSpec]] = []  # of all stages so far, the fleeting ones too
-        self.lent: dict[
-            tuple[Stage, str], int
-        ] = {}  # memory, by the stage's names of it, and the work (`_use`) before it
+        self.lent: dict[tuple[Stage, str], int] = {}  # memory, by its stage's names, and the work (`_use`) before that
         self.rendered: DeviceFrame | None = None
         self.previous: DeviceFrame | None = None  # the rendered frame itself where there is none before
 

@@ -234,7 +234,9 @@ def assert_silhouettes(pipeline, before, color, depth, links, zoom):
     marked = twins_silhouettes.mark_blocks(layer, positions, pipeline.sizes.target)
     assert np.array_equal(stage.read("marked"), marked)
     shown = {spec.name: pipeline.board.frame.read(spec.name) for spec in pipeline.board.frame.buffers}
-    twin = twins_silhouettes.Softening(shown | {"color": before}, color, positions, got, zoom)
+    twin = twins_silhouettes.Softening(
+        shown | {"color": before, "mixed": pipeline.stages["warp"].read("mixed")}, color, positions, got, zoom
+    )
     coverage, softened = twin.run(marked)
     difference = np.abs(stage.read("coverage").astype(int) - coverage)
     assert (difference <= 1).all() and 0.02 < (coverage > 0).mean() < 0.6
