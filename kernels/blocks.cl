@@ -17,6 +17,7 @@
 #define SHEAR_MOST 0.25f          /* of a smooth block, per source pixel and zoom ... */
 #define STRETCH_LOW 0.5f          /* ... and how it is stretched */
 #define STRETCH_HIGH 2.0f
+#define AFFINE_MOST 0.0009765625f /* 2^-10 px: by how much a target block's corners deviate from the inverse of its flow */
 #define ALL_LINKS 15
 
 /* Box of target pixels. */
@@ -186,7 +187,7 @@ WIDE __kernel void find_reach(const int source_width, const int source_height, c
 }
 
 /* Where the centre of a target block comes from, by Newton's method from the middle of the source blocks that reach it:
-   (source px, slopes of the inverse xx, xy, yx, yy); false if that leads elsewhere. */
+   (source px, slopes of the inverse xx, xy, yx, yy, determinant of the flow, 0); false if that leads elsewhere. */
 inline bool find_source(const float2 centre, const int4 extent, const int source_width, const int plane,
                         __global const float *target_position, float8 *source) {
     const int x0 = extent.x * BLOCK_WIDTH, y0 = extent.y * BLOCK_HEIGHT, x1 = (extent.z + 1) * BLOCK_WIDTH - 1, y1 = (extent.w + 1) * BLOCK_HEIGHT - 1;
@@ -197,15 +198,32 @@ inline bool find_source(const float2 centre, const int4 extent, const int source
         __global const float *p = target_position + src, *q = p + plane;
         const float xx = 0.5f * (p[1] - p[-1]), xy = 0.5f * (q[1] - q[-1]);
         const float yx = 0.5f * (p[source_width] - p[-source_width]), yy = 0.5f * (q[source_width] - q[-source_width]);
-        const float inverse = divide(1.0f, xx * yy - yx * xy), dx = centre.x - *p, dy = centre.y - *q;
+        const float det = xx * yy - yx * xy, inverse = divide(1.0f, det), dx = centre.x - *p, dy = centre.y - *q;
         const float2 step = (float2)((yy * dx - yx * dy) * inverse, (xx * dy - xy * dx) * inverse);
         px = pixel_centre(src_x, src_y) + step;
         if (fabs(step.x) <= 0.51f && fabs(step.y) <= 0.51f) {
-            *source = (float8)(px, yy * inverse, -yx * inverse, -xy * inverse, xx * inverse, 0.0f, 0.0f);
+            *source = (float8)(px, yy * inverse, -yx * inverse, -xy * inverse, xx * inverse, det, 0.0f);
             return true;
         }
     }
     return false;
+}
+
+/* 1 if fragments go where the inverse of the flow around the block's centre says: at its upper corners, from which those across
+   hardly differ; else 0. */
+inline float is_affine(const float2 centre, const float8 source, const int source_width, const int source_height,
+                      __global const float *target_position) {
+    bool affine = true;
+    for (int k = 0; k < 2; ++k) {
+        const float x = (k ? 0.5f : -0.5f) * (float)(BLOCK_WIDTH - 1), y = -0.5f * (float)(BLOCK_HEIGHT - 1);
+        const float px_x = source.s0 + source.s2 * x + source.s3 * y, px_y = source.s1 + source.s4 * x + source.s5 * y;
+        const int src_x = clamp((int)floor(px_x), 0, source_width - 1), src_y = clamp((int)floor(px_y), 0, source_height - 1);
+        const float dx = ((float)src_x + 0.5f - px_x) * source.s6, dy = ((float)src_y + 0.5f - px_y) * source.s6;
+        __global const float *p = target_position + src_y * source_width + src_x, *q = p + source_width * source_height;
+        affine = affine && fabs(*p - (centre.x + x + source.s5 * dx - source.s3 * dy)) <= AFFINE_MOST
+                 && fabs(*q - (centre.y + y + source.s2 * dy - source.s4 * dx)) <= AFFINE_MOST;
+    }
+    return affine ? 1.0f : 0.0f;
 }
 
 /* One work-item per target block: its class, and of those to be warped backward where their centre comes from. Forgets what
@@ -231,7 +249,10 @@ SPARSE __kernel void classify_blocks(const int source_width, const int source_he
         float8 source;
         const float2 centre = (float2)((float)(bx * BLOCK_WIDTH + BLOCK_WIDTH / 2), (float)(by * BLOCK_HEIGHT + BLOCK_HEIGHT / 2));
         backward = find_source(centre, extent, source_width, source_width * source_height, target_position, &source);
-        if (backward) block_source[block] = source;
+        if (backward) {
+            source.s7 = is_affine(centre, source, source_width, source_height, target_position);
+            block_source[block] = source;
+        }
     }
     block_class[block] = backward ? BACKWARD : SPLATTED;
     if (backward) return;

@@ -47,6 +47,19 @@ inline uint winner_of(__global const Key *keys, __global const uint *winners, co
 #endif
 }
 
+#ifdef LANES
+/* winner_of LANES pixels from c on. */
+inline Uints load_winners(__global const Key *keys, __global const uint *winners, const int c) {
+#if LANES == 1
+    return winner_of(keys, winners, c);
+#elif defined(INT64_ATOMICS)
+    return convert_uint8(vload8(0, keys + c));
+#else
+    return load_uints(0, winners + c);
+#endif
+}
+#endif
+
 /* Sets all bits, for the next who offers. */
 inline void forget(__global Key *keys, __global uint *winners, const int c) {
     keys[c] = (Key)(-1);

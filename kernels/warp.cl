@@ -348,7 +348,7 @@ inline void resample_lanes(const int dst, const Ints use, const Ints alike, cons
 }
 
 /* LANES pixels from the fragments (src_x, src_y), which lie two pixels within the image. Gives the lanes that are done: those
-   of `use` that stay where they are at silhouettes; `smooth`: there are none. */
+   of `use` that stay where they are at silhouettes; `smooth`: they lie in blocks without any. */
 inline Ints resolve_lanes(const bool smooth, const int dst_x, const int dst_y, const Ints src_x, const Ints src_y, const Ints use,
                           const int source_width, const int source_height, const int target_width, const float2 zoom,
                           __global const half *color, __global const float *depth, __global const uchar *dynamic_mask,
@@ -399,35 +399,93 @@ inline Ints resolve_lanes(const bool smooth, const int dst_x, const int dst_y, c
     return done;
 }
 
+/* Where LANES pixels of a block come from, by the inverse of its flow: `source` is find_source's of blocks.cl. */
+inline Floats px_from_block(const float8 source, const int dst_x, const int dst_y, Floats *px_y) {
+    const Floats from_x = row_centres(dst_x % BLOCK_WIDTH) - 0.5f * (float)BLOCK_WIDTH;
+    const float from_y = (float)(dst_y % BLOCK_HEIGHT) + 0.5f - 0.5f * (float)BLOCK_HEIGHT;
+    *px_y = source.s1 + source.s4 * from_x + source.s5 * from_y;
+    return source.s0 + source.s2 * from_x + source.s3 * from_y;
+}
+
+/* LANES pixels of a block in which that is exact. */
+inline void resolve_affine(const float8 source, const int dst_x, const int dst_y, const int source_width,
+                             const int source_height, const int target_width, __global const half *color,
+                             __global const uchar *dynamic_mask, __global const float *target_position,
+                             __global half *out_color, __global float *out_depth, __global float2 *out_motion,
+                             __global uchar *out_dynamic, __global uchar *disoccluded, __global uchar *filled_by,
+                             __global uchar *mixed) {
+    const int dst = dst_y * target_width + dst_x;
+    Floats px_y;
+    const Floats px_x = px_from_block(source, dst_x, dst_y, &px_y);
+    const Ints src_x = clamp(to_ints(px_x), (Ints)(2), (Ints)(source_width - 3));
+    const Ints src_y = clamp(to_ints(px_y), (Ints)(2), (Ints)(source_height - 3));
+    const Floats src_centre_x = to_floats(src_x) + 0.5f, src_centre_y = to_floats(src_y) + 0.5f;
+    Floats dx = px_x - src_centre_x, dy = px_y - src_centre_y;
+    dx = fabs(dx) < STILL ? (Floats)(0.0f) : dx;
+    dy = fabs(dy) < STILL ? (Floats)(0.0f) : dy;
+    const Ints src = src_y * source_width + src_x;
+    const int first = FIRST_LANE(src);
+    const bool is_run = ALL(src == first + LANE_NUMBERS);
+
+    Around z;
+    look_around(target_position + 2 * source_width * source_height, source_width, src, first, is_run, &z);
+    const Ints sky = isinf(z.here);
+    const Floats across = sky ? (Floats)(0.0f) : (z.right - z.left) * 0.5f, down = sky ? (Floats)(0.0f) : (z.down - z.up) * 0.5f;
+    const Floats out_z = z.here + across * dx + down * dy;
+    const Ints own = (fabs(source.s5 * dx - source.s3 * dy) * source.s6 <= 0.5f)
+                     & (fabs(source.s2 * dy - source.s4 * dx) * source.s6 <= 0.5f);
+    store_floats(out_z > 0.0f ? out_z : z.here, 0, out_depth + dst);
+    store_xy(src_centre_x + dx - row_centres(dst_x), src_centre_y + dy - ((float)dst_y + 0.5f), out_motion + dst);
+    store_bytes(is_run ? load_bytes(0, dynamic_mask + first) : gather_bytes(dynamic_mask, src), 0, out_dynamic + dst);
+    store_bytes((Bytes)(0), 0, disoccluded + dst);
+    store_bytes((Bytes)(0), 0, mixed + dst);
+    store_bytes(to_bytes(own ? (Ints)(BY_WARP) : (Ints)(BY_CRACK_CLOSING)), 0, filled_by + dst);
+    const Floats ox = floor(dx), oy = floor(dy);
+    resample_lanes(dst, LANE_NUMBERS >= 0, (Ints)(ALL_ALIKE), src, src + to_ints(oy) * source_width + to_ints(ox), dx - ox,
+                   dy - oy, source_width, color, out_color);
+}
+
 /* LANES pixels per work-item. */
 WIDE __kernel void resolve(const int source_width, const int source_height, const int target_width, const int target_height,
                            const int unfilled_label, const float2 zoom, __global const uchar *block_class,
-                           __global const float8 *block_source, __global Key *keys, __global uint *winners,
-                           __global const half *color, __global const float *depth, __global const uchar *dynamic_mask,
-                           __global const uchar *links, __global const float *target_position, __global half *out_color,
-                           __global float *out_depth, __global float2 *out_motion, __global uchar *out_dynamic,
-                           __global uchar *disoccluded, __global uchar *filled_by, __global uchar *mixed) {
+                           __global const float8 *block_source, __global const uchar *source_smooth, __global Key *keys,
+                           __global uint *winners, __global const half *color, __global const float *depth,
+                           __global const uchar *dynamic_mask, __global const uchar *links,
+                           __global const float *target_position, __global half *out_color, __global float *out_depth,
+                           __global float2 *out_motion, __global uchar *out_dynamic, __global uchar *disoccluded,
+                           __global uchar *filled_by, __global uchar *mixed) {
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const int block = block_of(dst_x, dst_y, target_width);
-    Ints done = (Ints)(0), src_x, src_y;
-    if (block_class[block] == BACKWARD) {
-        const float8 source = block_source[block];
-        const Floats from_x = row_centres(dst_x) - (float)(dst_x / BLOCK_WIDTH * BLOCK_WIDTH + BLOCK_WIDTH / 2);
-        const float from_y = (float)dst_y + 0.5f - (float)(dst_y / BLOCK_HEIGHT * BLOCK_HEIGHT + BLOCK_HEIGHT / 2);
-        src_x = to_ints(floor(source.s0 + source.s2 * from_x + source.s3 * from_y));
-        src_y = to_ints(floor(source.s1 + source.s4 * from_x + source.s5 * from_y));
-        resolve_lanes(true, dst_x, dst_y, src_x, src_y, LANE_NUMBERS >= 0, source_width, source_height, target_width, zoom, color,
-                      depth, dynamic_mask, links, target_position, out_color, out_depth, out_motion, out_dynamic, disoccluded,
-                      filled_by, mixed);
+    const bool backward = block_class[block] == BACKWARD;
+    const float8 source = backward ? block_source[block] : (float8)(0.0f);
+    if (backward && source.s7 != 0.0f) {
+        resolve_affine(source, dst_x, dst_y, source_width, source_height, target_width, color, dynamic_mask, target_position,
+                       out_color, out_depth, out_motion, out_dynamic, disoccluded, filled_by, mixed);
         return;
     }
-    if (dst_x + LANES <= target_width) {
-        uint winner[LANES];
-        for (int k = 0; k < LANES; ++k) winner[k] = winner_of(keys, winners, dst_y * target_width + dst_x + k);
-        const Uints src = load_uints(0, winner);
-        wide_column_and_row(to_ints(src), source_width, &src_x, &src_y);
-        const Ints use = (src != NOBODY) & (src_x >= 2) & (src_y >= 2) & (src_x < source_width - 2) & (src_y < source_height - 2);
+    Ints done = (Ints)(0);
+    if (backward || dst_x + LANES <= target_width) {
+        Ints src_x, src_y, use = ALL_LANES;
+        bool smooth = backward;
+        if (backward) {
+            Floats px_y;
+            src_x = to_ints(floor(px_from_block(source, dst_x, dst_y, &px_y)));
+            src_y = to_ints(floor(px_y));
+        } else {
+            const Uints src = load_winners(keys, winners, dst_y * target_width + dst_x);
+            wide_column_and_row(to_ints(src), source_width, &src_x, &src_y);
+            use = (src != NOBODY) & (src_x >= 2) & (src_y >= 2) & (src_x < source_width - 2) & (src_y < source_height - 2);
+            smooth = ALL(use & (src == FIRST_LANE(src) + to_uints(LANE_NUMBERS)))
+                && source_smooth[block_of(FIRST_LANE(src_x), FIRST_LANE(src_y), source_width)]
+                && source_smooth[block_of(LAST_LANE(src_x), LAST_LANE(src_y), source_width)];
+        }
+        if (smooth) {
+            resolve_lanes(true, dst_x, dst_y, src_x, src_y, use, source_width, source_height, target_width, zoom, color, depth,
+                          dynamic_mask, links, target_position, out_color, out_depth, out_motion, out_dynamic, disoccluded,
+                          filled_by, mixed);
+            return;
+        }
         if (ANY(use))
             done = resolve_lanes(false, dst_x, dst_y, use ? src_x : (Ints)(2), use ? src_y : (Ints)(2), use, source_width,
                                  source_height, target_width, zoom, color, depth, dynamic_mask, links, target_position,

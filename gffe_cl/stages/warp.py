@@ -43,6 +43,7 @@ class Warp(NearestStage):
             {
                 "block_class": "blocks.block_class",
                 "block_source": "blocks.block_source",
+                "source_smooth": "blocks.smooth",
                 "color": "rendered.color",
                 "depth": Access("rendered.depth", "splatted"),
                 "links": Access("surfaces.links", "splatted"),
