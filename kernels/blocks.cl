@@ -78,9 +78,9 @@ inline Box reach_of_lanes(const int x0, const int y0, const int source_width, co
             const int src = src_y * source_width + src_x;
             Around x, y, z;
             WideFlow f;
-            look_around(target_position, source_width, (Ints)(0), src, true, &x);
-            look_around(target_position + plane, source_width, (Ints)(0), src, true, &y);
-            look_around(target_position + 2 * plane, source_width, (Ints)(0), src, true, &z);
+            look_around_run(target_position + src, source_width, &x);
+            look_around_run(target_position + plane + src, source_width, &y);
+            look_around_run(target_position + 2 * plane + src, source_width, &z);
             wide_flow(x, y, z, to_ints(load_bytes(0, links + src)), load_floats(0, depth + src), zoom, &f);
             const Ints lands = (z.here > 0.0f) & (x.here > -reach) & (y.here > -reach) & (x.here < (float)target_width + reach)
                                & (y.here < (float)target_height + reach);

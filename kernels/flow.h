@@ -74,24 +74,63 @@ inline bool may_land(const float3 here, const int target_width, const int target
 
 /* ---- LANES at once ------------------------------------------------------------------------------------------- */
 
+/* Pixels of LANES fragments: `one` run from `first` on, or `two`, of which one ends with `last`, or anywhere. */
+typedef struct {
+    Ints at, of_last;
+    int first, last;
+    bool one, two;
+} Places;
+
+/* `margin`: how far beside them the image, of `pixels`, is looked at. */
+inline void find_places(const Ints at, const int margin, const int pixels, Places *p) {
+    p->at = at;
+    p->first = FIRST_LANE(at);
+    p->last = LAST_LANE(at) - (LANES - 1);
+    const Ints of_first = at == p->first + LANE_NUMBERS;
+    p->of_last = at == p->last + LANE_NUMBERS;
+    p->one = ALL(of_first);
+    p->two = ALL(of_first | p->of_last) && min(p->first, p->last) >= margin && max(p->first, p->last) + margin + LANES <= pixels;
+}
+
+inline Floats floats_at(__global const float *plane, const Places p) {
+    if (p.one) return load_floats(0, plane + p.first);
+    if (p.two) return p.of_last ? load_floats(0, plane + p.last) : load_floats(0, plane + p.first);
+    return gather_floats(plane, p.at);
+}
+
+inline Bytes bytes_at(__global const uchar *plane, const Places p) {
+    return p.one ? load_bytes(0, plane + p.first) : gather_bytes(plane, p.at);
+}
+
 /* What LANES fragments and those beside them have in one plane. */
 typedef struct { Floats here, left, right, up, down; } Around;
 
-inline void look_around(__global const float *plane, const int source_width, const Ints src, const int first, const bool is_run,
-                        Around *a) {
-    if (is_run) {
-        __global const float *p = plane + first;
-        a->here = load_floats(0, p);
-        a->left = load_floats(0, p - 1);
-        a->right = load_floats(0, p + 1);
-        a->up = load_floats(0, p - source_width);
-        a->down = load_floats(0, p + source_width);
+inline void look_around_run(__global const float *p, const int source_width, Around *a) {
+    a->here = load_floats(0, p);
+    a->left = load_floats(0, p - 1);
+    a->right = load_floats(0, p + 1);
+    a->up = load_floats(0, p - source_width);
+    a->down = load_floats(0, p + source_width);
+}
+
+inline void look_around(__global const float *plane, const int source_width, const Places src, Around *a) {
+    if (src.one) {
+        look_around_run(plane + src.first, source_width, a);
+    } else if (src.two) {
+        Around b;
+        look_around_run(plane + src.first, source_width, a);
+        look_around_run(plane + src.last, source_width, &b);
+        a->here = src.of_last ? b.here : a->here;
+        a->left = src.of_last ? b.left : a->left;
+        a->right = src.of_last ? b.right : a->right;
+        a->up = src.of_last ? b.up : a->up;
+        a->down = src.of_last ? b.down : a->down;
     } else {
-        a->here = gather_floats(plane, src);
-        a->left = gather_floats(plane - 1, src);
-        a->right = gather_floats(plane + 1, src);
-        a->up = gather_floats(plane - source_width, src);
-        a->down = gather_floats(plane + source_width, src);
+        a->here = gather_floats(plane, src.at);
+        a->left = gather_floats(plane - 1, src.at);
+        a->right = gather_floats(plane + 1, src.at);
+        a->up = gather_floats(plane - source_width, src.at);
+        a->down = gather_floats(plane + source_width, src.at);
     }
 }
 

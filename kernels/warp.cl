@@ -50,9 +50,9 @@ inline Ints splat_lanes(const int src, const int source_width, const int plane, 
                         const int pass, const float2 zoom, __global const float *depth, __global const uchar *links,
                         __global const float *target_position, __global Key *keys, __global uint *winners) {
     Around x, y, z;
-    look_around(target_position, source_width, (Ints)(0), src, true, &x);
-    look_around(target_position + plane, source_width, (Ints)(0), src, true, &y);
-    look_around(target_position + 2 * plane, source_width, (Ints)(0), src, true, &z);
+    look_around_run(target_position + src, source_width, &x);
+    look_around_run(target_position + plane + src, source_width, &y);
+    look_around_run(target_position + 2 * plane + src, source_width, &z);
     WideFlow f;
     wide_flow(x, y, z, to_ints(load_bytes(0, links + src)), load_floats(0, depth + src), zoom, &f);
     const Floats own_x = floor(x.here), own_y = floor(y.here);
@@ -268,17 +268,14 @@ inline Ints stays(const Around x, const Around y, const Around depth, const Wide
 /* Which taps around (ox, oy) from the winners move alike, in bits: see resample. */
 inline Ints taps_alike(const Ints src, const Floats ox, const Floats oy, const int source_width, const int plane,
                        const Floats here_x, const Floats here_y, const WideFlow f, __global const float *target_position) {
-    const Ints base = src + to_ints(oy) * source_width + to_ints(ox);
-    int first[LANES];
-    store_ints(base, 0, first);
-    const bool is_run = ALL(base == first[0] + LANE_NUMBERS);
+    Places base;
+    find_places(src + to_ints(oy) * source_width + to_ints(ox), 2 * source_width + 2, plane, &base);
     Ints alike = (Ints)(0);
 #pragma unroll
     for (int k = 0; k < 8; ++k) {
         const int dx = k < 4 ? (k & 1) : 3 * (k & 1) - 1, dy = k < 4 ? (k >> 1) : 3 * ((k >> 1) & 1) - 1;
         __global const float *p = target_position + dy * source_width + dx, *q = p + plane;
-        const Floats there_x = is_run ? load_floats(0, p + first[0]) : gather_floats(p, base);
-        const Floats there_y = is_run ? load_floats(0, q + first[0]) : gather_floats(q, base);
+        const Floats there_x = floats_at(p, base), there_y = floats_at(q, base);
         const Ints tap_alike = wide_deviation(there_x, there_y, ox + (float)dx, oy + (float)dy, here_x, here_y, f) <= SAME_MOTION;
         alike |= tap_alike ? (Ints)(1 << k) : (Ints)(0);
     }
@@ -359,23 +356,21 @@ inline Ints resolve_lanes(const bool smooth, const int dst_x, const int dst_y, c
     const Floats centre_x = row_centres(dst_x);
     const float centre_y = (float)dst_y + 0.5f;
     const Ints src = src_y * source_width + src_x;
-    int first[LANES];
-    store_ints(src, 0, first);
-    const bool is_run = ALL(src == first[0] + LANE_NUMBERS);
+    Places places;
+    find_places(src, source_width + 1, plane, &places);
 
     Around x, y, z;  /* given back by pointer: Oclgrind does not know what inlining makes of returned structs */
-    look_around(target_position, source_width, src, first[0], is_run, &x);
-    look_around(target_position + plane, source_width, src, first[0], is_run, &y);
-    look_around(target_position + 2 * plane, source_width, src, first[0], is_run, &z);
+    look_around(target_position, source_width, places, &x);
+    look_around(target_position + plane, source_width, places, &y);
+    look_around(target_position + 2 * plane, source_width, places, &z);
     WideFlow f;
     Ints done = use;
     if (smooth) {
         smooth_flow(x, y, z, &f);
     } else {
         Around shown;
-        look_around(depth, source_width, src, first[0], is_run, &shown);
-        const Bytes bits = is_run ? load_bytes(0, links + first[0]) : gather_bytes(links, src);
-        wide_flow(x, y, z, to_ints(bits), shown.here, zoom, &f);
+        look_around(depth, source_width, places, &shown);
+        wide_flow(x, y, z, to_ints(bytes_at(links, places)), shown.here, zoom, &f);
         done &= stays(x, y, shown, f);
     }
     const Floats ex = centre_x - x.here, ey = centre_y - y.here;
@@ -390,7 +385,7 @@ inline Ints resolve_lanes(const bool smooth, const int dst_x, const int dst_y, c
     const Ints own = (floor(x.here) == centre_x - 0.5f) & (floor(y.here) == centre_y - 0.5f);
     store_floats(out_z > 0.0f ? out_z : z.here, 0, out_depth + dst);
     store_xy((to_floats(src_x) + 0.5f) + dx - centre_x, (to_floats(src_y) + 0.5f) + dy - centre_y, out_motion + dst);
-    store_bytes(is_run ? load_bytes(0, dynamic_mask + first[0]) : gather_bytes(dynamic_mask, src), 0, out_dynamic + dst);
+    store_bytes(bytes_at(dynamic_mask, places), 0, out_dynamic + dst);
     store_bytes((Bytes)(0), 0, disoccluded + dst);
     store_bytes((Bytes)(0), 0, mixed + dst);
     store_bytes(to_bytes(own ? (Ints)(BY_WARP) : (Ints)(BY_CRACK_CLOSING)), 0, filled_by + dst);
@@ -424,11 +419,11 @@ inline void resolve_affine(const float8 source, const int dst_x, const int dst_y
     dx = fabs(dx) < STILL ? (Floats)(0.0f) : dx;
     dy = fabs(dy) < STILL ? (Floats)(0.0f) : dy;
     const Ints src = src_y * source_width + src_x;
-    const int first = FIRST_LANE(src);
-    const bool is_run = ALL(src == first + LANE_NUMBERS);
+    Places places;
+    find_places(src, source_width + 1, source_width * source_height, &places);
 
     Around z;
-    look_around(target_position + 2 * source_width * source_height, source_width, src, first, is_run, &z);
+    look_around(target_position + 2 * source_width * source_height, source_width, places, &z);
     const Ints sky = isinf(z.here);
     const Floats across = sky ? (Floats)(0.0f) : (z.right - z.left) * 0.5f, down = sky ? (Floats)(0.0f) : (z.down - z.up) * 0.5f;
     const Floats out_z = z.here + across * dx + down * dy;
@@ -436,7 +431,7 @@ inline void resolve_affine(const float8 source, const int dst_x, const int dst_y
                      & (fabs(source.s2 * dy - source.s4 * dx) * source.s6 <= 0.5f);
     store_floats(out_z > 0.0f ? out_z : z.here, 0, out_depth + dst);
     store_xy(src_centre_x + dx - row_centres(dst_x), src_centre_y + dy - ((float)dst_y + 0.5f), out_motion + dst);
-    store_bytes(is_run ? load_bytes(0, dynamic_mask + first) : gather_bytes(dynamic_mask, src), 0, out_dynamic + dst);
+    store_bytes(bytes_at(dynamic_mask, places), 0, out_dynamic + dst);
     store_bytes((Bytes)(0), 0, disoccluded + dst);
     store_bytes((Bytes)(0), 0, mixed + dst);
     store_bytes(to_bytes(own ? (Ints)(BY_WARP) : (Ints)(BY_CRACK_CLOSING)), 0, filled_by + dst);
