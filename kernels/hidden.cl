@@ -2,7 +2,7 @@
    What would fill one moves as the dynamic fragments beside it do, so its place in the rendered frame is known; and as the
    warp brought nothing from there it was hidden, or its depth is invalid. Where that frame shows something at that place that
    is not nearer, the mover has no part there, and the hole is left to the background.
-   RUN pixels without a hole, or without a dynamic pixel within reach, are skipped at once. */
+   RUN pixels without a hole are skipped at once, and so are RUN x LANES without a dynamic pixel within reach. */
 
 #include "common.h"
 #include "wide.h"
@@ -112,33 +112,37 @@ inline void fill_hidden_part(const int dst_x, const int dst_y, const Frames f, _
     filled_by[dst] = BY_HIDDEN_PART;
 }
 
-/* Whether nothing within `reach` of RUN pixels is dynamic. */
-inline bool nothing_moves(const int first_x, const int dst_y, const int reach, const int width, const int height,
+/* Whether nothing within `reach` of RUN pixels in the rows from first_y to last_y is dynamic. */
+inline bool nothing_moves(const int first_x, const int first_y, const int last_y, const int reach, const int width, const int height,
                           __global const uchar *is_dynamic) {
     if (RUN == 1 || width < RUN) return false;  /* pixel by pixel that takes longer than to look in eight directions */
     const int x0 = max(first_x - reach, 0), x1 = min(first_x + RUN + reach, width);
-    for (int y = max(dst_y - reach, 0); y <= min(dst_y + reach, height - 1); ++y)
+    for (int y = max(first_y - reach, 0); y <= min(last_y + reach, height - 1); ++y)
         for (int x = x0; x < x1; x += RUN)
             if (!run_is_zero(is_dynamic + y * width + min(x, width - RUN))) return false;
     return true;
 }
 
-/* RUN pixels per work-item. */
+/* RUN x LANES pixels per work-item. */
 SCAN __kernel void fill_hidden_parts(const int source_width, const int source_height, const int target_width,
                                      const int target_height, const int reach, const float2 zoom, const Reprojection to_source,
                                      __global const float *source_depth, __global const uchar *block_class,
                                      __global const uchar *disoccluded,
                                      __global const uchar *is_dynamic, __global half *color, __global float *depth,
                                      __global float2 *motion, __global uchar *filled_by) {
-    const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
-    if (first_x >= target_width || dst_y >= target_height) return;
-    if (run_is_backward(first_x, dst_y, target_width, block_class)) return;
-    const int first = dst_y * target_width + first_x;
-    if (first_x + RUN <= target_width && run_is_zero(disoccluded + first)) return;
-    if (nothing_moves(first_x, dst_y, reach, target_width, target_height, is_dynamic)) return;
+    const int first_x = get_global_id(0) * RUN, end_y = min((int)(get_global_id(1) + 1) * LANES, target_height);
+    if (first_x >= target_width || get_global_id(1) * LANES >= target_height) return;
     const Frames f = {target_width, target_height, source_width, source_height, reach, zoom, to_source, disoccluded, is_dynamic,
                       depth, source_depth, motion};
-    for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x)
-        if (disoccluded[dst_y * target_width + dst_x])
-            fill_hidden_part(dst_x, dst_y, f, color, depth, motion, filled_by);
+    bool looked = false;
+    for (int dst_y = get_global_id(1) * LANES; dst_y < end_y; ++dst_y) {
+        if (run_is_backward(first_x, dst_y, target_width, block_class)) continue;
+        const int first = dst_y * target_width + first_x;
+        if (first_x + RUN <= target_width && run_is_zero(disoccluded + first)) continue;
+        if (!looked && nothing_moves(first_x, dst_y, end_y - 1, reach, target_width, target_height, is_dynamic)) return;
+        looked = true;
+        for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x)
+            if (disoccluded[dst_y * target_width + dst_x])
+                fill_hidden_part(dst_x, dst_y, f, color, depth, motion, filled_by);
+    }
 }

@@ -25,7 +25,7 @@ class HiddenParts(Stage):
                 "motion": Access("frame.motion", "hidden parts"),
             },
             _FILLED,
-            step=("RUN", 1),
+            step=("RUN", "LANES"),
         ),
     )
 
