@@ -92,3 +92,18 @@ def test_built_in_scenes(device, name):
     pipelines = both(device, seen, {"shading_correction": False}, (320, 180), None, rendered.display_camera(time), time)
     assert pipelines[0].stages["blocks"].read("block_class").mean() > 0.1
     assert_same_picture(*pipelines)
+
+
+def test_blocks_with_an_affine_flow(device):
+    """A camera that hardly moves: the inverse of a block's flow is exact, and the picture that of splatting."""
+    size = (160, 96)
+    seen = list(frames(*size, spoil=False, scene=WALLS))
+    last = seen[-1].camera
+    to = type(last)(last.world_to_view.copy(), last.fx, last.fy, last.cx + 0.37, last.cy - 0.21)
+    # Without stages that lend memory, so that nothing takes the place of what the blocks say.
+    options = {"levels": 0, "acceleration": False, "soft_silhouettes": False, "shading_correction": False}
+    pipelines = both(device, seen, options, size, None, to, seen[-1].time + 0.02)
+    affine = pipelines[0].stages["blocks"].read("block_source")[..., 7]
+    backward = pipelines[0].stages["blocks"].read("block_class") == 1
+    assert backward.mean() > 0.3 and (affine[backward] == 1).all()
+    assert_same_picture(*pipelines)
