@@ -110,10 +110,9 @@ inline float3 mean_of(const float3 sum, const float weight_sum) {
 
 /* Linear RGB of pixel i; NaN counts as 0, infinities are clamped. */
 inline float3 load_color(__global const half *color, const int i) {
-    const float3 c = vload_half4(i, color).xyz;
-    return (float3)(isnan(c.x) ? 0.0f : clamp(c.x, -COLOR_MAX, COLOR_MAX),
-                    isnan(c.y) ? 0.0f : clamp(c.y, -COLOR_MAX, COLOR_MAX),
-                    isnan(c.z) ? 0.0f : clamp(c.z, -COLOR_MAX, COLOR_MAX));
+    const float4 c = vload_half4(i, color), number = c == c ? c : (float4)(0.0f);
+    const float4 low = number < -COLOR_MAX ? (float4)(-COLOR_MAX) : number;
+    return (low < COLOR_MAX ? low : (float4)(COLOR_MAX)).xyz;
 }
 
 inline void store_color(const float3 c, __global half *color, const int i) {

@@ -233,7 +233,7 @@ inline bool is_mixed_with_near(const Source s, const Layers l, const int x0, con
 }
 
 /* Colour of a pixel without that of a nearer layer that was mixed into it. Gives whether it is another one. */
-inline bool without_near(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, float3 *rgb) {
+INLINE bool without_near(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, float3 *rgb) {
     const int dst = dst_y * f.width + dst_x;
     *rgb = load_color(f.color, dst);
     if (!is_warped(f.filled_by[dst]) || f.mixed[dst]) return false;
@@ -258,7 +258,7 @@ inline bool without_near(const Source s, const Layers l, const Shown f, const in
 
 /* The near layer at `px_source` of the rendered frame, bilinear and sharpened: (its colour times its coverage, its coverage). False if it is not
    known: out of the image, or hidden by something else. */
-inline bool near_layer(const Source s, const Layers l, const float2 px, const float2 px_source, const float z, float4 *near) {
+INLINE bool near_layer(const Source s, const Layers l, const float2 px, const float2 px_source, const float z, float4 *near) {
     const int x0 = (int)floor(px_source.x - 0.5f), y0 = (int)floor(px_source.y - 0.5f);
     const float u = px_source.x - 0.5f - (float)x0, v = px_source.y - 0.5f - (float)y0;
     float4 sum = (float4)(0.0f);
