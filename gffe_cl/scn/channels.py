@@ -76,7 +76,7 @@ def _wider_input(graph: onnx.GraphProto, node: onnx.NodeProto, more: int) -> onn
     pads[1, _CHANNELS] = more
     wider = f"{node.output[0]}.input"
     graph.initializer.append(numpy_helper.from_array(pads.ravel(), f"{wider}.pads"))
-    made = helper.make_node("Pad", [node.input[0], f"{wider}.pads"], [wider], name=f"{node.name}/Pad")
+    made = helper.make_node("Pad", [node.input[0], f"{wider}.pads"], [wider], name=wider)
     node.input[0] = wider
     return made
 
