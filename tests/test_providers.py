@@ -17,7 +17,7 @@ from scn_models import look_model, save
 
 from gffe_cl import GffeError, inference
 from gffe_cl.inference import Network, NetworkError, load_network
-from gffe_cl.providers import checking, choosing
+from gffe_cl.providers import checking, choosing, runtime
 from gffe_cl.providers.checking import Verdict, verdict
 from gffe_cl.providers.choosing import Choice, choose
 from gffe_cl.providers.runtime import CPU, PROVIDERS
@@ -147,6 +147,23 @@ def test_what_a_driver_does_is_no_harm(cache, tmp_path, monkeypatch, does, probl
     with pytest.raises(NetworkError, match=f"provider webgpu: .*{problem}") as caught:
         load_network(look_model(tmp_path / "m.onnx"), "webgpu")
     assert "\n" not in str(caught.value)
+
+
+def test_devices_says_what_may_run_the_network(gffe, tmp_path, monkeypatch):
+    found = {
+        "webgpu": Verdict("webgpu", "Fast GPU", 2e-6, 5.0, 90.0),
+        "cuda": Verdict("cuda", problem="provider cuda: its driver crashed (exit code -11)"),
+        "openvino": Verdict("openvino", "Slow one", 2e-6),
+    }
+    monkeypatch.setattr(inference, "default_model", lambda: Path(look_model(tmp_path / "m.onnx")))
+    monkeypatch.setattr(runtime, "installed_providers", lambda: [CPU, *(PROVIDERS[name] for name in found)])
+    monkeypatch.setattr(checking, "verdict", lambda path, provider, refresh: found[provider.name])
+    code, text, _ = gffe("devices", "--json", tmp_path / "d.json")
+    text = " ".join(text.split())
+    assert code == 0 and "provider webgpu: Fast GPU, 5.0 ms for 960×540, the CPU 90.0 ms; differs" in text
+    assert "provider cuda: its driver crashed (exit code -11)" in text and "openvino: Slow one, very slow;" in text
+    providers = json.loads((tmp_path / "d.json").read_text())["providers"]
+    assert [each["milliseconds"] for each in providers] == [5.0, None, None]
 
 
 # ---- failures meanwhile --------------------------------------------------------------------------------

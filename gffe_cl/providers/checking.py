@@ -61,6 +61,14 @@ class Verdict:
     def passes(self) -> bool:
         return not self.problem
 
+    def summary(self) -> str:
+        """In one line, for people."""
+        if self.problem:
+            return self.problem.removeprefix(f"provider {self.provider}").lstrip(": ")
+        times = f"{self.milliseconds:.1f} ms for 960×540, the CPU {self.cpu_milliseconds:.1f} ms"
+        speed = times if math.isfinite(self.milliseconds) else "very slow"
+        return f"{self.device + ', ' if self.device else ''}{speed}; differs from the CPU by {self.difference:.1g}"
+
 
 def verdict(path: Path, provider: Provider, refresh: bool = False) -> Verdict:
     """Of `provider` with the network in the file `path`: recalled, or found out in a child process (`refresh`: always).
