@@ -103,7 +103,7 @@ class Network:
                 raise NetworkError(f"{self.path}: the network failed on {self.provider}: {text}") from None
             self._failure = f"{self.path.name}: the network failed on {self.provider} ({text}) and went on on the CPU"
             self._fixed.clear()
-            work()
+            self._guarded(work)
 
     def _run(self, inputs: dict[str, np.ndarray], correction: np.ndarray) -> None:
         if self.provider != CPU.ort:

@@ -204,6 +204,22 @@ def test_a_driver_that_fails_while_it_runs(tmp_path, monkeypatch, named):
     assert network.remark.count("device lost") == 1 and "went on on the CPU" in network.remark
 
 
+def test_a_network_that_fails_on_the_cpu_too(tmp_path, monkeypatch):
+    """... is an error, whatever was chosen how."""
+    monkeypatch.setattr(inference, "FixedSession", Failing)
+    monkeypatch.setattr(inference, "choose", lambda *_: Choice(WEBGPU, may_fall_back=True))
+    nodes = [
+        helper.make_node("Gather", ["frames", "which"], ["five"], axis=1),
+        helper.make_node("MaxPool", ["five"], ["correction"], kernel_shape=[2, 2], strides=[2, 2]),
+    ]
+    network = Network(Path(save(tmp_path / "m.onnx", nodes, {"which": np.arange(5)})), "auto")
+    frames, correction = np.full((8, 16, 32), 3, np.float32), np.empty((5, 16, 32), np.float32)
+    network.run(frames, 0.5, correction)
+    for _ in range(2):
+        with pytest.raises(NetworkError, match=r"m.onnx: the network failed on CPUExecutionProvider"):
+            network.run(frames, 0.5, correction)
+
+
 def test_a_driver_that_fails_as_a_session_is_made(device, tmp_path, monkeypatch):
     def fails(*_):
         raise RuntimeError("no memory")
