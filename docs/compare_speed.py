@@ -43,6 +43,7 @@ PARTS = {
     ("extrapolated", "shading"): "SCN, inputs",
     ("extrapolated", "correction"): "SCN, kernels",
     ("extrapolated", "network"): "SCN, network",
+    ("extrapolated", "network copies"): "SCN, network",
 }
 
 

@@ -6,32 +6,24 @@ that are multiples of 16.
 
 from __future__ import annotations
 
-import os
+import threading
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 
-from gffe_cl.errors import GffeError
+from gffe_cl.providers.choosing import AUTO, Choice, choose
+from gffe_cl.providers.runtime import CPU, PROVIDERS, NetworkError, load_onnxruntime, one_line, open_session
+from gffe_cl.providers.sessions import FixedSession
+
+__all__ = ["AUTO", "PROVIDERS", "Network", "NetworkError", "default_model", "load_network", "load_onnxruntime"]
 
 MULTIPLE = 16  # of the network's width and height
 INPUT_PLANES, OUTPUT_PLANES = 8, 5
-PROVIDERS = {
-    "cpu": "CPUExecutionProvider",
-    "cuda": "CUDAExecutionProvider",
-    "directml": "DmlExecutionProvider",
-    "openvino": "OpenVINOExecutionProvider",
-    "webgpu": "WebGpuExecutionProvider",
-    "coreml": "CoreMLExecutionProvider",
-    "tensorrt": "TensorrtExecutionProvider",
-}
 _FLOAT = "tensor(float)"
-_loaded: dict[tuple, tuple] = {}  # (path, provider) → (stamp of the file, Network)
-
-
-class NetworkError(GffeError):
-    """The network cannot be loaded, or fails."""
+_MOST_SIZES = 4  # whose sessions are kept
+_loaded: dict[tuple, tuple] = {}  # (path, what was asked for) → (stamp of the file, Network)
 
 
 def default_model() -> Path | None:
@@ -47,67 +39,101 @@ def scn_missing() -> str | None:
     return None
 
 
-def load_network(path: str | Path | None = None, provider: str = "cpu") -> Network:
-    """The network of the ONNX file `path` (None: of the package) on a provider of onnxruntime: a key of `PROVIDERS` or
-    onnxruntime's own name. Loaded once as long as the file stays the same. Raises NetworkError."""
+def load_network(path: str | Path | None = None, provider: str = CPU.name) -> Network:
+    """The network of the ONNX file `path` (None: of the package) on a provider of onnxruntime: a key of `PROVIDERS`,
+    onnxruntime's own name, or "auto". One that is not the CPU is compared with it in a child process first, once per
+    machine. Loaded once as long as the file stays the same. Raises NetworkError."""
     path = default_model() if path is None else Path(path)
     if path is None:
         raise NetworkError(f"{scn_missing()}: expected gffe_cl/scn/weights/scn.onnx, or another model's path")
     if not path.is_file():
         raise NetworkError(f"{path}: no such file (expected a shading correction network, ONNX)")
-    name, state = _provider(provider), path.stat()
-    key, stamp = (path.resolve(), name), (state.st_mtime_ns, state.st_size)
+    state = path.stat()
+    wanted = next((each.name for each in PROVIDERS.values() if provider in (each.name, each.ort)), provider)
+    key, stamp = (path.resolve(), wanted), (state.st_mtime_ns, state.st_size)
     if key not in _loaded or _loaded[key][0] != stamp:
-        _loaded[key] = stamp, Network(path, name)
+        _loaded[key] = stamp, Network(path, wanted)
     return _loaded[key][1]
 
 
-def load_onnxruntime() -> ModuleType:
-    """onnxruntime without its telemetry, which would write an id of the device into the user's cache folder when it is
-    imported: the only place that imports it."""
-    os.environ["ORT_DISABLE_TELEMETRY"] = "1"
-    import onnxruntime
-
-    onnxruntime.disable_telemetry_events()
-    return onnxruntime
-
-
 class Network:
-    """A session of onnxruntime; see `load_network`. `provider` is onnxruntime's name of it."""
+    """A network and what runs it; see `load_network`.
 
-    def __init__(self, path: Path, provider: str):
-        onnxruntime = load_onnxruntime()
-        self.path, self.provider = path, provider
-        options = onnxruntime.SessionOptions()
-        options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_ALL
-        for kind in ("intra_op", "inter_op"):
-            options.add_session_config_entry(f"session.{kind}.allow_spinning", "0")
-        options.log_severity_level = 4  # what goes wrong is raised
-        providers = list(dict.fromkeys((provider, PROVIDERS["cpu"])))
-        try:
-            self.session = onnxruntime.InferenceSession(str(path), options, providers)
-        except Exception as error:  # onnxruntime's classes have no common base
-            raise NetworkError(f"{path}: cannot be loaded (expected an ONNX model): {_one_line(error)}") from None
-        if provider not in self.session.get_providers():
-            raise NetworkError(f"provider {provider} does not work here (expected its libraries and a device)")
+    `session`: the CPU's, for any size. `copying`: milliseconds of the last run that went into copies to the provider
+    and back, as far as they are known apart. `remark`: what a user should know of what runs it, "" if nothing.
+    """
+
+    def __init__(self, path: Path, provider: str = CPU.name):
+        self.path, self.session = path, open_session(path)
+        self.copying = 0.0
+        self._failure = ""
+        self._fixed: dict[tuple[int, int], FixedSession] = {}  # by height and width, the latest last
+        self._one_at_a_time = threading.RLock()  # on a provider; the CPU's session has no state
         _require(path, "input", self.session.get_inputs(), {"frames": (1, INPUT_PLANES, None, None), "alpha": (1,)})
         _require(path, "output", self.session.get_outputs(), {"correction": (1, OUTPUT_PLANES, None, None)})
+        self.choice: Choice = choose(path, provider)
+
+    @property
+    def provider(self) -> str:
+        """onnxruntime's name of what runs it."""
+        return (CPU if self._failure else self.choice.provider).ort
+
+    @property
+    def remark(self) -> str:
+        return "; ".join(filter(None, (self.choice.remark, self._failure)))
+
+    def prepare(self, height: int, width: int) -> None:
+        """Make what it takes to run on images of this size, which may take seconds. Raises NetworkError."""
+        self._guarded(lambda: None if self.provider == CPU.ort else self._session_of(height, width))
 
     def run(self, frames: np.ndarray, alpha: float, correction: np.ndarray) -> int:
         """Read `frames` (8, h, w), write `correction` (5, h, w): C-contiguous float32, used in place on the CPU.
         Returns for how many of its pixels the network gave NaN or infinity. Raises NetworkError."""
-        time = np.array([alpha], np.float32)
-        binding = self.session.io_binding()
-        try:
-            for name, array, shape in (("frames", frames, (1, *frames.shape)), ("alpha", time, (1,))):
-                binding.bind_input(name, "cpu", 0, np.float32, shape, array.ctypes.data)
-            shape = (1, *correction.shape)
-            binding.bind_output("correction", "cpu", 0, np.float32, shape, correction.ctypes.data)
-            self.session.run_with_iobinding(binding)
-            binding.synchronize_outputs()
-        except Exception as error:
-            raise NetworkError(f"{self.path}: the network failed on {self.provider}: {_one_line(error)}") from None
+        inputs = {"frames": frames[None], "alpha": np.array([alpha], np.float32)}
+        self._guarded(lambda: self._run(inputs, correction[None]))
         return _pixels_not_finite(correction)
+
+    def _guarded(self, work: Callable[[], object]) -> None:
+        """Do `work`; where it fails on a provider that was not asked for by name, once more on the CPU, for good."""
+        try:
+            work()
+        except Exception as error:  # whatever a driver throws
+            text = one_line(error)
+            if self._failure or not self.choice.may_fall_back:
+                raise NetworkError(f"{self.path}: the network failed on {self.provider}: {text}") from None
+            self._failure = f"{self.path.name}: the network failed on {self.provider} ({text}) and went on on the CPU"
+            self._fixed.clear()
+            self._guarded(work)
+
+    def _run(self, inputs: dict[str, np.ndarray], correction: np.ndarray) -> None:
+        if self.provider != CPU.ort:
+            with self._one_at_a_time:
+                fixed = self._session_of(*correction.shape[2:])
+                fixed.run(inputs, "correction", correction)
+                self.copying = fixed.copying
+            return
+        self.copying = 0.0
+        binding = self.session.io_binding()
+        for name, array in inputs.items():
+            binding.bind_input(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
+        binding.bind_output("correction", "cpu", 0, np.float32, correction.shape, correction.ctypes.data)
+        self.session.run_with_iobinding(binding)
+        binding.synchronize_outputs()
+
+    def _session_of(self, height: int, width: int) -> FixedSession:
+        """On the provider, for images of this size."""
+        size = height, width
+        with self._one_at_a_time:
+            if size in self._fixed:
+                self._fixed[size] = self._fixed.pop(size)
+                return self._fixed[size]
+            images = {"frames": INPUT_PLANES, "correction": OUTPUT_PLANES}
+            shapes = {name: (1, planes, *size) for name, planes in images.items()} | {"alpha": (1,)}
+            made = FixedSession(self.path, self.choice.provider, shapes, self.session)
+            while len(self._fixed) >= _MOST_SIZES:
+                del self._fixed[next(iter(self._fixed))]
+            self._fixed[size] = made
+            return made
 
 
 def _pixels_not_finite(planes: np.ndarray) -> int:
@@ -116,19 +142,6 @@ def _pixels_not_finite(planes: np.ndarray) -> int:
         if np.isfinite(planes.sum()):
             return 0
     return int((~np.isfinite(planes)).any(0).sum())
-
-
-def _provider(name: str) -> str:
-    """onnxruntime's name of a provider that is available."""
-    available = load_onnxruntime().get_available_providers()
-    wanted = PROVIDERS.get(name.lower(), name)
-    if wanted in available:
-        return wanted
-    short = {full: key for key, full in PROVIDERS.items()}
-    raise NetworkError(
-        f"provider '{name}' is not available in this onnxruntime (there is:"
-        f" {', '.join(short.get(full, full) for full in available)})"
-    )
 
 
 def _require(path: Path, kind: str, values: list, expected: dict[str, tuple]) -> None:
@@ -153,7 +166,3 @@ def _require(path: Path, kind: str, values: list, expected: dict[str, tuple]) ->
 
 def _shape(shape) -> str:
     return "×".join("any" if n is None else str(n) for n in shape)
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]

@@ -183,8 +183,8 @@ class Options:
         automatic="auto: the package's own", flag="--scn-model", remembered=False,
     )  # fmt: skip
     scn_provider: str = _option(
-        "cpu", "network's provider", f"What runs the network: {', '.join(inference.PROVIDERS)}.", flag="--scn-provider",
-        remembered=False,
+        "cpu", "network's provider", f"What runs the network: {', '.join(inference.PROVIDERS)}, or"
+        f" {inference.AUTO}: the fastest that gives the CPU's results.", flag="--scn-provider", remembered=False,
     )  # fmt: skip
 
     def __post_init__(self):

@@ -399,11 +399,11 @@ class Pipeline:
 
     def take_timings(self) -> dict[str, float]:
         """Milliseconds of kernel time per stage since the last call (waits for the device); with shading correction
-        "network" is the wall time in the network."""
+        "network" is the wall time in the network, "network copies" that of copies to what runs it and back."""
         self.device.queue.finish()
         timings = {stage.name: stage.take_milliseconds() for stage in self.stages.values()}
         for stage in (self.presentation, self.composition):
             if stage:
                 timings[stage.name] = stage.take_milliseconds()
         correction = self.stages.get(ShadingCorrection.name)
-        return timings | ({"network": correction.take_network_milliseconds()} if correction else {})
+        return timings | (correction.take_network_milliseconds() if correction else {})

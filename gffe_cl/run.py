@@ -130,7 +130,7 @@ def run_sequence(
     report.bad_pixels = pipeline.bad_pixels
     report.warnings = source.warnings() + _network_warnings(pipeline)
     report.milliseconds = {name: total / max(report.extrapolated, 1) for name, total in timings.items()}
-    network = timings.pop("network", 0.0) * 1e-3
+    network = (timings.pop("network", 0.0) + timings.pop("network copies", 0.0)) * 1e-3
     report.seconds = {
         "wall": perf_counter() - start,
         "start": started - start,
@@ -143,10 +143,13 @@ def run_sequence(
 
 def _network_warnings(pipeline: Pipeline) -> list[str]:
     correction = pipeline.stages.get("correction")
-    if correction is None or not correction.unusable_pixels:
+    if correction is None:
         return []
+    remarks = [correction.network.remark] if correction.network.remark else []
+    if not correction.unusable_pixels:
+        return remarks
     model, pixels = correction.network.path.name, correction.unusable_pixels
-    return [
+    return remarks + [
         f"{model}: the network gave NaN or infinity for about {pixels:,} pixels of the new frames; they keep the"
         " extrapolated colour"
     ]

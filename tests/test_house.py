@@ -13,8 +13,9 @@ from gffe_cl.options import OPTIONS
 FLOORS = (
     ("errors",),
     ("files", "memory", "values", "conventions"),
-    ("opencl", "camera", "inference", "metrics"),
-    ("frame", "window", "camera_path", "packing"),
+    ("opencl", "camera", "metrics"),
+    ("providers",),
+    ("inference", "frame", "window", "camera_path", "packing"),
     ("buffers",),
     ("stage", "sequence", "scenes"),
     ("stages", "formats"),

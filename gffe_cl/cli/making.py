@@ -31,6 +31,7 @@ from gffe_cl.errors import GffeError
 if TYPE_CHECKING:
     from gffe_cl.opencl.device import Device, DeviceInfo
     from gffe_cl.options import Options
+    from gffe_cl.providers.checking import Verdict
     from gffe_cl.run import RunReport
     from gffe_cl.source import Live, Recorded
 
@@ -46,7 +47,7 @@ def devices(
     ] = False,
     json_path: JsonOption = None,
 ) -> None:
-    """List every OpenCL device: whether a kernel really runs on it, and what it lacks."""
+    """List every OpenCL device: whether a kernel really runs on it, and what it lacks; and what may run the network."""
     from dataclasses import asdict
 
     from gffe_cl.opencl.device import HOW_TO_GET_ONE, best_of, list_devices
@@ -68,9 +69,24 @@ def devices(
         out.print(table)
     if default:
         out.print("* the default; choose another with --device or GFFE_DEVICE (--refresh probes anew)")
-    write_json(json_path, {"devices": [asdict(i) | {"default": i is default} for i in infos]})
+    verdicts = _provider_verdicts(refresh)
+    for found in verdicts:
+        out.print(plain(f"network's provider {found.provider}: {found.summary()}"))
+    document = {"devices": [asdict(i) | {"default": i is default} for i in infos]}
+    write_json(json_path, document | {"providers": [asdict(found) for found in verdicts]})
     if not working:
         raise GffeError(f"no OpenCL device{f' of kind {kind}' if kind else ''} runs a kernel: {HOW_TO_GET_ONE}")
+
+
+def _provider_verdicts(refresh: bool) -> list[Verdict]:
+    """Of all providers that are installed, but the CPU's, with the package's own network."""
+    from gffe_cl.inference import default_model
+    from gffe_cl.providers.checking import verdict
+    from gffe_cl.providers.runtime import CPU, installed_providers
+
+    model = default_model()
+    others = [provider for provider in installed_providers() if provider != CPU] if model else []
+    return [verdict(model, provider, refresh) for provider in others]
 
 
 @app.command()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from gffe_cl.cli.common import JsonOption, app, out, parse_size, plain, progress_bars, steps, write_json
+from gffe_cl.cli.common import JsonOption, app, out, parse_size, plain, progress_bars, steps, warn, write_json
 from gffe_cl.cli.options import takes_options
 from gffe_cl.errors import GffeError
 
@@ -159,7 +159,11 @@ def _print_bench(info: DeviceInfo, name: str, results: list[SizeBench]) -> None:
     table.add_row("of which GAE's", *(f"{r.memory_gae / 2**20:.0f}" for r in results), "", "")
     commands = (" + ".join(f"{n} {part}" for part, n in r.commands.items()) for r in results)
     table.add_row("commands for both frames", *commands, "", "")
+    if last.provider:
+        table.add_row("the network ran on", *(r.provider.removesuffix("ExecutionProvider") for r in results), "", "")
     out.print(table)
+    for remark in sorted({r.remark for r in results if r.remark}):
+        warn(remark)
     if (power := growth(results)) is not None:
         out.print(f"GAE grows as pixels^{power:.2f}.")
     shares = ", ".join(f"{share} {value:.2%}" for share, value in last.shares.items())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -66,6 +67,7 @@ def view(
     options: Options,
 ) -> None:
     """Open the viewer: play, look into every stage, find out why a pixel is wrong."""
+    _require_packages()
     from gffe_cl.inference import load_network
     from gffe_cl.scenes import is_scene
     from gffe_cl.viewer.engine.opening import ScenePlan
@@ -115,6 +117,19 @@ def view(
         for name, value in figures.items():
             out.print(f"{name}: {value:.1f}")
         write_json(json_path, figures | {"device": model.engine.device_name})
+
+
+def _require_packages() -> None:
+    """GffeError unless the packages that only the viewer needs are there and work."""
+    for name in ("imgui_bundle", "glfw", "moderngl"):  # in this order
+        try:
+            import_module(name)
+        except Exception as error:  # whatever a broken package throws
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise GffeError(
+                f"the viewer needs {name.replace('_', '-')}: {reason} (expected: pip install --force-reinstall"
+                " imgui-bundle glfw moderngl; all other commands work without)"
+            ) from None
 
 
 def _pixel(text: str | None) -> tuple[int, int] | None:

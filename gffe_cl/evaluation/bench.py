@@ -48,6 +48,7 @@ PAPER = {
     "SCN, inputs": None,
     "SCN, kernels": None,
     "SCN, network": None,
+    "SCN, copies": None,
     "SCN": 745,
 }
 _COPY_BYTES = 256 << 20
@@ -61,7 +62,7 @@ class SizeBench:
     extrapolated frame; "misc" is the adaptive window: choosing it and presenting the display part; `wall` is
     milliseconds from submitting the one to having the other, "misc" apart;
     "GAE" is the sum of these, "SCN" that of what shading correction adds, where it is on: kernels by their events, the
-    network by its wall time."""
+    network and the copies to what runs it by their wall time."""
 
     width: int
     height: int
@@ -76,6 +77,8 @@ class SizeBench:
     memory_by_stage: dict[str, int]  # bytes
     kernels: dict[str, float]  # milliseconds by "stage.kernel", all launches for the two frames together
     commands: dict[str, int]  # enqueued for the two frames: kernels, fills and copies; "GAE" and "SCN"
+    provider: str = ""  # onnxruntime's name of what ran the network
+    remark: str = ""  # what a user should know of that
 
 
 class Copier:
@@ -150,6 +153,7 @@ def bench_size(
     pixels = footage.width * footage.height
     shares = traffic.counters(pipeline)
     by_stage = traffic.memory(pipeline)
+    network = getattr(pipeline.stages.get(ShadingCorrection.name), "network", None)
     frames = KEPT_BYTES_PER_PIXEL * pixels
     return SizeBench(
         footage.width,
@@ -165,6 +169,8 @@ def bench_size(
         memory_by_stage=by_stage,
         kernels={name: statistics.median(taken) for name, taken in samples.kernels.items()},
         commands=samples.commands,
+        provider=network.provider if network else "",
+        remark=network.remark if network else "",
     )
 
 
@@ -191,7 +197,7 @@ def _timed_pair(pipeline: Pipeline, footage: Footage, turn: Turn, samples: _Samp
     pipeline.device.queue.finish()
     wall = (time.perf_counter() - start) * 1e3
     correction = pipeline.stages.get(ShadingCorrection.name)
-    network = correction.take_network_milliseconds() if correction else None
+    network = correction.take_network_milliseconds() if correction else {}
     if not turn.counts:
         return launches
     parts: dict[str, float] = defaultdict(float)
@@ -204,8 +210,7 @@ def _timed_pair(pipeline: Pipeline, footage: Footage, turn: Turn, samples: _Samp
                 kernels[f"{stage}.{kernel}"] += milliseconds
                 parts[traffic.part(stage, when, kernel)] += milliseconds
                 commands["SCN" if stage in traffic.SCN else "GAE"] += 1
-    if network is not None:
-        parts[traffic.SCN["network"]] = network
+    parts |= {traffic.SCN[name]: milliseconds for name, milliseconds in network.items()}
     for taken, into in ((parts, samples.parts), (kernels, samples.kernels)):
         for name, milliseconds in taken.items():
             into[name].append(milliseconds)

@@ -47,7 +47,11 @@ SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
     "still tiles": ("correction.frames", still_tiles),  # of the network
 }
 
-SCN = {"shading": "SCN, inputs", "correction": "SCN, kernels", "network": "SCN, network"}  # parts by stage
+# Parts by stage.
+SCN = {
+    "shading": "SCN, inputs", "correction": "SCN, kernels", "network": "SCN, network",
+    "network copies": "SCN, copies",
+}  # fmt: skip
 
 
 def part(stage: str, when: str, kernel: str) -> str:

@@ -15,6 +15,7 @@ import torch
 
 from gffe_cl.errors import GffeError
 from gffe_cl.inference import MULTIPLE, load_onnxruntime
+from gffe_cl.scn.channels import pad_file
 from gffe_cl.scn.network import ShadingCorrectionNetwork
 
 OPSET = 18  # of 20 and later OpenVINO does not know GridSample
@@ -45,6 +46,7 @@ def export_onnx(network: ShadingCorrectionNetwork, path: Path) -> float:
                 opset_version=OPSET,
                 dynamo=False,
             )
+        pad_file(part, part)
         difference = largest_difference(network, part)
         if not difference <= TOLERANCE:
             raise GffeError(

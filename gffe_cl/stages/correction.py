@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 
 import numpy as np
 import pyopencl as cl
@@ -17,6 +18,7 @@ from gffe_cl.stages.shading import SEEN
 MU = 5000.0
 HEADROOM = 8.0  # exposed colour that is encoded as 1: three stops above display white
 _IMAGE_PIXELS = 4  # per pixel of the network
+_EVENTS = 1024  # of mapping that are kept until they are taken
 
 
 class ShadingCorrection(Stage):
@@ -26,9 +28,8 @@ class ShadingCorrection(Stage):
     With U for bilinear interpolation from half resolution, L for the encoded GAE colour there and g for it at full:
     refined = e⁻¹(U(L) + U(Δ) + U(keep) · (g − U(L))), final = GAE · (1 − U(M)) + refined · U(M) in linear colour.
 
-    `network_milliseconds`: time in the network since last taken, apart from the kernels'. `unusable_pixels`: of all
-    frames so far, where the network gave NaN or infinity; they keep the GAE colour. `with_refined`: whether `refined`
-    is made too, from the next frame on.
+    `unusable_pixels`: of all frames so far, where the network gave NaN or infinity; they keep the GAE colour.
+    `with_refined`: whether `refined` is made too, from the next frame on.
     """
 
     name = "correction"
@@ -104,7 +105,10 @@ class ShadingCorrection(Stage):
         self.network: Network | None = None
         if load:
             self.network = load_network(board.options.scn_model, board.options.scn_provider)
-        self.network_milliseconds = 0.0
+            self.network.prepare(*reversed(self.network_size))
+        self._network_milliseconds = 0.0
+        self._copying_milliseconds = 0.0
+        self._mappings: deque[cl.Event] = deque(maxlen=_EVENTS)
         self.unusable_pixels = 0
         self.with_refined = False
 
@@ -145,10 +149,12 @@ class ShadingCorrection(Stage):
         try:
             start = time.perf_counter()
             self.unusable_pixels += _IMAGE_PIXELS * self.network.run(frames, alpha, correction)
-            self.network_milliseconds += (time.perf_counter() - start) * 1e3
+            copying = self.network.copying
+            self._network_milliseconds += (time.perf_counter() - start) * 1e3 - copying
+            self._copying_milliseconds += copying
         finally:
             for array in (frames, correction):
-                array.base.release(self.device.queue)
+                self._mappings.append(array.base.release(self.device.queue))
 
     def compose(self, exposure: float, within_mask: bool) -> None:
         """Fill `focus_mask` and `color`; without `within_mask` the whole image is the network's."""
@@ -162,12 +168,19 @@ class ShadingCorrection(Stage):
     def map(self, name: str, flags: int) -> np.ndarray:
         """The memory of a mapped buffer, once the kernels before are done; to be released on the queue."""
         spec = self.spec(name)
-        return cl.enqueue_map_buffer(
+        array, event = cl.enqueue_map_buffer(
             self.device.queue, self.buffer[name], flags, 0, spec.shape(self.sizes), spec.dtype
-        )[0]
+        )
+        self._mappings.append(event)
+        return array
 
-    def take_network_milliseconds(self) -> float:
-        taken, self.network_milliseconds = self.network_milliseconds, 0.0
+    def take_network_milliseconds(self) -> dict[str, float]:
+        """Since last taken, apart from the kernels'; the device must have finished. "network": time in the network;
+        "network copies": from the device to what runs the network, and back."""
+        mapping = sum(event.profile.end - event.profile.start for event in self._mappings) * 1e-6
+        taken = {"network": self._network_milliseconds, "network copies": self._copying_milliseconds + mapping}
+        self._network_milliseconds = self._copying_milliseconds = 0.0
+        self._mappings.clear()
         return taken
 
 

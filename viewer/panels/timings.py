@@ -34,7 +34,8 @@ def draw(app) -> None:
                 imgui.same_line()
             imgui.text(name)
             if name == "correction":
-                widgets.tooltip(f"of this {model.timings.network():.2f} ms in the network")
+                network, copies = model.timings.network(), model.timings.copies()
+                widgets.tooltip(f"of this {network:.2f} ms in the network, {copies:.2f} ms in copies to it and back")
             for text in (f"{milliseconds:.2f}", per_pixel):
                 imgui.table_next_column()
                 imgui.text(text)

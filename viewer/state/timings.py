@@ -12,11 +12,12 @@ _MEAN = 20  # ... and in the means
 
 class Timings:
     """Milliseconds of the last computed frames; `stages` are kernel times by stage, of shading correction with the time
-    in the network, which `network` has alone."""
+    in the network, which `network` has alone, and that of its copies."""
 
     def __init__(self):
         self.stages: dict[str, deque[float]] = defaultdict(lambda: deque(maxlen=HISTORY))
         self._networks: deque[float] = deque(maxlen=_MEAN)
+        self._copies: deque[float] = deque(maxlen=_MEAN)
         self._walls: deque[float] = deque(maxlen=_MEAN)
         self._readbacks: deque[float] = deque(maxlen=_MEAN)
 
@@ -24,9 +25,11 @@ class Timings:
         """Of an engine's Result."""
         taken = dict(result.milliseconds)
         network = taken.pop("network", 0.0)
+        copies = taken.pop("network copies", 0.0)
         if "correction" in taken:
-            taken["correction"] += network
+            taken["correction"] += network + copies
         self._networks.append(network)
+        self._copies.append(copies)
         for name in self.stages.keys() - taken.keys():
             del self.stages[name]
         for name, milliseconds in taken.items():
@@ -40,6 +43,10 @@ class Timings:
 
     def network(self) -> float:
         return _mean(self._networks)
+
+    def copies(self) -> float:
+        """From the device to what runs the network, and back."""
+        return _mean(self._copies)
 
     def wall(self) -> float:
         """From taking a request to its images."""
