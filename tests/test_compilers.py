@@ -1,4 +1,4 @@
-"""Kernels are accepted by compilers that are stricter than the runtimes here, and are modest in what they ask of a device.
+"""Kernels are accepted by compilers that are stricter than the runtimes here, and ask little of a device.
 
 That is clang's OpenCL front end, for a 64-bit device without extensions, warnings being errors; what it makes is valid
 SPIR-V.

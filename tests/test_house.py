@@ -21,7 +21,7 @@ FLOORS = (
     ("options",),
     ("pipeline", "source"),
     ("run", "render", "evaluation", "calibration", "scn", "doctor"),
-    ("demo", "viewer"),
+    ("demo", "viewer", "selftest"),
     ("cli",),
     ("__main__",),
 )
