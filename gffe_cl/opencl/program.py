@@ -59,7 +59,7 @@ class Program:
                 built = built_program(device.context, source, ("-cl-kernel-arg-info", *options))
         except cl.RuntimeError as error:
             raise GffeError(f"kernels/{name}.cl does not build on {device.info.name}:\n{_log(error)}") from None
-        # Not `all_kernels`: pyopencl (2026.1) retains each of those once too often, so that the context is never released.
+        # Not `all_kernels`: pyopencl (2026.1) retains those once too often, and the context is never released.
         names = built.get_info(cl.program_info.KERNEL_NAMES).split(";")
         self.kernels = {kernel: cl.Kernel(built, kernel) for kernel in names}
         self.arguments = parse_kernels(source)

@@ -41,8 +41,9 @@ _PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
 @dataclass
 class Soak:
     """`memory` (MiB) of the process and `milliseconds` (median of a frame) at the end of each round of `ROUND` frames;
-    `frames` submitted, `made`: extrapolated, `refused`, `cuts` found; `pipelines` and `devices` opened beside; `longest`
-    milliseconds of a frame; `ends`: the hashes of what the rounds ended with, and `fresh` that of a fresh pipeline."""
+    `frames` submitted, `made`: extrapolated, `refused`, `cuts` found; `pipelines` and `devices` opened beside;
+    `longest` milliseconds of a frame; `ends`: the hashes of what the rounds ended with, and `fresh` that of a fresh
+    pipeline."""
 
     frames: int = 0
     made: int = 0
@@ -87,6 +88,7 @@ def soak(device: Device, count: int, seed: int = 0, on_round: Callable[[Soak], N
                 _beside(device, others, rng, told, anew=k % _REOPENED_EVERY == 0)
             taken.append((time.perf_counter() - start) * 1e3)
         told.ends.add(_finale(pipeline, clip, np.ceil(clock) + 1))
+        told.frames += _FINALE
         clock = np.ceil(clock) + 2
         gc.collect()
         told.memory.append(_resident())
