@@ -29,6 +29,10 @@ def selftest(
             callback=output_file("--report"),
         ),
     ] = None,
+    quick: Annotated[
+        bool,
+        typer.Option("--quick", help="Only kernels as the device takes them itself, no speed: a quarter of the time."),
+    ] = False,
     seconds: Annotated[float, typer.Option("--timeout", help="Seconds that one device may take.", min=1.0)] = 600.0,
     json_path: JsonOption = None,
 ) -> None:
@@ -39,7 +43,8 @@ def selftest(
     from gffe_cl.selftest import selftest as run
     from gffe_cl.selftest.report import machine
 
-    found = run(device, seconds=seconds, on_device=_announce)
+    wanted = {"forms": ["own"], "speed": False} if quick else None
+    found = run(device, seconds=seconds, wanted=wanted, on_device=_announce)
     out.print(_devices_table(found.devices))
     for network in found.networks:
         _print_network(network)
