@@ -16,7 +16,7 @@ FLOORS = (
     ("opencl", "camera", "inference", "metrics"),
     ("frame", "window", "camera_path", "packing"),
     ("buffers",),
-    ("stage", "sequence", "scenes"),
+    ("stage", "sequence", "scenes", "room"),
     ("stages", "formats"),
     ("options",),
     ("pipeline", "source"),
