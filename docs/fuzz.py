@@ -104,7 +104,7 @@ def main() -> int:
         count = (told[1] or told[2]) if told else "an unknown number of"
         print(f"{name}: {count} inputs, {'a fault' if child.returncode else 'no fault'}", flush=True)
         if child.returncode:
-            print("\n".join(child.stderr.splitlines()[-25:]))
+            print("\n".join([*child.stdout.splitlines()[-15:], *child.stderr.splitlines()[-8:]]))
     found = sorted(set(CASES.glob("*")) - before)
     print("\n".join([f"{len(found)} faults", *(str(path) for path in found)]))
     return int(bool(found))

@@ -2,40 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 
 import pyopencl as cl
 
 from gffe_cl.errors import GffeError
+from gffe_cl.opencl.device import Device
 
+_CODES = cl.status_code
 _MEMORY = {
-    cl.status_code.MEM_OBJECT_ALLOCATION_FAILURE, cl.status_code.OUT_OF_RESOURCES, cl.status_code.OUT_OF_HOST_MEMORY,
-    cl.status_code.INVALID_BUFFER_SIZE,
+    _CODES.MEM_OBJECT_ALLOCATION_FAILURE, _CODES.OUT_OF_RESOURCES, _CODES.OUT_OF_HOST_MEMORY,
+    _CODES.INVALID_BUFFER_SIZE,
 }  # fmt: skip
 
 
-def explains_device_faults(method: Callable) -> Callable:
-    """For methods of what has a `device` and a `_footprint` (a text that names sizes and memory): errors of the driver
-    become a GffeError that says so, and what to do."""
+@contextmanager
+def device_faults(device: Device, work: str, footprint: Callable[[], str]) -> Iterator[None]:
+    """While `work` is done: errors of the driver become a GffeError of one line that says so, and what to do;
+    `footprint` names the sizes and the memory."""
+    try:
+        yield
+    except cl.Error as error:
+        advice = (
+            "is out of memory, or lost (expected smaller images, fewer background levels, or less else on it)"
+            if error.code in _MEMORY
+            else "is lost, or its driver has failed (expected it to answer)"
+        )
+        reason = " ".join(str(error).split())[:120]
+        raise GffeError(
+            f"{device.info.name}: {work} failed: {reason}; {footprint()}: the device {advice};"
+            " open the device and a new pipeline to go on"
+        ) from error
+
+
+def telling_device_faults(method: Callable) -> Callable:
+    """For methods of what has a `device` and a `_footprint()`: as `device_faults`."""
 
     @wraps(method)
     def wrapped(self, *arguments, **more):
-        try:
+        with device_faults(self.device, method.__name__.strip("_"), self._footprint):
             return method(self, *arguments, **more)
-        except cl.Error as error:
-            what = f"{self.device.info.name}: {method.__name__.strip('_')} failed: {_reason(error)}"
-            advice = (
-                "is out of memory, or lost (expected smaller images, fewer background levels, or less on the device)"
-                if error.code in _MEMORY
-                else "is lost, or its driver has failed (expected it to answer)"
-            )
-            raise GffeError(
-                f"{what}; {self._footprint}: the device {advice}; open the device and a new pipeline to go on"
-            ) from error
 
     return wrapped
-
-
-def _reason(error: cl.Error) -> str:
-    return " ".join(str(error).split())[:120]
