@@ -306,7 +306,7 @@ def json_mutated(data, rng):
         parent[str(path[-1]) + "x"] = parent.pop(path[-1])
     elif kind == 1:
         parent.append(parent[path[-1]])
-    elif kind == 2 and isinstance(parent[path[-1]], int | float):
+    elif kind == 2 and isinstance(parent[path[-1]], int | float) and abs(parent[path[-1]]) < 1e300:
         parent[path[-1]] = parent[path[-1]] * float(rng.choice([-1, 0, 1e-9, 1e9, 1.5]))
     else:
         parent[path[-1]] = value
