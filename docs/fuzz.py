@@ -22,13 +22,26 @@ from pathlib import Path
 import numpy as np
 
 TESTS = Path(__file__).parent.parent / "tests"
-CASES = TESTS / "fuzz_cases"
+CASES, WORK = TESTS / "fuzz_cases", TESTS / ".fuzz_corpus"
 SECONDS, MEGABYTES = 20, 4096  # that one input may take
 
 
-def keep(name: str, data: bytes) -> Path:
+def plain(name: str) -> str:
+    """As part of a file's name."""
+    return name.replace(":", "@")
+
+
+def pending(name: str) -> Path:
+    """Where a child has what it reads just now: a crash of a library ends the child."""
+    WORK.mkdir(exist_ok=True)
+    return WORK / f"{plain(name)}.pending"
+
+
+def keep(name: str) -> Path:
+    """Make a case of what a child died of."""
     CASES.mkdir(exist_ok=True)
-    path = CASES / f"{name.replace(':', '@')}-{hashlib.sha256(data).hexdigest()[:12]}"
+    data = pending(name).read_bytes()
+    path = CASES / f"{plain(name)}-{hashlib.sha256(data).hexdigest()[:12]}"
     path.write_bytes(data)
     return path
 
@@ -46,9 +59,8 @@ def run_target(name: str, seconds: float, seed: int) -> None:
         data = fuzz_targets.mutated(target, target.seed if rng.integers(4) else data, rng)[
             : 4 * len(target.seed) + 1024
         ]
-        path = keep(name, data)  # a crash of a library ends this process
+        pending(name).write_bytes(data)
         fuzz_targets.check(target, data)
-        path.unlink()
         count += 1
     print(f"{name}: {count} inputs")
 
@@ -63,16 +75,15 @@ def run_with_atheris(name: str, seconds: float, seed: int) -> None:
     target, rng = fuzz_targets.targets()[name], np.random.default_rng(seed)
 
     def one(data: bytes) -> None:
-        path = keep(name, data)
+        pending(name).write_bytes(data)
         fuzz_targets.check(target, data)
-        path.unlink()
 
     def mutate(data: bytes, most: int, _seed: int) -> bytes:
         if rng.integers(3) == 0:
             return atheris.Mutate(data, most)
         return fuzz_targets.mutated(target, data if rng.integers(4) else target.seed, rng)[:most]
 
-    corpus = CASES.parent / ".fuzz_corpus" / name.replace(":", "@")
+    corpus = WORK / plain(name)
     corpus.mkdir(parents=True, exist_ok=True)
     (corpus / "seed").write_bytes(target.seed)
     limits = [f"-max_total_time={max(int(seconds), 1)}", f"-timeout={SECONDS}", f"-rss_limit_mb={MEGABYTES}"]
@@ -96,7 +107,7 @@ def main() -> int:
     import fuzz_targets
 
     names = [chosen.target] if chosen.target else list(fuzz_targets.targets())
-    before, minutes = set(CASES.glob("*")), chosen.minutes / len(names)
+    found, minutes = [], chosen.minutes / len(names)
     for number, name in enumerate(names):
         words = ["--child", "--target", name, "--minutes", str(minutes), "--seed", str(chosen.seed + number)]
         child = subprocess.run([sys.executable, __file__, *words], capture_output=True, text=True, errors="replace")
@@ -104,8 +115,8 @@ def main() -> int:
         count = (told[1] or told[2]) if told else "an unknown number of"
         print(f"{name}: {count} inputs, {'a fault' if child.returncode else 'no fault'}", flush=True)
         if child.returncode:
+            found.append(keep(name))
             print("\n".join([*child.stdout.splitlines()[-15:], *child.stderr.splitlines()[-8:]]))
-    found = sorted(set(CASES.glob("*")) - before)
     print("\n".join([f"{len(found)} faults", *(str(path) for path in found)]))
     return int(bool(found))
 
