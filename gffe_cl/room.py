@@ -25,7 +25,9 @@ def require_room(device: Device, sizes: Sizes, allocated_for: Callable[[Sizes], 
     shrink = _TRIAL / max(*sizes.source, *sizes.target)
     trial = Sizes(*(_scaled(size, shrink) for size in (sizes.source, sizes.target)))
     frames = KEPT_BYTES_PER_PIXEL * math.prod(sizes.source)
+    before = device.allocated
     needed = allocated_for(trial) * pixels / _pixels(trial) + frames
+    device.allocated = before  # what was tried is gone again
     if needed <= device.memory:
         return
     width, height = _scaled(sizes.target, _MARGIN * math.sqrt(device.memory / needed))
