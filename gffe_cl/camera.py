@@ -21,6 +21,7 @@ _MOST_FOCAL = 1e9
 _MOST_DISTANCE = 1e15
 _FIELDS = ("world_to_view", "fx", "fy", "cx", "cy")
 _NOT_FINITE = "camera: not finite (world_to_view, fx, fy, cx and cy must be finite numbers)"
+_QUIETLY = np.errstate(all="ignore")  # what overflows is no camera, and said to be none
 _VIEW_AXES = {"opengl": (1.0, -1.0, -1.0), "direct3d": (1.0, -1.0, 1.0), "vulkan": (1.0, 1.0, 1.0)}
 
 
@@ -94,12 +95,14 @@ class Camera:
     __hash__ = None
 
     @classmethod
+    @_QUIETLY
     def look_at(cls, position, target, up, fx, fy, cx, cy) -> Camera:
         """Camera at `position` looking at `target` (world units); `up` is a world direction."""
         position = np.asarray(position, np.float64)
         return cls.from_pose(position, np.asarray(target, np.float64) - position, up, fx, fy, cx, cy)
 
     @classmethod
+    @_QUIETLY
     def from_pose(cls, position, direction, up, fx, fy, cx, cy) -> Camera:
         """Camera from the paper's pose vectors (v_pos, v_dir, v_up), re-orthonormalised."""
         forward = _normalised(direction, "direction")
@@ -170,6 +173,7 @@ class Camera:
         return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True, view_up=True))
 
     @classmethod
+    @_QUIETLY
     def from_unreal_pose(cls, location, rotation, fov: float, size) -> Camera:
         """Camera from an Unreal `FVector` location (3,), an `FRotator` (pitch, yaw, roll) and the horizontal field of
         view, degrees, on an image of `size` = (width, height) pixels: fx = fy = W/2 / tan(fov/2). The unit stays.

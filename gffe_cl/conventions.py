@@ -165,12 +165,13 @@ def depth_from_device(
     if opengl_buffer:
         device = 2 * device - 1
     far = 1.0 if b < 0 else -1.0 if opengl_buffer or a < -0.5 else 0.0
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         depth = b / (device - a)
     depth = np.where(np.isnan(device), np.nan, np.where((depth > 0) & np.isfinite(depth), depth, np.inf))
     if sky:
         depth = np.where(device == far, np.inf, depth)
-    return depth.astype(np.float32)
+    with np.errstate(over="ignore"):
+        return depth.astype(np.float32)
 
 
 def depth_from_distance(distance: Any, camera: Any) -> np.ndarray:

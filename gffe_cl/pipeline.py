@@ -24,7 +24,9 @@ from gffe_cl.frame import (
     require_one_pose,
 )
 from gffe_cl.opencl.device import Device
+from gffe_cl.opencl.faults import device_faults, telling_device_faults
 from gffe_cl.options import Options
+from gffe_cl.room import footprint, require_room
 from gffe_cl.stage import Board, Output, Stage, Step
 from gffe_cl.stages.acceleration import Acceleration
 from gffe_cl.stages.background import Background
@@ -62,10 +64,11 @@ class MadeFrame:
 
     def numpy(self, name: str) -> np.ndarray:
         """Copy to the host by the attribute's name: colours (H, W, 3) float16, "depth" (H, W) float32, "motion"
-        (H, W, 2) float32, all others (H, W) uint8."""
+        (H, W, 2) float32, all others (H, W) uint8. Raises GffeError where the device fails."""
         spec = next(s for s in EXTRAPOLATED if s.name == _LIKE.get(name, name))
         out = np.empty(spec.shape(Sizes(self._size, self._size)), spec.dtype)
-        cl.enqueue_copy(self._device.queue, out, getattr(self, name))
+        with device_faults(self._device, f'reading "{name}"', lambda: f"{self._size[0]}×{self._size[1]}"):
+            cl.enqueue_copy(self._device.queue, out, getattr(self, name))
         return out[..., :3] if spec.components == RGBA else out
 
 
@@ -167,9 +170,9 @@ class Pipeline:
         self._exposure = 1.0
         self.bad_pixels = BadPixels()
         self.is_cut = False
-        self.board = Board(device, self.sizes, self.options, int64_atomics)
-        self.stages: dict[str, Stage] = {stage.name: stage(self.board) for stage in stages_of(self.options)}
-        self.board.lend()
+        require_room(device, self.sizes, lambda sizes: self._allocate(sizes, int64_atomics)[1])
+        self.board, self._nbytes = self._allocate(self.sizes, int64_atomics)
+        self.stages: dict[str, Stage] = dict(self.board.stages)
         self.presentation: Presentation | None = None  # made with the first windowed frame
         self.composition: Composition | None = None  # made with the first frame that brings overlays
         self._outputs: dict[str, Output] = {}  # what is kept of each stage's
@@ -179,6 +182,20 @@ class Pipeline:
         self._shown: DeviceFrame | None = None  # the current one with all of its depth
         self._times: list[float] = []  # of rendered frames since the last reset, newest first
         self._path: list[Camera] = []  # what they show through
+
+    @telling_device_faults
+    def _allocate(self, sizes: Sizes, int64_atomics: bool | None) -> tuple[Board, int]:
+        """All stages and their buffers, and how many bytes these are."""
+        before = self.device.allocated
+        board = Board(self.device, sizes, self.options, int64_atomics)
+        for stage in stages_of(self.options):
+            stage(board)
+        board.lend()
+        _ = board.frame  # made when it is first asked for
+        return board, self.device.allocated - before
+
+    def _footprint(self) -> str:
+        return footprint(self.device, self.sizes, getattr(self, "_nbytes", None))
 
     @property
     def exposure(self) -> float:
@@ -191,6 +208,7 @@ class Pipeline:
 
     # ---- rendered frames -------------------------------------------------------------------------------
 
+    @telling_device_faults
     def submit(self, frame: RenderedFrame, packed: PackedFrame | None = None) -> None:
         """Take a rendered frame; frames must come in order of time.
 
@@ -230,6 +248,7 @@ class Pipeline:
         if self.presentation is None and not self._shown_whole(on_device):
             self.presentation = Presentation(self.board)
 
+    @telling_device_faults
     def present(self) -> PresentedFrame:
         """What is shown of the last submitted frame; resamples it where it was rendered through a window, or where the
         frame before was and motion must be converted. Returns at once. Raises GffeError before the first `submit`."""
@@ -294,6 +313,7 @@ class Pipeline:
         time = self._need_frame().time + alpha * self.interval
         return predict_camera_at(time, self._path, self._times[: len(self._path)], self.options.camera_order)
 
+    @telling_device_faults
     def extrapolate(
         self,
         camera: Camera | None = None,

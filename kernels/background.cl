@@ -273,10 +273,12 @@ inline bool nobody_came(__global const Key *keys, __global const uint *winners, 
 #if LANES == 1
     return winner_of(keys, winners, first) == NOBODY;
 #elif defined(INT64_ATOMICS)
+    (void)winners;
     const ulong8 key = vload8(0, keys + first);
     const ulong4 half_of_them = key.lo & key.hi;
     return (half_of_them.x & half_of_them.y & half_of_them.z & half_of_them.w) == (ulong)(-1);
 #else
+    (void)keys;
     return ALL(vload8(0, winners + first) == NOBODY);
 #endif
 }

@@ -97,7 +97,7 @@ void find_threshold(const int source_width, const int source_height, const float
                     __global int *pending, __global int *histogram, __global float *threshold_squared) {
     const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
     const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE, item = get_local_id(0);
-    __local int counts[HISTOGRAMS * RESIDUAL_BINS], groups_before;
+    __local int counts[HISTOGRAMS * RESIDUAL_BINS], groups_before[1];
     for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int src_y = first; src_y < min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, source_height); src_y += RESIDUAL_STRIDE) {
@@ -115,9 +115,9 @@ void find_threshold(const int source_width, const int source_height, const float
     for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP)
         if (counts[b]) atomic_add(pending + b, counts[b]);
     barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
-    if (item == 0) groups_before = atomic_inc(pending + HISTOGRAMS * RESIDUAL_BINS);
+    if (item == 0) groups_before[0] = atomic_inc(pending + HISTOGRAMS * RESIDUAL_BINS);
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (groups_before + 1 < (int)(get_num_groups(0) * get_num_groups(1))) return;
+    if (groups_before[0] + 1 < (int)(get_num_groups(0) * get_num_groups(1))) return;
 
     for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) histogram[b] = counts[b] = atomic_xchg(pending + b, 0);
     barrier(CLK_LOCAL_MEM_FENCE);

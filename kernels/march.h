@@ -4,8 +4,8 @@
 #define AT_ONCE 4                /* pixels that are read at once: a march waits for memory a quarter of `reach` times at most */
 
 inline int2 direction(const int k) {
-    const int2 d = (k & 3) == 0 ? (int2)(1, 0) : (k & 3) == 1 ? (int2)(1, 1) : (k & 3) == 2 ? (int2)(0, 1) : (int2)(-1, 1);
-    return k < 4 ? d : -d;
+    const int quarter = k & 3, sign = k < 4 ? 1 : -1;
+    return (int2)(quarter == 3 ? -sign : quarter == 2 ? 0 : sign, quarter == 0 ? 0 : sign);
 }
 
 /* px per step. */

@@ -18,8 +18,10 @@ typedef uint Key;   /* depth bits; the index is found in a second pass */
 
 inline bool may_win(const int pass, __global const Key *keys, const int c, const uint depth_bits, const uint i) {
 #ifdef INT64_ATOMICS
+    (void)pass;
     return !LOOKS || keys[c] > (((ulong)depth_bits << 32) | i);
 #else
+    (void)i;
     return pass == 0 ? !LOOKS || keys[c] > depth_bits : keys[c] == depth_bits;
 #endif
 }
@@ -28,6 +30,7 @@ inline void offer_bits(const int pass, __global Key *keys, __global uint *winner
                        const uint i) {
     if (!may_win(pass, keys, c, depth_bits, i)) return;
 #ifdef INT64_ATOMICS
+    (void)winners;
     atom_min(keys + c, ((ulong)depth_bits << 32) | i);
 #else
     if (pass == 0) atomic_min(keys + c, depth_bits);
@@ -41,8 +44,10 @@ inline void offer(const int pass, __global Key *keys, __global uint *winners, co
 
 inline uint winner_of(__global const Key *keys, __global const uint *winners, const int c) {
 #ifdef INT64_ATOMICS
+    (void)winners;
     return (uint)keys[c];
 #else
+    (void)keys;
     return winners[c];
 #endif
 }
@@ -63,7 +68,9 @@ inline Uints load_winners(__global const Key *keys, __global const uint *winners
 /* Sets all bits, for the next who offers. */
 inline void forget(__global Key *keys, __global uint *winners, const int c) {
     keys[c] = (Key)(-1);
-#ifndef INT64_ATOMICS
+#ifdef INT64_ATOMICS
+    (void)winners;
+#else
     winners[c] = NOBODY;
 #endif
 }

@@ -98,7 +98,7 @@ inline Ints continues(const Floats a2, const Floats a, const Floats b, const Flo
     const Ints near = (fabs(a - b) <= SURFACE_STEP * fmax(a, b)) | ((a2 > 0.0f) & (fabs((a - a2) - (b - a)) <= size))
                       | ((b2 > 0.0f) & (fabs((b2 - b) - (b - a)) <= size));
     const Ints sky = (a == 0.0f) | (b == 0.0f);
-    return (a >= 0.0f) & (b >= 0.0f) & ((sky & (a == b)) | (!sky & near));
+    return (a >= 0.0f) & (b >= 0.0f) & ((sky & (a == b)) | ((!sky) & near));
 }
 
 /* Links by inverse depth. */

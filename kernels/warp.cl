@@ -259,10 +259,12 @@ inline Ints stays(const Around x, const Around y, const Around depth, const Wide
     const Floats near = depth.here * NEARER, one = (Floats)(1.0f), none = (Floats)(0.0f);
     const Ints nearer = (depth.left < near) | (depth.right < near) | (depth.up < near) | (depth.down < near);
     if (!ANY(nearer)) return !nearer;
-    return !((depth.left < near) & (wide_deviation(x.left, y.left, -one, none, x.here, y.here, f) > MOVES_AWAY))
-           & !((depth.right < near) & (wide_deviation(x.right, y.right, one, none, x.here, y.here, f) > MOVES_AWAY))
-           & !((depth.up < near) & (wide_deviation(x.up, y.up, none, -one, x.here, y.here, f) > MOVES_AWAY))
-           & !((depth.down < near) & (wide_deviation(x.down, y.down, none, one, x.here, y.here, f) > MOVES_AWAY));
+    const Ints left_moves = wide_deviation(x.left, y.left, -one, none, x.here, y.here, f) > MOVES_AWAY,
+               right_moves = wide_deviation(x.right, y.right, one, none, x.here, y.here, f) > MOVES_AWAY,
+               up_moves = wide_deviation(x.up, y.up, none, -one, x.here, y.here, f) > MOVES_AWAY,
+               down_moves = wide_deviation(x.down, y.down, none, one, x.here, y.here, f) > MOVES_AWAY;
+    return !((depth.left < near) & left_moves) & !((depth.right < near) & right_moves) & !((depth.up < near) & up_moves)
+           & !((depth.down < near) & down_moves);
 }
 
 /* Which taps around (ox, oy) from the winners move alike, in bits: see resample. */

@@ -14,7 +14,7 @@ import pytest
 
 from gffe_cl import GffeError
 from gffe_cl.opencl import device as device_module
-from gffe_cl.opencl import probing, runtimes
+from gffe_cl.opencl import runtimes
 from gffe_cl.opencl.device import DeviceInfo, best_of, select
 from gffe_cl.opencl.program import build, expand, kernel_folder
 from gffe_cl.opencl.runtimes import only_vendors, vendors
@@ -69,7 +69,7 @@ def test_a_crashing_driver_is_blamed_and_survived(monkeypatch):
             lines.append(json.dumps(asdict(device)))
         return subprocess.CompletedProcess(command, code, "\n".join(lines), "")
 
-    monkeypatch.setattr(probing.subprocess, "run", child)
+    monkeypatch.setattr(subprocess, "run", child)
     found = {d.index: d for d in device_module.list_devices(refresh=True)}
     assert found["0:0"].works and found["2:0"].works and not found["1:0"].works
     assert "crashed" in found["1:0"].problem and len(calls) == 2

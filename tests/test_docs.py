@@ -77,7 +77,7 @@ def test_commands_that_prose_names_exist():
 
 def test_options_that_prose_names_exist():
     others = {"--logdir", "--nproc-per-node", "--write", "--editable", "--all-files", "--scene"}  # of other programs
-    others |= {"--cases"}  # of scripts in docs
+    others |= {"--cases", "--minutes"}  # of scripts in docs
     others |= {"--nthreads"}  # of Dask's workers
     others |= {"--from"}  # of uvx
     others |= {"--python", "--every", "--between", "--no-truth", "--overwrite"}  # of Blender and its script

@@ -90,6 +90,11 @@ class Device:
         """Whether a 64-bit atomic minimum builds and gives the right answer here."""
         return try_int64_atomics(self.context, self.queue)
 
+    @cached_property
+    def memory(self) -> int:
+        """Bytes of memory that the driver says the device has."""
+        return int(self.cl_device.global_mem_size)
+
     def buffer(self, nbytes: int, mapped: bool = False) -> cl.Buffer:
         """A new read-write device buffer of `nbytes` (at least 1); `mapped`: where the host can work in it."""
         size = max(int(nbytes), 1)

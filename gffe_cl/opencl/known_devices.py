@@ -26,7 +26,7 @@ _NAME = "devices-{}.json"
 _MOST_FILES = 16
 _HOUR = 3600.0
 # What drivers are told by the environment, and where their libraries come from.
-_TOLD = (
+TOLD = (
     "CL_", "CUDA_", "GPU_", "HIP_", "HSA_", "MESA_", "NEO", "NVIDIA_", "OCL_", "OCLGRIND_", "ONEAPI_", "OPENCL_",
     "POCL_", "ROCR_", "RUSTICL_", "SYCL_", "ZE_", "LD_PRELOAD", "LD_LIBRARY_PATH", HIDE_INSTALLED,
 )  # fmt: skip
@@ -42,7 +42,7 @@ def fingerprint() -> str:
         cl.VERSION_TEXT,
         installed_runtimes_are_exposed(),
         [(icd.name, _text(icd), _stamps(_text(icd))) for icd in vendors()],
-        sorted((name, value) for name, value in os.environ.items() if name.startswith(_TOLD)),
+        sorted((name, value) for name, value in os.environ.items() if name.startswith(TOLD)),
         (platform.node(), platform.release(), platform.machine(), os.cpu_count(), _processor()),
         [(str(node), os.access(node, os.R_OK | os.W_OK)) for node in _matching(_NODES)],
         [_text(Path(path)) for path in _KERNEL_DRIVERS],

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 import time
 import warnings
@@ -18,14 +17,8 @@ from pathlib import Path
 
 import pyopencl as cl
 
-from gffe_cl.opencl.runtimes import (
-    HIDE_INSTALLED,
-    VENDORS,
-    hide_vendors,
-    installed_runtimes_are_exposed,
-    only_vendors,
-    vendors,
-)
+from gffe_cl.opencl.child import run_child
+from gffe_cl.opencl.runtimes import VENDORS, hide_vendors, only_vendors, vendors
 
 _PROBE_SECONDS = 120
 _LIST_SECONDS = 30  # of one vendor
@@ -119,18 +112,7 @@ def _crashing_vendors() -> dict[str, DeviceInfo]:
 
 def _run_child(arguments: list[str], seconds: float, variables: dict[str, str] | None = None) -> tuple[str, str]:
     """What this module prints as a program, and how it failed ("" if it did not)."""
-    # Without the working folder on the path, where a file may have the name of a module of Python's.
-    run = "runpy.run_module('gffe_cl.opencl.probing', None, '__main__', True)"
-    start = f"import runpy, sys; sys.path.append({str(Path(__file__).parents[2])!r}); {run}"
-    command = [sys.executable, "-P", "-c", start, *arguments]
-    hidden = {} if installed_runtimes_are_exposed() else {HIDE_INSTALLED: "1"}
-    environment = os.environ | hidden | (variables or {})
-    try:
-        child = subprocess.run(command, capture_output=True, text=True, timeout=seconds, env=environment)
-    except subprocess.TimeoutExpired as error:
-        output = error.stdout.decode() if isinstance(error.stdout, bytes) else (error.stdout or "")
-        return output, f"driver hangs ({seconds:g} s)"
-    return child.stdout, f"driver crashed (exit code {child.returncode})" if child.returncode else ""
+    return run_child("gffe_cl.opencl.probing", arguments, seconds, variables)
 
 
 def _probe(index: str, platform: cl.Platform, device: cl.Device) -> None:

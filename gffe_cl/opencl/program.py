@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path, PurePosixPath
 from posixpath import normpath
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -59,7 +60,10 @@ class Program:
                 built = built_program(device.context, source, ("-cl-kernel-arg-info", *options))
         except cl.RuntimeError as error:
             raise GffeError(f"kernels/{name}.cl does not build on {device.info.name}:\n{_log(error)}") from None
-        self.kernels = {kernel.function_name: kernel for kernel in built.all_kernels()}
+        # Not `all_kernels`: pyopencl (2026.1) retains those once too often, and the context is never released.
+        names = built.get_info(cl.program_info.KERNEL_NAMES).split(";")
+        self.kernels = {kernel: cl.Kernel(built, kernel) for kernel in names}
+        self._launching = Lock()  # arguments are set one by one: pipelines on several threads share the kernels
         self.arguments = parse_kernels(source)
         self.constants = parse_constants(source) | variant
         for kernel in self.kernels.values():
@@ -81,14 +85,15 @@ class Program:
             packed = [argument.packed(values[argument.name]) for argument in self.arguments[kernel]]
         except KeyError as missing:
             raise TypeError(f"kernels/{self.name}.cl, {kernel}: no value for argument {missing}") from None
-        return self.kernels[kernel](queue, size, group, *packed)
+        with self._launching:
+            return self.kernels[kernel](queue, size, group, *packed)
 
 
 def build(device: Device, name: str, **variant: int) -> Program:
     """Build `kernels/<name>.cl` for `device`; `variant` becomes -D options (true variants only).
 
-    What has been built before, from the same text, is not built again: pipelines of one device share kernels, so use
-    them from one thread. Raises GffeError with the compiler's log (file and line) when it does not build.
+    What has been built before, from the same text, is not built again: pipelines of one device share kernels, on
+    several threads too. Raises GffeError with the compiler's log (file and line) when it does not build.
     """
     source = expand(f"{name}.cl")
     choices = {"LANES": device.lanes, "RUN": 16 if device.lanes > 1 else 1}

@@ -186,8 +186,8 @@ inline float3 texture_color(const int texture, const float3 color, const float3 
             c = mix(color, color2, smoothstep(-0.5f, 0.5f, uv.y / uv_extent.y + 0.8f * (noise - 0.5f)));
             for (int k = 0; k < 5; ++k) {
                 const float h = hash_cell(k, salt, 5), g = hash_cell(k, salt, 6), r = hash_cell(k, salt, 7);
-                const float2 centre = ((float2)(h, g) - 0.5f) * 1.5f * uv_extent;
-                const float blob = disc(uv - centre, (0.1f + 0.35f * r) * min(uv_extent.x, uv_extent.y), soft);
+                const float2 middle = ((float2)(h, g) - 0.5f) * 1.5f * uv_extent;
+                const float blob = disc(uv - middle, (0.1f + 0.35f * r) * min(uv_extent.x, uv_extent.y), soft);
                 c = mix(c, palette(h + g + 0.3f) * (0.2f + 0.7f * r), blob * 0.85f);
             }
             c *= 0.75f + 0.5f * noise;

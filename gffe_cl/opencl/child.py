@@ -1,0 +1,31 @@
+"""Running a module in a child process, where a driver may crash or hang."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from gffe_cl.opencl.runtimes import HIDE_INSTALLED, installed_runtimes_are_exposed
+
+
+def run_child(
+    module: str, arguments: list[str], seconds: float, variables: dict[str, str] | None = None
+) -> tuple[str, str]:
+    """What a module prints as a program, and how it failed ("" if it did not): within `seconds`, with these
+    environment variables beside our own."""
+    # Without the working folder on the path, where a file may have the name of a module of Python's.
+    run = f"runpy.run_module({module!r}, None, '__main__', True)"
+    start = f"import runpy, sys; sys.path.append({str(Path(__file__).parents[2])!r}); {run}"
+    command = [sys.executable, "-P", "-c", start, *arguments]
+    hidden = {} if installed_runtimes_are_exposed() else {HIDE_INSTALLED: "1"}
+    environment = os.environ | hidden | (variables or {})
+    try:
+        child = subprocess.run(
+            command, capture_output=True, text=True, errors="replace", timeout=seconds, env=environment
+        )
+    except subprocess.TimeoutExpired as error:
+        output = error.stdout.decode(errors="replace") if isinstance(error.stdout, bytes) else (error.stdout or "")
+        return output, f"driver hangs ({seconds:g} s)"
+    return child.stdout, f"driver crashed (exit code {child.returncode})" if child.returncode else ""

@@ -1,0 +1,51 @@
+"""The shading correction network on a provider of onnxruntime, compared with the recorded output of the CPU's."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+
+from gffe_cl.inference import OUTPUT_PLANES, PROVIDERS, NetworkError, default_model, load_network, load_onnxruntime
+from gffe_cl.selftest.reference import Reference, recorded
+
+ALPHA = 2 / 3
+BOUND = 1e-3  # of the output, which is 1 where the network would change most: providers sum up in orders of their own
+_STEP = 2.0**-13  # of recorded values
+
+
+def providers() -> list[str]:
+    """Those of `PROVIDERS` that this onnxruntime has."""
+    available = load_onnxruntime().get_available_providers()
+    return [name for name, full in PROVIDERS.items() if full in available]
+
+
+def output_of(provider: str, reference: Reference) -> np.ndarray:
+    """(5, h, w) float32: what the network makes of the recorded input. Raises NetworkError."""
+    planes = np.ascontiguousarray(reference.values["default"]["correction.frames"])
+    made = np.empty((OUTPUT_PLANES, *planes.shape[1:]), np.float32)
+    load_network(None, provider).run(planes, ALPHA, made)
+    return made
+
+
+def model_digest() -> str:
+    """Of the weights that come with the package; "" if none do."""
+    path = default_model()
+    return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+
+
+def record(reference: Reference) -> None:
+    """Take the CPU provider's output into the references."""
+    reference.model = model_digest()
+    reference.network = np.round(output_of("cpu", reference) / _STEP).astype(np.int16)
+
+
+def compare_provider(provider: str) -> float:
+    """The largest difference to the recorded output; over BOUND: the provider is not to be trusted. NetworkError where
+    the provider cannot run the network, or the weights are others than the recorded ones."""
+    reference = recorded()
+    if reference.model != model_digest():
+        raise NetworkError("the installed weights are not those that the references were recorded with")
+    expected = reference.network * np.float32(_STEP)
+    found = output_of(provider, reference)
+    return float(np.abs(np.where(np.isfinite(found), found, np.inf) - expected).max())

@@ -1,0 +1,161 @@
+"""The recorded references: of every buffer at every moment of the workload a hash, and at one moment of each case its
+values, so that a difference can be told in ulp and pixels."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import lzma
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+KEPT_MOMENT = "frame 3 + 2/3"  # of which values are recorded
+_EXAMPLES = 4  # values that differ, as they are told
+_FILTERS = [{"id": lzma.FILTER_LZMA2, "preset": 9 | lzma.PRESET_EXTREME, "dict_size": 1 << 24}]
+_DIGITS = 16  # of a hash
+
+Buffers = dict[str, np.ndarray]
+
+
+@dataclass
+class Reference:
+    """`hashes` by case, moment and buffer; `values` by case and buffer, at KEPT_MOMENT; `inputs`: the hash of the
+    frames that went in, by case; `network`: what the shading correction network makes of an input among `values` on
+    onnxruntime's CPU provider, in steps of `network._STEP`, and `model`, the hash of its weights."""
+
+    hashes: dict[str, dict[str, dict[str, str]]] = field(default_factory=dict)
+    values: dict[str, Buffers] = field(default_factory=dict)
+    inputs: dict[str, str] = field(default_factory=dict)
+    model: str = ""
+    network: np.ndarray | None = None
+
+    def record(self, case: str, moment: str, buffers: Buffers) -> None:
+        self.hashes.setdefault(case, {})[moment] = {name: digest(array) for name, array in buffers.items()}
+        if moment == KEPT_MOMENT:
+            self.values[case] = {name: np.ascontiguousarray(array) for name, array in buffers.items()}
+
+    def save(self, path: Path) -> None:
+        arrays = {f"{case}/{name}": array for case, held in self.values.items() for name, array in held.items()}
+        if self.network is not None:
+            arrays["network"] = self.network
+        head = {
+            "hashes": self.hashes,
+            "inputs": self.inputs,
+            "model": self.model,
+            "arrays": [(name, array.dtype.str, array.shape) for name, array in arrays.items()],
+        }
+        text = json.dumps(head, separators=(",", ":")).encode()
+        content = b"".join([len(text).to_bytes(8, "little"), text, *(array.tobytes() for array in arrays.values())])
+        path.write_bytes(lzma.compress(content, filters=_FILTERS))
+
+    @classmethod
+    def load(cls, path: Path) -> Reference:
+        content = lzma.decompress(path.read_bytes())
+        start = 8 + int.from_bytes(content[:8], "little")
+        head = json.loads(content[8:start])
+        found = cls(head["hashes"], {}, head["inputs"], head["model"])
+        for name, kind, shape in head["arrays"]:
+            array = np.frombuffer(content, kind, int(np.prod(shape)), start).reshape(shape)
+            start += array.nbytes
+            case, _, buffer = name.partition("/")
+            if buffer:
+                found.values.setdefault(case, {})[buffer] = array
+            else:
+                found.network = array
+        return found
+
+
+def reference_path() -> Path:
+    """Where the package has its references."""
+    return Path(str(files("gffe_cl") / "selftest" / "reference.bin"))
+
+
+@cache
+def recorded() -> Reference:
+    """The references that come with the package."""
+    return Reference.load(reference_path())
+
+
+def digest(*arrays: np.ndarray) -> str:
+    """Of types, shapes and values; NaN counts as NaN, whatever its bits."""
+    made = hashlib.sha256()
+    for array in arrays:
+        array = np.ascontiguousarray(array)
+        if array.dtype.kind == "f":
+            array = np.where(np.isnan(array), np.array(np.nan, array.dtype), array)
+        made.update(f"{array.dtype.str}{array.shape}".encode())
+        made.update(array.tobytes())
+    return made.hexdigest()[:_DIGITS]
+
+
+@dataclass
+class Difference:
+    """How a buffer differs from the reference: at which `moments`; and where values are recorded the `ulp` (of integers
+    the difference) at most, in how many of its `pixels`, with some `examples`: [index, expected, found]."""
+
+    moments: list[str] = field(default_factory=list)
+    ulp: int | None = None
+    pixels: int | None = None
+    share: float | None = None
+    examples: list[list] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        if self.ulp is None:
+            return f"differs at {len(self.moments)} moments"
+        return f"{self.ulp} ulp, {self.pixels} px ({100 * self.share:.2g}%)"
+
+
+class Comparison:
+    """Of one case with its reference, moment by moment: `different` by buffer, how many buffers were `compared`."""
+
+    def __init__(self, reference: Reference, case: str):
+        self._hashes, self._values = reference.hashes[case], reference.values[case]
+        self.different: dict[str, Difference] = {}
+        self.compared: set[str] = set()
+        self.moments = 0
+
+    def add(self, moment: str, buffers: Buffers) -> None:
+        self.moments += 1
+        expected = self._hashes[moment]
+        for name in expected.keys() | buffers.keys():
+            self.compared.add(name)
+            if name in expected and name in buffers and digest(buffers[name]) == expected[name]:
+                continue
+            found = self.different.setdefault(name, Difference())
+            found.moments.append(moment)
+            if moment == KEPT_MOMENT and name in self._values and name in buffers:
+                _tell(found, self._values[name], buffers[name])
+
+
+def _tell(found: Difference, expected: np.ndarray, array: np.ndarray) -> None:
+    if array.shape != expected.shape or array.dtype != expected.dtype:
+        return
+    apart = ulps(expected, array)
+    places = np.argwhere(apart > 0)
+    pixels = (apart > 0).any(-1) if apart.ndim > 2 else apart > 0
+    found.ulp, found.pixels, found.share = int(apart.max()), int(pixels.sum()), float(pixels.mean())
+    found.examples = [
+        [place.tolist(), str(expected[tuple(place)]), str(array[tuple(place)])] for place in places[:_EXAMPLES]
+    ]
+
+
+def ulps(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """int64: how many values of their type lie between a and b; of integers their distance. Two NaN are equal."""
+    if a.dtype.kind != "f":
+        return np.abs(a.astype(np.int64) - b.astype(np.int64))
+    kind = {2: np.int16, 4: np.int32, 8: np.int64}[a.itemsize]
+    ordered = []
+    for values in (a, b):
+        bits = np.ascontiguousarray(values).view(kind).astype(np.int64)
+        ordered.append(np.where(bits < 0, np.iinfo(kind).min - bits, bits))
+    return np.where(np.isnan(a) & np.isnan(b), 0, np.abs(ordered[0] - ordered[1]))
+
+
+def inputs_digest(frames: Iterable) -> str:
+    """Of rendered frames: what a device is given."""
+    return digest(*(array for frame in frames for array in (frame.color, frame.depth, frame.motion)))

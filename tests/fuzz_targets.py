@@ -1,0 +1,338 @@
+"""What is fuzzed (docs/fuzz.py, test_fuzz.py): small valid inputs of everything that comes from outside, what reads
+them, and mutations. A target takes bytes and must end well or with a GffeError of one line; anything else is a fault.
+"""
+
+import copy
+import json
+import os
+import shutil
+import struct
+import tempfile
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+from PIL import Image
+
+from gffe_cl import Camera, GffeError, conventions, open_capture
+from gffe_cl.camera import predict_camera
+from gffe_cl.options import OPTIONS, Options
+from gffe_cl.selftest.scene import FPS, frames
+from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
+
+W, H, COUNT = 12, 9, 2
+MOST_MESSAGE = 1000  # characters
+
+
+@cache
+def seen():
+    return frames(W, H, count=COUNT, samples=1)
+
+
+# ---- valid captures, one of each form ----------------------------
+
+
+def exr(path, channels, **header):
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
+    OpenEXR.File(header, {name: np.ascontiguousarray(c) for name, c in channels.items()}).write(str(path))
+
+
+def rgb(frame):
+    return dict(zip("RGB", np.moveaxis(frame.color, -1, 0), strict=True))
+
+
+def write_sequence(folder):
+    with SequenceWriter(folder, W, H, FPS) as writer:
+        for k, frame in enumerate(seen()):
+            entry = FrameEntry(f"frame_{k}.exr", frame.time, reset=k == 0, render_camera=frame.camera)
+            writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
+    return folder
+
+
+def write_folder(folder):
+    cameras = []
+    for k, frame in enumerate(seen()):
+        color = np.clip(frame.color.astype(np.float32) * 255, 0, 255).astype(np.uint8)
+        Image.fromarray(color).save(folder / f"color_{k}.png")
+        np.save(folder / f"depth_{k}.npy", frame.depth)
+        np.savez(folder / f"motion_{k}.npz", motion=frame.motion)
+        fx, fy, cx, cy = frame.camera.intrinsics
+        cameras.append({"view": frame.camera.world_to_view.tolist(), "fx": fx, "fy": fy, "cx": cx, "cy": cy})
+    document = {
+        **{"format": "gffe-folder", "version": 1, "width": W, "height": H, "fps": FPS},
+        **{"frames": {"first": 0, "count": COUNT}, "color": {"file": "color_%d.png"}},
+        **{"depth": {"file": "depth_%d.npy"}, "motion": {"file": "motion_%d.npz"}, "camera": {"list": cameras}},
+    }
+    (folder / "sequence.json").write_text(json.dumps(document))
+    return folder
+
+
+def write_blender(folder):
+    described = []
+    for k, frame in enumerate(seen()):
+        channels = {f"ViewLayer.Combined.{c}": plane for c, plane in rgb(frame).items()}
+        channels |= {"ViewLayer.Depth.Z": frame.depth, "ViewLayer.Combined.A": np.ones_like(frame.depth)}
+        x, y = np.moveaxis(frame.motion, -1, 0)
+        channels |= {f"ViewLayer.Vector.{c}": plane for c, plane in zip("XYZW", (x, -y, x, y), strict=True)}
+        exr(folder / f"frame_{k:04d}.exr", channels)
+        camera = dict(zip(("fx", "fy", "cx", "cy"), frame.camera.intrinsics, strict=True))
+        entry = {"frame": k, "file": f"frame_{k:04d}.exr", "kind": "rendered", "time": frame.time}
+        described.append(entry | camera | {"world_to_camera": frame.camera.world_to_view.tolist()})
+    (folder / "cameras.json").write_text(json.dumps({"width": W, "height": H, "frames": described}))
+    return folder
+
+
+def write_unreal(folder):
+    for k, frame in enumerate(seen()):
+        texts = {f"curPos/{axis}": 10.0 * k for axis in "xyz"} | {
+            f"curRot/{a}": 1.0 * k for a in ("pitch", "yaw", "roll")
+        }
+        header = {f"unreal/camera/{name}": f"{value:.6f}" for name, value in texts.items()}
+        channels = rgb(frame) | {"A": np.ones_like(frame.depth)}
+        depth = np.minimum(frame.depth * 100, 1e8).astype(np.float32)
+        channels |= {f"FinalImageMovieRenderQueue_WorldDepth.{c}": depth for c in "RGB"}
+        moved = np.dstack([frame.motion / (W, H), np.zeros((H, W))]).astype(np.float32) * 0.5 + 0.5
+        channels |= {f"FinalImageMovieRenderQueue_MotionVectors.{c}": moved[..., i] for i, c in enumerate("RGB")}
+        exr(folder / f"Shot.{k:04d}.exr", channels, **header, **{"unreal/camera/FinalImage/fov": "70.0"})
+    return folder
+
+
+def write_sintel(root):
+    tag = struct.pack("<f", 202021.25)
+    size = tag + struct.pack("<ii", W, H)
+    for name in ("final", "flow", "depth", "camdata_left"):
+        (root / name / "alley_1").mkdir(parents=True)
+    for k, frame in enumerate(seen(), 1):
+        color = np.clip(frame.color.astype(np.float32) * 255, 0, 255).astype(np.uint8)
+        Image.fromarray(color).save(root / "final" / "alley_1" / f"frame_{k:04d}.png")
+        depth = np.minimum(frame.depth, 1e10).astype("<f4")
+        (root / "depth" / "alley_1" / f"frame_{k:04d}.dpt").write_bytes(size + depth.tobytes())
+        fx, fy, cx, cy = frame.camera.intrinsics
+        numbers = np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1, *frame.camera.world_to_view[:3].ravel()], "<f8")
+        (root / "camdata_left" / "alley_1" / f"frame_{k:04d}.cam").write_bytes(tag + numbers.tobytes())
+        (root / "flow" / "alley_1" / f"frame_{k:04d}.flo").write_bytes(size + frame.motion.astype("<f4").tobytes())
+    return root / "final" / "alley_1"
+
+
+def write_tartanair(root):
+    for name in ("image_left", "depth_left", "flow"):
+        (root / name).mkdir()
+    for k, frame in enumerate(seen()):
+        color = np.clip(frame.color.astype(np.float32) * 255, 0, 255).astype(np.uint8)
+        Image.fromarray(color).save(root / "image_left" / f"{k:06d}_left.png")
+        np.save(root / "depth_left" / f"{k:06d}_left_depth.npy", np.minimum(frame.depth, 1e4))
+        np.save(root / "flow" / f"{k:06d}_{k + 1:06d}_flow.npy", frame.motion)
+    (root / "pose_left.txt").write_text("".join(f"{k} 0.1 0 0 0 0 1\n" for k in range(COUNT)))
+    return root
+
+
+WRITERS = {
+    "sequence": write_sequence, "folder": write_folder, "blender": write_blender, "unreal": write_unreal,
+    "sintel": write_sintel, "tartanair": write_tartanair,
+}  # fmt: skip
+# Which file of each form is mutated, below the folder that the writer gets.
+FILES = {
+    "sequence": ("sequence.json", "frame_1.exr"),
+    "folder": ("sequence.json", "color_1.png", "depth_1.npy", "motion_1.npz"),
+    "blender": ("cameras.json", "frame_0001.exr"),
+    "unreal": ("Shot.0001.exr",),
+    "sintel": (
+        "depth/alley_1/frame_0001.dpt", "flow/alley_1/frame_0001.flo", "camdata_left/alley_1/frame_0001.cam",
+        "final/alley_1/frame_0001.png",
+    ),
+    "tartanair": ("pose_left.txt", "depth_left/000001_left_depth.npy"),
+}  # fmt: skip
+
+
+# ---- targets -----------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Target:
+    """`read` takes bytes, such as `seed`, or what `mutated` makes of it."""
+
+    seed: bytes
+    read: Callable[[bytes], None]
+    is_json: bool = False
+
+
+_valid = tempfile.TemporaryDirectory(prefix="gffe-fuzz-")
+
+
+@cache
+def valid(form):
+    """A folder with a valid capture, and the folder in it that is opened."""
+    root = Path(_valid.name) / form
+    root.mkdir()
+    return root, WRITERS[form](root).relative_to(root)
+
+
+def read_capture(form, file, data):
+    """Open a capture in which one file holds `data`, and read all of its frames."""
+    root, inside = valid(form)
+    with tempfile.TemporaryDirectory(prefix="gffe-fuzz-", dir=_valid.name) as temporary:
+        copied = shutil.copytree(root, Path(temporary) / "in", copy_function=os.link)
+        (copied / file).unlink()
+        (copied / file).write_bytes(data)
+        opened = open_capture(copied / inside)
+        for entry in opened.rendered:
+            opened.read(entry)
+        opened.warnings()
+
+
+def read_camera(data):
+    """Matrices and numbers of engines, as bytes of float64, and what is made of the cameras that they give."""
+    numbers = np.frombuffer(data.ljust(8 * 40, b"\0")[: 8 * 40], "<f8")
+    view, projection, rest = numbers[:16].reshape(4, 4), numbers[16:32].reshape(4, 4), numbers[32:].tolist()
+    calls = (
+        lambda: Camera(view, *rest[:4]),
+        lambda: Camera.from_opengl(view, projection, (W, H)),
+        lambda: Camera.from_direct3d(view, projection, (W, H)),
+        lambda: Camera.from_vulkan(view, projection, (W, H)),
+        lambda: Camera.from_unity(view, projection, (W, H)),
+        lambda: Camera.from_unreal(view, projection, (W, H)),
+        lambda: Camera.from_unreal_pose(rest[:3], rest[3:6], rest[6], (W, H)),
+        lambda: predict_camera(Camera(view, *rest[:4]), Camera(projection, *rest[4:8]), 0.5),
+        lambda: Camera.look_at(rest[:3], rest[3:6], (0, 1, 0), *numbers[28:32]),
+        lambda: conventions.depth_from_device(rest, projection),
+    )
+    for call in calls:
+        try:
+            made = call()
+        except GffeError:
+            continue
+        if isinstance(made, Camera):
+            made.view_to_world  # noqa: B018
+            made.scaled(0.5, 2.0)
+
+
+def read_options(data):
+    """Options as a JSON object, and as words of the command line."""
+    try:
+        given = json.loads(data)
+    except (ValueError, RecursionError):
+        return
+    if isinstance(given, dict):
+        for name, value in given.items():
+            if name in OPTIONS:
+                try:
+                    Options(**{name: value})
+                except GffeError:
+                    continue
+
+
+def options_seed():
+    given = {name: option.default for name, option in OPTIONS.items()}
+    return json.dumps(given).encode()
+
+
+def camera_seed():
+    camera = seen()[1].camera
+    matrices = [camera.world_to_view.ravel(), camera.projection_matrix("opengl", W, H, near=0.1).ravel()]
+    return np.concatenate([*matrices, camera.intrinsics, [1.0, 2.0, 3.0, 4.0]]).astype("<f8").tobytes()
+
+
+@cache
+def targets():
+    """By name, such as "sequence:frame_1.exr"."""
+    found = {"camera": Target(camera_seed(), read_camera), "options": Target(options_seed(), read_options, True)}
+    for form, files in FILES.items():
+        for file in files:
+
+            def read(data, form=form, file=file):
+                read_capture(form, file, data)
+
+            data = (valid(form)[0] / file).read_bytes()
+            found[f"{form}:{Path(file).name}"] = Target(data, read, file.endswith(".json"))
+    return found
+
+
+def check(target, data):
+    """Read `data`; raises, AssertionError or whatever it is, unless it ends well or with a GffeError of one line, and
+    without warnings of NumPy's, which users would see."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        try:
+            target.read(data)
+        except GffeError as error:
+            text = str(error)
+            assert "\n" not in text and len(text) < MOST_MESSAGE, f"not one line: {text[:300]!r}"
+
+
+# ---- mutations ---------------------------------------------------
+
+VALUES = (
+    None, True, False, 0, -1, 1, 2, 0.5, -0.0, 1e300, -1e300, 1e308, 2**31, 2**63, 10**400, float("nan"), float("inf"),
+    "", "0", "nan", "../x", "/etc/passwd", "frame_0.exr", "a\0b", "%d", "%s%n", "\ud800", "é" * 300, [], {}, [[]],
+    {"fx": 1}, [1, 2], [0] * 16, [[0, 0, 0, 0]] * 4, [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]],
+)  # fmt: skip
+WORDS = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 0x7F800000, 0x7FC00000, 0x41414141)
+
+
+def mutated(target, data, rng):
+    """`data` with one to four changes."""
+    for _ in range(int(rng.integers(1, 5))):
+        change = json_mutated if target.is_json and rng.integers(4) else bytes_mutated
+        data = change(data, rng)
+    return data
+
+
+def json_mutated(data, rng):
+    """With another value, without one, with one twice or with a key renamed; bytes are changed where it is no JSON."""
+    try:
+        document = json.loads(data)
+        places = [((), document)]
+        for path, value in places:  # grows meanwhile
+            children = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+            places += [((*path, key), child) for key, child in children]
+    except (ValueError, RecursionError):
+        return bytes_mutated(data, rng)
+    path, _ = places[int(rng.integers(len(places)))]
+    value = copy.deepcopy(VALUES[int(rng.integers(len(VALUES)))])
+    if not path:
+        document = value if rng.integers(4) == 0 else document
+        return json.dumps(document).encode()
+    parent = document
+    for key in path[:-1]:
+        parent = parent[key]
+    kind = int(rng.integers(6))
+    if kind == 0:
+        del parent[path[-1]]
+    elif kind == 1 and isinstance(parent, dict):
+        parent[str(path[-1]) + "x"] = parent.pop(path[-1])
+    elif kind == 1:
+        parent.append(parent[path[-1]])
+    elif kind == 2 and isinstance(parent[path[-1]], int | float) and abs(parent[path[-1]]) < 1e300:
+        parent[path[-1]] = parent[path[-1]] * float(rng.choice([-1, 0, 1e-9, 1e9, 1.5]))
+    else:
+        parent[path[-1]] = value
+    return json.dumps(document).encode()
+
+
+def bytes_mutated(data, rng):
+    if not data:
+        return bytes(rng.integers(0, 256, 8, np.uint8))
+    data, kind = bytearray(data), int(rng.integers(7))
+    # Headers are at the start: half of the changes go there.
+    at = int(rng.integers(min(len(data), 400) if rng.integers(2) else len(data)))
+    if kind == 0:
+        data[at] ^= 1 << int(rng.integers(8))
+    elif kind == 1:
+        data[at] = int(rng.choice([0, 1, 0x7F, 0x80, 0xFF, 0x20, 0x2D]))
+    elif kind == 2:
+        form = str(rng.choice(["<I", ">I", "<H", "<Q"]))
+        word = int(rng.choice(WORDS)) & (256 ** struct.calcsize(form) - 1)
+        data[at : at + struct.calcsize(form)] = struct.pack(form, word)
+    elif kind == 3:
+        del data[at:]
+    elif kind == 4:
+        del data[at : at + int(rng.integers(1, 16))]
+    elif kind == 5:
+        data[at:at] = data[at : at + int(rng.integers(1, 64))]
+    else:
+        data[at:at] = bytes(rng.integers(0, 256, int(rng.integers(1, 9)), np.uint8))
+    return bytes(data)

@@ -1,0 +1,45 @@
+"""What comes from outside, mutated: a short form of docs/fuzz.py, and the inputs that it has found."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fuzz_targets import FILES, Target, check, mutated, targets
+
+from gffe_cl import GffeError
+
+NAMES = ("camera", "options", *(f"{form}:{Path(file).name}" for form, files in FILES.items() for file in files))
+CASES = sorted((Path(__file__).parent / "fuzz_cases").glob("*-*"))
+MUTATIONS = 12
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_mutations_end_well_or_in_one_line(name):
+    target, rng = targets()[name], np.random.default_rng(len(name))
+    target.read(target.seed)
+    for _ in range(MUTATIONS):
+        check(target, mutated(target, target.seed, rng))
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda path: path.name)
+def test_faults_that_were_found(case):
+    check(targets()[case.name.rpartition("-")[0].replace("@", ":")], case.read_bytes())
+
+
+def test_a_fault_is_found():
+    """... or no fuzzing would find any."""
+
+    def at_length(data):
+        raise GffeError("a" * 2000)
+
+    with pytest.raises(AssertionError, match="not one line"):
+        check(Target(b"", at_length), b"")
+    with pytest.raises(ZeroDivisionError):
+        check(Target(b"", lambda data: 1 // len(data)), b"")
+
+
+def test_mutations_change_what_they_get():
+    rng = np.random.default_rng(1)
+    for name in ("sequence:sequence.json", "sequence:frame_1.exr"):
+        target = targets()[name]
+        assert len({mutated(target, target.seed, rng) for _ in range(50)}) > 40
