@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gffe_cl import vectors
 from gffe_cl.camera import Camera, predict_camera
 from gffe_cl.errors import GffeError
 
@@ -190,10 +191,10 @@ def _edges_on_plane(current: Camera, camera: Camera, size, distance: float) -> t
     """(N, 2) positions, in pixels of `current`, where the edges of the frustum of `camera` meet the virtual plane, and
     of their vanishing points; whether a corner points behind the plane."""
     px = np.array([(0, 0), (size[0], 0), size, (0, size[1])], np.float64)
-    corners = np.stack([(px[:, 0] - camera.cx) / camera.fx, (px[:, 1] - camera.cy) / camera.fy, np.ones(4)], -1)
-    transform = camera.to_view_of(current)
-    rays, clipped = _in_front(corners @ transform[:3, :3].T)
-    origin = transform[:3, 3]
+    transform = camera.to_view_of(current).tolist()
+    rotation, origin = [row[:3] for row in transform[:3]], np.array([row[3] for row in transform[:3]])
+    corners = [((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0) for x, y in px.tolist()]
+    rays, clipped = _in_front(np.array([vectors.times(rotation, corner) for corner in corners]))
     points = rays / rays[:, 2:]
     if math.isfinite(distance):
         along = np.maximum(distance - origin[2], 0.0)
@@ -204,7 +205,7 @@ def _edges_on_plane(current: Camera, camera: Camera, size, distance: float) -> t
 
 def _in_front(rays: np.ndarray) -> tuple[np.ndarray, bool]:
     """The cone of four edges (4, 3) clipped to directions that meet the virtual plane; whether anything was cut off."""
-    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    rays = rays / np.array([[vectors.length(ray)] for ray in rays.tolist()])
     z = rays[:, 2] - _HORIZON
     if (z > 0).all():
         return rays, False

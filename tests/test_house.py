@@ -12,7 +12,7 @@ from gffe_cl.options import OPTIONS
 # Lowest first. A room is a module or a package; rooms on one floor know nothing of each other.
 FLOORS = (
     ("errors",),
-    ("files", "memory", "values", "conventions"),
+    ("files", "memory", "values", "conventions", "vectors"),
     ("opencl", "camera", "inference", "metrics"),
     ("frame", "window", "camera_path", "packing"),
     ("buffers",),
