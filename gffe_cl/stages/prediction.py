@@ -68,7 +68,7 @@ class PositionPrediction(Stage):
             order=min(self.board.options.order, len(step.times) - 1),
             bends=self.bends,
             alpha=step.alpha,
-            polynomial=_padded(polynomial_weights(step.times, step.time, MAX_ORDER)),
+            polynomial=padded(polynomial_weights(step.times, step.time, MAX_ORDER)),
             from_previous=reprojection(before.camera, step.frame.camera),
             to_target=reprojection(step.frame.camera, step.camera),
         )
@@ -97,6 +97,6 @@ def polynomial_weights(times: Sequence[float], time: float, max_order: int) -> n
     return weights
 
 
-def _padded(weights: np.ndarray) -> np.ndarray:
+def padded(weights: np.ndarray) -> np.ndarray:
     """Rows of `_WEIGHTS`: float8 in the kernel."""
     return np.pad(weights, ((0, 0), (0, _WEIGHTS - weights.shape[1])))

@@ -1,0 +1,1 @@
+"""The pipeline as C for engines (`gffe export`)."""

@@ -1,0 +1,264 @@
+"""What the stages launch: taken down from the stages themselves, which run with several probes, sizes, cameras and
+times, while nothing is enqueued. What agrees in all of them is a constant; what does not must be a named value of
+`values`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.buffers import BufferSpec, DeviceFrame, Sizes
+from gffe_cl.camera import Camera
+from gffe_cl.errors import GffeError
+from gffe_cl.export.values import Named, Probe, launch_sizes, values
+from gffe_cl.opencl.device import Device
+from gffe_cl.options import Options
+from gffe_cl.pipeline import stages_of
+from gffe_cl.stage import Board, Kernel, Stage, Step
+from gffe_cl.stages.correction import ShadingCorrection
+from gffe_cl.stages.cuts import CutDetection
+from gffe_cl.stages.presentation import Presentation
+
+# Rendered and extrapolated images: tiny, middling and wide, all sides different, so that no size looks like another.
+_SIZES = (((51, 29), (67, 39)), ((640, 150), (701, 301)), ((1203, 211), (1603, 301)))
+_SMALL = 4096  # bytes of a buffer that may hold something from the start
+
+
+@dataclass(frozen=True)
+class Given:
+    """An argument of a launch: the name of a `buffer`, or the bytes of a `constant`, or a `named` value."""
+
+    buffer: str | None = None
+    constant: bytes | None = None
+    named: Named | None = None
+
+
+@dataclass(frozen=True)
+class Operation:
+    """What a stage enqueues: `kind` is "LAUNCH" of a `kernel` over a `size` with `arguments`, "FILL" of a buffer with a
+    `byte`, as many as `size` has of its texels, "COPY" from `source`, or "NETWORK", where the network runs."""
+
+    kind: str
+    stage: str
+    kernel: str = ""
+    size: Named = Named("")
+    arguments: tuple[Given, ...] = ()
+    buffer: str = ""
+    byte: int = 0
+    source: str = ""
+
+
+@dataclass
+class _Raw:
+    """An operation as one probe has it, `numbers` and `size` in figures."""
+
+    operation: Operation
+    size: tuple[int, int] | int = 0
+    numbers: list[bytes | None] = field(default_factory=list)
+
+
+@dataclass
+class Plan:
+    """What is to be done, by occasion: `operations["rendered"]` after a rendered frame, `"rendered_first"` after one
+    without a frame before, "extrapolated", "extrapolated_first", "cut", "present" and "present_first"; the `buffers` by
+    their full names, `initial` contents of small ones, and the stages in order."""
+
+    operations: dict[str, list[Operation]]
+    buffers: dict[str, BufferSpec]
+    initial: dict[str, bytes]
+    stages: dict[str, Stage]
+
+
+class _Tape:
+    """The `Recorder` of one probe's stages."""
+
+    def __init__(self):
+        self.raw: list[_Raw] = []
+        self.names: dict[int, str] = {}
+
+    def launched(self, stage: Stage, kernel: Kernel, size: tuple[int, int], given: Mapping[str, Any]) -> None:
+        arguments, numbers = [], []
+        for argument in stage.program.arguments[kernel.name]:
+            value = argument.packed(given[argument.name])
+            is_buffer = isinstance(value, cl.Buffer)
+            arguments.append(Given(buffer=self._name(value)) if is_buffer else Given())
+            numbers.append(None if is_buffer else np.asarray(value).tobytes())
+        operation = Operation("LAUNCH", stage.name, kernel.name, arguments=tuple(arguments))
+        self.raw.append(_Raw(operation, size, numbers))
+
+    def filled(self, stage: Stage, buffer: cl.Buffer, byte: int, nbytes: int) -> None:
+        self.raw.append(_Raw(Operation("FILL", stage.name, buffer=self._name(buffer), byte=byte), nbytes))
+
+    def copied(self, stage: Stage, to: cl.Buffer, of: cl.Buffer) -> None:
+        self.raw.append(_Raw(Operation("COPY", stage.name, buffer=self._name(to), source=self._name(of))))
+
+    def network(self, stage: Stage) -> None:
+        self.raw.append(_Raw(Operation("NETWORK", stage.name)))
+
+    def take(self) -> list[_Raw]:
+        taken, self.raw = self.raw, []
+        return taken
+
+    def _name(self, buffer: cl.Buffer) -> str:
+        return self.names[id(buffer)]
+
+
+class _Rehearsal:
+    """The stages of one size, with a tape."""
+
+    def __init__(self, device: Device, options: Options, sizes: Sizes, int64: bool):
+        self.sizes, self.tape = sizes, _Tape()
+        self.board = Board(device, sizes, options, int64)
+        chosen = {stage.name: stage for stage in stages_of(options)}
+        self.stages = {
+            name: stage(self.board, load=False) if stage is ShadingCorrection else stage(self.board)
+            for name, stage in chosen.items()
+        }
+        self.board.lend()
+        self.all = self.stages | {Presentation.name: Presentation(self.board)}
+        for stage in self.all.values():
+            stage.recorder = self.tape
+        if correction := self.stages.get(ShadingCorrection.name):
+            correction.infer = lambda alpha: self.tape.network(correction)
+
+    def perform(self, number: int, first: bool) -> tuple[Probe, dict[str, list[_Raw]]]:
+        """What is enqueued on each occasion, with the circumstances of a probe."""
+        step = self._step(number, first)
+        self.board.rendered, self.board.previous = step.frame, step.previous or step.frame
+        self._learn_names()
+        found = {}
+        for occasion, work in (
+            ("rendered", lambda: [stage.rendered(step) for stage in self.stages.values()]),
+            ("extrapolated", lambda: [stage.extrapolated(step) for stage in self.stages.values()]),
+            ("present", lambda: self.all[Presentation.name].present(step.frame, step.previous)),
+            ("cut", lambda: self._look_for_cut(step)),
+        ):
+            work()
+            found[occasion] = self.tape.take()
+        return Probe(self.sizes, step), found
+
+    def _look_for_cut(self, step: Step) -> None:
+        if detection := self.stages.get(CutDetection.name):
+            detection.is_cut(step.frame, step.previous)
+
+    def _step(self, number: int, first: bool) -> Step:
+        """Circumstances of which no two have a number in common."""
+        rng = np.random.default_rng([number, first])
+        frame, previous = (self._frame(rng) for _ in range(2))
+        times = np.cumsum(-rng.uniform(0.01, 0.1, (1, 2, 3, 6)[0 if first else 1 + number])).tolist()
+        time = times[0] + rng.uniform(0.01, 0.1)
+        camera, alpha, exposure = self._camera(rng), rng.uniform(0.1, 0.9), rng.uniform(0.2, 5)
+        return Step(frame, None if first else previous, times, camera, time, alpha, exposure)
+
+    def _frame(self, rng: np.random.Generator) -> DeviceFrame:
+        pose = self._camera(rng).world_to_view
+        render, display = (self._camera(rng, pose) for _ in range(2))
+        return DeviceFrame.allocate(self.board.device, (1, 1), render, display, 0.0)
+
+    @staticmethod
+    def _camera(rng: np.random.Generator, pose: np.ndarray | None = None) -> Camera:
+        camera = Camera.from_pose(*rng.normal(size=(3, 3)), *rng.uniform(20, 900, 4))
+        return camera if pose is None else replace(camera, world_to_view=pose)
+
+    def _learn_names(self) -> None:
+        """Names of all buffers; where there is no frame before, its buffers are the rendered frame's."""
+        owners = {"frame": self.board.frame} | self.all
+        named = {f"{owner}.{name}": b for owner, own in owners.items() for name, b in own.buffer.items()}
+        named |= {f"{name}.{b}'": buffer for name, stage in self.all.items() for b, buffer in stage.before.items()}
+        for frame in ("previous", "rendered"):
+            for name in ("color", "depth", "motion"):
+                named[f"{frame}.{name}"] = getattr(getattr(self.board, frame), name)
+        self.tape.names = {id(buffer): name for name, buffer in named.items()}
+
+
+def record(device: Device, options: Options, int64: bool) -> Plan:
+    """What a pipeline of these options enqueues, `int64`: with 64-bit atomics.
+
+    Raises GffeError where that depends on sizes or circumstances in a way that the exported C does not know.
+    """
+    rehearsals = [_Rehearsal(device, options, Sizes(*sizes), int64) for sizes in _SIZES]
+    operations = {}
+    for first in (True, False):
+        performed = [rehearsal.perform(number, first) for number, rehearsal in enumerate(rehearsals)]
+        probes = [probe for probe, _ in performed]
+        for occasion in performed[0][1]:
+            takes = [raw[occasion] for _, raw in performed]
+            operations[occasion + "_first" * first] = _explained(takes, probes, rehearsals[0])
+    buffers = {
+        f"{owner.name}.{spec.name}": spec
+        for owner in (rehearsals[0].board.frame, *rehearsals[0].all.values())
+        for spec in owner.buffers
+    }
+    return Plan(operations, buffers, _initial(rehearsals[0]), rehearsals[0].all)
+
+
+def _explained(takes: list[list[_Raw]], probes: list[Probe], rehearsal: _Rehearsal) -> list[Operation]:
+    """The operations that agree with what every probe enqueues."""
+    if len({tuple(raw.operation for raw in take) for take in takes}) > 1:
+        kinds = sorted({f"{raw.operation.stage}.{raw.operation.kernel}" for take in takes for raw in take})
+        raise GffeError(f"export: what is launched depends on the size of the image ({', '.join(kinds)})")
+    return [_named(raws, probes, rehearsal) for raws in zip(*takes, strict=True)]
+
+
+def _named(raws: tuple[_Raw, ...], probes: list[Probe], rehearsal: _Rehearsal) -> Operation:
+    operation = raws[0].operation
+    if operation.kind == "FILL":
+        owner, _, name = operation.buffer.partition(".")
+        spec = rehearsal.all[owner].spec(name)
+        candidates = [
+            (size, lambda probe, of=of: spec.bytes_per_pixel * spec.planes * int(np.prod(of(probe))))
+            for size, of in launch_sizes()
+        ]
+        return replace(operation, size=_recognised(operation.buffer, [raw.size for raw in raws], probes, candidates))
+    if operation.kind != "LAUNCH":
+        return operation
+    where = f"kernels/{operation.stage}.cl, {operation.kernel}"
+    size = _recognised(f"{where}: its size", [raw.size for raw in raws], probes, launch_sizes())
+    arguments, declared = [], rehearsal.all[operation.stage].program.arguments[operation.kernel]
+    for k, (argument, given) in enumerate(zip(declared, operation.arguments, strict=True)):
+        numbers = [raw.numbers[k] for raw in raws]
+        if given.buffer is not None:
+            arguments.append(given)
+        elif len(set(numbers)) == 1:
+            arguments.append(Given(constant=numbers[0]))
+        else:
+            candidates = [
+                (value, lambda probe, of=of, argument=argument: np.asarray(argument.packed(of(probe))).tobytes())
+                for value, of in values()
+            ]
+            arguments.append(Given(named=_recognised(f"{where}: argument '{argument.name}'", numbers, probes, candidates)))
+    return replace(operation, size=size, arguments=tuple(arguments))
+
+
+def _recognised(
+    what: str, found: list[Any], probes: list[Probe], candidates: Iterable[tuple[Named, Callable[[Probe], Any]]]
+) -> Named:
+    """The first of the candidates that agrees with what was found with every probe."""
+    for named, value in candidates:
+        if all(_is(value, probe, wanted) for probe, wanted in zip(probes, found, strict=True)):
+            return named
+    raise GffeError(f"export: {what} hangs on something that exported C does not know")
+
+
+def _is(value: Callable[[Probe], Any], probe: Probe, wanted: Any) -> bool:
+    try:
+        return value(probe) == wanted
+    except (TypeError, ValueError):  # no number of this type
+        return False
+
+
+def _initial(rehearsal: _Rehearsal) -> dict[str, bytes]:
+    """What small buffers hold from the start, if that is not zeros."""
+    found = {}
+    for name, stage in rehearsal.stages.items():
+        for spec in stage.buffers:
+            if spec.grid == "once" and not spec.part_of and spec.nbytes(rehearsal.sizes) <= _SMALL:
+                values = np.empty(spec.nbytes(rehearsal.sizes), np.uint8)
+                cl.enqueue_copy(stage.device.queue, values, stage.buffer[spec.name])
+                if values.any():
+                    found[f"{name}.{spec.name}"] = values.tobytes()
+    return found
