@@ -17,9 +17,9 @@ from gffe_cl import conventions, vectors
 from gffe_cl.errors import GffeError
 from gffe_cl.values import NUMBERS, is_number
 
-_RIGIDITY_TOLERANCE = 1e-3
-_MOST_FOCAL = 1e9
-_MOST_DISTANCE = 1e15
+RIGIDITY_TOLERANCE = 1e-3
+MOST_FOCAL = 1e9
+MOST_DISTANCE = 1e15
 _FIELDS = ("world_to_view", "fx", "fy", "cx", "cy")
 _NOT_FINITE = "camera: not finite (world_to_view, fx, fy, cx and cy must be finite numbers)"
 _VIEW_AXES = {"opengl": (1.0, -1.0, -1.0), "direct3d": (1.0, -1.0, 1.0), "vulkan": (1.0, 1.0, 1.0)}
@@ -355,16 +355,16 @@ def _check(matrices: np.ndarray, intrinsics: np.ndarray) -> None:
     rotations = matrices[:, :3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max()
-    if not off <= _RIGIDITY_TOLERANCE:
+    if not off <= RIGIDITY_TOLERANCE:
         raise GffeError("camera: world_to_view is singular or not rigid (expected a rotation and a translation)")
     if np.abs(matrices[:, 3] - (0, 0, 0, 1)).max() > 1e-9:
         raise GffeError("camera: the last row of world_to_view must be 0 0 0 1 (column vectors)")
     focal, least = intrinsics[:, :2], intrinsics[:, :2].min()
     if least <= 0:
         raise GffeError(f"camera: singular projection, fx and fy must be positive, got {_both(focal)}")
-    if focal.max() > _MOST_FOCAL or least < 1 / _MOST_FOCAL:
+    if focal.max() > MOST_FOCAL or least < 1 / MOST_FOCAL:
         raise GffeError(f"camera: fx and fy must be within 1e-9 and 1e9 pixels, got {_both(focal)}")
-    if np.abs(intrinsics[:, 2:]).max() > _MOST_FOCAL or np.abs(matrices[:, :3, 3]).max() > _MOST_DISTANCE:
+    if np.abs(intrinsics[:, 2:]).max() > MOST_FOCAL or np.abs(matrices[:, :3, 3]).max() > MOST_DISTANCE:
         raise GffeError("camera: cx, cy must be within 1e9 pixels and the position within 1e15 world units")
 
 

@@ -13,8 +13,8 @@ from gffe_cl.camera import Camera, predict_camera
 from gffe_cl.errors import GffeError
 
 POSES = 4  # of which a prediction makes use
-_JUMP = 4.0  # times the step before: a step that is longer is none of a steady movement
-_LEAST = 1e-24  # squared change of velocity that is mere rounding
+JUMP = 4.0  # times the step before: a step that is longer is none of a steady movement
+LEAST = 1e-24  # squared change of velocity that is mere rounding
 
 
 def predict_camera_at(time: float, cameras: Sequence[Camera], times: Sequence[float], order: int = 2) -> Camera:
@@ -72,7 +72,7 @@ def _turn(old: Camera, new: Camera) -> np.ndarray:
 
 def _lasting_change(motion: list[list[float]], steps: list[float]) -> list[float]:
     """Second divided difference of what moves by `motion`, newest first, in `steps` of time: the part that lasts."""
-    if vectors.length(motion[0]) > _JUMP * vectors.length(motion[1]):
+    if vectors.length(motion[0]) > JUMP * vectors.length(motion[1]):
         return [0.0, 0.0, 0.0]
     speeds = [[x / step for x in moved] for moved, step in zip(motion, steps, strict=True)]
     changes = [
@@ -83,7 +83,7 @@ def _lasting_change(motion: list[list[float]], steps: list[float]) -> list[float
         return changes[0]
     now, before = changes
     square, step = vectors.dot(before, before), steps[1] * steps[1]
-    lasting = min(max(vectors.dot(now, before) / square, 0.0), 1.0) if square * (step * step) > _LEAST else 0.0
+    lasting = min(max(vectors.dot(now, before) / square, 0.0), 1.0) if square * (step * step) > LEAST else 0.0
     return [lasting * x for x in now]
 
 

@@ -24,7 +24,7 @@ from gffe_cl.stages.prediction import MAX_ORDER, padded, polynomial_weights
 from gffe_cl.stages.presentation import mapping
 from gffe_cl.vectors import length
 
-CAMERAS = ("FRAME", "PREVIOUS", "TARGET", "FRAME_DISPLAY", "PREVIOUS_DISPLAY")
+CAMERAS = ("FRAME", "PREVIOUS", "TARGET_CAMERA", "FRAME_DISPLAY", "PREVIOUS_DISPLAY")
 GRIDS = ("ONCE", "SOURCE", "TARGET", "BLOCKS", "SOURCE_BLOCKS", "TARGET_BLOCKS", "NETWORK", "LEVEL", "LEVELS")
 _HOLES = constants("holes.cl")
 
