@@ -20,7 +20,7 @@ FLOORS = (
     ("stages", "formats"),
     ("options",),
     ("pipeline", "source"),
-    ("run", "render", "evaluation", "calibration", "scn", "doctor"),
+    ("run", "render", "evaluation", "calibration", "scn", "doctor", "export"),
     ("demo", "viewer"),
     ("cli",),
     ("__main__",),

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import shutil
 from importlib.resources import files
 from pathlib import Path
 
 from gffe_cl.errors import GffeError
 from gffe_cl.export.recording import record
 from gffe_cl.export.tables import Tables, config
+from gffe_cl.inference import default_model
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import expand
 from gffe_cl.options import Options
 
+MODEL = "scn.onnx"
 MARK = "gffe_config.h"  # a folder that has it was made here
 
 
@@ -26,14 +29,17 @@ def export(folder: Path, device: Device, options: Options) -> list[str]:
     texts = {path.name: path.read_text("utf-8") for path in _templates()}
     texts |= {"gffe_tables.c": tables.text(), MARK: config(options)}
     texts |= {f"kernels/{name}.cl": expand(f"{name}.cl") for name in tables.programs}
+    model = (options.scn_model or default_model()) if options.corrects_shading else None
     _require_own(folder)
     try:
         (folder / "kernels").mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
             (folder / name).write_text(text, "utf-8")
+        if model:
+            shutil.copyfile(model, folder / MODEL)
     except OSError as error:
         raise GffeError(f"{error.filename or folder}: cannot write: {error.strerror or error}") from None
-    return sorted(texts)
+    return sorted([*texts, *[MODEL] * bool(model)])
 
 
 def _templates() -> list[Path]:
