@@ -108,8 +108,5 @@ def rotation_matrix(vector: Sequence[float]) -> np.ndarray:
     crossed = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
     twice = vectors.product(crossed, crossed)
     return np.array(
-        [
-            [(1.0 if i == j else 0.0) + sine * crossed[i][j] + versine * twice[i][j] for j in range(3)]
-            for i in range(3)
-        ]
+        [[(1.0 if i == j else 0.0) + sine * crossed[i][j] + versine * twice[i][j] for j in range(3)] for i in range(3)]
     )

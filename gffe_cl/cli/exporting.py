@@ -47,7 +47,9 @@ def export(
     options = replace(options, shading_correction=bool(options.shading_correction))
     opened, source = open_device(device), None
     if frames is not None:
-        opened, source = open_source(frames, None, device, {"--size": size, "--frames": count, "--fps": None, "--seed": None})
+        opened, source = open_source(
+            frames, None, device, {"--size": size, "--frames": count, "--fps": None, "--seed": None}
+        )
     written = write(output, opened, options)
     out.print(f"{len(written)} files in {plain(output)}: README.md says how to build and call them.")
     if source:

@@ -198,9 +198,14 @@ def record(device: Device, options: Options, int64: bool) -> Plan:
 
 def _explained(takes: list[list[_Raw]], probes: list[Probe], rehearsal: _Rehearsal) -> list[Operation]:
     """The operations that agree with what every probe enqueues."""
-    if len({tuple(raw.operation for raw in take) for take in takes}) > 1:
-        kinds = sorted({f"{raw.operation.stage}.{raw.operation.kernel}" for take in takes for raw in take})
-        raise GffeError(f"export: what is launched depends on the size of the image ({', '.join(kinds)})")
+    made = [tuple(raw.operation for raw in take) for take in takes]
+    if len(set(made)) > 1:
+        per_stage = [{name: [o for o in one if o.stage == name] for name in rehearsal.all} for one in made]
+        differ = [name for name in rehearsal.all if any(one[name] != per_stage[0][name] for one in per_stage)]
+        raise GffeError(
+            f"export: what is launched depends on the size of the image ({', '.join(differ)}), which C does not know"
+            " (expected other options)"
+        )
     return [_named(raws, probes, rehearsal) for raws in zip(*takes, strict=True)]
 
 
@@ -230,7 +235,9 @@ def _named(raws: tuple[_Raw, ...], probes: list[Probe], rehearsal: _Rehearsal) -
                 (value, lambda probe, of=of, argument=argument: np.asarray(argument.packed(of(probe))).tobytes())
                 for value, of in values()
             ]
-            arguments.append(Given(named=_recognised(f"{where}: argument '{argument.name}'", numbers, probes, candidates)))
+            arguments.append(
+                Given(named=_recognised(f"{where}: argument '{argument.name}'", numbers, probes, candidates))
+            )
     return replace(operation, size=size, arguments=tuple(arguments))
 
 

@@ -201,9 +201,7 @@ class _Buffers:
             for name in (operation.buffer, operation.source, *(given.buffer for given in operation.arguments))
             if name
         }
-        self.specs = {
-            name: spec for name, spec in plan.buffers.items() if name in named or not spec.scratch
-        }
+        self.specs = {name: spec for name, spec in plan.buffers.items() if name in named or not spec.scratch}
         self.names = [*RENDERED, *sorted(self.specs, key=lambda name: self._whole(name) is not None)]
 
     def reference(self, name: str) -> str:

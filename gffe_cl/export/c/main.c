@@ -1,6 +1,6 @@
 /* Example: reads raw frames, as `gffe export OUT --frames SEQUENCE` writes them, and writes the extrapolated ones.
 
-       gffe_example FRAMES OUT [PLATFORM]
+       gffe_example FRAMES OUT [PART OF A PLATFORM'S NAME]
 
    FRAMES/frames.txt says what there is, one thing per line:
 
@@ -106,15 +106,20 @@ static int write_picture(const example *e, const char *name, unsigned char *colo
 
 /* ---- OpenCL ------------------------------------------------------------------------------------------- */
 
-static int open_device(example *e, int platform) {
+/* The first device of the first platform whose name holds `wanted`. */
+static int open_device(example *e, const char *wanted) {
     cl_platform_id platforms[MOST_PLATFORMS];
-    cl_device_id device;
-    cl_uint count = 0;
+    cl_device_id device = NULL;
+    cl_uint count = 0, k;
     cl_int error;
-    if (clGetPlatformIDs(MOST_PLATFORMS, platforms, &count) != CL_SUCCESS || platform < 0 || (cl_uint)platform >= count)
-        return failed("OpenCL", "there is no such platform");
-    if (clGetDeviceIDs(platforms[platform], CL_DEVICE_TYPE_ALL, 1, &device, NULL) != CL_SUCCESS)
-        return failed("OpenCL", "the platform has no device");
+    if (clGetPlatformIDs(MOST_PLATFORMS, platforms, &count) != CL_SUCCESS) count = 0;
+    for (k = 0; k < count && !device; ++k) {
+        char name[NAME] = "";
+        clGetPlatformInfo(platforms[k], CL_PLATFORM_NAME, sizeof name - 1, name, NULL);
+        if (strstr(name, wanted) && clGetDeviceIDs(platforms[k], CL_DEVICE_TYPE_ALL, 1, &device, NULL) != CL_SUCCESS)
+            device = NULL;
+    }
+    if (!device) return failed("OpenCL", "there is no such platform, or it has no device");
     e->context = clCreateContext(NULL, 1, &device, NULL, NULL, &error);
     if (e->context) e->queue = clCreateCommandQueue(e->context, device, 0, &error);
     return e->queue ? 1 : failed("OpenCL", "the device cannot be opened");
@@ -226,7 +231,7 @@ static int run_line(example *e, char *line) {
     return failed("frames.txt", line);
 }
 
-static int run(example *e, int platform) {
+static int run(example *e, const char *platform) {
     char line[LINE];
     int version = 0, good = 0;
     FILE *file = open_file(e->input, "frames.txt", "", "r");
@@ -253,7 +258,7 @@ int main(int count, char **arguments) {
     e.input = arguments[1];
     e.output = arguments[2];
     e.options = gffe_default_options(0, 0);
-    good = run(&e, count > 3 ? atoi(arguments[3]) : 0);
+    good = run(&e, count > 3 ? arguments[3] : "");
     close_example(&e);
     return good ? 0 : 2;
 }
