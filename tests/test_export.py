@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pyopencl as cl
 import pytest
-
 import scn_models
 from exported import (
     INVALID,
@@ -20,8 +19,9 @@ from exported import (
     load,
     require_compiler,
 )
+
 from gffe_cl import inference
-from gffe_cl.buffers import EXTRAPOLATED, RENDERED, Owner, spread
+from gffe_cl.buffers import Owner, spread
 from gffe_cl.camera import Camera
 from gffe_cl.camera_path import predict_camera_at, rotation_matrix
 from gffe_cl.export.writing import export
@@ -83,7 +83,7 @@ def named_buffers(pipeline):
     for owner, spec in pipeline.named_buffers():
         if owner.name == "correction" and spec.name == "refined":  # made for lookers only
             continue
-        stored, flat = spec.host_array(spec.size(owner.sizes))
+        _, flat = spec.host_array(spec.size(owner.sizes))
         cl.enqueue_copy(pipeline.device.queue, flat, owner.buffer[spec.name])
         found[f"{owner.name}.{spec.name}"] = (flat.view(np.uint8).reshape(-1), known_texels(owner, spec))
     return found
@@ -149,6 +149,7 @@ def test_ten_frames_of_a_scene_have_the_same_bits(device, library):
     assert len(compared) > 25
 
 
+@pytest.mark.slow
 def test_every_object_of_opencl_is_released(device, library):
     """Each holds the context."""
     context = cl.Context([device.cl_device])
@@ -174,6 +175,7 @@ def test_every_object_of_opencl_is_released(device, library):
     assert references() == before
 
 
+@pytest.mark.slow
 def test_other_modules_other_sizes_windows_and_known_cameras(device, library):
     """Rendered images smaller than the display and wider than what is shown; several new frames after each; uneven
     intervals; a reset in the middle."""
@@ -188,6 +190,7 @@ def test_other_modules_other_sizes_windows_and_known_cameras(device, library):
     assert {"presentation.motion", "history.history"} <= compared
 
 
+@pytest.mark.slow
 def test_cuts_that_nobody_tells_of(device, library):
     frames = moving(device, 4) + [replace(f, reset=False) for f in moving(device, 3, start=9.0, scene="room")]
     times = [0.1 * k + 0.01 * (k % 2) for k in range(len(frames))]
@@ -197,6 +200,7 @@ def test_cuts_that_nobody_tells_of(device, library):
     assert {"shading.warped_previous", "background.color_3", "holes.block_color"} <= compared
 
 
+@pytest.mark.slow
 def test_the_network_runs_between_its_buffers(device, library, tmp_path):
     path = str(scn_models.movers_model(tmp_path / "scn.onnx"))
     options = replace(DEFAULT, shading_correction=True, scn_model=path)
@@ -255,6 +259,7 @@ def random_camera(rng, like=None):
     return replace(like, world_to_view=turn @ like.world_to_view, fx=like.fx * rng.uniform(0.98, 1.02))
 
 
+@pytest.mark.slow
 def test_predicted_cameras_have_the_same_bits(device, library):
     host, rng = library(DEFAULT), np.random.default_rng(3)
     for _ in range(300):
@@ -269,6 +274,7 @@ def test_predicted_cameras_have_the_same_bits(device, library):
         assert made.camera() == predict_camera_at(time, path, times, order)
 
 
+@pytest.mark.slow
 def test_windows_have_the_same_bits(device, library):
     host, rng = library(DEFAULT), np.random.default_rng(4)
     clamped = 0
@@ -296,6 +302,7 @@ def test_windows_have_the_same_bits(device, library):
     assert 10 < clamped < 290
 
 
+@pytest.mark.slow
 def test_the_nearest_depth_is_the_same(device, library):
     host, rng = library(DEFAULT), np.random.default_rng(5)
     for height, width in ((1, 1), (40, 61), (301, 333)):
@@ -309,6 +316,7 @@ def test_the_nearest_depth_is_the_same(device, library):
 # ---- faults ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_faults_say_what_and_what_was_expected(device, library):
     host, frames = library(DEFAULT), moving(device, 2)
     first, second = frames
@@ -352,11 +360,13 @@ def test_faults_say_what_and_what_was_expected(device, library):
     refused("the queue is of another context", Engine, host, device, W, H, context=other.int_ptr)
 
 
+@pytest.mark.slow
 def test_what_hangs_on_the_size_of_the_image_is_not_exported(device, gffe, tmp_path):
     code, _, error = gffe("export", tmp_path / "c", "--hole-filling", "push-pull", "--device", device.info.index)
     assert code == 2 and "depends on the size of the image (holes)" in error and not (tmp_path / "c").exists()
 
 
+@pytest.mark.slow
 def test_a_folder_that_holds_something_else_is_left_alone(device, gffe, tmp_path):
     (tmp_path / "mine.c").write_text("int mine;\n")
     code, _, error = gffe("export", tmp_path, "--device", device.info.index)

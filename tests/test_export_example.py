@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from exported import STRICT, require_compiler
+
 from gffe_cl.cli.making import open_source
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline

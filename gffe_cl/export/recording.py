@@ -45,7 +45,7 @@ class Operation:
     kind: str
     stage: str
     kernel: str = ""
-    size: Named = Named("")
+    size: Named | None = None
     arguments: tuple[Given, ...] = ()
     buffer: str = ""
     byte: int = 0

@@ -10,7 +10,7 @@ import numpy as np
 from gffe_cl import camera, camera_path, window
 from gffe_cl.buffers import BLOCK, BufferSpec, aligned, texel_of
 from gffe_cl.export.recording import Given, Operation, Plan
-from gffe_cl.export.values import grid_of
+from gffe_cl.export.values import Named, grid_of
 from gffe_cl.frame import SAME_POSE
 from gffe_cl.inference import MULTIPLE
 from gffe_cl.opencl.probing import DIVISION_SOURCE, INT64_SOURCE
@@ -165,7 +165,8 @@ class Tables:
         first = len(arguments)
         arguments += [self._argument(given, buffers) for given in operation.arguments]
         kernel = self.launched.index((operation.stage, operation.kernel)) if operation.kernel else 0
-        size = f"{operation.size.code or 'GFFE_WHOLE'}, {operation.size.a}, {operation.size.b}"
+        named = operation.size or Named("GFFE_WHOLE")
+        size = f"{named.code}, {named.a}, {named.b}"
         target = buffers.reference(operation.buffer) if operation.buffer else "0"
         other = buffers.reference(operation.source) if operation.source else str(operation.byte)
         stage = "GFFE_OF_CORRECTION" if operation.stage == correction.ShadingCorrection.name else "0"
