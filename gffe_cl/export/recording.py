@@ -51,6 +51,10 @@ class Operation:
     byte: int = 0
     source: str = ""
 
+    def buffers(self) -> set[str]:
+        """The names of all that it reads or writes."""
+        return {name for name in (self.buffer, self.source, *(given.buffer for given in self.arguments)) if name}
+
 
 @dataclass
 class _Raw:
@@ -65,11 +69,13 @@ class _Raw:
 class Plan:
     """What is to be done, by occasion: `operations["rendered"]` after a rendered frame, `"rendered_first"` after one
     without a frame before, "extrapolated", "extrapolated_first", "cut", "present" and "present_first"; the `buffers` by
-    their full names, `initial` contents of small ones, and the stages in order."""
+    their full names, `initial` contents of small ones, memory that is `lent` while frames are extrapolated, and the
+    stages in order."""
 
     operations: dict[str, list[Operation]]
     buffers: dict[str, BufferSpec]
     initial: dict[str, bytes]
+    lent: set[str]
     stages: dict[str, Stage]
 
 
@@ -193,7 +199,8 @@ def record(device: Device, options: Options, int64: bool) -> Plan:
         for owner in (rehearsals[0].board.frame, *rehearsals[0].all.values())
         for spec in owner.buffers
     }
-    return Plan(operations, buffers, _initial(rehearsals[0]), rehearsals[0].all)
+    lent = {f"{stage.name}.{name}" for stage, name in rehearsals[0].board.lent}
+    return Plan(operations, buffers, _initial(rehearsals[0]), lent, rehearsals[0].all)
 
 
 def _explained(takes: list[list[_Raw]], probes: list[Probe], rehearsal: _Rehearsal) -> list[Operation]:

@@ -191,19 +191,21 @@ class Tables:
 
 
 class _Buffers:
-    """The buffers of a plan that C has: those that launches name and those that are of interest, parts after what they
-    are parts of. What only Python's sharing of memory needs is left out."""
+    """The buffers of a plan that C has: those that launches name, those that are of interest, and memory in which such
+    buffers lie; parts after what they are parts of."""
 
     def __init__(self, plan: Plan):
+        self.plan = plan
         named = {
             name.removesuffix("'")
             for operations in plan.operations.values()
             for operation in operations
-            for name in (operation.buffer, operation.source, *(given.buffer for given in operation.arguments))
-            if name
+            for name in operation.buffers()
         }
-        self.specs = {name: spec for name, spec in plan.buffers.items() if name in named or not spec.scratch}
-        self.names = [*RENDERED, *sorted(self.specs, key=lambda name: self._whole(name) is not None)]
+        specs = {name: spec for name, spec in plan.buffers.items() if name in named or not spec.scratch}
+        self.memory = {whole for name, spec in specs.items() if (whole := _whole(name, spec)) and whole not in specs}
+        self.specs = specs | {name: plan.buffers[name] for name in self.memory}
+        self.names = [*RENDERED, *sorted(self.specs, key=self._depth)]
 
     def reference(self, name: str) -> str:
         """A number: twice the buffer's, and one more for what is kept of the frame before."""
@@ -213,21 +215,36 @@ class _Buffers:
         """Of C's table."""
         if name in RENDERED:
             nbytes = {"color": 8, "depth": 4, "motion": 8}[name.partition(".")[2]]
-            return f'"{name}", GFFE_SOURCE, 0, {nbytes}, 1, -1, GFFE_GIVEN'
-        spec = self.specs[name]
+            return f'"{name}", GFFE_SOURCE, 0, {nbytes}, 1, -1, GFFE_GIVEN, -1, -1'
+        spec, whole = self.specs[name], _whole(name, self.specs[name])
         kind, level = grid_of(spec.grid)
         flags = ["GFFE_KEPT"] * spec.kept + ["GFFE_MAPPED"] * spec.mapped
-        flags += ["GFFE_LATE"] * name.startswith("presentation.")
-        whole = self._whole(name)
-        number = -1 if whole is None else self.names.index(whole)
-        row = f"GFFE_{kind}, {level}, {spec.bytes_per_pixel}, {spec.planes}, {number}, {' | '.join(flags) or '0'}"
-        return f'"{name}", {row}'
+        flags += ["GFFE_LATE"] * name.startswith("presentation.") + ["GFFE_MEMORY"] * (name in self.memory)
+        flags += ["GFFE_LENT"] * (name in self.plan.lent) + ["GFFE_LENT_BEFORE"] * (f"{name}'" in self.plan.lent)
+        planes = 1 if name in self.memory else spec.planes
+        number = self.names.index(whole) if whole else -1
+        numbers = f"GFFE_{kind}, {level}, {spec.bytes_per_pixel}, {planes}, {number}"
+        return f'"{name}", {numbers}, {" | ".join(flags) or "0"}, {self._use(name)}'
 
-    def _whole(self, name: str) -> str | None:
-        """The buffer of all levels, of which that of one level is a part."""
-        spec: BufferSpec = self.specs[name]
-        whole = f"{name.partition('.')[0]}.{spec.part_of}"
-        return whole if whole in self.specs and self.specs[whole].grid.startswith("levels") else None
+    def _depth(self, name: str) -> int:
+        whole = _whole(name, self.specs[name])
+        return 1 + self._depth(whole) if whole else 0
+
+    def _use(self, name: str) -> str:
+        """The numbers of the first and the last stage that use a buffer within an extrapolation, if it holds nothing
+        else: the last of all, if it is of interest afterwards."""
+        spec, stages = self.specs[name], list(self.plan.stages)
+        if not spec.transient:
+            return "-1, -1"
+        lists = (self.plan.operations[occasion] for occasion in ("extrapolated", "extrapolated_first"))
+        used = [stages.index(o.stage) for operations in lists for o in operations if name in o.buffers()]
+        used = used or [stages.index(name.partition(".")[0])]
+        return f"{min(used)}, {max(used) if spec.scratch else len(stages)}"
+
+
+def _whole(name: str, spec: BufferSpec) -> str | None:
+    """The buffer in which one lies."""
+    return f"{name.partition('.')[0]}.{spec.part_of}" if spec.part_of else None
 
 
 def _lines(name: str, text: str, static: bool = False) -> str:

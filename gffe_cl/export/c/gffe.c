@@ -91,7 +91,7 @@ void gffe_destroy(gffe *g) {
     int k;
     if (!g) return;
     if (g->queue) clFinish(g->queue);
-    for (k = g->memory ? 2 * g->plan->buffer_count - 1 : -1; k >= 0; --k) /* parts before what they are parts of */
+    for (k = g->memory ? 2 * g->plan->buffer_count - 1 : -1; k >= 0; --k)
         if (g->memory[k]) clReleaseMemObject(g->memory[k]);
     for (k = 0; g->kernels && k < gffe_kernel_count; ++k)
         if (g->kernels[k]) clReleaseKernel(g->kernels[k]);
@@ -100,6 +100,7 @@ void gffe_destroy(gffe *g) {
     if (g->no_motion) clReleaseMemObject(g->no_motion);
     if (g->queue) clReleaseCommandQueue(g->queue);
     if (g->context) clReleaseContext(g->context);
+    free(g->places);
     free(g->memory);
     free(g->kernels);
     free(g->programs);
@@ -365,7 +366,7 @@ gffe_status gffe_get(gffe *g, const char *name, gffe_image *found) {
     const int reference = gffe_reference(g, name);
     const gffe_buffer *buffer;
     size_t size[2];
-    if (reference < 0 || !g->memory[reference])
+    if (reference < 0 || !g->memory[reference] || g->plan->buffers[reference / 2].flags & GFFE_MEMORY)
         return gffe_fail(g, GFFE_INVALID, "there is no buffer '%.60s' (gffe_buffer_name tells what there is)", name);
     buffer = &g->plan->buffers[reference / 2];
     gffe_grid_size(&g->step, buffer->grid, buffer->level, size);

@@ -1,4 +1,4 @@
-/* What is on the device: kernels, buffers, and carrying out lists of operations. */
+/* Kernels, and carrying out lists of operations. */
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -116,7 +116,7 @@ static int divides_exactly(gffe *g) {
     return works;
 }
 
-/* ---- kernels and buffers ------------------------------------------------------------------------------ */
+/* ---- kernels ------------------------------------------------------------------------------------------ */
 
 static gffe_status build(gffe *g, int number, int int64) {
     const gffe_program *program = &gffe_programs[number];
@@ -136,34 +136,6 @@ static gffe_status build(gffe *g, int number, int int64) {
     clGetProgramBuildInfo(g->programs[number], g->device, CL_PROGRAM_BUILD_LOG, sizeof log - 1, log, NULL);
     return gffe_fail(g, GFFE_OPENCL, "%s.cl does not build with%s (OpenCL error %d):\n%s", program->name, choices,
                      (int)error, log);
-}
-
-gffe_status gffe_allocate(gffe *g, int late) {
-    const cl_uchar zero = 0;
-    int number, kept;
-    for (number = 0; number < g->plan->buffer_count; ++number) {
-        const gffe_buffer *buffer = &g->plan->buffers[number];
-        const size_t nbytes = gffe_buffer_bytes(&g->step, buffer);
-        if (buffer->flags & GFFE_GIVEN || !late != !(buffer->flags & GFFE_LATE)) continue;
-        for (kept = 0; kept <= (buffer->flags & GFFE_KEPT ? 1 : 0); ++kept) {
-            cl_mem *memory = &g->memory[2 * number + kept];
-            cl_int error = CL_SUCCESS;
-            if (buffer->whole >= 0) {
-                cl_buffer_region region;
-                region.origin = gffe_level_start(&g->step, buffer->level) * (size_t)buffer->bytes;
-                region.size = nbytes;
-                *memory = clCreateSubBuffer(g->memory[2 * buffer->whole + kept], CL_MEM_READ_WRITE,
-                                            CL_BUFFER_CREATE_TYPE_REGION, &region, &error);
-            } else {
-                const cl_mem_flags mapped = buffer->flags & GFFE_MAPPED ? CL_MEM_ALLOC_HOST_PTR : 0;
-                *memory = clCreateBuffer(g->context, CL_MEM_READ_WRITE | mapped, nbytes, NULL, &error);
-                if (*memory)
-                    error = clEnqueueFillBuffer(g->queue, *memory, &zero, 1, 0, nbytes, 0, NULL, NULL);
-            }
-            if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, buffer->name);
-        }
-    }
-    return GFFE_OK;
 }
 
 static gffe_status set_initial(gffe *g) {
@@ -192,7 +164,9 @@ gffe_status gffe_open(gffe *g) {
     g->programs = (cl_program *)calloc((size_t)gffe_program_count, sizeof *g->programs);
     g->kernels = (cl_kernel *)calloc((size_t)gffe_kernel_count, sizeof *g->kernels);
     g->memory = (cl_mem *)calloc(2 * (size_t)g->plan->buffer_count, sizeof *g->memory);
-    if (!g->programs || !g->kernels || !g->memory) return gffe_fail(g, GFFE_OUT_OF_MEMORY, "the host has no memory");
+    g->places = (gffe_place *)calloc((size_t)g->plan->buffer_count, sizeof *g->places);
+    if (!g->programs || !g->kernels || !g->memory || !g->places)
+        return gffe_fail(g, GFFE_OUT_OF_MEMORY, "the host has no memory");
     for (k = 0; k < gffe_program_count && !status; ++k) status = build(g, k, int64);
     for (k = 0; k < gffe_kernel_count && !status; ++k) {
         g->kernels[k] = clCreateKernel(g->programs[gffe_kernels[k].program], gffe_kernels[k].name, &error);
@@ -202,27 +176,6 @@ gffe_status gffe_open(gffe *g) {
     if (!status) status = set_initial(g);
     if (!status) g->counts = gffe_reference(g, "cuts.counts");
     return status;
-}
-
-int gffe_reference(const gffe *g, const char *name) {
-    const size_t length = strlen(name);
-    const int kept = length && name[length - 1] == '\'';
-    int k;
-    for (k = 0; k < g->plan->buffer_count; ++k) {
-        const char *own = g->plan->buffers[k].name;
-        if (strlen(own) == length - (size_t)kept && !strncmp(own, name, length - (size_t)kept)) return 2 * k + kept;
-    }
-    return -1;
-}
-
-void gffe_swap(gffe *g) {
-    int k;
-    for (k = 0; k < g->plan->buffer_count; ++k)
-        if (g->plan->buffers[k].flags & GFFE_KEPT) {
-            const cl_mem made = g->memory[2 * k];
-            g->memory[2 * k] = g->memory[2 * k + 1];
-            g->memory[2 * k + 1] = made;
-        }
 }
 
 /* ---- operations --------------------------------------------------------------------------------------- */

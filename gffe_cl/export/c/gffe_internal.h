@@ -50,7 +50,10 @@ enum { GFFE_RENDERED_FIRST, GFFE_RENDERED, GFFE_EXTRAPOLATED_FIRST, GFFE_EXTRAPO
 
 enum { GFFE_LANES = -1, GFFE_RUN = -2 }; /* steps that the device decides */
 enum { GFFE_TAKES_LANES = 1, GFFE_TAKES_RUN = 2, GFFE_TAKES_EXACT_DIVISION = 4, GFFE_TAKES_INT64 = 8 };
-enum { GFFE_KEPT = 1, GFFE_MAPPED = 2, GFFE_LATE = 4, GFFE_GIVEN = 8 };
+/* Of buffers: that of the frame before is kept, too; the host works in it; made when it is first needed; the caller's;
+   memory of others, side by side, and whether, or what of the frame before, is free while frames are extrapolated. */
+enum { GFFE_KEPT = 1, GFFE_MAPPED = 2, GFFE_LATE = 4, GFFE_GIVEN = 8, GFFE_MEMORY = 16, GFFE_LENT = 32,
+       GFFE_LENT_BEFORE = 64 };
 enum { GFFE_OF_CORRECTION = 1 };
 enum { GFFE_MOST_VALUE = 256 }; /* bytes of an argument */
 
@@ -70,9 +73,17 @@ typedef struct gffe_kernel {
 typedef struct gffe_buffer {
     const char *name;
     int grid, level, bytes, planes; /* bytes of a texel */
-    int whole;                      /* the buffer of all levels in which it lies; -1 */
+    int whole;                      /* the buffer of all levels, or the memory, in which it lies; -1 */
     int flags;
+    int first, last; /* where it holds nothing but within an extrapolation: the stages that use it; else -1 */
 } gffe_buffer;
+
+/* Where a buffer lies. */
+typedef struct gffe_place {
+    int root;     /* the reference of the buffer in which it lies; -1: its own */
+    size_t start; /* bytes */
+    size_t bytes;
+} gffe_place;
 
 typedef struct gffe_argument {
     int kind, a, b;
@@ -134,6 +145,7 @@ struct gffe {
     cl_program *programs;
     cl_kernel *kernels;
     cl_mem *memory; /* by reference */
+    gffe_place *places;
     cl_mem no_motion;
     int counts;     /* of a cut: the buffer's reference, or -1 */
     gffe_step step;
@@ -148,17 +160,20 @@ struct gffe {
 /* gffe_values.c */
 void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]);
 void gffe_launch_size(const gffe_step *step, int kind, int a, int b, size_t size[2]);
+size_t gffe_aligned(size_t n);
 size_t gffe_level_start(const gffe_step *step, int level);
 size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer);
 size_t gffe_value(const gffe_step *step, int kind, int a, int b, void *made); /* returns its bytes */
+
+/* gffe_memory.c */
+gffe_status gffe_allocate(gffe *g, int late);
+int gffe_reference(const gffe *g, const char *name); /* -1: there is none */
+void gffe_swap(gffe *g);
 
 /* gffe_device.c */
 gffe_status gffe_fail(gffe *g, gffe_status status, const char *format, ...);
 gffe_status gffe_opencl_failed(gffe *g, cl_int error, const char *doing);
 gffe_status gffe_open(gffe *g);
-gffe_status gffe_allocate(gffe *g, int late);
-int gffe_reference(const gffe *g, const char *name); /* -1: there is none */
-void gffe_swap(gffe *g);
 gffe_status gffe_run(gffe *g, int occasion, int correction); /* `correction`: those operations, else all others */
 
 #ifdef __cplusplus
