@@ -1,6 +1,7 @@
 """`gffe export`: the pipeline in C gives the same bits as Python's, on the same device from the same buffers."""
 
 import ctypes as ct
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +25,8 @@ from gffe_cl import inference
 from gffe_cl.buffers import Owner, spread
 from gffe_cl.camera import Camera
 from gffe_cl.camera_path import predict_camera_at, rotation_matrix
+from gffe_cl.errors import GffeError
+from gffe_cl.export.recording import record
 from gffe_cl.export.writing import export
 from gffe_cl.frame import RenderedFrame, pack_frame
 from gffe_cl.options import Options
@@ -31,6 +34,7 @@ from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import load_scene
 from gffe_cl.scenes.renderer import SceneRenderer
 from gffe_cl.scenes.sequences import SceneFrames
+from gffe_cl.stages.hidden import HiddenParts
 from gffe_cl.window import WindowChooser, adaptive_window, nearest_depth
 
 W, H = 83, 61
@@ -44,9 +48,12 @@ _libraries: dict = {}
 
 
 @pytest.fixture
-def library(device, tmp_path_factory):
+def library(device, request, tmp_path_factory):
     """The compiled library of options, made once per run."""
     require_compiler("cc")
+    slowly = request.node.get_closest_marker("slow") and "pocl" not in device.info.version.lower()
+    if slowly and not os.environ.get("GFFE_DEVICE"):
+        pytest.skip("builds its kernels anew with every pipeline: GFFE_DEVICE asks for it")
 
     def made(options):
         if options not in _libraries:
@@ -364,6 +371,30 @@ def test_faults_say_what_and_what_was_expected(device, library):
 def test_what_hangs_on_the_size_of_the_image_is_not_exported(device, gffe, tmp_path):
     code, _, error = gffe("export", tmp_path / "c", "--hole-filling", "push-pull", "--device", device.info.index)
     assert code == 2 and "depends on the size of the image (holes)" in error and not (tmp_path / "c").exists()
+
+
+@pytest.mark.slow
+def test_an_argument_that_c_does_not_know_stops_the_export(device, monkeypatch):
+    """A stage that is changed without the names of `values` must not be exported wrongly."""
+
+    def other(self, board):
+        self.reach = max(8, board.sizes.target[0] // 47)
+        super(HiddenParts, self).__init__(board)
+
+    monkeypatch.setattr(HiddenParts, "__init__", other)
+    with pytest.raises(GffeError, match=r"kernels/hidden.cl, fill_hidden_parts: argument 'reach' hangs on something"):
+        record(device, DEFAULT, True)
+
+
+@pytest.mark.slow
+def test_an_earlier_export_is_replaced(device, tmp_path):
+    export(tmp_path, device, DEFAULT)
+    assert (tmp_path / "kernels" / "holes.cl").is_file()
+    (tmp_path / "mine.txt").write_text("mine")
+    names = export(tmp_path, device, replace(DEFAULT, hole_filling="none"))
+    assert not (tmp_path / "kernels" / "holes.cl").exists() and (tmp_path / "mine.txt").is_file()
+    found = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
+    assert found == {*names, "mine.txt"}
 
 
 @pytest.mark.slow

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from importlib.resources import files
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from gffe_cl.errors import GffeError
 from gffe_cl.export.recording import record
@@ -15,6 +17,7 @@ from gffe_cl.opencl.program import expand
 from gffe_cl.options import Options
 
 MODEL = "scn.onnx"
+KERNELS = "kernels"
 MARK = "gffe_config.h"  # a folder that has it was made here
 
 
@@ -28,15 +31,19 @@ def export(folder: Path, device: Device, options: Options) -> list[str]:
     tables = Tables((record(device, options, False), record(device, options, True)))
     texts = {path.name: path.read_text("utf-8") for path in _templates()}
     texts |= {"gffe_tables.c": tables.text(), MARK: config(options)}
-    texts |= {f"kernels/{name}.cl": expand(f"{name}.cl") for name in tables.programs}
+    texts |= {f"{KERNELS}/{name}.cl": expand(f"{name}.cl") for name in tables.programs}
     model = (options.scn_model or default_model()) if options.corrects_shading else None
     _require_own(folder)
     try:
-        (folder / "kernels").mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            (folder / name).write_text(text, "utf-8")
-        if model:
-            shutil.copyfile(model, folder / MODEL)
+        folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=".gffe-export-", dir=folder) as name:
+            part = Path(name)
+            (part / KERNELS).mkdir()
+            for name, text in texts.items():
+                (part / name).write_text(text, "utf-8")
+            if model:
+                shutil.copyfile(model, part / MODEL)
+            _replace(folder, part)
     except OSError as error:
         raise GffeError(f"{error.filename or folder}: cannot write: {error.strerror or error}") from None
     return sorted([*texts, *[MODEL] * bool(model)])
@@ -45,6 +52,15 @@ def export(folder: Path, device: Device, options: Options) -> list[str]:
 def _templates() -> list[Path]:
     folder = Path(str(files("gffe_cl") / "export" / "c"))
     return sorted(path for path in folder.iterdir() if path.is_file())
+
+
+def _replace(folder: Path, part: Path) -> None:
+    """Move what is in `part` into `folder`, in place of an earlier export's files."""
+    for old in (folder / MODEL, *(folder / KERNELS).glob("*.cl")):
+        old.unlink(missing_ok=True)
+    (folder / KERNELS).mkdir(exist_ok=True)
+    for path in sorted(path for path in part.rglob("*") if path.is_file()):
+        os.replace(path, folder / path.relative_to(part))
 
 
 def _require_own(folder: Path) -> None:

@@ -29,9 +29,9 @@ typedef struct gffe gffe;
 typedef enum gffe_status {
     GFFE_OK = 0,
     GFFE_INVALID = 1,       /* an argument makes no sense; nothing was changed */
-    GFFE_OPENCL = 2,        /* a call of OpenCL failed */
-    GFFE_OUT_OF_MEMORY = 3, /* of the host or of the device */
-    GFFE_NETWORK_FAILED = 4 /* the network's callback said so */
+    GFFE_OPENCL = 2,        /* a call of OpenCL failed: what was made is lost, destroy the gffe and create another */
+    GFFE_OUT_OF_MEMORY = 3, /* of the host or of the device: likewise */
+    GFFE_NETWORK_FAILED = 4 /* the network's callback said so; the frame was not made */
 } gffe_status;
 
 /* Runs the shading correction network: reads `frames` (8 planes of width x height floats), writes `correction`
@@ -106,8 +106,9 @@ gffe_status gffe_extrapolate(gffe *g, const gffe_camera *camera, double time, gf
 /* What is shown of the last rendered frame: resampled where it was rendered through a window, else its own buffers. */
 gffe_status gffe_present(gffe *g, gffe_frame *made);
 
-/* A buffer by name, as in gffe-cl's documentation of the stages; an apostrophe means what was kept of the frame before.
-   Valid until the next frame is submitted. */
+/* A buffer by name, as gffe-cl's documentation of the stages has it; an apostrophe means what was kept of the frame
+   before. It lies as kernels see it: colours of background levels as RGB9E5, places in them as offsets, planar images one
+   channel after another. Valid until the next frame is submitted. */
 gffe_status gffe_get(gffe *g, const char *name, gffe_image *found);
 
 /* The name of buffer 0, 1 ...; NULL after the last one. */

@@ -5,6 +5,8 @@
 
 #include "gffe_internal.h"
 
+enum { SPARE = 8 * GFFE_ALIGNMENT }; /* bytes of lent memory beyond its parts: what lies in it is aligned */
+
 static int is_transient(const gffe_buffer *buffer) { return buffer->first >= 0; }
 
 /* Gives parts their places, and memory its size: its parts lie side by side. */
@@ -30,6 +32,8 @@ static void place_parts(gffe *g) {
             place->start = whole->start + gffe_level_start(&g->step, buffer->level) * (size_t)buffer->bytes;
         }
     }
+    for (number = 0; number < g->plan->buffer_count; ++number)
+        if (g->plan->buffers[number].flags & (GFFE_LENT | GFFE_LENT_BEFORE)) g->places[number].bytes += SPARE;
 }
 
 static int at_one_time(const gffe_buffer *a, const gffe_buffer *b) { return a->first <= b->last && b->first <= a->last; }

@@ -10,7 +10,8 @@ extern "C" {
 
 typedef struct gffe_onnx gffe_onnx;
 
-/* Opens the model (scn.onnx) on the CPU; NULL where that fails, after a line on stderr. */
+/* Opens the model (scn.onnx) on the CPU; NULL where that fails, after a line on stderr. (ONNX Runtime
+   wants wide characters on Windows: change `path` there.) */
 gffe_onnx *gffe_onnx_open(const char *path);
 
 void gffe_onnx_close(gffe_onnx *network);
