@@ -4,7 +4,8 @@ times, while nothing is enqueued. What agrees in all of them is a constant; what
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,6 +17,7 @@ from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.export.values import Named, Probe, launch_sizes, values
 from gffe_cl.opencl.device import Device
+from gffe_cl.opencl.program import Argument
 from gffe_cl.options import Options
 from gffe_cl.pipeline import stages_of
 from gffe_cl.stage import Board, Kernel, Stage, Step
@@ -24,7 +26,7 @@ from gffe_cl.stages.cuts import CutDetection
 from gffe_cl.stages.presentation import Presentation
 
 # Rendered and extrapolated images: tiny, middling and wide, all sides different, so that no size looks like another.
-_SIZES = (((51, 29), (67, 39)), ((640, 150), (701, 301)), ((1203, 211), (1603, 301)))
+_SIZES = (((51, 29), (67, 39)), ((640, 50), (701, 101)), ((1203, 41), (1603, 61)))
 _SMALL = 4096  # bytes of a buffer that may hold something from the start
 
 
@@ -190,10 +192,10 @@ def record(device: Device, options: Options, int64: bool) -> Plan:
     operations = {}
     for first in (True, False):
         performed = [rehearsal.perform(number, first) for number, rehearsal in enumerate(rehearsals)]
-        probes = [probe for probe, _ in performed]
+        known = _Known([probe for probe, _ in performed])
         for occasion in performed[0][1]:
             takes = [raw[occasion] for _, raw in performed]
-            operations[occasion + "_first" * first] = _explained(takes, probes, rehearsals[0])
+            operations[occasion + "_first" * first] = _explained(takes, known, rehearsals[0])
     buffers = {
         f"{owner.name}.{spec.name}": spec
         for owner in (rehearsals[0].board.frame, *rehearsals[0].all.values())
@@ -203,7 +205,7 @@ def record(device: Device, options: Options, int64: bool) -> Plan:
     return Plan(operations, buffers, _initial(rehearsals[0]), lent, rehearsals[0].all)
 
 
-def _explained(takes: list[list[_Raw]], probes: list[Probe], rehearsal: _Rehearsal) -> list[Operation]:
+def _explained(takes: list[list[_Raw]], known: _Known, rehearsal: _Rehearsal) -> list[Operation]:
     """The operations that agree with what every probe enqueues."""
     made = [tuple(raw.operation for raw in take) for take in takes]
     if len(set(made)) > 1:
@@ -213,23 +215,53 @@ def _explained(takes: list[list[_Raw]], probes: list[Probe], rehearsal: _Rehears
             f"export: what is launched depends on the size of the image ({', '.join(differ)}), which C does not know"
             " (expected other options)"
         )
-    return [_named(raws, probes, rehearsal) for raws in zip(*takes, strict=True)]
+    return [_named(raws, known, rehearsal) for raws in zip(*takes, strict=True)]
 
 
-def _named(raws: tuple[_Raw, ...], probes: list[Probe], rehearsal: _Rehearsal) -> Operation:
+class _Known:
+    """What C knows: values and sizes of launches, each with what it is for every probe."""
+
+    def __init__(self, probes: list[Probe]):
+        self.values = [(named, [value(probe) for probe in probes]) for named, value in values()]
+        self.sizes = [(named, [size(probe) for probe in probes]) for named, size in launch_sizes()]
+
+    def size(self, what: str, found: list[tuple[int, int]]) -> Named:
+        return _first(what, (named for named, sizes in self.sizes if sizes == found))
+
+    def texels(self, what: str, found: list[int]) -> Named:
+        """A size by its number of texels."""
+        return _first(what, (named for named, sizes in self.sizes if [math.prod(size) for size in sizes] == found))
+
+    def value(self, what: str, argument: Argument, found: list[bytes]) -> Named:
+        return _first(what, (named for named, is_now in self.values if _are(argument, is_now, found)))
+
+
+def _are(argument: Argument, is_now: list[Any], found: list[bytes]) -> bool:
+    """Whether values, as a kernel's argument, are the bytes that were found."""
+    try:
+        pairs = zip(is_now, found, strict=True)
+        return all(np.asarray(argument.packed(value)).tobytes() == wanted for value, wanted in pairs)
+    except (TypeError, ValueError):  # they are no numbers of its type
+        return False
+
+
+def _first(what: str, candidates: Iterator[Named]) -> Named:
+    for named in candidates:
+        return named
+    raise GffeError(f"export: {what} hangs on something that exported C does not know")
+
+
+def _named(raws: tuple[_Raw, ...], known: _Known, rehearsal: _Rehearsal) -> Operation:
+    """An operation with names in place of figures; `raws`: of every probe."""
     operation = raws[0].operation
     if operation.kind == "FILL":
         owner, _, name = operation.buffer.partition(".")
         spec = rehearsal.all[owner].spec(name)
-        candidates = [
-            (size, lambda probe, of=of: spec.bytes_per_pixel * spec.planes * int(np.prod(of(probe))))
-            for size, of in launch_sizes()
-        ]
-        return replace(operation, size=_recognised(operation.buffer, [raw.size for raw in raws], probes, candidates))
+        texels = [raw.size / (spec.bytes_per_pixel * spec.planes) for raw in raws]
+        return replace(operation, size=known.texels(operation.buffer, texels))
     if operation.kind != "LAUNCH":
         return operation
     where = f"kernels/{operation.stage}.cl, {operation.kernel}"
-    size = _recognised(f"{where}: its size", [raw.size for raw in raws], probes, launch_sizes())
     arguments, declared = [], rehearsal.all[operation.stage].program.arguments[operation.kernel]
     for k, (argument, given) in enumerate(zip(declared, operation.arguments, strict=True)):
         numbers = [raw.numbers[k] for raw in raws]
@@ -238,31 +270,9 @@ def _named(raws: tuple[_Raw, ...], probes: list[Probe], rehearsal: _Rehearsal) -
         elif len(set(numbers)) == 1:
             arguments.append(Given(constant=numbers[0]))
         else:
-            candidates = [
-                (value, lambda probe, of=of, argument=argument: np.asarray(argument.packed(of(probe))).tobytes())
-                for value, of in values()
-            ]
-            arguments.append(
-                Given(named=_recognised(f"{where}: argument '{argument.name}'", numbers, probes, candidates))
-            )
+            arguments.append(Given(named=known.value(f"{where}: argument '{argument.name}'", argument, numbers)))
+    size = known.size(f"{where}: its size", [raw.size for raw in raws])
     return replace(operation, size=size, arguments=tuple(arguments))
-
-
-def _recognised(
-    what: str, found: list[Any], probes: list[Probe], candidates: Iterable[tuple[Named, Callable[[Probe], Any]]]
-) -> Named:
-    """The first of the candidates that agrees with what was found with every probe."""
-    for named, value in candidates:
-        if all(_is(value, probe, wanted) for probe, wanted in zip(probes, found, strict=True)):
-            return named
-    raise GffeError(f"export: {what} hangs on something that exported C does not know")
-
-
-def _is(value: Callable[[Probe], Any], probe: Probe, wanted: Any) -> bool:
-    try:
-        return value(probe) == wanted
-    except (TypeError, ValueError):  # no number of this type
-        return False
 
 
 def _initial(rehearsal: _Rehearsal) -> dict[str, bytes]:
