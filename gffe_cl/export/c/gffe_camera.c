@@ -133,7 +133,8 @@ const char *gffe_camera_fault(const gffe_camera *camera) {
         if (fabs(camera->world_to_view[3][j] - (j == 3)) > 1e-9)
             return "camera: the last row of world_to_view must be 0 0 0 1 (column vectors)";
     if (camera->fx <= 0 || camera->fy <= 0) return "camera: singular projection, fx and fy must be positive";
-    if (camera->fx > GFFE_MOST_FOCAL || camera->fy > GFFE_MOST_FOCAL || camera->fx < 1 / GFFE_MOST_FOCAL || camera->fy < 1 / GFFE_MOST_FOCAL)
+    if (camera->fx > GFFE_MOST_FOCAL || camera->fx < 1 / GFFE_MOST_FOCAL || camera->fy > GFFE_MOST_FOCAL ||
+        camera->fy < 1 / GFFE_MOST_FOCAL)
         return "camera: fx and fy must be within 1e-9 and 1e9 pixels";
     for (i = 0; i < 3; ++i)
         if (fabs(camera->world_to_view[i][3]) > GFFE_MOST_DISTANCE || fabs(camera->cx) > GFFE_MOST_FOCAL ||
