@@ -11,6 +11,7 @@ import pyopencl as cl
 import pytest
 
 from gffe_cl.camera import Camera
+from gffe_cl.frame import OVERLAYS
 
 STRICT = ("-Wall", "-Wextra", "-Werror", "-pedantic")
 OK, INVALID, OPENCL, OUT_OF_MEMORY, NETWORK_FAILED = range(5)
@@ -68,6 +69,10 @@ class CWindowOptions(ct.Structure):
     )
 
 
+class COverlays(ct.Structure):
+    _fields_ = tuple((name, ct.c_void_p) for name in OVERLAYS)
+
+
 class Failed(Exception):
     """`status`, and what gffe_message says."""
 
@@ -120,6 +125,7 @@ def load(path: Path) -> ct.CDLL:
     library.gffe_predict_camera.argtypes = [ct.c_void_p, ct.c_double, ct.c_void_p]
     library.gffe_submit.argtypes = [*[ct.c_void_p] * 6, ct.c_double, ct.c_int]
     library.gffe_extrapolate.argtypes = [ct.c_void_p, ct.c_void_p, ct.c_double, ct.c_void_p]
+    library.gffe_set_overlays.argtypes = [ct.c_void_p] * 2
     library.gffe_present.argtypes = [ct.c_void_p] * 2
     library.gffe_get.argtypes = [ct.c_void_p, ct.c_char_p, ct.c_void_p]
     library.gffe_predict_camera_at.argtypes = [
@@ -152,6 +158,12 @@ class Engine:
         cameras = [c and ct.byref(CCamera.of(c)) for c in (camera, display)]
         handles = [b and b.int_ptr for b in buffers]
         self._check(self.library.gffe_submit(self.handle, *handles, *cameras, time, int(reset)))
+
+    def set_overlays(self, overlays):
+        """`overlays` of device buffers."""
+        given = {name: getattr(overlays, name) for name in OVERLAYS}
+        told = COverlays(**{name: buffer.int_ptr for name, buffer in given.items() if buffer})
+        self._check(self.library.gffe_set_overlays(self.handle, ct.byref(told)))
 
     def extrapolate(self, time, camera=None):
         made = CFrame()

@@ -28,7 +28,7 @@ from gffe_cl.camera_path import predict_camera_at, rotation_matrix
 from gffe_cl.errors import GffeError
 from gffe_cl.export.recording import record
 from gffe_cl.export.writing import export
-from gffe_cl.frame import RenderedFrame, pack_frame
+from gffe_cl.frame import Overlays, RenderedFrame, pack_frame
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import load_scene
@@ -136,6 +136,8 @@ def run_both(device, library, options, frames, size=(W, H), alphas=(0.5,), camer
     compared, cuts = set(), []
     for frame in frames:
         pipeline.submit(frame)
+        if frame.overlays:
+            engine.set_overlays(frame.overlays)
         buffers = (frame.color, frame.depth, frame.motion)
         engine.submit(buffers, frame.camera, frame.time, frame.display_camera, frame.reset)
         assert engine.is_cut == pipeline.is_cut
@@ -174,6 +176,8 @@ def test_every_object_of_opencl_is_released(device, library):
     engine = Engine(library(DEFAULT), device, W, H, context=context.int_ptr, queue=queue.int_ptr)
     camera = Camera(np.eye(4), 60, 60, 40, 30)
     for k in range(4):
+        if k % 2:
+            engine.set_overlays(Overlays(effects=buffers[0], effects_motion=buffers[2], ui=buffers[0]))
         engine.submit([*buffers[:2], buffers[2] if k else None], camera, k, camera.scaled(1.1, 1.1), reset=k == 0)
         engine.extrapolate(k + 0.5)
         engine.present()
@@ -205,6 +209,27 @@ def test_cuts_that_nobody_tells_of(device, library):
     compared, cuts = run_both(device, library, DEEP, frames, cameras=None)
     assert cuts == [False] * 4 + [True, False, False]
     assert {"shading.warped_previous", "background.color_3", "holes.block_color"} <= compared
+
+
+@pytest.mark.slow
+def test_overlays_lie_over_the_picture(device, library):
+    """Of several kinds, of device buffers, in a window; some frames bring none."""
+    size, render_size, rng = (W, H), (67, 52), np.random.default_rng(6)
+
+    def layers(*names):
+        mask = np.zeros((52, 67), np.uint8)
+        mask[30:, 20:50] = 1
+        layer = {"effects": (52, 67), "ui": (H, W)}
+        arrays = {name: rng.uniform(0, 1, (*shape, 4)).astype(np.float16) for name, shape in layer.items()}
+        arrays |= {"fixed_mask": mask, "effects_motion": rng.uniform(-9, 9, (52, 67, 2)).astype(np.float32)}
+        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+        return Overlays(**{name: cl.Buffer(device.context, flags, hostbuf=arrays[name]) for name in names})
+
+    brought = [None, layers("fixed_mask", "effects", "effects_motion", "ui"), layers("ui"), layers("fixed_mask"), None]
+    frames = moving(device, len(brought), size, render_size, "fixed:1.25")
+    frames = [replace(frame, overlays=overlays) for frame, overlays in zip(frames, brought, strict=True)]
+    compared, _ = run_both(device, library, DEFAULT, frames, size, (0.25, 0.75), render_size=render_size)
+    assert "composition.color" in compared
 
 
 @pytest.mark.slow
@@ -345,6 +370,11 @@ def test_faults_say_what_and_what_was_expected(device, library):
     refused("there is no color buffer", submit, engine, first, color=None)
     refused("must have the pose of the render camera", submit, engine, first, display_camera=moved)
     refused("motion is missing", submit, engine, first, motion=None, reset=False)
+    for names, text in (
+        (("effects_motion",), "effects_motion without effects"),
+        (("ui",), "ui buffer must hold 40504"),
+    ):
+        refused(text, engine.set_overlays, Overlays(**dict.fromkeys(names, small)))
     refused("time nan s must be finite", submit, engine, first, time=np.nan)
     assert b"not rigid" in host.gffe_camera_fault(ct.byref(bad))
     submit(engine, first, motion=None)  # a reset may lack it

@@ -16,17 +16,21 @@ from gffe_cl.buffers import BufferSpec, DeviceFrame, Sizes
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.export.values import Named, Probe, launch_sizes, values
+from gffe_cl.frame import OVERLAYS
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import Argument
 from gffe_cl.options import Options
 from gffe_cl.pipeline import stages_of
 from gffe_cl.stage import Board, Kernel, Stage, Step
+from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.cuts import CutDetection
 from gffe_cl.stages.presentation import Presentation
 
 # Rendered and extrapolated images: tiny, middling and wide, all sides different, so that no size looks like another.
 _SIZES = (((51, 29), (67, 39)), ((640, 50), (701, 101)), ((1203, 41), (1603, 61)))
+# The overlays that frames bring.
+_LAYERS = (("fixed_mask", "ui"), ("fixed_mask", "effects", "effects_motion"), ("effects", "ui"))
 _SMALL = 4096  # bytes of a buffer that may hold something from the start
 
 
@@ -69,10 +73,10 @@ class _Raw:
 
 @dataclass
 class Plan:
-    """What is to be done, by occasion: `operations["rendered"]` after a rendered frame, `"rendered_first"` after one
-    without a frame before, "extrapolated", "extrapolated_first", "cut", "present" and "present_first"; the `buffers` by
-    their full names, `initial` contents of small ones, memory that is `lent` while frames are extrapolated, and the
-    stages in order."""
+    """What is to be done, by occasion: `operations["rendered"]` after a rendered frame, "rendered_first" after one
+    without a frame before, "extrapolated", "present", "cut", "leave_out" and "compose" likewise; the `buffers` by their
+    full names, `initial` contents of small ones, memory that is `lent` while frames are extrapolated, and the stages in
+    order."""
 
     operations: dict[str, list[Operation]]
     buffers: dict[str, BufferSpec]
@@ -127,7 +131,7 @@ class _Rehearsal:
             for name, stage in chosen.items()
         }
         self.board.lend()
-        self.all = self.stages | {Presentation.name: Presentation(self.board)}
+        self.all = self.stages | {stage.name: stage(self.board) for stage in (Presentation, Composition)}
         for stage in self.all.values():
             stage.recorder = self.tape
         if correction := self.stages.get(ShadingCorrection.name):
@@ -135,19 +139,32 @@ class _Rehearsal:
 
     def perform(self, number: int, first: bool) -> tuple[Probe, dict[str, list[_Raw]]]:
         """What is enqueued on each occasion, with the circumstances of a probe."""
-        step = self._step(number, first)
+        step, composition = self._step(number, first), self.all[Composition.name]
+        shown = self.board.device.buffer(1)
         self.board.rendered, self.board.previous = step.frame, step.previous or step.frame
         self._learn_names()
-        found = {}
+        self.tape.names[id(shown)] = "shown.color"
+        composition.swap()  # `take` swaps, too
+        composition.take({name: composition.buffer[name] for name in OVERLAYS}, self._shown(step.frame))
+        found = {"leave_out": self.tape.take()}
+        composition.layers = {name: composition.buffer[name] for name in _LAYERS[number]}
         for occasion, work in (
             ("rendered", lambda: [stage.rendered(step) for stage in self.stages.values()]),
             ("extrapolated", lambda: [stage.extrapolated(step) for stage in self.stages.values()]),
             ("present", lambda: self.all[Presentation.name].present(step.frame, step.previous)),
             ("cut", lambda: self._look_for_cut(step)),
+            ("compose", lambda: composition.compose(shown, step.alpha)),
+            ("compose_rendered", lambda: composition.compose(shown, 0.0, rendered=True)),
         ):
             work()
             found[occasion] = self.tape.take()
-        return Probe(self.sizes, step), found
+        return Probe(self.sizes, step, _LAYERS[number]), found
+
+    def _shown(self, frame: DeviceFrame) -> DeviceFrame:
+        """The frame with all of its depth, of which what stays in place is left out for other stages."""
+        shown = replace(frame, depth=self.board.device.buffer(1))
+        self.tape.names[id(shown.depth)] = "shown.depth"
+        return shown
 
     def _look_for_cut(self, step: Step) -> None:
         if detection := self.stages.get(CutDetection.name):
@@ -177,6 +194,7 @@ class _Rehearsal:
         owners = {"frame": self.board.frame} | self.all
         named = {f"{owner}.{name}": b for owner, own in owners.items() for name, b in own.buffer.items()}
         named |= {f"{name}.{b}'": buffer for name, stage in self.all.items() for b, buffer in stage.before.items()}
+        named |= {f"overlays.{name}": self.all[Composition.name].buffer[name] for name in OVERLAYS}
         for frame in ("previous", "rendered"):
             for name in ("color", "depth", "motion"):
                 named[f"{frame}.{name}"] = getattr(getattr(self.board, frame), name)

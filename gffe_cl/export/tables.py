@@ -11,7 +11,7 @@ from gffe_cl import camera, camera_path, window
 from gffe_cl.buffers import BLOCK, BufferSpec, aligned, texel_of
 from gffe_cl.export.recording import Given, Operation, Plan
 from gffe_cl.export.values import Named, grid_of
-from gffe_cl.frame import SAME_POSE
+from gffe_cl.frame import BYTES_PER_PIXEL, OVERLAYS, SAME_POSE
 from gffe_cl.inference import MULTIPLE
 from gffe_cl.opencl.probing import DIVISION_SOURCE, INT64_SOURCE
 from gffe_cl.opencl.program import expand
@@ -21,8 +21,24 @@ from gffe_cl.stages import correction, cuts
 from gffe_cl.stages.background import MAX_LEVELS
 from gffe_cl.stages.prediction import MAX_ORDER
 
-OCCASIONS = ("rendered_first", "rendered", "extrapolated_first", "extrapolated", "cut", "present_first", "present")
-RENDERED = tuple(f"{frame}.{name}" for frame in ("rendered", "previous") for name in ("color", "depth", "motion"))
+OCCASIONS = (
+    "rendered_first", "rendered", "extrapolated_first", "extrapolated", "cut", "present_first", "present", "leave_out",
+    "compose", "compose_rendered",
+)  # fmt: skip
+# What callers give, and what is shown of it: name, grid and bytes.
+GIVEN = {
+    **{
+        f"{frame}.{name}": ("SOURCE", nbytes)
+        for frame in ("rendered", "previous")
+        for name, nbytes in zip(("color", "depth", "motion"), BYTES_PER_PIXEL, strict=True)
+    },
+    "shown.color": ("TARGET", 8),
+    "shown.depth": ("SOURCE", 4),
+    "overlays.fixed_mask": ("SOURCE", 1),
+    "overlays.effects": ("SOURCE", 8),
+    "overlays.effects_motion": ("SOURCE", 8),
+    "overlays.ui": ("TARGET", 8),
+}
 _CHOICES = {"LANES": "GFFE_LANES", "RUN": "GFFE_RUN"}
 _FLAGS = {"LANES": "GFFE_TAKES_LANES", "RUN": "GFFE_TAKES_RUN", "EXACT_DIVISION": "GFFE_TAKES_EXACT_DIVISION"}
 _HEADER = "/* Made by `gffe export`; not to be edited. */\n"
@@ -202,10 +218,12 @@ class _Buffers:
             for operation in operations
             for name in operation.buffers()
         }
+        layers = {f"composition.{name}" for name in OVERLAYS}  # C takes those of its caller
         specs = {name: spec for name, spec in plan.buffers.items() if name in named or not spec.scratch}
+        specs = {name: spec for name, spec in specs.items() if name not in layers}
         self.memory = {whole for name, spec in specs.items() if (whole := _whole(name, spec)) and whole not in specs}
         self.specs = specs | {name: plan.buffers[name] for name in self.memory}
-        self.names = [*RENDERED, *sorted(self.specs, key=self._depth)]
+        self.names = [*GIVEN, *sorted(self.specs, key=self._depth)]
 
     def reference(self, name: str) -> str:
         """A number: twice the buffer's, and one more for what is kept of the frame before."""
@@ -213,13 +231,14 @@ class _Buffers:
 
     def row(self, name: str) -> str:
         """Of C's table."""
-        if name in RENDERED:
-            nbytes = {"color": 8, "depth": 4, "motion": 8}[name.partition(".")[2]]
-            return f'"{name}", GFFE_SOURCE, 0, {nbytes}, 1, -1, GFFE_GIVEN, -1, -1'
+        if name in GIVEN:
+            grid, nbytes = GIVEN[name]
+            return f'"{name}", GFFE_{grid}, 0, {nbytes}, 1, -1, GFFE_GIVEN, -1, -1'
         spec, whole = self.specs[name], _whole(name, self.specs[name])
         kind, level = grid_of(spec.grid)
         flags = ["GFFE_KEPT"] * spec.kept + ["GFFE_MAPPED"] * spec.mapped
-        flags += ["GFFE_LATE"] * name.startswith("presentation.") + ["GFFE_MEMORY"] * (name in self.memory)
+        late = {"presentation": ["GFFE_LATE"], "composition": ["GFFE_OF_OVERLAYS"]}
+        flags += late.get(name.partition(".")[0], []) + ["GFFE_MEMORY"] * (name in self.memory)
         flags += ["GFFE_LENT"] * (name in self.plan.lent) + ["GFFE_LENT_BEFORE"] * (f"{name}'" in self.plan.lent)
         planes = 1 if name in self.memory else spec.planes
         number = self.names.index(whole) if whole else -1

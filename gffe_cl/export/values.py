@@ -14,6 +14,7 @@ import numpy as np
 
 from gffe_cl.buffers import Sizes, level_starts
 from gffe_cl.camera import Camera
+from gffe_cl.frame import OVERLAYS
 from gffe_cl.opencl.program import constants
 from gffe_cl.stage import Step, reprojection, zoom
 from gffe_cl.stages.background import MAX_LEVELS
@@ -35,6 +36,7 @@ class Probe:
 
     sizes: Sizes
     step: Step
+    overlays: tuple[str, ...]  # that the rendered frame brings
 
     @property
     def cameras(self) -> dict[str, Camera]:
@@ -105,6 +107,8 @@ def values() -> Iterator[tuple[Named, Callable[[Probe], object]]]:
     for least, share in ((8, 48), (16, 10)):  # of movers, of the far side
         value = Named("GFFE_REACH", least, share)
         yield value, lambda probe, least=least, share=share: max(least, probe.sizes.target[0] // share)
+    for number, name in enumerate(OVERLAYS):
+        yield Named("GFFE_HAS", number), lambda probe, name=name: int(name in probe.overlays)
     for levels in range(1, MAX_LEVELS + 1):
         yield Named("GFFE_LEVEL_STARTS", levels), lambda probe, levels=levels: _level_starts(probe, levels)
     for grid in _grids():

@@ -84,9 +84,6 @@ gffe_status gffe_create(cl_context context, cl_command_queue queue, const gffe_o
     return status ? status : gffe_open(g);
 }
 
-/* The rendered frame's three buffers (6, with those of the frame before) come first in every plan. */
-enum { COLOR = 0, DEPTH = 2, MOTION = 4, BEFORE = 6 };
-
 void gffe_destroy(gffe *g) {
     int k;
     if (!g) return;
@@ -97,6 +94,7 @@ void gffe_destroy(gffe *g) {
         if (g->kernels[k]) clReleaseKernel(g->kernels[k]);
     for (k = 0; g->programs && k < gffe_program_count; ++k)
         if (g->programs[k]) clReleaseProgram(g->programs[k]);
+    gffe_drop_overlays(g);
     if (g->no_motion) clReleaseMemObject(g->no_motion);
     if (g->queue) clReleaseCommandQueue(g->queue);
     if (g->context) clReleaseContext(g->context);
@@ -124,22 +122,6 @@ gffe_status gffe_set_exposure(gffe *g, double exposure) {
 
 /* ---- rendered frames ---------------------------------------------------------------------------------- */
 
-static gffe_status check_buffer(gffe *g, cl_mem buffer, const char *name, size_t bytes_per_pixel) {
-    const size_t wanted = bytes_per_pixel * (size_t)g->step.source[0] * (size_t)g->step.source[1];
-    size_t size = 0;
-    cl_context context = NULL;
-    cl_int error;
-    if (!buffer) return gffe_fail(g, GFFE_INVALID, "frame: there is no %s buffer", name);
-    error = clGetMemObjectInfo(buffer, CL_MEM_SIZE, sizeof size, &size, NULL);
-    if (error == CL_SUCCESS) error = clGetMemObjectInfo(buffer, CL_MEM_CONTEXT, sizeof context, &context, NULL);
-    if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, name);
-    if (size < wanted)
-        return gffe_fail(g, GFFE_INVALID, "frame: %s buffer must hold %lu bytes (%dx%d), got %lu", name,
-                         (unsigned long)wanted, g->step.source[0], g->step.source[1], (unsigned long)size);
-    if (context != g->context) return gffe_fail(g, GFFE_INVALID, "frame: %s buffer is of another context", name);
-    return GFFE_OK;
-}
-
 /* Zeros where a reset comes without motion. */
 static gffe_status need_no_motion(gffe *g) {
     const size_t nbytes = 8 * (size_t)g->step.source[0] * (size_t)g->step.source[1];
@@ -162,11 +144,13 @@ static gffe_status check_frame(gffe *g, cl_mem color, cl_mem depth, cl_mem motio
     if (!gffe_have_one_pose(camera, display))
         return gffe_fail(g, GFFE_INVALID,
                          "frame: display_camera must have the pose of the render camera (expected equal world_to_view)");
-    status = check_buffer(g, color, "color", 8);
-    if (!status) status = check_buffer(g, depth, "depth", 4);
+    status = gffe_check_buffer(g, color, "color", GFFE_RENDERED_COLOR);
+    if (!status) status = gffe_check_buffer(g, depth, "depth", GFFE_RENDERED_DEPTH);
     if (!status && !motion && !reset)
         return gffe_fail(g, GFFE_INVALID, "frame at %g s: motion is missing (only reset frames may lack it)", time);
-    if (!status) status = motion ? check_buffer(g, motion, "motion", 8) : need_no_motion(g);
+    if (!status) {
+        status = motion ? gffe_check_buffer(g, motion, "motion", GFFE_RENDERED_MOTION) : need_no_motion(g);
+    }
     return status;
 }
 
@@ -175,8 +159,8 @@ static void take_frame(gffe *g, cl_mem color, cl_mem depth, cl_mem motion) {
     const cl_mem given[3] = {color, depth, motion};
     int k;
     for (k = 0; k < 3; ++k) {
-        if (g->memory[BEFORE + 2 * k]) clReleaseMemObject(g->memory[BEFORE + 2 * k]);
-        g->memory[BEFORE + 2 * k] = g->memory[2 * k];
+        if (g->memory[GFFE_PREVIOUS_COLOR + 2 * k]) clReleaseMemObject(g->memory[GFFE_PREVIOUS_COLOR + 2 * k]);
+        g->memory[GFFE_PREVIOUS_COLOR + 2 * k] = g->memory[2 * k];
         clRetainMemObject(given[k]);
         g->memory[2 * k] = given[k];
     }
@@ -264,11 +248,12 @@ gffe_status gffe_submit(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, cons
     step->cameras[GFFE_FRAME_DISPLAY] = *display_camera;
     g->has_previous = g->has_frame && !reset;
     g->has_frame = 1;
-    status = look_for_cut(g);
+    status = gffe_take_overlays(g);
+    if (!status) status = look_for_cut(g);
     if (status) return status;
     if (!g->has_previous || g->is_cut) forget(g);
     remember(g, time);
-    gffe_swap(g);
+    gffe_swap(g, 0);
     return gffe_run(g, g->has_previous ? GFFE_RENDERED : GFFE_RENDERED_FIRST, 0);
 }
 
@@ -332,8 +317,9 @@ gffe_status gffe_extrapolate(gffe *g, const gffe_camera *camera, double time, gf
     corrected = g->has_previous && g->options.network ? GFFE_EXTRAPOLATED : GFFE_EXTRAPOLATED_FIRST;
     status = gffe_run(g, occasion, 0);
     if (!status && GFFE_CORRECTS_SHADING) status = gffe_run(g, corrected, 1);
-    if (!status) hand_out(g, made);
-    return status;
+    if (status) return status;
+    hand_out(g, made);
+    return gffe_compose(g, GFFE_COMPOSE, made);
 }
 
 static int is_shown_whole(const gffe *g, int camera, int display) {
@@ -342,24 +328,34 @@ static int is_shown_whole(const gffe *g, int camera, int display) {
            a->fy == b->fy && a->cx == b->cx && a->cy == b->cy;
 }
 
+/* Resamples the rendered frame, with all of its depth, to its display camera. */
+static gffe_status resample(gffe *g, gffe_frame *made) {
+    const cl_mem depth = g->memory[GFFE_RENDERED_DEPTH];
+    gffe_status status = GFFE_OK;
+    if (!memory_of(g, "presentation.motion")) status = gffe_allocate(g, GFFE_LATE); /* the last of them */
+    if (status) return status;
+    g->memory[GFFE_RENDERED_DEPTH] = g->memory[GFFE_SHOWN_DEPTH];
+    status = gffe_run(g, g->has_previous ? GFFE_PRESENT : GFFE_PRESENT_FIRST, 0);
+    g->memory[GFFE_RENDERED_DEPTH] = depth;
+    made->color = memory_of(g, "presentation.color");
+    made->depth = memory_of(g, "presentation.depth");
+    made->motion = memory_of(g, "presentation.motion");
+    return status;
+}
+
 gffe_status gffe_present(gffe *g, gffe_frame *made) {
     gffe_status status = need_frame(g);
     if (status) return status;
     memset(made, 0, sizeof *made);
     made->camera = g->step.cameras[GFFE_FRAME_DISPLAY];
     made->time = g->step.times[0];
-    made->color = g->memory[COLOR];
-    made->depth = g->memory[DEPTH];
-    made->motion = g->memory[MOTION];
-    if (is_shown_whole(g, GFFE_FRAME, GFFE_FRAME_DISPLAY) &&
-        (!g->has_previous || is_shown_whole(g, GFFE_PREVIOUS, GFFE_PREVIOUS_DISPLAY)))
-        return GFFE_OK;
-    if (!memory_of(g, "presentation.motion")) status = gffe_allocate(g, 1); /* the last of them */
-    if (!status) status = gffe_run(g, g->has_previous ? GFFE_PRESENT : GFFE_PRESENT_FIRST, 0);
-    made->color = memory_of(g, "presentation.color");
-    made->depth = memory_of(g, "presentation.depth");
-    made->motion = memory_of(g, "presentation.motion");
-    return status;
+    made->color = g->memory[GFFE_RENDERED_COLOR];
+    made->depth = g->memory[GFFE_SHOWN_DEPTH];
+    made->motion = g->memory[GFFE_RENDERED_MOTION];
+    if (!is_shown_whole(g, GFFE_FRAME, GFFE_FRAME_DISPLAY) ||
+        (g->has_previous && !is_shown_whole(g, GFFE_PREVIOUS, GFFE_PREVIOUS_DISPLAY)))
+        status = resample(g, made);
+    return status ? status : gffe_compose(g, GFFE_COMPOSE_RENDERED, made);
 }
 
 gffe_status gffe_get(gffe *g, const char *name, gffe_image *found) {

@@ -69,7 +69,7 @@ typedef struct gffe_image {
 gffe_options gffe_default_options(int width, int height);
 
 /* Builds the kernels and allocates all buffers; nothing is built or allocated later but with the first frame that is
-   rendered through a window, or that comes without motion. `queue` must work in order. Whatever is returned, *made is
+   rendered through a window, comes without motion, or brings overlays. `queue` must work in order. Whatever is returned, *made is
    to be destroyed; it is NULL only where the host has no memory. After a failure it is good for nothing but
    gffe_message. */
 gffe_status gffe_create(cl_context context, cl_command_queue queue, const gffe_options *options, gffe **made);
@@ -86,6 +86,18 @@ const char *gffe_message(const gffe *g);
    (a cut); then motion may be NULL. Returns at once, but with cut detection waits for the device. */
 gffe_status gffe_submit(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
                         const gffe_camera *display_camera, double time, int reset);
+
+/* What lies over the picture of the next frame that is submitted, and is not to be warped with it; each may be NULL, and
+   NULL in place of them drops them. Colours are premultiplied: layer + (1 - alpha) * picture. The buffers are in use until
+   the frame after that is submitted. */
+typedef struct gffe_overlays {
+    cl_mem fixed_mask;     /* uchar, rendered image: 1 where the picture stays in its place: weapons, cockpits */
+    cl_mem effects;        /* half x 4, rendered image: what has no depth, as smoke; not in the frame's own colour */
+    cl_mem effects_motion; /* float x 2, rendered image: along which effects go on; NULL: they stay */
+    cl_mem ui;             /* half x 4, display: the user interface; not in the frame's own colour */
+} gffe_overlays;
+
+gffe_status gffe_set_overlays(gffe *g, const gffe_overlays *overlays);
 
 /* Whether the last submitted frame was found to be a cut, of which nobody told: it was treated as a reset. */
 int gffe_is_cut(const gffe *g);

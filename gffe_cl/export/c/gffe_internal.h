@@ -26,6 +26,7 @@ enum {
     GFFE_CAMERA_STEP,    /* world units since the frame before */
     GFFE_COLOR_LAW,      /* of the network's colours */
     GFFE_REACH,          /* pixels: at least a, else a b-th of the display's width */
+    GFFE_HAS,            /* whether the frame brings overlay a */
     GFFE_LEVEL_STARTS,   /* first texels of levels 1 ... of a */
     GFFE_WIDTH,          /* of grid a, level b */
     GFFE_HEIGHT,
@@ -46,14 +47,19 @@ enum { GFFE_LAUNCH, GFFE_FILL, GFFE_COPY, GFFE_RUN_NETWORK };
 
 /* Occasions, each with a list of operations; those of a frame without one before come first. */
 enum { GFFE_RENDERED_FIRST, GFFE_RENDERED, GFFE_EXTRAPOLATED_FIRST, GFFE_EXTRAPOLATED, GFFE_CUT, GFFE_PRESENT_FIRST,
-       GFFE_PRESENT, GFFE_OCCASIONS };
+       GFFE_PRESENT, GFFE_LEAVE_OUT, GFFE_COMPOSE, GFFE_COMPOSE_RENDERED, GFFE_OCCASIONS };
 
 enum { GFFE_LANES = -1, GFFE_RUN = -2 }; /* steps that the device decides */
 enum { GFFE_TAKES_LANES = 1, GFFE_TAKES_RUN = 2, GFFE_TAKES_EXACT_DIVISION = 4, GFFE_TAKES_INT64 = 8 };
-/* Of buffers: that of the frame before is kept, too; the host works in it; made when it is first needed; the caller's;
-   memory of others, side by side, and whether, or what of the frame before, is free while frames are extrapolated. */
+/* Of buffers: that of the frame before is kept, too; the host works in it; made with the first windowed frame; the caller's;
+   memory of others, side by side, and whether, or what of the frame before, is free while frames are extrapolated; made
+   with the first overlays. */
 enum { GFFE_KEPT = 1, GFFE_MAPPED = 2, GFFE_LATE = 4, GFFE_GIVEN = 8, GFFE_MEMORY = 16, GFFE_LENT = 32,
-       GFFE_LENT_BEFORE = 64 };
+       GFFE_LENT_BEFORE = 64, GFFE_OF_OVERLAYS = 128 };
+
+/* References of what callers give: the first ones of every plan. */
+enum { GFFE_RENDERED_COLOR = 0, GFFE_RENDERED_DEPTH = 2, GFFE_RENDERED_MOTION = 4, GFFE_PREVIOUS_COLOR = 6,
+       GFFE_SHOWN_COLOR = 12, GFFE_SHOWN_DEPTH = 14, GFFE_FIRST_OVERLAY = 16 };
 enum { GFFE_OF_CORRECTION = 1 };
 enum { GFFE_MOST_VALUE = 256 }; /* bytes of an argument */
 
@@ -133,6 +139,7 @@ typedef struct gffe_step {
     double times[GFFE_MOST_TIMES];  /* of rendered frames since the last reset, newest first */
     int time_count;
     double time, alpha, exposure;
+    int has[4];                     /* overlays */
 } gffe_step;
 
 struct gffe {
@@ -147,6 +154,7 @@ struct gffe {
     cl_mem *memory; /* by reference */
     gffe_place *places;
     cl_mem no_motion;
+    cl_mem overlays[4]; /* of the next frame */
     int counts;     /* of a cut: the buffer's reference, or -1 */
     gffe_step step;
     gffe_camera path[GFFE_POSES]; /* display cameras since the last reset, newest first */
@@ -166,9 +174,16 @@ size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer);
 size_t gffe_value(const gffe_step *step, int kind, int a, int b, void *made); /* returns its bytes */
 
 /* gffe_memory.c */
-gffe_status gffe_allocate(gffe *g, int late);
+gffe_status gffe_allocate(gffe *g, int late); /* 0, GFFE_LATE or GFFE_OF_OVERLAYS: those buffers */
+gffe_status gffe_check_buffer(gffe *g, cl_mem buffer, const char *name, int reference);
 int gffe_reference(const gffe *g, const char *name); /* -1: there is none */
-void gffe_swap(gffe *g);
+void gffe_swap(gffe *g, int overlays); /* 0 or GFFE_OF_OVERLAYS: those buffers */
+
+/* gffe_overlays.c */
+int gffe_has_overlays(const gffe *g);
+gffe_status gffe_take_overlays(gffe *g);
+gffe_status gffe_compose(gffe *g, int occasion, gffe_frame *made);
+void gffe_drop_overlays(gffe *g);
 
 /* gffe_device.c */
 gffe_status gffe_fail(gffe *g, gffe_status status, const char *format, ...);

@@ -129,7 +129,7 @@ gffe_status gffe_allocate(gffe *g, int late) {
         for (number = 0; number < g->plan->buffer_count; ++number) {
             const gffe_buffer *buffer = &g->plan->buffers[number];
             const gffe_place *place = &g->places[number];
-            if (buffer->flags & GFFE_GIVEN || !late != !(buffer->flags & GFFE_LATE)) continue;
+            if (buffer->flags & GFFE_GIVEN || late != (buffer->flags & (GFFE_LATE | GFFE_OF_OVERLAYS))) continue;
             if ((place->root >= 0) != parts || !place->bytes) continue;
             for (k = 0; k < (is_double(g, number) ? 2 : 1); ++k) {
                 cl_mem *made = &g->memory[2 * number + k];
@@ -138,6 +138,24 @@ gffe_status gffe_allocate(gffe *g, int late) {
                 if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, buffer->name);
             }
         }
+    return GFFE_OK;
+}
+
+gffe_status gffe_check_buffer(gffe *g, cl_mem buffer, const char *name, int reference) {
+    const gffe_buffer *like = &g->plan->buffers[reference / 2];
+    const size_t wanted = gffe_buffer_bytes(&g->step, like);
+    size_t size = 0, sides[2];
+    cl_context context = NULL;
+    cl_int error;
+    if (!buffer) return gffe_fail(g, GFFE_INVALID, "frame: there is no %s buffer", name);
+    error = clGetMemObjectInfo(buffer, CL_MEM_SIZE, sizeof size, &size, NULL);
+    if (error == CL_SUCCESS) error = clGetMemObjectInfo(buffer, CL_MEM_CONTEXT, sizeof context, &context, NULL);
+    if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, name);
+    gffe_grid_size(&g->step, like->grid, like->level, sides);
+    if (size < wanted)
+        return gffe_fail(g, GFFE_INVALID, "frame: %s buffer must hold %lu bytes (%lux%lu), got %lu", name,
+                         (unsigned long)wanted, (unsigned long)sides[0], (unsigned long)sides[1], (unsigned long)size);
+    if (context != g->context) return gffe_fail(g, GFFE_INVALID, "frame: %s buffer is of another context", name);
     return GFFE_OK;
 }
 
@@ -153,10 +171,10 @@ int gffe_reference(const gffe *g, const char *name) {
     return -1;
 }
 
-void gffe_swap(gffe *g) {
+void gffe_swap(gffe *g, int overlays) {
     int k;
     for (k = 0; k < g->plan->buffer_count; ++k)
-        if (is_double(g, k)) {
+        if (is_double(g, k) && (g->plan->buffers[k].flags & GFFE_OF_OVERLAYS) == overlays) {
             const cl_mem made = g->memory[2 * k];
             g->memory[2 * k] = g->memory[2 * k + 1];
             g->memory[2 * k + 1] = made;

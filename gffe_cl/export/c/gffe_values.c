@@ -108,6 +108,7 @@ static size_t color_law(double exposure, float *made) {
 static cl_int whole_number(const gffe_step *step, int kind, int a, int b) {
     size_t size[2];
     if (kind == GFFE_ORDER) return a < step->time_count - 1 ? a : step->time_count - 1;
+    if (kind == GFFE_HAS) return step->has[a];
     if (kind == GFFE_REACH) return step->target[0] / b > a ? step->target[0] / b : a;
     gffe_grid_size(step, a, b, size);
     return (cl_int)size[kind == GFFE_HEIGHT];
