@@ -7,18 +7,19 @@ z forward; the projection is an off-centre pinhole in pixels, the centre of pixe
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
 
-from gffe_cl import conventions
+from gffe_cl import conventions, vectors
 from gffe_cl.errors import GffeError
 from gffe_cl.values import NUMBERS, is_number
 
-_RIGIDITY_TOLERANCE = 1e-3
-_MOST_FOCAL = 1e9
-_MOST_DISTANCE = 1e15
+RIGIDITY_TOLERANCE = 1e-3
+MOST_FOCAL = 1e9
+MOST_DISTANCE = 1e15
 _FIELDS = ("world_to_view", "fx", "fy", "cx", "cy")
 _NOT_FINITE = "camera: not finite (world_to_view, fx, fy, cx and cy must be finite numbers)"
 _QUIETLY = np.errstate(all="ignore")  # what overflows is no camera, and said to be none
@@ -106,12 +107,12 @@ class Camera:
     def from_pose(cls, position, direction, up, fx, fy, cx, cy) -> Camera:
         """Camera from the paper's pose vectors (v_pos, v_dir, v_up), re-orthonormalised."""
         forward = _normalised(direction, "direction")
-        right = _cross(forward, np.asarray(up, np.float64))
+        right = vectors.cross(forward, np.asarray(up, np.float64).tolist())
         right = _normalised(right, "up (parallel to the direction)")
-        down = _cross(forward, right)
+        down = vectors.cross(forward, right)
         matrix = np.eye(4)
         matrix[:3, :3] = (right, down, forward)
-        matrix[:3, 3] = -matrix[:3, :3] @ np.asarray(position, np.float64)
+        matrix[:3, 3] = [-x for x in vectors.times((right, down, forward), np.asarray(position, np.float64).tolist())]
         return cls(matrix, fx, fy, cx, cy)
 
     @classmethod
@@ -194,7 +195,7 @@ class Camera:
     @property
     def position(self) -> np.ndarray:
         """(3,) world position."""
-        return -np.linalg.solve(self.world_to_view[:3, :3], self.world_to_view[:3, 3])
+        return np.array(vectors.view_inverse(self.world_to_view.tolist())[1])
 
     @property
     def direction(self) -> np.ndarray:
@@ -209,7 +210,9 @@ class Camera:
     @property
     def view_to_world(self) -> np.ndarray:
         """(4, 4) float64, the inverse of `world_to_view`."""
-        return np.linalg.inv(self.world_to_view)
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = vectors.view_inverse(self.world_to_view.tolist())
+        return matrix
 
     def project(self, world_pos) -> tuple[np.ndarray, np.ndarray]:
         """World positions (..., 3) → pixel positions (..., 2) and view depths (...)."""
@@ -273,7 +276,14 @@ class Camera:
         """(4, 4) float64: view space of this camera → view space of `other`; exactly 1 for equal poses."""
         if np.array_equal(self.world_to_view, other.world_to_view):
             return np.eye(4)
-        return other.world_to_view @ self.view_to_world
+        rotation, translation = vectors.view_inverse(self.world_to_view.tolist())
+        rows = other.world_to_view.tolist()[:3]
+        other_rotation = [row[:3] for row in rows]
+        moved = vectors.times(other_rotation, translation)
+        matrix = np.eye(4)
+        matrix[:3, :3] = vectors.product(other_rotation, rotation)
+        matrix[:3, 3] = [x + row[3] for x, row in zip(moved, rows, strict=True)]
+        return matrix
 
     def scaled(self, scale_x: float, scale_y: float) -> Camera:
         """The same frustum on an image whose sides are `scale_x`, `scale_y` times as many pixels."""
@@ -302,7 +312,8 @@ def predict_camera(previous: Camera, current: Camera, alpha: float) -> Camera:
 
     direction = ahead(previous.direction, current.direction)
     ups = (ahead(previous.up, current.up), current.up, -current.direction)  # the last two cannot both be parallel to it
-    up = next(up for up in ups if np.linalg.norm(_cross(direction, up)) > 1e-6 * np.linalg.norm(direction))
+    least = 1e-6 * vectors.length(direction.tolist())
+    up = next(up for up in ups if vectors.length(vectors.cross(direction.tolist(), up.tolist())) > least)
     predicted = Camera.from_pose(
         ahead(previous.position, current.position),
         direction,
@@ -314,7 +325,7 @@ def predict_camera(previous: Camera, current: Camera, alpha: float) -> Camera:
     )
     if np.array_equal(previous.world_to_view, current.world_to_view):
         return replace(predicted, world_to_view=current.world_to_view)
-    if np.linalg.det(current.world_to_view[:3, :3]) < 0:  # left-handed world
+    if vectors.determinant(current.world_to_view[:3, :3].tolist()) < 0:  # left-handed world
         matrix = predicted.world_to_view.copy()
         matrix[0] *= -1
         predicted = replace(predicted, world_to_view=matrix)
@@ -348,16 +359,16 @@ def _check(matrices: np.ndarray, intrinsics: np.ndarray) -> None:
     rotations = matrices[:, :3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max()
-    if not off <= _RIGIDITY_TOLERANCE:
+    if not off <= RIGIDITY_TOLERANCE:
         raise GffeError("camera: world_to_view is singular or not rigid (expected a rotation and a translation)")
     if np.abs(matrices[:, 3] - (0, 0, 0, 1)).max() > 1e-9:
         raise GffeError("camera: the last row of world_to_view must be 0 0 0 1 (column vectors)")
     focal, least = intrinsics[:, :2], intrinsics[:, :2].min()
     if least <= 0:
         raise GffeError(f"camera: singular projection, fx and fy must be positive, got {_both(focal)}")
-    if focal.max() > _MOST_FOCAL or least < 1 / _MOST_FOCAL:
+    if focal.max() > MOST_FOCAL or least < 1 / MOST_FOCAL:
         raise GffeError(f"camera: fx and fy must be within 1e-9 and 1e9 pixels, got {_both(focal)}")
-    if np.abs(intrinsics[:, 2:]).max() > _MOST_FOCAL or np.abs(matrices[:, :3, 3]).max() > _MOST_DISTANCE:
+    if np.abs(intrinsics[:, 2:]).max() > MOST_FOCAL or np.abs(matrices[:, :3, 3]).max() > MOST_DISTANCE:
         raise GffeError("camera: cx, cy must be within 1e9 pixels and the position within 1e15 world units")
 
 
@@ -370,15 +381,9 @@ def _require_api(api: str) -> None:
         raise GffeError(f"camera: api must be {', '.join(_VIEW_AXES)}, got '{api}'")
 
 
-def _cross(a, b) -> np.ndarray:
-    """As np.cross of two vectors, which takes twenty times as long."""
-    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
-    return np.array((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
-
-
-def _normalised(vector, name) -> np.ndarray:
-    vector = np.asarray(vector, np.float64)
-    length = np.linalg.norm(vector)
-    if not np.isfinite(length) or length < 1e-12:
+def _normalised(vector, name) -> list[float]:
+    values = np.asarray(vector, np.float64).tolist()
+    length = vectors.length(values)
+    if not math.isfinite(length) or length < 1e-12:
         raise GffeError(f"camera: {name} has no length")
-    return vector / length
+    return [x / length for x in values]

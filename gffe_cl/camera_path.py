@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from gffe_cl import vectors
 from gffe_cl.camera import Camera, predict_camera
 from gffe_cl.errors import GffeError
 
 POSES = 4  # of which a prediction makes use
-_JUMP = 4.0  # times the step before: a step that is longer is none of a steady movement
-_LEAST = 1e-24  # squared change of velocity that is mere rounding
+JUMP = 4.0  # times the step before: a step that is longer is none of a steady movement
+LEAST = 1e-24  # squared change of velocity that is mere rounding
 
 
 def predict_camera_at(time: float, cameras: Sequence[Camera], times: Sequence[float], order: int = 2) -> Camera:
@@ -49,47 +51,62 @@ def predict_camera_at(time: float, cameras: Sequence[Camera], times: Sequence[fl
     if order == 1 or len(cameras) == 2:
         return predicted
     pairs = list(zip(cameras[1:], cameras[:-1], strict=True))
-    moves = [new.position - old.position for old, new in pairs]
-    turns = [rotation_vector(new.world_to_view[:3, :3] @ old.world_to_view[:3, :3].T) for old, new in pairs]
+    moves = [(new.position - old.position).tolist() for old, new in pairs]
+    turns = [rotation_vector(_turn(old, new)).tolist() for old, new in pairs]
     factor = ahead * (ahead + steps[0])
-    move, turn = (factor * _lasting_change(motion, steps) for motion in (moves, turns))
-    if not (move.any() or turn.any()):
+    move, turn = ([factor * x for x in _lasting_change(motion, steps.tolist())] for motion in (moves, turns))
+    if not (any(move) or any(turn)):
         return predicted
-    rotation = rotation_matrix(turn) @ predicted.world_to_view[:3, :3]
+    rotation = vectors.product(rotation_matrix(turn).tolist(), predicted.world_to_view[:3, :3].tolist())
     matrix = np.eye(4)
     matrix[:3, :3] = rotation
-    matrix[:3, 3] = -rotation @ (predicted.position + move)
+    matrix[:3, 3] = [-x for x in vectors.times(rotation, (predicted.position + move).tolist())]
     return replace(predicted, world_to_view=matrix)
 
 
-def _lasting_change(motion: list[np.ndarray], steps: np.ndarray) -> np.ndarray:
+def _turn(old: Camera, new: Camera) -> np.ndarray:
+    """(3, 3) rotation from the view space of `old` to that of `new`."""
+    rotations = new.world_to_view[:3, :3].tolist(), old.world_to_view[:3, :3].T.tolist()
+    return np.array(vectors.product(*rotations))
+
+
+def _lasting_change(motion: list[list[float]], steps: list[float]) -> list[float]:
     """Second divided difference of what moves by `motion`, newest first, in `steps` of time: the part that lasts."""
-    if np.linalg.norm(motion[0]) > _JUMP * np.linalg.norm(motion[1]):
-        return np.zeros(3)
-    speeds = [moved / step for moved, step in zip(motion, steps, strict=True)]
-    changes = [(speeds[k] - speeds[k + 1]) / (steps[k] + steps[k + 1]) for k in range(len(speeds) - 1)]
+    if vectors.length(motion[0]) > JUMP * vectors.length(motion[1]):
+        return [0.0, 0.0, 0.0]
+    speeds = [[x / step for x in moved] for moved, step in zip(motion, steps, strict=True)]
+    changes = [
+        [(a - b) / (steps[k] + steps[k + 1]) for a, b in zip(speeds[k], speeds[k + 1], strict=True)]
+        for k in range(len(speeds) - 1)
+    ]
     if len(changes) == 1:
         return changes[0]
     now, before = changes
-    size = before @ before * steps[1] ** 4
-    lasting = np.clip(now @ before / (before @ before), 0, 1) if size > _LEAST else 0.0
-    return lasting * now
+    square, step = vectors.dot(before, before), steps[1] * steps[1]
+    lasting = min(max(vectors.dot(now, before) / square, 0.0), 1.0) if square * (step * step) > LEAST else 0.0
+    return [lasting * x for x in now]
 
 
 def rotation_vector(rotation: np.ndarray) -> np.ndarray:
     """(3,) axis times angle, radians, of a rotation matrix (3, 3); 0 for half a turn, whose axis has no direction."""
-    doubled = np.array(
-        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
-    )
-    sine, cosine = np.linalg.norm(doubled) / 2, (np.trace(rotation) - 1) / 2
-    return doubled / 2 * (np.arctan2(sine, cosine) / sine) if sine > 1e-12 else np.zeros(3)
+    r = np.asarray(rotation).tolist()
+    doubled = [r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]]
+    sine, cosine = vectors.length(doubled) / 2, (r[0][0] + r[1][1] + r[2][2] - 1) / 2
+    if not sine > 1e-12:
+        return np.zeros(3)
+    scale = math.atan2(sine, cosine) / sine
+    return np.array([x / 2 * scale for x in doubled])
 
 
-def rotation_matrix(vector: np.ndarray) -> np.ndarray:
+def rotation_matrix(vector: Sequence[float]) -> np.ndarray:
     """(3, 3), the inverse of `rotation_vector` (Rodrigues' formula)."""
-    angle = np.linalg.norm(vector)
+    angle = vectors.length(vector)
     if angle < 1e-15:
         return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([(0, -z, y), (z, 0, -x), (-y, x, 0)])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    x, y, z = (component / angle for component in vector)
+    sine, versine = math.sin(angle), 1 - math.cos(angle)
+    crossed = [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+    twice = vectors.product(crossed, crossed)
+    return np.array(
+        [[(1.0 if i == j else 0.0) + sine * crossed[i][j] + versine * twice[i][j] for j in range(3)] for i in range(3)]
+    )

@@ -18,7 +18,7 @@ from gffe_cl.errors import GffeError
 
 HALF_MAX = 65504.0
 _HALF_EXPONENT = 0x7C00  # its bits, all of them set in NaN and infinity
-_SAME_POSE = 1e-6
+SAME_POSE = 1e-6
 BYTES_PER_PIXEL = (8, 4, 8)  # of colour, depth and motion on the device
 KEPT_BYTES_PER_PIXEL = 2 * (8 + 4) + 8  # of two frames: nothing reads the motion of the one before
 
@@ -100,7 +100,7 @@ def require_one_pose(render: Camera, display: Camera) -> None:
     """GffeError unless both cameras stand in one place and look one way: a window is a part of an image."""
     turned = np.abs(render.world_to_view[:3, :3] - display.world_to_view[:3, :3]).max()
     apart = np.abs(render.world_to_view[:3, 3] - display.world_to_view[:3, 3]).max()
-    if turned > _SAME_POSE or apart > _SAME_POSE * (1 + np.abs(render.world_to_view[:3, 3]).max()):
+    if turned > SAME_POSE or apart > SAME_POSE * (1 + np.abs(render.world_to_view[:3, 3]).max()):
         raise GffeError("frame: display_camera must have the pose of the render camera (expected equal world_to_view)")
 
 

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pyopencl as cl
@@ -198,6 +198,19 @@ def _free_start(parts: Iterable[tuple[int, int, frozenset[int]]], nbytes: int, u
     return start
 
 
+class Recorder(Protocol):
+    """Who takes down what stages would enqueue, while nothing is: a stage's `recorder`."""
+
+    def launched(self, stage: Stage, kernel: Kernel, size: tuple[int, int], values: Mapping[str, Any]) -> None:
+        """`kernel` over `size`; `values`: of its arguments, by name, and perhaps others."""
+
+    def filled(self, stage: Stage, buffer: cl.Buffer, byte: int, nbytes: int) -> None:
+        """The first `nbytes` of a buffer set to `byte`."""
+
+    def copied(self, stage: Stage, to: cl.Buffer, of: cl.Buffer) -> None:
+        """A whole buffer copied."""
+
+
 class Stage(Owner):
     """Base of all stages.
 
@@ -215,6 +228,7 @@ class Stage(Owner):
         self.program: Program = build(self.device, self.name, **variant)
         self.events: deque[tuple[str, cl.Event]] = deque(maxlen=_EVENTS)
         self.launches: list[tuple[Kernel, dict]] | None = None  # with what was given, while somebody counts
+        self.recorder: Recorder | None = None
         borrowing = [spec for spec in self.buffers if spec.transient or spec.fleeting]
         self.buffer = self.allocate(spec for spec in self.buffers if spec not in borrowing)
         self.before = self.allocate(spec for spec in self.buffers if spec.kept)
@@ -272,6 +286,9 @@ class Stage(Owner):
         for argument in self.program.arguments[name]:
             if argument.name not in values:
                 values[argument.name] = self._scalar(argument.name)
+        if self.recorder:
+            self.recorder.launched(self, kernel, size, values)
+            return
         width, height = (-(-n // self._number(step)) for n, step in zip(size, kernel.step, strict=True))
         row = _ROW_OF_LANES if self.device.lanes > 1 else _ROW
         group = self._number(kernel.group) if kernel.group else row
@@ -282,6 +299,9 @@ class Stage(Owner):
         """Enqueue setting the first `nbytes` bytes of a buffer of this stage, or all of them."""
         buffer = self.buffer[name]
         nbytes = nbytes or buffer.size
+        if self.recorder:
+            self.recorder.filled(self, buffer, byte, nbytes)
+            return
         if self.launches is not None:
             share = nbytes / self.spec(name).nbytes(self.sizes)
             self.launches.append((Kernel("fill", "once", writes={"": Access(f"{self.name}.{name}", share)}), {}))
@@ -291,6 +311,9 @@ class Stage(Owner):
     def copy(self, to: str, of: str) -> None:
         """Enqueue a copy between buffers of one size, by their names."""
         to, of = self._buffer(to, {}), self._buffer(of, {})
+        if self.recorder:
+            self.recorder.copied(self, to, of)
+            return
         self.events.append(("copy", cl.enqueue_copy(self.device.queue, to, of)))
 
     def take_milliseconds(self) -> float:

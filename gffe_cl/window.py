@@ -22,17 +22,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gffe_cl import vectors
 from gffe_cl.camera import Camera, predict_camera
 from gffe_cl.errors import GffeError
 
 MAX_ENLARGEMENT = 1.5
 _MOST_FIXED = 16
-_NEAR_QUANTILE = 0.05  # of depth: nearer content may leave holes
-_NEAR_SAMPLES = 8192  # pixels are enough for it
-_MARGIN = 1.0  # display pixels beyond a predicted edge: taps of resampling, and the error of the prediction
+NEAR_QUANTILE = 0.05  # of depth: nearer content may leave holes
+NEAR_SAMPLES = 8192  # pixels are enough for it
+MARGIN = 1.0  # display pixels beyond a predicted edge: taps of resampling, and the error of the prediction
 _LEAST = 0.0005  # of the display's side: what four sides leave open is less than 0.2% of the display
-_AT_REST = 1e-4  # display pixels: rounding of a camera that does not move
-_HORIZON = 1e-6  # least z of a direction, relative to its length, that meets the virtual plane
+AT_REST = 1e-4  # display pixels: rounding of a camera that does not move
+HORIZON = 1e-6  # least z of a direction, relative to its length, that meets the virtual plane
 
 
 class Window(NamedTuple):
@@ -85,7 +86,7 @@ def adaptive_window(
     *,
     size: tuple[float, float] | None = None,
     distance: float = math.inf,
-    margin: float = _MARGIN,
+    margin: float = MARGIN,
     least: float = 0.0,
 ) -> Window:
     """The window through which to render the frame of `current` so that it covers all of `predicted`.
@@ -134,7 +135,7 @@ def adaptive_window(
         uv = 2 * points / size - 1
         low, high = np.minimum(low, uv.min(0)), np.maximum(high, uv.max(0))
         clamped |= clipped
-    more, rest = 2 * margin / size, 2 * np.maximum(_AT_REST / size, least)
+    more, rest = 2 * margin / size, 2 * np.maximum(AT_REST / size, least)
     low, high = np.where(low < -1 - rest, low - more, -1.0), np.where(high > 1 + rest, high + more, 1.0)
     bounds = [_limited(-1 - low[k], high[k] - 1, 2 * (max_enlargement - 1)) for k in range(2)]
     (left, right, cut_u), (above, below, cut_v) = bounds
@@ -145,10 +146,10 @@ def adaptive_window(
 def nearest_depth(depth: np.ndarray) -> float:
     """A `distance` for `adaptive_window`: the lower 5% quantile of depth (H, W), world units; infinite without any."""
     depth = np.asarray(depth)
-    stride = max(1, math.isqrt(depth.size // _NEAR_SAMPLES))
+    stride = max(1, math.isqrt(depth.size // NEAR_SAMPLES))
     some = depth[::stride, ::stride]
     some = some[np.isfinite(some) & (some > 0)]
-    return float(np.partition(some, rank := int(some.size * _NEAR_QUANTILE))[rank]) if some.size else math.inf
+    return float(np.partition(some, rank := int(some.size * NEAR_QUANTILE))[rank]) if some.size else math.inf
 
 
 class WindowChooser:
@@ -190,10 +191,10 @@ def _edges_on_plane(current: Camera, camera: Camera, size, distance: float) -> t
     """(N, 2) positions, in pixels of `current`, where the edges of the frustum of `camera` meet the virtual plane, and
     of their vanishing points; whether a corner points behind the plane."""
     px = np.array([(0, 0), (size[0], 0), size, (0, size[1])], np.float64)
-    corners = np.stack([(px[:, 0] - camera.cx) / camera.fx, (px[:, 1] - camera.cy) / camera.fy, np.ones(4)], -1)
-    transform = camera.to_view_of(current)
-    rays, clipped = _in_front(corners @ transform[:3, :3].T)
-    origin = transform[:3, 3]
+    transform = camera.to_view_of(current).tolist()
+    rotation, origin = [row[:3] for row in transform[:3]], np.array([row[3] for row in transform[:3]])
+    corners = [((x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, 1.0) for x, y in px.tolist()]
+    rays, clipped = _in_front(np.array([vectors.times(rotation, corner) for corner in corners]))
     points = rays / rays[:, 2:]
     if math.isfinite(distance):
         along = np.maximum(distance - origin[2], 0.0)
@@ -204,8 +205,8 @@ def _edges_on_plane(current: Camera, camera: Camera, size, distance: float) -> t
 
 def _in_front(rays: np.ndarray) -> tuple[np.ndarray, bool]:
     """The cone of four edges (4, 3) clipped to directions that meet the virtual plane; whether anything was cut off."""
-    rays = rays / np.linalg.norm(rays, axis=1, keepdims=True)
-    z = rays[:, 2] - _HORIZON
+    rays = rays / np.array([[vectors.length(ray)] for ray in rays.tolist()])
+    z = rays[:, 2] - HORIZON
     if (z > 0).all():
         return rays, False
     kept = []
@@ -216,8 +217,8 @@ def _in_front(rays: np.ndarray) -> tuple[np.ndarray, bool]:
         if (z[k] > 0) != (z[j] > 0):
             kept.append(rays[k] + (rays[j] - rays[k]) * (z[k] / (z[k] - z[j])))
     if not kept:  # nothing of it lies ahead: as far as may be, to the side it has turned to
-        kept = [(x, y, _HORIZON) for x, y, _ in rays]
-    return np.maximum(np.array(kept), (-np.inf, -np.inf, _HORIZON)), True
+        kept = [(x, y, HORIZON) for x, y, _ in rays]
+    return np.maximum(np.array(kept), (-np.inf, -np.inf, HORIZON)), True
 
 
 def _limited(low: float, high: float, most: float) -> tuple[float, float, bool]:

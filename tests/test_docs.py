@@ -80,6 +80,7 @@ def test_options_that_prose_names_exist():
     others |= {"--cases", "--minutes"}  # of scripts in docs
     others |= {"--nthreads"}  # of Dask's workers
     others |= {"--from"}  # of uvx
+    others |= {"--build"}  # of CMake
     others |= {"--python", "--every", "--between", "--no-truth", "--overwrite"}  # of Blender and its script
     known = {f for c in get_command(app).commands.values() for p in c.params for f in (*p.opts, *p.secondary_opts)}
     for name, text in TEXTS.items():

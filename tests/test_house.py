@@ -12,7 +12,7 @@ from gffe_cl.options import OPTIONS
 # Lowest first. A room is a module or a package; rooms on one floor know nothing of each other.
 FLOORS = (
     ("errors",),
-    ("files", "memory", "values", "conventions"),
+    ("files", "memory", "values", "conventions", "vectors"),
     ("opencl", "camera", "metrics"),
     ("providers",),
     ("inference", "frame", "window", "camera_path", "packing"),
@@ -21,7 +21,7 @@ FLOORS = (
     ("stages", "formats"),
     ("options",),
     ("pipeline", "source"),
-    ("run", "render", "evaluation", "calibration", "scn", "doctor"),
+    ("run", "render", "evaluation", "calibration", "scn", "doctor", "export"),
     ("demo", "viewer", "selftest"),
     ("cli",),
     ("__main__",),

@@ -9,6 +9,7 @@ import typer
 from gffe_cl import __version__
 from gffe_cl.cli import (  # noqa: F401 - registers the commands, in the order of `gffe --help`
     checking,
+    exporting,
     importing,
     making,
     measuring,

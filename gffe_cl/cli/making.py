@@ -222,7 +222,7 @@ def run(
     options = replace(options, shading_inputs=dump_stages)
     live = {"--size": size, "--frames": frames, "--fps": fps, "--seed": seed}
     keep_freed_memory()
-    opened, source = _open_source(sequence, window, device, live)
+    opened, source = open_source(sequence, window, device, live)
     if not no_check:
         _check_quickly(source, sequence)
     with progress_bars() as progress:
@@ -244,7 +244,7 @@ def _check_quickly(source: Recorded | Live, target: Path) -> None:
         warn(f"{suspicion}; `gffe check {target}` says more")
 
 
-def _open_source(
+def open_source(
     sequence: Path, window: str | None, device: str | None, live: dict[str, str | float | None]
 ) -> tuple[Device, Recorded | Live]:
     """A folder is a sequence; what is none may be the name of a scene, which `live` says how to render."""

@@ -154,7 +154,7 @@ __kernel void probe(__global const float *a, __global half *b, const int n) {
 }
 """
 
-_INT64_SOURCE = """
+INT64_SOURCE = """
 #pragma OPENCL EXTENSION cl_khr_int64_extended_atomics : enable
 __kernel void least(__global ulong *a) {
     const ulong i = get_global_id(0);
@@ -200,7 +200,7 @@ def try_int64_atomics(context: cl.Context, queue: cl.CommandQueue) -> bool:
 
     try:
         with quiet_builds():
-            kernel = cl.Kernel(cl.Program(context, _INT64_SOURCE).build(cache_dir=False), "least")
+            kernel = cl.Kernel(cl.Program(context, INT64_SOURCE).build(cache_dir=False), "least")
         out = np.full(2, np.iinfo(np.uint64).max, np.uint64)
         buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR, hostbuf=out)
         kernel(queue, (64,), None, buffer)
@@ -210,7 +210,7 @@ def try_int64_atomics(context: cl.Context, queue: cl.CommandQueue) -> bool:
     return out.tolist() == [(1 << 33) | 62, 63]
 
 
-_DIVISION_SOURCE = """
+DIVISION_SOURCE = """
 __kernel void divide(__global const float *a, __global const float *b, __global float *one, __global float *eight) {
     const int i = get_global_id(0);
     one[i] = a[i] / b[i];
@@ -230,7 +230,7 @@ def try_exact_division(context: cl.Context, queue: cl.CommandQueue) -> bool:
     flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
     try:
         with quiet_builds():
-            kernel = cl.Kernel(cl.Program(context, _DIVISION_SOURCE).build(cache_dir=False), "divide")
+            kernel = cl.Kernel(cl.Program(context, DIVISION_SOURCE).build(cache_dir=False), "divide")
         one, eight = (cl.Buffer(context, cl.mem_flags.WRITE_ONLY, 4 * 8 * n) for _ in range(2))
         kernel(queue, (n,), None, *(cl.Buffer(context, flags, hostbuf=x) for x in (a, b)), one, eight)
         found = np.empty_like(a), np.empty_like(a)

@@ -140,7 +140,7 @@ class ShadingCorrection(Stage):
         self.launch("depth_histogram")
         self.launch("find_median")
         to_previous = reprojection(step.camera, step.previous.camera)
-        self.launch("network_input", law=_law(step.exposure), to_previous=to_previous)
+        self.launch("network_input", law=color_law(step.exposure), to_previous=to_previous)
 
     def infer(self, alpha: float) -> None:
         """Fill `correction`: the network works in the mapped buffers: no copy where host and device share memory."""
@@ -158,7 +158,7 @@ class ShadingCorrection(Stage):
 
     def compose(self, exposure: float, within_mask: bool) -> None:
         """Fill `focus_mask` and `color`; without `within_mask` the whole image is the network's."""
-        self.launch("correct", law=_law(exposure), within_mask=within_mask, with_refined=self.with_refined)
+        self.launch("correct", law=color_law(exposure), within_mask=within_mask, with_refined=self.with_refined)
 
     @property
     def network_size(self) -> tuple[int, int]:
@@ -184,7 +184,7 @@ class ShadingCorrection(Stage):
         return taken
 
 
-def _law(exposure: float) -> np.ndarray:
+def color_law(exposure: float) -> np.ndarray:
     """μ · exposure / 8, 1 / ln(1 + μ), and their reciprocals."""
     gain, log = MU * exposure / HEADROOM, math.log1p(MU)
     return np.array([gain, 1 / log, 1 / gain, log], np.float32)

@@ -9,6 +9,7 @@ import numpy as np
 from gffe_cl.buffers import BufferSpec, DeviceFrame
 from gffe_cl.opencl.program import constants
 from gffe_cl.stage import Access, Board, Kernel, Stage, reprojection
+from gffe_cl.vectors import length
 
 _CONSTANTS = constants("cuts.cl")
 SAMPLES = (_CONSTANTS["SAMPLES_X"], _CONSTANTS["SAMPLES_Y"])
@@ -66,7 +67,7 @@ class CutDetection(Stage):
         before, self._step = self._step, None
         if previous is None:
             return False
-        step = float(np.linalg.norm(frame.camera.position - previous.camera.position))
+        step = length((frame.camera.position - previous.camera.position).tolist())
         rows = min(self.sizes.source[1], SAMPLES[1])
         self.launch(
             "compare_samples",

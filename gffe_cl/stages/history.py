@@ -13,8 +13,8 @@ from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
 # Bounds of the automatic static threshold ε, in pixels.
 THRESHOLD_LOW, THRESHOLD_HIGH = 0.25, 4.0
 _CONSTANTS = constants("history.cl")
-_STRIDE = _CONSTANTS["RESIDUAL_STRIDE"]
-_SAMPLED = _STRIDE**-2
+STRIDE = _CONSTANTS["RESIDUAL_STRIDE"]
+_SAMPLED = STRIDE**-2
 
 
 class HistoryTracking(Stage):
@@ -123,7 +123,7 @@ class HistoryTracking(Stage):
         before = previous or step.frame
         to_previous = reprojection(step.frame.camera, before.camera)
         if self.automatic and previous is not None:
-            samples = tuple(-(-n // _STRIDE) for n in self.sizes.source)
+            samples = tuple(-(-n // STRIDE) for n in self.sizes.source)
             self.launch("find_threshold", samples, to_previous=to_previous, low=THRESHOLD_LOW, high=THRESHOLD_HIGH)
         kept = "'" if self.positions > 2 else ""  # else it reads nothing of them
         self.launch(

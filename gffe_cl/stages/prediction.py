@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -67,7 +68,7 @@ class PositionPrediction(Stage):
             order=min(self.board.options.order, len(step.times) - 1),
             bends=self.bends,
             alpha=step.alpha,
-            polynomial=_padded(polynomial_weights(step.times, step.time, MAX_ORDER)),
+            polynomial=padded(polynomial_weights(step.times, step.time, MAX_ORDER)),
             from_previous=reprojection(before.camera, step.frame.camera),
             to_target=reprojection(step.frame.camera, step.camera),
         )
@@ -89,13 +90,13 @@ def polynomial_weights(times: Sequence[float], time: float, max_order: int) -> n
     """
     weights = np.zeros((max_order, max_order), np.float32)
     for order in range(1, min(max_order, len(times) - 1) + 1):
-        nodes = np.asarray(times[: order + 1], np.float64) - times[0]
+        nodes = [node - times[0] for node in times[: order + 1]]
         for i in range(1, order + 1):
-            others = np.delete(nodes, i)
-            weights[order - 1, i - 1] = np.prod((time - times[0] - others) / (nodes[i] - others))
+            others = nodes[:i] + nodes[i + 1 :]
+            weights[order - 1, i - 1] = math.prod((time - times[0] - other) / (nodes[i] - other) for other in others)
     return weights
 
 
-def _padded(weights: np.ndarray) -> np.ndarray:
+def padded(weights: np.ndarray) -> np.ndarray:
     """Rows of `_WEIGHTS`: float8 in the kernel."""
     return np.pad(weights, ((0, 0), (0, _WEIGHTS - weights.shape[1])))

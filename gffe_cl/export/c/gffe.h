@@ -1,0 +1,132 @@
+/* Frame extrapolation for engines: makes the frames after the ones that your renderer has finished.
+
+   C99 and OpenCL 1.2, no other dependency. Coordinates and layouts are those of gffe-cl:
+   - images are row-major, origin top left, y down; render images may differ in size from the display
+   - colour: half x 4 per pixel, linear scene-referred RGB (the fourth is not read)
+   - depth: float, planar view-space z, world units, +inf for sky
+   - motion: float x 2, pixels: (position in the previous rendered frame) - (position here)
+   One gffe serves one in-order queue; calls on one gffe come from one thread at a time. */
+#ifndef GFFE_H
+#define GFFE_H
+
+#ifndef CL_TARGET_OPENCL_VERSION
+#define CL_TARGET_OPENCL_VERSION 120
+#endif
+#ifdef __APPLE__
+#include <OpenCL/opencl.h>
+#else
+#include <CL/cl.h>
+#endif
+
+#include "gffe_camera.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct gffe gffe;
+
+typedef enum gffe_status {
+    GFFE_OK = 0,
+    GFFE_INVALID = 1,       /* an argument makes no sense; nothing was changed */
+    GFFE_OPENCL = 2,        /* a call of OpenCL failed: what was made is lost, destroy the gffe and create another */
+    GFFE_OUT_OF_MEMORY = 3, /* of the host or of the device: likewise */
+    GFFE_NETWORK_FAILED = 4 /* the network's callback said so; the frame was not made */
+} gffe_status;
+
+/* Runs the shading correction network: reads `frames` (8 planes of width x height floats), writes `correction`
+   (5 planes), both on the device, in or after what is enqueued on `queue`. 0: done. See gffe_onnx.c for one. */
+typedef int (*gffe_network)(void *user, cl_command_queue queue, cl_mem frames, cl_mem correction, size_t width,
+                            size_t height, float alpha);
+
+typedef struct gffe_options {
+    int width, height;               /* of the display, and so of extrapolated frames, pixels */
+    int render_width, render_height; /* of rendered frames; 0: as the display */
+    double fps;                      /* rendered frames per second, until two of them are known */
+    int lanes;                       /* pixels per work-item: 1, 8, or 0: as suits the device */
+    int int64_atomics;               /* 0, 1, or -1: if the device has them, which is tried; the results are the same */
+    gffe_network network;            /* NULL: shading is not corrected; only where the export includes it */
+    void *network_user;              /* handed to `network` */
+} gffe_options;
+
+/* What was made, on the device: buffers that hold it until the next one is made. `motion` points into the rendered
+   frame; of presented frames only colour, depth and motion are there, the others NULL. */
+typedef struct gffe_frame {
+    cl_mem color, depth, motion;             /* half x 4, float, float x 2 */
+    cl_mem dynamic, disoccluded, filled_by;  /* uchar */
+    cl_mem gae;                              /* colour before shading correction, half x 4 */
+    gffe_camera camera;                      /* in pixels of the display */
+    double time, alpha;                      /* seconds; intervals after the rendered frame */
+} gffe_frame;
+
+/* A named buffer, "history.dynamic_mask". */
+typedef struct gffe_image {
+    cl_mem memory;
+    size_t width, height, planes, bytes_per_pixel;
+} gffe_image;
+
+/* Options for a display of this size, everything else as recommended. */
+gffe_options gffe_default_options(int width, int height);
+
+/* Builds the kernels and allocates all buffers; nothing is built or allocated later but with the first frame that is
+   rendered through a window, comes without motion, or brings overlays. `queue` must work in order. Whatever is returned, *made is
+   to be destroyed; it is NULL only where the host has no memory. After a failure it is good for nothing but
+   gffe_message. */
+gffe_status gffe_create(cl_context context, cl_command_queue queue, const gffe_options *options, gffe **made);
+
+/* Waits for the queue, and frees everything. NULL is taken, too. */
+void gffe_destroy(gffe *g);
+
+/* What the last failure was: one line, and the compiler's log where kernels do not build. */
+const char *gffe_message(const gffe *g);
+
+/* Take a rendered frame; they come in order of time (seconds). The buffers are used in place: do not overwrite them
+   before two more frames have been submitted. `camera` is what was rasterised, in render pixels; `display_camera` what
+   is shown, in display pixels, of the same pose (NULL: the same frustum). `reset`: nothing before this frame may be used
+   (a cut); then motion may be NULL. Returns at once, but with cut detection waits for the device. */
+gffe_status gffe_submit(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
+                        const gffe_camera *display_camera, double time, int reset);
+
+/* What lies over the picture of the next frame that is submitted, and is not to be warped with it; each may be NULL, and
+   NULL in place of them drops them. Colours are premultiplied: layer + (1 - alpha) * picture. The buffers are in use until
+   the frame after that is submitted. */
+typedef struct gffe_overlays {
+    cl_mem fixed_mask;     /* uchar, rendered image: 1 where the picture stays in its place: weapons, cockpits */
+    cl_mem effects;        /* half x 4, rendered image: what has no depth, as smoke; not in the frame's own colour */
+    cl_mem effects_motion; /* float x 2, rendered image: along which effects go on; NULL: they stay */
+    cl_mem ui;             /* half x 4, display: the user interface; not in the frame's own colour */
+} gffe_overlays;
+
+gffe_status gffe_set_overlays(gffe *g, const gffe_overlays *overlays);
+
+/* Whether the last submitted frame was found to be a cut, of which nobody told: it was treated as a reset. */
+int gffe_is_cut(const gffe *g);
+
+/* Seconds between the last two rendered frames; 1/fps after a reset. */
+double gffe_interval(const gffe *g);
+
+/* The factor on colour before display, 1e-6 to 1e6, for the network; 1 until it is set. */
+gffe_status gffe_set_exposure(gffe *g, double exposure);
+
+/* The predicted display camera `alpha` intervals after the last rendered frame. */
+gffe_status gffe_predict_camera(gffe *g, double alpha, gffe_camera *made);
+
+/* Make the frame at `time`, seconds, seen by `camera`, in display pixels (NULL: the predicted one). Returns at once,
+   unless the network's callback waits. */
+gffe_status gffe_extrapolate(gffe *g, const gffe_camera *camera, double time, gffe_frame *made);
+
+/* What is shown of the last rendered frame: resampled where it was rendered through a window, else its own buffers. */
+gffe_status gffe_present(gffe *g, gffe_frame *made);
+
+/* A buffer by name, as gffe-cl's documentation of the stages has it; an apostrophe means what was kept of the frame
+   before. It lies as kernels see it: colours of background levels as RGB9E5, places in them as offsets, planar images one
+   channel after another. Valid until the next frame is submitted. */
+gffe_status gffe_get(gffe *g, const char *name, gffe_image *found);
+
+/* The name of buffer 0, 1 ...; NULL after the last one. */
+const char *gffe_buffer_name(const gffe *g, int number);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

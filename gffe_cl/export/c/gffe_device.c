@@ -1,0 +1,267 @@
+/* Kernels, and carrying out lists of operations. */
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "gffe_internal.h"
+
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
+enum { ROW = 64, ROW_OF_LANES = 128 };          /* work-items of a work-group, where a kernel does not say */
+enum { QUOTIENTS = 8 * 65536, EIGHT = 8 };      /* tried to see whether division is exact */
+
+gffe_status gffe_fail(gffe *g, gffe_status status, const char *format, ...) {
+    va_list values;
+    va_start(values, format);
+    vsnprintf(g->message, sizeof g->message, format, values);
+    va_end(values);
+    return status;
+}
+
+gffe_status gffe_opencl_failed(gffe *g, cl_int error, const char *doing) {
+    const int memory = error == CL_MEM_OBJECT_ALLOCATION_FAILURE || error == CL_OUT_OF_RESOURCES ||
+                       error == CL_OUT_OF_HOST_MEMORY || error == CL_INVALID_BUFFER_SIZE;
+    return gffe_fail(g, memory ? GFFE_OUT_OF_MEMORY : GFFE_OPENCL, "%s: OpenCL error %d%s", doing, (int)error,
+                     memory ? " (out of memory)" : "");
+}
+
+/* ---- what the device can do --------------------------------------------------------------------------- */
+
+/* Builds a program of one kernel to try something out; NULL: it does not build, so the device cannot. */
+static cl_kernel try_kernel(gffe *g, const char *const *lines, int count, const char *name, cl_program *program) {
+    cl_kernel kernel = NULL;
+    cl_int error;
+    *program = clCreateProgramWithSource(g->context, (cl_uint)count, (const char **)lines, NULL, &error);
+    if (!*program) return NULL;
+    if (clBuildProgram(*program, 1, &g->device, "", NULL, NULL) == CL_SUCCESS)
+        kernel = clCreateKernel(*program, name, &error);
+    return kernel;
+}
+
+/* Runs it over `size` work-items with `count` buffers; whether that went well. */
+static int run_trial(gffe *g, cl_kernel kernel, const cl_mem *buffers, cl_uint count, size_t size) {
+    cl_uint k;
+    for (k = 0; k < count; ++k)
+        if (!buffers[k] || clSetKernelArg(kernel, k, sizeof buffers[k], &buffers[k]) != CL_SUCCESS) return 0;
+    return clEnqueueNDRangeKernel(g->queue, kernel, 1, NULL, &size, NULL, 0, NULL, NULL) == CL_SUCCESS;
+}
+
+static int has_int64_atomics(gffe *g) {
+    cl_ulong found[2] = {~(cl_ulong)0, ~(cl_ulong)0};
+    cl_program program = NULL;
+    cl_kernel kernel = try_kernel(g, gffe_int64_source, gffe_int64_source_count, "least", &program);
+    cl_mem buffer = clCreateBuffer(g->context, CL_MEM_READ_WRITE | CL_MEM_COPY_HOST_PTR, sizeof found, found, NULL);
+    int works = kernel && run_trial(g, kernel, &buffer, 1, 64) &&
+                clEnqueueReadBuffer(g->queue, buffer, CL_TRUE, 0, sizeof found, found, 0, NULL, NULL) == CL_SUCCESS;
+    works = works && found[0] == (((cl_ulong)1 << 33) | 62) && found[1] == 63;
+    if (buffer) clReleaseMemObject(buffer);
+    if (kernel) clReleaseKernel(kernel);
+    if (program) clReleaseProgram(program);
+    return works;
+}
+
+/* Numbers of either sign over some twelve orders of magnitude. */
+static void fill_with_numbers(float *numbers, int count, cl_uint seed) {
+    int k;
+    for (k = 0; k < count; ++k) {
+        cl_uint bits;
+        seed = seed * 1664525u + 1013904223u;
+        bits = (seed & 0x807fffffu) | ((107u + (seed >> 24) % 40u) << 23);
+        seed = seed * 1664525u + 1013904223u;
+        bits ^= seed >> 16 & 0xffffu;
+        memcpy(&numbers[k], &bits, sizeof bits);
+    }
+}
+
+/* Whether `one` (as many as work-items) and `eight` are a / b, correctly rounded: a double's quotient, rounded, is. */
+static int are_quotients(const float *a, const float *b, const float *one, const float *eight) {
+    int k;
+    for (k = 0; k < QUOTIENTS; ++k) {
+        const float right = (float)((double)a[k] / (double)b[k]);
+        if (eight[k] != right || (k < QUOTIENTS / EIGHT && one[k] != right)) return 0;
+    }
+    return 1;
+}
+
+static int divides_exactly(gffe *g) {
+    const size_t nbytes = QUOTIENTS * sizeof(float);
+    const cl_mem_flags given = CL_MEM_READ_ONLY | CL_MEM_COPY_HOST_PTR;
+    float *numbers = (float *)malloc(4 * nbytes), *a = numbers, *b, *one, *eight;
+    cl_mem buffers[4] = {NULL, NULL, NULL, NULL};
+    cl_program program = NULL;
+    cl_kernel kernel = NULL;
+    int k, works = 0;
+    if (!numbers) return 0; /* then it is corrected, which is right everywhere */
+    b = a + QUOTIENTS;
+    one = b + QUOTIENTS;
+    eight = one + QUOTIENTS;
+    fill_with_numbers(a, QUOTIENTS, 1);
+    fill_with_numbers(b, QUOTIENTS, 2);
+    kernel = try_kernel(g, gffe_division_source, gffe_division_source_count, "divide", &program);
+    buffers[0] = clCreateBuffer(g->context, given, nbytes, a, NULL);
+    buffers[1] = clCreateBuffer(g->context, given, nbytes, b, NULL);
+    for (k = 2; k < 4; ++k) buffers[k] = clCreateBuffer(g->context, CL_MEM_WRITE_ONLY, nbytes, NULL, NULL);
+    works = kernel && run_trial(g, kernel, buffers, 4, QUOTIENTS / EIGHT) &&
+            clEnqueueReadBuffer(g->queue, buffers[2], CL_TRUE, 0, nbytes, one, 0, NULL, NULL) == CL_SUCCESS &&
+            clEnqueueReadBuffer(g->queue, buffers[3], CL_TRUE, 0, nbytes, eight, 0, NULL, NULL) == CL_SUCCESS &&
+            are_quotients(a, b, one, eight);
+    for (k = 0; k < 4; ++k)
+        if (buffers[k]) clReleaseMemObject(buffers[k]);
+    if (kernel) clReleaseKernel(kernel);
+    if (program) clReleaseProgram(program);
+    free(numbers);
+    return works;
+}
+
+/* ---- kernels ------------------------------------------------------------------------------------------ */
+
+static gffe_status build(gffe *g, int number, int int64) {
+    const gffe_program *program = &gffe_programs[number];
+    char choices[128] = "", log[3072] = "";
+    size_t used = 0;
+    cl_int error;
+    if (program->flags & GFFE_TAKES_LANES) used += (size_t)sprintf(choices + used, " -DLANES=%d", g->lanes);
+    if (program->flags & GFFE_TAKES_RUN) used += (size_t)sprintf(choices + used, " -DRUN=%d", g->lanes > 1 ? 16 : 1);
+    if (program->flags & GFFE_TAKES_EXACT_DIVISION && g->exact_division)
+        used += (size_t)sprintf(choices + used, " -DEXACT_DIVISION=1");
+    if (program->flags & GFFE_TAKES_INT64 && int64) sprintf(choices + used, " -DINT64_ATOMICS=1");
+    g->programs[number] = clCreateProgramWithSource(g->context, (cl_uint)program->line_count,
+                                                    (const char **)program->lines, NULL, &error);
+    if (!g->programs[number]) return gffe_opencl_failed(g, error, program->name);
+    error = clBuildProgram(g->programs[number], 1, &g->device, choices, NULL, NULL);
+    if (error == CL_SUCCESS) return GFFE_OK;
+    clGetProgramBuildInfo(g->programs[number], g->device, CL_PROGRAM_BUILD_LOG, sizeof log - 1, log, NULL);
+    return gffe_fail(g, GFFE_OPENCL, "%s.cl does not build with%s (OpenCL error %d):\n%s", program->name, choices,
+                     (int)error, log);
+}
+
+static gffe_status set_initial(gffe *g) {
+    int k;
+    for (k = 0; k < g->plan->initial_count; ++k) {
+        const gffe_initial *initial = &g->plan->initial[k];
+        const cl_int error =
+            clEnqueueWriteBuffer(g->queue, g->memory[2 * initial->buffer], CL_TRUE, 0, (size_t)initial->bytes,
+                                 &gffe_constants[initial->words], 0, NULL, NULL);
+        if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "writing what buffers begin with");
+    }
+    return GFFE_OK;
+}
+
+gffe_status gffe_open(gffe *g) {
+    gffe_status status = GFFE_OK;
+    cl_device_type type = 0;
+    cl_int error;
+    int k, int64 = g->options.int64_atomics;
+    error = clGetDeviceInfo(g->device, CL_DEVICE_TYPE, sizeof type, &type, NULL);
+    if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "asking what the device is");
+    g->lanes = g->options.lanes ? g->options.lanes : type & CL_DEVICE_TYPE_CPU && !(type & CL_DEVICE_TYPE_GPU) ? 8 : 1;
+    if (int64 < 0) int64 = has_int64_atomics(g);
+    g->exact_division = divides_exactly(g);
+    g->plan = &gffe_plans[int64];
+    g->programs = (cl_program *)calloc((size_t)gffe_program_count, sizeof *g->programs);
+    g->kernels = (cl_kernel *)calloc((size_t)gffe_kernel_count, sizeof *g->kernels);
+    g->memory = (cl_mem *)calloc(2 * (size_t)g->plan->buffer_count, sizeof *g->memory);
+    g->places = (gffe_place *)calloc((size_t)g->plan->buffer_count, sizeof *g->places);
+    if (!g->programs || !g->kernels || !g->memory || !g->places)
+        return gffe_fail(g, GFFE_OUT_OF_MEMORY, "the host has no memory");
+    for (k = 0; k < gffe_program_count && !status; ++k) status = build(g, k, int64);
+    for (k = 0; k < gffe_kernel_count && !status; ++k) {
+        g->kernels[k] = clCreateKernel(g->programs[gffe_kernels[k].program], gffe_kernels[k].name, &error);
+        if (!g->kernels[k]) status = gffe_opencl_failed(g, error, gffe_kernels[k].name);
+    }
+    if (!status) status = gffe_allocate(g, 0);
+    if (!status) status = set_initial(g);
+    if (!status) g->counts = gffe_reference(g, "cuts.counts");
+    return status;
+}
+
+/* ---- operations --------------------------------------------------------------------------------------- */
+
+static int step_of(const gffe *g, int step) {
+    return step == GFFE_LANES ? g->lanes : step == GFFE_RUN ? (g->lanes > 1 ? 16 : 1) : step;
+}
+
+static cl_int launch(gffe *g, const gffe_operation *operation) {
+    const gffe_kernel *kernel = &gffe_kernels[operation->kernel];
+    const gffe_argument *argument = g->plan->arguments + operation->first;
+    union {
+        float numbers[GFFE_MOST_VALUE / sizeof(float)];
+        cl_int integers[GFFE_MOST_VALUE / sizeof(cl_int)];
+    } value;
+    size_t size[2], group[2] = {1, 1};
+    cl_uint count = 0, k;
+    cl_int error = clGetKernelInfo(g->kernels[operation->kernel], CL_KERNEL_NUM_ARGS, sizeof count, &count, NULL);
+    for (k = 0; k < count && error == CL_SUCCESS; ++k, ++argument) {
+        const void *given = &value;
+        size_t nbytes;
+        if (argument->kind == GFFE_BUFFER) {
+            given = &g->memory[argument->a];
+            nbytes = sizeof(cl_mem);
+        } else if (argument->kind == GFFE_CONSTANT) {
+            given = &gffe_constants[argument->a];
+            nbytes = (size_t)argument->b;
+        } else {
+            nbytes = gffe_value(&g->step, argument->kind, argument->a, argument->b, &value);
+        }
+        error = clSetKernelArg(g->kernels[operation->kernel], k, nbytes, given);
+    }
+    if (error != CL_SUCCESS) return error;
+    gffe_launch_size(&g->step, operation->size, operation->a, operation->b, size);
+    group[0] = (size_t)(kernel->group ? kernel->group : g->lanes > 1 ? ROW_OF_LANES : ROW);
+    size[0] = (size[0] + (size_t)step_of(g, kernel->step_x) - 1) / (size_t)step_of(g, kernel->step_x);
+    size[1] = (size[1] + (size_t)step_of(g, kernel->step_y) - 1) / (size_t)step_of(g, kernel->step_y);
+    size[0] = (size[0] + group[0] - 1) / group[0] * group[0];
+    return clEnqueueNDRangeKernel(g->queue, g->kernels[operation->kernel], 2, NULL, size, group, 0, NULL, NULL);
+}
+
+static cl_int fill(gffe *g, const gffe_operation *operation) {
+    const gffe_buffer *buffer = &g->plan->buffers[operation->buffer / 2];
+    const cl_uchar byte = (cl_uchar)operation->other;
+    size_t size[2];
+    gffe_launch_size(&g->step, operation->size, operation->a, operation->b, size);
+    return clEnqueueFillBuffer(g->queue, g->memory[operation->buffer], &byte, 1, 0,
+                               size[0] * size[1] * (size_t)buffer->bytes * (size_t)buffer->planes, 0, NULL, NULL);
+}
+
+static cl_int copy(gffe *g, const gffe_operation *operation) {
+    const size_t nbytes = gffe_buffer_bytes(&g->step, &g->plan->buffers[operation->buffer / 2]);
+    return clEnqueueCopyBuffer(g->queue, g->memory[operation->other], g->memory[operation->buffer], 0, 0, nbytes, 0,
+                               NULL, NULL);
+}
+
+static gffe_status run_network(gffe *g) {
+    const cl_mem frames = g->memory[gffe_reference(g, "correction.frames")];
+    const cl_mem correction = g->memory[gffe_reference(g, "correction.correction")];
+    size_t size[2];
+    int failed;
+    gffe_grid_size(&g->step, GFFE_NETWORK, 0, size);
+    failed = g->options.network(g->options.network_user, g->queue, frames, correction, size[0], size[1],
+                                (float)g->step.alpha);
+    if (failed) return gffe_fail(g, GFFE_NETWORK_FAILED, "the network's callback returned %d (expected 0)", failed);
+    return GFFE_OK;
+}
+
+gffe_status gffe_run(gffe *g, int occasion, int correction) {
+    const gffe_operations *operations = &g->plan->operations[occasion];
+    int k;
+    for (k = 0; k < operations->count; ++k) {
+        const gffe_operation *operation = &operations->list[k];
+        cl_int error = CL_SUCCESS;
+        if ((operation->stage == GFFE_OF_CORRECTION) != correction) continue;
+        if (operation->kind == GFFE_RUN_NETWORK) {
+            const gffe_status status = run_network(g);
+            if (status) return status;
+        } else {
+            error = operation->kind == GFFE_LAUNCH ? launch(g, operation)
+                    : operation->kind == GFFE_FILL ? fill(g, operation)
+                                                   : copy(g, operation);
+        }
+        if (error != CL_SUCCESS)
+            return gffe_opencl_failed(g, error, operation->kind == GFFE_LAUNCH ? gffe_kernels[operation->kernel].name
+                                                                               : "filling or copying a buffer");
+    }
+    return GFFE_OK;
+}

@@ -1,0 +1,197 @@
+/* Between gffe_tables.c, which is generated, and what works by it. */
+#ifndef GFFE_INTERNAL_H
+#define GFFE_INTERNAL_H
+
+#include "gffe.h"
+#include "gffe_config.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Grids of buffers and launches; a level or a number of levels goes with the last two. */
+enum { GFFE_ONCE, GFFE_SOURCE, GFFE_TARGET, GFFE_BLOCKS, GFFE_SOURCE_BLOCKS, GFFE_TARGET_BLOCKS, GFFE_NETWORK,
+       GFFE_LEVEL, GFFE_LEVELS };
+
+enum { GFFE_FRAME, GFFE_PREVIOUS, GFFE_TARGET_CAMERA, GFFE_FRAME_DISPLAY, GFFE_PREVIOUS_DISPLAY, GFFE_CAMERAS };
+
+/* What an argument is, with two numbers a and b. */
+enum {
+    GFFE_BUFFER,         /* reference a */
+    GFFE_CONSTANT,       /* words from a on, b bytes */
+    GFFE_ALPHA,
+    GFFE_INTERVAL_RATIO, /* the last interval in that before it */
+    GFFE_ORDER,          /* a, or what the frames so far allow */
+    GFFE_POLYNOMIAL,     /* weights of positions for orders up to a, rows of 8 */
+    GFFE_CAMERA_STEP,    /* world units since the frame before */
+    GFFE_COLOR_LAW,      /* of the network's colours */
+    GFFE_REACH,          /* pixels: at least a, else a b-th of the display's width */
+    GFFE_HAS,            /* whether the frame brings overlay a */
+    GFFE_LEVEL_STARTS,   /* first texels of levels 1 ... of a */
+    GFFE_WIDTH,          /* of grid a, level b */
+    GFFE_HEIGHT,
+    GFFE_REPROJECTION,   /* from camera a to camera b */
+    GFFE_ZOOM,
+    GFFE_MAPPING
+};
+
+/* Sizes of launches, with two numbers a and b. */
+enum {
+    GFFE_WHOLE,          /* grid a, level b */
+    GFFE_SAMPLED_SOURCE, /* every a-th pixel of every a-th row */
+    GFFE_TILED_BLOCKS,   /* b work-items for a x a blocks */
+    GFFE_SAMPLED_ROWS    /* a in each of b rows, or as many rows as there are */
+};
+
+enum { GFFE_LAUNCH, GFFE_FILL, GFFE_COPY, GFFE_RUN_NETWORK };
+
+/* Occasions, each with a list of operations; those of a frame without one before come first. */
+enum { GFFE_RENDERED_FIRST, GFFE_RENDERED, GFFE_EXTRAPOLATED_FIRST, GFFE_EXTRAPOLATED, GFFE_CUT, GFFE_PRESENT_FIRST,
+       GFFE_PRESENT, GFFE_LEAVE_OUT, GFFE_COMPOSE, GFFE_COMPOSE_RENDERED, GFFE_OCCASIONS };
+
+enum { GFFE_LANES = -1, GFFE_RUN = -2 }; /* steps that the device decides */
+enum { GFFE_TAKES_LANES = 1, GFFE_TAKES_RUN = 2, GFFE_TAKES_EXACT_DIVISION = 4, GFFE_TAKES_INT64 = 8 };
+/* Of buffers: that of the frame before is kept, too; the host works in it; made with the first windowed frame; the caller's;
+   memory of others, side by side, and whether, or what of the frame before, is free while frames are extrapolated; made
+   with the first overlays. */
+enum { GFFE_KEPT = 1, GFFE_MAPPED = 2, GFFE_LATE = 4, GFFE_GIVEN = 8, GFFE_MEMORY = 16, GFFE_LENT = 32,
+       GFFE_LENT_BEFORE = 64, GFFE_OF_OVERLAYS = 128 };
+
+/* References of what callers give: the first ones of every plan. */
+enum { GFFE_RENDERED_COLOR = 0, GFFE_RENDERED_DEPTH = 2, GFFE_RENDERED_MOTION = 4, GFFE_PREVIOUS_COLOR = 6,
+       GFFE_SHOWN_COLOR = 12, GFFE_SHOWN_DEPTH = 14, GFFE_FIRST_OVERLAY = 16 };
+enum { GFFE_OF_CORRECTION = 1 };
+enum { GFFE_MOST_VALUE = 256 }; /* bytes of an argument */
+
+typedef struct gffe_program {
+    const char *name;
+    const char *const *lines;
+    int line_count, flags;
+} gffe_program;
+
+typedef struct gffe_kernel {
+    int program;
+    const char *name;
+    int step_x, step_y; /* pixels per work-item */
+    int group;          /* work-items, in a row; 0: as suits the device */
+} gffe_kernel;
+
+typedef struct gffe_buffer {
+    const char *name;
+    int grid, level, bytes, planes; /* bytes of a texel */
+    int whole;                      /* the buffer of all levels, or the memory, in which it lies; -1 */
+    int flags;
+    int first, last; /* where it holds nothing but within an extrapolation: the stages that use it; else -1 */
+} gffe_buffer;
+
+/* Where a buffer lies. */
+typedef struct gffe_place {
+    int root;     /* the reference of the buffer in which it lies; -1: its own */
+    size_t start; /* bytes */
+    size_t bytes;
+} gffe_place;
+
+typedef struct gffe_argument {
+    int kind, a, b;
+} gffe_argument;
+
+typedef struct gffe_operation {
+    int kind, stage, kernel;
+    int size, a, b;
+    int first;    /* of its arguments */
+    int buffer;   /* reference: twice a buffer's number, and 1 for what is kept of the frame before */
+    int other;    /* the reference that is copied, or the byte that fills */
+} gffe_operation;
+
+typedef struct gffe_initial {
+    int buffer, words, bytes; /* what a buffer holds from the start: constants */
+} gffe_initial;
+
+typedef struct gffe_operations {
+    const gffe_operation *list;
+    int count;
+} gffe_operations;
+
+typedef struct gffe_plan {
+    const gffe_buffer *buffers;
+    int buffer_count;
+    const gffe_argument *arguments;
+    const gffe_initial *initial;
+    int initial_count;
+    gffe_operations operations[GFFE_OCCASIONS];
+} gffe_plan;
+
+extern const gffe_program gffe_programs[];
+extern const int gffe_program_count;
+extern const gffe_kernel gffe_kernels[];
+extern const int gffe_kernel_count;
+extern const cl_uint gffe_constants[];
+extern const gffe_plan gffe_plans[2]; /* without and with 64-bit atomics */
+extern const char *const gffe_int64_source[];
+extern const int gffe_int64_source_count;
+extern const char *const gffe_division_source[];
+extern const int gffe_division_source_count;
+
+/* What is being worked on, and what the host computes from it. */
+typedef struct gffe_step {
+    gffe_camera cameras[GFFE_CAMERAS];
+    int source[2], target[2];       /* width, height */
+    double times[GFFE_MOST_TIMES];  /* of rendered frames since the last reset, newest first */
+    int time_count;
+    double time, alpha, exposure;
+    int has[4];                     /* overlays */
+} gffe_step;
+
+struct gffe {
+    gffe_options options;
+    const gffe_plan *plan;
+    cl_context context;
+    cl_command_queue queue;
+    cl_device_id device;
+    int lanes, exact_division;
+    cl_program *programs;
+    cl_kernel *kernels;
+    cl_mem *memory; /* by reference */
+    gffe_place *places;
+    cl_mem no_motion;
+    cl_mem overlays[4]; /* of the next frame */
+    int counts;     /* of a cut: the buffer's reference, or -1 */
+    gffe_step step;
+    gffe_camera path[GFFE_POSES]; /* display cameras since the last reset, newest first */
+    int path_count;
+    int has_frame, has_previous, is_cut;
+    int has_step;
+    double camera_step;
+    char message[4096];
+};
+
+/* gffe_values.c */
+void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]);
+void gffe_launch_size(const gffe_step *step, int kind, int a, int b, size_t size[2]);
+size_t gffe_aligned(size_t n);
+size_t gffe_level_start(const gffe_step *step, int level);
+size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer);
+size_t gffe_value(const gffe_step *step, int kind, int a, int b, void *made); /* returns its bytes */
+
+/* gffe_memory.c */
+gffe_status gffe_allocate(gffe *g, int late); /* 0, GFFE_LATE or GFFE_OF_OVERLAYS: those buffers */
+gffe_status gffe_check_buffer(gffe *g, cl_mem buffer, const char *name, int reference);
+int gffe_reference(const gffe *g, const char *name); /* -1: there is none */
+void gffe_swap(gffe *g, int overlays); /* 0 or GFFE_OF_OVERLAYS: those buffers */
+
+/* gffe_overlays.c */
+int gffe_has_overlays(const gffe *g);
+gffe_status gffe_take_overlays(gffe *g);
+gffe_status gffe_compose(gffe *g, int occasion, gffe_frame *made);
+void gffe_drop_overlays(gffe *g);
+
+/* gffe_device.c */
+gffe_status gffe_fail(gffe *g, gffe_status status, const char *format, ...);
+gffe_status gffe_opencl_failed(gffe *g, cl_int error, const char *doing);
+gffe_status gffe_open(gffe *g);
+gffe_status gffe_run(gffe *g, int occasion, int correction); /* `correction`: those operations, else all others */
+
+#ifdef __cplusplus
+}
+#endif
+#endif

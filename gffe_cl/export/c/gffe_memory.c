@@ -1,0 +1,182 @@
+/* Where buffers lie on the device. Those that hold something only while a frame is extrapolated lie in memory that is
+   free then, several in one place if no stage works with more than one of them, as in Python's Board. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "gffe_internal.h"
+
+enum { SPARE = 8 * GFFE_ALIGNMENT }; /* bytes of lent memory beyond its parts: what lies in it is aligned */
+
+static int is_transient(const gffe_buffer *buffer) { return buffer->first >= 0; }
+
+/* Gives parts their places, and memory its size: its parts lie side by side. */
+static void place_parts(gffe *g) {
+    int number, part;
+    for (number = 0; number < g->plan->buffer_count; ++number) {
+        const gffe_buffer *buffer = &g->plan->buffers[number];
+        gffe_place *place = &g->places[number];
+        place->root = -1;
+        place->start = 0;
+        place->bytes = buffer->flags & GFFE_MEMORY ? 0 : gffe_buffer_bytes(&g->step, buffer);
+    }
+    for (part = 0; part < g->plan->buffer_count; ++part) { /* wholes come before their parts */
+        const gffe_buffer *buffer = &g->plan->buffers[part];
+        gffe_place *place = &g->places[part], *whole;
+        if (buffer->whole < 0) continue;
+        whole = &g->places[buffer->whole];
+        place->root = whole->root >= 0 ? whole->root : 2 * buffer->whole;
+        if (g->plan->buffers[buffer->whole].flags & GFFE_MEMORY) {
+            place->start = whole->bytes ? gffe_aligned(whole->bytes + 1) : 0;
+            whole->bytes = place->start + place->bytes;
+        } else {
+            place->start = whole->start + gffe_level_start(&g->step, buffer->level) * (size_t)buffer->bytes;
+        }
+    }
+    for (number = 0; number < g->plan->buffer_count; ++number)
+        if (g->plan->buffers[number].flags & (GFFE_LENT | GFFE_LENT_BEFORE)) g->places[number].bytes += SPARE;
+}
+
+static int at_one_time(const gffe_buffer *a, const gffe_buffer *b) { return a->first <= b->last && b->first <= a->last; }
+
+/* The first byte of the memory `root` from which on the transient buffer `number` finds room beside those that are
+   there already. */
+static size_t free_start(const gffe *g, int root, int number) {
+    const gffe_buffer *buffer = &g->plan->buffers[number];
+    const size_t nbytes = g->places[number].bytes;
+    size_t start = 0;
+    int k, moved = 1;
+    while (moved) {
+        moved = 0;
+        for (k = 0; k < g->plan->buffer_count; ++k) {
+            const gffe_place *other = &g->places[k];
+            const size_t end = gffe_aligned(other->start + other->bytes + 1);
+            if (!is_transient(&g->plan->buffers[k]) || other->root != root || !at_one_time(buffer, &g->plan->buffers[k]))
+                continue;
+            if (start < end && other->start < start + nbytes) {
+                start = end;
+                moved = 1;
+            }
+        }
+    }
+    return start;
+}
+
+/* Finds a place in lent memory for a transient buffer; without one it keeps memory of its own. */
+static void place_transient(gffe *g, int number) {
+    int k;
+    for (k = 0; k < g->plan->buffer_count; ++k) {
+        const int flags = g->plan->buffers[k].flags;
+        const int root = 2 * k + (flags & GFFE_LENT_BEFORE ? 1 : 0);
+        size_t start;
+        if (!(flags & (GFFE_LENT | GFFE_LENT_BEFORE))) continue;
+        start = free_start(g, root, number);
+        if (start + g->places[number].bytes <= g->places[k].bytes) {
+            g->places[number].root = root;
+            g->places[number].start = start;
+            return;
+        }
+    }
+}
+
+/* Places transient buffers, largest first. */
+static void place_transients(gffe *g) {
+    size_t last = (size_t)-1;
+    for (;;) {
+        size_t largest = 0;
+        int k;
+        for (k = 0; k < g->plan->buffer_count; ++k)
+            if (is_transient(&g->plan->buffers[k]) && g->places[k].bytes < last && g->places[k].bytes > largest)
+                largest = g->places[k].bytes;
+        if (!largest) return;
+        for (k = 0; k < g->plan->buffer_count; ++k)
+            if (is_transient(&g->plan->buffers[k]) && g->places[k].bytes == largest) place_transient(g, k);
+        last = largest;
+    }
+}
+
+/* A buffer of its own, of zeros. */
+static cl_int create(gffe *g, int flags, size_t nbytes, cl_mem *made) {
+    const cl_mem_flags mapped = flags & GFFE_MAPPED ? CL_MEM_ALLOC_HOST_PTR : 0;
+    const cl_uchar zero = 0;
+    cl_int error;
+    *made = clCreateBuffer(g->context, CL_MEM_READ_WRITE | mapped, nbytes, NULL, &error);
+    return *made ? clEnqueueFillBuffer(g->queue, *made, &zero, 1, 0, nbytes, 0, NULL, NULL) : error;
+}
+
+static cl_int create_part(const gffe *g, const gffe_place *place, int root, cl_mem *made) {
+    cl_buffer_region region;
+    cl_int error;
+    region.origin = place->start;
+    region.size = place->bytes;
+    *made = clCreateSubBuffer(g->memory[root], CL_MEM_READ_WRITE, CL_BUFFER_CREATE_TYPE_REGION, &region, &error);
+    return error;
+}
+
+/* Whether there are two of a buffer, which change places with every frame: it is kept, or it lies in such memory. */
+static int is_double(const gffe *g, int number) {
+    const int root = g->places[number].root;
+    return g->plan->buffers[number].flags & GFFE_KEPT ||
+           (is_transient(&g->plan->buffers[number]) && root >= 0 && g->plan->buffers[root / 2].flags & GFFE_KEPT);
+}
+
+gffe_status gffe_allocate(gffe *g, int late) {
+    int number, parts, k;
+    if (!late) {
+        place_parts(g);
+        place_transients(g);
+    }
+    for (parts = 0; parts < 2; ++parts) /* first what others lie in */
+        for (number = 0; number < g->plan->buffer_count; ++number) {
+            const gffe_buffer *buffer = &g->plan->buffers[number];
+            const gffe_place *place = &g->places[number];
+            if (buffer->flags & GFFE_GIVEN || late != (buffer->flags & (GFFE_LATE | GFFE_OF_OVERLAYS))) continue;
+            if ((place->root >= 0) != parts || !place->bytes) continue;
+            for (k = 0; k < (is_double(g, number) ? 2 : 1); ++k) {
+                cl_mem *made = &g->memory[2 * number + k];
+                const cl_int error = parts ? create_part(g, place, place->root ^ k, made)
+                                           : create(g, buffer->flags, place->bytes, made);
+                if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, buffer->name);
+            }
+        }
+    return GFFE_OK;
+}
+
+gffe_status gffe_check_buffer(gffe *g, cl_mem buffer, const char *name, int reference) {
+    const gffe_buffer *like = &g->plan->buffers[reference / 2];
+    const size_t wanted = gffe_buffer_bytes(&g->step, like);
+    size_t size = 0, sides[2];
+    cl_context context = NULL;
+    cl_int error;
+    if (!buffer) return gffe_fail(g, GFFE_INVALID, "frame: there is no %s buffer", name);
+    error = clGetMemObjectInfo(buffer, CL_MEM_SIZE, sizeof size, &size, NULL);
+    if (error == CL_SUCCESS) error = clGetMemObjectInfo(buffer, CL_MEM_CONTEXT, sizeof context, &context, NULL);
+    if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, name);
+    gffe_grid_size(&g->step, like->grid, like->level, sides);
+    if (size < wanted)
+        return gffe_fail(g, GFFE_INVALID, "frame: %s buffer must hold %lu bytes (%lux%lu), got %lu", name,
+                         (unsigned long)wanted, (unsigned long)sides[0], (unsigned long)sides[1], (unsigned long)size);
+    if (context != g->context) return gffe_fail(g, GFFE_INVALID, "frame: %s buffer is of another context", name);
+    return GFFE_OK;
+}
+
+int gffe_reference(const gffe *g, const char *name) {
+    const size_t length = strlen(name);
+    const int kept = length && name[length - 1] == '\'';
+    int k;
+    for (k = 0; k < g->plan->buffer_count; ++k) {
+        const char *own = g->plan->buffers[k].name;
+        if (strlen(own) == length - (size_t)kept && !strncmp(own, name, length - (size_t)kept))
+            return !kept || g->plan->buffers[k].flags & GFFE_KEPT ? 2 * k + kept : -1;
+    }
+    return -1;
+}
+
+void gffe_swap(gffe *g, int overlays) {
+    int k;
+    for (k = 0; k < g->plan->buffer_count; ++k)
+        if (is_double(g, k) && (g->plan->buffers[k].flags & GFFE_OF_OVERLAYS) == overlays) {
+            const cl_mem made = g->memory[2 * k];
+            g->memory[2 * k] = g->memory[2 * k + 1];
+            g->memory[2 * k + 1] = made;
+        }
+}

@@ -1,0 +1,159 @@
+/* Sizes, and the values that kernels are given. */
+#include <math.h>
+#include <string.h>
+
+#include "gffe_internal.h"
+
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
+static size_t rounded_up(size_t n, size_t side) { return (n + side - 1) / side; }
+
+size_t gffe_aligned(size_t n) { return rounded_up(n, GFFE_ALIGNMENT) * GFFE_ALIGNMENT; }
+
+size_t gffe_level_start(const gffe_step *step, int level) {
+    size_t start = 0;
+    int k;
+    for (k = 0; k < level; ++k) {
+        const size_t side = (size_t)1 << k;
+        start += gffe_aligned(rounded_up((size_t)step->source[0], side) * rounded_up((size_t)step->source[1], side));
+    }
+    return start;
+}
+
+void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) {
+    const int on_source = grid == GFFE_SOURCE || grid == GFFE_SOURCE_BLOCKS || grid == GFFE_LEVEL;
+    const int *image = on_source ? step->source : step->target;
+    size_t side[2] = {1, 1};
+    int k;
+    if (grid == GFFE_ONCE || grid == GFFE_LEVELS) {
+        size[0] = grid == GFFE_ONCE ? 1 : gffe_level_start(step, level);
+        size[1] = 1;
+        return;
+    }
+    if (grid == GFFE_LEVEL) side[0] = side[1] = (size_t)1 << level;
+    if (grid == GFFE_BLOCKS) side[0] = side[1] = GFFE_BLOCK;
+    if (grid == GFFE_NETWORK) side[0] = side[1] = GFFE_NETWORK_TEXEL;
+    if (grid == GFFE_SOURCE_BLOCKS || grid == GFFE_TARGET_BLOCKS) {
+        side[0] = GFFE_BLOCK_WIDTH;
+        side[1] = GFFE_BLOCK_HEIGHT;
+    }
+    for (k = 0; k < 2; ++k) {
+        size[k] = rounded_up((size_t)image[k], side[k]);
+        if (grid == GFFE_NETWORK) size[k] = rounded_up(size[k], GFFE_NETWORK_MULTIPLE) * GFFE_NETWORK_MULTIPLE;
+    }
+}
+
+void gffe_launch_size(const gffe_step *step, int kind, int a, int b, size_t size[2]) {
+    int k;
+    switch (kind) {
+    case GFFE_SAMPLED_SOURCE:
+        for (k = 0; k < 2; ++k) size[k] = rounded_up((size_t)step->source[k], (size_t)a);
+        break;
+    case GFFE_TILED_BLOCKS:
+        gffe_grid_size(step, GFFE_BLOCKS, 0, size);
+        size[0] = rounded_up(size[0], (size_t)a) * (size_t)b;
+        size[1] = rounded_up(size[1], (size_t)a);
+        break;
+    case GFFE_SAMPLED_ROWS:
+        size[0] = (size_t)a;
+        size[1] = (size_t)(step->source[1] < b ? step->source[1] : b);
+        break;
+    default:
+        gffe_grid_size(step, a, b, size);
+    }
+}
+
+size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer) {
+    size_t size[2];
+    gffe_grid_size(step, buffer->grid, buffer->level, size);
+    return size[0] * size[1] * (size_t)buffer->bytes * (size_t)buffer->planes;
+}
+
+/* Lagrange weights of P_i - P_0 for every order that the times allow, in rows of 8 (gffe_cl/stages/prediction.py). */
+static void polynomial(const gffe_step *step, int most, float *weights) {
+    int order, i, k;
+    memset(weights, 0, (size_t)most * 8 * sizeof *weights);
+    for (order = 1; order <= most && order < step->time_count; ++order)
+        for (i = 1; i <= order; ++i) {
+            const double node = step->times[i] - step->times[0];
+            double weight = 1;
+            for (k = 0; k <= order; ++k) {
+                const double other = step->times[k] - step->times[0];
+                if (k != i) weight *= (step->time - step->times[0] - other) / (node - other);
+            }
+            weights[8 * (order - 1) + i - 1] = (float)weight;
+        }
+}
+
+static float camera_step(const gffe_step *step) {
+    double here[3], before[3];
+    int k;
+    gffe_position(&step->cameras[GFFE_FRAME], here);
+    gffe_position(&step->cameras[GFFE_PREVIOUS], before);
+    for (k = 0; k < 3; ++k) here[k] = here[k] - before[k];
+    return (float)gffe_length(here);
+}
+
+static size_t color_law(double exposure, float *made) {
+    const double gain = GFFE_MU * exposure / GFFE_HEADROOM, scale = log1p(GFFE_MU);
+    made[0] = (float)gain;
+    made[1] = (float)(1 / scale);
+    made[2] = (float)(1 / gain);
+    made[3] = (float)scale;
+    return 4 * sizeof *made;
+}
+
+static cl_int whole_number(const gffe_step *step, int kind, int a, int b) {
+    size_t size[2];
+    if (kind == GFFE_ORDER) return a < step->time_count - 1 ? a : step->time_count - 1;
+    if (kind == GFFE_HAS) return step->has[a];
+    if (kind == GFFE_REACH) return step->target[0] / b > a ? step->target[0] / b : a;
+    gffe_grid_size(step, a, b, size);
+    return (cl_int)size[kind == GFFE_HEIGHT];
+}
+
+static void level_starts(const gffe_step *step, int levels, cl_int *made) {
+    int k;
+    for (k = 0; k < GFFE_MAX_LEVELS; ++k) made[k] = (cl_int)gffe_level_start(step, k + 1 < levels ? k + 1 : levels);
+}
+
+size_t gffe_value(const gffe_step *step, int kind, int a, int b, void *made) {
+    float *numbers = (float *)made;
+    cl_int number;
+    switch (kind) {
+    case GFFE_ALPHA:
+        *numbers = (float)step->alpha;
+        return sizeof *numbers;
+    case GFFE_INTERVAL_RATIO:
+        *numbers = 1;
+        if (step->time_count > 2)
+            *numbers = (float)((step->times[0] - step->times[1]) / (step->times[1] - step->times[2]));
+        return sizeof *numbers;
+    case GFFE_POLYNOMIAL:
+        polynomial(step, a, numbers);
+        return (size_t)a * 8 * sizeof *numbers;
+    case GFFE_CAMERA_STEP:
+        *numbers = camera_step(step);
+        return sizeof *numbers;
+    case GFFE_COLOR_LAW:
+        return color_law(step->exposure, numbers);
+    case GFFE_LEVEL_STARTS:
+        level_starts(step, a, (cl_int *)made);
+        return GFFE_MAX_LEVELS * sizeof number;
+    case GFFE_REPROJECTION:
+        gffe_reprojection(&step->cameras[a], &step->cameras[b], numbers);
+        return 24 * sizeof *numbers;
+    case GFFE_ZOOM:
+        gffe_zoom(&step->cameras[a], &step->cameras[b], numbers);
+        return 2 * sizeof *numbers;
+    case GFFE_MAPPING:
+        gffe_mapping(&step->cameras[a], &step->cameras[b], numbers);
+        return 4 * sizeof *numbers;
+    default:
+        number = whole_number(step, kind, a, b);
+        memcpy(made, &number, sizeof number);
+        return sizeof number;
+    }
+}

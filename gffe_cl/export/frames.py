@@ -1,0 +1,47 @@
+"""Rendered frames in the raw form that the exported example reads (`c/main.c` describes it)."""
+
+from __future__ import annotations
+
+from itertools import islice
+from pathlib import Path
+
+from gffe_cl.camera import Camera
+from gffe_cl.errors import GffeError
+from gffe_cl.source import Source
+
+
+def write_frames(folder: Path, source: Source, count: int, alpha: float = 0.5) -> int:
+    """Write the first `count` rendered frames of `source` into a folder, and that a frame is to be made `alpha`
+    intervals after each, seen by the camera that is known for it, else by the predicted one.
+
+    Returns how many there are. Raises GffeError for frames with faults, and where the folder cannot be written.
+    """
+    lines = [f"gffe-raw 1 {source.width} {source.height} {' '.join(map(str, source.render_size))} {source.fps!r}"]
+    before = None
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for number, (_, frame, packed) in enumerate(islice(source.frames([alpha], False), count)):
+            name = f"{number:04}"
+            for part in ("color", "depth", "motion"):
+                getattr(packed, part).tofile(folder / f"{name}.{part}")
+            size = (source.width, source.height)
+            shown = frame.display_camera or frame.camera.scaled(
+                *(s / r for s, r in zip(size, source.render_size, strict=True))
+            )
+            cameras = f"{_numbers(frame.camera)} {_numbers(shown)}"
+            lines.append(f"frame {name} {frame.time!r} {int(frame.reset)} {cameras}")
+            interval = 1 / source.fps if before is None or frame.reset else frame.time - before
+            time = frame.time + alpha * interval
+            known = source.cameras_at([time])
+            made = f"{name}_made {time!r}"
+            lines.append(f"make {made} {_numbers(known[0])}" if known else f"predict {made}")
+            before = frame.time
+        (folder / "frames.txt").write_text("\n".join(lines) + "\n", "ascii")
+    except OSError as error:
+        raise GffeError(f"{error.filename or folder}: cannot write: {error.strerror or error}") from None
+    return len(lines) // 2
+
+
+def _numbers(camera: Camera) -> str:
+    values = [*camera.world_to_view[:3].ravel().tolist(), *camera.intrinsics]
+    return " ".join(repr(float(value)) for value in values)

@@ -1,0 +1,306 @@
+"""What the stages launch: taken down from the stages themselves, which run with several probes, sizes, cameras and
+times, while nothing is enqueued. What agrees in all of them is a constant; what does not must be a named value of
+`values`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.buffers import BufferSpec, DeviceFrame, Sizes
+from gffe_cl.camera import Camera
+from gffe_cl.errors import GffeError
+from gffe_cl.export.values import Named, Probe, launch_sizes, values
+from gffe_cl.frame import OVERLAYS
+from gffe_cl.opencl.device import Device
+from gffe_cl.opencl.program import Argument
+from gffe_cl.options import Options
+from gffe_cl.pipeline import stages_of
+from gffe_cl.stage import Board, Kernel, Stage, Step
+from gffe_cl.stages.composition import Composition
+from gffe_cl.stages.correction import ShadingCorrection
+from gffe_cl.stages.cuts import CutDetection
+from gffe_cl.stages.presentation import Presentation
+
+# Rendered and extrapolated images: tiny, middling and wide, all sides different, so that no size looks like another.
+_SIZES = (((51, 29), (67, 39)), ((640, 50), (701, 101)), ((1203, 41), (1603, 61)))
+# The overlays that frames bring.
+_LAYERS = (("fixed_mask", "ui"), ("fixed_mask", "effects", "effects_motion"), ("effects", "ui"))
+_SMALL = 4096  # bytes of a buffer that may hold something from the start
+
+
+@dataclass(frozen=True)
+class Given:
+    """An argument of a launch: the name of a `buffer`, or the bytes of a `constant`, or a `named` value."""
+
+    buffer: str | None = None
+    constant: bytes | None = None
+    named: Named | None = None
+
+
+@dataclass(frozen=True)
+class Operation:
+    """What a stage enqueues: `kind` is "LAUNCH" of a `kernel` over a `size` with `arguments`, "FILL" of a buffer with a
+    `byte`, as many as `size` has of its texels, "COPY" from `source`, or "NETWORK", where the network runs."""
+
+    kind: str
+    stage: str
+    kernel: str = ""
+    size: Named | None = None
+    arguments: tuple[Given, ...] = ()
+    buffer: str = ""
+    byte: int = 0
+    source: str = ""
+
+    def buffers(self) -> set[str]:
+        """The names of all that it reads or writes."""
+        return {name for name in (self.buffer, self.source, *(given.buffer for given in self.arguments)) if name}
+
+
+@dataclass
+class _Raw:
+    """An operation as one probe has it, `numbers` and `size` in figures."""
+
+    operation: Operation
+    size: tuple[int, int] | int = 0
+    numbers: list[bytes | None] = field(default_factory=list)
+
+
+@dataclass
+class Plan:
+    """What is to be done, by occasion: `operations["rendered"]` after a rendered frame, "rendered_first" after one
+    without a frame before, "extrapolated", "present", "cut", "leave_out" and "compose" likewise; the `buffers` by their
+    full names, `initial` contents of small ones, memory that is `lent` while frames are extrapolated, and the stages in
+    order."""
+
+    operations: dict[str, list[Operation]]
+    buffers: dict[str, BufferSpec]
+    initial: dict[str, bytes]
+    lent: set[str]
+    stages: dict[str, Stage]
+
+
+class _Tape:
+    """The `Recorder` of one probe's stages."""
+
+    def __init__(self):
+        self.raw: list[_Raw] = []
+        self.names: dict[int, str] = {}
+
+    def launched(self, stage: Stage, kernel: Kernel, size: tuple[int, int], given: Mapping[str, Any]) -> None:
+        arguments, numbers = [], []
+        for argument in stage.program.arguments[kernel.name]:
+            value = argument.packed(given[argument.name])
+            is_buffer = isinstance(value, cl.Buffer)
+            arguments.append(Given(buffer=self._name(value)) if is_buffer else Given())
+            numbers.append(None if is_buffer else np.asarray(value).tobytes())
+        operation = Operation("LAUNCH", stage.name, kernel.name, arguments=tuple(arguments))
+        self.raw.append(_Raw(operation, size, numbers))
+
+    def filled(self, stage: Stage, buffer: cl.Buffer, byte: int, nbytes: int) -> None:
+        self.raw.append(_Raw(Operation("FILL", stage.name, buffer=self._name(buffer), byte=byte), nbytes))
+
+    def copied(self, stage: Stage, to: cl.Buffer, of: cl.Buffer) -> None:
+        self.raw.append(_Raw(Operation("COPY", stage.name, buffer=self._name(to), source=self._name(of))))
+
+    def network(self, stage: Stage) -> None:
+        self.raw.append(_Raw(Operation("NETWORK", stage.name)))
+
+    def take(self) -> list[_Raw]:
+        taken, self.raw = self.raw, []
+        return taken
+
+    def _name(self, buffer: cl.Buffer) -> str:
+        return self.names[id(buffer)]
+
+
+class _Rehearsal:
+    """The stages of one size, with a tape."""
+
+    def __init__(self, device: Device, options: Options, sizes: Sizes, int64: bool):
+        self.sizes, self.tape = sizes, _Tape()
+        self.board = Board(device, sizes, options, int64)
+        chosen = {stage.name: stage for stage in stages_of(options)}
+        self.stages = {
+            name: stage(self.board, load=False) if stage is ShadingCorrection else stage(self.board)
+            for name, stage in chosen.items()
+        }
+        self.board.lend()
+        self.all = self.stages | {stage.name: stage(self.board) for stage in (Presentation, Composition)}
+        for stage in self.all.values():
+            stage.recorder = self.tape
+        if correction := self.stages.get(ShadingCorrection.name):
+            correction.infer = lambda alpha: self.tape.network(correction)
+
+    def perform(self, number: int, first: bool) -> tuple[Probe, dict[str, list[_Raw]]]:
+        """What is enqueued on each occasion, with the circumstances of a probe."""
+        step, composition = self._step(number, first), self.all[Composition.name]
+        shown = self.board.device.buffer(1)
+        self.board.rendered, self.board.previous = step.frame, step.previous or step.frame
+        self._learn_names()
+        self.tape.names[id(shown)] = "shown.color"
+        composition.swap()  # `take` swaps, too
+        composition.take({name: composition.buffer[name] for name in OVERLAYS}, self._shown(step.frame))
+        found = {"leave_out": self.tape.take()}
+        composition.layers = {name: composition.buffer[name] for name in _LAYERS[number]}
+        for occasion, work in (
+            ("rendered", lambda: [stage.rendered(step) for stage in self.stages.values()]),
+            ("extrapolated", lambda: [stage.extrapolated(step) for stage in self.stages.values()]),
+            ("present", lambda: self.all[Presentation.name].present(step.frame, step.previous)),
+            ("cut", lambda: self._look_for_cut(step)),
+            ("compose", lambda: composition.compose(shown, step.alpha)),
+            ("compose_rendered", lambda: composition.compose(shown, 0.0, rendered=True)),
+        ):
+            work()
+            found[occasion] = self.tape.take()
+        return Probe(self.sizes, step, _LAYERS[number]), found
+
+    def _shown(self, frame: DeviceFrame) -> DeviceFrame:
+        """The frame with all of its depth, of which what stays in place is left out for other stages."""
+        shown = replace(frame, depth=self.board.device.buffer(1))
+        self.tape.names[id(shown.depth)] = "shown.depth"
+        return shown
+
+    def _look_for_cut(self, step: Step) -> None:
+        if detection := self.stages.get(CutDetection.name):
+            detection.is_cut(step.frame, step.previous)
+
+    def _step(self, number: int, first: bool) -> Step:
+        """Circumstances of which no two have a number in common."""
+        rng = np.random.default_rng([number, first])
+        frame, previous = (self._frame(rng) for _ in range(2))
+        times = np.cumsum(-rng.uniform(0.01, 0.1, (1, 2, 3, 6)[0 if first else 1 + number])).tolist()
+        time = times[0] + rng.uniform(0.01, 0.1)
+        camera, alpha, exposure = self._camera(rng), rng.uniform(0.1, 0.9), rng.uniform(0.2, 5)
+        return Step(frame, None if first else previous, times, camera, time, alpha, exposure)
+
+    def _frame(self, rng: np.random.Generator) -> DeviceFrame:
+        pose = self._camera(rng).world_to_view
+        render, display = (self._camera(rng, pose) for _ in range(2))
+        return DeviceFrame.allocate(self.board.device, (1, 1), render, display, 0.0)
+
+    @staticmethod
+    def _camera(rng: np.random.Generator, pose: np.ndarray | None = None) -> Camera:
+        camera = Camera.from_pose(*rng.normal(size=(3, 3)), *rng.uniform(20, 900, 4))
+        return camera if pose is None else replace(camera, world_to_view=pose)
+
+    def _learn_names(self) -> None:
+        """Names of all buffers; where there is no frame before, its buffers are the rendered frame's."""
+        owners = {"frame": self.board.frame} | self.all
+        named = {f"{owner}.{name}": b for owner, own in owners.items() for name, b in own.buffer.items()}
+        named |= {f"{name}.{b}'": buffer for name, stage in self.all.items() for b, buffer in stage.before.items()}
+        named |= {f"overlays.{name}": self.all[Composition.name].buffer[name] for name in OVERLAYS}
+        for frame in ("previous", "rendered"):
+            for name in ("color", "depth", "motion"):
+                named[f"{frame}.{name}"] = getattr(getattr(self.board, frame), name)
+        self.tape.names = {id(buffer): name for name, buffer in named.items()}
+
+
+def record(device: Device, options: Options, int64: bool) -> Plan:
+    """What a pipeline of these options enqueues, `int64`: with 64-bit atomics.
+
+    Raises GffeError where that depends on sizes or circumstances in a way that the exported C does not know.
+    """
+    rehearsals = [_Rehearsal(device, options, Sizes(*sizes), int64) for sizes in _SIZES]
+    operations = {}
+    for first in (True, False):
+        performed = [rehearsal.perform(number, first) for number, rehearsal in enumerate(rehearsals)]
+        known = _Known([probe for probe, _ in performed])
+        for occasion in performed[0][1]:
+            takes = [raw[occasion] for _, raw in performed]
+            operations[occasion + "_first" * first] = _explained(takes, known, rehearsals[0])
+    buffers = {
+        f"{owner.name}.{spec.name}": spec
+        for owner in (rehearsals[0].board.frame, *rehearsals[0].all.values())
+        for spec in owner.buffers
+    }
+    lent = {f"{stage.name}.{name}" for stage, name in rehearsals[0].board.lent}
+    return Plan(operations, buffers, _initial(rehearsals[0]), lent, rehearsals[0].all)
+
+
+def _explained(takes: list[list[_Raw]], known: _Known, rehearsal: _Rehearsal) -> list[Operation]:
+    """The operations that agree with what every probe enqueues."""
+    made = [tuple(raw.operation for raw in take) for take in takes]
+    if len(set(made)) > 1:
+        per_stage = [{name: [o for o in one if o.stage == name] for name in rehearsal.all} for one in made]
+        differ = [name for name in rehearsal.all if any(one[name] != per_stage[0][name] for one in per_stage)]
+        raise GffeError(
+            f"export: what is launched depends on the size of the image ({', '.join(differ)}), which C does not know"
+            " (expected other options)"
+        )
+    return [_named(raws, known, rehearsal) for raws in zip(*takes, strict=True)]
+
+
+class _Known:
+    """What C knows: values and sizes of launches, each with what it is for every probe."""
+
+    def __init__(self, probes: list[Probe]):
+        self.values = [(named, [value(probe) for probe in probes]) for named, value in values()]
+        self.sizes = [(named, [size(probe) for probe in probes]) for named, size in launch_sizes()]
+
+    def size(self, what: str, found: list[tuple[int, int]]) -> Named:
+        return _first(what, (named for named, sizes in self.sizes if sizes == found))
+
+    def texels(self, what: str, found: list[int]) -> Named:
+        """A size by its number of texels."""
+        return _first(what, (named for named, sizes in self.sizes if [math.prod(size) for size in sizes] == found))
+
+    def value(self, what: str, argument: Argument, found: list[bytes]) -> Named:
+        return _first(what, (named for named, is_now in self.values if _are(argument, is_now, found)))
+
+
+def _are(argument: Argument, is_now: list[Any], found: list[bytes]) -> bool:
+    """Whether values, as a kernel's argument, are the bytes that were found."""
+    try:
+        pairs = zip(is_now, found, strict=True)
+        return all(np.asarray(argument.packed(value)).tobytes() == wanted for value, wanted in pairs)
+    except (TypeError, ValueError):  # they are no numbers of its type
+        return False
+
+
+def _first(what: str, candidates: Iterator[Named]) -> Named:
+    for named in candidates:
+        return named
+    raise GffeError(f"export: {what} hangs on something that exported C does not know")
+
+
+def _named(raws: tuple[_Raw, ...], known: _Known, rehearsal: _Rehearsal) -> Operation:
+    """An operation with names in place of figures; `raws`: of every probe."""
+    operation = raws[0].operation
+    if operation.kind == "FILL":
+        owner, _, name = operation.buffer.partition(".")
+        spec = rehearsal.all[owner].spec(name)
+        texels = [raw.size / (spec.bytes_per_pixel * spec.planes) for raw in raws]
+        return replace(operation, size=known.texels(operation.buffer, texels))
+    if operation.kind != "LAUNCH":
+        return operation
+    where = f"kernels/{operation.stage}.cl, {operation.kernel}"
+    arguments, declared = [], rehearsal.all[operation.stage].program.arguments[operation.kernel]
+    for k, (argument, given) in enumerate(zip(declared, operation.arguments, strict=True)):
+        numbers = [raw.numbers[k] for raw in raws]
+        if given.buffer is not None:
+            arguments.append(given)
+        elif len(set(numbers)) == 1:
+            arguments.append(Given(constant=numbers[0]))
+        else:
+            arguments.append(Given(named=known.value(f"{where}: argument '{argument.name}'", argument, numbers)))
+    size = known.size(f"{where}: its size", [raw.size for raw in raws])
+    return replace(operation, size=size, arguments=tuple(arguments))
+
+
+def _initial(rehearsal: _Rehearsal) -> dict[str, bytes]:
+    """What small buffers hold from the start, if that is not zeros."""
+    found = {}
+    for name, stage in rehearsal.stages.items():
+        for spec in stage.buffers:
+            if spec.grid == "once" and not spec.part_of and spec.nbytes(rehearsal.sizes) <= _SMALL:
+                values = np.empty(spec.nbytes(rehearsal.sizes), np.uint8)
+                cl.enqueue_copy(stage.device.queue, values, stage.buffer[spec.name])
+                if values.any():
+                    found[f"{name}.{spec.name}"] = values.tobytes()
+    return found

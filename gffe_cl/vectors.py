@@ -1,0 +1,56 @@
+"""Vectors of three and their matrices in float64, each operation written out: `export/c/gffe_camera.c` repeats them in
+the same order, and has the same bits. (Libraries of linear algebra differ from one machine to another.)"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+Vector = Sequence[float]  # three
+Matrix = Sequence[Vector]  # three rows
+
+
+def dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def length(a: Vector) -> float:
+    return math.sqrt(dot(a, a))
+
+
+def cross(a: Vector, b: Vector) -> list[float]:
+    (ax, ay, az), (bx, by, bz) = a, b
+    return [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]
+
+
+def times(matrix: Matrix, vector: Vector) -> list[float]:
+    """matrix · vector."""
+    return [dot(row, vector) for row in matrix]
+
+
+def product(a: Matrix, b: Matrix) -> list[list[float]]:
+    """a · b."""
+    columns = list(zip(*b, strict=True))
+    return [[dot(row, column) for column in columns] for row in a]
+
+
+def transposed(matrix: Matrix) -> list[list[float]]:
+    return [list(column) for column in zip(*matrix, strict=True)]
+
+
+def determinant(matrix: Matrix) -> float:
+    return dot(matrix[0], cross(matrix[1], matrix[2]))
+
+
+def inverse(matrix: Matrix) -> list[list[float]]:
+    """By cofactors: good to rounding for what is nearly a rotation."""
+    a, b, c = matrix
+    columns = cross(b, c), cross(c, a), cross(a, b)
+    scale = dot(a, columns[0])
+    return [[column[row] / scale for column in columns] for row in range(3)]
+
+
+def view_inverse(matrix: Matrix) -> tuple[list[list[float]], list[float]]:
+    """Rotation and translation of the inverse of a rigid transform, of which (3 or 4, 4) rows are given."""
+    rotation = inverse([row[:3] for row in matrix[:3]])
+    return rotation, [-x for x in times(rotation, [row[3] for row in matrix[:3]])]

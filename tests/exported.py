@@ -1,0 +1,209 @@
+"""An exported pipeline in C, compiled, loaded and called beside Python's, on the same device and buffers."""
+
+import ctypes as ct
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pyopencl as cl
+import pytest
+
+from gffe_cl.camera import Camera
+from gffe_cl.frame import OVERLAYS
+
+STRICT = ("-Wall", "-Wextra", "-Werror", "-pedantic")
+OK, INVALID, OPENCL, OUT_OF_MEMORY, NETWORK_FAILED = range(5)
+
+
+class CCamera(ct.Structure):
+    _fields_ = (("world_to_view", ct.c_double * 16), *((name, ct.c_double) for name in ("fx", "fy", "cx", "cy")))
+
+    @classmethod
+    def of(cls, camera: Camera):
+        return cls((ct.c_double * 16)(*camera.world_to_view.ravel()), *camera.intrinsics)
+
+    def camera(self) -> Camera:
+        return Camera(np.array(self.world_to_view).reshape(4, 4), self.fx, self.fy, self.cx, self.cy)
+
+
+NETWORK = ct.CFUNCTYPE(
+    ct.c_int, ct.c_void_p, ct.c_void_p, ct.c_void_p, ct.c_void_p, ct.c_size_t, ct.c_size_t, ct.c_float
+)
+
+
+class COptions(ct.Structure):
+    _fields_ = (
+        *((name, ct.c_int) for name in ("width", "height", "render_width", "render_height")),
+        ("fps", ct.c_double),
+        *((name, ct.c_int) for name in ("lanes", "int64_atomics")),
+        ("network", NETWORK),
+        ("network_user", ct.c_void_p),
+    )
+
+
+class CFrame(ct.Structure):
+    _fields_ = (
+        *((name, ct.c_void_p) for name in ("color", "depth", "motion", "dynamic", "disoccluded", "filled_by", "gae")),
+        ("camera", CCamera),
+        ("time", ct.c_double),
+        ("alpha", ct.c_double),
+    )
+
+
+class CImage(ct.Structure):
+    _fields_ = (
+        ("memory", ct.c_void_p),
+        *((name, ct.c_size_t) for name in ("width", "height", "planes", "bytes_per_pixel")),
+    )
+
+
+class CWindow(ct.Structure):
+    _fields_ = (*((name, ct.c_double) for name in ("u0", "v0", "u1", "v1")), ("clamped", ct.c_int))
+
+
+class CWindowOptions(ct.Structure):
+    _fields_ = tuple(
+        (name, ct.c_double) for name in ("width", "height", "max_enlargement", "distance", "margin", "least")
+    )
+
+
+class COverlays(ct.Structure):
+    _fields_ = tuple((name, ct.c_void_p) for name in OVERLAYS)
+
+
+class Failed(Exception):
+    """`status`, and what gffe_message says."""
+
+    def __init__(self, status, message):
+        super().__init__(message)
+        self.status = status
+
+
+def opencl_library() -> str:
+    """The loader that this process uses: handles are the same for all loaders, but the tests' library needs one."""
+    with open("/proc/self/maps") as maps:
+        return next(line.split()[-1] for line in maps if "libOpenCL" in line)
+
+
+def require_compiler(*names: str) -> None:
+    """Skips the test where there is no C compiler or no CL/cl.h."""
+    for name in names:
+        if not shutil.which(name):
+            pytest.skip(f"no {name}")
+    found = subprocess.run(
+        ["cc", "-E", "-x", "c", "-"], input="#include <CL/cl.h>\n", capture_output=True, text=True, check=False
+    )
+    if found.returncode:
+        pytest.skip("no CL/cl.h (Debian: opencl-c-headers)")
+
+
+def compile_library(folder: Path, target: Path) -> Path:
+    sources = sorted(str(path) for path in folder.glob("gffe*.c") if path.name != "gffe_onnx.c")
+    command = ["cc", "-std=c99", *STRICT, "-O0", "-fPIC", "-shared", "-ffp-contract=off", "-o", str(target), *sources]
+    subprocess.run([*command, opencl_library(), "-lm"], check=True)
+    return target
+
+
+def load(path: Path) -> ct.CDLL:
+    library = ct.CDLL(str(path), mode=os.RTLD_LOCAL | os.RTLD_NOW)
+    library.gffe_default_options.restype = COptions
+    library.gffe_default_window_options.restype = CWindowOptions
+    library.gffe_default_window_options.argtypes = [ct.c_double] * 2
+    library.gffe_window_camera.restype = CCamera
+    library.gffe_window_camera.argtypes = [ct.c_void_p, ct.c_void_p, *[ct.c_double] * 4]
+    library.gffe_nearest_depth.restype = ct.c_double
+    for name in ("message", "adaptive_window", "predict_camera_at", "camera_fault", "buffer_name"):
+        getattr(library, f"gffe_{name}").restype = ct.c_char_p
+    library.gffe_interval.restype = ct.c_double
+    library.gffe_create.argtypes = [ct.c_void_p] * 4
+    library.gffe_destroy.argtypes = library.gffe_interval.argtypes = library.gffe_is_cut.argtypes = [ct.c_void_p]
+    library.gffe_message.argtypes = [ct.c_void_p]
+    library.gffe_buffer_name.argtypes = [ct.c_void_p, ct.c_int]
+    library.gffe_set_exposure.argtypes = [ct.c_void_p, ct.c_double]
+    library.gffe_predict_camera.argtypes = [ct.c_void_p, ct.c_double, ct.c_void_p]
+    library.gffe_submit.argtypes = [*[ct.c_void_p] * 6, ct.c_double, ct.c_int]
+    library.gffe_extrapolate.argtypes = [ct.c_void_p, ct.c_void_p, ct.c_double, ct.c_void_p]
+    library.gffe_set_overlays.argtypes = [ct.c_void_p] * 2
+    library.gffe_present.argtypes = [ct.c_void_p] * 2
+    library.gffe_get.argtypes = [ct.c_void_p, ct.c_char_p, ct.c_void_p]
+    library.gffe_predict_camera_at.argtypes = [
+        ct.c_double, ct.c_void_p, ct.c_void_p, ct.c_int, ct.c_int, ct.c_void_p
+    ]  # fmt: skip
+    return library
+
+
+class Engine:
+    """A `gffe` of the C library on a Device."""
+
+    def __init__(self, library, device, width, height, *, context=None, queue=None, **options):
+        self.library, self.device, self.handle = library, device, ct.c_void_p()
+        self.options = library.gffe_default_options(width, height)
+        for name, value in options.items():
+            setattr(self.options, name, value)
+        context = device.context.int_ptr if context is None else context
+        queue = device.queue.int_ptr if queue is None else queue
+        self._check(library.gffe_create(context, queue, ct.byref(self.options), ct.byref(self.handle)))
+
+    def _check(self, status):
+        if status:
+            raise Failed(status, self.library.gffe_message(self.handle).decode())
+
+    def destroy(self):
+        self.library.gffe_destroy(self.handle)
+        self.handle = ct.c_void_p()
+
+    def submit(self, buffers, camera, time, display=None, reset=False):
+        cameras = [c and ct.byref(CCamera.of(c)) for c in (camera, display)]
+        handles = [b and b.int_ptr for b in buffers]
+        self._check(self.library.gffe_submit(self.handle, *handles, *cameras, time, int(reset)))
+
+    def set_overlays(self, overlays):
+        """`overlays` of device buffers."""
+        given = {name: getattr(overlays, name) for name in OVERLAYS}
+        told = COverlays(**{name: buffer.int_ptr for name, buffer in given.items() if buffer})
+        self._check(self.library.gffe_set_overlays(self.handle, ct.byref(told)))
+
+    def extrapolate(self, time, camera=None):
+        made = CFrame()
+        camera = camera and ct.byref(CCamera.of(camera))
+        self._check(self.library.gffe_extrapolate(self.handle, camera, time, ct.byref(made)))
+        return made
+
+    def present(self):
+        made = CFrame()
+        self._check(self.library.gffe_present(self.handle, ct.byref(made)))
+        return made
+
+    def predict_camera(self, alpha):
+        made = CCamera()
+        self._check(self.library.gffe_predict_camera(self.handle, alpha, ct.byref(made)))
+        return made.camera()
+
+    @property
+    def is_cut(self):
+        return bool(self.library.gffe_is_cut(self.handle))
+
+    @property
+    def names(self):
+        found = []
+        while name := self.library.gffe_buffer_name(self.handle, len(found)):
+            found.append(name.decode())
+        return found
+
+    def get(self, name):
+        image = CImage()
+        self._check(self.library.gffe_get(self.handle, name.encode(), ct.byref(image)))
+        return image
+
+    def bytes_of(self, name):
+        """(planes · height · width, bytes per pixel) uint8."""
+        image = self.get(name)
+        shape = image.planes * image.height * image.width, image.bytes_per_pixel
+        return self.read(image.memory, int(np.prod(shape))).reshape(shape)
+
+    def read(self, memory, nbytes):
+        values = np.empty(nbytes, np.uint8)
+        cl.enqueue_copy(self.device.queue, values, cl.Buffer.from_int_ptr(memory, True))
+        return values
