@@ -325,7 +325,7 @@ def test_block_means_reach_over_work_groups(device, filling):
     filled = twins.fill_holes(before, *sums, to_source, stage.reach, (width, height))
     for name in ("color", "depth", "motion"):
         got = pipeline.board.frame.read(name)
-        assert got[~holes].tobytes() == left[name][~holes].tobytes() or name == "color" and filling == "far-side"
+        assert got[~holes].tobytes() == left[name][~holes].tobytes() or (name == "color" and filling == "far-side")
         assert_close(got[~holes], filled[name][~holes])
         np.testing.assert_allclose(
             got[holes].astype(np.float32), filled[name][holes].astype(np.float32), rtol=2e-3, atol=2e-3

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, minimum_filter
 
+_NEARER = 0.1  # of the depth
 _SAME_LAYER = 0.05  # of the depth: what lands in one pixel and is mixed
 
 
@@ -32,6 +33,30 @@ def sample(image: np.ndarray, place: np.ndarray, mask: np.ndarray | None = None)
         total += weight[..., None] * image[y, x]
         weights += weight
     return total / np.maximum(weights, 1e-6)[..., None], weights
+
+
+def sample_sharp(image: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Cubic (Catmull-Rom), within the range of the four nearest taps, the border repeated: (h, w, C) float32."""
+    height, width = image.shape[:2]
+    finite = np.where(np.isfinite(place), place, -1e6) - np.float32(0.5)
+    low = np.floor(finite).astype(np.int64)
+    t = (finite - low).astype(np.float32)
+    one = np.stack([-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, t**3 - t**2]) / 2
+    total = np.zeros((*place.shape[:2], image.shape[2]), np.float32)
+    least, most = np.full_like(total, np.inf), np.full_like(total, -np.inf)
+    for k in range(16):
+        dx, dy = k & 3, k >> 2
+        y, x = np.clip(low[..., 1] + dy - 1, 0, height - 1), np.clip(low[..., 0] + dx - 1, 0, width - 1)
+        value = image[y, x]
+        total += (one[dx, ..., 0] * one[dy, ..., 1])[..., None] * value
+        if dx in (1, 2) and dy in (1, 2):
+            least, most = np.minimum(least, value), np.maximum(most, value)
+    return np.clip(total, least, most)
+
+
+def beside_nearer(depth: np.ndarray) -> np.ndarray:
+    """(H, W) bool: pixels beside a nearer surface, which may be mixed into their colours."""
+    return minimum_filter(np.where(np.isnan(depth), np.inf, depth), 3, mode="nearest") < (1 - _NEARER) * depth
 
 
 def taps(image: np.ndarray, place: np.ndarray) -> np.ndarray:
