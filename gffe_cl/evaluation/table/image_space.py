@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, minimum_filter
+from scipy.ndimage import distance_transform_edt
 
-_NEARER = 0.1  # of the depth
 _SAME_LAYER = 0.05  # of the depth: what lands in one pixel and is mixed
 
 
@@ -52,11 +51,6 @@ def sample_sharp(image: np.ndarray, place: np.ndarray) -> np.ndarray:
         if dx in (1, 2) and dy in (1, 2):
             least, most = np.minimum(least, value), np.maximum(most, value)
     return np.clip(total, least, most)
-
-
-def beside_nearer(depth: np.ndarray) -> np.ndarray:
-    """(H, W) bool: pixels beside a nearer surface, which may be mixed into their colours."""
-    return minimum_filter(np.where(np.isnan(depth), np.inf, depth), 3, mode="nearest") < (1 - _NEARER) * depth
 
 
 def taps(image: np.ndarray, place: np.ndarray) -> np.ndarray:
