@@ -14,7 +14,7 @@ FLOORS = (
     ("errors",),
     ("files", "memory", "values", "conventions"),
     ("opencl", "camera", "inference", "metrics"),
-    ("frame", "window", "camera_path", "packing"),
+    ("frame", "window", "camera_path", "packing", "cluster"),
     ("buffers",),
     ("stage", "sequence", "scenes"),
     ("stages", "formats"),

@@ -84,8 +84,8 @@ class OpticalFlow:
 
 class GuidedExtrapolation:
     """G-buffers of the new frame guide a backward warp of frame t, in the manner of ExtraSS-E (Wu et al., SIGGRAPH Asia
-    2023): where any of its surface shows in t, the colour is looked up there, antialiased as it is; else it is a mean of
-    pixels around whose depth is alike. The G-buffers are exact, and their cost is not counted."""
+    2023): where any of its surface shows in t, the colour is looked up there, antialiased as it is; else it is a mean
+    of pixels around whose depth is alike. The G-buffers are exact, and their cost is not counted."""
 
     def submit(self, shot: Shot) -> None:
         self._color, self._depth = shot.shown.astype(np.float32), shot.frame.depth
