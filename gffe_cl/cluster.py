@@ -59,7 +59,7 @@ class Cluster:
             return begun
 
         submit(_AHEAD)
-        finished = None if in_order else as_completed(list(names))
+        finished = None if in_order else as_completed(list(names), loop=self._client.loop)
         try:
             while names:
                 future = next(iter(names)) if finished is None else next(finished)

@@ -9,6 +9,7 @@ from gffe_cl.cluster import Cluster, fingerprint
 from gffe_cl.errors import GffeError
 from gffe_cl.opencl.device import open_device
 
+SEED = 3  # of two small clips
 pytestmark = [pytest.mark.long, pytest.mark.slow]
 
 
@@ -59,7 +60,9 @@ def test_clips_are_the_same(workers, tmp_path):
     assert clips.make_clips(tmp_path / "near", open_device(), SEED, 1) == 1
     near, far = contents(tmp_path / "near"), contents(tmp_path / "far")
     assert len(far) == 6 and near.items() <= far.items()
-    assert clips.make_clips(tmp_path / "far", None, SEED, 2, told.append, cluster=cluster) == 0 and told[2:] == [False] * 2
+    assert (
+        clips.make_clips(tmp_path / "far", None, SEED, 2, told.append, cluster=cluster) == 0 and told[2:] == [False] * 2
+    )
 
 
 def test_work_that_fails_says_why(workers, monkeypatch):
