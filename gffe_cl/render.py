@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
+from gffe_cl.cluster import Cluster, device_of_worker
 from gffe_cl.errors import GffeError
+from gffe_cl.frame import RenderedFrame
 from gffe_cl.opencl.device import Device
 from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
@@ -17,7 +20,7 @@ from gffe_cl.window import WindowChooser
 def render_sequence(
     scene: Scene,
     output: Path,
-    device: Device,
+    device: Device | None,
     width: int,
     height: int,
     frames: int,
@@ -28,13 +31,16 @@ def render_sequence(
     samples: int = 8,
     window: str = "off",
     compression: str = DEFAULT_COMPRESSION,
+    cluster: Cluster | None = None,
     on_frame: Callable[[], None] = lambda: None,
 ) -> int:
     """Render `frames` frames of `scene` at `fps` into the folder `output`; returns how many were written.
 
     With `ground_truth`, also `per_frame` frames after each, with their own depth and motion (to the
     rendered frame before), for measuring. `window` is "off", "fixed:FACTOR" or "adaptive": covering the frames in
-    between. `compression` is that of the EXRs (see `SequenceWriter`). `on_frame` is called after every frame.
+    between. `compression` is that of the EXRs (see `SequenceWriter`). With a `cluster` its workers render what is
+    written here, each on the device that GFFE_DEVICE chooses there; `device` may be None, and windows not adaptive,
+    because these follow from frame to frame. `on_frame` is called after every frame. Raises GffeError.
     """
     if frames < 1:
         raise GffeError(f"--frames must be at least 1, got {frames}")
@@ -42,21 +48,60 @@ def render_sequence(
         raise GffeError(f"--fps must be positive, got {fps:g}")
     if per_frame < 0:
         raise GffeError(f"-n must be at least 0 frames in between, got {per_frame}")
+    if cluster and window == "adaptive":
+        raise GffeError("--window adaptive follows from frame to frame (expected off or fixed with --scheduler)")
     alphas = [j / (per_frame + 1) for j in range(1, per_frame + 1)]
-    renderer = SceneRenderer(device, scene, width, height, samples)
-    made = SceneFrames(renderer, WindowChooser(window, (width, height), alphas))
+    WindowChooser(window, (width, height), alphas)
+    job = _Job(scene, width, height, fps, tuple(alphas), ground_truth, samples, window)
     writing = SequenceWriter(
         output, width, height, fps, scene.exposure, generator="gffe-cl render", compression=compression
     )
     with writing as writer:
-        for k, frame in enumerate(made.sequence(frames, fps)):
-            writer.add(rendered_entry(k, frame), named_channels(frame.color, frame.depth, frame.motion))
+        for entry, channels in _on_workers(job, frames, cluster) if cluster else _here(job, frames, device):
+            writer.add(entry, channels)
             on_frame()
-            for alpha in alphas if ground_truth else ():
-                time = (k + alpha) * (1.0 / fps)
-                image = made.truth(time, frame).numpy()
-                file = f"truth_{k:06d}_{round(alpha * 1000):04d}.exr"
-                entry = FrameEntry(file, time, "ground_truth", display_camera=made.display_camera(time))
-                writer.add(entry, named_channels(image.color, image.depth, image.motion))
-                on_frame()
     return frames * (1 + len(alphas) * ground_truth)
+
+
+@dataclass(frozen=True)
+class _Job:
+    scene: Scene
+    width: int
+    height: int
+    fps: float
+    alphas: tuple[float, ...]
+    ground_truth: bool
+    samples: int
+    window: str
+
+    def frames(self, device: Device) -> SceneFrames:
+        renderer = SceneRenderer(device, self.scene, self.width, self.height, self.samples)
+        return SceneFrames(renderer, WindowChooser(self.window, (self.width, self.height), self.alphas))
+
+
+def _here(job: _Job, count: int, device: Device) -> Iterator[tuple[FrameEntry, dict]]:
+    made = job.frames(device)
+    for k, frame in enumerate(made.sequence(count, job.fps)):
+        yield from _written(job, made, k, frame)
+
+
+def _on_workers(job: _Job, count: int, cluster: Cluster) -> Iterator[tuple[FrameEntry, dict]]:
+    for _, written in cluster.compute(_frame_on_worker, {str(k): (job, k) for k in range(count)}, in_order=True):
+        yield from written
+
+
+def _frame_on_worker(job: _Job, k: int) -> list[tuple[FrameEntry, dict]]:
+    made = job.frames(device_of_worker(None))
+    before = made.unrendered((k - 1) * (1.0 / job.fps)) if k else None
+    return list(_written(job, made, k, made.rendered(k * (1.0 / job.fps), before)))
+
+
+def _written(job: _Job, made: SceneFrames, k: int, frame: RenderedFrame) -> Iterator[tuple[FrameEntry, dict]]:
+    """What is written of frame `k`: itself, and the truth after it."""
+    yield rendered_entry(k, frame), named_channels(frame.color, frame.depth, frame.motion)
+    for alpha in job.alphas if job.ground_truth else ():
+        time = (k + alpha) * (1.0 / job.fps)
+        image = made.truth(time, frame).numpy()
+        file = f"truth_{k:06d}_{round(alpha * 1000):04d}.exr"
+        entry = FrameEntry(file, time, "ground_truth", display_camera=made.display_camera(time))
+        yield entry, named_channels(image.color, image.depth, image.motion)

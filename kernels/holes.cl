@@ -22,18 +22,48 @@ inline void add(float4 *sum, float *inverse_sum, const float pixel_weight, const
 
 #define FAR_SIDE 1.3f            /* inverse depths up to this times the least belong to the far side */
 
-/* The first of `steps` pixels, `offset` apart from each other, that is valid, counted from 1; 0: none. */
-inline int first_valid(const int dst, const int offset, const int steps, __global const uchar *filled_by) {
+/* The first of `steps` pixels, `offset` apart from each other, that `mask` does not call a `hole`, counted from 1; 0: none. */
+inline int first_beside(const int dst, const int offset, const int steps, __global const uchar *mask, const uchar hole) {
     int t = 1;
     for (; t + AT_ONCE <= steps; t += AT_ONCE) {
         bool any = false;
-        for (int k = 0; k < AT_ONCE; ++k) any |= filled_by[dst + (t + k) * offset] != BY_HOLE_FILLING;
+        for (int k = 0; k < AT_ONCE; ++k) any |= mask[dst + (t + k) * offset] != hole;
         if (any) break;
     }
     for (; t <= steps; ++t)
-        if (filled_by[dst + t * offset] != BY_HOLE_FILLING) return t;
+        if (mask[dst + t * offset] != hole) return t;
     return 0;
 }
+
+/* The first pixels beside a hole, in eight directions: which ones, how near (1/px), and their inverse depths. */
+typedef struct {
+    int count, px[DIRECTIONS];
+    float closeness[DIRECTIONS], inverse[DIRECTIONS], least_inverse;
+} Around;
+
+inline Around look_around(const int dst_x, const int dst_y, const int width, const int height, const int reach,
+                          __global const uchar *mask, const uchar hole, __global const float *depth) {
+    const int dst = dst_y * width + dst_x;
+    Around found;
+    found.count = 0;
+    found.least_inverse = INFINITY;
+    for (int k = 0; k < DIRECTIONS; ++k) {
+        const int2 d = direction(k);
+        const int offset = d.y * width + d.x;
+        const int t = first_beside(dst, offset, steps_within(reach, d, dst_x, dst_y, width, height), mask, hole);
+        if (t == 0) continue;
+        const int met = dst + t * offset;
+        const float inverse = isinf(depth[met]) ? 0.0f : divide(1.0f, depth[met]);
+        found.px[found.count] = met;
+        found.inverse[found.count] = inverse;
+        found.closeness[found.count] = divide(1.0f, (float)t * step_length(d));
+        found.least_inverse = fmin(found.least_inverse, inverse);
+        ++found.count;
+    }
+    return found;
+}
+
+inline bool is_far(const Around a, const int k) { return !(a.inverse[k] > a.least_inverse * FAR_SIDE); }
 
 /* Mean (colour, inverse depth) of pixels with weights. */
 inline float4 weighted_mean(const int count, const int *px, const float *inverse, const float *weight,
@@ -60,31 +90,57 @@ inline float3 static_source(const int dst_x, const int dst_y, const float invers
 inline bool far_side(const int dst_x, const int dst_y, const int target_width, const int target_height, const int source_width,
                      const int source_height, const int reach, const Reprojection to_source, __global const uchar *filled_by,
                      __global const half *color, __global const float *depth, float4 *mean) {
-    const int dst = dst_y * target_width + dst_x;
-    int met[DIRECTIONS];
-    float inverse[DIRECTIONS], closeness[DIRECTIONS], weight[DIRECTIONS];
-    float least = INFINITY;
-    int count = 0;
-    for (int k = 0; k < DIRECTIONS; ++k) {
-        const int2 d = direction(k);
-        const int offset = d.y * target_width + d.x;
-        const int t = first_valid(dst, offset, steps_within(reach, d, dst_x, dst_y, target_width, target_height), filled_by);
-        if (t == 0) continue;
-        met[count] = dst + t * offset;
-        inverse[count] = isinf(depth[met[count]]) ? 0.0f : divide(1.0f, depth[met[count]]);
-        closeness[count] = divide(1.0f, (float)t * step_length(d));
-        least = fmin(least, inverse[count]);
-        ++count;
-    }
-    if (count == 0) return false;
-    for (int k = 0; k < count; ++k) weight[k] = inverse[k] > least * FAR_SIDE ? 0.0f : closeness[k];
-    *mean = weighted_mean(count, met, inverse, weight, color);
+    const Around a = look_around(dst_x, dst_y, target_width, target_height, reach, filled_by, BY_HOLE_FILLING, depth);
+    float weight[DIRECTIONS];
+    if (a.count == 0) return false;
+    for (int k = 0; k < a.count; ++k) weight[k] = is_far(a, k) ? a.closeness[k] : 0.0f;
+    *mean = weighted_mean(a.count, a.px, a.inverse, weight, color);
     const float3 px_source = static_source(dst_x, dst_y, mean->w, to_source);
     if (px_source.z > 0.0f && px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)source_width
         && px_source.y < (float)source_height) return true;
-    for (int k = 0; k < count; ++k) weight[k] = closeness[k] * closeness[k];
-    *mean = weighted_mean(count, met, inverse, weight, color);
+    for (int k = 0; k < a.count; ++k) weight[k] = a.closeness[k] * a.closeness[k];
+    *mean = weighted_mean(a.count, a.px, a.inverse, weight, color);
     return true;
+}
+
+#define MIXED_REACH 16           /* px beyond which the far side says too little of what the background remembers */
+#define CONTRAST 0.4f            /* of the far side, relative to its mean, with which it counts half */
+
+inline float brightness(const float3 c) { return (c.x + c.y + c.z) * (1.0f / 3.0f); }
+
+/* How much a far side `mean` tells, beside a remembered colour: the nearer and the more uniform the more. */
+inline float weight_of_far_side(const Around a, const float3 mean, __global const half *color) {
+    float closest = 0.0f, sum = 0.0f, weight_sum = 0.0f;
+    for (int k = 0; k < a.count; ++k) {
+        if (!is_far(a, k)) continue;
+        const float off = brightness(load_color(color, a.px[k]) - mean);
+        closest = fmax(closest, a.closeness[k]);
+        sum += a.closeness[k] * off * off;
+        weight_sum += a.closeness[k];
+    }
+    const float typical = CONTRAST * brightness(mean), uniform = typical * typical, spread = divide(sum, weight_sum);
+    return spread > 0.0f ? closest * divide(uniform, uniform + spread) : closest;
+}
+
+/* What the background fills, with the far side: of a surface's remembered colour, which may be out of date, and what is shown
+   beside it now, the weighted mean is shown. RUN pixels per work-item. */
+SCAN __kernel void mix_far_side(const int target_width, const int target_height, __global const uchar *disoccluded,
+                                __global const uchar *filled_by, __global const float *depth, __global half *color) {
+    const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
+    if (first_x >= target_width || dst_y >= target_height) return;
+    const int first = dst_y * target_width + first_x;
+    if (first_x + RUN <= target_width && run_is_zero(disoccluded + first)) return;
+    for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
+        const int dst = dst_y * target_width + dst_x;
+        if (!disoccluded[dst] || filled_by[dst] == BY_HOLE_FILLING || filled_by[dst] == BY_HIDDEN_PART) continue;
+        const Around a = look_around(dst_x, dst_y, target_width, target_height, MIXED_REACH, disoccluded, 1, depth);
+        if (a.count == 0) continue;
+        float weight[DIRECTIONS];
+        for (int k = 0; k < a.count; ++k) weight[k] = is_far(a, k) ? a.closeness[k] : 0.0f;
+        const float3 mean = weighted_mean(a.count, a.px, a.inverse, weight, color).xyz;
+        const float counts = weight_of_far_side(a, mean, color);
+        store_color(mean_of(load_color(color, dst) + counts * mean, 1.0f + counts), color, dst);
+    }
 }
 
 /* ---- push-pull (Gortler et al., The Lumigraph, 1996) ------------------------------------------------------------ */

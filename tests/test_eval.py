@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from frame_models import network
 
+from gffe_cl import cluster
 from gffe_cl.errors import GffeError
 from gffe_cl.evaluation.table import cache, engine, results
 from gffe_cl.evaluation.table.cells import Cell
@@ -158,9 +159,7 @@ def _same_as_compare(gffe, tmp_path, sequence, cell):
     ],
 )
 def test_eval_says_what_is_wrong(gffe, tmp_path, arguments, words, monkeypatch):
-    from gffe_cl.evaluation.table import cluster
-
-    monkeypatch.setattr(cluster, "_PATIENCE", "0.2s")
+    monkeypatch.setattr(cluster, "PATIENCE", "0.2s")
     code, _, err = gffe("eval", *arguments, "--out", tmp_path / "report", "--size", "32x32")
     assert code == 2 and words in " ".join(err.split()) and not (tmp_path / "report" / "index.html").exists()
 
@@ -229,14 +228,14 @@ def test_a_killed_command_leaves_finished_cells(tmp_path):
 def test_a_cluster_gives_the_same_cells(tmp_path):
     """Two workers, one of which is killed on the way: nothing is lost, nothing is counted twice."""
     distributed = pytest.importorskip("distributed", reason="needs dask")
-    from gffe_cl.evaluation.table.cluster import cluster
+    from gffe_cl.evaluation.table.cluster import cluster as executor_of
 
     subjects = tuple(SceneSubject(name, 0, 64, 36, 4, 30.0, (0.5,)) for name in ("room", "forest"))
     order = Order(subjects, ("static-reprojection", "motion-vectors", "guided", "repeat"))
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
     ) as local:
-        compute, seen = cluster(local.scheduler_address), []
+        compute, seen = executor_of(local.scheduler_address), []
 
         def killing(items, arguments):
             for work, cell in compute(items, arguments):

@@ -106,6 +106,16 @@ def test_guided_extrapolation_uses_its_guide():
     assert not np.isnan(made).any()
 
 
+def test_sharp_samples_are_those_of_smooth_pictures():
+    """A monotonic parabola is met exactly; nothing overshoots an edge."""
+    parabola = (CENTRES[..., :1] ** 2).astype(np.float32)
+    place = CENTRES[4:-4, 4:-4] + np.float32((0.3, -0.4))
+    np.testing.assert_allclose(image_space.sample_sharp(parabola, place), place[..., :1] ** 2, rtol=1e-5)
+    edge = (CENTRES[..., :1] > 20).astype(np.float32)
+    sampled = image_space.sample_sharp(edge, place)
+    assert sampled.min() == 0 and sampled.max() == 1 and ((sampled > 0) & (sampled < 1)).any()
+
+
 def test_splat_keeps_the_nearest():
     place = CENTRES.copy()
     place[10, 10] = place[10, 20]

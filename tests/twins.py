@@ -4,6 +4,7 @@ Plain float32 arithmetic in the kernels' order, whole images at a time. Cameras 
 `Reprojection` arrays that kernels get, (6, 4) float32. Constants are read from the kernels' sources.
 """
 
+import itertools
 from types import SimpleNamespace
 
 import numpy as np
@@ -768,6 +769,32 @@ def far_side(warped, y, x, reach, to_source, source_size):
     if at[2] > 0 and 0 <= at[0] < source_size[0] and 0 <= at[1] < source_size[1]:
         return found
     return mean([(w * w, values) for _, w, values in met])
+
+
+def mix_far_side(warped):
+    """Colour of the frame as the background left it, its fills mixed with the far side."""
+    color, shown = warped["color"].copy(), load_color(warped["color"])
+    hole = warped["disoccluded"] != 0
+    remembered = hole & ~np.isin(warped["filled_by"], (COMMON.BY_NOTHING, COMMON.BY_HIDDEN_PART))
+    with np.errstate(divide="ignore"):
+        inverse = F(1) / warped["depth"]
+    for y, x in np.argwhere(remembered):
+        met = []
+        for d in _DIRECTIONS:
+            found = (m for m in march(y, x, d, HOLES.MIXED_REACH, hole.shape) if not hole[m[1]])
+            met += [(F(1) / distance, q) for distance, q in itertools.islice(found, 1)]
+        least = min((inverse[q] for _, q in met), default=F(0))
+        far = [(closeness, q) for closeness, q in met if inverse[q] <= least * HOLES.FAR_SIDE]
+        if not far:
+            continue
+        weights = np.array([closeness for closeness, _ in far], F)
+        colors = np.array([shown[q] for _, q in far])
+        mean = np.average(colors, axis=0, weights=weights)
+        spread = np.average((colors.mean(1) - mean.mean()) ** 2, weights=weights)
+        typical = (HOLES.CONTRAST * mean.mean()) ** 2
+        counts = weights.max() * (typical / (typical + spread) if spread > 0 else 1)
+        color[y, x, :3] = (shown[y, x] + counts * mean) / (1 + counts)
+    return color
 
 
 def asked_blocks(warped, reach, to_source, source_size):

@@ -7,7 +7,7 @@ import math
 import sys
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -16,6 +16,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from gffe_cl.errors import GffeError, printable
 from gffe_cl.files import replacing, require_output_file
+
+if TYPE_CHECKING:
+    from gffe_cl.cluster import Cluster
 
 app = typer.Typer(
     help="G-buffer free frame extrapolation: makes the frames after the ones your renderer has finished.",
@@ -38,6 +41,17 @@ DeviceOption = Annotated[
         help="Part of a device's or platform's name, its index (0:0), 'gpu' or 'cpu'; see `gffe devices`.",
     ),
 ]
+
+SchedulerOption = Annotated[
+    str | None, typer.Option("--scheduler", help="Compute on the Dask cluster of this address: tcp://HOST:8786.")
+]
+
+
+def cluster_at(address: str | None) -> Cluster | None:
+    """The cluster of --scheduler; None without one. Raises GffeError."""
+    from gffe_cl.cluster import Cluster
+
+    return Cluster(address) if address else None
 
 
 def output_file(option: str):

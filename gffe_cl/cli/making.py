@@ -14,8 +14,10 @@ from gffe_cl.cli.common import (
     DeviceOption,
     JsonOption,
     NoCheckOption,
+    SchedulerOption,
     WindowOption,
     app,
+    cluster_at,
     out,
     parse_numbers,
     parse_size,
@@ -149,6 +151,7 @@ def render(
         ),
     ] = "off",
     compression: CompressionOption = "zip",
+    scheduler: SchedulerOption = None,
     device: DeviceOption = None,
 ) -> None:
     """Render a built-in scene to a sequence: colour, depth, motion vectors and cameras."""
@@ -158,13 +161,14 @@ def render(
 
     width, height = parse_size(size)
     built = load_scene(scene, seed)
-    opened = open_device(device)
+    workers = cluster_at(scheduler)
+    opened = None if workers else open_device(device)
     with progress_bars() as progress:
         total = frames * (1 + per_frame * ground_truth)
         count = render_sequence(
             built, output, opened, width, height, frames, fps,
             ground_truth=ground_truth, per_frame=per_frame, samples=samples, window=window, compression=compression,
-            on_frame=steps(progress)(f"Rendering '{scene}'", total),
+            cluster=workers, on_frame=steps(progress)(f"Rendering '{scene}'", total),
         )  # fmt: skip
     out.print(f"{count} frames in {plain(output)}")
 

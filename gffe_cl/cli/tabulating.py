@@ -13,7 +13,7 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from gffe_cl.cli.common import DeviceOption, app, err, out, parse_numbers, parse_size, plain, warn
+from gffe_cl.cli.common import DeviceOption, SchedulerOption, app, err, out, parse_numbers, parse_size, plain, warn
 from gffe_cl.errors import GffeError
 from gffe_cl.files import replacing
 
@@ -64,9 +64,7 @@ def evaluate(
     late_warp: Annotated[
         bool, typer.Option("--late-warp", help="Also measure rendered frames shown from a camera that has turned.")
     ] = False,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Compute on the Dask cluster of this address: tcp://HOST:8786.")
-    ] = None,
+    scheduler: SchedulerOption = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Compute finished cells again.")] = False,
     device: DeviceOption = None,
 ) -> None:

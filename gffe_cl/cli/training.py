@@ -10,7 +10,16 @@ from typing import Annotated
 
 import typer
 
-from gffe_cl.cli.common import DeviceOption, JsonOption, app, out, progress_bars, write_json
+from gffe_cl.cli.common import (
+    DeviceOption,
+    JsonOption,
+    SchedulerOption,
+    app,
+    cluster_at,
+    out,
+    progress_bars,
+    write_json,
+)
 from gffe_cl.errors import GffeError
 
 
@@ -43,6 +52,7 @@ def train(
     ] = None,
     data_only: Annotated[bool, typer.Option("--data-only", help="Only make the clips.")] = False,
     vgg: Annotated[Path | None, typer.Option(help="torchvision's vgg19-*.pth, for the perceptual loss.")] = None,
+    scheduler: SchedulerOption = None,
     device: DeviceOption = None,
     json_path: JsonOption = None,
 ) -> None:
@@ -81,7 +91,9 @@ def train(
                 plan.clip(made, wanted, processes.count)
 
             part = processes.rank, processes.count
-            make_clips(data, open_device(device), seed, wanted, on_clip, part, plan.clips_until, _LEAST_CLIPS)
+            workers = cluster_at(scheduler)
+            opened = None if workers else open_device(device)
+            make_clips(data, opened, seed, wanted, on_clip, part, plan.clips_until, _LEAST_CLIPS, workers)
             processes.any(False)  # all have made theirs
             if data_only:
                 if processes.first:

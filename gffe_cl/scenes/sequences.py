@@ -50,6 +50,12 @@ class SceneFrames:
         self.windows.observe(image.depth)
         return RenderedFrame(image.color, image.depth, image.motion, camera, time, shown, reset=before is None)
 
+    def unrendered(self, time: float) -> RenderedFrame:
+        """What another frame needs of the one at `time`, its cameras, without buffers; but for adaptive windows, which
+        follow from what was rendered before."""
+        shown = self.display_camera(time)
+        return RenderedFrame(None, None, None, self.render_camera(shown, None), time, shown)
+
     def truth(self, time: float, before: RenderedFrame | None = None) -> SceneImage:
         """What is shown at `time`, wherever rendered frames are; motion as of `image`."""
         assert self.size == self.render_size

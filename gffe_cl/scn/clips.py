@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from numpy.lib.stride_tricks import sliding_window_view
 
+from gffe_cl.cluster import Cluster, device_of_worker
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import HALF_MAX
 from gffe_cl.metrics import focus_mask
@@ -158,42 +159,68 @@ def complete_clips(folder: Path, seed: int, count: int) -> int:
 
 def make_clips(
     folder: Path,
-    device: Device,
+    device: Device | None,
     seed: int,
     count: int,
     on_clip: Callable[[bool], None] = lambda made: None,
     part: tuple[int, int] = (0, 1),
     until: float | None = None,
     least: int = 0,
+    cluster: Cluster | None = None,
 ) -> int:
     """Make what is missing of the clips 0 … count − 1 in `folder`; returns how many were made.
 
     Each clip is a `clip_*.npy`, a `clip_*_half.npy` and, written last, a `clip_*.json`. `part` (i, n): only every n-th,
     from i on.
     Nothing more is begun when `time.monotonic()` has passed `until`, the clips 0 … `least` − 1 apart. `on_clip` is told
-    after each whether it was made or there already. Raises GffeError where nothing can be written.
+    after each whether it was made or there already. With a `cluster` its workers make them, each on the device that
+    GFFE_DEVICE chooses there, and `device` may be None. Raises GffeError where nothing can be written.
     """
+    indices = range(part[0], count, part[1])
     made = 0
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for index in range(part[0], count, part[1]):
-            if index >= least and until is not None and time.monotonic() > until:
-                break
-            name = clip_path(folder, seed, index)
-            missing = not name.with_suffix(".json").exists()
-            if missing:
-                plan = ClipPlan.draw(seed, index)
-                samples, alphas = make_clip(device, plan)
-                rng = np.random.default_rng([seed, index, 2])
-                crops = [crops_of(sample, rng) for sample in samples]
-                np.save(name, samples)
-                np.save(halved_path(name), halve(samples))
-                document = {"version": VERSION, "plan": asdict(plan), "alphas": alphas, "crops": crops}
-                part_file = name.with_suffix(".part")
-                part_file.write_text(json.dumps(document))
-                os.replace(part_file, name.with_suffix(".json"))
-                made += 1
-            on_clip(missing)
+        missing = [k for k in indices if not clip_path(folder, seed, k).with_suffix(".json").exists()]
+        for _ in range(len(indices) - len(missing)):
+            on_clip(False)
+        for index, data in _made(missing, seed, device, cluster, until, least):
+            _keep(clip_path(folder, seed, index), *data)
+            made += 1
+            on_clip(True)
     except OSError as error:
         raise GffeError(f"{folder}: cannot write training data: {error.strerror or error}") from None
     return made
+
+
+def _made(indices, seed, device, cluster, until, least) -> Iterator[tuple[int, tuple]]:
+    """What `clip_data` gives for each, in order, as far as there is time."""
+    plans = {str(index): (ClipPlan.draw(seed, index),) for index in indices}
+    if cluster:
+        results = cluster.compute(_clip_on_worker, plans, in_order=True)
+    else:
+        results = ((name, clip_data(device, *plan)) for name, plan in plans.items())
+    for index in indices:
+        if index >= least and until is not None and time.monotonic() > until:
+            break
+        yield index, next(results)[1]
+    results.close()
+
+
+def _clip_on_worker(plan: ClipPlan) -> tuple:
+    return clip_data(device_of_worker(None), plan)
+
+
+def clip_data(device: Device, plan: ClipPlan) -> tuple[np.ndarray, np.ndarray, dict]:
+    """What is kept of a clip: samples, the same at half resolution (`make_clip`, `halve`), and their description."""
+    samples, alphas = make_clip(device, plan)
+    rng = np.random.default_rng([plan.seed, plan.index, 2])
+    crops = [crops_of(sample, rng) for sample in samples]
+    return samples, halve(samples), {"version": VERSION, "plan": asdict(plan), "alphas": alphas, "crops": crops}
+
+
+def _keep(name: Path, samples: np.ndarray, halved: np.ndarray, document: dict) -> None:
+    np.save(name, samples)
+    np.save(halved_path(name), halved)
+    part_file = name.with_suffix(".part")
+    part_file.write_text(json.dumps(document))
+    os.replace(part_file, name.with_suffix(".json"))

@@ -12,6 +12,7 @@ import numpy as np
 from gffe_cl.buffers import BufferSpec
 from gffe_cl.opencl.program import constants
 from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.background import Background
 
 _CONSTANTS = constants("holes.cl")
 _TILE, _GROUP = _CONSTANTS["TILE"], _CONSTANTS["GROUP"]
@@ -87,13 +88,29 @@ class Downsampled(HoleFilling):
 
 
 class FarSide(Downsampled):
-    """Continues the far side of a disocclusion, and takes block means beyond its reach."""
+    """Continues the far side of a disocclusion, and takes block means beyond its reach. What the background has filled
+    is mixed with the far side."""
+
+    kernels = (
+        Kernel(
+            "mix_far_side",
+            "target",
+            {"disoccluded": "frame.disoccluded", "filled_by": Access("frame.filled_by", "disoccluded")}
+            | _image("disoccluded"),
+            {"color": Access("frame.color", "disoccluded")},
+            step=("RUN", 1),
+        ),
+        *Downsampled.kernels,
+    )
 
     def __init__(self, board: Board):
         self.reach = max(16, board.sizes.target[0] // 10)
+        self.mixes = Background.is_wanted(board.options)
         super().__init__(board)
 
     def fill_holes(self, to_source: np.ndarray) -> None:
+        if self.mixes:
+            self.launch("mix_far_side")
         self.launch("fill_far_side", reach=self.reach, to_source=to_source)
         super().fill_holes(to_source)
 

@@ -269,6 +269,10 @@ def _background_story(pipeline, shot, pixel, source_px, level: int, values) -> S
         said.append(
             f"At that place rendered frame {shot.moment.k} shows depth {front:.4g}; the depth here is {depth:.4g}."
         )
+    if getattr(pipeline.stages.get("holes"), "mixes", False):
+        said.append(
+            "Its colour is mixed with that of the surface beside the hole, the nearer and the more uniform the more."
+        )
     now = (pixel[0] + 0.5, pixel[1] + 0.5)
     path = (moved(at, shot.moment.render_camera, shot.moment.display_camera), now) if at else (now,)
     return Story(pixel, _filled_by(1 + level), source_px, path, level=level, level_px=at, sentences=tuple(said))

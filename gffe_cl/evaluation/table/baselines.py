@@ -10,13 +10,14 @@ import numpy as np
 
 from gffe_cl.errors import GffeError
 from gffe_cl.evaluation.table.flicker import LUMA
-from gffe_cl.evaluation.table.image_space import filled, pixel_centres, sample, splat, taps
+from gffe_cl.evaluation.table.image_space import filled, pixel_centres, sample, sample_sharp, splat, taps
 from gffe_cl.evaluation.table.regions import same_surface
 from gffe_cl.evaluation.table.subjects import Moment, Shot
 from gffe_cl.metrics import display_values
 
 _SAME_AS_BEFORE = 0.1  # of the depth, between two frames of a moving camera
 _GUIDED_REACHES = (1, 2, 4, 8, 16, 32)  # pixels
+_SHOWS = 0.1  # of a pixel: so much of a surface, and it shows there
 _GUIDED_DEPTH = 0.05  # of the depth: how alike guides must be
 
 
@@ -83,8 +84,8 @@ class OpticalFlow:
 
 class GuidedExtrapolation:
     """G-buffers of the new frame guide a backward warp of frame t, in the manner of ExtraSS-E (Wu et al., SIGGRAPH Asia
-    2023): where its surface shows in t, the colour is looked up there; else it is a mean of pixels around whose depth
-    is alike. The G-buffers are exact, and their cost is not counted."""
+    2023): where any of its surface shows in t, the colour is looked up there, antialiased as it is; else it is a mean
+    of pixels around whose depth is alike. The G-buffers are exact, and their cost is not counted."""
 
     def submit(self, shot: Shot) -> None:
         self._color, self._depth = shot.shown.astype(np.float32), shot.frame.depth
@@ -96,8 +97,8 @@ class GuidedExtrapolation:
         height, width = guide.depth.shape
         with np.errstate(invalid="ignore"):
             seen &= (place >= 0).all(-1) & (place < (width, height)).all(-1)
-        color, weight = sample(self._color, place, seen)
-        return guided_fill(color, weight > 1e-3, guide.depth)
+        _, shows = sample(self._color, place, seen)
+        return guided_fill(sample_sharp(self._color, place), shows >= _SHOWS, guide.depth)
 
 
 class Interpolation:

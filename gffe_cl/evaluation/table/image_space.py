@@ -34,6 +34,25 @@ def sample(image: np.ndarray, place: np.ndarray, mask: np.ndarray | None = None)
     return total / np.maximum(weights, 1e-6)[..., None], weights
 
 
+def sample_sharp(image: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Cubic (Catmull-Rom), within the range of the four nearest taps, the border repeated: (h, w, C) float32."""
+    height, width = image.shape[:2]
+    finite = np.where(np.isfinite(place), place, -1e6) - np.float32(0.5)
+    low = np.floor(finite).astype(np.int64)
+    t = (finite - low).astype(np.float32)
+    one = np.stack([-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, t**3 - t**2]) / 2
+    total = np.zeros((*place.shape[:2], image.shape[2]), np.float32)
+    least, most = np.full_like(total, np.inf), np.full_like(total, -np.inf)
+    for k in range(16):
+        dx, dy = k & 3, k >> 2
+        y, x = np.clip(low[..., 1] + dy - 1, 0, height - 1), np.clip(low[..., 0] + dx - 1, 0, width - 1)
+        value = image[y, x]
+        total += (one[dx, ..., 0] * one[dy, ..., 1])[..., None] * value
+        if dx in (1, 2) and dy in (1, 2):
+            least, most = np.minimum(least, value), np.maximum(most, value)
+    return np.clip(total, least, most)
+
+
 def taps(image: np.ndarray, place: np.ndarray) -> np.ndarray:
     """The four neighbours (4, h, w) of `place` in `image` (H, W), in reading order, the border repeated."""
     height, width = image.shape

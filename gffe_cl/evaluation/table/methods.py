@@ -225,7 +225,7 @@ class Gain:
 
 GAINS = (
     Gain("motion estimation", FULL, "no-motion", "dynamic", "w/o ME"),
-    Gain("background collection", FULL, "no-background", "static disocclusion", "w/o BGC"),
+    Gain("background collection", FULL, "no-background", "dynamic disocclusion", "w/o BGC"),
     Gain("adaptive window", "adaptive-window", FULL, "out of screen", "w/o AW"),
     Gain("shading correction", FULL, "no-scn", "focus", "w/o SCN"),
     Gain("focus mask", FULL, "no-focus-mask", "rest", "w/o FM"),
