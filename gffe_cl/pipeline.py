@@ -40,6 +40,7 @@ from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import ShadingInputs
 from gffe_cl.stages.silhouettes import Silhouettes
 from gffe_cl.stages.surfaces import Surfaces
+from gffe_cl.stages.upscaling import Upscaling
 from gffe_cl.stages.warp import Warp
 from gffe_cl.values import require_exposure
 
@@ -107,6 +108,7 @@ STAGES: tuple[type[Stage], ...] = (
     Silhouettes,
     ShadingInputs,
     ShadingCorrection,
+    Upscaling,
 )
 
 
@@ -221,7 +223,7 @@ class Pipeline:
             self._previous, self.board.previous = None, self._current
         self._times = [frame.time, *self._times[:MAX_ORDER]]
         self._path = [on_device.display_camera, *self._path[: POSES - 1]]
-        step = Step(self._current, self._previous, self._times)
+        step = Step(self._current, self._previous, self._times, exposure=self.exposure)
         for stage in self.stages.values():
             stage.swap()
         self.board.lend()
