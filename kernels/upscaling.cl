@@ -1,183 +1,179 @@
 /* Temporal anti-aliasing and upsampling: jittered frames of render size, gathered over time at the display's size.
 
-   A mapping is (scale x, scale y, offset x, offset y) between pixel positions of two images of one pose. Colours are linear
-   in `color` and `history`; means, bounds and blending are in YCoCg of tone-mapped colour (compressed, below).
+   A mapping is (scale x, scale y, offset x, offset y) between pixel positions of two images of one pose; jitter is in them.
+   Colours are linear in `color` and `history`; blending and bounds are in YCoCg of tone-mapped colour ("compressed").
 
-   of          name             image     what
-   in          color            render    rendered frame; jitter is in the mapping
-               depth, motion    render    its depth, and motion into the previous render image
-               previous_depth   render    of the rendered frame before
-   between     compressed       render    its colour, tone-mapped YCoCg
-               dilated          render    motion of the nearest surface in 3x3 pixels, NaN where it was not seen before
-               mean, deviation  render    of 3x3 colours; A of deviation: whether a thin feature runs through the middle
-   state       history          display   colour, linear
-               weight, lock     display   how much is behind it; how long a thin feature is kept
-   out         rejected         display   which share of the history was
-               out_color        display   of a generated frame                                                              */
+              name             image     what
+   in         color            render    the rendered frame
+              depth, motion    render    its depth, and its motion into the render image before
+              previous_depth   render    of the rendered frame before
+   between    compressed       render    its colour, compressed; A: how far the history, seen there, was from it
+              dilated, seen    render    motion of the nearest surface around; share of that which was not hidden before
+              mean             render    of 3x3 compressed colours
+              deviation        render    theirs; A: the error of the history around, in deviations
+   state      history          display   colour, linear: what is shown
+              weight           display   how many samples are behind it
+              lock             display   frames in a row in which it foretold the samples
+   out        rejected         display   which share of the history was not believed
+              out_color        display   a generated frame, seen through the history                                       */
 
 #include "common.h"
-#include "rgb.h"
 #include "cubic.h"
 
-#define REACH 1.1f            /* display pixels: how far a sample counts */
-#define MOST_WEIGHT 12.0f     /* samples' worth of history */
-#define FRESH_WEIGHT 0.12f    /* of a colour that was only interpolated */
-#define SPREAD 1.1f            /* standard deviations in which history is believed */
-#define LOCKED_SPREAD 3.0f     /* the same, added where locked */
-#define NOISE 0.02f           /* added to the deviation */
-#define THIN 0.06f            /* contrast of a thin feature */
-#define LOCK_FRAMES 8.0f
-#define RIGHT 0.5f
-#define WRONG 1.0f
-#define CLIPPED 4.0f
-#define SAME_DEPTH 0.04f      /* relative depth of one surface in two frames */
-#define HUGE_DEPTH 1e30f
+#define WHOLE_TEXELS __attribute__((vec_type_hint(float16)))  /* four texels at once: vectorised already */
 
-typedef struct { float y, o, g; } Ycocg;
+#define REACH 1.1f            /* display pixels: from where on a sample does not count */
+#define MOST_WEIGHT 12.0f     /* of the history, in samples */
+#define LEAST_WEIGHT 0.2f     /* of what is shown until samples come */
+#define SPREAD 1.1f           /* deviations from the mean that a history may have */
+#define LOCKED_SPREAD 3.0f    /* more of them after LOCK_FRAMES: thin features that no sample met */
+#define LOCK_FRAMES 8.0f
+#define NOISE 0.01f           /* of compressed colours, beside their deviation */
+#define RIGHT 0.3f            /* deviations: error up to which the history is believed, and from which on it is not */
+#define WRONG 0.7f
+#define PLAIN_ERROR 0.2f      /* how much of an error counts that is within the colours around: edges have such */
+#define CLIPPED 4.0f          /* loss of belief by how much had to be clipped */
+#define SAME_DEPTH 0.96f      /* relative depth from which on it is the same surface */
 
 inline float2 mapped(const float2 px, const float4 mapping) { return px * mapping.xy + mapping.zw; }
+inline float4 smaller(const float4 a, const float4 b) { return a < b ? a : b; }
+inline float4 larger(const float4 a, const float4 b) { return a < b ? b : a; }
+inline float largest(const float4 c) { return most(c.x, most(c.y, c.z)); }
 
-/* Tone-mapped by its largest channel: bright ones do not outweigh all others. */
-inline Ycocg compressed_of(const Rgb c, const float exposure) {
-    const float r = most(c.r, 0.0f) * exposure, g = most(c.g, 0.0f) * exposure, b = most(c.b, 0.0f) * exposure;
-    const float scale = divide(1.0f, 1.0f + most(r, most(g, b)));
-    const float half_rb = 0.25f * (r + b), half_g = 0.5f * g;
-    const Ycocg made = {scale * (half_rb + half_g), scale * 0.5f * (r - b), scale * (half_g - half_rb)};
-    return made;
+/* Tone-mapped by the largest channel, so that bright samples do not outweigh all others; as (Y, Co, Cg, 0). */
+inline float4 compressed_of(const float4 rgb, const float exposure) {
+    const float4 c = larger(rgb, (float4)(0.0f)) * exposure;
+    const float scale = divide(1.0f, 1.0f + largest(c)), green = 0.5f * c.y, others = 0.25f * (c.x + c.z);
+    return (float4)(others + green, 0.5f * (c.x - c.z), green - others, 0.0f) * scale;
 }
 
-inline Rgb expanded(const Ycocg c, const float exposure) {
-    const float t = c.y - c.g;
-    const float r = most(t + c.o, 0.0f), g = most(c.y + c.g, 0.0f), b = most(t - c.o, 0.0f);
-    const float scale = divide(1.0f, most(1.0f - most(r, most(g, b)), 1e-4f) * exposure);
-    const Rgb made = {r * scale, g * scale, b * scale};
-    return made;
+inline float4 expanded(const float4 c, const float exposure) {
+    const float rest = c.x - c.z;
+    const float4 rgb = larger((float4)(rest + c.y, c.x + c.z, rest - c.y, 0.0f), (float4)(0.0f));
+    const float scale = divide(1.0f, most(1.0f - largest(rgb), 1e-4f) * exposure);
+    return smaller(rgb * scale, (float4)(COLOR_MAX));
 }
 
-inline Ycocg load_compressed(__global const half *image, const int i) {
-    const float4 c = vload_half4(i, image);
-    const Ycocg made = {c.x, c.y, c.z};
-    return made;
+/* Texels x to x + 3 of a row; beyond the image its border goes on. */
+inline float16 four_texels(__global const half *image, const int x, const int y, const int width, const int height) {
+    const int row = clamp(y, 0, height - 1) * width;
+    if (x >= 0 && x + 4 <= width) return vload_half16(0, image + 4 * (row + x));
+    return (float16)(vload_half4(row + clamp(x, 0, width - 1), image), vload_half4(row + clamp(x + 1, 0, width - 1), image),
+                     vload_half4(row + clamp(x + 2, 0, width - 1), image),
+                     vload_half4(row + clamp(x + 3, 0, width - 1), image));
 }
 
-/* Cubic (Catmull-Rom) at px, clamped to the four inner taps; beyond the image its border goes on. */
-inline Rgb cubic_at(const float2 px, const int width, const int height, __global const uint2 *color) {
+/* Cubic (Catmull-Rom) at px, clamped to `low` and `high` of the four inner taps. Of finite numbers. */
+inline float4 cubic_at(const float2 px, const int width, const int height, __global const half *image, float4 *low, float4 *high) {
     const float2 corner = px - 0.5f, first = floor(corner);
-    const float4 wx = cubic_weights(corner.x - first.x), wy4 = cubic_weights(corner.y - first.y);
-    const float wy[4] = {wy4.x, wy4.y, wy4.z, wy4.w};
-    const int x = (int)first.x, y = (int)first.y, right = width - 1;
-    const int x0 = clamp(x - 1, 0, right), x1 = clamp(x, 0, right), x2 = clamp(x + 1, 0, right), x3 = clamp(x + 2, 0, right);
-    Rgb sum = {0.0f, 0.0f, 0.0f}, low = {INFINITY, INFINITY, INFINITY}, high = {-INFINITY, -INFINITY, -INFINITY};
-    for (int k = 0; k < 4; ++k) {
-        const int row = clamp(y + k - 1, 0, height - 1) * width;
-        const Rgb a = load_rgb(color, row + x0), b = load_rgb(color, row + x1), c = load_rgb(color, row + x2),
-                  d = load_rgb(color, row + x3);
-        sum.r += wy[k] * (wx.x * a.r + wx.y * b.r + wx.z * c.r + wx.w * d.r);
-        sum.g += wy[k] * (wx.x * a.g + wx.y * b.g + wx.z * c.g + wx.w * d.g);
-        sum.b += wy[k] * (wx.x * a.b + wx.y * b.b + wx.z * c.b + wx.w * d.b);
-        if (k == 0 || k == 3) continue;
-        low.r = least(low.r, least(b.r, c.r));
-        low.g = least(low.g, least(b.g, c.g));
-        low.b = least(low.b, least(b.b, c.b));
-        high.r = most(high.r, most(b.r, c.r));
-        high.g = most(high.g, most(b.g, c.g));
-        high.b = most(high.b, most(b.b, c.b));
-    }
-    const Rgb made = {least(most(sum.r, low.r), high.r), least(most(sum.g, low.g), high.g), least(most(sum.b, low.b), high.b)};
-    return made;
+    const float4 wx = cubic_weights(corner.x - first.x), wy = cubic_weights(corner.y - first.y);
+    const int x = (int)first.x - 1, y = (int)first.y - 1;
+    const float16 a = four_texels(image, x, y, width, height), b = four_texels(image, x, y + 1, width, height),
+                  c = four_texels(image, x, y + 2, width, height), d = four_texels(image, x, y + 3, width, height);
+    const float16 columns = wy.x * a + wy.y * b + wy.z * c + wy.w * d;
+    const float4 sum = wx.x * columns.s0123 + wx.y * columns.s4567 + wx.z * columns.s89ab + wx.w * columns.scdef;
+    *low = smaller(smaller(b.s4567, b.s89ab), smaller(c.s4567, c.s89ab));
+    *high = larger(larger(b.s4567, b.s89ab), larger(c.s4567, c.s89ab));
+    return smaller(larger(sum, *low), *high);
 }
 
-/* How much of px in the previous image was not hidden by something nearer than `expected`: bilinear. */
+inline bool within(const float2 px, const int width, const int height) {
+    return px.x >= 0.0f && px.y >= 0.0f && px.x < (float)width && px.y < (float)height;  /* not of NaN */
+}
+
+/* The nearest of the 3x3 pixels around, where that is of another surface than the pixel's own. */
+inline int nearest_around(const int x, const int y, const int width, const int height, __global const float *depth) {
+    const int i = y * width + x;
+    float least_depth = INVALID_DEPTH(depth[i]) ? INFINITY : SAME_DEPTH * depth[i];
+    int nearest = i;
+    for (int near_y = max(y - 1, 0); near_y <= min(y + 1, height - 1); ++near_y)
+        for (int near_x = max(x - 1, 0); near_x <= min(x + 1, width - 1); ++near_x) {
+            const float z = depth[near_y * width + near_x];
+            if (!(z > 0.0f && z < least_depth)) continue;
+            least_depth = z;
+            nearest = near_y * width + near_x;
+        }
+    return nearest;
+}
+
+/* How much of px in the image before was not hidden by something nearer than `expected`: bilinear. */
 inline float share_seen(const float2 px, const float expected, const int width, const int height,
                         __global const float *previous_depth) {
-    if (!(px.x >= 0.0f && px.y >= 0.0f && px.x < (float)width && px.y < (float)height)) return 0.0f;
+    if (!within(px, width, height)) return 0.0f;
     const float2 corner = px - 0.5f, first = floor(corner), part = corner - first;
-    const int x = (int)first.x, y = (int)first.y;
-    const float nearest = isinf(expected) ? HUGE_DEPTH : (1.0f - SAME_DEPTH) * expected;
+    const float nearest = isinf(expected) ? MAXFLOAT : SAME_DEPTH * expected;
     float seen = 0.0f;
     for (int tap = 0; tap < 4; ++tap) {
-        const int i = clamp(y + (tap >> 1), 0, height - 1) * width + clamp(x + (tap & 1), 0, width - 1);
-        if (!(previous_depth[i] < nearest)) seen += bilinear_weight(tap, part.x, part.y);
+        const int x = clamp((int)first.x + (tap & 1), 0, width - 1), y = clamp((int)first.y + (tap >> 1), 0, height - 1);
+        if (!(previous_depth[y * width + x] < nearest)) seen += bilinear_weight(tap, part.x, part.y);
     }
     return seen;
 }
 
 /* Of each rendered pixel: where its surroundings were, and how far the history, seen there, is from what it shows. */
-__kernel void compare(const int target_width, const int target_height, const int source_width, const int source_height,
-                      const Reprojection to_previous, const float4 to_previous_display, const float exposure,
-                      const int has_history, __global const uint2 *color, __global const float *depth,
-                      __global const float2 *motion, __global const float *previous_depth, __global const uint2 *history,
-                      __global half *out_compressed, __global float2 *out_dilated, __global half *out_seen) {
+WHOLE_TEXELS __kernel void compare(
+    const int target_width, const int target_height, const int source_width, const int source_height,
+    const Reprojection to_previous, const float4 to_previous_display, const float exposure, const int has_history,
+    __global const half *color, __global const float *depth, __global const float2 *motion,
+    __global const float *previous_depth, __global const half *history, __global half *out_compressed,
+    __global float2 *out_dilated, __global half *out_seen) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= source_width || y >= source_height) return;
-    const int i = y * source_width + x;
-    int nearest = i;
-    float nearest_depth = INVALID_DEPTH(depth[i]) ? INFINITY : depth[i];
-    for (int k = 0; k < 9; ++k) {
-        const int near_x = clamp(x + k % 3 - 1, 0, source_width - 1), near_y = clamp(y + k / 3 - 1, 0, source_height - 1);
-        const int near = near_y * source_width + near_x;
-        if (depth[near] > 0.0f && depth[near] < nearest_depth) {
-            nearest = near;
-            nearest_depth = depth[near];
-        }
-    }
+    const int i = y * source_width + x, nearest = nearest_around(x, y, source_width, source_height, depth);
     const float2 centre = pixel_centre(nearest % source_width, nearest / source_width), moved = motion[nearest];
-    const float expected = reproject(centre, nearest_depth, to_previous).z;
     float seen = 0.0f;
-    if (has_history && isfinite(moved.x) && isfinite(moved.y))
+    if (has_history && !INVALID_DEPTH(depth[nearest])) {
+        const float expected = reproject(centre, depth[nearest], to_previous).z;
         seen = share_seen(centre + moved, expected, source_width, source_height, previous_depth);
-    const Ycocg c = compressed_of(load_rgb(color, i), exposure);
+    }
+    const float4 own = (float4)(load_color(color, i), 0.0f), here = compressed_of(own, exposure);
     float error = 0.0f;
     if (seen > 0.0f) {
         const float2 px_previous = mapped(pixel_centre(x, y) + moved, to_previous_display);
-        const Ycocg past = compressed_of(cubic_at(px_previous, target_width, target_height, history), exposure);
-        const float dy = c.y - past.y, d_o = c.o - past.o, dg = c.g - past.g;
-        error = dy * dy + d_o * d_o + dg * dg;
+        float4 low, high;
+        const float4 past = cubic_at(px_previous, target_width, target_height, history, &low, &high);
+        const float4 off = here - compressed_of(past, exposure);
+        const float4 beyond = here - compressed_of(smaller(larger(own, low), high), exposure);
+        error = PLAIN_ERROR * (off.x * off.x + off.y * off.y + off.z * off.z)
+                + (1.0f - PLAIN_ERROR) * (beyond.x * beyond.x + beyond.y * beyond.y + beyond.z * beyond.z);
     }
-    vstore_half4_rte((float4)(c.y, c.o, c.g, sqrt(error)), i, out_compressed);
+    vstore_half4_rte((float4)(here.xyz, sqrt(error)), i, out_compressed);
     out_dilated[i] = seen > 0.0f ? moved : (float2)(NAN);
     vstore_half_rte(seen, i, out_seen);
 }
 
 /* Colours around each rendered pixel, and how well the history foretold them. */
-__kernel void survey(const int source_width, const int source_height, __global const half *compressed,
-                     __global half *out_mean, __global half *out_deviation) {
+WHOLE_TEXELS __kernel void survey(const int source_width, const int source_height, __global const half *compressed,
+                                  __global half *out_mean, __global half *out_deviation) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= source_width || y >= source_height) return;
     const int i = y * source_width + x;
-    float4 sum = (float4)(0.0f), squares = (float4)(0.0f);
-    for (int k = 0; k < 9; ++k) {
-        const int near_x = clamp(x + k % 3 - 1, 0, source_width - 1), near_y = clamp(y + k / 3 - 1, 0, source_height - 1);
-        const float4 c = vload_half4(near_y * source_width + near_x, compressed);
-        sum += c;
-        squares += c * c;
-    }
+    const float16 a = four_texels(compressed, x - 1, y - 1, source_width, source_height),
+                  b = four_texels(compressed, x - 1, y, source_width, source_height),
+                  c = four_texels(compressed, x - 1, y + 1, source_width, source_height);
+    const float16 sums = a + b + c, squares = a * a + b * b + c * c;
     const float ninth = 1.0f / 9.0f;
-    const float4 mean = sum * ninth, variance = squares * ninth - mean * mean;
-    const float spread = most(variance.x, 0.0f) + most(variance.y, 0.0f) + most(variance.z, 0.0f);
-    const float off = divide(squares.w * ninth, spread + NOISE * NOISE);
+    const float4 mean = (sums.s0123 + sums.s4567 + sums.s89ab) * ninth;
+    const float4 square = (squares.s0123 + squares.s4567 + squares.s89ab) * ninth;
+    const float4 variance = larger(square - mean * mean, (float4)(0.0f));
+    const float error = sqrt(divide(square.w, variance.x + variance.y + variance.z + NOISE * NOISE));
     vstore_half4_rte((float4)(mean.xyz, 0.0f), i, out_mean);
-    vstore_half4_rte((float4)(sqrt(most(variance.x, 0.0f)), sqrt(most(variance.y, 0.0f)), sqrt(most(variance.z, 0.0f)),
-                              least(sqrt(off), 10.0f)), i, out_deviation);
+    vstore_half4_rte((float4)(sqrt(variance.xyz), least(error, 10.0f)), i, out_deviation);
 }
 
-/* Weight of a sample at (dx, dy) display pixels: 1 in the middle, 0 from REACH on. */
-inline float weight_1d(const float d) {
-    const float t = d * (1.0f / REACH), rest = most(1.0f - t * t, 0.0f);
+/* Weight of a sample at a distance, display pixels. */
+inline float weight_1d(const float distance) {
+    const float t = distance * (1.0f / REACH), rest = most(1.0f - t * t, 0.0f);
     return rest * rest;
 }
 
-inline float bounded(const float value, const float mean, const float deviation) {
-    return least(most(value, mean - deviation), mean + deviation);
-}
-
 /* The rendered frame into the history. */
-__kernel void accumulate(const int target_width, const int target_height, const int source_width, const int source_height,
-                         const float4 to_render, const float4 to_previous_display, const float exposure, const int has_history,
-                         __global const uint2 *color, __global const half *compressed, __global const float2 *dilated,
-                         __global const half *seen, __global const half *mean, __global const half *deviation, __global const uint2 *history,
-                         __global const half *weight, __global const uchar *lock, __global half *out_history,
-                         __global half *out_weight, __global uchar *out_lock, __global uchar *rejected) {
+WHOLE_TEXELS __kernel void accumulate(
+    const int target_width, const int target_height, const int source_width, const int source_height, const float4 to_render,
+    const float2 pixel_size, const float4 to_previous_display, const float exposure, const int has_history,
+    __global const half *compressed, __global const float2 *dilated, __global const half *seen, __global const half *mean,
+    __global const half *deviation, __global const half *history, __global const half *weight, __global const uchar *lock,
+    __global half *out_history, __global half *out_weight, __global uchar *out_lock, __global uchar *rejected) {
     const int dst_x = get_global_id(0), dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const int dst = dst_y * target_width + dst_x;
@@ -185,83 +181,62 @@ __kernel void accumulate(const int target_width, const int target_height, const 
     const int x = clamp((int)floor(px_render.x), 0, source_width - 1), y = clamp((int)floor(px_render.y), 0, source_height - 1);
     const int src = y * source_width + x;
 
-    /* Samples that fall near this pixel. */
-    const float2 size = (float2)(divide(1.0f, to_render.x), divide(1.0f, to_render.y));
-    float wx[3], wy[3];
-    for (int k = 0; k < 3; ++k) {
-        wx[k] = weight_1d(((float)(x + k) - 0.5f - px_render.x) * size.x);
-        wy[k] = weight_1d(((float)(y + k) - 0.5f - px_render.y) * size.y);
-    }
-    Ycocg sum = {0.0f, 0.0f, 0.0f};
-    float total = 0.0f;
-    for (int k = 0; k < 9; ++k) {
-        const float w = wx[k % 3] * wy[k / 3];
-        if (!(w > 0.0f)) continue;
-        const int near_x = clamp(x + k % 3 - 1, 0, source_width - 1), near_y = clamp(y + k / 3 - 1, 0, source_height - 1);
-        const Ycocg c = load_compressed(compressed, near_y * source_width + near_x);
-        sum.y += w * c.y;
-        sum.o += w * c.o;
-        sum.g += w * c.g;
-        total += w;
-    }
+    /* Samples near this pixel. */
+    const float2 off = (pixel_centre(x, y) - px_render) * pixel_size;  /* display pixels */
+    const float3 wx = (float3)(weight_1d(off.x - pixel_size.x), weight_1d(off.x), weight_1d(off.x + pixel_size.x));
+    const float3 wy = (float3)(weight_1d(off.y - pixel_size.y), weight_1d(off.y), weight_1d(off.y + pixel_size.y));
+    const float16 columns = wy.x * four_texels(compressed, x - 1, y - 1, source_width, source_height)
+                            + wy.y * four_texels(compressed, x - 1, y, source_width, source_height)
+                            + wy.z * four_texels(compressed, x - 1, y + 1, source_width, source_height);
+    float4 sum = wx.x * columns.s0123 + wx.y * columns.s4567 + wx.z * columns.s89ab;
+    float total = (wx.x + wx.y + wx.z) * (wy.x + wy.y + wy.z);
 
-    /* History, believed within what the samples around allow, and as far as it foretold them. */
+    /* History: believed as far as it foretold the samples around, within their colours. */
     const float2 px_previous = mapped(px_render + dilated[src], to_previous_display);
-    const bool known = has_history && px_previous.x >= 0.0f && px_previous.y >= 0.0f && px_previous.x < (float)target_width
-                       && px_previous.y < (float)target_height;
-    float held = FRESH_WEIGHT, locked = 0.0f, refused = 1.0f;
-    Ycocg past;
-    if (known) {
-        const float4 middle = vload_half4(src, mean), bounds = vload_half4(src, deviation);
+    float4 past, low, high;
+    float held = LEAST_WEIGHT, locked = 0.0f, believed = 0.0f;
+    if (has_history && within(px_previous, target_width, target_height)) {
+        const float4 middle = vload_half4(src, mean), around = vload_half4(src, deviation);
         const int near = (int)px_previous.y * target_width + (int)px_previous.x;
-        const float trust = least(most((WRONG - bounds.w) * (1.0f / (WRONG - RIGHT)), 0.0f), 1.0f) * vload_half(src, seen);
+        const float trust = least(most((WRONG - around.w) * (1.0f / (WRONG - RIGHT)), 0.0f), 1.0f) * vload_half(src, seen);
         locked = trust < 1.0f ? 0.0f : least((float)lock[near] + 1.0f, LOCK_FRAMES);
         const float spread = SPREAD + LOCKED_SPREAD * (locked * (1.0f / LOCK_FRAMES));
-        past = compressed_of(cubic_at(px_previous, target_width, target_height, history), exposure);
-        const Ycocg kept = {bounded(past.y, middle.x, spread * bounds.x + NOISE), bounded(past.o, middle.y, spread * bounds.y + NOISE),
-                            bounded(past.g, middle.z, spread * bounds.z + NOISE)};
-        const float off = fabs(kept.y - past.y) + fabs(kept.o - past.o) + fabs(kept.g - past.g);
-        const float believed = trust * most(1.0f - CLIPPED * off, 0.0f);
-        refused = 1.0f - believed;
-        held = most(least(vload_half(near, weight) * believed, MOST_WEIGHT), FRESH_WEIGHT);
-        past = kept;
+        const float4 room = spread * around + NOISE;
+        const float4 before = compressed_of(cubic_at(px_previous, target_width, target_height, history, &low, &high), exposure);
+        past = smaller(larger(before, middle - room), middle + room);
+        const float4 clipped = fabs(past - before);
+        believed = trust * most(1.0f - CLIPPED * (clipped.x + clipped.y + clipped.z), 0.0f);
+        held = least(most(vload_half(near, weight) * believed, LEAST_WEIGHT), MOST_WEIGHT);
     } else {
-        past = compressed_of(cubic_at(px_render, source_width, source_height, color), exposure);
+        past = cubic_at(px_render, source_width, source_height, compressed, &low, &high);
     }
-    const float all = held + total, part = divide(1.0f, all);
-    const Ycocg now = {(past.y * held + sum.y) * part, (past.o * held + sum.o) * part, (past.g * held + sum.g) * part};
-    const Rgb shown = expanded(now, exposure);
-    vstore_half4_rte((float4)(least(shown.r, COLOR_MAX), least(shown.g, COLOR_MAX), least(shown.b, COLOR_MAX), 0.0f), dst, out_history);
-    vstore_half_rte(least(all, MOST_WEIGHT), dst, out_weight);
+    total += held;
+    sum = (sum + held * past) * divide(1.0f, total);
+    vstore_half4_rte((float4)(expanded(sum, exposure).xyz, 0.0f), dst, out_history);
+    vstore_half_rte(least(total, MOST_WEIGHT), dst, out_weight);
     out_lock[dst] = (uchar)locked;
-    rejected[dst] = (uchar)(255.0f * refused + 0.5f);
+    rejected[dst] = (uchar)(255.0f * (1.0f - believed) + 0.5f);
 }
 
-/* A generated frame: history where its own fragments are, with what shading correction changed; else its own colour. */
-__kernel void generate(const int target_width, const int target_height, const float4 to_shown, __global const float *depth,
-                       __global const float2 *motion, __global const uchar *filled_by, __global const uchar *disoccluded,
-                       __global const uint2 *gae, __global const uint2 *color, __global const uint2 *history,
-                       __global half *out_color) {
+/* A generated frame: the history where its own fragments are seen, with what shading correction changed; else its own
+   colour. */
+WHOLE_TEXELS __kernel void generate(const int target_width, const int target_height, const float4 to_shown, const int corrected,
+                                    __global const float *depth, __global const float2 *motion,
+                                    __global const uchar *disoccluded, __global const half *gae, __global const half *color,
+                                    __global const half *history, __global half *out_color) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= target_width || y >= target_height) return;
     const int i = y * target_width + x;
-    const Rgb own = load_rgb(color, i);
-    int nearest = i;
-    for (int k = 0; k < 9; ++k) {
-        const int near_x = clamp(x + k % 3 - 1, 0, target_width - 1), near_y = clamp(y + k / 3 - 1, 0, target_height - 1);
-        const int near = near_y * target_width + near_x;
-        if (depth[near] < depth[nearest] && !disoccluded[near]) nearest = near;
+    float4 shown = (float4)(load_color(color, i), 0.0f);
+    if (!disoccluded[i]) {
+        const int nearest = nearest_around(x, y, target_width, target_height, depth);
+        const float2 centre = pixel_centre(nearest % target_width, nearest / target_width);
+        const float2 px_shown = pixel_centre(x, y) + (mapped(centre + motion[nearest], to_shown) - centre);
+        if (!disoccluded[nearest] && within(px_shown, target_width, target_height)) {
+            float4 low, high;
+            const float4 past = cubic_at(px_shown, target_width, target_height, history, &low, &high);
+            shown = corrected ? larger(past + (shown - (float4)(load_color(gae, i), 0.0f)), (float4)(0.0f)) : past;
+        }
     }
-    const float2 centre = pixel_centre(nearest % target_width, nearest / target_width);
-    const float2 px_shown = pixel_centre(x, y) + (mapped(centre + motion[nearest], to_shown) - centre);
-    const bool known = !disoccluded[i] && px_shown.x >= 0.0f && px_shown.y >= 0.0f
-                       && px_shown.x < (float)target_width && px_shown.y < (float)target_height;
-    Rgb made = own;
-    if (known) {
-        const Rgb before = load_rgb(gae, i), past = cubic_at(px_shown, target_width, target_height, history);
-        made.r = most(past.r + (own.r - before.r), 0.0f);
-        made.g = most(past.g + (own.g - before.g), 0.0f);
-        made.b = most(past.b + (own.b - before.b), 0.0f);
-    }
-    vstore_half4_rte((float4)(least(made.r, COLOR_MAX), least(made.g, COLOR_MAX), least(made.b, COLOR_MAX), 0.0f), i, out_color);
+    store_color(shown.xyz, out_color, i);
 }

@@ -73,7 +73,6 @@ class Upscaling(Stage):
             "accumulate",
             "target",
             {
-                "color": "rendered.color",
                 **{name: f"upscaling.{name}" for name in ("compressed", "dilated", "seen", "mean", "deviation")},
                 **{name: f"upscaling.{name}'" for name in ("history", "weight", "lock")},
             },
@@ -86,7 +85,7 @@ class Upscaling(Stage):
             "generate",
             "target",
             {
-                **{name: f"frame.{name}" for name in ("depth", "motion", "filled_by", "disoccluded")},
+                **{name: f"frame.{name}" for name in ("depth", "motion", "disoccluded")},
                 "gae": "frame.color",
                 "color": "",
                 "history": "upscaling.history",
@@ -109,9 +108,11 @@ class Upscaling(Stage):
         }
         self.launch("compare", to_previous=reprojection(frame.camera, before.camera), **shared)
         self.launch("survey")
-        self.launch("accumulate", to_render=mapping(frame.display_camera, frame.camera), **shared)
+        to_render = mapping(frame.display_camera, frame.camera)
+        self.launch("accumulate", to_render=to_render, pixel_size=1 / to_render[:2], **shared)
 
     def extrapolated(self, step: Step) -> None:
         frame, correction = step.frame, self.board.stages.get("correction")
         color = (correction or self.board.frame).buffer["color"]
-        self.launch("generate", to_shown=mapping(frame.camera, frame.display_camera), color=color)
+        to_shown = mapping(frame.camera, frame.display_camera)
+        self.launch("generate", to_shown=to_shown, corrected=int(correction is not None), color=color)
