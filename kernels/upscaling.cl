@@ -8,11 +8,10 @@
               depth, motion    render    its depth, and its motion into the render image before
               previous_depth   render    of the rendered frame before
    between    compressed       render    its colour, compressed; A: how far the history, seen there, was from it
-              dilated, seen    render    motion of the nearest surface around; share of that which was not hidden before
-              mean             render    of 3x3 compressed colours
+              dilated          render    motion of the nearest surface around; NaN where that was hidden before
+              mean             render    of 3x3 compressed colours; A: share of `dilated` that was not hidden before
               deviation        render    theirs; A: the error of the history around, in deviations
-   state      history          display   colour, linear: what is shown
-              weight           display   how many samples are behind it
+   state      history          display   colour, linear: what is shown; A: how many samples are behind it
               lock             display   frames in a row in which it foretold the samples
    out        rejected         display   which share of the history was not believed
               out_color        display   a generated frame, seen through the history                                       */
@@ -25,7 +24,7 @@
 #define REACH 1.1f            /* display pixels: from where on a sample does not count */
 #define MOST_WEIGHT 12.0f     /* of the history, in samples */
 #define LEAST_WEIGHT 0.2f     /* of what is shown until samples come */
-#define SPREAD 1.1f           /* deviations from the mean that a history may have */
+#define SPREAD 1.3f           /* deviations from the mean that a history may have */
 #define LOCKED_SPREAD 3.0f    /* more of them after LOCK_FRAMES: thin features that no sample met */
 #define LOCK_FRAMES 8.0f
 #define NOISE 0.01f           /* of compressed colours, beside their deviation */
@@ -63,13 +62,30 @@ inline float16 four_texels(__global const half *image, const int x, const int y,
                      vload_half4(row + clamp(x + 3, 0, width - 1), image));
 }
 
+/* Catmull-Rom weights of four taps, as in cubic.h but all at once. */
+inline float4 four_weights(const float t) {
+    return (((float4)(-0.5f, 1.5f, -1.5f, 0.5f) * t + (float4)(1.0f, -2.5f, 2.0f, -0.5f)) * t
+            + (float4)(-0.5f, 0.0f, 0.5f, 0.0f)) * t + (float4)(0.0f, 1.0f, 0.0f, 0.0f);
+}
+
 /* Cubic (Catmull-Rom) at px, clamped to `low` and `high` of the four inner taps. Of finite numbers. */
 inline float4 cubic_at(const float2 px, const int width, const int height, __global const half *image, float4 *low, float4 *high) {
     const float2 corner = px - 0.5f, first = floor(corner);
-    const float4 wx = cubic_weights(corner.x - first.x), wy = cubic_weights(corner.y - first.y);
+    const float4 wx = four_weights(corner.x - first.x), wy = four_weights(corner.y - first.y);
     const int x = (int)first.x - 1, y = (int)first.y - 1;
-    const float16 a = four_texels(image, x, y, width, height), b = four_texels(image, x, y + 1, width, height),
-                  c = four_texels(image, x, y + 2, width, height), d = four_texels(image, x, y + 3, width, height);
+    float16 a, b, c, d;
+    if (x >= 0 && y >= 0 && x + 4 <= width && y + 4 <= height) {
+        __global const half *p = image + 4 * (y * width + x);
+        a = vload_half16(0, p);
+        b = vload_half16(0, p + 4 * width);
+        c = vload_half16(0, p + 8 * width);
+        d = vload_half16(0, p + 12 * width);
+    } else {
+        a = four_texels(image, x, y, width, height);
+        b = four_texels(image, x, y + 1, width, height);
+        c = four_texels(image, x, y + 2, width, height);
+        d = four_texels(image, x, y + 3, width, height);
+    }
     const float16 columns = wy.x * a + wy.y * b + wy.z * c + wy.w * d;
     const float4 sum = wx.x * columns.s0123 + wx.y * columns.s4567 + wx.z * columns.s89ab + wx.w * columns.scdef;
     *low = smaller(smaller(b.s4567, b.s89ab), smaller(c.s4567, c.s89ab));
@@ -85,6 +101,11 @@ inline bool within(const float2 px, const int width, const int height) {
 inline int nearest_around(const int x, const int y, const int width, const int height, __global const float *depth) {
     const int i = y * width + x;
     float least_depth = INVALID_DEPTH(depth[i]) ? INFINITY : SAME_DEPTH * depth[i];
+    if (x >= 1 && y >= 1 && x + 3 <= width && y + 2 <= height) {  /* four at once; mostly there is none */
+        const float4 a = vload4(0, depth + i - width - 1), b = vload4(0, depth + i - 1), c = vload4(0, depth + i + width - 1);
+        const int4 nearer = (a > 0.0f & a < least_depth) | (b > 0.0f & b < least_depth) | (c > 0.0f & c < least_depth);
+        if (!any(nearer)) return i;
+    }
     int nearest = i;
     for (int near_y = max(y - 1, 0); near_y <= min(y + 1, height - 1); ++near_y)
         for (int near_x = max(x - 1, 0); near_x <= min(x + 1, width - 1); ++near_x) {
@@ -116,14 +137,15 @@ WHOLE_TEXELS __kernel void compare(
     const Reprojection to_previous, const float4 to_previous_display, const float exposure, const int has_history,
     __global const half *color, __global const float *depth, __global const float2 *motion,
     __global const float *previous_depth, __global const half *history, __global half *out_compressed,
-    __global float2 *out_dilated, __global half *out_seen) {
+    __global float2 *out_dilated, __global half *out_mean) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= source_width || y >= source_height) return;
     const int i = y * source_width + x, nearest = nearest_around(x, y, source_width, source_height, depth);
     const float2 centre = pixel_centre(nearest % source_width, nearest / source_width), moved = motion[nearest];
     float seen = 0.0f;
     if (has_history && !INVALID_DEPTH(depth[nearest])) {
-        const float expected = reproject(centre, depth[nearest], to_previous).z;
+        const float3 place = unproject(centre, depth[nearest], to_previous.source_inverse);
+        const float expected = isinf(depth[nearest]) ? INFINITY : move_to_target(place, to_previous).z;
         seen = share_seen(centre + moved, expected, source_width, source_height, previous_depth);
     }
     const float4 own = (float4)(load_color(color, i), 0.0f), here = compressed_of(own, exposure);
@@ -139,12 +161,12 @@ WHOLE_TEXELS __kernel void compare(
     }
     vstore_half4_rte((float4)(here.xyz, sqrt(error)), i, out_compressed);
     out_dilated[i] = seen > 0.0f ? moved : (float2)(NAN);
-    vstore_half_rte(seen, i, out_seen);
+    vstore_half4_rte((float4)(0.0f, 0.0f, 0.0f, seen), i, out_mean);
 }
 
 /* Colours around each rendered pixel, and how well the history foretold them. */
 WHOLE_TEXELS __kernel void survey(const int source_width, const int source_height, __global const half *compressed,
-                                  __global half *out_mean, __global half *out_deviation) {
+                                  __global half *mean, __global half *out_deviation) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= source_width || y >= source_height) return;
     const int i = y * source_width + x;
@@ -153,27 +175,27 @@ WHOLE_TEXELS __kernel void survey(const int source_width, const int source_heigh
                   c = four_texels(compressed, x - 1, y + 1, source_width, source_height);
     const float16 sums = a + b + c, squares = a * a + b * b + c * c;
     const float ninth = 1.0f / 9.0f;
-    const float4 mean = (sums.s0123 + sums.s4567 + sums.s89ab) * ninth;
+    const float4 middle = (sums.s0123 + sums.s4567 + sums.s89ab) * ninth;
     const float4 square = (squares.s0123 + squares.s4567 + squares.s89ab) * ninth;
-    const float4 variance = larger(square - mean * mean, (float4)(0.0f));
+    const float4 variance = larger(square - middle * middle, (float4)(0.0f));
     const float error = sqrt(divide(square.w, variance.x + variance.y + variance.z + NOISE * NOISE));
-    vstore_half4_rte((float4)(mean.xyz, 0.0f), i, out_mean);
+    vstore_half4_rte((float4)(middle.xyz, vload_half4(i, mean).w), i, mean);
     vstore_half4_rte((float4)(sqrt(variance.xyz), least(error, 10.0f)), i, out_deviation);
 }
 
-/* Weight of a sample at a distance, display pixels. */
-inline float weight_1d(const float distance) {
-    const float t = distance * (1.0f / REACH), rest = most(1.0f - t * t, 0.0f);
-    return rest * rest;
+/* Weights of three samples, `step` apart, the middle one at `off` display pixels. */
+inline float4 sample_weights(const float off, const float step) {
+    const float4 t = (off + (float4)(-1.0f, 0.0f, 1.0f, 0.0f) * step) * (1.0f / REACH), rest = larger(1.0f - t * t, (float4)(0.0f));
+    return rest * rest * (float4)(1.0f, 1.0f, 1.0f, 0.0f);
 }
 
 /* The rendered frame into the history. */
 WHOLE_TEXELS __kernel void accumulate(
     const int target_width, const int target_height, const int source_width, const int source_height, const float4 to_render,
     const float2 pixel_size, const float4 to_previous_display, const float exposure, const int has_history,
-    __global const half *compressed, __global const float2 *dilated, __global const half *seen, __global const half *mean,
-    __global const half *deviation, __global const half *history, __global const half *weight, __global const uchar *lock,
-    __global half *out_history, __global half *out_weight, __global uchar *out_lock, __global uchar *rejected) {
+    __global const half *compressed, __global const float2 *dilated, __global const half *mean,
+    __global const half *deviation, __global const half *history, __global const uchar *lock, __global half *out_history,
+    __global uchar *out_lock, __global uchar *rejected) {
     const int dst_x = get_global_id(0), dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const int dst = dst_y * target_width + dst_x;
@@ -183,8 +205,7 @@ WHOLE_TEXELS __kernel void accumulate(
 
     /* Samples near this pixel. */
     const float2 off = (pixel_centre(x, y) - px_render) * pixel_size;  /* display pixels */
-    const float3 wx = (float3)(weight_1d(off.x - pixel_size.x), weight_1d(off.x), weight_1d(off.x + pixel_size.x));
-    const float3 wy = (float3)(weight_1d(off.y - pixel_size.y), weight_1d(off.y), weight_1d(off.y + pixel_size.y));
+    const float4 wx = sample_weights(off.x, pixel_size.x), wy = sample_weights(off.y, pixel_size.y);
     const float16 columns = wy.x * four_texels(compressed, x - 1, y - 1, source_width, source_height)
                             + wy.y * four_texels(compressed, x - 1, y, source_width, source_height)
                             + wy.z * four_texels(compressed, x - 1, y + 1, source_width, source_height);
@@ -198,22 +219,22 @@ WHOLE_TEXELS __kernel void accumulate(
     if (has_history && within(px_previous, target_width, target_height)) {
         const float4 middle = vload_half4(src, mean), around = vload_half4(src, deviation);
         const int near = (int)px_previous.y * target_width + (int)px_previous.x;
-        const float trust = least(most((WRONG - around.w) * (1.0f / (WRONG - RIGHT)), 0.0f), 1.0f) * vload_half(src, seen);
+        const float trust = least(most((WRONG - around.w) * (1.0f / (WRONG - RIGHT)), 0.0f), 1.0f) * middle.w;
         locked = trust < 1.0f ? 0.0f : least((float)lock[near] + 1.0f, LOCK_FRAMES);
         const float spread = SPREAD + LOCKED_SPREAD * (locked * (1.0f / LOCK_FRAMES));
         const float4 room = spread * around + NOISE;
-        const float4 before = compressed_of(cubic_at(px_previous, target_width, target_height, history, &low, &high), exposure);
+        const float4 found = cubic_at(px_previous, target_width, target_height, history, &low, &high);
+        const float4 before = compressed_of(found, exposure);
         past = smaller(larger(before, middle - room), middle + room);
         const float4 clipped = fabs(past - before);
         believed = trust * most(1.0f - CLIPPED * (clipped.x + clipped.y + clipped.z), 0.0f);
-        held = least(most(vload_half(near, weight) * believed, LEAST_WEIGHT), MOST_WEIGHT);
+        held = least(most(found.w * believed, LEAST_WEIGHT), MOST_WEIGHT);
     } else {
         past = cubic_at(px_render, source_width, source_height, compressed, &low, &high);
     }
     total += held;
     sum = (sum + held * past) * divide(1.0f, total);
-    vstore_half4_rte((float4)(expanded(sum, exposure).xyz, 0.0f), dst, out_history);
-    vstore_half_rte(least(total, MOST_WEIGHT), dst, out_weight);
+    vstore_half4_rte((float4)(expanded(sum, exposure).xyz, least(total, MOST_WEIGHT)), dst, out_history);
     out_lock[dst] = (uchar)locked;
     rejected[dst] = (uchar)(255.0f * (1.0f - believed) + 0.5f);
 }
@@ -227,16 +248,17 @@ WHOLE_TEXELS __kernel void generate(const int target_width, const int target_hei
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= target_width || y >= target_height) return;
     const int i = y * target_width + x;
-    float4 shown = (float4)(load_color(color, i), 0.0f);
     if (!disoccluded[i]) {
         const int nearest = nearest_around(x, y, target_width, target_height, depth);
         const float2 centre = pixel_centre(nearest % target_width, nearest / target_width);
         const float2 px_shown = pixel_centre(x, y) + (mapped(centre + motion[nearest], to_shown) - centre);
         if (!disoccluded[nearest] && within(px_shown, target_width, target_height)) {
             float4 low, high;
-            const float4 past = cubic_at(px_shown, target_width, target_height, history, &low, &high);
-            shown = corrected ? larger(past + (shown - (float4)(load_color(gae, i), 0.0f)), (float4)(0.0f)) : past;
+            float4 shown = cubic_at(px_shown, target_width, target_height, history, &low, &high);
+            if (corrected) shown.xyz += load_color(color, i) - load_color(gae, i);
+            vstore_half4_rte((float4)(smaller(larger(shown, (float4)(0.0f)), (float4)(COLOR_MAX)).xyz, 0.0f), i, out_color);
+            return;
         }
     }
-    store_color(shown.xyz, out_color, i);
+    store_color(load_color(color, i), out_color, i);
 }

@@ -28,7 +28,6 @@ class Upscaling(Stage):
             "dilated", np.float32, XY, "source", "motion of the nearest surface around; NaN where that was not seen"
             " before", "motion",
         ),
-        BufferSpec("seen", np.float16, (), "source", "share of that which was not hidden before"),
         BufferSpec("mean", np.float16, _YCOCG, "source", "mean colour of 3×3 pixels, tone-mapped YCoCg", scratch=True),
         BufferSpec(
             "deviation", np.float16, _YCOCG, "source", "its standard deviation; A: a thin feature runs through",
@@ -38,7 +37,6 @@ class Upscaling(Stage):
             "history", np.float16, RGBA, "target", "the rendered frame as displayed: samples gathered over time",
             "color", kept=True,
         ),
-        BufferSpec("weight", np.float16, (), "target", "how many samples are behind the history", kept=True),
         BufferSpec("lock", np.uint8, (), "target", "frames for which a thin feature is kept", kept=True),
         BufferSpec("rejected", np.uint8, (), "target", "share of the history that was not believed, in 255ths"),
         BufferSpec(
@@ -60,24 +58,24 @@ class Upscaling(Stage):
             {
                 "out_compressed": "upscaling.compressed",
                 "out_dilated": "upscaling.dilated",
-                "out_seen": "upscaling.seen",
+                "out_mean": "upscaling.mean",
             },
         ),
         Kernel(
             "survey",
             "source",
-            {"compressed": "upscaling.compressed"},
-            {"out_mean": "upscaling.mean", "out_deviation": "upscaling.deviation"},
+            {"compressed": "upscaling.compressed", "mean": "upscaling.mean"},
+            {"mean": "upscaling.mean", "out_deviation": "upscaling.deviation"},
         ),
         Kernel(
             "accumulate",
             "target",
             {
-                **{name: f"upscaling.{name}" for name in ("compressed", "dilated", "seen", "mean", "deviation")},
-                **{name: f"upscaling.{name}'" for name in ("history", "weight", "lock")},
+                **{name: f"upscaling.{name}" for name in ("compressed", "dilated", "mean", "deviation")},
+                **{name: f"upscaling.{name}'" for name in ("history", "lock")},
             },
             {
-                **{f"out_{name}": f"upscaling.{name}" for name in ("history", "weight", "lock")},
+                **{f"out_{name}": f"upscaling.{name}" for name in ("history", "lock")},
                 "rejected": "upscaling.rejected",
             },
         ),
