@@ -35,7 +35,7 @@
 #define SAME_DEPTH 0.96f      /* relative depth from which on it is the same surface */
 
 inline float2 mapped(const float2 px, const float4 mapping) { return px * mapping.xy + mapping.zw; }
-inline float4 smaller(const float4 a, const float4 b) { return a < b ? a : b; }
+inline float4 smaller(const float4 a, const float4 b) { return a < b ? a : b; }  /* of numbers */
 inline float4 larger(const float4 a, const float4 b) { return a < b ? b : a; }
 inline float largest(const float4 c) { return most(c.x, most(c.y, c.z)); }
 
@@ -97,22 +97,22 @@ inline bool within(const float2 px, const int width, const int height) {
     return px.x >= 0.0f && px.y >= 0.0f && px.x < (float)width && px.y < (float)height;  /* not of NaN */
 }
 
-/* The nearest of the 3x3 pixels around, where that is of another surface than the pixel's own. */
-inline int nearest_around(const int x, const int y, const int width, const int height, __global const float *depth) {
+/* Where the nearest of the 3x3 pixels around is, if that is of another surface than the pixel's own. */
+inline int2 nearest_around(const int x, const int y, const int width, const int height, __global const float *depth) {
     const int i = y * width + x;
     float least_depth = INVALID_DEPTH(depth[i]) ? INFINITY : SAME_DEPTH * depth[i];
+    int2 nearest = (int2)(x, y);
     if (x >= 1 && y >= 1 && x + 3 <= width && y + 2 <= height) {  /* four at once; mostly there is none */
         const float4 a = vload4(0, depth + i - width - 1), b = vload4(0, depth + i - 1), c = vload4(0, depth + i + width - 1);
         const int4 nearer = (a > 0.0f & a < least_depth) | (b > 0.0f & b < least_depth) | (c > 0.0f & c < least_depth);
-        if (!any(nearer)) return i;
+        if (!any(nearer)) return nearest;
     }
-    int nearest = i;
     for (int near_y = max(y - 1, 0); near_y <= min(y + 1, height - 1); ++near_y)
         for (int near_x = max(x - 1, 0); near_x <= min(x + 1, width - 1); ++near_x) {
             const float z = depth[near_y * width + near_x];
             if (!(z > 0.0f && z < least_depth)) continue;
             least_depth = z;
-            nearest = near_y * width + near_x;
+            nearest = (int2)(near_x, near_y);
         }
     return nearest;
 }
@@ -140,8 +140,9 @@ WHOLE_TEXELS __kernel void compare(
     __global float2 *out_dilated, __global half *out_mean) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= source_width || y >= source_height) return;
-    const int i = y * source_width + x, nearest = nearest_around(x, y, source_width, source_height, depth);
-    const float2 centre = pixel_centre(nearest % source_width, nearest / source_width), moved = motion[nearest];
+    const int2 near = nearest_around(x, y, source_width, source_height, depth);
+    const int i = y * source_width + x, nearest = near.y * source_width + near.x;
+    const float2 centre = pixel_centre(near.x, near.y), moved = motion[nearest];
     float seen = 0.0f;
     if (has_history && !INVALID_DEPTH(depth[nearest])) {
         const float3 place = unproject(centre, depth[nearest], to_previous.source_inverse);
@@ -249,8 +250,9 @@ WHOLE_TEXELS __kernel void generate(const int target_width, const int target_hei
     if (x >= target_width || y >= target_height) return;
     const int i = y * target_width + x;
     if (!disoccluded[i]) {
-        const int nearest = nearest_around(x, y, target_width, target_height, depth);
-        const float2 centre = pixel_centre(nearest % target_width, nearest / target_width);
+        const int2 near = nearest_around(x, y, target_width, target_height, depth);
+        const int nearest = near.y * target_width + near.x;
+        const float2 centre = pixel_centre(near.x, near.y);
         const float2 px_shown = pixel_centre(x, y) + (mapped(centre + motion[nearest], to_shown) - centre);
         if (!disoccluded[nearest] && within(px_shown, target_width, target_height)) {
             float4 low, high;
