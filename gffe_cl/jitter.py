@@ -47,6 +47,15 @@ class Jitter:
         return replace(camera, cx=camera.cx - x, cy=camera.cy - y) if x or y else camera
 
 
+def without_jitter(camera: Camera, size: tuple[int, int]) -> Camera:
+    """`camera` of an image of `size` (width, height) as it was meant, where nobody tells: a principal point within a
+    pixel of the middle belongs there. Others are kept, as of windows."""
+    middle = size[0] / 2, size[1] / 2
+    if max(abs(camera.cx - middle[0]), abs(camera.cy - middle[1])) > 1:
+        return camera
+    return replace(camera, cx=middle[0], cy=middle[1])
+
+
 def _radical_inverse(number: int, base: int) -> float:
     value, digit = 0.0, 1.0 / base
     while number:
