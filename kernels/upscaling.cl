@@ -7,7 +7,7 @@
    in         color            render    the rendered frame
               depth, motion    render    its depth, and its motion into the render image before
               previous_depth   render    of the rendered frame before
-   between    compressed       render    its colour, compressed; A: how far the history, seen there, was from it
+   between    compressed       render    its colour, compressed; A: how far it is beyond the history around
               dilated          render    motion of the nearest surface around; NaN where that was hidden before
               mean             render    of 3x3 compressed colours; A: share of `dilated` that was not hidden before
               deviation        render    theirs; A: the error of the history around, in deviations
@@ -25,12 +25,11 @@
 #define MOST_WEIGHT 12.0f     /* of the history, in samples */
 #define LEAST_WEIGHT 0.2f     /* of what is shown until samples come */
 #define SPREAD 1.3f           /* deviations from the mean that a history may have */
-#define LOCKED_SPREAD 3.0f    /* more of them after LOCK_FRAMES: thin features that no sample met */
+#define LOCKED_ROOM 0.5f      /* compressed colour beside that, after LOCK_FRAMES: thin features that no sample meets now */
 #define LOCK_FRAMES 8.0f
 #define NOISE 0.01f           /* of compressed colours, beside their deviation */
-#define RIGHT 0.3f            /* deviations: error up to which the history is believed, and from which on it is not */
-#define WRONG 0.7f
-#define PLAIN_ERROR 0.2f      /* how much of an error counts that is within the colours around: edges have such */
+#define RIGHT 0.2f            /* deviations: error up to which the history is believed, and from which on it is not */
+#define WRONG 0.5f
 #define CLIPPED 4.0f          /* loss of belief by how much had to be clipped */
 #define SAME_DEPTH 0.96f      /* relative depth from which on it is the same surface */
 
@@ -68,8 +67,8 @@ inline float4 four_weights(const float t) {
             + (float4)(-0.5f, 0.0f, 0.5f, 0.0f)) * t + (float4)(0.0f, 1.0f, 0.0f, 0.0f);
 }
 
-/* Cubic (Catmull-Rom) at px, clamped to `low` and `high` of the four inner taps. Of finite numbers. */
-inline float4 cubic_at(const float2 px, const int width, const int height, __global const half *image, float4 *low, float4 *high) {
+/* Cubic (Catmull-Rom) at px, clamped to the four inner taps. Of finite numbers. */
+inline float4 cubic_at(const float2 px, const int width, const int height, __global const half *image) {
     const float2 corner = px - 0.5f, first = floor(corner);
     const float4 wx = four_weights(corner.x - first.x), wy = four_weights(corner.y - first.y);
     const int x = (int)first.x - 1, y = (int)first.y - 1;
@@ -88,9 +87,17 @@ inline float4 cubic_at(const float2 px, const int width, const int height, __glo
     }
     const float16 columns = wy.x * a + wy.y * b + wy.z * c + wy.w * d;
     const float4 sum = wx.x * columns.s0123 + wx.y * columns.s4567 + wx.z * columns.s89ab + wx.w * columns.scdef;
-    *low = smaller(smaller(b.s4567, b.s89ab), smaller(c.s4567, c.s89ab));
-    *high = larger(larger(b.s4567, b.s89ab), larger(c.s4567, c.s89ab));
-    return smaller(larger(sum, *low), *high);
+    const float4 low = smaller(smaller(b.s4567, b.s89ab), smaller(c.s4567, c.s89ab));
+    const float4 high = larger(larger(b.s4567, b.s89ab), larger(c.s4567, c.s89ab));
+    return smaller(larger(sum, low), high);
+}
+
+/* The least and the most of the 2x2 texels around px. */
+inline void range_around(const float2 px, const int width, const int height, __global const half *image, float4 *low, float4 *high) {
+    const int x = (int)floor(px.x - 0.5f), y = (int)floor(px.y - 0.5f);
+    const float16 a = four_texels(image, x, y, width, height), b = four_texels(image, x, y + 1, width, height);
+    *low = smaller(smaller(a.s0123, a.s4567), smaller(b.s0123, b.s4567));
+    *high = larger(larger(a.s0123, a.s4567), larger(b.s0123, b.s4567));
 }
 
 inline bool within(const float2 px, const int width, const int height) {
@@ -131,7 +138,7 @@ inline float share_seen(const float2 px, const float expected, const int width, 
     return seen;
 }
 
-/* Of each rendered pixel: where its surroundings were, and how far the history, seen there, is from what it shows. */
+/* Of each rendered pixel: where its surroundings were, and how far what it shows is from the history, seen there. */
 WHOLE_TEXELS __kernel void compare(
     const int target_width, const int target_height, const int source_width, const int source_height,
     const Reprojection to_previous, const float4 to_previous_display, const float exposure, const int has_history,
@@ -154,11 +161,9 @@ WHOLE_TEXELS __kernel void compare(
     if (seen > 0.0f) {
         const float2 px_previous = mapped(pixel_centre(x, y) + moved, to_previous_display);
         float4 low, high;
-        const float4 past = cubic_at(px_previous, target_width, target_height, history, &low, &high);
-        const float4 off = here - compressed_of(past, exposure);
-        const float4 beyond = here - compressed_of(smaller(larger(own, low), high), exposure);
-        error = PLAIN_ERROR * (off.x * off.x + off.y * off.y + off.z * off.z)
-                + (1.0f - PLAIN_ERROR) * (beyond.x * beyond.x + beyond.y * beyond.y + beyond.z * beyond.z);
+        range_around(px_previous, target_width, target_height, history, &low, &high);
+        const float4 off = here - compressed_of(smaller(larger(own, low), high), exposure);
+        error = off.x * off.x + off.y * off.y + off.z * off.z;
     }
     vstore_half4_rte((float4)(here.xyz, sqrt(error)), i, out_compressed);
     out_dilated[i] = seen > 0.0f ? moved : (float2)(NAN);
@@ -215,23 +220,22 @@ WHOLE_TEXELS __kernel void accumulate(
 
     /* History: believed as far as it foretold the samples around, within their colours. */
     const float2 px_previous = mapped(px_render + dilated[src], to_previous_display);
-    float4 past, low, high;
+    float4 past;
     float held = LEAST_WEIGHT, locked = 0.0f, believed = 0.0f;
     if (has_history && within(px_previous, target_width, target_height)) {
         const float4 middle = vload_half4(src, mean), around = vload_half4(src, deviation);
         const int near = (int)px_previous.y * target_width + (int)px_previous.x;
         const float trust = least(most((WRONG - around.w) * (1.0f / (WRONG - RIGHT)), 0.0f), 1.0f) * middle.w;
         locked = trust < 1.0f ? 0.0f : least((float)lock[near] + 1.0f, LOCK_FRAMES);
-        const float spread = SPREAD + LOCKED_SPREAD * (locked * (1.0f / LOCK_FRAMES));
-        const float4 room = spread * around + NOISE;
-        const float4 found = cubic_at(px_previous, target_width, target_height, history, &low, &high);
+        const float4 room = SPREAD * around + NOISE + LOCKED_ROOM * (locked * (1.0f / LOCK_FRAMES));
+        const float4 found = cubic_at(px_previous, target_width, target_height, history);
         const float4 before = compressed_of(found, exposure);
         past = smaller(larger(before, middle - room), middle + room);
         const float4 clipped = fabs(past - before);
         believed = trust * most(1.0f - CLIPPED * (clipped.x + clipped.y + clipped.z), 0.0f);
         held = least(most(found.w * believed, LEAST_WEIGHT), MOST_WEIGHT);
     } else {
-        past = cubic_at(px_render, source_width, source_height, compressed, &low, &high);
+        past = cubic_at(px_render, source_width, source_height, compressed);
     }
     total += held;
     sum = (sum + held * past) * divide(1.0f, total);
@@ -255,8 +259,7 @@ WHOLE_TEXELS __kernel void generate(const int target_width, const int target_hei
         const float2 centre = pixel_centre(near.x, near.y);
         const float2 px_shown = pixel_centre(x, y) + (mapped(centre + motion[nearest], to_shown) - centre);
         if (!disoccluded[nearest] && within(px_shown, target_width, target_height)) {
-            float4 low, high;
-            float4 shown = cubic_at(px_shown, target_width, target_height, history, &low, &high);
+            float4 shown = cubic_at(px_shown, target_width, target_height, history);
             if (corrected) shown.xyz += load_color(color, i) - load_color(gae, i);
             vstore_half4_rte((float4)(smaller(larger(shown, (float4)(0.0f)), (float4)(COLOR_MAX)).xyz, 0.0f), i, out_color);
             return;

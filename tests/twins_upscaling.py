@@ -109,11 +109,9 @@ def compare(color, depth, motion, depth_prev, history, to_previous, to_previous_
         px = mapped(centres(height, width) + moved, to_previous_display)
     own = load_color(color)
     here = compressed_of(own, exposure)
-    past, low, high = cubic_at(np.where((seen > 0)[..., None], px, F(1)), history)
-    off = here - compressed_of(past, exposure)
-    beyond = here - compressed_of(np.clip(own, low, high), exposure)
-    error = UP.PLAIN_ERROR * (off * off).sum(-1) + (F(1) - UP.PLAIN_ERROR) * (beyond * beyond).sum(-1)
-    error = np.where(seen > 0, np.sqrt(error), F(0))
+    _, low, high = cubic_at(np.where((seen > 0)[..., None], px, F(1)), history)
+    off = here - compressed_of(np.clip(own, low, high), exposure)
+    error = np.where(seen > 0, np.sqrt((off * off).sum(-1)), F(0))
     dilated = np.where((seen > 0)[..., None], moved, F(np.nan))
     return np.concatenate([here, error[..., None]], -1).astype(np.float16), dilated, seen.astype(np.float16)
 
@@ -163,7 +161,7 @@ def accumulate(size, to_render, to_previous_display, exposure, has_history, comp
     trust = np.clip((UP.WRONG - around[..., 3]) * (F(1) / (UP.WRONG - UP.RIGHT)), F(0), F(1)) * middle[..., 3]
     before = lock[at[..., 1].astype(int), at[..., 0].astype(int)].astype(F)
     locked = np.where(known & (trust >= 1), np.minimum(before + F(1), UP.LOCK_FRAMES), F(0))
-    room = (UP.SPREAD + UP.LOCKED_SPREAD * (locked / UP.LOCK_FRAMES))[..., None] * around[..., :3] + UP.NOISE
+    room = UP.SPREAD * around[..., :3] + UP.NOISE + (UP.LOCKED_ROOM * locked / UP.LOCK_FRAMES)[..., None]
     found, _, _ = cubic_at(at, history)
     past = compressed_of(found[..., :3], exposure)
     kept = np.minimum(np.maximum(past, middle[..., :3] - room), middle[..., :3] + room)
