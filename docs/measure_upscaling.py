@@ -161,7 +161,7 @@ def tables(measured: dict) -> dict[str, str]:
     return {
         "rendered": table(("scene", "bicubic", "bicubic of 8 samples", "upscaled", "gain over bicubic"), rendered),
         "generated": table(
-            ("scene", "GAE alone", "upscaled", "with true depth and motion", "lost to these, dB", "flicker, %"), generated
+            ("scene", "GAE alone", "upscaled", "true depth and motion", "lost to these, dB", "flicker, %"), generated
         ),
         "cost": table(("milliseconds", f"{'×'.join(map(str, measured['timed']))}, {measured['device']}"), costs),
     }  # fmt: skip

@@ -37,10 +37,11 @@ def render_sequence(
 ) -> int:
     """Render `frames` frames of `scene` at `fps` into the folder `output`; returns how many were written.
 
-    With `ground_truth`, also `per_frame` frames after each, with their own depth and motion (to the
-    rendered frame before), for measuring. `window` is "off", "fixed:FACTOR" or "adaptive": covering the frames in
-    between. `width` and `height` are the display's; rendered frames are `scale` times smaller each way, with textures
-    as fine as the display. `samples` per pixel: 8 if None, 1 of jittered frames. `compression` is that of the EXRs (see `SequenceWriter`). `on_frame` is called after every frame.
+    With `ground_truth`, also `per_frame` frames after each, with their own depth and motion (to the rendered frame
+    before), for measuring. `window` is "off", "fixed:FACTOR" or "adaptive": covering the frames in between. `width` and
+    `height` are the display's; rendered frames are `scale` times smaller each way, with textures as fine as the
+    display. `samples` per pixel: 8 if None, 1 of jittered frames. `compression` is that of the EXRs (see
+    `SequenceWriter`). `on_frame` is called after every frame.
     """
     if frames < 1:
         raise GffeError(f"--frames must be at least 1, got {frames}")

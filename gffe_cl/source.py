@@ -27,7 +27,6 @@ from gffe_cl.sequence.read_ahead import usable_cores
 from gffe_cl.stages.presentation import present
 from gffe_cl.window import WindowChooser
 
-
 JITTER_LENGTH = 16  # frames until built-in scenes repeat their jitter
 
 
@@ -67,9 +66,9 @@ class Source(Protocol):
 
 class Recorded:
     """A sequence on disk. Frames with overscan (render camera wider than the display camera) are taken as rendered
-    through a window; with `window` "off" only their display part is used, resampled on `device`. With `upscale` they are
-    shown so many times larger than they were rendered, and a principal point within a pixel of the middle is taken for
-    jitter where no display camera tells.
+    through a window; with `window` "off" only their display part is used, resampled on `device`. With `upscale` they
+    are shown so many times larger than they were rendered, and a principal point within a pixel of the middle is taken
+    for jitter where no display camera tells.
 
     Raises GffeError for other windows than that, for a sequence without rendered frames, and for one whose rendered
     frames have several sizes.

@@ -14,7 +14,7 @@ FLOORS = (
     ("errors",),
     ("files", "memory", "values", "conventions"),
     ("opencl", "camera", "inference", "metrics"),
-    ("frame", "window", "camera_path", "packing"),
+    ("frame", "window", "jitter", "camera_path", "packing"),
     ("buffers",),
     ("stage", "sequence", "scenes"),
     ("stages", "formats"),

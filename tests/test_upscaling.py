@@ -1,5 +1,5 @@
-"""Temporal anti-aliasing and upsampling: kernels against their twin, and what it promises: jitter that nothing takes for
-motion, pictures better than resampled ones, no shimmer, no ghosts, thin bars that stay."""
+"""Temporal anti-aliasing and upsampling: kernels against their twin, and what it promises: jitter that nothing takes
+for motion, pictures better than resampled ones, no shimmer, no ghosts, thin bars that stay."""
 
 import json
 from dataclasses import replace
@@ -69,7 +69,11 @@ def test_every_kernel_does_what_its_twin_does(device, size, render_size):
         last = before
         frame = scene.frame(render, k / 30, *render_size, last and (last.camera, last.time), reset=last is None)
         if k == 3:
-            for array, values in ((frame.depth, (np.nan, -1)), (frame.motion, (np.nan, 1e9)), (frame.color, (np.nan, np.inf))):
+            for array, values in (
+                (frame.depth, (np.nan, -1)),
+                (frame.motion, (np.nan, 1e9)),
+                (frame.color, (np.nan, np.inf)),
+            ):
                 for value in values:
                     array[rng.integers(render_size[1]), rng.integers(render_size[0])] = value
         frame = replace(frame, display_camera=shown)
@@ -255,7 +259,9 @@ def test_points_of_the_jitter():
 @pytest.mark.parametrize("text", ["halton", "halton:1", "halton:x", "sobol:4", "halton:2000", ""])
 def test_a_wrong_jitter_is_told(gffe, tmp_path, text):
     code, _, err = gffe("render", "corridor", tmp_path / "out", "--jitter", text)
-    assert code == 2 and err.startswith("error: jitter must be off or halton:LENGTH") and not (tmp_path / "out").exists()
+    assert (
+        code == 2 and err.startswith("error: jitter must be off or halton:LENGTH") and not (tmp_path / "out").exists()
+    )
 
 
 @pytest.fixture(scope="module")
@@ -266,8 +272,8 @@ def recorded(tmp_path_factory):
     from gffe_cl.cli.common import app
 
     folder = tmp_path_factory.mktemp("upscaling") / "small"
-    arguments = ["render", "corridor", folder, "--size", "91x61", "--frames", "4", "--jitter", "halton:16", "--scale", "1.5",
-                 "--ground-truth"]  # fmt: skip
+    arguments = ["render", "corridor", folder, "--size", "91x61", "--frames", "4"]
+    arguments += ["--jitter", "halton:16", "--scale", "1.5", "--ground-truth"]
     made = CliRunner().invoke(app, [str(a) for a in arguments])
     assert made.exit_code == 0, made.output
     return folder
@@ -280,7 +286,9 @@ def test_rendered_sequences_tell_sizes_and_jitter(recorded):
         assert sequence.size_of(entry) == (61, 41)
         small = entry.display_camera.scaled(61 / 91, 41 / 61)
         x, y = JITTER.offset(k)
-        assert (entry.render_camera.cx - small.cx, entry.render_camera.cy - small.cy) == pytest.approx((-x, -y), abs=0.01)
+        assert (entry.render_camera.cx - small.cx, entry.render_camera.cy - small.cy) == pytest.approx(
+            (-x, -y), abs=0.01
+        )
     assert sequence.read_color(sequence.ground_truth[0]).shape == (61, 91, 3)
     assert not sequence.warnings()
 

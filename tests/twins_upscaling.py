@@ -48,9 +48,7 @@ def cubic_at(px, image):
     def tap(i, j):
         return image[np.clip(y + j, 0, height - 1), np.clip(x + i, 0, width - 1)]
 
-    total = sum(
-        wy[j][..., None] * wx[i][..., None] * tap(i - 1, j - 1) for j in range(4) for i in range(4)
-    )
+    total = sum(wy[j][..., None] * wx[i][..., None] * tap(i - 1, j - 1) for j in range(4) for i in range(4))
     inner = np.stack([tap(i, j) for j in (0, 1) for i in (0, 1)])
     low, high = inner.min(0), inner.max(0)
     return np.clip(total, low, high), low, high
@@ -134,7 +132,9 @@ def _sample_weights(off, step):
     return rest * rest
 
 
-def accumulate(size, to_render, to_previous_display, exposure, has_history, compressed, dilated, mean, deviation, state):
+def accumulate(
+    size, to_render, to_previous_display, exposure, has_history, compressed, dilated, mean, deviation, state
+):
     """history (H, W, 4), lock (H, W), share of the history that is rejected (H, W) float; `mean` with what was seen as
     its fourth channel; `state`: history and lock before."""
     width, height = size

@@ -93,9 +93,7 @@ class SceneRenderer:
         Pixels over which textures are filtered: below 1 for frames that will be upscaled (engines: mip bias).
     """
 
-    def __init__(
-        self, device: Device, scene: Scene, width: int, height: int, samples: int = 8, footprint: float = 1.0
-    ):
+    def __init__(self, device: Device, scene: Scene, width: int, height: int, samples: int = 8, footprint: float = 1.0):
         if width < 1 or height < 1 or samples < 1:
             raise GffeError(f"scene renderer: width, height and samples must be ≥ 1, got {width}×{height}, {samples}")
         self.device, self.scene = device, scene

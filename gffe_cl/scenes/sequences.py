@@ -47,8 +47,8 @@ class SceneFrames:
         return self.scene.camera(time, *self.size)
 
     def render_camera(self, shown: Camera, before: RenderedFrame | None, number: int = 0) -> Camera:
-        """What to render frame `number` through after the rendered frame `before` (None: after a reset), so that `shown`
-        is seen."""
+        """What to render frame `number` through after the rendered frame `before` (None: after a reset), so that
+        `shown` is seen."""
         window = self.windows.choose(shown, before and before.shown_camera)
         return self.jitter.camera(window.camera(shown, self.size, self.render_size), number)
 
@@ -57,7 +57,7 @@ class SceneFrames:
         return self.renderer.render(time, camera, before and before.time, before and before.camera)
 
     def rendered(self, time: float, before: RenderedFrame | None = None, number: int = 0) -> RenderedFrame:
-        """The rendered frame at `time` after `before`, of host arrays; a reset without one. `number`: for the jitter."""
+        """The rendered frame at `time` after `before`, of host arrays; a reset without one. `number`: for jitter."""
         shown = self.display_camera(time)
         camera = self.render_camera(shown, before, number)
         image = self.image(time, camera, before).numpy()
@@ -65,7 +65,7 @@ class SceneFrames:
         return RenderedFrame(image.color, image.depth, image.motion, camera, time, shown, reset=before is None)
 
     def truth(self, time: float, before: RenderedFrame | None = None) -> SceneImage:
-        """What is shown at `time`, wherever rendered frames are; motion into what is rendered of `before`, in its pixels."""
+        """What is shown at `time`, wherever rendered frames are; motion into what was rendered of `before`."""
         assert self.size == (self._truths.width, self._truths.height)
         return self._truths.render(time, self.display_camera(time), before and before.time, before and before.camera)
 

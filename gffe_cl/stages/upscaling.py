@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pyopencl as cl
 
 from gffe_cl.buffers import RGBA, XY, BufferSpec
-from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stage import Access, Kernel, Stage, Step, reprojection
 from gffe_cl.stages.presentation import mapping
 
 _YCOCG = ("Y", "Co", "Cg", "A")
