@@ -17,7 +17,7 @@
               out_color        display   a generated frame, seen through the history                                       */
 
 #include "common.h"
-#include "cubic.h"
+#include "rgb.h"
 
 #define WHOLE_TEXELS __attribute__((vec_type_hint(float16)))  /* four texels at once: vectorised already */
 
@@ -61,7 +61,7 @@ inline float16 four_texels(__global const half *image, const int x, const int y,
                      vload_half4(row + clamp(x + 3, 0, width - 1), image));
 }
 
-/* Catmull-Rom weights of four taps, as in cubic.h but all at once. */
+/* Catmull-Rom weights of four taps. */
 inline float4 four_weights(const float t) {
     return (((float4)(-0.5f, 1.5f, -1.5f, 0.5f) * t + (float4)(1.0f, -2.5f, 2.0f, -0.5f)) * t
             + (float4)(-0.5f, 0.0f, 0.5f, 0.0f)) * t + (float4)(0.0f, 1.0f, 0.0f, 0.0f);
@@ -227,7 +227,7 @@ WHOLE_TEXELS __kernel void accumulate(
         const int near = (int)px_previous.y * target_width + (int)px_previous.x;
         const float trust = least(most((WRONG - around.w) * (1.0f / (WRONG - RIGHT)), 0.0f), 1.0f) * middle.w;
         locked = trust < 1.0f ? 0.0f : least((float)lock[near] + 1.0f, LOCK_FRAMES);
-        const float4 room = SPREAD * around + NOISE + LOCKED_ROOM * (locked * (1.0f / LOCK_FRAMES));
+        const float4 room = DEVIATIONS * around + NOISE + LOCKED_ROOM * (locked * (1.0f / LOCK_FRAMES));
         const float4 found = cubic_at(px_previous, target_width, target_height, history);
         const float4 before = compressed_of(found, exposure);
         past = smaller(larger(before, middle - room), middle + room);

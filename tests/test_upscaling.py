@@ -12,6 +12,7 @@ from synthetic import Rect, Rects, camera
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import RenderedFrame
 from gffe_cl.jitter import Jitter, without_jitter
+from gffe_cl.opencl.device import list_devices, open_info
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
@@ -358,3 +359,16 @@ def test_pipelines_refuse_nothing_of_odd_sizes(device):
 def test_options_refuse_what_is_between_off_and_one():
     with pytest.raises(GffeError, match="upscaling must be 0"):
         Options(upscale=0.25)
+
+
+def test_all_devices_give_the_same_bits():
+    """Of all that is kept, and of generated frames."""
+    made = []
+    for info in (info for info in list_devices() if info.works):
+        pipeline = pipeline_for(open_info(info))
+        for frame in frames(MOVING, 5, still=False):
+            pipeline.submit(frame)
+        stage = pipeline.stages["upscaling"]
+        kept = [stage.read(name).tobytes() for name in ("history", "lock", "rejected", "deviation")]
+        made.append([*kept, pipeline.extrapolate(path(5, still=False), 4.5 / 30).numpy("color").tobytes()])
+    assert all(other == made[0] for other in made[1:])

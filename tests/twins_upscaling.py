@@ -161,7 +161,7 @@ def accumulate(
     trust = np.clip((UP.WRONG - around[..., 3]) * (F(1) / (UP.WRONG - UP.RIGHT)), F(0), F(1)) * middle[..., 3]
     before = lock[at[..., 1].astype(int), at[..., 0].astype(int)].astype(F)
     locked = np.where(known & (trust >= 1), np.minimum(before + F(1), UP.LOCK_FRAMES), F(0))
-    room = UP.SPREAD * around[..., :3] + UP.NOISE + (UP.LOCKED_ROOM * locked / UP.LOCK_FRAMES)[..., None]
+    room = UP.DEVIATIONS * around[..., :3] + UP.NOISE + (UP.LOCKED_ROOM * locked / UP.LOCK_FRAMES)[..., None]
     found, _, _ = cubic_at(at, history)
     past = compressed_of(found[..., :3], exposure)
     kept = np.minimum(np.maximum(past, middle[..., :3] - room), middle[..., :3] + room)
