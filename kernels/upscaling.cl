@@ -24,7 +24,7 @@
 #define REACH 1.1f            /* display pixels: from where on a sample does not count */
 #define MOST_WEIGHT 12.0f     /* of the history, in samples */
 #define LEAST_WEIGHT 0.2f     /* of what is shown until samples come */
-#define SPREAD 1.3f           /* deviations from the mean that a history may have */
+#define DEVIATIONS 1.3f         /* deviations from the mean that a history may have */
 #define LOCKED_ROOM 0.5f      /* compressed colour beside that, after LOCK_FRAMES: thin features that no sample meets now */
 #define LOCK_FRAMES 8.0f
 #define NOISE 0.01f           /* of compressed colours, beside their deviation */
