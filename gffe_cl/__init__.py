@@ -67,6 +67,7 @@ _HOME = {
     "adaptive_window": "window",
     "fixed_window": "window",
     "nearest_depth": "window",
+    "Jitter": "jitter",
 }
 
 __all__ = ["__version__", *_HOME]

@@ -160,6 +160,10 @@ class Options:
         True, "soft silhouettes", "Edges of what moves over something else stay antialiased; off: as the warp leaves"
         " them, as in the paper.", flag="--no-soft-silhouettes",
     )  # fmt: skip
+    upscale: float = _option(
+        0.0, "upscaling", "Display pixels per rendered pixel, each way: jittered frames are gathered over time, new"
+        " ones seen through that. 1: anti-aliasing only; 0: off.", low=0.0, high=3.0, off=0.0, flag="--upscale",
+    )  # fmt: skip
     overlays: bool = _option(
         True, "overlays", "Pixels that stay in place, effects and user interface, where rendered frames bring them.",
         flag="--no-overlays",
@@ -190,6 +194,10 @@ class Options:
     def __post_init__(self):
         for name, option in OPTIONS.items():
             object.__setattr__(self, name, option.checked(getattr(self, name)))
+        if 0 < self.upscale < 1:
+            raise GffeError(
+                f"options: upscaling must be 0 (off) or 1 to {OPTIONS['upscale'].high:g}, got {self.upscale:g}"
+            )
         if self.order >= self.history:
             raise GffeError(f"options: order must be 1 to history − 1 = {self.history - 1}, got {self.order}")
 

@@ -23,6 +23,7 @@ from gffe_cl.frame import (
     pack_frame,
     require_one_pose,
 )
+from gffe_cl.jitter import without_jitter
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.faults import device_faults, telling_device_faults
 from gffe_cl.options import Options
@@ -42,6 +43,7 @@ from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import ShadingInputs
 from gffe_cl.stages.silhouettes import Silhouettes
 from gffe_cl.stages.surfaces import Surfaces
+from gffe_cl.stages.upscaling import Upscaling
 from gffe_cl.stages.warp import Warp
 from gffe_cl.values import require_exposure
 
@@ -110,6 +112,7 @@ STAGES: tuple[type[Stage], ...] = (
     Silhouettes,
     ShadingInputs,
     ShadingCorrection,
+    Upscaling,
 )
 
 
@@ -239,7 +242,7 @@ class Pipeline:
             self._previous, self.board.previous = None, self._current
         self._times = [frame.time, *self._times[:MAX_ORDER]]
         self._path = [on_device.display_camera, *self._path[: POSES - 1]]
-        step = Step(self._current, self._previous, self._times)
+        step = Step(self._current, self._previous, self._times, exposure=self.exposure)
         for stage in self.stages.values():
             stage.swap()
         self.board.lend()
@@ -253,15 +256,22 @@ class Pipeline:
         """What is shown of the last submitted frame; resamples it where it was rendered through a window, or where the
         frame before was and motion must be converted. Returns at once. Raises GffeError before the first `submit`."""
         self._need_frame()
-        frame = self._shown
+        frame, upscaling = self._shown, self.stages.get(Upscaling.name)
         if self._needs_presentation:
-            self.presentation.present(frame, self._previous)
+            self.presentation.present(frame, self._previous, with_color=upscaling is None)
             color, depth, motion = (self.presentation.buffer[name] for name in ("color", "depth", "motion"))
         else:
             color, depth, motion = frame.buffers
+        if upscaling:
+            color = upscaling.buffer["history"]
         if self._has_overlays:
             color = self.composition.compose(color, 0.0, rendered=True)
         return PresentedFrame(frame.display_camera, frame.time, color, depth, motion, self.device, self.sizes.target)
+
+    @property
+    def shown_camera(self) -> Camera:
+        """The display camera of the last submitted frame. Raises GffeError before the first `submit`."""
+        return self._need_frame().display_camera
 
     @property
     def _has_overlays(self) -> bool:
@@ -275,7 +285,7 @@ class Pipeline:
         return self.sizes.source == self.sizes.target and is_shown_whole(frame.camera, frame.display_camera)
 
     def _on_device(self, frame: RenderedFrame, packed: PackedFrame | None) -> DeviceFrame:
-        display_camera = display_camera_of(frame, self.sizes.source, self.sizes.target)
+        display_camera = self._display_camera(frame)
         require_one_pose(frame.camera, display_camera)
         given = [as_buffer(array) for array in (frame.color, frame.depth, frame.motion)]
         width, height = self.sizes.source
@@ -300,6 +310,12 @@ class Pipeline:
         slot = self._slots[-1]
         slot.upload(self.device, packed)
         return DeviceFrame(*slot.buffers, frame.camera, display_camera, frame.time)
+
+    def _display_camera(self, frame: RenderedFrame) -> Camera:
+        if self.options.upscale and frame.display_camera is None:
+            frame = replace(frame, camera=without_jitter(frame.camera, self.sizes.source))
+            return frame.camera.scaled(*(t / s for s, t in zip(self.sizes.source, self.sizes.target, strict=True)))
+        return display_camera_of(frame, self.sizes.source, self.sizes.target)
 
     # ---- extrapolated frames ---------------------------------------------------------------------------
 
@@ -350,8 +366,8 @@ class Pipeline:
             if stage.name in self._outputs:
                 self._outputs[stage.name].keep(self.board.frame.buffer)
         made = self.board.frame.buffer
-        correction = self.stages.get(ShadingCorrection.name)
-        color = correction.buffer["color"] if correction else made["color"]
+        last = next((self.stages[s.name] for s in (Upscaling, ShadingCorrection) if s.name in self.stages), None)
+        color = (last.buffer if last else made)["color"]
         if self._has_overlays:
             color = self.composition.compose(color, alpha)
         return ExtrapolatedFrame(

@@ -9,12 +9,15 @@ from pathlib import Path
 from gffe_cl.cluster import Cluster, device_of_worker
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import RenderedFrame
+from gffe_cl.jitter import Jitter
 from gffe_cl.opencl.device import Device
 from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
 from gffe_cl.sequence.exr import DEFAULT_COMPRESSION
 from gffe_cl.source import rendered_entry
 from gffe_cl.window import WindowChooser
+
+_MOST_SCALE = 4
 
 
 def render_sequence(
@@ -28,19 +31,23 @@ def render_sequence(
     *,
     ground_truth: bool = False,
     per_frame: int = 1,
-    samples: int = 8,
+    samples: int | None = None,
     window: str = "off",
+    jitter: Jitter | None = None,
+    scale: float = 1.0,
     compression: str = DEFAULT_COMPRESSION,
     cluster: Cluster | None = None,
     on_frame: Callable[[], None] = lambda: None,
 ) -> int:
     """Render `frames` frames of `scene` at `fps` into the folder `output`; returns how many were written.
 
-    With `ground_truth`, also `per_frame` frames after each, with their own depth and motion (to the
-    rendered frame before), for measuring. `window` is "off", "fixed:FACTOR" or "adaptive": covering the frames in
-    between. `compression` is that of the EXRs (see `SequenceWriter`). With a `cluster` its workers render what is
-    written here, each on the device that GFFE_DEVICE chooses there; `device` may be None, and windows not adaptive,
-    because these follow from frame to frame. `on_frame` is called after every frame. Raises GffeError.
+    With `ground_truth`, also `per_frame` frames after each, with their own depth and motion (to the rendered frame
+    before), for measuring. `window` is "off", "fixed:FACTOR" or "adaptive": covering the frames in between. `width` and
+    `height` are the display's; rendered frames are `scale` times smaller each way, with textures as fine as the
+    display. `samples` per pixel: 8 if None, 1 of jittered frames. `compression` is that of the EXRs (see
+    `SequenceWriter`). With a `cluster` its workers render what is written here, each on the device that GFFE_DEVICE
+    chooses there; `device` may be None, and windows not adaptive, because these follow from frame to frame. `on_frame`
+    is called after every frame. Raises GffeError.
     """
     if frames < 1:
         raise GffeError(f"--frames must be at least 1, got {frames}")
@@ -51,8 +58,12 @@ def render_sequence(
     if cluster and window == "adaptive":
         raise GffeError("--window adaptive follows from frame to frame (expected off or fixed with --scheduler)")
     alphas = [j / (per_frame + 1) for j in range(1, per_frame + 1)]
+    if not 1 <= scale <= _MOST_SCALE:
+        raise GffeError(f"--scale must be 1 to {_MOST_SCALE}, got {scale:g}")
     WindowChooser(window, (width, height), alphas)
-    job = _Job(scene, width, height, fps, tuple(alphas), ground_truth, samples, window)
+    jitter = jitter or Jitter()
+    samples = samples or (1 if jitter.length > 1 else 8)
+    job = _Job(scene, (width, height), fps, tuple(alphas), ground_truth, samples, window, jitter, scale)
     writing = SequenceWriter(
         output, width, height, fps, scene.exposure, generator="gffe-cl render", compression=compression
     )
@@ -66,17 +77,23 @@ def render_sequence(
 @dataclass(frozen=True)
 class _Job:
     scene: Scene
-    width: int
-    height: int
+    size: tuple[int, int]  # of the display
     fps: float
     alphas: tuple[float, ...]
     ground_truth: bool
     samples: int
     window: str
+    jitter: Jitter
+    scale: float
 
     def frames(self, device: Device) -> SceneFrames:
-        renderer = SceneRenderer(device, self.scene, self.width, self.height, self.samples)
-        return SceneFrames(renderer, WindowChooser(self.window, (self.width, self.height), self.alphas))
+        small = tuple(max(round(n / self.scale), 1) for n in self.size)
+        renderer = SceneRenderer(device, self.scene, *small, self.samples, 1 / self.scale)
+        is_apart = self.ground_truth and (self.scale > 1 or self.jitter.length > 1)
+        truths = SceneRenderer(device, self.scene, *self.size, 8) if is_apart else None
+        return SceneFrames(
+            renderer, WindowChooser(self.window, self.size, self.alphas), self.size, self.jitter, truths
+        )
 
 
 def _here(job: _Job, count: int, device: Device) -> Iterator[tuple[FrameEntry, dict]]:
@@ -92,13 +109,13 @@ def _on_workers(job: _Job, count: int, cluster: Cluster) -> Iterator[tuple[Frame
 
 def _frame_on_worker(job: _Job, k: int) -> list[tuple[FrameEntry, dict]]:
     made = job.frames(device_of_worker(None))
-    before = made.unrendered((k - 1) * (1.0 / job.fps)) if k else None
-    return list(_written(job, made, k, made.rendered(k * (1.0 / job.fps), before)))
+    before = made.unrendered((k - 1) * (1.0 / job.fps), k - 1) if k else None
+    return list(_written(job, made, k, made.rendered(k * (1.0 / job.fps), before, k)))
 
 
 def _written(job: _Job, made: SceneFrames, k: int, frame: RenderedFrame) -> Iterator[tuple[FrameEntry, dict]]:
     """What is written of frame `k`: itself, and the truth after it."""
-    yield rendered_entry(k, frame), named_channels(frame.color, frame.depth, frame.motion)
+    yield rendered_entry(k, frame, job.size), named_channels(frame.color, frame.depth, frame.motion)
     for alpha in job.alphas if job.ground_truth else ():
         time = (k + alpha) * (1.0 / job.fps)
         image = made.truth(time, frame).numpy()

@@ -17,7 +17,7 @@ from gffe_cl.errors import GffeError
 from gffe_cl.frame import BadPixels
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
-from gffe_cl.pipeline import ExtrapolatedFrame, Pipeline
+from gffe_cl.pipeline import ExtrapolatedFrame, Pipeline, PresentedFrame
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
 from gffe_cl.sequence.exr import DEFAULT_COMPRESSION, codec_seconds, write_channels
 from gffe_cl.source import Source
@@ -101,7 +101,10 @@ def run_sequence(
             if pipeline.is_cut:
                 report.cuts.append(entry.file)
                 entry = replace(entry, reset=True)
-            source.store(writer, entry, frame)
+            if options.upscale:
+                writer.add(*shown_frame(entry, pipeline.present(), frame.color.dtype), owned=True)
+            else:
+                source.store(writer, entry, frame)
             if dump_stages:
                 pipeline.present()
             times = [frame.time + alpha * pipeline.interval for alpha in alphas]
@@ -120,7 +123,7 @@ def run_sequence(
                     dump_buffers(pipeline, writer.folder("stages") / Path(made.file).stem)
                 writer.add(
                     made,
-                    output_channels(extrapolated, frame.camera, frame.shown_camera, frame.color.dtype),
+                    output_channels(extrapolated, frame.camera, pipeline.shown_camera, frame.color.dtype),
                     owned=True,
                 )
                 report.extrapolated += 1
@@ -139,6 +142,14 @@ def run_sequence(
         "codec_cpu": codec_seconds() - codec,
     }
     return report
+
+
+def shown_frame(entry: FrameEntry, shown: PresentedFrame, color_dtype) -> tuple[FrameEntry, dict[str, np.ndarray]]:
+    """What is written of a rendered frame that was upscaled: as displayed, with motion between displayed images."""
+    entry = replace(entry, render_size=None, render_camera=shown.camera, display_camera=None)
+    dtype = np.float32 if color_dtype == np.float32 else np.float16
+    color = shown.numpy("color").astype(dtype, copy=False)
+    return entry, named_channels(color, shown.numpy("depth"), _rounded(shown.numpy("motion")))
 
 
 def _network_warnings(pipeline: Pipeline) -> list[str]:

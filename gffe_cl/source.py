@@ -11,7 +11,8 @@ import numpy as np
 
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
-from gffe_cl.frame import PackedFrame, RenderedFrame, pack_frame
+from gffe_cl.frame import PackedFrame, RenderedFrame, display_camera_of, pack_frame
+from gffe_cl.jitter import Jitter, without_jitter
 from gffe_cl.opencl.device import Device
 from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer
 from gffe_cl.sequence import (
@@ -25,6 +26,8 @@ from gffe_cl.sequence import (
 from gffe_cl.sequence.read_ahead import usable_cores
 from gffe_cl.stages.presentation import present
 from gffe_cl.window import WindowChooser
+
+JITTER_LENGTH = 16  # frames until built-in scenes repeat their jitter
 
 
 class Source(Protocol):
@@ -63,13 +66,15 @@ class Source(Protocol):
 
 class Recorded:
     """A sequence on disk. Frames with overscan (render camera wider than the display camera) are taken as rendered
-    through a window; with `window` "off" only their display part is used, resampled on `device`.
+    through a window; with `window` "off" only their display part is used, resampled on `device`. With `upscale` they
+    are shown so many times larger than they were rendered, and a principal point within a pixel of the middle is taken
+    for jitter where no display camera tells.
 
     Raises GffeError for other windows than that, for a sequence without rendered frames, and for one whose rendered
     frames have several sizes.
     """
 
-    def __init__(self, sequence: Sequence, device: Device, window: str | None = None):
+    def __init__(self, sequence: Sequence, device: Device, window: str | None = None, upscale: float = 0.0):
         if window not in (None, "off"):
             raise GffeError(
                 f"--window {window}: only built-in scenes are rendered through a chosen window, {sequence.path} is a"
@@ -82,13 +87,43 @@ class Recorded:
         size = (self.width, self.height)
         whole = stored == size and all(e.display_camera == e.render_camera for e in sequence.rendered)
         self._cut = window == "off" and not whole
+        self._upscale = upscale
+        if upscale:
+            self._enlarge(stored, upscale)
         self.render_size = size if self._cut else stored
         self._numbers = dict(zip((e.file for e in sequence.rendered), _numbers(sequence.rendered), strict=True))
         self._missed = ""  # the first truth that a new frame missed by little
 
+    def _enlarge(self, stored: tuple[int, int], upscale: float) -> None:
+        """The display, where it has the size of the rendered frames; else it must be as many times larger."""
+        sequence, recorded = self.sequence, (self.sequence.width, self.sequence.height)
+        if self._cut:
+            raise GffeError(f"--upscale {upscale:g} and --window off exclude each other for {sequence.path}")
+        if stored == recorded:
+            self.width, self.height = (round(n * upscale) for n in recorded)
+        elif any(abs(n / upscale - r) > 1 for n, r in zip(recorded, stored, strict=True)):
+            raise GffeError(
+                f"{sequence.path}: frames of {stored[0]}×{stored[1]} for a display of {recorded[0]}×{recorded[1]}"
+                f" (expected --upscale {recorded[0] / stored[0]:.3g}, got {upscale:g})"
+            )
+
+    def _shown(self, camera: Camera) -> Camera:
+        """A display camera of the sequence, in pixels of what is shown."""
+        return camera.scaled(self.width / self.sequence.width, self.height / self.sequence.height)
+
+    def _upscaled(self, frame: RenderedFrame) -> RenderedFrame:
+        """With the display camera of what is shown."""
+        size = self.sequence.width, self.sequence.height
+        told = frame.shown_camera
+        if told.intrinsics == display_camera_of(replace(frame, display_camera=None), self.render_size, size).intrinsics:
+            told = without_jitter(told, size)
+        return replace(frame, display_camera=self._shown(told))
+
     def frames(self, alphas, strict):
         def read(entry: FrameEntry):
             frame = self.sequence.read(entry)
+            if self._upscale:
+                frame = self._upscaled(frame)
             packed = pack_frame(frame, *np.shape(frame.depth))
             if strict:
                 require_clean(entry.file, packed.bad)
@@ -119,7 +154,7 @@ class Recorded:
     def cameras_at(self, times):
         cameras = [self.sequence.camera_at(time) for time in times]
         if all(cameras):
-            return cameras
+            return [self._shown(camera) for camera in cameras] if self._upscale else cameras
         for time in times:
             self._missed = self._missed or self.sequence.near_miss("ground_truth", time) or ""
         return None
@@ -136,20 +171,35 @@ class Recorded:
 
 
 class Live:
-    """`count` frames of a built-in scene, rendered through `window` ("adaptive", "fixed:FACTOR" or "off")."""
+    """`count` frames of a built-in scene, rendered through `window` ("adaptive", "fixed:FACTOR" or "off").
 
-    def __init__(self, scene: Scene, device: Device, width: int, height: int, count: int, fps: float, window="off"):
+    With `upscale` the frames are so many times smaller than the display, and jittered.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        device: Device,
+        width: int,
+        height: int,
+        count: int,
+        fps: float,
+        window="off",
+        upscale: float = 0.0,
+    ):
         if count < 1 or not 0 < fps < float("inf"):
             raise GffeError(f"a built-in scene needs at least 1 frame and positive fps, got {count} and {fps:g}")
         self.scene, self.width, self.height, self.count, self.fps = scene, width, height, count, fps
-        self.render_size, self.exposure, self._window = (width, height), scene.exposure, window
-        WindowChooser(window, self.render_size, [])
-        self._renderer = SceneRenderer(device, scene, width, height)
+        self.exposure, self._window = scene.exposure, window
+        WindowChooser(window, (width, height), [])
+        self._renderer, self._jitter = jittered_renderer(device, scene, (width, height), upscale)
+        self.render_size = self._renderer.width, self._renderer.height
 
     def frames(self, alphas, strict):
-        made = SceneFrames(self._renderer, WindowChooser(self._window, self.render_size, alphas))
+        size = self.width, self.height
+        made = SceneFrames(self._renderer, WindowChooser(self._window, size, alphas), size, self._jitter)
         for k, frame in enumerate(made.sequence(self.count, self.fps)):
-            yield rendered_entry(k, frame), frame, pack_frame(frame, self.height, self.width)
+            yield rendered_entry(k, frame, size), frame, pack_frame(frame, *reversed(self.render_size))
 
     def store(self, writer, entry, frame):
         writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
@@ -167,10 +217,23 @@ class Live:
         return []
 
 
-def rendered_entry(number: int, frame: RenderedFrame) -> FrameEntry:
-    """What describes a rendered frame of display size in a sequence on disk."""
+def jittered_renderer(
+    device: Device, scene: Scene, size: tuple[int, int], upscale: float, samples: int | None = None
+) -> tuple[SceneRenderer, Jitter]:
+    """What renders frames of `scene` for upscaling to a display of `size`: small ones of a sample per pixel, with
+    textures as fine as the display, and jitter. With `upscale` 0 frames of the display's size, without."""
+    if not upscale:
+        return SceneRenderer(device, scene, *size, samples or 8), Jitter()
+    small = (max(round(n / upscale), 1) for n in size)
+    return SceneRenderer(device, scene, *small, samples or 1, 1 / upscale), Jitter(JITTER_LENGTH)
+
+
+def rendered_entry(number: int, frame: RenderedFrame, size: tuple[int, int]) -> FrameEntry:
+    """What describes a rendered frame in a sequence on disk, for a display of `size`."""
+    height, width = np.shape(frame.depth)
+    render_size = (width, height) if (width, height) != size else None
     cameras = {"render_camera": frame.camera, "display_camera": frame.display_camera}
-    return FrameEntry(f"frame_{number:06d}.exr", frame.time, reset=frame.reset, **cameras)
+    return FrameEntry(f"frame_{number:06d}.exr", frame.time, reset=frame.reset, render_size=render_size, **cameras)
 
 
 def _common_render_size(sequence: Sequence) -> tuple[int, int]:

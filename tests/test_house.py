@@ -15,7 +15,7 @@ FLOORS = (
     ("files", "memory", "values", "conventions", "vectors"),
     ("opencl", "camera", "metrics"),
     ("providers",),
-    ("inference", "frame", "window", "camera_path", "packing", "cluster"),
+    ("inference", "frame", "window", "jitter", "camera_path", "packing", "cluster"),
     ("buffers",),
     ("stage", "sequence", "scenes", "room"),
     ("stages", "formats"),

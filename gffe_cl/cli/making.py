@@ -143,32 +143,40 @@ def render(
     per_frame: Annotated[
         int, typer.Option("-n", help="Frames in between per rendered frame, for --ground-truth and --window adaptive.")
     ] = 1,
-    samples: Annotated[int, typer.Option(help="Colour samples per pixel at edges.")] = 8,
+    samples: Annotated[
+        int | None, typer.Option(help="Colour samples per pixel at edges [dim](default 8; 1 with --jitter)[/].")
+    ] = None,
     window: Annotated[
         str,
         typer.Option(
             help="Rendering window: adaptive (covers frames in between, see -n), fixed:1.2 (times the display) or off."
         ),
     ] = "off",
+    jitter: Annotated[str, typer.Option(help="Of the camera, for upscaling: halton:16 (points), or off.")] = "off",
+    scale: Annotated[
+        float, typer.Option(help="Rendered frames are so many times smaller than --size, each way; truth is not.")
+    ] = 1.0,
     compression: CompressionOption = "zip",
     scheduler: SchedulerOption = None,
     device: DeviceOption = None,
 ) -> None:
     """Render a built-in scene to a sequence: colour, depth, motion vectors and cameras."""
+    from gffe_cl.jitter import Jitter
     from gffe_cl.opencl.device import open_device
     from gffe_cl.render import render_sequence
     from gffe_cl.scenes import load_scene
 
     width, height = parse_size(size)
-    built = load_scene(scene, seed)
+    built, jittered = load_scene(scene, seed), Jitter.parse(jitter)
     workers = cluster_at(scheduler)
     opened = None if workers else open_device(device)
     with progress_bars() as progress:
         total = frames * (1 + per_frame * ground_truth)
         count = render_sequence(
             built, output, opened, width, height, frames, fps,
-            ground_truth=ground_truth, per_frame=per_frame, samples=samples, window=window, compression=compression,
-            cluster=workers, on_frame=steps(progress)(f"Rendering '{scene}'", total),
+            ground_truth=ground_truth, per_frame=per_frame, samples=samples, window=window, jitter=jittered,
+            scale=scale, compression=compression, cluster=workers,
+            on_frame=steps(progress)(f"Rendering '{scene}'", total),
         )  # fmt: skip
     out.print(f"{count} frames in {plain(output)}")
 
@@ -226,7 +234,7 @@ def run(
     options = replace(options, shading_inputs=dump_stages)
     live = {"--size": size, "--frames": frames, "--fps": fps, "--seed": seed}
     keep_freed_memory()
-    opened, source = open_source(sequence, window, device, live)
+    opened, source = open_source(sequence, window, device, live, options.upscale)
     if not no_check:
         _check_quickly(source, sequence)
     with progress_bars() as progress:
@@ -249,7 +257,7 @@ def _check_quickly(source: Recorded | Live, target: Path) -> None:
 
 
 def open_source(
-    sequence: Path, window: str | None, device: str | None, live: dict[str, str | float | None]
+    sequence: Path, window: str | None, device: str | None, live: dict[str, str | float | None], upscale: float
 ) -> tuple[Device, Recorded | Live]:
     """A folder is a sequence; what is none may be the name of a scene, which `live` says how to render."""
     from gffe_cl.formats import open_capture
@@ -262,12 +270,12 @@ def open_source(
         size = parse_size("960x540" if size is None else size)
         scene, opened = load_scene(str(sequence), 0 if seed is None else seed), open_device(device)
         frames, fps = 30 if frames is None else frames, 30.0 if fps is None else fps
-        return opened, Live(scene, opened, *size, frames, fps, window or "off")
+        return opened, Live(scene, opened, *size, frames, fps, window or "off", upscale)
     given = [option for option, value in live.items() if value is not None]
     if given:
         raise GffeError(f"{given[0]} is for built-in scenes ({', '.join(SCENES)}), {sequence} is none")
     recorded, opened = open_capture(sequence), open_device(device)
-    return opened, Recorded(recorded, opened, window)
+    return opened, Recorded(recorded, opened, window, upscale)
 
 
 def _print_report(report: RunReport, output: Path) -> None:

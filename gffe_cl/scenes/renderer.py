@@ -89,13 +89,16 @@ class SceneRenderer:
     ----------
     samples : int
         Samples per pixel at edges and on mirrors; where a pixel's surroundings are one surface, a few do.
+    footprint : float
+        Pixels over which textures are filtered: below 1 for frames that will be upscaled (engines: mip bias).
     """
 
-    def __init__(self, device: Device, scene: Scene, width: int, height: int, samples: int = 8):
+    def __init__(self, device: Device, scene: Scene, width: int, height: int, samples: int = 8, footprint: float = 1.0):
         if width < 1 or height < 1 or samples < 1:
             raise GffeError(f"scene renderer: width, height and samples must be ≥ 1, got {width}×{height}, {samples}")
         self.device, self.scene = device, scene
         self.width, self.height, self.samples = int(width), int(height), int(samples)
+        self.footprint = float(footprint)
         self.program = build(device, "scenes/scene")
         self.flat = FlatScene(scene)
         self._tiles = -(-self.width // _TILE) * -(-self.height // _TILE)
@@ -169,6 +172,7 @@ class SceneRenderer:
             "keys": self._keys,
             "base": min(_BASE_SAMPLES, self.samples),
             "samples": self.samples,
+            "footprint": np.float32(self.footprint),
             "width": self.width,
             "height": self.height,
             "color": image.color,

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import RenderedFrame
+from gffe_cl.jitter import Jitter
 from gffe_cl.scenes.renderer import SceneImage, SceneRenderer
 from gffe_cl.window import WindowChooser
 
@@ -19,47 +20,60 @@ class SceneFrames:
     windows : WindowChooser or None
         Chooses what each rendered frame is rendered through. None: what is shown.
     size : (width, height) or None
-        Of the display, pixels; that of the renderer's image if None. Truth is rendered only where they are the same.
+        Of the display, pixels; that of the renderer's image if None.
+    jitter : Jitter or None
+        Of rendered frames. None: none.
+    truths : SceneRenderer or None
+        Renders truth; its image has the display's size. None: `renderer`, where that has it.
     """
 
     def __init__(
-        self, renderer: SceneRenderer, windows: WindowChooser | None = None, size: tuple[int, int] | None = None
+        self,
+        renderer: SceneRenderer,
+        windows: WindowChooser | None = None,
+        size: tuple[int, int] | None = None,
+        jitter: Jitter | None = None,
+        truths: SceneRenderer | None = None,
     ):
         self.renderer, self.scene = renderer, renderer.scene
         self.render_size = (renderer.width, renderer.height)
         self.size = size or self.render_size
         self.windows = windows or WindowChooser("off", self.size, [])
+        self.jitter = jitter or Jitter()
+        self._truths = truths or renderer
 
     def display_camera(self, time: float) -> Camera:
         """What the scene shows at `time` (seconds), in display pixels."""
         return self.scene.camera(time, *self.size)
 
-    def render_camera(self, shown: Camera, before: RenderedFrame | None) -> Camera:
-        """What to render through after the rendered frame `before` (None: after a reset), so that `shown` is seen."""
-        return self.windows.choose(shown, before and before.shown_camera).camera(shown, self.size, self.render_size)
+    def render_camera(self, shown: Camera, before: RenderedFrame | None, number: int = 0) -> Camera:
+        """What to render frame `number` through after the rendered frame `before` (None: after a reset), so that
+        `shown` is seen."""
+        window = self.windows.choose(shown, before and before.shown_camera)
+        return self.jitter.camera(window.camera(shown, self.size, self.render_size), number)
 
     def image(self, time: float, camera: Camera, before: RenderedFrame | None = None) -> SceneImage:
         """On the device, until the next one is rendered. Motion refers to `before`; None: to the frame itself."""
         return self.renderer.render(time, camera, before and before.time, before and before.camera)
 
-    def rendered(self, time: float, before: RenderedFrame | None = None) -> RenderedFrame:
-        """The rendered frame at `time` after `before`, of host arrays; a reset without one."""
+    def rendered(self, time: float, before: RenderedFrame | None = None, number: int = 0) -> RenderedFrame:
+        """The rendered frame at `time` after `before`, of host arrays; a reset without one. `number`: for jitter."""
         shown = self.display_camera(time)
-        camera = self.render_camera(shown, before)
+        camera = self.render_camera(shown, before, number)
         image = self.image(time, camera, before).numpy()
         self.windows.observe(image.depth)
         return RenderedFrame(image.color, image.depth, image.motion, camera, time, shown, reset=before is None)
 
-    def unrendered(self, time: float) -> RenderedFrame:
-        """What another frame needs of the one at `time`, its cameras, without buffers; but for adaptive windows, which
+    def unrendered(self, time: float, number: int = 0) -> RenderedFrame:
+        """What another frame needs of frame `number`, at `time`: its cameras, without buffers; but for adaptive windows, which
         follow from what was rendered before."""
         shown = self.display_camera(time)
-        return RenderedFrame(None, None, None, self.render_camera(shown, None), time, shown)
+        return RenderedFrame(None, None, None, self.render_camera(shown, None, number), time, shown)
 
     def truth(self, time: float, before: RenderedFrame | None = None) -> SceneImage:
-        """What is shown at `time`, wherever rendered frames are; motion as of `image`."""
-        assert self.size == self.render_size
-        return self.image(time, self.display_camera(time), before)
+        """What is shown at `time`, wherever rendered frames are; motion into what was rendered of `before`."""
+        assert self.size == (self._truths.width, self._truths.height)
+        return self._truths.render(time, self.display_camera(time), before and before.time, before and before.camera)
 
     def sequence(self, count: int, fps: float | None = None, start: float = 0.0) -> Iterator[RenderedFrame]:
         """`count` rendered frames in order of time from `start` (seconds) on, 1 / `fps` (default: the scene's) apart;
@@ -69,5 +83,5 @@ class SceneFrames:
             raise GffeError(f"a built-in scene needs at least 1 frame and positive fps, got {count} and {1 / step:g}")
         before = None
         for k in range(count):
-            before = self.rendered(start + k * step, before)
+            before = self.rendered(start + k * step, before, k)
             yield before

@@ -111,7 +111,7 @@ class Sequence:
         return (few if self.unfinished else []) + list(self._pixels.notes) + times + cut + met
 
     def _covers_display(self, entry: FrameEntry) -> bool:
-        """Whether all that is shown was rendered, to half a pixel of the display."""
+        """Whether all that is shown was rendered, to half a pixel of the display; and of the frame, for jitter."""
         width, height = self.size_of(entry)
         display, render = entry.display_camera, entry.render_camera
         if render is None:
@@ -119,7 +119,7 @@ class Sequence:
         corners = np.array([(0.5, 0.5), (self.width - 0.5, self.height - 0.5)])
         scale = np.array([render.fx / display.fx, render.fy / display.fy])
         at = (corners - (display.cx, display.cy)) * scale + (render.cx, render.cy)
-        return bool((at >= 0).all() and (at <= (width, height)).all())
+        return bool((at >= -0.5).all() and (at <= (width + 0.5, height + 0.5)).all())
 
     def read(self, entry: FrameEntry) -> RenderedFrame:
         """The rendered frame `entry`: color (H, W, 3) float16 or float32 as stored, depth (H, W) float32, motion

@@ -48,11 +48,12 @@ class Presentation(Stage):
         ),
     )
 
-    def present(self, frame: DeviceFrame, previous: DeviceFrame | None) -> None:
+    def present(self, frame: DeviceFrame, previous: DeviceFrame | None, with_color: bool = True) -> None:
         """`previous`: the rendered frame before, of which the cameras count; None after a reset."""
         before = previous or frame
         to_render = mapping(frame.display_camera, frame.camera)
-        self.launch("present_color", to_render=to_render, color=frame.color)
+        if with_color:
+            self.launch("present_color", to_render=to_render, color=frame.color)
         self.launch(
             "present_geometry",
             to_render=to_render,

@@ -178,17 +178,17 @@ __kernel void surfaces(WORLD_ARGUMENTS, __global float *depth, __global float2 *
 }
 
 /* Antialiased colour: `base` samples where the surroundings are one surface, `samples` elsewhere; a surface is shaded
-   once per pixel and its reflections once per sample. */
+   once per pixel and its reflections once per sample. Textures are filtered over `footprint` pixels. */
 __kernel __attribute__((vec_type_hint(float4))) /* scalar code: Intel's vectoriser makes this kernel 20 times slower */
 void shade(WORLD_ARGUMENTS, __global const float *depth, __global const int *object_id, __global const int *keys,
-           const int base, const int samples, __global half *color) {
+           const int base, const int samples, const float footprint, __global half *color) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;
     const World w = WORLD;
     const int i = y * width + x;
     const int columns = (width + TILE - 1) / TILE;
     __global const int *list = tiles + (y / TILE * columns + x / TILE) * tile_stride;
-    const float pixel_angle = frame[PINHOLE_INVERSE].y;
+    const float pixel_angle = footprint * frame[PINHOLE_INVERSE].y;
 
     bool edge = false;
     for (int k = 0; k < 9; ++k) {

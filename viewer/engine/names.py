@@ -15,6 +15,7 @@ VELOCITY, ACCELERATION = "acceleration.velocity", "acceleration.acceleration"
 TARGET_POSITION = "prediction.target_position"
 COVERAGE = "silhouettes.coverage"
 FOCUS_MASK = "correction.focus_mask"
+UPSCALED, REJECTED, LOCK = "upscaling.history", "upscaling.rejected", "upscaling.lock"
 
 
 def background(name: str, level: int) -> str:

@@ -12,6 +12,7 @@ from gffe_cl.opencl.program import constants
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.stages.background import MAX_LEVELS, REMEMBERED
 from gffe_cl.stages.holes import FILLINGS
+from gffe_cl.stages.upscaling import Upscaling
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.buffers import Shot, device_layers, moved, pixel_values, read_blocks, source_position
 
@@ -66,6 +67,8 @@ def pixel_story(pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str
     if not shot.moment.alpha:
         told = _Fragment.at(pipeline, shot, source_px)
         start = f"Rendered frame {shot.moment.k} as it is."
+        if Upscaling.name in pipeline.stages:
+            start = _gathered(shot, values or pixel_values(pipeline, shot, x, y))
         return (
             told.story((x, y), "rendered frame", source_px, (start,))
             if told
@@ -73,7 +76,25 @@ def pixel_story(pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str
         )
     values = values or pixel_values(pipeline, shot, x, y)
     made = _with_silhouette(_how_it_was_made(pipeline, shot, x, y, source_px, values), values)
-    return _with_correction(made, pipeline, values)
+    return _with_upscaling(_with_correction(made, pipeline, values), pipeline, values)
+
+
+def _gathered(shot: Shot, values: dict[str, np.ndarray]) -> str:
+    weight, refused = float(values[names.UPSCALED][3]), float(values[names.REJECTED][0]) / 255
+    locked = f" It foretold the samples for {int(values[names.LOCK][0])} frames." if values[names.LOCK][0] else ""
+    return (
+        f"Rendered frame {shot.moment.k}, gathered over time: {weight:.1f} samples; {refused:.0%} of the history was"
+        f" refused.{locked}"
+    )
+
+
+def _with_upscaling(story: Story, pipeline: Pipeline, values: dict[str, np.ndarray]) -> Story:
+    if Upscaling.name not in pipeline.stages:
+        return story
+    said = "Upscaling: seen through the history of the rendered frame."
+    if values[names.DISOCCLUDED][0]:
+        said = "Upscaling: no history here, its own colour is shown."
+    return replace(story, sentences=(*story.sentences, said))
 
 
 def _with_silhouette(story: Story, values: dict[str, np.ndarray]) -> Story:

@@ -1,0 +1,115 @@
+"""Temporal anti-aliasing and upsampling, of rendered and generated frames alike."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gffe_cl.buffers import RGBA, XY, BufferSpec
+from gffe_cl.stage import Access, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.presentation import mapping
+
+_YCOCG = ("Y", "Co", "Cg", "A")
+
+
+class Upscaling(Stage):
+    """Gathers rendered frames, jittered and small, over time into a history at the display's size.
+
+    The history is what is shown of a rendered frame. Generated frames are seen through it and do not change it: made
+    from samples that it holds already, they bring none.
+    """
+
+    name = "upscaling"
+    buffers = (
+        BufferSpec(
+            "compressed", np.float16, _YCOCG, "source", "the rendered frame's colour, tone-mapped YCoCg", scratch=True
+        ),
+        BufferSpec(
+            "dilated", np.float32, XY, "source", "motion of the nearest surface around; NaN where that was not seen"
+            " before", "motion",
+        ),
+        BufferSpec("mean", np.float16, _YCOCG, "source", "mean colour of 3×3 pixels, tone-mapped YCoCg", scratch=True),
+        BufferSpec(
+            "deviation", np.float16, _YCOCG, "source", "its standard deviation; A: a thin feature runs through",
+            scratch=True,
+        ),
+        BufferSpec(
+            "history", np.float16, RGBA, "target", "the rendered frame as displayed: samples gathered over time",
+            "color", kept=True,
+        ),
+        BufferSpec("lock", np.uint8, (), "target", "frames for which a thin feature is kept", kept=True),
+        BufferSpec("rejected", np.uint8, (), "target", "share of the history that was not believed, in 255ths"),
+        BufferSpec(
+            "color", np.float16, RGBA, "target", "the generated frame, seen through the history", "color"
+        ),
+    )  # fmt: skip
+
+    kernels = (
+        Kernel(
+            "compare",
+            "source",
+            {
+                "color": "rendered.color",
+                "depth": "rendered.depth",
+                "motion": "rendered.motion",
+                "previous_depth": "previous.depth",
+                "history": Access("upscaling.history'", 0.25),
+            },
+            {
+                "out_compressed": "upscaling.compressed",
+                "out_dilated": "upscaling.dilated",
+                "out_mean": "upscaling.mean",
+            },
+        ),
+        Kernel(
+            "survey",
+            "source",
+            {"compressed": "upscaling.compressed", "mean": "upscaling.mean"},
+            {"mean": "upscaling.mean", "out_deviation": "upscaling.deviation"},
+        ),
+        Kernel(
+            "accumulate",
+            "target",
+            {
+                **{name: f"upscaling.{name}" for name in ("compressed", "dilated", "mean", "deviation")},
+                **{name: f"upscaling.{name}'" for name in ("history", "lock")},
+            },
+            {
+                **{f"out_{name}": f"upscaling.{name}" for name in ("history", "lock")},
+                "rejected": "upscaling.rejected",
+            },
+        ),
+        Kernel(
+            "generate",
+            "target",
+            {
+                **{name: f"frame.{name}" for name in ("depth", "motion", "disoccluded")},
+                "gae": "frame.color",
+                "color": "",
+                "history": "upscaling.history",
+            },
+            {"out_color": "upscaling.color"},
+        ),
+    )
+
+    @classmethod
+    def is_wanted(cls, options) -> bool:
+        return options.upscale > 0
+
+    def rendered(self, step: Step) -> None:
+        """Take the rendered frame into the history."""
+        frame, before = step.frame, step.previous or step.frame
+        shared = {
+            "to_previous_display": mapping(before.camera, before.display_camera),
+            "exposure": np.float32(step.exposure),
+            "has_history": int(step.previous is not None),
+        }
+        self.launch("compare", to_previous=reprojection(frame.camera, before.camera), **shared)
+        self.launch("survey")
+        to_render = mapping(frame.display_camera, frame.camera)
+        self.launch("accumulate", to_render=to_render, pixel_size=1 / to_render[:2], **shared)
+
+    def extrapolated(self, step: Step) -> None:
+        frame, correction = step.frame, self.board.stages.get("correction")
+        color = (correction or self.board.frame).buffer["color"]
+        to_shown = mapping(frame.camera, frame.display_camera)
+        self.launch("generate", to_shown=to_shown, corrected=int(correction is not None), color=color)

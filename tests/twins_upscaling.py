@@ -1,0 +1,189 @@
+"""NumPy twin of kernels/upscaling.cl; see twins.py."""
+
+from types import SimpleNamespace
+
+import numpy as np
+from twins import F, centres, invalid, load_color
+
+from gffe_cl.opencl.program import constants
+
+UP = SimpleNamespace(**{n: F(v) if isinstance(v, float) else v for n, v in constants("upscaling.cl").items()})
+MOST = F(65504)
+
+
+def mapped(px, mapping):
+    return px * mapping[:2] + mapping[2:]
+
+
+def compressed_of(rgb, exposure):
+    """(…, 3) tone-mapped (Y, Co, Cg)."""
+    c = np.maximum(rgb, F(0)) * F(exposure)
+    r, g, b = np.moveaxis(c, -1, 0)
+    scale = F(1) / (F(1) + c.max(-1))
+    green, others = F(0.5) * g, F(0.25) * (r + b)
+    return np.stack([others + green, F(0.5) * (r - b), green - others], -1) * scale[..., None]
+
+
+def expanded(c, exposure):
+    y, o, g = np.moveaxis(c, -1, 0)
+    rgb = np.maximum(np.stack([y - g + o, y + g, y - g - o], -1), F(0))
+    scale = F(1) / (np.maximum(F(1) - rgb.max(-1), F(1e-4)) * F(exposure))
+    return np.minimum(rgb * scale[..., None], MOST)
+
+
+def _weights(t):
+    t2, t3 = t * t, t * t * t
+    h = F(0.5)
+    return h * (F(2) * t2 - t - t3), F(1) - F(2.5) * t2 + F(1.5) * t3, h * (t + F(4) * t2 - F(3) * t3), h * (t3 - t2)
+
+
+def cubic_at(px, image):
+    """`image` (H, W, C) at px (…, 2), with the least and the most of the inner taps."""
+    height, width = image.shape[:2]
+    corner = px - F(0.5)
+    first = np.floor(corner)
+    wx, wy = (_weights(t) for t in np.moveaxis(corner - first, -1, 0))
+    x, y = np.moveaxis(first.astype(int), -1, 0)
+
+    def tap(i, j):
+        return image[np.clip(y + j, 0, height - 1), np.clip(x + i, 0, width - 1)]
+
+    total = sum(wy[j][..., None] * wx[i][..., None] * tap(i - 1, j - 1) for j in range(4) for i in range(4))
+    inner = np.stack([tap(i, j) for j in (0, 1) for i in (0, 1)])
+    low, high = inner.min(0), inner.max(0)
+    return np.clip(total, low, high), low, high
+
+
+def within(px, shape):
+    return (px[..., 0] >= 0) & (px[..., 1] >= 0) & (px[..., 0] < shape[1]) & (px[..., 1] < shape[0])
+
+
+def nearest_around(depth):
+    """Rows and columns of the nearest pixel of another surface in 3×3, else the pixel's own."""
+    height, width = depth.shape
+    y, x = np.mgrid[:height, :width]
+    best_y, best_x = y.copy(), x.copy()
+    with np.errstate(invalid="ignore"):
+        least = np.where(invalid(depth), F(np.inf), UP.SAME_DEPTH * depth)
+        for j in (-1, 0, 1):
+            for i in (-1, 0, 1):
+                ny, nx = np.clip(y + j, 0, height - 1), np.clip(x + i, 0, width - 1)
+                z = depth[ny, nx]
+                nearer = (z > 0) & (z < least)
+                least = np.where(nearer, z, least)
+                best_y, best_x = np.where(nearer, ny, best_y), np.where(nearer, nx, best_x)
+    return best_y, best_x
+
+
+def share_seen(px, expected, depth_prev):
+    height, width = depth_prev.shape
+    corner = px - F(0.5)
+    first = np.floor(corner)
+    u, v = np.moveaxis(corner - first, -1, 0)
+    nearest = np.where(np.isinf(expected), np.finfo(F).max, UP.SAME_DEPTH * expected)
+    seen = np.zeros(px.shape[:-1], F)
+    inside = within(px, depth_prev.shape)
+    x, y = np.moveaxis(np.where(inside[..., None], first, 0).astype(int), -1, 0)
+    for tap in range(4):
+        i, j = tap & 1, tap >> 1
+        z = depth_prev[np.clip(y + j, 0, height - 1), np.clip(x + i, 0, width - 1)]
+        weight = (u if i else F(1) - u) * (v if j else F(1) - v)
+        seen += np.where(~(z < nearest), weight, F(0))
+    return np.where(inside, seen, F(0))
+
+
+def compare(color, depth, motion, depth_prev, history, to_previous, to_previous_display, exposure, has_history):
+    """compressed (H, W, 4), dilated (H, W, 2), seen (H, W)."""
+    height, width = depth.shape
+    near = nearest_around(depth)
+    centre, moved, z = centres(height, width)[near], motion[near], depth[near]
+    inverse = to_previous[4]
+    with np.errstate(all="ignore"):
+        scale = np.where(np.isinf(z), F(1), z)
+        view = np.stack([(centre[..., k] - inverse[2 + k]) * inverse[k] * scale for k in (0, 1)] + [scale], -1)
+        expected = view @ to_previous[2, :3] + to_previous[2, 3]
+        expected = np.where(np.isinf(z), F(np.inf), expected).astype(F)
+        seen = np.where(invalid(z), F(0), share_seen(centre + moved, expected, depth_prev)) * F(has_history)
+        px = mapped(centres(height, width) + moved, to_previous_display)
+    own = load_color(color)
+    here = compressed_of(own, exposure)
+    _, low, high = cubic_at(np.where((seen > 0)[..., None], px, F(1)), history)
+    off = here - compressed_of(np.clip(own, low, high), exposure)
+    error = np.where(seen > 0, np.sqrt((off * off).sum(-1)), F(0))
+    dilated = np.where((seen > 0)[..., None], moved, F(np.nan))
+    return np.concatenate([here, error[..., None]], -1).astype(np.float16), dilated, seen.astype(np.float16)
+
+
+def survey(compressed):
+    """mean (H, W, 3), deviation (H, W, 4)."""
+    c = np.pad(compressed.astype(F), ((1, 1), (1, 1), (0, 0)), mode="edge")
+    height, width = compressed.shape[:2]
+    around = np.stack([c[j : j + height, i : i + width] for j in range(3) for i in range(3)])
+    mean, square = around.sum(0) * F(1 / 9), (around * around).sum(0) * F(1 / 9)
+    variance = np.maximum(square - mean * mean, F(0))[..., :3]
+    error = np.sqrt(square[..., 3] / (variance.sum(-1) + UP.NOISE * UP.NOISE))
+    deviation = np.concatenate([np.sqrt(variance), np.minimum(error, F(10))[..., None]], -1)
+    return mean[..., :3].astype(np.float16), deviation.astype(np.float16)
+
+
+def _sample_weights(off, step):
+    t = (off[..., None] + np.array([-1, 0, 1], F) * step) * (F(1) / UP.REACH)
+    rest = np.maximum(F(1) - t * t, F(0))
+    return rest * rest
+
+
+def accumulate(
+    size, to_render, to_previous_display, exposure, has_history, compressed, dilated, mean, deviation, state
+):
+    """history (H, W, 4), lock (H, W), share of the history that is rejected (H, W) float; `mean` with what was seen as
+    its fourth channel; `state`: history and lock before."""
+    width, height = size
+    rows, columns = dilated.shape[:2]
+    compressed, mean, deviation = (a.astype(F) for a in (compressed, mean, deviation))
+    px = mapped(centres(height, width), to_render)
+    x = np.clip(np.floor(px[..., 0]).astype(int), 0, columns - 1)
+    y = np.clip(np.floor(px[..., 1]).astype(int), 0, rows - 1)
+    step = F(1) / to_render[:2]
+    off = (np.stack([x, y], -1).astype(F) + F(0.5) - px) * step
+    wx, wy = _sample_weights(off[..., 0], step[0]), _sample_weights(off[..., 1], step[1])
+    total = wx.sum(-1) * wy.sum(-1)
+    summed = sum(
+        (wy[..., j] * wx[..., i])[..., None]
+        * compressed[np.clip(y + j - 1, 0, rows - 1), np.clip(x + i - 1, 0, columns - 1), :3]
+        for j in range(3)
+        for i in range(3)
+    )
+    history, lock = state[0].astype(F), state[1]
+    px_previous = mapped(px + dilated[y, x], to_previous_display)
+    known = within(px_previous, (height, width)) & bool(has_history)
+    at = np.where(known[..., None], px_previous, F(0))
+    middle, around = mean[y, x], deviation[y, x]
+    trust = np.clip((UP.WRONG - around[..., 3]) * (F(1) / (UP.WRONG - UP.RIGHT)), F(0), F(1)) * middle[..., 3]
+    before = lock[at[..., 1].astype(int), at[..., 0].astype(int)].astype(F)
+    locked = np.where(known & (trust >= 1), np.minimum(before + F(1), UP.LOCK_FRAMES), F(0))
+    room = UP.DEVIATIONS * around[..., :3] + UP.NOISE + (UP.LOCKED_ROOM * locked / UP.LOCK_FRAMES)[..., None]
+    found, _, _ = cubic_at(at, history)
+    past = compressed_of(found[..., :3], exposure)
+    kept = np.minimum(np.maximum(past, middle[..., :3] - room), middle[..., :3] + room)
+    clipped = np.abs(kept - past).sum(-1)
+    believed = np.where(known, trust * np.maximum(F(1) - UP.CLIPPED * clipped, F(0)), F(0))
+    held = np.clip(found[..., 3] * believed, UP.LEAST_WEIGHT, UP.MOST_WEIGHT)
+    fresh, _, _ = cubic_at(px, compressed[..., :3])
+    past = np.where(known[..., None], kept, fresh)
+    total = total + held
+    now = expanded((summed + held[..., None] * past) / total[..., None], exposure)
+    weight = np.minimum(total, UP.MOST_WEIGHT)
+    return np.concatenate([now, weight[..., None]], -1).astype(np.float16), locked.astype(np.uint8), F(1) - believed
+
+
+def generate(depth, motion, disoccluded, gae, color, history, to_shown):
+    """(H, W, 3) of a generated frame."""
+    height, width = depth.shape
+    near = nearest_around(depth)
+    centre = centres(height, width)[near]
+    px = centres(height, width) + (mapped(centre + motion[near], to_shown) - centre)
+    seen = (disoccluded == 0) & (disoccluded[near] == 0) & within(px, depth.shape)
+    past, _, _ = cubic_at(np.where(seen[..., None], px, F(1)), history[..., :3].astype(F))
+    own = load_color(color)
+    changed = np.clip(past + (own - load_color(gae)), F(0), MOST)
+    return np.where(seen[..., None], changed, own).astype(np.float16)
