@@ -9,7 +9,7 @@ import pytest
 
 from gffe_cl import Options
 from gffe_cl.options import OPTIONS
-from gffe_cl.viewer.engine.messages import KernelTexts, Setup
+from gffe_cl.viewer.engine.messages import Setup
 from gffe_cl.viewer.state.kept import Kept, KeptSettings, command_line
 
 SOURCE = SimpleNamespace(target="shots/a b", name="a b", live=False, width=8, height=4)
@@ -85,7 +85,7 @@ def test_every_option_with_a_flag_is_told():
 
 
 def test_kept_settings_are_saved_and_found_again():
-    settings, texts = KeptSettings(), KernelTexts("1", {"warp": "kernel void f() {}"})
+    settings, texts = KeptSettings(), "12ab"
     first = settings.keep(Setup(Options()), texts)
     second = settings.keep(Setup(Options(motion=False, levels=0), "off"), texts)
     assert (first.name, second.name) == ("defaults", "no motion estimation, no background collection")
@@ -100,7 +100,7 @@ def test_kept_settings_are_saved_and_found_again():
     assert [(kept.name, kept.options, kept.window) for kept in found.all] == [
         (kept.name, kept.options, kept.window) for kept in settings.all
     ]
-    assert found.b is None and all(kept.kernels is None for kept in found.all)
+    assert found.b is None and all(kept.kernels == "" for kept in found.all)
     found.choose("flat")
     assert found.b.window == "off"
     found.forget(found.b)
@@ -110,7 +110,7 @@ def test_kept_settings_are_saved_and_found_again():
 def test_a_network_that_changed_is_told(tmp_path):
     path = tmp_path / "net.onnx"
     path.write_bytes(b"1")
-    kept = KeptSettings().keep(Setup(Options(scn_model=str(path))), None)
+    kept = KeptSettings().keep(Setup(Options(scn_model=str(path))), "")
     assert not kept.suspicion
     path.write_bytes(b"22")
     assert "changed" in kept.suspicion

@@ -25,7 +25,7 @@ from gffe_cl.run import alphas_for
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.buffers import device_layers, pixel_values, read_layers
 from gffe_cl.viewer.engine.layers import layers_of
-from gffe_cl.viewer.engine.messages import Closing, EngineError, Inspection, KernelTexts, Metrics, Request, Result
+from gffe_cl.viewer.engine.messages import Closing, EngineError, Inspection, Metrics, Request, Result
 from gffe_cl.viewer.engine.reloading import WATCH_SECONDS, Kernels
 from gffe_cl.viewer.engine.scoring import Scorer
 from gffe_cl.viewer.engine.seeking import Seeker
@@ -143,10 +143,6 @@ class Engine:
     def inspect(self, x: int, y: int, layers: frozenset[str] | None = None) -> None:
         """Ask what the slot last computed holds at display pixel (x, y); `layers`: None for all."""
         self._post("inspection", (x, y, layers))
-
-    def kernel_texts(self) -> KernelTexts | None:
-        """Of the kernels in use; None before there are any."""
-        return self._kernels.texts if self._kernels else None
 
     def reload_kernels(self) -> None:
         """Build the kernels anew if their text changed, and the last slot with them."""
@@ -295,8 +291,6 @@ class Engine:
         if self._seeker is None:
             raise GffeError("nothing is open: expected a sequence or a built-in scene")
         seeker, alphas = self._seeker, (0.0, *alphas_for(request.setup.n))
-        if self._kernels.use(request.setup.kernels):
-            seeker.drop()
         k, j = divmod(request.slot, len(alphas))
         if not 0 <= k < self.source.count:
             raise GffeError(f"slot {request.slot}: expected 0 to {self.source.count * len(alphas) - 1}")

@@ -14,22 +14,12 @@ from gffe_cl.viewer.engine.story import Story
 
 
 @dataclass(frozen=True)
-class KernelTexts:
-    """The kernels' sources as they were once: `texts` by stem, told apart by their `digest`."""
-
-    digest: str
-    texts: dict[str, str] = field(compare=False, repr=False)
-
-
-@dataclass(frozen=True)
 class Setup:
-    """What is computed. `window`: of `FrameSource.configure`; `n`: generated frames per rendered one, 1 … 7; `kernels`:
-    None for those on disk."""
+    """What is computed. `window`: of `FrameSource.configure`; `n`: generated frames per rendered one, 1 … 7."""
 
     options: Options = field(default_factory=Options)
     window: str | None = None
     n: int = 1
-    kernels: KernelTexts | None = None
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from contextlib import suppress
 
@@ -17,7 +16,6 @@ from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import FocusMask
-from gffe_cl.viewer.engine.messages import KernelTexts
 
 WATCH_SECONDS = 0.5  # between looks at the kernels' files
 
@@ -29,7 +27,6 @@ class Kernels(dict):
     def __init__(self, device: Device):
         super().__init__(device.programs)
         self._device, self._texts, self._before = device, {}, device.programs
-        self._frozen: KernelTexts | None = None
         self.error: str | None = None
         self.look_again_at, self._files = time.monotonic() + WATCH_SECONDS, _files()
         device.programs = self
@@ -44,26 +41,8 @@ class Kernels(dict):
         before, self._files = self._files, _files()
         return self._files != before
 
-    @property
-    def texts(self) -> KernelTexts:
-        """Those that built last."""
-        texts = dict(self._texts)
-        return KernelTexts(hashlib.sha256(repr(sorted(texts.items())).encode()).hexdigest(), texts)
-
-    def use(self, frozen: KernelTexts | None) -> bool:
-        """Have new pipelines take these texts, None: those on disk; whether they are others than before."""
-        before, self._frozen = self._frozen, frozen
-        return frozen != before
-
     def reload(self) -> bool:
         """Build all stages from the texts on disk; whether other kernels are in use now. Sets `error`."""
-        frozen, self._frozen = self._frozen, None
-        try:
-            return self._reload()
-        finally:
-            self._frozen = frozen
-
-    def _reload(self) -> bool:
         before = self._texts
         try:
             texts = {path.stem: expand(path.name) for path in kernel_folder().glob("*.cl")}
@@ -88,7 +67,7 @@ class Kernels(dict):
 
     def __contains__(self, key) -> bool:
         name, text, *variant = key = self._held(key)
-        if not super().__contains__(key) and name in self._in_use:
+        if not super().__contains__(key) and name in self._texts:
             self[key] = Program(self._device, name, text, dict(variant))
         return super().__contains__(key)
 
@@ -96,11 +75,7 @@ class Kernels(dict):
         return super().__getitem__(self._held(key))
 
     def _held(self, key: tuple) -> tuple:
-        return (key[0], self._in_use.get(key[0], key[1]), *key[2:])
-
-    @property
-    def _in_use(self) -> dict[str, str]:
-        return self._frozen.texts if self._frozen else self._texts
+        return (key[0], self._texts.get(key[0], key[1]), *key[2:])
 
 
 def _files() -> list[tuple]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from gffe_cl.errors import GffeError
 from gffe_cl.options import OPTIONS, Options, command_words
-from gffe_cl.viewer.engine.messages import KernelTexts, Setup
+from gffe_cl.viewer.engine.messages import Setup
 from gffe_cl.viewer.engine.sources import FrameSource
 from gffe_cl.viewer.state.parameters import network_stamp
 
@@ -20,13 +20,14 @@ _LONGEST = 60  # letters of a name
 
 @dataclass(frozen=True)
 class Kept:
-    """Settings under a name: modules, parameters, network and rendering window as they were, and the kernels' texts if
-    this session kept them; `network`: what told the network's file from others, None for the package's own."""
+    """Settings under a name: modules, parameters, network and rendering window as they were. `kernels`: the build that
+    was in use, of this session; empty: the newest. `network`: what told its file from others; None: the package's
+    own."""
 
     name: str
     options: Options
     window: str | None = None
-    kernels: KernelTexts | None = None
+    kernels: str = ""
     network: tuple[int, int] | None = None
 
     def setup(self, n: int) -> Setup:
@@ -62,7 +63,7 @@ class Kept:
             options = Options(**known)
         except (GffeError, TypeError):
             return None
-        return cls(name[:_LONGEST], options, window, None, network_stamp(options))
+        return cls(name[:_LONGEST], options, window, "", network_stamp(options))
 
 
 class KeptSettings:
@@ -78,7 +79,7 @@ class KeptSettings:
         self.all: list[Kept] = []
         self.b: Kept | None = None
 
-    def keep(self, setup: Setup, kernels: KernelTexts | None, name: str = "") -> Kept:
+    def keep(self, setup: Setup, kernels: str, name: str = "") -> Kept:
         """Keep what is computed now, as B; the same under another name gets that name."""
         made = Kept(name or self._unused(setup), setup.options, setup.window, kernels, network_stamp(setup.options))
         self.all = [kept for kept in self.all if replace(kept, name=made.name) != made and kept.name != made.name]
