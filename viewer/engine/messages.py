@@ -15,22 +15,38 @@ from gffe_cl.viewer.engine.story import Story
 
 @dataclass(frozen=True)
 class Setup:
-    """What is computed. `window`: of `FrameSource.configure`; `n`: generated frames per rendered one, 1 … 7."""
+    """What is computed. `window`: of `FrameSource.configure`; `n`: generated frames per rendered one, 1 … 7; `kernels`:
+    a build that was in use since the viewer started, by its `Kernels.identity`; empty: the newest."""
 
     options: Options = field(default_factory=Options)
     window: str | None = None
     n: int = 1
+    kernels: str = ""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """All that the slots of a source depend on: what was opened how often, poses that were flown, the setup, which
+    kernels and which weights."""
+
+    source: int
+    flight: int
+    setup: Setup
+    kernels: str
+    weights: str = ""
 
 
 @dataclass(frozen=True)
 class Request:
-    """A wish for a slot. `layers`: names of what to read back; `metrics`: measure it against the truth."""
+    """A wish for a slot. `layers`: names of what to read back; `metrics`: measure it against the truth; `role`: which
+    pipeline makes it, so that each goes on where it was: "a" and "b" are shown, "ahead" is made beside."""
 
     slot: int
     setup: Setup
     layers: frozenset[str]
     serial: int
     metrics: bool = False
+    role: str = "a"
 
 
 @dataclass(frozen=True)
@@ -68,6 +84,8 @@ class Result:
         Of "final" by name, those that are known already; for the others see `Engine.poll_metrics`.
     cuts : frozenset of int
         Rendered frames that were found to be cuts so far.
+    render_size : (width, height)
+        Of rendered frame k.
     """
 
     request: Request
@@ -81,6 +99,7 @@ class Result:
     bad_pixels: BadPixels = field(default_factory=BadPixels)
     metrics: dict[str, float] = field(default_factory=dict)
     cuts: frozenset[int] = frozenset()
+    render_size: tuple[int, int] = (0, 0)
 
 
 @dataclass(frozen=True)
@@ -110,3 +129,7 @@ class Inspection:
 
 class Closing(Exception):
     """The engine is being closed."""
+
+
+class Interrupted(Exception):
+    """Something else is wanted first."""

@@ -18,19 +18,21 @@ from gffe_cl.pipeline import Pipeline
 from gffe_cl.stages.shading import FocusMask
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.buffers import Moment, Shot
-from gffe_cl.viewer.engine.messages import Closing, Setup
+from gffe_cl.viewer.engine.messages import Setup
 from gffe_cl.viewer.engine.sources import FrameSource
 
 WARM_UP = 8  # rendered frames submitted before the one that is wanted
 
 
 class Seeker:
-    """Holds the pipeline, and knows how far it has come."""
+    """Holds the pipeline, and knows how far it has come. `check` is called before each rendered frame, and may raise to
+    give up."""
 
-    def __init__(self, device: Device, source: FrameSource, closing: Callable[[], bool]):
-        self.device, self.source, self._is_closing = device, source, closing
+    def __init__(self, device: Device, source: FrameSource, check: Callable[[], None]):
+        self.device, self.source, self._check = device, source, check
         self.cuts: set[int] = set()  # rendered frames that were found to be cuts so far
         self._options: Options | None = None
+        self._kernels = ""  # that were asked for, see Setup
         self._ring: list[DeviceFrame] = []  # what host frames are uploaded into: the pipeline uses two in place
         self.drop()
 
@@ -47,10 +49,11 @@ class Seeker:
         self._focus: FocusMask | None = None  # made when it is asked for
 
     def prepare(self, setup: Setup) -> None:
-        if self.source.configure(setup.window, setup.n) or setup.options != self._options:
+        others = (setup.options, setup.kernels) != (self._options, self._kernels)
+        if self.source.configure(setup.window, setup.n) or others:
             self.drop()
             self.cuts = set()
-        self._options = setup.options
+        self._options, self._kernels = setup.options, setup.kernels
 
     def go_to(self, k: int, alpha: float) -> list[str]:
         """Submit what is missing up to rendered frame `k`, from a new pipeline on unless that is a little ahead.
@@ -63,8 +66,7 @@ class Seeker:
             self._restart()
         notes = []
         for m in frames:
-            if self._is_closing():
-                raise Closing
+            self._check()
             try:
                 self._submit(m, last=m == k)
             except GffeError as error:

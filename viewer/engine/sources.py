@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import threading
 from bisect import bisect_left, bisect_right, insort
 from collections import OrderedDict
@@ -38,7 +39,7 @@ class FrameSource(Protocol):
     `target`: how the user named it; `width`, `height`: of the display, pixels; `render_size`: (width, height) of the
     rendered frames, may change with `configure`; `count`: of rendered frames; `live`: rendered meanwhile, the camera
     may be flown; `windowed`: rendered through a window that can be used or not; `resets`: numbers of the frames
-    that are told to be one, in order.
+    that are told to be one, in order; `flight`: another number whenever other poses are flown, 0 for none.
     """
 
     name: str
@@ -53,6 +54,12 @@ class FrameSource(Protocol):
     windowed: bool = False
     resets: tuple[int, ...] = (0,)
     has_truth: bool = False
+    flight: int = 0
+
+    def sibling(self) -> FrameSource:
+        """The same frames for another pipeline, which uses it on the same thread: with a window and a place of its own.
+        What is read is shared; `fly` and `close` are called for this one only."""
+        return copy.copy(self)
 
     def configure(self, window: str | None, n: int) -> bool:
         """Use rendering window `window` for `n` generated frames per rendered one; whether rendered frames change by
@@ -273,9 +280,16 @@ class SceneSource(FrameSource):
         self._flown: dict[float, Camera] = {}  # by k + alpha
         self._flown_at: list[float] = []  # its keys in order
         self._flown_last = -1.0  # key of the last call of `fly`
+        self._flights = 0  # calls of `fly`
         self._lock = threading.Lock()  # of the flown poses
         self._way: tuple | None = None
         self.configure(window, 1)
+
+    def sibling(self):
+        other = copy.copy(self)  # renderer and poses are shared, rendered frames are not: they are used in place
+        other._frames, other._ring, other._since = copy.copy(self._frames), OrderedDict(), []
+        other._ring_size = max(_LEAST_RING, self._ring_size // 4)
+        return other
 
     def configure(self, window, n):
         window = window or "off"
@@ -309,6 +323,8 @@ class SceneSource(FrameSource):
         """
         at = k + alpha
         with self._lock:
+            self._flights += 1
+            self.flight = self._flights
             if self._flown_last < at <= self._flown_last + _LONGEST_GAP:
                 skipped = slice(bisect_right(self._flown_at, self._flown_last), bisect_left(self._flown_at, at))
                 for between in self._flown_at[skipped]:
@@ -325,7 +341,9 @@ class SceneSource(FrameSource):
     def forget_flight(self) -> None:
         """Back to the scene's own path. May be called from any thread."""
         with self._lock:
-            self._flown, self._flown_at, self._flown_last = {}, [], -1.0
+            self._flown.clear()
+            self._flown_at.clear()
+            self._flown_last, self.flight = -1.0, 0
 
     def camera(self, k, alpha):
         return self._flown_camera(k + alpha) or self._frames.display_camera(self.time(k, alpha))
