@@ -148,12 +148,16 @@ class Engine:
 
     def submit(self, request: Request, source: FrameSource | None = None) -> None:
         """Ask for a slot; replaces a request of its role that was not taken up yet. Ignored if it was meant for a
-        `source` that is not the one any more. What is in the cache is made anew: look there first. A result whose
-        request has a serial number below 0 is not kept."""
+        `source` that is not the one any more. What is in the cache is made anew: look there first."""
         with self._news:
             if source in (None, self.source):
                 self._posted["slot" if request.role == "a" else f"slot_{request.role}"] = request
                 self._news.notify()
+
+    def withdraw(self, role: str = "a") -> None:
+        """What was submitted last is not wanted any more, if it was not taken up yet."""
+        with self._news:
+            self._posted.pop("slot" if role == "a" else f"slot_{role}", None)
 
     def prefetch(self, requests: Iterable[Request], source: FrameSource | None = None) -> None:
         """Have slots made for the cache, in this order, whenever there is nothing else to do; replaces what was planned
@@ -318,7 +322,7 @@ class Engine:
         if self._last is None and request is None:
             return
         maker = self._maker("a")
-        if request is not None and request != maker.last:
+        if request is not None and not maker.holds(request):
             maker.make(request)  # what is shown was kept
             self._last = request
         inspection = maker.inspect(x, y, layers)
@@ -358,7 +362,7 @@ class Engine:
         """The slot, which is kept in the cache from now on, if it is all of one recipe."""
         before = self.recipe(request.setup)
         result = self._maker(request.role).make(request)
-        if self.cache.most and request.serial >= 0 and before == self.recipe(request.setup):
+        if self.cache.most and request.keep and before == self.recipe(request.setup):
             self.cache.put(FrameKey(before, request.slot), result)
         return result
 

@@ -42,10 +42,17 @@ class SlotMaker:
         self.source, self._kernels, self._scorer = source, kernels, scorer
         self._seeker = Seeker(device, source, check)
         self.last: Request | None = None
+        self._flight = 0
 
     def drop(self) -> None:
         """Forget the pipeline; the next slot makes a new one."""
         self._seeker.drop()
+
+    def holds(self, request: Request) -> bool:
+        """Whether the pipeline's buffers are those of this slot."""
+        last = self.last
+        there = self._seeker.shot is not None and last is not None
+        return there and (last.slot, last.setup, self._flight) == (request.slot, request.setup, self.source.flight)
 
     def make(self, request: Request) -> Result:
         """Raises GffeError; the pipeline is forgotten then."""
@@ -54,7 +61,7 @@ class SlotMaker:
         k, j = divmod(request.slot, len(alphas))
         if not 0 <= k < self.source.count:
             raise GffeError(f"slot {request.slot}: expected 0 to {self.source.count * len(alphas) - 1}")
-        self.last = request
+        self.last, self._flight = request, self.source.flight
         try:
             with self._kernels.used(request.setup.kernels):
                 return self._made(request, k, alphas[j], start)

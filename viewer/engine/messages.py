@@ -39,7 +39,8 @@ class Recipe:
 @dataclass(frozen=True)
 class Request:
     """A wish for a slot. `layers`: names of what to read back; `metrics`: measure it against the truth; `role`: which
-    pipeline makes it, so that each goes on where it was: "a" and "b" are shown, "ahead" is made beside."""
+    pipeline makes it, so that each goes on where it was: "a" and "b" are shown, "ahead" is made beside; `keep`: in the
+    cache."""
 
     slot: int
     setup: Setup
@@ -47,6 +48,7 @@ class Request:
     serial: int
     metrics: bool = False
     role: str = "a"
+    keep: bool = True
 
 
 @dataclass(frozen=True)

@@ -80,6 +80,7 @@ class Contents:
     def frame_info(self) -> FrameInfo:
         """What the layers of the result refer to, for displaying them."""
         source, moment = self.source, self.result.moment
-        area = area_of(moment.render_camera, source.render_size, moment.display_camera, self.size)
+        size = self.result.render_size
+        area = area_of(moment.render_camera, size, moment.display_camera, self.size)
         cameras = moment.render_camera, moment.previous_camera
-        return FrameInfo(self.size, source.render_size, self.size, source.exposure, *cameras, source_area=area)
+        return FrameInfo(self.size, size, self.size, source.exposure, *cameras, source_area=area)

@@ -15,8 +15,9 @@ import numpy as np
 from gffe_cl.errors import GffeError
 from gffe_cl.options import Options
 from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.cache import CACHE_MIB, FrameCache
 from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
-from gffe_cl.viewer.engine.messages import EngineError, Metrics, Request, Result, Setup
+from gffe_cl.viewer.engine.messages import EngineError, Metrics, Recipe, Request, Result, Setup
 from gffe_cl.viewer.engine.opening import ScenePlan, make_source
 from gffe_cl.viewer.engine.sources import FrameSource
 from gffe_cl.viewer.picture import flip_map
@@ -24,6 +25,7 @@ from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.comparing import Comparison
 from gffe_cl.viewer.state.contents import Contents
+from gffe_cl.viewer.state.filling import Filling
 from gffe_cl.viewer.state.flying import Flight, Flyer
 from gffe_cl.viewer.state.framing import Framing
 from gffe_cl.viewer.state.looks import Looks
@@ -56,35 +58,38 @@ class Model:
     def __init__(
         self, settings: Settings, *, device: str | None = None, n: int = 1, window: str | None = None,
         plan: ScenePlan = _SCENES, options: Options = _OPTIONS, save_settings: bool = True,
-        check: bool = False,
+        check: bool = False, cache_mib: int = CACHE_MIB,
     ):  # fmt: skip
         self.settings, self._save_settings, self.plan, self._check = settings, save_settings, plan, check
-        self.engine = Engine(partial(open_viewer_device, device))
+        self.engine = Engine(partial(open_viewer_device, device), cache=FrameCache(cache_mib << 20))
         self.engine.start()
         self.contents = Contents()
         self.playback = Playback(n=n)
+        self.filling = Filling(self.engine, self.playback)
         self.parameters = Parameters(options, self.playback, window)
         self.view = View(names.FINAL, Display())
         self.framing = Framing(self.view)
         self.looks = Looks(self.contents, settings.displays)
         self.comparison = Comparison(self.view, self.contents, self.looks)
-        self.pointing = Pointing(self.engine.inspect)
+        self.pointing = Pointing(self._inspect)
         self.flyer: Flyer | None = None
         self.export: Work | None = None
         self.overview = False
         self.arrows = False
         self.measuring = False
-        self.metrics: dict[int, Metrics] = {}
+        self._metrics: dict[Recipe, dict[int, Metrics]] = {}  # by slot
         self.messages: list[Message] = []
         self.warnings: list[str] = []
         self.failure: str | None = None
         self.notice = ""
         self.timings = Timings()
         self.upload_ms = 0.0
-        self._measured: tuple[Setup, int] | None = None  # what the metrics are of: setup, builds of the kernels
+        self.recipe = self.engine.recipe(self.setup)
         self._serial = itertools.count(1)
         self._asked: Request | None = None  # the latest request, and it without its serial number
-        self._wanted: Request | None = None
+        self._wanted: tuple[Request, Recipe | None] | None = None
+        self._was_kept = False  # what is shown came from the cache
+        self._was_playing = False
         self._target = ""
         self._keep_place = False
         self._closed = False
@@ -121,7 +126,7 @@ class Model:
         times = None if source.live else [source.time(k) for k in range(source.count)]
         self.playback.open(source.count, source.fps, times, keep=self._keep_place)
         self.pointing.open(self.contents.size)
-        self.metrics.clear()
+        self._metrics.clear()
         self.flyer = None
         if not self._keep_place:
             self.looks.forget()
@@ -138,17 +143,15 @@ class Model:
         """Take what the engine has finished into textures, and ask for what is wanted next."""
         if self.engine.source is not self.source:
             self._opened(self.engine.source, canvas)
-        if (self.setup, self.engine.builds) != self._measured:
-            self._measured = self.setup, self.engine.builds
-            self.metrics.clear()
+        self.recipe = self.engine.recipe(self.setup)
         while (answer := self.engine.poll()) is not None:
             if isinstance(answer, EngineError):
                 self._failed(answer)
-            elif self.source is not None:
+            elif self.source is not None and self._is_news(answer):
+                self._was_kept = False
                 self._take(answer, canvas)
         while (metrics := self.engine.poll_metrics()) is not None:
-            if metrics.setup == self.setup:
-                self.metrics[metrics.slot] = metrics
+            self._metrics.setdefault(self.engine.recipe(metrics.setup), {})[metrics.slot] = metrics
         inspection = self.engine.poll_inspection()
         if inspection is not None and inspection.slot == self.slot:
             self.pointing.take(inspection)
@@ -160,7 +163,11 @@ class Model:
         result, ready = self.contents.result, None
         if result is not None and result.request.setup == self.setup:
             ready = result.request.slot
-        self._ask(self.playback.tick(now, ready).request)
+        self._ask(self.playback.tick(now, ready).request, canvas)
+        self._fill(now)
+        if self._was_playing and not self.playback.playing and self._was_kept:
+            self.pointing.ask_again()
+        self._was_playing = self.playback.playing
         if self.export is not None:
             self._advance_export(canvas)
 
@@ -211,22 +218,53 @@ class Model:
             canvas.upload(name, image, self.contents.spec(name))
         self.upload_ms = (time.perf_counter() - start) * 1e3
 
-    def _ask(self, slot: int) -> None:
-        """Submit a request if it is another one than before."""
+    def _ask(self, slot: int, canvas) -> None:
+        """Show what is kept, else submit a request, if it is another one than before."""
         if self.flying:
             k, j = divmod(slot, self.n + 1)
             self.source.fly(k, j / (self.n + 1), self.flyer.pose)
-        request = Request(slot, self.setup, frozenset(self._needed()), 0, self.measuring)
+        request = Request(slot, self.setup, frozenset(self._needed()), 0, self.measuring, keep=not self.flying)
+        wanted = request, None if self.flying else self.recipe
         steered = self.flying and self.flyer.moved
-        if request == self._wanted and self._asked is not None and not steered:
+        if wanted == self._wanted and self._asked is not None and not steered:
             return
         if self.flying:
             self.flyer.moved = False
-        self._wanted = request
+        self._wanted = wanted
         self._asked = replace(request, serial=next(self._serial))
-        self.engine.submit(self._asked, self.source)
+        kept = None if self.flying else self.filling.find(self.recipe, request)
+        if kept is None:
+            self.engine.submit(self._asked, self.source)
+            return
+        self.engine.withdraw()
+        self._was_kept = True
+        self._take(replace(kept, request=self._asked), canvas)
+
+    def _is_news(self, result: Result) -> bool:
+        """Whether it was asked for after what is shown, or made anew."""
+        shown = self.contents.result
+        return shown is None or result.request.serial >= shown.request.serial
+
+    def _fill(self, now: float) -> None:
+        result = self.contents.result
+        if result is None or self._wanted is None:
+            return
+        nbytes = sum(image.nbytes for image in result.images.values())
+        beside = not (self.flying or self.overview or self.export or self._wanted[0].slot != result.request.slot)
+        self.filling.update(now, self.recipe, self._wanted[0], nbytes, beside)
+
+    def _inspect(self, x: int, y: int) -> None:
+        """Ask about a pixel of what is shown; what comes from the cache is not made for that while it plays."""
+        if not (self._was_kept and self.playback.playing):
+            request = self.contents.result.request if self._was_kept else None
+            self.engine.inspect(x, y, request=request)
 
     # ---- what is asked for -----------------------------------------------------------------------------------
+
+    @property
+    def metrics(self) -> dict[int, Metrics]:
+        """What was measured of the present recipe, by slot."""
+        return self._metrics.setdefault(self.recipe, {})
 
     @property
     def n(self) -> int:
