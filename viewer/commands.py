@@ -31,6 +31,14 @@ def register(app) -> None:
     def savable():
         return opened() or ("something is being saved" if model.export is not None else None)
 
+    def no_second():
+        return None if model.kept.b is not None else "no settings are kept as B"
+
+    def copy(setup):
+        line = model.command_line(setup)
+        imgui.set_clipboard_text(line)
+        model.say(f"copied: {line}")
+
     def playback(name, *arguments):
         return lambda: getattr(model.playback, name)(*arguments)
 
@@ -78,6 +86,13 @@ def register(app) -> None:
     add("darker", "Darker", "View", "Shift+E", look(model.looks.expose, -_EXPOSURE_STEP), opened)
     add("normalise", "Fit range to the picture", "View", "N", look(model.looks.fit), opened)
     add("reset_display", "Reset display", "View", "R", look(model.looks.reset), opened)
+    add("keep", "Keep settings as B", "Compare", "K", model.keep_as_b, opened,
+        tooltip="Modules, parameters, kernels, network and window are B now; A goes on being changed")  # fmt: skip
+    add("swap", "Take B's settings for A", "Compare", "Shift+K", model.take_second, lambda: opened() or no_second())
+    add("copy_command", "Copy A's command line", "Compare", "Alt+K", lambda: copy(model.setup), opened,
+        tooltip="gffe run … with what is chosen now")  # fmt: skip
+    add("copy_command_b", "Copy B's command line", "Compare", "Alt+Shift+K",
+        lambda: copy(model.kept.b.setup(model.n)), lambda: opened() or no_second())  # fmt: skip
     add("flip", "Show B (hold)", "Compare", "B", model.comparison.flip, opened, hold=True)
     for way, text, key in (
         ("split", "Split wipe", "W"),

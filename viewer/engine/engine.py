@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import pyopencl as cl
@@ -171,7 +172,7 @@ class Engine:
         """What slots made with `setup` depend on now. May be called from any thread."""
         flight = self.source.flight if self.source is not None else 0
         kernels = setup.kernels or (self._kernels.identity if self._kernels is not None else "")
-        return Recipe(self._opened, flight, setup, kernels, weights_of(setup.options))
+        return Recipe(self._opened, flight, replace(setup, kernels=""), kernels, weights_of(setup.options))
 
     @property
     def prefetching(self) -> bool:
@@ -179,9 +180,7 @@ class Engine:
         with self._news:
             return bool(self._plan) or self._beside
 
-    def inspect(
-        self, x: int, y: int, layers: frozenset[str] | None = None, request: Request | None = None
-    ) -> None:
+    def inspect(self, x: int, y: int, layers: frozenset[str] | None = None, request: Request | None = None) -> None:
         """Ask what the slot of `request`, or else the one last computed, holds at display pixel (x, y); `layers`: None
         for all."""
         self._post("inspection", (x, y, layers, request))

@@ -16,7 +16,7 @@ from gffe_cl.viewer.engine.messages import Result
 
 NEEDED = frozenset({names.FINAL, names.GAE, names.TRUTH, names.DEPTH, names.DYNAMIC, names.DISOCCLUDED})
 
-# As the table of methods has them (evaluation/table/regions.py), as the pipeline finds them; the first that holds counts.
+# As the table of methods has them (evaluation/table/regions.py), found by the pipeline; the first that holds counts.
 REGIONS = {
     "out of screen": _TABLE["out of screen"],
     "disoccluded": "hidden in the rendered frame behind something else",

@@ -7,6 +7,8 @@ import math
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
+from gffe_cl.viewer.engine import names
+
 _ZOOM_STEP = 1.2
 _DRAG = 4.0  # screen pixels: less is a click
 _GRIP = 10.0  # screen pixels on both sides of the wipe's line
@@ -219,12 +221,16 @@ def _layer_text(model, name: str) -> str:
     """What the layer is called, and what changes its look, or why it is not there."""
     spec = model.contents.spec(name)
     if spec is None:
-        return f"{name}: not made with these options"
+        return f"{names.plain(name)}: not made with these options"
     text, display = f"{spec.group}: {spec.label}", model.looks.of(name)
+    if names.is_second(name) and model.kept.b is not None:
+        text = f"{model.kept.b.name}   {text}"
+        if model.second.fault:
+            return f"{model.kept.b.name}: {model.second.fault}"
     if spec.view == "color" and display.exposure:
         text += f"   {display.exposure:+.1f} EV"
-    result = model.contents.result
-    if result and name in result.request.layers and model.contents.image(name) is None:
+    result = model.contents.second if names.is_second(name) else model.contents.result
+    if result and names.plain(name) in result.request.layers and model.contents.image(name) is None:
         text += "   (none for this frame)"
     elif result and not result.moment.alpha and spec.of_generated:
         text += "   (of the generated frame before)"

@@ -20,7 +20,7 @@ from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
 from gffe_cl.viewer.engine.messages import EngineError, Metrics, Recipe, Request, Result, Setup
 from gffe_cl.viewer.engine.opening import ScenePlan, make_source
 from gffe_cl.viewer.engine.sources import FrameSource
-from gffe_cl.viewer.picture import flip_map
+from gffe_cl.viewer.picture import flip_map, region_map
 from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.comparing import Comparison
@@ -28,11 +28,14 @@ from gffe_cl.viewer.state.contents import Contents
 from gffe_cl.viewer.state.filling import Filling
 from gffe_cl.viewer.state.flying import Flight, Flyer
 from gffe_cl.viewer.state.framing import Framing
+from gffe_cl.viewer.state.kept import KeptSettings, command_line
 from gffe_cl.viewer.state.looks import Looks
 from gffe_cl.viewer.state.parameters import Parameters
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.pointing import Pointing
+from gffe_cl.viewer.state.regions import OVERLAY, Regions
 from gffe_cl.viewer.state.saving import Subject, Work, save_picture
+from gffe_cl.viewer.state.second import Second
 from gffe_cl.viewer.state.settings import Settings
 from gffe_cl.viewer.state.timings import Timings
 
@@ -70,7 +73,10 @@ class Model:
         self.view = View(names.FINAL, Display())
         self.framing = Framing(self.view)
         self.looks = Looks(self.contents, settings.displays)
-        self.comparison = Comparison(self.view, self.contents, self.looks)
+        self.kept = KeptSettings()
+        self.comparison = Comparison(self.view, self.contents, self.looks, self.kept)
+        self.second = Second(self.engine, self.filling.find)
+        self.regions = Regions(self.view, self.contents)
         self.pointing = Pointing(self._inspect)
         self.flyer: Flyer | None = None
         self.export: Work | None = None
@@ -87,7 +93,7 @@ class Model:
         self.recipe = self.engine.recipe(self.setup)
         self._serial = itertools.count(1)
         self._asked: Request | None = None  # the latest request, and it without its serial number
-        self._wanted: tuple[Request, Recipe | None] | None = None
+        self._wanted: tuple[Request, Recipe | None, Request | None] | None = None
         self._was_kept = False  # what is shown came from the cache
         self._was_playing = False
         self._target = ""
@@ -96,6 +102,7 @@ class Model:
         self.playback.restore(settings.playback)
         self.parameters.restore(settings.options)
         self.comparison.restore(settings.compare)
+        self.kept.restore(settings.kept)
 
     # ---- opening -----------------------------------------------------------------------------------------
 
@@ -121,6 +128,7 @@ class Model:
         self.parameters.open(source)
         self.notice, self._asked, self._target = "", None, source.target
         self._show({}, canvas)
+        self.second.forget()
         if self.export is not None:
             self.export.cancel()
         times = None if source.live else [source.time(k) for k in range(source.count)]
@@ -149,7 +157,10 @@ class Model:
                 self._failed(answer)
             elif self.source is not None and self._is_news(answer):
                 self._was_kept = False
-                self._take(answer, canvas)
+                self._came(answer, canvas)
+        pair = self.second.take()
+        if pair is not None:
+            self._take(*pair, canvas)
         while (metrics := self.engine.poll_metrics()) is not None:
             self._metrics.setdefault(self.engine.recipe(metrics.setup), {})[metrics.slot] = metrics
         inspection = self.engine.poll_inspection()
@@ -157,9 +168,11 @@ class Model:
             self.pointing.take(inspection)
         if self.source is None:
             return
-        fault = self.comparison.update(canvas)
-        if fault:
+        for fault in filter(None, (self.comparison.update(canvas), self.regions.update(canvas))):
             self.say(fault, error=True)
+        self.second.compare_with(None if self.overview else self.comparison.second)
+        kept = self.second.kept
+        self.filling.others = frozenset() if kept is None else frozenset({self.engine.recipe(kept.setup(self.n))})
         result, ready = self.contents.result, None
         if result is not None and result.request.setup == self.setup:
             ready = result.request.slot
@@ -172,6 +185,11 @@ class Model:
             self._advance_export(canvas)
 
     def _failed(self, error: EngineError) -> None:
+        if self.second.failed(error):
+            self.say(f"B: {error.message}", error=True)
+            return
+        if error.during != "metrics":
+            self.second.forget()
         self.failure = error.message
         if error.during == "network":
             self._without_network(error.message)
@@ -194,13 +212,23 @@ class Model:
         if self.export is not None:
             self.export.cancel()
 
-    def _take(self, result: Result, canvas) -> None:
-        self.contents.take(result)
+    def _came(self, result: Result, canvas) -> None:
+        """A's result is there; where it is compared with B's it waits for that."""
+        if self.second.belongs(result):
+            self.second.pair(result)
+        else:
+            self._take(result, None, canvas)
+
+    def _take(self, result: Result, second: Result | None, canvas) -> None:
+        self.contents.take(result, second)
         self.failure = None
         self.warnings = list(result.warnings)
         if result.metrics:
             request = result.request
             self.metrics[request.slot] = Metrics(request.slot, request.setup, result.metrics)
+        if second is not None and second.metrics:
+            request = second.request
+            self.metrics_of_second()[request.slot] = Metrics(request.slot, request.setup, second.metrics)
         if canvas is not None:
             canvas.frame = self.contents.frame_info()
         self._show(result.images, canvas)
@@ -213,9 +241,13 @@ class Model:
         if canvas is None:
             return
         start = time.perf_counter()
-        canvas.forget(canvas.layers.keys() - images.keys() - {flip_map.NAME})
+        second = self.contents.second
+        others = {} if second is None else {names.of_second(name): image for name, image in second.images.items()}
+        canvas.forget(canvas.layers.keys() - images.keys() - others.keys() - {flip_map.NAME, region_map.NAME})
         for name, image in images.items():
             canvas.upload(name, image, self.contents.spec(name))
+        for name, image in others.items():
+            canvas.upload(name, image, self.contents.spec(name), self.contents.frame_info(second))
         self.upload_ms = (time.perf_counter() - start) * 1e3
 
     def _ask(self, slot: int, canvas) -> None:
@@ -224,21 +256,26 @@ class Model:
             k, j = divmod(slot, self.n + 1)
             self.source.fly(k, j / (self.n + 1), self.flyer.pose)
         request = Request(slot, self.setup, frozenset(self._needed()), 0, self.measuring, keep=not self.flying)
-        wanted = request, None if self.flying else self.recipe
+        second = self.second.request(request, self._needed_of_second()) if self.second.kept else None
+        wanted = request, None if self.flying else self.recipe, second
         steered = self.flying and self.flyer.moved
         if wanted == self._wanted and self._asked is not None and not steered:
             return
+        if self.second.waits and second is not None:
+            return  # one after the other, or the faster one would never be shown with the slower one
         if self.flying:
             self.flyer.moved = False
         self._wanted = wanted
         self._asked = replace(request, serial=next(self._serial))
+        if second is not None:
+            self.second.ask(replace(second, serial=next(self._serial)), self.source)
         kept = None if self.flying else self.filling.find(self.recipe, request)
         if kept is None:
             self.engine.submit(self._asked, self.source)
             return
         self.engine.withdraw()
         self._was_kept = True
-        self._take(replace(kept, request=self._asked), canvas)
+        self._came(replace(kept, request=self._asked), canvas)
 
     def _is_news(self, result: Result) -> bool:
         """Whether it was asked for after what is shown, or made anew."""
@@ -266,6 +303,11 @@ class Model:
         """What was measured of the present recipe, by slot."""
         return self._metrics.setdefault(self.recipe, {})
 
+    def metrics_of_second(self) -> dict[int, Metrics]:
+        """... of B's settings."""
+        kept = self.kept.b
+        return {} if kept is None else self._metrics.setdefault(self.engine.recipe(kept.setup(self.n)), {})
+
     @property
     def n(self) -> int:
         """Generated frames after each rendered one."""
@@ -290,6 +332,8 @@ class Model:
             and not self.engine.busy
             and not self.pointing.story_due
             and self.comparison.ready
+            and not self.second.waits
+            and self.regions.ready
         )
 
     def _needed(self) -> set[str]:
@@ -297,9 +341,10 @@ class Model:
         if self.overview:
             return {spec.name for spec in self.contents.layers} or {names.FINAL}
         wanted = {self.view.a}
-        if self.view.compare != "off" and self.view.b:
+        if self.view.compare != "off" and self.view.b and not names.is_second(self.view.b):
             wanted.add(self.view.b)
-        if self.view.overlay != "none":
+        wanted |= self.regions.needed
+        if self.view.overlay not in ("none", OVERLAY):
             wanted |= {names.RENDERED_COLOR, names.RENDERED_DEPTH, names.RENDERED_MOTION}
         specs = [self.contents.spec(name) for name in wanted]
         if any(spec is not None and spec.view == "world" for spec in specs):
@@ -307,6 +352,25 @@ class Model:
         if self.export is not None:
             wanted |= self.export.layers
         return wanted
+
+    def _needed_of_second(self) -> frozenset[str]:
+        return frozenset({self.view.a} | ({names.FINAL} & self.regions.needed))
+
+    def keep_as_b(self) -> None:
+        """Freeze what is computed now as B."""
+        kept = self.kept.keep(self.setup, self.recipe.kernels)
+        self.comparison.with_settings(kept.name)
+        self.say(f"kept as B: {kept.name}. W wipes between A and B, D shows their difference")
+
+    def take_second(self) -> None:
+        """Go on with B's settings as A."""
+        kept = self.kept.b
+        self.parameters.take(kept.options, kept.window)
+        self.say(f"A has B's settings now: {kept.name}" + (", with the newest kernels" if kept.kernels else ""))
+
+    def command_line(self, setup: Setup) -> str:
+        """What gives the frames of `setup`, for a shell."""
+        return command_line(setup, self.source, self.plan.seed)
 
     def set(self, name: str, value: Any) -> None:
         """A parameter; what makes no sense is said."""
@@ -394,6 +458,7 @@ class Model:
         self.settings.playback = self.playback.preferences()
         self.settings.options = self.parameters.preferences()
         self.settings.compare = self.comparison.preferences()
+        self.settings.kept = self.kept.preferences()
         warning = self.settings.save()
         if warning:
             print(warning, file=sys.stderr)
@@ -406,6 +471,7 @@ class Model:
         if self.export is not None:
             self.export.close()
         self.comparison.close()
+        self.regions.close()
         self.engine.close()
 
     @property

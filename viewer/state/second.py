@@ -1,36 +1,41 @@
-"""B where it is not another layer but other settings: the same slot and layers, computed beside A's."""
+"""B where it is not another layer but other settings: the same slot, made beside A's."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
-from gffe_cl.viewer.engine.messages import EngineError, Metrics, Request, Result
-from gffe_cl.viewer.state.beside import Beside
+from gffe_cl.viewer.engine.engine import Engine
+from gffe_cl.viewer.engine.messages import EngineError, Recipe, Request, Result
 from gffe_cl.viewer.state.kept import Kept
 
 
 class Second:
-    """Brings B's slots together with A's: what is shown is of one slot, or A waits.
+    """Brings B's slots together with A's: what is shown is of one slot, so whichever is there first waits.
+
+    Parameters
+    ----------
+    find : callable
+        What the cache has for a recipe and a request.
 
     Attributes
     ----------
     kept : Kept or None
         B's settings while there is something to show of them.
-    metrics : dict
-        Of B by slot.
     fault : str
         Why there is nothing of B; empty if there is.
+    asked : Request or None
+        What was asked of B last.
     """
 
-    def __init__(self, beside: Beside):
-        self._beside = beside
+    def __init__(self, engine: Engine, find: Callable[[Recipe, Request], Result | None]):
+        self._engine, self._find = engine, find
         self.kept: Kept | None = None
-        self.metrics: dict[int, Metrics] = {}
         self.fault = ""
-        self._asked: Request | None = None
-        self._measured = None
+        self.asked: Request | None = None
         self._first: Result | None = None  # A's, which waits for B's
         self._made: Result | None = None  # B's
+        self._shown: Request | None = None  # of B, that was given to be shown
 
     def compare_with(self, kept: Kept | None) -> None:
         """With these settings from now on; None: with none."""
@@ -39,53 +44,52 @@ class Second:
         self.kept = kept
 
     def forget(self) -> None:
-        """There is another picture."""
-        self._asked = self._first = self._made = None
+        """Nothing is waited for any more."""
+        if self.asked is not None:
+            self._engine.withdraw("b")
+        self.asked = self._first = self._made = None
         self.fault = ""
-        self.metrics = {}
-        self._beside.give_up("show")
-
-    @property
-    def active(self) -> bool:
-        return self.kept is not None
 
     @property
     def waits(self) -> bool:
-        """Whether a slot of B is under way."""
-        return self.active and self._asked is not None and self._made is None and not self.fault
+        """Whether A's and B's results of what was asked for are not both there."""
+        return self.kept is not None and self.asked is not None and self._shown != self.asked
 
-    def request(self, first: Request) -> Request:
+    def request(self, first: Request, layers: frozenset[str]) -> Request:
         """What is asked of B where `first` is asked of A."""
-        return replace(first, setup=self.kept.setup(first.setup.n))
+        return replace(first, setup=self.kept.setup(first.setup.n), layers=layers, role="b")
 
-    def ask(self, request: Request) -> None:
+    def ask(self, request: Request, source) -> None:
         """The slot of B that belongs to the one of A that is asked for now."""
-        if self._measured != request.setup:
-            self._measured, self.metrics = request.setup, {}
-        self._asked, self._made, self._first, self.fault = request, None, None, ""
-        self._beside.show(request)
+        self.asked, self.fault = request, ""
+        self._first = self._shown = None
+        kept = self._find(self._engine.recipe(request.setup), request) if request.keep else None
+        self._made = None if kept is None else replace(kept, request=request)
+        if kept is None:
+            self._engine.submit(request, source)
+
+    def failed(self, error: EngineError) -> bool:
+        """Whether a fault is B's: then A is shown alone."""
+        if self.asked is None or error.serial != self.asked.serial:
+            return False
+        self.fault = error.message
+        return True
+
+    def belongs(self, first: Result) -> bool:
+        """Whether a result of A is to be shown together with one of B."""
+        return self.asked is not None and self.asked.slot == first.request.slot
 
     def pair(self, first: Result) -> None:
-        """A's slot is there."""
+        """A's result is there."""
         self._first = first
 
     def take(self) -> tuple[Result, Result | None] | None:
-        """A's and B's results of one slot when both are there; B's is None if it failed."""
-        while (answer := self._beside.take("show")) is not None:
-            request, made = answer
-            if request != self._asked:
-                continue
-            if isinstance(made, EngineError):
-                self.fault = made.message
-            else:
-                self._made = made
-                if made.metrics:
-                    self.metrics[request.slot] = Metrics(request.slot, request.setup, made.metrics)
-        while (metrics := self._beside.take_metrics()) is not None:
-            if metrics.setup == self._measured:
-                self.metrics[metrics.slot] = metrics
+        """A's and B's results when both are there; B's is None if it failed."""
+        made = self._engine.poll("b")
+        if made is not None and made.request == self.asked:
+            self._made = made
         if self._first is None or (self._made is None and not self.fault):
             return None
         pair = self._first, self._made
-        self._first = None
+        self._first, self._shown = None, self.asked
         return pair
