@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from imgui_bundle import imgui
-from viewer_gui_driver import KEY, SHIFT, Gui, collector
+from viewer_gui_driver import CTRL, KEY, SHIFT, Gui, collector
 
 CASES, case = collector()
 ALT = KEY.mod_alt.value
@@ -70,3 +70,104 @@ def settings_a_and_b(gui: Gui):
     model.comparison.set("off")
     gui.ctx.window_focus("//Modules")
     values.pop("usual")
+
+
+@case
+def finding_frames(gui: Gui):
+    """Every generated frame is measured; the worst, the next worse and the largest difference are found."""
+    from gffe_cl.metrics import display_values, psnr
+
+    model, values = gui.model, gui.values
+    survey = model.survey
+    gui.key(KEY.k)
+    model.comparison.with_settings()
+    model.set("motion", False)
+    gui.settle()
+    gui.key(KEY.j, ALT)
+    gui.wait(lambda: survey.on and not survey.busy, "the survey", 60)
+    gui.frames(3)
+    values["slots"] = [sorted(map(int, survey.curve(side)[0])) for side in (survey.a, survey.b)]
+    curve = dict(zip(*map(list, survey.curve(survey.a)), strict=True))
+    values["curve"] = curve
+    gui.shot("plot")
+    visited = []
+    for modifiers in (0, SHIFT, SHIFT):
+        gui.key(KEY.j, modifiers)
+        gui.settle()
+        visited.append(model.slot)
+    values["visited"], values["worst"] = visited, sorted(curve, key=curve.get)[:3]
+    model.view.b = None
+    model.comparison.with_layer("truth")
+    model.comparison.set("flip")
+    gui.settle()
+    images = model.contents.result.images
+    shown, true = (display_values(images[name][..., :3], model.source.exposure) for name in ("final", "truth"))
+    values["by hand"], values["in the plot"] = psnr(shown, true), curve[model.slot]
+    model.comparison.set("off")
+    model.comparison.with_settings()
+    gui.key(KEY.j, CTRL)
+    gui.settle()
+    a, b = (dict(zip(*survey.curve(side), strict=True)) for side in (survey.a, survey.b))
+    values["most different"] = [model.slot, max(a, key=lambda slot: abs(a[slot] - b[slot]))]
+    names = survey.figures(survey.a)[13].values
+    values["quantities"] = {name: float(value) for name, value in names.items()}
+    gui.ctx.mouse_move("//Plot/###survey")
+    gui.click("//Plot/###quantity")
+    gui.click("//$FOCUSED/disoccluded")
+    gui.settle()
+    gui.shot("plot of disocclusions")
+    left, top, width, height = gui.area("//Plot/###survey")
+    gui.point(left + 0.55 * width, top + 0.4 * height)
+    gui.ctx.mouse_click(0)
+    gui.frames(2)
+    gui.settle()
+    values["clicked"] = model.slot
+    model.survey.on = False
+    survey.quantity = "psnr"
+    gui.app.panel("Plot").is_visible = False
+    gui.frames(3)
+
+
+@case
+def regions_of_errors(gui: Gui):
+    """Where the error of a frame lies; one region is seen alone."""
+    model, values = gui.model, gui.values
+    model.set("motion", False)
+    model.set("window", False)
+    gui.settle()
+    gui.key(KEY.k)
+    model.comparison.with_settings()
+    model.set("motion", True)
+    model.comparison.set("split")
+    gui.ctx.window_focus("//Regions")
+    gui.frames(2)
+    gui.settle()
+    plain = gui.picture()
+    gui.click("//Regions/over the picture")
+    gui.settle()
+    gui.shot("regions")
+    values["tinted"] = float((gui.picture() != plain).any(-1).mean())
+    found = model.regions.map
+    values["pixels"] = {name: part.pixels for name, part in found.a.items()}
+    values["errors"] = {name: [found.a[name].error, found.b[name].error] for name in found.a}
+    gui.click("//Regions/###regions frame/###frame dynamic")
+    gui.settle()
+    gui.shot("one region")
+    values["only"] = model.regions.only
+    picture = gui.picture()
+    bright = (picture == plain).all(-1)
+    inside = []
+    for y in range(0, model.source.height, 7):
+        for x in range(0, model.source.width, 7):
+            sx, sy = (int(c) for c in model.view.screen_at(picture.shape[1::-1], x + 0.5, y + 0.5))
+            inside.append((bool(found.labels[y, x] == 3), bool(bright[sy, sx]), int(plain[sy, sx].sum())))
+    values["bright inside"] = all(bright for is_inside, bright, _ in inside if is_inside)
+    values["dim outside"] = float(np.mean([not bright for is_inside, bright, sum_ in inside if not is_inside]))
+    gui.click("//Regions/###regions frame/###frame dynamic")
+    values["all again"] = model.regions.only
+    gui.key(KEY.r, ALT)
+    gui.settle()
+    values["as before"] = bool((gui.picture() == plain).all())
+    model.comparison.set("off")
+    gui.ctx.window_focus("//Inspector")
+    gui.frames(2)

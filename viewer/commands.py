@@ -9,6 +9,7 @@ from imgui_bundle import imgui
 from gffe_cl.options import Option
 from gffe_cl.scenes import SCENES
 from gffe_cl.viewer.actions import Action
+from gffe_cl.viewer.engine.figures import QUANTITIES, REGIONS
 from gffe_cl.viewer.state import saving
 from gffe_cl.viewer.state.parameters import ALL
 
@@ -18,6 +19,7 @@ _EXPOSURE_STEP = 0.5
 def register(app) -> None:
     """Fill `app.actions`."""
     model = app.model
+    survey, regions = model.survey, model.regions
 
     def add(id, label, group, shortcut, run, enabled=lambda: None, **more):
         app.actions.register(Action(id, label, group, shortcut, run, enabled, **more))
@@ -104,6 +106,28 @@ def register(app) -> None:
             checked=lambda way=way: model.view.compare == way)  # fmt: skip
     add("truth", "Show ground truth", "Compare", "T", model.comparison.toggle_truth,
         lambda: opened() or model.contents.why_not("truth"))  # fmt: skip
+    add("survey", "Measure every generated frame", "Find", "Alt+J", lambda: app.show_survey(not survey.on),
+        lambda: opened(), checked=lambda: survey.on,
+        tooltip="In the background, for the plot over the timeline and for finding frames")  # fmt: skip
+    for id, text, key, find, tooltip in (
+        ("worst", "Worst frame", "J", survey.worst, "By the quantity that is plotted"),
+        ("next_worst", "Next worse frame", "Shift+J", survey.next, "In the order of the last search"),
+        ("most_different", "Largest difference of A and B", "Ctrl+J", survey.most_different,
+         "Where A's and B's settings differ most in what is plotted; again: the next one"),
+    ):  # fmt: skip
+        difference = id == "most_different"
+        add(id, text, "Find", key, partial(app.find, find),
+            lambda difference=difference: opened() or survey.why_not(difference), tooltip=tooltip)  # fmt: skip
+    for name, quantity in QUANTITIES.items():
+        add(f"plot {name}", f"Plot {quantity.label}", "Find", "", partial(setattr, survey, "quantity", name),
+            checked=lambda name=name: survey.quantity == name)  # fmt: skip
+    add("regions", "Regions of errors", "Find", "Alt+R", lambda: regions.switch(not regions.on),
+        lambda: opened() or regions.why_not(), checked=lambda: regions.on,
+        tooltip="Where errors are counted, over the picture")  # fmt: skip
+    for name, text in REGIONS.items():
+        add(f"region {name}", f"Only region: {name}", "Find", "", partial(regions.see_only, name),
+            lambda: opened() or regions.why_not(), checked=lambda name=name: regions.only == name,
+            tooltip=f"{text[:1].upper()}{text[1:]}")  # fmt: skip
     add("fly", "Fly the camera", "Camera", "G", model.toggle_flying, live, checked=lambda: model.flying,
         tooltip="W A S D and Q E move, the right mouse button turns, Shift is faster")  # fmt: skip
     add("home_camera", "Back to the scene's camera", "Camera", "H", model.stop_flying, live)

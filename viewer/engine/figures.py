@@ -51,11 +51,19 @@ QUANTITIES = {
 
 @dataclass(frozen=True)
 class Part:
-    """A region of one slot: its share of the pixels and of the squared error, 0 to 1, and PSNR in it (NaN if empty)."""
+    """A region: its share of the pixels and of the squared error, 0 to 1; the mean over the whole image of what is its
+    squared error; and PSNR in it (NaN if it is empty)."""
 
     pixels: float
     error: float
+    squared: float
     psnr: float
+
+    @classmethod
+    def of(cls, pixels: float, squared: float, whole: float) -> Part:
+        """`whole`: the mean squared error of the image."""
+        psnr = METRICS["psnr"].of_mean(squared / pixels) if pixels else float("nan")
+        return cls(pixels, squared / whole if whole > 0 else 0.0, squared, psnr)
 
 
 @dataclass(frozen=True)
@@ -135,12 +143,9 @@ def parts_of(labels: np.ndarray, squared: np.ndarray) -> dict[str, Part]:
     """By region; `squared`: (H, W) squared error of display values."""
     counts = np.bincount(labels.ravel(), minlength=len(REGIONS))
     sums = np.bincount(labels.ravel(), squared.ravel(), minlength=len(REGIONS))
-    whole, psnr = max(float(sums.sum()), 1e-30), METRICS["psnr"].of_mean
+    parts = (float(sums[number]) / labels.size for number in range(len(REGIONS)))
+    whole = float(sums.sum()) / labels.size
     return {
-        name: Part(
-            float(counts[number]) / labels.size,
-            float(sums[number]) / whole,
-            psnr(float(sums[number] / counts[number])) if counts[number] else float("nan"),
-        )
-        for number, name in enumerate(REGIONS)
+        name: Part.of(float(count) / labels.size, part, whole)
+        for name, count, part in zip(REGIONS, counts, parts, strict=True)
     }

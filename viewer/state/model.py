@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -37,6 +38,7 @@ from gffe_cl.viewer.state.regions import OVERLAY, Regions
 from gffe_cl.viewer.state.saving import Subject, Work, save_picture
 from gffe_cl.viewer.state.second import Second
 from gffe_cl.viewer.state.settings import Settings
+from gffe_cl.viewer.state.survey import Side, Survey
 from gffe_cl.viewer.state.timings import Timings
 
 _SCENES = ScenePlan(480, 270, 0)
@@ -77,6 +79,7 @@ class Model:
         self.comparison = Comparison(self.view, self.contents, self.looks, self.kept)
         self.second = Second(self.engine, self.filling.find)
         self.regions = Regions(self.view, self.contents)
+        self.survey = Survey(self.engine, self.playback)
         self.pointing = Pointing(self._inspect)
         self.flyer: Flyer | None = None
         self.export: Work | None = None
@@ -129,6 +132,7 @@ class Model:
         self.notice, self._asked, self._target = "", None, source.target
         self._show({}, canvas)
         self.second.forget()
+        self.survey.clear()
         if self.export is not None:
             self.export.cancel()
         times = None if source.live else [source.time(k) for k in range(source.count)]
@@ -178,6 +182,7 @@ class Model:
             ready = result.request.slot
         self._ask(self.playback.tick(now, ready).request, canvas)
         self._fill(now)
+        self._survey()
         if self._was_playing and not self.playback.playing and self._was_kept:
             self.pointing.ask_again()
         self._was_playing = self.playback.playing
@@ -289,6 +294,26 @@ class Model:
         nbytes = sum(image.nbytes for image in result.images.values())
         beside = not (self.flying or self.overview or self.export or self._wanted[0].slot != result.request.slot)
         self.filling.update(now, self.recipe, self._wanted[0], nbytes, beside)
+
+    def _survey(self) -> None:
+        kept = self.kept.b if self.comparison.by_settings else None
+        second = None if kept is None else kept.setup(self.n)
+        sides = [None if setup is None else Side(setup, self.engine.recipe(setup)) for setup in (self.setup, second)]
+        idle = not (self.flying or self.export or self.playback.playing or self.second.waits)
+        self.survey.update(*sides, self.source.exposure, idle)
+
+    def go_to(self, find: Callable[[], int | None]) -> None:
+        """To the slot that is found by the survey, which starts when it is not under way."""
+        started, self.survey.on = not self.survey.on, True
+        slot = find()
+        done, total = self.survey.progress
+        if slot is not None:
+            self.playback.seek(slot)
+            self.say(self.survey.place + (f" measured so far ({total} in all)" if done < total else ""))
+        elif started or done < total:
+            self.say("every generated frame is being measured: ask again in a moment")
+        else:
+            self.say(self.survey.why_not() or "no frame can be found by this")
 
     def _inspect(self, x: int, y: int) -> None:
         """Ask about a pixel of what is shown; what comes from the cache is not made for that while it plays."""
@@ -472,6 +497,7 @@ class Model:
             self.export.close()
         self.comparison.close()
         self.regions.close()
+        self.survey.close()
         self.engine.close()
 
     @property

@@ -19,12 +19,15 @@ class Regions:
     ----------
     map : RegionMap or None
         Of the slot that is shown, once it is known.
+    changes : int
+        How often there was another one.
     """
 
     def __init__(self, view: View, contents: Contents):
         self._view, self._contents = view, contents
         self._maps = Latest("regions")
         self.map: RegionMap | None = None
+        self.changes = 0
 
     @property
     def on(self) -> bool:
@@ -77,14 +80,15 @@ class Regions:
             self.switch(False)
             return f"regions: {error}"
         if made is not None:
-            self.map = made
+            self.map, self.changes = made, self.changes + 1
             if canvas is not None:
                 canvas.upload(NAME, made.labels, SPEC)
         have = result is not None and NEEDED & result.specs.keys() <= result.images.keys()
         if not have or self.why_not() is not None:
-            self.map = None if result is not None and self.why_not() else self.map
-            if canvas is not None and self.map is None:
-                canvas.forget([NAME])
+            if self.map is not None and result is not None and self.why_not():
+                self.map, self.changes = None, self.changes + 1
+                if canvas is not None:
+                    canvas.forget([NAME])
             return None
         second = contents.image(names.of_second(names.FINAL))
         self._maps.want((contents.changes, second is None), region_map, result, second, contents.source.exposure)
