@@ -403,3 +403,35 @@ def test_restart(values):
     assert values["compare"] == ["split", "frame.motion", 0.25]
     assert [name for name, shown in values["panels"].items() if not shown] == ["Timings"]
     assert values["window"] == [1100, 700]
+
+
+def test_settings_a_and_b(values):
+    assert values["kept"] == "defaults" and values["A differs"]
+    assert values["left is A"] and values["right is B"] and values["held shows B"]
+    assert values["largest fault of the difference"] <= 8  # A and B are rounded to 8 bits here, times 4
+    assert values["B follows A's layer"] == "B:frame.filled_by"
+    a, b = values["scores"]
+    assert b > a + 1
+    assert values["slots"] == [[14, 14], [15, 15], [15, 15]]
+    assert "--no-motion" in values["command"].split() and values["command"].startswith("gffe run ")
+    assert values["swapped"] is True
+
+
+def test_finding_frames(values):
+    assert values["slots"] == [list(range(1, 16, 2))] * 2
+    assert values["visited"] == values["worst"] and len(set(values["visited"])) == 3
+    assert values["in the plot"] == pytest.approx(values["by hand"], abs=1e-9)
+    assert values["most different"][0] == values["most different"][1]
+    assert {"psnr", "flicker", "disoccluded", "kernels"} <= set(values["quantities"])
+    assert values["clicked"] == 9
+
+
+def test_regions_of_errors(values):
+    assert 0.05 < values["tinted"] < 0.6
+    assert sum(values["pixels"].values()) == pytest.approx(1)
+    for side in zip(*values["errors"].values(), strict=True):
+        assert sum(side) == pytest.approx(1)
+    a, b = values["errors"]["dynamic"]
+    assert b > 2 * a  # B has no motion estimation
+    assert values["only"] == "dynamic" and values["bright inside"] and values["dim outside"] > 0.9
+    assert values["all again"] is None and values["as before"]

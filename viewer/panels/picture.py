@@ -8,6 +8,7 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.state.kept import told
 
 _ZOOM_STEP = 1.2
 _DRAG = 4.0  # screen pixels: less is a click
@@ -203,7 +204,8 @@ def _caption(model, origin, width, height, marks) -> None:
     if model.comparison.flipped and view.b:
         _label(marks, f"B  {_layer_text(model, view.b)}", origin.x + 10, origin.y + 8)
     elif view.compare != "off" and view.b:
-        _label(marks, f"A  {_layer_text(model, view.a)}", origin.x + 10, origin.y + 8)
+        settings = f"{told(model.setup)}   " if model.comparison.by_settings else ""
+        _label(marks, f"A  {settings}{_layer_text(model, view.a)}", origin.x + 10, origin.y + 8)
         _label(marks, f"B  {_layer_text(model, view.b)}", origin.x + width - 10, origin.y + 8, right=True)
     else:
         _label(marks, _layer_text(model, view.a), origin.x + 10, origin.y + 8)

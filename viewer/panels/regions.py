@@ -10,6 +10,8 @@ from gffe_cl.viewer.engine.figures import REGIONS, Part
 from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.picture.colors import LABEL_COLORS
 
+_REST = (0.35, 0.35, 0.35)  # everything else has no tint
+
 
 def draw(app) -> None:
     model = app.model
@@ -69,7 +71,8 @@ def _table(regions, name: str, a: dict[str, Part], b: dict[str, Part] | None) ->
 def _swatch(number: int) -> None:
     size = hello_imgui.em_size(0.8)
     flags = imgui.ColorEditFlags_.no_tooltip.value
-    imgui.color_button(f"###color {number}", (*LABEL_COLORS[number + 1 & 15], 1.0), flags, ImVec2(size, size))
+    color = _REST if number == len(REGIONS) - 1 else LABEL_COLORS[number + 1]
+    imgui.color_button(f"###color {number}", (*color, 1.0), flags, ImVec2(size, size))
     imgui.same_line(0, hello_imgui.em_size(0.3))
 
 

@@ -26,6 +26,7 @@
 #define EDGES 1
 #define RESIDUAL 2
 #define REGIONS 3
+#define REST 5                   /* the last of the regions of errors: everything else */
 
 #define GRID_FROM 8.0    /* screen pixels per texel, and per display pixel, from which grid lines show */
 #define GRID_FULL 24.0
@@ -279,7 +280,7 @@ vec3 overlaid(const vec3 picture, const vec2 uv) {
     if (OVERLAY == REGIONS) {
         if (!has_regions) return picture;
         int here = int(255.0 * texelFetch(regions, ivec3(texel_at(uv, textureSize(regions, 0).xy), 0), 0).r + 0.5);
-        if (region < 0) return mix(1.4 * dimmed, label_colors[(here + 1) & 15], 0.45);
+        if (region < 0) return here == REST ? 1.4 * dimmed : mix(1.4 * dimmed, label_colors[here + 1], 0.6);
         return here == region ? picture : 0.6 * dimmed;
     }
     if (OVERLAY == 0 || !inside(rendered_uv)) return picture;

@@ -116,24 +116,29 @@ class KeptSettings:
 
     def _unused(self, setup: Setup) -> str:
         """A name that says what is not as usual, and is not taken."""
-        stem = ", ".join(_deviations(setup.options))[: _LONGEST - 5].rstrip(" ,") or "defaults"
+        stem = told(setup)
         taken, number = {kept.name for kept in self.all}, 1
         while (name := stem if number == 1 else f"{stem} ({number})") in taken:
             number += 1
         return name
 
 
+def told(setup: Setup) -> str:
+    """What is not as usual, in a few words."""
+    return ", ".join(_deviations(setup.options))[: _LONGEST - 5].rstrip(" ,") or "defaults"
+
+
 def _deviations(options: Options) -> list[str]:
-    """What is not as usual, in a few words each."""
-    told = []
+    """... one by one."""
+    found = []
     for name, option in OPTIONS.items():
         value = getattr(options, name)
         if value == option.default or not option.remembered or (option.automatic and option.kind is bool):
             continue
         label = option.off_label or option.label if value == option.off else option.label
         off = option.off is not None and value == option.off
-        told.append(f"no {label}" if off else label if value is True else f"{label} {value}")
-    return told
+        found.append(f"no {label}" if off else label if value is True else f"{label} {value}")
+    return found
 
 
 def command_line(setup: Setup, source: FrameSource, seed: int) -> str:
