@@ -171,3 +171,71 @@ def regions_of_errors(gui: Gui):
     model.comparison.set("off")
     gui.ctx.window_focus("//Inspector")
     gui.frames(2)
+
+
+@case
+def walking_along_a_story(gui: Gui):
+    """The links of a story: to the rendered frame and pixel, to the layer that decided, and back."""
+    model, values = gui.model, gui.values
+    gui.ctx.window_focus("//Inspector")
+    model.pointing.pick((180, 84))  # on the walker
+    gui.settle()
+    story = model.pointing.story
+    values["links"] = [[link.label, link.layer] for step in story.sentences for link in getattr(step, "links", ())]
+    values["way"] = [[point.k, *point.px] for point in story.way]
+    gui.shot("way of a fragment")
+    before = model.view.a, model.slot, model.pointing.picked
+    gui.click("//Inspector/###0 frame 6")
+    gui.settle()
+    values["at the rendered frame"] = [model.slot, list(model.pointing.picked), model.pointing.story.sentences[0]]
+    source = story.source
+    values["source"] = list(source)
+    gui.click("//Inspector/###1 dynamic mask")
+    gui.settle()
+    values["layer"] = model.view.a
+    gui.click(f"//Inspector/###way {story.way[2].k}")
+    gui.settle()
+    values["two before"] = [model.slot, list(model.pointing.picked)]
+    for _ in range(3):
+        gui.key(KEY.backspace)
+        gui.settle()
+    values["back"] = (model.view.a, model.slot, model.pointing.picked) == before
+    values["back is disabled"] = gui.app.actions["back"].enabled()
+    model.pointing.pick(None)
+
+
+@case
+def rectangle(gui: Gui):
+    """Drawn with Shift: what filled its pixels, their errors, their motion."""
+    from gffe_cl.metrics import display_values, psnr
+
+    model, values = gui.model, gui.values
+    gui.settle()
+    centre = model.view.centre
+    gui.ctx.key_down(imgui.Key.mod_shift.value)
+    gui.drag(gui.at(140.5, 40.5), gui.at(189.5, 99.5))
+    gui.ctx.key_up(imgui.Key.mod_shift.value)
+    gui.settle()
+    values["rectangle"] = model.selection.rectangle
+    values["panned"] = model.view.centre != centre
+    gui.ctx.window_focus("//Inspector")
+    gui.frames(3)
+    gui.shot("rectangle of pixels")
+    found = model.selection.statistics
+    images = {name: image[40:100, 140:190] for name, image in model.contents.result.images.items() if image.ndim > 1}
+    shown, true = (display_values(images[name][..., :3], model.source.exposure) for name in ("final", "truth"))
+    error = np.abs(shown - true).mean(-1)
+    y, x = np.unravel_index(error.argmax(), error.shape)
+    values["psnr"] = [found.psnr, psnr(shown, true)]
+    values["worst"] = [list(found.worst), [140 + int(x), 40 + int(y)]]
+    values["filled"] = [found.filled, float((images["frame.filled_by"] == 0).mean())]
+    values["lengths"] = [found.lengths.sum(), found.count]
+    gui.click("//Inspector/###worst_pixel")
+    gui.settle()
+    values["picked"] = [list(model.pointing.picked), list(model.pointing.story.pixel)]
+    gui.key(KEY.right_arrow)
+    gui.settle()
+    values["of a rendered frame"] = [model.selection.statistics.psnr, model.selection.statistics.filled]
+    gui.click("//Inspector/###forget_rectangle")
+    values["forgotten"] = model.selection.rectangle
+    model.pointing.pick(None)

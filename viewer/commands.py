@@ -128,6 +128,10 @@ def register(app) -> None:
         add(f"region {name}", f"Only region: {name}", "Find", "", partial(regions.see_only, name),
             lambda: opened() or regions.why_not(), checked=lambda name=name: regions.only == name,
             tooltip=f"{text[:1].upper()}{text[1:]}")  # fmt: skip
+    add("back", "Back to where the link was", "Find", "Backspace", model.walk.back,
+        lambda: opened() or (None if model.walk.can_go_back else "no link was followed"))  # fmt: skip
+    add("forget_rectangle", "Forget the rectangle", "Find", "", model.selection.forget,
+        lambda: opened() or (None if model.selection.rectangle else "drag with Shift to draw one"))  # fmt: skip
     add("fly", "Fly the camera", "Camera", "G", model.toggle_flying, live, checked=lambda: model.flying,
         tooltip="W A S D and Q E move, the right mouse button turns, Shift is faster")  # fmt: skip
     add("home_camera", "Back to the scene's camera", "Camera", "H", model.stop_flying, live)

@@ -23,6 +23,7 @@ from gffe_cl.sequence import Sequence
 from gffe_cl.source import Recorded
 from gffe_cl.stage import read_some_rows
 from gffe_cl.stages.presentation import present
+from gffe_cl.viewer.engine.way import REMEMBERED
 from gffe_cl.window import WindowChooser
 
 CACHE_BYTES = 512 << 20
@@ -39,7 +40,8 @@ class FrameSource(Protocol):
     `target`: how the user named it; `width`, `height`: of the display, pixels; `render_size`: (width, height) of the
     rendered frames, may change with `configure`; `count`: of rendered frames; `live`: rendered meanwhile, the camera
     may be flown; `windowed`: rendered through a window that can be used or not; `resets`: numbers of the frames
-    that are told to be one, in order; `flight`: another number whenever other poses are flown, 0 for none.
+    that are told to be one, in order; `flight`: another number whenever other poses are flown, 0 for none;
+    `held`: of the frames delivered last, so many stay as they are.
     """
 
     name: str
@@ -55,6 +57,7 @@ class FrameSource(Protocol):
     resets: tuple[int, ...] = (0,)
     has_truth: bool = False
     flight: int = 0
+    held: int = REMEMBERED
 
     def sibling(self) -> FrameSource:
         """The same frames for another pipeline, which uses it on the same thread: with a window and a place of its own.
@@ -275,6 +278,7 @@ class SceneSource(FrameSource):
         self._device, self._frames = device, SceneFrames(SceneRenderer(device, scene, width, height, samples))
         self._ring: OrderedDict[tuple, _Made] = OrderedDict()
         self._ring_size = max(_LEAST_RING, cache_bytes // (sum(BYTES_PER_PIXEL) * width * height))
+        self.held = min(REMEMBERED, self._ring_size - 1)
         self._truths: OrderedDict[tuple, np.ndarray] = OrderedDict()
         self._since: list[_Made] = []  # delivered since `restart`
         self._flown: dict[float, Camera] = {}  # by k + alpha
@@ -289,6 +293,7 @@ class SceneSource(FrameSource):
         other = copy.copy(self)  # renderer and poses are shared, rendered frames are not: they are used in place
         other._frames, other._ring, other._since = copy.copy(self._frames), OrderedDict(), []
         other._ring_size = max(_LEAST_RING, self._ring_size // 4)
+        other.held = min(REMEMBERED, other._ring_size - 1)
         return other
 
     def configure(self, window, n):

@@ -18,6 +18,8 @@ _VALUES = 3  # ... so many of each
 _ARROW_SPACING = 24.0  # screen pixels
 _ACCENT = (0.35, 0.85, 1.0, 1.0)
 _WARM = (1.0, 0.7, 0.25, 1.0)
+_WAY = (0.55, 1.0, 0.5, 1.0)
+_NEAR = 7.0  # screen pixels
 
 
 def draw(app) -> None:
@@ -48,6 +50,8 @@ def draw(app) -> None:
     if model.view.zoom >= _NUMBERS:
         _numbers(model, place, marks)
     _trajectory(model, place, marks)
+    _way(model, place, marks)
+    _rectangle(model, place, marks)
     marks.pop_clip_rect()
     _caption(model, origin, width, height, marks)
 
@@ -98,16 +102,20 @@ def _mouse(app, place) -> None:
     if imgui.is_item_activated():
         left = imgui.is_mouse_down(imgui.MouseButton_.left)
         app.pressed_at = at
-        app.drags = "picture" if not left else "line" if on_line else "nothing yet"
+        app.drags = "picture" if not left else "rectangle" if io.key_shift else "line" if on_line else "nothing yet"
     if imgui.is_item_active():
         if app.drags == "nothing yet" and _distance(at, app.pressed_at) >= _DRAG:
             app.drags = "picture"
         if app.drags == "line":
             view.split = min(max((at.x - place.origin.x) / place.size[0], 0.0), 1.0)
+        elif app.drags == "rectangle" and _distance(at, app.pressed_at) >= _DRAG:
+            model.selection.draw(place.to_display(app.pressed_at), place.to_display(at))
         elif app.drags == "picture":
             delta = io.mouse_delta
             view.centre = (view.centre[0] - delta.x / view.zoom, view.centre[1] - delta.y / view.zoom)
     if imgui.is_item_deactivated():
+        if app.drags == "rectangle" and _distance(at, app.pressed_at) < _DRAG:
+            model.selection.forget()
         if app.drags == "nothing yet":
             model.pointing.pick(tuple(math.floor(c) for c in place.to_display(at)))
         app.drags = "nothing"
@@ -196,6 +204,36 @@ def _trajectory(model, place, marks) -> None:
         marks.add_circle_filled(
             point, 4.0 if index == len(points) - 1 else 3.0, accent if index == len(points) - 1 else warm
         )
+
+
+def _way(model, place, marks) -> None:
+    """Where the picked fragment was in the last rendered frames."""
+    story = model.pointing.story
+    if story is None or len(story.way) < 2:
+        return
+    line, rim = imgui.get_color_u32(_WAY), imgui.get_color_u32((0, 0, 0, 0.8))
+    points = [place.to_screen(*point.px) for point in story.way]
+    for a, b in zip(points, points[1:], strict=False):
+        marks.add_line(a, b, rim, 3.5)
+        marks.add_line(a, b, line, 1.5)
+    at = imgui.get_mouse_pos()
+    for point, spot in zip(story.way, points, strict=True):
+        near = _distance(at, spot) < _NEAR
+        marks.add_circle_filled(spot, 4.5 if near else 3.5, rim)
+        marks.add_circle_filled(spot, 3.5 if near else 2.5, line)
+        if near and imgui.is_window_hovered():
+            imgui.set_tooltip(f"rendered frame {point.k}: ({point.px[0]:.1f}, {point.px[1]:.1f})")
+
+
+def _rectangle(model, place, marks) -> None:
+    """The rectangle whose statistics the inspector shows."""
+    if model.selection.rectangle is None:
+        return
+    left, top, right, bottom = model.selection.rectangle
+    corners = place.to_screen(left, top), place.to_screen(right, bottom)
+    marks.add_rect_filled(*corners, imgui.get_color_u32((1, 1, 1, 0.06)))
+    marks.add_rect(*corners, imgui.get_color_u32((0, 0, 0, 0.8)), 0, 3.0)
+    marks.add_rect(*corners, imgui.get_color_u32(_ACCENT), 0, 1.5)
 
 
 def _caption(model, origin, width, height, marks) -> None:

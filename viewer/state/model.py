@@ -37,9 +37,11 @@ from gffe_cl.viewer.state.pointing import Pointing
 from gffe_cl.viewer.state.regions import OVERLAY, Regions
 from gffe_cl.viewer.state.saving import Subject, Work, save_picture
 from gffe_cl.viewer.state.second import Second
+from gffe_cl.viewer.state.selecting import Selection
 from gffe_cl.viewer.state.settings import Settings
 from gffe_cl.viewer.state.survey import Side, Survey
 from gffe_cl.viewer.state.timings import Timings
+from gffe_cl.viewer.state.walking import Walk
 
 _SCENES = ScenePlan(480, 270, 0)
 _OPTIONS = Options()
@@ -81,6 +83,8 @@ class Model:
         self.regions = Regions(self.view, self.contents)
         self.survey = Survey(self.engine, self.playback)
         self.pointing = Pointing(self._inspect)
+        self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
+        self.selection = Selection(self.contents)
         self.flyer: Flyer | None = None
         self.export: Work | None = None
         self.overview = False
@@ -133,6 +137,8 @@ class Model:
         self._show({}, canvas)
         self.second.forget()
         self.survey.clear()
+        self.walk.open()
+        self.selection.forget()
         if self.export is not None:
             self.export.cancel()
         times = None if source.live else [source.time(k) for k in range(source.count)]
@@ -172,7 +178,8 @@ class Model:
             self.pointing.take(inspection)
         if self.source is None:
             return
-        for fault in filter(None, (self.comparison.update(canvas), self.regions.update(canvas))):
+        faults = self.comparison.update(canvas), self.regions.update(canvas), self.selection.update()
+        for fault in filter(None, faults):
             self.say(fault, error=True)
         self.second.compare_with(None if self.overview else self.comparison.second)
         kept = self.second.kept
@@ -359,6 +366,7 @@ class Model:
             and self.comparison.ready
             and not self.second.waits
             and self.regions.ready
+            and self.selection.ready
         )
 
     def _needed(self) -> set[str]:
@@ -368,7 +376,7 @@ class Model:
         wanted = {self.view.a}
         if self.view.compare != "off" and self.view.b and not names.is_second(self.view.b):
             wanted.add(self.view.b)
-        wanted |= self.regions.needed
+        wanted |= self.regions.needed | self.selection.needed
         if self.view.overlay not in ("none", OVERLAY):
             wanted |= {names.RENDERED_COLOR, names.RENDERED_DEPTH, names.RENDERED_MOTION}
         specs = [self.contents.spec(name) for name in wanted]
@@ -498,6 +506,7 @@ class Model:
         self.comparison.close()
         self.regions.close()
         self.survey.close()
+        self.selection.close()
         self.engine.close()
 
     @property
