@@ -179,9 +179,7 @@ class Engine:
         with self._news:
             return bool(self._plan) or self._beside
 
-    def inspect(
-        self, x: int, y: int, layers: frozenset[str] | None = None, request: Request | None = None
-    ) -> None:
+    def inspect(self, x: int, y: int, layers: frozenset[str] | None = None, request: Request | None = None) -> None:
         """Ask what the slot of `request`, or else the one last computed, holds at display pixel (x, y); `layers`: None
         for all."""
         self._post("inspection", (x, y, layers, request))
@@ -346,17 +344,17 @@ class Engine:
 
     def _do_ahead(self, request: Request) -> None:
         """Make a slot beside; if something else is asked for meanwhile, it is given up and made later."""
+        key = FrameKey(self.recipe(request.setup), request.slot)
+        if self.cache.get(key, request.layers, request.metrics):
+            return
         try:
-            result = self._made(request)
+            self._made(request)
         except Interrupted:
             with self._news:
                 self._plan.appendleft(request)
-            return
         except GffeError:
             self._hopeless.add(request)  # who looks at that slot is told why
-            return
-        if result.request.metrics or self.cache.most:
-            self._notify()
+        self._notify()
 
     def _made(self, request: Request) -> Result:
         """The slot, which is kept in the cache from now on, if it is all of one recipe."""
