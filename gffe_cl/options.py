@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any
 
 from gffe_cl import inference
@@ -219,6 +220,13 @@ class Options:
         if self.shading_correction is None:
             return self.scn_model is not None or inference.default_model() is not None
         return self.shading_correction
+
+    @property
+    def weights(self) -> Path | None:
+        """The file of the shading correction network that runs; None where none runs, or none is there."""
+        if not self.corrects_shading:
+            return None
+        return inference.default_model() if self.scn_model is None else Path(self.scn_model)
 
 
 OPTIONS: dict[str, Option] = {f.name: replace(f.metadata["option"], name=f.name) for f in fields(Options)}

@@ -55,6 +55,7 @@ def refused(gffe, *arguments, display=None):
     [
         (["--screenshot", "a.png"], "need a sequence or a scene"),
         (["in", "--measure", "0"], "must be seconds"),
+        (["in", "--cache", "-1"], "--cache must be"),
         (["in", "-n", "9"], "-n must be 1 to 7"),
         (["in", "--compare", "nonsense"], "--compare must be off, split"),
         (["in", "--window", "fixed:1.2"], "only built-in scenes"),
@@ -139,8 +140,19 @@ def test_asking_for_shading_correction_without_weights(tmp_path):
 def test_measuring(gffe, screen, tmp_path):
     code, out, err = gffe("in", "--measure", "0.5", "--json", "figures.json", "--window-size", "640x480")
     figures = json.loads((tmp_path / "figures.json").read_text())
-    assert (code, err) == (0, "") and len(out.splitlines()) == len(figures) - 1
-    assert figures["frames per second"] > 0 and figures["device"]
+    assert (code, err) == (0, "") and figures["device"]
+    assert out.splitlines()[0] == "first pass:" and len(out.splitlines()) == 2 + sum(
+        map(len, list(figures.values())[:2])
+    )
+    assert figures["first_pass"]["frames_per_second"] > 0 and figures["first_pass"]["kernels_ms_per_frame"] > 0
+    cached = figures["cached"]
+    assert cached["frames_per_second"] > 0 and cached["dropped"] >= 0 and cached["due_per_second"] == 60
+    code, out, err = gffe("in", "--measure", "0.3", "--json", "figures.json", "--cache", "0")
+    assert (
+        (code, err) == (0, "")
+        and "no cache" in out
+        and json.loads((tmp_path / "figures.json").read_text())["cached"] == {}
+    )
 
 
 @pytest.mark.slow

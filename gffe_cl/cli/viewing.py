@@ -58,8 +58,13 @@ def view(
     pixel: Annotated[str | None, typer.Option(help="Screenshot: pixel whose story is told, as 120,45.")] = None,
     overview: Annotated[bool, typer.Option("--overview", help="Screenshot: all layers as tiles.")] = False,
     measure: Annotated[
-        float | None, typer.Option(help="Play every frame for so many seconds, print how fast that was, and exit.")
+        float | None,
+        typer.Option(
+            help="Play every frame for so many seconds, then as long what the cache holds; print how fast that was, and"
+            " exit."
+        ),
     ] = None,
+    cache: Annotated[int, typer.Option(help="MiB of computed frames kept in memory; 0: none.")] = 2048,
     no_check: NoCheckOption = False,
     json_path: JsonOption = None,
     *,
@@ -69,8 +74,8 @@ def view(
     from gffe_cl.inference import load_network
     from gffe_cl.scenes import is_scene
     from gffe_cl.viewer.engine.opening import ScenePlan
+    from gffe_cl.viewer.measuring import measure as measure_playback
     from gffe_cl.viewer.start import Shot, leaving, require_display
-    from gffe_cl.viewer.start import measure as measure_playback
     from gffe_cl.viewer.start import view as run_viewer
     from gffe_cl.viewer.state.comparing import WAYS
     from gffe_cl.viewer.state.model import Model
@@ -86,6 +91,8 @@ def view(
         raise GffeError(f"--compare must be {', '.join(WAYS[:-1])} or '{WAYS[-1]}', got '{compare}'")
     if window not in (None, "off") and target is not None and not is_scene(target):
         raise GffeError(f"--window {window}: only built-in scenes are rendered through a chosen window (expected off)")
+    if not 0 <= cache <= 1 << 20:
+        raise GffeError(f"--cache must be 0 to 1048576 MiB, got {cache}")
     plan = ScenePlan(*parse_size(size), require_seed(seed, "--seed"))
     viewer_size = None if window_size is None else parse_size(window_size)
     if viewer_size is not None and min(viewer_size) < LEAST_WINDOW:
@@ -101,7 +108,7 @@ def view(
     settings, warning = Settings.load() if by_hand else (Settings(), None)
     model = Model(
         settings, device=device, n=n, window=window, plan=plan, options=options, save_settings=by_hand,
-        check=not no_check,
+        check=not no_check, cache_mib=cache,
     )  # fmt: skip
     if warning:
         model.say(warning)
@@ -112,8 +119,10 @@ def view(
             run_viewer(model, viewer_size, shot)
             return
         figures = measure_playback(model, measure, viewer_size)
-        for name, value in figures.items():
-            out.print(f"{name}: {value:.1f}")
+        for title, values in figures.items():
+            out.print(f"{title.replace('_', ' ')}:{'' if values else ' there is no cache'}")
+            for name, value in values.items():
+                out.print(f"  {name.replace('_', ' ')}: {value:.1f}")
         write_json(json_path, figures | {"device": model.engine.device_name})
 
 

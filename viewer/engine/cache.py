@@ -48,8 +48,8 @@ class Playhead:
 class FrameCache:
     """Results of slots, at most `most` bytes of pictures; may be used from any thread.
 
-    Where room is needed, recipes that are not `in_use` go first, the one used longest ago first of all; then of those in
-    use what will be shown last from the playhead on. A result that would itself have to go is not taken in.
+    Where room is needed, recipes that are not in use go first, the one used longest ago first of all; then, of those in
+    use, what will be shown last from the playhead on. A result that would itself have to go is not taken in.
 
     Attributes
     ----------

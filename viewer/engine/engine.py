@@ -365,17 +365,17 @@ class Engine:
 
     def _do_ahead(self, request: Request) -> None:
         """Make a slot beside; if something else is asked for meanwhile, it is given up and made later."""
+        key = FrameKey(self.recipe(request.setup), request.slot)
+        if self.cache.get(key, request.layers, request.metrics):
+            return
         try:
-            result = self._made(request)
+            self._made(request)
         except Interrupted:
             with self._news:
                 self._plan.appendleft(request)
-            return
         except GffeError:
             self._hopeless.add(request)  # who looks at that slot is told why
-            return
-        if result.request.metrics or self.cache.most:
-            self._notify()
+        self._notify()
 
     def _do_survey(self, request: Request) -> None:
         recipe, result = self.recipe(request.setup), None

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
-from gffe_cl import inference
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import HALF_MAX
 from gffe_cl.opencl.device import Device
@@ -137,11 +135,11 @@ class SlotMaker:
 
 def weights_of(options: Options) -> str:
     """What tells the weights of shading correction from others; empty where it is off."""
-    path = options.scn_model or inference.default_model()
-    if not options.corrects_shading or path is None:
+    path = options.weights
+    if path is None:
         return ""
     try:
-        state = Path(path).stat()
+        state = path.stat()
     except OSError:
         return str(path)
     return f"{path} {state.st_mtime_ns} {state.st_size}"
