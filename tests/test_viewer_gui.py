@@ -435,3 +435,28 @@ def test_regions_of_errors(values):
     assert b > 2 * a  # B has no motion estimation
     assert values["only"] == "dynamic" and values["bright inside"] and values["dim outside"] > 0.9
     assert values["all again"] is None and values["as before"]
+
+
+def test_walking_along_a_story(values):
+    assert ["frame 6", "final"] in values["links"] and ["dynamic mask", "history.dynamic_mask"] in values["links"]
+    way = np.array(values["way"])
+    assert way[:, 0].tolist() == [6, 5, 4, 3, 2, 1, 0]
+    steps = np.diff(way[:, 1:], axis=0)  # back in time, a walker who comes nearer from the left
+    assert (steps[:, 0] < -2).all() and (np.abs(steps) < 8).all()
+    slot, pixel, told = values["at the rendered frame"]
+    assert slot == 12 and told == "Rendered frame 6 as it is."
+    assert np.abs(np.add(pixel, 0.5) - way[0, 1:]).max() <= 0.5
+    assert values["layer"] == "history.dynamic_mask"
+    slot, pixel = values["two before"]
+    assert slot == 8 and np.abs(np.add(pixel, 0.5) - way[2, 1:]).max() <= 1.5
+    assert values["back"] and values["back is disabled"] == "no link was followed"
+
+
+def test_rectangle(values):
+    assert values["rectangle"] == [140, 40, 190, 100] and not values["panned"]
+    assert values["psnr"][0] == pytest.approx(values["psnr"][1], abs=1e-3)
+    assert values["worst"][0] == values["worst"][1] == values["picked"][0] == values["picked"][1]
+    filled, own = values["filled"]
+    assert filled["its own fragment"] == pytest.approx(own) and sum(filled.values()) == pytest.approx(1)
+    assert values["lengths"][0] == values["lengths"][1]
+    assert values["of a rendered frame"] == [None, {}] and values["forgotten"] is None
