@@ -18,8 +18,13 @@ from gffe_cl.render import render_sequence
 from gffe_cl.scenes import load_scene
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.figures import NEEDED, REGIONS, Figures, Measurer, Part, parts_of, region_labels
+from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.engine.messages import Recipe, Request, Setup
 from gffe_cl.viewer.engine.way import Passed, way_of
+from gffe_cl.viewer.picture.colors import LABEL_COLORS, color_table
+from gffe_cl.viewer.picture.displays import Display
+from gffe_cl.viewer.picture.legend_strip import Entry, with_legends
+from gffe_cl.viewer.picture.legends import legend
 from gffe_cl.viewer.picture.rectangle import statistics
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.survey import Side, Survey
@@ -272,3 +277,26 @@ def test_statistics_of_a_rectangle():
 def test_nothing_is_known_of_no_figures():
     assert Part.of(0.0, 0.0, 0.0).error == 0 and np.isnan(Part.of(0.0, 0.0, 0.0).psnr)
     assert Figures({}).parts == {}
+
+
+def test_legends_under_saved_pictures():
+    """The picture stays as it is; below it are the colours that its legends tell."""
+    spec = LayerSpec("rendered.depth", "Rendered depth", "frame", "depth")
+    labels = LayerSpec("a.b", "B", "a", "label", labels=((0, "none"), (1, "some")))
+    motion = LayerSpec("m", "Motion", "frame", "motion", ("x", "y"))
+    rng = np.random.default_rng(1)
+    for width in (40, 300, 1000):
+        picture = rng.integers(0, 256, (30, width, 4), np.uint8)
+        assert with_legends(picture, []) is picture
+        ramp = with_legends(picture, [Entry("depth", legend(spec, Display(color_map="turbo")), "turbo")])
+        np.testing.assert_array_equal(ramp[:30, :width], picture)
+        strip = ramp[30:, :, :3].astype(int)
+        table = np.round(255 * color_table("turbo")).astype(int)
+        rows = [row for row in strip if all((np.abs(row - color).sum(-1) == 0).any() for color in table[[0, 128, 255]])]
+        assert rows, "the whole ramp is there"
+        more = [Entry("labels", legend(labels, Display())), Entry("motion", legend(motion, Display()))]
+        found = with_legends(picture, more)
+        colors = {tuple(color) for color in found[30:, :, :3].reshape(-1, 3).tolist()}
+        assert {tuple(round(255 * c) for c in color) for color in LABEL_COLORS[:2]} <= colors
+        assert {(255, 0, 0), (128, 255, 0)} & colors, "directions of motion"
+        assert len(found) > len(with_legends(picture, more[:1])) > 30

@@ -460,3 +460,11 @@ def test_rectangle(values):
     assert filled["its own fragment"] == pytest.approx(own) and sum(filled.values()) == pytest.approx(1)
     assert values["lengths"][0] == values["lengths"][1]
     assert values["of a rendered frame"] == [None, {}] and values["forgotten"] is None
+
+
+def test_legends_in_saved_pictures(values):
+    assert values["colour"] == [108, 192, 4]
+    shapes = {**values["heights"], "error": values["error"]}
+    assert all(shape[0] > 108 + 20 and shape[1] == 200 for shape in shapes.values()), shapes
+    assert shapes["frame.filled_by"][0] > shapes["frame.dynamic"][0], "more labels take more room"
+    assert values["the same above"]

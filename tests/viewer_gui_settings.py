@@ -239,3 +239,41 @@ def rectangle(gui: Gui):
     gui.click("//Inspector/###forget_rectangle")
     values["forgotten"] = model.selection.rectangle
     model.pointing.pick(None)
+
+
+@case
+def legends_in_saved_pictures(gui: Gui):
+    """A saved picture says what its colours mean; one without false colours is the picture alone."""
+    from pathlib import Path
+
+    from PIL import Image
+
+    model, values = gui.model, gui.values
+
+    def saved(name: str):
+        before = set(Path.cwd().glob("*.png"))
+        gui.key(KEY.s, CTRL)
+        gui.wait(lambda: set(Path.cwd().glob("*.png")) - before, "the picture")
+        path = (set(Path.cwd().glob("*.png")) - before).pop()
+        picture = np.asarray(Image.open(path))
+        path.rename(gui.artefacts / f"saved, {name}.png")
+        return picture
+
+    values["colour"] = list(saved("colour").shape)
+    kept = {}
+    for name in ("rendered.depth", "frame.motion", "frame.filled_by", "frame.dynamic"):
+        model.show_layer(name)
+        gui.settle()
+        kept[name] = saved(name)
+    values["heights"] = {name: list(picture.shape) for name, picture in kept.items()}
+    gui.app.actions.run("legends")
+    model.show_layer("frame.motion")
+    gui.settle()
+    values["the same above"] = bool((saved("without")[:108, :192] == kept["frame.motion"][:108, :192]).all())
+    gui.app.actions.run("legends")
+    model.comparison.with_layer("truth")
+    model.show_layer("final")
+    model.comparison.set("error")
+    gui.settle()
+    values["error"] = list(saved("error").shape)
+    model.comparison.set("off")

@@ -53,6 +53,9 @@ def register(app) -> None:
     add("save_png", "Save picture as PNG", "File", "Ctrl+S", lambda: model.save_picture(app.canvas), opened)
     add("save_exr", "Save layers as EXR", "File", "Ctrl+E", partial(model.save, saving.LayersWork), savable)
     add("save_video", "Save playback as MP4", "File", "Ctrl+M", partial(model.save, saving.VideoWork), savable)
+    add("legends", "Legends in saved pictures", "File", "",
+        lambda: setattr(model.settings, "legends", not model.settings.legends),
+        checked=lambda: model.settings.legends)  # fmt: skip
     add("quit", "Quit", "File", "Ctrl+Q", app.close)
 
     add("play", "Play / stop", "Playback", "Space", playback("toggle"), opened)

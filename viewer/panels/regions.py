@@ -8,9 +8,7 @@ from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from gffe_cl.viewer.engine.figures import REGIONS, Part
 from gffe_cl.viewer.panels import widgets
-from gffe_cl.viewer.picture.colors import LABEL_COLORS
-
-_REST = (0.35, 0.35, 0.35)  # everything else has no tint
+from gffe_cl.viewer.state.captions import region_colors
 
 
 def draw(app) -> None:
@@ -52,7 +50,7 @@ def _table(regions, name: str, a: dict[str, Part], b: dict[str, Part] | None) ->
         part = a[region]
         imgui.table_next_row()
         imgui.table_next_column()
-        _swatch(number)
+        _swatch(number, region_colors()[region])
         spans = imgui.SelectableFlags_.span_all_columns.value
         if imgui.selectable(f"{region}###{name} {region}", regions.only == region, spans)[0]:
             regions.see_only(region)
@@ -68,10 +66,9 @@ def _table(regions, name: str, a: dict[str, Part], b: dict[str, Part] | None) ->
     imgui.end_table()
 
 
-def _swatch(number: int) -> None:
+def _swatch(number: int, color) -> None:
     size = hello_imgui.em_size(0.8)
     flags = imgui.ColorEditFlags_.no_tooltip.value
-    color = _REST if number == len(REGIONS) - 1 else LABEL_COLORS[number + 1]
     imgui.color_button(f"###color {number}", (*color, 1.0), flags, ImVec2(size, size))
     imgui.same_line(0, hello_imgui.em_size(0.3))
 

@@ -23,7 +23,9 @@ from gffe_cl.viewer.engine.opening import ScenePlan, make_source
 from gffe_cl.viewer.engine.sources import FrameSource
 from gffe_cl.viewer.picture import flip_map, region_map
 from gffe_cl.viewer.picture.displays import Display
+from gffe_cl.viewer.picture.legend_strip import Entry
 from gffe_cl.viewer.picture.view import View
+from gffe_cl.viewer.state.captions import entries_of
 from gffe_cl.viewer.state.comparing import Comparison
 from gffe_cl.viewer.state.contents import Contents
 from gffe_cl.viewer.state.filling import Filling
@@ -459,7 +461,13 @@ class Model:
 
     @property
     def _subject(self) -> Subject:
-        return Subject(self.contents, self.playback, self.view, self.comparison.shown, lambda: self.settled)
+        return Subject(
+            self.contents, self.playback, self.view, self.comparison.shown, self._legends, lambda: self.settled
+        )
+
+    def _legends(self) -> list[Entry]:
+        there = self.settings.legends
+        return entries_of(self.view, self.contents, self.looks, self.comparison) if there else []
 
     def save_picture(self, canvas) -> None:
         try:

@@ -13,6 +13,7 @@ import numpy as np
 
 from gffe_cl.viewer.picture.canvas import read
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
+from gffe_cl.viewer.picture.legend_strip import Entry, with_legends
 from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.contents import Contents
 from gffe_cl.viewer.state.playback import Playback
@@ -30,6 +31,7 @@ class Subject:
     playback: Playback
     view: View
     shown: Callable[[], View]
+    legends: Callable[[], list[Entry]]
     settled: Callable[[], bool]
 
     @property
@@ -49,9 +51,10 @@ class Subject:
 
 
 def save_picture(subject: Subject, canvas) -> Path:
-    """The view as it is compared and displayed, one display pixel to a pixel, as PNG. Raises GffeError."""
+    """The view as it is compared and displayed, one display pixel to a pixel, as PNG, with legends under it. Raises
+    GffeError."""
     path = subject.unused(f"{subject.slot:05d}_{subject.view.a}", ".png")
-    save_png(path, subject.picture(canvas))
+    save_png(path, with_legends(subject.picture(canvas), subject.legends()))
     return path
 
 
