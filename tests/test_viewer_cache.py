@@ -108,9 +108,9 @@ def computed(monkeypatch):
 
     slots, make = [], SlotMaker.make
 
-    def counted(self, request):
+    def counted(self, request, **how):
         slots.append((request.slot, request.role))
-        return make(self, request)
+        return make(self, request, **how)
 
     monkeypatch.setattr(SlotMaker, "make", counted)
     return slots

@@ -229,7 +229,7 @@ def test_what_is_measured_stays_known_and_waits_for_others():
     engine.asked = []
     survey.update(*sides, 1.0, True)
     assert engine.made == before and survey.progress == (16, 16)
-    survey.clear()
+    survey.forget()
     assert survey.progress == (0, 16)
     survey.close()
 

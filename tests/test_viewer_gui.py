@@ -288,7 +288,7 @@ def test_display_keys(values):
 def test_measuring(values):
     assert [values["psnr"], values["ssim"]] == pytest.approx(values["by hand"], rel=1e-6)
     assert 10 < values["psnr"] < 60
-    assert values["slots"] == [3, 5, 7, 9, 11, 13]
+    assert {3, 5, 7, 9, 11, 13} <= set(values["slots"]) <= set(range(1, 16, 2))
 
 
 def test_kernels(values):

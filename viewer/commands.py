@@ -50,7 +50,7 @@ def register(app) -> None:
     add("open", "Open …", "File", "Ctrl+O", app.open_dialog)
     add("open_path", "Open by path …", "File", "Ctrl+Shift+O", lambda: setattr(app, "path_text", ""))
     add("reload", "Reload frames", "File", "Ctrl+R", model.reload, opened)
-    add("save_png", "Save picture as PNG", "File", "Ctrl+S", lambda: model.save_picture(app.canvas), opened)
+    add("save_png", "Save picture as PNG", "File", "Ctrl+S", partial(model.save, saving.PictureWork), savable)
     add("save_exr", "Save layers as EXR", "File", "Ctrl+E", partial(model.save, saving.LayersWork), savable)
     add("save_video", "Save playback as MP4", "File", "Ctrl+M", partial(model.save, saving.VideoWork), savable)
     add("legends", "Legends in saved pictures", "File", "",

@@ -95,7 +95,7 @@ class _Pass:
         if result is not self._last:
             self._last = result
             kernels = sum(result.milliseconds.values())
-            self._rows.append((result.moment.alpha > 0, kernels, result.readback_ms, model.upload_ms))
+            self._rows.append((result.moment.alpha > 0, kernels, result.readback_ms, model.screen.upload_ms))
 
     def figures(self) -> dict[str, float]:
         elapsed = max(self._end - self.start, 1e-9)

@@ -342,7 +342,7 @@ class Engine:
             return
         maker = self._maker("a")
         if request is not None and not maker.holds(request):
-            maker.make(request)  # what is shown was kept
+            maker.make(request, to_inspect=True)  # what is shown was kept
             self._last = request
         inspection = maker.inspect(x, y, layers)
         if inspection is not None:
@@ -360,6 +360,7 @@ class Engine:
         with self._news:
             self._results[request.role] = result
         self._notify()
+        self.source.look_closer()
 
     _do_slot_b = _do_slot
 

@@ -52,8 +52,9 @@ class SlotMaker:
         there = self._seeker.shot is not None and last is not None
         return there and (last.slot, last.setup, self._flight) == (request.slot, request.setup, self.source.flight)
 
-    def make(self, request: Request) -> Result:
-        """Raises GffeError; the pipeline is forgotten then."""
+    def make(self, request: Request, to_inspect: bool = False) -> Result:
+        """`to_inspect`: the pipeline's buffers are to hold all layers, whatever the request is for. Raises GffeError;
+        the pipeline is forgotten then."""
         start = time.perf_counter()
         alphas = (0.0, *alphas_for(request.setup.n))
         k, j = divmod(request.slot, len(alphas))
@@ -62,18 +63,18 @@ class SlotMaker:
         self.last, self._flight = request, self.source.flight
         try:
             with self._kernels.used(request.setup.kernels):
-                return self._made(request, k, alphas[j], start)
+                return self._made(request, k, alphas[j], start, to_inspect)
         except Interrupted:
             raise  # goes on from there next time
         except Exception:
             self._seeker.drop()
             raise
 
-    def _made(self, request: Request, k: int, alpha: float, start: float) -> Result:
+    def _made(self, request: Request, k: int, alpha: float, start: float, to_inspect: bool) -> Result:
         seeker, source = self._seeker, self.source
         seeker.prepare(request.setup)
         notes = seeker.go_to(k, alpha)
-        seeker.pipeline.keep(request.layers)
+        seeker.pipeline.keep(None if to_inspect else request.layers)
         shot = seeker.shoot(k, alpha)
         pipeline = seeker.pipeline
         specs = layers_of(pipeline)

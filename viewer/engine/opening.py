@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from functools import partial
 from typing import NamedTuple
 
 from gffe_cl.doctor import quick_warning
 from gffe_cl.formats import open_capture
 from gffe_cl.scenes import is_scene, load_scene
+from gffe_cl.sequence import Sequence
+from gffe_cl.viewer.engine.preview import Previewer, place_of
 from gffe_cl.viewer.engine.sources import FrameSource, RecordedSource, SceneSource
 
 
@@ -19,16 +21,29 @@ class ScenePlan(NamedTuple):
     seed: int
 
 
-def make_source(target: str, window: str | None, plan: ScenePlan, device, check: bool = False) -> FrameSource:
-    """The sequence in the folder `target` (or of its sequence.json), else the scene of that name. With `check` its
-    warnings say whether the first frames of a sequence fit. Raises GffeError."""
+def make_source(
+    target: str,
+    window: str | None,
+    plan: ScenePlan,
+    device,
+    check: bool = False,
+    previewer: Previewer | None = None,
+) -> FrameSource:
+    """The sequence in the folder `target` (or of its sequence.json, or with this file), else the scene of that name.
+    With `check` its `suspicions` will say whether the first frames of a sequence fit. `previewer`: of this target, if
+    one has opened it already. Raises GffeError."""
     if is_scene(target):
         source = SceneSource(load_scene(target, plan.seed), device, plan.width, plan.height, window=window)
     else:
-        sequence = open_capture(Path(target).expanduser())
+        sequence = open_capture(place_of(target)) if previewer is None else previewer.sequence()
         source = RecordedSource(sequence, device, window if window == "off" else None)
-        suspicion = quick_warning(sequence, sequence.exposure) if check else None
-        if suspicion:
-            source.suspicions.append(f"{suspicion}; `gffe check {target}` says more")
+        if check:
+            source.check = partial(_suspicion, sequence, target)
     source.target = target
     return source
+
+
+def _suspicion(sequence: Sequence, target: str) -> str | None:
+    """A sentence, if the first frames do not fit."""
+    suspicion = quick_warning(sequence, sequence.exposure)
+    return suspicion and f"{suspicion}; `gffe check {target}` says more"

@@ -6,8 +6,9 @@ import copy
 import threading
 from bisect import bisect_left, bisect_right, insort
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -41,7 +42,8 @@ class FrameSource(Protocol):
     rendered frames, may change with `configure`; `count`: of rendered frames; `live`: rendered meanwhile, the camera
     may be flown; `windowed`: rendered through a window that can be used or not; `resets`: numbers of the frames
     that are told to be one, in order; `flight`: another number whenever other poses are flown, 0 for none;
-    `held`: of the frames delivered last, so many stay as they are.
+    `held`: of the frames delivered last, so many stay as they are;
+    `suspicions`: sentences about the whole, more of them may come.
     """
 
     name: str
@@ -58,6 +60,7 @@ class FrameSource(Protocol):
     has_truth: bool = False
     flight: int = 0
     held: int = REMEMBERED
+    suspicions: Iterable[str] = ()
 
     def sibling(self) -> FrameSource:
         """The same frames for another pipeline, which uses it on the same thread: with a window and a place of its own.
@@ -98,6 +101,9 @@ class FrameSource(Protocol):
         """Legal but suspicious things met so far."""
         return []
 
+    def look_closer(self) -> None:
+        """The first slot is made: now there is time for `suspicions`."""
+
     def close(self) -> None:
         """Stops what runs beside."""
 
@@ -115,7 +121,8 @@ class RecordedSource(Recorded, FrameSource):
         self.windowed = self._cut
         super().__init__(sequence, device, window)
         self.name = sequence.path.resolve().name
-        self.suspicions: list[str] = []  # sentences, beside what reading warns of
+        self.suspicions: list[str] = []
+        self.check: Callable[[], str | None] | None = None  # finds a suspicion, on a thread of its own
         self._chosen = window
         self._entries = sequence.rendered
         self.resets = tuple(k for k, entry in enumerate(self._entries) if entry.reset or k == 0)
@@ -134,8 +141,14 @@ class RecordedSource(Recorded, FrameSource):
         self._chosen = window
         return self._cut != before
 
-    def warnings(self):
-        return [*super().warnings(), *self.suspicions]
+    def look_closer(self):
+        check, self.check = self.check, None
+        if check is not None:
+            threading.Thread(target=self._suspect, args=(check,), name="gffe-viewer-check", daemon=True).start()
+
+    def _suspect(self, check):
+        with suppress(GffeError):  # a frame that cannot be read: who looks at it is told
+            self.suspicions += filter(None, [check()])
 
     def reset_before(self, k):
         return self.resets[bisect_right(self.resets, k) - 1]

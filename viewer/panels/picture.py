@@ -8,6 +8,7 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.kept import told
 
 _ZOOM_STEP = 1.2
@@ -27,6 +28,9 @@ def draw(app) -> None:
     size = imgui.get_content_region_avail()
     width, height = max(int(size.x), 16), max(int(size.y), 16)
     origin = imgui.get_cursor_screen_pos()
+    if model.contents.result is None and model.preview is not None:
+        _preview(app, origin, (width, height))
+        return
     if model.source is None:
         _welcome(app, size)
         return
@@ -82,6 +86,18 @@ def _welcome(app, size) -> None:
     wide = imgui.calc_text_size(text)
     imgui.set_cursor_pos(ImVec2(max((size.x - wide.x) / 2, 0), max((size.y - wide.y) / 2, 0)))
     imgui.text_disabled(text)
+
+
+def _preview(app, origin, size) -> None:
+    """The first rendered frame, as long as nothing can be computed."""
+    model, color = app.model, app.model.preview.color
+    view = View(names.FINAL, model.looks.of(names.FINAL))
+    view.fit(size, color.shape[1::-1])
+    texture = app.drawn(view, size)
+    imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(*size))
+    marks = imgui.get_window_draw_list()
+    text = f"rendered frame 0   {model.engine.activity or 'opening'} …"
+    _label(marks, text, origin.x + 10, origin.y + size[1] - hello_imgui.em_size(1.6))
 
 
 def _mouse(app, place) -> None:

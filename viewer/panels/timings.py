@@ -19,7 +19,7 @@ def draw(app) -> None:
         return
     imgui.text_wrapped(
         f"interface {imgui.get_io().framerate:.0f} frames/s   frame {model.timings.wall():.1f} ms"
-        f"   reading back {model.timings.readback():.1f} ms   upload {model.upload_ms:.1f} ms"
+        f"   reading back {model.timings.readback():.1f} ms   upload {model.screen.upload_ms:.1f} ms"
     )
     bandwidth, pixels = model.engine.bandwidth, math.prod(model.contents.size)
     if imgui.begin_table("###timings", 3, imgui.TableFlags_.row_bg.value):

@@ -11,8 +11,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from gffe_cl.errors import GffeError
 from gffe_cl.options import Options
 from gffe_cl.viewer.engine import names
@@ -20,8 +18,8 @@ from gffe_cl.viewer.engine.cache import CACHE_MIB, FrameCache
 from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
 from gffe_cl.viewer.engine.messages import EngineError, Metrics, Recipe, Request, Result, Setup
 from gffe_cl.viewer.engine.opening import ScenePlan, make_source
+from gffe_cl.viewer.engine.preview import Preview, Previewer, preview_of
 from gffe_cl.viewer.engine.sources import FrameSource
-from gffe_cl.viewer.picture import flip_map, region_map
 from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.picture.legend_strip import Entry
 from gffe_cl.viewer.picture.view import View
@@ -37,7 +35,8 @@ from gffe_cl.viewer.state.parameters import Parameters
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.pointing import Pointing
 from gffe_cl.viewer.state.regions import OVERLAY, Regions
-from gffe_cl.viewer.state.saving import Subject, Work, save_picture
+from gffe_cl.viewer.state.saving import Subject, Work
+from gffe_cl.viewer.state.screen import Screen
 from gffe_cl.viewer.state.second import Second
 from gffe_cl.viewer.state.selecting import Selection
 from gffe_cl.viewer.state.settings import Settings
@@ -79,6 +78,7 @@ class Model:
         self.view = View(names.FINAL, Display())
         self.framing = Framing(self.view)
         self.looks = Looks(self.contents, settings.displays)
+        self.screen = Screen(self.contents, self.looks)
         self.kept = KeptSettings()
         self.comparison = Comparison(self.view, self.contents, self.looks, self.kept)
         self.second = Second(self.engine, self.filling.find)
@@ -94,11 +94,11 @@ class Model:
         self.measuring = False
         self._metrics: dict[Recipe, dict[int, Metrics]] = {}  # by slot
         self.messages: list[Message] = []
-        self.warnings: list[str] = []
+        self.preview: Preview | None = None  # shown until there is a result of what is opened
+        self._previewer: Previewer | None = None
         self.failure: str | None = None
         self.notice = ""
         self.timings = Timings()
-        self.upload_ms = 0.0
         self.recipe = self.engine.recipe(self.setup)
         self._serial = itertools.count(1)
         self._asked: Request | None = None  # the latest request, and it without its serial number
@@ -124,7 +124,10 @@ class Model:
         """A folder with a sequence, or the name of a built-in scene; `update` hears when it is open."""
         self.failure = None
         self.notice = f"opening {target} …"
-        make = partial(make_source, target, self.parameters.window, self.plan, check=self._check)
+        self._previewer = preview_of(target) if self.source is None else None
+        make = partial(
+            make_source, target, self.parameters.window, self.plan, check=self._check, previewer=self._previewer
+        )
         self.engine.open_source(make, next(self._serial))
 
     def reload(self) -> None:
@@ -136,11 +139,10 @@ class Model:
         self.contents.open(source)
         self.parameters.open(source)
         self.notice, self._asked, self._target = "", None, source.target
-        self._show({}, canvas)
-        self.second.forget()
-        self.survey.clear()
-        self.walk.open()
-        self.selection.forget()
+        if self.preview is None:
+            self.screen.show({}, set(), canvas)
+        for part in (self.second, self.survey, self.walk, self.selection):
+            part.forget()
         if self.export is not None:
             self.export.cancel()
         times = None if source.live else [source.time(k) for k in range(source.count)]
@@ -161,18 +163,20 @@ class Model:
 
     def update(self, now: float, canvas) -> None:
         """Take what the engine has finished into textures, and ask for what is wanted next."""
+        if self._previewer is not None and (preview := self._previewer.take()) is not None:
+            self.preview = preview
+            self.screen.preview(preview, canvas)
+        self.screen.proceed(canvas)
         if self.engine.source is not self.source:
             self._opened(self.engine.source, canvas)
         self.recipe = self.engine.recipe(self.setup)
-        while (answer := self.engine.poll()) is not None:
+        while self.screen.ready and (answer := self.engine.poll()) is not None:
             if isinstance(answer, EngineError):
                 self._failed(answer)
             elif self.source is not None and self._is_news(answer):
                 self._was_kept = False
                 self._came(answer, canvas)
-        pair = self.second.take()
-        if pair is not None:
-            self._take(*pair, canvas)
+        self._take_pair(canvas)
         while (metrics := self.engine.poll_metrics()) is not None:
             self._metrics.setdefault(self.engine.recipe(metrics.setup), {})[metrics.slot] = metrics
         inspection = self.engine.poll_inspection()
@@ -180,9 +184,6 @@ class Model:
             self.pointing.take(inspection)
         if self.source is None:
             return
-        faults = self.comparison.update(canvas), self.regions.update(canvas), self.selection.update()
-        for fault in filter(None, faults):
-            self.say(fault, error=True)
         self.second.compare_with(None if self.overview else self.comparison.second)
         kept = self.second.kept
         self.filling.others = frozenset() if kept is None else frozenset({self.engine.recipe(kept.setup(self.n))})
@@ -190,6 +191,9 @@ class Model:
         if result is not None and result.request.setup == self.setup:
             ready = result.request.slot
         self._ask(self.playback.tick(now, ready).request, canvas)
+        faults = self.comparison.update(canvas), self.regions.update(canvas), self.selection.update()
+        for fault in filter(None, faults):
+            self.say(fault, error=True)
         self._fill(now)
         self._survey()
         if self._was_playing and not self.playback.playing and self._was_kept:
@@ -214,6 +218,7 @@ class Model:
         self.pointing.story_due &= error.during != "inspection"
         if error.during == "source":
             self._asked = None  # what was asked of the old one was thrown away
+        self._previewer = self.preview = None
         if error.during in ("source", "slot"):
             self.playback.pause()
             if self.export is not None:
@@ -233,36 +238,25 @@ class Model:
         else:
             self._take(result, None, canvas)
 
+    def _take_pair(self, canvas) -> None:
+        """A's and B's results of one slot, when both are there."""
+        pair = self.second.take() if self.screen.ready else None
+        if pair is not None:
+            self._take(*pair, canvas)
+
     def _take(self, result: Result, second: Result | None, canvas) -> None:
         self.contents.take(result, second)
         self.failure = None
-        self.warnings = list(result.warnings)
+        self._previewer = self.preview = None
         if result.metrics:
             request = result.request
             self.metrics[request.slot] = Metrics(request.slot, request.setup, result.metrics)
         if second is not None and second.metrics:
             request = second.request
             self.metrics_of_second()[request.slot] = Metrics(request.slot, request.setup, second.metrics)
-        if canvas is not None:
-            canvas.frame = self.contents.frame_info()
-        self._show(result.images, canvas)
-        self.looks.meet(result.images)
+        self.screen.show(result.images, {self.view.a, self.view.b}, canvas)
         self.timings.add(result)
         self.pointing.ask_again()
-
-    def _show(self, images: dict[str, np.ndarray], canvas) -> None:
-        """Have these images and no others, which would be of another time, on the canvas."""
-        if canvas is None:
-            return
-        start = time.perf_counter()
-        second = self.contents.second
-        others = {} if second is None else {names.of_second(name): image for name, image in second.images.items()}
-        canvas.forget(canvas.layers.keys() - images.keys() - others.keys() - {flip_map.NAME, region_map.NAME})
-        for name, image in images.items():
-            canvas.upload(name, image, self.contents.spec(name))
-        for name, image in others.items():
-            canvas.upload(name, image, self.contents.spec(name), self.contents.frame_info(second))
-        self.upload_ms = (time.perf_counter() - start) * 1e3
 
     def _ask(self, slot: int, canvas) -> None:
         """Show what is kept, else submit a request, if it is another one than before."""
@@ -290,6 +284,7 @@ class Model:
         self.engine.withdraw()
         self._was_kept = True
         self._came(replace(kept, request=self._asked), canvas)
+        self._take_pair(canvas)
 
     def _is_news(self, result: Result) -> bool:
         """Whether it was asked for after what is shown, or made anew."""
@@ -357,6 +352,12 @@ class Model:
         return self.parameters.setup
 
     @property
+    def warnings(self) -> list[str]:
+        """About what is open and what is shown."""
+        result = self.contents.result
+        return [*self.source.suspicions, *(result.warnings if result is not None else ())] if self.source else []
+
+    @property
     def settled(self) -> bool:
         """Whether what is shown is what was asked for."""
         return (
@@ -369,6 +370,7 @@ class Model:
             and not self.second.waits
             and self.regions.ready
             and self.selection.ready
+            and self.screen.ready
         )
 
     def _needed(self) -> set[str]:
@@ -468,12 +470,6 @@ class Model:
     def _legends(self) -> list[Entry]:
         there = self.settings.legends
         return entries_of(self.view, self.contents, self.looks, self.comparison) if there else []
-
-    def save_picture(self, canvas) -> None:
-        try:
-            self.say(f"saved {save_picture(self._subject, canvas)}")
-        except GffeError as error:
-            self.say(str(error), error=True)
 
     def save(self, work: type[Work]) -> None:
         """Start saving beside the interface."""

@@ -50,14 +50,6 @@ class Subject:
         return read(canvas.draw(view, (width, height), "export"))
 
 
-def save_picture(subject: Subject, canvas) -> Path:
-    """The view as it is compared and displayed, one display pixel to a pixel, as PNG, with legends under it. Raises
-    GffeError."""
-    path = subject.unused(f"{subject.slot:05d}_{subject.view.a}", ".png")
-    save_png(path, with_legends(subject.picture(canvas), subject.legends()))
-    return path
-
-
 class Work:
     """Something that is being saved: `done` of `total`; `layers` are read back for it; `advance` is called once per
     frame of the interface until `finished`; then `outcome` is what to tell, if there is something, and `failed` whether
@@ -106,6 +98,22 @@ class Work:
 
         self._thread = threading.Thread(target=run, name="gffe-viewer-saving", daemon=True)
         self._thread.start()
+
+
+class PictureWork(Work):
+    """The view as it is compared and displayed, one display pixel to a pixel, as PNG, with legends under it."""
+
+    def __init__(self, subject: Subject):
+        super().__init__(subject, subject.unused(f"{subject.slot:05d}_{subject.view.a}", ".png"), 1)
+
+    def _proceed(self, canvas):
+        if self._thread is None:
+            pixels, legends, self.done = self.subject.picture(canvas), self.subject.legends(), 1
+            self._start(lambda: self._write(with_legends(pixels, legends)))
+
+    def _write(self, pixels: np.ndarray) -> str:
+        save_png(self.path, pixels)
+        return f"saved {self.path}"
 
 
 class LayersWork(Work):

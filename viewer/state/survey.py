@@ -71,7 +71,7 @@ class Survey:
         self._planned = state
         self._engine.survey(self._missing() if run and self._measuring.waiting < _WAITING else ())
 
-    def clear(self) -> None:
+    def forget(self) -> None:
         """There is another source."""
         self._known.clear()
         self._measuring.clear()

@@ -32,7 +32,7 @@ class Walk:
         self._view, self._contents, self._playback, self._pointing = view, contents, playback, pointing
         self._left: list[_Place] = []
 
-    def open(self) -> None:
+    def forget(self) -> None:
         """There is another source."""
         self._left.clear()
 
