@@ -27,7 +27,7 @@ from gffe_cl.viewer.picture.legend_strip import Entry, with_legends
 from gffe_cl.viewer.picture.legends import legend
 from gffe_cl.viewer.picture.rectangle import statistics
 from gffe_cl.viewer.state.playback import Playback
-from gffe_cl.viewer.state.survey import Side, Survey
+from gffe_cl.viewer.state.survey import Survey
 
 HEIGHT, WIDTH = 20, 32
 CAMERA = Camera(np.eye(4), 20.0, 20.0, WIDTH / 2, HEIGHT / 2)
@@ -154,6 +154,9 @@ class Stub:
     def survey(self, requests, source=None):
         self.asked = list(requests)
 
+    def recipe(self, setup):
+        return recipe_of(setup)
+
     def poll_survey(self):
         if not self.asked:
             return None
@@ -172,7 +175,7 @@ def surveyed():
     engine, playback = Stub(), Playback(count=8)
     survey = Survey(engine, playback)
     other = Setup(replace(Setup().options, motion=False))
-    sides = [Side(setup, recipe_of(setup)) for setup in (Setup(), other)]
+    sides = Setup(), other
     survey.update(*sides, 1.0, True)
     assert engine.made == 0 and survey.worst() is None, "nothing is measured before it is asked for"
     survey.on = True
@@ -218,14 +221,13 @@ def test_the_survey_sums_up_its_regions():
 def test_what_is_measured_stays_known_and_waits_for_others():
     engine, survey = surveyed()
     before = engine.made
-    sides = survey.a, survey.b
+    sides = survey.a.setup, survey.b.setup
     third = Setup(replace(Setup().options, levels=0))
-    side = Side(third, recipe_of(third))
-    survey.update(side, None, 1.0, False)
+    survey.update(third, None, 1.0, False)
     assert not engine.asked, "not while there is something else to do"
-    survey.update(side, None, 1.0, True)
+    survey.update(third, None, 1.0, True)
     assert {request.setup for request in engine.asked} == {third}
-    assert [request.slot for request in engine.asked] == [1, 3, 7][: len(engine.asked)] or engine.asked[0].slot == 1
+    assert [request.slot for request in engine.asked] == [1, 3, 5]
     engine.asked = []
     survey.update(*sides, 1.0, True)
     assert engine.made == before and survey.progress == (16, 16)

@@ -40,7 +40,7 @@ from gffe_cl.viewer.state.screen import Screen
 from gffe_cl.viewer.state.second import Second
 from gffe_cl.viewer.state.selecting import Selection
 from gffe_cl.viewer.state.settings import Settings
-from gffe_cl.viewer.state.survey import Side, Survey
+from gffe_cl.viewer.state.survey import Survey
 from gffe_cl.viewer.state.timings import Timings
 from gffe_cl.viewer.state.walking import Walk
 
@@ -195,7 +195,9 @@ class Model:
         for fault in filter(None, faults):
             self.say(fault, error=True)
         self._fill(now)
-        self._survey()
+        kept = self.kept.b if self.comparison.by_settings else None
+        idle = not (self.flying or self.export or self.playback.playing or self.second.waits)
+        self.survey.update(self.setup, kept and kept.setup(self.n), self.source.exposure, idle)
         if self._was_playing and not self.playback.playing and self._was_kept:
             self.pointing.ask_again()
         self._was_playing = self.playback.playing
@@ -299,25 +301,12 @@ class Model:
         beside = not (self.flying or self.overview or self.export or self._wanted[0].slot != result.request.slot)
         self.filling.update(now, self.recipe, self._wanted[0], nbytes, beside)
 
-    def _survey(self) -> None:
-        kept = self.kept.b if self.comparison.by_settings else None
-        second = None if kept is None else kept.setup(self.n)
-        sides = [None if setup is None else Side(setup, self.engine.recipe(setup)) for setup in (self.setup, second)]
-        idle = not (self.flying or self.export or self.playback.playing or self.second.waits)
-        self.survey.update(*sides, self.source.exposure, idle)
-
     def go_to(self, find: Callable[[], int | None]) -> None:
-        """To the slot that is found by the survey, which starts when it is not under way."""
-        started, self.survey.on = not self.survey.on, True
-        slot = find()
-        done, total = self.survey.progress
+        """To the slot that `find`, of the survey, gives."""
+        slot, text = self.survey.search(find)
         if slot is not None:
             self.playback.seek(slot)
-            self.say(self.survey.place + (f" measured so far ({total} in all)" if done < total else ""))
-        elif started or done < total:
-            self.say("every generated frame is being measured: ask again in a moment")
-        else:
-            self.say(self.survey.why_not() or "no frame can be found by this")
+        self.say(text)
 
     def _inspect(self, x: int, y: int) -> None:
         """Ask about a pixel of what is shown; what comes from the cache is not made for that while it plays."""
@@ -463,13 +452,11 @@ class Model:
 
     @property
     def _subject(self) -> Subject:
-        return Subject(
-            self.contents, self.playback, self.view, self.comparison.shown, self._legends, lambda: self.settled
-        )
+        def legends() -> list[Entry]:
+            there = self.settings.legends
+            return entries_of(self.view, self.contents, self.looks, self.comparison) if there else []
 
-    def _legends(self) -> list[Entry]:
-        there = self.settings.legends
-        return entries_of(self.view, self.contents, self.looks, self.comparison) if there else []
+        return Subject(self.contents, self.playback, self.view, self.comparison.shown, legends, lambda: self.settled)
 
     def save(self, work: type[Work]) -> None:
         """Start saving beside the interface."""

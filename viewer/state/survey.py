@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict, deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,9 +52,9 @@ class Survey:
 
     # ---- measuring -----------------------------------------------------------------------------------------
 
-    def update(self, a: Side | None, b: Side | None, exposure: float, may_run: bool) -> None:
+    def update(self, a: Setup, b: Setup | None, exposure: float, may_run: bool) -> None:
         """Once per frame of the interface; `may_run`: whether there is nothing else to do."""
-        self.a, self.b = a, b
+        self.a, self.b = (None if setup is None else Side(setup, self._engine.recipe(setup)) for setup in (a, b))
         while (answer := self._engine.poll_survey()) is not None:
             self._planned = None
             request, recipe, result = answer
@@ -64,8 +65,8 @@ class Survey:
         for recipe, slot, figures in self._measuring.take():
             self._planned = None
             self._of(recipe)[slot] = figures
-        run = self.on and may_run and a is not None
-        state = run, a, b, self._measuring.waiting >= _WAITING
+        run = self.on and may_run
+        state = run, self.a, self.b, self._measuring.waiting >= _WAITING
         if state == self._planned:
             return
         self._planned = state
@@ -156,6 +157,17 @@ class Survey:
         return {name: Part.of(pixels[name] / whole, errors[name] / whole, total / whole) for name in REGIONS}
 
     # ---- finding frames ------------------------------------------------------------------------------------
+
+    def search(self, find: Callable[[], int | None]) -> tuple[int | None, str]:
+        """The slot that `find` (`worst`, `next`, `most_different`) gives, and what to tell; measuring begins if it has
+        not."""
+        started, self.on = not self.on, True
+        slot, (done, total) = find(), self.progress
+        if slot is not None:
+            return slot, self.place + (f" measured so far ({total} in all)" if done < total else "")
+        if started or done < total:
+            return None, "every generated frame is being measured: ask again in a moment"
+        return None, self.why_not() or "no frame can be found by this"
 
     def why_not(self, difference: bool = False) -> str | None:
         """Why no frame can be found."""
