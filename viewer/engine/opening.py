@@ -9,6 +9,7 @@ from gffe_cl.doctor import quick_warning
 from gffe_cl.formats import open_capture
 from gffe_cl.scenes import is_scene, load_scene
 from gffe_cl.sequence import Sequence
+from gffe_cl.viewer.engine.growing import Growth
 from gffe_cl.viewer.engine.preview import Previewer, place_of
 from gffe_cl.viewer.engine.sources import FrameSource, RecordedSource, SceneSource
 
@@ -37,6 +38,7 @@ def make_source(
     else:
         sequence = open_capture(place_of(target)) if previewer is None else previewer.sequence()
         source = RecordedSource(sequence, device, window if window == "off" else None)
+        source.growth = Growth(place_of(target))
         if check:
             source.check = partial(_suspicion, sequence, target)
     source.target = target

@@ -127,8 +127,7 @@ class Model:
             self.screen.show({}, set(), canvas)
         if self.export is not None:
             self.export.cancel()
-        times = None if source.live else [source.time(k) for k in range(source.count)]
-        self.playback.open(source.count, source.fps, times, keep=self._keep_place)
+        self.playback.open(source.count, source.fps, self._times(source.count), keep=self._keep_place)
         self.pointing.open(self.contents.size)
         self._metrics.clear()
         self.flyer = None
@@ -141,6 +140,10 @@ class Model:
         if not source.live:
             self.settings.add_recent(Path(self._target).expanduser())
 
+    def _times(self, count: int) -> list[float] | None:
+        """Seconds, of rendered frames."""
+        return None if self.source.live else [self.source.time(k) for k in range(count)]
+
     # ---- one frame of the interface ------------------------------------------------------------------------
 
     def update(self, now: float, canvas) -> None:
@@ -151,6 +154,8 @@ class Model:
         self.screen.proceed(canvas)
         if self.engine.source is not self.source:
             self._opened(self.engine.source, canvas)
+        if self.source is not None and (count := self.source.count) != self.playback.count:
+            self.playback.extend(count, self._times(count))
         self.recipe = self.engine.recipe(self.setup)
         while self.screen.ready and (answer := self.engine.poll()) is not None:
             if isinstance(answer, EngineError):
