@@ -15,6 +15,7 @@ from gffe_cl.viewer.engine.messages import Recipe, Request, Result, Setup
 from gffe_cl.viewer.engine.reloading import WATCH_SECONDS
 from gffe_cl.viewer.engine.sources import RecordedSource
 from gffe_cl.viewer.panels.timeline import runs
+from gffe_cl.viewer.state.flying import Flight
 
 BYTES = 1000
 FINAL = frozenset({"final"})
@@ -309,3 +310,30 @@ def test_another_sequence_in_the_same_place_is_not_taken_for_more_of_it(session,
         session.frame()
         time.sleep(0.01)
     assert model.playback.count == 4 and not model.messages
+
+
+def test_the_render_rate_of_a_flight(session):
+    """Generated frames make up for rendered ones that are fewer; the camera stays where it was flown to."""
+    model = session.model
+    model.open("corridor")
+    session.until(lambda: model.source.live)
+    session.settle()
+    model.toggle_flying()
+    for _ in range(20):
+        model.fly(Flight((0.0, 0.0, 1.0), 1.0, 2.0, 0.0))
+        session.frame()
+        time.sleep(0.01)
+    pose = model.flyer.pose.position
+    assert not np.allclose(pose, model.source.scene.camera(0.0, 8, 8).position)
+    for rate, n in (("10", 5), ("15", 3), ("30", 1)):
+        source = model.source
+        model.set("render_rate", rate)
+        session.until(lambda source=source: model.source is not source and model.contents.result is not None)
+        assert (model.source.fps, model.n, model.playback.target_rate) == (float(rate), n, 60.0)
+        assert model.flying and model.playback.playing and np.array_equal(model.flyer.pose.position, pose)
+        session.until(lambda: model.contents.result.moment.alpha > 0)
+        assert model.contents.result.moment.camera.position == pytest.approx(pose, abs=1e-6)
+    model.stop_flying()
+    model.set("render_rate", "scene")
+    session.until(lambda: model.source.fps == 30.0 and model.plan.fps is None)
+    assert not model.flying and model.n == 1

@@ -15,11 +15,12 @@ from gffe_cl.viewer.engine.sources import FrameSource, RecordedSource, SceneSour
 
 
 class ScenePlan(NamedTuple):
-    """How built-in scenes are rendered."""
+    """How built-in scenes are rendered; `fps`: None for the scene's own."""
 
     width: int
     height: int
     seed: int
+    fps: float | None = None
 
 
 def make_source(
@@ -34,7 +35,7 @@ def make_source(
     With `check` its `suspicions` will say whether the first frames of a sequence fit. `previewer`: of this target, if
     one has opened it already. Raises GffeError."""
     if is_scene(target):
-        source = SceneSource(load_scene(target, plan.seed), device, plan.width, plan.height, window=window)
+        source = SceneSource(load_scene(target, plan.seed), device, plan.width, plan.height, plan.fps, window)
     else:
         sequence = open_capture(place_of(target)) if previewer is None else previewer.sequence()
         source = RecordedSource(sequence, device, window if window == "off" else None)

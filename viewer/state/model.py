@@ -130,7 +130,10 @@ class Model:
         self.playback.open(source.count, source.fps, self._times(source.count), keep=self._keep_place)
         self.pointing.open(self.contents.size)
         self._metrics.clear()
-        self.flyer = None
+        if self._keep_place and self.flying:
+            self.playback.play()  # at another render rate, from where the camera is
+        else:
+            self.flyer = None
         if not self._keep_place:
             self.looks.forget()
             self.timings = Timings()
@@ -154,6 +157,9 @@ class Model:
         self.screen.proceed(canvas)
         if self.engine.source is not self.source:
             self._opened(self.engine.source, canvas)
+        if self.source is not None and self.source.live and self.parameters.render_rate != self.plan.fps:
+            self.plan = self.plan._replace(fps=self.parameters.render_rate)
+            self.reload()
         if self.source is not None and (count := self.source.count) != self.playback.count:
             self.playback.extend(count, self._times(count))
         self.recipe = self.engine.recipe(self.setup)
