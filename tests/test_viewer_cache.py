@@ -12,8 +12,10 @@ from gffe_cl.errors import GffeError
 from gffe_cl.viewer.engine.buffers import Moment
 from gffe_cl.viewer.engine.cache import FrameCache, FrameKey, Playhead
 from gffe_cl.viewer.engine.messages import Recipe, Request, Result, Setup
+from gffe_cl.viewer.engine.reloading import WATCH_SECONDS
 from gffe_cl.viewer.engine.sources import RecordedSource
 from gffe_cl.viewer.panels.timeline import runs
+from gffe_cl.viewer.state.flying import Flight
 
 BYTES = 1000
 FINAL = frozenset({"final"})
@@ -256,3 +258,82 @@ def test_a_frame_that_cannot_be_read_is_told_when_it_is_looked_at(session, tmp_p
     assert not any(message.error for message in model.messages)
     model.playback.seek(4)
     session.until(lambda: any("frame_2.exr: truncated" in message.text for message in model.messages))
+
+
+# ---- sequences that grow ----------------------------------------------------------------------------------------
+
+
+def lengthen(folder, longer):
+    """Put the files of the sequence `longer` into `folder`, the description last."""
+    for path in sorted(longer.iterdir(), key=lambda path: path.name == "sequence.json"):
+        (folder / path.name).write_bytes(path.read_bytes())
+
+
+def test_new_frames_of_a_sequence_appear(computed, session, tmp_path):
+    """What is in the cache stays, but for the last frame, whose camera was a guess; who looked at the end sees the new
+    end; a description in the middle of being written does no harm."""
+    model, folder = session.model, tmp_path / "first"
+    filled(session)
+    model.playback.seek(7)
+    session.settle()
+    longer = tiny_sequence.write(tmp_path / "longer", frames=6)
+    whole = (longer / "sequence.json").read_bytes()
+    (longer / "sequence.json").write_bytes(whole[:-20])
+    lengthen(folder, longer)
+    end = time.monotonic() + 3 * WATCH_SECONDS
+    while time.monotonic() < end:
+        session.frame()
+        time.sleep(0.01)
+    assert model.playback.count == 4 and not model.messages
+    computed.clear()
+    (folder / "sequence.json").write_bytes(whole)
+    session.until(lambda: model.playback.count == 6)
+    assert model.playback.slot == 11
+    filled(session)
+    assert {slot for slot, _ in computed} == {6, 7, 8, 9, 10, 11} and model.slot == 11
+    kept = shown(session)
+    model.open(str(longer))
+    (longer / "sequence.json").write_bytes(whole)
+    source = model.source
+    model.open(str(longer))
+    session.until(lambda: model.source is not source)
+    model.playback.seek(11)
+    assert shown(session) == kept
+
+
+def test_another_sequence_in_the_same_place_is_not_taken_for_more_of_it(session, tmp_path):
+    model, folder = session.model, tmp_path / "first"
+    lengthen(folder, tiny_sequence.write(tmp_path / "other", frames=6))
+    tiny_sequence.edit(folder, lambda document: document.update(fps=15.0))
+    end = time.monotonic() + 4 * WATCH_SECONDS
+    while time.monotonic() < end:
+        session.frame()
+        time.sleep(0.01)
+    assert model.playback.count == 4 and not model.messages
+
+
+def test_the_render_rate_of_a_flight(session):
+    """Generated frames make up for rendered ones that are fewer; the camera stays where it was flown to."""
+    model = session.model
+    model.open("corridor")
+    session.until(lambda: model.source.live)
+    session.settle()
+    model.toggle_flying()
+    for _ in range(20):
+        model.fly(Flight((0.0, 0.0, 1.0), 1.0, 2.0, 0.0))
+        session.frame()
+        time.sleep(0.01)
+    pose = model.flyer.pose.position
+    assert not np.allclose(pose, model.source.scene.camera(0.0, 8, 8).position)
+    for rate, n in (("10", 5), ("15", 3), ("30", 1)):
+        source = model.source
+        model.set("render_rate", rate)
+        session.until(lambda source=source: model.source is not source and model.contents.result is not None)
+        assert (model.source.fps, model.n, model.playback.target_rate) == (float(rate), n, 60.0)
+        assert model.flying and model.playback.playing and np.array_equal(model.flyer.pose.position, pose)
+        session.until(lambda: model.contents.result.moment.alpha > 0)
+        assert model.contents.result.moment.camera.position == pytest.approx(pose, abs=1e-6)
+    model.stop_flying()
+    model.set("render_rate", "scene")
+    session.until(lambda: model.source.fps == 30.0 and model.plan.fps is None)
+    assert not model.flying and model.n == 1

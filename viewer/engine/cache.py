@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 from gffe_cl.viewer.engine.messages import Recipe, Result
@@ -110,6 +110,12 @@ class FrameCache:
     def room(self, nbytes: int) -> int:
         """How many slots of so many bytes it can hold."""
         return self.most // max(nbytes, 1)
+
+    def forget(self, outdated: Callable[[FrameKey], bool]) -> None:
+        with self._lock:
+            keys = [FrameKey(recipe, slot) for recipe, slots in self._kept.items() for slot in slots]
+            for key in filter(outdated, keys):
+                self._forget(key)
 
     def clear(self) -> None:
         with self._lock:

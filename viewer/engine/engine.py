@@ -314,6 +314,14 @@ class Engine:
     def _do_watch(self, _) -> None:
         if self._kernels.have_changed():
             self._do_kernels(None)
+        if self.source is None:
+            return
+        before = self.source.count
+        if self.source.grow():
+            for role in self._makers.keys() - {"a"}:  # their sources are not the one that has grown
+                del self._makers[role]
+            self.cache.forget(lambda key: key.slot >= (before - 1) * (key.recipe.setup.n + 1))
+            self._notify()
 
     def _do_kernels(self, _) -> None:
         self._need_device()

@@ -9,16 +9,18 @@ from gffe_cl.doctor import quick_warning
 from gffe_cl.formats import open_capture
 from gffe_cl.scenes import is_scene, load_scene
 from gffe_cl.sequence import Sequence
+from gffe_cl.viewer.engine.growing import Growth
 from gffe_cl.viewer.engine.preview import Previewer, place_of
 from gffe_cl.viewer.engine.sources import FrameSource, RecordedSource, SceneSource
 
 
 class ScenePlan(NamedTuple):
-    """How built-in scenes are rendered."""
+    """How built-in scenes are rendered; `fps`: None for the scene's own."""
 
     width: int
     height: int
     seed: int
+    fps: float | None = None
 
 
 def make_source(
@@ -33,10 +35,11 @@ def make_source(
     With `check` its `suspicions` will say whether the first frames of a sequence fit. `previewer`: of this target, if
     one has opened it already. Raises GffeError."""
     if is_scene(target):
-        source = SceneSource(load_scene(target, plan.seed), device, plan.width, plan.height, window=window)
+        source = SceneSource(load_scene(target, plan.seed), device, plan.width, plan.height, plan.fps, window)
     else:
         sequence = open_capture(place_of(target)) if previewer is None else previewer.sequence()
         source = RecordedSource(sequence, device, window if window == "off" else None)
+        source.growth = Growth(place_of(target))
         if check:
             source.check = partial(_suspicion, sequence, target)
     source.target = target

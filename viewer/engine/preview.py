@@ -14,6 +14,8 @@ from gffe_cl.frame import HALF_MAX
 from gffe_cl.scenes import is_scene
 from gffe_cl.sequence import Sequence
 
+_IMAGES = (".exr", ".png", ".npy", ".npz", ".flo", ".flo5")
+
 
 @dataclass(frozen=True)
 class Preview:
@@ -25,9 +27,9 @@ class Preview:
 
 
 def place_of(target: str) -> Path:
-    """The folder or JSON file that is meant: of another file, the folder that it is in."""
+    """The folder or JSON file that is meant: of an image, the folder that it is in."""
     path = Path(target).expanduser()
-    return path.parent if path.is_file() and path.suffix.lower() != ".json" else path
+    return path.parent if path.suffix.lower() in _IMAGES and path.is_file() else path
 
 
 class Previewer:

@@ -24,6 +24,7 @@ from gffe_cl.sequence import Sequence
 from gffe_cl.source import Recorded
 from gffe_cl.stage import read_some_rows
 from gffe_cl.stages.presentation import present
+from gffe_cl.viewer.engine.growing import Growth, continues
 from gffe_cl.viewer.engine.way import REMEMBERED
 from gffe_cl.window import WindowChooser
 
@@ -101,6 +102,10 @@ class FrameSource(Protocol):
         """Legal but suspicious things met so far."""
         return []
 
+    def grow(self) -> bool:
+        """Take over frames that were added at the end since it was opened; whether there are any."""
+        return False
+
     def look_closer(self) -> None:
         """The first slot is made: now there is time for `suspicions`."""
 
@@ -124,13 +129,25 @@ class RecordedSource(Recorded, FrameSource):
         self.suspicions: list[str] = []
         self.check: Callable[[], str | None] | None = None  # finds a suspicion, on a thread of its own
         self._chosen = window
+        self._alphas = alphas_for(1)
+        self._cache = _ReadAhead(cache_bytes)
+        self.growth: Growth | None = None
+        self._list_frames(sequence)
+
+    def _list_frames(self, sequence: Sequence) -> None:
         self._entries = sequence.rendered
         self.resets = tuple(k for k, entry in enumerate(self._entries) if entry.reset or k == 0)
         truths = sequence.ground_truth
         self._next_truth = dict(zip((entry.file for entry in truths), truths[1:], strict=False))
         self.has_truth = bool(truths)
-        self._alphas = alphas_for(1)
-        self._cache = _ReadAhead(cache_bytes)
+
+    def grow(self):
+        sequence = self.growth and self.growth.look()
+        if not sequence or not continues(self.sequence, sequence):
+            return False
+        self._list_frames(sequence)
+        super().__init__(sequence, self._device, self._chosen)
+        return True
 
     def configure(self, window, n):
         self._alphas = alphas_for(n)
@@ -305,7 +322,7 @@ class SceneSource(FrameSource):
     def sibling(self):
         other = copy.copy(self)  # renderer and poses are shared, rendered frames are not: they are used in place
         other._frames, other._ring, other._since = copy.copy(self._frames), OrderedDict(), []
-        other._ring_size = max(_LEAST_RING, self._ring_size // 4)
+        other._ring_size, other._way = max(_LEAST_RING, self._ring_size // 4), None
         other.held = min(REMEMBERED, other._ring_size - 1)
         return other
 

@@ -145,11 +145,13 @@ class Model:
             part.forget()
         if self.export is not None:
             self.export.cancel()
-        times = None if source.live else [source.time(k) for k in range(source.count)]
-        self.playback.open(source.count, source.fps, times, keep=self._keep_place)
+        self.playback.open(source.count, source.fps, self._times(source.count), keep=self._keep_place)
         self.pointing.open(self.contents.size)
         self._metrics.clear()
-        self.flyer = None
+        if self._keep_place and self.flying:
+            self.playback.play()  # at another render rate, from where the camera is
+        else:
+            self.flyer = None
         if not self._keep_place:
             self.looks.forget()
             self.timings = Timings()
@@ -158,6 +160,10 @@ class Model:
         self._keep_place = False
         if not source.live:
             self.settings.add_recent(Path(self._target).expanduser())
+
+    def _times(self, count: int) -> list[float] | None:
+        """Seconds, of rendered frames."""
+        return None if self.source.live else [self.source.time(k) for k in range(count)]
 
     # ---- one frame of the interface ------------------------------------------------------------------------
 
@@ -169,6 +175,11 @@ class Model:
         self.screen.proceed(canvas)
         if self.engine.source is not self.source:
             self._opened(self.engine.source, canvas)
+        if self.source is not None and self.source.live and self.parameters.render_rate != self.plan.fps:
+            self.plan = self.plan._replace(fps=self.parameters.render_rate)
+            self.reload()
+        if self.source is not None and (count := self.source.count) != self.playback.count:
+            self.playback.extend(count, self._times(count))
         self.recipe = self.engine.recipe(self.setup)
         while self.screen.ready and (answer := self.engine.poll()) is not None:
             if isinstance(answer, EngineError):
