@@ -51,7 +51,7 @@ SIDE_PANELS = tuple(
     name for name in _PANELS if name not in ("Picture", "Plot", "Timeline")
 )  # those that are hidden together
 _TIMELINE_HEIGHT = 110.0  # pixels at the usual size of letters
-_PLOT_HEIGHT = 190.0
+_PLOT_HEIGHT = 170.0
 _LEAST_SCALE, _LARGEST_SCALE = 0.6, 3.0
 _SIDES = (320.0, 464.0)  # pixels left and right of the picture, at the usual size of letters ...
 _WIDEST = (0.24, 0.33)  # ... but not more of the width
@@ -100,6 +100,7 @@ class App:
         self._stretched: dict[str, tuple[float, float]] = {}  # sizes of docks that were set: now and at scale 1
         self.canvas_size = (0, 0)  # screen pixels
         self._drawn = self._texture = None
+        self._plot_due = False
         self.drags, self.pressed_at = "nothing", None  # by the mouse, in the picture
 
     # ---- running -----------------------------------------------------------------------------------------
@@ -197,7 +198,8 @@ class App:
         """Give the panels around the picture more or less room, for larger or smaller letters."""
         width, height = imgui.get_io().display_size
         around = {node.id_ for node in _dock_nodes("Picture")}
-        for name, most in (("Layers", _WIDEST[0] * width), ("Modules", _WIDEST[1] * width), ("Timeline", 0.4 * height)):
+        sizes = ("Layers", _WIDEST[0] * width), ("Modules", _WIDEST[1] * width), ("Timeline", 0.4 * height)
+        for name, most in sizes:
             beside = [node for node in _dock_nodes(name) if node.id_ not in around]
             if not beside:
                 continue
@@ -223,11 +225,24 @@ class App:
         """Measure every generated frame, and show the plot of it; off: no more frames are measured."""
         self.model.survey.on = on
         if on:
-            self.panel("Plot").is_visible = True
+            self._show_plot()
+
+    def _show_plot(self) -> None:
+        self.panel("Plot").is_visible = True
+        self._plot_due = True
+
+    def _make_room_for_plot(self) -> None:
+        """Once it is there: as high as it has to be at this size of letters."""
+        nodes = _dock_nodes("Plot")
+        if self._plot_due and nodes:
+            height = min(_PLOT_HEIGHT * self.scale, 0.4 * imgui.get_io().display_size.y)
+            if nodes[0].size.y < height:
+                imgui.internal.dock_builder_set_node_size(nodes[0].id_, ImVec2(nodes[0].size.x, height))
+            self._plot_due = False
 
     def find(self, find) -> None:
         """Go to a frame of the survey."""
-        self.panel("Plot").is_visible = True
+        self._show_plot()
         self.model.go_to(find)
 
     def hide_panels(self) -> None:
@@ -257,6 +272,7 @@ class App:
                 self._stretch_docks(self._themed[1], self.scale)
             self._themed = model.settings.theme, self.scale
             theme.apply(*self._themed)
+        self._make_room_for_plot()
         model.update(time.perf_counter(), self.canvas)
         model.fly(keys.flight(self.model))
         at_work = model.playback.playing or model.flying or model.engine.busy or not model.comparison.ready

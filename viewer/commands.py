@@ -109,13 +109,13 @@ def register(app) -> None:
             checked=lambda way=way: model.view.compare == way)  # fmt: skip
     add("truth", "Show ground truth", "Compare", "T", model.comparison.toggle_truth,
         lambda: opened() or model.contents.why_not("truth"))  # fmt: skip
-    add("survey", "Measure every generated frame", "Find", "Alt+J", lambda: app.show_survey(not survey.on),
+    add("survey", "Measure all frames", "Find", "Alt+J", lambda: app.show_survey(not survey.on),
         lambda: opened(), checked=lambda: survey.on,
-        tooltip="In the background, for the plot over the timeline and for finding frames")  # fmt: skip
+        tooltip="Every generated frame, in the background: for the plot, and for finding frames")  # fmt: skip
     for id, text, key, find, tooltip in (
         ("worst", "Worst frame", "J", survey.worst, "By the quantity that is plotted"),
         ("next_worst", "Next worse frame", "Shift+J", survey.next, "In the order of the last search"),
-        ("most_different", "Largest difference of A and B", "Ctrl+J", survey.most_different,
+        ("most_different", "Largest A–B difference", "Ctrl+J", survey.most_different,
          "Where A's and B's settings differ most in what is plotted; again: the next one"),
     ):  # fmt: skip
         difference = id == "most_different"

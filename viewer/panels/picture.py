@@ -259,8 +259,10 @@ def _caption(model, origin, width, height, marks) -> None:
         _label(marks, f"B  {_layer_text(model, view.b)}", origin.x + 10, origin.y + 8)
     elif view.compare != "off" and view.b:
         settings = f"{told(model.setup)}   " if model.comparison.by_settings else ""
-        _label(marks, f"A  {settings}{_layer_text(model, view.a)}", origin.x + 10, origin.y + 8)
-        _label(marks, f"B  {_layer_text(model, view.b)}", origin.x + width - 10, origin.y + 8, right=True)
+        texts = (f"A  {settings}{_layer_text(model, view.a)}", f"B  {_layer_text(model, view.b)}")
+        a, b = (_shortened(text, width / 2 - 24) for text in texts)
+        _label(marks, a, origin.x + 10, origin.y + 8)
+        _label(marks, b, origin.x + width - 10, origin.y + 8, right=True)
     else:
         _label(marks, _layer_text(model, view.a), origin.x + 10, origin.y + 8)
     k, j = divmod(model.slot, model.n + 1)
@@ -271,6 +273,17 @@ def _caption(model, origin, width, height, marks) -> None:
         state = "computing …"
     if state:
         _label(marks, state, origin.x + width - 10, origin.y + height - hello_imgui.em_size(1.6), right=True)
+
+
+def _shortened(text: str, width: float) -> str:
+    """As much of it as has room, its end rather than its middle."""
+    if imgui.calc_text_size(text).x <= width:
+        return text
+    for kept in range(len(text) - 1, 2, -1):
+        shorter = f"{text[: (kept + 1) // 2]}…{text[-(kept // 2) :]}"
+        if imgui.calc_text_size(shorter).x <= width:
+            break
+    return shorter
 
 
 def _layer_text(model, name: str) -> str:

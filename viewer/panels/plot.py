@@ -21,12 +21,22 @@ def draw(app) -> None:
     _controls(app)
     flags = implot.Flags_.no_mouse_text | implot.Flags_.no_menus | implot.Flags_.no_box_select
     flags |= implot.Flags_.no_legend if survey.b is None else 0
-    if not implot.begin_plot("###survey", ImVec2(-1, max(imgui.get_content_region_avail().y, 60)), int(flags)):
-        return
+    height = max(imgui.get_content_region_avail().y, hello_imgui.em_size(5))
+    implot.push_style_var(implot.StyleVar_.fit_padding.value, ImVec2(0, 0.1))
+    if implot.begin_plot("###survey", ImVec2(-1, height), int(flags)):
+        _plot(model, survey)
+        implot.end_plot()
+    implot.pop_style_var()
+
+
+def _plot(model, survey) -> None:
     quantity = QUANTITIES[survey.quantity]
     fit, plain = implot.AxisFlags_.auto_fit.value, implot.AxisFlags_.no_label.value
     implot.setup_axes("frame", f"{quantity.label} {quantity.unit}".rstrip(), plain, fit)
-    implot.setup_axis_limits(implot.ImAxis_.x1, 0, max(model.playback.slots, 1), imgui.Cond_.always.value)
+    slots = max(model.playback.slots, 1)
+    implot.setup_axis_limits(implot.ImAxis_.x1, 0, slots, imgui.Cond_.always.value)
+    marks = range(0, slots, _step(slots, imgui.get_content_region_avail().x / hello_imgui.em_size(4)))
+    implot.setup_axis_ticks(implot.ImAxis_.x1, [slot + 0.5 for slot in marks], [str(slot) for slot in marks])
     curves = []
     for label, side, color in (("A", survey.a, _A), ("B", survey.b, _B)):
         xs, ys = survey.curve(side)
@@ -36,7 +46,12 @@ def draw(app) -> None:
     implot.plot_inf_lines("###now", np.array([model.slot + 0.5]))
     if implot.is_plot_hovered():
         _hovered(model, curves, quantity)
-    implot.end_plot()
+
+
+def _step(slots: int, most: float) -> int:
+    """Slots between two marks, of which there are at most so many: 1, 2 or 5 times a power of ten."""
+    steps = (factor * 10**power for power in range(9) for factor in (1, 2, 5))
+    return next(step for step in steps if slots / step <= max(most, 2) or step >= slots)
 
 
 def _controls(app) -> None:

@@ -38,9 +38,9 @@ def draw(app) -> None:
 
 
 def _table(regions, name: str, a: dict[str, Part], b: dict[str, Part] | None) -> None:
-    columns = [("region", 0.34), ("pixels", 0.16), ("of A's error", 0.3), ("A, dB", 0.2)]
+    columns = [("region", 0.4), ("pixels", 0.17), ("error", 0.24), ("dB", 0.19)]
     if b is not None:
-        columns = [("region", 0.28), ("pixels", 0.14), ("of A's error", 0.22), ("A, dB", 0.18), ("B, dB", 0.18)]
+        columns = [("region", 0.37), ("pixels", 0.16), ("error", 0.17), ("A dB", 0.15), ("B dB", 0.15)]
     if not imgui.begin_table(f"###regions {name}", len(columns), imgui.TableFlags_.row_bg.value):
         return
     for title, share in columns:
@@ -59,10 +59,11 @@ def _table(regions, name: str, a: dict[str, Part], b: dict[str, Part] | None) ->
         imgui.text(f"{part.pixels:.1%}")
         imgui.table_next_column()
         _bar(part.error)
+        widgets.tooltip("Share of A's squared error")
         for of in (a, b):
             if of is not None:
                 imgui.table_next_column()
-                imgui.text("–" if math.isnan(of[region].psnr) else f"{of[region].psnr:.2f}")
+                imgui.text("–" if math.isnan(of[region].psnr) else f"{of[region].psnr:.1f}")
     imgui.end_table()
 
 
