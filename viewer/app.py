@@ -92,6 +92,7 @@ class App:
         self._stretched: dict[str, tuple[float, float]] = {}  # sizes of docks that were set: now and at scale 1
         self.canvas_size = (0, 0)  # screen pixels
         self._drawn = self._texture = None
+        self._layers_known: list = []  # those that have actions
         self.drags, self.pressed_at = "nothing", None  # by the mouse, in the picture
 
     # ---- running -----------------------------------------------------------------------------------------
@@ -237,6 +238,9 @@ class App:
             self._themed = model.settings.theme, self.scale
             theme.apply(*self._themed)
         model.update(time.perf_counter(), self.canvas)
+        if model.contents.layers is not self._layers_known:
+            self._layers_known = model.contents.layers
+            commands.register_layers(self)
         model.fly(keys.flight(self.model))
         at_work = model.playback.playing or model.flying or model.engine.busy or not model.comparison.ready
         self._params.fps_idling.enable_idling = not (at_work or self._params.use_imgui_test_engine)

@@ -222,7 +222,8 @@ class Model:
             request = result.request
             self.metrics[request.slot] = Metrics(request.slot, request.setup, result.metrics)
         self.screen.show(result.images, {self.view.a, self.view.b}, canvas)
-        self.timings.add(result)
+        if not self._was_kept:
+            self.timings.add(result)
         self.pointing.ask_again()
 
     def _ask(self, slot: int, canvas) -> None:
