@@ -92,6 +92,7 @@ class App:
         self._stretched: dict[str, tuple[float, float]] = {}  # sizes of docks that were set: now and at scale 1
         self.canvas_size = (0, 0)  # screen pixels
         self._drawn = self._texture = None
+        self.inspected: tuple = (None, [])  # an inspection, and its rows in the inspector
         self._layers_known: list = []  # those that have actions
         self.drags, self.pressed_at = "nothing", None  # by the mouse, in the picture
 
@@ -310,6 +311,7 @@ class App:
             if info.render_size != (info.width, info.height):
                 parts.append(f"rendered {info.render_size[0]}×{info.render_size[1]}")
         if model.contents.result is not None:
-            parts.append(f"computed in {model.contents.result.wall_ms:.0f} ms")
+            kept = "from the cache, " if model.from_cache else ""
+            parts.append(f"{kept}computed in {model.contents.result.wall_ms:.0f} ms")
         parts += model.warnings
         imgui.text("     ".join(parts))

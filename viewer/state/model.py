@@ -88,7 +88,7 @@ class Model:
         self._serial = itertools.count(1)
         self._asked: Request | None = None  # the latest request, and it without its serial number
         self._wanted: tuple[Request, Recipe | None] | None = None
-        self._was_kept = False  # what is shown came from the cache
+        self.from_cache = False  # what is shown came from the cache
         self._was_playing = False
         self._target = ""
         self._keep_place = False
@@ -167,7 +167,7 @@ class Model:
             if isinstance(answer, EngineError):
                 self._failed(answer)
             elif self.source is not None and self._is_news(answer):
-                self._was_kept = False
+                self.from_cache = False
                 self._take(answer, canvas)
         while (metrics := self.engine.poll_metrics()) is not None:
             self._metrics.setdefault(self.engine.recipe(metrics.setup), {})[metrics.slot] = metrics
@@ -184,7 +184,7 @@ class Model:
         if fault:
             self.say(fault, error=True)
         self._fill(now)
-        if self._was_playing and not self.playback.playing and self._was_kept:
+        if self._was_playing and not self.playback.playing and self.from_cache:
             self.pointing.ask_again()
         self._was_playing = self.playback.playing
         if self.export is not None:
@@ -222,7 +222,7 @@ class Model:
             request = result.request
             self.metrics[request.slot] = Metrics(request.slot, request.setup, result.metrics)
         self.screen.show(result.images, {self.view.a, self.view.b}, canvas)
-        if not self._was_kept:
+        if not self.from_cache:
             self.timings.add(result)
         self.pointing.ask_again()
 
@@ -245,7 +245,7 @@ class Model:
             self.engine.submit(self._asked, self.source)
             return
         self.engine.withdraw()
-        self._was_kept = True
+        self.from_cache = True
         self._take(replace(kept, request=self._asked), canvas)
 
     def _is_news(self, result: Result) -> bool:
@@ -263,8 +263,8 @@ class Model:
 
     def _inspect(self, x: int, y: int) -> None:
         """Ask about a pixel of what is shown; what comes from the cache is not made for that while it plays."""
-        if not (self._was_kept and self.playback.playing):
-            request = self.contents.result.request if self._was_kept else None
+        if not (self.from_cache and self.playback.playing):
+            request = self.contents.result.request if self.from_cache else None
             self.engine.inspect(x, y, request=request)
 
     # ---- what is asked for -----------------------------------------------------------------------------------
