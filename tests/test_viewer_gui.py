@@ -291,6 +291,22 @@ def test_measuring(values):
     assert {3, 5, 7, 9, 11, 13} <= set(values["slots"]) <= set(range(1, 16, 2))
 
 
+def test_cached_playback(values):
+    assert values["share marked as cached"] > 0.98
+    assert values["plays while nothing is computed"] and not values["computed"] and values["shown"]
+
+
+def test_layers_by_the_palette(values):
+    assert (values["shown"], values["back"]) == ("warp.motion", "final")
+    assert values["not made now"] == ["final", "not made with these options"]
+
+
+def test_kernel_timings(values):
+    assert set(values["must move"]) <= set(values["stages"]) and values["must move"]["warp"] > 10
+    assert len(values["kernels"]) > 1 and values["sum"][0] == pytest.approx(values["sum"][1], rel=0.2)
+    assert values["drawn"] > 0.002
+
+
 def test_keys_while_computing(values):
     """Each key does what it is for at once; our own code never holds the interface for 50 ms."""
     assert values["answered"] == [[slot, 0.5] for slot in range(1, 7)]

@@ -135,6 +135,40 @@ def parameters_by_the_palette(gui: Gui):
 
 
 @case
+def layers_by_the_palette(gui: Gui):
+    model, values = gui.model, gui.values
+    _palette(gui, "layer warp motion", "palette, layers")
+    gui.settle()
+    values["shown"] = model.view.a
+    gui.app.actions.run("layer final")
+    values["back"] = model.view.a
+    model.parameters.switch("levels", False)
+    gui.settle()
+    gui.app.actions.run("layer background.color")
+    values["not made now"] = model.view.a, gui.app.actions.last_refusal
+
+
+@case
+def kernel_timings(gui: Gui):
+    """A stage is opened: each of its kernels, with what it had to move beside what it took."""
+    model, values = gui.model, gui.values
+    gui.ctx.window_focus("//Timings")
+    gui.frames(3)
+    gui.app.panel("Inspector").is_visible = False
+    gui.click("//Timings/###bandwidth")
+    gui.wait(lambda: model.engine.bandwidth and model.engine.traffic, "bandwidth and traffic")
+    values["must move"] = {stage: sum(kernels.values()) for stage, kernels in model.engine.traffic.items()}
+    values["stages"], values["kernels"] = sorted(model.timings.means()), sorted(model.timings.of_stage("warp"))
+    values["sum"] = sum(model.timings.of_stage("warp").values()), model.timings.means()["warp"]
+    before = gui.window()
+    gui.click("//Timings/###timings/###stage warp")
+    gui.frames(3)
+    values["drawn"] = float((gui.window() != before).any(-1).mean())
+    gui.shot("kernel_timings")
+    gui.app.panel("Inspector").is_visible = True
+
+
+@case
 def palette_and_help(gui: Gui):
     app, model, values = gui.app, gui.model, gui.values
     gui.key(KEY.p, CTRL)

@@ -101,6 +101,8 @@ class App:
         self.canvas_size = (0, 0)  # screen pixels
         self._drawn = self._texture = None
         self._plot_due = False
+        self.inspected: tuple = (None, [])  # an inspection, and its rows in the inspector
+        self._layers_known: list = []  # those that have actions
         self.drags, self.pressed_at = "nothing", None  # by the mouse, in the picture
 
     # ---- running -----------------------------------------------------------------------------------------
@@ -274,6 +276,9 @@ class App:
             theme.apply(*self._themed)
         self._make_room_for_plot()
         model.update(time.perf_counter(), self.canvas)
+        if model.contents.layers is not self._layers_known:
+            self._layers_known = model.contents.layers
+            commands.register_layers(self)
         model.fly(keys.flight(self.model))
         at_work = model.playback.playing or model.flying or model.engine.busy or not model.comparison.ready
         at_work |= model.survey.busy or not model.regions.ready
@@ -344,6 +349,7 @@ class App:
             if info.render_size != (info.width, info.height):
                 parts.append(f"rendered {info.render_size[0]}×{info.render_size[1]}")
         if model.contents.result is not None:
-            parts.append(f"computed in {model.contents.result.wall_ms:.0f} ms")
+            kept = "from the cache, " if model.from_cache else ""
+            parts.append(f"{kept}computed in {model.contents.result.wall_ms:.0f} ms")
         parts += model.warnings
         imgui.text("     ".join(parts))

@@ -14,6 +14,7 @@ from gffe_cl.viewer.state import saving
 from gffe_cl.viewer.state.parameters import ALL
 
 _EXPOSURE_STEP = 0.5
+LAYERS = "Layer"  # group of actions
 
 
 def register(app) -> None:
@@ -175,12 +176,41 @@ def _register_parameter(app, name: str, option: Option) -> None:
         add("number", f"{option.label} …", "Parameters", partial(app.palette.ask, name))
 
 
+def register_layers(app) -> None:
+    """An action for every layer that there is and was none for; those that are not made now stay, disabled."""
+    model = app.model
+    for spec in model.contents.layers:
+        if f"layer {spec.name}" in app.actions:
+            continue
+        name = spec.name
+        app.actions.register(
+            Action(
+                f"layer {name}",
+                f"{spec.group}: {spec.label}",
+                LAYERS,
+                "",
+                partial(model.show_layer, name),
+                partial(_why_no_layer, model, name),
+                lambda name=name: model.view.a == name,
+                spec.description,
+            )
+        )
+
+
+def _why_no_layer(model, name: str) -> str | None:
+    if model.contents.spec(name) is None:
+        return "not made with these options"
+    return model.contents.why_not(name)
+
+
 def _theme(app) -> None:
     app.model.settings.theme = "dark" if app.model.settings.theme == "light" else "light"
 
 
 def menus(app) -> None:
     for group, actions in app.actions.grouped().items():
+        if group == LAYERS:  # a panel of their own
+            continue
         if imgui.begin_menu(f"{group}###menu {group}"):
             for action in actions:
                 _item(app.actions, action)

@@ -7,8 +7,9 @@ import time
 import numpy as np
 
 from gffe_cl.errors import GffeError
-from gffe_cl.viewer.start import PATIENCE, REPORT_SIZE, require_display
+from gffe_cl.viewer.start import PATIENCE, require_display
 
+_SIZE = (1280, 720)  # of the window
 _FASTEST = 4.0  # times real time
 
 
@@ -25,7 +26,7 @@ def measure(model, seconds: float, size: tuple[int, int] | None = None) -> dict[
     from gffe_cl.viewer.app import App
 
     stopwatch = _Stopwatch(seconds)
-    App(model, on_frame=stopwatch).run(size or REPORT_SIZE, test=lambda app: None)
+    App(model, on_frame=stopwatch).run(size or _SIZE, test=lambda app: None)
     if stopwatch.problem:
         raise GffeError(stopwatch.problem)
     return {"first_pass": stopwatch.first.figures(), "cached": stopwatch.cached.figures() if stopwatch.cached else {}}

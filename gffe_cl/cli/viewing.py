@@ -41,7 +41,9 @@ def view(
     device: DeviceOption = None,
     window_size: Annotated[
         str | None,
-        typer.Option(help="Of the viewer's own window, pixels [dim](default: as last time; for reports 1600x900)[/]."),
+        typer.Option(
+            help="Of the viewer's own window, pixels [dim](default: as last time; for screenshots 1600x900, for measuring 1280x720)[/]."
+        ),
     ] = None,
     screenshot: Annotated[
         Path | None,

@@ -10,16 +10,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any
-
-import pyopencl as cl
 
 from gffe_cl.errors import GffeError
 from gffe_cl.evaluation.bench import Copier
 from gffe_cl.inference import NetworkError
-from gffe_cl.opencl.device import Device, open_device
+from gffe_cl.opencl.device import Device
 from gffe_cl.viewer.engine.cache import FrameCache, FrameKey
 from gffe_cl.viewer.engine.making import SlotMaker, weights_of
 from gffe_cl.viewer.engine.messages import (
@@ -33,6 +30,7 @@ from gffe_cl.viewer.engine.messages import (
     Result,
     Setup,
 )
+from gffe_cl.viewer.engine.opening import open_viewer_device
 from gffe_cl.viewer.engine.reloading import WATCH_SECONDS, Kernels
 from gffe_cl.viewer.engine.scoring import Scorer
 from gffe_cl.viewer.engine.sources import FrameSource
@@ -45,19 +43,8 @@ _KINDS = {  # of what is posted, and the activity meanwhile
     "slot_b": "computing B",
     "inspection": "",
     "bandwidth": "measuring bandwidth",
+    "traffic": "counting what must move",
 }
-
-
-def open_viewer_device(wanted: str | None = None) -> Device:
-    """The device that `open_device` opens; of a CPU all compute units but one, which is left to the interface."""
-    device = open_device(wanted)
-    cl_device = device.cl_device
-    if device.info.kind != "cpu" or cl_device.max_compute_units < 2:
-        return device
-    counts = [cl.device_partition_property.BY_COUNTS, cl_device.max_compute_units - 1]
-    with suppress(cl.Error):
-        return Device(cl_device.create_sub_devices(counts)[0], device.info)
-    return device
 
 
 class Engine:
@@ -84,6 +71,8 @@ class Engine:
         Why the kernels on disk do not build, with file and line; the last good ones go on.
     bandwidth : float or None
         GB/s of copying, once measured.
+    traffic : dict
+        Bytes per display pixel, by stage and kernel, that a slot had to move, once counted.
     activity : str
         What is being done; empty if nothing, or something short.
     """
@@ -100,6 +89,7 @@ class Engine:
         self.device_name, self.activity = "", "opening the device"
         self.builds, self.build_error = 0, None
         self.bandwidth: float | None = None
+        self.traffic: dict[str, dict[str, float]] = {}
         self._thread = threading.Thread(target=self._run, name="gffe-viewer-engine", daemon=True)
         self._news = threading.Condition()
         self._posted: dict[str, Any] = {}
@@ -208,6 +198,10 @@ class Engine:
         """Measure `bandwidth`, once; takes a second, and 512 MiB on the device."""
         if self.bandwidth is None:
             self._post("bandwidth", None)
+
+    def count_traffic(self) -> None:
+        """Count `traffic` for the slot that was computed last; reads some layers back."""
+        self._post("traffic", None)
 
     def poll(self, role: str = "a") -> Result | EngineError | None:
         """What went wrong, oldest first, else the newest result of a role; each once. Errors are told with "a"."""
@@ -342,6 +336,11 @@ class Engine:
     def _do_bandwidth(self, _) -> None:
         if self.bandwidth is None:
             self.bandwidth = Copier(self._need_device()).bandwidth()
+            self._notify()
+
+    def _do_traffic(self, _) -> None:
+        if "a" in self._makers:
+            self.traffic = self._makers["a"].must_move()
             self._notify()
 
     def _do_inspection(self, content) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gffe_cl.errors import GffeError
+from gffe_cl.evaluation import traffic
 from gffe_cl.frame import HALF_MAX
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
@@ -80,7 +81,7 @@ class SlotMaker:
         specs = layers_of(pipeline)
         if not source.has_truth:
             del specs[names.TRUTH], specs[names.FOCUS_TRUTH]
-        milliseconds = pipeline.take_timings()
+        kernels = pipeline.take_kernel_timings()
         measure = request.metrics and alpha > 0 and source.has_truth
         wanted = (request.layers | ({names.FINAL} if measure else set())) & specs.keys()
         truth = None
@@ -101,7 +102,7 @@ class SlotMaker:
             shot.moment,
             images={name: image for name, image in images.items() if name in request.layers},
             specs=specs,
-            milliseconds=milliseconds,
+            kernels=kernels,
             wall_ms=(time.perf_counter() - start) * 1e3,
             readback_ms=readback_ms,
             warnings=(*source.warnings(), *notes),
@@ -118,6 +119,13 @@ class SlotMaker:
         except GffeError as error:
             notes.append(str(error))
             return None
+
+    def must_move(self) -> dict[str, dict[str, float]]:
+        """Bytes per display pixel, by stage and kernel, that the slot made last had to move; empty without one."""
+        pipeline = self._seeker.pipeline
+        if pipeline is None or self._seeker.shot is None:
+            return {}
+        return traffic.bytes_per_pixel(pipeline, self._seeker.launched, traffic.counters(pipeline))
 
     def inspect(self, x: int, y: int, layers: frozenset[str] | None) -> Inspection | None:
         """What the slot made last holds at display pixel (x, y); None outside, and where there is no slot."""

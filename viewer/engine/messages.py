@@ -75,8 +75,8 @@ class Result:
         there, and "truth" is the rendered frame's display part.
     specs : dict
         All layers that can be asked for.
-    milliseconds : dict
-        Kernel time per stage for this slot, without warm-up.
+    kernels : dict
+        Milliseconds by stage and kernel for this slot, without warm-up.
     wall_ms, readback_ms : float
         From taking the request to its images, warm-up included; the reading back in it.
     warnings : tuple of str
@@ -94,7 +94,7 @@ class Result:
     moment: Moment
     images: dict[str, np.ndarray]
     specs: dict[str, LayerSpec]
-    milliseconds: dict[str, float]
+    kernels: dict[str, dict[str, float]]
     wall_ms: float
     readback_ms: float
     warnings: tuple[str, ...] = ()
@@ -102,6 +102,11 @@ class Result:
     metrics: dict[str, float] = field(default_factory=dict)
     cuts: frozenset[int] = frozenset()
     render_size: tuple[int, int] = (0, 0)
+
+    @property
+    def milliseconds(self) -> dict[str, float]:
+        """Kernel time by stage."""
+        return {stage: sum(kernels.values()) for stage, kernels in self.kernels.items()}
 
 
 @dataclass(frozen=True)

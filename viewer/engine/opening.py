@@ -1,17 +1,33 @@
-"""Opening what the user names: a sequence's folder or a built-in scene."""
+"""Opening the device, and what the user names: a sequence's folder or a built-in scene."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import partial
 from typing import NamedTuple
 
+import pyopencl as cl
+
 from gffe_cl.doctor import quick_warning
 from gffe_cl.formats import open_capture
+from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.scenes import is_scene, load_scene
 from gffe_cl.sequence import Sequence
 from gffe_cl.viewer.engine.growing import Growth
 from gffe_cl.viewer.engine.preview import Previewer, place_of
 from gffe_cl.viewer.engine.sources import FrameSource, RecordedSource, SceneSource
+
+
+def open_viewer_device(wanted: str | None = None) -> Device:
+    """The device that `open_device` opens; of a CPU all compute units but one, which is left to the interface."""
+    device = open_device(wanted)
+    cl_device = device.cl_device
+    if device.info.kind != "cpu" or cl_device.max_compute_units < 2:
+        return device
+    counts = [cl.device_partition_property.BY_COUNTS, cl_device.max_compute_units - 1]
+    with suppress(cl.Error):
+        return Device(cl_device.create_sub_devices(counts)[0], device.info)
+    return device
 
 
 class ScenePlan(NamedTuple):

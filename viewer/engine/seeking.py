@@ -12,6 +12,7 @@ import pyopencl as cl
 from gffe_cl.buffers import DeviceFrame
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
+from gffe_cl.evaluation import traffic
 from gffe_cl.frame import BadPixels, RenderedFrame
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
@@ -50,6 +51,7 @@ class Seeker:
         self.passed: deque[Passed] = deque(maxlen=self.source.held)  # submitted frames, the newest first
         self._presented = None
         self._focus: FocusMask | None = None  # made when it is asked for
+        self.launched: traffic.Launches = {}  # by the last slot, without warm-up
 
     def prepare(self, setup: Setup) -> None:
         others = (setup.options, setup.kernels) != (self._options, self._kernels)
@@ -102,7 +104,16 @@ class Seeker:
             if self.source.has_truth:
                 buffers[names.TRUTH] = shown.color
             self.shot = Shot(Moment(k, 0.0, frame.time, shown.camera, *cameras), buffers)
+        self.launched = self._count_launches()
         return self.shot
+
+    def _count_launches(self) -> traffic.Launches:
+        """What was launched since this was called last."""
+        stages = self.pipeline.stages
+        launched = {name: stage.launches or [] for name, stage in stages.items()}
+        for stage in stages.values():
+            stage.launches = []
+        return launched
 
     def find_focus(self, truth: np.ndarray) -> None:
         """Add "focus_truth" to the shot, an extrapolated one; `truth`: (H, W, 4) float16."""
@@ -136,6 +147,7 @@ class Seeker:
             frame = replace(frame, color=color, depth=depth, motion=motion)
         if last:
             self.pipeline.take_timings()  # of the warm-up: not this slot's
+            self._count_launches()
         self.pipeline.submit(frame)
         self._at, self._frame = m, frame
         if self.pipeline.is_cut:

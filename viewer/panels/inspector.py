@@ -34,16 +34,27 @@ def draw(app) -> None:
     if imgui.begin_table("###values", 2, imgui.TableFlags_.row_bg.value):
         for title, share in (("layer", 0.44), ("value", 0.56)):
             imgui.table_setup_column(title, imgui.TableColumnFlags_.width_stretch.value, share)
-        for spec in model.contents.layers:
-            if spec.name not in inspection.values:
-                continue
+        for label, description, value in _rows(app, inspection):
             imgui.table_next_row()
             imgui.table_next_column()
-            imgui.text_wrapped(f"{spec.group}: {spec.label}")
-            widgets.tooltip(spec.description)
+            imgui.text_wrapped(label)
+            widgets.tooltip(description)
             imgui.table_next_column()
-            imgui.text_wrapped(value_text(spec, inspection.values[spec.name]))
+            imgui.text_wrapped(value)
         imgui.end_table()
+
+
+def _rows(app, inspection) -> list[tuple[str, str, str]]:
+    """(layer, its description, its value), made once for an inspection."""
+    known, rows = app.inspected
+    if known is not inspection:
+        rows = [
+            (f"{spec.group}: {spec.label}", spec.description, value_text(spec, inspection.values[spec.name]))
+            for spec in app.model.contents.layers
+            if spec.name in inspection.values
+        ]
+        app.inspected = inspection, rows
+    return rows
 
 
 def _story(model) -> None:

@@ -103,7 +103,7 @@ class Model:
         self._serial = itertools.count(1)
         self._asked: Request | None = None  # the latest request, and it without its serial number
         self._wanted: tuple[Request, Recipe | None, Request | None] | None = None
-        self._was_kept = False  # what is shown came from the cache
+        self.from_cache = False  # what is shown came from the cache
         self._was_playing = False
         self._target = ""
         self._keep_place = False
@@ -185,7 +185,7 @@ class Model:
             if isinstance(answer, EngineError):
                 self._failed(answer)
             elif self.source is not None and self._is_news(answer):
-                self._was_kept = False
+                self.from_cache = False
                 self._came(answer, canvas)
         self._take_pair(canvas)
         while (metrics := self.engine.poll_metrics()) is not None:
@@ -209,7 +209,7 @@ class Model:
         kept = self.kept.b if self.comparison.by_settings else None
         idle = not (self.flying or self.export or self.playback.playing or self.second.waits)
         self.survey.update(self.setup, kept and kept.setup(self.n), self.source.exposure, idle)
-        if self._was_playing and not self.playback.playing and self._was_kept:
+        if self._was_playing and not self.playback.playing and self.from_cache:
             self.pointing.ask_again()
         self._was_playing = self.playback.playing
         if self.export is not None:
@@ -268,7 +268,8 @@ class Model:
             request = second.request
             self.metrics_of_second()[request.slot] = Metrics(request.slot, request.setup, second.metrics)
         self.screen.show(result.images, {self.view.a, self.view.b}, canvas)
-        self.timings.add(result)
+        if not self.from_cache:
+            self.timings.add(result)
         self.pointing.ask_again()
 
     def _ask(self, slot: int, canvas) -> None:
@@ -295,7 +296,7 @@ class Model:
             self.engine.submit(self._asked, self.source)
             return
         self.engine.withdraw()
-        self._was_kept = True
+        self.from_cache = True
         self._came(replace(kept, request=self._asked), canvas)
         self._take_pair(canvas)
 
@@ -321,8 +322,8 @@ class Model:
 
     def _inspect(self, x: int, y: int) -> None:
         """Ask about a pixel of what is shown; what comes from the cache is not made for that while it plays."""
-        if not (self._was_kept and self.playback.playing):
-            request = self.contents.result.request if self._was_kept else None
+        if not (self.from_cache and self.playback.playing):
+            request = self.contents.result.request if self.from_cache else None
             self.engine.inspect(x, y, request=request)
 
     # ---- what is asked for -----------------------------------------------------------------------------------
