@@ -56,7 +56,7 @@ def _table(regions, name: str, a: dict[str, Part], b: dict[str, Part] | None) ->
             regions.see_only(region)
         widgets.tooltip(f"{meaning[:1].upper()}{meaning[1:]}")
         imgui.table_next_column()
-        imgui.text(f"{part.pixels:.1%}")
+        imgui.text(_share(part.pixels))
         imgui.table_next_column()
         _bar(part.error)
         widgets.tooltip("Share of A's squared error")
@@ -80,4 +80,8 @@ def _bar(share: float) -> None:
     width, height = imgui.get_content_region_avail().x, imgui.get_text_line_height()
     color = imgui.get_color_u32((0.85, 0.35, 0.3, 0.55))
     draw.add_rect_filled(at, ImVec2(at.x + max(width * share, 1.0), at.y + height), color, 2)
-    imgui.text(f"{share:.1%}")
+    imgui.text(_share(share))
+
+
+def _share(share: float) -> str:
+    return f"{share:.1%}" if share >= 0.01 or share == 0 else f"{share:.2%}"
