@@ -301,6 +301,11 @@ def test_layers_by_the_palette(values):
     assert values["not made now"] == ["final", "not made with these options"]
 
 
+def test_doctor(values):
+    assert values["small"] == {"said": [], "marks": []} and values["forgotten"]
+    assert any("motion" in said for said in values["negated"]["said"]) and values["marked"] > 0.5
+
+
 def test_kernel_timings(values):
     assert set(values["must move"]) <= set(values["stages"]) and values["must move"]["warp"] > 10
     assert len(values["kernels"]) > 1 and values["sum"][0] == pytest.approx(values["sum"][1], rel=0.2)

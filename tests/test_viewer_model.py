@@ -11,10 +11,13 @@ import pyopencl as cl
 import pytest
 import tiny_sequence
 from scn_models import constant_model
+from test_doctor import COUNT, clip
 
 from gffe_cl import OPTIONS, Options, inference
+from gffe_cl.doctor.breaking import broken
 from gffe_cl.errors import GffeError
 from gffe_cl.options import Option
+from gffe_cl.viewer.engine.doctoring import Doctor
 from gffe_cl.viewer.engine.messages import Metrics, Request, Setup
 from gffe_cl.viewer.engine.seeking import Seeker
 from gffe_cl.viewer.panels.palette import parsed, stepped
@@ -376,3 +379,17 @@ def test_a_device_that_is_lost_for_a_while(session, monkeypatch):
     model.show_layer("frame.depth")
     session.settle()
     assert model.slot == 1 and set(session.canvas.layers) == {"frame.depth"} and model.failure is None
+
+
+def test_the_doctor_marks_frames_in_the_wrong_place():
+    told = []
+    for names in ([], ["two frames swapped"]):
+        doctor = Doctor(broken(clip(), names))
+        end = time.monotonic() + PATIENCE
+        while not doctor.done:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        told.append(doctor)
+    assert told[0].findings == [] and told[0].marks == {} and told[0].problem == told[1].problem == ""
+    assert any("order" in finding.name for finding in told[1].findings) and set(told[1].marks) <= set(range(COUNT))
+    assert told[1].marks

@@ -92,7 +92,7 @@ class App:
         commands.register(self)
         self._dropped: list[str] = []
         self._dialog = None
-        self.help_open = False
+        self.help_open = self.doctor_open = False
         self.display_height = 200.0  # of the display settings below the list of layers, as last drawn
         self.path_text: str | None = None  # of "open by path" while it is open
         self._params: hello_imgui.RunnerParams | None = None
@@ -323,6 +323,7 @@ class App:
                 self.model.open(chosen)
         self.palette.draw(self.actions, self.model.parameters)
         windows.help_window(self)
+        windows.doctor_window(self)
         windows.path_window(self)
         windows.progress(self.model)
         windows.messages(self.model)
@@ -332,6 +333,11 @@ class App:
     def drop(self, paths: list[str]) -> None:
         """Paths dropped onto the window; opened in the next frame."""
         self._dropped += paths[:1]
+
+    def examine(self) -> None:
+        """Have the doctor look at the sequence, and show what it says."""
+        self.model.examine()
+        self.doctor_open = True
 
     def open_dialog(self) -> None:
         """The system's folder dialog where there is one, else a field for the path."""

@@ -31,6 +31,9 @@ def register(app) -> None:
     def live():
         return opened() or (None if model.source.live else "only in a built-in scene")
 
+    def recorded():
+        return opened() or (None if not model.source.live else "only of a sequence on disk")
+
     def savable():
         return opened() or ("something is being saved" if model.export is not None else None)
 
@@ -145,6 +148,15 @@ def register(app) -> None:
 
     add("reload_kernels", "Reload kernels", "Tools", "F5", model.engine.reload_kernels)
     add("palette", "Command palette", "Tools", "Ctrl+P", app.palette.open)
+    add(
+        "doctor",
+        "Examine the sequence",
+        "Tools",
+        "Ctrl+D",
+        app.examine,
+        recorded,
+        tooltip="What does not fit: conventions of motion, depth and cameras, and frames in the wrong place",
+    )
     add("theme", "Light theme", "Tools", "Ctrl+T", lambda: _theme(app), checked=lambda: model.settings.theme == "light")
     add("larger", "Larger interface", "Tools", "Ctrl+=", lambda: app.scale_by(1.1))
     add("smaller", "Smaller interface", "Tools", "Ctrl+-", lambda: app.scale_by(1 / 1.1))

@@ -42,7 +42,8 @@ def view(
     window_size: Annotated[
         str | None,
         typer.Option(
-            help="Of the viewer's own window, pixels [dim](default: as last time; for screenshots 1600x900, for measuring 1280x720)[/]."
+            help="Of the viewer's own window, pixels [dim](default: as last time; screenshots 1600x900, measuring"
+            " 1280x720)[/]."
         ),
     ] = None,
     screenshot: Annotated[

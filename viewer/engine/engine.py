@@ -199,9 +199,9 @@ class Engine:
         if self.bandwidth is None:
             self._post("bandwidth", None)
 
-    def count_traffic(self) -> None:
-        """Count `traffic` for the slot that was computed last; reads some layers back."""
-        self._post("traffic", None)
+    def count_traffic(self, request: Request) -> None:
+        """Count `traffic` for the slot of a request; reads some layers back."""
+        self._post("traffic", request)
 
     def poll(self, role: str = "a") -> Result | EngineError | None:
         """What went wrong, oldest first, else the newest result of a role; each once. Errors are told with "a"."""
@@ -338,19 +338,24 @@ class Engine:
             self.bandwidth = Copier(self._need_device()).bandwidth()
             self._notify()
 
-    def _do_traffic(self, _) -> None:
-        if "a" in self._makers:
-            self.traffic = self._makers["a"].must_move()
+    def _do_traffic(self, request: Request) -> None:
+        if self.source is not None:
+            self.traffic = self._holding(request).must_move()
             self._notify()
+
+    def _holding(self, request: Request) -> SlotMaker:
+        """A maker whose buffers hold that slot, all layers of it."""
+        maker = self._maker("a")
+        if not maker.holds(request):
+            maker.make(request, to_inspect=True)
+            self._last = request
+        return maker
 
     def _do_inspection(self, content) -> None:
         x, y, layers, request = content
         if self._last is None and request is None:
             return
-        maker = self._maker("a")
-        if request is not None and not maker.holds(request):
-            maker.make(request, to_inspect=True)  # what is shown was kept
-            self._last = request
+        maker = self._maker("a") if request is None else self._holding(request)
         inspection = maker.inspect(x, y, layers)
         if inspection is not None:
             with self._news:

@@ -11,6 +11,7 @@ from gffe_cl.viewer.panels import widgets
 
 RENDERED = (0.36, 0.62, 0.95, 1.0)
 GENERATED = (0.96, 0.66, 0.28, 1.0)
+DOUBT = (0.98, 0.85, 0.25, 1.0)
 RESET = (0.93, 0.30, 0.30, 1.0)
 CACHED = (0.35, 0.80, 0.45, 1.0)
 _CACHED_HEIGHT = 3.0  # screen pixels
@@ -99,8 +100,9 @@ def _bar(model) -> None:
             corner = ImVec2(left + max(step - 1.0, 1.0), origin.y + height)
             draw.add_rect_filled(ImVec2(left, top), corner, colors[generated])
     _cached(model, draw, origin, step, height)
-    for frame in model.contents.resets:
-        x, ink = origin.x + frame * (model.n + 1) * step, imgui.get_color_u32(RESET)
+    marked = [(frame, RESET) for frame in model.contents.resets] + [(frame, DOUBT) for frame in model.marks]
+    for frame, color in marked:
+        x, ink = origin.x + frame * (model.n + 1) * step, imgui.get_color_u32(color)
         draw.add_line(ImVec2(x, origin.y), ImVec2(x, origin.y + height), ink, 2.0)
         draw.add_triangle_filled(ImVec2(x, origin.y), ImVec2(x + 7, origin.y + 3), ImVec2(x, origin.y + 6), ink)
     at = origin.x + (playback.slot + 0.5) * step
@@ -137,5 +139,6 @@ def _scrub(model, left: float, width: float, count: int) -> None:
         playback.scrubbing = False
     if imgui.is_item_hovered() and not imgui.is_item_active():
         slot = min(max(int((imgui.get_mouse_pos().x - left) / width * count), 0), count - 1)
-        reason = model.contents.resets.get(slot // (model.n + 1))
-        imgui.set_tooltip(f"frame {slot}: drag to scrub" + (f"\n{reason}" if reason else ""))
+        frame = slot // (model.n + 1)
+        reasons = filter(None, (model.contents.resets.get(frame), model.marks.get(frame)))
+        imgui.set_tooltip("\n".join((f"frame {slot}: drag to scrub", *reasons)))

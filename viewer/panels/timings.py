@@ -87,10 +87,9 @@ def _bar(share: float, necessary: float | None) -> None:
 def _measure(model, bandwidth: float | None) -> None:
     if bandwidth:
         imgui.text_wrapped(f"bytes per pixel = time × {bandwidth:.1f} GB/s of copying ÷ pixels")
-    if imgui.button("measure###bandwidth" if bandwidth is None else "count again###bandwidth"):
-        model.engine.measure_bandwidth()
-        model.engine.count_traffic()
+    if imgui.button(f"{'measure' if bandwidth is None else 'count again'}###bandwidth"):
+        model.measure_cost()
     widgets.tooltip(
-        "Bandwidth as in `gffe bench` (takes a second and 512 MiB on the device), and the bytes that the frame computed"
-        " last had to move: open a stage to see them beside those measured"
+        "Bandwidth as in `gffe bench` (takes a second and 512 MiB on the device), and the bytes that the frame shown"
+        " had to move: open a stage to see them beside those measured"
     )

@@ -10,9 +10,9 @@ from typing import Any
 
 from gffe_cl.errors import GffeError
 from gffe_cl.options import OPTIONS, Options, command_words
+from gffe_cl.viewer.engine.making import weights_of
 from gffe_cl.viewer.engine.messages import Setup
 from gffe_cl.viewer.engine.sources import FrameSource
-from gffe_cl.viewer.state.parameters import network_stamp
 
 _MOST = 12
 _LONGEST = 60  # letters of a name
@@ -21,14 +21,13 @@ _LONGEST = 60  # letters of a name
 @dataclass(frozen=True)
 class Kept:
     """Settings under a name: modules, parameters, network and rendering window as they were. `kernels`: the build that
-    was in use, of this session; empty: the newest. `network`: what told its file from others; None: the package's
-    own."""
+    was in use, of this session; empty: the newest. `weights`: what told those of the network from others."""
 
     name: str
     options: Options
     window: str | None = None
     kernels: str = ""
-    network: tuple[int, int] | None = None
+    weights: str = ""
 
     def setup(self, n: int) -> Setup:
         """... for `n` generated frames per rendered one, which is a matter of playback."""
@@ -37,7 +36,7 @@ class Kept:
     @property
     def suspicion(self) -> str:
         """What is not as it was when the settings were kept; empty if nothing."""
-        if self.network != network_stamp(self.options):
+        if self.weights != weights_of(self.options):
             return "the network's file has changed since these settings were kept"
         return ""
 
@@ -63,7 +62,7 @@ class Kept:
             options = Options(**known)
         except (GffeError, TypeError):
             return None
-        return cls(name[:_LONGEST], options, window, "", network_stamp(options))
+        return cls(name[:_LONGEST], options, window, "", weights_of(options))
 
 
 class KeptSettings:
@@ -81,7 +80,7 @@ class KeptSettings:
 
     def keep(self, setup: Setup, kernels: str, name: str = "") -> Kept:
         """Keep what is computed now, as B; the same under another name gets that name."""
-        made = Kept(name or self._unused(setup), setup.options, setup.window, kernels, network_stamp(setup.options))
+        made = Kept(name or self._unused(setup), setup.options, setup.window, kernels, weights_of(setup.options))
         self.all = [kept for kept in self.all if replace(kept, name=made.name) != made and kept.name != made.name]
         self.all = [made, *self.all][:_MOST]
         self.b = made

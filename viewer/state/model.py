@@ -15,6 +15,7 @@ from gffe_cl.errors import GffeError
 from gffe_cl.options import Options
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.cache import CACHE_MIB, FrameCache
+from gffe_cl.viewer.engine.doctoring import Doctor
 from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
 from gffe_cl.viewer.engine.messages import EngineError, Metrics, Recipe, Request, Result, Setup
 from gffe_cl.viewer.engine.opening import ScenePlan, make_source
@@ -94,6 +95,7 @@ class Model:
         self.measuring = False
         self._metrics: dict[Recipe, dict[int, Metrics]] = {}  # by slot
         self.messages: list[Message] = []
+        self.doctor: Doctor | None = None  # of what is open, once it was asked for
         self.preview: Preview | None = None  # shown until there is a result of what is opened
         self._previewer: Previewer | None = None
         self.failure: str | None = None
@@ -148,6 +150,7 @@ class Model:
         self.playback.open(source.count, source.fps, self._times(source.count), keep=self._keep_place)
         self.pointing.open(self.contents.size)
         self._metrics.clear()
+        self.doctor = None
         if self._keep_place and self.flying:
             self.playback.play()  # at another render rate, from where the camera is
         else:
@@ -268,8 +271,7 @@ class Model:
             request = second.request
             self.metrics_of_second()[request.slot] = Metrics(request.slot, request.setup, second.metrics)
         self.screen.show(result.images, {self.view.a, self.view.b}, canvas)
-        if not self.from_cache:
-            self.timings.add(result)
+        self.timings.add(result)
         self.pointing.ask_again()
 
     def _ask(self, slot: int, canvas) -> None:
@@ -482,6 +484,21 @@ class Model:
             self.export = None
 
     # ---- telling -------------------------------------------------------------------------------------------
+
+    def measure_cost(self) -> None:
+        """Bandwidth, and what the slot that is shown had to move."""
+        self.engine.measure_bandwidth()
+        if self.contents.result is not None:
+            self.engine.count_traffic(self.contents.result.request)
+
+    def examine(self) -> None:
+        """Have the doctor look at the sequence."""
+        self.doctor = Doctor(self.source.sequence)
+
+    @property
+    def marks(self) -> dict[int, str]:
+        """Rendered frames that the doctor says something of."""
+        return self.doctor.marks if self.doctor is not None else {}
 
     def say(self, text: str, error: bool = False) -> None:
         self.messages = [*self.messages[-20:], Message(text, error, time.perf_counter())]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from gffe_cl import inference
@@ -207,14 +206,3 @@ class Parameters:
                 self.set(name, saved[name])
             except GffeError:
                 continue
-
-
-def network_stamp(options: Options) -> tuple[int, int] | None:
-    """What tells the file of a network of one's own from others: when it was changed, in ns, and its bytes."""
-    if options.scn_model is None:
-        return None
-    try:
-        found = Path(options.scn_model).stat()
-    except OSError:
-        return 0, 0
-    return found.st_mtime_ns, found.st_size

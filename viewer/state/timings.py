@@ -1,4 +1,4 @@
-"""What the last computed frames took."""
+"""What the frames that were shown last took when they were computed."""
 
 from __future__ import annotations
 
@@ -39,6 +39,8 @@ class Timings:
             else:
                 del self.kernels[name]
         for name, milliseconds in kernels.items():
+            if name not in self.kernels:  # as many frames as its stage has
+                self.kernels[name].extend([0.0] * (len(self.stages[name[0]]) - 1) if name[0] in self.stages else [])
             self.kernels[name].append(milliseconds)
         self._walls.append(result.wall_ms)
         self._readbacks.append(result.readback_ms)
