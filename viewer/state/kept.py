@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from gffe_cl.errors import GffeError
 from gffe_cl.options import OPTIONS, Options, command_words
 from gffe_cl.viewer.engine.making import weights_of
 from gffe_cl.viewer.engine.messages import Setup
+from gffe_cl.viewer.engine.preview import place_of
 from gffe_cl.viewer.engine.sources import FrameSource
 
 _MOST = 12
@@ -142,7 +142,7 @@ def _deviations(options: Options) -> list[str]:
 
 def command_line(setup: Setup, source: FrameSource, seed: int) -> str:
     """What gives the frames that the viewer shows with `setup`, for a shell; `seed`: of a built-in scene."""
-    target = source.target if source.live else str(Path(source.target).expanduser().absolute())
+    target = source.target if source.live else str(place_of(source.target).absolute())
     words = ["gffe", "run", target, f"{source.name}_extrapolated"]
     words += ["-n", str(setup.n)] if setup.n != 1 else []
     if source.live:
