@@ -117,6 +117,7 @@ def cached_playback(gui: Gui):
     """Idle time fills the cache, which the timeline shows; what is played then comes from there."""
     model, values = gui.model, gui.values
     model.show_layer("frame.motion")
+    gui.settle()
     gui.wait(lambda: len(model.filling.cached) == model.playback.slots, "the cache")
     gui.frames(2)
     left, top, width, height = map(int, gui.area("//Timeline/###scrub"))

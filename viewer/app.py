@@ -8,6 +8,7 @@ import time
 import traceback
 from pathlib import Path
 
+import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, immapp, implot  # before glfw
 from imgui_bundle import portable_file_dialogs as dialogs
 
@@ -86,6 +87,8 @@ class App:
         self.panels_hidden = False
         self._before_hiding: list[str] = []
         self._themed: tuple[str, float] | None = None  # theme and scale that are applied
+        self.clock = time.perf_counter  # what playback goes by
+        self._captures: list = []  # who wants the pixels of the window
         self.actions = Actions()
         self.panel_names = tuple(_PANELS)
         self.palette = Palette()
@@ -138,11 +141,26 @@ class App:
         callbacks.show_menus = lambda: commands.menus(self)
         callbacks.show_status = self._status
         callbacks.show_gui = self._windows
+        callbacks.before_swap = self._capture
         callbacks.before_exit = self._before_exit
         if test is not None:
             params.use_imgui_test_engine = True
             callbacks.register_tests = lambda: test(self)
         immapp.run(params, immapp.AddOnsParams(with_implot=True))
+
+    def capture(self, use) -> None:
+        """Have `use` called with the window, (H, W, 3) uint8, when the present frame is drawn."""
+        self._captures.append(use)
+
+    def _capture(self) -> None:
+        if not self._captures:
+            return
+        wanted, self._captures = self._captures, []
+        width, height = map(int, imgui.get_io().display_size)
+        framebuffer = self.canvas.ctx.detect_framebuffer(0)
+        pixels = np.frombuffer(framebuffer.read((width, height), components=3, alignment=1), np.uint8)
+        for use in wanted:
+            use(pixels.reshape(height, width, 3)[::-1].copy())
 
     def close(self) -> None:
         if self._params is not None:
@@ -275,7 +293,7 @@ class App:
             self._themed = model.settings.theme, self.scale
             theme.apply(*self._themed)
         self._make_room_for_plot()
-        model.update(time.perf_counter(), self.canvas)
+        model.update(self.clock(), self.canvas)
         if model.contents.layers is not self._layers_known:
             self._layers_known = model.contents.layers
             commands.register_layers(self)

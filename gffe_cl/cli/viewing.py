@@ -67,6 +67,14 @@ def view(
             " exit."
         ),
     ] = None,
+    script: Annotated[
+        Path | None,
+        typer.Option(help="Do what this file says, a step a line (docs/guide.md), and exit.", exists=False),
+    ] = None,
+    film: Annotated[
+        Path | None,
+        typer.Option(help="Film the window while the script waits: .webp or .gif.", callback=output_file("--film")),
+    ] = None,
     cache: Annotated[int, typer.Option(help="MiB of computed frames kept in memory; 0: none.")] = 2048,
     no_check: NoCheckOption = False,
     json_path: JsonOption = None,
@@ -78,6 +86,7 @@ def view(
     from gffe_cl.scenes import is_scene
     from gffe_cl.viewer.engine.opening import ScenePlan
     from gffe_cl.viewer.measuring import measure as measure_playback
+    from gffe_cl.viewer.scripting import parse, play_script, require_film
     from gffe_cl.viewer.start import Shot, leaving, require_display
     from gffe_cl.viewer.start import view as run_viewer
     from gffe_cl.viewer.state.comparing import WAYS
@@ -86,8 +95,19 @@ def view(
 
     if not 1 <= n <= 7:
         raise GffeError(f"-n must be 1 to 7 generated frames per rendered frame, got {n}")
-    if target is None and (screenshot is not None or measure is not None):
-        raise GffeError("--screenshot and --measure need a sequence or a scene")
+    alone = [
+        name for name, given in (("--screenshot", screenshot), ("--measure", measure), ("--script", script)) if given
+    ]
+    if target is None and alone:
+        raise GffeError(f"{alone[0]} needs a sequence or a scene")
+    if len(alone) > 1:
+        raise GffeError(f"{' and '.join(alone)} exclude each other")
+    if film is not None:
+        require_film(film)
+        if script is None:
+            raise GffeError("--film needs a --script that says what is filmed")
+    if script is not None:
+        parse(script)
     if measure is not None and not 0 < measure <= 3600:
         raise GffeError(f"--measure must be seconds, up to 3600, got {measure:g}")
     if compare not in WAYS:
@@ -107,7 +127,7 @@ def view(
     if options.corrects_shading and asked != (None, None, "cpu"):
         load_network(options.scn_model, options.scn_provider)  # what was asked for must work
     require_display()
-    by_hand = shot is None and measure is None
+    by_hand = not alone
     settings, warning = Settings.load() if by_hand else (Settings(), None)
     model = Model(
         settings, device=device, n=n, window=window, plan=plan, options=options, save_settings=by_hand,
@@ -118,6 +138,9 @@ def view(
     with leaving(model):
         if target is not None:
             model.open(target)
+        if script is not None:
+            play_script(model, script, film, viewer_size)
+            return
         if measure is None:
             run_viewer(model, viewer_size, shot)
             return
