@@ -436,10 +436,13 @@ class Pipeline:
     def take_timings(self) -> dict[str, float]:
         """Milliseconds of kernel time per stage since the last call (waits for the device); with shading correction
         "network" is the wall time in the network, "network copies" that of copies to what runs it and back."""
+        return {stage: sum(kernels.values()) for stage, kernels in self.take_kernel_timings().items()}
+
+    def take_kernel_timings(self) -> dict[str, dict[str, float]]:
+        """As `take_timings`, by stage and kernel."""
         self.device.queue.finish()
-        timings = {stage.name: stage.take_milliseconds() for stage in self.stages.values()}
-        for stage in (self.presentation, self.composition):
-            if stage:
-                timings[stage.name] = stage.take_milliseconds()
+        stages = [*self.stages.values(), *filter(None, (self.presentation, self.composition))]
+        timings = {stage.name: stage.take_kernel_milliseconds() for stage in stages}
         correction = self.stages.get(ShadingCorrection.name)
-        return timings | (correction.take_network_milliseconds() if correction else {})
+        network = correction.take_network_milliseconds() if correction else {}
+        return timings | {name: {name: milliseconds} for name, milliseconds in network.items()}

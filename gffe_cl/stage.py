@@ -320,6 +320,13 @@ class Stage(Owner):
         """Kernel time since events were last taken; the device must have finished."""
         return sum(e.profile.end - e.profile.start for _, e in self.take_events()) * 1e-6
 
+    def take_kernel_milliseconds(self) -> dict[str, float]:
+        """As `take_milliseconds`, by kernel."""
+        taken: dict[str, float] = {}
+        for kernel, event in self.take_events():
+            taken[kernel] = taken.get(kernel, 0.0) + (event.profile.end - event.profile.start) * 1e-6
+        return taken
+
     def take_events(self) -> list[tuple[str, cl.Event]]:
         events = list(self.events)
         self.events.clear()

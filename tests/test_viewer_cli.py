@@ -7,12 +7,18 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import tiny_sequence
 from PIL import Image
 from scn_models import constant_model
+from test_viewer_model import Session
+
+from gffe_cl.errors import GffeError
+from gffe_cl.viewer.actions import Actions
+from gffe_cl.viewer.scripting import parse, perform
 
 GUIDE = Path(__file__).parents[1] / "docs" / "guide.md"
 GFFE = [sys.executable, "-c", "from gffe_cl.cli import main; main()", "view"]
@@ -53,8 +59,14 @@ def refused(gffe, *arguments, display=None):
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--screenshot", "a.png"], "need a sequence or a scene"),
+        (["--screenshot", "a.png"], "needs a sequence or a scene"),
         (["in", "--measure", "0"], "must be seconds"),
+        (["in", "--cache", "-1"], "--cache must be"),
+        (["--script", "steps.txt"], "--script needs a sequence or a scene"),
+        (["in", "--script", "none.txt"], "none.txt: cannot be read"),
+        (["in", "--script", "a.txt", "--measure", "1"], "--measure and --script exclude each other"),
+        (["in", "--film", "a.webp"], "--film needs a --script"),
+        (["in", "--script", "a.txt", "--film", "a.mp4"], "must end in .webp or .gif"),
         (["in", "-n", "9"], "-n must be 1 to 7"),
         (["in", "--compare", "nonsense"], "--compare must be off, split"),
         (["in", "--window", "fixed:1.2"], "only built-in scenes"),
@@ -139,8 +151,86 @@ def test_asking_for_shading_correction_without_weights(tmp_path):
 def test_measuring(gffe, screen, tmp_path):
     code, out, err = gffe("in", "--measure", "0.5", "--json", "figures.json", "--window-size", "640x480")
     figures = json.loads((tmp_path / "figures.json").read_text())
-    assert (code, err) == (0, "") and len(out.splitlines()) == len(figures) - 1
-    assert figures["frames per second"] > 0 and figures["device"]
+    assert (code, err) == (0, "") and figures["device"]
+    assert out.splitlines()[0] == "first pass:" and len(out.splitlines()) == 2 + sum(
+        map(len, list(figures.values())[:2])
+    )
+    assert figures["first_pass"]["frames_per_second"] > 0 and figures["first_pass"]["kernels_ms_per_frame"] > 0
+    cached = figures["cached"]
+    assert cached["frames_per_second"] > 0 and cached["dropped"] >= 0 and cached["due_per_second"] == 60
+    code, out, err = gffe("in", "--measure", "0.3", "--json", "figures.json", "--cache", "0")
+    assert (
+        (code, err) == (0, "")
+        and "no cache" in out
+        and json.loads((tmp_path / "figures.json").read_text())["cached"] == {}
+    )
+
+
+STEPS = """# comment
+
+seek 3
+layer frame.motion
+wait 0.5
+set levels off
+shot off.png
+set levels on
+with truth
+compare split
+pixel 3,4
+do brighter
+do play
+wait 0.5
+"""
+
+
+@pytest.mark.slow
+def test_a_script_is_done_and_filmed(gffe, screen, tmp_path):
+    (tmp_path / "steps.txt").write_text(STEPS)
+    size = ("--window-size", "640x480")
+    code, out, err = gffe("in", "--script", "steps.txt", "--film", "film.webp", *size)
+    assert (code, out, err) == (0, "", "")
+    with Image.open(tmp_path / "off.png") as shot, Image.open(tmp_path / "film.webp") as film:
+        assert shot.size == film.size == (640, 480) and film.n_frames >= 3
+    (tmp_path / "wrong.txt").write_text("seek 1\nlayer nonsense\nshot never.png\n")
+    assert "wrong.txt, line 2: no layer is called 'nonsense'" in refused(gffe, "in", "--script", "wrong.txt", *size)
+    assert not (tmp_path / "never.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "nothing to do"),
+        ("# only this", "nothing to do"),
+        ("wait 1\nfly away", "line 2: unknown command 'fly' (expected seek, layer"),
+        ("seek", "line 1: expected seek SLOT"),
+    ],
+)
+def test_scripts_that_are_none(tmp_path, text, told):
+    (tmp_path / "steps.txt").write_text(text)
+    with pytest.raises(GffeError, match=re.escape(told)):
+        parse(tmp_path / "steps.txt")
+
+
+@pytest.mark.parametrize(
+    ("command", "argument", "told"),
+    [
+        ("seek", "99", "seek must be 0 to 5"),
+        ("seek", "x", "expected a number"),
+        ("compare", "nonsense", "compare must be off, split"),
+        ("set", "nonsense 1", "unknown option 'nonsense'"),
+        ("set", "levels 99", "background levels must be"),
+        ("do", "pley", "no action is called 'pley'"),
+        ("pixel", "a,b", "expected a number"),
+        ("pixel", "99,99", "pixel must be inside 13×9"),
+    ],
+)
+def test_steps_that_cannot_be_done(tmp_path, command, argument, told):
+    session = Session(tiny_sequence.write(tmp_path / "in"))
+    try:
+        with pytest.raises(GffeError, match=re.escape(told)):
+            perform(SimpleNamespace(model=session.model, actions=Actions()), command, argument)
+    finally:
+        session.model.close()
 
 
 @pytest.mark.slow

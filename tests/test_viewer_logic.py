@@ -902,7 +902,8 @@ def test_unused_names(tmp_path):
 
 def test_timings_count_the_network_to_shading_correction():
     def computed(**milliseconds):
-        return SimpleNamespace(milliseconds=milliseconds, wall_ms=9.0, readback_ms=1.0)
+        kernels = {stage: {stage: taken} for stage, taken in milliseconds.items()}
+        return SimpleNamespace(kernels=kernels, milliseconds=milliseconds, wall_ms=9.0, readback_ms=1.0)
 
     timings = Timings()
     for network in (4.0, 8.0):

@@ -1,19 +1,27 @@
 """The viewer's model with its engine, without a window: what is asked for, and that nothing outdated is shown."""
 
 import json
+import threading
 import time
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+import pyopencl as cl
 import pytest
 import tiny_sequence
 from scn_models import constant_model
+from test_doctor import COUNT, clip
 
 from gffe_cl import OPTIONS, Options, inference
+from gffe_cl.doctor.breaking import broken
 from gffe_cl.errors import GffeError
 from gffe_cl.options import Option
+from gffe_cl.viewer.engine.doctoring import Doctor
 from gffe_cl.viewer.engine.messages import Metrics, Request, Setup
+from gffe_cl.viewer.engine.seeking import Seeker
 from gffe_cl.viewer.panels.palette import parsed, stepped
+from gffe_cl.viewer.state import model as model_module
 from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand
 from gffe_cl.viewer.state.playback import Playback
@@ -163,7 +171,7 @@ def test_metrics_of_other_kernels_are_forgotten(session):
     model.metrics[1] = Metrics(1, model.setup, 30.0)
     session.frame()
     assert 1 in model.metrics
-    model.engine.builds += 1
+    model.engine._kernels.identity += " and another one"
     session.frame()
     assert model.metrics == {}
 
@@ -301,3 +309,87 @@ def test_numbers_of_the_palette():
             parsed(option, text)
     assert stepped(levels, 4, 1) == 4 and stepped(levels, 0, -1) == 0 and stepped(levels, 2, 1) == 3
     assert stepped(threshold, None, 1) == pytest.approx(1.4) and stepped(threshold, 100.0, 1) == 100.0
+
+
+def test_the_first_rendered_frame_is_shown_before_there_is_a_device(tmp_path, monkeypatch):
+    """... and stays until there is a result."""
+    held, shown = threading.Event(), {}
+    open_device = model_module.open_viewer_device
+    monkeypatch.setattr(model_module, "open_viewer_device", lambda wanted: held.wait(PATIENCE) and open_device(wanted))
+    model, canvas = Model(Settings(), save_settings=False), Canvas()
+    try:
+        model.open(str(tiny_sequence.write(tmp_path / "first")))
+        end = time.monotonic() + PATIENCE
+        while model.contents.result is None:
+            assert time.monotonic() < end
+            model.update(time.perf_counter(), canvas)
+            if model.preview is not None and not held.is_set():
+                shown = dict(canvas.layers)
+                held.set()
+            assert not shown or "final" in canvas.layers
+            time.sleep(0.002)
+    finally:
+        held.set()
+        model.close()
+    np.testing.assert_array_equal(shown["final"], canvas.layers["final"])
+    assert model.preview is None
+
+
+def test_a_folder_that_cannot_be_opened_leaves_no_preview(tmp_path):
+    (tmp_path / "empty").mkdir()
+    model, canvas = Model(Settings(), save_settings=False), Canvas()
+    try:
+        model.open(str(tmp_path / "empty"))
+        end = time.monotonic() + PATIENCE
+        while not model.messages:
+            assert time.monotonic() < end
+            model.update(time.perf_counter(), canvas)
+            time.sleep(0.002)
+        assert model.preview is None and "no sequence.json" in model.notice
+    finally:
+        model.close()
+
+
+def test_a_file_of_a_capture_opens_its_folder(session, tmp_path):
+    model, source = session.model, session.model.source
+    model.open(str(tiny_sequence.write(tmp_path / "second", frames=2) / "frame_1.exr"))
+    session.until(lambda: model.source is not source)
+    session.settle()
+    assert model.source.name == "second" and model.source.count == 2
+
+
+def test_a_device_that_is_lost_for_a_while(session, monkeypatch):
+    """What it was asked for is told; what is in the cache can be looked at; it is used again when it is back."""
+    model, shoot = session.model, Seeker.shoot
+    session.until(lambda: len(model.filling.cached) == model.playback.slots)
+
+    def lost(self, k, alpha):
+        raise cl.RuntimeError("clEnqueueNDRangeKernel failed: OUT_OF_RESOURCES")
+
+    monkeypatch.setattr(Seeker, "shoot", lost)
+    model.show_layer("frame.depth")
+    model.playback.seek(3)
+    session.until(lambda: model.messages)
+    assert model.messages[0].error and "OUT_OF_RESOURCES" in model.messages[0].text
+    model.show_layer("final")
+    model.playback.seek(1)
+    session.settle()
+    assert model.slot == 1 and set(session.canvas.layers) == {"final"}
+    monkeypatch.setattr(Seeker, "shoot", shoot)
+    model.show_layer("frame.depth")
+    session.settle()
+    assert model.slot == 1 and set(session.canvas.layers) == {"frame.depth"} and model.failure is None
+
+
+def test_the_doctor_marks_frames_in_the_wrong_place():
+    told = []
+    for names in ([], ["two frames swapped"]):
+        doctor = Doctor(broken(clip(), names))
+        end = time.monotonic() + PATIENCE
+        while not doctor.done:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        told.append(doctor)
+    assert told[0].findings == [] and told[0].marks == {} and told[0].problem == told[1].problem == ""
+    assert any("order" in finding.name for finding in told[1].findings) and set(told[1].marks) <= set(range(COUNT))
+    assert told[1].marks

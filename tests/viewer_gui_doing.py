@@ -104,6 +104,82 @@ def resizing(gui: Gui):
         gui.shot(f"resizing, {size[0]}×{size[1]}")
 
 
+class OwnTime:
+    """Seconds of the processor that our own code takes in each frame of the interface, drawing left out."""
+
+    def __init__(self, app):
+        self.frames: list[float] = []
+        self.busy = 0  # frames while the engine was at work
+        self._app, self._drawing = app, 0.0
+        self._panels = app._params.docking_params.dockable_windows
+        self._before = app._before_frame, app._windows, [panel.gui_function for panel in self._panels]
+
+    def __enter__(self):
+        app, callbacks = self._app, self._app._params.callbacks
+        self._canvas = {name: getattr(app.canvas, name) for name in ("draw", "overview", "upload")}
+        for name, function in self._canvas.items():
+            setattr(app.canvas, name, self._timed(function, drawing=True))
+        callbacks.pre_new_frame = self._timed(self._before[0], first=True)
+        callbacks.show_gui = self._timed(self._before[1])
+        for panel, function in zip(self._panels, self._before[2], strict=True):
+            panel.gui_function = self._timed(function)
+        return self
+
+    def __exit__(self, *_):
+        app, callbacks = self._app, self._app._params.callbacks
+        for name in self._canvas:
+            delattr(app.canvas, name)
+        callbacks.pre_new_frame, callbacks.show_gui = self._before[:2]
+        for panel, function in zip(self._panels, self._before[2], strict=True):
+            panel.gui_function = function
+
+    def _timed(self, function, drawing=False, first=False):
+        def run(*arguments, **named):
+            if first:
+                self.frames.append(0.0)
+                self.busy += self._app.model.engine.busy
+            start, drawn = time.thread_time(), self._drawing
+            try:
+                return function(*arguments, **named)
+            finally:
+                took = time.thread_time() - start
+                if drawing:
+                    self._drawing = drawn + took
+                elif self.frames:
+                    self.frames[-1] += took - (self._drawing - drawn)
+
+        return run
+
+
+@case
+def keys_while_computing(gui: Gui):
+    """The interface answers while slots are computed that take far longer than a frame of it."""
+    model, values = gui.model, gui.values
+    gui.open(gui.sequences / "large")
+    cache = model.engine.cache
+    cache.clear()
+    cache.most, most = 0, cache.most
+    model.playback.seek(0)
+    gui.settle()
+    answered = []
+    with OwnTime(gui.app) as own:
+        for step in range(6):
+            gui.key(KEY.right_arrow)
+            before = model.looks.of("final").exposure
+            gui.key(KEY.e)
+            answered.append((model.playback.slot, model.looks.of("final").exposure - before))
+            if step == 3:
+                gui.key(KEY.o)  # all layers, large ones
+                gui.settle()
+                gui.key(KEY.o)
+        gui.key(KEY.s, CTRL)
+        gui.settle()
+    cache.most = most
+    values |= {"answered": answered, "while computing": own.busy, "own": own.frames}
+    values["saved"] = gui.told().count("saved")
+    gui.open(gui.sequences / "small")
+
+
 def _made(before: set[Path]) -> list[Path]:
     return sorted(set(Path.cwd().iterdir()) - before)
 
@@ -116,7 +192,7 @@ def saving(gui: Gui):
     model, values = gui.model, gui.values
     before = set(Path.cwd().iterdir())
     gui.key(KEY.s, CTRL)
-    gui.frames(2)
+    gui.settle()
     (png,) = _made(before)
     saved = np.asarray(Image.open(png).convert("RGB")).astype(int)
     shown = display_values(model.contents.result.images["final"][..., :3], model.source.exposure)

@@ -52,7 +52,8 @@ class Gui:
         """Outcome of one case: its values, and the traceback if it failed; a picture of its end is kept."""
         self.ctx, self.values, start, error = ctx, {}, time.perf_counter(), None
         try:
-            self.wait(lambda: self.model.source is not None and self.model.contents.result is not None, "the sequence")
+            opened = lambda: self.model.source is not None and self.model.contents.result is not None  # noqa: E731
+            self.wait(opened, "the sequence", 4 * PATIENCE)  # kernels are built first
             if name not in ("restart", "leave"):
                 self.reset()
             case(self)

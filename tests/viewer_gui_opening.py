@@ -9,7 +9,10 @@ from pathlib import Path
 import numpy as np
 from viewer_gui_driver import CTRL, KEY, SHIFT, Gui, collector
 
+from gffe_cl.formats import open_capture
+from gffe_cl.sequence import SequenceWriter, named_channels
 from gffe_cl.viewer.app import has_dialogs
+from gffe_cl.viewer.panels.timeline import DOUBT
 
 CASES, case = collector()
 
@@ -132,6 +135,78 @@ def parameters_by_the_palette(gui: Gui):
     gui.key(KEY.enter)
     gui.settle()
     values["n"] = gui.model.n
+
+
+@case
+def layers_by_the_palette(gui: Gui):
+    model, values = gui.model, gui.values
+    _palette(gui, "layer warp motion", "palette, layers")
+    gui.settle()
+    values["shown"] = model.view.a
+    gui.app.actions.run("layer final")
+    values["back"] = model.view.a
+    model.parameters.switch("levels", False)
+    gui.settle()
+    gui.app.actions.run("layer background.color")
+    values["not made now"] = model.view.a, gui.app.actions.last_refusal
+
+
+def _negated(good: Path, bad: Path) -> None:
+    """The sequence with its motion vectors the other way round."""
+    if bad.exists():
+        return
+    sequence = open_capture(good)
+    with SequenceWriter(bad, sequence.width, sequence.height, sequence.fps) as writer:
+        for entry in sequence.rendered:
+            frame = sequence.read(entry)
+            writer.add(entry, named_channels(frame.color, frame.depth, None if frame.motion is None else -frame.motion))
+
+
+@case
+def doctor(gui: Gui):
+    """A good sequence, and one with its vectors negated and two frames swapped: what is said, and marked."""
+    model, values = gui.model, gui.values
+
+    def examined(name):
+        gui.key(KEY.d, CTRL)
+        gui.wait(lambda: model.doctor is not None and model.doctor.done, "the doctor")
+        gui.frames(3)
+        gui.shot(f"doctor, {name}")
+        return {"said": [str(finding) for finding in model.doctor.findings], "marks": sorted(model.marks)}
+
+    values["small"] = examined("fits")
+    _negated(gui.sequences / "small", gui.sequences / "negated")
+    gui.open(gui.sequences / "negated")
+    values["forgotten"] = model.doctor is None and not model.marks
+    values["negated"] = examined("vectors negated")
+    model.doctor.marks = {3: "does not follow the frame before it"}
+    left, top, width, height = map(int, gui.area("//Timeline/###scrub"))
+    gui.frames(2)
+    column = gui.window()[top : top + height, left + round(width * 3 / model.playback.count)].astype(int)
+    values["marked"] = float((np.abs(column - np.multiply(DOUBT[:3], 255)).max(-1) < 12).mean())
+    gui.key(KEY.escape)
+    gui.app.doctor_open = False
+    gui.open(gui.sequences / "small")
+
+
+@case
+def kernel_timings(gui: Gui):
+    """A stage is opened: each of its kernels, with what it had to move beside what it took."""
+    model, values = gui.model, gui.values
+    gui.ctx.window_focus("//Timings")
+    gui.frames(3)
+    gui.app.panel("Inspector").is_visible = False
+    gui.click("//Timings/###bandwidth")
+    gui.wait(lambda: model.engine.bandwidth and model.engine.traffic, "bandwidth and traffic")
+    values["must move"] = {stage: sum(kernels.values()) for stage, kernels in model.engine.traffic.items()}
+    values["stages"], values["kernels"] = sorted(model.timings.means()), sorted(model.timings.of_stage("warp"))
+    values["sum"] = sum(model.timings.of_stage("warp").values()), model.timings.means()["warp"]
+    before = gui.window()
+    gui.click("//Timings/###timings/###stage warp")
+    gui.frames(3)
+    values["drawn"] = float((gui.window() != before).any(-1).mean())
+    gui.shot("kernel_timings")
+    gui.app.panel("Inspector").is_visible = True
 
 
 @case

@@ -10,6 +10,8 @@ from scn_models import movers_model
 from viewer_gui_driver import KEY, SHIFT, Gui, collector
 
 from gffe_cl import inference
+from gffe_cl.viewer.engine.making import SlotMaker
+from gffe_cl.viewer.panels.timeline import CACHED
 
 CASES, case = collector()
 
@@ -108,6 +110,32 @@ def in_and_out(gui: Gui):
     values["stopped at"] = playback.slot
     gui.key(KEY.backslash)
     values["cleared"] = (playback.first, playback.last, playback.slots)
+
+
+@case
+def cached_playback(gui: Gui):
+    """Idle time fills the cache, which the timeline shows; what is played then comes from there."""
+    model, values = gui.model, gui.values
+    model.show_layer("frame.motion")
+    gui.settle()
+    gui.wait(lambda: len(model.filling.cached) == model.playback.slots, "the cache")
+    gui.frames(2)
+    left, top, width, height = map(int, gui.area("//Timeline/###scrub"))
+    below = gui.window()[top + height + 1, left + 1 : left + width - 1].astype(int)
+    values["share marked as cached"] = float((np.abs(below - np.multiply(CACHED[:3], 255)).max(-1) < 3).mean())
+    computed, make = [], SlotMaker.make
+    SlotMaker.make = lambda self, request, **how: computed.append(request.slot) or make(self, request, **how)
+    try:
+        gui.key(KEY.space)
+        gui.wait(lambda: model.playback.shown >= 24, "one and a half laps")
+        values["plays while nothing is computed"] = model.playback.playing and not model.engine.busy
+        gui.shot("cached_playback, playing")
+        gui.key(KEY.space)
+        gui.settle()
+    finally:
+        SlotMaker.make = make
+    values["computed"] = computed
+    values["shown"] = model.contents.result.request.slot == model.playback.slot
 
 
 @case

@@ -17,7 +17,7 @@ import numpy as np
 from gffe_cl.errors import GffeError
 
 _SETTLED_FRAMES = 4  # interface frames after everything has arrived: layouts need a few to come to rest
-_PATIENCE = 120.0  # seconds
+PATIENCE = 120.0  # seconds
 REPORT_SIZE = (1600, 900)  # of the window for screenshots and measuring
 
 
@@ -32,74 +32,6 @@ class Shot:
     other: str | None = None
     pixel: tuple[int, int] | None = None
     overview: bool = False
-
-
-def measure(model, seconds: float, size: tuple[int, int] | None = None) -> dict[str, float]:
-    """Play every frame for so many seconds; returns means: frames shown and generated frames shown per second, frames
-    of the interface per second, and milliseconds per frame for computing (kernels), reading back and uploading.
-
-    Raises GffeError without a display, or when nothing can be played.
-    """
-    require_display()
-    from gffe_cl.viewer.app import App
-
-    stopwatch = _Stopwatch(seconds)
-    App(model, on_frame=stopwatch).run(size or REPORT_SIZE, test=lambda app: None)
-    if stopwatch.problem:
-        raise GffeError(stopwatch.problem)
-    return stopwatch.figures()
-
-
-class _Stopwatch:
-    """Starts playback when the first frame is there, counts what arrives, and closes the window."""
-
-    def __init__(self, seconds: float):
-        self.seconds, self.problem = seconds, None
-        self._start: float | None = None
-        self._end = 0.0
-        self._interface = 0
-        self._last = None
-        self._rows: list[tuple[bool, float, float, float]] = []
-        self._until = time.perf_counter() + _PATIENCE
-
-    def __call__(self, app) -> None:
-        model, now = app.model, time.perf_counter()
-        problem = model.failure or model.parameters.network_fault
-        if problem or (self._start is None and now > self._until):
-            self.problem = (
-                model.failure or model.parameters.network_fault or f"nothing was shown after {_PATIENCE:.0f} s"
-            )
-            app.close()
-        elif self._start is None:
-            if model.contents.result is not None:
-                model.playback.mode = "every frame"
-                model.playback.speed = 4.0  # as fast as it goes
-                model.playback.play()
-                self._start, self._last = now, model.contents.result
-        else:
-            self._interface += 1
-            result = model.contents.result
-            if result is not self._last:
-                self._last = result
-                kernels = sum(result.milliseconds.values())
-                self._rows.append((result.moment.alpha > 0, kernels, result.readback_ms, model.upload_ms))
-            self._end = now
-            if now - self._start > self.seconds:
-                app.close()
-
-    def figures(self) -> dict[str, float]:
-        elapsed = max(self._end - self._start, 1e-9)
-        generated = [row for row in self._rows if row[0]]
-        columns = np.array([row[1:] for row in self._rows] or [(np.nan,) * 3])
-        kernels, readback, upload = columns.mean(0).tolist()
-        return {
-            "frames per second": len(self._rows) / elapsed,
-            "generated frames per second": len(generated) / elapsed,
-            "interface frames per second": self._interface / elapsed,
-            "kernels, ms per frame": kernels,
-            "reading back, ms per frame": readback,
-            "upload, ms per frame": upload,
-        }
 
 
 def view(model, size: tuple[int, int] | None = None, shot: Shot | None = None) -> None:
@@ -174,13 +106,13 @@ class _Photographer:
         self.shot, self.problem = shot, None
         self._still = 0
         self._arranged = False
-        self._until = time.perf_counter() + _PATIENCE
+        self._until = time.perf_counter() + PATIENCE
 
     def __call__(self, app) -> None:
         model = app.model
         problem = model.failure or model.parameters.network_fault
         if problem or time.perf_counter() > self._until:
-            self.problem = problem or f"the screenshot was not ready after {_PATIENCE:.0f} s"
+            self.problem = problem or f"the screenshot was not ready after {PATIENCE:.0f} s"
             app.close()
         elif model.source is None or not model.contents.layers:
             return

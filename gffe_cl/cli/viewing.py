@@ -42,7 +42,10 @@ def view(
     device: DeviceOption = None,
     window_size: Annotated[
         str | None,
-        typer.Option(help="Of the viewer's own window, pixels [dim](default: as last time; for reports 1600x900)[/]."),
+        typer.Option(
+            help="Of the viewer's own window, pixels [dim](default: as last time; screenshots 1600x900, measuring"
+            " 1280x720)[/]."
+        ),
     ] = None,
     screenshot: Annotated[
         Path | None,
@@ -59,8 +62,21 @@ def view(
     pixel: Annotated[str | None, typer.Option(help="Screenshot: pixel whose story is told, as 120,45.")] = None,
     overview: Annotated[bool, typer.Option("--overview", help="Screenshot: all layers as tiles.")] = False,
     measure: Annotated[
-        float | None, typer.Option(help="Play every frame for so many seconds, print how fast that was, and exit.")
+        float | None,
+        typer.Option(
+            help="Play every frame for so many seconds, then as long what the cache holds; print how fast that was, and"
+            " exit."
+        ),
     ] = None,
+    script: Annotated[
+        Path | None,
+        typer.Option(help="Do what this file says, a step a line (docs/guide.md), and exit.", exists=False),
+    ] = None,
+    film: Annotated[
+        Path | None,
+        typer.Option(help="Film the window while the script waits: .webp or .gif.", callback=output_file("--film")),
+    ] = None,
+    cache: Annotated[int, typer.Option(help="MiB of computed frames kept in memory; 0: none.")] = 2048,
     no_check: NoCheckOption = False,
     json_path: JsonOption = None,
     *,
@@ -71,8 +87,9 @@ def view(
     from gffe_cl.inference import load_network
     from gffe_cl.scenes import is_scene
     from gffe_cl.viewer.engine.opening import ScenePlan
+    from gffe_cl.viewer.measuring import measure as measure_playback
+    from gffe_cl.viewer.scripting import parse, play_script, require_film
     from gffe_cl.viewer.start import Shot, leaving, require_display
-    from gffe_cl.viewer.start import measure as measure_playback
     from gffe_cl.viewer.start import view as run_viewer
     from gffe_cl.viewer.state.comparing import WAYS
     from gffe_cl.viewer.state.model import Model
@@ -80,14 +97,27 @@ def view(
 
     if not 1 <= n <= 7:
         raise GffeError(f"-n must be 1 to 7 generated frames per rendered frame, got {n}")
-    if target is None and (screenshot is not None or measure is not None):
-        raise GffeError("--screenshot and --measure need a sequence or a scene")
+    alone = [
+        name for name, given in (("--screenshot", screenshot), ("--measure", measure), ("--script", script)) if given
+    ]
+    if target is None and alone:
+        raise GffeError(f"{alone[0]} needs a sequence or a scene")
+    if len(alone) > 1:
+        raise GffeError(f"{' and '.join(alone)} exclude each other")
+    if film is not None:
+        require_film(film)
+        if script is None:
+            raise GffeError("--film needs a --script that says what is filmed")
+    if script is not None:
+        parse(script)
     if measure is not None and not 0 < measure <= 3600:
         raise GffeError(f"--measure must be seconds, up to 3600, got {measure:g}")
     if compare not in WAYS:
         raise GffeError(f"--compare must be {', '.join(WAYS[:-1])} or '{WAYS[-1]}', got '{compare}'")
     if window not in (None, "off") and target is not None and not is_scene(target):
         raise GffeError(f"--window {window}: only built-in scenes are rendered through a chosen window (expected off)")
+    if not 0 <= cache <= 1 << 20:
+        raise GffeError(f"--cache must be 0 to 1048576 MiB, got {cache}")
     plan = ScenePlan(*parse_size(size), require_seed(seed, "--seed"))
     viewer_size = None if window_size is None else parse_size(window_size)
     if viewer_size is not None and min(viewer_size) < LEAST_WINDOW:
@@ -99,23 +129,28 @@ def view(
     if options.corrects_shading and asked != (None, None, "cpu"):
         load_network(options.scn_model, options.scn_provider)  # what was asked for must work
     require_display()
-    by_hand = shot is None and measure is None
+    by_hand = not alone
     settings, warning = Settings.load() if by_hand else (Settings(), None)
     model = Model(
         settings, device=device, n=n, window=window, plan=plan, options=options, save_settings=by_hand,
-        check=not no_check,
+        check=not no_check, cache_mib=cache,
     )  # fmt: skip
     if warning:
         model.say(warning)
     with leaving(model):
         if target is not None:
             model.open(target)
+        if script is not None:
+            play_script(model, script, film, viewer_size)
+            return
         if measure is None:
             run_viewer(model, viewer_size, shot)
             return
         figures = measure_playback(model, measure, viewer_size)
-        for name, value in figures.items():
-            out.print(f"{name}: {value:.1f}")
+        for title, values in figures.items():
+            out.print(f"{title.replace('_', ' ')}:{'' if values else ' there is no cache'}")
+            for name, value in values.items():
+                out.print(f"  {name.replace('_', ' ')}: {value:.1f}")
         write_json(json_path, figures | {"device": model.engine.device_name})
 
 

@@ -15,22 +15,40 @@ from gffe_cl.viewer.engine.story import Story
 
 @dataclass(frozen=True)
 class Setup:
-    """What is computed. `window`: of `FrameSource.configure`; `n`: generated frames per rendered one, 1 … 7."""
+    """What is computed. `window`: of `FrameSource.configure`; `n`: generated frames per rendered one, 1 … 7; `kernels`:
+    a build that was in use since the viewer started, by its `Kernels.identity`; empty: the newest."""
 
     options: Options = field(default_factory=Options)
     window: str | None = None
     n: int = 1
+    kernels: str = ""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """All that the slots of a source depend on: what was opened how often, poses that were flown, the setup, which
+    kernels and which weights."""
+
+    source: int
+    flight: int
+    setup: Setup
+    kernels: str
+    weights: str = ""
 
 
 @dataclass(frozen=True)
 class Request:
-    """A wish for a slot. `layers`: names of what to read back; `metrics`: measure it against the truth."""
+    """A wish for a slot. `layers`: names of what to read back; `metrics`: measure it against the truth; `role`: which
+    pipeline makes it, so that each goes on where it was: "a" and "b" are shown, "ahead" is made beside; `keep`: in the
+    cache."""
 
     slot: int
     setup: Setup
     layers: frozenset[str]
     serial: int
     metrics: bool = False
+    role: str = "a"
+    keep: bool = True
 
 
 @dataclass(frozen=True)
@@ -57,8 +75,8 @@ class Result:
         there, and "truth" is the rendered frame's display part.
     specs : dict
         All layers that can be asked for.
-    milliseconds : dict
-        Kernel time per stage for this slot, without warm-up.
+    kernels : dict
+        Milliseconds by stage and kernel for this slot, without warm-up.
     wall_ms, readback_ms : float
         From taking the request to its images, warm-up included; the reading back in it.
     warnings : tuple of str
@@ -68,19 +86,27 @@ class Result:
         Of "final" by name, those that are known already; for the others see `Engine.poll_metrics`.
     cuts : frozenset of int
         Rendered frames that were found to be cuts so far.
+    render_size : (width, height)
+        Of rendered frame k.
     """
 
     request: Request
     moment: Moment
     images: dict[str, np.ndarray]
     specs: dict[str, LayerSpec]
-    milliseconds: dict[str, float]
+    kernels: dict[str, dict[str, float]]
     wall_ms: float
     readback_ms: float
     warnings: tuple[str, ...] = ()
     bad_pixels: BadPixels = field(default_factory=BadPixels)
     metrics: dict[str, float] = field(default_factory=dict)
     cuts: frozenset[int] = frozenset()
+    render_size: tuple[int, int] = (0, 0)
+
+    @property
+    def milliseconds(self) -> dict[str, float]:
+        """Kernel time by stage."""
+        return {stage: sum(kernels.values()) for stage, kernels in self.kernels.items()}
 
 
 @dataclass(frozen=True)
@@ -110,3 +136,7 @@ class Inspection:
 
 class Closing(Exception):
     """The engine is being closed."""
+
+
+class Interrupted(Exception):
+    """Something else is wanted first."""

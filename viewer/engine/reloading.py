@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
 from gffe_cl import inference
 from gffe_cl.buffers import Sizes
+from gffe_cl.errors import GffeError
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import Program, expand, kernel_folder
 from gffe_cl.options import Options
@@ -27,6 +30,8 @@ class Kernels(dict):
     def __init__(self, device: Device):
         super().__init__(device.programs)
         self._device, self._texts, self._before = device, {}, device.programs
+        self._builds: dict[str, dict[str, str]] = {}  # texts in use since the start, by their identity
+        self.identity = ""  # of the newest that build
         self.error: str | None = None
         self.look_again_at, self._files = time.monotonic() + WATCH_SECONDS, _files()
         device.programs = self
@@ -61,9 +66,20 @@ class Kernels(dict):
             self._texts, self.error = before, str(error)
             return False
         self.error = None
-        for key in [key for key in self if key[0] in texts and key[1] != texts[key[0]]]:
-            del self[key]
+        self.identity = hashlib.sha256(repr(sorted(texts.items())).encode()).hexdigest()[:12]
+        self._builds[self.identity] = texts
         return True
+
+    @contextmanager
+    def used(self, identity: str) -> Iterator[None]:
+        """Meanwhile pipelines are made of an older build; GffeError if there was none. Empty: of the newest."""
+        if identity and identity not in self._builds:
+            raise GffeError(f"kernels {identity}: not built since the viewer was started")
+        newest, self._texts = self._texts, self._builds.get(identity, self._texts)
+        try:
+            yield
+        finally:
+            self._texts = newest
 
     def __contains__(self, key) -> bool:
         name, text, *variant = key = self._held(key)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ import pyopencl as cl
 from gffe_cl.buffers import DeviceFrame
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
+from gffe_cl.evaluation import traffic
 from gffe_cl.frame import BadPixels, RenderedFrame
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
@@ -18,19 +20,22 @@ from gffe_cl.pipeline import Pipeline
 from gffe_cl.stages.shading import FocusMask
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.buffers import Moment, Shot
-from gffe_cl.viewer.engine.messages import Closing, Setup
+from gffe_cl.viewer.engine.messages import Setup
 from gffe_cl.viewer.engine.sources import FrameSource
+from gffe_cl.viewer.engine.way import Passed
 
 WARM_UP = 8  # rendered frames submitted before the one that is wanted
 
 
 class Seeker:
-    """Holds the pipeline, and knows how far it has come."""
+    """Holds the pipeline, and knows how far it has come. `check` is called before each rendered frame, and may raise to
+    give up."""
 
-    def __init__(self, device: Device, source: FrameSource, closing: Callable[[], bool]):
-        self.device, self.source, self._is_closing = device, source, closing
+    def __init__(self, device: Device, source: FrameSource, check: Callable[[], None]):
+        self.device, self.source, self._check = device, source, check
         self.cuts: set[int] = set()  # rendered frames that were found to be cuts so far
         self._options: Options | None = None
+        self._kernels = ""  # that were asked for, see Setup
         self._ring: list[DeviceFrame] = []  # what host frames are uploaded into: the pipeline uses two in place
         self.drop()
 
@@ -43,14 +48,17 @@ class Seeker:
         self._at: int | None = None  # the frame submitted last
         self._frame: RenderedFrame | None = None
         self._before: Camera | None = None  # render camera of the frame before
+        self.passed: deque[Passed] = deque(maxlen=self.source.held)  # submitted frames, the newest first
         self._presented = None
         self._focus: FocusMask | None = None  # made when it is asked for
+        self.launched: traffic.Launches = {}  # by the last slot, without warm-up
 
     def prepare(self, setup: Setup) -> None:
-        if self.source.configure(setup.window, setup.n) or setup.options != self._options:
+        others = (setup.options, setup.kernels) != (self._options, self._kernels)
+        if self.source.configure(setup.window, setup.n) or others:
             self.drop()
             self.cuts = set()
-        self._options = setup.options
+        self._options, self._kernels = setup.options, setup.kernels
 
     def go_to(self, k: int, alpha: float) -> list[str]:
         """Submit what is missing up to rendered frame `k`, from a new pipeline on unless that is a little ahead.
@@ -63,8 +71,7 @@ class Seeker:
             self._restart()
         notes = []
         for m in frames:
-            if self._is_closing():
-                raise Closing
+            self._check()
             try:
                 self._submit(m, last=m == k)
             except GffeError as error:
@@ -97,7 +104,16 @@ class Seeker:
             if self.source.has_truth:
                 buffers[names.TRUTH] = shown.color
             self.shot = Shot(Moment(k, 0.0, frame.time, shown.camera, *cameras), buffers)
+        self.launched = self._count_launches()
         return self.shot
+
+    def _count_launches(self) -> traffic.Launches:
+        """What was launched since this was called last."""
+        stages = self.pipeline.stages
+        launched = {name: stage.launches or [] for name, stage in stages.items()}
+        for stage in stages.values():
+            stage.launches = []
+        return launched
 
     def find_focus(self, truth: np.ndarray) -> None:
         """Add "focus_truth" to the shot, an extrapolated one; `truth`: (H, W, 4) float16."""
@@ -131,9 +147,17 @@ class Seeker:
             frame = replace(frame, color=color, depth=depth, motion=motion)
         if last:
             self.pipeline.take_timings()  # of the warm-up: not this slot's
+            self._count_launches()
         self.pipeline.submit(frame)
         self._at, self._frame = m, frame
         if self.pipeline.is_cut:
             self.cuts.add(m)
         self._before = before.camera if before and not (frame.reset or self.pipeline.is_cut) else None
+        pixels = packed or frame
+        self.passed.appendleft(
+            Passed(
+                m, frame.camera, frame.display_camera or frame.camera, source.render_size, pixels.depth, pixels.motion,
+                self._before is None,
+            )
+        )  # fmt: skip
         self.bad_pixels = packed.bad if packed else BadPixels()

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import threading
 from bisect import bisect_left, bisect_right, insort
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -22,6 +24,8 @@ from gffe_cl.sequence import Sequence
 from gffe_cl.source import Recorded
 from gffe_cl.stage import read_some_rows
 from gffe_cl.stages.presentation import present
+from gffe_cl.viewer.engine.growing import Growth, continues
+from gffe_cl.viewer.engine.way import REMEMBERED
 from gffe_cl.window import WindowChooser
 
 CACHE_BYTES = 512 << 20
@@ -38,7 +42,9 @@ class FrameSource(Protocol):
     `target`: how the user named it; `width`, `height`: of the display, pixels; `render_size`: (width, height) of the
     rendered frames, may change with `configure`; `count`: of rendered frames; `live`: rendered meanwhile, the camera
     may be flown; `windowed`: rendered through a window that can be used or not; `resets`: numbers of the frames
-    that are told to be one, in order.
+    that are told to be one, in order; `flight`: another number whenever other poses are flown, 0 for none;
+    `held`: of the frames delivered last, so many stay as they are;
+    `suspicions`: sentences about the whole, more of them may come.
     """
 
     name: str
@@ -53,6 +59,14 @@ class FrameSource(Protocol):
     windowed: bool = False
     resets: tuple[int, ...] = (0,)
     has_truth: bool = False
+    flight: int = 0
+    held: int = REMEMBERED
+    suspicions: Iterable[str] = ()
+
+    def sibling(self) -> FrameSource:
+        """The same frames for another pipeline, which uses it on the same thread: with a window and a place of its own.
+        What is read is shared; `fly` and `close` are called for this one only."""
+        return copy.copy(self)
 
     def configure(self, window: str | None, n: int) -> bool:
         """Use rendering window `window` for `n` generated frames per rendered one; whether rendered frames change by
@@ -88,6 +102,13 @@ class FrameSource(Protocol):
         """Legal but suspicious things met so far."""
         return []
 
+    def grow(self) -> bool:
+        """Take over frames that were added at the end since it was opened; whether there are any."""
+        return False
+
+    def look_closer(self) -> None:
+        """The first slot is made: now there is time for `suspicions`."""
+
     def close(self) -> None:
         """Stops what runs beside."""
 
@@ -105,15 +126,28 @@ class RecordedSource(Recorded, FrameSource):
         self.windowed = self._cut
         super().__init__(sequence, device, window)
         self.name = sequence.path.resolve().name
-        self.suspicions: list[str] = []  # sentences, beside what reading warns of
+        self.suspicions: list[str] = []
+        self.check: Callable[[], str | None] | None = None  # finds a suspicion, on a thread of its own
         self._chosen = window
+        self._alphas = alphas_for(1)
+        self._cache = _ReadAhead(cache_bytes)
+        self.growth: Growth | None = None
+        self._list_frames(sequence)
+
+    def _list_frames(self, sequence: Sequence) -> None:
         self._entries = sequence.rendered
         self.resets = tuple(k for k, entry in enumerate(self._entries) if entry.reset or k == 0)
         truths = sequence.ground_truth
         self._next_truth = dict(zip((entry.file for entry in truths), truths[1:], strict=False))
         self.has_truth = bool(truths)
-        self._alphas = alphas_for(1)
-        self._cache = _ReadAhead(cache_bytes)
+
+    def grow(self):
+        sequence = self.growth and self.growth.look()
+        if not sequence or not continues(self.sequence, sequence):
+            return False
+        self._list_frames(sequence)
+        super().__init__(sequence, self._device, self._chosen)
+        return True
 
     def configure(self, window, n):
         self._alphas = alphas_for(n)
@@ -124,8 +158,14 @@ class RecordedSource(Recorded, FrameSource):
         self._chosen = window
         return self._cut != before
 
-    def warnings(self):
-        return [*super().warnings(), *self.suspicions]
+    def look_closer(self):
+        check, self.check = self.check, None
+        if check is not None:
+            threading.Thread(target=self._suspect, args=(check,), name="gffe-viewer-check", daemon=True).start()
+
+    def _suspect(self, check):
+        with suppress(GffeError):  # a frame that cannot be read: who looks at it is told
+            self.suspicions += filter(None, [check()])
 
     def reset_before(self, k):
         return self.resets[bisect_right(self.resets, k) - 1]
@@ -268,14 +308,23 @@ class SceneSource(FrameSource):
         self._device, self._frames = device, SceneFrames(SceneRenderer(device, scene, width, height, samples))
         self._ring: OrderedDict[tuple, _Made] = OrderedDict()
         self._ring_size = max(_LEAST_RING, cache_bytes // (sum(BYTES_PER_PIXEL) * width * height))
+        self.held = min(REMEMBERED, self._ring_size - 1)
         self._truths: OrderedDict[tuple, np.ndarray] = OrderedDict()
         self._since: list[_Made] = []  # delivered since `restart`
         self._flown: dict[float, Camera] = {}  # by k + alpha
         self._flown_at: list[float] = []  # its keys in order
         self._flown_last = -1.0  # key of the last call of `fly`
+        self._flights = 0  # calls of `fly`
         self._lock = threading.Lock()  # of the flown poses
         self._way: tuple | None = None
         self.configure(window, 1)
+
+    def sibling(self):
+        other = copy.copy(self)  # renderer and poses are shared, rendered frames are not: they are used in place
+        other._frames, other._ring, other._since = copy.copy(self._frames), OrderedDict(), []
+        other._ring_size, other._way = max(_LEAST_RING, self._ring_size // 4), None
+        other.held = min(REMEMBERED, other._ring_size - 1)
+        return other
 
     def configure(self, window, n):
         window = window or "off"
@@ -309,6 +358,8 @@ class SceneSource(FrameSource):
         """
         at = k + alpha
         with self._lock:
+            self._flights += 1
+            self.flight = self._flights
             if self._flown_last < at <= self._flown_last + _LONGEST_GAP:
                 skipped = slice(bisect_right(self._flown_at, self._flown_last), bisect_left(self._flown_at, at))
                 for between in self._flown_at[skipped]:
@@ -325,7 +376,9 @@ class SceneSource(FrameSource):
     def forget_flight(self) -> None:
         """Back to the scene's own path. May be called from any thread."""
         with self._lock:
-            self._flown, self._flown_at, self._flown_last = {}, [], -1.0
+            self._flown.clear()
+            self._flown_at.clear()
+            self._flown_last, self.flight = -1.0, 0
 
     def camera(self, k, alpha):
         return self._flown_camera(k + alpha) or self._frames.display_camera(self.time(k, alpha))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
@@ -9,7 +11,10 @@ from gffe_cl.viewer.panels import widgets
 
 RENDERED = (0.36, 0.62, 0.95, 1.0)
 GENERATED = (0.96, 0.66, 0.28, 1.0)
+DOUBT = (0.98, 0.85, 0.25, 1.0)
 RESET = (0.93, 0.30, 0.30, 1.0)
+CACHED = (0.35, 0.80, 0.45, 1.0)
+_CACHED_HEIGHT = 3.0  # screen pixels
 _NARROW = 2.5  # screen pixels
 _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 
@@ -94,8 +99,10 @@ def _bar(model) -> None:
             colors = shades if first <= slot <= last else outside
             corner = ImVec2(left + max(step - 1.0, 1.0), origin.y + height)
             draw.add_rect_filled(ImVec2(left, top), corner, colors[generated])
-    for frame in model.contents.resets:
-        x, ink = origin.x + frame * (model.n + 1) * step, imgui.get_color_u32(RESET)
+    _cached(model, draw, origin, step, height)
+    marked = [(frame, RESET) for frame in model.contents.resets] + [(frame, DOUBT) for frame in model.marks]
+    for frame, color in marked:
+        x, ink = origin.x + frame * (model.n + 1) * step, imgui.get_color_u32(color)
         draw.add_line(ImVec2(x, origin.y), ImVec2(x, origin.y + height), ink, 2.0)
         draw.add_triangle_filled(ImVec2(x, origin.y), ImVec2(x + 7, origin.y + 3), ImVec2(x, origin.y + 6), ink)
     at = origin.x + (playback.slot + 0.5) * step
@@ -105,6 +112,21 @@ def _bar(model) -> None:
     for slot in (first, last + 1):
         x = origin.x + slot * step
         draw.add_line(ImVec2(x, origin.y), ImVec2(x, origin.y + height), imgui.get_color_u32((0.4, 0.9, 0.5, 0.9)), 2.0)
+
+
+def _cached(model, draw, origin, step: float, height: float) -> None:
+    """What is in the cache as the picture needs it: a line below the slots."""
+    ink, bottom = imgui.get_color_u32(CACHED), origin.y + height
+    for start, end in runs(model.filling.cached):
+        corner = ImVec2(origin.x + end * step, bottom + _CACHED_HEIGHT)
+        draw.add_rect_filled(ImVec2(origin.x + start * step, bottom), corner, ink)
+
+
+def runs(slots: frozenset[int]) -> list[tuple[int, int]]:
+    """(first, last + 1) of each stretch of consecutive numbers."""
+    found = sorted(slots)
+    breaks = [i for i in range(1, len(found)) if found[i] != found[i - 1] + 1]
+    return [(found[a], found[b - 1] + 1) for a, b in pairwise([0, *breaks, len(found)])] if found else []
 
 
 def _scrub(model, left: float, width: float, count: int) -> None:
@@ -117,5 +139,6 @@ def _scrub(model, left: float, width: float, count: int) -> None:
         playback.scrubbing = False
     if imgui.is_item_hovered() and not imgui.is_item_active():
         slot = min(max(int((imgui.get_mouse_pos().x - left) / width * count), 0), count - 1)
-        reason = model.contents.resets.get(slot // (model.n + 1))
-        imgui.set_tooltip(f"frame {slot}: drag to scrub" + (f"\n{reason}" if reason else ""))
+        frame = slot // (model.n + 1)
+        reasons = filter(None, (model.contents.resets.get(frame), model.marks.get(frame)))
+        imgui.set_tooltip("\n".join((f"frame {slot}: drag to scrub", *reasons)))

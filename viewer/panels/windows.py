@@ -7,11 +7,14 @@ from pathlib import Path
 
 from imgui_bundle import hello_imgui, imgui
 
+from gffe_cl.doctor.findings import FAULT, NOTE
 from gffe_cl.scenes import SCENES
 from gffe_cl.viewer.panels import widgets
 
 _HELP_COLUMNS = 3
 _MESSAGE_SECONDS = 8.0
+_RED, _AMBER, _GREY = (0.97, 0.5, 0.45, 1.0), (0.9, 0.7, 0.3, 1.0), (0.6, 0.6, 0.62, 1.0)
+_KINDS = {FAULT: _RED, NOTE: _AMBER}
 
 
 def help_window(app) -> None:
@@ -33,7 +36,10 @@ def help_window(app) -> None:
                     imgui.text_disabled(keys)
         imgui.end_table()
     imgui.pop_style_var()
-    imgui.text_disabled("Wheel: zoom at the cursor.  Drag: pan, or the wipe's line.  Click: the story of a pixel.")
+    imgui.text_disabled(
+        "Wheel: zoom at the cursor.  Drag: pan, or the wipe's line.  Click: the story of a pixel."
+        "  Shift+drag: statistics of a rectangle."
+    )
     imgui.end()
 
 
@@ -46,6 +52,34 @@ def _columns(table: list) -> list[list]:
         columns[min(int((done + height / 2) / sum(heights) * _HELP_COLUMNS), _HELP_COLUMNS - 1)].append(group)
         done += height
     return columns
+
+
+def doctor_window(app) -> None:
+    """What the doctor says of the sequence; its marks are on the timeline."""
+    doctor = app.model.doctor
+    if doctor is None or not app.doctor_open:
+        return
+    imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing.value, (0.5, 0.5))
+    imgui.set_next_window_size((hello_imgui.em_size(34), 0))
+    flags = imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_resize
+    widgets.floating()
+    _, app.doctor_open = imgui.begin("What does not fit in this sequence###doctor", True, int(flags))
+    imgui.push_text_wrap_pos(0.0)
+    if not doctor.done:
+        imgui.text_disabled("examining motion, depth, cameras and colours …")
+    elif doctor.problem:
+        imgui.text_colored(_RED, doctor.problem)
+    elif not doctor.findings:
+        imgui.text_unformatted("Everything fits.")
+    for finding in doctor.findings:
+        imgui.text_colored(_KINDS.get(finding.kind, _GREY), finding.kind)
+        imgui.same_line(hello_imgui.em_size(6))
+        imgui.text_unformatted(str(finding))
+    if any(finding.fix for finding in doctor.findings):
+        imgui.separator()
+        imgui.text_disabled(f"gffe check {app.model.source.target} --fix OUT  mends it")
+    imgui.pop_text_wrap_pos()
+    imgui.end()
 
 
 def path_window(app) -> None:

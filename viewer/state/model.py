@@ -5,34 +5,45 @@ from __future__ import annotations
 import itertools
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from gffe_cl.errors import GffeError
 from gffe_cl.options import Options
 from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.cache import CACHE_MIB, FrameCache
+from gffe_cl.viewer.engine.doctoring import Doctor
 from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
-from gffe_cl.viewer.engine.messages import EngineError, Metrics, Request, Result, Setup
+from gffe_cl.viewer.engine.messages import EngineError, Metrics, Recipe, Request, Result, Setup
 from gffe_cl.viewer.engine.opening import ScenePlan, make_source
+from gffe_cl.viewer.engine.preview import Preview, Previewer, preview_of
 from gffe_cl.viewer.engine.sources import FrameSource
-from gffe_cl.viewer.picture import flip_map
 from gffe_cl.viewer.picture.displays import Display
+from gffe_cl.viewer.picture.legend_strip import Entry
 from gffe_cl.viewer.picture.view import View
+from gffe_cl.viewer.state.captions import entries_of
 from gffe_cl.viewer.state.comparing import Comparison
 from gffe_cl.viewer.state.contents import Contents
+from gffe_cl.viewer.state.filling import Filling
 from gffe_cl.viewer.state.flying import Flight, Flyer
 from gffe_cl.viewer.state.framing import Framing
+from gffe_cl.viewer.state.kept import KeptSettings, command_line
 from gffe_cl.viewer.state.looks import Looks
 from gffe_cl.viewer.state.parameters import Parameters
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.pointing import Pointing
-from gffe_cl.viewer.state.saving import Subject, Work, save_picture
+from gffe_cl.viewer.state.regions import OVERLAY, Regions
+from gffe_cl.viewer.state.saving import Subject, Work
+from gffe_cl.viewer.state.screen import Screen
+from gffe_cl.viewer.state.second import Second
+from gffe_cl.viewer.state.selecting import Selection
 from gffe_cl.viewer.state.settings import Settings
+from gffe_cl.viewer.state.survey import Survey
 from gffe_cl.viewer.state.timings import Timings
+from gffe_cl.viewer.state.walking import Walk
 
 _SCENES = ScenePlan(480, 270, 0)
 _OPTIONS = Options()
@@ -56,41 +67,53 @@ class Model:
     def __init__(
         self, settings: Settings, *, device: str | None = None, n: int = 1, window: str | None = None,
         plan: ScenePlan = _SCENES, options: Options = _OPTIONS, save_settings: bool = True,
-        check: bool = False,
+        check: bool = False, cache_mib: int = CACHE_MIB,
     ):  # fmt: skip
         self.settings, self._save_settings, self.plan, self._check = settings, save_settings, plan, check
-        self.engine = Engine(partial(open_viewer_device, device))
+        self.engine = Engine(partial(open_viewer_device, device), cache=FrameCache(cache_mib << 20))
         self.engine.start()
         self.contents = Contents()
         self.playback = Playback(n=n)
+        self.filling = Filling(self.engine, self.playback)
         self.parameters = Parameters(options, self.playback, window)
         self.view = View(names.FINAL, Display())
         self.framing = Framing(self.view)
         self.looks = Looks(self.contents, settings.displays)
-        self.comparison = Comparison(self.view, self.contents, self.looks)
-        self.pointing = Pointing(self.engine.inspect)
+        self.screen = Screen(self.contents, self.looks)
+        self.kept = KeptSettings()
+        self.comparison = Comparison(self.view, self.contents, self.looks, self.kept)
+        self.second = Second(self.engine, self.filling.find)
+        self.regions = Regions(self.view, self.contents)
+        self.survey = Survey(self.engine, self.playback)
+        self.pointing = Pointing(self._inspect)
+        self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
+        self.selection = Selection(self.contents)
         self.flyer: Flyer | None = None
         self.export: Work | None = None
         self.overview = False
         self.arrows = False
         self.measuring = False
-        self.metrics: dict[int, Metrics] = {}
+        self._metrics: dict[Recipe, dict[int, Metrics]] = {}  # by slot
         self.messages: list[Message] = []
-        self.warnings: list[str] = []
+        self.doctor: Doctor | None = None  # of what is open, once it was asked for
+        self.preview: Preview | None = None  # shown until there is a result of what is opened
+        self._previewer: Previewer | None = None
         self.failure: str | None = None
         self.notice = ""
         self.timings = Timings()
-        self.upload_ms = 0.0
-        self._measured: tuple[Setup, int] | None = None  # what the metrics are of: setup, builds of the kernels
+        self.recipe = self.engine.recipe(self.setup)
         self._serial = itertools.count(1)
         self._asked: Request | None = None  # the latest request, and it without its serial number
-        self._wanted: Request | None = None
+        self._wanted: tuple[Request, Recipe | None, Request | None] | None = None
+        self.from_cache = False  # what is shown came from the cache
+        self._was_playing = False
         self._target = ""
         self._keep_place = False
         self._closed = False
         self.playback.restore(settings.playback)
         self.parameters.restore(settings.options)
         self.comparison.restore(settings.compare)
+        self.kept.restore(settings.kept)
 
     # ---- opening -----------------------------------------------------------------------------------------
 
@@ -103,7 +126,10 @@ class Model:
         """A folder with a sequence, or the name of a built-in scene; `update` hears when it is open."""
         self.failure = None
         self.notice = f"opening {target} …"
-        make = partial(make_source, target, self.parameters.window, self.plan, check=self._check)
+        self._previewer = preview_of(target) if self.source is None else None
+        make = partial(
+            make_source, target, self.parameters.window, self.plan, check=self._check, previewer=self._previewer
+        )
         self.engine.open_source(make, next(self._serial))
 
     def reload(self) -> None:
@@ -115,14 +141,20 @@ class Model:
         self.contents.open(source)
         self.parameters.open(source)
         self.notice, self._asked, self._target = "", None, source.target
-        self._show({}, canvas)
+        if self.preview is None:
+            self.screen.show({}, set(), canvas)
+        for part in (self.second, self.survey, self.walk, self.selection):
+            part.forget()
         if self.export is not None:
             self.export.cancel()
-        times = None if source.live else [source.time(k) for k in range(source.count)]
-        self.playback.open(source.count, source.fps, times, keep=self._keep_place)
+        self.playback.open(source.count, source.fps, self._times(source.count), keep=self._keep_place)
         self.pointing.open(self.contents.size)
-        self.metrics.clear()
-        self.flyer = None
+        self._metrics.clear()
+        self.doctor = None
+        if self._keep_place and self.flying:
+            self.playback.play()  # at another render rate, from where the camera is
+        else:
+            self.flyer = None
         if not self._keep_place:
             self.looks.forget()
             self.timings = Timings()
@@ -132,39 +164,66 @@ class Model:
         if not source.live:
             self.settings.add_recent(Path(self._target).expanduser())
 
+    def _times(self, count: int) -> list[float] | None:
+        """Seconds, of rendered frames."""
+        return None if self.source.live else [self.source.time(k) for k in range(count)]
+
     # ---- one frame of the interface ------------------------------------------------------------------------
 
     def update(self, now: float, canvas) -> None:
         """Take what the engine has finished into textures, and ask for what is wanted next."""
+        if self._previewer is not None and (preview := self._previewer.take()) is not None:
+            self.preview = preview
+            self.screen.preview(preview, canvas)
+        self.screen.proceed(canvas)
         if self.engine.source is not self.source:
             self._opened(self.engine.source, canvas)
-        if (self.setup, self.engine.builds) != self._measured:
-            self._measured = self.setup, self.engine.builds
-            self.metrics.clear()
-        while (answer := self.engine.poll()) is not None:
+        if self.source is not None and self.source.live and self.parameters.render_rate != self.plan.fps:
+            self.plan = self.plan._replace(fps=self.parameters.render_rate)
+            self.reload()
+        if self.source is not None and (count := self.source.count) != self.playback.count:
+            self.playback.extend(count, self._times(count))
+        self.recipe = self.engine.recipe(self.setup)
+        while self.screen.ready and (answer := self.engine.poll()) is not None:
             if isinstance(answer, EngineError):
                 self._failed(answer)
-            elif self.source is not None:
-                self._take(answer, canvas)
+            elif self.source is not None and self._is_news(answer):
+                self.from_cache = False
+                self._came(answer, canvas)
+        self._take_pair(canvas)
         while (metrics := self.engine.poll_metrics()) is not None:
-            if metrics.setup == self.setup:
-                self.metrics[metrics.slot] = metrics
+            self._metrics.setdefault(self.engine.recipe(metrics.setup), {})[metrics.slot] = metrics
         inspection = self.engine.poll_inspection()
         if inspection is not None and inspection.slot == self.slot:
             self.pointing.take(inspection)
         if self.source is None:
             return
-        fault = self.comparison.update(canvas)
-        if fault:
-            self.say(fault, error=True)
+        self.second.compare_with(None if self.overview else self.comparison.second)
+        kept = self.second.kept
+        self.filling.others = frozenset() if kept is None else frozenset({self.engine.recipe(kept.setup(self.n))})
         result, ready = self.contents.result, None
         if result is not None and result.request.setup == self.setup:
             ready = result.request.slot
-        self._ask(self.playback.tick(now, ready).request)
+        self._ask(self.playback.tick(now, ready).request, canvas)
+        faults = self.comparison.update(canvas), self.regions.update(canvas), self.selection.update()
+        for fault in filter(None, faults):
+            self.say(fault, error=True)
+        self._fill(now)
+        kept = self.kept.b if self.comparison.by_settings else None
+        idle = not (self.flying or self.export or self.playback.playing or self.second.waits)
+        self.survey.update(self.setup, kept and kept.setup(self.n), self.source.exposure, idle)
+        if self._was_playing and not self.playback.playing and self.from_cache:
+            self.pointing.ask_again()
+        self._was_playing = self.playback.playing
         if self.export is not None:
             self._advance_export(canvas)
 
     def _failed(self, error: EngineError) -> None:
+        if self.second.failed(error):
+            self.say(f"B: {error.message}", error=True)
+            return
+        if error.during != "metrics":
+            self.second.forget()
         self.failure = error.message
         if error.during == "network":
             self._without_network(error.message)
@@ -175,6 +234,7 @@ class Model:
         self.pointing.story_due &= error.during != "inspection"
         if error.during == "source":
             self._asked = None  # what was asked of the old one was thrown away
+        self._previewer = self.preview = None
         if error.during in ("source", "slot"):
             self.playback.pause()
             if self.export is not None:
@@ -187,46 +247,98 @@ class Model:
         if self.export is not None:
             self.export.cancel()
 
-    def _take(self, result: Result, canvas) -> None:
-        self.contents.take(result)
+    def _came(self, result: Result, canvas) -> None:
+        """A's result is there; where it is compared with B's it waits for that."""
+        if self.second.belongs(result):
+            self.second.pair(result)
+        else:
+            self._take(result, None, canvas)
+
+    def _take_pair(self, canvas) -> None:
+        """A's and B's results of one slot, when both are there."""
+        pair = self.second.take() if self.screen.ready else None
+        if pair is not None:
+            self._take(*pair, canvas)
+
+    def _take(self, result: Result, second: Result | None, canvas) -> None:
+        self.contents.take(result, second)
         self.failure = None
-        self.warnings = list(result.warnings)
+        self._previewer = self.preview = None
         if result.metrics:
             request = result.request
             self.metrics[request.slot] = Metrics(request.slot, request.setup, result.metrics)
-        if canvas is not None:
-            canvas.frame = self.contents.frame_info()
-        self._show(result.images, canvas)
-        self.looks.meet(result.images)
+        if second is not None and second.metrics:
+            request = second.request
+            self.metrics_of_second()[request.slot] = Metrics(request.slot, request.setup, second.metrics)
+        self.screen.show(result.images, {self.view.a, self.view.b}, canvas)
         self.timings.add(result)
         self.pointing.ask_again()
 
-    def _show(self, images: dict[str, np.ndarray], canvas) -> None:
-        """Have these images and no others, which would be of another time, on the canvas."""
-        if canvas is None:
-            return
-        start = time.perf_counter()
-        canvas.forget(canvas.layers.keys() - images.keys() - {flip_map.NAME})
-        for name, image in images.items():
-            canvas.upload(name, image, self.contents.spec(name))
-        self.upload_ms = (time.perf_counter() - start) * 1e3
-
-    def _ask(self, slot: int) -> None:
-        """Submit a request if it is another one than before."""
+    def _ask(self, slot: int, canvas) -> None:
+        """Show what is kept, else submit a request, if it is another one than before."""
         if self.flying:
             k, j = divmod(slot, self.n + 1)
             self.source.fly(k, j / (self.n + 1), self.flyer.pose)
-        request = Request(slot, self.setup, frozenset(self._needed()), 0, self.measuring)
+        request = Request(slot, self.setup, frozenset(self._needed()), 0, self.measuring, keep=not self.flying)
+        second = self.second.request(request, self._needed_of_second()) if self.second.kept else None
+        wanted = request, None if self.flying else self.recipe, second
         steered = self.flying and self.flyer.moved
-        if request == self._wanted and self._asked is not None and not steered:
+        if wanted == self._wanted and self._asked is not None and not steered:
             return
+        if self.second.waits and second is not None:
+            return  # one after the other, or the faster one would never be shown with the slower one
         if self.flying:
             self.flyer.moved = False
-        self._wanted = request
+        self._wanted = wanted
         self._asked = replace(request, serial=next(self._serial))
-        self.engine.submit(self._asked, self.source)
+        if second is not None:
+            self.second.ask(replace(second, serial=next(self._serial)), self.source)
+        kept = None if self.flying else self.filling.find(self.recipe, request)
+        if kept is None:
+            self.engine.submit(self._asked, self.source)
+            return
+        self.engine.withdraw()
+        self.from_cache = True
+        self._came(replace(kept, request=self._asked), canvas)
+        self._take_pair(canvas)
+
+    def _is_news(self, result: Result) -> bool:
+        """Whether it was asked for after what is shown, or made anew."""
+        shown = self.contents.result
+        return shown is None or result.request.serial >= shown.request.serial
+
+    def _fill(self, now: float) -> None:
+        result = self.contents.result
+        if result is None or self._wanted is None:
+            return
+        nbytes = sum(image.nbytes for image in result.images.values())
+        beside = not (self.flying or self.overview or self.export or self._wanted[0].slot != result.request.slot)
+        self.filling.update(now, self.recipe, self._wanted[0], nbytes, beside)
+
+    def go_to(self, find: Callable[[], int | None]) -> None:
+        """To the slot that `find`, of the survey, gives."""
+        slot, text = self.survey.search(find)
+        if slot is not None:
+            self.playback.seek(slot)
+        self.say(text)
+
+    def _inspect(self, x: int, y: int) -> None:
+        """Ask about a pixel of what is shown; what comes from the cache is not made for that while it plays."""
+        if not (self.from_cache and self.playback.playing):
+            request = self.contents.result.request if self.from_cache else None
+            self.engine.inspect(x, y, request=request)
 
     # ---- what is asked for -----------------------------------------------------------------------------------
+
+    @property
+    def metrics(self) -> dict[int, Metrics]:
+        """What was measured of the present recipe, by slot."""
+        return self._metrics.setdefault(self.recipe, {})
+
+    def metrics_of_second(self) -> dict[int, Metrics]:
+        """... of B's settings."""
+        kept = self.kept.b
+        return {} if kept is None else self._metrics.setdefault(self.engine.recipe(kept.setup(self.n)), {})
 
     @property
     def n(self) -> int:
@@ -243,6 +355,12 @@ class Model:
         return self.parameters.setup
 
     @property
+    def warnings(self) -> list[str]:
+        """About what is open and what is shown."""
+        result = self.contents.result
+        return [*self.source.suspicions, *(result.warnings if result is not None else ())] if self.source else []
+
+    @property
     def settled(self) -> bool:
         """Whether what is shown is what was asked for."""
         return (
@@ -252,6 +370,10 @@ class Model:
             and not self.engine.busy
             and not self.pointing.story_due
             and self.comparison.ready
+            and not self.second.waits
+            and self.regions.ready
+            and self.selection.ready
+            and self.screen.ready
         )
 
     def _needed(self) -> set[str]:
@@ -259,9 +381,10 @@ class Model:
         if self.overview:
             return {spec.name for spec in self.contents.layers} or {names.FINAL}
         wanted = {self.view.a}
-        if self.view.compare != "off" and self.view.b:
+        if self.view.compare != "off" and self.view.b and not names.is_second(self.view.b):
             wanted.add(self.view.b)
-        if self.view.overlay != "none":
+        wanted |= self.regions.needed | self.selection.needed
+        if self.view.overlay not in ("none", OVERLAY):
             wanted |= {names.RENDERED_COLOR, names.RENDERED_DEPTH, names.RENDERED_MOTION}
         specs = [self.contents.spec(name) for name in wanted]
         if any(spec is not None and spec.view == "world" for spec in specs):
@@ -269,6 +392,25 @@ class Model:
         if self.export is not None:
             wanted |= self.export.layers
         return wanted
+
+    def _needed_of_second(self) -> frozenset[str]:
+        return frozenset({self.view.a} | ({names.FINAL} & self.regions.needed))
+
+    def keep_as_b(self) -> None:
+        """Freeze what is computed now as B."""
+        kept = self.kept.keep(self.setup, self.recipe.kernels)
+        self.comparison.with_settings(kept.name)
+        self.say(f"kept as B: {kept.name}. W wipes between A and B, D shows their difference")
+
+    def take_second(self) -> None:
+        """Go on with B's settings as A."""
+        kept = self.kept.b
+        self.parameters.take(kept.options, kept.window)
+        self.say(f"A has B's settings now: {kept.name}" + (", with the newest kernels" if kept.kernels else ""))
+
+    def command_line(self, setup: Setup) -> str:
+        """What gives the frames of `setup`, for a shell."""
+        return command_line(setup, self.source, self.plan.seed)
 
     def set(self, name: str, value: Any) -> None:
         """A parameter; what makes no sense is said."""
@@ -324,13 +466,11 @@ class Model:
 
     @property
     def _subject(self) -> Subject:
-        return Subject(self.contents, self.playback, self.view, self.comparison.shown, lambda: self.settled)
+        def legends() -> list[Entry]:
+            there = self.settings.legends
+            return entries_of(self.view, self.contents, self.looks, self.comparison) if there else []
 
-    def save_picture(self, canvas) -> None:
-        try:
-            self.say(f"saved {save_picture(self._subject, canvas)}")
-        except GffeError as error:
-            self.say(str(error), error=True)
+        return Subject(self.contents, self.playback, self.view, self.comparison.shown, legends, lambda: self.settled)
 
     def save(self, work: type[Work]) -> None:
         """Start saving beside the interface."""
@@ -345,6 +485,21 @@ class Model:
 
     # ---- telling -------------------------------------------------------------------------------------------
 
+    def measure_cost(self) -> None:
+        """Bandwidth, and what the slot that is shown had to move."""
+        self.engine.measure_bandwidth()
+        if self.contents.result is not None:
+            self.engine.count_traffic(self.contents.result.request)
+
+    def examine(self) -> None:
+        """Have the doctor look at the sequence."""
+        self.doctor = Doctor(self.source.sequence)
+
+    @property
+    def marks(self) -> dict[int, str]:
+        """Rendered frames that the doctor says something of."""
+        return self.doctor.marks if self.doctor is not None else {}
+
     def say(self, text: str, error: bool = False) -> None:
         self.messages = [*self.messages[-20:], Message(text, error, time.perf_counter())]
 
@@ -356,6 +511,7 @@ class Model:
         self.settings.playback = self.playback.preferences()
         self.settings.options = self.parameters.preferences()
         self.settings.compare = self.comparison.preferences()
+        self.settings.kept = self.kept.preferences()
         warning = self.settings.save()
         if warning:
             print(warning, file=sys.stderr)
@@ -368,6 +524,9 @@ class Model:
         if self.export is not None:
             self.export.close()
         self.comparison.close()
+        self.regions.close()
+        self.survey.close()
+        self.selection.close()
         self.engine.close()
 
     @property

@@ -15,6 +15,7 @@ from gffe_cl.viewer.state.schedule import MOST_GENERATED
 
 ALWAYS = {"shading_inputs": True}  # they are layers to look at
 CORRECTION = "shading_correction"
+_SHOWN = 60.0  # frames per second that are to be shown of a scene whose render rate is chosen
 OWN = {
     option.name: option
     for option in (
@@ -31,6 +32,17 @@ OWN = {
                 "fixed:1.1": "1.1 times as wide and high",
                 "fixed:1.2": "1.2 times as wide and high",
                 "fixed:1.4": "1.4 times as wide and high",
+            },
+        ),
+        Option(
+            "render_rate", "scene", "render rate", "Rendered frames per second of a built-in scene; generated ones are"
+            " chosen to make it 60.",
+            kind=str, remembered=False,
+            choices={
+                "scene": "as the scene has it",
+                "10": "10 rendered frames per second, 5 generated after each",
+                "15": "15 rendered frames per second, 3 generated after each",
+                "30": "30 rendered frames per second, 1 generated after each",
             },
         ),
         Option(
@@ -63,6 +75,7 @@ class Parameters:
     def __init__(self, options: Options, playback: Playback, window: str | None = None):
         self.options = replace(options, **ALWAYS)
         self.window = window
+        self.render_rate: float | None = None  # of built-in scenes, frames per second; None: the scene's
         self.network_fault: str | None = None
         self._playback = playback
         self._source: FrameSource | None = None
@@ -88,13 +101,13 @@ class Parameters:
         }
 
     def _applies(self, name: str) -> bool:
-        windows = {"window": False, "scene_window": True}
-        return name not in windows or (self._source is not None and self._source.live == windows[name])
+        live = {"window": False, "scene_window": True, "render_rate": True}
+        return name not in live or (self._source is not None and self._source.live == live[name])
 
     def why_not(self, name: str) -> str | None:
         """Why it cannot be changed now."""
         if not self._applies(name):
-            return "only in a built-in scene" if name == "scene_window" else "only in a sequence on disk"
+            return "only in a sequence on disk" if name == "window" else "only in a built-in scene"
         if name == "window" and not self._source.windowed:
             return "this sequence was not rendered through a window (no overscan)"
         if name == CORRECTION:
@@ -111,6 +124,8 @@ class Parameters:
             return self.window != "off" and self._source is not None and self._source.windowed
         if name == "scene_window":
             return self.window or "off"
+        if name == "render_rate":
+            return "scene" if self.render_rate is None else f"{self.render_rate:g}"
         return getattr(self.options, name)
 
     def set(self, name: str, value: Any) -> None:
@@ -121,6 +136,10 @@ class Parameters:
             self.window = None if ALL[name].checked(value) else "off"
         elif name == "scene_window":
             self.window = ALL[name].checked(value)
+        elif name == "render_rate":
+            rate = ALL[name].checked(value)
+            self.render_rate = None if rate == "scene" else float(rate)
+            self._playback.n = 1 if rate == "scene" else round(_SHOWN / self.render_rate) - 1
         else:
             self.options = self.options.changed(name, value)
 
@@ -151,10 +170,15 @@ class Parameters:
             return next(choice for choice in option.choices if choice != option.off)
         return option.low if option.low != option.off else option.low + 1
 
-    def use_defaults(self) -> None:
-        """... for all that is offered, but the rendering window."""
+    def take(self, options: Options, window: str | None) -> None:
+        """All at once, as they were kept."""
         self.network_fault = None
-        for name in self.offered().keys() - {"window", "scene_window"}:
+        self.options, self.window = replace(options, **ALWAYS), window
+
+    def use_defaults(self) -> None:
+        """... for all that is offered, but what is rendered."""
+        self.network_fault = None
+        for name in self.offered().keys() - {"window", "scene_window", "render_rate"}:
             self.set(name, ALL[name].default)
 
     # ---- from one start to the next ------------------------------------------------------------------------

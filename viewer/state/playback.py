@@ -63,6 +63,13 @@ class Playback:
             self._in = self._out = None
         self._place(schedule.slot_at(self._time) if keep else 0)
 
+    def extend(self, count: int, times: Sequence[float] | None = None) -> None:
+        """The same sequence with more frames at its end; who stands at its last slot stays at the last."""
+        at_end = not self._playing and self.slot == self.slots - 1
+        self._schedule = Schedule(count, self.fps, self.n, None if times is None else tuple(map(float, times)))
+        if at_end:
+            self._place(self.slots - 1)
+
     @property
     def count(self) -> int:
         """Rendered frames."""

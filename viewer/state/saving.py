@@ -13,6 +13,7 @@ import numpy as np
 
 from gffe_cl.viewer.picture.canvas import read
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
+from gffe_cl.viewer.picture.legend_strip import Entry, with_legends
 from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.contents import Contents
 from gffe_cl.viewer.state.playback import Playback
@@ -30,6 +31,7 @@ class Subject:
     playback: Playback
     view: View
     shown: Callable[[], View]
+    legends: Callable[[], list[Entry]]
     settled: Callable[[], bool]
 
     @property
@@ -46,13 +48,6 @@ class Subject:
         width, height = self.contents.size
         view = replace(self.shown(), zoom=1.0, centre=(width / 2, height / 2), grid=False)
         return read(canvas.draw(view, (width, height), "export"))
-
-
-def save_picture(subject: Subject, canvas) -> Path:
-    """The view as it is compared and displayed, one display pixel to a pixel, as PNG. Raises GffeError."""
-    path = subject.unused(f"{subject.slot:05d}_{subject.view.a}", ".png")
-    save_png(path, subject.picture(canvas))
-    return path
 
 
 class Work:
@@ -103,6 +98,22 @@ class Work:
 
         self._thread = threading.Thread(target=run, name="gffe-viewer-saving", daemon=True)
         self._thread.start()
+
+
+class PictureWork(Work):
+    """The view as it is compared and displayed, one display pixel to a pixel, as PNG, with legends under it."""
+
+    def __init__(self, subject: Subject):
+        super().__init__(subject, subject.unused(f"{subject.slot:05d}_{subject.view.a}", ".png"), 1)
+
+    def _proceed(self, canvas):
+        if self._thread is None:
+            pixels, legends, self.done = self.subject.picture(canvas), self.subject.legends(), 1
+            self._start(lambda: self._write(with_legends(pixels, legends)))
+
+    def _write(self, pixels: np.ndarray) -> str:
+        save_png(self.path, pixels)
+        return f"saved {self.path}"
 
 
 class LayersWork(Work):

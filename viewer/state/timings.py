@@ -1,4 +1,4 @@
-"""What the last computed frames took."""
+"""What the frames that were shown last took when they were computed."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ class Timings:
 
     def __init__(self):
         self.stages: dict[str, deque[float]] = defaultdict(lambda: deque(maxlen=HISTORY))
+        self.kernels: dict[tuple[str, str], deque[float]] = defaultdict(lambda: deque(maxlen=_MEAN))  # (stage, kernel)
         self._networks: deque[float] = deque(maxlen=_MEAN)
         self._copies: deque[float] = deque(maxlen=_MEAN)
         self._walls: deque[float] = deque(maxlen=_MEAN)
@@ -34,12 +35,26 @@ class Timings:
             del self.stages[name]
         for name, milliseconds in taken.items():
             self.stages[name].append(milliseconds)
+        kernels = {(stage, kernel): ms for stage, taken in result.kernels.items() for kernel, ms in taken.items()}
+        for name in self.kernels.keys() - kernels.keys():
+            if name[0] in taken:
+                kernels[name] = 0.0  # of a rendered frame, or of generated ones, alone
+            else:
+                del self.kernels[name]
+        for name, milliseconds in kernels.items():
+            if name not in self.kernels:  # as many frames as its stage has
+                self.kernels[name].extend([0.0] * (len(self.stages[name[0]]) - 1) if name[0] in self.stages else [])
+            self.kernels[name].append(milliseconds)
         self._walls.append(result.wall_ms)
         self._readbacks.append(result.readback_ms)
 
     def means(self) -> dict[str, float]:
         """Kernel time by stage."""
         return {name: _mean(list(values)[-_MEAN:]) for name, values in self.stages.items()}
+
+    def of_stage(self, stage: str) -> dict[str, float]:
+        """Kernel time by kernel."""
+        return {kernel: _mean(values) for (owner, kernel), values in self.kernels.items() if owner == stage}
 
     def network(self) -> float:
         return _mean(self._networks)

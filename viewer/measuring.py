@@ -1,0 +1,113 @@
+"""How fast the viewer plays (`gffe view --measure`): a first pass, then what it left in the cache."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from gffe_cl.errors import GffeError
+from gffe_cl.viewer.start import PATIENCE, require_display
+
+_SIZE = (1280, 720)  # of the window
+_FASTEST = 4.0  # times real time
+
+
+def measure(model, seconds: float, size: tuple[int, int] | None = None) -> dict[str, dict[str, float]]:
+    """Play every frame, computed, for so many seconds or until the end, then what was played, from the cache, in real
+    time and as often as it fits into so many seconds.
+
+    Returns "first_pass" and "cached": means of frames shown, of those generated and of the interface's per second;
+    first_pass also milliseconds per frame of computing (kernels), reading back and uploading, cached also frames per
+    second that were due and how many frames were dropped. "cached" is empty where there is no cache.
+    Raises GffeError without a display, or when nothing can be played.
+    """
+    require_display()
+    from gffe_cl.viewer.app import App
+
+    stopwatch = _Stopwatch(seconds)
+    App(model, on_frame=stopwatch).run(size or _SIZE, test=lambda app: None)
+    if stopwatch.problem:
+        raise GffeError(stopwatch.problem)
+    return {"first_pass": stopwatch.first.figures(), "cached": stopwatch.cached.figures() if stopwatch.cached else {}}
+
+
+class _Stopwatch:
+    """Called once per frame of the interface: starts the passes one after the other, and closes the window."""
+
+    def __init__(self, seconds: float):
+        self.seconds, self.problem = seconds, None
+        self.first: _Pass | None = None
+        self.cached: _Pass | None = None
+        self._until = time.perf_counter() + PATIENCE
+
+    def __call__(self, app) -> None:
+        model, now = app.model, time.perf_counter()
+        playback = model.playback
+        self.problem = model.failure or model.parameters.network_fault
+        if self.problem is None and self.first is None and now > self._until:
+            self.problem = f"nothing was shown after {PATIENCE:.0f} s"
+        if self.problem:
+            app.close()
+        elif self.first is None:
+            if model.contents.result is not None:
+                playback.mode, playback.speed, playback.loop = "every frame", _FASTEST, False
+                playback.seek(0)
+                playback.play()
+                self.first = _Pass(now, model)
+        elif self.cached is None:
+            self.first.count(now, model)
+            if now - self.first.start > self.seconds or not playback.playing:
+                self._play_again(app, now)
+        else:
+            self.cached.count(now, model)
+            if now - self.cached.start > self.seconds:
+                app.close()
+
+    def _play_again(self, app, now: float) -> None:
+        model, playback = app.model, app.model.playback
+        if not model.engine.cache.most:
+            app.close()
+            return
+        playback.pause()
+        playback.set_out(model.slot)
+        if model.engine.busy:
+            return
+        playback.mode, playback.speed, playback.loop = "real time", 1.0, True
+        playback.seek(0)
+        playback.play()
+        self.cached = _Pass(now, model, real_time=True)
+
+
+class _Pass:
+    """What was shown from `start` on."""
+
+    def __init__(self, start: float, model, real_time: bool = False):
+        self.start = self._end = start
+        self._real_time, self._last = real_time, model.contents.result
+        self._interface = self._dropped = 0
+        self._due_rate = model.playback.target_rate
+        self._rows: list[tuple[bool, float, float, float]] = []
+
+    def count(self, now: float, model) -> None:
+        self._interface += 1
+        self._end, self._dropped = now, model.playback.dropped
+        result = model.contents.result
+        if result is not self._last:
+            self._last = result
+            kernels = sum(result.milliseconds.values())
+            self._rows.append((result.moment.alpha > 0, kernels, result.readback_ms, model.screen.upload_ms))
+
+    def figures(self) -> dict[str, float]:
+        elapsed = max(self._end - self.start, 1e-9)
+        generated = sum(row[0] for row in self._rows)
+        kernels, readback, upload = np.array([row[1:] for row in self._rows] or [(np.nan,) * 3]).mean(0).tolist()
+        figures = {
+            "frames_per_second": len(self._rows) / elapsed,
+            "generated_frames_per_second": generated / elapsed,
+            "interface_frames_per_second": self._interface / elapsed,
+            "upload_ms_per_frame": upload,
+        }
+        if self._real_time:
+            return figures | {"due_per_second": self._due_rate, "dropped": self._dropped}
+        return figures | {"kernels_ms_per_frame": kernels, "reading_back_ms_per_frame": readback}

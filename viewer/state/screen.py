@@ -1,0 +1,75 @@
+"""What is on the canvas: images of one slot, uploaded without holding up the interface."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+
+import numpy as np
+
+from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.layers import FRAME_LAYERS
+from gffe_cl.viewer.engine.preview import Preview
+from gffe_cl.viewer.picture import flip_map, region_map
+from gffe_cl.viewer.picture.displays import FrameInfo
+from gffe_cl.viewer.state.contents import Contents
+from gffe_cl.viewer.state.looks import Looks
+
+_BUDGET = 0.02  # seconds per frame of the interface, but at least one image
+
+
+class Screen:
+    """Puts the images of `contents` on a canvas, and has `looks` meet them.
+
+    Attributes
+    ----------
+    upload_ms : float
+        What the last images took.
+    """
+
+    def __init__(self, contents: Contents, looks: Looks):
+        self._contents, self._looks = contents, looks
+        self._waiting: dict[str, np.ndarray] = {}
+        self.upload_ms = 0.0
+
+    @property
+    def ready(self) -> bool:
+        """Whether all images are on the canvas."""
+        return not self._waiting
+
+    def preview(self, preview: Preview, canvas) -> None:
+        """Something to look at before there are contents."""
+        if canvas is not None:
+            canvas.frame = FrameInfo(preview.color.shape[1::-1], exposure=preview.exposure)
+            canvas.upload(names.FINAL, preview.color, FRAME_LAYERS[names.FINAL])
+
+    def show(self, images: Mapping[str, np.ndarray], first: set[str], canvas) -> None:
+        """Have these images, with those of other settings, and no others, which would be of another time, on the
+        canvas: those of `first` at once, the others as soon as there is time."""
+        second = self._contents.second if images else None
+        others = {} if second is None else {names.of_second(name): image for name, image in second.images.items()}
+        self._waiting, self.upload_ms = dict(images) | others, 0.0
+        if canvas is not None:
+            if images:
+                canvas.frame = self._contents.frame_info()
+            canvas.forget(canvas.layers.keys() - self._waiting.keys() - {flip_map.NAME, region_map.NAME})
+        for name in first & self._waiting.keys():
+            self._upload(name, canvas)
+        self.proceed(canvas)
+
+    def proceed(self, canvas) -> None:
+        """Once per frame of the interface."""
+        end = time.perf_counter() + _BUDGET
+        while self._waiting:
+            self._upload(next(iter(self._waiting)), canvas)
+            if time.perf_counter() > end:
+                return
+
+    def _upload(self, name: str, canvas) -> None:
+        start, image = time.perf_counter(), self._waiting.pop(name)
+        if canvas is not None:
+            own = [self._contents.frame_info(self._contents.second)] if names.is_second(name) else []
+            canvas.upload(name, image, self._contents.spec(name), *own)
+        self.upload_ms += (time.perf_counter() - start) * 1e3
+        if not names.is_second(name):
+            self._looks.meet([name])
