@@ -91,9 +91,7 @@ class _Job:
         renderer = SceneRenderer(device, self.scene, *small, self.samples, 1 / self.scale)
         is_apart = self.ground_truth and (self.scale > 1 or self.jitter.length > 1)
         truths = SceneRenderer(device, self.scene, *self.size, 8) if is_apart else None
-        return SceneFrames(
-            renderer, WindowChooser(self.window, self.size, self.alphas), self.size, self.jitter, truths
-        )
+        return SceneFrames(renderer, WindowChooser(self.window, self.size, self.alphas), self.size, self.jitter, truths)
 
 
 def _here(job: _Job, count: int, device: Device) -> Iterator[tuple[FrameEntry, dict]]:

@@ -363,7 +363,7 @@ def _background_story(pipeline, shot, pixel, source_px, level: int, values) -> S
         said.append(Step(hides, *_to_source(shot, source_px)))
     if getattr(pipeline.stages.get("holes"), "mixes", False):
         said.append(
-            Step("Its colour is mixed with that of the surface beside the hole, the nearer and the more uniform the more.")
+            "Its colour is mixed with that of the surface beside the hole, the nearer and the more uniform the more."
         )
     now = (pixel[0] + 0.5, pixel[1] + 0.5)
     path = (moved(at, shot.moment.render_camera, shot.moment.display_camera), now) if at else (now,)
