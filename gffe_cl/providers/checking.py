@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.opencl.known_devices import fingerprint
-from gffe_cl.opencl.runtimes import keep_file, kept_folder
+from gffe_cl.opencl.runtimes import keep_file, kept_folder, vendors
 from gffe_cl.providers import runtime, sessions
 from gffe_cl.providers.runtime import CPU, NetworkError, NoDeviceError, Provider, open_session
 
@@ -72,13 +72,15 @@ class Verdict:
 
 def verdict(path: Path, provider: Provider, refresh: bool = False) -> Verdict:
     """Of `provider` with the network in the file `path`: recalled, or found out in a child process (`refresh`: always).
-    What did not work is tried again after an hour."""
+    What did not work is tried again after an hour, and everything after a day where drivers cannot be told apart by
+    their files."""
     file = _kept(path, provider)
     if file and not refresh:
         with suppress(OSError, ValueError, TypeError, AttributeError, RecursionError):
             found = _from_json(file.read_text("utf-8"))
             age = time.time() - file.stat().st_mtime
-            if found.provider == provider.name and (found.passes or 0 <= age <= _HOUR):
+            longest = _HOUR if found.problem else math.inf if vendors() else 24 * _HOUR
+            if found.provider == provider.name and 0 <= age <= longest:
                 return found
     found = _in_child(path, provider)
     if file:
