@@ -32,7 +32,8 @@ _OTHERS = (
     ((120, 68), Options(levels=0, soft_silhouettes=False, shading_correction=False)),
     ((96, 54), Options(motion=False, hidden_parts=False, acceleration=False, blocks=False, shading_correction=False)),
 )
-_OTHERS_EVERY, _REOPENED_EVERY = 25, 125  # frames
+_OTHERS_EVERY = 25  # frames
+_REOPENED_EVERY = 4  # rounds, a device is opened anew: drivers do not give back all of what one took
 _SETTLED = 1000  # frames from which on memory must not grow
 _FINALE = 6  # frames of the end of a round
 _PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
@@ -78,14 +79,14 @@ def soak(device: Device, count: int, seed: int = 0, on_round: Callable[[Soak], N
     clip = frames(*SIZE, RENDER_SIZE)
     others = [frames(*size) for size, _ in _OTHERS]
     pipeline = _pipeline(device)
-    for _ in range(-(-count // ROUND)):
+    for number in range(-(-count // ROUND)):
         taken = []
         for k, frame in enumerate(_round(clip, rng)):
             start = time.perf_counter()
             clock += 1 / FPS
             _step(pipeline, replace(frame, time=clock), rng, told)
             if k % _OTHERS_EVERY == 0:
-                _beside(device, others, rng, told, anew=k % _REOPENED_EVERY == 0)
+                _beside(device, others, rng, told, anew=k == 0 and number % _REOPENED_EVERY == 0)
             taken.append((time.perf_counter() - start) * 1e3)
         told.ends.add(_finale(pipeline, clip, np.ceil(clock) + 1))
         told.frames += _FINALE
