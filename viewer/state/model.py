@@ -263,9 +263,14 @@ class Model:
         beside = not (self.flying or self.overview or self.export or self._wanted[0].slot != result.request.slot)
         self.filling.update(now, self.recipe, self._wanted[0], nbytes, beside)
 
+    @property
+    def _inspects(self) -> bool:
+        """Whether the engine is asked about pixels: not for what is played from the cache."""
+        return not (self.from_cache and self.playback.playing)
+
     def _inspect(self, x: int, y: int) -> None:
         """Ask about a pixel of what is shown; what comes from the cache is not made for that while it plays."""
-        if not (self.from_cache and self.playback.playing):
+        if self._inspects:
             request = self.contents.result.request if self.from_cache else None
             self.engine.inspect(x, y, request=request)
 
@@ -304,7 +309,7 @@ class Model:
             and self._asked is not None
             and self.contents.result.request == self._asked
             and not self.engine.busy
-            and not self.pointing.story_due
+            and not (self.pointing.story_due and self._inspects)
             and self.comparison.ready
             and self.screen.ready
         )
