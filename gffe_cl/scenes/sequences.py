@@ -65,8 +65,8 @@ class SceneFrames:
         return RenderedFrame(image.color, image.depth, image.motion, camera, time, shown, reset=before is None)
 
     def unrendered(self, time: float, number: int = 0) -> RenderedFrame:
-        """What another frame needs of frame `number`, at `time`: its cameras, without buffers; but for adaptive windows,
-        which follow from what was rendered before."""
+        """What another frame needs of frame `number`, at `time`: its cameras, without buffers; not for adaptive
+        windows, which follow from what was rendered before."""
         shown = self.display_camera(time)
         return RenderedFrame(None, None, None, self.render_camera(shown, None, number), time, shown)
 

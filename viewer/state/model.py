@@ -322,9 +322,14 @@ class Model:
             self.playback.seek(slot)
         self.say(text)
 
+    @property
+    def _inspects(self) -> bool:
+        """Whether the engine is asked about pixels: not for what is played from the cache."""
+        return not (self.from_cache and self.playback.playing)
+
     def _inspect(self, x: int, y: int) -> None:
         """Ask about a pixel of what is shown; what comes from the cache is not made for that while it plays."""
-        if not (self.from_cache and self.playback.playing):
+        if self._inspects:
             request = self.contents.result.request if self.from_cache else None
             self.engine.inspect(x, y, request=request)
 
@@ -368,7 +373,7 @@ class Model:
             and self._asked is not None
             and self.contents.result.request == self._asked
             and not self.engine.busy
-            and not self.pointing.story_due
+            and not (self.pointing.story_due and self._inspects)
             and self.comparison.ready
             and not self.second.waits
             and self.regions.ready
