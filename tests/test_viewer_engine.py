@@ -286,6 +286,7 @@ def test_options_change_what_they_should(device):
         "static_threshold": (40.0, {"history.dynamic_mask", "frame.dynamic"}, {"rendered.motion"}),
         "history": (4, set(), upto_submit | {"final"}),
         "acceleration": (False, {"prediction.target_position"}, upto_submit),
+        "upscale": (1.0, {"final"}, upto_submit | {"frame.color"}),
         "levels": (1, set(), {"history.met_depth", "surfaces.links", "background.color_0", "background.px_0"}),
         "shading_inputs": (False, set(), upto_submit | {"final", "background.color_1"}),
     }
@@ -803,6 +804,17 @@ def stories(engine, setup, slot, mask_of, most=12):
         engine.inspect(int(x), int(y))
         told.append(wait_for(engine.poll_inspection).story)
     return told
+
+
+def test_stories_of_upscaling(device):
+    """Of a rendered frame: what is behind it; of generated ones: what they are seen through."""
+    setup = Setup(Options(upscale=1), n=1)
+    with running(device, Clip()) as engine:
+        for story in stories(engine, setup, 8, lambda i: i["upscaling.rejected"] < 10, most=2):
+            assert "gathered over time" in story.sentences[0] and "0% of the history" in story.sentences[0]
+        for hole, said in ((0, "seen through the history"), (1, "no history here")):
+            for story in stories(engine, setup, 9, lambda i, hole=hole: i["frame.disoccluded"] == hole, most=2):
+                assert said in story.sentences[-1]
 
 
 def surface_at(at, pixel):
