@@ -6,7 +6,9 @@ import hashlib
 
 import numpy as np
 
-from gffe_cl.inference import OUTPUT_PLANES, PROVIDERS, NetworkError, default_model, load_network, load_onnxruntime
+from gffe_cl.inference import OUTPUT_PLANES, NetworkError, default_model, load_network
+from gffe_cl.providers.checking import verdict
+from gffe_cl.providers.runtime import CPU, installed_providers
 from gffe_cl.selftest.reference import Reference, recorded
 
 ALPHA = 2 / 3
@@ -15,9 +17,9 @@ _STEP = 2.0**-13  # of recorded values
 
 
 def providers() -> list[str]:
-    """Those of `PROVIDERS` that this onnxruntime has."""
-    available = load_onnxruntime().get_available_providers()
-    return [name for name, full in PROVIDERS.items() if full in available]
+    """The installed ones that have a device here."""
+    model = default_model()
+    return [p.name for p in installed_providers() if p == CPU or (model and verdict(model, p).present)]
 
 
 def output_of(provider: str, reference: Reference) -> np.ndarray:

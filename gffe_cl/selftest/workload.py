@@ -71,6 +71,8 @@ class FixedNetwork:
     """In place of the shading correction network, whose output differs between machines: a pattern that hangs on
     nothing but its size. Kernels around it must make the same of it everywhere."""
 
+    copying = 0.0
+
     def run(self, frames: np.ndarray, alpha: float, correction: np.ndarray) -> int:
         """As `inference.Network.run`."""
         planes, height, width = correction.shape
