@@ -326,7 +326,7 @@ def test_wheel_legend_and_colors():
 
 def test_channel_of_a_vector_has_a_ramp():
     assert legend(MOTION, Display(channel="x")).kind == "ramp" and legend(FINAL, Display()).kind == "none"
-    assert legend(BY_NAME["warp.mixed"], Display(tint=(1, 0, 0))).labels[1] == ("1", (1, 0, 0))
+    assert legend(BY_NAME["frame.disoccluded"], Display(tint=(1, 0, 0))).labels[1] == ("1", (1, 0, 0))
 
 
 @pytest.mark.parametrize(
