@@ -13,12 +13,24 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from gffe_cl.cli.common import DeviceOption, SchedulerOption, app, err, out, parse_numbers, parse_size, plain, warn
+from gffe_cl.cli.common import (
+    DeviceOption,
+    SchedulerOption,
+    app,
+    cluster_at,
+    err,
+    out,
+    parse_numbers,
+    parse_size,
+    plain,
+    warn,
+)
 from gffe_cl.errors import GffeError
 from gffe_cl.files import replacing
 
 if TYPE_CHECKING:
-    from gffe_cl.evaluation.table.engine import Filled
+    from gffe_cl.cluster import Cluster
+    from gffe_cl.evaluation.table.engine import Executor, Filled
     from gffe_cl.evaluation.table.results import Column
     from gffe_cl.evaluation.table.subjects import Subject
 
@@ -134,15 +146,10 @@ def _filling(output: Path, device: str | None, scheduler: str | None):
     """A function that fills a table of cells kept in `output`, with a bar that knows the time left."""
     from gffe_cl.evaluation.table.engine import fill
 
-    executor = None
-    if scheduler:
-        from gffe_cl.evaluation.table.cluster import cluster
-
-        executor = cluster(scheduler)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(
-        *columns, TextColumn("left"), TimeRemainingColumn(), console=err, disable=not err.is_terminal
-    ) as bars:
+    bars = Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=err, disable=not err.is_terminal)
+    with cluster_at(scheduler) as workers, bars:
+        executor = _executor(workers)
 
         def filled(text: str, order) -> Filled:
             def on_plan(total: int):
@@ -152,6 +159,14 @@ def _filling(output: Path, device: str | None, scheduler: str | None):
             return fill(order, output / "cells", device, executor, on_plan)
 
         yield filled
+
+
+def _executor(workers: Cluster | None) -> Executor | None:
+    if not workers:
+        return None
+    from gffe_cl.evaluation.table.cluster import executor_of
+
+    return executor_of(workers)
 
 
 def _write(output: Path, results: dict, filled: Filled) -> None:
