@@ -208,7 +208,7 @@ def _print(results: dict, with_budget: bool) -> None:
     out.print(f"Means over {count} sequence{'s' if count > 1 else ''}. Flicker: `gffe_cl.evaluation.table.flicker`.")
     _print_gains(results)
     if results["late"]:
-        _print_late(results["late"], titles)
+        _print_late(results["late"])
     if with_budget:
         _print_budget(results["budget"])
     for skip in results["skipped"]:
@@ -236,16 +236,14 @@ def _print_budget(budget: dict[str, list[dict]]) -> None:
         out.print(table)
 
 
-def _print_late(rows: list[dict], titles: dict[str, str]) -> None:
+def _print_late(rows: list[dict]) -> None:
     from gffe_cl.evaluation.table.results import METRIC_COLUMNS
 
     heads: list[Column] = list(METRIC_COLUMNS)
     table = Table("late warp", "turn", *(c.title for c in heads), "not shown before", box=None, header_style="bold")
     for row in rows:
         figures = (c.text(row[c.name]) for c in heads)
-        table.add_row(
-            titles.get(row["method"], row["method"]), f"{row['turn']:g}°", *figures, f"{row['disoccluded']:.2%}"
-        )
+        table.add_row(row["title"], f"{row['turn']:g}°", *figures, f"{row['disoccluded']:.2%}")
     out.print(table)
 
 
