@@ -116,8 +116,8 @@ GAE: dict[str, Change] = {
     "what lies beyond the image has no far side": Change(
         edits={
             "holes.cl": {
-                "*mean = weighted_mean(count, met, inverse, weight, color);\n    const float3": "*mean ="
-                " weighted_mean(count, met, inverse, weight, color);\n    return true;\n    const float3"
+                "*mean = weighted_mean(a.count, a.px, a.inverse, weight, color);\n    const float3": "*mean ="
+                " weighted_mean(a.count, a.px, a.inverse, weight, color);\n    return true;\n    const float3"
             }
         }
     ),
