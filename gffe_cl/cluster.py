@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import threading
 import uuid
-import weakref
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache, lru_cache
 from importlib.resources import files
@@ -38,7 +37,10 @@ class Cluster:
             self._client = Client(address, timeout=PATIENCE, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise GffeError(f"--scheduler {address}: no Dask scheduler answers ({type(error).__name__})") from None
-        weakref.finalize(self, self._client.close)
+
+    def close(self) -> None:
+        """Leave the scheduler; what it computes for others goes on."""
+        self._client.close()
 
     def compute(
         self, function: Callable[..., Any], items: Mapping[str, tuple], in_order: bool = False

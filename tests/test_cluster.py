@@ -22,6 +22,13 @@ def workers():
         yield local
 
 
+@pytest.fixture
+def cluster(workers):
+    made = Cluster(workers.scheduler_address)
+    yield made
+    made.close()
+
+
 def kill_one(workers):
     os.kill(next(iter(workers.workers.values())).pid, signal.SIGKILL)
 
@@ -44,7 +51,7 @@ def test_rendered_frames_are_the_same(workers, gffe, tmp_path):
     assert code == 2 and "follows from frame to frame" in " ".join(err.split()) and not (tmp_path / "no").exists()
 
 
-def test_clips_are_the_same(workers, tmp_path):
+def test_clips_are_the_same(workers, cluster, tmp_path):
     pytest.importorskip("torch", reason="needs PyTorch")
     from gffe_cl.scn import clips
 
@@ -55,7 +62,6 @@ def test_clips_are_the_same(workers, tmp_path):
         if len(told) == 1:
             kill_one(workers)
 
-    cluster = Cluster(workers.scheduler_address)
     assert clips.make_clips(tmp_path / "far", None, SEED, 2, on_clip, cluster=cluster) == 2 and told == [True] * 2
     assert clips.make_clips(tmp_path / "near", open_device(), SEED, 1) == 1
     near, far = contents(tmp_path / "near"), contents(tmp_path / "far")
@@ -65,8 +71,7 @@ def test_clips_are_the_same(workers, tmp_path):
     )
 
 
-def test_work_that_fails_says_why(workers, monkeypatch):
-    cluster = Cluster(workers.scheduler_address)
+def test_work_that_fails_says_why(cluster, monkeypatch):
     items = {str(k): (k,) for k in range(200)}
     assert list(cluster.compute(abs, items, in_order=True)) == [(str(k), k) for k in range(200)]
     assert dict(cluster.compute(abs, items)) == {str(k): k for k in range(200)}

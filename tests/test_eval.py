@@ -228,14 +228,14 @@ def test_a_killed_command_leaves_finished_cells(tmp_path):
 def test_a_cluster_gives_the_same_cells(tmp_path):
     """Two workers, one of which is killed on the way: nothing is lost, nothing is counted twice."""
     distributed = pytest.importorskip("distributed", reason="needs dask")
-    from gffe_cl.evaluation.table.cluster import cluster as executor_of
+    from gffe_cl.evaluation.table.cluster import executor_of
 
     subjects = tuple(SceneSubject(name, 0, 64, 36, 4, 30.0, (0.5,)) for name in ("room", "forest"))
     order = Order(subjects, ("static-reprojection", "motion-vectors", "guided", "repeat"))
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
     ) as local:
-        compute, seen = executor_of(local.scheduler_address), []
+        compute, seen = executor_of(cluster.Cluster(local.scheduler_address)), []
 
         def killing(items, arguments):
             for work, cell in compute(items, arguments):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -47,11 +48,19 @@ SchedulerOption = Annotated[
 ]
 
 
-def cluster_at(address: str | None) -> Cluster | None:
-    """The cluster of --scheduler; None without one. Raises GffeError."""
+@contextmanager
+def cluster_at(address: str | None) -> Iterator[Cluster | None]:
+    """The cluster of --scheduler for a while; None without one. Raises GffeError."""
+    if not address:
+        yield None
+        return
     from gffe_cl.cluster import Cluster
 
-    return Cluster(address) if address else None
+    cluster = Cluster(address)
+    try:
+        yield cluster
+    finally:
+        cluster.close()
 
 
 def output_file(option: str):

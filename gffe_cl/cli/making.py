@@ -168,9 +168,8 @@ def render(
 
     width, height = parse_size(size)
     built, jittered = load_scene(scene, seed), Jitter.parse(jitter)
-    workers = cluster_at(scheduler)
-    opened = None if workers else open_device(device)
-    with progress_bars() as progress:
+    with cluster_at(scheduler) as workers, progress_bars() as progress:
+        opened = None if workers else open_device(device)
         total = frames * (1 + per_frame * ground_truth)
         count = render_sequence(
             built, output, opened, width, height, frames, fps,

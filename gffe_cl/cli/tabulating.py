@@ -13,12 +13,24 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from gffe_cl.cli.common import DeviceOption, SchedulerOption, app, err, out, parse_numbers, parse_size, plain, warn
+from gffe_cl.cli.common import (
+    DeviceOption,
+    SchedulerOption,
+    app,
+    cluster_at,
+    err,
+    out,
+    parse_numbers,
+    parse_size,
+    plain,
+    warn,
+)
 from gffe_cl.errors import GffeError
 from gffe_cl.files import replacing
 
 if TYPE_CHECKING:
-    from gffe_cl.evaluation.table.engine import Filled
+    from gffe_cl.cluster import Cluster
+    from gffe_cl.evaluation.table.engine import Executor, Filled
     from gffe_cl.evaluation.table.results import Column
     from gffe_cl.evaluation.table.subjects import Subject
 
@@ -134,15 +146,10 @@ def _filling(output: Path, device: str | None, scheduler: str | None):
     """A function that fills a table of cells kept in `output`, with a bar that knows the time left."""
     from gffe_cl.evaluation.table.engine import fill
 
-    executor = None
-    if scheduler:
-        from gffe_cl.evaluation.table.cluster import cluster
-
-        executor = cluster(scheduler)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(
-        *columns, TextColumn("left"), TimeRemainingColumn(), console=err, disable=not err.is_terminal
-    ) as bars:
+    bars = Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=err, disable=not err.is_terminal)
+    with cluster_at(scheduler) as workers, bars:
+        executor = _executor(workers)
 
         def filled(text: str, order) -> Filled:
             def on_plan(total: int):
@@ -152,6 +159,14 @@ def _filling(output: Path, device: str | None, scheduler: str | None):
             return fill(order, output / "cells", device, executor, on_plan)
 
         yield filled
+
+
+def _executor(workers: Cluster | None) -> Executor | None:
+    if not workers:
+        return None
+    from gffe_cl.evaluation.table.cluster import executor_of
+
+    return executor_of(workers)
 
 
 def _write(output: Path, results: dict, filled: Filled) -> None:
@@ -193,7 +208,7 @@ def _print(results: dict, with_budget: bool) -> None:
     out.print(f"Means over {count} sequence{'s' if count > 1 else ''}. Flicker: `gffe_cl.evaluation.table.flicker`.")
     _print_gains(results)
     if results["late"]:
-        _print_late(results["late"], titles)
+        _print_late(results["late"])
     if with_budget:
         _print_budget(results["budget"])
     for skip in results["skipped"]:
@@ -221,16 +236,14 @@ def _print_budget(budget: dict[str, list[dict]]) -> None:
         out.print(table)
 
 
-def _print_late(rows: list[dict], titles: dict[str, str]) -> None:
+def _print_late(rows: list[dict]) -> None:
     from gffe_cl.evaluation.table.results import METRIC_COLUMNS
 
     heads: list[Column] = list(METRIC_COLUMNS)
     table = Table("late warp", "turn", *(c.title for c in heads), "not shown before", box=None, header_style="bold")
     for row in rows:
         figures = (c.text(row[c.name]) for c in heads)
-        table.add_row(
-            titles.get(row["method"], row["method"]), f"{row['turn']:g}°", *figures, f"{row['disoccluded']:.2%}"
-        )
+        table.add_row(row["title"], f"{row['turn']:g}°", *figures, f"{row['disoccluded']:.2%}")
     out.print(table)
 
 

@@ -91,9 +91,9 @@ def train(
                 plan.clip(made, wanted, processes.count)
 
             part = processes.rank, processes.count
-            workers = cluster_at(scheduler)
-            opened = None if workers else open_device(device)
-            make_clips(data, opened, seed, wanted, on_clip, part, plan.clips_until, _LEAST_CLIPS, workers)
+            with cluster_at(scheduler) as workers:
+                opened = None if workers else open_device(device)
+                make_clips(data, opened, seed, wanted, on_clip, part, plan.clips_until, _LEAST_CLIPS, workers)
             processes.any(False)  # all have made theirs
             if data_only:
                 if processes.first:

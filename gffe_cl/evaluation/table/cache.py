@@ -16,7 +16,7 @@ from gffe_cl.opencl.program import kernel_folder
 
 _VERSION = 1
 # What has no part in the figures, or only carries them.
-_ELSEWHERE = ("cli", "viewer", "scn", "demo.py", "run.py", "render.py", "__main__.py")
+_ELSEWHERE = ("cli", "viewer", "scn", "cluster.py", "demo.py", "run.py", "render.py", "__main__.py")
 _MEASURING = ("subjects", "regions", "methods", "baselines", "image_space", "network", "flicker", "videos", "cells")
 
 

@@ -14,10 +14,8 @@ from gffe_cl.evaluation.table.methods import chosen_methods
 from gffe_cl.evaluation.table.subjects import Subject
 
 
-def cluster(address: str) -> Executor:
-    """An executor for `fill` on the Dask scheduler at `address` ("tcp://host:8786"). Workers see folders of sequences
-    and ONNX files under the same paths. Raises GffeError if no scheduler answers."""
-    workers = Cluster(address)
+def executor_of(workers: Cluster) -> Executor:
+    """An executor for `fill`. Workers see folders of sequences and ONNX files under the same paths as here."""
 
     def compute(items: list[Work], arguments: dict) -> Iterator[tuple[Work, Cell]]:
         return _compute(workers, items, arguments)

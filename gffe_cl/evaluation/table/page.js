@@ -232,13 +232,14 @@ function overview() {
 function late() {
   const heads = [{ title: "method" }, { title: "turn, °" }, ...["psnr", "ssim", "flip"].map(n => ({ title: columns[n].title })), { title: "not shown before" }];
   const names = [...new Set(results.late.map(r => r.method))];
+  const title = Object.fromEntries(results.late.map(r => [r.method, r.title]));
   const curves = names.map((name, k) => ({ name, color: COLORS[k], points: results.late.filter(r => r.method === name).map(r => [r.turn, r.psnr]) }));
   report.append(make("h2", {}, "Late warp"),
     make("p", {}, "A rendered frame shown at its own time, from a camera that has turned to the right since."),
     plot("PSNR, dB, over the turn", "degrees", curves, 1),
-    make("div", { className: "legend" }, ...curves.map(c => make("span", {}, make("i", { style: `background:${c.color}` }), titles[c.name] || c.name))),
+    make("div", { className: "legend" }, ...curves.map(c => make("span", {}, make("i", { style: `background:${c.color}` }), title[c.name]))),
     sortable(heads, results.late.map(r => ({ cells: [
-      { text: titles[r.method] || r.method }, { text: String(r.turn), value: r.turn },
+      { text: r.title }, { text: String(r.turn), value: r.turn },
       ...["psnr", "ssim", "flip"].map(n => ({ text: text(r[n], columns[n].digits), value: r[n] })), { text: percent(r.disoccluded), value: r.disoccluded },
     ] }))));
 }

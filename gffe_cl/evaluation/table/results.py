@@ -201,7 +201,7 @@ def _late(late: dict[float, Filled]) -> list[dict]:
     for turn, filled in late.items():
         for name in filled.methods:
             cells = [cell for (_, method), cell in filled.cells.items() if method == name]
-            row = {"method": name, "turn": turn}
+            row = {"method": name, "title": filled.methods[name].title, "turn": turn}
             for column in METRIC_COLUMNS:
                 row[column.name] = float(np.mean([_average(cell, column.name) for cell in cells]))
             errors = RegionErrors.pooled(cell.errors for cell in cells)
