@@ -61,6 +61,17 @@ class Option:
         """Whether it can be switched on and off."""
         return self.off is not None
 
+    def words(self, value: Any) -> list[str]:
+        """What says `value` on the command line; nothing for the default, or for an option without a flag."""
+        if self.flag is None or value == self.default:
+            return []
+        if self.kind is bool:
+            on, _, off = self.flag.partition("/")
+            return [on if value or not off else off]
+        if self.off_flag and value == self.off:
+            return [self.off_flag]
+        return [self.flag, str(value)]
+
     def checked(self, value: Any) -> Any:
         """`value` as the field holds it. GffeError if it makes no sense."""
         if value is None and self.automatic is not None:
@@ -219,3 +230,11 @@ class Options:
 
 
 OPTIONS: dict[str, Option] = {f.name: replace(f.metadata["option"], name=f.name) for f in fields(Options)}
+
+
+def command_words(options: Options) -> list[str]:
+    """The options of `gffe run` that give `options`; those of a network that does not run are left out."""
+    without = () if options.shading_correction is not False else ("focus_mask", "scn_model", "scn_provider")
+    return [
+        word for name, option in OPTIONS.items() if name not in without for word in option.words(getattr(options, name))
+    ]

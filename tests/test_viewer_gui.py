@@ -378,7 +378,7 @@ def test_appearance(values):
     assert hidden > 1.3 * first and back == pytest.approx(first, abs=3)
     assert not values["layers when hidden"] and values["kernels stay closed"]
     assert values["default arrangement"]["width"] == pytest.approx(first, abs=8)
-    assert all(values["default arrangement"]["open"])
+    assert values["default arrangement"]["closed"] == ["Plot"]
 
 
 def test_resizing(values):
@@ -431,3 +431,68 @@ def test_restart(values):
     assert values["compare"] == ["split", "frame.motion", 0.25]
     assert [name for name, shown in values["panels"].items() if not shown] == ["Timings"]
     assert values["window"] == [1100, 700]
+
+
+def test_settings_a_and_b(values):
+    assert values["kept"] == "defaults" and values["A differs"]
+    assert values["left is A"] and values["right is B"] and values["held shows B"]
+    assert values["largest fault of the difference"] <= 8  # A and B are rounded to 8 bits here, times 4
+    assert values["B follows A's layer"] == "B:frame.filled_by"
+    a, b = values["scores"]
+    assert b > a + 1
+    assert values["slots"] == [[14, 14], [15, 15], [15, 15]]
+    assert "--no-motion" in values["command"].split() and values["command"].startswith("gffe run ")
+    assert values["swapped"] is True
+
+
+def test_finding_frames(values):
+    assert values["slots"] == [list(range(1, 16, 2))] * 2
+    assert values["visited"] == values["worst"] and len(set(values["visited"])) == 3
+    assert values["in the plot"] == pytest.approx(values["by hand"], abs=1e-9)
+    assert values["most different"][0] == values["most different"][1]
+    assert {"psnr", "flicker", "disoccluded", "kernels"} <= set(values["quantities"])
+    assert values["clicked"] == 9
+
+
+def test_regions_of_errors(values):
+    assert 0.05 < values["tinted"] < 0.6
+    assert sum(values["pixels"].values()) == pytest.approx(1)
+    for side in zip(*values["errors"].values(), strict=True):
+        assert sum(side) == pytest.approx(1)
+    a, b = values["errors"]["dynamic"]
+    assert b > 2 * a  # B has no motion estimation
+    assert values["only"] == "dynamic" and values["bright inside"] and values["dim outside"] > 0.9
+    assert values["all again"] is None and values["as before"]
+
+
+def test_walking_along_a_story(values):
+    assert ["frame 6", "final"] in values["links"] and ["dynamic mask", "history.dynamic_mask"] in values["links"]
+    way = np.array(values["way"])
+    assert way[:, 0].tolist() == [6, 5, 4, 3, 2, 1, 0]
+    steps = np.diff(way[:, 1:], axis=0)  # back in time, a walker who comes nearer from the left
+    assert (steps[:, 0] < -2).all() and (np.abs(steps) < 8).all()
+    slot, pixel, told = values["at the rendered frame"]
+    assert slot == 12 and told == "Rendered frame 6 as it is."
+    assert np.abs(np.add(pixel, 0.5) - way[0, 1:]).max() <= 0.5
+    assert values["layer"] == "history.dynamic_mask"
+    slot, pixel = values["two before"]
+    assert slot == 8 and np.abs(np.add(pixel, 0.5) - way[2, 1:]).max() <= 1.5
+    assert values["back"] and values["back is disabled"] == "no link was followed"
+
+
+def test_rectangle(values):
+    assert values["rectangle"] == [140, 40, 190, 100] and not values["panned"]
+    assert values["psnr"][0] == pytest.approx(values["psnr"][1], abs=1e-3)
+    assert values["worst"][0] == values["worst"][1] == values["picked"][0] == values["picked"][1]
+    filled, own = values["filled"]
+    assert filled["its own fragment"] == pytest.approx(own) and sum(filled.values()) == pytest.approx(1)
+    assert values["lengths"][0] == values["lengths"][1]
+    assert values["of a rendered frame"] == [None, {}] and values["forgotten"] is None
+
+
+def test_legends_in_saved_pictures(values):
+    assert values["colour"] == [108, 192, 4]
+    shapes = {**values["heights"], "error": values["error"]}
+    assert all(shape[0] > 108 + 20 and shape[1] == 200 for shape in shapes.values()), shapes
+    assert shapes["frame.filled_by"][0] > shapes["frame.dynamic"][0], "more labels take more room"
+    assert values["the same above"]

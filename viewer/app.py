@@ -21,6 +21,8 @@ from gffe_cl.viewer.panels import (
     layer_list,
     modules,
     picture,
+    plot,
+    regions,
     theme,
     timeline,
     timings,
@@ -32,19 +34,25 @@ from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.settings import can_save
 
 _TITLE = "gffe-cl"
-_LAYOUT_VERSION = 1
+_LAYOUT_VERSION = 2
 _PANELS = {
     "Picture": (picture.draw, "MainDockSpace"),
     "Layers": (layer_list.draw, "Left"),
     "Modules": (modules.draw, "Right"),
     "Compare": (compare.draw, "Right"),
     "Inspector": (inspector.draw, "RightBottom"),
+    "Regions": (regions.draw, "RightBottom"),
     "Timings": (timings.draw, "RightBottom"),
     "Kernels": (kernels.draw, "RightBottom"),
+    "Plot": (plot.draw, "Above"),
     "Timeline": (timeline.draw, "Bottom"),
 }
-SIDE_PANELS = tuple(name for name in _PANELS if name not in ("Picture", "Timeline"))  # those that are hidden together
+_HIDDEN = ("Plot",)  # until they are asked for
+SIDE_PANELS = tuple(
+    name for name in _PANELS if name not in ("Picture", "Plot", "Timeline")
+)  # those that are hidden together
 _TIMELINE_HEIGHT = 110.0  # pixels at the usual size of letters
+_PLOT_HEIGHT = 170.0
 _LEAST_SCALE, _LARGEST_SCALE = 0.6, 3.0
 _SIDES = (320.0, 464.0)  # pixels left and right of the picture, at the usual size of letters ...
 _WIDEST = (0.24, 0.33)  # ... but not more of the width
@@ -95,6 +103,7 @@ class App:
         self._stretched: dict[str, tuple[float, float]] = {}  # sizes of docks that were set: now and at scale 1
         self.canvas_size = (0, 0)  # screen pixels
         self._drawn = self._texture = None
+        self._plot_due = False
         self.inspected: tuple = (None, [])  # an inspection, and its rows in the inspector
         self._layers_known: list = []  # those that have actions
         self.drags, self.pressed_at = "nothing", None  # by the mouse, in the picture
@@ -160,9 +169,11 @@ class App:
     def _docking(self, size: tuple[int, int]) -> hello_imgui.DockingParams:
         docking = hello_imgui.DockingParams()
         bottom = min(_TIMELINE_HEIGHT * self.scale / size[1], 0.4)
+        above = min(_PLOT_HEIGHT * self.scale / size[1] / (1 - bottom), 0.4)
         left, right = (min(side * self.scale / size[0], most) for side, most in zip(_SIDES, _WIDEST, strict=True))
         docking.docking_splits = [
             hello_imgui.DockingSplit("MainDockSpace", "Bottom", imgui.Dir.down, bottom),
+            hello_imgui.DockingSplit("MainDockSpace", "Above", imgui.Dir.down, above),
             hello_imgui.DockingSplit("MainDockSpace", "Left", imgui.Dir.left, left),
             hello_imgui.DockingSplit("MainDockSpace", "Right", imgui.Dir.right, right / (1 - left)),
             hello_imgui.DockingSplit("Right", "RightBottom", imgui.Dir.down, _LOWER_RIGHT),
@@ -172,7 +183,7 @@ class App:
 
     def _panel(self, name: str, draw, space: str) -> hello_imgui.DockableWindow:
         window = hello_imgui.DockableWindow(name, space, can_be_closed_=name != "Picture")
-        window.is_visible = self.model.settings.panels.get(name, True)
+        window.is_visible = self.model.settings.panels.get(name, name not in _HIDDEN)
         window.remember_is_visible = False  # the settings do
         window.call_begin_end, docked = False, True
 
@@ -207,7 +218,8 @@ class App:
         """Give the panels around the picture more or less room, for larger or smaller letters."""
         width, height = imgui.get_io().display_size
         around = {node.id_ for node in _dock_nodes("Picture")}
-        for name, most in (("Layers", _WIDEST[0] * width), ("Modules", _WIDEST[1] * width), ("Timeline", 0.4 * height)):
+        sizes = ("Layers", _WIDEST[0] * width), ("Modules", _WIDEST[1] * width), ("Timeline", 0.4 * height)
+        for name, most in sizes:
             beside = [node for node in _dock_nodes(name) if node.id_ not in around]
             if not beside:
                 continue
@@ -228,6 +240,30 @@ class App:
         window = self.panel(name)
         window.is_visible = not window.is_visible
         self.panels_hidden = False
+
+    def show_survey(self, on: bool) -> None:
+        """Measure every generated frame, and show the plot of it; off: no more frames are measured."""
+        self.model.survey.on = on
+        if on:
+            self._show_plot()
+
+    def _show_plot(self) -> None:
+        self.panel("Plot").is_visible = True
+        self._plot_due = True
+
+    def _make_room_for_plot(self) -> None:
+        """Once it is there: as high as it has to be at this size of letters."""
+        nodes = _dock_nodes("Plot")
+        if self._plot_due and nodes:
+            height = min(_PLOT_HEIGHT * self.scale, 0.4 * imgui.get_io().display_size.y)
+            if nodes[0].size.y < height:
+                imgui.internal.dock_builder_set_node_size(nodes[0].id_, ImVec2(nodes[0].size.x, height))
+            self._plot_due = False
+
+    def find(self, find) -> None:
+        """Go to a frame of the survey."""
+        self._show_plot()
+        self.model.go_to(find)
 
     def hide_panels(self) -> None:
         """Leave the picture and the timeline alone, and bring back what was there."""
@@ -256,12 +292,14 @@ class App:
                 self._stretch_docks(self._themed[1], self.scale)
             self._themed = model.settings.theme, self.scale
             theme.apply(*self._themed)
+        self._make_room_for_plot()
         model.update(self.clock(), self.canvas)
         if model.contents.layers is not self._layers_known:
             self._layers_known = model.contents.layers
             commands.register_layers(self)
         model.fly(keys.flight(self.model))
         at_work = model.playback.playing or model.flying or model.engine.busy or not model.comparison.ready
+        at_work |= model.survey.busy or not model.regions.ready
         self._params.fps_idling.enable_idling = not (at_work or self._params.use_imgui_test_engine)
 
     def _before_exit(self) -> None:
@@ -277,13 +315,13 @@ class App:
 
     def default_layout(self) -> None:
         for name in _PANELS:
-            self.panel(name).is_visible = True
+            self.panel(name).is_visible = name not in _HIDDEN
         self.panels_hidden = False
         self._params.docking_params.layout_reset = True
 
     def drawn(self, view, size: tuple[int, int]):
         """Texture of the canvas, drawn anew only if something changed."""
-        what = (view, size, self.model.contents.changes, self.model.comparison.ready)
+        what = (view, size, self.model.contents.changes, self.model.comparison.ready, self.model.regions.changes)
         if what != self._drawn:
             self._drawn, self._texture = what, self.canvas.draw(view, size)
         return self._texture

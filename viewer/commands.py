@@ -9,6 +9,7 @@ from imgui_bundle import imgui
 from gffe_cl.options import Option
 from gffe_cl.scenes import SCENES
 from gffe_cl.viewer.actions import Action
+from gffe_cl.viewer.engine.figures import QUANTITIES, REGIONS
 from gffe_cl.viewer.state import saving
 from gffe_cl.viewer.state.parameters import ALL
 
@@ -47,6 +48,9 @@ def register(app) -> None:
     add("save_png", "Save picture as PNG", "File", "Ctrl+S", partial(model.save, saving.PictureWork), savable)
     add("save_exr", "Save layers as EXR", "File", "Ctrl+E", partial(model.save, saving.LayersWork), savable)
     add("save_video", "Save playback as MP4", "File", "Ctrl+M", partial(model.save, saving.VideoWork), savable)
+    add("legends", "Legends in saved pictures", "File", "",
+        lambda: setattr(model.settings, "legends", not model.settings.legends),
+        checked=lambda: model.settings.legends)  # fmt: skip
     add("quit", "Quit", "File", "Ctrl+Q", app.close)
 
     add("play", "Play / stop", "Playback", "Space", playback("toggle"), opened)
@@ -82,17 +86,8 @@ def register(app) -> None:
     add("darker", "Darker", "View", "Shift+E", look(model.looks.expose, -_EXPOSURE_STEP), opened)
     add("normalise", "Fit range to the picture", "View", "N", look(model.looks.fit), opened)
     add("reset_display", "Reset display", "View", "R", look(model.looks.reset), opened)
-    add("flip", "Show B (hold)", "Compare", "B", model.comparison.flip, opened, hold=True)
-    for way, text, key in (
-        ("split", "Split wipe", "W"),
-        ("difference", "Difference", "D"),
-        ("error", "Error map", "M"),
-    ):
-        add(f"compare_{way}", text, "Compare", key, partial(model.comparison.toggle, way),
-            lambda way=way: opened() or model.comparison.why_not(way),
-            checked=lambda way=way: model.view.compare == way)  # fmt: skip
-    add("truth", "Show ground truth", "Compare", "T", model.comparison.toggle_truth,
-        lambda: opened() or model.contents.why_not("truth"))  # fmt: skip
+    _comparing(app, add, opened)
+    _finding(app, add, opened)
     add("fly", "Fly the camera", "Camera", "G", model.toggle_flying, live, checked=lambda: model.flying,
         tooltip="W A S D and Q E move, the right mouse button turns, Shift is faster")  # fmt: skip
     add("home_camera", "Back to the scene's camera", "Camera", "H", model.stop_flying, live)
@@ -121,6 +116,69 @@ def register(app) -> None:
     add("layout", "Default arrangement", "Panels", "", app.default_layout)
 
     add("help", "Keys and help", "Help", "?", lambda: setattr(app, "help_open", not app.help_open))
+
+
+def _comparing(app, add, opened) -> None:
+    """A against B."""
+    model = app.model
+
+    def no_second():
+        return None if model.kept.b is not None else "no settings are kept as B"
+
+    def copy(setup):
+        line = model.command_line(setup)
+        imgui.set_clipboard_text(line)
+        model.say(f"copied: {line}")
+
+    add("keep", "Keep settings as B", "Compare", "K", model.keep_as_b, opened,
+        tooltip="Modules, parameters, kernels, network and window are B now; A goes on being changed")  # fmt: skip
+    add("swap", "Take B's settings for A", "Compare", "Shift+K", model.take_second, lambda: opened() or no_second())
+    add("copy_command", "Copy A's command line", "Compare", "Alt+K", lambda: copy(model.setup), opened,
+        tooltip="gffe run … with what is chosen now")  # fmt: skip
+    add("copy_command_b", "Copy B's command line", "Compare", "Alt+Shift+K",
+        lambda: copy(model.kept.b.setup(model.n)), lambda: opened() or no_second())  # fmt: skip
+    add("flip", "Show B (hold)", "Compare", "B", model.comparison.flip, opened, hold=True)
+    for way, text, key in (
+        ("split", "Split wipe", "W"),
+        ("difference", "Difference", "D"),
+        ("error", "Error map", "M"),
+    ):
+        add(f"compare_{way}", text, "Compare", key, partial(model.comparison.toggle, way),
+            lambda way=way: opened() or model.comparison.why_not(way),
+            checked=lambda way=way: model.view.compare == way)  # fmt: skip
+    add("truth", "Show ground truth", "Compare", "T", model.comparison.toggle_truth,
+        lambda: opened() or model.contents.why_not("truth"))  # fmt: skip
+
+
+def _finding(app, add, opened) -> None:
+    """Frames, regions and pixels that are wrong."""
+    model, survey, regions = app.model, app.model.survey, app.model.regions
+    add("survey", "Measure all frames", "Find", "Alt+J", lambda: app.show_survey(not survey.on),
+        lambda: opened(), checked=lambda: survey.on,
+        tooltip="Every generated frame, in the background: for the plot, and for finding frames")  # fmt: skip
+    for id, text, key, find, tooltip in (
+        ("worst", "Worst frame", "J", survey.worst, "By the quantity that is plotted"),
+        ("next_worst", "Next worse frame", "Shift+J", survey.next, "In the order of the last search"),
+        ("most_different", "Largest A–B difference", "Ctrl+J", survey.most_different,
+         "Where A's and B's settings differ most in what is plotted; again: the next one"),
+    ):  # fmt: skip
+        difference = id == "most_different"
+        add(id, text, "Find", key, partial(app.find, find),
+            lambda difference=difference: opened() or survey.why_not(difference), tooltip=tooltip)  # fmt: skip
+    for name, quantity in QUANTITIES.items():
+        add(f"plot {name}", f"Plot {quantity.label}", "Find", "", partial(setattr, survey, "quantity", name),
+            checked=lambda name=name: survey.quantity == name)  # fmt: skip
+    add("regions", "Regions of errors", "Find", "Alt+R", lambda: regions.switch(not regions.on),
+        lambda: opened() or regions.why_not(), checked=lambda: regions.on,
+        tooltip="Where errors are counted, over the picture")  # fmt: skip
+    for name, text in REGIONS.items():
+        add(f"region {name}", f"Only region: {name}", "Find", "", partial(regions.see_only, name),
+            lambda: opened() or regions.why_not(), checked=lambda name=name: regions.only == name,
+            tooltip=f"{text[:1].upper()}{text[1:]}")  # fmt: skip
+    add("back", "Back to where the link was", "Find", "Backspace", model.walk.back,
+        lambda: opened() or (None if model.walk.can_go_back else "no link was followed"))  # fmt: skip
+    add("forget_rectangle", "Forget the rectangle", "Find", "", model.selection.forget,
+        lambda: opened() or (None if model.selection.rectangle else "drag with Shift to draw one"))  # fmt: skip
 
 
 def _register_parameter(app, name: str, option: Option) -> None:

@@ -10,6 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any
 
 from gffe_cl.errors import GffeError
@@ -101,6 +102,9 @@ class Engine:
         self._kernels: Kernels | None = None
         self._makers: dict[str, SlotMaker] = {}  # by role
         self._plan: deque[Request] = deque()  # to be made when there is nothing else to do
+        self._surveys: deque[Request] = deque()  # the same, after that
+        self._surveying: Request | None = None  # under way
+        self._surveyed: deque[tuple[Request, Recipe, Result | None]] = deque()  # not polled yet
         self._hopeless: set[Request] = set()  # of those asked for ahead: cannot be made
         self._opened = 0  # sources
         self._scorer = Scorer(notify, lambda error: self._fail(error, "metrics", None))
@@ -157,11 +161,23 @@ class Engine:
                 self._plan = deque(request for request in requests if request not in self._hopeless)
                 self._news.notify()
 
+    def survey(self, requests: Iterable[Request], source: FrameSource | None = None) -> None:
+        """Have slots made for `poll_survey` when nothing else is planned either; replaces those before."""
+        with self._news:
+            if source in (None, self.source):
+                self._surveys = deque(request for request in requests if request != self._surveying)
+                self._news.notify()
+
+    def poll_survey(self) -> tuple[Request, Recipe, Result | None] | None:
+        """The next slot made for a survey, and what it depends on; no result if it cannot be made."""
+        with self._news:
+            return self._surveyed.popleft() if self._surveyed else None
+
     def recipe(self, setup: Setup) -> Recipe:
         """What slots made with `setup` depend on now. May be called from any thread."""
         flight = self.source.flight if self.source is not None else 0
         kernels = setup.kernels or (self._kernels.identity if self._kernels is not None else "")
-        return Recipe(self._opened, flight, setup, kernels, weights_of(setup.options))
+        return Recipe(self._opened, flight, replace(setup, kernels=""), kernels, weights_of(setup.options))
 
     @property
     def prefetching(self) -> bool:
@@ -244,6 +260,9 @@ class Engine:
                 self._beside = bool(self._plan)
                 if self._beside:
                     return "ahead", self._plan.popleft()
+                if self._surveys:
+                    self._surveying = self._surveys.popleft()
+                    return "survey", self._surveying
                 self._news.wait(WATCH_SECONDS)
         return "", None
 
@@ -279,6 +298,8 @@ class Engine:
             for kind in ("slot", "slot_b", "inspection"):
                 self._posted.pop(kind, None)
             self._plan.clear()
+            self._surveys.clear()
+            self._surveyed.clear()
             self._results, self._inspection = {}, None
             self._opened += 1
             self.source = source
@@ -369,6 +390,22 @@ class Engine:
             self._hopeless.add(request)  # who looks at that slot is told why
         self._notify()
 
+    def _do_survey(self, request: Request) -> None:
+        recipe, result = self.recipe(request.setup), None
+        try:
+            result = self._maker("ahead").make(request)
+        except Interrupted:
+            with self._news:
+                self._surveys.appendleft(request)
+                self._surveying = None
+            return
+        except GffeError:
+            pass  # told by no result
+        with self._news:
+            self._surveying = None
+            self._surveyed.append((request, recipe, result))
+        self._notify()
+
     def _made(self, request: Request) -> Result:
         """The slot, which is kept in the cache from now on, if it is all of one recipe."""
         before = self.recipe(request.setup)
@@ -390,5 +427,5 @@ class Engine:
 
     def _check_beside(self) -> None:
         self._check()
-        if self._posted:
+        if self._posted or (self._plan and not self._beside):
             raise Interrupted

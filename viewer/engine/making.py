@@ -134,7 +134,7 @@ class SlotMaker:
             return None
         pipeline, shot = seeker.pipeline, seeker.shot
         values = pixel_values(pipeline, shot, x, y)
-        story = pixel_story(pipeline, shot, x, y, values)
+        story = pixel_story(pipeline, shot, x, y, values, seeker.passed)
         if seeker.truth is not None:
             values[names.TRUTH] = _rgba(seeker.truth[y : y + 1, x : x + 1])[0, 0]
         if layers is not None:

@@ -20,3 +20,20 @@ FOCUS_MASK = "correction.focus_mask"
 def background(name: str, level: int) -> str:
     """A layer of a level of the background pyramid: its "color", "depth", "px" or "state"."""
     return f"background.{name}_{level}"
+
+
+_SECOND = "B:"
+
+
+def of_second(name: str) -> str:
+    """The same layer as other settings make it."""
+    return name if name.startswith(_SECOND) else _SECOND + name
+
+
+def is_second(name: str | None) -> bool:
+    return name is not None and name.startswith(_SECOND)
+
+
+def plain(name: str) -> str:
+    """The layer's own name, whatever settings make it."""
+    return name.removeprefix(_SECOND)

@@ -13,6 +13,7 @@ from gffe_cl.metrics import METRICS, display_values, measurable
 from gffe_cl.viewer.engine.buffers import Moment
 from gffe_cl.viewer.engine.messages import Metrics
 
+_SLOW = 4  # slots that wait for metrics that are slow
 _TO_MEASURE = 256 << 20  # bytes of slots that wait for their metrics; beyond that the oldest are given up
 
 
@@ -24,6 +25,7 @@ class Scorer:
         self._news = threading.Condition()
         self._known: dict[tuple, Metrics] = {}
         self._waiting: deque[tuple] = deque()
+        self._slow: deque[tuple] = deque(maxlen=_SLOW)  # slots of which slow metrics are missing
         self._busy_with: tuple | None = None
         self._made: deque[Metrics] = deque()
         self._closing = False
@@ -36,7 +38,8 @@ class Scorer:
         with self._news:
             known = self._known.get(key, metrics)
             complete = all(metric.name in known.values for metric in self._measured)
-            if not complete and key != self._busy_with and all(key != job[0] for job in self._waiting):
+            planned = {job[0] for job in (*self._waiting, *self._slow)} | {self._busy_with}
+            if not complete and key not in planned:
                 self._waiting.append((key, known, final, truth, exposure))
                 while len(self._waiting) > _TO_MEASURE // (final.nbytes + truth.nbytes) + 1:
                     self._waiting.popleft()
@@ -54,6 +57,7 @@ class Scorer:
         with self._news:
             self._known, self._busy_with = {}, None
             self._waiting.clear()
+            self._slow.clear()
             self._made.clear()
 
     def close(self) -> None:
@@ -65,11 +69,11 @@ class Scorer:
         self._measured = measurable()  # imports what they need
         while True:
             with self._news:
-                while not (self._waiting or self._closing):
+                while not (self._waiting or self._slow or self._closing):
                     self._news.wait()
                 if self._closing:
                     return
-                job = self._waiting.pop()
+                job = (self._waiting or self._slow).pop()
                 self._busy_with = job[0]
             try:
                 self._measure(*job)
@@ -84,6 +88,9 @@ class Scorer:
             if metric.name in known.values:
                 continue
             if metric.slow and self._waiting:
+                with self._news:
+                    if self._busy_with == key:
+                        self._slow.append((key, known, final, truth, exposure))
                 return
             known = replace(known, values={**known.values, metric.name: metric.measure(shown, true)})
             self._tell(key, known)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -21,6 +22,7 @@ from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.buffers import Moment, Shot
 from gffe_cl.viewer.engine.messages import Setup
 from gffe_cl.viewer.engine.sources import FrameSource
+from gffe_cl.viewer.engine.way import Passed
 
 WARM_UP = 8  # rendered frames submitted before the one that is wanted
 
@@ -46,6 +48,7 @@ class Seeker:
         self._at: int | None = None  # the frame submitted last
         self._frame: RenderedFrame | None = None
         self._before: Camera | None = None  # render camera of the frame before
+        self.passed: deque[Passed] = deque(maxlen=self.source.held)  # submitted frames, the newest first
         self._presented = None
         self._focus: FocusMask | None = None  # made when it is asked for
         self.launched: traffic.Launches = {}  # by the last slot, without warm-up
@@ -150,4 +153,11 @@ class Seeker:
         if self.pipeline.is_cut:
             self.cuts.add(m)
         self._before = before.camera if before and not (frame.reset or self.pipeline.is_cut) else None
+        pixels = packed or frame
+        self.passed.appendleft(
+            Passed(
+                m, frame.camera, frame.display_camera or frame.camera, source.render_size, pixels.depth, pixels.motion,
+                self._before is None,
+            )
+        )  # fmt: skip
         self.bad_pixels = packed.bad if packed else BadPixels()

@@ -25,6 +25,7 @@ from gffe_cl.source import Recorded
 from gffe_cl.stage import read_some_rows
 from gffe_cl.stages.presentation import present
 from gffe_cl.viewer.engine.growing import Growth, continues
+from gffe_cl.viewer.engine.way import REMEMBERED
 from gffe_cl.window import WindowChooser
 
 CACHE_BYTES = 512 << 20
@@ -42,6 +43,7 @@ class FrameSource(Protocol):
     rendered frames, may change with `configure`; `count`: of rendered frames; `live`: rendered meanwhile, the camera
     may be flown; `windowed`: rendered through a window that can be used or not; `resets`: numbers of the frames
     that are told to be one, in order; `flight`: another number whenever other poses are flown, 0 for none;
+    `held`: of the frames delivered last, so many stay as they are;
     `suspicions`: sentences about the whole, more of them may come.
     """
 
@@ -58,6 +60,7 @@ class FrameSource(Protocol):
     resets: tuple[int, ...] = (0,)
     has_truth: bool = False
     flight: int = 0
+    held: int = REMEMBERED
     suspicions: Iterable[str] = ()
 
     def sibling(self) -> FrameSource:
@@ -305,6 +308,7 @@ class SceneSource(FrameSource):
         self._device, self._frames = device, SceneFrames(SceneRenderer(device, scene, width, height, samples))
         self._ring: OrderedDict[tuple, _Made] = OrderedDict()
         self._ring_size = max(_LEAST_RING, cache_bytes // (sum(BYTES_PER_PIXEL) * width * height))
+        self.held = min(REMEMBERED, self._ring_size - 1)
         self._truths: OrderedDict[tuple, np.ndarray] = OrderedDict()
         self._since: list[_Made] = []  # delivered since `restart`
         self._flown: dict[float, Camera] = {}  # by k + alpha
@@ -319,6 +323,7 @@ class SceneSource(FrameSource):
         other = copy.copy(self)  # renderer and poses are shared, rendered frames are not: they are used in place
         other._frames, other._ring, other._since = copy.copy(self._frames), OrderedDict(), []
         other._ring_size, other._way = max(_LEAST_RING, self._ring_size // 4), None
+        other.held = min(REMEMBERED, other._ring_size - 1)
         return other
 
     def configure(self, window, n):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,10 +15,33 @@ from gffe_cl.stages.background import MAX_LEVELS, REMEMBERED
 from gffe_cl.stages.holes import FILLINGS
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.buffers import Shot, device_layers, moved, pixel_values, read_blocks, source_position
+from gffe_cl.viewer.engine.way import Passed, WayPoint, way_of
 
 _MIXED = 2 * constants("background.cl")["SAME_SURFACE"]  # relative depth within which texels of a level are mixed
 
 _CELLS = constants("cells.h")
+
+
+@dataclass(frozen=True)
+class Link:
+    """Where a step of a story leads: to `layer`, if it is named, of this slot or of rendered frame `frame`; there to
+    display pixel `pixel`, by default the same."""
+
+    label: str
+    layer: str = ""
+    frame: int | None = None
+    pixel: tuple[int, int] | None = None
+
+
+class Step(str):
+    """A sentence of a story, and where it leads."""
+
+    links: tuple[Link, ...]
+
+    def __new__(cls, text: str, *links: Link):
+        step = super().__new__(cls, text)
+        step.links = links
+        return step
 
 
 @dataclass(frozen=True)
@@ -45,6 +69,11 @@ class Story:
     corrected : bool or None
         Whether shading correction changed its colour; None for rendered frames and where that is off.
     sentences : tuple of str
+        Some are a `Step`.
+    fragment : (int, int) or None
+        Its pixel of the rendered image, where it is a fragment of that.
+    way : tuple of WayPoint
+        Of that fragment through the last rendered frames, from the present one back.
     """
 
     pixel: tuple[int, int]
@@ -58,10 +87,24 @@ class Story:
     level_px: tuple[float, float] | None = None
     corrected: bool | None = None
     sentences: tuple[str, ...] = ()
+    fragment: tuple[int, int] | None = None
+    way: tuple[WayPoint, ...] = ()
 
 
-def pixel_story(pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.ndarray] | None = None) -> Story:
-    """The story of display pixel (x, y), read from the pipeline's buffers; `values` may bring its `pixel_values`."""
+def pixel_story(
+    pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.ndarray] | None = None,
+    passed: Iterable[Passed] = (),
+) -> Story:  # fmt: skip
+    """The story of display pixel (x, y), read from the pipeline's buffers; `values` may bring its `pixel_values`,
+    `passed` are the frames submitted last, newest first."""
+    story = _story(pipeline, shot, x, y, values)
+    if story.fragment is None:
+        return story
+    own = tuple(c + 0.5 for c in story.fragment)
+    return replace(story, way=way_of(pipeline.device.queue, passed, own))
+
+
+def _story(pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.ndarray] | None) -> Story:
     source_px = source_position(pipeline, shot, x, y)
     if not shot.moment.alpha:
         told = _Fragment.at(pipeline, shot, source_px)
@@ -83,7 +126,7 @@ def _with_silhouette(story: Story, values: dict[str, np.ndarray]) -> Story:
     said = f"Soft silhouettes: a nearer surface covers {(coverage - 1) / 254:.0%} of it."
     if coverage == 1:
         said = "Soft silhouettes: the colour of a nearer surface, which was mixed in, is taken out."
-    return replace(story, sentences=(*story.sentences, said))
+    return replace(story, sentences=(*story.sentences, Step(said, Link("coverage", names.COVERAGE))))
 
 
 def _with_correction(story: Story, pipeline: Pipeline, values: dict[str, np.ndarray]) -> Story:
@@ -97,7 +140,8 @@ def _with_correction(story: Story, pipeline: Pipeline, values: dict[str, np.ndar
         mask += ", which is off"
     colors = (f"({', '.join(f'{float(c):.4g}' for c in color)})" for color in (before, after))
     said = f"Shading correction changed it ({mask}): from {' to '.join(colors)}."
-    return replace(story, corrected=True, sentences=(*story.sentences, said))
+    step = Step(said, Link("focus mask", names.FOCUS_MASK), Link("before", names.GAE))
+    return replace(story, corrected=True, sentences=(*story.sentences, step))
 
 
 def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, values) -> Story:
@@ -112,18 +156,31 @@ def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, 
     landed = (x, y), number == BY_WARP, bool(values[names.DYNAMIC][0])
     told = _Fragment.at(pipeline, shot, source_px, landed)
     where = f"({source_px[0]:.1f}, {source_px[1]:.1f}) of rendered frame {shot.moment.k}" if source_px else "nowhere"
-    start = [f"Shown by its own fragment, from {where}."]
+    own = tuple(c + 0.5 for c in told.pixel) if told else source_px
+    there, filled = _to_source(shot, own), Link("filled by", names.FILLED_BY)
+    start = [Step(f"Shown by its own fragment, from {where}.", *there)]
     if number == BY_CRACK_CLOSING:
-        start = [f"Crack closing: the fragment from {where} covers this pixel too, none lands in it."]
+        said = f"Crack closing: the fragment from {where} covers this pixel too, none lands in it."
+        start = [Step(said, *there, filled)]
     elif level is not None:
-        start.append(f"Its colour is mixed with that of a silhouette there, so it comes from {label}.")
+        said = f"Its colour is mixed with that of a silhouette there, so it comes from {label}."
+        start.append(Step(said, filled, Link(f"level {level}", names.background("color", level))))
     elif number != BY_WARP:
-        start = [f"Its colour comes from: {label}."]
+        start = [Step(f"Its colour comes from: {label}.", filled)]
     elif values[names.MIXED][0]:
-        start.append("Its colour is mixed with that of a silhouette there, so its neighbour's is shown.")
+        said = "Its colour is mixed with that of a silhouette there, so its neighbour's is shown."
+        start.append(Step(said, Link("mixed", names.MIXED)))
     if told is None:
         return Story((x, y), label, source_px, sentences=tuple(start))
     return told.story((x, y), label, source_px, tuple(start), level)
+
+
+def _to_source(shot: Shot, source_px) -> tuple[Link, ...]:
+    """To the pixel of the rendered frame that is shown there, if it is within the display."""
+    if not source_px:
+        return ()
+    at = moved(source_px, shot.moment.render_camera, shot.moment.display_camera)
+    return (Link(f"frame {shot.moment.k}", names.FINAL, shot.moment.k, tuple(int(np.floor(c)) for c in at)),)
 
 
 def _filled_by(number: int) -> str:
@@ -139,10 +196,12 @@ class _Fragment:
     residual: float | None
     threshold: float | None
     sentences: tuple[str, ...]
+    pixel: tuple[int, int]
 
     def story(self, pixel, filled_by, source_px, start, level=None) -> Story:
         known = (self.trajectory, self.dynamic, self.residual, self.threshold)
-        return Story(pixel, filled_by, source_px, *known, level, sentences=(*start, *self.sentences))
+        said = (*start, *self.sentences)
+        return Story(pixel, filled_by, source_px, *known, level, sentences=said, fragment=self.pixel)
 
     @classmethod
     def at(cls, pipeline: Pipeline, shot: Shot, source_px, landed=None) -> _Fragment | None:
@@ -172,7 +231,8 @@ class _Fragment:
         used = min(len(known), pipeline.options.order) if shot.moment.alpha else -1
         bend = _bend(pipeline, layers, at, depth) if used == 1 else 0.0
         sentences = _fragment_sentences(pipeline, shot, depth, motion, dynamic, residual, threshold, used, bend)
-        return cls(tuple(point for point in path if point), dynamic, residual, threshold, sentences)
+        at = tuple(map(int, at))
+        return cls(tuple(point for point in path if point), dynamic, residual, threshold, sentences, at)
 
 
 def _bend(pipeline, layers, at, depth: float) -> float:
@@ -221,17 +281,23 @@ def _fragment_sentences(pipeline, shot, depth, motion, dynamic, residual, thresh
         why = "its motion is NaN or infinite" if not np.isfinite(motion).all() else "it was behind the camera before"
         return (f"Dynamic: {why}.",)
     kind, than = ("Dynamic", "more than") if dynamic else ("Static", "not more than")
-    said = [
-        f"{kind}: its motion is {residual:.2f} px from that of a surface that stands still,"
-        f" {than} the threshold of {threshold:.2f} px."
+    said: list[str] = [
+        Step(
+            f"{kind}: its motion is {residual:.2f} px from that of a surface that stands still,"
+            f" {than} the threshold of {threshold:.2f} px.",
+            Link("dynamic mask", names.DYNAMIC_MASK),
+        )
     ]
     if dynamic and used == 0:
-        said.append("No earlier position of it is known (hidden or out of the image then), so it stays where it is.")
+        unknown = "No earlier position of it is known (hidden or out of the image then), so it stays where it is."
+        said.append(Step(unknown, Link("met depth", names.MET_DEPTH)))
     elif dynamic and used > 0:
         how = "linearly" if used == 1 else f"by a polynomial of order {used}"
-        said.append(f"Predicted {how} from its last {used + 1} positions.")
+        predicted = f"Predicted {how} from its last {used + 1} positions."
+        said.append(Step(predicted, Link("target position", names.TARGET_POSITION)))
         if bend > 0:
-            said.append(f"{bend:.0%} of its acceleration counts too: so much of that there was before.")
+            bent = f"{bend:.0%} of its acceleration counts too: so much of that there was before."
+            said.append(Step(bent, Link("acceleration", names.ACCELERATION)))
     return tuple(said)
 
 
@@ -242,7 +308,10 @@ def _hidden_sentences(shot: Shot, source_px, values) -> tuple[str, ...]:
     where = f" at ({source_px[0]:.1f}, {source_px[1]:.1f})" if source_px else ""
     shown = "" if front is None else f", which shows depth {front:.4g} there; the depth here is {depth:.4g}"
     return (
-        "A hidden part of a mover: the mean of the mover around it, with its motion.",
+        Step(
+            "A hidden part of a mover: the mean of the mover around it, with its motion.",
+            Link("filled by", names.FILLED_BY),
+        ),
         f"Moving like that it was{where} of rendered frame {shot.moment.k}{shown}.",
     )
 
@@ -251,9 +320,11 @@ def _hole_sentences(pipeline: Pipeline, shot: Shot, source_px) -> tuple[str, ...
     nothing = f"No fragment of rendered frame {shot.moment.k} lands here, nor one that the background remembers."
     if "background" not in pipeline.stages:
         nothing = f"No fragment of rendered frame {shot.moment.k} lands here, and there is no background."
+    nothing = Step(nothing, Link("disoccluded", names.DISOCCLUDED))
     if pipeline.options.hole_filling == "none":
         return nothing, "Hole filling is off: black, at infinite depth."
-    said = [nothing, f"Hole filling: its colour {FILLINGS[pipeline.options.hole_filling].sentence}."]
+    filled = f"Hole filling: its colour {FILLINGS[pipeline.options.hole_filling].sentence}."
+    said = [nothing, Step(filled, Link("filled by", names.FILLED_BY))]
     if source_px and not all(0 <= c < s for c, s in zip(source_px, pipeline.sizes.source, strict=True)):
         said.append(f"It lies outside the rendered image, at ({source_px[0]:.1f}, {source_px[1]:.1f}).")
     return tuple(said)
@@ -263,12 +334,12 @@ def _background_story(pipeline, shot, pixel, source_px, level: int, values) -> S
     depth = float(values[names.DEPTH][0])
     at = _remembered(pipeline, shot, pixel, source_px, level, depth)
     lies = f", last at ({at[0]:.1f}, {at[1]:.1f}) of the rendered image" if at else ""
-    said = [f"Filled from background level {level}: a static surface hidden now{lies}."]
+    links = Link(f"level {level}", names.background("color", level)), Link("filled by", names.FILLED_BY)
+    said = [Step(f"Filled from background level {level}: a static surface hidden now{lies}.", *links)]
     if names.RENDERED_DEPTH in values:
         front = float(values[names.RENDERED_DEPTH][0])
-        said.append(
-            f"At that place rendered frame {shot.moment.k} shows depth {front:.4g}; the depth here is {depth:.4g}."
-        )
+        hides = f"At that place rendered frame {shot.moment.k} shows depth {front:.4g}; the depth here is {depth:.4g}."
+        said.append(Step(hides, *_to_source(shot, source_px)))
     now = (pixel[0] + 0.5, pixel[1] + 0.5)
     path = (moved(at, shot.moment.render_camera, shot.moment.display_camera), now) if at else (now,)
     return Story(pixel, _filled_by(1 + level), source_px, path, level=level, level_px=at, sentences=tuple(said))

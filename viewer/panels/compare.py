@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
+from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.metrics import METRICS
 from gffe_cl.viewer.panels import widgets
@@ -21,6 +22,8 @@ _TEXTS = {
     "flip error": "FLIP error",
 }
 
+_SETTINGS = "settings "  # before a name, to tell it from a layer's
+
 
 def draw(app) -> None:
     model = app.model
@@ -35,16 +38,68 @@ def draw(app) -> None:
         widgets.tooltip(reason or "")
         if name not in ("flip", "flip error"):
             imgui.same_line()
-    names = {spec.name: f"{spec.group}: {spec.label}" for spec in model.contents.showable()}
-    widgets.choice("A", view.a, names, model.show_layer)
-    widgets.choice("B", view.b or "", names, lambda name: setattr(view, "b", name))
+    layers = {spec.name: f"{spec.group}: {spec.label}" for spec in model.contents.showable()}
+    widgets.choice("A", view.a, layers, model.show_layer)
+    _second(model, layers)
     if view.compare == "split":
         widgets.slider("split", view.split, 0.0, 1.0, 0.5, lambda v: setattr(view, "split", v))
     if view.compare == "difference":
         widgets.slider("gain", view.gain, 1.0, 32.0, 4.0, lambda v: setattr(view, "gain", v), "%.1f×")
     if view.compare in ("error", "flip error"):
         _error_map(model)
+    _settings(app)
     _quality(model)
+
+
+def _second(model, layers: dict[str, str]) -> None:
+    """B: another layer, or A's layer as kept settings make it."""
+    comparison, b = model.comparison, model.kept.b
+    settings = {f"{_SETTINGS}{kept.name}": f"settings: {kept.name}" for kept in model.kept.all}
+    chosen = f"{_SETTINGS}{b.name}" if comparison.by_settings else model.view.b or ""
+
+    def choose(name: str) -> None:
+        if name in settings:
+            comparison.with_settings(name.removeprefix(_SETTINGS))
+        else:
+            comparison.with_layer(name)
+
+    widgets.choice("B", chosen, settings | layers, choose)
+
+
+def _settings(app) -> None:
+    """What is kept, and what is done with it."""
+    model, kept = app.model, app.model.kept.b
+    widgets.heading("Settings A and B")
+    for name, icon in (("keep", icons.ICON_FA_BOOKMARK), ("swap", icons.ICON_FA_RIGHT_LEFT),
+                       ("copy_command", icons.ICON_FA_COPY), ("copy_command_b", icons.ICON_FA_CLONE)):  # fmt: skip
+        widgets.action_button(app.actions, name, icon)
+        imgui.same_line()
+    if kept is None:
+        widgets.hint("K keeps the present settings as B")
+        return
+    imgui.begin_disabled(not model.comparison.by_settings)
+    if imgui.button(f"{icons.ICON_FA_TRASH}###forget_settings"):
+        model.kept.forget(kept)
+    imgui.end_disabled()
+    widgets.tooltip(f"Forget the settings {kept.name}")
+    widgets.leave_room_for("name of B")
+    enter = imgui.InputTextFlags_.enter_returns_true.value
+    entered, text = imgui.input_text("###name_of_b", kept.name, enter)
+    if entered:
+        model.kept.rename(kept, text)
+    imgui.same_line()
+    imgui.text("name of B")
+    if model.second.fault or kept.suspicion:
+        imgui.text_wrapped(model.second.fault or kept.suspicion)
+
+
+def _beside(b: dict[str, float], a: dict[str, float]) -> str:
+    """B's score, and how much more or less than A's that is."""
+    return "   ".join(
+        f"{metric.sentence(b[name])} ({metric.text(b[name] - a[name], signed=True)})"
+        for name, metric in METRICS.items()
+        if name in b and name in a
+    )
 
 
 def _error_map(model) -> None:
@@ -71,9 +126,13 @@ def _quality(model) -> None:
         f"{', '.join(metric.label for metric in METRICS.values())} of every generated frame that is shown",
     )
     score = model.metrics.get(model.slot)
+    second = model.metrics_of_second().get(model.slot) if model.second.kept else None
     if score is not None:
         known = [metric for metric in METRICS.values() if metric.name in score.values]
-        imgui.text("   ".join(metric.sentence(score.values[metric.name]) for metric in known))
+        a = "   ".join(metric.sentence(score.values[metric.name]) for metric in known)
+        imgui.text_wrapped(f"A  {a}" if second else a)
+        if second is not None:
+            imgui.text_wrapped(f"B  {_beside(second.values, score.values)}")
     elif model.measuring and model.slot % (model.n + 1) == 0:
         imgui.text_disabled("rendered frame")
     legend_flags = implot.LegendFlags_.outside.value | implot.LegendFlags_.horizontal.value

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
-from imgui_bundle import imgui
 
 from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.picture.legends import value_text
@@ -11,12 +15,16 @@ from gffe_cl.viewer.picture.legends import value_text
 
 def draw(app) -> None:
     model = app.model
+    if model.walk.can_go_back:
+        widgets.action_button(app.actions, "back", icons.ICON_FA_ARROW_LEFT)
     if model.pointing.story is not None:
         _story(model)
+    if model.selection.rectangle is not None:
+        _rectangle(model)
     widgets.heading("Values")
     inspection = model.pointing.inspection
     if inspection is None:
-        widgets.hint("Move over the picture; click a pixel for its story")
+        widgets.hint("Move over the picture; click a pixel for its story, drag with Shift for statistics")
         return
     x, y = inspection.pixel
     at = f"pixel ({x}, {y})"
@@ -52,9 +60,96 @@ def _rows(app, inspection) -> list[tuple[str, str, str]]:
 def _story(model) -> None:
     story = model.pointing.story
     widgets.heading(f"Story of pixel ({story.pixel[0]}, {story.pixel[1]})")
-    for sentence in story.sentences:
+    for number, sentence in enumerate(story.sentences):
         imgui.bullet()
         imgui.same_line()
         imgui.text_wrapped(sentence)
+        _links(model, number, getattr(sentence, "links", ()))
+    if len(story.way) > 1:
+        imgui.bullet()
+        imgui.same_line()
+        imgui.text_wrapped(f"Its way through the last {len(story.way)} rendered frames:")
+        with _in_rows() as row:
+            for point in story.way[1:]:
+                row(f"{point.k}")
+                if imgui.text_link(f"{point.k}###way {point.k}"):
+                    model.walk.follow_way(point)
+                widgets.tooltip(f"rendered frame {point.k}, pixel ({point.px[0]:.1f}, {point.px[1]:.1f})")
     if imgui.button(f"{icons.ICON_FA_XMARK} forget###forget_story"):
         model.pointing.pick(None)
+
+
+def _links(model, number: int, links) -> None:
+    """Where a step leads, under it."""
+    with _in_rows() as row:
+        for link in links:
+            reason, name = model.walk.why_not(link), f"{link.label}###{number} {link.label}"
+            row(link.label)
+            if reason:
+                imgui.text_disabled(link.label)
+            elif imgui.text_link(name):
+                model.walk.follow(link)
+            widgets.tooltip(reason or _where(link))
+
+
+def _where(link) -> str:
+    parts = [] if link.frame is None else [f"rendered frame {link.frame}"]
+    parts += [] if link.pixel is None else [f"pixel ({link.pixel[0]}, {link.pixel[1]})"]
+    parts += [f"layer {link.layer}"] if link.layer and link.frame is None else []
+    return "Go to " + ", ".join(parts)
+
+
+@contextmanager
+def _in_rows() -> Iterator[Callable[[str], None]]:
+    """Small items side by side, in as many rows as they need; what is yielded is called with the text before each."""
+    first, indent = True, hello_imgui.em_size(1.4)
+    imgui.indent(indent)
+
+    def row(text: str) -> None:
+        nonlocal first
+        gap = hello_imgui.em_size(0.8)
+        if not first:
+            imgui.same_line(0, gap)
+            if imgui.get_content_region_avail().x < imgui.calc_text_size(text).x:
+                imgui.new_line()
+        first = False
+
+    yield row
+    imgui.unindent(indent)
+
+
+def _rectangle(model) -> None:
+    """Statistics of the pixels in the rectangle."""
+    selection = model.selection
+    left, top, right, bottom = selection.rectangle
+    widgets.heading(f"Rectangle ({left}, {top}) – ({right - 1}, {bottom - 1})")
+    found = selection.statistics
+    if found is None:
+        imgui.text_disabled("…")
+        return
+    imgui.text_wrapped(f"{right - left}×{bottom - top}, {found.count} pixels")
+    for name, share in found.filled.items():
+        imgui.bullet_text(f"{share:.1%} {name}")
+    if found.psnr is not None:
+        imgui.text_wrapped(
+            f"PSNR {found.psnr:.2f} dB   error {found.mean_error:.4f} on average, at most {found.largest_error:.4f} at"
+        )
+        if imgui.text_link(f"({found.worst[0]}, {found.worst[1]})###worst_pixel"):
+            model.walk.go_to_pixel(found.worst)
+        widgets.tooltip("Tell the story of this pixel")
+    if found.motion is not None:
+        _motion(found)
+    if imgui.button(f"{icons.ICON_FA_XMARK} forget###forget_rectangle"):
+        selection.forget()
+
+
+def _motion(found) -> None:
+    """Histogram of the lengths of motion."""
+    imgui.text_wrapped(f"median motion ({found.motion[0]:+.2f}, {found.motion[1]:+.2f}) px")
+    flags = implot.Flags_.no_mouse_text | implot.Flags_.no_legend | implot.Flags_.no_inputs
+    if implot.begin_plot("###motion", ImVec2(-1, hello_imgui.em_size(8)), int(flags)):
+        fit = implot.AxisFlags_.auto_fit.value
+        implot.setup_axes("length of motion, px", "pixels", fit, fit)
+        middles = (found.edges[:-1] + found.edges[1:]) / 2
+        implot.plot_bars("motion", middles.astype(np.float64), found.lengths, 0.9 * float(np.diff(found.edges)[0]))
+        implot.end_plot()

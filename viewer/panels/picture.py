@@ -9,6 +9,7 @@ from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.picture.view import View
+from gffe_cl.viewer.state.kept import told
 
 _ZOOM_STEP = 1.2
 _DRAG = 4.0  # screen pixels: less is a click
@@ -18,6 +19,8 @@ _VALUES = 3  # ... so many of each
 _ARROW_SPACING = 24.0  # screen pixels
 _ACCENT = (0.35, 0.85, 1.0, 1.0)
 _WARM = (1.0, 0.7, 0.25, 1.0)
+_WAY = (0.55, 1.0, 0.5, 1.0)
+_NEAR = 7.0  # screen pixels
 
 
 def draw(app) -> None:
@@ -50,7 +53,9 @@ def draw(app) -> None:
         _arrows(model, place, marks)
     if model.view.zoom >= _NUMBERS:
         _numbers(model, place, marks)
+    _way(model, place, marks)
     _trajectory(model, place, marks)
+    _rectangle(model, place, marks)
     marks.pop_clip_rect()
     _caption(model, origin, width, height, marks)
 
@@ -113,16 +118,20 @@ def _mouse(app, place) -> None:
     if imgui.is_item_activated():
         left = imgui.is_mouse_down(imgui.MouseButton_.left)
         app.pressed_at = at
-        app.drags = "picture" if not left else "line" if on_line else "nothing yet"
+        app.drags = "picture" if not left else "rectangle" if io.key_shift else "line" if on_line else "nothing yet"
     if imgui.is_item_active():
         if app.drags == "nothing yet" and _distance(at, app.pressed_at) >= _DRAG:
             app.drags = "picture"
         if app.drags == "line":
             view.split = min(max((at.x - place.origin.x) / place.size[0], 0.0), 1.0)
+        elif app.drags == "rectangle" and _distance(at, app.pressed_at) >= _DRAG:
+            model.selection.draw(place.to_display(app.pressed_at), place.to_display(at))
         elif app.drags == "picture":
             delta = io.mouse_delta
             view.centre = (view.centre[0] - delta.x / view.zoom, view.centre[1] - delta.y / view.zoom)
     if imgui.is_item_deactivated():
+        if app.drags == "rectangle" and _distance(at, app.pressed_at) < _DRAG:
+            model.selection.forget()
         if app.drags == "nothing yet":
             model.pointing.pick(tuple(math.floor(c) for c in place.to_display(at)))
         app.drags = "nothing"
@@ -213,14 +222,47 @@ def _trajectory(model, place, marks) -> None:
         )
 
 
+def _way(model, place, marks) -> None:
+    """Where the picked fragment was in the last rendered frames."""
+    story = model.pointing.story
+    if story is None or len(story.way) < 2:
+        return
+    line, rim = imgui.get_color_u32(_WAY), imgui.get_color_u32((0, 0, 0, 0.8))
+    points = [place.to_screen(*point.px) for point in story.way]
+    for a, b in zip(points, points[1:], strict=False):
+        marks.add_line(a, b, rim, 3.5)
+        marks.add_line(a, b, line, 1.5)
+    at = imgui.get_mouse_pos()
+    for point, spot in zip(story.way, points, strict=True):
+        near = _distance(at, spot) < _NEAR
+        marks.add_circle_filled(spot, 4.5 if near else 3.5, rim)
+        marks.add_circle_filled(spot, 3.5 if near else 2.5, line)
+        if near and imgui.is_window_hovered():
+            imgui.set_tooltip(f"rendered frame {point.k}: ({point.px[0]:.1f}, {point.px[1]:.1f})")
+
+
+def _rectangle(model, place, marks) -> None:
+    """The rectangle whose statistics the inspector shows."""
+    if model.selection.rectangle is None:
+        return
+    left, top, right, bottom = model.selection.rectangle
+    corners = place.to_screen(left, top), place.to_screen(right, bottom)
+    marks.add_rect_filled(*corners, imgui.get_color_u32((1, 1, 1, 0.06)))
+    marks.add_rect(*corners, imgui.get_color_u32((0, 0, 0, 0.8)), 0, 3.0)
+    marks.add_rect(*corners, imgui.get_color_u32(_ACCENT), 0, 1.5)
+
+
 def _caption(model, origin, width, height, marks) -> None:
     """Layer names and what changes their look, in the corners."""
     view = model.view
     if model.comparison.flipped and view.b:
         _label(marks, f"B  {_layer_text(model, view.b)}", origin.x + 10, origin.y + 8)
     elif view.compare != "off" and view.b:
-        _label(marks, f"A  {_layer_text(model, view.a)}", origin.x + 10, origin.y + 8)
-        _label(marks, f"B  {_layer_text(model, view.b)}", origin.x + width - 10, origin.y + 8, right=True)
+        settings = f"{told(model.setup)}   " if model.comparison.by_settings else ""
+        texts = (f"A  {settings}{_layer_text(model, view.a)}", f"B  {_layer_text(model, view.b)}")
+        a, b = (_shortened(text, width / 2 - 24) for text in texts)
+        _label(marks, a, origin.x + 10, origin.y + 8)
+        _label(marks, b, origin.x + width - 10, origin.y + 8, right=True)
     else:
         _label(marks, _layer_text(model, view.a), origin.x + 10, origin.y + 8)
     k, j = divmod(model.slot, model.n + 1)
@@ -233,16 +275,31 @@ def _caption(model, origin, width, height, marks) -> None:
         _label(marks, state, origin.x + width - 10, origin.y + height - hello_imgui.em_size(1.6), right=True)
 
 
+def _shortened(text: str, width: float) -> str:
+    """As much of it as has room, its end rather than its middle."""
+    if imgui.calc_text_size(text).x <= width:
+        return text
+    for kept in range(len(text) - 1, 2, -1):
+        shorter = f"{text[: (kept + 1) // 2]}…{text[-(kept // 2) :]}"
+        if imgui.calc_text_size(shorter).x <= width:
+            break
+    return shorter
+
+
 def _layer_text(model, name: str) -> str:
     """What the layer is called, and what changes its look, or why it is not there."""
     spec = model.contents.spec(name)
     if spec is None:
-        return f"{name}: not made with these options"
+        return f"{names.plain(name)}: not made with these options"
     text, display = f"{spec.group}: {spec.label}", model.looks.of(name)
+    if names.is_second(name) and model.kept.b is not None:
+        text = f"{model.kept.b.name}   {text}"
+        if model.second.fault:
+            return f"{model.kept.b.name}: {model.second.fault}"
     if spec.view == "color" and display.exposure:
         text += f"   {display.exposure:+.1f} EV"
-    result = model.contents.result
-    if result and name in result.request.layers and model.contents.image(name) is None:
+    result = model.contents.second if names.is_second(name) else model.contents.result
+    if result and names.plain(name) in result.request.layers and model.contents.image(name) is None:
         text += "   (none for this frame)"
     elif result and not result.moment.alpha and spec.of_generated:
         text += "   (of the generated frame before)"

@@ -36,7 +36,10 @@ def help_window(app) -> None:
                     imgui.text_disabled(keys)
         imgui.end_table()
     imgui.pop_style_var()
-    imgui.text_disabled("Wheel: zoom at the cursor.  Drag: pan, or the wipe's line.  Click: the story of a pixel.")
+    imgui.text_disabled(
+        "Wheel: zoom at the cursor.  Drag: pan, or the wipe's line.  Click: the story of a pixel."
+        "  Shift+drag: statistics of a rectangle."
+    )
     imgui.end()
 
 

@@ -28,7 +28,9 @@ _VARIANT = ("VIEW_A", "SMOOTH_A", "VIEW_B", "SMOOTH_B", "COMPARE", "OVERLAY")  #
 _RING = 3  # pixel buffers per size, so that none is rewritten while the driver still reads it
 _RINGS = 12  # sizes that are kept
 _RENDERED = {"depth": names.RENDERED_DEPTH, "motion": names.RENDERED_MOTION, "color": names.RENDERED_COLOR}
-_UNITS = {"texels_a": 0, "texels_b": 1, "rendered_depth": 2, "rendered_motion": 3, "rendered_color": 4, "color_maps": 5}
+_REGIONS = "regions"
+_SAMPLERS = ("texels_a", "texels_b", "rendered_depth", "rendered_motion", "rendered_color", _REGIONS, "color_maps")
+_UNITS = {name: unit for unit, name in enumerate(_SAMPLERS)}
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,7 @@ class _Texture:
         self.planes, self.unit = planes, 255.0 if dtype == "f1" else 1.0
         self.has_mipmaps = False
         self.spec: LayerSpec | None = None
+        self.frame: FrameInfo | None = None
 
     def smooth(self) -> None:
         """Have mipmaps of the present texels."""
@@ -120,8 +123,9 @@ class Canvas:
 
     # ---- layers ----------------------------------------------------------------------------------------
 
-    def upload(self, name: str, array: np.ndarray, spec: LayerSpec) -> None:
-        """Put an image under `name`: (H, W), (H, W, C) or, with `spec.planes` > 1, (planes, H, W[, C]); C ≤ 4.
+    def upload(self, name: str, array: np.ndarray, spec: LayerSpec, frame: FrameInfo | None = None) -> None:
+        """Put an image under `name`: (H, W), (H, W, C) or, with `spec.planes` > 1, (planes, H, W[, C]); C ≤ 4. `frame`:
+        what it refers to, if not to what the others do.
 
         float16, float32 and uint8 go as they are (fastest when C-contiguous), other types as float32. An image wider
         or higher than the GPU's largest texture goes with every n-th pixel. An empty one is ignored.
@@ -136,7 +140,7 @@ class Canvas:
         buffer = self._next_buffer(texels.nbytes)
         buffer.write(texels)
         layer.texels.write(buffer, alignment=1)
-        layer.spec, layer.has_mipmaps = spec, False
+        layer.spec, layer.has_mipmaps, layer.frame = spec, False, frame
 
     def _next_buffer(self, nbytes: int) -> moderngl.Buffer:
         ring = self._rings.pop(nbytes, [])
@@ -239,7 +243,8 @@ class Canvas:
         for index, layer in enumerate(shown):
             program.set(f"layer[{index}].", layer.uniforms)
         rendered = {key: self._layers.get(name) for key, name in _RENDERED.items()}
-        for unit, texture in enumerate((*(layer.texture for layer in shown), *rendered.values())):
+        regions = self._layers.get(_REGIONS)
+        for unit, texture in enumerate((*(layer.texture for layer in shown), *rendered.values(), regions)):
             (texture or self._nothing.texture).texels.use(unit)
         self._color_maps.use(_UNITS["color_maps"])
         program.set("", {f"has_{key}": layer is not None for key, layer in rendered.items()} | self._frame_uniforms())
@@ -251,6 +256,8 @@ class Canvas:
             "error_squared": view.error == "squared",
             "error_high": max(view.error_high, 1e-12),
             "residual_scale": max(view.residual_scale, 1e-6),
+            "region": view.region,
+            "has_regions": regions is not None,
         }
         program.set("", values)
         if view.compare != "split":  # its line goes beyond the display
@@ -290,7 +297,7 @@ class Canvas:
         layer = self._layers.get(name)
         if layer is None or display is None:
             return self._nothing
-        spec, frame = layer.spec, self.frame
+        spec, frame = layer.spec, layer.frame or self.frame
         view, channel = shown_as(spec, display)
         area = frame.area(spec)
         texel = [zoom * frame.display_size[i] / (layer.size[i] * abs(area[i + 2] - area[i])) for i in (0, 1)]

@@ -25,6 +25,8 @@
 #define ERROR 4
 #define EDGES 1
 #define RESIDUAL 2
+#define REGIONS 3
+#define REST 5                   /* the last of the regions of errors: everything else */
 
 #define GRID_FROM 8.0    /* screen pixels per texel, and per display pixel, from which grid lines show */
 #define GRID_FULL 24.0
@@ -52,7 +54,7 @@ struct Layer {
 };
 
 uniform Layer layer[2];
-uniform sampler2DArray texels_a, texels_b, rendered_depth, rendered_motion, rendered_color;
+uniform sampler2DArray texels_a, texels_b, rendered_depth, rendered_motion, rendered_color, regions;
 uniform sampler2D color_maps;   /* a row each */
 uniform vec3 label_colors[16], sky, mask_off;
 uniform float wheel_centre;
@@ -72,6 +74,8 @@ uniform mat3x4 to_previous;     /* view space of the rendered camera -> of the o
 uniform vec4 source_inverse;    /* 1/fx, 1/fy, cx, cy of the rendered camera */
 uniform vec4 previous_pinhole;  /* fx, fy, cx, cy of the one before */
 uniform float residual_scale;
+uniform bool has_regions;
+uniform int region;             /* that is seen alone; -1: all are, tinted */
 
 out vec4 pixel;
 
@@ -273,6 +277,12 @@ bool residual_motion(const vec2 uv, out vec2 residual) {
 vec3 overlaid(const vec3 picture, const vec2 uv) {
     vec2 rendered_uv = mix(rendered_area.xy, rendered_area.zw, uv);
     vec3 dimmed = vec3(0.35 * dot(picture, vec3(0.2126, 0.7152, 0.0722)));
+    if (OVERLAY == REGIONS) {
+        if (!has_regions) return picture;
+        int here = int(255.0 * texelFetch(regions, ivec3(texel_at(uv, textureSize(regions, 0).xy), 0), 0).r + 0.5);
+        if (region < 0) return here == REST ? 1.4 * dimmed : mix(1.4 * dimmed, label_colors[here + 1], 0.6);
+        return here == region ? picture : 0.6 * dimmed;
+    }
     if (OVERLAY == 0 || !inside(rendered_uv)) return picture;
     if (OVERLAY == EDGES) {
         vec3 found = max(edges_along(rendered_uv, ivec2(1, 0)), edges_along(rendered_uv, ivec2(0, 1)));

@@ -8,7 +8,7 @@ from gffe_cl.viewer.picture.colors import Rgb
 from gffe_cl.viewer.picture.displays import Display
 
 COMPARISONS = ("off", "split", "difference", "flip", "error")  # "flip": the caller shows b as a
-OVERLAYS = ("none", "edges", "residual motion")
+OVERLAYS = ("none", "edges", "residual motion", "regions")
 ERRORS = ("absolute", "squared")
 
 Size = tuple[int, int]
@@ -25,7 +25,8 @@ class View:
         "difference" |a − b| of display values times `gain`; "error" an error map, `error` of ERRORS up to `error_high`
     zoom : screen pixels per display pixel
     centre : display pixel (x, y) in the middle of the canvas
-    overlay : one of OVERLAYS, over whatever is compared; residual motion has full colour at `residual_scale` pixels
+    overlay : one of OVERLAYS, over whatever is compared; residual motion has full colour at `residual_scale` pixels;
+        of regions (the layer of that name) only number `region` is bright, −1: each has a tint
     grid : lines between pixels when zoomed in
     """
 
@@ -43,6 +44,7 @@ class View:
     error: str = "absolute"
     error_high: float = 0.1
     residual_scale: float = 4.0
+    region: int = -1
     grid: bool = True
 
     def display_at(self, size: Size, x: float, y: float) -> tuple[float, float]:

@@ -12,6 +12,7 @@ from gffe_cl.viewer.picture import flip_map
 from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.picture.view import ERRORS, View
 from gffe_cl.viewer.state.contents import Contents
+from gffe_cl.viewer.state.kept import Kept, KeptSettings
 from gffe_cl.viewer.state.looks import Looks
 
 WAYS = ("off", "split", "flip", "difference", "error", "flip error")
@@ -22,8 +23,9 @@ _NUMBERS = {"split": (0.0, 1.0), "gain": (1.0, 32.0), "error_high": (0.01, 1.0)}
 class Comparison:
     """How A and B of a view are compared; "flip error" is a map that is computed on the host."""
 
-    def __init__(self, view: View, contents: Contents, looks: Looks):
-        self._view, self._contents, self._looks = view, contents, looks
+    def __init__(self, view: View, contents: Contents, looks: Looks, settings: KeptSettings):
+        self._view, self._contents, self._looks, self._settings = view, contents, looks, settings
+        self._by_settings = False
         self.flipped = False  # B is shown as long as a key is held
         self.flip_high = FLIP_HIGH
         self._nothing = False  # A or B does not exist for this frame
@@ -42,6 +44,35 @@ class Comparison:
         if any(spec is not None and spec.view != "color" for spec in specs):
             return "FLIP compares colours: choose two of them as A and B"
         return None
+
+    @property
+    def by_settings(self) -> bool:
+        """Whether B is A's layer as the kept settings make it, not another layer."""
+        return self._by_settings and self._settings.b is not None
+
+    @property
+    def second(self) -> Kept | None:
+        """Settings of which something is to be shown."""
+        return self._settings.b if self.by_settings and (self._view.compare != "off" or self.flipped) else None
+
+    def with_settings(self, name: str | None = None) -> None:
+        """Compare with kept settings, by default with those that are B already."""
+        if name is not None:
+            self._settings.choose(name)
+        self._by_settings = self._settings.b is not None
+        self.follow()
+
+    def with_layer(self, name: str) -> None:
+        """Compare with another layer."""
+        self._by_settings, self._view.b = False, name
+
+    def follow(self) -> None:
+        """B's layer is A's where settings are compared."""
+        view = self._view
+        if self.by_settings:
+            view.b = names.of_second(view.a)
+        elif names.is_second(view.b):
+            view.b, view.compare = None, "off"
 
     def set(self, way: str) -> None:
         view = self._view
@@ -68,6 +99,7 @@ class Comparison:
 
     def shown(self) -> View:
         """The view with the displays of its layers, for the canvas."""
+        self.follow()
         looks = self._looks
         view = replace(self._view, a_display=looks.of(self._view.a))
         if view.b:
@@ -113,6 +145,7 @@ class Comparison:
     def update(self, canvas) -> str | None:
         """Once per frame of the interface: take the map that is made, and have the next one made. Returns what went
         wrong, if something did: then nothing is compared any more."""
+        self.follow()
         view, contents = self._view, self._contents
         if view.compare != "flip error":
             return None
@@ -148,7 +181,8 @@ class Comparison:
 
     def preferences(self) -> dict[str, Any]:
         """Plain JSON."""
-        return {name: getattr(self._view, name) for name in ("compare", "b", "error", *_NUMBERS)}
+        saved = {name: getattr(self._view, name) for name in ("compare", "b", "error", *_NUMBERS)}
+        return saved | ({"compare": "off", "b": None} if self.by_settings else {})
 
     def restore(self, saved: dict[str, Any]) -> None:
         """Take over what `preferences` returned once; a damaged value costs only itself."""

@@ -21,6 +21,8 @@ class Filling:
     ----------
     cached : frozenset of int
         The slots that are there as the picture needs them.
+    others : frozenset of Recipe
+        Of what else is looked at.
     background : list of callables
         Each gives requests of role "ahead" that are wanted when all of the above is there, most wanted first.
     """
@@ -29,6 +31,7 @@ class Filling:
         self._engine, self._cache, self._playback = engine, engine.cache, playback
         self.cached: frozenset[int] = frozenset()
         self.background: list[Callable[[], Iterable[Request]]] = []
+        self.others: frozenset[Recipe] = frozenset()
         self._seen = self._planned = None
         self._since = 0.0
 
@@ -44,7 +47,7 @@ class Filling:
         playback, wanted = self._playback, (recipe, request.layers, request.metrics)
         playhead = Playhead(request.slot, playback.first, playback.last)
         if (wanted, playhead) != self._seen:
-            self._cache.use({recipe}, playhead)
+            self._cache.use({recipe, *self.others}, playhead)
             self._seen, self._since = (wanted, playhead), now
             self._planned = None
         due = beside and (playback.playing or now - self._since > _STILL)

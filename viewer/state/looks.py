@@ -25,7 +25,8 @@ class Looks:
         self._displays: dict[str, Display] = {}
 
     def of(self, name: str) -> Display:
-        """How the layer `name` is displayed now."""
+        """How the layer `name` is displayed now, whatever settings made it."""
+        name = names.plain(name)
         if name not in self._displays:
             spec = self._contents.spec(name)
             if name not in self._saved:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,20 +22,28 @@ from gffe_cl.viewer.engine.opening import ScenePlan, make_source
 from gffe_cl.viewer.engine.preview import Preview, Previewer, preview_of
 from gffe_cl.viewer.engine.sources import FrameSource
 from gffe_cl.viewer.picture.displays import Display
+from gffe_cl.viewer.picture.legend_strip import Entry
 from gffe_cl.viewer.picture.view import View
+from gffe_cl.viewer.state.captions import entries_of
 from gffe_cl.viewer.state.comparing import Comparison
 from gffe_cl.viewer.state.contents import Contents
 from gffe_cl.viewer.state.filling import Filling
 from gffe_cl.viewer.state.flying import Flight, Flyer
 from gffe_cl.viewer.state.framing import Framing
+from gffe_cl.viewer.state.kept import KeptSettings, command_line
 from gffe_cl.viewer.state.looks import Looks
 from gffe_cl.viewer.state.parameters import Parameters
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.pointing import Pointing
+from gffe_cl.viewer.state.regions import OVERLAY, Regions
 from gffe_cl.viewer.state.saving import Subject, Work
 from gffe_cl.viewer.state.screen import Screen
+from gffe_cl.viewer.state.second import Second
+from gffe_cl.viewer.state.selecting import Selection
 from gffe_cl.viewer.state.settings import Settings
+from gffe_cl.viewer.state.survey import Survey
 from gffe_cl.viewer.state.timings import Timings
+from gffe_cl.viewer.state.walking import Walk
 
 _SCENES = ScenePlan(480, 270, 0)
 _OPTIONS = Options()
@@ -71,8 +80,14 @@ class Model:
         self.framing = Framing(self.view)
         self.looks = Looks(self.contents, settings.displays)
         self.screen = Screen(self.contents, self.looks)
-        self.comparison = Comparison(self.view, self.contents, self.looks)
+        self.kept = KeptSettings()
+        self.comparison = Comparison(self.view, self.contents, self.looks, self.kept)
+        self.second = Second(self.engine, self.filling.find)
+        self.regions = Regions(self.view, self.contents)
+        self.survey = Survey(self.engine, self.playback)
         self.pointing = Pointing(self._inspect)
+        self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
+        self.selection = Selection(self.contents)
         self.flyer: Flyer | None = None
         self.export: Work | None = None
         self.overview = False
@@ -89,7 +104,7 @@ class Model:
         self.recipe = self.engine.recipe(self.setup)
         self._serial = itertools.count(1)
         self._asked: Request | None = None  # the latest request, and it without its serial number
-        self._wanted: tuple[Request, Recipe | None] | None = None
+        self._wanted: tuple[Request, Recipe | None, Request | None] | None = None
         self.from_cache = False  # what is shown came from the cache
         self._was_playing = False
         self._target = ""
@@ -98,6 +113,7 @@ class Model:
         self.playback.restore(settings.playback)
         self.parameters.restore(settings.options)
         self.comparison.restore(settings.compare)
+        self.kept.restore(settings.kept)
 
     # ---- opening -----------------------------------------------------------------------------------------
 
@@ -127,6 +143,8 @@ class Model:
         self.notice, self._asked, self._target = "", None, source.target
         if self.preview is None:
             self.screen.show({}, set(), canvas)
+        for part in (self.second, self.survey, self.walk, self.selection):
+            part.forget()
         if self.export is not None:
             self.export.cancel()
         self.playback.open(source.count, source.fps, self._times(source.count), keep=self._keep_place)
@@ -171,7 +189,8 @@ class Model:
                 self._failed(answer)
             elif self.source is not None and self._is_news(answer):
                 self.from_cache = False
-                self._take(answer, canvas)
+                self._came(answer, canvas)
+        self._take_pair(canvas)
         while (metrics := self.engine.poll_metrics()) is not None:
             self._metrics.setdefault(self.engine.recipe(metrics.setup), {})[metrics.slot] = metrics
         inspection = self.engine.poll_inspection()
@@ -179,14 +198,20 @@ class Model:
             self.pointing.take(inspection)
         if self.source is None:
             return
+        self.second.compare_with(None if self.overview else self.comparison.second)
+        kept = self.second.kept
+        self.filling.others = frozenset() if kept is None else frozenset({self.engine.recipe(kept.setup(self.n))})
         result, ready = self.contents.result, None
         if result is not None and result.request.setup == self.setup:
             ready = result.request.slot
         self._ask(self.playback.tick(now, ready).request, canvas)
-        fault = self.comparison.update(canvas)
-        if fault:
+        faults = self.comparison.update(canvas), self.regions.update(canvas), self.selection.update()
+        for fault in filter(None, faults):
             self.say(fault, error=True)
         self._fill(now)
+        kept = self.kept.b if self.comparison.by_settings else None
+        idle = not (self.flying or self.export or self.playback.playing or self.second.waits)
+        self.survey.update(self.setup, kept and kept.setup(self.n), self.source.exposure, idle)
         if self._was_playing and not self.playback.playing and self.from_cache:
             self.pointing.ask_again()
         self._was_playing = self.playback.playing
@@ -194,6 +219,11 @@ class Model:
             self._advance_export(canvas)
 
     def _failed(self, error: EngineError) -> None:
+        if self.second.failed(error):
+            self.say(f"B: {error.message}", error=True)
+            return
+        if error.during != "metrics":
+            self.second.forget()
         self.failure = error.message
         if error.during == "network":
             self._without_network(error.message)
@@ -217,13 +247,29 @@ class Model:
         if self.export is not None:
             self.export.cancel()
 
-    def _take(self, result: Result, canvas) -> None:
-        self.contents.take(result)
+    def _came(self, result: Result, canvas) -> None:
+        """A's result is there; where it is compared with B's it waits for that."""
+        if self.second.belongs(result):
+            self.second.pair(result)
+        else:
+            self._take(result, None, canvas)
+
+    def _take_pair(self, canvas) -> None:
+        """A's and B's results of one slot, when both are there."""
+        pair = self.second.take() if self.screen.ready else None
+        if pair is not None:
+            self._take(*pair, canvas)
+
+    def _take(self, result: Result, second: Result | None, canvas) -> None:
+        self.contents.take(result, second)
         self.failure = None
         self._previewer = self.preview = None
         if result.metrics:
             request = result.request
             self.metrics[request.slot] = Metrics(request.slot, request.setup, result.metrics)
+        if second is not None and second.metrics:
+            request = second.request
+            self.metrics_of_second()[request.slot] = Metrics(request.slot, request.setup, second.metrics)
         self.screen.show(result.images, {self.view.a, self.view.b}, canvas)
         self.timings.add(result)
         self.pointing.ask_again()
@@ -234,21 +280,27 @@ class Model:
             k, j = divmod(slot, self.n + 1)
             self.source.fly(k, j / (self.n + 1), self.flyer.pose)
         request = Request(slot, self.setup, frozenset(self._needed()), 0, self.measuring, keep=not self.flying)
-        wanted = request, None if self.flying else self.recipe
+        second = self.second.request(request, self._needed_of_second()) if self.second.kept else None
+        wanted = request, None if self.flying else self.recipe, second
         steered = self.flying and self.flyer.moved
         if wanted == self._wanted and self._asked is not None and not steered:
             return
+        if self.second.waits and second is not None:
+            return  # one after the other, or the faster one would never be shown with the slower one
         if self.flying:
             self.flyer.moved = False
         self._wanted = wanted
         self._asked = replace(request, serial=next(self._serial))
+        if second is not None:
+            self.second.ask(replace(second, serial=next(self._serial)), self.source)
         kept = None if self.flying else self.filling.find(self.recipe, request)
         if kept is None:
             self.engine.submit(self._asked, self.source)
             return
         self.engine.withdraw()
         self.from_cache = True
-        self._take(replace(kept, request=self._asked), canvas)
+        self._came(replace(kept, request=self._asked), canvas)
+        self._take_pair(canvas)
 
     def _is_news(self, result: Result) -> bool:
         """Whether it was asked for after what is shown, or made anew."""
@@ -262,6 +314,13 @@ class Model:
         nbytes = sum(image.nbytes for image in result.images.values())
         beside = not (self.flying or self.overview or self.export or self._wanted[0].slot != result.request.slot)
         self.filling.update(now, self.recipe, self._wanted[0], nbytes, beside)
+
+    def go_to(self, find: Callable[[], int | None]) -> None:
+        """To the slot that `find`, of the survey, gives."""
+        slot, text = self.survey.search(find)
+        if slot is not None:
+            self.playback.seek(slot)
+        self.say(text)
 
     @property
     def _inspects(self) -> bool:
@@ -280,6 +339,11 @@ class Model:
     def metrics(self) -> dict[int, Metrics]:
         """What was measured of the present recipe, by slot."""
         return self._metrics.setdefault(self.recipe, {})
+
+    def metrics_of_second(self) -> dict[int, Metrics]:
+        """... of B's settings."""
+        kept = self.kept.b
+        return {} if kept is None else self._metrics.setdefault(self.engine.recipe(kept.setup(self.n)), {})
 
     @property
     def n(self) -> int:
@@ -311,6 +375,9 @@ class Model:
             and not self.engine.busy
             and not (self.pointing.story_due and self._inspects)
             and self.comparison.ready
+            and not self.second.waits
+            and self.regions.ready
+            and self.selection.ready
             and self.screen.ready
         )
 
@@ -319,9 +386,10 @@ class Model:
         if self.overview:
             return {spec.name for spec in self.contents.layers} or {names.FINAL}
         wanted = {self.view.a}
-        if self.view.compare != "off" and self.view.b:
+        if self.view.compare != "off" and self.view.b and not names.is_second(self.view.b):
             wanted.add(self.view.b)
-        if self.view.overlay != "none":
+        wanted |= self.regions.needed | self.selection.needed
+        if self.view.overlay not in ("none", OVERLAY):
             wanted |= {names.RENDERED_COLOR, names.RENDERED_DEPTH, names.RENDERED_MOTION}
         specs = [self.contents.spec(name) for name in wanted]
         if any(spec is not None and spec.view == "world" for spec in specs):
@@ -329,6 +397,25 @@ class Model:
         if self.export is not None:
             wanted |= self.export.layers
         return wanted
+
+    def _needed_of_second(self) -> frozenset[str]:
+        return frozenset({self.view.a} | ({names.FINAL} & self.regions.needed))
+
+    def keep_as_b(self) -> None:
+        """Freeze what is computed now as B."""
+        kept = self.kept.keep(self.setup, self.recipe.kernels)
+        self.comparison.with_settings(kept.name)
+        self.say(f"kept as B: {kept.name}. W wipes between A and B, D shows their difference")
+
+    def take_second(self) -> None:
+        """Go on with B's settings as A."""
+        kept = self.kept.b
+        self.parameters.take(kept.options, kept.window)
+        self.say(f"A has B's settings now: {kept.name}" + (", with the newest kernels" if kept.kernels else ""))
+
+    def command_line(self, setup: Setup) -> str:
+        """What gives the frames of `setup`, for a shell."""
+        return command_line(setup, self.source, self.plan.seed)
 
     def set(self, name: str, value: Any) -> None:
         """A parameter; what makes no sense is said."""
@@ -384,7 +471,11 @@ class Model:
 
     @property
     def _subject(self) -> Subject:
-        return Subject(self.contents, self.playback, self.view, self.comparison.shown, lambda: self.settled)
+        def legends() -> list[Entry]:
+            there = self.settings.legends
+            return entries_of(self.view, self.contents, self.looks, self.comparison) if there else []
+
+        return Subject(self.contents, self.playback, self.view, self.comparison.shown, legends, lambda: self.settled)
 
     def save(self, work: type[Work]) -> None:
         """Start saving beside the interface."""
@@ -425,6 +516,7 @@ class Model:
         self.settings.playback = self.playback.preferences()
         self.settings.options = self.parameters.preferences()
         self.settings.compare = self.comparison.preferences()
+        self.settings.kept = self.kept.preferences()
         warning = self.settings.save()
         if warning:
             print(warning, file=sys.stderr)
@@ -437,6 +529,9 @@ class Model:
         if self.export is not None:
             self.export.close()
         self.comparison.close()
+        self.regions.close()
+        self.survey.close()
+        self.selection.close()
         self.engine.close()
 
     @property

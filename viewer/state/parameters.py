@@ -170,6 +170,11 @@ class Parameters:
             return next(choice for choice in option.choices if choice != option.off)
         return option.low if option.low != option.off else option.low + 1
 
+    def take(self, options: Options, window: str | None) -> None:
+        """All at once, as they were kept."""
+        self.network_fault = None
+        self.options, self.window = replace(options, **ALWAYS), window
+
     def use_defaults(self) -> None:
         """... for all that is offered, but what is rendered."""
         self.network_fault = None

@@ -13,6 +13,7 @@ import numpy as np
 
 from gffe_cl.viewer.picture.canvas import read
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
+from gffe_cl.viewer.picture.legend_strip import Entry, with_legends
 from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.contents import Contents
 from gffe_cl.viewer.state.playback import Playback
@@ -30,6 +31,7 @@ class Subject:
     playback: Playback
     view: View
     shown: Callable[[], View]
+    legends: Callable[[], list[Entry]]
     settled: Callable[[], bool]
 
     @property
@@ -99,15 +101,15 @@ class Work:
 
 
 class PictureWork(Work):
-    """The view as it is compared and displayed, one display pixel to a pixel, as PNG."""
+    """The view as it is compared and displayed, one display pixel to a pixel, as PNG, with legends under it."""
 
     def __init__(self, subject: Subject):
         super().__init__(subject, subject.unused(f"{subject.slot:05d}_{subject.view.a}", ".png"), 1)
 
     def _proceed(self, canvas):
         if self._thread is None:
-            pixels, self.done = self.subject.picture(canvas), 1
-            self._start(lambda: self._write(pixels))
+            pixels, legends, self.done = self.subject.picture(canvas), self.subject.legends(), 1
+            self._start(lambda: self._write(with_legends(pixels, legends)))
 
     def _write(self, pixels: np.ndarray) -> str:
         save_png(self.path, pixels)

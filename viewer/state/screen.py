@@ -10,7 +10,7 @@ import numpy as np
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS
 from gffe_cl.viewer.engine.preview import Preview
-from gffe_cl.viewer.picture import flip_map
+from gffe_cl.viewer.picture import flip_map, region_map
 from gffe_cl.viewer.picture.displays import FrameInfo
 from gffe_cl.viewer.state.contents import Contents
 from gffe_cl.viewer.state.looks import Looks
@@ -44,14 +44,16 @@ class Screen:
             canvas.upload(names.FINAL, preview.color, FRAME_LAYERS[names.FINAL])
 
     def show(self, images: Mapping[str, np.ndarray], first: set[str], canvas) -> None:
-        """Have these images and no others, which would be of another time, on the canvas: those of `first` at once,
-        the others as soon as there is time."""
-        self._waiting, self.upload_ms = dict(images), 0.0
+        """Have these images, with those of other settings, and no others, which would be of another time, on the
+        canvas: those of `first` at once, the others as soon as there is time."""
+        second = self._contents.second if images else None
+        others = {} if second is None else {names.of_second(name): image for name, image in second.images.items()}
+        self._waiting, self.upload_ms = dict(images) | others, 0.0
         if canvas is not None:
             if images:
                 canvas.frame = self._contents.frame_info()
-            canvas.forget(canvas.layers.keys() - images.keys() - {flip_map.NAME})
-        for name in first & images.keys():
+            canvas.forget(canvas.layers.keys() - self._waiting.keys() - {flip_map.NAME, region_map.NAME})
+        for name in first & self._waiting.keys():
             self._upload(name, canvas)
         self.proceed(canvas)
 
@@ -66,6 +68,8 @@ class Screen:
     def _upload(self, name: str, canvas) -> None:
         start, image = time.perf_counter(), self._waiting.pop(name)
         if canvas is not None:
-            canvas.upload(name, image, self._contents.spec(name))
+            own = [self._contents.frame_info(self._contents.second)] if names.is_second(name) else []
+            canvas.upload(name, image, self._contents.spec(name), *own)
         self.upload_ms += (time.perf_counter() - start) * 1e3
-        self._looks.meet([name])
+        if not names.is_second(name):
+            self._looks.meet([name])

@@ -1,0 +1,304 @@
+"""Finding what is wrong: figures of slots, regions of errors, the survey, the way of a fragment, rectangles."""
+
+import time
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from gffe_cl import Options
+from gffe_cl.camera import Camera
+from gffe_cl.evaluation.table.flicker import Flicker
+from gffe_cl.evaluation.table.regions import REGIONS as TABLE
+from gffe_cl.evaluation.table.regions import find_labels
+from gffe_cl.metrics import display_values, psnr, squared_error
+from gffe_cl.opencl.device import open_device
+from gffe_cl.render import render_sequence
+from gffe_cl.scenes import load_scene
+from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.figures import NEEDED, REGIONS, Figures, Measurer, Part, parts_of, region_labels
+from gffe_cl.viewer.engine.layers import LayerSpec
+from gffe_cl.viewer.engine.messages import Recipe, Request, Setup
+from gffe_cl.viewer.engine.way import Passed, way_of
+from gffe_cl.viewer.picture.colors import LABEL_COLORS, color_table
+from gffe_cl.viewer.picture.displays import Display
+from gffe_cl.viewer.picture.legend_strip import Entry, with_legends
+from gffe_cl.viewer.picture.legends import legend
+from gffe_cl.viewer.picture.rectangle import statistics
+from gffe_cl.viewer.state.playback import Playback
+from gffe_cl.viewer.state.survey import Survey
+
+HEIGHT, WIDTH = 20, 32
+CAMERA = Camera(np.eye(4), 20.0, 20.0, WIDTH / 2, HEIGHT / 2)
+
+
+def made(slot=1, n=1, error=0.1, seed=0, **changes):
+    """A generated slot as the engine gives it: depth steps in the middle, a mover left, holes at the right rim."""
+    rng = np.random.default_rng(seed)
+    truth = np.zeros((HEIGHT, WIDTH, 4), np.float16)
+    truth[..., :3] = rng.uniform(0.2, 0.6, (HEIGHT, WIDTH, 3))
+    final = truth.copy()
+    final[..., :3] += (error * rng.uniform(0.5, 1, (HEIGHT, WIDTH, 1))).astype(np.float16)
+    depth = np.full((HEIGHT, WIDTH), 4.0, np.float32)
+    depth[:, WIDTH // 2 :] = 8.0
+    dynamic, holes = (np.zeros((HEIGHT, WIDTH), np.uint8) for _ in range(2))
+    dynamic[:, :5], holes[:, -6:] = 1, 1
+    images = {
+        names.FINAL: final, names.TRUTH: truth, names.DEPTH: depth, names.DYNAMIC: dynamic, names.DISOCCLUDED: holes,
+        names.FILLED_BY: np.where(holes, 255, 0).astype(np.uint8),
+        names.MOTION: np.broadcast_to(np.float32((3, 4)), (HEIGHT, WIDTH, 2)).copy(),
+    }  # fmt: skip
+    # the rendered frame saw three columns less at the right
+    rendered = Camera(np.eye(4), 20.0, 20.0, WIDTH / 2 - 3 + 6, HEIGHT / 2)
+    moment = SimpleNamespace(alpha=0.5, camera=CAMERA, render_camera=rendered)
+    request = Request(slot, Setup(n=n), frozenset(images), 0)
+    result = SimpleNamespace(
+        request=request, moment=moment, images=images, milliseconds={"warp": 1.5, "holes": 0.25},
+        render_size=(WIDTH, HEIGHT),
+    )  # fmt: skip
+    for name, value in changes.items():
+        setattr(result, name, value)
+    return result
+
+
+def shown(result):
+    return [display_values(result.images[name][..., :3], 1.0) for name in (names.FINAL, names.TRUTH)]
+
+
+def test_regions_and_their_shares():
+    result = made()
+    labels = region_labels(result, 1.0)
+    number = {name: index for index, name in enumerate(REGIONS)}
+    assert (labels[:, -3:] == number["out of screen"]).all()
+    assert (labels[:, -6:-3] == number["disoccluded"]).all()
+    assert (labels[:, WIDTH // 2 - 1 : WIDTH // 2 + 1] == number["silhouettes"]).all()
+    assert (labels[:, :5] == number["dynamic"]).all()
+    assert set(np.unique(labels[:, 5 : WIDTH // 2 - 1])) <= {number["focus"], number["rest"]}
+    parts = parts_of(labels, squared_error(*shown(result)))
+    mask, (a, b) = labels == number["disoccluded"], shown(result)
+    assert parts["disoccluded"].psnr == pytest.approx(psnr(a, b, mask), abs=1e-4)
+    assert parts["disoccluded"].pixels == mask.mean()
+    assert sum(part.error for part in parts.values()) == pytest.approx(1)
+    assert np.isnan(parts_of(np.zeros_like(labels), np.zeros(labels.shape))["rest"].psnr)
+
+
+def test_regions_are_those_of_the_table(tmp_path):
+    """... of `gffe eval` where it finds them by the pipeline: its two kinds of disocclusions are one here."""
+    from gffe_cl.evaluation.table.subjects import FolderSubject, open_subject
+    from gffe_cl.viewer.engine.engine import Engine
+    from gffe_cl.viewer.engine.opening import ScenePlan, make_source
+
+    device = open_device()
+    render_sequence(load_scene("corridor"), tmp_path, device, 96, 54, 5, 30.0, ground_truth=True, samples=1)
+    joined = {"static disocclusion": "disoccluded", "dynamic disocclusion": "disoccluded"}
+    one = [list(REGIONS).index(joined.get(name, name)) for name in TABLE]
+    footage = open_subject(FolderSubject(str(tmp_path), 1), device)
+    slots = [2 * round(moment.time * 30 - 0.5) + 1 for shot in footage.shots() for moment in shot.moments]
+    expected = [np.take(one, labels) for labels in find_labels(footage, device)]
+    assert slots and len(slots) == len(expected)
+    engine = Engine(lambda: device)
+    engine.start()
+    engine.open_source(lambda opened: make_source(str(tmp_path), None, ScenePlan(1, 1, 0), opened))
+    try:
+        wait_for(lambda: engine.source)
+        for slot, labels in zip(slots, expected, strict=True):
+            engine.submit(Request(slot, Setup(Options(shading_correction=False)), NEEDED, slot))
+            found = region_labels(wait_for(engine.poll), engine.source.exposure)
+            np.testing.assert_array_equal(found, labels)
+    finally:
+        engine.close()
+    assert len(np.unique(expected[-1])) >= 4
+
+
+def wait_for(what, seconds=60):
+    end = time.perf_counter() + seconds
+    while not (answer := what()):
+        assert time.perf_counter() < end
+        time.sleep(0.005)
+    return answer
+
+
+def test_figures_of_a_slot():
+    result, measurer = made(slot=1), Measurer()
+    figures = measurer.measure(result, 1.0)
+    a, b = shown(result)
+    flicker = Flicker()
+    flicker.add(b, b)
+    assert figures.values["psnr"] == pytest.approx(psnr(a, b), abs=1e-4)
+    assert figures.values["flicker"] == pytest.approx(flicker.add(a, b))
+    assert figures.values["disoccluded"] == pytest.approx(100 * 6 / WIDTH)
+    assert figures.values["kernels"] == 1.75
+    without = made(slot=1)
+    del without.images[names.TRUTH]
+    assert Measurer().measure(without, 1.0).values.keys() == {"disoccluded", "kernels"}
+
+
+def test_flicker_needs_the_slot_before():
+    first, second, third = (made(slot=slot, n=3, seed=slot) for slot in (1, 2, 3))
+    flicker = Flicker()
+    flicker.add(*reversed([shown(first)[1]] * 2))
+    expected = [flicker.add(*shown(result)) for result in (first, second, third)]
+    measurer = Measurer()
+    found = [measurer.measure(result, 1.0).values["flicker"] for result in (first, second, third)]
+    assert found == pytest.approx(expected)
+    assert "flicker" not in Measurer().measure(second, 1.0).values
+
+
+class Stub:
+    """An engine that makes every slot of a survey when `poll_survey` is asked; `error` grows with the slot."""
+
+    def __init__(self):
+        self.asked, self.made = [], 0
+
+    def survey(self, requests, source=None):
+        self.asked = list(requests)
+
+    def recipe(self, setup):
+        return recipe_of(setup)
+
+    def poll_survey(self):
+        if not self.asked:
+            return None
+        request = self.asked.pop(0)
+        self.made += 1
+        worse = 0.02 * (1 + (7 * request.slot) % 16) * (2 if request.setup.options.motion else 1)
+        result = made(slot=request.slot, error=worse, request=request)
+        return request, recipe_of(request.setup), None if request.slot == 5 else result
+
+
+def recipe_of(setup):
+    return Recipe(1, 0, setup, "")
+
+
+def surveyed():
+    engine, playback = Stub(), Playback(count=8)
+    survey = Survey(engine, playback)
+    other = Setup(replace(Setup().options, motion=False))
+    sides = Setup(), other
+    survey.update(*sides, 1.0, True)
+    assert engine.made == 0 and survey.worst() is None, "nothing is measured before it is asked for"
+    survey.on = True
+    end = time.perf_counter() + 20
+    while survey.busy and time.perf_counter() < end:
+        survey.update(*sides, 1.0, True)
+        time.sleep(0.002)
+    assert survey.progress == (16, 16)
+    return engine, survey
+
+
+def test_the_survey_finds_the_worst_frames():
+    engine, survey = surveyed()
+    assert engine.made == 16, "every slot once"
+    xs, ys = survey.curve(survey.a)
+    assert xs.tolist() == [1, 3, 7, 9, 11, 13, 15], "slot 5 could not be made"
+    order = xs[np.argsort(ys)].astype(int).tolist()
+    assert [survey.worst(), survey.next(), survey.next()] == order[:3]
+    assert survey.place == "worst: 3 of 7"
+    assert survey.worst() == order[0]
+    a, b = (dict(zip(*survey.curve(side), strict=True)) for side in (survey.a, survey.b))
+    apart = sorted(a, key=lambda slot: -abs(a[slot] - b[slot]))
+    assert [survey.most_different(), survey.most_different()] == apart[:2]
+    survey.quantity = "flicker"
+    xs, ys = survey.curve(survey.a)
+    assert survey.next() == int(xs[ys.argmax()]), "more flicker is worse; another quantity starts anew"
+    assert survey.mean(survey.a, "psnr") == pytest.approx(np.mean(list(a.values())))
+    survey.close()
+
+
+def test_the_survey_sums_up_its_regions():
+    _, survey = surveyed()
+    figures = [figures for figures in survey.figures(survey.a).values() if figures.parts]
+    parts = survey.parts(survey.a)
+    for name in REGIONS:
+        assert parts[name].pixels == pytest.approx(np.mean([of.parts[name].pixels for of in figures]))
+    assert sum(part.error for part in parts.values()) == pytest.approx(1)
+    mean = np.mean([10 ** (-of.values["psnr"] / 10) for of in figures])
+    assert sum(part.squared for part in parts.values()) == pytest.approx(mean, rel=1e-4)
+    survey.close()
+
+
+def test_what_is_measured_stays_known_and_waits_for_others():
+    engine, survey = surveyed()
+    before = engine.made
+    sides = survey.a.setup, survey.b.setup
+    third = Setup(replace(Setup().options, levels=0))
+    survey.update(third, None, 1.0, False)
+    assert not engine.asked, "not while there is something else to do"
+    survey.update(third, None, 1.0, True)
+    assert {request.setup for request in engine.asked} == {third}
+    assert [request.slot for request in engine.asked] == [1, 3, 5]
+    engine.asked = []
+    survey.update(*sides, 1.0, True)
+    assert engine.made == before and survey.progress == (16, 16)
+    survey.forget()
+    assert survey.progress == (0, 16)
+    survey.close()
+
+
+def passed(k, motion, depth=4.0, begins=False):
+    size = (WIDTH, HEIGHT)
+    planes = np.full((HEIGHT, WIDTH), depth, np.float32), np.full((HEIGHT, WIDTH, 2), motion, np.float32)
+    return Passed(k, CAMERA, replace_camera(CAMERA, 2.0), size, *planes, begins)
+
+
+def replace_camera(camera, factor):
+    """The same pose on a display `factor` times as large."""
+    return Camera(camera.world_to_view, *(factor * value for value in camera.intrinsics))
+
+
+def test_the_way_of_a_fragment():
+    way = way_of(
+        None, [passed(5, (2, 1)), passed(4, (3, 1)), passed(3, (0, 0), begins=True), passed(2, (9, 9))], (8, 6)
+    )
+    assert [(point.k, point.px) for point in way] == [(5, (16, 12)), (4, (20, 14)), (3, (26, 16))]
+    assert len(way_of(None, [passed(5, (40, 0)), passed(4, (0, 0))], (8, 6))) == 1, "out of the image"
+    assert len(way_of(None, [passed(5, (1, 0)), passed(4, (0, 0), depth=2.0)], (8, 6))) == 1, "hidden then"
+    assert len(way_of(None, [passed(5, (np.nan, 0)), passed(4, (0, 0))], (8, 6))) == 1
+    edge = passed(4, (1, 0), depth=2.0)
+    edge.depth[6, 10] = 4.1
+    way = way_of(None, [passed(5, (1, 0)), edge, passed(3, (0, 0))], (8, 6))
+    assert way[1].px == (20, 12), "the right surface is beside the place that its motion tells"
+
+
+def test_statistics_of_a_rectangle():
+    result = made()
+    found = statistics(result, (20, 4, 30, 12), 1.0)
+    a, b = (image[4:12, 20:30] for image in shown(result))
+    assert found.count == 80 and found.psnr == pytest.approx(psnr(a, b), abs=1e-4)
+    assert found.filled == {"its own fragment": 0.6, "hole filling": 0.4}
+    error = np.abs(a - b).mean(-1)
+    assert error[found.worst[1] - 4, found.worst[0] - 20] == error.max() == pytest.approx(found.largest_error)
+    assert found.motion == (3, 4) and found.lengths[-1] == 80 and found.edges[-1] == 5
+    rendered = made()
+    rendered.moment.alpha = 0.0
+    found = statistics(rendered, (0, 0, 2, 2), 1.0)
+    assert (found.psnr, found.filled, found.motion) == (None, {}, None)
+
+
+def test_nothing_is_known_of_no_figures():
+    assert Part.of(0.0, 0.0, 0.0).error == 0 and np.isnan(Part.of(0.0, 0.0, 0.0).psnr)
+    assert Figures({}).parts == {}
+
+
+def test_legends_under_saved_pictures():
+    """The picture stays as it is; below it are the colours that its legends tell."""
+    spec = LayerSpec("rendered.depth", "Rendered depth", "frame", "depth")
+    labels = LayerSpec("a.b", "B", "a", "label", labels=((0, "none"), (1, "some")))
+    motion = LayerSpec("m", "Motion", "frame", "motion", ("x", "y"))
+    rng = np.random.default_rng(1)
+    for width in (40, 300, 1000):
+        picture = rng.integers(0, 256, (30, width, 4), np.uint8)
+        assert with_legends(picture, []) is picture
+        ramp = with_legends(picture, [Entry("depth", legend(spec, Display(color_map="turbo")), "turbo")])
+        np.testing.assert_array_equal(ramp[:30, :width], picture)
+        strip = ramp[30:, :, :3].astype(int)
+        table = np.round(255 * color_table("turbo")).astype(int)
+        rows = [row for row in strip if all((np.abs(row - color).sum(-1) == 0).any() for color in table[[0, 128, 255]])]
+        assert rows, "the whole ramp is there"
+        more = [Entry("labels", legend(labels, Display())), Entry("motion", legend(motion, Display()))]
+        found = with_legends(picture, more)
+        colors = {tuple(color) for color in found[30:, :, :3].reshape(-1, 3).tolist()}
+        assert {tuple(round(255 * c) for c in color) for color in LABEL_COLORS[:2]} <= colors
+        assert {(255, 0, 0), (128, 255, 0)} & colors, "directions of motion"
+        assert len(found) > len(with_legends(picture, more[:1])) > 30

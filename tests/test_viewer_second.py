@@ -1,0 +1,136 @@
+"""B as other settings in the viewer's model, without a window: A and B are of one slot, and B is what was kept."""
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import tiny_sequence
+from test_viewer_model import Canvas, Session
+
+from gffe_cl.opencl.program import kernel_folder
+from gffe_cl.viewer.engine.engine import Engine
+from gffe_cl.viewer.engine.messages import Request
+
+
+class WideCanvas(Canvas):
+    """... that takes images of other settings, too."""
+
+    def upload(self, name, image, spec, frame=None):
+        self.layers[name] = image
+
+
+@pytest.fixture
+def session(tmp_path, monkeypatch):
+    monkeypatch.setattr("test_viewer_model.Canvas", WideCanvas)
+    session = Session(tiny_sequence.write(tmp_path / "first"))
+    yield session
+    session.model.close()
+
+
+def kept_and_changed(session):
+    """B without motion estimation, A with it, compared by wipe."""
+    model = session.model
+    model.set("motion", False)
+    session.settle()
+    alone = model.contents.image("final").copy()
+    model.keep_as_b()
+    model.set("motion", True)
+    model.comparison.set("split")
+    session.settle()
+    return alone
+
+
+def test_b_is_what_was_kept_and_a_goes_on(session):
+    model = session.model
+    model.playback.seek(3)
+    session.settle()
+    alone = kept_and_changed(session)
+    np.testing.assert_array_equal(session.canvas.layers["B:final"], alone)
+    assert model.view.b == "B:final" and not model.contents.second.request.setup.options.motion
+    model.set("levels", 0)
+    session.settle()
+    np.testing.assert_array_equal(session.canvas.layers["B:final"], alone)
+    model.show_layer("frame.depth")
+    session.settle()
+    assert {"frame.depth", "B:frame.depth"} <= session.canvas.layers.keys() and "B:final" not in session.canvas.layers
+    model.comparison.set("off")
+    session.settle()
+    assert not any(name.startswith("B:") for name in session.canvas.layers) and model.contents.second is None
+
+
+def test_a_and_b_are_of_one_slot_while_it_plays(session, monkeypatch):
+    model, slots = session.model, []
+    kept_and_changed(session)
+    take = model.contents.take
+
+    def taken(result, second=None):
+        slots.append((result.request.slot, second and second.request.slot))
+        take(result, second)
+
+    monkeypatch.setattr(model.contents, "take", taken)
+    model.playback.mode = "every frame"
+    model.playback.play()
+    session.until(lambda: len(slots) > 20)
+    assert all(a == b for a, b in slots) and len({a for a, _ in slots}) > 3
+
+
+def test_a_is_shown_alone_where_b_cannot_be_made(session, monkeypatch):
+    model = session.model
+    make = Engine._made
+
+    def fails(engine, request: Request):
+        if request.role == "b":
+            raise RuntimeError("no memory for B")
+        return make(engine, request)
+
+    monkeypatch.setattr(Engine, "_made", fails)
+    model.engine.cache.most = 0  # or B would be found there
+    kept_and_changed(session)
+    assert "no memory for B" in model.second.fault and model.contents.second is None
+    assert any("B:" in message.text and message.error for message in model.messages)
+    assert model.contents.result.request.setup.options.motion
+    for _ in range(3):
+        model.playback.step()
+        session.settle()
+    monkeypatch.undo()
+    model.playback.step(-1)
+    session.settle()
+    assert model.contents.second is not None and not model.second.fault
+
+
+def test_b_has_the_kernels_of_its_time(session, tmp_path, monkeypatch):
+    folder = tmp_path / "kernels"
+    shutil.copytree(kernel_folder(), folder)
+    monkeypatch.setenv("GFFE_KERNELS", str(folder))
+    model = session.model
+    model.playback.seek(3)
+    session.settle()
+    model.keep_as_b()
+    model.comparison.set("difference")
+    session.settle()
+    before, builds = model.contents.image("final").copy(), model.engine.builds
+    path = folder / "holes.cl"
+    path.write_text(path.read_text().replace("store_color(mean.xyz,", "store_color(9.0f + mean.xyz,"))
+    model.engine.reload_kernels()
+    session.until(lambda: model.engine.builds > builds or model.engine.build_error)
+    assert model.engine.build_error is None, model.engine.build_error
+    session.settle()
+    np.testing.assert_array_equal(model.contents.image("B:final"), before)
+    assert (model.contents.image("final") != before).any()
+
+
+def test_settings_are_found_again(session):
+    model = session.model
+    kept_and_changed(session)
+    model.comparison.set("off")
+    model.settings.kept = model.kept.preferences()
+    model.kept.restore(model.settings.kept)
+    model.kept.choose("no motion estimation")
+    model.set("motion", True)
+    model.take_second()
+    assert model.parameters.value("motion") is False
+    saved = model.comparison.preferences()
+    assert (saved["compare"], saved["b"]) == ("off", None)
+    line = model.command_line(model.setup)
+    assert "--no-motion" in line and replace(model.setup, n=3) != model.setup

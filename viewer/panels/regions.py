@@ -1,0 +1,87 @@
+"""Regions: how much of the error lies where, of A and B; a click shows one region alone."""
+
+from __future__ import annotations
+
+import math
+
+from imgui_bundle import ImVec2, hello_imgui, imgui
+
+from gffe_cl.viewer.engine.figures import REGIONS, Part
+from gffe_cl.viewer.panels import widgets
+from gffe_cl.viewer.state.captions import region_colors
+
+
+def draw(app) -> None:
+    model = app.model
+    if model.source is None:
+        imgui.text_disabled("Open a sequence or a scene")
+        return
+    regions = model.regions
+    reason = regions.why_not()
+    told = "Where errors are counted, each region in its colour"
+    widgets.toggle("over the picture", regions.on, regions.switch, told, None if regions.on else reason)
+    if not regions.on:
+        widgets.hint(reason or "Switch them on to see where the error of this frame lies")
+    elif reason:
+        widgets.hint(f"This frame: {reason}")
+    elif regions.map is not None:
+        widgets.heading("This frame" + ("" if regions.ready else " …"))
+        _table(regions, "frame", regions.map.a, regions.map.b)
+        if regions.only:
+            widgets.hint(f"Only: {regions.only}. Click again for all")
+    whole = model.survey.parts(model.survey.a)
+    if whole:
+        widgets.heading(
+            f"All {sum(bool(f.parts) for f in model.survey.figures(model.survey.a).values())} measured frames"
+        )
+        _table(regions, "all", whole, model.survey.parts(model.survey.b) or None)
+
+
+def _table(regions, name: str, a: dict[str, Part], b: dict[str, Part] | None) -> None:
+    columns = [("region", 0.4), ("pixels", 0.17), ("error", 0.24), ("dB", 0.19)]
+    if b is not None:
+        columns = [("region", 0.37), ("pixels", 0.16), ("error", 0.17), ("A dB", 0.15), ("B dB", 0.15)]
+    if not imgui.begin_table(f"###regions {name}", len(columns), imgui.TableFlags_.row_bg.value):
+        return
+    for title, share in columns:
+        imgui.table_setup_column(title, imgui.TableColumnFlags_.width_stretch.value, share)
+    imgui.table_headers_row()
+    for number, (region, meaning) in enumerate(REGIONS.items()):
+        part = a[region]
+        imgui.table_next_row()
+        imgui.table_next_column()
+        _swatch(number, region_colors()[region])
+        spans = imgui.SelectableFlags_.span_all_columns.value
+        if imgui.selectable(f"{region}###{name} {region}", regions.only == region, spans)[0]:
+            regions.see_only(region)
+        widgets.tooltip(f"{meaning[:1].upper()}{meaning[1:]}")
+        imgui.table_next_column()
+        imgui.text(_share(part.pixels))
+        imgui.table_next_column()
+        _bar(part.error)
+        widgets.tooltip("Share of A's squared error")
+        for of in (a, b):
+            if of is not None:
+                imgui.table_next_column()
+                imgui.text("–" if math.isnan(of[region].psnr) else f"{of[region].psnr:.1f}")
+    imgui.end_table()
+
+
+def _swatch(number: int, color) -> None:
+    size = hello_imgui.em_size(0.8)
+    flags = imgui.ColorEditFlags_.no_tooltip.value
+    imgui.color_button(f"###color {number}", (*color, 1.0), flags, ImVec2(size, size))
+    imgui.same_line(0, hello_imgui.em_size(0.3))
+
+
+def _bar(share: float) -> None:
+    """A share as a bar with its number in it."""
+    draw, at = imgui.get_window_draw_list(), imgui.get_cursor_screen_pos()
+    width, height = imgui.get_content_region_avail().x, imgui.get_text_line_height()
+    color = imgui.get_color_u32((0.85, 0.35, 0.3, 0.55))
+    draw.add_rect_filled(at, ImVec2(at.x + max(width * share, 1.0), at.y + height), color, 2)
+    imgui.text(_share(share))
+
+
+def _share(share: float) -> str:
+    return f"{share:.1%}" if share >= 0.01 or share == 0 else f"{share:.2%}"

@@ -1,0 +1,38 @@
+"""Work beside the interface of which only the latest order counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+
+class Latest:
+    """What was made of the latest order; one thing is made at a time, on a thread."""
+
+    def __init__(self, name: str):
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix=f"gffe-viewer-{name}")
+        self._future: Future | None = None
+        self._wanted = self._coming = self._made = None  # what they are of
+
+    @property
+    def ready(self) -> bool:
+        """Whether what was made last is what was ordered last."""
+        return self._made is not None and self._made == self._wanted
+
+    def want(self, key: Hashable, make: Callable[..., Any], *arguments: Any) -> None:
+        """Order what `make` returns; `key` tells orders apart."""
+        self._wanted = key
+        if self._future is None and key != self._made:
+            self._coming = key
+            self._future = self._pool.submit(make, *arguments)
+
+    def take(self) -> Any:
+        """What was made, when something was since the last call, else None; raises what went wrong."""
+        if self._future is None or not self._future.done():
+            return None
+        future, self._future, self._made = self._future, None, self._coming
+        return future.result()
+
+    def close(self) -> None:
+        self._pool.shutdown(wait=False, cancel_futures=True)

@@ -1,0 +1,65 @@
+"""What the colours of the picture mean, as it is shown now: for the legends of saved pictures."""
+
+from __future__ import annotations
+
+from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.figures import REGIONS
+from gffe_cl.viewer.engine.layers import LayerSpec
+from gffe_cl.viewer.picture import flip_map
+from gffe_cl.viewer.picture.colors import LABEL_COLORS, Rgb
+from gffe_cl.viewer.picture.displays import Display
+from gffe_cl.viewer.picture.legend_strip import Entry
+from gffe_cl.viewer.picture.legends import Legend, legend
+from gffe_cl.viewer.picture.view import View
+from gffe_cl.viewer.state.comparing import Comparison
+from gffe_cl.viewer.state.contents import Contents
+from gffe_cl.viewer.state.looks import Looks
+
+REST: Rgb = (0.35, 0.35, 0.35)  # of the region that has no tint
+_EDGES = (("depth", (1.0, 0.0, 0.0)), ("motion", (0.0, 1.0, 0.0)), ("colour", (0.0, 0.0, 1.0)))
+_MOTION = LayerSpec("residual motion", "Residual motion", "overlay", "motion", ("x", "y"))
+
+
+def region_colors() -> dict[str, Rgb]:
+    """By region, as the overlay tints them."""
+    colors = [*LABEL_COLORS[1 : len(REGIONS)], REST]
+    return dict(zip(REGIONS, colors, strict=True))
+
+
+def entries_of(view: View, contents: Contents, looks: Looks, comparison: Comparison) -> list[Entry]:
+    """Legends of what is shown; none for colours alone."""
+    if comparison.flipped:
+        return [*_layer(view.b, contents, looks, "B  "), *_overlay(view)]
+    if view.compare in ("error", "flip error"):
+        display = comparison.error_display
+        return [Entry(comparison.scale_text(), legend(flip_map.SPEC, display), display.color_map), *_overlay(view)]
+    if view.compare == "difference":
+        return [Entry(comparison.scale_text(), Legend("none")), *_overlay(view)]
+    if view.compare == "split" and view.b and names.plain(view.b) != view.a:
+        sides = _layer(view.a, contents, looks, "A  ") + _layer(view.b, contents, looks, "B  ")
+        return [*sides, *_overlay(view)]
+    return [*_layer(view.a, contents, looks), *_overlay(view)]
+
+
+def _layer(name: str | None, contents: Contents, looks: Looks, prefix: str = "") -> list[Entry]:
+    spec = contents.spec(name)
+    if spec is None:
+        return []
+    display = looks.of(name)
+    shown = legend(spec, display)
+    channel = f", {display.channel}" if len(spec.channels) > 1 and display.channel not in ("", spec.channels[0]) else ""
+    entry = Entry(f"{prefix}{spec.group}: {spec.label}{channel}", shown, display.color_map)
+    return [entry] if shown.kind != "none" or shown.labels else []
+
+
+def _overlay(view: View) -> list[Entry]:
+    if view.overlay == "regions":
+        colors = region_colors()
+        if view.region >= 0:
+            return [Entry(f"bright: {list(REGIONS)[view.region]}", Legend("none"))]
+        return [Entry("regions of errors", Legend("none", labels=tuple(colors.items())))]
+    if view.overlay == "edges":
+        return [Entry("edges", Legend("none", labels=_EDGES))]
+    if view.overlay == "residual motion":
+        return [Entry("residual motion", legend(_MOTION, Display(motion_scale=view.residual_scale)))]
+    return []

@@ -1,0 +1,291 @@
+"""The survey: what every generated slot is worth, for A and B, measured while there is nothing else to do."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict, deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gffe_cl.viewer.engine.engine import Engine
+from gffe_cl.viewer.engine.figures import NEEDED, QUANTITIES, REGIONS, Figures, Measurer, Part
+from gffe_cl.viewer.engine.messages import Recipe, Request, Result, Setup
+from gffe_cl.viewer.state.playback import Playback
+
+_AHEAD = 3  # slots that the engine is told of at once
+_WAITING = 3  # results that wait to be measured
+_RECIPES = 8  # that are remembered
+
+
+@dataclass(frozen=True)
+class Side:
+    """A or B: what is measured of it."""
+
+    setup: Setup
+    recipe: Recipe
+
+
+class Survey:
+    """Figures of slots, by recipe.
+
+    Attributes
+    ----------
+    on : bool
+        Whether slots are measured that are not known yet.
+    quantity : str
+        The one of `QUANTITIES` that is plotted, and by which frames are found.
+    a, b : Side or None
+        What is surveyed; B where settings are compared.
+    """
+
+    def __init__(self, engine: Engine, playback: Playback):
+        self._engine, self._playback = engine, playback
+        self.on, self.quantity = False, "psnr"
+        self.a: Side | None = None
+        self.b: Side | None = None
+        self._known: OrderedDict[Recipe, dict[int, Figures]] = OrderedDict()
+        self._measuring = _Measuring()
+        self._planned = None
+        self._found: tuple[str, list[int], int] | None = None  # how, the slots in order, and the one gone to
+
+    # ---- measuring -----------------------------------------------------------------------------------------
+
+    def update(self, a: Setup, b: Setup | None, exposure: float, may_run: bool) -> None:
+        """Once per frame of the interface; `may_run`: whether there is nothing else to do."""
+        self.a, self.b = (None if setup is None else Side(setup, self._engine.recipe(setup)) for setup in (a, b))
+        while (answer := self._engine.poll_survey()) is not None:
+            self._planned = None
+            request, recipe, result = answer
+            if result is None:
+                self._of(recipe)[request.slot] = Figures({})
+            else:
+                self._measuring.add(recipe, result, exposure)
+        for recipe, slot, figures in self._measuring.take():
+            self._planned = None
+            self._of(recipe)[slot] = figures
+        run = self.on and may_run
+        state = run, self.a, self.b, self._measuring.waiting >= _WAITING
+        if state == self._planned:
+            return
+        self._planned = state
+        self._engine.survey(self._missing() if run and self._measuring.waiting < _WAITING else ())
+
+    def forget(self) -> None:
+        """There is another source."""
+        self._known.clear()
+        self._measuring.clear()
+        self._planned = self._found = None
+
+    def close(self) -> None:
+        self._measuring.close()
+
+    @property
+    def busy(self) -> bool:
+        """Whether there is something left to measure."""
+        done, total = self.progress
+        return self.on and done < total
+
+    @property
+    def progress(self) -> tuple[int, int]:
+        """Slots that are known, and all of them, of A and B together."""
+        slots = self.slots
+        return sum(len(self._of(side.recipe).keys() & set(slots)) for side in self._sides), len(slots) * len(
+            self._sides
+        )
+
+    @property
+    def slots(self) -> list[int]:
+        """Generated slots between the in and the out point."""
+        playback = self._playback
+        return [slot for slot in range(playback.first, playback.last + 1) if slot % (playback.n + 1)]
+
+    @property
+    def _sides(self) -> list[Side]:
+        return [side for side in (self.a, self.b) if side is not None]
+
+    def _of(self, recipe: Recipe) -> dict[int, Figures]:
+        if recipe not in self._known:
+            self._known[recipe] = {}
+        self._known.move_to_end(recipe)
+        while len(self._known) > _RECIPES:
+            self._known.popitem(last=False)
+        return self._known[recipe]
+
+    def _missing(self) -> list[Request]:
+        """The next slots: A's from the playhead on and round, then B's."""
+        slots, here = self.slots, self._playback.slot
+        order = [slot for slot in slots if slot >= here] + [slot for slot in slots if slot < here]
+        for side in self._sides:
+            known = self._of(side.recipe).keys() | self._measuring.slots(side.recipe)
+            missing = [slot for slot in order if slot not in known][:_AHEAD]
+            if missing:
+                return [Request(slot, side.setup, NEEDED, 0, role="ahead", keep=False) for slot in missing]
+        return []
+
+    # ---- what is known -------------------------------------------------------------------------------------
+
+    def figures(self, side: Side | None) -> dict[int, Figures]:
+        """By slot."""
+        return {} if side is None else self._of(side.recipe)
+
+    def curve(self, side: Side | None, quantity: str | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Slots and values, in order."""
+        quantity = quantity or self.quantity
+        known = sorted((s, f.values[quantity]) for s, f in self.figures(side).items() if quantity in f.values)
+        return np.array([s for s, _ in known], np.float64), np.array([v for _, v in known], np.float64)
+
+    def mean(self, side: Side | None, quantity: str) -> float | None:
+        """Over the slots that are known."""
+        values = self.curve(side, quantity)[1]
+        return float(values.mean()) if values.size else None
+
+    def parts(self, side: Side | None) -> dict[str, Part]:
+        """Of all slots that are known: the regions' shares of the pixels and of the error."""
+        pixels, errors, whole = dict.fromkeys(REGIONS, 0.0), dict.fromkeys(REGIONS, 0.0), 0
+        for figures in self.figures(side).values():
+            if not figures.parts:
+                continue
+            whole += 1
+            for name, part in figures.parts.items():
+                pixels[name] += part.pixels
+                errors[name] += part.squared
+        total = sum(errors.values())
+        if not whole:
+            return {}
+        return {name: Part.of(pixels[name] / whole, errors[name] / whole, total / whole) for name in REGIONS}
+
+    # ---- finding frames ------------------------------------------------------------------------------------
+
+    def search(self, find: Callable[[], int | None]) -> tuple[int | None, str]:
+        """The slot that `find` (`worst`, `next`, `most_different`) gives, and what to tell; measuring begins if it has
+        not."""
+        started, self.on = not self.on, True
+        slot, (done, total) = find(), self.progress
+        if slot is not None:
+            return slot, self.place + (f" measured so far ({total} in all)" if done < total else "")
+        if started or done < total:
+            return None, "every generated frame is being measured: ask again in a moment"
+        return None, self.why_not() or "no frame can be found by this"
+
+    def why_not(self, difference: bool = False) -> str | None:
+        """Why no frame can be found."""
+        if difference and self.b is None:
+            return "B is not other settings (K keeps them)"
+        quantity = QUANTITIES[self.quantity]
+        if self.on and self.busy:
+            return None
+        xs = self.curve(self.a)[0]
+        if self.on and not xs.size:
+            return f"{quantity.label} is not known of this sequence"
+        return None
+
+    def worst(self) -> int | None:
+        """The slot that is worst in `quantity`; None if none is known yet."""
+        return self._go("worst", 0)
+
+    def most_different(self) -> int | None:
+        """The slot with the largest difference between A and B."""
+        again = self._found is not None and self._found[0] == f"difference {self.quantity}"
+        return self._go("difference", self._found[2] + 1 if again else 0)
+
+    def next(self) -> int | None:
+        """The next one in the order of the last search, by default the worst."""
+        if self._found is None or not self._found[0].endswith(f" {self.quantity}"):
+            return self.worst()
+        return self._go(self._found[0].split()[0], self._found[2] + 1)
+
+    def _go(self, how: str, rank: int) -> int | None:
+        order = self._ranked() if how == "worst" else self._ranked_by_difference()
+        if not order:
+            return None
+        rank %= len(order)
+        self._found = f"{how} {self.quantity}", order, rank
+        return order[rank]
+
+    @property
+    def place(self) -> str:
+        """What was gone to last, in words."""
+        if self._found is None:
+            return ""
+        how, order, rank = self._found
+        what = "worst" if how.startswith("worst") else "largest difference of A and B"
+        return f"{what}: {rank + 1} of {len(order)}"
+
+    def _ranked(self) -> list[int]:
+        xs, ys = self.curve(self.a)
+        return [int(x) for x in xs[np.argsort(-ys * (QUANTITIES[self.quantity].worse or 1), kind="stable")]]
+
+    def _ranked_by_difference(self) -> list[int]:
+        a, b = (dict(zip(*self.curve(side), strict=True)) for side in (self.a, self.b))
+        common = sorted(a.keys() & b.keys())
+        return [int(slot) for slot in sorted(common, key=lambda slot: -abs(a[slot] - b[slot]))]
+
+
+class _Measuring:
+    """Measures results on a thread, in the order in which they come."""
+
+    def __init__(self):
+        self._news = threading.Condition()
+        self._waiting: deque[tuple[Recipe, Result, float]] = deque()
+        self._under_way: tuple[Recipe, int] | None = None
+        self._made: list[tuple[Recipe, int, Figures]] = []
+        self._measurers: dict[Recipe, Measurer] = {}
+        self._thread: threading.Thread | None = None
+        self._closing = False
+
+    def add(self, recipe: Recipe, result: Result, exposure: float) -> None:
+        with self._news:
+            self._waiting.append((recipe, result, exposure))
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="gffe-viewer-survey", daemon=True)
+                self._thread.start()
+            self._news.notify()
+
+    @property
+    def waiting(self) -> int:
+        return len(self._waiting)
+
+    def slots(self, recipe: Recipe) -> set[int]:
+        """Of this recipe: they are being measured, or were and not taken."""
+        with self._news:
+            found = {result.request.slot for of, result, _ in self._waiting if of == recipe}
+            found |= {slot for of, slot, _ in self._made if of == recipe}
+            return found | ({self._under_way[1]} if self._under_way and self._under_way[0] == recipe else set())
+
+    def take(self) -> list[tuple[Recipe, int, Figures]]:
+        with self._news:
+            made, self._made = self._made, []
+        return made
+
+    def clear(self) -> None:
+        with self._news:
+            self._waiting.clear()
+            self._made, self._under_way, self._measurers = [], None, {}
+
+    def close(self) -> None:
+        with self._news:
+            self._closing = True
+            self._news.notify()
+
+    def _run(self) -> None:
+        while True:
+            with self._news:
+                while not (self._waiting or self._closing):
+                    self._news.wait()
+                if self._closing:
+                    return
+                recipe, result, exposure = self._waiting.popleft()
+                self._under_way = job = recipe, result.request.slot
+                if recipe not in self._measurers:
+                    self._measurers = {**dict(list(self._measurers.items())[-1:]), recipe: Measurer()}
+                measurer = self._measurers[recipe]
+            try:
+                figures = measurer.measure(result, exposure)
+            except Exception:
+                figures = Figures({"kernels": sum(result.milliseconds.values())})
+            with self._news:
+                if self._under_way == job:  # not forgotten meanwhile
+                    self._made.append((*job, figures))
+                    self._under_way = None
