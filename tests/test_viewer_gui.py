@@ -378,7 +378,7 @@ def test_appearance(values):
     assert hidden > 1.3 * first and back == pytest.approx(first, abs=3)
     assert not values["layers when hidden"] and values["kernels stay closed"]
     assert values["default arrangement"]["width"] == pytest.approx(first, abs=8)
-    assert all(values["default arrangement"]["open"])
+    assert values["default arrangement"]["closed"] == ["Plot"]
 
 
 def test_resizing(values):

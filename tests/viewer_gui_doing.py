@@ -67,7 +67,8 @@ def appearance(gui: Gui):
     gui.frames(3)
     app.actions.run("layout")
     gui.frames(4)
-    values["default arrangement"] = {"width": gui.area()[2], "open": [app.panel(n).is_visible for n in app.panel_names]}
+    closed = [name for name in app.panel_names if not app.panel(name).is_visible]
+    values["default arrangement"] = {"width": gui.area()[2], "closed": closed}
 
 
 @case

@@ -53,8 +53,8 @@ def draw(app) -> None:
         _arrows(model, place, marks)
     if model.view.zoom >= _NUMBERS:
         _numbers(model, place, marks)
-    _trajectory(model, place, marks)
     _way(model, place, marks)
+    _trajectory(model, place, marks)
     _rectangle(model, place, marks)
     marks.pop_clip_rect()
     _caption(model, origin, width, height, marks)
