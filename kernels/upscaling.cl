@@ -23,7 +23,8 @@
 
 #define REACH 1.1f            /* display pixels: from where on a sample does not count */
 #define MOST_WEIGHT 12.0f     /* of the history, in samples */
-#define LEAST_WEIGHT 0.2f     /* of what is shown until samples come */
+#define LEAST_WEIGHT 0.3f     /* of what is shown until samples come */
+#define FRESH 0.6f            /* share of the rendered frame in that; the rest is the history, clipped */
 #define DEVIATIONS 1.3f         /* deviations from the mean that a history may have */
 #define LOCKED_ROOM 0.5f      /* compressed colour beside that, after LOCK_FRAMES: thin features that no sample meets now */
 #define LOCK_FRAMES 8.0f
@@ -220,9 +221,10 @@ WHOLE_TEXELS __kernel void accumulate(
 
     /* History: believed as far as it foretold the samples around, within their colours. */
     const float2 px_previous = mapped(px_render + dilated[src], to_previous_display);
-    float4 past;
-    float held = LEAST_WEIGHT, locked = 0.0f, believed = 0.0f;
-    if (has_history && within(px_previous, target_width, target_height)) {
+    const bool known = has_history && within(px_previous, target_width, target_height);
+    float4 past = (float4)(0.0f);
+    float held = 0.0f, locked = 0.0f, believed = 0.0f;
+    if (known) {
         const float4 middle = vload_half4(src, mean), around = vload_half4(src, deviation);
         const int near = (int)px_previous.y * target_width + (int)px_previous.x;
         const float trust = least(most((WRONG - around.w) * (1.0f / (WRONG - RIGHT)), 0.0f), 1.0f) * middle.w;
@@ -233,9 +235,13 @@ WHOLE_TEXELS __kernel void accumulate(
         past = smaller(larger(before, middle - room), middle + room);
         const float4 clipped = fabs(past - before);
         believed = trust * most(1.0f - CLIPPED * (clipped.x + clipped.y + clipped.z), 0.0f);
-        held = least(most(found.w * believed, LEAST_WEIGHT), MOST_WEIGHT);
-    } else {
-        past = cubic_at(px_render, source_width, source_height, compressed);
+        held = least(found.w * believed, MOST_WEIGHT);
+    }
+    if (held < LEAST_WEIGHT) {  /* until samples come, the frame itself fills in */
+        const float4 fresh = cubic_at(px_render, source_width, source_height, compressed);
+        const float share = FRESH * (1.0f - held * (1.0f / LEAST_WEIGHT));
+        past = known ? past + (fresh - past) * share : fresh;
+        held = LEAST_WEIGHT;
     }
     total += held;
     sum = (sum + held * past) * divide(1.0f, total);

@@ -167,9 +167,11 @@ def accumulate(
     kept = np.minimum(np.maximum(past, middle[..., :3] - room), middle[..., :3] + room)
     clipped = np.abs(kept - past).sum(-1)
     believed = np.where(known, trust * np.maximum(F(1) - UP.CLIPPED * clipped, F(0)), F(0))
-    held = np.clip(found[..., 3] * believed, UP.LEAST_WEIGHT, UP.MOST_WEIGHT)
+    own = np.where(known, np.minimum(found[..., 3] * believed, UP.MOST_WEIGHT), F(0))
+    held = np.maximum(own, UP.LEAST_WEIGHT)
     fresh, _, _ = cubic_at(px, compressed[..., :3])
-    past = np.where(known[..., None], kept, fresh)
+    share = UP.FRESH * np.maximum(F(1) - own / UP.LEAST_WEIGHT, F(0))[..., None]
+    past = np.where(known[..., None], kept + (fresh - kept) * share, fresh)
     total = total + held
     now = expanded((summed + held[..., None] * past) / total[..., None], exposure)
     weight = np.minimum(total, UP.MOST_WEIGHT)
