@@ -270,7 +270,7 @@ def recorded(tmp_path_factory):
     """A small jittered sequence with truth of the display's size."""
     from typer.testing import CliRunner
 
-    from gffe_cl.cli.common import app
+    from gffe_cl.cli.commands import app
 
     folder = tmp_path_factory.mktemp("upscaling") / "small"
     arguments = ["render", "corridor", folder, "--size", "91x61", "--frames", "4"]
