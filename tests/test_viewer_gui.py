@@ -429,7 +429,7 @@ def test_restart(values):
     assert values["options"] == [False, 1.5, True]
     assert values["playback"] == {"mode": "every frame", "speed": 0.5, "loop": False}
     assert values["compare"] == ["split", "frame.motion", 0.25]
-    assert [name for name, shown in values["panels"].items() if not shown] == ["Timings"]
+    assert [name for name, shown in values["panels"].items() if not shown] == ["Timings", "Plot"]
     assert values["window"] == [1100, 700]
 
 
