@@ -3,8 +3,8 @@
     python docs/measure_upscaling.py            measures, writes docs/measured/upscaling.json and the tables
     python docs/measure_upscaling.py --tables   writes the tables from the JSON that is there
 
-Scenes of a seed that the pass was not tuned with, Sizes below, from jittered frames of half of that and one sample per pixel; truth is
-rendered at the display's size with 8 samples per pixel. Shading correction is off.
+Scenes of a seed that the pass was not tuned with, from jittered frames of half the size and one sample per pixel; truth
+is rendered at the display's size with 8 samples per pixel. Shading correction is off.
 """
 
 from __future__ import annotations
