@@ -131,11 +131,11 @@ SCAN __kernel void fill_hidden_parts(const int source_width, const int source_he
                                      __global const uchar *is_dynamic, __global half *color, __global float *depth,
                                      __global float2 *motion, __global uchar *filled_by) {
     const int first_x = get_global_id(0) * RUN, end_y = min((int)(get_global_id(1) + 1) * LANES, target_height);
-    if (first_x >= target_width || get_global_id(1) * LANES >= target_height) return;
+    if (first_x >= target_width || (int)get_global_id(1) * LANES >= target_height) return;
     const Frames f = {target_width, target_height, source_width, source_height, reach, zoom, to_source, disoccluded, is_dynamic,
                       depth, source_depth, motion};
     bool looked = false;
-    for (int dst_y = get_global_id(1) * LANES; dst_y < end_y; ++dst_y) {
+    for (int dst_y = (int)get_global_id(1) * LANES; dst_y < end_y; ++dst_y) {
         if (run_is_backward(first_x, dst_y, target_width, block_class)) continue;
         const int first = dst_y * target_width + first_x;
         if (first_x + RUN <= target_width && run_is_zero(disoccluded + first)) continue;

@@ -58,8 +58,10 @@ inline Uints load_winners(__global const Key *keys, __global const uint *winners
 #if LANES == 1
     return winner_of(keys, winners, c);
 #elif defined(INT64_ATOMICS)
+    (void)winners;
     return convert_uint8(vload8(0, keys + c));
 #else
+    (void)keys;
     return load_uints(0, winners + c);
 #endif
 }

@@ -88,8 +88,8 @@ def test_two_processes_share_a_device(device, seen):
 def test_too_large_for_a_device(device):
     """Nothing is allocated for images that do not fit, and what is said to fit does."""
     small = open_info(device.info)
-    small.memory = 24 << 20
-    said = r"640×360 takes \d+ MiB of the 24 MiB of .*expected at most about (\d+)×(\d+)"
+    small.memory = 16 << 20
+    said = r"640×360 takes \d+ MiB of the 16 MiB of .*expected at most about (\d+)×(\d+)"
     with pytest.raises(GffeError, match=said) as told:
         Pipeline(small, 640, 360)
     assert small.allocated < small.memory / 4

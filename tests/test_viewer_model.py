@@ -240,7 +240,11 @@ def test_the_choice_of_shading_correction_is_remembered_but_no_path():
 def test_every_option_that_is_remembered_comes_back():
     for name, option in OPTIONS.items():
         usual = getattr(Options(**ALWAYS), name)
-        for other in [True, False] if option.kind is bool else option.choices or [by_hand(option) or "some text"]:
+        for other in (
+            [True, False]
+            if option.kind is bool
+            else option.choices or ["some text" if option.kind is str else by_hand(option)]
+        ):
             if option.is_module and option.automatic and other:
                 continue  # is off or automatic
             parameters = Parameters(Options(), Playback())
@@ -270,7 +274,7 @@ def test_modules_and_parameters_come_from_the_descriptions(session):
             for on in (False, True):
                 parameters.switch(name, on)
                 assert parameters.is_on(name) == on
-            assert parameters.value(name) == option.default
+            assert parameters.value(name) == (by_hand(option) if option.default != option.off else 1)
     session.model.set("levels", 99)
     assert (
         parameters.options.levels == Options().levels and "background levels must be" in session.model.messages[-1].text

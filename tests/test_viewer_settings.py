@@ -32,7 +32,7 @@ def parsed(line: str, monkeypatch) -> dict:
 
     found = {}
 
-    def stand_in(target, window, device, live):
+    def stand_in(target, window, device, live, upscale=0.0):
         found.update(target=target, window=window, live=live)
         return None, SimpleNamespace(count=1)
 
@@ -40,7 +40,7 @@ def parsed(line: str, monkeypatch) -> dict:
         found.update(output=output, options=options, alphas=alphas)
         raise Stop
 
-    monkeypatch.setattr(making, "_open_source", stand_in)
+    monkeypatch.setattr(making, "open_source", stand_in)
     monkeypatch.setattr(making, "_check_quickly", lambda *_: None)
     monkeypatch.setattr("gffe_cl.run.run_sequence", run_sequence)
     words = shlex.split(line)

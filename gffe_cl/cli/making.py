@@ -256,7 +256,11 @@ def _check_quickly(source: Recorded | Live, target: Path) -> None:
 
 
 def open_source(
-    sequence: Path, window: str | None, device: str | None, live: dict[str, str | float | None], upscale: float
+    sequence: Path,
+    window: str | None,
+    device: str | None,
+    live: dict[str, str | float | None],
+    upscale: float = 0.0,
 ) -> tuple[Device, Recorded | Live]:
     """A folder is a sequence; what is none may be the name of a scene, which `live` says how to render."""
     from gffe_cl.formats import open_capture
