@@ -418,6 +418,7 @@ def test_a_window_that_is_none(gffe, tmp_path, arguments):
     assert not list(tmp_path.glob("out/*"))
 
 
+@pytest.mark.long
 def test_study_of_windows(gffe, tmp_path):
     """Off leaves holes beside a turning camera, adaptive none while it turns steadily, with smaller texels than the
     fixed window that covers as much."""

@@ -287,6 +287,7 @@ def test_webgpu_is_refused_where_it_is_wrong(swiftshader, gffe, tmp_path):
     assert found.passes and found.difference < 1e-5, found
 
 
+@pytest.mark.long
 def test_webgpu_gives_the_cpus_frames(swiftshader, gffe, tmp_path):
     """Through the whole command; what the copies take is among the timings."""
     path = conv_model(tmp_path / "m.onnx", 8)

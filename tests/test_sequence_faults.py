@@ -317,7 +317,7 @@ def test_extrapolated_frames_may_coincide(folder):
     assert open_sequence(folder).extrapolated[0].alpha == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_many_frames(folder):
     """Opening takes the same few steps per frame however many there are, and reads no pixel."""
     count = 200_000

@@ -302,6 +302,7 @@ def test_devices_agree(options):
             assert first.tobytes() == other[name].tobytes(), name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("filling", ["far-side", "downsample"])
 def test_block_means_reach_over_work_groups(device, filling):
     """A large hole on an image larger than what one work-group fills: labels stay, sums and fills are the twin's."""

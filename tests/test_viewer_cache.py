@@ -312,6 +312,7 @@ def test_another_sequence_in_the_same_place_is_not_taken_for_more_of_it(session,
     assert model.playback.count == 4 and not model.messages
 
 
+@pytest.mark.long
 def test_the_render_rate_of_a_flight(session):
     """Generated frames make up for rendered ones that are fewer; the camera stays where it was flown to."""
     model = session.model

@@ -183,7 +183,7 @@ wait 0.5
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_script_is_done_and_filmed(gffe, screen, tmp_path):
     (tmp_path / "steps.txt").write_text(STEPS)
     size = ("--window-size", "640x480")
