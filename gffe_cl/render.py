@@ -12,6 +12,7 @@ from gffe_cl.frame import RenderedFrame
 from gffe_cl.jitter import Jitter
 from gffe_cl.opencl.device import Device
 from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer
+from gffe_cl.scenes.sequences import smaller_renderer
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
 from gffe_cl.sequence.exr import DEFAULT_COMPRESSION
 from gffe_cl.source import rendered_entry
@@ -87,8 +88,7 @@ class _Job:
     scale: float
 
     def frames(self, device: Device) -> SceneFrames:
-        small = tuple(max(round(n / self.scale), 1) for n in self.size)
-        renderer = SceneRenderer(device, self.scene, *small, self.samples, 1 / self.scale)
+        renderer = smaller_renderer(device, self.scene, self.size, self.scale, self.samples)
         is_apart = self.ground_truth and (self.scale > 1 or self.jitter.length > 1)
         truths = SceneRenderer(device, self.scene, *self.size, 8) if is_apart else None
         return SceneFrames(renderer, WindowChooser(self.window, self.size, self.alphas), self.size, self.jitter, truths)

@@ -15,6 +15,7 @@ from gffe_cl.frame import PackedFrame, RenderedFrame, display_camera_of, pack_fr
 from gffe_cl.jitter import Jitter, without_jitter
 from gffe_cl.opencl.device import Device
 from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer
+from gffe_cl.scenes.sequences import require_frames, smaller_renderer
 from gffe_cl.sequence import (
     FrameEntry,
     Sequence,
@@ -187,8 +188,7 @@ class Live:
         window="off",
         upscale: float = 0.0,
     ):
-        if count < 1 or not 0 < fps < float("inf"):
-            raise GffeError(f"a built-in scene needs at least 1 frame and positive fps, got {count} and {fps:g}")
+        require_frames(count, fps)
         self.scene, self.width, self.height, self.count, self.fps = scene, width, height, count, fps
         self.exposure, self._window = scene.exposure, window
         WindowChooser(window, (width, height), [])
@@ -224,8 +224,7 @@ def jittered_renderer(
     textures as fine as the display, and jitter. With `upscale` 0 frames of the display's size, without."""
     if not upscale:
         return SceneRenderer(device, scene, *size, samples or 8), Jitter()
-    small = (max(round(n / upscale), 1) for n in size)
-    return SceneRenderer(device, scene, *small, samples or 1, 1 / upscale), Jitter(JITTER_LENGTH)
+    return smaller_renderer(device, scene, size, upscale, samples or 1), Jitter(JITTER_LENGTH)
 
 
 def rendered_entry(number: int, frame: RenderedFrame, size: tuple[int, int]) -> FrameEntry:

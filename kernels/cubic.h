@@ -35,19 +35,25 @@ inline float3 cubic(const int x0, const int y0, const float u, const float v, co
                                                                                                 high.b));
 }
 
-/* The same of the 4x4 taps from index `first` on, whole rows of half x4 at a time; false where a tap is no finite number. */
-inline bool cubic_of_finite(const int first, const float4 wx, const float4 wy, const int width, __global const half *color,
-                            float4 *rgb) {
-    __global const half *p = color + 4 * first;
-    const float16 a = vload_half16(0, p), b = vload_half16(0, p + 4 * width), c = vload_half16(0, p + 8 * width),
-                  d = vload_half16(0, p + 12 * width);
+/* The same of 4x4 taps in whole rows of half x4, and `sum`, which is not clamped. Of finite numbers. */
+inline float4 cubic_of_rows(const float16 a, const float16 b, const float16 c, const float16 d, const float4 wx, const float4 wy,
+                            float4 *sum) {
     const float16 columns = wy.x * a + wy.y * b + wy.z * c + wy.w * d;
-    const float4 sum = wx.x * columns.s0123 + wx.y * columns.s4567 + wx.z * columns.s89ab + wx.w * columns.scdef;
+    *sum = wx.x * columns.s0123 + wx.y * columns.s4567 + wx.z * columns.s89ab + wx.w * columns.scdef;
     const float16 low_columns = b < c ? b : c, high_columns = b < c ? c : b;
     const float4 low = low_columns.s4567 < low_columns.s89ab ? low_columns.s4567 : low_columns.s89ab;
     const float4 high = high_columns.s4567 < high_columns.s89ab ? high_columns.s89ab : high_columns.s4567;
-    const float4 raised = sum < low ? low : sum;
-    *rgb = high < raised ? high : raised;
+    const float4 raised = *sum < low ? low : *sum;
+    return high < raised ? high : raised;
+}
+
+/* Of the 4x4 taps from index `first` on; false where a tap is no finite number. */
+inline bool cubic_of_finite(const int first, const float4 wx, const float4 wy, const int width, __global const half *color,
+                            float4 *rgb) {
+    __global const half *p = color + 4 * first;
+    float4 sum;
+    *rgb = cubic_of_rows(vload_half16(0, p), vload_half16(0, p + 4 * width), vload_half16(0, p + 8 * width),
+                         vload_half16(0, p + 12 * width), wx, wy, &sum);
     return fabs(sum.x) <= COLOR_MAX && fabs(sum.y) <= COLOR_MAX && fabs(sum.z) <= COLOR_MAX;
 }
 

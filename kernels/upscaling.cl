@@ -17,7 +17,7 @@
               out_color        display   a generated frame, seen through the history                                       */
 
 #include "common.h"
-#include "rgb.h"
+#include "cubic.h"
 
 #define WHOLE_TEXELS __attribute__((vec_type_hint(float16)))  /* four texels at once: vectorised already */
 
@@ -73,24 +73,14 @@ inline float4 cubic_at(const float2 px, const int width, const int height, __glo
     const float2 corner = px - 0.5f, first = floor(corner);
     const float4 wx = four_weights(corner.x - first.x), wy = four_weights(corner.y - first.y);
     const int x = (int)first.x - 1, y = (int)first.y - 1;
-    float16 a, b, c, d;
+    float4 sum;
     if (x >= 0 && y >= 0 && x + 4 <= width && y + 4 <= height) {
         __global const half *p = image + 4 * (y * width + x);
-        a = vload_half16(0, p);
-        b = vload_half16(0, p + 4 * width);
-        c = vload_half16(0, p + 8 * width);
-        d = vload_half16(0, p + 12 * width);
-    } else {
-        a = four_texels(image, x, y, width, height);
-        b = four_texels(image, x, y + 1, width, height);
-        c = four_texels(image, x, y + 2, width, height);
-        d = four_texels(image, x, y + 3, width, height);
+        return cubic_of_rows(vload_half16(0, p), vload_half16(0, p + 4 * width), vload_half16(0, p + 8 * width),
+                             vload_half16(0, p + 12 * width), wx, wy, &sum);
     }
-    const float16 columns = wy.x * a + wy.y * b + wy.z * c + wy.w * d;
-    const float4 sum = wx.x * columns.s0123 + wx.y * columns.s4567 + wx.z * columns.s89ab + wx.w * columns.scdef;
-    const float4 low = smaller(smaller(b.s4567, b.s89ab), smaller(c.s4567, c.s89ab));
-    const float4 high = larger(larger(b.s4567, b.s89ab), larger(c.s4567, c.s89ab));
-    return smaller(larger(sum, low), high);
+    return cubic_of_rows(four_texels(image, x, y, width, height), four_texels(image, x, y + 1, width, height),
+                         four_texels(image, x, y + 2, width, height), four_texels(image, x, y + 3, width, height), wx, wy, &sum);
 }
 
 /* The least and the most of the 2x2 texels around px. */

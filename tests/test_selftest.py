@@ -14,8 +14,9 @@ from gffe_cl import inference
 from gffe_cl.errors import GffeError
 from gffe_cl.opencl.device import list_devices, open_info
 from gffe_cl.opencl.program import kernel_folder
+from gffe_cl.providers.checking import TOLERANCE
 from gffe_cl.selftest import report, selftest
-from gffe_cl.selftest.network import BOUND, compare_provider, model_digest
+from gffe_cl.selftest.network import compare_provider, model_digest
 from gffe_cl.selftest.reference import (
     KEPT_MOMENT,
     Comparison,
@@ -75,7 +76,7 @@ def test_references_are_of_these_frames_and_weights(default_model, weights):
     assert set(reference.hashes) == set(reference.values) == set(CASES)
     assert {name: inputs_digest(frames(*SIZE, case.render_size)) for name, case in CASES.items()} == reference.inputs
     assert model_digest() == reference.model, STALE
-    assert compare_provider("cpu") < BOUND / 10
+    assert compare_provider("cpu") < TOLERANCE / 10
     assert all(len(held) == 2 * 8 for held in reference.hashes.values())
     cut = digest(np.array([1], np.uint8))
     for held in reference.hashes.values():
@@ -181,7 +182,7 @@ def test_what_cannot_run_is_told(monkeypatch):
 
 
 def test_networks_are_judged():
-    made = report.SelfTest([report.DeviceResult(None, "equal")], [report.NetworkResult("cpu", BOUND / 2)])
+    made = report.SelfTest([report.DeviceResult(None, "equal")], [report.NetworkResult("cpu", TOLERANCE / 2)])
     assert made.exit_code == 0
     made.networks.append(report.NetworkResult("webgpu", 0.3))
     assert made.exit_code == 1 and made.networks[1].verdict == "differs"

@@ -9,6 +9,8 @@ from pathlib import Path
 
 from gffe_cl.opencl.runtimes import HIDE_INSTALLED, installed_runtimes_are_exposed
 
+HANGS = "driver hangs"  # how a failure begins where time was up
+
 
 def run_child(
     module: str, arguments: list[str], seconds: float, variables: dict[str, str] | None = None
@@ -27,5 +29,5 @@ def run_child(
         )
     except subprocess.TimeoutExpired as error:
         output = error.stdout.decode(errors="replace") if isinstance(error.stdout, bytes) else (error.stdout or "")
-        return output, f"driver hangs ({seconds:g} s)"
+        return output, f"{HANGS} ({seconds:g} s)"
     return child.stdout, f"driver crashed (exit code {child.returncode})" if child.returncode else ""

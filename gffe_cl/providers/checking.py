@@ -10,7 +10,6 @@ import hashlib
 import json
 import math
 import os
-import subprocess
 import sys
 import time
 from contextlib import suppress
@@ -19,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gffe_cl.opencl.child import HANGS, run_child
 from gffe_cl.opencl.known_devices import fingerprint
 from gffe_cl.opencl.runtimes import keep_file, kept_folder, vendors
 from gffe_cl.providers import runtime, sessions
@@ -171,19 +171,11 @@ def _device_name(provider: Provider) -> str:
 
 
 def _in_child(path: Path, provider: Provider) -> Verdict:
-    # Without the working folder on the path, where a file may have the name of a module of Python's.
-    run = "runpy.run_module('gffe_cl.providers.checking', None, '__main__', True)"
-    start = f"import runpy, sys; sys.path.append({str(Path(__file__).parents[2])!r}); {run}"
-    command = [sys.executable, "-P", "-c", start, str(Path(path).resolve()), provider.name]
-    try:
-        child = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=_SECONDS)
-    except subprocess.TimeoutExpired:
-        return Verdict(provider.name, problem=f"provider {provider.name}: its driver hangs ({_SECONDS} s)")
-    for line in reversed(child.stdout.splitlines()):
+    output, failure = run_child("gffe_cl.providers.checking", [str(Path(path).resolve()), provider.name], _SECONDS)
+    for line in [] if failure.startswith(HANGS) else reversed(output.splitlines()):
         with suppress(ValueError, TypeError, AttributeError):
             return _from_json(line)
-    problem = f"provider {provider.name}: its driver crashed (exit code {child.returncode})"
-    return Verdict(provider.name, problem=problem)
+    return Verdict(provider.name, problem=f"provider {provider.name}: its {failure or 'driver crashed (exit code 0)'}")
 
 
 def _from_json(text: str) -> Verdict:

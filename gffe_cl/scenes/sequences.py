@@ -8,8 +8,22 @@ from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import RenderedFrame
 from gffe_cl.jitter import Jitter
+from gffe_cl.opencl.device import Device
 from gffe_cl.scenes.renderer import SceneImage, SceneRenderer
+from gffe_cl.scenes.vocabulary import Scene
 from gffe_cl.window import WindowChooser
+
+
+def require_frames(count: int, fps: float) -> None:
+    """GffeError unless a scene can be asked for `count` rendered frames at `fps`."""
+    if count < 1 or not (0 < fps < float("inf") and 1.0 / fps < float("inf")):
+        raise GffeError(f"a built-in scene needs at least 1 frame and positive fps, got {count} and {fps:g}")
+
+
+def smaller_renderer(device: Device, scene: Scene, size: tuple[int, int], scale: float, samples: int) -> SceneRenderer:
+    """What renders `scene` `scale` times smaller, each way, than a display of `size`, with textures as fine as that."""
+    small = (max(round(n / scale), 1) for n in size)
+    return SceneRenderer(device, scene, *small, samples, 1 / scale)
 
 
 class SceneFrames:
@@ -78,9 +92,9 @@ class SceneFrames:
     def sequence(self, count: int, fps: float | None = None, start: float = 0.0) -> Iterator[RenderedFrame]:
         """`count` rendered frames in order of time from `start` (seconds) on, 1 / `fps` (default: the scene's) apart;
         the first is a reset."""
-        step = 1.0 / (fps or self.scene.fps)
-        if count < 1 or not 0 < step < float("inf"):
-            raise GffeError(f"a built-in scene needs at least 1 frame and positive fps, got {count} and {1 / step:g}")
+        fps = fps or self.scene.fps
+        require_frames(count, fps)
+        step = 1.0 / fps
         before = None
         for k in range(count):
             before = self.rendered(start + k * step, before, k)

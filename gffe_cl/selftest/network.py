@@ -12,7 +12,6 @@ from gffe_cl.providers.runtime import CPU, installed_providers
 from gffe_cl.selftest.reference import Reference, recorded
 
 ALPHA = 2 / 3
-BOUND = 1e-3  # of the output, which is 1 where the network would change most: providers sum up in orders of their own
 _STEP = 2.0**-13  # of recorded values
 
 
@@ -43,8 +42,8 @@ def record(reference: Reference) -> None:
 
 
 def compare_provider(provider: str) -> float:
-    """The largest difference to the recorded output; over BOUND: the provider is not to be trusted. NetworkError where
-    the provider cannot run the network, or the weights are others than the recorded ones."""
+    """The largest difference to the recorded output; over TOLERANCE: the provider is not to be trusted. NetworkError
+    where the provider cannot run the network, or the weights are others than the recorded ones."""
     reference = recorded()
     if reference.model != model_digest():
         raise NetworkError("the installed weights are not those that the references were recorded with")

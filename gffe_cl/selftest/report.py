@@ -16,7 +16,8 @@ from gffe_cl.opencl.child import run_child
 from gffe_cl.opencl.device import DeviceInfo, list_devices, select
 from gffe_cl.opencl.known_devices import TOLD
 from gffe_cl.opencl.runtimes import vendors
-from gffe_cl.selftest.network import BOUND, providers
+from gffe_cl.providers.checking import TOLERANCE
+from gffe_cl.selftest.network import providers
 from gffe_cl.selftest.worker import MARK
 
 EQUAL, DIFFERS, FAILED, REFUSED = "equal", "differs", "failed", "refused"
@@ -76,7 +77,7 @@ class NetworkResult:
     def verdict(self) -> str:
         if self.largest is None:
             return FAILED
-        return EQUAL if self.largest <= BOUND else DIFFERS
+        return EQUAL if self.largest <= TOLERANCE else DIFFERS
 
 
 @dataclass

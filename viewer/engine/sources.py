@@ -20,6 +20,7 @@ from gffe_cl.frame import BYTES_PER_PIXEL, PackedFrame, RenderedFrame, pack_fram
 from gffe_cl.opencl.device import Device
 from gffe_cl.run import alphas_for
 from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer
+from gffe_cl.scenes.sequences import require_frames
 from gffe_cl.sequence import Sequence
 from gffe_cl.source import Recorded
 from gffe_cl.stage import read_some_rows
@@ -301,8 +302,7 @@ class SceneSource(FrameSource):
         cache_bytes: int = CACHE_BYTES,
     ):
         self.fps = scene.fps if fps is None else fps
-        if count < 1 or not 0 < self.fps < float("inf"):
-            raise GffeError(f"a built-in scene needs at least 1 frame and positive fps, got {count} and {self.fps:g}")
+        require_frames(count, self.fps)
         self.scene, self.name, self.exposure = scene, scene.name, scene.exposure
         self.width, self.height, self.count, self.render_size = width, height, count, (width, height)
         self._device, self._frames = device, SceneFrames(SceneRenderer(device, scene, width, height, samples))
