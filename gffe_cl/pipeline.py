@@ -191,11 +191,19 @@ class Pipeline:
         """All stages and their buffers, and how many bytes these are."""
         before = self.device.allocated
         board = Board(self.device, sizes, self.options, int64_atomics)
-        for stage in stages_of(self.options):
-            stage(board)
-        board.lend()
-        _ = board.frame  # made when it is first asked for
+        try:
+            for stage in stages_of(self.options):
+                stage(board)
+            board.lend()
+            _ = board.frame  # made when it is first asked for
+        except BaseException:
+            board.let_go()
+            raise
         return board, self.device.allocated - before
+
+    def __del__(self):
+        if board := getattr(self, "board", None):
+            board.let_go()
 
     def _footprint(self) -> str:
         return footprint(self.device, self.sizes, getattr(self, "_nbytes", None))

@@ -172,6 +172,12 @@ class Board:
         start = 0 if spec.fleeting else _EXTRAPOLATE
         return frozenset(range(start + used[0], start + used[-1] + 1))
 
+    def let_go(self) -> None:
+        """Forget the stages. They and the board know each other: without this the memory of a pipeline that nobody has
+        any more would be free only when Python's garbage collector next looks for circles."""
+        for known in (self.stages, self.transient, self.lent, self.__dict__.get("_places", {})):
+            known.clear()
+
     def buffer(self, name: str) -> cl.Buffer:
         """Of that name. KeyError if no stage has it."""
         owner, _, rest = name.partition(".")

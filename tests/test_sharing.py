@@ -1,10 +1,13 @@
 """A device is shared, or fails: pipelines on threads and in processes do not disturb each other, and a device without
 memory, or that is lost, is an error that says so, after which a pipeline can be opened again."""
 
+import gc
 import json
+import linecache
 import subprocess
 import sys
 import threading
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -108,6 +111,48 @@ def test_a_driver_that_refuses_memory(device):
     small.memory = 1 << 60
     with pytest.raises(GffeError, match=r"cannot allocate \d+ MiB"):
         Pipeline(small, 1 << 19, 1 << 19)
+
+
+@pytest.fixture
+def no_collector():
+    """What is freed now is freed because nobody has it."""
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
+
+
+def test_memory_goes_with_the_pipeline(device, seen, no_collector):
+    """... at once: the garbage collector comes seldom where there are few objects, however large what they hold."""
+    pipeline = Pipeline(device, *SIZES[0], Options(shading_correction=False))
+    pipeline.submit(seen[0][0])
+    made = pipeline.extrapolate()
+    stages = [weakref.ref(stage) for stage in pipeline.stages.values()]
+    del pipeline
+    assert stages and not any(stage() for stage in stages)
+    assert np.isfinite(made.numpy("color")).all()  # its buffers are its own
+
+
+def test_memory_goes_with_a_pipeline_that_is_refused(device, monkeypatch, no_collector):
+    taken = []
+
+    def allocate(self, specs):
+        if len(taken) == 4:
+            raise GffeError("no more")
+        taken.append(weakref.ref(self))
+        return {}
+
+    monkeypatch.setattr("gffe_cl.buffers.Owner.allocate", allocate)
+    with pytest.raises(GffeError, match="no more"):
+        Pipeline(device, *SIZES[0])
+    assert len(taken) == 4 and not any(stage() for stage in taken)
+
+
+def test_nothing_stays_of_a_device_opened_anew(device, seen):
+    """In Python, of what pyopencl makes for each of its kernels."""
+    before = {name for name in linecache.cache if "pyopencl" in name}
+    work(open_info(device.info), SIZES[0], seen[0][:1], turns=1)
+    assert {name for name in linecache.cache if "pyopencl" in name} <= before
 
 
 def driver_error(device):

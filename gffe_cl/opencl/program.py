@@ -6,6 +6,7 @@ driver's build cache sees the whole text.
 
 from __future__ import annotations
 
+import linecache
 import os
 import re
 from collections.abc import Mapping
@@ -31,6 +32,7 @@ _MACRO = re.compile(r"^\s*#define\s+([A-Z]\w*)\s+((?:.*\\\n)*.*)$", re.MULTILINE
 _ATTRIBUTE = r"(?:\s*__attribute__\s*\(\(.*?\)\)\))?"
 _KERNEL = re.compile(rf"\b__kernel\b{_ATTRIBUTE}\s+void\s+(\w+)\s*\(([^{{;]*?)\)\s*\{{", re.DOTALL)
 _QUALIFIERS = {"const", "__global", "__constant", "__local", "restrict"}
+_GENERATED = "<generated: 'pyopencl invoker "
 _SCALARS = {"int": np.int32, "uint": np.uint32, "float": np.float32}
 
 
@@ -63,6 +65,7 @@ class Program:
         # Not `all_kernels`: pyopencl (2026.1) retains those once too often, and the context is never released.
         names = built.get_info(cl.program_info.KERNEL_NAMES).split(";")
         self.kernels = {kernel: cl.Kernel(built, kernel) for kernel in names}
+        _forget_generated_code()
         self._launching = Lock()  # arguments are set one by one: pipelines on several threads share the kernels
         self.arguments = parse_kernels(source)
         self.constants = parse_constants(source) | variant
@@ -149,6 +152,13 @@ def _argument(text: str) -> Argument:
     words = text.replace("*", " * ").split()
     kind = " ".join(word for word in words[:-1] if word not in _QUALIFIERS and word != "*")
     return Argument(words[-1], kind, "*" in words, "const" in words)
+
+
+def _forget_generated_code() -> None:
+    """For each kernel pyopencl (2026.1) makes a Python function, whose text stays in `linecache` for tracebacks: that of
+    kernels that are gone, too, 75 KiB for each device that is opened anew."""
+    for name in [name for name in tuple(linecache.cache) if name.startswith(_GENERATED)]:
+        linecache.cache.pop(name, None)
 
 
 def _told_names(kernel: cl.Kernel) -> list[str] | None:
