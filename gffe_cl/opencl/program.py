@@ -45,6 +45,11 @@ class Argument:
     buffer: bool
     read_only: bool
 
+    @property
+    def numpy_type(self) -> Any:
+        """As pyopencl wants to know it: of a number, or of a struct's bytes; None for buffers."""
+        return None if self.buffer else _SCALARS.get(self.type, np.void)
+
     def packed(self, value: Any) -> Any:
         """`value` as the kernel takes it: numbers of the argument's type, everything else as it is."""
         return value if self.buffer or self.type not in _SCALARS else _SCALARS[self.type](value)
@@ -65,7 +70,6 @@ class Program:
         # Not `all_kernels`: pyopencl (2026.1) retains those once too often, and the context is never released.
         names = built.get_info(cl.program_info.KERNEL_NAMES).split(";")
         self.kernels = {kernel: cl.Kernel(built, kernel) for kernel in names}
-        _forget_generated_code()
         self._launching = Lock()  # arguments are set one by one: pipelines on several threads share the kernels
         self.arguments = parse_kernels(source)
         self.constants = parse_constants(source) | variant
@@ -73,6 +77,9 @@ class Program:
             told = _told_names(kernel)
             parsed = [argument.name for argument in self.arguments.get(kernel.function_name, ())]
             assert told in (None, parsed), f"kernels/{name}.cl, {kernel.function_name}: takes {told}, read as {parsed}"
+            # Where pyopencl must find out itself what a number is, it takes some 20 µs for each.
+            kernel.set_arg_types([a.numpy_type for a in self.arguments.get(kernel.function_name, ())])
+        _forget_generated_code()
 
     def launch(
         self,
@@ -155,8 +162,8 @@ def _argument(text: str) -> Argument:
 
 
 def _forget_generated_code() -> None:
-    """For each kernel pyopencl (2026.1) makes a Python function, whose text stays in `linecache` for tracebacks: that of
-    kernels that are gone, too, 75 KiB for each device that is opened anew."""
+    """For each kernel pyopencl (2026.1) makes a Python function, whose text stays in `linecache` for tracebacks, even
+    when the kernel is gone: 75 KiB for each device that is opened anew."""
     for name in [name for name in tuple(linecache.cache) if name.startswith(_GENERATED)]:
         linecache.cache.pop(name, None)
 
