@@ -227,7 +227,8 @@ def test_lent_memory_holds_nothing_that_is_needed(device, levels, int64):
 @pytest.mark.parametrize("int64", [None, False])
 def test_silhouettes_take_no_memory_of_their_own(device, int64):
     """What is used at one time lies apart, what is not may lie in one place; all but marks of blocks is lent."""
-    board = Pipeline(device, 640, 360, int64_atomics=int64).board
+    pipeline = Pipeline(device, 640, 360, int64_atomics=int64)
+    board = pipeline.board
     lent = [(board.stages[stage].spec(name), *where) for (stage, name), where in board._places.items() if where]
     used = {spec.name: board._use(stage, spec) for stage, spec in board.transient}
     overlaps = set()

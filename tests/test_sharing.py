@@ -3,7 +3,6 @@ memory, or that is lost, is an error that says so, after which a pipeline can be
 
 import gc
 import json
-import linecache
 import subprocess
 import sys
 import threading
@@ -146,13 +145,6 @@ def test_memory_goes_with_a_pipeline_that_is_refused(device, monkeypatch, no_col
     with pytest.raises(GffeError, match="no more"):
         Pipeline(device, *SIZES[0])
     assert len(taken) == 4 and not any(stage() for stage in taken)
-
-
-def test_nothing_stays_of_a_device_opened_anew(device, seen):
-    """In Python, of what pyopencl makes for each of its kernels."""
-    before = {name for name in linecache.cache if "pyopencl" in name}
-    work(open_info(device.info), SIZES[0], seen[0][:1], turns=1)
-    assert {name for name in linecache.cache if "pyopencl" in name} <= before
 
 
 def driver_error(device):

@@ -124,12 +124,13 @@ def test_wrong_declarations_are_refused(device, reads, writes, complaint):
         buffers = Surfaces.buffers
         kernels = (Kernel("find_surfaces", "source", reads, writes),)
 
-    board = Pipeline(device, W, H).board
+    pipeline = Pipeline(device, W, H)
     with pytest.raises(AssertionError, match=f"find_surfaces: {complaint}"):
-        Wrong(board)
+        Wrong(pipeline.board)
 
 
 def test_missing_arguments_are_named(device):
-    stage = counted(device)[0].stages["warp"]
+    pipeline = counted(device)[0]
+    stage = pipeline.stages["warp"]
     with pytest.raises(TypeError, match=r"kernels/warp.cl.*'zoom'"):
         stage.launch("resolve", unfilled_label=0)

@@ -6,7 +6,6 @@ driver's build cache sees the whole text.
 
 from __future__ import annotations
 
-import linecache
 import os
 import re
 from collections.abc import Mapping
@@ -32,7 +31,6 @@ _MACRO = re.compile(r"^\s*#define\s+([A-Z]\w*)\s+((?:.*\\\n)*.*)$", re.MULTILINE
 _ATTRIBUTE = r"(?:\s*__attribute__\s*\(\(.*?\)\)\))?"
 _KERNEL = re.compile(rf"\b__kernel\b{_ATTRIBUTE}\s+void\s+(\w+)\s*\(([^{{;]*?)\)\s*\{{", re.DOTALL)
 _QUALIFIERS = {"const", "__global", "__constant", "__local", "restrict"}
-_GENERATED = "<generated: 'pyopencl invoker "
 _SCALARS = {"int": np.int32, "uint": np.uint32, "float": np.float32}
 
 
@@ -79,7 +77,6 @@ class Program:
             assert told in (None, parsed), f"kernels/{name}.cl, {kernel.function_name}: takes {told}, read as {parsed}"
             # Where pyopencl must find out itself what a number is, it takes some 20 µs for each.
             kernel.set_arg_types([a.numpy_type for a in self.arguments.get(kernel.function_name, ())])
-        _forget_generated_code()
 
     def launch(
         self,
@@ -159,13 +156,6 @@ def _argument(text: str) -> Argument:
     words = text.replace("*", " * ").split()
     kind = " ".join(word for word in words[:-1] if word not in _QUALIFIERS and word != "*")
     return Argument(words[-1], kind, "*" in words, "const" in words)
-
-
-def _forget_generated_code() -> None:
-    """For each kernel pyopencl (2026.1) makes a Python function, whose text stays in `linecache` for tracebacks, even
-    when the kernel is gone: 75 KiB for each device that is opened anew."""
-    for name in [name for name in tuple(linecache.cache) if name.startswith(_GENERATED)]:
-        linecache.cache.pop(name, None)
 
 
 def _told_names(kernel: cl.Kernel) -> list[str] | None:
