@@ -35,6 +35,7 @@ from gffe_cl.scenes import load_scene
 from gffe_cl.scenes.renderer import SceneRenderer
 from gffe_cl.scenes.sequences import SceneFrames
 from gffe_cl.stages.hidden import HiddenParts
+from gffe_cl.stages.holes import Downsampled
 from gffe_cl.window import WindowChooser, adaptive_window, nearest_depth
 
 W, H = 83, 61
@@ -44,6 +45,7 @@ VARIED = replace(
     hole_filling="none", cut_detection=False, static_threshold=1.5, camera_order=1,
 )  # fmt: skip
 DEEP = replace(DEFAULT, levels=4, hole_filling="downsample", shading_inputs=True, hidden_parts=False, blocks=False)
+PYRAMID = replace(DEFAULT, hole_filling="push-pull")
 _libraries: dict = {}
 
 
@@ -209,6 +211,15 @@ def test_cuts_that_nobody_tells_of(device, library):
     compared, cuts = run_both(device, library, DEEP, frames, cameras=None)
     assert cuts == [False] * 4 + [True, False, False]
     assert {"shading.warped_previous", "background.color_3", "holes.block_color"} <= compared
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [(W, H), (3, 8999), (1, 1)], ids=["some", "14 levels", "one level"])
+def test_as_many_levels_as_the_image_has(device, library, size):
+    """Push-pull has one for each halving: what is launched hangs on the size."""
+    compared, _ = run_both(device, library, PYRAMID, moving(device, 3, size), size)
+    levels = {name for name in compared if name.startswith("holes.mean_")}
+    assert len(levels) == max(1, (max(size) - 1).bit_length())
 
 
 @pytest.mark.slow
@@ -411,9 +422,16 @@ def test_faults_say_what_and_what_was_expected(device, library):
 
 
 @pytest.mark.slow
-def test_what_hangs_on_the_size_of_the_image_is_not_exported(device, gffe, tmp_path):
-    code, _, error = gffe("export", tmp_path / "c", "--hole-filling", "push-pull", "--device", device.info.index)
-    assert code == 2 and "depends on the size of the image (holes)" in error and not (tmp_path / "c").exists()
+def test_what_hangs_on_the_size_of_the_image_is_not_exported(device, monkeypatch):
+    def twice(self, to_source):
+        fill_holes(self, to_source)
+        if self.sizes.target[0] > 1000:
+            fill_holes(self, to_source)
+
+    fill_holes = Downsampled.fill_holes
+    monkeypatch.setattr(Downsampled, "fill_holes", twice)
+    with pytest.raises(GffeError, match=r"depends on the size of the image \(holes\)"):
+        record(device, DEEP, True)
 
 
 @pytest.mark.slow

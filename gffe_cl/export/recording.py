@@ -5,7 +5,7 @@ times, while nothing is enqueued. What agrees in all of them is a constant; what
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,7 +15,7 @@ import pyopencl as cl
 from gffe_cl.buffers import BufferSpec, DeviceFrame, Sizes
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
-from gffe_cl.export.values import Named, Probe, launch_sizes, values
+from gffe_cl.export.values import MOST_PIXELS, Named, Probe, launch_sizes, values
 from gffe_cl.frame import OVERLAYS
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import Argument
@@ -27,10 +27,16 @@ from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.cuts import CutDetection
 from gffe_cl.stages.presentation import Presentation
 
-# Rendered and extrapolated images: tiny, middling and wide, all sides different, so that no size looks like another.
-_SIZES = (((51, 29), (67, 39)), ((640, 50), (701, 101)), ((1203, 41), (1603, 61)))
+# Rendered and extrapolated images: tiny, middling and wide, all sides different, so that no size looks like another; and
+# as large as C takes them, for there are levels that others do not have.
+_SIZES = (
+    ((51, 29), (67, 39)), ((640, 50), (701, 101)), ((1203, 41), (1603, 61)),
+    ((13003, 3), (MOST_PIXELS, 5)), ((2, 14001), (3, MOST_PIXELS)),
+)  # fmt: skip
 # The overlays that frames bring.
-_LAYERS = (("fixed_mask", "ui"), ("fixed_mask", "effects", "effects_motion"), ("effects", "ui"))
+_LAYERS = (
+    ("fixed_mask", "ui"), ("fixed_mask", "effects", "effects_motion"), ("effects", "ui"), ("ui",), ("effects",),
+)  # fmt: skip
 _SMALL = 4096  # bytes of a buffer that may hold something from the start
 
 
@@ -174,7 +180,7 @@ class _Rehearsal:
         """Circumstances of which no two have a number in common."""
         rng = np.random.default_rng([number, first])
         frame, previous = (self._frame(rng) for _ in range(2))
-        times = np.cumsum(-rng.uniform(0.01, 0.1, (1, 2, 3, 6)[0 if first else 1 + number])).tolist()
+        times = np.cumsum(-rng.uniform(0.01, 0.1, (1, 2, 3, 6, 4, 5)[0 if first else 1 + number])).tolist()
         time = times[0] + rng.uniform(0.01, 0.1)
         camera, alpha, exposure = self._camera(rng), rng.uniform(0.1, 0.9), rng.uniform(0.2, 5)
         return Step(frame, None if first else previous, times, camera, time, alpha, exposure)
@@ -213,52 +219,69 @@ def record(device: Device, options: Options, int64: bool) -> Plan:
         known = _Known([probe for probe, _ in performed])
         for occasion in performed[0][1]:
             takes = [raw[occasion] for _, raw in performed]
-            operations[occasion + "_first" * first] = _explained(takes, known, rehearsals[0])
+            operations[occasion + "_first" * first] = _explained(takes, known, rehearsals)
     buffers = {
         f"{owner.name}.{spec.name}": spec
-        for owner in (rehearsals[0].board.frame, *rehearsals[0].all.values())
+        for rehearsal in rehearsals
+        for owner in (rehearsal.board.frame, *rehearsal.all.values())
         for spec in owner.buffers
     }
     lent = {f"{stage.name}.{name}" for stage, name in rehearsals[0].board.lent}
     return Plan(operations, buffers, _initial(rehearsals[0]), lent, rehearsals[0].all)
 
 
-def _explained(takes: list[list[_Raw]], known: _Known, rehearsal: _Rehearsal) -> list[Operation]:
-    """The operations that agree with what every probe enqueues."""
-    made = [tuple(raw.operation for raw in take) for take in takes]
-    if len(set(made)) > 1:
-        per_stage = [{name: [o for o in one if o.stage == name] for name in rehearsal.all} for one in made]
-        differ = [name for name in rehearsal.all if any(one[name] != per_stage[0][name] for one in per_stage)]
+def _explained(takes: list[list[_Raw]], known: _Known, rehearsals: list[_Rehearsal]) -> list[Operation]:
+    """The operations that agree with what every probe enqueues: all of them, but for those on buffers that images of its
+    sizes do not have."""
+    whole = [raw.operation for raw in max(takes, key=len)]
+    has = [set(rehearsal.tape.names.values()) for rehearsal in rehearsals]
+    made = [[raw.operation for raw in take] for take in takes]
+    expected = [[operation for operation in whole if operation.buffers() <= names] for names in has]
+    if made != expected:
+        differ = [name for name in rehearsals[0].all if _of(name, made) != _of(name, expected)]
         raise GffeError(
             f"export: what is launched depends on the size of the image ({', '.join(differ)}), which C does not know"
             " (expected other options)"
         )
-    return [_named(raws, known, rehearsal) for raws in zip(*takes, strict=True)]
+    rest = [iter(take) for take in takes]
+    return [
+        _named([next(take) if operation.buffers() <= names else None for take, names in zip(rest, has, strict=True)],
+               operation, known, rehearsals[0])
+        for operation in whole
+    ]  # fmt: skip
+
+
+def _of(stage: str, made: list[list[Operation]]) -> list[list[Operation]]:
+    return [[operation for operation in one if operation.stage == stage] for one in made]
 
 
 class _Known:
-    """What C knows: values and sizes of launches, each with what it is for every probe."""
+    """What C knows: values and sizes of launches, each with what it is for every probe; `found`: what it was, None where
+    nothing was launched."""
 
     def __init__(self, probes: list[Probe]):
         self.values = [(named, [value(probe) for probe in probes]) for named, value in values()]
         self.sizes = [(named, [size(probe) for probe in probes]) for named, size in launch_sizes()]
 
-    def size(self, what: str, found: list[tuple[int, int]]) -> Named:
-        return _first(what, (named for named, sizes in self.sizes if sizes == found))
+    def size(self, what: str, found: list[tuple[int, int] | None]) -> Named:
+        return _first(what, (named for named, sizes in self.sizes if _agree(sizes, found)))
 
-    def texels(self, what: str, found: list[int]) -> Named:
+    def texels(self, what: str, found: list[int | None]) -> Named:
         """A size by its number of texels."""
-        return _first(what, (named for named, sizes in self.sizes if [math.prod(size) for size in sizes] == found))
+        return _first(what, (named for named, sizes in self.sizes if _agree(map(math.prod, sizes), found)))
 
-    def value(self, what: str, argument: Argument, found: list[bytes]) -> Named:
+    def value(self, what: str, argument: Argument, found: list[bytes | None]) -> Named:
         return _first(what, (named for named, is_now in self.values if _are(argument, is_now, found)))
 
 
-def _are(argument: Argument, is_now: list[Any], found: list[bytes]) -> bool:
+def _agree(known: Iterable[Any], found: Iterable[Any]) -> bool:
+    return all(wanted is None or value == wanted for value, wanted in zip(known, found, strict=True))
+
+
+def _are(argument: Argument, is_now: list[Any], found: list[bytes | None]) -> bool:
     """Whether values, as a kernel's argument, are the bytes that were found."""
     try:
-        pairs = zip(is_now, found, strict=True)
-        return all(np.asarray(argument.packed(value)).tobytes() == wanted for value, wanted in pairs)
+        return _agree((np.asarray(argument.packed(value)).tobytes() for value in is_now), found)
     except (TypeError, ValueError):  # they are no numbers of its type
         return False
 
@@ -269,27 +292,26 @@ def _first(what: str, candidates: Iterator[Named]) -> Named:
     raise GffeError(f"export: {what} hangs on something that exported C does not know")
 
 
-def _named(raws: tuple[_Raw, ...], known: _Known, rehearsal: _Rehearsal) -> Operation:
-    """An operation with names in place of figures; `raws`: of every probe."""
-    operation = raws[0].operation
+def _named(raws: list[_Raw | None], operation: Operation, known: _Known, rehearsal: _Rehearsal) -> Operation:
+    """An operation with names in place of figures; `raws`: of every probe that has it."""
     if operation.kind == "FILL":
         owner, _, name = operation.buffer.partition(".")
         spec = rehearsal.all[owner].spec(name)
-        texels = [raw.size / (spec.bytes_per_pixel * spec.planes) for raw in raws]
+        texels = [raw and raw.size / (spec.bytes_per_pixel * spec.planes) for raw in raws]
         return replace(operation, size=known.texels(operation.buffer, texels))
     if operation.kind != "LAUNCH":
         return operation
     where = f"kernels/{operation.stage}.cl, {operation.kernel}"
     arguments, declared = [], rehearsal.all[operation.stage].program.arguments[operation.kernel]
     for k, (argument, given) in enumerate(zip(declared, operation.arguments, strict=True)):
-        numbers = [raw.numbers[k] for raw in raws]
+        numbers = [raw and raw.numbers[k] for raw in raws]
         if given.buffer is not None:
             arguments.append(given)
-        elif len(set(numbers)) == 1:
-            arguments.append(Given(constant=numbers[0]))
+        elif len(different := set(numbers) - {None}) == 1:
+            arguments.append(Given(constant=different.pop()))
         else:
             arguments.append(Given(named=known.value(f"{where}: argument '{argument.name}'", argument, numbers)))
-    size = known.size(f"{where}: its size", [raw.size for raw in raws])
+    size = known.size(f"{where}: its size", [raw and raw.size for raw in raws])
     return replace(operation, size=size, arguments=tuple(arguments))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from gffe_cl import camera, camera_path, window
 from gffe_cl.buffers import BLOCK, BufferSpec, aligned, texel_of
 from gffe_cl.export.recording import Given, Operation, Plan
-from gffe_cl.export.values import Named, grid_of
+from gffe_cl.export.values import MOST_PIXELS, Named, grid_of
 from gffe_cl.frame import BYTES_PER_PIXEL, OVERLAYS, SAME_POSE
 from gffe_cl.inference import MULTIPLE
 from gffe_cl.opencl.probing import DIVISION_SOURCE, INT64_SOURCE
@@ -47,6 +47,7 @@ _HEADER = "/* Made by `gffe export`; not to be edited. */\n"
 def config(options: Options) -> str:
     """gffe_config.h: numbers that Python's modules define, and what was chosen."""
     numbers = {
+        "MOST_PIXELS": MOST_PIXELS,
         "BLOCK": texel_of("blocks")[0],
         "BLOCK_WIDTH": BLOCK[0],
         "BLOCK_HEIGHT": BLOCK[1],

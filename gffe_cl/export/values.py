@@ -26,8 +26,9 @@ from gffe_cl.stages.presentation import mapping
 from gffe_cl.vectors import length
 
 CAMERAS = ("FRAME", "PREVIOUS", "TARGET_CAMERA", "FRAME_DISPLAY", "PREVIOUS_DISPLAY")
-GRIDS = ("ONCE", "SOURCE", "TARGET", "BLOCKS", "SOURCE_BLOCKS", "TARGET_BLOCKS", "NETWORK", "LEVEL", "LEVELS")
+GRIDS = ("ONCE", "SOURCE", "TARGET", "BLOCKS", "SOURCE_BLOCKS", "TARGET_BLOCKS", "NETWORK", "MIP", "LEVEL", "LEVELS")
 _HOLES = constants("holes.cl")
+MOST_PIXELS = 16384  # each way, of the images that C takes
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class Named:
 
 def grid_of(name: str) -> tuple[str, int]:
     """The C name of a grid of `BufferSpec`, and its level or number of levels. KeyError if C does not know it."""
-    for kind in ("levels", "level"):
+    for kind in ("levels", "level", "mip"):
         if name.startswith(kind):
             return kind.upper(), int(name.removeprefix(kind))
     if name.upper() not in GRIDS:
@@ -71,7 +72,8 @@ def grid_of(name: str) -> tuple[str, int]:
 
 
 def _grids() -> Iterator[str]:
-    yield from (grid.lower() for grid in GRIDS[:-2])
+    yield from (grid.lower() for grid in GRIDS[:-3])
+    yield from (f"mip{n}" for n in range(1, (MOST_PIXELS - 1).bit_length() + 1))
     yield from (f"level{n}" for n in range(MAX_LEVELS + 1))
     yield from (f"levels{n}" for n in range(1, MAX_LEVELS + 1))
 

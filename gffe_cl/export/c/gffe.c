@@ -12,8 +12,6 @@
 #pragma STDC FP_CONTRACT OFF
 #endif
 
-enum { MOST_PIXELS = 16384 }; /* each way */
-
 gffe_options gffe_default_options(int width, int height) {
     gffe_options made;
     memset(&made, 0, sizeof made);
@@ -24,16 +22,16 @@ gffe_options gffe_default_options(int width, int height) {
     return made;
 }
 
-static int is_side(int n) { return n >= 1 && n <= MOST_PIXELS; }
+static int is_side(int n) { return n >= 1 && n <= GFFE_MOST_PIXELS; }
 
 static gffe_status check_options(gffe *g) {
     const gffe_options *options = &g->options;
     if (!is_side(options->width) || !is_side(options->height))
-        return gffe_fail(g, GFFE_INVALID, "options: width and height must be 1 to %d, got %d and %d", MOST_PIXELS,
+        return gffe_fail(g, GFFE_INVALID, "options: width and height must be 1 to %d, got %d and %d", GFFE_MOST_PIXELS,
                          options->width, options->height);
     if (!is_side(g->step.source[0]) || !is_side(g->step.source[1]))
         return gffe_fail(g, GFFE_INVALID, "options: render_width and render_height must be 0, or 1 to %d, got %d and %d",
-                         MOST_PIXELS, options->render_width, options->render_height);
+                         GFFE_MOST_PIXELS, options->render_width, options->render_height);
     if (!(options->fps > 0 && options->fps <= DBL_MAX))
         return gffe_fail(g, GFFE_INVALID, "options: fps must be positive, got %g", options->fps);
     if (options->lanes != 0 && options->lanes != 1 && options->lanes != 8)

@@ -198,6 +198,7 @@ static cl_int launch(gffe *g, const gffe_operation *operation) {
         const void *given = &value;
         size_t nbytes;
         if (argument->kind == GFFE_BUFFER) {
+            if (!gffe_buffer_bytes(&g->step, &g->plan->buffers[argument->a / 2])) return CL_SUCCESS; /* nothing to do */
             given = &g->memory[argument->a];
             nbytes = sizeof(cl_mem);
         } else if (argument->kind == GFFE_CONSTANT) {

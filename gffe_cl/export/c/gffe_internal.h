@@ -9,9 +9,9 @@
 extern "C" {
 #endif
 
-/* Grids of buffers and launches; a level or a number of levels goes with the last two. */
+/* Grids of buffers and launches; a level or a number of levels goes with the last three. */
 enum { GFFE_ONCE, GFFE_SOURCE, GFFE_TARGET, GFFE_BLOCKS, GFFE_SOURCE_BLOCKS, GFFE_TARGET_BLOCKS, GFFE_NETWORK,
-       GFFE_LEVEL, GFFE_LEVELS };
+       GFFE_MIP, GFFE_LEVEL, GFFE_LEVELS };
 
 enum { GFFE_FRAME, GFFE_PREVIOUS, GFFE_TARGET_CAMERA, GFFE_FRAME_DISPLAY, GFFE_PREVIOUS_DISPLAY, GFFE_CAMERAS };
 
@@ -170,7 +170,7 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]);
 void gffe_launch_size(const gffe_step *step, int kind, int a, int b, size_t size[2]);
 size_t gffe_aligned(size_t n);
 size_t gffe_level_start(const gffe_step *step, int level);
-size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer);
+size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer); /* 0: images of these sizes have none */
 size_t gffe_value(const gffe_step *step, int kind, int a, int b, void *made); /* returns its bytes */
 
 /* gffe_memory.c */

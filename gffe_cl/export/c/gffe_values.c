@@ -32,7 +32,7 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
         size[1] = 1;
         return;
     }
-    if (grid == GFFE_LEVEL) side[0] = side[1] = (size_t)1 << level;
+    if (grid == GFFE_LEVEL || grid == GFFE_MIP) side[0] = side[1] = (size_t)1 << level;
     if (grid == GFFE_BLOCKS) side[0] = side[1] = GFFE_BLOCK;
     if (grid == GFFE_NETWORK) side[0] = side[1] = GFFE_NETWORK_TEXEL;
     if (grid == GFFE_SOURCE_BLOCKS || grid == GFFE_TARGET_BLOCKS) {
@@ -65,9 +65,18 @@ void gffe_launch_size(const gffe_step *step, int kind, int a, int b, size_t size
     }
 }
 
+/* Until one texel is left of the target; at least one. */
+static int halvings(const gffe_step *step) {
+    const int longer = step->target[0] > step->target[1] ? step->target[0] : step->target[1];
+    int n = 1;
+    while (longer > 1 << n) ++n;
+    return n;
+}
+
 size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer) {
     size_t size[2];
     gffe_grid_size(step, buffer->grid, buffer->level, size);
+    if (buffer->grid == GFFE_MIP && buffer->level > halvings(step)) return 0;
     return size[0] * size[1] * (size_t)buffer->bytes * (size_t)buffer->planes;
 }
 
