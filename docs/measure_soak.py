@@ -38,7 +38,8 @@ def main() -> int:
         f"{told.frames} frames submitted, {told.made} made, {told.refused} refused, {told.cuts} cuts found;"
         f" {told.pipelines} pipelines and {told.devices} devices opened beside; {time.monotonic() - start:.0f} s"
     )
-    print(f"memory: {told.growth:+.2%}; results: {'equal' if told.is_equal else 'DIFFERENT'}")
+    print(f"memory at the end: {told.memory[-1]:.1f} MiB, at most {told.growth:+.2%} from frame 1000 on")
+    print(f"results: {'equal' if told.is_equal else 'DIFFERENT'}")
     first, last = (np.median(part) for part in (told.milliseconds[:quarter], told.milliseconds[-quarter:]))
     print(f"milliseconds a frame: {first:.1f} in the first quarter, {last:.1f} in the last")
     return int(told.growth >= 0.01 or not told.is_equal)

@@ -24,6 +24,7 @@ INPUT_PLANES, OUTPUT_PLANES = 8, 5
 _FLOAT = "tensor(float)"
 _MOST_SIZES = 4  # whose sessions are kept
 _loaded: dict[tuple, tuple] = {}  # (path, what was asked for) → (stamp of the file, Network)
+_asked_for: list[Network] = []  # since remarks were last taken
 
 
 def default_model() -> Path | None:
@@ -53,7 +54,18 @@ def load_network(path: str | Path | None = None, provider: str = CPU.name) -> Ne
     key, stamp = (path.resolve(), wanted), (state.st_mtime_ns, state.st_size)
     if key not in _loaded or _loaded[key][0] != stamp:
         _loaded[key] = stamp, Network(path, wanted)
-    return _loaded[key][1]
+    network = _loaded[key][1]
+    if network not in _asked_for:
+        _asked_for.append(network)
+    return network
+
+
+def take_remarks() -> list[str]:
+    """What a user should know of what ran the networks that were asked for since this was last called: providers that
+    "auto" refused, or that failed, and the CPU went on."""
+    remarks = [network.remark for network in _asked_for if network.remark]
+    _asked_for.clear()
+    return list(dict.fromkeys(remarks))
 
 
 class Network:

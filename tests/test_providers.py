@@ -233,6 +233,27 @@ def test_a_driver_that_fails_as_a_session_is_made(device, tmp_path, monkeypatch)
     assert network.provider == CPU.ort and "no memory" in network.remark
 
 
+@pytest.mark.parametrize("command", ["run", "study", "view"])
+def test_every_command_says_once_that_the_cpu_went_on(device, gffe, tmp_path, monkeypatch, command):
+    """... the viewer in its window, too."""
+    monkeypatch.setattr(inference, "choose", lambda *_: Choice(CPU, remark="provider webgpu: crashed"))
+    scn = ("--scn-provider", "auto", "--scn-model", look_model(tmp_path / "m.onnx"))
+    said = []
+    if command == "run":
+        tiny_sequence.write(tmp_path / "in", frames=2)
+        arguments = ("run", tmp_path / "in", tmp_path / "out", "--no-check")
+    elif command == "study":
+        arguments = ("study", "corridor", "--shading", "--seeds", "1", "--frames", "4", "--size", "64x36")
+    else:
+        pytest.importorskip("imgui_bundle")
+        monkeypatch.setattr("gffe_cl.viewer.start.require_display", lambda: None)
+        monkeypatch.setattr("gffe_cl.viewer.start.view", lambda model, *_: said.extend(model.messages))
+        arguments = ("view", "--cache", "0")
+    code, _, err = gffe(*arguments, "--device", device.info.index, *scn)
+    assert code == 0 and err.count("warning: provider webgpu: crashed") == 1, err
+    assert [each.text for each in said] == ["provider webgpu: crashed"] * (command == "view")
+
+
 # ---- WebGPU on SwiftShader -----------------------------------------------------------------------------
 
 

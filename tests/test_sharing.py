@@ -159,6 +159,7 @@ def driver_error(device):
 def test_a_device_that_is_lost(device, seen, monkeypatch):
     """Errors of the driver are one line, what had been made before stays, and a new pipeline works."""
     lost = open_info(device.info)
+    assert open_info(device.info).context == lost.context and open_info(device.info).programs is lost.programs
     pipeline = Pipeline(lost, *SIZES[0])
     pipeline.submit(seen[0][0])
     made = pipeline.extrapolate()
@@ -178,6 +179,7 @@ def test_a_device_that_is_lost(device, seen, monkeypatch):
         patch.setattr(cl, "enqueue_copy", fail)
         with pytest.raises(GffeError, match=r'reading "depth" failed: .* 64×36: the device'):
             made.numpy("depth")
+    assert open_info(device.info).context != lost.context
     again = Pipeline(open_info(device.info), *SIZES[0])
     again.submit(seen[0][0])
     assert np.array_equal(again.extrapolate().numpy("color"), expected)

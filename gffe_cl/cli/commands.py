@@ -20,7 +20,7 @@ from gffe_cl.cli import (  # noqa: F401 - registers the commands, in the order o
     training,
     viewing,
 )
-from gffe_cl.cli.common import app, out
+from gffe_cl.cli.common import app, out, warn_of_networks
 
 __all__ = ["app", "invoke"]
 
@@ -32,6 +32,8 @@ def invoke(arguments: list[str]) -> int:
             context.command.invoke(context)
     except typer.Exit as stop:
         return stop.exit_code
+    finally:
+        warn_of_networks()
     return 0
 
 

@@ -144,8 +144,22 @@ def _finite(value):
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+_warned: set[str] = set()
+
+
 def warn(text: str) -> None:
-    err.print(f"[yellow]warning:[/] {plain(text)}")
+    """Once in a command."""
+    if text not in _warned:
+        _warned.add(text)
+        err.print(f"[yellow]warning:[/] {plain(text)}")
+
+
+def warn_of_networks() -> None:
+    """At the end of any command: where the network did not run on what was asked for."""
+    if inference := sys.modules.get("gffe_cl.inference"):
+        for remark in inference.take_remarks():
+            warn(remark)
+    _warned.clear()
 
 
 def plain(text: object) -> str:

@@ -162,8 +162,6 @@ def _print_bench(info: DeviceInfo, name: str, results: list[SizeBench]) -> None:
     if last.provider:
         table.add_row("the network ran on", *(r.provider.removesuffix("ExecutionProvider") for r in results), "", "")
     out.print(table)
-    for remark in sorted({r.remark for r in results if r.remark}):
-        warn(remark)
     if (power := growth(results)) is not None:
         out.print(f"GAE grows as pixels^{power:.2f}.")
     shares = ", ".join(f"{share} {value:.2%}" for share, value in last.shares.items())

@@ -126,8 +126,9 @@ def view(
     if screenshot is not None:
         shot = Shot(screenshot, frame, layer, compare, other, _pixel(pixel), overview)
     asked = options.shading_correction, options.scn_model, options.scn_provider
+    remark = ""
     if options.corrects_shading and asked != (None, None, "cpu"):
-        load_network(options.scn_model, options.scn_provider)  # what was asked for must work
+        remark = load_network(options.scn_model, options.scn_provider).remark  # what was asked for must work
     require_display()
     by_hand = not alone
     settings, warning = Settings.load() if by_hand else (Settings(), None)
@@ -135,8 +136,8 @@ def view(
         settings, device=device, n=n, window=window, plan=plan, options=options, save_settings=by_hand,
         check=not no_check, cache_mib=cache,
     )  # fmt: skip
-    if warning:
-        model.say(warning)
+    for text in filter(None, (warning, remark)):
+        model.say(text)
     with leaving(model):
         if target is not None:
             model.open(target)

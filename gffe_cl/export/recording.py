@@ -27,8 +27,8 @@ from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.cuts import CutDetection
 from gffe_cl.stages.presentation import Presentation
 
-# Rendered and extrapolated images: tiny, middling and wide, all sides different, so that no size looks like another; and
-# as large as C takes them, for there are levels that others do not have.
+# Rendered and extrapolated images: tiny, middling and wide, all sides different, so that no size looks like another;
+# and as large as C takes them, for there are levels that others do not have.
 _SIZES = (
     ((51, 29), (67, 39)), ((640, 50), (701, 101)), ((1203, 41), (1603, 61)),
     ((13003, 3), (MOST_PIXELS, 5)), ((2, 14001), (3, MOST_PIXELS)),
@@ -231,8 +231,8 @@ def record(device: Device, options: Options, int64: bool) -> Plan:
 
 
 def _explained(takes: list[list[_Raw]], known: _Known, rehearsals: list[_Rehearsal]) -> list[Operation]:
-    """The operations that agree with what every probe enqueues: all of them, but for those on buffers that images of its
-    sizes do not have."""
+    """The operations that agree with what every probe enqueues: all of them, but for those on buffers that images of
+    its sizes do not have."""
     whole = [raw.operation for raw in max(takes, key=len)]
     has = [set(rehearsal.tape.names.values()) for rehearsal in rehearsals]
     made = [[raw.operation for raw in take] for take in takes]
@@ -256,8 +256,8 @@ def _of(stage: str, made: list[list[Operation]]) -> list[list[Operation]]:
 
 
 class _Known:
-    """What C knows: values and sizes of launches, each with what it is for every probe; `found`: what it was, None where
-    nothing was launched."""
+    """What C knows: values and sizes of launches, each with what it is for every probe; `found`: what it was, None
+    where nothing was launched."""
 
     def __init__(self, probes: list[Probe]):
         self.values = [(named, [value(probe) for probe in probes]) for named, value in values()]

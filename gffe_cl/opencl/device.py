@@ -7,6 +7,7 @@ Only devices that probing found to work are opened (`probing`); what it found is
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import pyopencl as cl
@@ -52,6 +53,19 @@ def select(infos: list[DeviceInfo], wanted: str) -> list[DeviceInfo]:
     return []
 
 
+@dataclass
+class Opened:
+    """What all `Device`s of one OpenCL device have in common in this process: drivers keep some KiB of every program
+    that is loaded, even when it is released, so what is opened again finds what is there."""
+
+    context: cl.Context
+    programs: dict = field(default_factory=dict)  # built so far, by program.build
+    int64_atomics: bool | None = None  # None: not tried yet
+
+
+_opened: dict[str, Opened] = {}  # by `DeviceInfo.index`
+
+
 class Device:
     """An opened OpenCL device: context, in-order profiling queue, capabilities.
 
@@ -64,12 +78,13 @@ class Device:
         Bytes of the buffers made by `buffer` so far.
     """
 
-    def __init__(self, cl_device: cl.Device, info: DeviceInfo):
+    def __init__(self, cl_device: cl.Device, info: DeviceInfo, opened: Opened | None = None):
         self.info = info
         self.cl_device = cl_device
-        self.context = cl.Context([cl_device])
+        self.opened = opened or Opened(cl.Context([cl_device]))
+        self.context = self.opened.context
         self.allocated = 0
-        self.programs: dict = {}  # built so far, by program.build
+        self.programs = self.opened.programs
         self.queue = cl.CommandQueue(self.context, properties=cl.command_queue_properties.PROFILING_ENABLE)
 
     def __repr__(self):
@@ -88,7 +103,9 @@ class Device:
     @cached_property
     def int64_atomics(self) -> bool:
         """Whether a 64-bit atomic minimum builds and gives the right answer here."""
-        return try_int64_atomics(self.context, self.queue)
+        if self.opened.int64_atomics is None:
+            self.opened.int64_atomics = try_int64_atomics(self.context, self.queue)
+        return self.opened.int64_atomics
 
     @cached_property
     def memory(self) -> int:
@@ -167,13 +184,22 @@ def best_of(infos: list[DeviceInfo]) -> DeviceInfo:
 
 
 def open_info(info: DeviceInfo) -> Device:
-    """Open the device that `list_devices` described. Raises GffeError if it is not there, or cannot be opened."""
+    """Open the device that `list_devices` described; what is opened again shares context and kernels, until an error of
+    the driver says that it was lost. Raises GffeError if it is not there, or cannot be opened."""
     platform, device = (int(part) for part in info.index.split(":"))
     try:
         found = cl.get_platforms()[platform].get_devices()[device]
         told = found.name.strip(), found.platform.version.strip(), found.driver_version.strip()
         if told != (info.name, info.version, info.driver):
             raise GffeError(f"device {info.index} is {told[0]}, not {info.name} (see `gffe devices --refresh`)")
-        return Device(found, info)
+        made = Device(found, info, _opened.get(info.index))
+        _opened[info.index] = made.opened
+        return made
     except (cl.Error, IndexError) as error:
         raise GffeError(f"{info.name} ({info.platform}): cannot be opened: {error}") from None
+
+
+def forget_opened(device: Device) -> None:
+    """Open its OpenCL device anew the next time: the context may be of no use any more."""
+    for index in [index for index, opened in _opened.items() if opened is device.opened]:
+        del _opened[index]

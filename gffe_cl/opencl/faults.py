@@ -9,7 +9,7 @@ from functools import wraps
 import pyopencl as cl
 
 from gffe_cl.errors import GffeError
-from gffe_cl.opencl.device import Device
+from gffe_cl.opencl.device import Device, forget_opened
 
 _CODES = cl.status_code
 _MEMORY = {
@@ -25,6 +25,7 @@ def device_faults(device: Device, work: str, footprint: Callable[[], str]) -> It
     try:
         yield
     except cl.Error as error:
+        forget_opened(device)
         advice = (
             "is out of memory, or lost (expected smaller images, fewer background levels, or less else on it)"
             if error.code in _MEMORY

@@ -2,7 +2,7 @@
 
 The content is that of `scene`, in rounds that are laid out by a seed: cuts that are told and not told, pauses, frames
 that must be refused, new frames at odd times, layers that are kept and dropped; beside it pipelines of other sizes and
-options, on devices that are opened anew. Each round ends with the same frames after a reset, and what is made of them
+options, on devices that are opened again. Each round ends with the same frames after a reset, and what is made of them
 must be the same bits in each round, and those of a fresh pipeline.
 """
 
@@ -33,7 +33,7 @@ _OTHERS = (
     ((96, 54), Options(motion=False, hidden_parts=False, acceleration=False, blocks=False, shading_correction=False)),
 )
 _OTHERS_EVERY = 25  # frames
-_REOPENED_EVERY = 4  # rounds, a device is opened anew: drivers do not give back all of what one took
+_REOPENED_EVERY = 4  # rounds, a device is opened again
 _SETTLED = 1000  # frames from which on memory must not grow
 _FINALE = 6  # frames of the end of a round
 _PAGE = os.sysconf("SC_PAGE_SIZE") if hasattr(os, "sysconf") else 4096
@@ -60,12 +60,10 @@ class Soak:
 
     @property
     def growth(self) -> float:
-        """Of memory, from frame `_SETTLED` (of short soaks the middle) to the end, as a share: medians of a quarter of
-        the rounds each."""
-        first = min(_SETTLED // ROUND, len(self.memory) // 2)
-        settled = self.memory[first:]
-        quarter = max(len(settled) // 4, 1)
-        return float(np.median(settled[-quarter:]) / np.median(settled[:quarter]) - 1)
+        """Of memory, from frame `_SETTLED` (of short soaks the first half) to where it is largest after that, as a
+        share."""
+        settled = self.memory[min(_SETTLED // ROUND, (len(self.memory) + 1) // 2) - 1 :]
+        return max(settled) / settled[0] - 1
 
     @property
     def is_equal(self) -> bool:
