@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from gffe_cl.cli.common import JsonOption, app, out, parse_size, plain, progress_bars, steps, warn, write_json
+from gffe_cl.cli.common import JsonOption, app, out, parse_size, plain, progress_bars, steps, write_json
 from gffe_cl.cli.options import takes_options
 from gffe_cl.errors import GffeError
 
