@@ -154,6 +154,9 @@ class Engine:
         self.library.gffe_destroy(self.handle)
         self.handle = ct.c_void_p()
 
+    def set_exposure(self, exposure):
+        self._check(self.library.gffe_set_exposure(self.handle, exposure))
+
     def submit(self, buffers, camera, time, display=None, reset=False):
         cameras = [c and ct.byref(CCamera.of(c)) for c in (camera, display)]
         handles = [b and b.int_ptr for b in buffers]

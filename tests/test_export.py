@@ -29,6 +29,7 @@ from gffe_cl.errors import GffeError
 from gffe_cl.export.recording import record
 from gffe_cl.export.writing import export
 from gffe_cl.frame import Overlays, RenderedFrame, pack_frame
+from gffe_cl.jitter import Jitter
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import load_scene
@@ -45,6 +46,7 @@ VARIED = replace(
     hole_filling="none", cut_detection=False, static_threshold=1.5, camera_order=1,
 )  # fmt: skip
 DEEP = replace(DEFAULT, levels=4, hole_filling="downsample", shading_inputs=True, hidden_parts=False, blocks=False)
+UPSCALED = replace(DEFAULT, upscale=2.0)
 PYRAMID = replace(DEFAULT, hole_filling="push-pull")
 _libraries: dict = {}
 
@@ -131,10 +133,12 @@ def assert_same_frame(engine: Engine, made, ours):
 
 def run_both(device, library, options, frames, size=(W, H), alphas=(0.5,), cameras=None, **more):
     """Both pipelines over frames; all buffers and outputs are compared after each extrapolated one."""
-    render_size = more.pop("render_size", size)
+    render_size, exposure = more.pop("render_size", size), more.pop("exposure", 1.0)
     engine = Engine(library(options), device, *size, render_width=render_size[0], render_height=render_size[1], **more)
     int64 = None if more.get("int64_atomics", -1) < 0 else bool(more["int64_atomics"])
     pipeline = Pipeline(device, *size, options, render_size=render_size, int64_atomics=int64)
+    pipeline.exposure = exposure
+    engine.set_exposure(exposure)
     compared, cuts = set(), []
     for frame in frames:
         pipeline.submit(frame)
@@ -223,6 +227,24 @@ def test_as_many_levels_as_the_image_has(device, library, size):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("corrected", [False, True], ids=["plain", "corrected"])
+def test_upscaled_frames_have_the_same_bits(device, library, tmp_path, corrected):
+    """With jitter that nobody tells, and through a window; after the network, where there is one."""
+    size, render_size = (W, H), (47, 33)
+    frames = moving(device, 3, size, render_size)
+    frames = [replace(frame, camera=Jitter(8).camera(frame.camera, k)) for k, frame in enumerate(frames)]
+    frames += moving(device, 2, size, render_size, "fixed:1.25", start=5.0)
+    options, network = UPSCALED, {}
+    if corrected:
+        options = replace(options, shading_correction=True, scn_model=str(scn_models.movers_model(tmp_path / "m.onnx")))
+        network["network"] = network_of(device, options.scn_model, [])
+    compared, _ = run_both(
+        device, library, options, frames, size, (0.5, 0.75), render_size=render_size, exposure=2.5, **network
+    )
+    assert {"upscaling.history", "upscaling.color", "presentation.motion"} <= compared
+
+
+@pytest.mark.slow
 def test_overlays_lie_over_the_picture(device, library):
     """Of several kinds, of device buffers, in a window; some frames bring none."""
     size, render_size, rng = (W, H), (67, 52), np.random.default_rng(6)
@@ -260,20 +282,9 @@ def test_one_pixel_per_work_item_as_on_gpus_gives_the_same_frames(device, librar
 def test_the_network_runs_between_its_buffers(device, library, tmp_path):
     path = str(scn_models.movers_model(tmp_path / "scn.onnx"))
     options = replace(DEFAULT, shading_correction=True, scn_model=path)
-    network = inference.load_network(path)
     ran = []
-
-    @NETWORK
-    def run(user, queue, frames, correction, width, height, alpha):
-        given, made = np.empty((8, height, width), np.float32), np.empty((5, height, width), np.float32)
-        cl.enqueue_copy(device.queue, given, cl.Buffer.from_int_ptr(frames, True))
-        network.run(given, alpha, made)
-        cl.enqueue_copy(device.queue, cl.Buffer.from_int_ptr(correction, True), made)
-        ran.append(alpha)
-        return 0
-
     frames = moving(device, 4)
-    run_both(device, library, options, frames, network=run)
+    run_both(device, library, options, frames, network=network_of(device, path, ran))
     assert ran == [0.5] * 3  # the first frame has none before
     assert (library(options)._folder / "scn.onnx").read_bytes() == (tmp_path / "scn.onnx").read_bytes()
 
@@ -292,6 +303,22 @@ def test_the_network_runs_between_its_buffers(device, library, tmp_path):
     assert made.color != made.gae
     assert np.array_equal(engine.read(made.color, 8 * W * H), engine.read(made.gae, 8 * W * H))
     engine.destroy()
+
+
+def network_of(device, path, ran):
+    """A callback that runs the network of a file, and puts into `ran` at which times."""
+    network = inference.load_network(path)
+
+    @NETWORK
+    def run(user, queue, frames, correction, width, height, alpha):
+        given, made = np.empty((8, height, width), np.float32), np.empty((5, height, width), np.float32)
+        cl.enqueue_copy(device.queue, given, cl.Buffer.from_int_ptr(frames, True))
+        network.run(given, alpha, made)
+        cl.enqueue_copy(device.queue, cl.Buffer.from_int_ptr(correction, True), made)
+        ran.append(alpha)
+        return 0
+
+    return run
 
 
 def submit(engine, frame, **changes):

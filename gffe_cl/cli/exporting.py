@@ -48,7 +48,7 @@ def export(
     opened, source = open_device(device), None
     if frames is not None:
         opened, source = open_source(
-            frames, None, device, {"--size": size, "--frames": count, "--fps": None, "--seed": None}
+            frames, None, device, {"--size": size, "--frames": count, "--fps": None, "--seed": None}, options.upscale
         )
     written = write(output, opened, options)
     out.print(f"{len(written)} files in {plain(output)}: README.md says how to build and call them.")

@@ -26,6 +26,7 @@ from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.cuts import CutDetection
 from gffe_cl.stages.presentation import Presentation
+from gffe_cl.stages.upscaling import Upscaling
 
 # Rendered and extrapolated images: tiny, middling and wide, all sides different, so that no size looks like another;
 # and as large as C takes them, for there are levels that others do not have.
@@ -157,7 +158,7 @@ class _Rehearsal:
         for occasion, work in (
             ("rendered", lambda: [stage.rendered(step) for stage in self.stages.values()]),
             ("extrapolated", lambda: [stage.extrapolated(step) for stage in self.stages.values()]),
-            ("present", lambda: self.all[Presentation.name].present(step.frame, step.previous)),
+            ("present", lambda: self._present(step)),
             ("cut", lambda: self._look_for_cut(step)),
             ("compose", lambda: composition.compose(shown, step.alpha)),
             ("compose_rendered", lambda: composition.compose(shown, 0.0, rendered=True)),
@@ -171,6 +172,9 @@ class _Rehearsal:
         shown = replace(frame, depth=self.board.device.buffer(1))
         self.tape.names[id(shown.depth)] = "shown.depth"
         return shown
+
+    def _present(self, step: Step) -> None:
+        self.all[Presentation.name].present(step.frame, step.previous, with_color=Upscaling.name not in self.stages)
 
     def _look_for_cut(self, step: Step) -> None:
         if detection := self.stages.get(CutDetection.name):

@@ -74,6 +74,7 @@ def config(options: Options) -> str:
         "HEADROOM": correction.HEADROOM,
         "CUT_DETECTION": int(options.cut_detection),
         "CORRECTS_SHADING": int(options.corrects_shading),
+        "UPSCALES": int(options.upscale > 0),
         "CUT_SAMPLES_X": cuts.SAMPLES[0],
         "CUT_SAMPLES_Y": cuts.SAMPLES[1],
         "CUT_LEAST_SAMPLES": cuts.LEAST_SAMPLES,
@@ -160,7 +161,10 @@ class Tables:
         arguments: list[str] = []
         for occasion in OCCASIONS:
             operations = plan.operations[occasion]
-            made = [self._operation(operation, buffers, plan, arguments) for operation in operations]
+            made = [
+                self._operation(operation, buffers, _part(operation, occasion, plan), arguments)
+                for operation in operations
+            ]
             parts.append(_table("gffe_operation", f"{occasion}_{number}", made or ["0, 0, 0, 0, 0, 0, 0, 0, 0"], True))
         parts.insert(1, _table("gffe_argument", f"arguments_{number}", arguments, static=True))
         initial = []
@@ -178,7 +182,7 @@ class Tables:
             rows.append(f"{own}, {{{lists}}}")
         return rows
 
-    def _operation(self, operation: Operation, buffers: _Buffers, plan: Plan, arguments: list[str]) -> str:
+    def _operation(self, operation: Operation, buffers: _Buffers, part: str, arguments: list[str]) -> str:
         first = len(arguments)
         arguments += [self._argument(given, buffers) for given in operation.arguments]
         kernel = self.launched.index((operation.stage, operation.kernel)) if operation.kernel else 0
@@ -186,9 +190,8 @@ class Tables:
         size = f"{named.code}, {named.a}, {named.b}"
         target = buffers.reference(operation.buffer) if operation.buffer else "0"
         other = buffers.reference(operation.source) if operation.source else str(operation.byte)
-        stage = "GFFE_OF_CORRECTION" if operation.stage == correction.ShadingCorrection.name else "0"
         kind = "RUN_NETWORK" if operation.kind == "NETWORK" else operation.kind
-        return f"GFFE_{kind}, {stage}, {kernel}, {size}, {first}, {target}, {other}"
+        return f"GFFE_{kind}, {part}, {kernel}, {size}, {first}, {target}, {other}"
 
     def _argument(self, given: Given, buffers: _Buffers) -> str:
         if given.buffer is not None:
@@ -205,6 +208,15 @@ class Tables:
                 return start // 4
         self.constants += content
         return (len(self.constants) - len(content)) // 4
+
+
+def _part(operation: Operation, occasion: str, plan: Plan) -> str:
+    """Whether an operation is of the shading correction, which C may leave out, or goes by what that has made."""
+    name, stages = correction.ShadingCorrection.name, list(plan.stages)
+    if operation.stage == name:
+        return "GFFE_OF_CORRECTION"
+    after = occasion.startswith("extrapolated") and name in stages
+    return "GFFE_AFTER_CORRECTION" if after and stages.index(operation.stage) > stages.index(name) else "0"
 
 
 class _Buffers:

@@ -23,6 +23,7 @@ from gffe_cl.stages.cuts import SAMPLES
 from gffe_cl.stages.history import STRIDE
 from gffe_cl.stages.prediction import MAX_ORDER, padded, polynomial_weights
 from gffe_cl.stages.presentation import mapping
+from gffe_cl.stages.upscaling import pixel_size
 from gffe_cl.vectors import length
 
 CAMERAS = ("FRAME", "PREVIOUS", "TARGET_CAMERA", "FRAME_DISPLAY", "PREVIOUS_DISPLAY")
@@ -105,6 +106,7 @@ def values() -> Iterator[tuple[Named, Callable[[Probe], object]]]:
         yield Named("GFFE_ORDER", order), lambda probe, order=order: min(order, len(probe.step.times) - 1)
     yield Named("GFFE_POLYNOMIAL", MAX_ORDER), _polynomial
     yield Named("GFFE_CAMERA_STEP"), _camera_step
+    yield Named("GFFE_EXPOSURE"), lambda probe: probe.step.exposure
     yield Named("GFFE_COLOR_LAW"), lambda probe: color_law(probe.step.exposure)
     for least, share in ((8, 48), (16, 10)):  # of movers, of the far side
         value = Named("GFFE_REACH", least, share)
@@ -118,10 +120,11 @@ def values() -> Iterator[tuple[Named, Callable[[Probe], object]]]:
             kind, level = grid_of(grid)
             value = Named(code, f"GFFE_{kind}", level)
             yield value, lambda probe, grid=grid, side=side: probe.sizes.of(grid)[side]
-    for code, function in (("GFFE_REPROJECTION", reprojection), ("GFFE_ZOOM", zoom), ("GFFE_MAPPING", mapping)):
+    functions = {"REPROJECTION": reprojection, "ZOOM": zoom, "MAPPING": mapping, "PIXEL_SIZE": pixel_size}
+    for name, function in functions.items():
         for a in CAMERAS:
             for b in CAMERAS:
-                value = Named(code, f"GFFE_{a}", f"GFFE_{b}")
+                value = Named(f"GFFE_{name}", f"GFFE_{a}", f"GFFE_{b}")
                 yield value, lambda probe, f=function, a=a, b=b: f(probe.cameras[a], probe.cameras[b])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gffe_cl.buffers import RGBA, XY, BufferSpec
+from gffe_cl.camera import Camera
 from gffe_cl.stage import Access, Kernel, Stage, Step, reprojection
 from gffe_cl.stages.presentation import mapping
 
@@ -106,10 +107,16 @@ class Upscaling(Stage):
         self.launch("compare", to_previous=reprojection(frame.camera, before.camera), **shared)
         self.launch("survey")
         to_render = mapping(frame.display_camera, frame.camera)
-        self.launch("accumulate", to_render=to_render, pixel_size=1 / to_render[:2], **shared)
+        size = pixel_size(frame.display_camera, frame.camera)
+        self.launch("accumulate", to_render=to_render, pixel_size=size, **shared)
 
     def extrapolated(self, step: Step) -> None:
         frame, correction = step.frame, self.board.stages.get("correction")
         color = (correction or self.board.frame).buffer["color"]
         to_shown = mapping(frame.camera, frame.display_camera)
         self.launch("generate", to_shown=to_shown, corrected=int(correction is not None), color=color)
+
+
+def pixel_size(display: Camera, render: Camera) -> np.ndarray:
+    """(2,) float32: width and height of a pixel of `render`, in pixels of `display`; both have one pose."""
+    return 1 / mapping(display, render)[:2]

@@ -225,13 +225,24 @@ static void remember(gffe *g, double time) {
     g->path[0] = step->cameras[GFFE_FRAME_DISPLAY];
 }
 
+/* The camera as it was meant: a principal point within a pixel of the middle belongs there (gffe_cl/jitter.py). */
+static gffe_camera without_jitter(const gffe_camera *camera, const int size[2]) {
+    const double x = size[0] / 2.0, y = size[1] / 2.0;
+    gffe_camera made = *camera;
+    if (fabs(camera->cx - x) <= 1 && fabs(camera->cy - y) <= 1) {
+        made.cx = x;
+        made.cy = y;
+    }
+    return made;
+}
+
 gffe_status gffe_submit(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
                         const gffe_camera *display_camera, double time, int reset) {
     gffe_step *step = &g->step;
     gffe_camera shown;
     gffe_status status;
     if (!display_camera && camera) {
-        shown = *camera;
+        shown = GFFE_UPSCALES ? without_jitter(camera, step->source) : *camera;
         if (step->source[0] != step->target[0] || step->source[1] != step->target[1])
             shown = gffe_scaled(camera, (double)step->target[0] / step->source[0],
                                 (double)step->target[1] / step->source[1]);
@@ -276,9 +287,9 @@ static cl_mem memory_of(const gffe *g, const char *name) {
 }
 
 static void hand_out(const gffe *g, gffe_frame *made) {
-    const cl_mem corrected = memory_of(g, "correction.color");
+    const cl_mem corrected = memory_of(g, "correction.color"), upscaled = memory_of(g, "upscaling.color");
     made->gae = memory_of(g, "frame.color");
-    made->color = corrected ? corrected : made->gae;
+    made->color = upscaled ? upscaled : corrected ? corrected : made->gae;
     made->depth = memory_of(g, "frame.depth");
     made->motion = memory_of(g, "frame.motion");
     made->dynamic = memory_of(g, "frame.dynamic");
@@ -314,7 +325,8 @@ gffe_status gffe_extrapolate(gffe *g, const gffe_camera *camera, double time, gf
     occasion = g->has_previous ? GFFE_EXTRAPOLATED : GFFE_EXTRAPOLATED_FIRST;
     corrected = g->has_previous && g->options.network ? GFFE_EXTRAPOLATED : GFFE_EXTRAPOLATED_FIRST;
     status = gffe_run(g, occasion, 0);
-    if (!status && GFFE_CORRECTS_SHADING) status = gffe_run(g, corrected, 1);
+    if (!status) status = gffe_run(g, corrected, GFFE_OF_CORRECTION);
+    if (!status) status = gffe_run(g, occasion, GFFE_AFTER_CORRECTION);
     if (status) return status;
     hand_out(g, made);
     return gffe_compose(g, GFFE_COMPOSE, made);
@@ -353,6 +365,7 @@ gffe_status gffe_present(gffe *g, gffe_frame *made) {
     if (!is_shown_whole(g, GFFE_FRAME, GFFE_FRAME_DISPLAY) ||
         (g->has_previous && !is_shown_whole(g, GFFE_PREVIOUS, GFFE_PREVIOUS_DISPLAY)))
         status = resample(g, made);
+    if (GFFE_UPSCALES) made->color = memory_of(g, "upscaling.history");
     return status ? status : gffe_compose(g, GFFE_COMPOSE_RENDERED, made);
 }
 

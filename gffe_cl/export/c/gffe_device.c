@@ -245,13 +245,13 @@ static gffe_status run_network(gffe *g) {
     return GFFE_OK;
 }
 
-gffe_status gffe_run(gffe *g, int occasion, int correction) {
+gffe_status gffe_run(gffe *g, int occasion, int part) {
     const gffe_operations *operations = &g->plan->operations[occasion];
     int k;
     for (k = 0; k < operations->count; ++k) {
         const gffe_operation *operation = &operations->list[k];
         cl_int error = CL_SUCCESS;
-        if ((operation->stage == GFFE_OF_CORRECTION) != correction) continue;
+        if (operation->part != part) continue;
         if (operation->kind == GFFE_RUN_NETWORK) {
             const gffe_status status = run_network(g);
             if (status) return status;

@@ -24,6 +24,7 @@ enum {
     GFFE_ORDER,          /* a, or what the frames so far allow */
     GFFE_POLYNOMIAL,     /* weights of positions for orders up to a, rows of 8 */
     GFFE_CAMERA_STEP,    /* world units since the frame before */
+    GFFE_EXPOSURE,
     GFFE_COLOR_LAW,      /* of the network's colours */
     GFFE_REACH,          /* pixels: at least a, else a b-th of the display's width */
     GFFE_HAS,            /* whether the frame brings overlay a */
@@ -32,7 +33,8 @@ enum {
     GFFE_HEIGHT,
     GFFE_REPROJECTION,   /* from camera a to camera b */
     GFFE_ZOOM,
-    GFFE_MAPPING
+    GFFE_MAPPING,
+    GFFE_PIXEL_SIZE      /* of camera b, in pixels of camera a */
 };
 
 /* Sizes of launches, with two numbers a and b. */
@@ -60,7 +62,7 @@ enum { GFFE_KEPT = 1, GFFE_MAPPED = 2, GFFE_LATE = 4, GFFE_GIVEN = 8, GFFE_MEMOR
 /* References of what callers give: the first ones of every plan. */
 enum { GFFE_RENDERED_COLOR = 0, GFFE_RENDERED_DEPTH = 2, GFFE_RENDERED_MOTION = 4, GFFE_PREVIOUS_COLOR = 6,
        GFFE_SHOWN_COLOR = 12, GFFE_SHOWN_DEPTH = 14, GFFE_FIRST_OVERLAY = 16 };
-enum { GFFE_OF_CORRECTION = 1 };
+enum { GFFE_OF_CORRECTION = 1, GFFE_AFTER_CORRECTION = 2 }; /* parts of an occasion; all else: 0 */
 enum { GFFE_MOST_VALUE = 256 }; /* bytes of an argument */
 
 typedef struct gffe_program {
@@ -96,7 +98,7 @@ typedef struct gffe_argument {
 } gffe_argument;
 
 typedef struct gffe_operation {
-    int kind, stage, kernel;
+    int kind, part, kernel;
     int size, a, b;
     int first;    /* of its arguments */
     int buffer;   /* reference: twice a buffer's number, and 1 for what is kept of the frame before */
@@ -189,7 +191,7 @@ void gffe_drop_overlays(gffe *g);
 gffe_status gffe_fail(gffe *g, gffe_status status, const char *format, ...);
 gffe_status gffe_opencl_failed(gffe *g, cl_int error, const char *doing);
 gffe_status gffe_open(gffe *g);
-gffe_status gffe_run(gffe *g, int occasion, int correction); /* `correction`: those operations, else all others */
+gffe_status gffe_run(gffe *g, int occasion, int part);
 
 #ifdef __cplusplus
 }

@@ -146,6 +146,9 @@ size_t gffe_value(const gffe_step *step, int kind, int a, int b, void *made) {
     case GFFE_CAMERA_STEP:
         *numbers = camera_step(step);
         return sizeof *numbers;
+    case GFFE_EXPOSURE:
+        *numbers = (float)step->exposure;
+        return sizeof *numbers;
     case GFFE_COLOR_LAW:
         return color_law(step->exposure, numbers);
     case GFFE_LEVEL_STARTS:
@@ -160,6 +163,11 @@ size_t gffe_value(const gffe_step *step, int kind, int a, int b, void *made) {
     case GFFE_MAPPING:
         gffe_mapping(&step->cameras[a], &step->cameras[b], numbers);
         return 4 * sizeof *numbers;
+    case GFFE_PIXEL_SIZE:
+        gffe_mapping(&step->cameras[a], &step->cameras[b], numbers);
+        numbers[0] = 1 / numbers[0];
+        numbers[1] = 1 / numbers[1];
+        return 2 * sizeof *numbers;
     default:
         number = whole_number(step, kind, a, b);
         memcpy(made, &number, sizeof number);
