@@ -76,6 +76,8 @@ class Device:
     queue : pyopencl.CommandQueue
     allocated : int
         Bytes of the buffers made by `buffer` so far.
+    opened : Opened
+        What it has in common with others; a context of its own if it is made without.
     """
 
     def __init__(self, cl_device: cl.Device, info: DeviceInfo, opened: Opened | None = None):
