@@ -13,6 +13,7 @@ from gffe_cl.formats import open_capture
 from gffe_cl.sequence import SequenceWriter, named_channels
 from gffe_cl.viewer.app import has_dialogs
 from gffe_cl.viewer.panels.timeline import DOUBT
+from gffe_cl.viewer.state.flying import Flight
 
 CASES, case = collector()
 
@@ -301,3 +302,39 @@ def flying(gui: Gui):
     values["home"] = float(np.abs(model.contents.result.moment.camera.position - home.position).max())
     values["still flying"] = model.flying
     gui.open(gui.sequences / "small")
+
+
+@case
+def disocclusions_in_flight(gui: Gui):
+    """A camera that turns evenly at 15 rendered frames a second, with the rendering window and without."""
+    model, values = gui.model, gui.values
+    gui.open("corridor")
+    gui.choose("//Modules/choice/###render rate", "15")
+    gui.wait(lambda: model.source.fps == 15, "the render rate")
+    gui.settle()
+    gui.key(KEY.x)
+    values["out of screen"] = {}
+    for window in ("off", "adaptive"):
+        gui.choose("//Modules/choice/###rendering window", window)
+        gui.settle()
+        gui.key(KEY.g)
+        gui.app.steering = Flight((0.0, 0.0, 0.0), 1.0, 0.0, 0.0, (60.0, 0.0))
+        gui.wait(lambda: len(model.disocclusions._shares) == 60, "a second of generated frames")
+        values["out of screen"][window] = model.disocclusions.mean
+        gui.shot(f"disocclusions in flight, window {window}")
+        gui.app.steering = None
+        model.playback.pause()
+        gui.key(KEY.h)
+        gui.settle()
+    values["of"] = model.n
+    gui.choose("//Modules/choice/###render rate", "scene")
+    gui.wait(lambda: model.source.fps == 30, "the scene's own rate")
+    gui.open(gui.sequences / "small")
+    gui.settle()
+    over = gui.inside()
+    holes = model.contents.result.images["frame.disoccluded"] != 0
+    values["told"], values["share"] = model.disocclusions.text(), float(holes.mean())
+    gui.key(KEY.x)
+    gui.settle()
+    values["tinted"] = float((np.abs(over - gui.inside()).max(-1) > 8).mean())
+    values["off again"] = model.view.overlay

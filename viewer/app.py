@@ -88,6 +88,7 @@ class App:
         self._before_hiding: list[str] = []
         self._themed: tuple[str, float] | None = None  # theme and scale that are applied
         self.clock = time.perf_counter  # what playback goes by
+        self.steering = None  # of a script, instead of keys and mouse
         self._captures: list = []  # who wants the pixels of the window
         self.actions = Actions()
         self.panel_names = tuple(_PANELS)
@@ -297,7 +298,7 @@ class App:
         if model.contents.layers is not self._layers_known:
             self._layers_known = model.contents.layers
             commands.register_layers(self)
-        model.fly(keys.flight(self.model))
+        model.fly(self.steering if self.steering and model.flying else keys.flight(model), self.clock())
         at_work = model.playback.playing or model.flying or model.engine.busy or not model.comparison.ready
         at_work |= model.survey.busy or not model.regions.ready
         self._params.fps_idling.enable_idling = not (at_work or self._params.use_imgui_test_engine)

@@ -82,6 +82,9 @@ def register(app) -> None:
     add("next_channel", "Next channel", "View", "C", look(model.looks.next_channel), opened)
     add("overview", "Overview of all layers", "View", "O", lambda: model.set_overview(not model.overview), opened,
         checked=lambda: model.overview)  # fmt: skip
+    add("disocclusions", "Disocclusions over the picture", "View", "X",
+        lambda: model.disocclusions.switch(not model.disocclusions.on), opened, checked=lambda: model.disocclusions.on,
+        tooltip="What generated frames had no pixels for: out of the rendered frame, or hidden in it")  # fmt: skip
     add("brighter", "Brighter", "View", "E", look(model.looks.expose, _EXPOSURE_STEP), opened)
     add("darker", "Darker", "View", "Shift+E", look(model.looks.expose, -_EXPOSURE_STEP), opened)
     add("normalise", "Fit range to the picture", "View", "N", look(model.looks.fit), opened)

@@ -268,7 +268,7 @@ def _caption(model, origin, width, height, marks) -> None:
     k, j = divmod(model.slot, model.n + 1)
     kind = f"rendered frame {k}" if j == 0 else f"generated: frame {k} + {j}/{model.n + 1}"
     _label(marks, f"{kind}   {view.zoom * 100:.0f} %", origin.x + 10, origin.y + height - hello_imgui.em_size(1.6))
-    state = model.comparison.scale_text()
+    state = model.comparison.scale_text() or (model.disocclusions.text() if model.disocclusions.on else "")
     if not model.comparison.ready or (model.engine.busy and not model.playback.playing):
         state = "computing …"
     if state:

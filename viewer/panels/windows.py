@@ -7,14 +7,12 @@ from pathlib import Path
 
 from imgui_bundle import hello_imgui, imgui
 
-from gffe_cl.doctor.findings import FAULT, NOTE
 from gffe_cl.scenes import SCENES
 from gffe_cl.viewer.panels import widgets
 
 _HELP_COLUMNS = 3
 _MESSAGE_SECONDS = 8.0
 _RED, _AMBER, _GREY = (0.97, 0.5, 0.45, 1.0), (0.9, 0.7, 0.3, 1.0), (0.6, 0.6, 0.62, 1.0)
-_KINDS = {FAULT: _RED, NOTE: _AMBER}
 
 
 def help_window(app) -> None:
@@ -59,6 +57,8 @@ def doctor_window(app) -> None:
     doctor = app.model.doctor
     if doctor is None or not app.doctor_open:
         return
+    from gffe_cl.doctor.findings import FAULT, NOTE  # by now it is loaded
+
     imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing.value, (0.5, 0.5))
     imgui.set_next_window_size((hello_imgui.em_size(34), 0))
     flags = imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_resize
@@ -72,7 +72,7 @@ def doctor_window(app) -> None:
     elif not doctor.findings:
         imgui.text_unformatted("Everything fits.")
     for finding in doctor.findings:
-        imgui.text_colored(_KINDS.get(finding.kind, _GREY), finding.kind)
+        imgui.text_colored({FAULT: _RED, NOTE: _AMBER}.get(finding.kind, _GREY), finding.kind)
         imgui.same_line(hello_imgui.em_size(6))
         imgui.text_unformatted(str(finding))
     if any(finding.fix for finding in doctor.findings):

@@ -27,6 +27,7 @@ from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.captions import entries_of
 from gffe_cl.viewer.state.comparing import Comparison
 from gffe_cl.viewer.state.contents import Contents
+from gffe_cl.viewer.state.disocclusions import Disocclusions
 from gffe_cl.viewer.state.filling import Filling
 from gffe_cl.viewer.state.flying import Flight, Flyer
 from gffe_cl.viewer.state.framing import Framing
@@ -35,7 +36,7 @@ from gffe_cl.viewer.state.looks import Looks
 from gffe_cl.viewer.state.parameters import Parameters
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.pointing import Pointing
-from gffe_cl.viewer.state.regions import OVERLAY, Regions
+from gffe_cl.viewer.state.regions import Regions
 from gffe_cl.viewer.state.saving import Subject, Work
 from gffe_cl.viewer.state.screen import Screen
 from gffe_cl.viewer.state.second import Second
@@ -84,6 +85,7 @@ class Model:
         self.comparison = Comparison(self.view, self.contents, self.looks, self.kept)
         self.second = Second(self.engine, self.filling.find)
         self.regions = Regions(self.view, self.contents)
+        self.disocclusions = Disocclusions(self.view, self.contents)
         self.survey = Survey(self.engine, self.playback)
         self.pointing = Pointing(self._inspect)
         self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
@@ -205,6 +207,7 @@ class Model:
         if result is not None and result.request.setup == self.setup:
             ready = result.request.slot
         self._ask(self.playback.tick(now, ready).request, canvas)
+        self.disocclusions.update(canvas)
         faults = self.comparison.update(canvas), self.regions.update(canvas), self.selection.update()
         for fault in filter(None, faults):
             self.say(fault, error=True)
@@ -388,8 +391,8 @@ class Model:
         wanted = {self.view.a}
         if self.view.compare != "off" and self.view.b and not names.is_second(self.view.b):
             wanted.add(self.view.b)
-        wanted |= self.regions.needed | self.selection.needed
-        if self.view.overlay not in ("none", OVERLAY):
+        wanted |= self.regions.needed | self.disocclusions.needed | self.selection.needed
+        if self.view.overlay in ("edges", "residual motion"):
             wanted |= {names.RENDERED_COLOR, names.RENDERED_DEPTH, names.RENDERED_MOTION}
         specs = [self.contents.spec(name) for name in wanted]
         if any(spec is not None and spec.view == "world" for spec in specs):
@@ -463,9 +466,10 @@ class Model:
         self.source.forget_flight()
         self._asked = None
 
-    def fly(self, flight: Flight | None) -> None:
+    def fly(self, flight: Flight | None, now: float) -> None:
+        """Steer the camera; `now`: of the clock that playback goes by, seconds."""
         if self.flyer is not None and flight is not None:
-            self.flyer.steer(flight, time.perf_counter())
+            self.flyer.steer(flight, now)
 
     # ---- saving --------------------------------------------------------------------------------------------
 
