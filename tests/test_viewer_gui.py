@@ -386,7 +386,7 @@ def test_appearance(values):
     assert hidden > 1.3 * first and back == pytest.approx(first, abs=3)
     assert not values["layers when hidden"] and values["kernels stay closed"]
     assert values["default arrangement"]["width"] == pytest.approx(first, abs=8)
-    assert values["default arrangement"]["closed"] == ["Plot"]
+    assert values["default arrangement"]["closed"] == ["Doctor", "Plot"]
 
 
 def test_resizing(values):

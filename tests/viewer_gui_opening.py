@@ -186,7 +186,7 @@ def doctor(gui: Gui):
     column = gui.window()[top : top + height, left + round(width * 3 / model.playback.count)].astype(int)
     values["marked"] = float((np.abs(column - np.multiply(DOUBT[:3], 255)).max(-1) < 12).mean())
     gui.key(KEY.escape)
-    gui.app.doctor_open = False
+    gui.app.toggle_panel("Doctor")
     gui.open(gui.sequences / "small")
 
 

@@ -20,6 +20,7 @@ COMMANDS = {
     "rectangle": "rectangle LEFT,TOP,RIGHT,BOTTOM: statistics of its pixels; none: no more",
     "set": "set OPTION VALUE: a parameter or module of the panel, as on, off, a number or a choice",
     "do": "do ACTION: any action of the palette, by its id or label",
+    "panel": "panel NAME: in front of those beside it",
     "palette": "palette TEXT: the palette with this typed into it; none: closed",
     "steer": "steer RIGHT,UP,FORWARD,YAW,PITCH: while the camera flies, keys held (-1 to 1), degrees per second; none",
     "say": "say TEXT: a message",
@@ -156,6 +157,12 @@ def _run(app, wanted: str) -> None:
         raise GffeError(f"{found.label}: {actions.last_refusal}")
 
 
+def _panel(app, argument: str) -> None:
+    if argument not in app.panel_names:
+        raise GffeError(f"no panel is called '{argument}' (there are: {', '.join(app.panel_names)})")
+    app.show_panel(argument)
+
+
 def _palette(app, argument: str) -> None:
     if argument == "none":
         app.palette.close()
@@ -190,6 +197,7 @@ _DOING = {
     "rectangle": _rectangle,
     "set": _set,
     "do": _run,
+    "panel": _panel,
     "palette": _palette,
     "steer": _steer,
     "say": _say,

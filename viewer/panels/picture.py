@@ -8,6 +8,7 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.kept import told
 
@@ -260,7 +261,7 @@ def _caption(model, origin, width, height, marks) -> None:
     elif view.compare != "off" and view.b:
         settings = f"{told(model.setup)}   " if model.comparison.by_settings else ""
         texts = (f"A  {settings}{_layer_text(model, view.a)}", f"B  {_layer_text(model, view.b)}")
-        a, b = (_shortened(text, width / 2 - 24) for text in texts)
+        a, b = (widgets.shortened(text, width / 2 - 24) for text in texts)
         _label(marks, a, origin.x + 10, origin.y + 8)
         _label(marks, b, origin.x + width - 10, origin.y + 8, right=True)
     else:
@@ -273,17 +274,6 @@ def _caption(model, origin, width, height, marks) -> None:
         state = "computing …"
     if state:
         _label(marks, state, origin.x + width - 10, origin.y + height - hello_imgui.em_size(1.6), right=True)
-
-
-def _shortened(text: str, width: float) -> str:
-    """As much of it as has room, its end rather than its middle."""
-    if imgui.calc_text_size(text).x <= width:
-        return text
-    for kept in range(len(text) - 1, 2, -1):
-        shorter = f"{text[: (kept + 1) // 2]}…{text[-(kept // 2) :]}"
-        if imgui.calc_text_size(shorter).x <= width:
-            break
-    return shorter
 
 
 def _layer_text(model, name: str) -> str:

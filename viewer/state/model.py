@@ -214,6 +214,7 @@ class Model:
         self._fill(now)
         kept = self.kept.b if self.comparison.by_settings else None
         idle = not (self.flying or self.export or self.playback.playing or self.second.waits)
+        self.survey.resets = sorted({0, *self.contents.resets})
         self.survey.update(self.setup, kept and kept.setup(self.n), self.source.exposure, idle)
         if self._was_playing and not self.playback.playing and self.from_cache:
             self.pointing.ask_again()
