@@ -105,7 +105,8 @@ class App:
         self.row_seen = ""  # of the list of layers: it was scrolled to this one
         self._stretched: dict[str, tuple[float, float]] = {}  # sizes of docks that were set: now and at scale 1
         self.canvas_size = (0, 0)  # screen pixels
-        self._drawn = self._texture = None
+        self._drawn = self._texture = self._tiles = None
+        self._all_there = True  # when the overview was drawn
         self._plot_due = False
         self._to_front: str | None = None  # the panel that is brought there
         self._told: tuple = (None, None)  # the pixel and the rectangle that the inspector tells of
@@ -262,12 +263,15 @@ class App:
         self._plot_due = True
 
     def _bring_to_front(self) -> None:
-        """Once it is there: its tab before the others, the keyboard stays where it is."""
+        """Once it is there: its tab before the others, the keyboard stays where it is unless it is at one of them."""
         nodes = _dock_nodes(self._to_front) if self._to_front else []
-        if nodes and nodes[0].tab_bar is not None:
-            window = imgui.internal.find_window_by_name(self._to_front)
-            nodes[0].tab_bar.next_selected_tab_id = window.tab_id
-            self._to_front = None
+        if not nodes or nodes[0].tab_bar is None:
+            return
+        at = imgui.get_current_context().nav_window
+        if at is not None and at.root_window.dock_node is not None and at.root_window.dock_node.id_ == nodes[0].id_:
+            imgui.set_window_focus(self._to_front)
+        nodes[0].tab_bar.next_selected_tab_id = imgui.internal.find_window_by_name(self._to_front).tab_id
+        self._to_front = None
 
     def _make_room_for_plot(self) -> None:
         """Once it is there: as high as it has to be at this size of letters."""
@@ -355,6 +359,14 @@ class App:
         if what != self._drawn:
             self._drawn, self._texture = what, self.canvas.draw(view, size)
         return self._texture
+
+    def drawn_overview(self, tiles, size: tuple[int, int], caption: int, gap: int):
+        """The same of all layers, and where they are."""
+        what = (tiles, size, caption, self.model.contents.changes)
+        if what != self._drawn or not self.model.screen.ready or not self._all_there:
+            self._all_there = self.model.screen.ready
+            self._drawn, self._tiles = what, self.canvas.overview(tiles, size, caption=caption, gap=gap)
+        return self._tiles
 
     # ---- windows that come and go ------------------------------------------------------------------------
 
