@@ -335,10 +335,10 @@ def disocclusions_in_flight(gui: Gui):
     for window in ("off", "adaptive"):
         gui.choose("//Modules/choice/###rendering window", window)
         gui.settle()
-        gui.key(KEY.g)
         with own_clock(gui) as step:
+            gui.key(KEY.g)
             gui.app.steering = Flight((0.0, 0.0, 0.0), 1.0, 0.0, 0.0, (60.0, 0.0))
-            while "mean of 20 frames" not in model.disocclusions.text():
+            for _ in range(11):
                 step(1 / 60)
         values["out of screen"][window] = model.disocclusions.mean
         gui.shot(f"disocclusions in flight, window {window}")
@@ -350,6 +350,7 @@ def disocclusions_in_flight(gui: Gui):
     gui.choose("//Modules/choice/###render rate", "scene")
     gui.wait(lambda: model.source.fps == 30, "the scene's own rate")
     gui.open(gui.sequences / "small")
+    model.playback.seek(13)
     gui.settle()
     over = gui.inside()
     holes = model.contents.result.images["frame.disoccluded"] != 0

@@ -385,7 +385,7 @@ class App:
         windows.help_window(self)
         windows.path_window(self)
         windows.progress(self.model)
-        windows.messages(self.model)
+        windows.messages(self)
         if self.on_frame is not None:
             self.on_frame(self)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 from imgui_bundle import hello_imgui, imgui
@@ -77,10 +76,12 @@ def path_window(app) -> None:
         app.path_text = None
 
 
-def messages(model) -> None:
+def messages(app) -> None:
     """What went wrong or was finished lately, in the lower right corner."""
-    now = time.perf_counter()
-    shown = [m for m in model.messages if now - m.time < _MESSAGE_SECONDS]
+    now = app.clock()
+    for message in app.model.messages:
+        message.since = now if message.since is None else message.since
+    shown = [message for message in app.model.messages if now - message.since < _MESSAGE_SECONDS]
     if not shown:
         return
     viewport = imgui.get_main_viewport()

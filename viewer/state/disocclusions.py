@@ -57,6 +57,11 @@ class Disocclusions:
         """Show them over the picture, or not."""
         self._view.overlay = OVERLAY if on else "none"
 
+    def forget(self) -> None:
+        """There is another source."""
+        self._setup, self.share = None, None
+        self._shares.clear()
+
     @property
     def needed(self) -> frozenset[str]:
         """Layers to read back for it."""

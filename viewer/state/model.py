@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -52,11 +51,11 @@ _OPTIONS = Options()
 
 @dataclass
 class Message:
-    """Something to tell; `time`: of `time.perf_counter`."""
+    """Something to tell; `since`: when it was shown first, seconds of the clock that playback goes by."""
 
     text: str
     error: bool
-    time: float
+    since: float | None = None
 
 
 class Model:
@@ -145,7 +144,7 @@ class Model:
         self.notice, self._asked, self._target = "", None, source.target
         if self.preview is None:
             self.screen.show({}, set(), canvas)
-        for part in (self.second, self.survey, self.walk, self.selection):
+        for part in (self.second, self.survey, self.walk, self.selection, self.disocclusions):
             part.forget()
         if self.export is not None:
             self.export.cancel()
@@ -511,7 +510,7 @@ class Model:
         return self.doctor.marks if self.doctor is not None else {}
 
     def say(self, text: str, error: bool = False) -> None:
-        self.messages = [*self.messages[-20:], Message(text, error, time.perf_counter())]
+        self.messages = [*self.messages[-20:], Message(text, error)]
 
     def remember(self, window_size: tuple[int, int]) -> None:
         """Write the settings."""
