@@ -101,7 +101,7 @@ def test_disocclusions_over_the_picture():
     labels = uploads["disocclusions"]
     assert labels.shape == (HEIGHT, WIDTH) and found.needed <= contents.result.images.keys()
     assert [list(np.unique(part)) for part in (labels[:, :-6], labels[:, -6:-3], labels[:, -3:])] == [[255], [1], [0]]
-    assert found.share == (6 / WIDTH, 3 / WIDTH) and found.text() == "disoccluded 18.8%, of it 9.4% out of screen"
+    assert found.share == (6 / WIDTH, 3 / WIDTH) and found.text() == "disoccluded 18.8% (9.4% out of screen)"
     contents.result, contents.changes = made(3), 2
     contents.result.images[names.DISOCCLUDED][:] = 0
     found.update(canvas)

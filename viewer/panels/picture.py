@@ -274,12 +274,15 @@ def _caption(model, origin, width, height, marks) -> None:
         _label(marks, _layer_text(model, view.a), origin.x + 10, origin.y + 8)
     k, j = divmod(model.slot, model.n + 1)
     kind = f"rendered frame {k}" if j == 0 else f"generated: frame {k} + {j}/{model.n + 1}"
-    _label(marks, f"{kind}   {view.zoom * 100:.0f} %", origin.x + 10, origin.y + height - hello_imgui.em_size(1.6))
+    kind, line = f"{kind}   {view.zoom * 100:.0f} %", hello_imgui.em_size(1.6)
+    _label(marks, kind, origin.x + 10, origin.y + height - line)
     state = model.comparison.scale_text() or (model.disocclusions.text() if model.disocclusions.on else "")
     if not model.comparison.ready or (model.engine.busy and not model.playback.playing):
         state = "computing …"
     if state:
-        _label(marks, state, origin.x + width - 10, origin.y + height - hello_imgui.em_size(1.6), right=True)
+        state = widgets.shortened(state, width - 24)
+        beside = imgui.calc_text_size(kind).x + imgui.calc_text_size(state).x < width - 40
+        _label(marks, state, origin.x + width - 10, origin.y + height - line * (1 if beside else 2.4), right=True)
 
 
 def _layer_text(model, name: str) -> str:

@@ -65,9 +65,8 @@ def slider(
 ) -> None:
     """A slider with its unit in `text` and a button back to the default."""
     whole, room = isinstance(default, int), hello_imgui.em_size(11)  # the same for all, so that they line up
-    if imgui.get_content_region_avail().x < 2 * room:
-        room = imgui.calc_text_size(label).x + 4 * imgui.get_style().item_spacing.x + imgui.get_frame_height()
-    _leave_room(room)
+    needed = imgui.calc_text_size(label).x + 4 * imgui.get_style().item_spacing.x + imgui.get_frame_height()
+    _leave_room(needed if imgui.get_content_region_avail().x < 2 * room else max(room, needed))
     if whole:
         changed, new = imgui.slider_int(f"###{label}", int(value), int(low), int(high), text)
     else:

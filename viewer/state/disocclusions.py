@@ -30,7 +30,7 @@ class Share(NamedTuple):
     out_of_screen: float
 
     def __str__(self) -> str:
-        return f"{self.all:.1%}, of it {self.out_of_screen:.1%} out of screen"
+        return f"{self.all:.1%} ({self.out_of_screen:.1%} out of screen)"
 
 
 class Disocclusions:
@@ -76,7 +76,7 @@ class Disocclusions:
         """What is known, in words; empty where nothing is."""
         parts = [f"disoccluded {self.share}"] if self.share else []
         if len(self._shares) > 1:
-            parts.append(f"mean of {len(self._shares)} frames {self.mean}")
+            parts.append(f"last {len(self._shares)} frames {self.mean}")
         return "   ".join(parts)
 
     def update(self, canvas) -> None:
