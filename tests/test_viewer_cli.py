@@ -180,7 +180,15 @@ shot off.png
 set levels on
 with truth
 compare split
+split 0.7
 pixel 3,4
+rectangle 2,2,8,6
+do survey
+wait done
+panel Regions
+palette depth
+wait 0.1
+palette none
 do brighter
 do play
 wait 0.5
@@ -226,13 +234,19 @@ def test_scripts_that_are_none(tmp_path, text, told):
         ("do", "pley", "no action is called 'pley'"),
         ("pixel", "a,b", "expected a number"),
         ("pixel", "99,99", "pixel must be inside 13×9"),
+        ("rectangle", "1,1,99,5", "rectangle must be inside 13×9"),
+        ("split", "2", "split must be 0 to 1"),
+        ("steer", "1,2", "expected steer RIGHT,UP,FORWARD,YAW,PITCH"),
+        ("steer", "0,0,1,20,0", "the camera does not fly"),
+        ("panel", "Nonsense", "no panel is called 'Nonsense' (there are: Picture)"),
     ],
 )
 def test_steps_that_cannot_be_done(tmp_path, command, argument, told):
     session = Session(tiny_sequence.write(tmp_path / "in"))
     try:
         with pytest.raises(GffeError, match=re.escape(told)):
-            perform(SimpleNamespace(model=session.model, actions=Actions()), command, argument)
+            app = SimpleNamespace(model=session.model, actions=Actions(), panel_names=("Picture",))
+            perform(app, command, argument)
     finally:
         session.model.close()
 

@@ -50,6 +50,7 @@ class Director:
         self._still = 0
         self._patience: float | None = None
         self._taken = True
+        self._parked = False  # the pointer
 
     def clock(self) -> float:
         """Seconds."""
@@ -57,6 +58,7 @@ class Director:
 
     def __call__(self, app) -> None:
         model = app.model
+        self._park_pointer()
         if self.problem is not None or self._is_stuck(model):
             app.close()
             return
@@ -79,6 +81,18 @@ class Director:
             self._do(app, self._steps.pop(0))
         else:
             app.close()
+
+    def _park_pointer(self) -> None:
+        """Once: into a corner where nothing is told of what is under it."""
+        if self._parked:
+            return
+        from imgui_bundle import glfw_utils, imgui
+
+        import glfw  # isort: skip
+
+        width, height = imgui.get_io().display_size
+        glfw.set_cursor_pos(glfw_utils.glfw_window_hello_imgui(), width - 2, height - 2)
+        self._parked = True
 
     def _is_stuck(self, model) -> bool:
         now = time.monotonic()

@@ -184,6 +184,7 @@ def _steer(app, argument: str) -> None:
 
 
 def _say(app, argument: str) -> None:
+    app.model.messages = []  # one at a time, as titles are
     app.model.say(argument)
 
 

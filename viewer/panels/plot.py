@@ -38,7 +38,7 @@ def _plot(model, survey) -> None:
     marks = range(0, slots, _step(slots, imgui.get_content_region_avail().x / hello_imgui.em_size(4)))
     implot.setup_axis_ticks(implot.ImAxis_.x1, [slot + 0.5 for slot in marks], [str(slot) for slot in marks])
     curves = []
-    for label, side, color, weight in (("B", survey.b, _B, 4.0), ("A", survey.a, _A, 1.5)):  # A over B: both are seen
+    for label, side, color, weight in (("B", survey.b, _B, 3.5), ("A", survey.a, _A, 1.5)):  # A over B: both are seen
         xs, ys = survey.curve(side)
         if xs.size:
             curves.insert(0, (label, xs, ys))
@@ -94,7 +94,7 @@ def _curve(label: str, xs: np.ndarray, ys: np.ndarray, color, weight: float, mar
     spec = implot.Spec()
     spec.line_color, spec.line_weight = color, weight
     if marked:
-        spec.marker, spec.marker_size, spec.marker_fill_color = implot.Marker_.circle.value, 1 + weight, color
+        spec.marker, spec.marker_size, spec.marker_fill_color = implot.Marker_.circle.value, 1 + weight / 2, color
     implot.plot_line(label, xs + 0.5, ys, spec=spec)
 
 
