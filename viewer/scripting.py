@@ -50,7 +50,6 @@ class Director:
         self._still = 0
         self._patience: float | None = None
         self._taken = True
-        self._parked = False  # the pointer
 
     def clock(self) -> float:
         """Seconds."""
@@ -58,7 +57,7 @@ class Director:
 
     def __call__(self, app) -> None:
         model = app.model
-        self._park_pointer()
+        _without_pointer()
         if self.problem is not None or self._is_stuck(model):
             app.close()
             return
@@ -81,18 +80,6 @@ class Director:
             self._do(app, self._steps.pop(0))
         else:
             app.close()
-
-    def _park_pointer(self) -> None:
-        """Once: into a corner where nothing is told of what is under it."""
-        if self._parked:
-            return
-        from imgui_bundle import glfw_utils, imgui
-
-        import glfw  # isort: skip
-
-        width, height = imgui.get_io().display_size
-        glfw.set_cursor_pos(glfw_utils.glfw_window_hello_imgui(), width - 2, height - 2)
-        self._parked = True
 
     def _is_stuck(self, model) -> bool:
         now = time.monotonic()
@@ -138,6 +125,14 @@ class Director:
                 self.problem = str(error)
 
         self._take(app, save)
+
+
+def _without_pointer() -> None:
+    """Wherever the mouse is, nothing is told of what is under it."""
+    from imgui_bundle import imgui
+
+    nowhere = float(np.finfo(np.float32).min)
+    imgui.get_io().add_mouse_pos_event(nowhere, nowhere)
 
 
 def _works_beside(model) -> bool:
