@@ -321,7 +321,7 @@ def test_the_render_rate_of_a_flight(session):
     session.settle()
     model.toggle_flying()
     for _ in range(20):
-        model.fly(Flight((0.0, 0.0, 1.0), 1.0, 2.0, 0.0))
+        model.fly(Flight((0.0, 0.0, 1.0), 1.0, 2.0, 0.0), time.perf_counter())
         session.frame()
         time.sleep(0.01)
     pose = model.flyer.pose.position

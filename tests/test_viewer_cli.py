@@ -18,7 +18,7 @@ from test_viewer_model import Session
 
 from gffe_cl.errors import GffeError
 from gffe_cl.viewer.actions import Actions
-from gffe_cl.viewer.scripting import parse, perform
+from gffe_cl.viewer.steps import parse, perform
 
 GUIDE = Path(__file__).parents[1] / "docs" / "guide.md"
 GFFE = [sys.executable, "-c", "from gffe_cl.cli import main; main()", "view"]
@@ -152,13 +152,17 @@ def test_measuring(gffe, screen, tmp_path):
     code, out, err = gffe("in", "--measure", "0.5", "--json", "figures.json", "--window-size", "640x480")
     figures = json.loads((tmp_path / "figures.json").read_text())
     assert (code, err) == (0, "") and figures["device"]
-    assert out.splitlines()[0] == "first pass:" and len(out.splitlines()) == 2 + sum(
-        map(len, list(figures.values())[:2])
-    )
+    titles = ["first_picture", "first_pass", "cached"]
+    assert out.splitlines()[0] == "first picture:"
+    assert len(out.splitlines()) == len(titles) + sum(len(figures[title]) for title in titles)
+    assert 0.1 < figures["first_picture"]["seconds"] <= figures["first_picture"]["computed_seconds"] < 200
     assert figures["first_pass"]["frames_per_second"] > 0 and figures["first_pass"]["kernels_ms_per_frame"] > 0
     cached = figures["cached"]
     assert cached["frames_per_second"] > 0 and cached["dropped"] >= 0 and cached["due_per_second"] == 60
-    code, out, err = gffe("in", "--measure", "0.3", "--json", "figures.json", "--cache", "0")
+    code, out, err = gffe(
+        "in", "--measure", "0.3", "--json", "figures.json", "--cache", "0", "--layer", "frame.depth", "--with", "truth",
+        "--compare", "difference",
+    )  # fmt: skip
     assert (
         (code, err) == (0, "")
         and "no cache" in out
@@ -176,7 +180,15 @@ shot off.png
 set levels on
 with truth
 compare split
+split 0.7
 pixel 3,4
+rectangle 2,2,8,6
+do survey
+wait done
+panel Regions
+palette depth
+wait 0.1
+palette none
 do brighter
 do play
 wait 0.5
@@ -222,13 +234,19 @@ def test_scripts_that_are_none(tmp_path, text, told):
         ("do", "pley", "no action is called 'pley'"),
         ("pixel", "a,b", "expected a number"),
         ("pixel", "99,99", "pixel must be inside 13×9"),
+        ("rectangle", "1,1,99,5", "rectangle must be inside 13×9"),
+        ("split", "2", "split must be 0 to 1"),
+        ("steer", "1,2", "expected steer RIGHT,UP,FORWARD,YAW,PITCH"),
+        ("steer", "0,0,1,20,0", "the camera does not fly"),
+        ("panel", "Nonsense", "no panel is called 'Nonsense' (there are: Picture)"),
     ],
 )
 def test_steps_that_cannot_be_done(tmp_path, command, argument, told):
     session = Session(tiny_sequence.write(tmp_path / "in"))
     try:
         with pytest.raises(GffeError, match=re.escape(told)):
-            perform(SimpleNamespace(model=session.model, actions=Actions()), command, argument)
+            app = SimpleNamespace(model=session.model, actions=Actions(), panel_names=("Picture",))
+            perform(app, command, argument)
     finally:
         session.model.close()
 

@@ -26,6 +26,8 @@ from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.picture.legend_strip import Entry, with_legends
 from gffe_cl.viewer.picture.legends import legend
 from gffe_cl.viewer.picture.rectangle import statistics
+from gffe_cl.viewer.picture.view import View
+from gffe_cl.viewer.state.disocclusions import Disocclusions
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.survey import Survey
 
@@ -81,6 +83,36 @@ def test_regions_and_their_shares():
     assert parts["disoccluded"].pixels == mask.mean()
     assert sum(part.error for part in parts.values()) == pytest.approx(1)
     assert np.isnan(parts_of(np.zeros_like(labels), np.zeros(labels.shape))["rest"].psnr)
+
+
+def test_disocclusions_over_the_picture():
+    """Three columns out of screen and three that are hidden; nothing of a rendered frame; means by settings."""
+    uploads = {}
+    canvas = SimpleNamespace(
+        upload=lambda name, image, spec: uploads.update({name: image}),
+        forget=lambda gone: [uploads.pop(name, None) for name in gone],
+    )
+    contents = SimpleNamespace(result=made(), changes=1)
+    found = Disocclusions(View("final", Display()), contents)
+    found.update(canvas)
+    assert not uploads and found.needed == frozenset()
+    found.switch(True)
+    found.update(canvas)
+    labels = uploads["disocclusions"]
+    assert labels.shape == (HEIGHT, WIDTH) and found.needed <= contents.result.images.keys()
+    assert [list(np.unique(part)) for part in (labels[:, :-6], labels[:, -6:-3], labels[:, -3:])] == [[255], [1], [0]]
+    assert found.share == (6 / WIDTH, 3 / WIDTH) and found.text() == "disoccluded 18.8% (9.4% out of screen)"
+    contents.result, contents.changes = made(3), 2
+    contents.result.images[names.DISOCCLUDED][:] = 0
+    found.update(canvas)
+    assert found.share == (0, 0) and found.mean == (3 / WIDTH, 1.5 / WIDTH)
+    contents.result, contents.changes = made(4), 3
+    contents.result.moment.alpha = 0.0
+    found.update(canvas)
+    assert found.share is None and not uploads and found.mean == (3 / WIDTH, 1.5 / WIDTH)
+    contents.result, contents.changes = made(5, n=2), 4
+    found.update(canvas)
+    assert found.mean == (6 / WIDTH, 3 / WIDTH)
 
 
 def test_regions_are_those_of_the_table(tmp_path):

@@ -369,6 +369,14 @@ def test_flying(values):
     assert values["home"] == 0.0 and not values["still flying"]
 
 
+def test_disocclusions_in_flight(values):
+    off, adaptive = (share for _, share in values["out of screen"].values())
+    assert values["of"] == 3 and off > 0.005 and adaptive < off / 3
+    assert f"disoccluded {values['share']:.1%}" in values["told"]
+    assert values["tinted"] == pytest.approx(values["share"], rel=0.15) and values["share"] > 0.003
+    assert values["off again"] == "none"
+
+
 def test_appearance(values):
     dark, light = values["bright"]
     assert dark < 80 and light > 180 and values["theme"] == "light"
@@ -378,7 +386,7 @@ def test_appearance(values):
     assert hidden > 1.3 * first and back == pytest.approx(first, abs=3)
     assert not values["layers when hidden"] and values["kernels stay closed"]
     assert values["default arrangement"]["width"] == pytest.approx(first, abs=8)
-    assert values["default arrangement"]["closed"] == ["Plot"]
+    assert values["default arrangement"]["closed"] == ["Doctor", "Plot"]
 
 
 def test_resizing(values):
@@ -395,6 +403,17 @@ def test_saving(values):
     assert values["progress"] and values["mp4"] == {"frames": 8, "name": ".mp4"}
     assert values["back at"] == 13
     assert all(name in values["told"] for name in (".png", "layers", ".mp4"))
+
+
+def test_saving_on_a_full_disk(values):
+    for name, told in values["told"].items():
+        assert [error for _, error in told] == [True], name
+        text = told[0][0]
+        assert "cannot write" in text and "\n" not in text, text
+    assert ".png: cannot write the image" in values["told"]["picture"][0][0]
+    assert "_layers: cannot write the layers" in values["told"]["layers"][0][0]
+    assert ".mp4: cannot write the video" in values["told"]["video"][0][0]
+    assert values["left over"] == [] and values["shown then"] == 1 and values["saved elsewhere"] == [".png"]
 
 
 def test_cancelling(values):

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import shutil
+import subprocess
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import glfw
@@ -220,6 +223,55 @@ def saving(gui: Gui):
     values["mp4"] = {"frames": imageio_ffmpeg.count_frames_and_secs(video)[0], "name": video.suffix}
     values["back at"] = model.playback.slot
     values["told"] = gui.told()
+
+
+_ROOM = 16 << 10  # bytes
+
+
+@contextmanager
+def full_disk(folder: Path):
+    """Be in a folder on a disk of `_ROOM`, if one may be mounted; else no file may become larger."""
+    import resource
+
+    folder.mkdir()
+    here, limits = Path.cwd(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={_ROOM}", "none", str(folder)]
+    mounted = shutil.which("mount") and not subprocess.run(mount, capture_output=True).returncode
+    try:
+        os.chdir(folder)
+        if not mounted:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (_ROOM, limits[1]))
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        os.chdir(here)
+        if mounted:
+            subprocess.run(["umount", str(folder)], check=True)
+
+
+@case
+def saving_on_a_full_disk(gui: Gui):
+    """Picture, layers and video say why they are not there, leave nothing, and the viewer goes on."""
+    model, values = gui.model, gui.values
+    values["told"] = {}
+    with full_disk(gui.sequences / "full"):
+        for name, key in (("picture", KEY.s), ("layers", KEY.e), ("video", KEY.m)):
+            gui.settle()
+            model.messages = []
+            gui.key(key, CTRL)
+            gui.wait(lambda: model.export is None and model.messages, f"what is told of the {name}")
+            values["told"][name] = [(message.text, message.error) for message in model.messages]
+            if name == "picture":
+                gui.shot("saving_on_a_full_disk")
+        values["left over"] = [path.name for path in Path.cwd().rglob("*")]
+        before = model.playback.slot
+        gui.key(KEY.right_arrow)
+        gui.settle()
+        values["shown then"] = model.slot - before
+    before, model.messages = set(Path.cwd().iterdir()), []
+    gui.key(KEY.s, CTRL)
+    gui.settle()
+    values["saved elsewhere"] = [path.suffix for path in _made(before)]
 
 
 @case

@@ -50,7 +50,7 @@ def overview(gui: Gui):
     model, values = gui.model, gui.values
     gui.key(KEY.o)
     gui.settle()
-    left, top, width, height = gui.area("//Picture/###overview")
+    left, top, width, height = gui.area("//Picture/**/###overview")
     size = int(width), int(height)
     caption = round(gui.on_screen(imgui.get_text_line_height)) + 3
     tiles = gui.on_screen(lambda: gui.app.canvas.overview(model.overview_tiles(), size, caption=caption)[1])

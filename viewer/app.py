@@ -16,6 +16,7 @@ from gffe_cl.viewer import commands, keys
 from gffe_cl.viewer.actions import Actions
 from gffe_cl.viewer.panels import (
     compare,
+    doctor,
     inspector,
     kernels,
     layer_list,
@@ -34,7 +35,7 @@ from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.settings import can_save
 
 _TITLE = "gffe-cl"
-_LAYOUT_VERSION = 2
+_LAYOUT_VERSION = 3
 _PANELS = {
     "Picture": (picture.draw, "MainDockSpace"),
     "Layers": (layer_list.draw, "Left"),
@@ -44,10 +45,11 @@ _PANELS = {
     "Regions": (regions.draw, "RightBottom"),
     "Timings": (timings.draw, "RightBottom"),
     "Kernels": (kernels.draw, "RightBottom"),
+    "Doctor": (doctor.draw, "RightBottom"),
     "Plot": (plot.draw, "Above"),
     "Timeline": (timeline.draw, "Bottom"),
 }
-_HIDDEN = ("Plot",)  # until they are asked for
+_HIDDEN = ("Plot", "Doctor")  # until they are asked for
 SIDE_PANELS = tuple(
     name for name in _PANELS if name not in ("Picture", "Plot", "Timeline")
 )  # those that are hidden together
@@ -88,6 +90,7 @@ class App:
         self._before_hiding: list[str] = []
         self._themed: tuple[str, float] | None = None  # theme and scale that are applied
         self.clock = time.perf_counter  # what playback goes by
+        self.steering = None  # of a script, instead of keys and mouse
         self._captures: list = []  # who wants the pixels of the window
         self.actions = Actions()
         self.panel_names = tuple(_PANELS)
@@ -95,15 +98,18 @@ class App:
         commands.register(self)
         self._dropped: list[str] = []
         self._dialog = None
-        self.help_open = self.doctor_open = False
+        self.help_open = False
         self.display_height = 200.0  # of the display settings below the list of layers, as last drawn
         self.path_text: str | None = None  # of "open by path" while it is open
         self._params: hello_imgui.RunnerParams | None = None
         self.row_seen = ""  # of the list of layers: it was scrolled to this one
         self._stretched: dict[str, tuple[float, float]] = {}  # sizes of docks that were set: now and at scale 1
         self.canvas_size = (0, 0)  # screen pixels
-        self._drawn = self._texture = None
+        self._drawn = self._texture = self._tiles = None
+        self._all_there = True  # when the overview was drawn
         self._plot_due = False
+        self._to_front: str | None = None  # the panel that is brought there
+        self._told: tuple = (None, None)  # the pixel and the rectangle that the inspector tells of
         self.inspected: tuple = (None, [])  # an inspection, and its rows in the inspector
         self._layers_known: list = []  # those that have actions
         self.drags, self.pressed_at = "nothing", None  # by the mouse, in the picture
@@ -241,6 +247,11 @@ class App:
         window.is_visible = not window.is_visible
         self.panels_hidden = False
 
+    def show_panel(self, name: str) -> None:
+        """Have a panel there, in front of those that are docked with it."""
+        self.panel(name).is_visible = True
+        self._to_front = name
+
     def show_survey(self, on: bool) -> None:
         """Measure every generated frame, and show the plot of it; off: no more frames are measured."""
         self.model.survey.on = on
@@ -251,6 +262,17 @@ class App:
         self.panel("Plot").is_visible = True
         self._plot_due = True
 
+    def _bring_to_front(self) -> None:
+        """Once it is there: its tab before the others, the keyboard stays where it is unless it is at one of them."""
+        nodes = _dock_nodes(self._to_front) if self._to_front else []
+        if not nodes or nodes[0].tab_bar is None:
+            return
+        at = imgui.get_current_context().nav_window
+        if at is not None and at.root_window.dock_node is not None and at.root_window.dock_node.id_ == nodes[0].id_:
+            imgui.set_window_focus(self._to_front)
+        nodes[0].tab_bar.next_selected_tab_id = imgui.internal.find_window_by_name(self._to_front).tab_id
+        self._to_front = None
+
     def _make_room_for_plot(self) -> None:
         """Once it is there: as high as it has to be at this size of letters."""
         nodes = _dock_nodes("Plot")
@@ -259,6 +281,13 @@ class App:
             if nodes[0].size.y < height:
                 imgui.internal.dock_builder_set_node_size(nodes[0].id_, ImVec2(nodes[0].size.x, height))
             self._plot_due = False
+
+    def switch_regions(self) -> None:
+        """Regions of errors over the picture, with the panel that says which is which; or off."""
+        regions = self.model.regions
+        regions.switch(not regions.on)
+        if regions.on:
+            self.show_panel("Regions")
 
     def find(self, find) -> None:
         """Go to a frame of the survey."""
@@ -293,11 +322,16 @@ class App:
             self._themed = model.settings.theme, self.scale
             theme.apply(*self._themed)
         self._make_room_for_plot()
+        self._bring_to_front()
         model.update(self.clock(), self.canvas)
         if model.contents.layers is not self._layers_known:
             self._layers_known = model.contents.layers
             commands.register_layers(self)
-        model.fly(keys.flight(self.model))
+        model.fly(self.steering if self.steering and model.flying else keys.flight(model), self.clock())
+        told = model.pointing.picked, model.selection.rectangle if self.drags == "nothing" else self._told[1]
+        if told != self._told and told != (None, None) and self.panel("Inspector").is_visible:
+            self._to_front = "Inspector"
+        self._told = told
         at_work = model.playback.playing or model.flying or model.engine.busy or not model.comparison.ready
         at_work |= model.survey.busy or not model.regions.ready
         self._params.fps_idling.enable_idling = not (at_work or self._params.use_imgui_test_engine)
@@ -326,6 +360,14 @@ class App:
             self._drawn, self._texture = what, self.canvas.draw(view, size)
         return self._texture
 
+    def drawn_overview(self, tiles, size: tuple[int, int], caption: int, gap: int):
+        """The same of all layers, and where they are."""
+        what = (tiles, size, caption, self.model.contents.changes)
+        if what != self._drawn or not self.model.screen.ready or not self._all_there:
+            self._all_there = self.model.screen.ready
+            self._drawn, self._tiles = what, self.canvas.overview(tiles, size, caption=caption, gap=gap)
+        return self._tiles
+
     # ---- windows that come and go ------------------------------------------------------------------------
 
     def _windows(self) -> None:
@@ -341,10 +383,9 @@ class App:
                 self.model.open(chosen)
         self.palette.draw(self.actions, self.model.parameters)
         windows.help_window(self)
-        windows.doctor_window(self)
         windows.path_window(self)
         windows.progress(self.model)
-        windows.messages(self.model)
+        windows.messages(self)
         if self.on_frame is not None:
             self.on_frame(self)
 
@@ -355,7 +396,7 @@ class App:
     def examine(self) -> None:
         """Have the doctor look at the sequence, and show what it says."""
         self.model.examine()
-        self.doctor_open = True
+        self.show_panel("Doctor")
 
     def open_dialog(self) -> None:
         """The system's folder dialog where there is one, else a field for the path."""

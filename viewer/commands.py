@@ -82,6 +82,9 @@ def register(app) -> None:
     add("next_channel", "Next channel", "View", "C", look(model.looks.next_channel), opened)
     add("overview", "Overview of all layers", "View", "O", lambda: model.set_overview(not model.overview), opened,
         checked=lambda: model.overview)  # fmt: skip
+    add("disocclusions", "Disocclusions", "View", "X",
+        lambda: model.disocclusions.switch(not model.disocclusions.on), opened, checked=lambda: model.disocclusions.on,
+        tooltip="Over the picture: what generated frames had no pixels for, out of screen or hidden")  # fmt: skip
     add("brighter", "Brighter", "View", "E", look(model.looks.expose, _EXPOSURE_STEP), opened)
     add("darker", "Darker", "View", "Shift+E", look(model.looks.expose, -_EXPOSURE_STEP), opened)
     add("normalise", "Fit range to the picture", "View", "N", look(model.looks.fit), opened)
@@ -168,7 +171,7 @@ def _finding(app, add, opened) -> None:
     for name, quantity in QUANTITIES.items():
         add(f"plot {name}", f"Plot {quantity.label}", "Find", "", partial(setattr, survey, "quantity", name),
             checked=lambda name=name: survey.quantity == name)  # fmt: skip
-    add("regions", "Regions of errors", "Find", "Alt+R", lambda: regions.switch(not regions.on),
+    add("regions", "Regions of errors", "Find", "Alt+R", app.switch_regions,
         lambda: opened() or regions.why_not(), checked=lambda: regions.on,
         tooltip="Where errors are counted, over the picture")  # fmt: skip
     for name, text in REGIONS.items():

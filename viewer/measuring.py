@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import os
 import time
+from pathlib import Path
 
 import numpy as np
 
 from gffe_cl.errors import GffeError
-from gffe_cl.viewer.start import PATIENCE, require_display
+from gffe_cl.viewer.start import PATIENCE, Look, require_display
 
 _SIZE = (1280, 720)  # of the window
 _FASTEST = 4.0  # times real time
+_PLAIN = Look()
 
 
-def measure(model, seconds: float, size: tuple[int, int] | None = None) -> dict[str, dict[str, float]]:
-    """Play every frame, computed, for so many seconds or until the end, then what was played, from the cache, in real
-    time and as often as it fits into so many seconds.
+def measure(
+    model, seconds: float, size: tuple[int, int] | None = None, look: Look = _PLAIN
+) -> dict[str, dict[str, float]]:
+    """Play every frame as `look`, computed, for so many seconds or until the end, then what was played, from the cache,
+    in real time and as often as it fits into so many seconds.
 
-    Returns "first_pass" and "cached": means of frames shown, of those generated and of the interface's per second;
+    Returns "first_picture": "seconds" from the start of this process until a rendered frame was on the screen, and
+    "computed_seconds" until the first computed one was (nothing where the system does not tell when a process
+    started); "first_pass" and "cached": means of frames shown, of those generated and of the interface's per second;
     first_pass also milliseconds per frame of computing (kernels), reading back and uploading, cached also frames per
     second that were due and how many frames were dropped. "cached" is empty where there is no cache.
     Raises GffeError without a display, or when nothing can be played.
@@ -25,32 +32,40 @@ def measure(model, seconds: float, size: tuple[int, int] | None = None) -> dict[
     require_display()
     from gffe_cl.viewer.app import App
 
-    stopwatch = _Stopwatch(seconds)
+    stopwatch = _Stopwatch(seconds, look)
     App(model, on_frame=stopwatch).run(size or _SIZE, test=lambda app: None)
     if stopwatch.problem:
         raise GffeError(stopwatch.problem)
-    return {"first_pass": stopwatch.first.figures(), "cached": stopwatch.cached.figures() if stopwatch.cached else {}}
+    cached = stopwatch.cached.figures() if stopwatch.cached else {}
+    return {"first_picture": stopwatch.pictures, "first_pass": stopwatch.first.figures(), "cached": cached}
 
 
 class _Stopwatch:
     """Called once per frame of the interface: starts the passes one after the other, and closes the window."""
 
-    def __init__(self, seconds: float):
+    def __init__(self, seconds: float, look: Look):
         self.seconds, self.problem = seconds, None
+        self._look: Look | None = look  # until it is shown
+        self.pictures: dict[str, float] = {}
+        self._drawn: set[str] = set()  # of `pictures`: in the frame of the interface before this one
         self.first: _Pass | None = None
         self.cached: _Pass | None = None
         self._until = time.perf_counter() + PATIENCE
 
     def __call__(self, app) -> None:
         model, now = app.model, time.perf_counter()
+        self._look_for_pictures(model)
         playback = model.playback
         self.problem = model.failure or model.parameters.network_fault
         if self.problem is None and self.first is None and now > self._until:
             self.problem = f"nothing was shown after {PATIENCE:.0f} s"
         if self.problem:
             app.close()
-        elif self.first is None:
+        elif self._look is not None:
             if model.contents.result is not None:
+                self._show(model)
+        elif self.first is None:
+            if model.settled:
                 playback.mode, playback.speed, playback.loop = "every frame", _FASTEST, False
                 playback.seek(0)
                 playback.play()
@@ -63,6 +78,22 @@ class _Stopwatch:
             self.cached.count(now, model)
             if now - self.cached.start > self.seconds:
                 app.close()
+
+    def _look_for_pictures(self, model) -> None:
+        for name in self._drawn - self.pictures.keys():
+            seconds = _age_of_process()
+            self.pictures |= {} if seconds is None else {name: seconds}
+        if model.preview is not None or model.contents.result is not None:
+            self._drawn.add("seconds")
+        if model.contents.result is not None:
+            self._drawn.add("computed_seconds")
+
+    def _show(self, model) -> None:
+        look, self._look = self._look, None
+        try:
+            look.take(model)
+        except GffeError as error:
+            self.problem = str(error)
 
     def _play_again(self, app, now: float) -> None:
         model, playback = app.model, app.model.playback
@@ -111,3 +142,12 @@ class _Pass:
         if self._real_time:
             return figures | {"due_per_second": self._due_rate, "dropped": self._dropped}
         return figures | {"kernels_ms_per_frame": kernels, "reading_back_ms_per_frame": readback}
+
+
+def _age_of_process() -> float | None:
+    """Seconds since this process was started, to about 0.01, as Linux tells it; None elsewhere."""
+    try:
+        started = int(Path("/proc/self/stat").read_text().rpartition(")")[2].split()[19]) / os.sysconf("SC_CLK_TCK")
+        return float(Path("/proc/uptime").read_text().split()[0]) - started
+    except (OSError, ValueError, IndexError, AttributeError):
+        return None

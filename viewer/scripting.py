@@ -4,63 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from gffe_cl.errors import GffeError
 from gffe_cl.viewer.start import PATIENCE, require_display
-from gffe_cl.viewer.state.comparing import WAYS
-from gffe_cl.viewer.state.parameters import ALL
 from gffe_cl.viewer.state.playback import EVERY_FRAME
+from gffe_cl.viewer.steps import Step, number, parse, perform
 
 RATE = 8.0  # steps of the clock per second, and frames of the film
 SIZE = (1120, 700)  # of the window
 FILMS = (".webp", ".gif")
 _STILL_FRAMES = 3  # of the interface, after everything has arrived, before a picture is taken
-COMMANDS = {
-    "seek": "seek SLOT: a frame, generated ones counted",
-    "layer": "layer NAME: what is shown",
-    "with": "with NAME: what it is compared with",
-    "compare": "compare WAY: off, split, difference, error or flip error",
-    "pixel": "pixel X,Y: its story; none: no more",
-    "set": "set OPTION VALUE: a parameter or module of the panel, as on, off, a number or a choice",
-    "do": "do ACTION: any action of the palette, by its id or label",
-    "say": "say TEXT: a message",
-    "wait": "wait SECONDS: let it play, or be looked at",
-    "shot": "shot FILE.png: a picture of the window",
-}
-
-
-@dataclass(frozen=True)
-class Step:
-    """`line` of the script: what to do, with what."""
-
-    line: int
-    command: str
-    argument: str
-
-
-def parse(path: Path) -> list[Step]:
-    """The steps of a script: one a line, empty lines and those that begin with # left out. Raises GffeError."""
-    try:
-        lines = Path(path).read_text("utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise GffeError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
-    steps = []
-    for number, text in enumerate(lines, 1):
-        command, _, argument = text.strip().partition(" ")
-        if not command or command.startswith("#"):
-            continue
-        if command not in COMMANDS:
-            raise GffeError(f"{path}, line {number}: unknown command '{command}' (expected {', '.join(COMMANDS)})")
-        if not argument.strip():
-            raise GffeError(f"{path}, line {number}: expected {COMMANDS[command]}")
-        steps.append(Step(number, command, argument.strip()))
-    if not steps:
-        raise GffeError(f"{path}: nothing to do in it")
-    return steps
 
 
 def play_script(model, path: Path, film: Path | None = None, size: tuple[int, int] | None = None) -> None:
@@ -90,6 +46,7 @@ class Director:
         self.frames: list[np.ndarray] = []
         self._time = 0.0
         self._waits = 0  # steps of the clock still to pass
+        self._until_done = False  # ... and not filmed, until what works beside is done
         self._still = 0
         self._patience: float | None = None
         self._taken = True
@@ -100,6 +57,7 @@ class Director:
 
     def __call__(self, app) -> None:
         model = app.model
+        _without_pointer()
         if self.problem is not None or self._is_stuck(model):
             app.close()
             return
@@ -107,6 +65,10 @@ class Director:
         if self._still < _STILL_FRAMES:
             return
         self._still, self._patience = 0, None
+        if self._until_done and _works_beside(model):
+            self._time += 1 / RATE
+            return
+        self._until_done = False
         if self._waits:
             self._waits -= 1
             self._time += 1 / RATE
@@ -138,8 +100,10 @@ class Director:
 
     def _do(self, app, step: Step) -> None:
         try:
-            if step.command == "wait":
-                self._waits = max(round(_number(step.argument) * RATE), 1)
+            if step.command == "wait" and step.argument == "done":
+                self._until_done = True
+            elif step.command == "wait":
+                self._waits = max(round(number(step.argument) * RATE), 1)
             elif step.command == "shot":
                 self._shoot(app, step.argument)
             else:
@@ -163,76 +127,17 @@ class Director:
         self._take(app, save)
 
 
-def perform(app, command: str, argument: str) -> None:
-    """Do one step in the running application. Raises GffeError if it cannot be done."""
-    model = app.model
-    if command == "say":
-        model.say(argument)
-    elif command == "seek":
-        slot = _number(argument)
-        if not 0 <= slot < model.playback.slots:
-            raise GffeError(f"seek must be 0 to {model.playback.slots - 1}, got {argument}")
-        model.playback.seek(int(slot))
-    elif command in ("layer", "with"):
-        found = model.contents.find(argument)
-        reason = f"no layer is called '{argument}'" if found is None else model.contents.why_not(found)
-        if reason:
-            raise GffeError(reason)
-        if command == "with":
-            model.view.b = found
-        else:
-            model.show_layer(found)
-    elif command == "compare":
-        if argument not in WAYS:
-            raise GffeError(f"compare must be {', '.join(WAYS)}, got '{argument}'")
-        reason = model.comparison.why_not(argument)
-        if reason:
-            raise GffeError(reason)
-        model.comparison.set(argument)
-    elif command == "pixel":
-        model.pointing.pick(None if argument == "none" else _pixel(argument, model.contents.size))
-    elif command == "set":
-        _set(model.parameters, *argument.partition(" ")[::2])
-    else:
-        _run(app.actions, argument)
+def _without_pointer() -> None:
+    """Wherever the mouse is, nothing is told of what is under it."""
+    from imgui_bundle import imgui
+
+    nowhere = float(np.finfo(np.float32).min)
+    imgui.get_io().add_mouse_pos_event(nowhere, nowhere)
 
 
-def _pixel(text: str, size: tuple[int, int]) -> tuple[int, int]:
-    parts = [int(_number(part)) for part in text.split(",")]
-    if len(parts) != 2 or not all(0 <= at < most for at, most in zip(parts, size, strict=True)):
-        raise GffeError(f"pixel must be inside {size[0]}×{size[1]}, as 12,34, got '{text}'")
-    return tuple(parts)
-
-
-def _set(parameters, name: str, text: str) -> None:
-    text, option = text.strip(), ALL.get(name)
-    if option is None:
-        raise GffeError(f"unknown option '{name}' (expected {', '.join(ALL)})")
-    reason = parameters.why_not(name)
-    if reason:
-        raise GffeError(f"{option.label}: {reason}")
-    if text in ("on", "off") and option.is_module:
-        parameters.switch(name, text == "on")
-    elif option.kind in (int, float):
-        parameters.set(name, option.checked(option.kind(_number(text))))
-    else:
-        parameters.set(name, text)
-
-
-def _run(actions, wanted: str) -> None:
-    found = next((action for action in actions if wanted in (action.id, action.label)), None)
-    if found is None:
-        near = ", ".join(action.id for action in actions.search(wanted)[:3])
-        raise GffeError(f"no action is called '{wanted}'" + (f" (like {near})" if near else ""))
-    if not actions.run(found.id):
-        raise GffeError(f"{found.label}: {actions.last_refusal}")
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise GffeError(f"expected a number, got '{text}'") from None
+def _works_beside(model) -> bool:
+    """Whether frames are being measured, or the doctor examines the sequence."""
+    return model.survey.busy or (model.doctor is not None and not model.doctor.done)
 
 
 def require_film(path: Path) -> None:

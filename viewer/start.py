@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.errors import GffeError
+from gffe_cl.viewer.steps import found_layer
 
 _SETTLED_FRAMES = 4  # interface frames after everything has arrived: layouts need a few to come to rest
 PATIENCE = 120.0  # seconds
@@ -22,14 +23,33 @@ REPORT_SIZE = (1600, 900)  # of the window for screenshots and measuring
 
 
 @dataclass(frozen=True)
-class Shot:
-    """A screenshot to take: of the slot `frame`, showing `layer`; `compare` with the layer `other`, `pixel` picked."""
+class Look:
+    """What is looked at: `layer`, compared in the way `compare` with the layer `other`."""
 
-    path: Path
-    frame: int = 0
     layer: str = "final"
     compare: str = "off"
     other: str | None = None
+
+    def take(self, model) -> None:
+        """Show it in a model that has layers. Raises GffeError."""
+        shown, other = (name and found_layer(model, name) for name in (self.layer, self.other))
+        model.show_layer(shown)
+        if other:
+            model.view.b = other
+        if self.compare != "off":
+            reason = model.comparison.why_not(self.compare)
+            if reason:
+                raise GffeError(f"--compare {self.compare}: {reason}")
+            model.comparison.set(self.compare)
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A screenshot to take: `look` at the slot `frame`, with the story of `pixel`; `overview`: of all layers."""
+
+    path: Path
+    frame: int = 0
+    look: Look = Look()
     pixel: tuple[int, int] | None = None
     overview: bool = False
 
@@ -128,29 +148,17 @@ class _Photographer:
 
     def _arrange(self, model) -> str | None:
         shot = self.shot
-        names = [spec.name for spec in model.contents.layers]
         if not 0 <= shot.frame < model.playback.slots:
             return f"--frame must be 0 to {model.playback.slots - 1}, got {shot.frame}"
         model.playback.pause()
         model.playback.seek(shot.frame)
-        for name in filter(None, (shot.layer, shot.other)):
-            found = model.contents.find(name)
-            if found is None:
-                return f"no layer is called '{name}' (there are: {', '.join(names)})"
-            reason = model.contents.why_not(found)
-            if reason:
-                return f"layer '{found}': {reason}"
-        model.show_layer(model.contents.find(shot.layer))
         width, height = model.source.width, model.source.height
         if shot.pixel is not None and not (0 <= shot.pixel[0] < width and 0 <= shot.pixel[1] < height):
             return f"--pixel must be inside {width}×{height}, got {shot.pixel[0]},{shot.pixel[1]}"
-        if shot.other:
-            model.view.b = model.contents.find(shot.other)
-        if shot.compare != "off":
-            reason = model.comparison.why_not(shot.compare)
-            if reason:
-                return f"--compare {shot.compare}: {reason}"
-            model.comparison.set(shot.compare)
+        try:
+            shot.look.take(model)
+        except GffeError as error:
+            return str(error)
         model.set_overview(shot.overview)
         model.pointing.enabled = False
         if shot.pixel is not None:

@@ -55,17 +55,18 @@ def view(
     ] = None,
     frame: Annotated[int, typer.Option(help="Screenshot: which one of the frames shown, generated ones counted.")] = 0,
     layer: Annotated[
-        str, typer.Option(help="Screenshot: layer shown, such as final, disoccluded, history.dynamic_mask.")
+        str,
+        typer.Option(help="Screenshot and measuring: layer shown, such as final, disoccluded, history.dynamic_mask."),
     ] = "final",
-    other: Annotated[str | None, typer.Option("--with", help="Screenshot: layer compared with.")] = None,
-    compare: Annotated[str, typer.Option(help="Screenshot: off, split, difference, error or 'flip error'.")] = "off",
+    other: Annotated[str | None, typer.Option("--with", help="The same: layer compared with.")] = None,
+    compare: Annotated[str, typer.Option(help="The same: off, split, difference, error or 'flip error'.")] = "off",
     pixel: Annotated[str | None, typer.Option(help="Screenshot: pixel whose story is told, as 120,45.")] = None,
     overview: Annotated[bool, typer.Option("--overview", help="Screenshot: all layers as tiles.")] = False,
     measure: Annotated[
         float | None,
         typer.Option(
-            help="Play every frame for so many seconds, then as long what the cache holds; print how fast that was, and"
-            " exit."
+            help="Play every frame for so many seconds, then as long what the cache holds; print how fast that was, how"
+            " soon there was a picture, and exit."
         ),
     ] = None,
     script: Annotated[
@@ -88,12 +89,13 @@ def view(
     from gffe_cl.scenes import is_scene
     from gffe_cl.viewer.engine.opening import ScenePlan
     from gffe_cl.viewer.measuring import measure as measure_playback
-    from gffe_cl.viewer.scripting import parse, play_script, require_film
-    from gffe_cl.viewer.start import Shot, leaving, require_display
+    from gffe_cl.viewer.scripting import play_script, require_film
+    from gffe_cl.viewer.start import Look, Shot, leaving, require_display
     from gffe_cl.viewer.start import view as run_viewer
     from gffe_cl.viewer.state.comparing import WAYS
     from gffe_cl.viewer.state.model import Model
     from gffe_cl.viewer.state.settings import LEAST_WINDOW, Settings
+    from gffe_cl.viewer.steps import parse
 
     if not 1 <= n <= 7:
         raise GffeError(f"-n must be 1 to 7 generated frames per rendered frame, got {n}")
@@ -122,9 +124,9 @@ def view(
     viewer_size = None if window_size is None else parse_size(window_size)
     if viewer_size is not None and min(viewer_size) < LEAST_WINDOW:
         raise GffeError(f"--window-size must be at least {LEAST_WINDOW} pixels each way, got '{window_size}'")
-    shot = None
+    look, shot = Look(layer, compare, other), None
     if screenshot is not None:
-        shot = Shot(screenshot, frame, layer, compare, other, _pixel(pixel), overview)
+        shot = Shot(screenshot, frame, look, _pixel(pixel), overview)
     asked = options.shading_correction, options.scn_model, options.scn_provider
     remark = ""
     if options.corrects_shading and asked != (None, None, "cpu"):
@@ -147,11 +149,12 @@ def view(
         if measure is None:
             run_viewer(model, viewer_size, shot)
             return
-        figures = measure_playback(model, measure, viewer_size)
+        figures = measure_playback(model, measure, viewer_size, look)
+        nothing = {"first_picture": " not known on this system", "cached": " there is no cache"}
         for title, values in figures.items():
-            out.print(f"{title.replace('_', ' ')}:{'' if values else ' there is no cache'}")
+            out.print(f"{title.replace('_', ' ')}:{'' if values else nothing[title]}")
             for name, value in values.items():
-                out.print(f"  {name.replace('_', ' ')}: {value:.1f}")
+                out.print(f"  {name.replace('_', ' ')}: {value:.2f}")
         write_json(json_path, figures | {"device": model.engine.device_name})
 
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import threading
+from typing import TYPE_CHECKING
 
-from gffe_cl.doctor import Finding, examine
-from gffe_cl.doctor.findings import FAULT, NOTE
 from gffe_cl.errors import GffeError
 from gffe_cl.sequence import Sequence
+
+if TYPE_CHECKING:
+    from gffe_cl.doctor import Finding
 
 _WRONG_PLACE = "does not follow the frame before it (doctor)"
 
@@ -33,6 +35,9 @@ class Doctor:
         threading.Thread(target=self._run, args=(sequence,), name="gffe-viewer-doctor", daemon=True).start()
 
     def _run(self, sequence: Sequence) -> None:
+        from gffe_cl.doctor import examine
+        from gffe_cl.doctor.findings import FAULT, NOTE
+
         try:
             found = examine(sequence, sequence.exposure)
         except GffeError as error:

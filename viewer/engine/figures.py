@@ -116,14 +116,22 @@ def displayed(result: Result, exposure: float) -> tuple[np.ndarray, np.ndarray]:
     return tuple(display_values(result.images[name][..., :3], exposure) for name in (names.FINAL, names.TRUTH))
 
 
+def out_of_screen(result: Result, holes: np.ndarray) -> np.ndarray:
+    """(H, W) bool: those of `holes`, pixels of a generated slot, that the rendered frame does not reach; needs the
+    layer `names.DEPTH`."""
+    moment, outside = result.moment, np.zeros_like(holes)
+    width, height = result.render_size
+    world = world_positions(moment.camera, result.images[names.DEPTH], holes)
+    outside[holes] = ~shows(moment.render_camera, width, height, world)
+    return outside
+
+
 def region_labels(result: Result, exposure: float) -> np.ndarray:
     """(H, W) uint8, indices into `REGIONS`, of a generated slot with the layers `NEEDED`."""
-    images, moment = result.images, result.moment
+    images = result.images
     depth, dynamic = images[names.DEPTH], images[names.DYNAMIC] != 0
     holes = images[names.DISOCCLUDED] != 0
-    outside = np.zeros_like(holes)
-    width, height = result.render_size
-    outside[holes] = ~shows(moment.render_camera, width, height, world_positions(moment.camera, depth, holes))
+    outside = out_of_screen(result, holes)
     warped = images.get(names.GAE, images[names.FINAL])[..., :3]
     masks = {
         "out of screen": outside,

@@ -77,12 +77,17 @@ def named_images(pipeline: Pipeline) -> dict[str, tuple[BufferSpec, cl.Buffer]]:
     }
 
 
+def _words(name: str) -> str:
+    """A buffer's name as people write it."""
+    return name.replace("_", " ").replace(".", " ").replace("color", "colour").capitalize()
+
+
 def layer_of(group: str, spec: BufferSpec, name: str = "", of_generated: bool = False) -> LayerSpec:
     """The layer of a buffer; `group` is its owner's name."""
     name = name or f"{group}.{spec.name}"
     return LayerSpec(
         name=name,
-        label=_LABELS.get(name) or spec.name.replace("_", " ").replace(".", " ").capitalize(),
+        label=_LABELS.get(name) or _words(spec.name),
         group=group,
         view=spec.view if spec.view in VIEWS else "scalar",
         components=spec.components,

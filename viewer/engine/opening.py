@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import pyopencl as cl
 
-from gffe_cl.doctor import quick_warning
 from gffe_cl.formats import open_capture
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.scenes import is_scene, load_scene
@@ -64,5 +63,7 @@ def make_source(
 
 def _suspicion(sequence: Sequence, target: str) -> str | None:
     """A sentence, if the first frames do not fit."""
+    from gffe_cl.doctor import quick_warning
+
     suspicion = quick_warning(sequence, sequence.exposure)
     return suspicion and f"{suspicion}; `gffe check {target}` says more"

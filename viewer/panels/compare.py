@@ -135,6 +135,12 @@ def _quality(model) -> None:
             imgui.text_wrapped(f"B  {_beside(second.values, score.values)}")
     elif model.measuring and model.slot % (model.n + 1) == 0:
         imgui.text_disabled("rendered frame")
+    if model.measuring or model.metrics:
+        _plot(model)
+
+
+def _plot(model) -> None:
+    """All that was measured with these settings."""
     legend_flags = implot.LegendFlags_.outside.value | implot.LegendFlags_.horizontal.value
     if implot.begin_plot("###quality", ImVec2(-1, hello_imgui.em_size(10)), implot.Flags_.no_mouse_text.value):
         implot.setup_axes("frame", "dB", 0, implot.AxisFlags_.auto_fit.value)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
@@ -69,7 +66,7 @@ def _story(model) -> None:
         imgui.bullet()
         imgui.same_line()
         imgui.text_wrapped(f"Its way through the last {len(story.way)} rendered frames:")
-        with _in_rows() as row:
+        with widgets.in_rows() as row:
             for point in story.way[1:]:
                 row(f"{point.k}")
                 if imgui.text_link(f"{point.k}###way {point.k}"):
@@ -81,7 +78,7 @@ def _story(model) -> None:
 
 def _links(model, number: int, links) -> None:
     """Where a step leads, under it."""
-    with _in_rows() as row:
+    with widgets.in_rows() as row:
         for link in links:
             reason, name = model.walk.why_not(link), f"{link.label}###{number} {link.label}"
             row(link.label)
@@ -97,25 +94,6 @@ def _where(link) -> str:
     parts += [] if link.pixel is None else [f"pixel ({link.pixel[0]}, {link.pixel[1]})"]
     parts += [f"layer {link.layer}"] if link.layer and link.frame is None else []
     return "Go to " + ", ".join(parts)
-
-
-@contextmanager
-def _in_rows() -> Iterator[Callable[[str], None]]:
-    """Small items side by side, in as many rows as they need; what is yielded is called with the text before each."""
-    first, indent = True, hello_imgui.em_size(1.4)
-    imgui.indent(indent)
-
-    def row(text: str) -> None:
-        nonlocal first
-        gap = hello_imgui.em_size(0.8)
-        if not first:
-            imgui.same_line(0, gap)
-            if imgui.get_content_region_avail().x < imgui.calc_text_size(text).x:
-                imgui.new_line()
-        first = False
-
-    yield row
-    imgui.unindent(indent)
 
 
 def _rectangle(model) -> None:

@@ -11,12 +11,14 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.picture.colors import COLOR_MAPS
 from gffe_cl.viewer.picture.displays import TONE_MAPS, default_display, shown_as
-from gffe_cl.viewer.picture.legends import legend
+from gffe_cl.viewer.picture.legends import Legend, legend
+from gffe_cl.viewer.state.captions import disocclusion_colors
 
-_OVERLAYS = {"none": "none", "edges": "edges", "residual motion": "residual motion"}
+_OVERLAYS = ("none", "edges", "residual motion", "disocclusions")
 _OVERLAY_HELP = {
     "edges": "Edges of depth are red, of motion green, of colour blue: white where all three meet",
     "residual motion": "Motion minus the camera's; its hue is its direction",
+    "disocclusions": "What the generated frame had no pixels for",
 }
 
 
@@ -25,9 +27,11 @@ def draw(app) -> None:
     widgets.toggle(
         "overview of all layers", model.overview, model.set_overview, "Every layer as a tile; click one to open it"
     )
-    widgets.choice("overlay", model.view.overlay, _OVERLAYS, lambda name: setattr(model.view, "overlay", name))
+    widgets.choice("overlay", model.view.overlay, list(_OVERLAYS), lambda name: setattr(model.view, "overlay", name))
     if model.view.overlay in _OVERLAY_HELP:
         widgets.hint(_OVERLAY_HELP[model.view.overlay])
+    if model.disocclusions.on:
+        widgets.show_legend(Legend("none", labels=disocclusion_colors()))
     height = max(imgui.get_content_region_avail().y - app.display_height, hello_imgui.em_size(6))
     if imgui.begin_child("###layers", ImVec2(0, height), imgui.ChildFlags_.borders.value):
         for group, specs in groupby(model.contents.layers, key=lambda spec: spec.group):

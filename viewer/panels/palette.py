@@ -41,7 +41,7 @@ class Palette:
         viewport = imgui.get_main_viewport()
         top = (viewport.pos.x + viewport.size.x / 2, viewport.pos.y + viewport.size.y * 0.15)
         imgui.set_next_window_pos(top, imgui.Cond_.always.value, (0.5, 0.0))
-        imgui.set_next_window_size((hello_imgui.em_size(30), 0))
+        imgui.set_next_window_size((hello_imgui.em_size(34), 0))
         flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_move
         widgets.floating()
         imgui.begin(f"Command palette###palette{'_value' if asked else ''}", None, int(flags))
@@ -78,9 +78,9 @@ class Palette:
             if imgui.selectable(f"{action.group}: {action.label}###palette {action.id}", index == self.at)[0]:
                 run = action.id
             imgui.end_disabled()
-            widgets.tooltip(action.tooltip)
-            imgui.same_line(hello_imgui.em_size(20))
-            imgui.text_disabled(reason or action.shortcut or _state(action))
+            widgets.tooltip("\n".join(filter(None, (action.tooltip, reason))))
+            imgui.same_line(0, hello_imgui.em_size(1))
+            _at_right(reason or action.shortcut or _state(action))
         return "" if entered and not found else run
 
     def _number(self, parameters: Parameters) -> str | None:
@@ -101,6 +101,14 @@ class Palette:
         imgui.text(f"{option.label}: {now}")
         widgets.hint(self._problem or f"{option.sentence} Enter takes what is typed, the arrows step.")
         return None
+
+
+def _at_right(text: str) -> None:
+    """As much of it as the line has room for, at its end."""
+    room = imgui.get_content_region_avail().x
+    text = widgets.shortened(text, room)
+    imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + room - imgui.calc_text_size(text).x)
+    imgui.text_disabled(text)
 
 
 def _arrows() -> int:

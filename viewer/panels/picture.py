@@ -8,6 +8,7 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.panels import overview, widgets
 from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.kept import told
 
@@ -21,6 +22,7 @@ _ACCENT = (0.35, 0.85, 1.0, 1.0)
 _WARM = (1.0, 0.7, 0.25, 1.0)
 _WAY = (0.55, 1.0, 0.5, 1.0)
 _NEAR = 7.0  # screen pixels
+_USUAL_LETTERS = 15.0  # screen pixels
 
 
 def draw(app) -> None:
@@ -38,7 +40,7 @@ def draw(app) -> None:
         model.framing.fit((width, height), model.contents.size)
     app.canvas_size = width, height
     if model.overview:
-        _overview(app, origin, (width, height))
+        overview.draw(app, (width, height))
         return
     texture = app.drawn(model.comparison.shown(), (width, height))
     imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(width, height))
@@ -206,20 +208,20 @@ def _trajectory(model, place, marks) -> None:
     if model.pointing.picked is None:
         return
     x, y = model.pointing.picked
-    accent, warm = imgui.get_color_u32(_ACCENT), imgui.get_color_u32(_WARM)
-    half = max(model.view.zoom / 2, 4.0)
+    accent, warm, unit = imgui.get_color_u32(_ACCENT), imgui.get_color_u32(_WARM), _unit()
+    half = max(model.view.zoom / 2, 4 * unit)
     middle = place.to_screen(x + 0.5, y + 0.5)
-    marks.add_rect(ImVec2(middle.x - half, middle.y - half), ImVec2(middle.x + half, middle.y + half), accent, 0, 2.0)
+    corners = ImVec2(middle.x - half, middle.y - half), ImVec2(middle.x + half, middle.y + half)
+    marks.add_rect(*corners, accent, 0, 2 * unit)
     story = model.pointing.story
     if story is None or len(story.trajectory) < 2:
         return
     points = [place.to_screen(*point) for point in story.trajectory]
     for a, b in zip(points, points[1:], strict=False):
-        marks.add_line(a, b, warm, 2.0)
-    for index, point in enumerate(points):
-        marks.add_circle_filled(
-            point, 4.0 if index == len(points) - 1 else 3.0, accent if index == len(points) - 1 else warm
-        )
+        marks.add_line(a, b, warm, 2 * unit)
+    for point in points[:-1]:
+        marks.add_circle_filled(point, 3 * unit, warm)
+    marks.add_circle_filled(points[-1], 4 * unit, accent)
 
 
 def _way(model, place, marks) -> None:
@@ -227,18 +229,23 @@ def _way(model, place, marks) -> None:
     story = model.pointing.story
     if story is None or len(story.way) < 2:
         return
-    line, rim = imgui.get_color_u32(_WAY), imgui.get_color_u32((0, 0, 0, 0.8))
+    line, rim, unit = imgui.get_color_u32(_WAY), imgui.get_color_u32((0, 0, 0, 0.8)), _unit()
     points = [place.to_screen(*point.px) for point in story.way]
     for a, b in zip(points, points[1:], strict=False):
-        marks.add_line(a, b, rim, 3.5)
-        marks.add_line(a, b, line, 1.5)
+        marks.add_line(a, b, rim, 3.5 * unit)
+        marks.add_line(a, b, line, 1.5 * unit)
     at = imgui.get_mouse_pos()
     for point, spot in zip(story.way, points, strict=True):
-        near = _distance(at, spot) < _NEAR
-        marks.add_circle_filled(spot, 4.5 if near else 3.5, rim)
-        marks.add_circle_filled(spot, 3.5 if near else 2.5, line)
+        near = _distance(at, spot) < _NEAR * unit
+        marks.add_circle_filled(spot, (4.5 if near else 3.5) * unit, rim)
+        marks.add_circle_filled(spot, (3.5 if near else 2.5) * unit, line)
         if near and imgui.is_window_hovered():
             imgui.set_tooltip(f"rendered frame {point.k}: ({point.px[0]:.1f}, {point.px[1]:.1f})")
+
+
+def _unit() -> float:
+    """Screen pixels: 1 at the usual size of letters."""
+    return imgui.get_font_size() / _USUAL_LETTERS
 
 
 def _rectangle(model, place, marks) -> None:
@@ -248,8 +255,8 @@ def _rectangle(model, place, marks) -> None:
     left, top, right, bottom = model.selection.rectangle
     corners = place.to_screen(left, top), place.to_screen(right, bottom)
     marks.add_rect_filled(*corners, imgui.get_color_u32((1, 1, 1, 0.06)))
-    marks.add_rect(*corners, imgui.get_color_u32((0, 0, 0, 0.8)), 0, 3.0)
-    marks.add_rect(*corners, imgui.get_color_u32(_ACCENT), 0, 1.5)
+    marks.add_rect(*corners, imgui.get_color_u32((0, 0, 0, 0.8)), 0, 3 * _unit())
+    marks.add_rect(*corners, imgui.get_color_u32(_ACCENT), 0, 1.5 * _unit())
 
 
 def _caption(model, origin, width, height, marks) -> None:
@@ -260,30 +267,22 @@ def _caption(model, origin, width, height, marks) -> None:
     elif view.compare != "off" and view.b:
         settings = f"{told(model.setup)}   " if model.comparison.by_settings else ""
         texts = (f"A  {settings}{_layer_text(model, view.a)}", f"B  {_layer_text(model, view.b)}")
-        a, b = (_shortened(text, width / 2 - 24) for text in texts)
+        a, b = (widgets.shortened(text, width / 2 - 24) for text in texts)
         _label(marks, a, origin.x + 10, origin.y + 8)
         _label(marks, b, origin.x + width - 10, origin.y + 8, right=True)
     else:
         _label(marks, _layer_text(model, view.a), origin.x + 10, origin.y + 8)
     k, j = divmod(model.slot, model.n + 1)
     kind = f"rendered frame {k}" if j == 0 else f"generated: frame {k} + {j}/{model.n + 1}"
-    _label(marks, f"{kind}   {view.zoom * 100:.0f} %", origin.x + 10, origin.y + height - hello_imgui.em_size(1.6))
-    state = model.comparison.scale_text()
+    kind, line = f"{kind}   {view.zoom * 100:.0f} %", hello_imgui.em_size(1.6)
+    _label(marks, kind, origin.x + 10, origin.y + height - line)
+    state = model.comparison.scale_text() or (model.disocclusions.text() if model.disocclusions.on else "")
     if not model.comparison.ready or (model.engine.busy and not model.playback.playing):
         state = "computing …"
     if state:
-        _label(marks, state, origin.x + width - 10, origin.y + height - hello_imgui.em_size(1.6), right=True)
-
-
-def _shortened(text: str, width: float) -> str:
-    """As much of it as has room, its end rather than its middle."""
-    if imgui.calc_text_size(text).x <= width:
-        return text
-    for kept in range(len(text) - 1, 2, -1):
-        shorter = f"{text[: (kept + 1) // 2]}…{text[-(kept // 2) :]}"
-        if imgui.calc_text_size(shorter).x <= width:
-            break
-    return shorter
+        state = widgets.shortened(state, width - 24)
+        beside = imgui.calc_text_size(kind).x + imgui.calc_text_size(state).x < width - 40
+        _label(marks, state, origin.x + width - 10, origin.y + height - line * (1 if beside else 2.4), right=True)
 
 
 def _layer_text(model, name: str) -> str:
@@ -313,32 +312,3 @@ def _label(marks, text: str, x: float, y: float, right: bool = False) -> None:
         ImVec2(x - 5, y - 3), ImVec2(x + size.x + 5, y + size.y + 3), imgui.get_color_u32((0, 0, 0, 0.6)), 4
     )
     marks.add_text(ImVec2(x, y), imgui.get_color_u32((1, 1, 1, 0.95)), text)
-
-
-def _overview(app, origin, size) -> None:
-    """All layers as tiles; a click opens one."""
-    model = app.model
-    model.pointing.hover(None)
-    caption = round(imgui.get_text_line_height() + 3)
-    texture, tiles = app.canvas.overview(model.overview_tiles(), size, caption=caption)
-    imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(*size))
-    imgui.set_cursor_screen_pos(origin)
-    clicked = imgui.invisible_button("###overview", ImVec2(*size))
-    at = imgui.get_mouse_pos()
-    marks = imgui.get_window_draw_list()
-    for tile in tiles:
-        name, width, height = tile.name, tile.width, tile.height
-        left, top = origin.x + tile.x, origin.y + tile.y
-        spec = model.contents.spec(name)
-        ink = imgui.get_color_u32((0.8, 0.8, 0.82, 1.0))
-        marks.push_clip_rect(ImVec2(left, top), ImVec2(left + width, top + height + caption), True)
-        wide = imgui.calc_text_size(f"{spec.group}: {spec.label}").x > width
-        marks.add_text(ImVec2(left, top + height + 1), ink, spec.label if wide else f"{spec.group}: {spec.label}")
-        marks.pop_clip_rect()
-        inside = left <= at.x < left + width and top <= at.y < top + height
-        if inside and model.pointing.enabled and imgui.is_item_hovered():
-            marks.add_rect(ImVec2(left, top), ImVec2(left + width, top + height), imgui.get_color_u32(_ACCENT), 0, 2.0)
-            imgui.set_tooltip(f"{spec.group}: {spec.label}\n{spec.description}")
-            if clicked:
-                model.set_overview(False)
-                model.show_layer(name)

@@ -38,11 +38,11 @@ def _plot(model, survey) -> None:
     marks = range(0, slots, _step(slots, imgui.get_content_region_avail().x / hello_imgui.em_size(4)))
     implot.setup_axis_ticks(implot.ImAxis_.x1, [slot + 0.5 for slot in marks], [str(slot) for slot in marks])
     curves = []
-    for label, side, color in (("A", survey.a, _A), ("B", survey.b, _B)):
+    for label, side, color, weight in (("B", survey.b, _B, 3.5), ("A", survey.a, _A, 1.5)):  # A over B: both are seen
         xs, ys = survey.curve(side)
         if xs.size:
-            curves.append((label, xs, ys))
-            _curve(label, xs, ys, color, xs.size <= _FEW)
+            curves.insert(0, (label, xs, ys))
+            _curve(label, xs, ys, color, weight, xs.size <= _FEW)
     implot.plot_inf_lines("###now", np.array([model.slot + 0.5]))
     if implot.is_plot_hovered():
         _hovered(model, curves, quantity)
@@ -90,11 +90,11 @@ def _state(model) -> str:
     return "   ".join(parts)
 
 
-def _curve(label: str, xs: np.ndarray, ys: np.ndarray, color, marked: bool) -> None:
+def _curve(label: str, xs: np.ndarray, ys: np.ndarray, color, weight: float, marked: bool) -> None:
     spec = implot.Spec()
-    spec.line_color, spec.line_weight = color, 1.5
+    spec.line_color, spec.line_weight = color, weight
     if marked:
-        spec.marker, spec.marker_size, spec.marker_fill_color = implot.Marker_.circle.value, 2.5, color
+        spec.marker, spec.marker_size, spec.marker_fill_color = implot.Marker_.circle.value, 1 + weight / 2, color
     implot.plot_line(label, xs + 0.5, ys, spec=spec)
 
 

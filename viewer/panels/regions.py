@@ -31,9 +31,7 @@ def draw(app) -> None:
             widgets.hint(f"Only: {regions.only}. Click again for all")
     whole = model.survey.parts(model.survey.a)
     if whole:
-        widgets.heading(
-            f"All {sum(bool(f.parts) for f in model.survey.figures(model.survey.a).values())} measured frames"
-        )
+        widgets.heading(f"All {len(model.survey.with_parts(model.survey.a))} measured frames")
         _table(regions, "all", whole, model.survey.parts(model.survey.b) or None)
 
 

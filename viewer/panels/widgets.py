@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
@@ -64,9 +65,8 @@ def slider(
 ) -> None:
     """A slider with its unit in `text` and a button back to the default."""
     whole, room = isinstance(default, int), hello_imgui.em_size(11)  # the same for all, so that they line up
-    if imgui.get_content_region_avail().x < 2 * room:
-        room = imgui.calc_text_size(label).x + 4 * imgui.get_style().item_spacing.x + imgui.get_frame_height()
-    _leave_room(room)
+    needed = imgui.calc_text_size(label).x + 4 * imgui.get_style().item_spacing.x + imgui.get_frame_height()
+    _leave_room(needed if imgui.get_content_region_avail().x < 2 * room else max(room, needed))
     if whole:
         changed, new = imgui.slider_int(f"###{label}", int(value), int(low), int(high), text)
     else:
@@ -123,8 +123,38 @@ def hint(text: str) -> None:
     imgui.pop_style_color()
 
 
+def shortened(text: str, width: float) -> str:
+    """As much of it as has room, its end rather than its middle."""
+    if imgui.calc_text_size(text).x <= width:
+        return text
+    for kept in range(len(text) - 1, 2, -1):
+        shorter = f"{text[: (kept + 1) // 2]}…{text[-(kept // 2) :]}"
+        if imgui.calc_text_size(shorter).x <= width:
+            break
+    return shorter
+
+
 def heading(text: str) -> None:
     imgui.separator_text(text)
+
+
+@contextmanager
+def in_rows() -> Iterator[Callable[[str], None]]:
+    """Small items side by side, in as many rows as they need; what is yielded is called with the text before each."""
+    first, indent = True, hello_imgui.em_size(1.4)
+    imgui.indent(indent)
+
+    def row(text: str) -> None:
+        nonlocal first
+        gap = hello_imgui.em_size(0.8)
+        if not first:
+            imgui.same_line(0, gap)
+            if imgui.get_content_region_avail().x < imgui.calc_text_size(text).x:
+                imgui.new_line()
+        first = False
+
+    yield row
+    imgui.unindent(indent)
 
 
 def show_legend(shown: Legend) -> None:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 from imgui_bundle import hello_imgui, imgui
 
-from gffe_cl.doctor.findings import FAULT, NOTE
 from gffe_cl.scenes import SCENES
 from gffe_cl.viewer.panels import widgets
 
 _HELP_COLUMNS = 3
 _MESSAGE_SECONDS = 8.0
-_RED, _AMBER, _GREY = (0.97, 0.5, 0.45, 1.0), (0.9, 0.7, 0.3, 1.0), (0.6, 0.6, 0.62, 1.0)
-_KINDS = {FAULT: _RED, NOTE: _AMBER}
+_ABOVE_FOOT = 5.2  # em: messages stand beside the timeline's buttons, where they cover nothing
 
 
 def help_window(app) -> None:
@@ -28,11 +25,12 @@ def help_window(app) -> None:
     if imgui.begin_table("###keys", _HELP_COLUMNS, imgui.TableFlags_.sizing_fixed_fit.value):
         for column in _columns(app.actions.shortcut_table()):
             imgui.table_next_column()
+            longest = max(imgui.calc_text_size(label).x for _, entries in column for _, label in entries)
             for group, entries in column:
                 imgui.separator_text(group)
                 for keys, label in entries:
                     imgui.text(label)
-                    imgui.same_line(hello_imgui.em_size(12))
+                    imgui.same_line(longest + hello_imgui.em_size(1.2))
                     imgui.text_disabled(keys)
         imgui.end_table()
     imgui.pop_style_var()
@@ -52,34 +50,6 @@ def _columns(table: list) -> list[list]:
         columns[min(int((done + height / 2) / sum(heights) * _HELP_COLUMNS), _HELP_COLUMNS - 1)].append(group)
         done += height
     return columns
-
-
-def doctor_window(app) -> None:
-    """What the doctor says of the sequence; its marks are on the timeline."""
-    doctor = app.model.doctor
-    if doctor is None or not app.doctor_open:
-        return
-    imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing.value, (0.5, 0.5))
-    imgui.set_next_window_size((hello_imgui.em_size(34), 0))
-    flags = imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_resize
-    widgets.floating()
-    _, app.doctor_open = imgui.begin("What does not fit in this sequence###doctor", True, int(flags))
-    imgui.push_text_wrap_pos(0.0)
-    if not doctor.done:
-        imgui.text_disabled("examining motion, depth, cameras and colours …")
-    elif doctor.problem:
-        imgui.text_colored(_RED, doctor.problem)
-    elif not doctor.findings:
-        imgui.text_unformatted("Everything fits.")
-    for finding in doctor.findings:
-        imgui.text_colored(_KINDS.get(finding.kind, _GREY), finding.kind)
-        imgui.same_line(hello_imgui.em_size(6))
-        imgui.text_unformatted(str(finding))
-    if any(finding.fix for finding in doctor.findings):
-        imgui.separator()
-        imgui.text_disabled(f"gffe check {app.model.source.target} --fix OUT  mends it")
-    imgui.pop_text_wrap_pos()
-    imgui.end()
 
 
 def path_window(app) -> None:
@@ -106,14 +76,19 @@ def path_window(app) -> None:
         app.path_text = None
 
 
-def messages(model) -> None:
+def messages(app) -> None:
     """What went wrong or was finished lately, in the lower right corner."""
-    now = time.perf_counter()
-    shown = [m for m in model.messages if now - m.time < _MESSAGE_SECONDS]
+    now = app.clock()
+    for message in app.model.messages:
+        message.since = now if message.since is None else message.since
+    shown = [message for message in app.model.messages if now - message.since < _MESSAGE_SECONDS]
     if not shown:
         return
     viewport = imgui.get_main_viewport()
-    corner = (viewport.pos.x + viewport.size.x - 16, viewport.pos.y + viewport.size.y - hello_imgui.em_size(8))
+    corner = (
+        viewport.pos.x + viewport.size.x - 16,
+        viewport.pos.y + viewport.size.y - hello_imgui.em_size(_ABOVE_FOOT),
+    )
     imgui.set_next_window_pos(corner, imgui.Cond_.always.value, (1.0, 1.0))
     flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
     flags |= imgui.WindowFlags_.no_focus_on_appearing | imgui.WindowFlags_.no_nav

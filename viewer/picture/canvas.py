@@ -29,6 +29,7 @@ _RING = 3  # pixel buffers per size, so that none is rewritten while the driver 
 _RINGS = 12  # sizes that are kept
 _RENDERED = {"depth": names.RENDERED_DEPTH, "motion": names.RENDERED_MOTION, "color": names.RENDERED_COLOR}
 _REGIONS = "regions"
+_LABELLED = (_REGIONS, "disocclusions")  # overlays of a layer of their name
 _SAMPLERS = ("texels_a", "texels_b", "rendered_depth", "rendered_motion", "rendered_color", _REGIONS, "color_maps")
 _UNITS = {name: unit for unit, name in enumerate(_SAMPLERS)}
 
@@ -243,7 +244,7 @@ class Canvas:
         for index, layer in enumerate(shown):
             program.set(f"layer[{index}].", layer.uniforms)
         rendered = {key: self._layers.get(name) for key, name in _RENDERED.items()}
-        regions = self._layers.get(_REGIONS)
+        regions = self._layers.get(view.overlay) if view.overlay in _LABELLED else None
         for unit, texture in enumerate((*(layer.texture for layer in shown), *rendered.values(), regions)):
             (texture or self._nothing.texture).texels.use(unit)
         self._color_maps.use(_UNITS["color_maps"])

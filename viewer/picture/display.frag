@@ -26,6 +26,7 @@
 #define EDGES 1
 #define RESIDUAL 2
 #define REGIONS 3
+#define DISOCCLUSIONS 4
 #define REST 5                   /* the last of the regions of errors: everything else */
 
 #define GRID_FROM 8.0    /* screen pixels per texel, and per display pixel, from which grid lines show */
@@ -277,9 +278,10 @@ bool residual_motion(const vec2 uv, out vec2 residual) {
 vec3 overlaid(const vec3 picture, const vec2 uv) {
     vec2 rendered_uv = mix(rendered_area.xy, rendered_area.zw, uv);
     vec3 dimmed = vec3(0.35 * dot(picture, vec3(0.2126, 0.7152, 0.0722)));
-    if (OVERLAY == REGIONS) {
+    if (OVERLAY == REGIONS || OVERLAY == DISOCCLUSIONS) {
         if (!has_regions) return picture;
         int here = int(255.0 * texelFetch(regions, ivec3(texel_at(uv, textureSize(regions, 0).xy), 0), 0).r + 0.5);
+        if (OVERLAY == DISOCCLUSIONS) return here > 1 ? picture : mix(picture, label_colors[here + 1], 0.7);
         if (region < 0) return here == REST ? 1.4 * dimmed : mix(1.4 * dimmed, label_colors[here + 1], 0.6);
         return here == region ? picture : 0.6 * dimmed;
     }

@@ -8,7 +8,7 @@ from gffe_cl.viewer.picture.colors import Rgb
 from gffe_cl.viewer.picture.displays import Display
 
 COMPARISONS = ("off", "split", "difference", "flip", "error")  # "flip": the caller shows b as a
-OVERLAYS = ("none", "edges", "residual motion", "regions")
+OVERLAYS = ("none", "edges", "residual motion", "regions", "disocclusions")
 ERRORS = ("absolute", "squared")
 
 Size = tuple[int, int]

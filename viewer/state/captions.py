@@ -11,6 +11,7 @@ from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.picture.legend_strip import Entry
 from gffe_cl.viewer.picture.legends import Legend, legend
 from gffe_cl.viewer.picture.view import View
+from gffe_cl.viewer.state import disocclusions
 from gffe_cl.viewer.state.comparing import Comparison
 from gffe_cl.viewer.state.contents import Contents
 from gffe_cl.viewer.state.looks import Looks
@@ -24,6 +25,11 @@ def region_colors() -> dict[str, Rgb]:
     """By region, as the overlay tints them."""
     colors = [*LABEL_COLORS[1 : len(REGIONS)], REST]
     return dict(zip(REGIONS, colors, strict=True))
+
+
+def disocclusion_colors() -> tuple[tuple[str, Rgb], ...]:
+    """Their kinds, as the overlay tints them."""
+    return tuple(zip(disocclusions.KINDS, LABEL_COLORS[1:], strict=False))
 
 
 def entries_of(view: View, contents: Contents, looks: Looks, comparison: Comparison) -> list[Entry]:
@@ -58,6 +64,8 @@ def _overlay(view: View) -> list[Entry]:
         if view.region >= 0:
             return [Entry(f"bright: {list(REGIONS)[view.region]}", Legend("none"))]
         return [Entry("regions of errors", Legend("none", labels=tuple(colors.items())))]
+    if view.overlay == disocclusions.OVERLAY:
+        return [Entry("disocclusions", Legend("none", labels=disocclusion_colors()))]
     if view.overlay == "edges":
         return [Entry("edges", Legend("none", labels=_EDGES))]
     if view.overlay == "residual motion":

@@ -11,15 +11,18 @@ from gffe_cl.camera import Camera
 
 _SPEED = 2.0  # world units per second
 _STEEPEST = math.radians(85)
+_LONGEST = 0.15  # seconds that are flown at once
 
 
 class Flight(NamedTuple):
-    """Steering of one interface frame: (right, up, forward) in −1 … 1 and times faster; turns in degrees."""
+    """Steering of one interface frame: (right, up, forward) in −1 … 1 and times faster; turns in degrees, and `spin`,
+    (yaw, pitch) in degrees per second."""
 
     move: tuple[float, float, float]
     faster: float
     yaw: float
     pitch: float
+    spin: tuple[float, float] = (0.0, 0.0)
 
 
 class Flyer:
@@ -38,14 +41,15 @@ class Flyer:
 
     def steer(self, flight: Flight, now: float) -> None:
         """Move on by the time since the last call (seconds) and turn."""
-        elapsed = 0.0 if self._then is None else min(now - self._then, 0.1)
+        elapsed = 0.0 if self._then is None else min(now - self._then, _LONGEST)
         self._then = now
+        yaw, pitch = (turn + elapsed * spin for turn, spin in zip((flight.yaw, flight.pitch), flight.spin, strict=True))
         moving = any(flight.move) and elapsed > 0
-        if not (moving or flight.yaw or flight.pitch):
+        if not (moving or yaw or pitch):
             return
         self.moved = True
-        self._yaw += math.radians(flight.yaw)
-        self._pitch = min(max(self._pitch - math.radians(flight.pitch), -_STEEPEST), _STEEPEST)
+        self._yaw += math.radians(yaw)
+        self._pitch = min(max(self._pitch - math.radians(pitch), -_STEEPEST), _STEEPEST)
         level = math.cos(self._pitch)
         forward = np.array([math.sin(self._yaw) * level, math.sin(self._pitch), -math.cos(self._yaw) * level])
         right = np.array([math.cos(self._yaw), 0.0, math.sin(self._yaw)])

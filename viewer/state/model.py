@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -27,6 +26,7 @@ from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.captions import entries_of
 from gffe_cl.viewer.state.comparing import Comparison
 from gffe_cl.viewer.state.contents import Contents
+from gffe_cl.viewer.state.disocclusions import Disocclusions
 from gffe_cl.viewer.state.filling import Filling
 from gffe_cl.viewer.state.flying import Flight, Flyer
 from gffe_cl.viewer.state.framing import Framing
@@ -35,7 +35,7 @@ from gffe_cl.viewer.state.looks import Looks
 from gffe_cl.viewer.state.parameters import Parameters
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.pointing import Pointing
-from gffe_cl.viewer.state.regions import OVERLAY, Regions
+from gffe_cl.viewer.state.regions import Regions
 from gffe_cl.viewer.state.saving import Subject, Work
 from gffe_cl.viewer.state.screen import Screen
 from gffe_cl.viewer.state.second import Second
@@ -51,11 +51,11 @@ _OPTIONS = Options()
 
 @dataclass
 class Message:
-    """Something to tell; `time`: of `time.perf_counter`."""
+    """Something to tell; `since`: when it was shown first, seconds of the clock that playback goes by."""
 
     text: str
     error: bool
-    time: float
+    since: float | None = None
 
 
 class Model:
@@ -84,6 +84,7 @@ class Model:
         self.comparison = Comparison(self.view, self.contents, self.looks, self.kept)
         self.second = Second(self.engine, self.filling.find)
         self.regions = Regions(self.view, self.contents)
+        self.disocclusions = Disocclusions(self.view, self.contents)
         self.survey = Survey(self.engine, self.playback)
         self.pointing = Pointing(self._inspect)
         self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
@@ -143,7 +144,7 @@ class Model:
         self.notice, self._asked, self._target = "", None, source.target
         if self.preview is None:
             self.screen.show({}, set(), canvas)
-        for part in (self.second, self.survey, self.walk, self.selection):
+        for part in (self.second, self.survey, self.walk, self.selection, self.disocclusions):
             part.forget()
         if self.export is not None:
             self.export.cancel()
@@ -205,12 +206,14 @@ class Model:
         if result is not None and result.request.setup == self.setup:
             ready = result.request.slot
         self._ask(self.playback.tick(now, ready).request, canvas)
+        self.disocclusions.update(canvas)
         faults = self.comparison.update(canvas), self.regions.update(canvas), self.selection.update()
         for fault in filter(None, faults):
             self.say(fault, error=True)
         self._fill(now)
         kept = self.kept.b if self.comparison.by_settings else None
         idle = not (self.flying or self.export or self.playback.playing or self.second.waits)
+        self.survey.resets = sorted({0, *self.contents.resets})
         self.survey.update(self.setup, kept and kept.setup(self.n), self.source.exposure, idle)
         if self._was_playing and not self.playback.playing and self.from_cache:
             self.pointing.ask_again()
@@ -388,8 +391,8 @@ class Model:
         wanted = {self.view.a}
         if self.view.compare != "off" and self.view.b and not names.is_second(self.view.b):
             wanted.add(self.view.b)
-        wanted |= self.regions.needed | self.selection.needed
-        if self.view.overlay not in ("none", OVERLAY):
+        wanted |= self.regions.needed | self.disocclusions.needed | self.selection.needed
+        if self.view.overlay in ("edges", "residual motion"):
             wanted |= {names.RENDERED_COLOR, names.RENDERED_DEPTH, names.RENDERED_MOTION}
         specs = [self.contents.spec(name) for name in wanted]
         if any(spec is not None and spec.view == "world" for spec in specs):
@@ -463,9 +466,10 @@ class Model:
         self.source.forget_flight()
         self._asked = None
 
-    def fly(self, flight: Flight | None) -> None:
+    def fly(self, flight: Flight | None, now: float) -> None:
+        """Steer the camera; `now`: of the clock that playback goes by, seconds."""
         if self.flyer is not None and flight is not None:
-            self.flyer.steer(flight, time.perf_counter())
+            self.flyer.steer(flight, now)
 
     # ---- saving --------------------------------------------------------------------------------------------
 
@@ -506,7 +510,7 @@ class Model:
         return self.doctor.marks if self.doctor is not None else {}
 
     def say(self, text: str, error: bool = False) -> None:
-        self.messages = [*self.messages[-20:], Message(text, error, time.perf_counter())]
+        self.messages = [*self.messages[-20:], Message(text, error)]
 
     def remember(self, window_size: tuple[int, int]) -> None:
         """Write the settings."""

@@ -12,9 +12,11 @@ from gffe_cl.viewer.engine.layers import FRAME_LAYERS
 from gffe_cl.viewer.engine.preview import Preview
 from gffe_cl.viewer.picture import flip_map, region_map
 from gffe_cl.viewer.picture.displays import FrameInfo
+from gffe_cl.viewer.state import disocclusions
 from gffe_cl.viewer.state.contents import Contents
 from gffe_cl.viewer.state.looks import Looks
 
+_OF_OTHERS = {flip_map.NAME, region_map.NAME, disocclusions.NAME}  # layers that come and go by themselves
 _BUDGET = 0.02  # seconds per frame of the interface, but at least one image
 
 
@@ -52,7 +54,7 @@ class Screen:
         if canvas is not None:
             if images:
                 canvas.frame = self._contents.frame_info()
-            canvas.forget(canvas.layers.keys() - self._waiting.keys() - {flip_map.NAME, region_map.NAME})
+            canvas.forget(canvas.layers.keys() - self._waiting.keys() - _OF_OTHERS)
         for name in first & self._waiting.keys():
             self._upload(name, canvas)
         self.proceed(canvas)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import threading
+from bisect import bisect_right
 from collections import OrderedDict, deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ from gffe_cl.viewer.state.playback import Playback
 _AHEAD = 3  # slots that the engine is told of at once
 _WAITING = 3  # results that wait to be measured
 _RECIPES = 8  # that are remembered
+_HISTORY = 2  # rendered frames before the one that a slot is made of
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,9 @@ class Survey:
         The one of `QUANTITIES` that is plotted, and by which frames are found.
     a, b : Side or None
         What is surveyed; B where settings are compared.
+    resets : sequence of int
+        Rendered frames that have none before them, in order. Slots without two rendered frames of history are plotted,
+        but neither found nor counted in means, as `gffe compare` has it.
     """
 
     def __init__(self, engine: Engine, playback: Playback):
@@ -45,6 +50,7 @@ class Survey:
         self.on, self.quantity = False, "psnr"
         self.a: Side | None = None
         self.b: Side | None = None
+        self.resets: Sequence[int] = ()
         self._known: OrderedDict[Recipe, dict[int, Figures]] = OrderedDict()
         self._measuring = _Measuring()
         self._planned = None
@@ -137,16 +143,25 @@ class Survey:
         return np.array([s for s, _ in known], np.float64), np.array([v for _, v in known], np.float64)
 
     def mean(self, side: Side | None, quantity: str) -> float | None:
-        """Over the slots that are known."""
-        values = self.curve(side, quantity)[1]
+        """Over the slots that are known and counted."""
+        values = self._counted(side, quantity)[1]
         return float(values.mean()) if values.size else None
 
+    def _counted(self, side: Side | None, quantity: str | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Those of `curve` that have history, or all if none has."""
+        xs, ys = self.curve(side, quantity)
+        counted = np.array([self._has_history(int(x)) for x in xs], bool)
+        return (xs[counted], ys[counted]) if counted.any() else (xs, ys)
+
+    def _has_history(self, slot: int) -> bool:
+        k = slot // (self._playback.n + 1)
+        before = bisect_right(self.resets, k)
+        return before == 0 or k - self.resets[before - 1] >= _HISTORY
+
     def parts(self, side: Side | None) -> dict[str, Part]:
-        """Of all slots that are known: the regions' shares of the pixels and of the error."""
+        """Of all slots that are counted: the regions' shares of the pixels and of the error."""
         pixels, errors, whole = dict.fromkeys(REGIONS, 0.0), dict.fromkeys(REGIONS, 0.0), 0
-        for figures in self.figures(side).values():
-            if not figures.parts:
-                continue
+        for figures in self.with_parts(side):
             whole += 1
             for name, part in figures.parts.items():
                 pixels[name] += part.pixels
@@ -155,6 +170,12 @@ class Survey:
         if not whole:
             return {}
         return {name: Part.of(pixels[name] / whole, errors[name] / whole, total / whole) for name in REGIONS}
+
+    def with_parts(self, side: Side | None) -> list[Figures]:
+        """Of the slots that are counted, where their regions are known."""
+        known = {slot: figures for slot, figures in self.figures(side).items() if figures.parts}
+        counted = [figures for slot, figures in known.items() if self._has_history(slot)]
+        return counted or list(known.values())
 
     # ---- finding frames ------------------------------------------------------------------------------------
 
@@ -214,11 +235,11 @@ class Survey:
         return f"{what}: {rank + 1} of {len(order)}"
 
     def _ranked(self) -> list[int]:
-        xs, ys = self.curve(self.a)
+        xs, ys = self._counted(self.a)
         return [int(x) for x in xs[np.argsort(-ys * (QUANTITIES[self.quantity].worse or 1), kind="stable")]]
 
     def _ranked_by_difference(self) -> list[int]:
-        a, b = (dict(zip(*self.curve(side), strict=True)) for side in (self.a, self.b))
+        a, b = (dict(zip(*self._counted(side), strict=True)) for side in (self.a, self.b))
         common = sorted(a.keys() & b.keys())
         return [int(slot) for slot in sorted(common, key=lambda slot: -abs(a[slot] - b[slot]))]
 

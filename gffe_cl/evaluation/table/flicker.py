@@ -12,7 +12,6 @@ that the mean absolute change from each shown frame to the next, rendered ones i
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 LUMA = np.float32((0.2126, 0.7152, 0.0722))
 _SIGMA = 1 / 300  # of the image's height
@@ -28,6 +27,8 @@ class Flicker:
     def add(self, shown: np.ndarray, truth: np.ndarray) -> float | None:
         """Display values (H, W, 3) of the next frame, as shown and as it should be. Its change from the one before, per
         cent; None for the first."""
+        from scipy.ndimage import gaussian_filter  # takes as long to import as all else the viewer starts with
+
         error = gaussian_filter((shown - truth) @ LUMA, _SIGMA * shown.shape[0])
         before, self._before = self._before, error
         if before is None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 _SAME_LAYER = 0.05  # of the depth: what lands in one pixel and is mixed
 
@@ -99,5 +98,7 @@ def filled(values: np.ndarray, known: np.ndarray) -> np.ndarray:
     """`values` (H, W, C) with those of the nearest known pixel where `known` (H, W) is not set."""
     if known.all() or not known.any():
         return values
+    from scipy.ndimage import distance_transform_edt  # see flicker.py
+
     y, x = distance_transform_edt(~known, return_distances=False, return_indices=True)
     return values[y, x]
