@@ -59,12 +59,14 @@ class Upscaling(Stage):
                 "out_dilated": "upscaling.dilated",
                 "out_mean": "upscaling.mean",
             },
+            step=("LANES", 1),
         ),
         Kernel(
             "survey",
             "source",
             {"compressed": "upscaling.compressed", "mean": "upscaling.mean"},
             {"mean": "upscaling.mean", "out_deviation": "upscaling.deviation"},
+            step=("LANES", 1),
         ),
         Kernel(
             "accumulate",
@@ -77,6 +79,7 @@ class Upscaling(Stage):
                 **{f"out_{name}": f"upscaling.{name}" for name in ("history", "lock")},
                 "rejected": "upscaling.rejected",
             },
+            step=("LANES", 1),
         ),
         Kernel(
             "generate",
@@ -88,6 +91,7 @@ class Upscaling(Stage):
                 "history": "upscaling.history",
             },
             {"out_color": "upscaling.color"},
+            step=("LANES", 1),
         ),
     )
 
