@@ -35,11 +35,32 @@ INLINE void store_channels(const Wide4 c, const int count, __global half *image)
 
 /* Of the pixels i. */
 INLINE Wide4 gather_channels(__global const half *image, const Ints i) {
-    int pixel[LANES];
-    float texels[4 * LANES];
-    store_ints(i, 0, pixel);
-    for (int k = 0; k < LANES; ++k) vstore4(vload_half4(pixel[k], image), k, texels);
-    return channels_in(texels);
+    Strip s;
+#if LANES == 8
+    __global const ulong *texels = (__global const ulong *)image;  /* a texel each */
+    const ulong4 left = (ulong4)(texels[i.s0], texels[i.s1], texels[i.s2], texels[i.s3]);
+    const ulong4 right = (ulong4)(texels[i.s4], texels[i.s5], texels[i.s6], texels[i.s7]);
+    s.part[0] = vload_half16(0, (const half *)&left);
+    s.part[1] = vload_half16(0, (const half *)&right);
+#else
+    s.part[0] = vload_half4(i, image);
+#endif
+    Floats c[4];
+    channels_of(&s, c);
+    const Wide4 channels = {c[0], c[1], c[2], c[3]};
+    return channels;
+}
+
+/* The x and y of float2 that lie at i. */
+INLINE Floats gather_xy(__global const float2 *p, const Ints i, Floats *y) {
+#if LANES == 8
+    const float16 xy = (float16)(p[i.s0], p[i.s1], p[i.s2], p[i.s3], p[i.s4], p[i.s5], p[i.s6], p[i.s7]);
+    *y = xy.odd;
+    return xy.even;
+#else
+    *y = p[i].y;
+    return p[i].x;
+#endif
 }
 
 /* Texels x to x + 3 of a row; beyond the image its border goes on. */
@@ -49,6 +70,13 @@ inline float16 four_texels(__global const half *image, const int x, const int y,
     return (float16)(vload_half4(row + clamp(x, 0, width - 1), image), vload_half4(row + clamp(x + 1, 0, width - 1), image),
                      vload_half4(row + clamp(x + 2, 0, width - 1), image),
                      vload_half4(row + clamp(x + 3, 0, width - 1), image));
+}
+
+/* Two of them. */
+inline float8 two_texels(__global const half *image, const int x, const int y, const int width, const int height) {
+    const int row = clamp(y, 0, height - 1) * width;
+    if (x >= 0 && x + 2 <= width) return vload_half8(0, image + 4 * (row + x));
+    return (float8)(vload_half4(row + clamp(x, 0, width - 1), image), vload_half4(row + clamp(x + 1, 0, width - 1), image));
 }
 
 /* Cubic of the taps from (x, y) on, with these weights, clamped to the four inner ones. */

@@ -56,8 +56,9 @@ INLINE Ints within(const Floats px_x, const Floats px_y, const int width, const 
     return (px_x >= 0.0f) & (px_y >= 0.0f) & (px_x < (float)width) & (px_y < (float)height);  /* not of NaN */
 }
 
-/* Where the nearest of the 3x3 pixels around each is, if that is of another surface than the pixel's own. */
-INLINE Ints nearest_around(const Span p, __global const float *depth, Ints *near_x, Ints *near_y) {
+/* Where the nearest of the 3x3 pixels around each is, if that is of another surface than the pixel's own.
+   Gives whether any is. */
+INLINE bool nearest_around(const Span p, __global const float *depth, Ints *near_x, Ints *near_y) {
     const Floats own = beside(p, depth, 0, 0);
     Floats least_depth = own > 0.0f ? SAME_DEPTH * own : (Floats)(INFINITY);
     Ints dx = (Ints)(0), dy = (Ints)(0);
@@ -71,13 +72,7 @@ INLINE Ints nearest_around(const Span p, __global const float *depth, Ints *near
     }
     *near_x = clamp(p.x + LANE_NUMBERS + dx, (Ints)(0), (Ints)(p.width - 1));
     *near_y = clamp(p.y + dy, (Ints)(0), (Ints)(p.height - 1));
-    return *near_y * p.width + *near_x;
-}
-
-/* The x and y of float2 that lie at i. */
-INLINE Floats gather_xy(__global const float2 *p, const Ints i, Floats *y) {
-    *y = gather_floats((__global const float *)p, 2 * i + 1);
-    return gather_floats((__global const float *)p, 2 * i);
+    return ANY((dx != 0) | (dy != 0));
 }
 
 /* How much of px in the image before was not hidden by something nearer than `expected`: bilinear. */
@@ -101,21 +96,18 @@ INLINE Floats share_seen(const Floats px_x, const Floats px_y, const Floats expe
 /* c within the least and the most of the 2x2 texels of an image around px. */
 INLINE Wide4 within_range(const Wide4 c, const Floats px_x, const Floats px_y, const int width, const int height,
                           __global const half *image) {
-    const Ints left = to_ints(floor(px_x - 0.5f)), top = to_ints(floor(px_y - 0.5f));
-    Wide4 low, high;
-    for (int tap = 0; tap < 4; ++tap) {
-        const Ints x = clamp(left + (tap & 1), (Ints)(0), (Ints)(width - 1));
-        const Ints y = clamp(top + (tap >> 1), (Ints)(0), (Ints)(height - 1));
-        const Wide4 t = gather_channels(image, y * width + x);
-        low.x = tap ? lesser(low.x, t.x) : t.x;
-        low.y = tap ? lesser(low.y, t.y) : t.y;
-        low.z = tap ? lesser(low.z, t.z) : t.z;
-        high.x = tap ? greater(high.x, t.x) : t.x;
-        high.y = tap ? greater(high.y, t.y) : t.y;
-        high.z = tap ? greater(high.z, t.z) : t.z;
+    int left[LANES], top[LANES];
+    float low[4 * LANES], high[4 * LANES];
+    store_ints(to_ints(floor(px_x - 0.5f)), 0, left);
+    store_ints(to_ints(floor(px_y - 0.5f)), 0, top);
+    for (int k = 0; k < LANES; ++k) {
+        const float8 a = two_texels(image, left[k], top[k], width, height), b = two_texels(image, left[k], top[k] + 1, width, height);
+        const float8 least = a < b ? a : b, most = a < b ? b : a;
+        vstore4(least.lo < least.hi ? least.lo : least.hi, k, low);
+        vstore4(most.lo < most.hi ? most.hi : most.lo, k, high);
     }
-    const Wide4 clamped = {lesser(greater(c.x, low.x), high.x), lesser(greater(c.y, low.y), high.y),
-                           lesser(greater(c.z, low.z), high.z), c.w};
+    const Wide4 l = channels_in(low), h = channels_in(high);
+    const Wide4 clamped = {lesser(greater(c.x, l.x), h.x), lesser(greater(c.y, l.y), h.y), lesser(greater(c.z, l.z), h.z), c.w};
     return clamped;
 }
 
@@ -131,10 +123,11 @@ WIDE __kernel void compare(
     const Span p = {x, y, source_width, source_height,
                     x >= 1 && y >= 1 && x + LANES < source_width && y + 1 < source_height};
     Ints near_x, near_y;
-    const Ints nearest = nearest_around(p, depth, &near_x, &near_y);
-    const Floats z = gather_floats(depth, nearest);
+    const bool elsewhere = nearest_around(p, depth, &near_x, &near_y);
+    const Ints nearest = near_y * source_width + near_x;
+    const Floats z = elsewhere ? gather_floats(depth, nearest) : beside(p, depth, 0, 0);
     Floats moved_y;
-    const Floats moved_x = gather_xy(motion, nearest, &moved_y);
+    const Floats moved_x = elsewhere ? gather_xy(motion, nearest, &moved_y) : xy_beside(p, motion, 0, 0, &moved_y);
     Floats seen = 0.0f;
     if (has_history) {
         const Floats centre_x = to_floats(near_x) + 0.5f, centre_y = to_floats(near_y) + 0.5f;
@@ -206,27 +199,48 @@ INLINE Floats sample_weight(const Floats off) {
     return left * left;
 }
 
-/* The weighted sum of the 3x3 samples around LANES display pixels in row y of the rendered image; x: their columns. */
-INLINE Wide4 sum_of_samples(const Ints x, const int y, const Floats *wx, const float3 wy, const int width, const int height,
-                            __global const half *compressed) {
-    __global const half *above = compressed + 4 * (max(y - 1, 0) * width), *here = compressed + 4 * (y * width),
-                        *below = compressed + 4 * (min(y + 1, height - 1) * width);
+/* The weighted sum of the 3x3 samples around pixel (x, y). */
+inline float4 sum_around(const int x, const int y, const float3 wx, const float3 wy, const int width, const int height,
+                         __global const half *compressed) {
+    const float16 columns = wy.x * four_texels(compressed, x - 1, y - 1, width, height)
+                            + wy.y * four_texels(compressed, x - 1, y, width, height)
+                            + wy.z * four_texels(compressed, x - 1, y + 1, width, height);
+    return wx.x * columns.s0123 + wx.y * columns.s4567 + wx.z * columns.s89ab;
+}
+
+/* The same of LANES pixels of a row, which share columns where pixels are small. */
+INLINE Wide4 sums_around(const Ints x, const int y, const Floats *wx, const float3 wy, const int width, const int height,
+                         __global const half *compressed) {
+    float sums[4 * LANES], weights[3][LANES];
     int column[LANES];
-    float weights[3][LANES], sums[4 * LANES];
     store_ints(x, 0, column);
     for (int k = 0; k < 3; ++k) store_floats(wx[k], 0, weights[k]);
-    float4 left, middle, right = (float4)(0.0f);
-    int next = column[0] - 1;  /* the column after that of `right` */
-    left = middle = right;
-    for (int k = 0; k < LANES; ++k) {
-        for (next = max(next, column[k] - 1); next <= column[k] + 1; ++next) {
-            const int i = clamp(next, 0, width - 1);
-            left = middle;
-            middle = right;
-            right = wy.x * vload_half4(i, above) + wy.y * vload_half4(i, here) + wy.z * vload_half4(i, below);
+#if LANES == 8
+    const int first = column[0] - 1;
+    if (column[7] - first <= 10) {
+        float texels[48];
+#pragma unroll
+        for (int k = 0; k < 3; ++k)
+            vstore16(wy.x * four_texels(compressed, first + 4 * k, y - 1, width, height)
+                     + wy.y * four_texels(compressed, first + 4 * k, y, width, height)
+                     + wy.z * four_texels(compressed, first + 4 * k, y + 1, width, height), k, texels);
+        Strip s;
+#pragma unroll
+        for (int part = 0; part < PARTS; ++part) {
+            const float *a = texels + 4 * (column[4 * part] - column[0]), *b = texels + 4 * (column[4 * part + 1] - column[0]),
+                        *c = texels + 4 * (column[4 * part + 2] - column[0]), *d = texels + 4 * (column[4 * part + 3] - column[0]);
+            s.part[part] = OF_TEXELS(wx[0], part) * (float16)(vload4(0, a), vload4(0, b), vload4(0, c), vload4(0, d))
+                           + OF_TEXELS(wx[1], part) * (float16)(vload4(1, a), vload4(1, b), vload4(1, c), vload4(1, d))
+                           + OF_TEXELS(wx[2], part) * (float16)(vload4(2, a), vload4(2, b), vload4(2, c), vload4(2, d));
         }
-        vstore4(weights[0][k] * left + weights[1][k] * middle + weights[2][k] * right, k, sums);
+        Floats c[4];
+        channels_of(&s, c);
+        const Wide4 channels = {c[0], c[1], c[2], c[3]};
+        return channels;
     }
+#endif
+    for (int k = 0; k < LANES; ++k)
+        vstore4(sum_around(column[k], y, (float3)(weights[0][k], weights[1][k], weights[2][k]), wy, width, height, compressed), k, sums);
     return channels_in(sums);
 }
 
@@ -264,7 +278,7 @@ WIDE __kernel void accumulate(
     const Floats wx[3] = {sample_weight(off_x - pixel_size.x), sample_weight(off_x), sample_weight(off_x + pixel_size.x)};
     const Floats wy[3] = {sample_weight(off_y - pixel_size.y), sample_weight(off_y), sample_weight(off_y + pixel_size.y)};
     const float3 wy3 = (float3)(FIRST_LANE(wy[0]), FIRST_LANE(wy[1]), FIRST_LANE(wy[2]));
-    Wide4 sum = sum_of_samples(x, y, wx, wy3, source_width, source_height, compressed);
+    Wide4 sum = sums_around(x, y, wx, wy3, source_width, source_height, compressed);
     Floats total = (wx[0] + wx[1] + wx[2]) * (wy[0] + wy[1] + wy[2]);
 
     /* History: believed as far as it foretold the samples around, within their colours. */
@@ -280,7 +294,7 @@ WIDE __kernel void accumulate(
         const Ints near = to_ints(known ? px_previous_y : (Floats)(0.0f)) * target_width + to_ints(known ? px_previous_x : (Floats)(0.0f));
         const Floats trust = lesser(greater((WRONG - around.w) * (1.0f / (WRONG - RIGHT)), (Floats)(0.0f)), (Floats)(1.0f)) * middle.w;
         const Floats agreed = lesser(to_floats(gather_bytes(lock, near)) + 1.0f, (Floats)(LOCK_FRAMES));
-        locked = known & (trust >= 1.0f) ? agreed : (Floats)(0.0f);
+        locked = (known & (trust >= 1.0f)) ? agreed : (Floats)(0.0f);
         Floats clipped;
         past = bounded(cubic_at(known, px_previous_x, px_previous_y, target_width, target_height, history), middle, around,
                        LOCKED_ROOM * (locked * (1.0f / LOCK_FRAMES)), exposure, &clipped);
@@ -318,13 +332,15 @@ WIDE __kernel void generate(const int target_width, const int target_height, con
     const Span p = {x, y, target_width, target_height,
                     x >= 1 && y >= 1 && x + LANES < target_width && y + 1 < target_height};
     Ints near_x, near_y;
-    const Ints nearest = nearest_around(p, depth, &near_x, &near_y);
+    const bool elsewhere = nearest_around(p, depth, &near_x, &near_y);
+    const Ints nearest = near_y * target_width + near_x;
     Floats moved_y;
-    const Floats moved_x = gather_xy(motion, nearest, &moved_y);
+    const Floats moved_x = elsewhere ? gather_xy(motion, nearest, &moved_y) : xy_beside(p, motion, 0, 0, &moved_y);
     const Floats centre_x = to_floats(near_x) + 0.5f, centre_y = to_floats(near_y) + 0.5f;
     const Floats px_x = row_centres(x) + ((centre_x + moved_x) * to_shown.x + to_shown.z - centre_x);
     const Floats px_y = ((float)y + 0.5f) + ((centre_y + moved_y) * to_shown.y + to_shown.w - centre_y);
-    const Ints uncovered = bytes_beside(p, disoccluded, 0, 0) | to_ints(gather_bytes(disoccluded, nearest));
+    Ints uncovered = bytes_beside(p, disoccluded, 0, 0);
+    if (elsewhere) uncovered |= to_ints(gather_bytes(disoccluded, nearest));
     const Ints seen = (uncovered == 0) & within(px_x, px_y, target_width, target_height);
     Wide4 shown = cubic_at(seen, px_x, px_y, target_width, target_height, history);
     const Ints own_i = clamped_beside(p, 0, 0);
