@@ -7,10 +7,11 @@
    in         color            render    the rendered frame
               depth, motion    render    its depth, and its motion into the render image before
               previous_depth   render    of the rendered frame before
-   between    compressed       render    its colour, compressed; A: how far it is beyond the history around
+   between    compressed       render    its colour, compressed; A: share of `dilated` that was not hidden before
               dilated          render    motion of the nearest surface around; NaN where that was hidden before
-              mean             render    of 3x3 compressed colours; A: share of `dilated` that was not hidden before
-              deviation        render    theirs; A: the error of the history around, in deviations
+              surprise         render    how far the colour is beyond the history around, compressed; A: 1 where there is any
+              mean             render    of 3x3 compressed colours; A: how far the history is trusted
+              deviation        render    theirs; A: by how much more light there is than in the history
    state      history          display   colour, linear: what is shown; A: how many samples are behind it
               lock             display   frames in a row in which it foretold the samples
    out        rejected         display   which share of the history was not believed
@@ -22,14 +23,15 @@
 
 #define REACH 1.1f            /* display pixels: from where on a sample does not count */
 #define MOST_WEIGHT 12.0f     /* of the history, in samples */
-#define LEAST_WEIGHT 0.3f     /* of what is shown until samples come */
-#define FRESH 0.6f            /* share of the rendered frame in that; the rest is the history, clipped */
-#define DEVIATIONS 1.3f         /* deviations from the mean that a history may have */
+#define LEAST_WEIGHT 0.8f     /* of what is shown until samples come */
+#define FRESH 0.55f           /* share of the rendered frame in that; the rest is the history, clipped */
+#define DEVIATIONS 1.3f       /* deviations from the mean that a history may have */
 #define LOCKED_ROOM 0.5f      /* compressed colour beside that, after LOCK_FRAMES: thin features that no sample meets now */
 #define LOCK_FRAMES 8.0f
-#define NOISE 0.01f           /* of compressed colours, beside their deviation */
-#define RIGHT 0.2f            /* deviations: error up to which the history is believed, and from which on it is not */
-#define WRONG 0.5f
+#define NOISE 0.015f          /* of compressed colours, beside their deviation */
+#define SCATTER 0.5f          /* weight of the scatter of what the history lacks, against its mean, which is followed */
+#define RIGHT 0.1f            /* deviations: error up to which the history is believed, and from which on it is not */
+#define WRONG 0.9f
 #define CLIPPED 4.0f          /* loss of belief by how much had to be clipped */
 #define SAME_DEPTH 0.96f      /* relative depth from which on it is the same surface */
 
@@ -117,7 +119,7 @@ WIDE __kernel void compare(
     const Reprojection to_previous, const float4 to_previous_display, const float exposure, const int has_history,
     __global const half *color, __global const float *depth, __global const float2 *motion,
     __global const float *previous_depth, __global const half *history, __global half *out_compressed,
-    __global float2 *out_dilated, __global half *out_mean) {
+    __global float2 *out_dilated, __global half *out_surprise) {
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * source_width + x, count = source_width - x;
     if (count <= 0 || y >= source_height) return;
     const Span p = {x, y, source_width, source_height,
@@ -140,7 +142,7 @@ WIDE __kernel void compare(
     }
     const Wide4 raw = gather_channels(color, clamped_beside(p, 0, 0));
     const Wide4 own = {finite(raw.x), finite(raw.y), finite(raw.z), (Floats)(0.0f)};
-    Wide4 here = compressed_of(own.x, own.y, own.z, exposure);
+    Wide4 here = compressed_of(own.x, own.y, own.z, exposure), surprise = {(Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f)};
     const Ints known = seen > 0.0f;
     if (ANY(known)) {
         const Floats px_x = (row_centres(x) + moved_x) * to_previous_display.x + to_previous_display.z;
@@ -148,48 +150,63 @@ WIDE __kernel void compare(
         const Wide4 like = within_range(own, known ? px_x : (Floats)(0.0f), known ? px_y : (Floats)(0.0f), target_width, target_height,
                                         history);
         const Wide4 foretold = compressed_of(like.x, like.y, like.z, exposure);
-        const Floats off_x = here.x - foretold.x, off_y = here.y - foretold.y, off_z = here.z - foretold.z;
-        here.w = known ? sqrt(off_x * off_x + off_y * off_y + off_z * off_z) : (Floats)(0.0f);
+        surprise.x = known ? here.x - foretold.x : (Floats)(0.0f);
+        surprise.y = known ? here.y - foretold.y : (Floats)(0.0f);
+        surprise.z = known ? here.z - foretold.z : (Floats)(0.0f);
+        surprise.w = known ? (Floats)(1.0f) : (Floats)(0.0f);
     }
+    here.w = seen;
     store_channels(here, count, out_compressed + 4 * i);
     store_some_xy(known ? moved_x : (Floats)(NAN), known ? moved_y : (Floats)(NAN), count, out_dilated + i);
-    const Wide4 seen_only = {(Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f), seen};
-    store_channels(seen_only, count, out_mean + 4 * i);
+    store_channels(surprise, count, out_surprise + 4 * i);
 }
 
-/* Colours around each rendered pixel, and how well the history foretold them. */
-WIDE __kernel void survey(const int source_width, const int source_height, __global const half *compressed,
-                          __global half *mean, __global half *out_deviation) {
-    const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * source_width + x, count = source_width - x;
-    if (count <= 0 || y >= source_height) return;
-    const Span p = {x, y, source_width, source_height,
-                    x >= 1 && y >= 1 && x + LANES < source_width && y + 1 < source_height};
+/* Sums over 3x3 pixels, of the channels and of their squares. */
+INLINE void sums_beside(const Span p, __global const half *image, Floats *sum, Floats *square) {
     Strip sums, squares;
 #pragma unroll
     for (int part = 0; part < PARTS; ++part) sums.part[part] = squares.part[part] = (Texels)(0.0f);
 #pragma unroll
     for (int k = 0; k < 9; ++k) {
         Strip c;
-        texels_beside(p, compressed, k % 3 - 1, k / 3 - 1, &c);
+        texels_beside(p, image, k % 3 - 1, k / 3 - 1, &c);
 #pragma unroll
         for (int part = 0; part < PARTS; ++part) {
             sums.part[part] += c.part[part];
             squares.part[part] += c.part[part] * c.part[part];
         }
     }
-    const float ninth = 1.0f / 9.0f;
-    Floats middle[4], square[4], variance[3];
-    channels_of(&sums, middle);
+    channels_of(&sums, sum);
     channels_of(&squares, square);
+}
+
+/* Colours around each rendered pixel, and how well the history foretold them: it may be darker or lighter than they are,
+   which is made up for; what is left tells how far it is trusted. */
+WIDE __kernel void survey(const int source_width, const int source_height, __global const half *compressed,
+                          __global const half *surprise, __global half *out_mean, __global half *out_deviation) {
+    const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * source_width + x, count = source_width - x;
+    if (count <= 0 || y >= source_height) return;
+    const Span p = {x, y, source_width, source_height,
+                    x >= 1 && y >= 1 && x + LANES < source_width && y + 1 < source_height};
+    const float ninth = 1.0f / 9.0f;
+    Floats middle[4], square[4], off[4], off_square[4], variance[3];
+    sums_beside(p, compressed, middle, square);
+    sums_beside(p, surprise, off, off_square);
 #pragma unroll
     for (int c = 0; c < 3; ++c) {
         middle[c] *= ninth;
         variance[c] = greater(square[c] * ninth - middle[c] * middle[c], (Floats)(0.0f));
     }
-    const Floats error = sqrt(wide_divide(square[3] * ninth, variance[0] + variance[1] + variance[2] + NOISE * NOISE));
-    const Wide4 of_mean = {middle[0], middle[1], middle[2], gather_channels(mean, clamped_beside(p, 0, 0)).w};
-    const Wide4 deviation = {sqrt(variance[0]), sqrt(variance[1]), sqrt(variance[2]), lesser(error, (Floats)(10.0f))};
-    store_channels(of_mean, count, mean + 4 * i);
+    const Floats per_known = wide_divide((Floats)(1.0f), greater(off[3], (Floats)(1.0f)));
+    const Floats bias = off[0] * per_known, scatter = greater(off_square[0] * per_known - bias * bias, (Floats)(0.0f));
+    const Floats shift = bias * wide_divide(bias * bias, bias * bias + SCATTER * scatter + 1e-8f);
+    const Floats missed = greater((off_square[0] + off_square[1] + off_square[2]) * per_known - shift * (2.0f * bias - shift), (Floats)(0.0f));
+    const Floats error = sqrt(wide_divide(missed, variance[0] + variance[1] + variance[2] + NOISE * NOISE));
+    const Floats trust = lesser(greater((WRONG - error) * (1.0f / (WRONG - RIGHT)), (Floats)(0.0f)), (Floats)(1.0f));
+    const Floats seen = gather_channels(compressed, clamped_beside(p, 0, 0)).w;
+    const Wide4 of_mean = {middle[0], middle[1], middle[2], trust * seen};
+    const Wide4 deviation = {sqrt(variance[0]), sqrt(variance[1]), sqrt(variance[2]), shift};
+    store_channels(of_mean, count, out_mean + 4 * i);
     store_channels(deviation, count, out_deviation + 4 * i);
 }
 
@@ -244,10 +261,15 @@ INLINE Wide4 sums_around(const Ints x, const int y, const Floats *wx, const floa
     return channels_in(sums);
 }
 
-/* The history at px_previous, within `room` of the mean; how far it had to be moved there; the fourth channel: samples. */
+/* The history that was found, in today's light, within a few deviations of the mean; how far it had to be moved there; the
+   fourth channel: samples. */
 INLINE Wide4 bounded(const Wide4 found, const Wide4 mean, const Wide4 around, const Floats more_room, const float exposure,
                      Floats *clipped) {
-    const Wide4 before = compressed_of(found.x, found.y, found.z, exposure);
+    Wide4 before = compressed_of(found.x, found.y, found.z, exposure);
+    const Floats gain = wide_divide(greater(before.x + around.w, (Floats)(0.0f)), before.x + 1e-4f);
+    before.x *= gain;
+    before.y *= gain;
+    before.z *= gain;
     const Floats room_x = DEVIATIONS * around.x + NOISE + more_room, room_y = DEVIATIONS * around.y + NOISE + more_room,
                  room_z = DEVIATIONS * around.z + NOISE + more_room;
     const Wide4 past = {lesser(greater(before.x, mean.x - room_x), mean.x + room_x),
@@ -292,7 +314,7 @@ WIDE __kernel void accumulate(
     if (ANY(known)) {
         const Wide4 middle = gather_channels(mean, src), around = gather_channels(deviation, src);
         const Ints near = to_ints(known ? px_previous_y : (Floats)(0.0f)) * target_width + to_ints(known ? px_previous_x : (Floats)(0.0f));
-        const Floats trust = lesser(greater((WRONG - around.w) * (1.0f / (WRONG - RIGHT)), (Floats)(0.0f)), (Floats)(1.0f)) * middle.w;
+        const Floats trust = middle.w;
         const Floats agreed = lesser(to_floats(gather_bytes(lock, near)) + 1.0f, (Floats)(LOCK_FRAMES));
         locked = (known & (trust >= 1.0f)) ? agreed : (Floats)(0.0f);
         Floats clipped;
