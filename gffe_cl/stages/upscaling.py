@@ -21,20 +21,20 @@ class Upscaling(Stage):
     name = "upscaling"
     buffers = (
         BufferSpec(
-            "compressed", np.float16, _YCOCG, "source", "the rendered frame's colour, tone-mapped YCoCg; A: what was seen"
-            " before", scratch=True,
+            "compressed", np.float16, _YCOCG, "source", "the rendered frame's colour, tone-mapped YCoCg; A: what was"
+            " seen before", scratch=True,
         ),
         BufferSpec(
             "dilated", np.float32, XY, "source", "motion of the nearest surface around; NaN where that was not seen"
             " before", "motion",
         ),
         BufferSpec(
-            "surprise", np.float16, _YCOCG, "source", "how far it is beyond the history around; A: 1 where there is any",
-            scratch=True,
+            "surprise", np.float16, _YCOCG, "source", "how far it is beyond the history around; A: 1 where there is"
+            " any", scratch=True,
         ),
         BufferSpec(
-            "mean", np.float16, _YCOCG, "source", "mean colour of 3×3 pixels, tone-mapped YCoCg; A: trust in the history",
-            scratch=True,
+            "mean", np.float16, _YCOCG, "source", "mean colour of 3×3 pixels, tone-mapped YCoCg; A: trust in the"
+            " history", scratch=True,
         ),
         BufferSpec(
             "deviation", np.float16, _YCOCG, "source", "its standard deviation; A: light that the history lacks",
