@@ -131,3 +131,54 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
                     k, texels);
     return channels_in(texels);
 }
+
+/* The same at LANES places of a row that are a pixel apart at most: they share columns of taps. */
+INLINE Wide4 cubic_in_row(const Ints use, const Floats px_x, const float px_y, const int width, const int height,
+                          __global const half *image) {
+#if LANES == 8
+    const Floats corner_x = px_x - 0.5f, first_x = floor(corner_x);
+    const float corner_y = px_y - 0.5f, first_y = floor(corner_y);
+    int x[LANES];
+    store_ints(to_ints(first_x) - 1, 0, x);
+    if (x[7] - x[0] <= 8) {
+        const int y = (int)first_y - 1;
+        const float4 wy = cubic_weights(corner_y - first_y);
+        float columns[48], low[48], high[48];
+#pragma unroll
+        for (int k = 0; k < 3; ++k) {
+            const float16 a = four_texels(image, x[0] + 4 * k, y, width, height), b = four_texels(image, x[0] + 4 * k, y + 1, width, height),
+                          c = four_texels(image, x[0] + 4 * k, y + 2, width, height), d = four_texels(image, x[0] + 4 * k, y + 3, width, height);
+            vstore16(wy.x * a + wy.y * b + wy.z * c + wy.w * d, k, columns);
+            vstore16(b < c ? b : c, k, low);
+            vstore16(b < c ? c : b, k, high);
+        }
+        Floats w[4];
+        wide_cubic_weights(corner_x - first_x, w);
+        Strip s;
+#pragma unroll
+        for (int part = 0; part < PARTS; ++part) {
+            float16 taps[4], least[2], most[2];
+            const int *lane = x + 4 * part;
+            const int a = 4 * (lane[0] - x[0]), b = 4 * (lane[1] - x[0]), c = 4 * (lane[2] - x[0]), d = 4 * (lane[3] - x[0]);
+#pragma unroll
+            for (int k = 0; k < 4; ++k)
+                taps[k] = (float16)(vload4(k, columns + a), vload4(k, columns + b), vload4(k, columns + c), vload4(k, columns + d));
+#pragma unroll
+            for (int k = 0; k < 2; ++k) {
+                least[k] = (float16)(vload4(k + 1, low + a), vload4(k + 1, low + b), vload4(k + 1, low + c), vload4(k + 1, low + d));
+                most[k] = (float16)(vload4(k + 1, high + a), vload4(k + 1, high + b), vload4(k + 1, high + c), vload4(k + 1, high + d));
+            }
+            const float16 sum = OF_TEXELS(w[0], part) * taps[0] + OF_TEXELS(w[1], part) * taps[1] + OF_TEXELS(w[2], part) * taps[2]
+                                + OF_TEXELS(w[3], part) * taps[3];
+            const float16 bottom = least[0] < least[1] ? least[0] : least[1], top = most[0] < most[1] ? most[1] : most[0];
+            const float16 raised = sum < bottom ? bottom : sum;
+            s.part[part] = top < raised ? top : raised;
+        }
+        Floats c[4];
+        channels_of(&s, c);
+        const Wide4 channels = {c[0], c[1], c[2], c[3]};
+        return channels;
+    }
+#endif
+    return cubic_at(use, px_x, (Floats)(px_y), width, height, image);
+}

@@ -325,7 +325,7 @@ WIDE __kernel void accumulate(
     }
     const Ints lacking = held < LEAST_WEIGHT;
     if (ANY(lacking)) {  /* until samples come, the frame itself fills in */
-        const Wide4 fresh = cubic_at(lacking, px_x, (Floats)(px_y), source_width, source_height, compressed);
+        const Wide4 fresh = cubic_in_row(lacking, px_x, px_y, source_width, source_height, compressed);
         const Floats part = FRESH * (1.0f - held * (1.0f / LEAST_WEIGHT)), share = known ? part : (Floats)(1.0f);
         past.x = lacking ? past.x + (fresh.x - past.x) * share : past.x;
         past.y = lacking ? past.y + (fresh.y - past.y) * share : past.y;
