@@ -33,18 +33,26 @@ INLINE Floats xy_beside(const Span p, __global const float2 *plane, const int dx
     return gather_floats((__global const float *)plane, i);
 }
 
-/* Colours without what is negative or no number, and 1 as a fourth channel. */
-INLINE void colors_beside(const Span p, __global const half *color, const int dx, const int dy, Strip *c) {
+/* Texels of a half image, as they are. */
+INLINE void texels_beside(const Span p, __global const half *image, const int dx, const int dy, Strip *c) {
     float texels[4 * LANES];
     if (!p.inner) {
         int pixel[LANES];
         store_ints(clamped_beside(p, dx, dy), 0, pixel);
-        for (int k = 0; k < LANES; ++k) vstore4(vload_half4(pixel[k], color), k, texels);
+        for (int k = 0; k < LANES; ++k) vstore4(vload_half4(pixel[k], image), k, texels);
     }
 #pragma unroll
+    for (int part = 0; part < PARTS; ++part)
+        c->part[part] = p.inner ? load_texels(part, image + 4 * first_beside(p, dx, dy)) : reload_texels(part, texels);
+}
+
+/* Colours without what is negative or no number, and 1 as a fourth channel. */
+INLINE void colors_beside(const Span p, __global const half *color, const int dx, const int dy, Strip *c) {
+    Strip all;
+    texels_beside(p, color, dx, dy, &all);
+#pragma unroll
     for (int part = 0; part < PARTS; ++part) {
-        const Texels all = p.inner ? load_texels(part, color + 4 * first_beside(p, dx, dy)) : reload_texels(part, texels);
-        const Texels low = all > 0.0f ? all : (Texels)(0.0f);
+        const Texels low = all.part[part] > 0.0f ? all.part[part] : (Texels)(0.0f);
         c->part[part] = low < COLOR_MAX ? low : (Texels)(COLOR_MAX);
         VALID(c->part[part]) = 1.0f;
     }

@@ -1,12 +1,22 @@
 /* Cubic (Catmull-Rom) interpolation of half images. */
 
 #include "rgb.h"
+#include "wide.h"
 
 /* Catmull-Rom weights of the four taps around t in [0, 1). */
 inline float4 cubic_weights(const float t) {
     const float t2 = t * t, t3 = t2 * t;
     return (float4)(-0.5f * t + t2 - 0.5f * t3, 1.0f - 2.5f * t2 + 1.5f * t3, 0.5f * t + 2.0f * t2 - 1.5f * t3,
                     0.5f * t3 - 0.5f * t2);
+}
+
+/* The same of LANES numbers, by tap. */
+inline void wide_cubic_weights(const Floats t, Floats *weights) {
+    const Floats t2 = t * t, t3 = t2 * t;
+    weights[0] = -0.5f * t + t2 - 0.5f * t3;
+    weights[1] = 1.0f - 2.5f * t2 + 1.5f * t3;
+    weights[2] = 0.5f * t + 2.0f * t2 - 1.5f * t3;
+    weights[3] = 0.5f * t3 - 0.5f * t2;
 }
 
 /* Cubic interpolation of the 4x4 taps from (x0, y0) on, which lie in the image, clamped to the four inner ones. */
@@ -63,26 +73,34 @@ inline bool cubic_of_finite(const int first, const float4 wx, const float4 wy, c
 #define SPREAD(w) ((w).s0000111122223333)
 #define WITHOUT_ALPHA(c) ((float16)((c).s012, 0.0f, (c).s456, 0.0f, (c).s89a, 0.0f, (c).scde, 0.0f))
 
-/* The same of four pixels in a row whose taps lie in a row. */
-inline bool cubic_of_four(const int first, const float4 *wx, const float4 *wy, const int width, __global const half *color,
-                          const int dst, __global half *out_color) {
-    float16 sum, low, high;
+/* cubic_of_rows of four pixels in a row whose taps lie in a row, from index `first` on. */
+inline float16 cubic_of_run(const int first, const float4 *wx, const float4 *wy, const int width, __global const half *color,
+                            float16 *sum) {
+    float16 total, low, high;
 #pragma unroll
     for (int tx = 0; tx < 4; ++tx) {
         __global const half *p = color + 4 * (first + tx);
         const float16 a = vload_half16(0, p), b = vload_half16(0, p + 4 * width), c = vload_half16(0, p + 8 * width),
                       d = vload_half16(0, p + 12 * width);
         const float16 column = SPREAD(wy[0]) * a + SPREAD(wy[1]) * b + SPREAD(wy[2]) * c + SPREAD(wy[3]) * d;
-        sum = tx == 0 ? SPREAD(wx[0]) * column : sum + SPREAD(wx[tx]) * column;
+        total = tx == 0 ? SPREAD(wx[0]) * column : total + SPREAD(wx[tx]) * column;
         if (tx == 0 || tx == 3) continue;
         const float16 lower = b < c ? b : c, higher = b < c ? c : b;
         low = tx == 1 ? lower : low < lower ? low : lower;
         high = tx == 1 ? higher : high < higher ? higher : high;
     }
-    sum = WITHOUT_ALPHA(sum);
-    const float16 raised = sum < low ? low : sum;
-    vstore_half16_rte(WITHOUT_ALPHA(high < raised ? high : raised), 0, out_color + 4 * dst);
-    return all(fabs(sum) <= COLOR_MAX);
+    *sum = total;
+    const float16 raised = total < low ? low : total;
+    return high < raised ? high : raised;
+}
+
+/* Their colours; false where a tap is no finite number. */
+inline bool cubic_of_four(const int first, const float4 *wx, const float4 *wy, const int width, __global const half *color,
+                          const int dst, __global half *out_color) {
+    float16 sum;
+    const float16 made = cubic_of_run(first, wx, wy, width, color, &sum);
+    vstore_half16_rte(WITHOUT_ALPHA(made), 0, out_color + 4 * dst);
+    return all(fabs(WITHOUT_ALPHA(sum)) <= COLOR_MAX);
 }
 
 #endif

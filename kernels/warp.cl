@@ -284,15 +284,6 @@ inline Ints taps_alike(const Ints src, const Floats ox, const Floats oy, const i
     return alike;
 }
 
-/* Cubic weights of LANES positions, by tap. */
-inline void weights_of(const Floats t, Floats *weights) {
-    const Floats t2 = t * t, t3 = t2 * t;
-    weights[0] = -0.5f * t + t2 - 0.5f * t3;
-    weights[1] = 1.0f - 2.5f * t2 + 1.5f * t3;
-    weights[2] = 0.5f * t + 2.0f * t2 - 1.5f * t3;
-    weights[3] = 0.5f * t3 - 0.5f * t2;
-}
-
 /* Colours at (u, v) from the pixels `tap`, next to the winners `src`, for the lanes in `use`. */
 inline void resample_lanes(const int dst, const Ints use, const Ints alike, const Ints src, const Ints tap, const Floats u,
                            const Floats v, const int source_width, __global const half *color, __global half *out_color) {
@@ -300,8 +291,8 @@ inline void resample_lanes(const int dst, const Ints use, const Ints alike, cons
     float lane_u[LANES], lane_v[LANES], lanes_x[4][LANES], lanes_y[4][LANES];
     Floats wx[4], wy[4];
     store_ints(tap, 0, lane_tap);
-    weights_of(u, wx);
-    weights_of(v, wy);
+    wide_cubic_weights(u, wx);
+    wide_cubic_weights(v, wy);
     const Ints exact = (tap == src) & (u == 0.0f) & (v == 0.0f);
 #if LANES == 8
     /* Halves whose taps lie in a row; where a tap is no finite number, and elsewhere, one lane after another. */

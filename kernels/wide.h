@@ -141,6 +141,17 @@ inline void store_some_bytes(const Bytes v, const int count, __global uchar *p) 
     for (int k = 0; k < count; ++k) p[k] = lanes[k];
 }
 
+inline void store_some_xy(const Floats x, const Floats y, const int count, __global float2 *p) {
+    if (count >= LANES) {
+        store_xy(x, y, p);
+        return;
+    }
+    float lanes_x[LANES], lanes_y[LANES];
+    store_floats(x, 0, lanes_x);
+    store_floats(y, 0, lanes_y);
+    for (int k = 0; k < count; ++k) p[k] = (float2)(lanes_x[k], lanes_y[k]);
+}
+
 inline void store_some_halfs(const Floats v, const int count, __global half *p) {
     if (count >= LANES) {
         store_halfs(v, 0, p);

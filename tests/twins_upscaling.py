@@ -93,7 +93,7 @@ def share_seen(px, expected, depth_prev):
 
 
 def compare(color, depth, motion, depth_prev, history, to_previous, to_previous_display, exposure, has_history):
-    """compressed (H, W, 4), dilated (H, W, 2), seen (H, W)."""
+    """compressed (H, W, 4), dilated (H, W, 2), surprise (H, W, 4)."""
     height, width = depth.shape
     near = nearest_around(depth)
     centre, moved, z = centres(height, width)[near], motion[near], depth[near]
@@ -108,22 +108,34 @@ def compare(color, depth, motion, depth_prev, history, to_previous, to_previous_
     own = load_color(color)
     here = compressed_of(own, exposure)
     _, low, high = cubic_at(np.where((seen > 0)[..., None], px, F(1)), history)
-    off = here - compressed_of(np.clip(own, low, high), exposure)
-    error = np.where(seen > 0, np.sqrt((off * off).sum(-1)), F(0))
-    dilated = np.where((seen > 0)[..., None], moved, F(np.nan))
-    return np.concatenate([here, error[..., None]], -1).astype(np.float16), dilated, seen.astype(np.float16)
+    known = (seen > 0)[..., None]
+    off = np.where(known, here - compressed_of(np.clip(own, low, high), exposure), F(0))
+    dilated = np.where(known, moved, F(np.nan))
+    compressed, surprise = np.concatenate([here, seen[..., None]], -1), np.concatenate([off, known], -1)
+    return compressed.astype(np.float16), dilated, surprise.astype(np.float16)
 
 
-def survey(compressed):
-    """mean (H, W, 3), deviation (H, W, 4)."""
-    c = np.pad(compressed.astype(F), ((1, 1), (1, 1), (0, 0)), mode="edge")
+def survey(compressed, surprise):
+    """mean (H, W, 4), deviation (H, W, 4)."""
     height, width = compressed.shape[:2]
-    around = np.stack([c[j : j + height, i : i + width] for j in range(3) for i in range(3)])
-    mean, square = around.sum(0) * F(1 / 9), (around * around).sum(0) * F(1 / 9)
-    variance = np.maximum(square - mean * mean, F(0))[..., :3]
-    error = np.sqrt(square[..., 3] / (variance.sum(-1) + UP.NOISE * UP.NOISE))
-    deviation = np.concatenate([np.sqrt(variance), np.minimum(error, F(10))[..., None]], -1)
-    return mean[..., :3].astype(np.float16), deviation.astype(np.float16)
+
+    def sums(image):
+        c = np.pad(image.astype(F), ((1, 1), (1, 1), (0, 0)), mode="edge")
+        around = np.stack([c[j : j + height, i : i + width] for j in range(3) for i in range(3)])
+        return around.sum(0), (around * around).sum(0)
+
+    (total, square), (off, off_square) = sums(compressed), sums(surprise)
+    mean = total * F(1 / 9)
+    variance = np.maximum(square * F(1 / 9) - mean * mean, F(0))[..., :3]
+    known = np.maximum(off[..., 3], F(1))
+    bias = off[..., 0] / known
+    scatter = np.maximum(off_square[..., 0] / known - bias * bias, F(0))
+    shift = bias * (bias * bias / (bias * bias + UP.SCATTER * scatter + F(1e-8)))
+    missed = np.maximum(off_square[..., :3].sum(-1) / known - shift * (F(2) * bias - shift), F(0))
+    error = np.sqrt(missed / (variance.sum(-1) + UP.NOISE * UP.NOISE))
+    trust = np.clip((UP.WRONG - error) * (F(1) / (UP.WRONG - UP.RIGHT)), F(0), F(1)) * compressed[..., 3].astype(F)
+    mean = np.concatenate([mean[..., :3], trust[..., None]], -1)
+    return mean.astype(np.float16), np.concatenate([np.sqrt(variance), shift[..., None]], -1).astype(np.float16)
 
 
 def _sample_weights(off, step):
@@ -135,8 +147,8 @@ def _sample_weights(off, step):
 def accumulate(
     size, to_render, to_previous_display, exposure, has_history, compressed, dilated, mean, deviation, state
 ):
-    """history (H, W, 4), lock (H, W), share of the history that is rejected (H, W) float; `mean` with what was seen as
-    its fourth channel; `state`: history and lock before."""
+    """history (H, W, 4), lock (H, W), share of the history that is rejected (H, W) float; `state`: history and lock
+    before."""
     width, height = size
     rows, columns = dilated.shape[:2]
     compressed, mean, deviation = (a.astype(F) for a in (compressed, mean, deviation))
@@ -158,12 +170,13 @@ def accumulate(
     known = within(px_previous, (height, width)) & bool(has_history)
     at = np.where(known[..., None], px_previous, F(0))
     middle, around = mean[y, x], deviation[y, x]
-    trust = np.clip((UP.WRONG - around[..., 3]) * (F(1) / (UP.WRONG - UP.RIGHT)), F(0), F(1)) * middle[..., 3]
+    trust = middle[..., 3]
     before = lock[at[..., 1].astype(int), at[..., 0].astype(int)].astype(F)
     locked = np.where(known & (trust >= 1), np.minimum(before + F(1), UP.LOCK_FRAMES), F(0))
     room = UP.DEVIATIONS * around[..., :3] + UP.NOISE + (UP.LOCKED_ROOM * locked / UP.LOCK_FRAMES)[..., None]
     found, _, _ = cubic_at(at, history)
     past = compressed_of(found[..., :3], exposure)
+    past = past * (np.maximum(past[..., :1] + around[..., 3:], F(0)) / (past[..., :1] + F(1e-4)))
     kept = np.minimum(np.maximum(past, middle[..., :3] - room), middle[..., :3] + room)
     clipped = np.abs(kept - past).sum(-1)
     believed = np.where(known, trust * np.maximum(F(1) - UP.CLIPPED * clipped, F(0)), F(0))

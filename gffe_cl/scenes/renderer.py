@@ -128,6 +128,7 @@ class SceneRenderer:
         other_time: float | None = None,
         other_camera: Camera | None = None,
         offset=(0.0, 0.0, 0.0),
+        phase: int = 0,
     ) -> SceneImage:
         """Render at `time` through `camera` (pixels of this renderer's image, any principal point).
 
@@ -139,6 +140,8 @@ class SceneRenderer:
             after will do. None: the same time; the same camera.
         offset : (3,) world units
             The whole world is moved by it; `camera` and `other_camera` stand in the moved world.
+        phase : int
+            Of the directions in which rough surfaces reflect: frames of different phases average to more of them.
         """
         other_time = time if other_time is None else other_time
         other_camera = camera if other_camera is None else other_camera
@@ -172,6 +175,7 @@ class SceneRenderer:
             "keys": self._keys,
             "base": min(_BASE_SAMPLES, self.samples),
             "samples": self.samples,
+            "phase": phase,
             "footprint": np.float32(self.footprint),
             "width": self.width,
             "height": self.height,

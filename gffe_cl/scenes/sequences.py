@@ -66,15 +66,17 @@ class SceneFrames:
         window = self.windows.choose(shown, before and before.shown_camera)
         return self.jitter.camera(window.camera(shown, self.size, self.render_size), number)
 
-    def image(self, time: float, camera: Camera, before: RenderedFrame | None = None) -> SceneImage:
-        """On the device, until the next one is rendered. Motion refers to `before`; None: to the frame itself."""
-        return self.renderer.render(time, camera, before and before.time, before and before.camera)
+    def image(self, time: float, camera: Camera, before: RenderedFrame | None = None, number: int = 0) -> SceneImage:
+        """On the device, until the next one is rendered. Motion refers to `before`; None: to the frame itself.
+        `number`: for jitter."""
+        phase = number % self.jitter.length
+        return self.renderer.render(time, camera, before and before.time, before and before.camera, phase=phase)
 
     def rendered(self, time: float, before: RenderedFrame | None = None, number: int = 0) -> RenderedFrame:
         """The rendered frame at `time` after `before`, of host arrays; a reset without one. `number`: for jitter."""
         shown = self.display_camera(time)
         camera = self.render_camera(shown, before, number)
-        image = self.image(time, camera, before).numpy()
+        image = self.image(time, camera, before, number).numpy()
         self.windows.observe(image.depth)
         return RenderedFrame(image.color, image.depth, image.motion, camera, time, shown, reset=before is None)
 

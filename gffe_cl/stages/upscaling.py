@@ -22,15 +22,23 @@ class Upscaling(Stage):
     name = "upscaling"
     buffers = (
         BufferSpec(
-            "compressed", np.float16, _YCOCG, "source", "the rendered frame's colour, tone-mapped YCoCg", scratch=True
+            "compressed", np.float16, _YCOCG, "source", "the rendered frame's colour, tone-mapped YCoCg; A: what was"
+            " seen before", scratch=True,
         ),
         BufferSpec(
             "dilated", np.float32, XY, "source", "motion of the nearest surface around; NaN where that was not seen"
             " before", "motion",
         ),
-        BufferSpec("mean", np.float16, _YCOCG, "source", "mean colour of 3×3 pixels, tone-mapped YCoCg", scratch=True),
         BufferSpec(
-            "deviation", np.float16, _YCOCG, "source", "its standard deviation; A: a thin feature runs through",
+            "surprise", np.float16, _YCOCG, "source", "how far it is beyond the history around; A: 1 where there is"
+            " any", scratch=True,
+        ),
+        BufferSpec(
+            "mean", np.float16, _YCOCG, "source", "mean colour of 3×3 pixels, tone-mapped YCoCg; A: trust in the"
+            " history", scratch=True,
+        ),
+        BufferSpec(
+            "deviation", np.float16, _YCOCG, "source", "its standard deviation; A: light that the history lacks",
             scratch=True,
         ),
         BufferSpec(
@@ -58,14 +66,16 @@ class Upscaling(Stage):
             {
                 "out_compressed": "upscaling.compressed",
                 "out_dilated": "upscaling.dilated",
-                "out_mean": "upscaling.mean",
+                "out_surprise": "upscaling.surprise",
             },
+            step=("LANES", 1),
         ),
         Kernel(
             "survey",
             "source",
-            {"compressed": "upscaling.compressed", "mean": "upscaling.mean"},
-            {"mean": "upscaling.mean", "out_deviation": "upscaling.deviation"},
+            {"compressed": "upscaling.compressed", "surprise": "upscaling.surprise"},
+            {"out_mean": "upscaling.mean", "out_deviation": "upscaling.deviation"},
+            step=("LANES", 1),
         ),
         Kernel(
             "accumulate",
@@ -78,6 +88,7 @@ class Upscaling(Stage):
                 **{f"out_{name}": f"upscaling.{name}" for name in ("history", "lock")},
                 "rejected": "upscaling.rejected",
             },
+            step=("LANES", 1),
         ),
         Kernel(
             "generate",
@@ -89,6 +100,7 @@ class Upscaling(Stage):
                 "history": "upscaling.history",
             },
             {"out_color": "upscaling.color"},
+            step=("LANES", 1),
         ),
     )
 

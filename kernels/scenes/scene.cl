@@ -2,7 +2,7 @@
 
    Space: "rel" is the world with its origin at the camera; "local" is an object's own rigid frame, in which its
    primitives and textures are given. An unnormalised primary direction has view z = 1, so that its t is planar depth.
-   Nothing here is random: soft shadows are closest-approach estimates, glossiness is a fixed fan of directions. */
+   Nothing here is random: soft shadows are closest-approach estimates, glossiness is a fan of directions. */
 
 #include "../common.h"
 #include "geometry.h"
@@ -178,10 +178,11 @@ __kernel void surfaces(WORLD_ARGUMENTS, __global float *depth, __global float2 *
 }
 
 /* Antialiased colour: `base` samples where the surroundings are one surface, `samples` elsewhere; a surface is shaded
-   once per pixel and its reflections once per sample. Textures are filtered over `footprint` pixels. */
+   once per pixel and its reflections once per sample. Textures are filtered over `footprint` pixels. Frames that are
+   gathered over time have a `phase` each, so that few samples do not show the same part of a rough reflection in all. */
 __kernel __attribute__((vec_type_hint(float4))) /* scalar code: Intel's vectoriser makes this kernel 20 times slower */
 void shade(WORLD_ARGUMENTS, __global const float *depth, __global const int *object_id, __global const int *keys,
-           const int base, const int samples, const float footprint, __global half *color) {
+           const int base, const int samples, const int phase, const float footprint, __global half *color) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;
     const World w = WORLD;
@@ -274,8 +275,10 @@ void shade(WORLD_ARGUMENTS, __global const float *depth, __global const int *obj
             if (mirrored < 0.015f) break;
             weight *= mirrored * (finish.x > 0.5f ? materials[material_index * MATERIAL_SIZE].xyz : (float3)(1.0f));
             if (finish.y < 0.05f) count = samples;
-            /* A fixed fan of directions for rough mirrors. */
-            const float turn_angle = 2.3999632f * (float)s, lean = finish.y * sqrt(((float)s + 0.5f) / (float)samples);
+            /* A fan of directions for rough mirrors, another one for each phase. */
+            const float turn_angle = 2.3999632f * (float)(s + phase * samples);
+            const float away = ((float)s + 0.5f) / (float)samples + 0.61803399f * (float)phase;
+            const float lean = finish.y * sqrt(away - floor(away));
             const bool upright = fabs(n.y) < 0.9f;
             const float3 side = normalize(cross(n, (float3)(upright ? 0.0f : 1.0f, upright ? 1.0f : 0.0f, 0.0f)));
             const float3 aside = cos(turn_angle) * side + sin(turn_angle) * cross(n, side);

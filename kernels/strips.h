@@ -1,0 +1,184 @@
+/* LANES texels of half images at once, wherever they lie, and cubic interpolation at LANES places (upscaling.cl). */
+
+#include "wide_rgb.h"
+#include "cubic.h"
+
+/* Of numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN. */
+inline Floats lesser(const Floats a, const Floats b) { return a < b ? a : b; }
+inline Floats greater(const Floats a, const Floats b) { return a < b ? b : a; }
+
+/* Four channels of each lane. */
+typedef struct { Floats x, y, z, w; } Wide4;
+
+/* float4 of each lane, as they lie in memory -> channels, and back into the first `count` pixels of a row. */
+INLINE Wide4 channels_in(const float *texels) {
+    Strip s;
+    Floats c[4];
+    for (int part = 0; part < PARTS; ++part) s.part[part] = reload_texels(part, texels);
+    channels_of(&s, c);
+    const Wide4 channels = {c[0], c[1], c[2], c[3]};
+    return channels;
+}
+
+INLINE void store_channels(const Wide4 c, const int count, __global half *image) {
+    Strip s;
+#if LANES == 8
+    s.part[0] = (float16)(c.x.s0, c.y.s0, c.z.s0, c.w.s0, c.x.s1, c.y.s1, c.z.s1, c.w.s1, c.x.s2, c.y.s2, c.z.s2, c.w.s2,
+                          c.x.s3, c.y.s3, c.z.s3, c.w.s3);
+    s.part[1] = (float16)(c.x.s4, c.y.s4, c.z.s4, c.w.s4, c.x.s5, c.y.s5, c.z.s5, c.w.s5, c.x.s6, c.y.s6, c.z.s6, c.w.s6,
+                          c.x.s7, c.y.s7, c.z.s7, c.w.s7);
+#else
+    s.part[0] = (float4)(c.x, c.y, c.z, c.w);
+#endif
+    store_strip(s, count, image);
+}
+
+/* Of the pixels i. */
+INLINE Wide4 gather_channels(__global const half *image, const Ints i) {
+    Strip s;
+#if LANES == 8
+    __global const ulong *texels = (__global const ulong *)image;  /* a texel each */
+    const ulong4 left = (ulong4)(texels[i.s0], texels[i.s1], texels[i.s2], texels[i.s3]);
+    const ulong4 right = (ulong4)(texels[i.s4], texels[i.s5], texels[i.s6], texels[i.s7]);
+    s.part[0] = vload_half16(0, (const half *)&left);
+    s.part[1] = vload_half16(0, (const half *)&right);
+#else
+    s.part[0] = vload_half4(i, image);
+#endif
+    Floats c[4];
+    channels_of(&s, c);
+    const Wide4 channels = {c[0], c[1], c[2], c[3]};
+    return channels;
+}
+
+/* The x and y of float2 that lie at i. */
+INLINE Floats gather_xy(__global const float2 *p, const Ints i, Floats *y) {
+#if LANES == 8
+    const float16 xy = (float16)(p[i.s0], p[i.s1], p[i.s2], p[i.s3], p[i.s4], p[i.s5], p[i.s6], p[i.s7]);
+    *y = xy.odd;
+    return xy.even;
+#else
+    *y = p[i].y;
+    return p[i].x;
+#endif
+}
+
+/* Texels x to x + 3 of a row; beyond the image its border goes on. */
+inline float16 four_texels(__global const half *image, const int x, const int y, const int width, const int height) {
+    const int row = clamp(y, 0, height - 1) * width;
+    if (x >= 0 && x + 4 <= width) return vload_half16(0, image + 4 * (row + x));
+    return (float16)(vload_half4(row + clamp(x, 0, width - 1), image), vload_half4(row + clamp(x + 1, 0, width - 1), image),
+                     vload_half4(row + clamp(x + 2, 0, width - 1), image),
+                     vload_half4(row + clamp(x + 3, 0, width - 1), image));
+}
+
+/* Two of them. */
+inline float8 two_texels(__global const half *image, const int x, const int y, const int width, const int height) {
+    const int row = clamp(y, 0, height - 1) * width;
+    if (x >= 0 && x + 2 <= width) return vload_half8(0, image + 4 * (row + x));
+    return (float8)(vload_half4(row + clamp(x, 0, width - 1), image), vload_half4(row + clamp(x + 1, 0, width - 1), image));
+}
+
+/* Cubic of the taps from (x, y) on, with these weights, clamped to the four inner ones. */
+inline float4 cubic_from(const int x, const int y, const float4 wx, const float4 wy, const int width, const int height,
+                         __global const half *image) {
+    float4 sum;
+    return cubic_of_rows(four_texels(image, x, y, width, height), four_texels(image, x, y + 1, width, height),
+                         four_texels(image, x, y + 2, width, height), four_texels(image, x, y + 3, width, height), wx, wy, &sum);
+}
+
+/* The image at LANES places of the lanes in `use` (others: 0), cubic, clamped to the four inner taps. Of finite numbers. */
+INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, const int width, const int height,
+                      __global const half *image) {
+    const Floats corner_x = (use ? px_x : (Floats)(0.5f)) - 0.5f, corner_y = (use ? px_y : (Floats)(0.5f)) - 0.5f;
+    const Floats first_x = floor(corner_x), first_y = floor(corner_y);
+    const Ints x = to_ints(first_x) - 1, y = to_ints(first_y) - 1;
+    Floats wx[4], wy[4];
+    wide_cubic_weights(corner_x - first_x, wx);
+    wide_cubic_weights(corner_y - first_y, wy);
+    int lane_use[LANES], lane_x[LANES], lane_y[LANES];
+    float texels[4 * LANES], lanes_x[4][LANES], lanes_y[4][LANES];
+    store_ints(x, 0, lane_x);
+    store_ints(y, 0, lane_y);
+    if (!ALL(use))
+        for (int k = 0; k < LANES; ++k) vstore4((float4)(0.0f), k, texels);
+    Ints rest = use;
+#if LANES == 8
+    /* Halves whose taps lie in a row, within the image. */
+    const Ints in_row = use & (x - LANE_NUMBERS == (int8)((int4)(lane_x[0]), (int4)(lane_x[4] - 4)))
+                        & (y == (int8)((int4)(lane_y[0]), (int4)(lane_y[4]))) & (x >= 0) & (y >= 0) & (x + 4 <= width)
+                        & (y + 4 <= height);
+    for (int k = 0; k < 2; ++k) {
+        if (!all(k ? in_row.hi : in_row.lo)) continue;
+        const float4 four_x[4] = {k ? wx[0].hi : wx[0].lo, k ? wx[1].hi : wx[1].lo, k ? wx[2].hi : wx[2].lo, k ? wx[3].hi : wx[3].lo};
+        const float4 four_y[4] = {k ? wy[0].hi : wy[0].lo, k ? wy[1].hi : wy[1].lo, k ? wy[2].hi : wy[2].lo, k ? wy[3].hi : wy[3].lo};
+        float16 sum;
+        store_texels(cubic_of_run(lane_y[4 * k] * width + lane_x[4 * k], four_x, four_y, width, image, &sum), k, texels);
+        if (k) rest.hi = (int4)(0);
+        else rest.lo = (int4)(0);
+    }
+    if (!any(rest)) return channels_in(texels);
+#endif
+    store_ints(rest, 0, lane_use);
+    for (int k = 0; k < 4; ++k) {
+        store_floats(wx[k], 0, lanes_x[k]);
+        store_floats(wy[k], 0, lanes_y[k]);
+    }
+    for (int k = 0; k < LANES; ++k)
+        if (lane_use[k])
+            vstore4(cubic_from(lane_x[k], lane_y[k], (float4)(lanes_x[0][k], lanes_x[1][k], lanes_x[2][k], lanes_x[3][k]),
+                               (float4)(lanes_y[0][k], lanes_y[1][k], lanes_y[2][k], lanes_y[3][k]), width, height, image),
+                    k, texels);
+    return channels_in(texels);
+}
+
+/* The same at LANES places of a row that are a pixel apart at most: they share columns of taps. */
+INLINE Wide4 cubic_in_row(const Ints use, const Floats px_x, const float px_y, const int width, const int height,
+                          __global const half *image) {
+#if LANES == 8
+    const Floats corner_x = px_x - 0.5f, first_x = floor(corner_x);
+    const float corner_y = px_y - 0.5f, first_y = floor(corner_y);
+    int x[LANES];
+    store_ints(to_ints(first_x) - 1, 0, x);
+    if (x[7] - x[0] <= 8) {
+        const int y = (int)first_y - 1;
+        const float4 wy = cubic_weights(corner_y - first_y);
+        float columns[48], low[48], high[48];
+#pragma unroll
+        for (int k = 0; k < 3; ++k) {
+            const float16 a = four_texels(image, x[0] + 4 * k, y, width, height), b = four_texels(image, x[0] + 4 * k, y + 1, width, height),
+                          c = four_texels(image, x[0] + 4 * k, y + 2, width, height), d = four_texels(image, x[0] + 4 * k, y + 3, width, height);
+            vstore16(wy.x * a + wy.y * b + wy.z * c + wy.w * d, k, columns);
+            vstore16(b < c ? b : c, k, low);
+            vstore16(b < c ? c : b, k, high);
+        }
+        Floats w[4];
+        wide_cubic_weights(corner_x - first_x, w);
+        Strip s;
+#pragma unroll
+        for (int part = 0; part < PARTS; ++part) {
+            float16 taps[4], least[2], most[2];
+            const int *lane = x + 4 * part;
+            const int a = 4 * (lane[0] - x[0]), b = 4 * (lane[1] - x[0]), c = 4 * (lane[2] - x[0]), d = 4 * (lane[3] - x[0]);
+#pragma unroll
+            for (int k = 0; k < 4; ++k)
+                taps[k] = (float16)(vload4(k, columns + a), vload4(k, columns + b), vload4(k, columns + c), vload4(k, columns + d));
+#pragma unroll
+            for (int k = 0; k < 2; ++k) {
+                least[k] = (float16)(vload4(k + 1, low + a), vload4(k + 1, low + b), vload4(k + 1, low + c), vload4(k + 1, low + d));
+                most[k] = (float16)(vload4(k + 1, high + a), vload4(k + 1, high + b), vload4(k + 1, high + c), vload4(k + 1, high + d));
+            }
+            const float16 sum = OF_TEXELS(w[0], part) * taps[0] + OF_TEXELS(w[1], part) * taps[1] + OF_TEXELS(w[2], part) * taps[2]
+                                + OF_TEXELS(w[3], part) * taps[3];
+            const float16 bottom = least[0] < least[1] ? least[0] : least[1], top = most[0] < most[1] ? most[1] : most[0];
+            const float16 raised = sum < bottom ? bottom : sum;
+            s.part[part] = top < raised ? top : raised;
+        }
+        Floats c[4];
+        channels_of(&s, c);
+        const Wide4 channels = {c[0], c[1], c[2], c[3]};
+        return channels;
+    }
+#endif
+    return cubic_at(use, px_x, (Floats)(px_y), width, height, image);
+}
