@@ -1,7 +1,7 @@
 """Running the shading correction network with onnxruntime.
 
-A model takes `frames` (1, 8, h, w) and `alpha` (1,) and gives `correction` (1, 5, h, w), all float32, for any h and w
-that are multiples of 16.
+A model takes `frames` (1, 8, h, w), `alpha` (1,) and, if it wants them, `trends` (1, 7, h, w), and gives `correction`
+(1, 5, h, w), all float32, for any h and w that are multiples of 16.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from gffe_cl.errors import GffeError
 
 MULTIPLE = 16  # of the network's width and height
-INPUT_PLANES, OUTPUT_PLANES = 8, 5
+INPUT_PLANES, TREND_PLANES, OUTPUT_PLANES = 8, 7, 5
 PROVIDERS = {
     "cpu": "CPUExecutionProvider",
     "cuda": "CUDAExecutionProvider",
@@ -73,7 +73,8 @@ def load_onnxruntime() -> ModuleType:
 
 
 class Network:
-    """A session of onnxruntime; see `load_network`. `provider` is onnxruntime's name of it."""
+    """A session of onnxruntime; see `load_network`. `provider` is onnxruntime's name of it; `takes_trends`: whether the
+    model has such an input."""
 
     def __init__(self, path: Path, provider: str):
         onnxruntime = load_onnxruntime()
@@ -90,17 +91,24 @@ class Network:
             raise NetworkError(f"{path}: cannot be loaded (expected an ONNX model): {_one_line(error)}") from None
         if provider not in self.session.get_providers():
             raise NetworkError(f"provider {provider} does not work here (expected its libraries and a device)")
-        _require(path, "input", self.session.get_inputs(), {"frames": (1, INPUT_PLANES, None, None), "alpha": (1,)})
+        inputs = {"frames": (1, INPUT_PLANES, None, None), "alpha": (1,)}
+        self.takes_trends = any(value.name == "trends" for value in self.session.get_inputs())
+        if self.takes_trends:
+            inputs["trends"] = (1, TREND_PLANES, None, None)
+        _require(path, "input", self.session.get_inputs(), inputs)
         _require(path, "output", self.session.get_outputs(), {"correction": (1, OUTPUT_PLANES, None, None)})
 
-    def run(self, frames: np.ndarray, alpha: float, correction: np.ndarray) -> int:
-        """Read `frames` (8, h, w), write `correction` (5, h, w): C-contiguous float32, used in place on the CPU.
-        Returns for how many of its pixels the network gave NaN or infinity. Raises NetworkError."""
-        time = np.array([alpha], np.float32)
+    def run(self, frames: np.ndarray, alpha: float, correction: np.ndarray, trends: np.ndarray | None = None) -> int:
+        """Read `frames` (8, h, w) and, if the model `takes_trends`, `trends` (7, h, w), write `correction` (5, h, w):
+        C-contiguous float32, used in place on the CPU. Returns for how many of its pixels the network gave NaN or
+        infinity. Raises NetworkError."""
+        inputs = {"frames": frames[None], "alpha": np.array([alpha], np.float32)}
+        if trends is not None:
+            inputs["trends"] = trends[None]
         binding = self.session.io_binding()
         try:
-            for name, array, shape in (("frames", frames, (1, *frames.shape)), ("alpha", time, (1,))):
-                binding.bind_input(name, "cpu", 0, np.float32, shape, array.ctypes.data)
+            for name, array in inputs.items():
+                binding.bind_input(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
             shape = (1, *correction.shape)
             binding.bind_output("correction", "cpu", 0, np.float32, shape, correction.ctypes.data)
             self.session.run_with_iobinding(binding)

@@ -40,6 +40,7 @@ from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import ShadingInputs
 from gffe_cl.stages.silhouettes import Silhouettes
 from gffe_cl.stages.surfaces import Surfaces
+from gffe_cl.stages.trend import Trend
 from gffe_cl.stages.warp import Warp
 from gffe_cl.values import require_exposure
 
@@ -105,6 +106,7 @@ STAGES: tuple[type[Stage], ...] = (
     HoleFilling,
     Silhouettes,
     ShadingInputs,
+    Trend,
     ShadingCorrection,
 )
 
@@ -207,7 +209,7 @@ class Pipeline:
         self._times = [frame.time, *self._times[:MAX_ORDER]]
         self._path = [on_device.display_camera, *self._path[: POSES - 1]]
         self.board.rendered, self.board.previous = self._current, self._previous or self._current
-        step = Step(self._current, self._previous, self._times)
+        step = Step(self._current, self._previous, self._times, exposure=self.exposure)
         for stage in self.stages.values():
             stage.rendered(step)
         if self.presentation is None and not self._shown_whole(on_device):

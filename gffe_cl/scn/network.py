@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor, nn
 
-from gffe_cl.stages.correction import HEADROOM, MU
+from gffe_cl.stages.law import HEADROOM, MU
 
 FOCUS_THRESHOLD = 1 / 32  # a smaller M is 0
 _CHANNELS = (16, 32, 48, 64)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 
 import numpy as np
@@ -12,10 +11,10 @@ from gffe_cl.buffers import RGBA, BufferSpec
 from gffe_cl.inference import INPUT_PLANES, OUTPUT_PLANES, Network, load_network
 from gffe_cl.opencl.program import constants
 from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.law import law_of
 from gffe_cl.stages.shading import SEEN
+from gffe_cl.stages.trend import Trend
 
-MU = 5000.0
-HEADROOM = 8.0  # exposed colour that is encoded as 1: three stops above display white
 _IMAGE_PIXELS = 4  # per pixel of the network
 
 
@@ -104,6 +103,8 @@ class ShadingCorrection(Stage):
         self.network: Network | None = None
         if load:
             self.network = load_network(board.options.scn_model, board.options.scn_provider)
+            self.trend: Trend = board.stages[Trend.name]
+            self.trend.needed = self.network.takes_trends
         self.network_milliseconds = 0.0
         self.unusable_pixels = 0
         self.with_refined = False
@@ -136,42 +137,37 @@ class ShadingCorrection(Stage):
         self.launch("depth_histogram")
         self.launch("find_median")
         to_previous = reprojection(step.camera, step.previous.camera)
-        self.launch("network_input", law=_law(step.exposure), to_previous=to_previous)
+        self.launch("network_input", law=law_of(step.exposure), to_previous=to_previous)
 
     def infer(self, alpha: float) -> None:
         """Fill `correction`: the network works in the mapped buffers: no copy where host and device share memory."""
-        frames = self.map("frames", cl.map_flags.READ)
-        correction = self.map("correction", cl.map_flags.WRITE_INVALIDATE_REGION)
+        frames = mapped(self, "frames", cl.map_flags.READ)
+        trends = mapped(self.trend, "trends", cl.map_flags.READ) if self.network.takes_trends else None
+        correction = mapped(self, "correction", cl.map_flags.WRITE_INVALIDATE_REGION)
         try:
             start = time.perf_counter()
-            self.unusable_pixels += _IMAGE_PIXELS * self.network.run(frames, alpha, correction)
+            self.unusable_pixels += _IMAGE_PIXELS * self.network.run(frames, alpha, correction, trends)
             self.network_milliseconds += (time.perf_counter() - start) * 1e3
         finally:
-            for array in (frames, correction):
+            for array in filter(lambda array: array is not None, (frames, trends, correction)):
                 array.base.release(self.device.queue)
 
     def compose(self, exposure: float, within_mask: bool) -> None:
         """Fill `focus_mask` and `color`; without `within_mask` the whole image is the network's."""
-        self.launch("correct", law=_law(exposure), within_mask=within_mask, with_refined=self.with_refined)
+        self.launch("correct", law=law_of(exposure), within_mask=within_mask, with_refined=self.with_refined)
 
     @property
     def network_size(self) -> tuple[int, int]:
         """Width and height of the network's images."""
         return self.sizes.of("network")
 
-    def map(self, name: str, flags: int) -> np.ndarray:
-        """The memory of a mapped buffer, once the kernels before are done; to be released on the queue."""
-        spec = self.spec(name)
-        return cl.enqueue_map_buffer(
-            self.device.queue, self.buffer[name], flags, 0, spec.shape(self.sizes), spec.dtype
-        )[0]
-
     def take_network_milliseconds(self) -> float:
         taken, self.network_milliseconds = self.network_milliseconds, 0.0
         return taken
 
 
-def _law(exposure: float) -> np.ndarray:
-    """μ · exposure / 8, 1 / ln(1 + μ), and their reciprocals."""
-    gain, log = MU * exposure / HEADROOM, math.log1p(MU)
-    return np.array([gain, 1 / log, 1 / gain, log], np.float32)
+def mapped(stage: Stage, name: str, flags: int) -> np.ndarray:
+    """The memory of a mapped buffer of a stage, once the kernels before are done; to be released on the queue."""
+    spec = stage.spec(name)
+    shape = spec.shape(stage.sizes)
+    return cl.enqueue_map_buffer(stage.device.queue, stage.buffer[name], flags, 0, shape, spec.dtype)[0]
