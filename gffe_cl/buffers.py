@@ -62,7 +62,9 @@ def texel_of(grid: str) -> tuple[int, int]:
     """Width and height in pixels that a texel of a grid covers, of the image that the grid is laid over."""
     if grid.startswith(("level", "mip")):
         return (1 << int(grid.removeprefix("level").removeprefix("mip")),) * 2
-    return {"blocks": (32, 32), "cells": (8, 8), "source_blocks": BLOCK, "target_blocks": BLOCK, "network": (2, 2)}.get(grid, (1, 1))
+    return {"blocks": (32, 32), "cells": (8, 8), "source_blocks": BLOCK, "target_blocks": BLOCK, "network": (2, 2)}.get(
+        grid, (1, 1)
+    )
 
 
 def lies_on_source(grid: str) -> bool:

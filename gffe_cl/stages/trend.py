@@ -1,5 +1,5 @@
-"""The trend of shading: what lights do slowly, found in the last two intervals and carried on. Beyond the paper: a candidate
-that the shading correction network may choose."""
+"""The trend of shading: what lights do slowly, found in the last two intervals and carried on. Beyond the paper: a
+candidate that the shading correction network may choose."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _REACH = 3  # σ
 
 
 class Trend(Stage):
-    """How encoded colour changed on static surfaces from t − 1 to t, a mean over wide areas, and from t − 2 to t − 1; both
-    carried on to t + α. What both agree on is likely to go on.
+    """How encoded colour changed on static surfaces from t − 1 to t, a mean over wide areas, and from t − 2 to t − 1;
+    both carried on to t + α. What both agree on is likely to go on.
 
-    Changes are of encoded colour (see `ShadingCorrection`) between a pixel and where its surface was, static and shown, in
-    the frame before; a Gaussian of σ = H/34 weighs them. Made for the network that takes it (`needed`), and for whoever
-    looks at it.
+    Changes are of encoded colour (see `ShadingCorrection`) between a pixel and where its surface was, static and shown,
+    in the frame before; a Gaussian of σ = H/34 weighs them. Made for the network that takes it (`needed`), and for
+    whoever looks at it.
     """
 
     name = "trend"
@@ -67,18 +67,20 @@ class Trend(Stage):
         self.reach = math.ceil(_REACH * sigma)
         self.buffers = (
             BufferSpec(
-                "changes", np.float32, (), "cells", "change of encoded colour since t − 1, and share of samples that tell",
-                planes=_CHANGES, scratch=True,
-            ),
-            BufferSpec("blurred", np.float32, (), "cells", "the same, blurred along rows", planes=_CHANGES, scratch=True),
-            BufferSpec(
-                "trend", np.float32, (), "cells", "mean change of encoded colour around from t − 1 to t (1–3), and share of"
-                " the surroundings that tells (4)", planes=_CHANGES, kept=True,
+                "changes", np.float32, (), "cells", "change of encoded colour since t − 1 (1–3), and share of samples"
+                " that tell (4)", planes=_CHANGES, scratch=True,
             ),
             BufferSpec(
-                "trends", np.float32, (), "network", "change of encoded colour until t + α as the last interval's trend"
-                " has it (1–3), as that of the interval before has it (4–6), and share of the surroundings that tells of"
-                " the last (7); half resolution", planes=TREND_PLANES, mapped=True,
+                "blurred", np.float32, (), "cells", "the same, blurred along rows", planes=_CHANGES, scratch=True
+            ),
+            BufferSpec(
+                "trend", np.float32, (), "cells", "mean change of encoded colour around, from t − 1 to t (1–3), and"
+                " share of the surroundings that tells (4)", planes=_CHANGES, kept=True,
+            ),
+            BufferSpec(
+                "trends", np.float32, (), "network", "change of encoded colour until t + α as the last interval has it"
+                " (1–3), as the interval before has it (4–6), and share of the surroundings that tells of the last (7);"
+                " half resolution", planes=TREND_PLANES, mapped=True,
             ),
             BufferSpec("weights", np.float32, (), "once", "of cells, by distance", planes=self.reach + 1, scratch=True),
         )  # fmt: skip
