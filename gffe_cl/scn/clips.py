@@ -15,6 +15,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import HALF_MAX
+from gffe_cl.inference import TREND_PLANES
 from gffe_cl.metrics import focus_mask
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
@@ -26,11 +27,14 @@ from gffe_cl.scn.variety import vary_scene
 TRAINING_SCENES = ("corridor", "plaza", "room", "forest")
 CHANNELS = 11  # exposed linear GAE (3), warped previous (3), ground truth (3), inverse depth, input mask
 PLANES = {"gae": slice(0, 3), "previous": slice(3, 6), "truth": slice(6, 9), "side": slice(9, 11)}
+HALVED_CHANNELS = CHANNELS + TREND_PLANES  # at half resolution the trends of shading come after
 CROP = 256
-VERSION = 4
+VERSION = 5
 _SIZES = ((480, 270), (640, 360), (800, 450), (960, 540))
 _SIZE_SHARES = (0.5, 0.35, 0.1, 0.05)
-_RENDERED = 3  # rendered frames per clip; the first has no history
+_ALPHAS = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 1.0)
+_RENDERED = 4  # rendered frames per clip
+_UNSEEN = 2  # the first ones, without samples: trends need two intervals
 _PER_FRAME = 2  # ground truths after each of the others
 _MOST_INVERSE_DEPTH = 8.0
 _CROPS_PER_FRAME = 6  # times the number that would cover the frame once
@@ -55,8 +59,8 @@ class ClipPlan:
         rng = np.random.default_rng([seed, index])
         width, height = _SIZES[int(rng.choice(len(_SIZES), p=_SIZE_SHARES))]
         alphas = tuple(
-            tuple(sorted(float(a) for a in rng.choice((0.25, 1 / 3, 0.5, 2 / 3, 0.75), _PER_FRAME, replace=False)))
-            for _ in range(_RENDERED - 1)
+            tuple(sorted(float(a) for a in rng.choice(_ALPHAS, _PER_FRAME, replace=False)))
+            for _ in range(_RENDERED - _UNSEEN)
         )
         scene = TRAINING_SCENES[index % len(TRAINING_SCENES)]
         fps = float(2.0 ** rng.uniform(np.log2(15), np.log2(60)))
@@ -68,17 +72,17 @@ class ClipPlan:
         return vary_scene(load_scene(self.scene, self.scene_seed), rng, middle)
 
 
-def make_clip(device: Device, plan: ClipPlan) -> tuple[np.ndarray, list[float]]:
-    """Render and extrapolate a clip: (S, 11, H, W) float16 samples (`PLANES`) and their α."""
+def make_clip(device: Device, plan: ClipPlan) -> tuple[np.ndarray, np.ndarray, list[float]]:
+    """Render and extrapolate a clip: (S, 11, H, W) float16 samples (`PLANES`), their trends (S, 7, H/2, W/2) and α."""
     scene = plan.make_scene()
     scene_frames = SceneFrames(SceneRenderer(device, scene, plan.width, plan.height, samples=5))
-    pipeline = Pipeline(
-        device, plan.width, plan.height, Options(shading_inputs=True, shading_correction=False), fps=plan.fps
-    )
-    samples, alphas = [], []
+    options = Options(shading_inputs=True, shading_correction=False)
+    pipeline = Pipeline(device, plan.width, plan.height, options, fps=plan.fps)
+    pipeline.exposure = scene.exposure
+    samples, trends, alphas = [], [], []
     for k, frame in enumerate(scene_frames.sequence(_RENDERED, plan.fps, plan.start)):
         pipeline.submit(frame)
-        for alpha in plan.alphas[k - 1] if k else ():
+        for alpha in plan.alphas[k - _UNSEEN] if k >= _UNSEEN else ():
             time = frame.time + alpha / plan.fps
             made = pipeline.extrapolate(scene_frames.display_camera(time), time)
             gae, depth = made.numpy("color"), made.numpy("depth")
@@ -86,8 +90,10 @@ def make_clip(device: Device, plan: ClipPlan) -> tuple[np.ndarray, list[float]]:
             mask = pipeline.stages["shading"].read("input_mask")
             truth = scene_frames.truth(time).read("color")
             samples.append(_sample(gae, previous, truth, depth, mask, scene.exposure))
+            carried = pipeline.stages["trend"].read("trends")[:, : plan.height // 2, : plan.width // 2]
+            trends.append(carried.astype(np.float16))
             alphas.append(alpha)
-    return np.stack(samples), alphas
+    return np.stack(samples), np.stack(trends), alphas
 
 
 def _sample(gae, previous, truth, depth, mask, exposure) -> np.ndarray:
@@ -135,7 +141,7 @@ def halve(samples: np.ndarray) -> np.ndarray:
 
 
 def halved_path(path: Path) -> Path:
-    """Where the samples of `path` are at half resolution."""
+    """Where the samples of `path` are at half resolution, with their trends."""
     return path.with_name(f"{path.stem}_half.npy")
 
 
@@ -183,11 +189,11 @@ def make_clips(
             missing = not name.with_suffix(".json").exists()
             if missing:
                 plan = ClipPlan.draw(seed, index)
-                samples, alphas = make_clip(device, plan)
+                samples, trends, alphas = make_clip(device, plan)
                 rng = np.random.default_rng([seed, index, 2])
                 crops = [crops_of(sample, rng) for sample in samples]
                 np.save(name, samples)
-                np.save(halved_path(name), halve(samples))
+                np.save(halved_path(name), np.concatenate((halve(samples), trends), 1))
                 document = {"version": VERSION, "plan": asdict(plan), "alphas": alphas, "crops": crops}
                 part_file = name.with_suffix(".part")
                 part_file.write_text(json.dumps(document))

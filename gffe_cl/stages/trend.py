@@ -16,7 +16,7 @@ from gffe_cl.stages.law import law_of
 _CONSTANTS = constants("trend.cl")
 _CHANGES = _CONSTANTS["CHANGES"]
 _SAMPLED = 1 / _CONSTANTS["SAMPLE_STRIDE"] ** 2
-_WIDTH = 1 / 34  # σ of the neighbourhood, in heights of the image
+WIDTH = 1 / 34  # σ of the neighbourhood, in heights of the image
 _REACH = 3  # σ
 
 
@@ -63,7 +63,7 @@ class Trend(Stage):
     _made_at: float | None = None  # time of the frame that `trend` is of
 
     def __init__(self, board: Board):
-        sigma = board.sizes.source[1] * _WIDTH / _CONSTANTS["CELL"]
+        sigma = board.sizes.source[1] * WIDTH / _CONSTANTS["CELL"]
         self.reach = math.ceil(_REACH * sigma)
         self.buffers = (
             BufferSpec(
