@@ -66,6 +66,19 @@ def example_inputs(height: int, width: int) -> dict[str, torch.Tensor]:
     return {name: torch.rand(shape, generator=generator) for name, shape in shapes.items()}
 
 
+def weights_of(path: Path) -> dict[str, np.ndarray]:
+    """The weights in a network that `export_onnx` wrote, by the names of its parameters. Raises GffeError."""
+    import onnx
+
+    try:
+        model = onnx.load(str(path))
+        return {item.name: onnx.numpy_helper.to_array(item) for item in model.graph.initializer}
+    except Exception as error:  # of protobuf, onnx or the system
+        raise GffeError(
+            f"{path}: not an ONNX network ({getattr(error, 'strerror', None) or type(error).__name__})"
+        ) from None
+
+
 def largest_difference(network: ShadingCorrectionNetwork, path: Path) -> float:
     """Between the outputs of onnxruntime and PyTorch."""
     session = load_onnxruntime().InferenceSession(str(path), providers=["CPUExecutionProvider"])

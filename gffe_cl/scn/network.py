@@ -1,27 +1,29 @@
 """The shading correction network (paper: 'Shading Correction Network' and its appendix).
 
-It chooses among what might become of the shading: a U-Net at half resolution sees both frames and the trends of
-shading (kernels/trend.cl), and says along which flow the GAE frame's shading moves; a head says, pixel by pixel, how
-much of the trend and of that motion to take, and what to add. `compose` makes the frame of it, as
-kernels/correction.cl does.
+Flow-based, coarse to fine, all of it at half resolution: an encoder of four feature levels (the paper has three, but
+shading may move far) is shared by the GAE frame and the warped previous frame; a decoder per level predicts two flows,
+and the features of the frame at t + α; a head makes the correction, of what moves along the flow and of the trends of
+shading (kernels/trend.cl). `compose` makes the frame of it, as kernels/correction.cl does.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
+import numpy as np
 import torch
 import torch.nn.functional as functional
 from torch import Tensor, nn
 
-from gffe_cl.inference import INPUT_PLANES, TREND_PLANES
 from gffe_cl.stages.law import HEADROOM, MU
 
 FOCUS_THRESHOLD = 1 / 32  # a smaller M is 0
-_CHANNELS = (16, 32, 48, 64)  # at 1/4 … 1/32 of the display
-_DETAIL = 8
+_CHANNELS = (16, 32, 48, 64)
+_HIDDEN = (32, 48, 64, 64)
+_DETAIL = 4
 _HEAD = 16
-_FLOW_UNIT = 8.0  # pixels of half resolution
+_LITTLE = 1e-4  # squared change of encoded colour
 _SLOPE = 0.1  # of leaky rectifiers
 _LOG = torch.log1p(torch.tensor(MU)).item()
 _MOST = math.log1p(65504 * MU / HEADROOM) / _LOG
@@ -59,8 +61,54 @@ def warp(image: Tensor, flow: Tensor) -> Tensor:
     return functional.grid_sample(image, grid, mode="bilinear", padding_mode="border", align_corners=False)
 
 
-def _conv(inputs: int, outputs: int, stride: int = 1, size: int = 3) -> nn.Sequential:
-    return nn.Sequential(nn.Conv2d(inputs, outputs, size, stride, size // 2), nn.LeakyReLU(_SLOPE))
+def _conv(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(nn.Conv2d(inputs, outputs, 3, stride, 1), nn.LeakyReLU(_SLOPE))
+
+
+class Encoder(nn.Module):
+    """(N, 8, h, w): encoded colour, its difference from the other frame, inverse depth, input mask → features at
+    1/2 … 1/16 of that size.
+
+    On one surface the two frames differ by their shading only: the difference is what moves.
+    """
+
+    def __init__(self):
+        super().__init__()
+        inputs = (8, *_CHANNELS[:-1])
+        self.levels = nn.ModuleList(
+            nn.Sequential(_conv(i, o, 2), _conv(o, o)) for i, o in zip(inputs, _CHANNELS, strict=True)
+        )
+
+    def forward(self, color: Tensor, other: Tensor, side: Tensor) -> list[Tensor]:
+        features = [torch.cat((color, color - other, side), 1)]
+        for level in self.levels:
+            features.append(level(features[-1]))
+        return features[1:]
+
+
+class Decoder(nn.Module):
+    """Flows (4 channels: into the GAE frame, into the warped previous frame) and features of the frame at t + α.
+
+    `seen`: channels of each of the two images, which are warped by the coarser flows; `beside`: of what is not.
+    Below the coarsest level `inputs` are convolved, a multiple of 16: onnxruntime takes twice as long for others.
+    """
+
+    def __init__(self, seen: int, beside: int, channels: int, coarser: int, hidden: int, inputs: int = 0):
+        super().__init__()
+        given = 2 * seen + beside
+        self.squeeze = nn.Conv2d(coarser, inputs - given - 4, 1) if coarser else None
+        self.body = nn.Sequential(_conv(inputs if coarser else given, hidden), _conv(hidden, hidden))
+        self.out = nn.Conv2d(hidden, channels, 3, 1, 1)
+
+    def forward(self, now, before, beside, coarser=None) -> tuple[Tensor, Tensor]:
+        """`coarser`: what the level above returned: flows, and all its channels, the features after the first four."""
+        if coarser is None:
+            out = self.out(self.body(torch.cat((now, before, beside), 1)))
+            return out[:, :4].float(), out
+        flows = 2.0 * double(coarser[0])
+        moved = warp(now, flows[:, :2]), warp(before, flows[:, 2:])
+        out = self.out(self.body(torch.cat((*moved, beside, flows, double(self.squeeze(coarser[1]))), 1)))
+        return out[:, :4].float() + flows, out
 
 
 class ShadingCorrectionNetwork(nn.Module):
@@ -77,20 +125,20 @@ class ShadingCorrectionNetwork(nn.Module):
     that is more likely than not the correction counts in full. There is no sigmoid: the L2 loss would have no gradient
     where the mask is wrong.
 
-    Δ = g₀ · trend + g₁ · (GAE frame moved along the flow − GAE frame) + δ, with gates g from 0 to 1. Every convolution
-    has a multiple of four input channels: WebGPU's provider computes others wrongly.
+    Δ = (GAE frame moved along the flow − GAE frame) + g · trend, as far as that has lasted, + δ. Every convolution has
+    a multiple of four input channels: WebGPU's provider computes others wrongly.
     """
 
     def __init__(self):
         super().__init__()
-        inputs = (INPUT_PLANES + TREND_PLANES + 1, *_CHANNELS[:-1])
-        self.encoder = nn.ModuleList(
-            nn.Sequential(_conv(i, o, 2), _conv(o, o)) for i, o in zip(inputs, _CHANNELS, strict=True)
-        )
-        pairs = zip(_CHANNELS[1:], _CHANNELS[:-1], strict=True)
-        self.decoder = nn.ModuleList(_conv(coarse + fine, fine) for coarse, fine in pairs)  # finest first, as above
-        self.out = nn.Conv2d(_CHANNELS[0], 2 + 4 * _DETAIL, 3, 1, 1)
-        self.head = nn.Sequential(_conv(_DETAIL + 16, _HEAD, size=1), nn.Conv2d(_HEAD, 7, 1))
+        self.encoder = Encoder()
+        finest = Decoder(3, _CHANNELS[0] + 6, _CHANNELS[0], _CHANNELS[1], _HIDDEN[0], 3 * _CHANNELS[0])
+        self.decoders = nn.ModuleList([finest])
+        for channels, coarser, hidden in zip(_CHANNELS[1:-1], _CHANNELS[2:], _HIDDEN[1:], strict=False):
+            self.decoders.append(Decoder(channels // 2, 3, channels, coarser, hidden, 2 * channels))
+        self.decoders.append(Decoder(_CHANNELS[-1], 4, _CHANNELS[-1], 0, _HIDDEN[-1]))
+        self.up = nn.Conv2d(_CHANNELS[0], 4 * _DETAIL, 3, 1, 1)
+        self.head = nn.Sequential(_conv(_DETAIL + 12, _HEAD), nn.Conv2d(_HEAD, 6, 1))
         self._begin()
 
     @torch.no_grad()
@@ -100,26 +148,51 @@ class ShadingCorrectionNetwork(nn.Module):
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, _SLOPE)
                 nn.init.zeros_(module.bias)
-        self.out.weight[:2] *= 0.1
+        for decoder in self.decoders:
+            decoder.out.weight[:4] *= 0.1
         self.head[1].weight *= 0.1
-        self.head[1].bias.copy_(torch.tensor((-0.85, -0.85, 0.0, 0.0, 0.0, 2.0, 0.05)))  # gates of 0.3
+        self.head[1].bias.copy_(torch.tensor((0.0, 0.0, 0.0, 2.0, 0.05, 0.0)))
+
+    @torch.no_grad()
+    def take(self, weights: Mapping[str, np.ndarray]) -> None:
+        """Begin with `weights` by the parameters' names; inputs and outputs that they do not have count for nothing
+        yet. Raises ValueError for those of another network."""
+        for name, parameter in self.named_parameters():
+            given = weights.get(name)
+            if given is None or given.ndim != parameter.ndim or any(np.greater(given.shape, parameter.shape)):
+                raise ValueError(f"'{name}' is {'missing' if given is None else list(given.shape)}")
+            parameter.zero_()
+            parameter[tuple(slice(n) for n in given.shape)] = torch.from_numpy(np.array(given))
 
     def forward(self, frames: Tensor, alpha: Tensor, trends: Tensor):
-        now, before, mask = frames[:, :3], frames[:, 3:6], frames[:, 7:8]
-        time = torch.zeros_like(mask) + alpha.view(-1, 1, 1, 1)
-        features = [torch.cat((frames, trends, time), 1)]
-        for level in self.encoder:
-            features.append(level(features[-1]))
-        result = features.pop()
-        for level in reversed(self.decoder):
-            result = level(torch.cat((double(result), features.pop()), 1))
-        out = self.out(result)
-        moved = warp(now, _FLOW_UNIT * double(out[:, :2])) - now
-        detail = functional.leaky_relu(functional.pixel_shuffle(out[:, 2:], 2), _SLOPE)
-        said = self.head(torch.cat((detail, moved, trends[:, :6], now, before, mask), 1)).float()
-        gates = torch.sigmoid(said[:, :2])
-        delta = gates[:, :1] * trends[:, :3] + gates[:, 1:] * moved + said[:, 2:5]
-        keep, likely = torch.sigmoid(said[:, 5:6]), said[:, 6:]
+        count = frames.shape[0]
+        now, before, side = frames[:, :3], frames[:, 3:6], frames[:, 6:8]
+        encoded = self.encoder(torch.cat((now, before), 0), torch.cat((before, now), 0), torch.cat((side, side), 0))
+        time = alpha.view(-1, 1, 1, 1)
+        smaller = [halve(frames)]
+        while len(smaller) < len(self.decoders):
+            smaller.append(halve(smaller[-1]))
+        result = None
+        for k in reversed(range(len(self.decoders))):
+            small = smaller[k]
+            plane = torch.zeros_like(small[:, :1])
+            beside = torch.cat((small[:, 6:], plane + time) if result else (small[:, 6:], plane + time, plane), 1)
+            images = encoded[k][:count], encoded[k][count:]
+            if k == 0:  # warping features would cost a quarter of the network's time
+                beside = torch.cat((beside, images[0], small[:, :3]), 1)
+                images = small[:, :3], small[:, 3:6]
+            elif result:
+                images = (image[:, : _CHANNELS[k] // 2] for image in images)
+            result = self.decoders[k](*images, beside, result)
+        flows = 2.0 * double(result[0][:, :2])
+        detail = functional.pixel_shuffle(functional.leaky_relu(self.up(result[1]), _SLOPE), 2)
+        moved = warp(now, flows)
+        trend, earlier = trends[:, :3], trends[:, 3:6]
+        held = (trend * earlier).sum(1, keepdim=True) / ((trend * trend).sum(1, keepdim=True) + _LITTLE)
+        steady = trend * held.clamp(0, 1)  # as far as the last interval went on as the one before
+        out = self.head(torch.cat((detail, now, before, moved, steady), 1)).float()
+        delta = out[:, :3] + (moved - now) + out[:, 5:6] * steady
+        keep, likely = torch.sigmoid(out[:, 3:4]), out[:, 4:5]
         correction = torch.cat((delta, keep, (2 * likely).clamp(0, 1)), 1)
         return (correction, likely) if self.training else correction
 

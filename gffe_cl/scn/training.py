@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 import signal
@@ -24,7 +25,7 @@ from gffe_cl.scn import losses
 from gffe_cl.scn.augmentation import Augmentation
 from gffe_cl.scn.clips import VERSION
 from gffe_cl.scn.crops import Batch, Crop, keep_crops, load_batch
-from gffe_cl.scn.export import commit
+from gffe_cl.scn.export import commit, weights_of
 from gffe_cl.scn.network import ShadingCorrectionNetwork, compose, double, encode
 from gffe_cl.values import require_seed
 
@@ -157,8 +158,8 @@ def weights(recipe: Recipe) -> dict[str, float]:
 
 
 class Training:
-    """One run in `folder` on the crops of `clips` clips: continues from its checkpoint if there is one. `sources`:
-    commits that trained it.
+    """One run in `folder` on the crops of `clips` clips: continues from its checkpoint if there is one, else begins
+    with the weights of the network `start`, if that is given. `sources`: commits that trained it.
 
     Raises GffeError if the checkpoint is of another recipe or other data, or cannot be read.
     """
@@ -171,6 +172,7 @@ class Training:
         processes: Processes,
         vgg: Path | None = None,
         clips: int = 0,
+        start: Path | None = None,
     ):
         if recipe.batch % processes.count:
             raise GffeError(
@@ -182,7 +184,10 @@ class Training:
         self.crops, self.validation = keep_crops(train, recipe.seed), validation
         self.device = processes.device
         torch.manual_seed(recipe.seed)
-        self.network = ShadingCorrectionNetwork().to(self.device, memory_format=torch.channels_last)
+        self.network = ShadingCorrectionNetwork()
+        if start:
+            self._begin_with(start)
+        self.network = self.network.to(self.device, memory_format=torch.channels_last)
         self.parallel = processes.wrap(self.network)
         self.optimizer = torch.optim.Adam(self.network.parameters(), recipe.learning_rate)
         self.perceptual = losses.perceptual_loss(vgg).to(self.device)
@@ -194,6 +199,7 @@ class Training:
             "losses": losses.VERSION,
             "perceptual loss": self.perceptual.name,
             "processes": processes.count,
+            "start": hashlib.sha256(start.read_bytes()).hexdigest()[:12] if start else "nothing",
         }
         self._load()
         source = commit()
@@ -323,6 +329,12 @@ class Training:
             "recall": sums["hit"] / focus,
             "precision": sums["hit"] / max(sums["mask"], 1e-6),
         }
+
+    def _begin_with(self, start: Path) -> None:
+        try:
+            self.network.take(weights_of(start))
+        except ValueError as error:
+            raise GffeError(f"{start}: not a network of this kind, {error} (expected one that gffe trained)") from None
 
     # ---- checkpoints -----------------------------------------------------------------------------------
 
