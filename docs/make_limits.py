@@ -1,17 +1,20 @@
-"""Makes the pictures of what goes wrong, docs/pictures/limit_*.jpg, from built-in scenes.
+"""Makes the pictures of what goes wrong, docs/pictures/limit_*.jpg, and of what modules beyond the paper are worth,
+docs/pictures/gain_*.jpg, from built-in scenes.
 
     python docs/make_limits.py [NAME …]
 
-Each shows a part of a frame: rendered at t, extrapolated to t + ½, and the truth there.
+Each of the first shows a part of a frame: rendered at t, extrapolated to t + ½, and the truth there; each of the second
+the part that gains most of frames extrapolated without the module and with it, and the truth.
 """
 
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from gffe_cl.evaluation.methods import submitted_frames
 from gffe_cl.evaluation.report import contact_sheet
@@ -46,6 +49,56 @@ LIMITS = {
 }
 
 
+@dataclass(frozen=True)
+class Gain:
+    """A scene that needs a module, the option that switches it, and which time after t shows it."""
+
+    scene: str
+    option: str
+    alpha: float
+
+
+GAINS = {
+    "silhouettes": Gain("plaza", "soft_silhouettes", 0.5),
+    "hidden_parts": Gain("plaza", "hidden_parts", 1.0),
+    "acceleration": Gain("factory", "acceleration", 1.0),
+    "shading": Gain("courtyard", "shading_correction", 0.5),
+}
+SEARCHED = 8  # rendered frames
+
+
+def gain_picture(device: Device, gain: Gain):
+    """As `picture`."""
+    scene = load_scene(gain.scene)
+    frames = SceneFrames(SceneRenderer(device, scene, *SIZE))
+    without = Options(**{"shading_correction": False, gain.option: False})
+    pipelines = {
+        "without": Pipeline(device, *SIZE, without, fps=FPS),
+        "with": Pipeline(device, *SIZE, replace(without, **{gain.option: True}), fps=FPS),
+    }
+    for pipeline in pipelines.values():
+        pipeline.exposure = scene.exposure
+    best, chosen = -np.inf, None
+    for k, _, time in submitted_frames(frames, pipelines.values(), SEARCHED, FPS, gain.alpha, lambda: None):
+        if time is None:
+            continue
+        camera = frames.display_camera(time)
+        shown = {
+            name: display_values(p.extrapolate(camera, time).numpy("color"), scene.exposure)
+            for name, p in pipelines.items()
+        }
+        shown["truth"] = display_values(frames.truth(time).read("color"), scene.exposure)
+        errors = [np.square(shown[name] - shown["truth"]).mean(-1) for name in pipelines]
+        gained = uniform_filter(errors[0] - errors[1], PART[::-1], mode="constant")
+        inside = gained[PART[1] // 2 : SIZE[1] - PART[1] // 2, PART[0] // 2 : SIZE[0] - PART[0] // 2]
+        y, x = np.unravel_index(inside.argmax(), inside.shape)
+        if inside[y, x] > best:
+            best, chosen = inside[y, x], (k, x, y, {n: p[y : y + PART[1], x : x + PART[0]] for n, p in shown.items()})
+    k, x, y, parts = chosen
+    label = f"{gain.scene}, frame {k}, t + {gain.alpha:g}, {SIZE[0]} x {SIZE[1]}, x = {x}, y = {y}"
+    return contact_sheet([(label, [(n, np.ascontiguousarray(p)) for n, p in parts.items()])], cell_width=320)
+
+
 def picture(device: Device, limit: Limit):
     """A PIL image: three parts side by side, captions above."""
     scene = load_scene(limit.scene)
@@ -66,9 +119,13 @@ def picture(device: Device, limit: Limit):
 
 def main() -> None:
     device = open_device()
-    for name in sys.argv[1:] or LIMITS:
-        picture(device, LIMITS[name]).save(FOLDER / f"limit_{name}.jpg", quality=88)
-        print(FOLDER / f"limit_{name}.jpg")
+    for name in sys.argv[1:] or [*LIMITS, *GAINS]:
+        if name in LIMITS:
+            path, made = FOLDER / f"limit_{name}.jpg", picture(device, LIMITS[name])
+        else:
+            path, made = FOLDER / f"gain_{name}.jpg", gain_picture(device, GAINS[name])
+        made.save(path, quality=88)
+        print(path)
 
 
 if __name__ == "__main__":

@@ -15,18 +15,20 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from gffe_cl.buffers import EXTRAPOLATED, FILLED_BY, RENDERED, BufferSpec
+from gffe_cl.formats import FORMATS
 from gffe_cl.options import OPTIONS, Option
 from gffe_cl.pipeline import STAGES
 from gffe_cl.scenes import SCENES
 from gffe_cl.stage import Stage
 from gffe_cl.stages.background import Background, _level_buffers
+from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.holes import FILLINGS, FarSide, HoleFilling
 from gffe_cl.stages.presentation import Presentation
 
 FOLDER = Path(__file__).parent
 REPOSITORY = FOLDER.parent
-# Hole filling as it is by default, and what is made where there is a window.
-SHOWN: tuple[type[Stage], ...] = (*(FarSide if s is HoleFilling else s for s in STAGES), Presentation)
+# Hole filling as it is by default, and what is made where there is a window, or overlays.
+SHOWN: tuple[type[Stage], ...] = (*(FarSide if s is HoleFilling else s for s in STAGES), Presentation, Composition)
 
 
 def options_table() -> str:
@@ -85,6 +87,15 @@ def map_table() -> str:
     return table(("room", "file", "what it is for"), rows)
 
 
+def formats_table() -> str:
+    """Every form of captures that is opened: what it is, what its folder holds."""
+    rows = [
+        (f"`{one.name}`", one.sentence, "<br>".join(f"`{line}`" for line in one.example.splitlines()))
+        for one in FORMATS.values()
+    ]
+    return table(("form", "what it is", "the folder, for example"), rows)
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "options": options_table,
     "fillings": fillings_table,
@@ -93,6 +104,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "labels": labels_table,
     "scenes": scenes_table,
     "map": map_table,
+    "formats": formats_table,
 }
 
 

@@ -34,6 +34,7 @@ from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
 
 ALPHA, FPS = 0.5, 30.0
+ALPHAS = (0.25, 0.5, 0.75, 1.0)
 REGIONS = ("whole", "holes", "moving", "rest")
 
 
@@ -91,7 +92,10 @@ GAE: dict[str, Change] = {
     ),
     "movers' acceleration goes on": Change({"acceleration": False}),
     "nothing is collected after a reset": Change(
-        edits={"background.cl": {"taken = collect ? shown : 0;": "taken = shown;"}}
+        edits={
+            "surfaces.cl": {"if (!collect) return;": ""},
+            "background.cl": {"if (collect && x + RUN": "if (x + RUN", "collect != 0, keys": "true, keys"},
+        }
     ),
     "nothing is collected beside movers and nearer surfaces": Change(constants={"surfaces.cl": {"GROW": "0"}}),
     "fragments must be deeper by a margin (case 2)": Change(
@@ -119,6 +123,8 @@ GAE: dict[str, Change] = {
     ),
     "silhouettes stay antialiased": Change({"soft_silhouettes": False}),
 }
+# Beyond the paper, each a module with an option of its own.
+PARTS = ("silhouettes stay antialiased", "hidden parts of movers", "movers' acceleration goes on")
 PAPER = Change()
 for change in GAE.values():
     PAPER |= change
@@ -182,30 +188,51 @@ def measure(
     errors = {name: Errors() for name in changes}
     for scene_name in setting.scenes:
         for seed in range(setting.seeds):
-            print(f"\r{scene_name}, seed {seed}".ljust(40), end="", file=sys.stderr, flush=True)
-            scene = load_scene(scene_name, seed)
-            frames = SceneFrames(SceneRenderer(device, scene, *setting.size))
-            pipelines = {}
-            for name, change in changes.items():
-                with kernels_with(change):
-                    pipelines[name] = Pipeline(device, *setting.size, replace(options, **change.options), fps=FPS)
-                pipelines[name].exposure = scene.exposure
-            takers = [_Rounding(pipeline, round_to) for pipeline in pipelines.values()]
-            for _, _, time in submitted_frames(frames, takers, setting.frames, FPS, ALPHA, lambda: None):
-                if time is None:
-                    continue
-                camera = frames.display_camera(time)
-                truth = display_values(frames.truth(time).read("color"), scene.exposure)
-                regions = None
-                for name, pipeline in pipelines.items():
-                    made = pipeline.extrapolate(camera if changes[name].camera else None, time)
-                    if regions is None:
-                        holes, moving = made.numpy("disoccluded") > 0, made.numpy("dynamic") > 0
-                        everything = np.ones_like(holes)
-                        parts = (everything, holes, moving & ~holes, ~moving & ~holes)
-                        regions = dict(zip(REGIONS, parts, strict=True))
-                    errors[name].add(display_values(made.numpy("color"), scene.exposure), truth, regions)
+            for _, truth, shown, regions in shown_frames(
+                device, changes, options, setting, (scene_name, seed), (ALPHA,), round_to
+            ):
+                for name, picture in shown.items():
+                    errors[name].add(picture, truth, regions)
     return errors
+
+
+def shown_frames(
+    device: Device,
+    changes: dict[str, Change],
+    options: Options,
+    setting: argparse.Namespace,
+    scene_and_seed: tuple[str, int],
+    alphas: tuple[float, ...],
+    round_to: float = 0.0,
+) -> Iterator[tuple[float, np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]]:
+    """Of each new frame of a scene: α, the truth and what `options` with each of `changes` make, as display values, and
+    the regions (masks) by the first of `changes`."""
+    print(f"\r{scene_and_seed[0]}, seed {scene_and_seed[1]}".ljust(40), end="", file=sys.stderr, flush=True)
+    scene = load_scene(*scene_and_seed)
+    frames = SceneFrames(SceneRenderer(device, scene, *setting.size))
+    pipelines = {}
+    for name, change in changes.items():
+        with kernels_with(change):
+            pipelines[name] = Pipeline(device, *setting.size, replace(options, **change.options), fps=FPS)
+        pipelines[name].exposure = scene.exposure
+    takers = [_Rounding(pipeline, round_to) for pipeline in pipelines.values()]
+    for _, frame, measured in submitted_frames(frames, takers, setting.frames, FPS, ALPHA, lambda: None):
+        for alpha in alphas if measured is not None else ():
+            time = frame.time + alpha / FPS
+            camera = frames.display_camera(time)
+            truth = display_values(frames.truth(time).read("color"), scene.exposure)
+            shown, regions = {}, {}
+            for name, pipeline in pipelines.items():
+                made = pipeline.extrapolate(camera if changes[name].camera else None, time)
+                regions = regions or _regions(made)
+                shown[name] = display_values(made.numpy("color"), scene.exposure)
+            yield alpha, truth, shown, regions
+
+
+def _regions(made) -> dict[str, np.ndarray]:
+    holes, moving = made.numpy("disoccluded") > 0, made.numpy("dynamic") > 0
+    parts = (np.ones_like(holes), holes, moving & ~holes, ~moving & ~holes)
+    return dict(zip(REGIONS, parts, strict=True))
 
 
 class _Rounding:
@@ -257,9 +284,30 @@ def threshold_table(device: Device, setting: argparse.Namespace) -> str:
     return "\n".join(lines)
 
 
+def parts_table(device: Device, setting: argparse.Namespace) -> str:
+    """What each part beyond the paper is worth by scene and α, PSNR of the whole frame."""
+    changes = {"": Change()} | {name: GAE[name] for name in PARTS}
+    lines = [f"| gain in dB, α = {', '.join(f'{a:g}' for a in ALPHAS)} | {' | '.join(PARTS)} |"]
+    lines.append("| --- |" + " --- |" * len(PARTS))
+    for scene in setting.scenes:
+        by_alpha = {alpha: {name: Errors() for name in changes} for alpha in ALPHAS}
+        for seed in range(setting.seeds):
+            for alpha, truth, shown, regions in shown_frames(
+                device, changes, Options(shading_correction=False), setting, (scene, seed), ALPHAS
+            ):
+                for name, picture in shown.items():
+                    by_alpha[alpha][name].add(picture, truth, regions)
+        row = []
+        for part in PARTS:
+            gained = [errors[""].psnr("whole") - errors[part].psnr("whole") for errors in by_alpha.values()]
+            row.append(", ".join(f"{gain:+.2f}".replace("-", "−") for gain in gained))
+        lines.append(f"| {scene} | {' | '.join(row)} |")
+    return "\n".join(lines)
+
+
 _HEAD = "| gain in dB, PSNR over | whole frame | holes | movers | the rest |\n| --- | --- | --- | --- | --- |"
 TABLES: dict[str, Callable[[Device, argparse.Namespace], str]] = {
-    "gae": gae_table, "scn": scn_table, "threshold": threshold_table
+    "gae": gae_table, "parts": parts_table, "scn": scn_table, "threshold": threshold_table
 }  # fmt: skip
 
 

@@ -3,9 +3,10 @@
     python docs/measure_run.py                    on plaza at 1920×1080, rendered for it
     python docs/measure_run.py --sequence SEQ     on a recorded sequence
 
-The ratio is the wall time of the run to kernels + network + (CPU time of the EXR codec ÷ cores). Kernels and network
-are measured without the codec beside them, which would slow them down: the same frames, from memory. Runs and
-measurements take turns; of each the least counts.
+The ratio is the wall time of the run to kernels + network + (CPU time of the EXR codec ÷ cores): with its start, in
+which pipeline and kernels are made while the first frames are read, and without. Kernels and network are measured
+without the codec beside them, which would slow them down: the same frames, from memory. Runs and measurements take
+turns; of each the least counts.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ def run_from_disk(sequence: Path, folder: Path, arguments: list[str]) -> dict[st
     report = folder / "report.json"
     process = gffe("run", sequence, folder / "result", *arguments, "--json", report)
     seconds = json.loads(report.read_text())["seconds"]
-    return {"process": process, "wall": seconds["wall"], "codec": seconds["codec_cpu"]}
+    names = {"start": "start", "wall": "wall", "codec": "codec_cpu"}
+    return {"process": process} | {name: seconds[key] for name, key in names.items()}
 
 
 def run_from_memory(sequence: Sequence, pipeline: Pipeline, frames: list) -> dict[str, float]:
@@ -72,8 +74,8 @@ def runs_table(path: Path, folder: Path, repeats: int) -> str:
     lines = [
         f"{len(frames)} frames of {sequence.width}×{sequence.height}, {device.info.name}, {device.info.platform},"
         f" {cores} cores; seconds\n",
-        "| | wall | kernels | network | EXR codec, CPU | ratio | whole process |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
+        "| | wall | start | kernels | network | EXR codec, CPU | ratio | without start | whole process |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for kind, arguments in KINDS.items():
         options = Options(shading_correction=not arguments)
@@ -84,7 +86,8 @@ def runs_table(path: Path, folder: Path, repeats: int) -> str:
             memory.append(run_from_memory(sequence, pipeline, frames))
         run, alone = least(disk), least(memory)
         needed = alone["kernels"] + alone["network"] + run["codec"] / cores
-        figures = (run["wall"], alone["kernels"], alone["network"], run["codec"], run["wall"] / needed, run["process"])
+        ratios = run["wall"] / needed, (run["wall"] - run["start"]) / needed
+        figures = (run["wall"], run["start"], alone["kernels"], alone["network"], run["codec"], *ratios, run["process"])
         lines.append(f"| {kind} | " + " | ".join(f"{figure:.2f}" for figure in figures) + " |")
     return "\n".join(lines)
 

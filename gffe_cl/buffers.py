@@ -11,11 +11,14 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
+import pyopencl.array
 
 from gffe_cl.camera import Camera
+from gffe_cl.errors import GffeError
 from gffe_cl.frame import BYTES_PER_PIXEL, PackedFrame
 from gffe_cl.inference import MULTIPLE
 from gffe_cl.opencl.device import Device
@@ -29,11 +32,12 @@ _LABELS = constants("common.h")
 BLOCK = tuple(constants("blocks.h")[f"BLOCK_{side}"] for side in ("WIDTH", "HEIGHT"))  # pixels
 BY_HOLE_FILLING, BY_NOTHING = _LABELS["BY_HOLE_FILLING"], _LABELS["BY_NOTHING"]
 BY_WARP, BY_CRACK_CLOSING = _LABELS["BY_WARP"], _LABELS["BY_CRACK_CLOSING"]
-BY_HIDDEN_PART = _LABELS["BY_HIDDEN_PART"]
+BY_HIDDEN_PART, BY_FIXED = _LABELS["BY_HIDDEN_PART"], _LABELS["BY_FIXED"]
 FILLED_BY = (
     (BY_WARP, "its own fragment"),
     *((1 + level, f"background level {level}") for level in range(4)),
     (BY_HIDDEN_PART, "hidden part of a mover"),
+    (BY_FIXED, "a pixel that stays in place"),
     (BY_NOTHING, "nothing"),
     (BY_CRACK_CLOSING, "crack closing"),
     (BY_HOLE_FILLING, "hole filling"),
@@ -67,6 +71,20 @@ def texel_of(grid: str) -> tuple[int, int]:
     )
 
 
+def texels_over(grid: str, fine: str, x: int, y: int, width: int, height: int) -> tuple[int, int, int, int]:
+    """The block of texels of `grid`, x, y, width and height, over a block of texels of `fine`, which is no coarser."""
+    side_x, side_y = (n // m for n, m in zip(texel_of(grid), texel_of(fine), strict=True))
+    x0, y0 = x // side_x, y // side_y
+    return x0, y0, (x + width - 1) // side_x + 1 - x0, (y + height - 1) // side_y + 1 - y0
+
+
+def spread(texels: np.ndarray, grid: str, fine: str, x: int, y: int, width: int, height: int) -> np.ndarray:
+    """(height, width): for each texel of a block of `fine` that of `texels_over` that lies over it."""
+    side_x, side_y = (n // m for n, m in zip(texel_of(grid), texel_of(fine), strict=True))
+    rows, columns = np.arange(y, y + height) // side_y, np.arange(x, x + width) // side_x
+    return texels[np.ix_(rows - rows[0], columns - columns[0])]
+
+
 def lies_on_source(grid: str) -> bool:
     """Whether a grid is laid over the rendered image; else over the extrapolated one."""
     return grid in ("source", "source_blocks", "cells") or grid.startswith("level")
@@ -87,7 +105,8 @@ class BufferSpec:
     kept too. `scratch`: of no interest once the stage is through. `part_of`: the buffer in which it lies. `planar`: on
     the device the channels lie one after another, each an image. `transient`: written in each `extrapolate` before it
     is read, so until the next `submit` it may lie in memory that another stage lends. `known_where`: a buffer of the
-    same owner, and the value that it has wherever this one holds anything; elsewhere it reads as 0. `packing`: how it
+    same owner, perhaps on a coarser grid, and the value that it has wherever this one holds anything; elsewhere it
+    reads as 0. `packing`: how it
     lies on the device, if not as `dtype` and `components` say.
     """
 
@@ -207,7 +226,10 @@ class Owner:
         spec = self.spec(name)
         stored, flat = spec.host_array(spec.size(self.sizes))
         cl.enqueue_copy(self.device.queue, flat, self.buffer[name])
-        known = self.read(spec.known_where[0]) if spec.known_where else None
+        known = None
+        if spec.known_where:
+            telling = self.spec(spec.known_where[0])
+            known = spread(self.read(telling.name), telling.grid, spec.grid, 0, 0, *spec.size(self.sizes))
         return spec.values(stored, known).reshape(spec.shape(self.sizes))
 
     def upload(self, name: str, values: np.ndarray) -> None:
@@ -260,6 +282,17 @@ class DeviceFrame:
 def halved(size: tuple[int, int], times: int) -> tuple[int, int]:
     """(ceil(W / 2^times), ceil(H / 2^times))."""
     return tuple(-(-n // (1 << times)) for n in size)
+
+
+def as_buffer(array: Any) -> cl.Buffer | None:
+    """The device buffer that `array` is; None for others. GffeError for a device array that is a part of one."""
+    if isinstance(array, cl.Buffer):
+        return array
+    if isinstance(array, cl.array.Array):
+        if array.offset or not array.flags.c_contiguous:
+            raise GffeError("frame: device arrays must be C-contiguous and start at offset 0 of their buffer")
+        return array.base_data
+    return None
 
 
 _ALIGNMENT = 1024  # texels, or bytes, between the starts of parts of a buffer: no device asks for more bytes

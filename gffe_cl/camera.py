@@ -12,6 +12,7 @@ from itertools import chain
 
 import numpy as np
 
+from gffe_cl import conventions
 from gffe_cl.errors import GffeError
 from gffe_cl.values import NUMBERS, is_number
 
@@ -109,6 +110,77 @@ class Camera:
         matrix[:3, :3] = (right, down, forward)
         matrix[:3, 3] = -matrix[:3, :3] @ np.asarray(position, np.float64)
         return cls(matrix, fx, fy, cx, cy)
+
+    @classmethod
+    def from_opengl(cls, view, projection, size, layout: str = "auto") -> Camera:
+        """Camera from OpenGL's matrices; off-centre projections, jitter, reversed and infinitely far planes included.
+
+        Parameters
+        ----------
+        view : (4, 4), or 16 numbers
+            World → view space, as handed to the shaders.
+        projection : (4, 4), or 16 numbers
+            View → clip space. Which way the view axes point follows from it; normalised device coordinates go up.
+        size : (width, height) of the image, pixels
+        layout : "auto", "row-major" or "column-major"
+            "row-major": `view[0]` is the first row of the matrix that column vectors are multiplied with, and the
+            translation is in the last column. "column-major": `view[0]` is its first column, as OpenGL and glm keep it
+            in memory; the same thing is a matrix for row vectors (v·M) written in rows, as of DirectXMath and Unreal.
+            "auto" tells them by the row or column 0 0 0 1 of the view and 0 0 ±1 0 of the projection.
+
+        With P for column vectors: fx = |P₀₀| W/2, fy = |P₁₁| H/2, cx = (1 + P₀₂/P₃₂) W/2, cy = (1 − P₁₂/P₃₂) H/2;
+        x, y, z of the view are turned to right, down, forward by the signs of P₀₀, P₁₁, P₃₂.
+        Raises GffeError if that is no rigid view and pinhole, or fits another layout.
+        """
+        return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True))
+
+    @classmethod
+    def from_direct3d(cls, view, projection, size, layout: str = "auto") -> Camera:
+        """Camera from Direct3D's matrices, left- or right-handed; parameters and formula of `from_opengl`.
+
+        DirectXMath's row-vector matrices are "column-major". It is also for Vulkan with a viewport of negative height.
+        """
+        return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True))
+
+    @classmethod
+    def from_vulkan(cls, view, projection, size, layout: str = "auto") -> Camera:
+        """Camera from Vulkan's matrices, whose normalised device coordinates go down; parameters of `from_opengl`.
+
+        cy = (1 + P₁₂/P₃₂) H/2, the rest as there. OpenGL-like views with `projection[1][1] *= -1` are right, too.
+        """
+        return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=False))
+
+    @classmethod
+    def from_unity(cls, view, projection, size, layout: str = "auto") -> Camera:
+        """Camera from Unity's `camera.worldToCameraMatrix` and `camera.projectionMatrix`; parameters of `from_opengl`.
+
+        `GL.GetGPUProjectionMatrix(…)` is as good: that it may be upside down, for textures, is seen. `m.GetRow(0)`
+        first is "row-major", the memory of a `Matrix4x4` "column-major". `projectionMatrix` holds the jitter,
+        `nonJitteredProjectionMatrix` does not. Unity's world is left-handed, so `world_to_view` is mirrored.
+        """
+        return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True, view_up=True))
+
+    @classmethod
+    def from_unreal(cls, view, projection, size, layout: str = "auto") -> Camera:
+        """Camera from Unreal's `FViewMatrices`, view and projection (jittered or not); parameters of `from_opengl`.
+
+        An `FMatrix` is for row vectors, so `M[0]` first is "column-major". World units stay centimetres: take depth in
+        centimetres, too. Unreal's world is left-handed, so `world_to_view` is mirrored.
+        """
+        return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True, view_up=True))
+
+    @classmethod
+    def from_unreal_pose(cls, location, rotation, fov: float, size) -> Camera:
+        """Camera from an Unreal `FVector` location (3,), an `FRotator` (pitch, yaw, roll) and the horizontal field of
+        view, degrees, on an image of `size` = (width, height) pixels: fx = fy = W/2 / tan(fov/2). The unit stays.
+
+        Raises GffeError for fields of view that are not between 0° and 180°.
+        """
+        if not 0 < fov < 180:
+            raise GffeError(f"camera: fov must be between 0 and 180 degrees, got {fov}")
+        width, height = size
+        focal = width / 2 / np.tan(np.radians(fov) / 2)
+        return cls(conventions.unreal_view(location, *rotation), focal, focal, width / 2, height / 2)
 
     @property
     def intrinsics(self) -> tuple[float, float, float, float]:

@@ -7,7 +7,8 @@ motion float ×2, row-major.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,35 @@ _HALF_EXPONENT = 0x7C00  # its bits, all of them set in NaN and infinity
 _SAME_POSE = 1e-6
 BYTES_PER_PIXEL = (8, 4, 8)  # of colour, depth and motion on the device
 KEPT_BYTES_PER_PIXEL = 2 * (8 + 4) + 8  # of two frames: nothing reads the motion of the one before
+
+
+@dataclass
+class Overlays:
+    """What lies over the picture and is not warped with it; NumPy arrays or device buffers, each of them optional.
+
+    Colours are linear and scene-referred as the frame's, and premultiplied: layer.rgb + (1 − layer.a) · picture is
+    shown. The frame's own colour has neither effects nor user interface in it; pixels of `fixed_mask` it has.
+
+    Parameters
+    ----------
+    fixed_mask : (H, W) bool or uint8, render pixels
+        Where the rendered picture stays in its place on the display: first-person hands and weapons, cockpits. It
+        should cover their antialiased edges. Behind them nothing is known. On the device uchar.
+    effects : (H, W, 4) float RGBA, render pixels
+        Smoke, fire, particles, lens flares: without depth, over all but the user interface. On the device half ×4.
+    effects_motion : (H, W, 2) float32, pixels, like the frame's motion
+        Along which the effects go on; None: they stay in place. On the device float ×2.
+    ui : (H, W, 4) float RGBA, display pixels
+        User interface, as it is in this frame. On the device half ×4.
+    """
+
+    fixed_mask: Any = None
+    effects: Any = None
+    effects_motion: Any = None
+    ui: Any = None
+
+
+OVERLAYS = tuple(layer.name for layer in fields(Overlays))
 
 
 @dataclass
@@ -40,6 +70,8 @@ class RenderedFrame:
         What is shown; None if it is the render camera.
     reset : bool
         Nothing before this frame may be used (scene cut, teleport, start).
+    overlays : Overlays or None
+        What is not to be warped with the picture.
     """
 
     color: Any
@@ -49,6 +81,7 @@ class RenderedFrame:
     time: float
     display_camera: Camera | None = None
     reset: bool = False
+    overlays: Overlays | None = None
 
     @property
     def shown_camera(self) -> Camera:
@@ -122,15 +155,16 @@ def pack_frame(frame: RenderedFrame, height: int, width: int) -> PackedFrame:
     bad = BadPixels()
 
     rgb = color[..., :3]
+    packed = _lies_as_on_device(color)
     if not _fits_half(rgb):
         finite = np.isfinite(rgb)
         over = np.abs(rgb) > HALF_MAX
         bad.color = int((~finite).any(-1).sum())
         bad.clamped = int((over & finite).any(-1).sum())
         rgb = np.clip(np.nan_to_num(rgb, nan=0.0, posinf=HALF_MAX, neginf=-HALF_MAX), -HALF_MAX, HALF_MAX)
-    packed = np.zeros((height, width, 4), np.float16)
-    for c in range(3):  # several times as fast as all at once
-        packed[..., c] = rgb[..., c]
+        packed = None
+    if packed is None:
+        packed = color_of_planes(rgb[..., c] for c in range(3)).base
 
     depth = np.ascontiguousarray(depth, np.float32)
     bad.depth = depth.size - int(np.count_nonzero(depth > 0))
@@ -146,10 +180,30 @@ def pack_frame(frame: RenderedFrame, height: int, width: int) -> PackedFrame:
     return PackedFrame(packed, depth, motion, bad)
 
 
+def color_of_planes(planes: Iterable[np.ndarray]) -> np.ndarray:
+    """(H, W, 3) float16 from three images (H, W), as the device wants them: a fourth channel, which is not seen, is 0.
+    `pack_frame` takes it without a copy."""
+    first, *others = planes
+    color = np.zeros((*first.shape, 4), np.float16)
+    for c, plane in enumerate((first, *others)):  # several times as fast as all at once
+        color[..., c] = plane
+    return color[..., :3]
+
+
+def _lies_as_on_device(color: np.ndarray) -> np.ndarray | None:
+    """The (H, W, 4) array of what `color_of_planes` made; None for any other array."""
+    whole = color.base
+    if not isinstance(whole, np.ndarray) or whole.dtype != np.float16 or whole.shape != (*color.shape[:2], 4):
+        return None
+    same = color.dtype == whole.dtype and color.strides == whole.strides and color.ctypes.data == whole.ctypes.data
+    return whole if same and whole.flags.c_contiguous and not whole[..., 3].view(np.uint16).any() else None
+
+
 def _fits_half(values: np.ndarray) -> bool:
-    """Whether all are finite and within ±65504."""
-    if values.dtype == np.float16:  # bits: NumPy's arithmetic of halves is slow
-        return bool((values.view(np.uint16) & _HALF_EXPONENT).max() < _HALF_EXPONENT)
+    """Whether all of (H, W, n) are finite and within ±65504."""
+    if values.dtype == np.float16:  # bits, one channel after another: NumPy's arithmetic of halves is slow
+        planes = (values[..., c].view(np.uint16) for c in range(values.shape[-1]))
+        return all((plane & _HALF_EXPONENT).max() < _HALF_EXPONENT for plane in planes)
     return bool(max(values.max(), -values.min()) <= HALF_MAX)  # both are NaN if one value is
 
 

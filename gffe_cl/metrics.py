@@ -33,6 +33,13 @@ def display_values(color, exposure: float = 1.0) -> np.ndarray:
     return np.where(linear <= SRGB_TOE, 12.92 * linear, curve)
 
 
+def linear_values(display, exposure: float = 1.0) -> np.ndarray:
+    """Linear scene-referred colour (H, W, 3) float32 that `display_values` shows as `display`, of values in [0, 1]."""
+    display = np.asarray(display, np.float32)
+    curve = ((np.maximum(display, 0) + 0.055) / 1.055) ** np.float32(2.4)
+    return np.where(display <= 12.92 * SRGB_TOE, display / 12.92, curve) / np.float32(require_exposure(exposure))
+
+
 # ---- what is measured ----------------------------------------------------------------------------------
 
 
@@ -93,7 +100,7 @@ class Metric:
 
     def missing(self) -> str | None:
         """None if it can be measured here, else a sentence: what to install."""
-        what = f"{self.label} needs {self.package}: pip install 'gffe-cl[metrics]'"
+        what = f"{self.label} needs {self.package}: pip install {self.package}"
         try:
             importlib.import_module(self.module)
         except ModuleNotFoundError:

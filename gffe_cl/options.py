@@ -105,6 +105,11 @@ class Options:
     Raises GffeError for values that make no sense.
     """
 
+    cut_detection: bool = _option(
+        True, "cut detection", "A rendered frame of which the one before shows nothing is a reset; off: resets must be"
+        " told.",
+        flag="--no-cut-detection",
+    )  # fmt: skip
     motion: bool = _option(
         True, "motion estimation", "History tracking; off: everything is static.", flag="--no-motion"
     )
@@ -154,6 +159,10 @@ class Options:
     soft_silhouettes: bool = _option(
         True, "soft silhouettes", "Edges of what moves over something else stay antialiased; off: as the warp leaves"
         " them, as in the paper.", flag="--no-soft-silhouettes",
+    )  # fmt: skip
+    overlays: bool = _option(
+        True, "overlays", "Pixels that stay in place, effects and user interface, where rendered frames bring them.",
+        flag="--no-overlays",
     )  # fmt: skip
     shading_inputs: bool = _option(
         False, "inputs of shading correction", "Make them where shading correction is off, too.", remembered=False

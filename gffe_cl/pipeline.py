@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pyopencl as cl
-import pyopencl.array
 
-from gffe_cl.buffers import EXTRAPOLATED, RGBA, BufferSpec, DeviceFrame, Owner, Sizes
+from gffe_cl.buffers import EXTRAPOLATED, RGBA, BufferSpec, DeviceFrame, Owner, Sizes, as_buffer
 from gffe_cl.camera import Camera
 from gffe_cl.camera_path import POSES, predict_camera_at
 from gffe_cl.errors import GffeError
@@ -31,7 +29,9 @@ from gffe_cl.stage import Board, Output, Stage, Step
 from gffe_cl.stages.acceleration import Acceleration
 from gffe_cl.stages.background import Background
 from gffe_cl.stages.blocks import Blocks
+from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.correction import ShadingCorrection
+from gffe_cl.stages.cuts import CutDetection
 from gffe_cl.stages.hidden import HiddenParts
 from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.holes import FILLINGS, HoleFilling
@@ -80,7 +80,7 @@ class ExtrapolatedFrame(MadeFrame):
     """An extrapolated frame at t + α.
 
     `motion` is t + α → t, into the rendered image of t; `dynamic`, `disoccluded`, `filled_by` (uchar). `gae` is the
-    colour before shading correction, the same buffer as `color` where that is off.
+    colour before shading correction and overlays, the same buffer as `color` where these are off.
     """
 
     alpha: float
@@ -95,6 +95,7 @@ _LIKE = {"gae": "color"}  # what is described like another buffer
 
 # In the order in which they work, on rendered frames and on new ones.
 STAGES: tuple[type[Stage], ...] = (
+    CutDetection,
     HistoryTracking,
     Acceleration,
     Surfaces,
@@ -140,9 +141,11 @@ class Pipeline:
         frame.
     bad_pixels : BadPixels
         Met so far.
+    is_cut : bool
+        Whether the last submitted frame was found to be a cut, of which nobody told: it was treated as a reset.
 
     Nothing is allocated on the device or compiled after construction, but for the first uploads of host arrays and
-    with the first frame that is rendered through a window.
+    with the first frame that is rendered through a window or brings overlays.
     Device buffers must have been written on `device.queue`, or be finished, before they are submitted.
     """
 
@@ -165,14 +168,17 @@ class Pipeline:
         self.fps = fps
         self._exposure = 1.0
         self.bad_pixels = BadPixels()
+        self.is_cut = False
         self.board = Board(device, self.sizes, self.options, int64_atomics)
         self.stages: dict[str, Stage] = {stage.name: stage(self.board) for stage in stages_of(self.options)}
-        self.board.allocate_rest()
+        self.board.lend()
         self.presentation: Presentation | None = None  # made with the first windowed frame
+        self.composition: Composition | None = None  # made with the first frame that brings overlays
         self._outputs: dict[str, Output] = {}  # what is kept of each stage's
         self._slots: list[DeviceFrame] = []
         self._current: DeviceFrame | None = None
         self._previous: DeviceFrame | None = None
+        self._shown: DeviceFrame | None = None  # the current one with all of its depth
         self._times: list[float] = []  # of rendered frames since the last reset, newest first
         self._path: list[Camera] = []  # what they show through
 
@@ -192,24 +198,35 @@ class Pipeline:
 
         Arrays may be NumPy arrays (copied to the device; bad pixels are added to `bad_pixels`) or device
         buffers, which are used in place: do not overwrite them before two more frames have been submitted.
-        `packed` may bring the result of `pack_frame`, done ahead on another thread.
+        `packed` may bring the result of `pack_frame`, done ahead on another thread. Returns at once, but with cut
+        detection waits for the device: `is_cut` says what it found.
 
         Raises GffeError for wrong shapes, missing motion, or a time that does not increase.
         """
         if not np.isfinite(frame.time) or (self._times and not frame.reset and frame.time <= self._times[0]):
             raise GffeError(f"frame: time {frame.time:g} s must be finite and after the previous rendered frame's")
-        on_device = self._on_device(frame, packed)
-        if frame.reset:
+        overlays = frame.overlays if self.options.overlays else None
+        if overlays and self.composition is None:
+            self.composition = Composition(self.board)
+        layers = self.composition.prepared(overlays) if self.composition else {}
+        self._shown = on_device = self._on_device(frame, packed)
+        if self.composition:
+            on_device = self.composition.take(layers, on_device)
+        self._previous = None if frame.reset else self._current
+        self._current = on_device
+        self.board.rendered, self.board.previous = self._current, self._previous or self._current
+        detection = self.stages.get(CutDetection.name)
+        self.is_cut = detection is not None and detection.is_cut(self._current, self._previous)
+        if frame.reset or self.is_cut:
             self._times.clear()
             self._path.clear()
-            self._previous = None
-        else:
-            self._previous = self._current
-        self._current = on_device
+            self._previous, self.board.previous = None, self._current
         self._times = [frame.time, *self._times[:MAX_ORDER]]
         self._path = [on_device.display_camera, *self._path[: POSES - 1]]
-        self.board.rendered, self.board.previous = self._current, self._previous or self._current
         step = Step(self._current, self._previous, self._times, exposure=self.exposure)
+        for stage in self.stages.values():
+            stage.swap()
+        self.board.lend()
         for stage in self.stages.values():
             stage.rendered(step)
         if self.presentation is None and not self._shown_whole(on_device):
@@ -218,13 +235,20 @@ class Pipeline:
     def present(self) -> PresentedFrame:
         """What is shown of the last submitted frame; resamples it where it was rendered through a window, or where the
         frame before was and motion must be converted. Returns at once. Raises GffeError before the first `submit`."""
-        frame = self._need_frame()
+        self._need_frame()
+        frame = self._shown
         if self._needs_presentation:
             self.presentation.present(frame, self._previous)
-            buffers = tuple(self.presentation.buffer[name] for name in ("color", "depth", "motion"))
+            color, depth, motion = (self.presentation.buffer[name] for name in ("color", "depth", "motion"))
         else:
-            buffers = frame.buffers
-        return PresentedFrame(frame.display_camera, frame.time, *buffers, self.device, self.sizes.target)
+            color, depth, motion = frame.buffers
+        if self._has_overlays:
+            color = self.composition.compose(color, 0.0, rendered=True)
+        return PresentedFrame(frame.display_camera, frame.time, color, depth, motion, self.device, self.sizes.target)
+
+    @property
+    def _has_overlays(self) -> bool:
+        return bool(self.composition and self.composition.active)
 
     @property
     def _needs_presentation(self) -> bool:
@@ -236,7 +260,7 @@ class Pipeline:
     def _on_device(self, frame: RenderedFrame, packed: PackedFrame | None) -> DeviceFrame:
         display_camera = display_camera_of(frame, self.sizes.source, self.sizes.target)
         require_one_pose(frame.camera, display_camera)
-        given = [_as_buffer(array) for array in (frame.color, frame.depth, frame.motion)]
+        given = [as_buffer(array) for array in (frame.color, frame.depth, frame.motion)]
         width, height = self.sizes.source
         if all(given):
             for name, buffer, bytes_per_pixel in zip(("color", "depth", "motion"), given, BYTES_PER_PIXEL, strict=True):
@@ -281,7 +305,7 @@ class Pipeline:
     ) -> ExtrapolatedFrame:
         """Make the frame at `time` (seconds; default: half an interval ahead) seen by `camera` (default:
         the predicted camera). Returns at once, unless it waits for the shading correction network; reading a buffer
-        waits.
+        waits. With the time of the rendered frame itself and a newer camera it is a late warp (α = 0).
 
         `target_position` (H, W, 4) float32 replaces position prediction, for experiments: x, y in target
         pixels, view depth there (−1: nothing), 0, for every pixel of the rendered frame.
@@ -309,10 +333,13 @@ class Pipeline:
                 self._outputs[stage.name].keep(self.board.frame.buffer)
         made = self.board.frame.buffer
         correction = self.stages.get(ShadingCorrection.name)
+        color = correction.buffer["color"] if correction else made["color"]
+        if self._has_overlays:
+            color = self.composition.compose(color, alpha)
         return ExtrapolatedFrame(
             camera,
             time,
-            correction.buffer["color"] if correction else made["color"],
+            color,
             made["depth"],
             made["motion"],
             self.device,
@@ -344,6 +371,8 @@ class Pipeline:
                 yield from ((output, output.spec(name)) for name in output.buffer)
         if self.presentation and self._needs_presentation:
             yield from ((self.presentation, spec) for spec in self.presentation.buffers)
+        if self._has_overlays:
+            yield from ((self.composition, spec) for spec in self.composition.held())
 
     def outputs(self) -> Iterator[tuple[str, BufferSpec]]:
         """What `keep` can keep: the stages' names, and the buffers of the extrapolated frame that each of them writes
@@ -375,17 +404,8 @@ class Pipeline:
         "network" is the wall time in the network."""
         self.device.queue.finish()
         timings = {stage.name: stage.take_milliseconds() for stage in self.stages.values()}
-        if self.presentation:
-            timings[self.presentation.name] = self.presentation.take_milliseconds()
+        for stage in (self.presentation, self.composition):
+            if stage:
+                timings[stage.name] = stage.take_milliseconds()
         correction = self.stages.get(ShadingCorrection.name)
         return timings | ({"network": correction.take_network_milliseconds()} if correction else {})
-
-
-def _as_buffer(array: Any) -> cl.Buffer | None:
-    if isinstance(array, cl.Buffer):
-        return array
-    if isinstance(array, cl.array.Array):
-        if array.offset or not array.flags.c_contiguous:
-            raise GffeError("frame: device arrays must be C-contiguous and start at offset 0 of their buffer")
-        return array.base_data
-    return None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 
@@ -30,14 +30,17 @@ MASKS = {"mask.dynamic": "dynamic", "mask.disoccluded": "disoccluded", "mask.fil
 @dataclass
 class RunReport:
     """What a run did: frames made, bad pixels met, warnings, milliseconds per stage and frame (kernels; "network":
-    wall time), and seconds of the whole run: "wall", of these in "kernels" and "network", and "codec_cpu", CPU time for
-    reading and writing EXRs."""
+    wall time), seconds of the whole run: "wall", of these until kernels were ready ("start"), in "kernels" and in
+    "network", and "codec_cpu", CPU time for reading and writing EXRs; how many frames were rendered ones, and the files
+    of those that were found to be cuts."""
 
     extrapolated: int
     bad_pixels: BadPixels
     warnings: list[str]
     milliseconds: dict[str, float]
     seconds: dict[str, float] = field(default_factory=dict)
+    rendered: int = 0
+    cuts: list[str] = field(default_factory=list)
 
 
 def alphas_for(n: int) -> list[float]:
@@ -64,7 +67,8 @@ def run_sequence(
 
     The cameras after a rendered frame are those that `source` knows for the times of all new frames there; if it lacks
     one, or `predicted_camera` asks for it, all of them are C̄. `compression` is that of new EXRs (see `SequenceWriter`).
-    `on_frame` is called after each extrapolated frame.
+    `on_frame` is called after each extrapolated frame. Rendered frames that are found to be cuts become resets in
+    `output`.
 
     Raises GffeError for structural faults; then `output` is as it was before.
     """
@@ -84,6 +88,7 @@ def run_sequence(
     frames = source.frames(alphas, strict)  # the first ones are read while kernels are built
     pipeline = Pipeline(device, *size, options, render_size=source.render_size, fps=source.fps)
     pipeline.exposure = source.exposure
+    started = perf_counter()
     suffixes = _suffixes(alphas)
     report = RunReport(0, BadPixels(), [], {})
     timings: dict[str, float] = defaultdict(float)
@@ -92,6 +97,10 @@ def run_sequence(
     with writing as writer:
         for entry, frame, packed in frames:
             pipeline.submit(frame, packed)
+            report.rendered += 1
+            if pipeline.is_cut:
+                report.cuts.append(entry.file)
+                entry = replace(entry, reset=True)
             source.store(writer, entry, frame)
             if dump_stages:
                 pipeline.present()
@@ -109,8 +118,11 @@ def run_sequence(
                 )
                 if dump_stages:
                     dump_buffers(pipeline, writer.folder("stages") / Path(made.file).stem)
-                channels = output_channels(extrapolated, frame.camera, frame.shown_camera, frame.color.dtype)
-                writer.add(made, channels, owned=True)
+                writer.add(
+                    made,
+                    output_channels(extrapolated, frame.camera, frame.shown_camera, frame.color.dtype),
+                    owned=True,
+                )
                 report.extrapolated += 1
                 on_frame()
             for name, milliseconds in pipeline.take_timings().items():
@@ -121,6 +133,7 @@ def run_sequence(
     network = timings.pop("network", 0.0) * 1e-3
     report.seconds = {
         "wall": perf_counter() - start,
+        "start": started - start,
         "kernels": sum(timings.values()) * 1e-3,
         "network": network,
         "codec_cpu": codec_seconds() - codec,

@@ -110,14 +110,14 @@ class Recorded:
             yield cut, shown, replace(pack_frame(shown, self.height, self.width), bad=packed.bad)
 
     def store(self, writer, entry, frame):
-        if self._cut:
-            writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
+        own = None if self._cut else self.sequence.exr_file(entry)
+        if own is None:
+            writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
         else:
-            writer.link(entry, self.sequence.path / entry.file)
+            writer.link(entry, own)
 
     def cameras_at(self, times):
-        truth = [self.sequence.at("ground_truth", time) for time in times]
-        cameras = [entry and (entry.display_camera or entry.render_camera) for entry in truth]
+        cameras = [self.sequence.camera_at(time) for time in times]
         if all(cameras):
             return cameras
         for time in times:
@@ -152,7 +152,7 @@ class Live:
             yield rendered_entry(k, frame), frame, pack_frame(frame, self.height, self.width)
 
     def store(self, writer, entry, frame):
-        writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
+        writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
 
     def cameras_at(self, times):
         return [self.scene.camera(time, self.width, self.height) for time in times]

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.buffers import RENDERED, BufferSpec, DeviceFrame, ExtrapolatedBuffers, Owner, Sizes
+from gffe_cl.buffers import RENDERED, BufferSpec, DeviceFrame, ExtrapolatedBuffers, Owner, Sizes, aligned
 from gffe_cl.camera import Camera
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import Program, build
@@ -110,6 +110,9 @@ class Board:
     """Where stages find each other's buffers.
 
     `int64`: whether keys are 64 bits wide (see `NearestStage`); None: if the device has such atomics.
+
+    Stages lend memory that they do not need themselves between one `submit` and the next, for transient buffers of all
+    stages: several in one place, if no stage works with more than one of them.
     """
 
     def __init__(self, device: Device, sizes: Sizes, options: Any = None, int64: bool | None = None):
@@ -117,6 +120,7 @@ class Board:
         self.int64 = device.int64_atomics if int64 is None else int64
         self.stages: dict[str, Stage] = {}
         self.transient: list[tuple[Stage, BufferSpec]] = []  # of all stages so far
+        self.lent: list[tuple[Stage, str]] = []  # memory, by the stage's names of it
         self.rendered: DeviceFrame | None = None
         self.previous: DeviceFrame | None = None  # the rendered frame itself where there is none before
 
@@ -125,11 +129,40 @@ class Board:
         """The extrapolated frame."""
         return ExtrapolatedBuffers(self.device, self.sizes)
 
-    def allocate_rest(self) -> None:
-        """Allocate the transient buffers to which no stage lends memory."""
+    def lend(self) -> None:
+        """Give every transient buffer its place in lent memory, or one of its own if there is none: once all stages are
+        made, and whenever they swapped."""
         for stage, spec in self.transient:
-            if spec.name not in stage.buffer:
+            if place := self._places[stage.name, spec.name]:
+                (owner, name), start = place
+                stage.buffer[spec.name] = owner.own(name).get_sub_region(start, spec.nbytes(self.sizes))
+            elif spec.name not in stage.buffer:
                 stage.buffer |= stage.allocate([spec])
+
+    @cached_property
+    def _places(self) -> dict[tuple[str, str], tuple[tuple[Stage, str], int] | None]:
+        """Of transient buffers, largest first: in which lent memory, and from which byte on."""
+        places: dict = {}
+        taken: dict[tuple[Stage, str], list] = {lent: [] for lent in self.lent}
+        for stage, spec in sorted(self.transient, key=lambda one: -one[1].nbytes(self.sizes)):
+            nbytes, used = spec.nbytes(self.sizes), self._use(stage, spec)
+            starts = {lent: _free_start(parts, nbytes, used) for lent, parts in taken.items()}
+            fitting = (lent for lent, start in starts.items() if start + nbytes <= lent[0].own(lent[1]).size)
+            lent = next(fitting, None)
+            places[stage.name, spec.name] = lent and (lent, starts[lent])
+            if lent:  # a byte more: texels of one index must not take each other's place in caches
+                taken[lent].append((starts[lent], aligned(starts[lent] + nbytes + 1), used))
+        return places
+
+    def _use(self, stage: Stage, spec: BufferSpec) -> frozenset[int]:
+        """The numbers of the stages at whose time a transient buffer is used: until the last one that names it, or all
+        that follow if it is of interest afterwards."""
+        name, used = f"{stage.name}.{spec.name}", []
+        for number, other in enumerate(self.stages.values()):
+            names_it = any(access.buffer == name for kernel in other.kernels for *_, access in kernel.accesses())
+            if names_it or other is stage or (used and not spec.scratch):
+                used.append(number)
+        return frozenset(range(used[0], used[-1] + 1))
 
     def buffer(self, name: str) -> cl.Buffer:
         """Of that name. KeyError if no stage has it."""
@@ -145,6 +178,16 @@ class Board:
         if owner in ("rendered", "previous"):
             return next(spec for spec in RENDERED if spec.name == rest)
         return (self.frame if owner == "frame" else self.stages[owner]).spec(rest.removesuffix("'"))
+
+
+def _free_start(parts: Iterable[tuple[int, int, frozenset[int]]], nbytes: int, used: frozenset[int]) -> int:
+    """The first byte from which on `nbytes` are free at the time of the stages `used`; parts: from, to, used."""
+    start = 0
+    for begin, end, _ in sorted(part for part in parts if part[2] & used):
+        if start + nbytes <= begin:
+            break
+        start = max(start, end)
+    return start
 
 
 class Stage(Owner):
@@ -198,7 +241,7 @@ class Stage(Owner):
         return self.before[name[:-1]] if name.endswith("'") else self.buffer[name]
 
     def swap(self) -> None:
-        """What was made becomes what is kept of the frame before."""
+        """What was made becomes what is kept of the frame before; for all stages, before any works on a new one."""
         for name, buffer in self.before.items():
             self.before[name], self.buffer[name] = self.buffer[name], buffer
 

@@ -3,39 +3,19 @@
    depth and its pixel position (not the texel's centre) in the camera of the frame for which the level was collected. SHOWN
    texels are not stored: they are that frame's own pixels.
    Stored positions are two 16-bit offsets from the texel's centre, x in the lower half, in PX_UNITS of the texel's side: that
-   holds what TOUCHES it. Stored colours are RGB9E5: mantissas of 9 bits, R in the lowest, that share an exponent of 5
-   (as in EXT_texture_shared_exponent); negative ones become 0, large ones COLOR_MOST.
+   holds what TOUCHES it. Stored colours are RGB9E5.
    Fragments of B'_l that only meet the surface that they are of are skipped LANES at once, pixels and texels that hold nothing to
    do RUN at once. */
 
 #include "common.h"
 #include "wide.h"
 #include "nearest.h"
-
-#define EMPTY 0
-#define SHOWN 1        /* of level 0: a static fragment of the frame itself: the warp projects it */
-#define REMEMBERED 2   /* of an earlier frame */
+#include "levels.h"
+#include "rgb9e5.h"
 
 #define SAME_SURFACE 0.02f   /* relative depth within which two fragments may be of the same surface */
 
 inline int level_side(const int side, const int level) { return (side + (1 << level) - 1) >> level; }
-
-#define COLOR_MOST 65408.0f     /* 511 * 2^7, the largest RGB9E5 */
-#define COLOR_FINEST 1.52587890625e-5f  /* 2^-16: colours below that share the least exponent */
-
-/* LANES colours. */
-inline Ints pack_colors(const Floats r, const Floats g, const Floats b) {
-    const Floats red = clamp(r, 0.0f, COLOR_MOST), green = clamp(g, 0.0f, COLOR_MOST), blue = clamp(b, 0.0f, COLOR_MOST);
-    const Floats most = fmax(fmax(red, green), fmax(blue, COLOR_FINEST));
-    const Ints exponent = ((floats_as_ints(most) + 0x4000) >> 23) - 111;  /* 0 to 31, of what `most` is rounded to */
-    const Floats scale = ints_as_floats((151 - exponent) << 23);
-    return to_ints(rint(red * scale)) | to_ints(rint(green * scale)) << 9 | to_ints(rint(blue * scale)) << 18 | exponent << 27;
-}
-
-inline float3 unpack_color(const uint bits) {
-    const float unit = as_float(((bits >> 27) + 103u) << 23);  /* 2^(exponent - 24) */
-    return convert_float3((uint3)(bits & 511u, (bits >> 9) & 511u, (bits >> 18) & 511u)) * unit;
-}
 
 #define PX_UNITS 32768.0f       /* of a stored position, per side of a texel */
 
@@ -300,30 +280,21 @@ inline bool nobody_came(__global const Key *keys, __global const uint *winners, 
 #endif
 }
 
-/* Empties the keys of RUN texels of level 0 if any of them may be filled: what is `taken` is offered nothing. */
-SCAN __kernel void empty_keys(const int source_width, const int source_height, __global const uchar *taken,
-                              __global Key *fill_keys, __global uint *fill_winners) {
-    const int texel_x = get_global_id(0) * RUN, texel_y = get_global_id(1);
-    if (texel_x >= source_width || texel_y >= source_height) return;
-    const int first = texel_y * source_width + texel_x, count = min(RUN, source_width - texel_x);
-    if (count == RUN && !run_has(taken + first, EMPTY)) return;
-    for (int k = 0; k < count; ++k) forget(fill_keys, fill_winners, first + k);
-}
-
 /* Puts the winners of `count` texels, at most LANES, from (x, y) on into them, fragments of an old level, and empties their
-   keys. Texels that are `taken` stay; 0: none is. */
-INLINE void settle(const int first_x, const int texel_y, const int count, __global const uchar *taken, __global Key *keys,
+   keys. Of a level that is `begun` what is not EMPTY stays; of others nothing. */
+INLINE void settle(const int first_x, const int texel_y, const int count, const bool begun, __global Key *keys,
                    __global uint *winners, const Texels old, const Reprojection to_current, const Level level) {
     const int first = texel_y * level.width + first_x;
+    if (begun && count == LANES && !ANY(to_ints(load_bytes(0, level.state + first)) == EMPTY)) return;
     if (count == LANES && nobody_came(keys, winners, first)) {
-        store_bytes(taken ? load_bytes(0, taken + first) : (Bytes)(EMPTY), 0, level.state + first);
+        if (!begun) store_bytes((Bytes)(EMPTY), 0, level.state + first);
         return;
     }
     uint winner[LANES];
     int packed[LANES], color[LANES], is_shown[LANES], any_shown = 0;
     float z[LANES], r[LANES], g[LANES], b[LANES];
     for (int k = 0; k < count; ++k) {  /* loads before stores: those of lanes would wait for them */
-        winner[k] = taken && taken[first + k] != EMPTY ? NOBODY : winner_of(keys, winners, first + k);
+        winner[k] = begun && level.state[first + k] != EMPTY ? NOBODY : winner_of(keys, winners, first + k);
         if (winner[k] == NOBODY) continue;
         is_shown[k] = old.state[winner[k]] == SHOWN;
         if (is_shown[k]) {
@@ -355,7 +326,7 @@ INLINE void settle(const int first_x, const int texel_y, const int count, __glob
     }
     for (int k = 0; k < count; ++k) {
         const int texel = first + k;
-        level.state[texel] = winner[k] != NOBODY ? REMEMBERED : taken ? taken[texel] : EMPTY;
+        if (winner[k] != NOBODY || !begun) level.state[texel] = winner[k] != NOBODY ? REMEMBERED : EMPTY;
         if (winner[k] == NOBODY) continue;
         forget(keys, winners, texel);
         level.color[texel] = (uint)color[k];
@@ -365,22 +336,18 @@ INLINE void settle(const int first_x, const int texel_y, const int count, __glob
 }
 
 /* RUN texels of a level from column x on. Not to `collect`: what the frame shows stays out. */
-INLINE void settle_run(const int x, const int y, const int collect, __global const uchar *shown, __global Key *keys,
-                       __global uint *winners, const Texels old, const Reprojection to_current, const Level level) {
-    const int width = level.width, first = y * width + x;
-    __global const uchar *taken = collect ? shown : 0;
-    if (taken && x + RUN <= width && !run_has(taken + first, EMPTY)) {
-        copy_run(taken + first, level.state + first);
-        return;
-    }
+INLINE void settle_run(const int x, const int y, const int collect, __global Key *keys, __global uint *winners,
+                       const Texels old, const Reprojection to_current, const Level level) {
+    const int width = level.width;
+    if (collect && x + RUN <= width && !run_has(level.state + y * width + x, EMPTY)) return;
     for (int k = 0; k < min(RUN, width - x); k += LANES)
-        settle(x + k, y, min(LANES, width - x - k), taken, keys, winners, old, to_current, level);
+        settle(x + k, y, min(LANES, width - x - k), collect != 0, keys, winners, old, to_current, level);
 }
 
 /* Completes a level. */
 SCAN __kernel void settle_level(const int level, const int level_width, const int level_height, const int collect,
-                                const Reprojection to_current, __global const uchar *taken, __global Key *fill_keys,
-                                __global uint *fill_winners, __global const half *frame_color,
+                                const Reprojection to_current, __global Key *fill_keys, __global uint *fill_winners,
+                                __global const half *frame_color,
                                 __global const float *frame_depth, __global const uint *old_color,
                                 __global const float *old_depth, __global const int *old_px,
                                 __global const uchar *old_state, __global uint *level_color, __global float *level_depth,
@@ -389,13 +356,13 @@ SCAN __kernel void settle_level(const int level, const int level_width, const in
     if (texel_x >= level_width || texel_y >= level_height) return;
     const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, level, level_width};
     const Level own = {level_color, level_depth, level_px, level_state, level, level_width};
-    settle_run(texel_x, texel_y, collect, taken, fill_keys, fill_winners, old, to_current, own);
+    settle_run(texel_x, texel_y, collect, fill_keys, fill_winners, old, to_current, own);
 }
 
 /* The same, and begins the next level with what was pushed down. */
 SCAN __kernel void settle_and_push(const int level, const int level_width, const int level_height, const int collect,
-                                   const Reprojection to_current, __global const uchar *taken, __global Key *fill_keys,
-                                   __global uint *fill_winners, __global Key *push_keys, __global uint *push_winners,
+                                   const Reprojection to_current, __global Key *fill_keys, __global uint *fill_winners,
+                                   __global Key *push_keys, __global uint *push_winners,
                                    __global const half *frame_color, __global const float *frame_depth,
                                    __global const uint *old_color, __global const float *old_depth,
                                    __global const int *old_px, __global const uchar *old_state,
@@ -406,11 +373,11 @@ SCAN __kernel void settle_and_push(const int level, const int level_width, const
     if (texel_x >= level_width || texel_y >= level_height) return;
     const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, level, level_width};
     const Level own = {level_color, level_depth, level_px, level_state, level, level_width};
-    settle_run(texel_x, texel_y, collect, taken, fill_keys, fill_winners, old, to_current, own);
+    settle_run(texel_x, texel_y, collect, fill_keys, fill_winners, old, to_current, own);
     if ((texel_x | texel_y) & 1) return;
     const int next_width = (level_width + 1) / 2, next_x = texel_x / 2;
     const Level next = {next_color, next_depth, next_px, next_state, level + 1, next_width};
-    settle(next_x, texel_y / 2, min(LANES, next_width - next_x), 0, push_keys, push_winners, old, to_current, next);
+    settle(next_x, texel_y / 2, min(LANES, next_width - next_x), false, push_keys, push_winners, old, to_current, next);
 }
 
 /* ---- projection --------------------------------------------------------------------------------------------- */

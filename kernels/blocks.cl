@@ -209,11 +209,12 @@ inline bool find_source(const float2 centre, const int4 extent, const int source
 }
 
 /* One work-item per target block: its class, and of those to be warped backward where their centre comes from. Forgets what
-   reached it, for the next frame, and empties the keys of those that are splatted. */
+   reached it, for the next frame, and empties the keys of those that are splatted; no silhouette is in it yet, if
+   that `softens` any. */
 SPARSE __kernel void classify_blocks(const int source_width, const int source_height, const int target_width,
-                              const int target_height, __global const float *target_position,
+                              const int target_height, const int softens, __global const float *target_position,
                               __global const uchar *smooth, __global int *reached_by, __global uchar *block_class,
-                              __global float8 *block_source, __global Key *keys, __global uint *winners) {
+                              __global float8 *block_source, __global uchar *marked, __global Key *keys, __global uint *winners) {
     const int bx = get_global_id(0), by = get_global_id(1);
     const int source_blocks = block_columns(source_width), target_blocks = block_columns(target_width);
     if (bx >= target_blocks || by >= block_rows(target_height)) return;
@@ -221,6 +222,7 @@ SPARSE __kernel void classify_blocks(const int source_width, const int source_he
     const int4 extent = (int4)(FAR_OFF - reached_by[4 * block], FAR_OFF - reached_by[4 * block + 1],
                                reached_by[4 * block + 2] - 1, reached_by[4 * block + 3] - 1);
     vstore4((int4)(0), block, reached_by);
+    if (softens) marked[block] = 0;
     bool backward = (bx + 1) * BLOCK_WIDTH <= target_width && extent.x <= extent.z && extent.y <= extent.w && extent.z - extent.x < COLUMNS_MOST
                     && extent.w - extent.y < ROWS_MOST;
     for (int y = extent.y; backward && y <= extent.w; ++y)

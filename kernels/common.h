@@ -16,10 +16,10 @@
 #define LINK_LEFT 4
 #define LINK_UP 8
 
-/* Values of `filled_by`, what a pixel of an extrapolated frame shows; 1 + l is level l of the background; 251 and 252 are
-   free. */
+/* Values of `filled_by`, what a pixel of an extrapolated frame shows; 1 + l is level l of the background; 252 is free. */
 #define BY_WARP 0
 #define BY_HIDDEN_PART 250
+#define BY_FIXED 251
 #define BY_NOTHING 253
 #define BY_CRACK_CLOSING 254
 #define BY_HOLE_FILLING 255

@@ -7,8 +7,8 @@
 #include "wide.h"
 #include "cells.h"
 
-/* weights[o - 1][i - 1]: factor of (P_i - P_0) in the polynomial of order o <= 4. */
-typedef struct { float4 order1, order2, order3, order4; } Polynomial;
+/* In orderN, component i - 1: factor of (P_i - P_0) in the polynomial of order N. */
+typedef struct { float8 order1, order2, order3, order4, order5; } Polynomial;
 
 #define NOWHERE -1.0e9f  /* px: far off any image */
 
@@ -40,9 +40,9 @@ inline float3 predicted_position(const int src_x, const int src_y, const int sou
     const float3 p0 = unproject(pixel_centre(src_x, src_y), z, to_target.source_inverse);
     int known = order > 0 && met_depth[src] > 0.0f;
     while (known > 0 && known < order && history[known * plane + src].w != 0.0f) ++known;
-    const float4 weights = known == 1 ? polynomial.order1 : known == 2 ? polynomial.order2
-                         : known == 3 ? polynomial.order3 : polynomial.order4;
-    const float weight[4] = {weights.x, weights.y, weights.z, weights.w};
+    const float8 weights = known == 1 ? polynomial.order1 : known == 2 ? polynomial.order2
+                         : known == 3 ? polynomial.order3 : known == 4 ? polynomial.order4 : polynomial.order5;
+    const float weight[5] = {weights.s0, weights.s1, weights.s2, weights.s3, weights.s4};
     float3 predicted = p0;
     if (known > 0) {
         const float3 p1_prev = unproject(pixel_centre(src_x, src_y) + motion[src], met_depth[src], from_previous.source_inverse);

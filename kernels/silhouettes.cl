@@ -4,9 +4,10 @@
    Only pixels at steps of depth whose two sides move apart are looked at; LANES of others are skipped at once. */
 
 #include "common.h"
-#include "wide.h"
+#include "around.h"
 #include "flow.h"
 #include "blocks.h"
+#include "rgb9e5.h"
 
 #define STEP 0.05f           /* relative step of inverse depth between two layers */
 #define MOVES_APART 0.5f     /* px: layers that deviate less are resampled together */
@@ -16,6 +17,7 @@
 #define AT_EDGE 0.05f        /* weight of colours at edges, which may be mixed, too */
 #define TOO_ALIKE 0.03125f   /* squared relative contrast of two layers below which colours tell the coverage in part only */
 
+#define SHARES 255.0f         /* of a pixel, stored as a byte */
 #define SHARPER 1.25f        /* steepness of coverage, which interpolation has smoothed */
 
 /* Values of `layer`: the pixel belongs to one of two layers around it that move apart. */
@@ -30,13 +32,6 @@
 /* Weight of pixel k of 3x3 in the middle one's coverage: a pixel's area, filtered over two. */
 inline float tent(const int k) { return k == 4 ? 4.0f : (k & 1) ? 2.0f : 1.0f; }
 
-/* Depth between that of two layers, halfway in inverse depth. */
-inline float between(const float nearest, const float farthest) {
-    return isinf(farthest) ? 2.0f * nearest : 2.0f * nearest * divide(farthest, nearest + farthest);
-}
-
-inline bool is_step(const float nearest, const float farthest) { return nearest < (1.0f - STEP) * farthest; }
-
 inline float3 not_negative(const float3 c) { return fmax(c, 0.0f); }
 
 /* ---- layers of the rendered frame ------------------------------------------------------------------------------ */
@@ -49,27 +44,23 @@ typedef struct {
     __global const half *color;
 } Source;
 
-/* LANES pixels of an image from (x, y) on. `inner`: those around lie inside, too; else they are clamped to it. */
-typedef struct { int x, y, width, height; bool inner; } Strip;
-
-INLINE Floats beside(const Strip p, __global const float *plane, const int dx, const int dy) {
-    if (p.inner) return load_floats(0, plane + (p.y + dy) * p.width + p.x + dx);
-    const Ints x = clamp(p.x + dx + LANE_NUMBERS, (Ints)(0), (Ints)(p.width - 1));
-    return gather_floats(plane + clamp(p.y + dy, 0, p.height - 1) * p.width, x);
-}
-
-/* Depths of the 3x3 pixels around each of them, and what lies halfway between the sides if these are apart. */
+/* Depths of the 3x3 pixels around each of them, 0 where there is none, and what lies halfway between the sides if these are
+   apart. */
 typedef struct { Floats z[9], middle; } Depths;
 
+INLINE void load_depths(const Span p, __global const float *depth, Depths *d) {
+#pragma unroll
+    for (int k = 0; k < 9; ++k) d->z[k] = beside(p, depth, k % 3 - 1, k / 3 - 1);
+}
+
 /* Which of them lie at a step of depth. */
-INLINE Ints at_step(const Strip p, __global const float *depth, Depths *d) {
+INLINE Ints at_step(Depths *d) {
     Floats nearest = INFINITY, farthest = 0.0f;
 #pragma unroll
     for (int k = 0; k < 9; ++k) {
-        const Floats z = beside(p, depth, k % 3 - 1, k / 3 - 1);
-        nearest = (z > 0.0f) & (z < nearest) ? z : nearest;
+        const Floats z = d->z[k];
+        nearest = ((z > 0.0f) & (z < nearest)) ? z : nearest;
         farthest = z > farthest ? z : farthest;
-        d->z[k] = z;
     }
     const Ints step = nearest < (1.0f - STEP) * farthest;
     if (ANY(step)) d->middle = 2.0f * nearest * (isinf(farthest) ? (Floats)(1.0f) : wide_divide(farthest, nearest + farthest));
@@ -77,8 +68,9 @@ INLINE Ints at_step(const Strip p, __global const float *depth, Depths *d) {
 }
 
 /* Which of them have layers around, on both sides of d->middle, that move apart. */
-INLINE Ints layers_part(const Strip p, const Source s, __global const float *depth, Depths *d) {
-    const Ints step = at_step(p, depth, d);
+INLINE Ints layers_part(const Span p, const Source s, __global const float *depth, Depths *d) {
+    load_depths(p, depth, d);
+    const Ints step = at_step(d);
     if (!ANY(step)) return step;
     __global const float *to_x = s.target_position, *to_y = to_x + p.width * p.height;
     const Floats x = beside(p, to_x, 0, 0), y = beside(p, to_y, 0, 0);
@@ -87,46 +79,68 @@ INLINE Ints layers_part(const Strip p, const Source s, __global const float *dep
 #pragma unroll
     for (int k = 0; k < 9; ++k) {
         const int dx = k % 3 - 1, dy = k / 3 - 1;
-        if (k == 4 || (!p.inner && (p.y + dy < 0 || p.y + dy >= p.height))) continue;
+        if (k == 4) continue;
         const Floats ex = fabs(beside(p, to_x, dx, dy) - x - s.zoom.x * (float)dx);
         const Floats ey = fabs(beside(p, to_y, dx, dy) - y - s.zoom.y * (float)dy);
-        Ints other = ((d->z[k] < d->middle) != is_near) & (d->z[k] > 0.0f) & (ex < ANYWHERE);
-        if (!p.inner) other &= (p.x + dx + LANE_NUMBERS >= 0) & (p.x + dx + LANE_NUMBERS < p.width);
-        part |= other & ((ex > MOVES_APART) | (ey > MOVES_APART));
+        part |= is_inside(p, dx, dy) & ((d->z[k] < d->middle) != is_near) & (d->z[k] > 0.0f) & (ex < ANYWHERE) & ((ex > MOVES_APART) | (ey > MOVES_APART));
     }
     return step & part & (d->z[4] > 0.0f);
 }
 
-/* The nearer layer's share of pixel (x, y), and the colour of what it covers: where the pixel's colour lies between the mean
-   colours of both layers around, as far as these differ; else from the pixels that each layer has. */
-inline float4 unmix(const Source s, const int x, const int y, const float middle, __global const float *depth,
-                    __global const uchar *links) {
-    const int src = y * s.width + x;
-    float4 near_sum = (float4)(0.0f), far_sum = (float4)(0.0f);
-    float near_area = 0.0f, area = 0.0f;
+/* The nearer layer's share of pixels, and the colour of what it covers: where a pixel's colour lies between the mean colours of
+   both layers around, as far as these differ; else from the pixels that each layer has. */
+INLINE void unmix(const Span p, const Depths *d, __global const half *color, __global const uchar *links, Floats *behind,
+                  Floats *share) {
+    Strip near_sum, far_sum;
+    Floats near_area = 0.0f, area = 0.0f;
+#pragma unroll
+    for (int part = 0; part < PARTS; ++part) near_sum.part[part] = far_sum.part[part] = (Texels)(0.0f);
+#pragma unroll
     for (int k = 0; k < 9; ++k) {
-        const int dx = k % 3 - 1, dy = k / 3 - 1, there = src + dy * s.width + dx;
-        if (!inside(x + dx, y + dy, s.width, s.height) || INVALID_DEPTH(depth[there])) continue;
-        const float3 c = not_negative(load_color(s.color, there));
-        const float4 weighted = (links[there] == ALL_LINKS ? tent(k) : AT_EDGE * tent(k)) * (float4)(c, 1.0f);
-        const bool is_near = depth[there] < middle;
-        near_sum += is_near ? weighted : (float4)(0.0f);
-        far_sum += is_near ? (float4)(0.0f) : weighted;
-        near_area += is_near ? tent(k) : 0.0f;
-        area += tent(k);
+        const int dx = k % 3 - 1, dy = k / 3 - 1;
+        const Ints is_near = d->z[k] < d->middle;
+        const Floats weight = (d->z[k] > 0.0f) & is_inside(p, dx, dy) ? (Floats)(tent(k)) : (Floats)(0.0f);
+        const Floats certain = bytes_beside(p, links, dx, dy) == ALL_LINKS ? weight : AT_EDGE * weight;
+        const Floats near_weight = is_near ? certain : (Floats)(0.0f), far_weight = is_near ? (Floats)(0.0f) : certain;
+        Strip c;
+        colors_beside(p, color, dx, dy, &c);
+#pragma unroll
+        for (int part = 0; part < PARTS; ++part) {
+            near_sum.part[part] += OF_TEXELS(near_weight, part) * c.part[part];
+            far_sum.part[part] += OF_TEXELS(far_weight, part) * c.part[part];
+        }
+        near_area += is_near ? weight : (Floats)(0.0f);
+        area += weight;
     }
-    const bool is_near = depth[src] < middle;
-    const float3 own = not_negative(load_color(s.color, src));
-    const float3 near_color = near_sum.xyz * divide(1.0f, near_sum.w), far_color = far_sum.xyz * divide(1.0f, far_sum.w);
-    const float3 contrast = near_color - far_color, size = fmax(near_color, far_color);
-    const float scale = divide(1.0f, 1e-4f + fmax(size.x, fmax(size.y, size.z)));
-    const float3 relative = contrast * scale, offset = (own - far_color) * scale;
-    const float squared = relative.x * relative.x + relative.y * relative.y + relative.z * relative.z;
-    const float along = offset.x * relative.x + offset.y * relative.y + offset.z * relative.z;
-    const float by_color = squared > 0.0f ? clamp(divide(along, squared), is_near ? 0.5f : 0.0f, is_near ? 1.0f : 0.5f) : 0.0f;
-    const float trust = fmin(squared * (1.0f / TOO_ALIKE), 1.0f);
-    const float coverage = trust * by_color + (1.0f - trust) * divide(near_area, area);
-    return (float4)(is_near ? far_color : not_negative(own - coverage * contrast), coverage);
+    const Ints is_near = d->z[4] < d->middle;
+    Strip own_strip;
+    colors_beside(p, color, 0, 0, &own_strip);
+    Floats near[4], far[4], own[4];
+    channels_of(&near_sum, near);
+    channels_of(&far_sum, far);
+    channels_of(&own_strip, own);
+    const Floats per_near = wide_divide((Floats)(1.0f), near[3]), per_far = wide_divide((Floats)(1.0f), far[3]);
+    Floats size = 0.0f, squared = 0.0f, along = 0.0f;
+#pragma unroll
+    for (int c = 0; c < 3; ++c) {
+        near[c] *= per_near;
+        far[c] *= per_far;
+        size = fmax(size, fmax(near[c], far[c]));
+    }
+    const Floats scale = wide_divide((Floats)(1.0f), 1e-4f + size);
+#pragma unroll
+    for (int c = 0; c < 3; ++c) {
+        const Floats relative = (near[c] - far[c]) * scale;
+        squared += relative * relative;
+        along += (own[c] - far[c]) * scale * relative;
+    }
+    const Floats low = is_near ? (Floats)(0.5f) : (Floats)(0.0f);
+    const Floats by_color = squared > 0.0f ? clamp(wide_divide(along, squared), low, low + 0.5f) : (Floats)(0.0f);
+    const Floats trust = fmin(squared * (1.0f / TOO_ALIKE), 1.0f);
+    const Floats coverage = trust * by_color + (1.0f - trust) * wide_divide(near_area, area);
+#pragma unroll
+    for (int c = 0; c < 3; ++c) behind[c] = is_near ? far[c] : own[c] - coverage * (near[c] - far[c]);
+    *share = coverage;
 }
 
 /* Marks the blocks around the pixel where a fragment goes. */
@@ -138,25 +152,29 @@ inline void mark_around(const float2 px, const int width, const int height, __gl
     }
 }
 
-/* Which layer each pixel belongs to; in `behind`, where it does, (colour of the far layer, coverage of the near one). Marks the
-   target blocks where they go. */
+/* Which layer each pixel belongs to; where it does, the colour of the far layer, `behind`, and the near one's `share` of the pixel.
+   Marks the target blocks where they go; they come unmarked. */
 WIDE __kernel void find_layers(const int source_width, const int source_height, const int target_width, const int target_height,
                                const float2 zoom, __global const float *depth, __global const uchar *links,
                                __global const float *target_position, __global const half *color, __global uchar *layer,
-                               __global half *behind, __global uchar *marked) {
+                               __global uint *behind, __global uchar *share, __global uchar *marked) {
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x, count = min(source_width - src_x, LANES);
     const Source s = {source_width, source_height, zoom, target_position, color};
-    Strip p = {src_x, src_y, source_width, source_height, false};
+    Span p = {src_x, src_y, source_width, source_height, false};
     Depths d;
     Ints part = to_ints(load_some_bytes(count, links + src)) != ALL_LINKS;
+    Floats shares = 0.0f;
+    Floats colors[3] = {0.0f, 0.0f, 0.0f};
     if (ANY(part)) {
         if (src_x >= 1 && src_y >= 1 && src_x + LANES < source_width && src_y + 1 < source_height) {
             p.inner = true;
             part &= layers_part(p, s, depth, &d);
+            if (ANY(part)) unmix(p, &d, color, links, colors, &shares);
         } else {
             part &= layers_part(p, s, depth, &d);
+            if (ANY(part)) unmix(p, &d, color, links, colors, &shares);
         }
     }
     if (!ANY(part)) {
@@ -165,13 +183,14 @@ WIDE __kernel void find_layers(const int source_width, const int source_height, 
     }
     const Ints side = d.z[4] < d.middle ? (Ints)(NEAR) : (Ints)(FAR);
     store_some_bytes(to_bytes(part ? side : (Ints)(NO_LAYER)), count, layer + src);
-    int lane_part[LANES];
-    float lane_middle[LANES];
+    int lane_part[LANES], lane_colors[LANES], lane_shares[LANES];
     store_ints(part, 0, lane_part);
-    store_floats(d.middle, 0, lane_middle);
-    for (int k = 0; k < count; ++k) {
+    store_ints(pack_colors(colors[0], colors[1], colors[2]), 0, lane_colors);
+    store_ints(to_ints(SHARES * shares + 0.5f), 0, lane_shares);
+    for (int k = 0; k < min(count, LANES); ++k) {
         if (!lane_part[k]) continue;
-        vstore_half4_rte(unmix(s, src_x + k, src_y, lane_middle[k], depth, links), src + k, behind);
+        behind[src + k] = (uint)lane_colors[k];
+        share[src + k] = (uchar)lane_shares[k];
         mark_around(position_of(target_position, src + k, source_width * source_height).xy, target_width, target_height, marked);
     }
 }
@@ -190,7 +209,8 @@ typedef struct {
 /* The rendered frame's layers. */
 typedef struct {
     __global const uchar *layer;
-    __global const half *behind;
+    __global const uint *behind;
+    __global const uchar *share;
 } Layers;
 
 inline bool is_warped(const uchar filled_by) { return filled_by == BY_WARP || filled_by == BY_CRACK_CLOSING; }
@@ -229,7 +249,7 @@ inline bool without_near(const Source s, const Layers l, const Shown f, const in
         const float3 there = position_of(s.target_position, src, s.width * s.height);
         if (!goes_along(s, x, y, there, px, px_source, f.depth[dst], ALIKE)) continue;
         const float weight = bilinear_weight(k, u, v);
-        sum += weight * (l.layer[src] == FAR ? load_color(l.behind, src) : load_color(s.color, src));
+        sum += weight * (l.layer[src] == FAR ? unpack_color(l.behind[src]) : load_color(s.color, src));
         weight_sum += weight;
     }
     if (weight_sum > 0.05f) *rgb = mean_of(sum, weight_sum);
@@ -253,11 +273,11 @@ inline bool near_layer(const Source s, const Layers l, const float2 px, const fl
         const float weight = bilinear_weight(k, u, v);
         weight_sum += weight;
         if (along && layer != NEAR) {
-            sum += weight * (float4)(not_negative(load_color(layer == FAR ? l.behind : s.color, src)), 1.0f);
+            sum += weight * (float4)(layer == FAR ? unpack_color(l.behind[src]) : not_negative(load_color(s.color, src)), 1.0f);
         } else if (along || layer == FAR) {
-            const float4 unmixed = vload_half4(src, l.behind);
+            const float share = (float)l.share[src] * (1.0f / SHARES);
             const float3 own = not_negative(load_color(s.color, src));
-            sum += weight * (float4)(not_negative(own - (1.0f - unmixed.w) * unmixed.xyz), unmixed.w);
+            sum += weight * (float4)(not_negative(own - (1.0f - share) * unpack_color(l.behind[src])), share);
         }
     }
     if (!(weight_sum > 0.5f)) return false;
@@ -266,101 +286,101 @@ inline bool near_layer(const Source s, const Layers l, const float2 px, const fl
     return true;
 }
 
-/* The two layers around a pixel of the new frame, on both sides of depth `middle`: where they lie in the rendered image,
-   continued to this pixel's centre, how deep the near one is, and what the far one shows. */
+/* The two layers around pixels of the new frame, on both sides of a depth halfway: where the near one lies in the rendered image,
+   continued to a pixel's centre, how deep it is, and which of the 3x3 pixels around show the far one, in bits. */
 typedef struct {
-    float2 near_px, far_px;
-    float near_z;
-    float3 far_color;
-} Pair;
+    Floats near_x, near_y, near_z;
+    Ints far;
+} LayerPairs;
 
-/* Of the pixel itself for the layer that it shows; else the mean of its neighbours'. False if there are not two. */
-inline bool find_pair(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, Pair *pair) {
-    const int dst = dst_y * f.width + dst_x;
-    float nearest = INFINITY, farthest = 0.0f;
-    for (int k = 0; k < 9; ++k) {
-        const int x = dst_x + k % 3 - 1, y = dst_y + k / 3 - 1;
-        if (!inside(x, y, f.width, f.height) || f.filled_by[y * f.width + x] == BY_NOTHING) continue;
-        nearest = fmin(nearest, f.depth[y * f.width + x]);
-        farthest = fmax(farthest, f.depth[y * f.width + x]);
-    }
-    if (f.filled_by[dst] == BY_NOTHING || !is_step(nearest, farthest)) return false;
-    const float middle = between(nearest, farthest);
-    const float2 back = (float2)(divide(1.0f, s.zoom.x), divide(1.0f, s.zoom.y));
-    float3 near_sum = (float3)(0.0f), far_color = (float3)(0.0f);
-    float2 far_sum = (float2)(0.0f);
-    float near_weight = 0.0f, far_weight = 0.0f;
-    bool near_known = false, far_known = false;
-    for (int i = 0; i < 9; ++i) {  /* itself, those beside it, and at its corners where there are none */
-        if (i == 1 || i == 5) {
-            near_known = near_weight > 0.0f;
-            far_known = far_weight > 0.0f;
-        }
-        const int k = (int)(0x862075314L >> 4 * i) & 15, dx = k % 3 - 1, dy = k / 3 - 1, there = dst + dy * f.width + dx;
-        if (!inside(dst_x + dx, dst_y + dy, f.width, f.height) || f.filled_by[there] == BY_NOTHING) continue;
-        const bool is_near = f.depth[there] < middle;
-        if (is_near ? near_known || !is_warped(f.filled_by[there]) : far_known) continue;
-        const float2 px = pixel_centre(dst_x + dx, dst_y + dy) + f.motion[there] - back * (float2)((float)dx, (float)dy);
-        if (is_near) {
-            near_sum += (float3)(px, f.depth[there]);
-            near_weight += 1.0f;
-        } else {
-            float3 rgb;
-            without_near(s, l, f, dst_x + dx, dst_y + dy, &rgb);
-            far_sum += px;
-            far_color += rgb;
-            far_weight += 1.0f;
-        }
-    }
-    if (near_weight == 0.0f || far_weight == 0.0f) return false;
-    const float3 near = mean_of(near_sum, near_weight);
-    pair->near_px = near.xy;
-    pair->near_z = near.z;
-    pair->far_px = (float2)(divide(far_sum.x, far_weight), divide(far_sum.y, far_weight));
-    pair->far_color = mean_of(far_color, far_weight);
-    const float2 apart = fabs(pair->near_px - pair->far_px);
-    return fmax(apart.x, apart.y) > MOVES_APART;
-}
-
-/* Value of `coverage` of a pixel, 0 if it stays as it is; else stores its colour. */
-inline uchar soften_pixel(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, __global half *softened) {
-    const int dst = dst_y * f.width + dst_x;
-    Pair pair;
-    float4 near;
-    float3 rgb;
-    if (find_pair(s, l, f, dst_x, dst_y, &pair)
-        && near_layer(s, l, pixel_centre(dst_x, dst_y), pair.near_px, pair.near_z, &near)) {
-        store_color(near.xyz + (1.0f - near.w) * pair.far_color, softened, dst);
-        return (uchar)(1.0f + 254.0f * near.w + 0.5f);
-    }
-    if (!without_near(s, l, f, dst_x, dst_y, &rgb)) return 0;
-    store_color(rgb, softened, dst);
-    return 1;
-}
-
-/* Which of LANES pixels may lie between layers that move apart. */
-INLINE Ints may_have_pair(const Strip p, const Source s, const Shown f) {
+/* Which of LANES pixels lie between two layers that move apart. Each layer is where the pixel itself shows it if that does; else
+   the mean of those beside it, or at its corners where there are none. */
+INLINE Ints find_pairs(const Span p, const Source s, const Shown f, LayerPairs *pairs) {
     Depths d;
-    const Ints step = at_step(p, f.depth, &d);
-    if (!p.inner || !ANY(step)) return step;
-    const float none = INFINITY, back_x = 1.0f - 1.0f / s.zoom.x, back_y = 1.0f - 1.0f / s.zoom.y;
-    Floats low_x = none, high_x = -none, low_y = none, high_y = -none;
+    load_depths(p, f.depth, &d);
+    if (!ANY(at_step(&d))) return (Ints)(0);
+    const float back_x = divide(1.0f, s.zoom.x), back_y = divide(1.0f, s.zoom.y);
+    Floats x[9], y[9], low_x = INFINITY, high_x = -INFINITY, low_y = INFINITY, high_y = -INFINITY;
+    Ints warped[9];
 #pragma unroll
     for (int k = 0; k < 9; ++k) {
         const int dx = k % 3 - 1, dy = k / 3 - 1;
-        Floats y;
-        const Floats x = load_xy(f.motion + (p.y + dy) * p.width + p.x + dx, &y) + back_x * (float)dx;
-        y += back_y * (float)dy;
-        low_x = x < low_x ? x : low_x;
-        high_x = x > high_x ? x : high_x;
-        low_y = y < low_y ? y : low_y;
-        high_y = y > high_y ? y : high_y;
+        const Floats motion_x = xy_beside(p, f.motion, dx, dy, y + k);
+        x[k] = row_centres(p.x + dx) + motion_x - back_x * (float)dx;
+        y[k] = (float)(p.y + dy) + 0.5f + y[k] - back_y * (float)dy;
+        low_x = x[k] < low_x ? x[k] : low_x;
+        high_x = x[k] > high_x ? x[k] : high_x;
+        low_y = y[k] < low_y ? y[k] : low_y;
+        high_y = y[k] > high_y ? y[k] : high_y;
     }
-    return step & ((high_x - low_x > 0.99f * MOVES_APART) | (high_y - low_y > 0.99f * MOVES_APART));
+    if (!ANY((high_x - low_x > MOVES_APART) | (high_y - low_y > MOVES_APART))) return (Ints)(0);
+#pragma unroll
+    for (int k = 0; k < 9; ++k) {
+        const int dx = k % 3 - 1, dy = k / 3 - 1;
+        const Ints filled_by = bytes_beside(p, f.filled_by, dx, dy);
+        d.z[k] = (is_inside(p, dx, dy) & (filled_by != BY_NOTHING)) ? d.z[k] : (Floats)(0.0f);
+        warped[k] = (filled_by == BY_WARP) | (filled_by == BY_CRACK_CLOSING);
+    }
+    const Ints step = at_step(&d);
+    const Floats none = (Floats)(0.0f);
+    Floats near_x = none, near_y = none, near_z = none, near_count = none, far_x = none, far_y = none, far_count = none;
+    Ints near_known = (Ints)(0), far_known = (Ints)(0), far = (Ints)(0);
+#pragma unroll
+    for (int i = 0; i < 9; ++i) {
+        const int k = (int)(0x862075314L >> 4 * i) & 15;
+        if (i == 1 || i == 5) {
+            near_known = near_count > 0.0f;
+            far_known = far_count > 0.0f;
+        }
+        const Ints is_near = d.z[k] < d.middle, shown = d.z[k] > 0.0f;
+        const Ints is_of_near = shown & is_near & warped[k] & !near_known, is_of_far = shown & !is_near & !far_known;
+        near_x += is_of_near ? x[k] : none;
+        near_y += is_of_near ? y[k] : none;
+        near_z += is_of_near ? d.z[k] : none;
+        near_count += is_of_near ? (Floats)(1.0f) : none;
+        far_x += is_of_far ? x[k] : none;
+        far_y += is_of_far ? y[k] : none;
+        far_count += is_of_far ? (Floats)(1.0f) : none;
+        far |= is_of_far ? (Ints)(1 << k) : (Ints)(0);
+    }
+    pairs->near_x = wide_divide(near_x, near_count);
+    pairs->near_y = wide_divide(near_y, near_count);
+    pairs->near_z = wide_divide(near_z, near_count);
+    pairs->far = far;
+    const Floats apart_x = fabs(pairs->near_x - wide_divide(far_x, far_count));
+    const Floats apart_y = fabs(pairs->near_y - wide_divide(far_y, far_count));
+    return step & (d.z[4] > 0.0f) & (near_count > 0.0f) & (far_count > 0.0f) & ((apart_x > MOVES_APART) | (apart_y > MOVES_APART));
+}
+
+/* What the far layer shows: the mean of the 3x3 pixels in `far`. */
+inline float3 far_color(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, const int far) {
+    float3 sum = (float3)(0.0f);
+    for (int left = far; left; left &= left - 1) {
+        const int k = 31 - clz(left & -left);
+        float3 rgb;
+        without_near(s, l, f, dst_x + k % 3 - 1, dst_y + k / 3 - 1, &rgb);
+        sum += rgb;
+    }
+    return mean_of(sum, (float)popcount(far));
+}
+
+/* Value of `coverage` of a pixel, 0 if it stays as it is; else stores its colour. `far`: of its pair; 0: it has none. */
+inline uchar soften_pixel(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, const float2 near_px,
+                          const float near_z, const int far, __global uint *softened) {
+    const int dst = dst_y * f.width + dst_x;
+    float4 near;
+    float3 rgb;
+    if (far && near_layer(s, l, pixel_centre(dst_x, dst_y), near_px, near_z, &near)) {
+        softened[dst] = pack_color(near.xyz + (1.0f - near.w) * far_color(s, l, f, dst_x, dst_y, far));
+        return (uchar)(1.0f + 254.0f * near.w + 0.5f);
+    }
+    if (!without_near(s, l, f, dst_x, dst_y, &rgb)) return 0;
+    softened[dst] = pack_color(rgb);
+    return 1;
 }
 
 /* Which of LANES pixels may show pixels of a far layer. */
-INLINE Ints may_be_mixed(const Strip p, const Source s, const Layers l, const Shown f) {
+INLINE Ints may_be_mixed(const Span p, const Source s, const Layers l, const Shown f) {
     if (!p.inner) return (Ints)(-1);
     Floats motion_y;
     const Floats motion_x = load_xy(f.motion + p.y * p.width + p.x, &motion_y);
@@ -368,52 +388,68 @@ INLINE Ints may_be_mixed(const Strip p, const Source s, const Layers l, const Sh
     const Ints in_image = (px_x >= 0.0f) & (px_y >= 0.0f) & (px_x < (float)(s.width - 1)) & (px_y < (float)(s.height - 1));
     if (!ALL(in_image)) return (Ints)(-1);
     const Ints taps = to_ints(px_y) * s.width + to_ints(px_x);
+    const int first = FIRST_LANE(taps);
+    const bool is_run = ALL(taps == first + LANE_NUMBERS);
     Ints mixed = (Ints)(0);
 #pragma unroll
-    for (int k = 0; k < 4; ++k) mixed |= to_ints(gather_bytes(l.layer + (k >> 1) * s.width + (k & 1), taps)) == FAR;
+    for (int k = 0; k < 4; ++k) {
+        __global const uchar *layer = l.layer + (k >> 1) * s.width + (k & 1);
+        mixed |= to_ints(is_run ? load_bytes(0, layer + first) : gather_bytes(layer, taps)) == FAR;
+    }
     return mixed;
 }
 
-/* The new colours, and `coverage`: 0 where a pixel stays as it is, else 1 + 254 times the nearer layer's share. */
+/* The new colours, and `coverage`: 0 where a pixel stays as it is, else 1 + 254 times the nearer layer's share. Nothing in blocks
+   that are not marked. */
 WIDE __kernel void soften(const int source_width, const int source_height, const int target_width, const int target_height,
                           const float2 zoom, __global const uchar *marked,
                           __global const float *target_position, __global const half *source_color, __global const uchar *layer,
-                          __global const half *behind, __global const half *color, __global const float *depth,
+                          __global const uint *behind, __global const uchar *share, __global const half *color, __global const float *depth,
                           __global const float2 *motion, __global const uchar *filled_by, __global const uchar *mixed,
-                          __global uchar *coverage, __global half *softened) {
+                          __global uchar *coverage, __global uint *softened) {
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
-    if (dst_x >= target_width || dst_y >= target_height) return;
+    if (dst_x >= target_width || dst_y >= target_height || !marked[block_of(dst_x, dst_y, target_width)]) return;
     const int dst = dst_y * target_width + dst_x, count = min(target_width - dst_x, LANES);
     const Source s = {source_width, source_height, zoom, target_position, source_color};
-    const Layers l = {layer, behind};
+    const Layers l = {layer, behind, share};
     const Shown f = {target_width, target_height, color, depth, motion, filled_by, mixed};
-    Strip p = {dst_x, dst_y, target_width, target_height, false};
-    Ints soft = (Ints)(0);
-    if (marked[block_of(dst_x, dst_y, target_width)]) {
-        if (dst_x >= 1 && dst_y >= 1 && dst_x + LANES < target_width && dst_y + 1 < target_height) {
-            p.inner = true;
-            soft = may_have_pair(p, s, f) | may_be_mixed(p, s, l, f);
-        } else {
-            soft = may_have_pair(p, s, f) | may_be_mixed(p, s, l, f);
-        }
+    Span p = {dst_x, dst_y, target_width, target_height, false};
+    Ints paired, soft;
+    LayerPairs pairs = {0.0f, 0.0f, 0.0f, (Ints)(0)};
+    if (dst_x >= 1 && dst_y >= 1 && dst_x + LANES < target_width && dst_y + 1 < target_height) {
+        p.inner = true;
+        paired = find_pairs(p, s, f, &pairs);
+    } else {
+        paired = find_pairs(p, s, f, &pairs);
     }
+    soft = (paired != 0) | may_be_mixed(p, s, l, f);
     if (!ANY(soft)) {
         store_some_bytes((Bytes)(0), count, coverage + dst);
         return;
     }
-    int lane_soft[LANES];
+    int lane_soft[LANES], lane_far[LANES];
+    float lane_x[LANES], lane_y[LANES], lane_z[LANES];
     store_ints(soft, 0, lane_soft);
+    store_ints(paired ? pairs.far : (Ints)(0), 0, lane_far);
+    store_floats(pairs.near_x, 0, lane_x);
+    store_floats(pairs.near_y, 0, lane_y);
+    store_floats(pairs.near_z, 0, lane_z);
     for (int k = 0; k < count; ++k)
-        coverage[dst + k] = lane_soft[k] ? soften_pixel(s, l, f, dst_x + k, dst_y, softened) : (uchar)0;
+        coverage[dst + k] = lane_soft[k] ? soften_pixel(s, l, f, dst_x + k, dst_y, (float2)(lane_x[k], lane_y[k]), lane_z[k],
+                                                        lane_far[k], softened) : (uchar)0;
 }
 
 /* The new colours go to the frame, RUN pixels per work-item. */
-SCAN __kernel void apply_softened(const int target_width, const int target_height, __global const uchar *coverage,
-                                  __global const half *softened, __global half *color) {
+SCAN __kernel void apply_softened(const int target_width, const int target_height, __global const uchar *marked,
+                                  __global const uchar *coverage, __global const uint *softened, __global half *color) {
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
-    const int first = dst_y * target_width + first_x;
-    if (first_x + RUN <= target_width && run_is_zero(coverage + first)) return;
-    for (int dst = first; dst < dst_y * target_width + min(first_x + RUN, target_width); ++dst)
-        if (coverage[dst]) vstore_half4_rte(vload_half4(dst, softened), dst, color);
+    const int end_x = min(first_x + RUN, target_width);
+    for (int block_x = first_x; block_x < end_x; block_x += BLOCK_WIDTH) {
+        if (!marked[block_of(block_x, dst_y, target_width)]) continue;
+        for (int dst_x = block_x; dst_x < min(block_x + BLOCK_WIDTH, end_x); ++dst_x) {
+            const int dst = dst_y * target_width + dst_x;
+            if (coverage[dst]) store_color(unpack_color(softened[dst]), color, dst);
+        }
+    }
 }

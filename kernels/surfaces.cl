@@ -1,9 +1,11 @@
 /* Surfaces of a rendered frame: which neighbouring pixels show one surface (for 'Warping' and the background), and which
-   pixels cannot hold the colour of another one (for the background).
+   pixels cannot hold the colour of another one: those are what level 0 of the background shows (background.cl).
    Where depth changes by little, or by much between two flat surfaces, links follow from it without a division. */
 
 #include "common.h"
 #include "wide.h"
+#include "nearest.h"
+#include "levels.h"
 
 #define SURFACE_STEP 0.02f       /* relative step of inverse depth between neighbours of one surface ... */
 #define SURFACE_CURVATURE 0.005f /* ... or relative deviation from the plane through them, where they are steeper */
@@ -14,6 +16,11 @@
 #define NEARER 0.9f
 
 #define REACH 2                  /* px around a pixel that are looked at: GROW, and 2 for links */
+#if LANES == 8
+#define MORE 4                   /* ... and that are loaded in a row */
+#else
+#define MORE REACH
+#endif
 
 /* A rendered frame and a place in it: pixels from (x, y) on. `inner`: all that is looked at lies inside. */
 typedef struct {
@@ -39,6 +46,44 @@ INLINE Bytes dynamic_beside(const Place p, const int dx, const int dy) {
     const Ints x = p.x + dx + LANE_NUMBERS, there = clamp(x, (Ints)(0), (Ints)(p.width - 1));
     const Bytes dynamic = gather_bytes(p.dynamic_mask + (p.y + dy) * p.width, there);
     return to_bytes(x == there ? to_ints(dynamic) : (Ints)(0));
+}
+
+/* Which of them have nothing dynamic within GROW. */
+INLINE Ints nothing_moves(const Place p) {
+    Bytes moving = 0;
+    for (int dy = -GROW; dy <= GROW; ++dy)
+        for (int dx = -GROW; dx <= GROW; ++dx) moving |= dynamic_beside(p, dx, dy);
+    return to_ints(moving) == 0;
+}
+
+/* The least depth within GROW of each. Gives whether nothing near any of them is dynamic. */
+INLINE bool look_around(const Place p, Floats *nearest) {
+#if LANES == 8
+    if (p.inner) {  /* 4 pixels more to each side: columns first, which pixels share */
+        const int first = (p.y - GROW) * p.width + p.x - MORE;
+        float16 column = INFINITY;
+        uchar16 moving = 0;
+        for (int row = 0; row <= 2 * GROW; ++row) {
+            const float16 z = vload16(0, p.depth + first + row * p.width);
+            column = z < column ? z : column;
+            moving |= vload16(0, p.dynamic_mask + first + row * p.width);
+        }
+        const float8 outer = column.s23456789 < column.s6789abcd ? column.s23456789 : column.s6789abcd;
+        const float8 inner = column.s3456789a < column.s56789abc ? column.s3456789a : column.s56789abc;
+        const float8 beside = outer < inner ? outer : inner;
+        *nearest = beside < column.s456789ab ? beside : column.s456789ab;
+        const ulong2 bits = as_ulong2(moving);
+        return (bits.x | bits.y) == 0;
+    }
+#endif
+    Floats least = INFINITY;
+    for (int dy = -GROW; dy <= GROW; ++dy)
+        for (int dx = -GROW; dx <= GROW; ++dx) {
+            const Floats beside = depth_beside(p, dx, dy);
+            least = beside < least ? beside : least;
+        }
+    *nearest = least;
+    return ALL(nothing_moves(p));
 }
 
 /* 0 sky, -1 none. */
@@ -103,39 +148,45 @@ INLINE Ints links_by_motion(const Place p) {
            | (left ? (Ints)(LINK_LEFT) : (Ints)(0)) | (up ? (Ints)(LINK_UP) : (Ints)(0));
 }
 
-/* links: which of the four neighbours belong to the same surface and are equally static or dynamic. unmixed: 1 where depth is
-   valid and no pixel within GROW is dynamic or nearer. */
-INLINE void find(const Place p, __global uchar *links, __global uchar *unmixed) {
+/* What the background knows before it collects: the state of level 0, and whom fragments are offered to that may fill it. */
+typedef struct {
+    __global uchar *state;
+    __global Key *fill_keys;
+    __global uint *fill_winners;
+} Collecting;
+
+/* links: which of the four neighbours belong to the same surface and are equally static or dynamic. To `collect`: texels are
+   SHOWN where depth is valid and no pixel within GROW is dynamic or nearer; the others are EMPTY, and nobody is offered to them. */
+INLINE void find(const Place p, const int collect, __global uchar *links, const Collecting to) {
     const Floats z = depth_beside(p, 0, 0);
-    Floats nearest = z;
-    Bytes moving = 0;
-    for (int dy = -GROW; dy <= GROW; ++dy)
-        for (int dx = -GROW; dx <= GROW; ++dx) {
-            const Floats beside = depth_beside(p, dx, dy);
-            nearest = beside < nearest ? beside : nearest;
-            moving |= dynamic_beside(p, dx, dy);
-        }
-    const Ints clean = (z > 0.0f) & !(nearest < z * NEARER) & (to_ints(moving) == 0);
+    Floats nearest;
+    const bool still = look_around(p, &nearest);
+    const Ints clean = (z > 0.0f) & !(nearest < z * NEARER) & (still ? ALL_LANES : nothing_moves(p));
     Ints clear;
     Ints linked = links_by_depth(p, &clear);
     if (!ALL(clear)) linked = links_by_inverse_depth(p);
-    if (ANY(to_ints(moving) != 0)) linked &= links_by_motion(p);
+    if (!still) linked &= links_by_motion(p);
     const int i = p.y * p.width + p.x, count = p.width - p.x;
     store_some_bytes(to_bytes(linked), count, links + i);
-    store_some_bytes(to_bytes(clean ? (Ints)(1) : (Ints)(0)), count, unmixed + i);
+    if (!collect) return;
+    store_some_bytes(to_bytes(clean ? (Ints)(SHOWN) : (Ints)(EMPTY)), count, to.state + i);
+    if (ALL(clean)) return;
+    for (int k = 0; k < min(count, LANES); ++k) forget(to.fill_keys, to.fill_winners, i + k);
 }
 
-WIDE __kernel void find_surfaces(const int source_width, const int source_height, __global const float *depth,
-                                 __global const uchar *dynamic_mask, __global uchar *links, __global uchar *unmixed) {
+WIDE __kernel void find_surfaces(const int source_width, const int source_height, const int collect, __global const float *depth,
+                                 __global const uchar *dynamic_mask, __global uchar *links, __global uchar *state,
+                                 __global Key *fill_keys, __global uint *fill_winners) {
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
-    const bool inner = src_x >= REACH && src_x + LANES + REACH <= source_width && src_y >= REACH && src_y + REACH < source_height;
+    const bool inner = src_x >= MORE && src_x + LANES + MORE <= source_width && src_y >= REACH && src_y + REACH < source_height;
     Place p = {source_width, source_height, src_x, src_y, inner, depth, dynamic_mask};
+    const Collecting to = {state, fill_keys, fill_winners};
     if (inner) {
         p.inner = true;
-        find(p, links, unmixed);
+        find(p, collect, links, to);
     } else {
         p.inner = false;
-        find(p, links, unmixed);
+        find(p, collect, links, to);
     }
 }

@@ -94,7 +94,7 @@ inline void store_xy(const Floats x, const Floats y, __global float2 *p) { *p = 
 #endif
 
 /* RUN bytes at once, 16 on CPUs and 1 on GPUs, for kernels that find little to do: whether all of them are 0, whether any has a
-   value, and copying them. */
+   value. */
 #if RUN == 16
 #define SCAN __attribute__((vec_type_hint(uchar16)))  /* before such a kernel */
 inline bool run_is_zero(__global const uchar *p) {
@@ -105,12 +105,10 @@ inline bool run_has(__global const uchar *p, const uchar value) {
     const ulong2 equal = as_ulong2(vload16(0, p) == (uchar16)(value));
     return (equal.x | equal.y) != 0;
 }
-inline void copy_run(__global const uchar *from, __global uchar *to) { vstore16(vload16(0, from), 0, to); }
 #else
 #define SCAN
 inline bool run_is_zero(__global const uchar *p) { return *p == 0; }
 inline bool run_has(__global const uchar *p, const uchar value) { return *p == value; }
-inline void copy_run(__global const uchar *from, __global uchar *to) { *to = *from; }
 #endif
 
 /* The first `count` lanes, or all if it is more, for the last pixels of a row. Loads repeat the last of them. */

@@ -97,6 +97,21 @@ typedef float4 Texels;
 
 typedef struct { Texels part[PARTS]; } Strip;
 
+/* Its four channels. */
+inline void channels_of(const Strip *s, Floats *channels) {
+#if LANES == 8
+    channels[0] = (float8)(s->part[0].s048c, s->part[1].s048c);
+    channels[1] = (float8)(s->part[0].s159d, s->part[1].s159d);
+    channels[2] = (float8)(s->part[0].s26ae, s->part[1].s26ae);
+    channels[3] = (float8)(s->part[0].s37bf, s->part[1].s37bf);
+#else
+    channels[0] = s->part[0].x;
+    channels[1] = s->part[0].y;
+    channels[2] = s->part[0].z;
+    channels[3] = s->part[0].w;
+#endif
+}
+
 /* The first `count` of LANES pixels, or all if it is more, as for load_some_floats of wide.h. */
 inline Strip load_strip(const int count, __global const half *color) {
     Strip s;

@@ -3,6 +3,7 @@
 import os
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from shutil import copytree
 
@@ -10,6 +11,7 @@ import numpy as np
 from test_shading_correction import made_stages
 from test_twins import run
 
+from gffe_cl.frame import Overlays
 from gffe_cl.opencl.device import open_device
 from gffe_cl.opencl.program import kernel_folder
 from gffe_cl.options import Options
@@ -31,9 +33,18 @@ def without_looks(folder):
 def stages(device, int64):
     """All kernels of the pipeline, in the path with 64-bit atomics or the one without."""
     for options in (Options(history=3, order=2, shading_inputs=True), Options(hole_filling="push-pull")):
-        pipeline, *_, made = run(device, WIDTH, HEIGHT, options, int64, target=(WIDTH - 3, HEIGHT + 5))
+        pipeline, seen, *_, made = run(device, WIDTH, HEIGHT, options, int64, target=(WIDTH - 3, HEIGHT + 5))
         made.numpy("color")
         pipeline.present().numpy("motion")
+        pipeline.submit(replace(seen[-1], time=seen[-1].time + 1, overlays=overlays()))
+        pipeline.extrapolate().numpy("color")
+
+
+def overlays():
+    """All there are; the effects move out of the image."""
+    rgba, motion = np.full((HEIGHT, WIDTH, 4), 0.5, np.float16), np.full((HEIGHT, WIDTH, 2), -9, np.float32)
+    mask, ui = np.eye(HEIGHT, WIDTH), np.full((HEIGHT + 5, WIDTH - 3, 4), 0.5, np.float16)
+    return Overlays(mask, rgba, motion, ui)
 
 
 def shading(device):

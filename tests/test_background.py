@@ -224,6 +224,28 @@ def test_lent_memory_holds_nothing_that_is_needed(device, levels, int64):
     assert all(made(filler) == expected for filler in (0xA5, 0xFF))
 
 
+@pytest.mark.parametrize("int64", [None, False])
+def test_silhouettes_take_no_memory_of_their_own(device, int64):
+    """What is used at one time lies apart, what is not may lie in one place; all but marks of blocks is lent."""
+    board = Pipeline(device, 640, 360, int64_atomics=int64).board
+    lent = [(board.stages[stage].spec(name), *where) for (stage, name), where in board._places.items() if where]
+    used = {spec.name: board._use(stage, spec) for stage, spec in board.transient}
+    overlaps = set()
+    for a, memory, start in lent:
+        for b, other, begin in lent:
+            if (
+                memory == other
+                and a is not b
+                and start < begin + b.nbytes(board.sizes)
+                and begin < start + a.nbytes(board.sizes)
+            ):
+                assert not used[a.name] & used[b.name], (a.name, b.name)
+                overlaps.add((a.name, b.name))
+    assert ("behind", "keys") in overlaps
+    assert board.stages["silhouettes"].nbytes == board.stages["silhouettes"].buffer["marked"].size
+    assert used["target_position"] > used["keys"]
+
+
 def test_packed_texels_read_as_what_they_mean():
     """A colour of three mantissas times 2^(exponent − 24), and a place from the texel's centre, in a block's corner."""
     bits = np.array([[[256 | 128 << 9 | 1 << 18 | 16 << 27], [511 | 31 << 27]]], np.uint32)

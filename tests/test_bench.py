@@ -36,6 +36,7 @@ def test_bench(gffe, tmp_path):
     for one in report["devices"]:
         for size in one["sizes"]:
             parts = {
+                "cuts",
                 "history",
                 "acceleration",
                 "prediction",

@@ -10,6 +10,9 @@ import numpy as np
 import OpenEXR
 import pytest
 
+from gffe_cl import open_capture
+from gffe_cl.formats.flow import static_motion
+
 SCRIPT = Path(__file__).parent.parent / "docs" / "blender" / "export_gffe.py"
 PYTHON = os.environ.get("GFFE_BLENDER_PYTHON", sys.executable)
 WIDTH, HEIGHT, EVERY = 81, 46, 2
@@ -102,6 +105,22 @@ def test_depth_vectors_and_cameras_agree(blend, tmp_path):
         assert 0 < sky.mean() < 0.9 and np.linalg.norm(motion, axis=-1).max() > 2
         assert found["ViewLayer.Combined.R"].dtype == np.float16 and depth.shape == (HEIGHT, WIDTH)
     assert not any("Depth" in name for name in channels(tmp_path / "out" / frames[1]["file"]))
+    opens_as_it_is(tmp_path / "out", frames)
+
+
+def opens_as_it_is(folder, frames):
+    """Every command reads what the script wrote: exact motion of what stands still, sky, truth, cameras."""
+    sequence = open_capture(folder)
+    assert (sequence.width, sequence.height, sequence.fps) == (WIDTH, HEIGHT, 60 / EVERY)
+    assert [entry.kind for entry in sequence.frames] == [frame["kind"] for frame in frames] and not sequence.warnings()
+    for before, entry in zip(sequence.rendered, sequence.rendered[1:], strict=False):
+        frame = sequence.read(entry)
+        still, _ = static_motion(frame.depth, entry.render_camera, before.render_camera)
+        off = np.linalg.norm(frame.motion - still, axis=-1)[np.isfinite(frame.depth)]
+        assert np.median(off) < 0.01 and np.isinf(frame.depth).any() and frame.color.dtype == np.float16
+    for entry in sequence.ground_truth:
+        assert sequence.read_color(entry).shape == (HEIGHT, WIDTH, 3)
+        assert sequence.camera_at(entry.time) is not None
 
 
 def test_an_export_goes_on_where_it_stopped(blend, tmp_path):
@@ -122,3 +141,5 @@ def test_only_cameras_between(blend, tmp_path):
     assert between["kind"] == "camera_only" and between["file"] is None and between["scene_frame"] == 3.5
     assert between["world_to_camera"] != rendered["world_to_camera"]
     assert [path.name for path in tmp_path.glob("*.exr")] == [rendered["file"]]
+    sequence = open_capture(tmp_path)
+    assert len(sequence.frames) == 1 and sequence.camera_at(between["time"]).fx == between["fx"]

@@ -77,6 +77,8 @@ def test_commands_that_prose_names_exist():
 
 def test_options_that_prose_names_exist():
     others = {"--logdir", "--nproc-per-node", "--write", "--editable", "--all-files", "--scene"}  # of other programs
+    others |= {"--cases"}  # of scripts in docs
+    others |= {"--nthreads"}  # of Dask's workers
     others |= {"--python", "--every", "--between", "--no-truth", "--overwrite"}  # of Blender and its script
     known = {f for c in get_command(app).commands.values() for p in c.params for f in (*p.opts, *p.secondary_opts)}
     for name, text in TEXTS.items():
@@ -130,6 +132,21 @@ def test_tables_of_performance_are_those_of_the_records():
     page = TEXTS["docs/performance.md"]
     assert with_tables(page) == page, "run python docs/make_performance.py"
     assert all(f"<!-- {table}:begin -->\n" in page for table in TABLES)
+
+
+def test_tables_of_the_doctor_are_those_of_its_record():
+    from measure_doctor import with_tables
+
+    page = TEXTS["docs/doctor.md"]
+    assert with_tables(page) == page and "<!-- confusion:begin -->\n|" in page, "python docs/measure_doctor.py --write"
+
+
+def test_tables_of_results_are_those_of_the_record():
+    from make_results import TABLES, with_tables
+
+    pages = [TEXTS[name] for name in ("docs/results.md", "README.md")]
+    assert [with_tables(page) for page in pages] == pages, "run python docs/make_results.py"
+    assert all(any(f"<!-- {table}:begin -->\n|" in page for page in pages) for table in TABLES)
 
 
 def test_reference_is_up_to_date():

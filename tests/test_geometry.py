@@ -226,6 +226,29 @@ def test_polynomial_follows_acceleration(device):
     assert max(errors[1:]) < 0.02 and errors[0] > 0.1, errors
 
 
+def test_polynomial_of_the_highest_order(device):
+    """A path of degree 5 is predicted exactly by order 5, and not by order 4."""
+    cam, count = camera(W, H), 8
+    path = np.polynomial.Polynomial((-0.8, 0.02, 0.012, -0.004, 0.0009, -0.00006))
+
+    def frame(k):
+        scene = Rects([Rect((0, 0, 14), frequency=0.3), Rect((path(k), 0, 6), (1, 1), frequency=1)])
+        f = scene.frame(cam, k / 30, W, H, reset=k == 0)
+        f.motion[f.depth < 10] = ((path(k - 1) - path(k)) * cam.fx / 6, 0)
+        return f
+
+    errors = []
+    for order in (5, 4):
+        pipeline = Pipeline(device, W, H, Options(history=order + 1, order=order, static_threshold=0.01))
+        for k in range(count):
+            pipeline.submit(frame(k))
+        out = pipeline.extrapolate(cam, (count - 0.5) / 30)
+        both = (out.numpy("depth") < 10) & (frame(count - 0.5).depth < 10)
+        moved = (path(count - 1) - path(count - 0.5)) * cam.fx / 6
+        errors.append(np.median(np.abs(out.numpy("motion")[both] - (moved, 0)).max(-1)))
+    assert errors[0] < 0.02 and errors[1] > 3 * errors[0], errors
+
+
 @pytest.mark.parametrize("pace", [1.0, 0.15])
 def test_threshold_follows_quantised_motion(device, pace):
     """Motion rounded to 1.5 px must not make the static world dynamic, be it that the camera is slow and most vectors

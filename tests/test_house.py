@@ -12,15 +12,15 @@ from gffe_cl.options import OPTIONS
 # Lowest first. A room is a module or a package; rooms on one floor know nothing of each other.
 FLOORS = (
     ("errors",),
-    ("files", "values"),
+    ("files", "memory", "values", "conventions"),
     ("opencl", "camera", "inference", "metrics"),
     ("frame", "window", "camera_path", "packing"),
     ("buffers",),
     ("stage", "sequence", "scenes"),
-    ("stages",),
+    ("stages", "formats"),
     ("options",),
     ("pipeline", "source"),
-    ("run", "render", "evaluation", "scn"),
+    ("run", "render", "evaluation", "calibration", "scn", "doctor"),
     ("demo", "viewer"),
     ("cli",),
     ("__main__",),

@@ -109,7 +109,7 @@ def test_cameras_of_every_frame(device, tmp_path, n, truth, digits):
     elif truth == "dense":
         # Roundings add up to more than 1/50 in some intervals, and may in any but the first.
         assert expected[0] and (n == 6 or any(expected[1:])) and (n > 1 or sum(map(bool, expected)) == 4)
-    options = Options(shading_correction=False, levels=0)
+    options = Options(shading_correction=False, levels=0, cut_detection=False)
     for predicted in (False, True):
         source, out = Recorded(sequence, device), tmp_path / f"out{predicted}"
         run_sequence(source, out, device, options, alphas_for(n), predicted_camera=predicted)

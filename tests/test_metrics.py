@@ -102,7 +102,7 @@ def test_every_metric_knows_better_from_worse(monkeypatch):
 def test_a_missing_package_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "flip_evaluator", None)
     assert [metric.name for metric in metrics.measurable()] == ["psnr", "ssim"]
-    assert metrics.missing_metrics() == ["FLIP needs flip-evaluator: pip install 'gffe-cl[metrics]'"]
+    assert metrics.missing_metrics() == ["FLIP needs flip-evaluator: pip install flip-evaluator"]
 
 
 def test_regions_are_pooled_over_images():

@@ -52,9 +52,15 @@ def test_surfaces(device, lanes, size):
         depth = uneven_depth(rng, width, height)
         dynamic = (rng.random((height, width)) < 0.02 * (k > 1)).astype(np.uint8)
         given = {"depth": uploaded(device, depth), "dynamic_mask": uploaded(device, dynamic)}
-        stage.launch("find_surfaces", **given)
+        state, keys = np.full((height, width), 7, np.uint8), np.zeros((height, width), np.uint64)
+        written = {"state": uploaded(device, state), "fill_keys": uploaded(device, keys)}
+        stage.launch("find_surfaces", collect=True, **given, **written, fill_winners=uploaded(device, keys))
+        cl.enqueue_copy(device.queue, state, written["state"])
+        cl.enqueue_copy(device.queue, keys, written["fill_keys"])
         assert np.array_equal(stage.read("links"), twins.link_surfaces(depth, dynamic)), k
-        assert np.array_equal(stage.read("unmixed"), twins.unmixed(depth, dynamic)), k
+        assert np.array_equal(state, twins.unmixed(depth, dynamic)), k
+        emptied = keys.view(np.uint32 if len(stage.passes) > 1 else np.uint64).ravel()[: state.size]
+        assert (~emptied[state.ravel() == 0] == 0).all()
 
 
 @pytest.mark.parametrize("positions", [2, 4])
@@ -71,6 +77,7 @@ def test_history(device, lanes, size, positions):
         board.previous = board.rendered
         board.rendered = DeviceFrame.allocate(device, size, frame.camera, frame.camera, frame.time)
         board.rendered.upload(device, packed)
+        stage.swap()
         stage.rendered(Step(board.rendered, board.previous, []))
         if past is None:
             expected = *(np.zeros((height, width)) for _ in range(2)), np.zeros((positions - 1, height, width, 4))

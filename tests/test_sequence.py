@@ -1,5 +1,8 @@
 """Sequences on disk: round trips, other people's files, warnings, prefetching."""
 
+import os
+import subprocess
+import sys
 import threading
 
 import numpy as np
@@ -282,6 +285,33 @@ def test_bad_depth_and_motion_are_counted():
     motion[2, 0], motion[2, 1, 1], motion[2, 2, 0] = np.nan, np.inf, -np.inf
     frame = RenderedFrame(np.zeros((5, 7, 3), np.float16), depth, motion, None, 0.0)
     assert pack_frame(frame, 5, 7).bad == BadPixels(depth=3, motion=3)
+
+
+def test_halves_that_were_read_are_packed_already(tmp_path):
+    """... unless a pixel is bad: what is read stays as it is."""
+    sequence = open_sequence(write(tmp_path))
+    frame = sequence.read(sequence.rendered[0])
+    assert frame.color.dtype == np.float16 and frame.color.shape == (H, W, 3)
+    packed = pack_frame(frame, H, W)
+    assert np.shares_memory(packed.color, frame.color) and not packed.color[..., 3].any()
+    frame.color[1, 2, 0] = np.nan
+    packed = pack_frame(frame, H, W)
+    assert packed.bad.color == 1 and packed.color[1, 2, 0] == 0 and np.isnan(frame.color[1, 2, 0])
+
+
+def test_freed_memory_is_kept():
+    """Pages that were fetched once serve again, instead of new ones for each array."""
+    code = (
+        "import resource, numpy as np\nfrom gffe_cl.memory import keep_freed_memory\n{}\n"
+        "def faults():\n    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
+        "np.ones(1 << 22)\nbefore = faults()\nfor k in range(20): np.ones(1 << 22)\nprint(faults() - before)"
+    )
+    environment = os.environ | {"NUMPY_MADVISE_HUGEPAGE": "0"}
+    fetched = [
+        int(subprocess.run([sys.executable, "-c", code.format(call)], env=environment, capture_output=True).stdout)
+        for call in ("", "keep_freed_memory()")
+    ]
+    assert fetched[0] < 50_000 or fetched[1] < fetched[0] / 10  # glibc's own way is to give them back
 
 
 def test_reading_ahead_starts_at_once():

@@ -33,7 +33,7 @@ def test_bytes_per_pixel_are_those_of_the_buffers(device):
     assert moved["prediction"]["predict_positions"] == pytest.approx(
         4 + 1 + (8 + 4 + 2) * shares["dynamic"] + 12, rel=1e-2
     )
-    assert moved["surfaces"]["find_surfaces"] == pytest.approx(4 + 1 + 1 + 1)
+    assert moved["surfaces"]["find_surfaces"] == pytest.approx(4 + 1 + 1)
     key = 8  # one of 64 bits, or key and winner
     splats = 1 if device.int64_atomics else 2
     block = -(-W // 8) * -(-H // 4) / (W * H)  # blocks per pixel
@@ -101,7 +101,7 @@ def test_kernels_and_constants_are_read_from_the_source():
     assert [a.name for a in kernels["second"]] == ["nodes", "count", "zoom"]
 
 
-_WRITTEN = {"links": "surfaces.links", "unmixed": "surfaces.unmixed"}
+_WRITTEN = dict.fromkeys(("links", "state", "fill_keys", "fill_winners"), "surfaces.links")
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """NumPy twin of kernels/silhouettes.cl, pixel by pixel."""
 
 import numpy as np
-from twins import COMMON
+from twins import COMMON, as_rgb9e5
 
 from gffe_cl.buffers import BLOCK
 from gffe_cl.opencl.program import constants
@@ -90,13 +90,16 @@ def unmixed(color, depth, links, x, y, near_by, middle):
     return np.append(far if is_near else np.maximum(own - coverage * contrast, 0), coverage)
 
 
+def stored(rgb):
+    return as_rgb9e5(np.asarray(rgb, F))[:3]
+
+
 class Softening:
     """The new frame's silhouettes. `shown`: its buffers by name, before; `layers`: what find_layers gives."""
 
     def __init__(self, shown, color, target_position, layers, zoom):
         self.shown, self.target_position, self.zoom = shown, target_position, zoom
         self.source, (self.layer, self.behind) = color, layers
-        self.behind = self.behind.astype(np.float16).astype(F)
         self.warped = np.isin(shown["filled_by"], (COMMON.BY_WARP, COMMON.BY_CRACK_CLOSING))
         self.filled = shown["filled_by"] != COMMON.BY_NOTHING
 
@@ -110,12 +113,12 @@ class Softening:
             pair = self.pair(x, y)
             near = pair and self.near_layer(x, y, *pair[:2])
             if near is not None and pair:
-                color[y, x] = near[:3] + (F(1) - near[3]) * pair[2]
+                color[y, x] = stored(near[:3] + (F(1) - near[3]) * pair[2])
                 coverage[y, x] = int(F(1) + F(254) * near[3] + F(0.5))
                 continue
             rgb, is_other = self.without_near(x, y)
             if is_other:
-                color[y, x], coverage[y, x] = rgb, 1
+                color[y, x], coverage[y, x] = stored(rgb), 1
         return coverage, color
 
     def taps(self, x, y, px_source, z, most):

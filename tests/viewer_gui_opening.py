@@ -140,7 +140,7 @@ def palette_and_help(gui: Gui):
     gui.key(KEY.p, CTRL)
     gui.frames(2)
     values["palette"] = gui.exists("//###palette")
-    gui.ctx.key_chars("over")
+    gui.ctx.key_chars("overview")
     gui.frames(2)
     gui.shot("palette")
     gui.key(KEY.enter)

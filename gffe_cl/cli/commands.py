@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from gffe_cl import __version__
-from gffe_cl.cli import making, measuring, timing, training, viewing  # noqa: F401 - registers the commands, in the order of `gffe --help`
+from gffe_cl.cli import checking, importing, making, measuring, recovering, tabulating, timing, training, viewing  # noqa: F401 - registers the commands, in the order of `gffe --help`
 from gffe_cl.cli.common import app, out
 
 __all__ = ["app", "invoke"]

@@ -51,6 +51,9 @@ JsonOption = Annotated[
 ]
 
 
+NoCheckOption = Annotated[
+    bool, typer.Option("--no-check", help="Say nothing if the first frames do not fit; see `gffe check`.")
+]
 CompressionOption = Annotated[
     str,
     typer.Option(

@@ -13,6 +13,7 @@ from gffe_cl.cli.common import (
     CompressionOption,
     DeviceOption,
     JsonOption,
+    NoCheckOption,
     WindowOption,
     app,
     out,
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
     from gffe_cl.options import Options
     from gffe_cl.run import RunReport
     from gffe_cl.source import Live, Recorded
+
+
+_MANY_CUTS = 0.2  # of the rendered frames
 
 
 @app.command()
@@ -152,7 +156,7 @@ def render(
 @app.command()
 @takes_options()
 def run(
-    sequence: Annotated[Path, typer.Argument(help="Folder of a sequence, or the name of a built-in scene.")],
+    sequence: Annotated[Path, typer.Argument(help="Folder of a capture (`gffe formats`), or a built-in scene.")],
     output: Annotated[Path, typer.Argument(help="Folder for the result, a sequence again.")],
     n: Annotated[
         int | None,
@@ -185,11 +189,13 @@ def run(
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Of a built-in scene: its variation [dim](default 0)[/].")] = None,
     compression: CompressionOption = "zip",
+    no_check: NoCheckOption = False,
     json_path: JsonOption = None,
     *,
     options: Options,
 ) -> None:
     """Extrapolate after every rendered frame of a sequence, or of a built-in scene that is rendered meanwhile."""
+    from gffe_cl.memory import keep_freed_memory
     from gffe_cl.run import alphas_for, run_sequence
 
     if n is not None and alpha is not None:
@@ -199,7 +205,10 @@ def run(
         raise GffeError(f"--camera must be 'truth' or 'predicted', got '{camera}'")
     options = replace(options, shading_inputs=dump_stages)
     live = {"--size": size, "--frames": frames, "--fps": fps, "--seed": seed}
+    keep_freed_memory()
     opened, source = _open_source(sequence, window, device, live)
+    if not no_check:
+        _check_quickly(source, sequence)
     with progress_bars() as progress:
         report = run_sequence(
             source, output, opened, options, alphas,
@@ -210,13 +219,22 @@ def run(
     write_json(json_path, _report_json(report, opened.info))
 
 
+def _check_quickly(source: Recorded | Live, target: Path) -> None:
+    from gffe_cl.doctor import quick_warning
+    from gffe_cl.source import Recorded
+
+    suspicion = quick_warning(source.sequence, source.exposure) if isinstance(source, Recorded) else None
+    if suspicion:
+        warn(f"{suspicion}; `gffe check {target}` says more")
+
+
 def _open_source(
     sequence: Path, window: str | None, device: str | None, live: dict[str, str | float | None]
 ) -> tuple[Device, Recorded | Live]:
     """A folder is a sequence; what is none may be the name of a scene, which `live` says how to render."""
+    from gffe_cl.formats import open_capture
     from gffe_cl.opencl.device import open_device
     from gffe_cl.scenes import SCENES, is_scene, load_scene
-    from gffe_cl.sequence import open_sequence
     from gffe_cl.source import Live, Recorded
 
     if is_scene(str(sequence)):
@@ -228,7 +246,7 @@ def _open_source(
     given = [option for option, value in live.items() if value is not None]
     if given:
         raise GffeError(f"{given[0]} is for built-in scenes ({', '.join(SCENES)}), {sequence} is none")
-    recorded, opened = open_sequence(sequence), open_device(device)
+    recorded, opened = open_capture(sequence), open_device(device)
     return opened, Recorded(recorded, opened, window)
 
 
@@ -239,6 +257,10 @@ def _print_report(report: RunReport, output: Path) -> None:
         warn(warning)
     if report.bad_pixels:
         warn(f"bad pixels in the input, survived: {report.bad_pixels}")
+    for file in report.cuts:
+        out.print(plain(f"cut at {file}: what was before is not used"))
+    if 1 < len(report.cuts) > _MANY_CUTS * report.rendered:
+        warn(f"{len(report.cuts)} of {report.rendered} rendered frames look like cuts: do the motion vectors fit?")
     times = ", ".join(f"{name} {ms:.1f}" for name, ms in report.milliseconds.items() if ms)
     out.print(f"{report.extrapolated} extrapolated frames in {plain(output)} (ms per frame: {times})")
     spent = report.seconds
@@ -256,5 +278,6 @@ def _report_json(report: RunReport, info: DeviceInfo) -> dict:
         "milliseconds": report.milliseconds,
         "seconds": report.seconds,
         "bad_pixels": vars(report.bad_pixels),
+        "cuts": report.cuts,
         "warnings": report.warnings,
     }

@@ -54,12 +54,12 @@ def compare(
 ) -> None:
     """Measure extrapolated frames of A against the ground truth of B."""
     from gffe_cl.evaluation.compare import compare as compare_sequences
+    from gffe_cl.formats import open_capture
     from gffe_cl.metrics import measurable, missing_metrics
-    from gffe_cl.sequence import open_sequence
 
     if gae is not None and mask != "focus":
         raise GffeError("--gae goes with --mask focus")
-    first, second, third = open_sequence(a), open_sequence(b), None if gae is None else open_sequence(gae)
+    first, second, third = open_capture(a), open_capture(b), None if gae is None else open_capture(gae)
     for sequence in (first, second, third):
         if sequence is not None and sequence.unfinished:
             warn(sequence.warnings()[0])

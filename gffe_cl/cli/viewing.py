@@ -10,6 +10,7 @@ import typer
 from gffe_cl.cli.common import (
     DeviceOption,
     JsonOption,
+    NoCheckOption,
     app,
     out,
     output_file,
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 def view(
     target: Annotated[
         str | None,
-        typer.Argument(help="Folder of a sequence, or the name of a built-in scene [dim](default: none)[/]."),
+        typer.Argument(help="Folder of a capture (`gffe formats`), or a built-in scene [dim](default: none)[/]."),
     ] = None,
     n: Annotated[int, typer.Option("-n", help="Generated frames per rendered frame, 1 to 7.")] = 1,
     window: Annotated[
@@ -59,6 +60,7 @@ def view(
     measure: Annotated[
         float | None, typer.Option(help="Play every frame for so many seconds, print how fast that was, and exit.")
     ] = None,
+    no_check: NoCheckOption = False,
     json_path: JsonOption = None,
     *,
     options: Options,
@@ -97,7 +99,10 @@ def view(
     require_display()
     by_hand = shot is None and measure is None
     settings, warning = Settings.load() if by_hand else (Settings(), None)
-    model = Model(settings, device=device, n=n, window=window, plan=plan, options=options, save_settings=by_hand)
+    model = Model(
+        settings, device=device, n=n, window=window, plan=plan, options=options, save_settings=by_hand,
+        check=not no_check,
+    )  # fmt: skip
     if warning:
         model.say(warning)
     with leaving(model):

@@ -97,8 +97,8 @@ def compare(
     """Extrapolated frames of `a` against ground truth of `b`.
 
     Frames match as `Sequence.at` says. The means leave out the frames that follow the first two rendered frames after a
-    reset, the reset included; if nothing else is left they are over all frames, with a note. Display values take `b`'s
-    exposure.
+    reset of `a`, the reset included (cuts that `gffe run` found are such resets, with a note); if nothing else is left
+    they are over all frames, with a note. Display values take `b`'s exposure.
 
     Parameters
     ----------
@@ -142,6 +142,7 @@ def compare(
                 after = f" after {pair.entry.source}" if pair.entry.source else ""
                 raise GffeError(f"{gae.path}: no extrapolated frame at {pair.entry.time:.6g} s{after}, as {a.path} has")
     notes = [missed[0] + (f"; {len(missed) - 1} more" if missed[1:] else "")] if missed else []
+    notes += _resets_of_its_own(a, b)
     return _score(pairs, a, b, mask, progress, gae=gae, notes=notes)
 
 
@@ -239,6 +240,16 @@ class _History:
         if index is None:
             index = self._sequence.rendered_before(entry.time)
         return index is not None and self._since_reset[index] >= NO_HISTORY
+
+
+def _resets_of_its_own(a: Sequence, b: Sequence) -> list[str]:
+    """A note where `a` has resets that `b` does not tell, found by `gffe run` perhaps: means leave other frames out."""
+    same = ((entry, b.at("rendered", entry.time)) for entry in a.rendered[1:] if entry.reset)
+    found = [entry for entry, other in same if other and not other.reset]
+    if not found:
+        return []
+    more = f" and {len(found) - 1} more" if found[1:] else ""
+    return [f"{found[0].file}{more}: reset in {a.path}, not in {b.path}; the means leave out what follows it directly"]
 
 
 def _require_same_size(a: Sequence, b: Sequence) -> None:

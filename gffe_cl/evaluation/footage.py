@@ -14,10 +14,11 @@ import pyopencl as cl
 
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
+from gffe_cl.formats import open_capture
 from gffe_cl.frame import RenderedFrame, pack_frame
 from gffe_cl.opencl.device import Device
 from gffe_cl.scenes import SceneRenderer, is_scene, load_scene
-from gffe_cl.sequence import Sequence, open_sequence
+from gffe_cl.sequence import Sequence
 from gffe_cl.stages.presentation import present
 
 SCENE, SCENE_FRAME = "plaza", 31  # by default: the later one of a scene's two frames, at SCENE_FPS
@@ -107,7 +108,7 @@ def footage_of(device: Device, subject: str | None, size: tuple[int, int] | None
     """Of the built-in scene of that name (None: `SCENE`), else of the sequence in that folder; `size` None: the
     sequence's own."""
     if is_sequence(subject):
-        return sequence_footage(device, open_sequence(subject), size, number)
+        return sequence_footage(device, open_capture(subject), size, number)
     return scene_footage(device, subject or SCENE, *size, number)
 
 
@@ -149,8 +150,7 @@ def sequence_footage(
         if frame.display_camera is not None:
             frame = present(frame, before, size=(sequence.width, sequence.height), device=device)
         before = read
-        truth = sequence.at("ground_truth", entry.time + interval / 2)
-        camera = truth and (truth.display_camera or truth.render_camera)
+        camera = sequence.camera_at(entry.time + interval / 2)
         frames.append(enlarged(frame, width, height))
         cameras.append(camera and camera.scaled(*factors))
     name = sequence.path.resolve().name

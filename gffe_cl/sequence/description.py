@@ -74,6 +74,7 @@ class Description:
     exposure: float
     frames: list[FrameEntry]
     unfinished: bool = False
+    known_cameras: tuple[FrameEntry, ...] = ()  # of other forms: kind "camera_only", no file
 
 
 @contextmanager
@@ -161,13 +162,13 @@ def _on_disk(name: str) -> bool:
         return False
 
 
-def read_text(path: Path) -> str:
-    """Text of a `sequence.json`; GffeError if it cannot be read."""
+def read_text(path: Path, most: int = _MAX_BYTES) -> str:
+    """Text of a `sequence.json`; GffeError if it cannot be read or has more than `most` bytes."""
     try:
         with open_regular(path) as file:
             size = os.fstat(file.fileno()).st_size
-            if size > _MAX_BYTES:
-                raise GffeError(f"{path}: {size} bytes (expected a {path.name} of at most {_MAX_BYTES})")
+            if size > most:
+                raise GffeError(f"{path}: {size} bytes (expected a {path.name} of at most {most})")
             return file.readall().decode("utf-8")
     except FileNotFoundError:
         raise GffeError(f"{path.parent}: no {path.name} in this folder") from None

@@ -7,7 +7,7 @@ import errno
 import os
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,8 @@ from gffe_cl.sequence.exr_header import ExrHeader, read_header
 from gffe_cl.sequence.library_messages import library_messages
 
 _FLOAT_CHANNELS = ("Z", "motion.")  # always float32; any other channel keeps half if it is half
+_MOST_BYTES = 4 << 30
+_BYTES = {"uint32": 4, "float16": 2, "float32": 4}
 _HALVES = np.arange(256, dtype=np.float16)  # of small integers
 
 COMPRESSIONS = {  # the library's name in lower case, and what it is good for
@@ -42,17 +44,33 @@ def read_channels(path: Path, names, label: str, size=None) -> dict[str, np.ndar
     header = read_header(path, label)
     places = require_channels(header, names, label)
     require_size(header, names, size, label)
+    return dict(zip(names, decoded(path, header, places, label), strict=True))
+
+
+def decoded(path: Path, header: ExrHeader, places: list[tuple[int, str]], label: str) -> list[np.ndarray]:
+    """The channels at `places`, (part, name), of the EXR file at `path`, as `read_channels` gives them."""
+    _require_moderate(header, label)
     said: list[str] = []
     try:
         with _counted(), library_messages(path) as said, OpenEXR.File(str(path), separate_channels=True) as file:
             parts = [file.channels(i) for i in range(len(file.parts))]  # none if the library gave up
             if len(parts) != len(header.parts):
                 raise ValueError("corrupt pixel data")
-            arrays = [parts[part][name].pixels for part, name in places]
+            return [parts[part][name].pixels for part, name in places]
     except Exception as error:
         reason = "; ".join(dict.fromkeys((_one_line(error), *map(_one_line, said[:1]))))
         raise GffeError(f"{label}: damaged, the pixels cannot be decoded ({reason})") from None
-    return dict(zip(names, arrays, strict=True))
+
+
+def _require_moderate(header: ExrHeader, label: str) -> None:
+    """The library decodes all of a file at once: GffeError where that would be more than anybody's frame is."""
+    nbytes = sum(
+        part.size[0] * part.size[1] * sum(_BYTES[kind] for kind in part.channels.values()) for part in header.parts
+    )
+    if nbytes > _MOST_BYTES:
+        count = len(header.channels)
+        given, most = f"{nbytes / 2**30:.3g} GiB of pixels in {count} channels", f"{_MOST_BYTES >> 30} GiB"
+        raise GffeError(f"{label}: {given} (expected at most {most})")
 
 
 def require_channels(header: ExrHeader, names, label: str) -> list[tuple[int, str]]:
@@ -67,7 +85,12 @@ def require_channels(header: ExrHeader, names, label: str) -> list[tuple[int, st
 
 def require_size(header: ExrHeader, names, size, label: str) -> None:
     """GffeError if a part that holds one of `names` is subsampled or not `size` = (width, height)."""
-    for index, _ in require_channels(header, names, label):
+    require_parts(header, [index for index, _ in require_channels(header, names, label)], size, label)
+
+
+def require_parts(header: ExrHeader, indices: Iterable[int], size, label: str) -> None:
+    """As `require_size`, for parts by their numbers."""
+    for index in indices:
         part = header.parts[index]
         if part.subsampled:
             raise GffeError(f"{label}: subsampled channels are not supported")

@@ -25,9 +25,12 @@ _TILED, _NON_IMAGE, _MULTI_PART = 0x200, 0x800, 0x1000
 _FIRST_BYTES = 1 << 14
 _MAX_HEADER = 1 << 26
 _MOST_KNOWN = 4
+_MOST_CHANNELS = 4096  # of all parts
+_MOST_SIDE = 1 << 20
 _TOO_MANY = 1 << 40  # chunks: no file holds their table
 # Scan lines per chunk: no compression, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB, HTJ2K256, HTJ2K32
 _CHUNK_LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256, 256, 32)
+_NUMBERS = {"int": "i", "float": "f", "double": "d", "rational": "iI"}
 _PIXEL_TYPES = ("uint32", "float16", "float32")
 
 
@@ -45,6 +48,7 @@ class ExrPart:
     subsampled: bool = False
     deep: bool = False
     matrices: dict[str, tuple[str, bytes]] = field(default_factory=dict)  # name → type, bytes; see `matrix`
+    texts: dict[str, str] = field(default_factory=dict)  # other attributes of text and numbers, by name
 
     @property
     def size(self) -> tuple[int, int]:
@@ -209,8 +213,9 @@ def _read_parts(file, data, size, label) -> tuple[ExrHeader, list[_Span]]:
             if length >= _MAX_HEADER:
                 raise GffeError(f"{label}: damaged EXR header") from None
             length *= 8
-        except (struct.error, ValueError, IndexError):
-            raise GffeError(f"{label}: damaged EXR header") from None
+        except (struct.error, ValueError, IndexError) as error:
+            reason = f" ({error})" if type(error) is ValueError and error.args else ""
+            raise GffeError(f"{label}: damaged EXR header{reason}") from None
         data = _bytes_at(file, b"", 0, length)
 
 
@@ -228,7 +233,11 @@ def _parse(cursor) -> tuple[ExrHeader, list[_Span]]:
             part.tile = None
         if not part.channels or min(part.size) < 1:
             raise ValueError
+        if max(part.size) > _MOST_SIDE:
+            raise ValueError(f"{part.size[0]}×{part.size[1]} pixels, expected at most {_MOST_SIDE} a side")
         parts.append(part)
+        if sum(len(one.channels) for one in parts) + len(parts) > _MOST_CHANNELS:
+            raise ValueError(f"expected at most {_MOST_CHANNELS} channels and parts")
         if not multi_part:
             break
     return ExrHeader(parts, multi_part, cursor.position), spans
@@ -274,6 +283,10 @@ def _parse_part(cursor, index: int, spans: list[_Span]) -> ExrPart | None:
                 start = cursor.position - size
                 part.matrices[name] = (form, values)
                 spans.append(_Span(index, name, form, start, start + len(values)))
+            elif form == "string":
+                part.texts[name] = value.data.decode("utf-8", "replace")
+            elif form in _NUMBERS:
+                part.texts[name] = "/".join(map(str, value.unpack(_NUMBERS[form])))
         except _Short:
             raise ValueError from None
         name = cursor.text()
@@ -289,6 +302,8 @@ def _parse_channels(value, part):
         kind, _, x_sampling, y_sampling = value.unpack("iIii")
         part.channels[name] = _PIXEL_TYPES[kind]
         part.subsampled |= (x_sampling, y_sampling) != (1, 1)
+        if len(part.channels) > _MOST_CHANNELS:
+            raise ValueError(f"expected at most {_MOST_CHANNELS} channels")
         name = value.text()
 
 

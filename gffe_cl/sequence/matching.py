@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 
+from gffe_cl.camera import Camera
 from gffe_cl.sequence.description import KINDS, FrameEntry
 
 _TOLERANCE = 1 / 50  # of the interval of rendered frames
@@ -15,7 +16,7 @@ class Timeline:
 
     def __init__(self, frames: list[FrameEntry], fps: float):
         self._fps = fps
-        self._of_kind: dict[str, list[FrameEntry]] = {kind: [] for kind in KINDS}
+        self._of_kind: dict[str, list[FrameEntry]] = {kind: [] for kind in (*KINDS, "camera_only")}
         for entry in frames:
             self._of_kind[entry.kind].append(entry)
         self._times = {kind: [entry.time for entry in entries] for kind, entries in self._of_kind.items()}
@@ -49,6 +50,11 @@ class Timeline:
             return None
         apart = 1e3 * abs(near.time - time)
         return f"{near.file} at {near.time:.6g} s is {apart:.3g} ms from {time:.6g} s, more than 1/50 of an interval"
+
+    def camera_at(self, time: float) -> Camera | None:
+        known = self.at("ground_truth", time), self.at("camera_only", time)
+        cameras = [entry.display_camera or entry.render_camera for entry in known if entry is not None]
+        return next(filter(None, cameras), None)
 
     def rendered_before(self, time: float) -> int | None:
         k = bisect_right(self._times["rendered"], time - self.tolerance(time)) - 1

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import RenderedFrame, require_one_pose
 from gffe_cl.sequence import exr
@@ -21,19 +22,16 @@ from gffe_cl.sequence.description import (
     read_text,
     without_collections,
 )
-from gffe_cl.sequence.exr_header import ExrHeader, HeaderReader, read_header
+from gffe_cl.sequence.exr_header import HeaderReader
 from gffe_cl.sequence.folder import why_unfinished
 from gffe_cl.sequence.header_camera import has_camera, header_cameras
 from gffe_cl.sequence.matching import Timeline
+from gffe_cl.sequence.pixels import COLOR, MOTION, RENDERED, OwnPixels, Pixels, require_whole_overlays
 from gffe_cl.sequence.read_ahead import read_ahead
-
-COLOR = ("R", "G", "B")
-MOTION = ("motion.x", "motion.y")
-RENDERED = (*COLOR, "Z", *MOTION)
 
 
 class Sequence:
-    """An opened sequence; made by `open_sequence`.
+    """An opened sequence; made by `open_sequence`, or of another form by `open_capture`.
 
     Attributes
     ----------
@@ -44,16 +42,19 @@ class Sequence:
     fps, exposure : float
     frames : list[FrameEntry]
         By time; `rendered`, `ground_truth` and `extrapolated` are those of one kind.
+    known_cameras : list[FrameEntry]
+        Times without a picture whose camera is known, of kind "camera_only".
     unfinished : bool
         Whether what wrote it was interrupted: the frames are those that were finished.
     """
 
-    def __init__(self, path: Path, description: Description):
-        self.path = path
+    def __init__(self, path: Path, description: Description, pixels: Pixels):
+        self.path, self._pixels = path, pixels
         self.width, self.height = description.width, description.height
         self.fps, self.exposure = description.fps, description.exposure
         self.frames, self.unfinished = description.frames, description.unfinished
-        self._timeline = Timeline(self.frames, self.fps)
+        self.known_cameras = list(description.known_cameras)
+        self._timeline = Timeline(self.frames + self.known_cameras, self.fps)
         self._previous = dict(zip([e.file for e in self.rendered[1:]], self.rendered, strict=False))
         self._suspicions: dict[str, str] = {}  # sentence → file where it was met first
 
@@ -80,6 +81,10 @@ class Sequence:
         everything matches frames by. `source`: only frames that were extrapolated from this one."""
         return self._timeline.at(kind, time, source)
 
+    def camera_at(self, time: float) -> Camera | None:
+        """The display camera at `time` (seconds), matched as `at` does, if ground truth or a known camera tells it."""
+        return self._timeline.camera_at(time)
+
     def nearest(self, kind: str, time: float) -> FrameEntry | None:
         """The frame of `kind` that is nearest in time, however far: for messages about what `at` does not find."""
         return self._timeline.nearest(kind, time)
@@ -102,54 +107,57 @@ class Sequence:
         outside = [entry.file for entry in self.rendered if not self._covers_display(entry)]
         cut = [f"{outside[0]}: the display reaches beyond what was rendered (display_camera)"] if outside else []
         few = [f"{self.path}: unfinished, what wrote it was interrupted after {len(self.frames)} frames"]
-        return (few if self.unfinished else []) + time_warnings(self.rendered, self.fps) + cut + met
+        times = time_warnings(self.rendered, self.fps)
+        return (few if self.unfinished else []) + list(self._pixels.notes) + times + cut + met
 
     def _covers_display(self, entry: FrameEntry) -> bool:
         """Whether all that is shown was rendered, to half a pixel of the display."""
         width, height = self.size_of(entry)
         display, render = entry.display_camera, entry.render_camera
+        if render is None:
+            return True
         corners = np.array([(0.5, 0.5), (self.width - 0.5, self.height - 0.5)])
         scale = np.array([render.fx / display.fx, render.fy / display.fy])
         at = (corners - (display.cx, display.cy)) * scale + (render.cx, render.cy)
         return bool((at >= 0).all() and (at <= (width, height)).all())
 
     def read(self, entry: FrameEntry) -> RenderedFrame:
-        """The rendered frame `entry`: color (H, W, 3) float16 or float32 as stored, depth (H, W) float32,
-        motion (H, W, 2) float32 or None. Raises GffeError if the file changed for the worse since opening."""
+        """The rendered frame `entry`: color (H, W, 3) float16 or float32 as stored, depth (H, W) float32, motion
+        (H, W, 2) float32 or None; and the overlays that it brings. Raises GffeError if the file changed for the worse
+        since opening."""
         if entry.kind != "rendered":
             raise GffeError(f"{entry.file}: kind is {entry.kind} (expected a rendered frame)")
-        path, size = self.path / entry.file, self.size_of(entry)
-        header = read_header(path, entry.file)
-        names = RENDERED if _has_motion(header) or not entry.reset else RENDERED[:4]
-        channels = exr.read_channels(path, names, entry.file, size)
-        depth = channels["Z"].astype(np.float32, copy=False)
-        motion = None
-        if len(names) == len(RENDERED):
-            motion = np.stack([channels[name] for name in MOTION], -1).astype(np.float32, copy=False)
+        size = self.size_of(entry)
+        color, depth, motion, overlays = self._pixels.read(entry, size)
         camera = entry.render_camera
         previous = self._previous.get(entry.file)
-        if previous and not entry.reset:
+        if previous and not entry.reset and camera and previous.render_camera:
             text = zero_motion_warning(motion, depth, camera, previous.render_camera)
             if text:
                 self._suspicions.setdefault(text, entry.file)
         shown_as_rendered = size == (self.width, self.height) and entry.display_camera == camera
         return RenderedFrame(
-            _stack_color(channels),
+            color,
             depth,
             motion,
             camera,
             entry.time,
             display_camera=None if shown_as_rendered else entry.display_camera,
             reset=entry.reset,
+            overlays=overlays,
         )
 
     def read_channels(self, entry: FrameEntry, names: Iterable[str]) -> dict[str, np.ndarray]:
         """Channels of any frame by name, (H, W) each, in the type stored (float16, float32 or uint32)."""
-        return exr.read_channels(self.path / entry.file, tuple(names), entry.file, self.size_of(entry))
+        return self._pixels.channels(entry, names, self.size_of(entry))
 
     def read_color(self, entry: FrameEntry) -> np.ndarray:
         """Linear RGB of any frame: (H, W, 3), float16 or float32 as stored."""
-        return _stack_color(self.read_channels(entry, COLOR))
+        return self._pixels.color(entry, self.size_of(entry))
+
+    def exr_file(self, entry: FrameEntry) -> Path | None:
+        """The EXR file that holds the frame in our own form; None in captures of another one."""
+        return self._pixels.exr_file(entry)
 
     def prefetch(self, entries: Iterable[FrameEntry], read: Callable | None = None, ahead: int = 2) -> Iterator[tuple]:
         """Yield (entry, read(entry)) in order, reading the next `ahead` frames on threads.
@@ -161,11 +169,13 @@ class Sequence:
 
 
 @without_collections()
-def open_sequence(path) -> Sequence:
+def open_sequence(path, *, cameras: str = "needed", mend: Callable[[str], str] | None = None) -> Sequence:
     """Open the sequence in the folder `path` (or whose `sequence.json` is `path`).
 
     JSON, cameras and the headers of all files are checked here, so that no later work meets a missing
-    channel or file, a wrong size, or a truncated file. Raises GffeError.
+    channel or file, a wrong size, or a truncated file. With `cameras` "optional" rendered frames may lack theirs (it is
+    None then), which nothing but calibration can work on. `mend` makes of the JSON text what is taken for it. Raises
+    GffeError.
     """
     path = Path(path)
     try:
@@ -178,7 +188,8 @@ def open_sequence(path) -> Sequence:
         raise GffeError(f"{path}: cannot be read ({error.strerror or error})") from None
     if unfinished:
         raise GffeError(f"{folder}: {unfinished}")
-    description = parse_description(read_text(json_path), json_path.name)
+    text = read_text(json_path)
+    description = parse_description(mend(text) if mend else text, json_path.name)
 
     # On one thread: the system calls are so short that threads only wait for each other.
     reader, passed = HeaderReader(), set()
@@ -187,13 +198,15 @@ def open_sequence(path) -> Sequence:
         alike = header.layout, entry.kind, entry.reset, entry.render_size
         if alike not in passed:
             _check_channels(entry, header)
-        _complete_cameras(entry, header, description, index, json_path.name)
+        _complete_cameras(entry, header, description, index, json_path.name, cameras == "needed")
         if alike not in passed:
             size = entry.render_size or (description.width, description.height)
             exr.require_size(header, RENDERED[:4] if entry.kind == "rendered" else COLOR, size, entry.file)
+            if entry.kind == "rendered":
+                require_whole_overlays(header, entry.file, size == (description.width, description.height))
         if header.layout:
             passed.add(alike)
-    return Sequence(folder, description)
+    return Sequence(folder, description, OwnPixels(folder))
 
 
 def _check_channels(entry, header):
@@ -213,7 +226,7 @@ def _lacks_camera(entry) -> bool:
     return (entry.render_camera if entry.kind == "rendered" else entry.display_camera) is None
 
 
-def _complete_cameras(entry, header, description, index, json_name):
+def _complete_cameras(entry, header, description, index, json_name, needed):
     """Cameras that the JSON leaves out: from the EXR header, else (display) the render camera's frustum."""
     size = (description.width, description.height)
     part = header.parts[header.find("R")[0]]
@@ -223,7 +236,7 @@ def _complete_cameras(entry, header, description, index, json_name):
     try:
         if _lacks_camera(entry) and has_camera(part):
             _take_header_cameras(entry, part, size)
-        if not rendered:
+        if not rendered or (entry.render_camera is None and not needed):
             return
         if entry.render_camera is None:
             raise GffeError("no render_camera, and no worldToCamera and worldToNDC in the EXR header")
@@ -268,12 +281,3 @@ def _same_frustum(entry, size):
     if tuple(render_size) == size:
         return entry.render_camera
     return entry.render_camera.scaled(size[0] / render_size[0], size[1] / render_size[1])
-
-
-def _has_motion(header: ExrHeader) -> bool:
-    return all(header.find(name) for name in MOTION)
-
-
-def _stack_color(channels) -> np.ndarray:
-    color = np.stack([channels[name] for name in COLOR], -1)
-    return color if color.dtype in (np.float16, np.float32) else color.astype(np.float32)

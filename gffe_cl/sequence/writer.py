@@ -14,10 +14,12 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.errors import GffeError
+from gffe_cl.frame import Overlays
 from gffe_cl.sequence import exr
 from gffe_cl.sequence.description import KINDS, Description, FrameEntry, describe, parse_description
 from gffe_cl.sequence.folder import GENERATOR, OutputFolder
 from gffe_cl.sequence.header_camera import camera_attributes
+from gffe_cl.sequence.pixels import OVERLAY_CHANNELS
 from gffe_cl.sequence.read_ahead import usable_cores
 from gffe_cl.values import require_exposure
 
@@ -83,7 +85,7 @@ class SequenceWriter:
 
     def add(self, entry: FrameEntry, channels: dict[str, np.ndarray], *, owned: bool = False) -> None:
         """Write the frame `entry` from `channels`: channel name → (H, W) array, copied before this returns, or later
-        if they are `owned` by the writer from now on.
+        if they, and the dict, are `owned` by the writer from now on, which empties it.
 
         Half stays half, masks of bool and uint8 become half, `Z` and `motion.*` float32. (H, W) is the
         entry's render size, else the display size.
@@ -96,13 +98,13 @@ class SequenceWriter:
                 shape = f"({height}, {width}), got {np.shape(array)}"
                 raise GffeError(f"{entry.file}: channel '{name}' must have shape {shape}")
         given = channels if owned else {name: exr.stored_type(name, array) for name, array in channels.items()}
-        attributes = self._attributes(entry)
+        attributes, nbytes = self._attributes(entry), sum(np.asarray(array).nbytes for array in given.values())
 
         def write(path: Path) -> None:
-            stored = {name: exr.stored_type(name, array, copy=False) for name, array in given.items()}
+            stored = {name: exr.stored_type(name, given.pop(name), copy=False) for name in list(given)}
             exr.write_channels(path, stored, attributes, self._compression)
 
-        self._submit(entry, write, sum(np.asarray(array).nbytes for array in given.values()))
+        self._submit(entry, write, nbytes)
 
     def link(self, entry: FrameEntry, source_path) -> None:
         """Let the frame `entry` be the existing EXR file `source_path`: a hard link, or else a copy."""
@@ -212,13 +214,19 @@ class SequenceWriter:
         return camera_attributes(render, *stored)
 
 
-def named_channels(color, depth=None, motion=None) -> dict[str, np.ndarray]:
-    """Channels for `SequenceWriter.add` from color (H, W, 3 or 4), depth (H, W) and motion (H, W, 2)."""
+def named_channels(color, depth=None, motion=None, overlays: Overlays | None = None) -> dict[str, np.ndarray]:
+    """Channels for `SequenceWriter.add` from color (H, W, 3 or 4), depth (H, W), motion (H, W, 2), and overlays."""
     channels = dict(zip("RGB", np.moveaxis(np.asarray(color)[..., :3], -1, 0), strict=True))
     if depth is not None:
         channels["Z"] = np.asarray(depth)
     if motion is not None:
         channels["motion.x"], channels["motion.y"] = np.moveaxis(np.asarray(motion), -1, 0)
+    for field, names in OVERLAY_CHANNELS.items():
+        array = getattr(overlays, field, None)
+        if array is not None:
+            planes = np.moveaxis(np.atleast_3d(np.asarray(array)), -1, 0)
+            halves = planes.astype(np.float16) if field != "effects_motion" else planes.astype(np.float32)
+            channels |= dict(zip(names, halves, strict=True))
     return channels
 
 

@@ -60,7 +60,6 @@ class Acceleration(Stage):
         return options.motion and options.acceleration and options.order == 1
 
     def rendered(self, step: Step) -> None:
-        self.swap()
         before = step.previous or step.frame
         intervals = -np.diff(step.times[:3])
         self.launch(

@@ -11,7 +11,7 @@ import pyopencl as cl
 from gffe_cl.buffers import RGBA, XY, BufferSpec, Sizes, aligned, level_starts
 from gffe_cl.opencl.program import constants
 from gffe_cl.packing import OFFSET, RGB9E5
-from gffe_cl.stage import Access, Board, Kernel, NearestStage, Stage, Step, reprojection, zoom
+from gffe_cl.stage import Access, Board, Kernel, NearestStage, Step, reprojection, zoom
 
 MAX_LEVELS = 4
 _CONSTANTS = constants("background.cl")
@@ -23,8 +23,8 @@ STATES = (
 )
 
 
-# Memory of this stage that is lent for others' keys; other transient buffers lie in the levels of the frame before.
-_LENT_KEYS = {"warp.keys": "key_memory", "warp.winners": "winner_memory"}
+_KEY_MEMORY = ("key_memory", "winner_memory")  # of even levels
+_SPARE = 8192  # bytes of lent memory beyond what this stage needs: parts of it are aligned
 
 
 def _keys(which: str, share: str | float = 1.0) -> dict[str, Access]:
@@ -47,10 +47,10 @@ def _old(names: str) -> dict[str, Access]:
 
 
 _OFFERED = _keys("fill", "remembered") | _keys("push", "remembered")
-_SETTLED = _level("color depth px", share="remembered") | _level("state") | _keys("fill", "remembered")
+_SETTLED = _level("color depth px state", share="remembered") | _keys("fill", "remembered")
 _SETTLING = (
-    {"taken": Access("{taken_by}"), "frame_color": Access("previous.color", "remembered")}
-    | {"frame_depth": Access("previous.depth", "remembered")}
+    {"frame_color": Access("previous.color", "remembered"), "frame_depth": Access("previous.depth", "remembered")}
+    | _level("state")
     | _keys("fill", "not shown")
     | _old("color depth px state")
 )
@@ -66,18 +66,11 @@ class Background(NearestStage):
     """Remembers, in L levels, the static fragments that are hidden now, and fills disocclusions from them.
 
     After collection nothing reads what the levels were before, nor the keys of even levels: until the next one, that
-    memory is lent for the transient buffers of all stages made before this one.
+    memory is lent (see `Board`).
     """
 
     name = "background"
     kernels = (
-        Kernel(
-            "empty_keys",
-            "source",
-            {"taken": "surfaces.unmixed"},
-            _keys("fill", "not shown"),
-            step=("RUN", 1),
-        ),
         Kernel(
             "scatter_level",
             "level{level}",
@@ -86,7 +79,7 @@ class Background(NearestStage):
                 "dynamic_mask": Access("history.dynamic_mask", "not shown"),
                 "links": Access("surfaces.links", "not shown"),
                 "frame_depth": Access("{depth_of_shown}"),
-                "taken": Access("{taken_by}"),
+                "taken": Access("background.state_{level}"),
                 "level_depth": Access("{depth_of_taken}"),
             }
             | _level("depth px", share="remembered", prefix="old_", kept="'")
@@ -142,17 +135,14 @@ class Background(NearestStage):
         self.starts = level_starts(board.sizes.source, self.levels)
         all_levels = [_all_levels(spec, self.levels) for spec in _level_buffers(0)]
         state = all_levels.pop()  # must last: what lies between two levels is EMPTY
-        even = [
-            replace(spec, part_of=whole)
-            for spec, whole in zip(self.keys(board, "even_", "source"), _LENT_KEYS.values(), strict=True)
-        ]
-        lent = [_lent(stage, spec) for stage, spec in board.transient]
-        in_levels = [spec for spec in lent if spec.kept]
-        self._places = _side_by_side(all_levels, board.sizes) | _side_by_side(in_levels, board.sizes)
-        self._places |= dict.fromkeys([*even, *(spec for spec in lent if not spec.kept)], 0)
-        nbytes = dict.fromkeys(("memory", *_LENT_KEYS.values()), 0)
+        even = self.keys(board, "even_", "source")
+        self._places = _side_by_side(all_levels, board.sizes)
+        self._places |= {replace(spec, part_of=whole): 0 for spec, whole in zip(even, _KEY_MEMORY, strict=True)}
+        nbytes = dict.fromkeys(("memory", *_KEY_MEMORY), 0)
         for spec, start in self._places.items():
-            nbytes[spec.part_of] = max(nbytes[spec.part_of], start + spec.nbytes(board.sizes))
+            nbytes[spec.part_of] = max(nbytes[spec.part_of], start + spec.nbytes(board.sizes) + _SPARE)
+        for spec, whole in zip(self.keys(board, "", "target"), _KEY_MEMORY, strict=True):  # the warp's fit in, too
+            nbytes[whole] = max(nbytes[whole], spec.nbytes(board.sizes) + _SPARE)
         self.buffers = (
             *(spec for level in range(self.levels) for spec in _level_buffers(level)),
             *(
@@ -164,15 +154,15 @@ class Background(NearestStage):
             *self.keys(board, "odd_", "level1"),
         )
         super().__init__(board)
-        self._lend()
+        board.lent += [(self, "memory'"), *((self, whole) for whole in _KEY_MEMORY)]
 
     @classmethod
     def is_wanted(cls, options) -> bool:
         return options.levels > 0
 
     def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
-        """New device buffers by name; those of single levels are parts of those of all levels, which with what is lent
-        are parts of one, and so are keys."""
+        """New device buffers by name; those of single levels are parts of those of all levels, which are parts of one;
+        keys are parts of what is lent."""
         specs = list(specs)
         made = super().allocate(spec for spec in specs if not spec.part_of)
         places = {spec.name: start for spec, start in self._places.items()}
@@ -187,23 +177,11 @@ class Background(NearestStage):
             made[spec.name] = made[whole].get_sub_region(start, spec.nbytes(self.sizes))
         return made
 
-    def swap(self) -> None:
-        super().swap()
-        self._lend()
-
-    def _lend(self) -> None:
-        mine = self.buffer | self.before
-        for stage, spec in self.board.transient:
-            if (name := _lent(stage, spec).name) in mine:
-                stage.buffer[spec.name] = mine[name]
-
     def rendered(self, step: Step) -> None:
-        """Collect; after a reset nothing is kept, nor collected, because what moves is not known yet."""
-        self.swap()
+        """Collect, into what `Surfaces` says is shown; after a reset nothing is kept, nor collected, because what moves
+        is not known yet."""
         collect = step.previous is not None
-        if collect:
-            self.launch("empty_keys", **self.of_level(0))
-        else:
+        if not collect:
             self.clear_keys("even_", self.sizes.source)
             self.clear_keys("odd_", self.sizes.of("level1"))
         to_current = reprojection(step.previous.camera if collect else step.frame.camera, step.frame.camera)
@@ -218,18 +196,13 @@ class Background(NearestStage):
 
     @staticmethod
     def of_level(level: int) -> dict[str, str]:
-        """Which buffers say what a level holds before anything is offered to it, how deep that is, and how deep what it
+        """Which buffers say how deep that is what a level holds before anything is offered to it, and how deep what it
         showed before was (only level 0 shows anything); and which keys have what is offered to it and to the next one:
         once a level is settled its own are empty."""
         keys = dict(zip(("fill_by", "push_by"), ("odd", "even") if level % 2 else ("even", "odd"), strict=True))
         if level == 0:
-            return keys | {
-                "taken_by": "surfaces.unmixed",
-                "depth_of_taken": "rendered.depth",
-                "depth_of_shown": "previous.depth",
-            }
+            return keys | {"depth_of_taken": "rendered.depth", "depth_of_shown": "previous.depth"}
         return keys | {
-            "taken_by": f"background.state_{level}",
             "depth_of_taken": f"background.depth_{level}",
             "depth_of_shown": f"background.depth_{level}'",
         }
@@ -283,13 +256,6 @@ def _all_levels(spec: BufferSpec, levels: int) -> BufferSpec:
         spec, name=spec.part_of, grid=f"levels{levels}", part_of=part_of, scratch=True, description="of all levels",
         known_where=None,
     )  # fmt: skip
-
-
-def _lent(stage: Stage, spec: BufferSpec) -> BufferSpec:
-    """The part that is lent for a transient buffer; `kept`: of what the levels were before."""
-    name = f"{stage.name}.{spec.name}"
-    whole = _LENT_KEYS.get(name, "memory")
-    return replace(spec, name=name, part_of=whole, kept=whole == "memory", scratch=True, transient=False)
 
 
 def _side_by_side(specs: Iterable[BufferSpec], sizes: Sizes) -> dict[BufferSpec, int]:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gffe_cl.buffers import BufferSpec
 from gffe_cl.opencl.program import constants
-from gffe_cl.stage import Access, Kernel, NearestStage, Step, zoom
+from gffe_cl.stage import Access, Board, Kernel, NearestStage, Step, zoom
+from gffe_cl.stages.silhouettes import Silhouettes
 
 _CONSTANTS = constants("blocks.cl")
 _FIVE_PER_BLOCK = 5 / (_CONSTANTS["BLOCK_WIDTH"] * _CONSTANTS["BLOCK_HEIGHT"])  # pixels, in find_source
@@ -26,7 +29,7 @@ class Blocks(NearestStage):
         BufferSpec("block_class", np.uint8, (), "target_blocks", "how the block is warped", "label", labels=CLASSES),
         BufferSpec(
             "reach", np.int32, ("x0", "y0", "x1", "y1"), "source_blocks", "target blocks that a block reaches",
-            scratch=True, transient=True,
+            scratch=True,
         ),
         BufferSpec(
             "reached_by", np.int32, ("x0", "y0", "x1", "y1"), "target_blocks", "source blocks that reach a block",
@@ -61,11 +64,20 @@ class Blocks(NearestStage):
                 "reached_by": "blocks.reached_by",
                 "block_class": "blocks.block_class",
                 "block_source": "blocks.block_source",
+                "marked": "silhouettes.marked",
                 "keys": Access("warp.keys", "splatted"),
                 "winners": Access("warp.winners", "splatted"),
             },
         ),
     )
+
+    def __init__(self, board: Board):
+        self.softens = Silhouettes.is_wanted(board.options)
+        if not self.softens:  # it writes nothing of them
+            find, classify = self.kernels
+            nothing = Access("blocks.block_class", planes=0)
+            self.kernels = (find, replace(classify, writes={**classify.writes, "marked": nothing}))
+        super().__init__(board)
 
     def splatting(self) -> np.ndarray:
         """(rows, columns) bool: the source blocks whose fragments are splatted in the present frame."""
@@ -79,4 +91,4 @@ class Blocks(NearestStage):
 
     def extrapolated(self, step: Step) -> None:
         self.launch("find_reach", zoom=zoom(step.frame.camera, step.camera))
-        self.launch("classify_blocks")
+        self.launch("classify_blocks", softens=self.softens)

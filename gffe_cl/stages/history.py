@@ -119,7 +119,6 @@ class HistoryTracking(Stage):
 
     def rendered(self, step: Step) -> None:
         """Algorithm 1; without a previous frame, or without motion estimation, everything is static."""
-        self.swap()
         previous = step.previous if self.board.options.motion else None
         before = previous or step.frame
         to_previous = reprojection(step.frame.camera, before.camera)

@@ -12,7 +12,8 @@ from gffe_cl.opencl.program import constants
 from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
 from gffe_cl.stages.acceleration import Acceleration
 
-MAX_ORDER = 4
+MAX_ORDER = 5
+_WEIGHTS = 8  # that the kernel takes of each order
 NOWHERE = constants("prediction.cl")["NOWHERE"]  # px
 
 
@@ -66,7 +67,7 @@ class PositionPrediction(Stage):
             order=min(self.board.options.order, len(step.times) - 1),
             bends=self.bends,
             alpha=step.alpha,
-            polynomial=polynomial_weights(step.times, step.time, MAX_ORDER),
+            polynomial=_padded(polynomial_weights(step.times, step.time, MAX_ORDER)),
             from_previous=reprojection(before.camera, step.frame.camera),
             to_target=reprojection(step.frame.camera, step.camera),
         )
@@ -93,3 +94,8 @@ def polynomial_weights(times: Sequence[float], time: float, max_order: int) -> n
             others = np.delete(nodes, i)
             weights[order - 1, i - 1] = np.prod((time - times[0] - others) / (nodes[i] - others))
     return weights
+
+
+def _padded(weights: np.ndarray) -> np.ndarray:
+    """Rows of `_WEIGHTS`: float8 in the kernel."""
+    return np.pad(weights, ((0, 0), (0, _WEIGHTS - weights.shape[1])))

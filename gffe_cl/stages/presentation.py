@@ -11,7 +11,7 @@ import numpy as np
 from gffe_cl.buffers import RGBA, XY, BufferSpec, DeviceFrame, Sizes
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
-from gffe_cl.frame import RenderedFrame, display_camera_of, is_shown_whole, pack_frame, require_one_pose
+from gffe_cl.frame import Overlays, RenderedFrame, display_camera_of, is_shown_whole, pack_frame, require_one_pose
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.stage import Board, Kernel, Stage
 
@@ -96,7 +96,7 @@ def present(
         and motion (H, W, 2) float32 of the nearest rendered pixel, motion None for a reset or without `previous`;
         `camera` is the display camera. A frame that was not rendered through a window keeps its bits. Where the display
         reaches beyond the rendered image, the image's border goes on. Motion of sky is converted like all other: it
-        must follow the camera, windows included.
+        must follow the camera, windows included. Overlays are those of the nearest rendered pixel.
 
     Raises GffeError if the display camera has another pose than the render camera, for wrong shapes, or for device
     buffers.
@@ -112,7 +112,7 @@ def present(
     before = None if frame.reset else previous and _cameras_of(previous, size)
     color = np.asarray(frame.color)[..., :3]
     color = color.astype(np.float32 if color.dtype.itemsize > 2 else np.float16, copy=False)
-    depth, motion = packed.depth, packed.motion
+    depth, motion, overlays = packed.depth, packed.motion, frame.overlays
     if size != render_size or not is_shown_whole(frame.camera, display) or (before and not is_shown_whole(*before)):
         stage = _stage(device or _default_device(), Sizes(render_size, size))
         on_device = DeviceFrame.allocate(stage.device, render_size, frame.camera, display, frame.time)
@@ -121,7 +121,23 @@ def present(
             stage.present(on_device, before and replace(on_device, camera=before[0], display_camera=before[1]))
             shown, depth, motion = (stage.read(name) for name in ("color", "depth", "motion"))
         color = shown[..., :3].astype(color.dtype)
-    return RenderedFrame(color, depth, motion if before else None, display, frame.time, reset=frame.reset)
+        overlays = overlays and _shown_overlays(overlays, mapping(display, frame.camera), render_size, size)
+    return RenderedFrame(
+        color, depth, motion if before else None, display, frame.time, reset=frame.reset, overlays=overlays
+    )
+
+
+def _shown_overlays(overlays: Overlays, to_render: np.ndarray, render_size, size) -> Overlays:
+    """Of the nearest rendered pixel; the user interface as it is."""
+    x, y = (
+        np.clip(np.floor((np.arange(n) + 0.5) * to_render[k] + to_render[2 + k]).astype(int), 0, rendered - 1)
+        for k, (n, rendered) in enumerate(zip(size, render_size, strict=True))
+    )
+    taken = {name: getattr(overlays, name) for name in ("fixed_mask", "effects", "effects_motion")}
+    taken = {name: np.asarray(array)[y[:, None], x] for name, array in taken.items() if array is not None}
+    if "effects_motion" in taken:
+        taken["effects_motion"] = taken["effects_motion"] / to_render[:2]
+    return Overlays(**taken, ui=overlays.ui)
 
 
 def _cameras_of(frame: RenderedFrame, size: tuple[int, int]) -> tuple[Camera, Camera]:

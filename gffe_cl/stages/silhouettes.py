@@ -7,6 +7,7 @@ import numpy as np
 
 from gffe_cl.buffers import RGBA, BufferSpec
 from gffe_cl.opencl.program import constants
+from gffe_cl.packing import RGB9E5
 from gffe_cl.stage import Access, Kernel, Stage, Step, zoom
 
 _CONSTANTS = constants("silhouettes.cl")
@@ -27,20 +28,28 @@ class Silhouettes(Stage):
     name = "silhouettes"
     buffers = (
         BufferSpec(
-            "layer", np.uint8, (), "source", "sides of a step of depth that move apart", "label", labels=LAYERS
+            "layer", np.uint8, (), "source", "sides of a step of depth that move apart", "label", labels=LAYERS,
+            transient=True,
         ),
         BufferSpec(
-            "behind", np.float16, ("R", "G", "B", "coverage"), "source",
-            "colour of the far side at such steps, and the near side's share of the pixel", "color",
-            scratch=True,
+            "behind", np.float16, RGBA, "source", "colour of the far side at such steps", "color", scratch=True,
+            transient=True, packing=RGB9E5,
+        ),
+        BufferSpec(
+            "share", np.uint8, (), "source", "there, 255 times the near side's share of the pixel", scratch=True,
+            transient=True,
         ),
         BufferSpec(
             "marked", np.uint8, (), "target_blocks", "1 where fragments go that lie at such steps", "mask"
         ),
         BufferSpec(
-            "coverage", np.uint8, (), "target", "1 + 254 times the share of the nearer surface; 0: left as it was"
+            "coverage", np.uint8, (), "target", "1 + 254 times the share of the nearer surface; 0: left as it was",
+            transient=True, known_where=("marked", 1),
         ),
-        BufferSpec("softened", np.float16, RGBA, "target", "new colours at silhouettes", "color", scratch=True),
+        BufferSpec(
+            "softened", np.float16, RGBA, "target", "new colours at silhouettes", "color", scratch=True, transient=True,
+            packing=RGB9E5,
+        ),
     )  # fmt: skip
     kernels = (
         Kernel(
@@ -55,6 +64,7 @@ class Silhouettes(Stage):
             {
                 "layer": "silhouettes.layer",
                 "behind": Access("silhouettes.behind", "layers"),
+                "share": Access("silhouettes.share", "layers"),
                 "marked": Access("silhouettes.marked", "near silhouettes"),
             },
             step=("LANES", 1),
@@ -71,16 +81,24 @@ class Silhouettes(Stage):
                 "mixed": Access("frame.mixed", "softened"),
                 "color": Access("frame.color", "softened"),
                 "behind": Access("silhouettes.behind", "softened"),
+                "share": Access("silhouettes.share", "softened"),
                 "source_color": Access("rendered.color", "softened"),
                 "target_position": Access("prediction.target_position", "softened"),
             },
-            {"coverage": "silhouettes.coverage", "softened": Access("silhouettes.softened", "softened")},
+            {
+                "coverage": Access("silhouettes.coverage", "near silhouettes"),
+                "softened": Access("silhouettes.softened", "softened"),
+            },
             step=("LANES", 1),
         ),
         Kernel(
             "apply_softened",
             "target",
-            {"coverage": "silhouettes.coverage", "softened": Access("silhouettes.softened", "softened")},
+            {
+                "marked": "silhouettes.marked",
+                "coverage": Access("silhouettes.coverage", "near silhouettes"),
+                "softened": Access("silhouettes.softened", "softened"),
+            },
             {"color": Access("frame.color", "softened")},
             step=("RUN", 1),
         ),
@@ -92,7 +110,6 @@ class Silhouettes(Stage):
 
     def extrapolated(self, step: Step) -> None:
         magnification = zoom(step.frame.camera, step.camera)
-        self.fill("marked", 0)
         self.launch("find_layers", zoom=magnification)
         self.launch("soften", zoom=magnification)
         self.launch("apply_softened")

@@ -2,34 +2,48 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gffe_cl.buffers import BufferSpec
-from gffe_cl.stage import Kernel, Stage, Step
+from gffe_cl.stage import Access, Board, Kernel, NearestStage, Step
+from gffe_cl.stages.background import Background
+
+_COLLECTING = {
+    "state": Access("background.state_0"),
+    "fill_keys": Access("background.even_keys", "not shown"),
+    "fill_winners": Access("background.even_winners", "not shown"),
+}
 
 
-class Surfaces(Stage):
-    """Links pixels of one surface that are equally static or dynamic, and tells those that show nothing of another."""
+class Surfaces(NearestStage):
+    """Links pixels of one surface that are equally static or dynamic, and shows the background those whose colour
+    cannot hold another one's."""
 
     name = "surfaces"
     buffers = (
         BufferSpec(
             "links", np.uint8, (), "source", "neighbours of the same surface: 1 right, 2 down, 4 left, 8 up", "label"
         ),
-        BufferSpec(
-            "unmixed", np.uint8, (), "source", "1 where no pixel within 2 px is dynamic or nearer: the background may"
-            " collect its colour", "mask",
-        ),
-    )  # fmt: skip
+    )
     kernels = (
         Kernel(
             "find_surfaces",
             "source",
             {"depth": "rendered.depth", "dynamic_mask": "history.dynamic_mask"},
-            {"links": "surfaces.links", "unmixed": "surfaces.unmixed"},
+            {"links": "surfaces.links"} | _COLLECTING,
             step=("LANES", 1),
         ),
     )
 
+    def __init__(self, board: Board):
+        self.collects = board.options is not None and Background.is_wanted(board.options)
+        if not self.collects:  # it writes nothing of them
+            (find,) = self.kernels
+            nothing = dict.fromkeys(_COLLECTING, Access("surfaces.links", planes=0))
+            self.kernels = (replace(find, writes={**find.writes, **nothing}),)
+        super().__init__(board)
+
     def rendered(self, step: Step) -> None:
-        self.launch("find_surfaces")
+        self.launch("find_surfaces", collect=self.collects and step.previous is not None)

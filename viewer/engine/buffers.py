@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.buffers import BufferSpec, lies_on_source, texel_of
+from gffe_cl.buffers import BufferSpec, lies_on_source, spread, texel_of, texels_over
 from gffe_cl.camera import Camera
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.viewer.engine import names
@@ -82,6 +82,17 @@ class DeviceLayer:
                 )
         return (out[..., 0].transpose(1, 2, 0)[None] if self.spec.planar else out), events
 
+    def read_known(
+        self, queue: cl.CommandQueue, x=0, y=0, width=0, height=0
+    ) -> tuple[Callable[[], np.ndarray | None], list[cl.Event]]:
+        """What gives `BufferSpec.values` its `known` for a block, by default the whole layer, after the events."""
+        if self.known is None:
+            return lambda: None, []
+        block = x, y, width or self.size[0], height or self.size[1]
+        grids = self.known.spec.grid, self.spec.grid
+        stored, events = self.known.read_block(queue, *texels_over(*grids, *block))
+        return lambda: spread(stored[0, ..., 0], *grids, *block), events
+
     def place(self, px: tuple[int, int], source_px: tuple[float, float] | None) -> tuple[int, int] | None:
         """The pixel or texel that belongs to display pixel `px` and to `source_px`, a position in the rendered image;
         None where there is none."""
@@ -116,13 +127,13 @@ def read_layers(pipeline: Pipeline, layers: dict[str, DeviceLayer], wanted: Iter
     queue = pipeline.device.queue
     layers = {name: layers[name] for name in wanted if name in layers}
     read = {name: layer.read(queue) for name, layer in layers.items()}
-    known = {name: layer.known.read(queue) for name, layer in layers.items() if layer.known}
+    known = {name: layer.read_known(queue) for name, layer in layers.items()}
     if read:
-        cl.wait_for_events([event for _, event in (*read.values(), *known.values())])
+        cl.wait_for_events([event for _, event in read.values()] + [e for _, events in known.values() for e in events])
     values = {}
     for name, (stored, _) in read.items():
         spec = layers[name].spec
-        found = spec.values(stored, known[name][0][..., 0] if name in known else None)
+        found = spec.values(stored, known[name][0]())
         values[name] = found if spec.channels > 1 else found[..., 0]
     return values
 
@@ -150,14 +161,14 @@ def read_blocks(pipeline: Pipeline, wanted: dict[str, tuple]) -> dict[str, np.nd
     """Values (planes, height, width, channels) from (layer, x, y, width, height) each, with one wait for all."""
     queue = pipeline.device.queue
     read = {name: layer.read_block(queue, *where) for name, (layer, *where) in wanted.items()}
-    known = {name: layer.known.read_block(queue, *where) for name, (layer, *where) in wanted.items() if layer.known}
+    known = {name: layer.read_known(queue, *where) for name, (layer, *where) in wanted.items()}
     events = [event for _, these in (*read.values(), *known.values()) for event in these]
     if events:
         cl.wait_for_events(events)
     values = {}
     for name, (stored, _) in read.items():
         layer, x, y, *_ = wanted[name]
-        values[name] = layer.spec.values(stored, known[name][0][0, ..., 0] if name in known else None, x, y)
+        values[name] = layer.spec.values(stored, known[name][0](), x, y)
     return values
 
 

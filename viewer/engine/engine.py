@@ -340,6 +340,7 @@ class Engine:
             warnings=(*self.source.warnings(), *notes),
             bad_pixels=seeker.bad_pixels,
             metrics=known.values,
+            cuts=frozenset(seeker.cuts),
         )
 
     def _truth(self, k: int, alpha: float, notes: list[str]) -> np.ndarray | None:

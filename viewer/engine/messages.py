@@ -66,6 +66,8 @@ class Result:
         Of rendered frame k.
     metrics : dict
         Of "final" by name, those that are known already; for the others see `Engine.poll_metrics`.
+    cuts : frozenset of int
+        Rendered frames that were found to be cuts so far.
     """
 
     request: Request
@@ -78,6 +80,7 @@ class Result:
     warnings: tuple[str, ...] = ()
     bad_pixels: BadPixels = field(default_factory=BadPixels)
     metrics: dict[str, float] = field(default_factory=dict)
+    cuts: frozenset[int] = frozenset()
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from gffe_cl.opencl.program import Program, expand, kernel_folder
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.stage import Board
+from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import FocusMask
@@ -52,6 +53,7 @@ class Kernels(dict):
             Pipeline(self._device, 1, 1, Options(shading_inputs=True, shading_correction=False))
             board = Board(self._device, Sizes((1, 1), (1, 1)))
             Presentation(board)
+            Composition(board)
             FocusMask(board)
             if inference.default_model() or any(key[0] == ShadingCorrection.name for key in self):
                 ShadingCorrection(board, load=False)  # the network itself is not needed

@@ -29,6 +29,7 @@ class Seeker:
 
     def __init__(self, device: Device, source: FrameSource, closing: Callable[[], bool]):
         self.device, self.source, self._is_closing = device, source, closing
+        self.cuts: set[int] = set()  # rendered frames that were found to be cuts so far
         self._options: Options | None = None
         self._ring: list[DeviceFrame] = []  # what host frames are uploaded into: the pipeline uses two in place
         self.drop()
@@ -48,6 +49,7 @@ class Seeker:
     def prepare(self, setup: Setup) -> None:
         if self.source.configure(setup.window, setup.n) or setup.options != self._options:
             self.drop()
+            self.cuts = set()
         self._options = setup.options
 
     def go_to(self, k: int, alpha: float) -> list[str]:
@@ -131,5 +133,7 @@ class Seeker:
             self.pipeline.take_timings()  # of the warm-up: not this slot's
         self.pipeline.submit(frame)
         self._at, self._frame = m, frame
-        self._before = before.camera if before and not frame.reset else None
+        if self.pipeline.is_cut:
+            self.cuts.add(m)
+        self._before = before.camera if before and not (frame.reset or self.pipeline.is_cut) else None
         self.bad_pixels = packed.bad if packed else BadPixels()

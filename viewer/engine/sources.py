@@ -37,7 +37,8 @@ class FrameSource(Protocol):
 
     `target`: how the user named it; `width`, `height`: of the display, pixels; `render_size`: (width, height) of the
     rendered frames, may change with `configure`; `count`: of rendered frames; `live`: rendered meanwhile, the camera
-    may be flown; `windowed`: rendered through a window that can be used or not.
+    may be flown; `windowed`: rendered through a window that can be used or not; `resets`: numbers of the frames
+    that are told to be one, in order.
     """
 
     name: str
@@ -50,6 +51,7 @@ class FrameSource(Protocol):
     target: str = ""
     live: bool = False
     windowed: bool = False
+    resets: tuple[int, ...] = (0,)
     has_truth: bool = False
 
     def configure(self, window: str | None, n: int) -> bool:
@@ -103,9 +105,10 @@ class RecordedSource(Recorded, FrameSource):
         self.windowed = self._cut
         super().__init__(sequence, device, window)
         self.name = sequence.path.resolve().name
+        self.suspicions: list[str] = []  # sentences, beside what reading warns of
         self._chosen = window
         self._entries = sequence.rendered
-        self._resets = [k for k, entry in enumerate(self._entries) if entry.reset or k == 0]
+        self.resets = tuple(k for k, entry in enumerate(self._entries) if entry.reset or k == 0)
         truths = sequence.ground_truth
         self._next_truth = dict(zip((entry.file for entry in truths), truths[1:], strict=False))
         self.has_truth = bool(truths)
@@ -121,8 +124,11 @@ class RecordedSource(Recorded, FrameSource):
         self._chosen = window
         return self._cut != before
 
+    def warnings(self):
+        return [*super().warnings(), *self.suspicions]
+
     def reset_before(self, k):
-        return self._resets[bisect_right(self._resets, k) - 1]
+        return self.resets[bisect_right(self.resets, k) - 1]
 
     def rendered(self, k):
         return self._frame(k)[0]

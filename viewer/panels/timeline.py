@@ -9,6 +9,7 @@ from gffe_cl.viewer.panels import widgets
 
 RENDERED = (0.36, 0.62, 0.95, 1.0)
 GENERATED = (0.96, 0.66, 0.28, 1.0)
+RESET = (0.93, 0.30, 0.30, 1.0)
 _NARROW = 2.5  # screen pixels
 _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 
@@ -74,7 +75,7 @@ def _bar(model) -> None:
     width, height = max(imgui.get_content_region_avail().x, 50), hello_imgui.em_size(1.8)
     origin = imgui.get_cursor_screen_pos()
     imgui.invisible_button("###scrub", ImVec2(width, height))
-    _scrub(playback, origin.x, width, count)
+    _scrub(model, origin.x, width, count)
     draw = imgui.get_window_draw_list()
     step = width / count
     shades = [imgui.get_color_u32((*c[:3], 0.85)) for c in (RENDERED, GENERATED)]
@@ -93,6 +94,10 @@ def _bar(model) -> None:
             colors = shades if first <= slot <= last else outside
             corner = ImVec2(left + max(step - 1.0, 1.0), origin.y + height)
             draw.add_rect_filled(ImVec2(left, top), corner, colors[generated])
+    for frame in model.contents.resets:
+        x, ink = origin.x + frame * (model.n + 1) * step, imgui.get_color_u32(RESET)
+        draw.add_line(ImVec2(x, origin.y), ImVec2(x, origin.y + height), ink, 2.0)
+        draw.add_triangle_filled(ImVec2(x, origin.y), ImVec2(x + 7, origin.y + 3), ImVec2(x, origin.y + 6), ink)
     at = origin.x + (playback.slot + 0.5) * step
     ink = imgui.get_color_u32(imgui.Col_.text)
     draw.add_line(ImVec2(at, origin.y), ImVec2(at, origin.y + height), ink, 2.0)
@@ -102,7 +107,8 @@ def _bar(model) -> None:
         draw.add_line(ImVec2(x, origin.y), ImVec2(x, origin.y + height), imgui.get_color_u32((0.4, 0.9, 0.5, 0.9)), 2.0)
 
 
-def _scrub(playback, left: float, width: float, count: int) -> None:
+def _scrub(model, left: float, width: float, count: int) -> None:
+    playback = model.playback
     if imgui.is_item_active():
         at = imgui.get_mouse_pos().x - left
         playback.scrubbing = True
@@ -111,4 +117,5 @@ def _scrub(playback, left: float, width: float, count: int) -> None:
         playback.scrubbing = False
     if imgui.is_item_hovered() and not imgui.is_item_active():
         slot = min(max(int((imgui.get_mouse_pos().x - left) / width * count), 0), count - 1)
-        imgui.set_tooltip(f"frame {slot}: drag to scrub")
+        reason = model.contents.resets.get(slot // (model.n + 1))
+        imgui.set_tooltip(f"frame {slot}: drag to scrub" + (f"\n{reason}" if reason else ""))

@@ -45,6 +45,12 @@ class Contents:
         return self.source.width, self.source.height
 
     @property
+    def resets(self) -> dict[int, str]:
+        """Rendered frames after which nothing older is used, and why: those that are told, and cuts found so far."""
+        found = self.result.cuts if self.result is not None else ()
+        return dict.fromkeys(sorted(found), "a cut was found here") | dict.fromkeys(self.source.resets[1:], "reset")
+
+    @property
     def asked(self) -> frozenset[str]:
         """Layers that the present images were asked for."""
         return self.result.request.layers if self.result is not None else frozenset()

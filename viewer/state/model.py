@@ -56,8 +56,9 @@ class Model:
     def __init__(
         self, settings: Settings, *, device: str | None = None, n: int = 1, window: str | None = None,
         plan: ScenePlan = _SCENES, options: Options = _OPTIONS, save_settings: bool = True,
+        check: bool = False,
     ):  # fmt: skip
-        self.settings, self._save_settings, self.plan = settings, save_settings, plan
+        self.settings, self._save_settings, self.plan, self._check = settings, save_settings, plan, check
         self.engine = Engine(partial(open_viewer_device, device))
         self.engine.start()
         self.contents = Contents()
@@ -102,7 +103,8 @@ class Model:
         """A folder with a sequence, or the name of a built-in scene; `update` hears when it is open."""
         self.failure = None
         self.notice = f"opening {target} …"
-        self.engine.open_source(partial(make_source, target, self.parameters.window, self.plan), next(self._serial))
+        make = partial(make_source, target, self.parameters.window, self.plan, check=self._check)
+        self.engine.open_source(make, next(self._serial))
 
     def reload(self) -> None:
         """Read the same thing again, and stay where we are."""

@@ -1,0 +1,188 @@
+"""Writes the tables of docs/results.md and of the README from a report of `gffe eval`.
+
+gffe eval --late-warp --out report
+python docs/make_results.py report/results.json    records what the tables need in docs/measured/eval.json
+    python docs/make_results.py … --late FILE          the same, with late warps from another report
+python docs/make_results.py                        the tables, from what is recorded
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from make_tables import between_markers, table
+
+from gffe_cl.evaluation.table.methods import FULL
+from gffe_cl.evaluation.table.results import COLUMNS, METRIC_COLUMNS, PAPER, VIDEO_COLUMNS
+
+FOLDER = Path(__file__).parent
+PAGE, README, RECORD = FOLDER / "results.md", FOLDER.parent / "README.md", FOLDER / "measured" / "eval.json"
+SHOWN = ("psnr", "against", "ssim", "flip", "flicker", *(column.name for column in VIDEO_COLUMNS))
+SHORT = (
+    FULL,
+    "no-scn",
+    "papers-way",
+    "motion-vectors",
+    "flow",
+    "static-reprojection",
+    "repeat",
+    "guided",
+    "interpolation",
+)
+README_ROWS = (FULL, "motion-vectors", "interpolation")
+_KEPT = ("date", "command", "versions", "machine", "sequences", "methods", "means", "gains")
+
+
+def recorded(results: dict[str, Any], late: dict[str, Any]) -> dict[str, Any]:
+    """Of a report, and of one with late warps, what the tables need."""
+    found = {name: results[name] for name in _KEPT}
+    found |= {"late": late["late"], "late_command": late["command"]}
+    found["cells"] = [{name: cell[name] for name in ("sequence", "method", "psnr")} for cell in results["cells"]]
+    found["budget"] = results["budget"].get("all", [])
+    return found
+
+
+def about_table(found: dict) -> str:
+    sizes = sorted({"×".join(map(str, s["size"])) for s in found["sequences"]})
+    moments = sorted({s["moments"] for s in found["sequences"]})
+    rows = [
+        ("made by", f"`{found['command']}`"),
+        ("date", found["date"]),
+        ("sequences", f"{len(found['sequences'])}, {', '.join(sizes)} pixels"),
+        ("new frames of each", ", ".join(map(str, moments))),
+        ("device", found["machine"]),
+        ("versions", ", ".join(f"{name} {number}" for name, number in found["versions"].items())),
+    ]
+    return table(("", ""), rows)
+
+
+def methods_table(found: dict) -> str:
+    present = [COLUMNS[name] for name in SHOWN if any(mean.get(name) is not None for mean in found["means"])]
+    return table(
+        ("method", *(c.title for c in present)), [_method_row(found, mean, present) for mean in found["means"]]
+    )
+
+
+def short_table(found: dict) -> str:
+    present = [COLUMNS[name] for name in ("psnr", "ssim", "flip", "flicker")]
+    means = {mean["method"]: mean for mean in found["means"]}
+    rows = [_method_row(found, means[name], present) for name in README_ROWS if name in means]
+    return table(("mean over the scenes", *(c.title for c in present)), rows)
+
+
+def regions_table(found: dict) -> str:
+    column, rows = COLUMNS["psnr"], []
+    regions = list(found["sequences"][0]["shares"])
+    for mean in found["means"]:
+        figures = (column.text(mean["regions"][region]["psnr"]) for region in regions)
+        rows.append((_title(found, mean), *figures))
+    shares = {
+        region: sum(s["shares"][region] for s in found["sequences"]) / len(found["sequences"]) for region in regions
+    }
+    heads = (f"{region} ({shares[region]:.1%})" for region in regions)
+    return table(("PSNR, dB (share of the pixels)", *heads), rows)
+
+
+def scenes_table(found: dict) -> str:
+    values = {(cell["sequence"], cell["method"]): cell["psnr"] for cell in found["cells"]}
+    titles = {m["name"]: m["title"] for m in found["methods"]}
+    names = [m for m in SHORT if any(method == m for _, method in values)]
+    rows = [
+        (f"`{s['name']}`", *(COLUMNS["psnr"].text(values.get((s["name"], m))) for m in names))
+        for s in found["sequences"]
+    ]
+    return table(("PSNR, dB", *(titles[m] for m in names)), rows)
+
+
+def gains_table(found: dict) -> str:
+    rows = [(g["title"], _db(g["mean"]), _db(g["in_region"]), g["region"], _db(g["paper"])) for g in found["gains"]]
+    return table(("part", "whole frame, dB", "in its region, dB", "region", "the paper, whole frame, dB"), rows)
+
+
+def budget_table(found: dict) -> str:
+    rows = [(r["region"], f"{r['pixels']:.1%}", f"{r['error']:.1%}", _db(r["gain"])) for r in found["budget"]]
+    return table(("region", "of the pixels", "of the squared error", "dB gained if it were perfect"), rows)
+
+
+def late_table(found: dict) -> str:
+    titles = {m["name"]: m["title"] for m in found["methods"]}
+    rows = [
+        (
+            titles[r["method"]],
+            f"{r['turn']:g}°",
+            *(c.text(r[c.name]) for c in METRIC_COLUMNS),
+            f"{r['disoccluded']:.1%}",
+        )
+        for r in found["late"]
+    ]
+    made = table(("method", "turn", *(c.title for c in METRIC_COLUMNS), "not shown before"), rows)
+    return f"{made}\n\nMade by `{found['late_command']}`."
+
+
+def paper_table(found: dict) -> str:
+    """The paper's averages, as differences from its own method."""
+    ours, rows = PAPER["Ours Full"], []
+    for name, figures in PAPER.items():
+        apart = (
+            f"{figures[key] - ours[key]:+.{2 if key == 'psnr' else 4}f}".replace("-", "−") for key in ("psnr", "ssim")
+        )
+        if name != "Ours Full":
+            rows.append((name, *apart))
+    return table(("the paper, against its full method", "PSNR, dB", "SSIM"), rows)
+
+
+TABLES: dict[str, Callable[[dict], str]] = {
+    "eval-about": about_table,
+    "eval-methods": methods_table,
+    "eval-short": short_table,
+    "eval-regions": regions_table,
+    "eval-scenes": scenes_table,
+    "eval-gains": gains_table,
+    "eval-budget": budget_table,
+    "eval-late": late_table,
+    "eval-paper": paper_table,
+}
+
+
+def with_tables(text: str, found: dict | None = None) -> str:
+    """A page with all its tables, of what is recorded."""
+    found = json.loads(RECORD.read_text("utf-8")) if found is None else found
+    for name, make in TABLES.items():
+        text = between_markers(text, name, make(found))
+    return text
+
+
+def _method_row(found: dict, mean: dict, columns: list) -> tuple[str, ...]:
+    figures = (column.text(mean.get(column.name), column.name == "against").replace("-", "−") for column in columns)
+    return (_title(found, mean), *figures)
+
+
+def _title(found: dict, mean: dict) -> str:
+    title = next(m["title"] for m in found["methods"] if m["name"] == mean["method"])
+    count = len(found["sequences"])
+    note = "" if mean["sequences"] == count else f" (on {mean['sequences']} of {count})"
+    return f"**{title}**" if mean["method"] == FULL else title + note
+
+
+def _db(value: float | None) -> str:
+    return "" if value is None else f"{round(value, 2) + 0.0:+.2f}".replace("-", "−")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("report", nargs="?", type=Path)
+    parser.add_argument("--late", type=Path)
+    given = parser.parse_args()
+    if given.report:
+        found = recorded(*(json.loads(path.read_text("utf-8")) for path in (given.report, given.late or given.report)))
+        RECORD.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", "utf-8")
+    for page in (PAGE, README):
+        page.write_text(with_tables(page.read_text("utf-8")), "utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Cameras of captures that have none, from depth and motion vectors alone (`gffe calibrate`)."""

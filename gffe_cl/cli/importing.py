@@ -1,0 +1,65 @@
+"""The commands for captures of other programs: formats, import."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from gffe_cl.cli.common import (
+    CompressionOption,
+    JsonOption,
+    app,
+    out,
+    plain,
+    progress_bars,
+    steps,
+    warn,
+    write_json,
+)
+
+
+@app.command()
+def formats(json_path: JsonOption = None) -> None:
+    """List the forms of captures that every command opens, with an example of each."""
+    from gffe_cl.formats import FORMATS
+
+    table = Table("form", "what it is", "the folder, for example", box=None, header_style="bold")
+    for one in FORMATS.values():
+        table.add_row(one.name, plain(one.sentence), "\n".join(plain(line) for line in one.example.splitlines()))
+        table.add_row()
+    out.print(table)
+    out.print("A folder's form is told from its files. How to write one from your program: docs/formats.md")
+    listed = [{"name": one.name, "sentence": one.sentence, "example": one.example} for one in FORMATS.values()]
+    write_json(json_path, {"formats": listed})
+
+
+@app.command("import")
+def import_(
+    sequence: Annotated[Path, typer.Argument(help="Folder of a capture; see `gffe formats`.")],
+    output: Annotated[Path, typer.Argument(help="Folder for the sequence.")],
+    every: Annotated[
+        int,
+        typer.Option(
+            help="Of so many rendered frames one stays rendered, the others become truth; motion reaches over them."
+        ),
+    ] = 1,
+    compression: CompressionOption = "zip",
+    json_path: JsonOption = None,
+) -> None:
+    """Convert a capture of any known form into a sequence of our own."""
+    from gffe_cl.formats import open_capture
+    from gffe_cl.formats.importing import import_capture
+
+    opened = open_capture(sequence)
+    total = len(opened.rendered) + len(opened.ground_truth)
+    with progress_bars() as progress:
+        report = import_capture(
+            opened, output, every, compression=compression, on_frame=steps(progress)("Importing", total)
+        )
+    for warning in report.warnings:
+        warn(warning)
+    out.print(f"{report.rendered} rendered frames and {report.ground_truth} of ground truth in {plain(output)}")
+    write_json(json_path, vars(report))

@@ -1,0 +1,240 @@
+"""The command that fills the table of methods and sequences: eval."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from gffe_cl.cli.common import DeviceOption, app, err, out, parse_numbers, parse_size, plain, warn
+from gffe_cl.errors import GffeError
+from gffe_cl.files import replacing
+
+if TYPE_CHECKING:
+    from gffe_cl.evaluation.table.engine import Filled
+    from gffe_cl.evaluation.table.results import Column
+    from gffe_cl.evaluation.table.subjects import Subject
+
+TURNS = (0.5, 1.0, 2.0, 4.0)  # degrees
+
+
+@app.command("eval")
+def evaluate(
+    subjects: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[SCENE|SEQUENCE]...",
+            help="Built-in scenes, 'forest' or with a seed 'forest:3', and folders of sequences with ground truth"
+            " [dim](default: all scenes)[/].",
+        ),
+    ] = None,
+    output: Annotated[Path, typer.Option("--out", help="Folder for the report and the finished cells.")] = Path(
+        "report"
+    ),
+    methods: Annotated[
+        str | None,
+        typer.Option(
+            help="Methods or groups of them, separated by commas: gffe, ablation, deviation, baseline, …"
+            " [dim](default: all)[/]."
+        ),
+    ] = None,
+    onnx: Annotated[
+        list[str] | None, typer.Option(help="NAME=FILE: a network as one more method; may be given several times.")
+    ] = None,
+    metrics: Annotated[
+        str | None,
+        typer.Option(help="Also measure these, which are slow, separated by commas: fvvdp, cvvdp, lpips."),
+    ] = None,
+    size: Annotated[str, typer.Option(help="Of built-in scenes: width × height, pixels.")] = "480x270",
+    frames: Annotated[int, typer.Option(help="Of built-in scenes: rendered frames.")] = 16,
+    fps: Annotated[float, typer.Option(help="Of built-in scenes: rendered frames per second.")] = 30.0,
+    alpha: Annotated[
+        str, typer.Option(help="Of built-in scenes: times of the new frames in intervals, separated by commas.")
+    ] = "0.5",
+    budget: Annotated[
+        bool, typer.Option("--budget", help="Print where the error is, and what each region would gain if perfect.")
+    ] = False,
+    late_warp: Annotated[
+        bool, typer.Option("--late-warp", help="Also measure rendered frames shown from a camera that has turned.")
+    ] = False,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Compute on the Dask cluster of this address: tcp://HOST:8786.")
+    ] = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Compute finished cells again.")] = False,
+    device: DeviceOption = None,
+) -> None:
+    """Measure methods on sequences: a report with tables, pictures and plots. Finished cells are kept."""
+    from gffe_cl.evaluation.table.engine import Order
+    from gffe_cl.evaluation.table.methods import LATE_WARP
+    from gffe_cl.evaluation.table.results import results_of
+    from gffe_cl.evaluation.table.subjects import SceneSubject, parse_subject
+    from gffe_cl.scenes import SCENES
+
+    _check(frames, fps)
+    videos = _videos(metrics)
+    alphas = tuple(parse_numbers(alpha, "--alpha"))
+    if not alphas or len(set(alphas)) < len(alphas) or not all(0 < a <= 8 for a in alphas):
+        raise GffeError(f"--alpha must be different numbers within 0 and 8, got '{alpha}'")
+    scenes = parse_size(size), frames, fps, alphas
+    chosen = tuple(parse_subject(text, *scenes) for text in subjects or SCENES)
+    words = tuple(methods.split(",")) if methods else None
+    output = _folder(output)
+    with _filling(output, device, scheduler) as fill:
+        filled = fill("Measuring", Order(chosen, words, tuple(onnx or ()), videos, fresh))
+        built_in = [s for s in chosen if isinstance(s, SceneSubject)]
+        late = {}
+        for turn in TURNS if late_warp and built_in else ():
+            turned = tuple(_turned(subject, turn) for subject in built_in)
+            late[turn] = fill(f"Late warp, {turn:g}°", Order(turned, LATE_WARP, recompute=fresh))
+    results = results_of(filled, late, shlex.join(["gffe", *sys.argv[1:]]))
+    _write(output, results, filled)
+    _print(results, budget)
+
+
+def _check(frames: int, fps: float) -> None:
+    if not (4 <= frames <= 10_000 and 0 < fps <= 1e6):
+        raise GffeError(f"eval: --frames must be 4 to 10000 and --fps positive, got {frames} and {fps:g}")
+
+
+def _turned(subject: Subject, turn: float) -> Subject:
+    from dataclasses import replace
+
+    return replace(subject, alphas=(), turns=(turn,))
+
+
+def _videos(text: str | None) -> tuple[str, ...]:
+    from gffe_cl.evaluation.table.videos import VIDEO_METRICS
+
+    names = tuple(text.split(",")) if text else ()
+    if unknown := [name for name in names if name not in VIDEO_METRICS]:
+        raise GffeError(f"--metrics: '{unknown[0]}' is none of {', '.join(VIDEO_METRICS)}")
+    return names
+
+
+def _folder(path: Path) -> Path:
+    """`path`, made if it is not there. GffeError if it is no place for a report."""
+    if path.exists() and not path.is_dir():
+        raise GffeError(f"--out {path}: is a file (expected a folder)")
+    if (path / "sequence.json").exists():
+        raise GffeError(f"--out {path}: is a sequence (expected another folder)")
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise GffeError(f"--out {path}: cannot be made ({error.strerror or error})") from None
+    return path
+
+
+@contextmanager
+def _filling(output: Path, device: str | None, scheduler: str | None):
+    """A function that fills a table of cells kept in `output`, with a bar that knows the time left."""
+    from gffe_cl.evaluation.table.engine import fill
+
+    executor = None
+    if scheduler:
+        from gffe_cl.evaluation.table.cluster import cluster
+
+        executor = cluster(scheduler)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(
+        *columns, TextColumn("left"), TimeRemainingColumn(), console=err, disable=not err.is_terminal
+    ) as bars:
+
+        def filled(text: str, order) -> Filled:
+            def on_plan(total: int):
+                task = bars.add_task(text, total=total)
+                return lambda: bars.advance(task)
+
+            return fill(order, output / "cells", device, executor, on_plan)
+
+        yield filled
+
+
+def _write(output: Path, results: dict, filled: Filled) -> None:
+    from gffe_cl.evaluation.table.page import page
+    from gffe_cl.evaluation.table.results import to_csv
+
+    files = {
+        "results.json": json.dumps(results, indent=1, allow_nan=False) + "\n",
+        "results.csv": to_csv(results),
+        "index.html": page(results, filled),
+    }
+    for name, text in files.items():
+        try:
+            with replacing(output / name) as part:
+                part.write_text(text, "utf-8")
+        except OSError as error:
+            raise GffeError(f"{output / name}: cannot be written ({error.strerror or error})") from None
+    out.print(f"{plain(output / 'index.html')}, results.json, results.csv")
+
+
+def _print(results: dict, with_budget: bool) -> None:
+    from gffe_cl.evaluation.table.results import columns_of
+
+    columns = columns_of(results)
+    titles = {method["name"]: method["title"] for method in results["methods"]}
+    groups = {method["name"]: method["group"] for method in results["methods"]}
+    table = Table("method", "", *(c.title for c in columns), box=None, header_style="bold")
+    before = None
+    for mean in results["means"]:
+        name = mean["method"]
+        if before is not None and groups[name] != before:
+            table.add_section()
+        before = groups[name]
+        missing = len(results["sequences"]) - mean["sequences"]
+        note = f" [dim](not on {missing})[/]" if missing else ""
+        table.add_row(name, plain(titles[name]) + note, *(c.text(mean[c.name], c.name == "against") for c in columns))
+    out.print(table)
+    count = len(results["sequences"])
+    out.print(f"Means over {count} sequence{'s' if count > 1 else ''}. Flicker: `gffe_cl.evaluation.table.flicker`.")
+    _print_gains(results)
+    if results["late"]:
+        _print_late(results["late"], titles)
+    if with_budget:
+        _print_budget(results["budget"])
+    for skip in results["skipped"]:
+        where = f" ({', '.join(skip['sequences'])})" if skip["sequences"] else ""
+        warn(f"left out: {skip['what']}{where}: {skip['reason']}")
+
+
+def _print_gains(results: dict) -> None:
+    if not results["gains"]:
+        return
+    table = Table(
+        "what a part is worth, dB", "whole frame", "in its region", "", "paper", box=None, header_style="bold"
+    )
+    for gain in results["gains"]:
+        figures = [_db(gain[key]) for key in ("mean", "in_region")]
+        table.add_row(gain["title"], *figures, gain["region"], _db(gain["paper"]))
+    out.print(table)
+
+
+def _print_budget(budget: dict[str, list[dict]]) -> None:
+    for name, rows in budget.items():
+        table = Table(plain(name), "of the pixels", "of the error", "dB if perfect", box=None, header_style="bold")
+        for row in rows:
+            table.add_row(row["region"], f"{row['pixels']:.2%}", f"{row['error']:.1%}", _db(row["gain"]))
+        out.print(table)
+
+
+def _print_late(rows: list[dict], titles: dict[str, str]) -> None:
+    from gffe_cl.evaluation.table.results import METRIC_COLUMNS
+
+    heads: list[Column] = list(METRIC_COLUMNS)
+    table = Table("late warp", "turn", *(c.title for c in heads), "not shown before", box=None, header_style="bold")
+    for row in rows:
+        figures = (c.text(row[c.name]) for c in heads)
+        table.add_row(
+            titles.get(row["method"], row["method"]), f"{row['turn']:g}°", *figures, f"{row['disoccluded']:.2%}"
+        )
+    out.print(table)
+
+
+def _db(value: float | None) -> str:
+    return "" if value is None else f"{value + 0.0:+.2f}"

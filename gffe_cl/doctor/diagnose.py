@@ -1,0 +1,256 @@
+"""The doctor: what of a sequence does not fit, how sure that is, and what would mend it (`gffe check`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from gffe_cl.doctor.findings import FAULT, NOTE, UNKNOWN, Finding, faults_of
+from gffe_cl.doctor.lacking import without_camera
+from gffe_cl.doctor.order import Order, Reordered, examine_order, shuffled_order
+from gffe_cl.doctor.samples import PREVIOUS, Clip, Look, take_looks
+from gffe_cl.doctor.search import Reading, Search, Verdict
+from gffe_cl.doctor.tone import display_curve_votes, is_encoded
+from gffe_cl.frame import BadPixels
+
+_DEEP = 5  # frames that are looked at closely, with those before and after them
+_SAMPLES = 2500  # of each frame
+_MOST_READ, _MOST_PIXELS = 40, 80_000_000  # frames and pixels that are read, whichever is more
+_DOUBTFUL = 0.5  # agreements below that make one look for another order of frames
+_MARGIN = 0.06  # of the sum of scores, by which another reading must be better than what is given
+_STEPS = (1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125)  # of quantised vectors, pixels
+_VISIBLE = 0.3  # pixels, of what the camera's rotation and its translation move
+_UNEXPLAINED = 0.35  # share of samples that must agree roughly, or something is wrong that nobody has named
+_TELLING = 0.02  # of agreements: by less they do not decide
+_COLORS_ALONE = 0.12  # of colour scores, where they have to decide alone
+_ROUGHLY = 0.25, 1.5  # of the motion's length, and pixels
+_ALIKE = 0.01  # difference of agreements below which two readings say the same
+_CUT = 0.15  # share of samples that agree: frames with less do not follow the one before
+_SKY_STILL = 0.05  # pixels
+
+
+@dataclass
+class Diagnosis:
+    """What was found.
+
+    `findings`: faults, notes, and what cannot be told; `reading`: how the buffers are to be read; `given`, `best`:
+    verdicts on what is given and on `reading`; `others`: on the next best; `order`: of the frames; `residuals`: pixels
+    as given and as read; `encoded_color`: sRGB values instead of linear ones; `frames`: how many were looked at.
+    """
+
+    findings: list[Finding]
+    reading: Reading
+    given: Verdict | None = None
+    best: Verdict | None = None
+    others: list[Verdict] = field(default_factory=list)
+    order: Order | None = None
+    residuals: dict[str, float] = field(default_factory=dict)
+    encoded_color: bool = False
+    frames: int = 0
+    looks: list[Look] = field(default_factory=list, repr=False)
+
+    def of_kind(self, kind: str) -> list[Finding]:
+        return [finding for finding in self.findings if finding.kind == kind]
+
+    @property
+    def runner_up(self) -> Verdict | None:
+        """The best verdict on a reading that says something else; those that cannot be told from the best do not."""
+        best = self.best
+        return next((v for v in self.others if best and abs(v.agreement - best.agreement) > _ALIKE), None)
+
+    @property
+    def faults(self) -> list[Finding]:
+        return self.of_kind(FAULT)
+
+
+def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
+    """Examine the rendered frames of `clip`. Raises GffeError if there is none, or a file cannot be read."""
+    count = len(clip.rendered)
+    deep = _deep_frames(count)
+    beside = {k for index in deep for k in (index - 1, index, index + 1) if 0 <= k < count}
+    looks = take_looks(clip, beside | set(_spread(count, _pixels(clip))), _SAMPLES, beside, exposure)
+    found = Diagnosis([], Reading(), frames=len(looks))
+    found.looks = [looks[k] for k in deep if looks[k].neighbours]
+    _note_bad_pixels(found, looks)
+    if not any(PREVIOUS in look.neighbours for look in found.looks):
+        found.findings.append(
+            Finding(UNKNOWN, "frames", "single frames", "no rendered frame of 8 pixels or more has one before it")
+        )
+        return found
+    step = _quantised(found.looks)
+    if step:
+        words = f"1/{round(1 / step)}" if step < 1 else "whole"
+        sentence = f"vectors are quantised to {words} px: what moves slowly shakes a little"
+        found.findings.append(Finding(NOTE, "motion", "quantised", sentence, figures={"step": step}))
+    search = Search(found.looks, step)
+    found.given = search.verdict(Reading())
+    if not found.given.agreement >= _DOUBTFUL:
+        order = shuffled_order(looks, count, step)
+        if order is not None:
+            return _examine_reordered(clip, exposure, order, found)
+    _judge(found, search)
+    _tell_residuals(found, search)
+    found.order = examine_order(looks, found.reading, count, step)
+    _judge_order(found, looks)
+    _note_sky(found, search)
+    _judge_colors(found)
+    _tell_unknown(found, search)
+    return found
+
+
+def _examine_reordered(clip: Clip, exposure: float, order: list[int], given: Diagnosis) -> Diagnosis:
+    found = examine(Reordered(clip, order), exposure)
+    if found.order is not None and found.order.order is not None:
+        order = [order[k] for k in found.order.order]
+        found.findings = [finding for finding in found.findings if finding.name != "out of order"]
+    found.order, found.given = Order({}, [], order), given.given
+    found.looks = given.looks
+    _judge_order(found, {})
+    return found
+
+
+def _deep_frames(count: int) -> list[int]:
+    if count < 3:
+        return list(range(count))
+    return sorted(set(np.linspace(1, count - 2, _DEEP).round().astype(int).tolist()))
+
+
+def _spread(count: int, pixels: int) -> list[int]:
+    """All frames, or of long sequences runs of them."""
+    if count <= max(_MOST_READ, _MOST_PIXELS // pixels):
+        return list(range(count))
+    starts = np.linspace(0, count - 4, _MOST_READ // 4).astype(int)
+    return sorted({int(start) + k for start in starts for k in range(4)})
+
+
+def _pixels(clip: Clip) -> int:
+    """Of a rendered frame."""
+    entries = clip.rendered
+    return int(np.size(clip.read(entries[0]).depth)) if entries else 1
+
+
+def _judge(found: Diagnosis, search: Search) -> None:
+    found.best = without_camera(search)
+    if found.best is None:
+        verdicts = search.candidates()
+        found.best = _convincing(verdicts, found.given)
+        found.others = [v for v in verdicts if v.reading != found.best.reading]
+    found.reading = found.best.reading
+    found.findings += faults_of(found.reading, search.full.stored[search.full.solid])
+
+
+def _convincing(verdicts: list[Verdict], given: Verdict) -> Verdict:
+    """The best of `verdicts`, or `given` if that is not clearly worse. Where depth and cameras say nothing, of a camera
+    that stands still, only movers' colours are left: they decide on signs, axes and units if they are sure."""
+    best = verdicts[0]
+    if best.total < given.total + _MARGIN:
+        return given
+    if best.agreement > given.agreement + _TELLING:
+        return best
+    for verdict in verdicts:
+        motion = verdict.reading.motion
+        if verdict.reading == replace(Reading(), motion=motion) and motion.step == PREVIOUS and not motion.held_by:
+            return verdict if verdict.motion_color > given.motion_color + _COLORS_ALONE else given
+    return given
+
+
+def _tell_residuals(found: Diagnosis, search: Search) -> None:
+    for name, reading in (("given", Reading()), ("read", found.reading)):
+        motion, static = search.motions(reading, search.full)
+        use = search.full.solid & np.isfinite(motion).all(-1)
+        off = np.nan_to_num(np.linalg.norm(motion - static, axis=-1)[use], nan=np.inf)
+        length = np.linalg.norm(motion[use], axis=-1)
+        near = max(0.1 * float(np.median(length)) if len(length) else 0.0, 0.3, search.step)
+        found.residuals[f"{name}_median"] = float(np.median(off)) if len(off) else float("nan")
+        found.residuals[f"{name}_inliers"] = float((off <= near).mean()) if len(off) else float("nan")
+    roughly = max(_ROUGHLY[0] * float(np.median(length)), _ROUGHLY[1]) if len(length) else np.inf
+    if len(off) and (off <= roughly).mean() < _UNEXPLAINED:
+        sentence = "motion vectors do not fit depth and cameras, and none of the known faults explains it"
+        found.findings.append(Finding(FAULT, "frames", "unexplained", sentence))
+
+
+def _judge_order(found: Diagnosis, looks: dict[int, Look]) -> None:
+    order = found.order
+    if order.order is not None:
+        moved = [str(k) for k, at in enumerate(order.order) if k != at]
+        sentence = f"frames are out of order: {', '.join(moved[:12])}{' …' if len(moved) > 12 else ''}"
+        found.findings.append(Finding(FAULT, "frames", "out of order", sentence, "frames change places"))
+        return
+    for index in (k for k in order.misfits if order.fits[k] < _CUT):
+        sentence = f"cut at frame {index} ({looks[index].file}): it does not follow the frame before, and is no reset"
+        found.findings.append(
+            Finding(FAULT, "frames", "cut", sentence, "the frame is marked as a reset", {"frame": index})
+        )
+
+
+def _note_bad_pixels(found: Diagnosis, looks: dict[int, Look]) -> None:
+    total, where = BadPixels(), {}
+    for look in looks.values():
+        total = total + look.bad
+        for name, (x, y) in look.first_bad.items():
+            where.setdefault(name, f"{look.file} at {x}, {y}")
+    if total:
+        sentence = f"{total}; first: " + "; ".join(f"{name} in {place}" for name, place in where.items())
+        found.findings.append(Finding(NOTE, "frames", "bad pixels", sentence, figures=dict(vars(total))))
+
+
+def _quantised(looks: list[Look]) -> float:
+    """The step of quantised motion vectors in pixels; 0 if they are not."""
+    stored = np.concatenate([look.motion.ravel() for look in looks if look.motion is not None] or [np.zeros(0)])
+    stored = stored[np.isfinite(stored)]
+    if not len(stored) or (np.abs(stored) >= _STEPS[-1]).mean() < 0.02:
+        return 0.0
+    for step in _STEPS:
+        multiples = stored / step
+        if (np.abs(multiples - np.round(multiples)) < 1e-3).mean() > 0.98:
+            return step
+    return 0.0
+
+
+def _note_sky(found: Diagnosis, search: Search) -> None:
+    """Sky whose vectors are zero while the camera turns."""
+    bench = search.full
+    ray = bench.reach(found.reading.camera, found.reading.motion.step).ray
+    with np.errstate(invalid="ignore"):
+        sky = ~bench.solid | (found.reading.depth.inverse(bench.stored, ray) <= 0)
+    motion = bench.motion(found.reading.motion)
+    static = bench.static(found.reading.camera, found.reading.depth, found.reading.motion.step)
+    sky &= np.isfinite(motion).all(-1) & np.isfinite(static).all(-1)
+    turning = sky & (np.linalg.norm(static, axis=-1) > _VISIBLE)
+    if turning.sum() < 16 or found.reading.motion.adds_camera:
+        return
+    if np.median(np.linalg.norm(motion[turning], axis=-1)) < _SKY_STILL:
+        sentence = "the sky has no motion although the camera turns: harmless, it is taken from the camera"
+        found.findings.append(Finding(NOTE, "motion", "sky without motion", sentence, "sky gets the camera's motion"))
+
+
+def _judge_colors(found: Diagnosis) -> None:
+    votes = display_curve_votes([look.image for look in found.looks])
+    if is_encoded(votes):
+        found.encoded_color = True
+        share = votes[0] / votes[1]
+        sentence = f"colours are display values (sRGB), not linear: {share:.0%} of {votes[1]} antialiased edges say so"
+        found.findings.append(Finding(FAULT, "colour", "tone-mapped", sentence, "colours are made linear"))
+
+
+def _tell_unknown(found: Diagnosis, search: Search) -> None:
+    """What a camera that stands still, or only turns, leaves open."""
+    reading, bench = found.reading, search.full
+    still = np.zeros(len(bench.px))
+    reach = bench.reach(reading.camera, PREVIOUS)
+    turned = np.linalg.norm(reach.pixels(still) - bench.px, axis=-1)
+    with np.errstate(invalid="ignore"):
+        shifted = np.linalg.norm(
+            bench.static(reading.camera, reading.depth) - (reach.pixels(still) - bench.px), axis=-1
+        )
+    use = bench.solid & np.isfinite(shifted) & np.isfinite(turned)
+    if not use.any():
+        return
+    if np.quantile(shifted[use], 0.9) < _VISIBLE:
+        if np.quantile(turned[use], 0.9) < _VISIBLE:
+            sentence = "the camera stands still: nothing can be said of cameras and depth, and of motion only by movers"
+            found.findings.append(Finding(UNKNOWN, "camera", "still camera", sentence))
+        else:
+            sentence = "the camera only turns: nothing can be said of depth, and of the cameras' positions"
+            found.findings.append(Finding(UNKNOWN, "depth", "rotation only", sentence))

@@ -1,0 +1,107 @@
+"""What the doctor says: findings in plain words, with what speaks for them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gffe_cl.doctor import cameras, motions
+from gffe_cl.doctor.cameras import CameraReading, axes_in_words
+from gffe_cl.doctor.depths import AS_GIVEN, DEVICE, PLANAR, DepthReading, Planes
+from gffe_cl.doctor.search import Reading
+
+FAULT, NOTE, UNKNOWN = "fault", "note", "cannot tell"
+_UNITS = {100.0: "in centimetres, {0} in metres", 1000.0: "in millimetres, {0} in metres"}
+_UNIT_SLACK = 0.03
+
+
+@dataclass
+class Finding:
+    """`kind`: fault (breaks results), note (hurts little), or what cannot be told; `about`: motion, depth, camera,
+    frames or colour; `name`: short; `sentence`: what is wrong; `fix`: what `gffe check --fix` does, "" if nothing."""
+
+    kind: str
+    about: str
+    name: str
+    sentence: str
+    fix: str = ""
+    figures: dict = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return f"{self.about}: {self.sentence}"
+
+
+def faults_of(reading: Reading, stored: np.ndarray) -> list[Finding]:
+    """One finding for every way in which `reading` differs from what is given; `stored`: sampled depths."""
+    found = [
+        Finding(FAULT, "motion", part, motions.SENTENCES[part], "motion vectors are converted")
+        for part in reading.motion.parts
+    ]
+    found += _camera_faults(reading.camera)
+    if reading.depth != AS_GIVEN:
+        found.append(_depth_fault(reading.depth, stored))
+    if reading.jitter:
+        lacking = {
+            "motion": "motion vectors are off by another part of a pixel in every frame: camera jitter is not removed",
+            "camera": "the cameras lack the jitter that motion vectors and colours have",
+        }[reading.jitter]
+        found.append(Finding(FAULT, reading.jitter, "jitter not removed", lacking, "a constant per frame is taken off"))
+    return found
+
+
+def _camera_faults(camera: CameraReading) -> list[Finding]:
+    found = []
+    axes = camera.axes if camera.axes_before is None else camera.axes_before
+    for part in camera.parts:
+        sentence = cameras.SENTENCES[part].format(axes=axes_in_words(axes))
+        found.append(Finding(FAULT, "camera", part, sentence, "matrices are converted"))
+    if camera.focal != 1:
+        percent = 100 * (camera.focal - 1)
+        sentence = (
+            f"the field of view is off: focal lengths are {abs(percent):.1f}% too {'long' if percent > 0 else 'short'}"
+        )
+        found.append(
+            Finding(FAULT, "camera", "field of view", sentence, "focal lengths are divided", {"focal": camera.focal})
+        )
+    return found
+
+
+def _depth_fault(depth: DepthReading, stored: np.ndarray) -> Finding:
+    c = depth.coefficients
+    if depth.model is DEVICE:
+        return _device_fault(depth, stored)
+    if depth.model is PLANAR:
+        return _unit_fault(1 / c[0] if c[0] else np.inf)
+    also = "" if abs(c[0] - 1) < _UNIT_SLACK else f", and in units of {1 / c[0]:.4g} of the cameras'"
+    sentence = f"depth is the distance along rays, not along the view axis{also}"
+    return Finding(
+        FAULT, "depth", "along rays", sentence, "depths are divided by their rays' lengths", {"unit": 1 / c[0]}
+    )
+
+
+def _unit_fault(unit: float) -> Finding:
+    """`unit`: what stored depths are multiplied by to be in the unit of the cameras."""
+    if unit < 0:
+        return Finding(FAULT, "depth", "negative", "depths are negative", "depths change their sign", {"unit": unit})
+    for factor, words in _UNITS.items():
+        for ratio, first, second in (
+            (factor, "depths are", "camera positions"),
+            (1 / factor, "camera positions are", "depths"),
+        ):
+            if abs(np.log(unit * ratio)) < _UNIT_SLACK:
+                sentence = f"{first} {words.format(second)}"
+                return Finding(FAULT, "depth", "units", sentence, "depths or positions are scaled", {"unit": unit})
+    sentence = f"depths and camera positions have different units: {unit:.4g} of the cameras' is one of the depths'"
+    return Finding(FAULT, "depth", "units", sentence, "depths or positions are scaled", {"unit": unit})
+
+
+def _device_fault(depth: DepthReading, stored: np.ndarray) -> Finding:
+    planes = Planes.of(depth, stored)
+    far = "infinity" if np.isinf(planes.far) else f"{planes.far:.4g}"
+    kind = "reversed device depth" if planes.reverse else "device depth"
+    sentence = f"depth is {kind}, not linear: near {planes.near:.4g}, far {far}"
+    figures = {"near": planes.near, "far": planes.far, "reversed": planes.reverse}
+    return Finding(
+        FAULT, "depth", "reversed" if planes.reverse else "device", sentence, "depths are made linear", figures
+    )

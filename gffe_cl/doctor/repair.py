@@ -1,0 +1,229 @@
+"""What `gffe check --fix` writes: the sequence as the doctor reads it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from gffe_cl.camera import Camera
+from gffe_cl.doctor.depths import AS_GIVEN, DEVICE, PLANAR, DepthReading, Planes, rays
+from gffe_cl.doctor.diagnose import Diagnosis
+from gffe_cl.doctor.motions import MotionReading
+from gffe_cl.doctor.samples import NEXT, Clip
+from gffe_cl.doctor.tone import srgb_to_linear
+from gffe_cl.frame import RenderedFrame
+from gffe_cl.sequence import FrameEntry, Sequence, SequenceWriter, named_channels, refuse_same_folder
+
+_FAR = 1e9  # stands for infinity where directions are reprojected
+_OWN = 0.25  # pixels: what moves by less than this beside the camera is static
+_ONE_SURFACE = 0.1  # relative difference of depths
+_USUAL_DEPTH = 5.0  # world units: of two units that are both consistent, the one with depths nearer to this is chosen
+_TOLERANCES = ((1, 3e-3), (2, 1e-3), (3, 3e-4))  # significant digits to which parameters are rounded, if so near
+
+
+class Repair:
+    """Frames of `clip` as `diagnosis` says they are to be read, in their right order."""
+
+    def __init__(self, clip: Clip, diagnosis: Diagnosis):
+        self._clip, self._reading, self._diagnosis = clip, diagnosis.reading, diagnosis
+        self._cuts = {f.figures["frame"] for f in diagnosis.faults if f.name == "cut"}
+        self._sky = any(f.name == "sky without motion" for f in diagnosis.findings)
+        count = len(clip.rendered)
+        self._order = (diagnosis.order and diagnosis.order.order) or list(range(count))
+        self._jitter = np.zeros(2)  # of the last frame, where cameras lack it
+        self._stored = np.concatenate([look.depth[look.solid] for look in diagnosis.looks] or [np.zeros(0)])
+        self._depth, self._translation, self._far_end = _units(diagnosis.reading.depth, self._stored)
+
+    def frames(self) -> Iterator[tuple[FrameEntry, RenderedFrame]]:
+        """Entries with their new cameras and times, and the frames; one is read at a time, with those beside it."""
+        entries = self._clip.rendered
+        before: RenderedFrame | None = None
+        for place, index in enumerate(self._order):
+            entry, time = entries[index], entries[place].time
+            reset = place == 0 or index in self._cuts or (entry.reset and index != 0)
+            frame = self._geometry(index, time, reset)
+            made = self._with_motion(frame, index, self._order[place - 1], None if reset else before)
+            shown = made.display_camera or made.camera
+            yield replace(entry, time=time, reset=reset, render_camera=made.camera, display_camera=shown), made
+            before = made
+
+    def camera(self, camera: Camera) -> Camera:
+        """As it is meant; without the jitter that it may lack."""
+        read = self._reading.camera.read(camera)
+        if self._translation == 1:
+            return read
+        matrix = read.world_to_view.copy()
+        matrix[:3, 3] *= self._translation
+        return replace(read, world_to_view=matrix)
+
+    def _geometry(self, index: int, time: float, reset: bool) -> RenderedFrame:
+        frame = self._clip.read(self._clip.rendered[index])
+        color = srgb_to_linear(frame.color) if self._diagnosis.encoded_color else frame.color
+        display = frame.display_camera and self.camera(frame.display_camera)
+        camera = self.camera(frame.camera)
+        depth = self._planar(np.asarray(frame.depth), camera)
+        return replace(frame, color=color, depth=depth, camera=camera, display_camera=display, time=time, reset=reset)
+
+    def _planar(self, stored: np.ndarray, camera: Camera) -> np.ndarray:
+        if self._depth == AS_GIVEN:
+            return stored
+        height, width = stored.shape
+        y, x = np.mgrid[:height, :width] + 0.5
+        flat = stored.astype(np.float64).ravel()
+        w = self._depth.inverse(flat, rays(camera, np.stack([x.ravel(), y.ravel()], -1)))
+        if self._depth.model is DEVICE:
+            w[flat == self._far_end] = 0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z = np.where(w > 0, 1 / w, np.where(np.isnan(w), np.nan, np.inf))
+        return z.reshape(height, width).astype(np.float32)
+
+    def _with_motion(
+        self, frame: RenderedFrame, index: int, index_before: int, before: RenderedFrame | None
+    ) -> RenderedFrame:
+        if before is None:
+            return frame
+        reading: MotionReading = self._reading.motion
+        static = static_motion(frame, before.camera)
+        if reading.step == NEXT:
+            motion = self._from_the_one_before(index_before, static, frame, before)
+        else:
+            motion = self._converted(index + reading.held_by, static.shape)
+            motion = static if motion is None else motion
+            motion = motion + static if reading.adds_camera else motion
+        if self._reading.jitter:
+            offset = _common(motion - static, frame.depth)
+            if self._reading.jitter == "motion":
+                motion = motion - offset
+            else:
+                frame = self._jittered(frame, offset)
+        if self._sky:
+            motion = np.where(np.isinf(frame.depth)[..., None], static, motion)
+        return replace(frame, motion=np.asarray(motion, np.float32))
+
+    def _converted(self, index: int, shape: tuple[int, ...]) -> np.ndarray | None:
+        """(H, W, 2) float64 pixels: the vectors in the file of the frame `index`; None where there are none."""
+        entries = self._clip.rendered
+        if not 0 <= index < len(entries):
+            return None
+        stored = self._clip.read(entries[index]).motion
+        if stored is None or np.shape(stored) != shape:
+            return None
+        height, width = shape[:2]
+        return np.asarray(stored, np.float64) @ self._reading.motion.matrix((width, height)).T
+
+    def _from_the_one_before(self, index_before, static, frame, before) -> np.ndarray:
+        """The vectors of the frame before lead here: turned round where something moves, static elsewhere."""
+        forward = self._converted(index_before, static.shape)
+        if forward is None:
+            return static
+        own = np.linalg.norm(forward - static_motion(before, frame.camera), axis=-1) > _OWN
+        return _turned_round(forward, own, before.depth, frame.depth, static)
+
+    def _jittered(self, frame: RenderedFrame, offset: np.ndarray) -> RenderedFrame:
+        self._jitter = self._jitter - offset
+        c = frame.camera
+        return replace(frame, camera=replace(c, cx=c.cx + self._jitter[0], cy=c.cy + self._jitter[1]))
+
+
+def static_motion(frame: RenderedFrame, other: Camera) -> np.ndarray:
+    """(H, W, 2) float64, pixels: where everything would be seen by `other` if nothing moved, less where it is."""
+    height, width = frame.depth.shape
+    y, x = np.mgrid[:height, :width] + 0.5
+    px = np.stack([x, y], -1)
+    depth = np.asarray(frame.depth, np.float64)
+    with np.errstate(all="ignore"):
+        depth = np.where((depth > 0) & (depth < _FAR), depth, _FAR)
+        return other.project(frame.camera.unproject(px, depth))[0] - px
+
+
+def _turned_round(forward, own, depth_before, depth, static) -> np.ndarray:
+    """`static` with −`forward` (H, W, 2) where the pixels `own` (H, W) of the frame before land on their own surface;
+    the nearest one wins, and gaps of a pixel are closed."""
+    height, width = depth.shape
+    y, x = np.nonzero(own & np.isfinite(forward).all(-1))
+    to_x = np.floor(x + 0.5 + forward[y, x, 0]).astype(int)
+    to_y = np.floor(y + 0.5 + forward[y, x, 1]).astype(int)
+    inside = (to_x >= 0) & (to_x < width) & (to_y >= 0) & (to_y < height)
+    x, y, to_x, to_y = x[inside], y[inside], to_x[inside], to_y[inside]
+    with np.errstate(invalid="ignore"):
+        same = np.abs(depth[to_y, to_x] - depth_before[y, x]) < _ONE_SURFACE * depth_before[y, x]
+    far_first = np.argsort(-depth_before[y, x][same], kind="stable")
+    x, y, to_x, to_y = (values[same][far_first] for values in (x, y, to_x, to_y))
+    made, hit = static.copy(), np.zeros((height, width), bool)
+    made[to_y, to_x] = -forward[y, x]
+    hit[to_y, to_x] = True
+    padded, padded_hit = np.pad(made, ((1, 1), (1, 1), (0, 0))), np.pad(hit, 1).astype(float)
+    shifts = [(dy, dx) for dy in range(3) for dx in range(3) if (dy, dx) != (1, 1)]
+    count = sum(padded_hit[dy : dy + height, dx : dx + width] for dy, dx in shifts)
+    weighted = padded * padded_hit[..., None]
+    total = sum(weighted[dy : dy + height, dx : dx + width] for dy, dx in shifts)
+    gap = ~hit & (count >= 5)
+    made[gap] = total[gap] / count[gap][:, None]
+    return made
+
+
+def _common(off: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """(2,) what most of `off` (H, W, 2) have in common."""
+    values = off[np.isfinite(depth) & np.isfinite(off).all(-1)]
+    if not len(values):
+        return np.zeros(2)
+    values = values[:: max(1, len(values) // 20000)]
+    centre = np.median(values, 0)
+    for _ in range(12):
+        apart = ((values - centre) ** 2).sum(-1)
+        weight = 1 / (1 + apart / max(float(np.quantile(apart, 0.3)), 1e-10)) ** 2
+        centre = weight @ values / weight.sum()
+    return centre
+
+
+def _units(depth: DepthReading, stored: np.ndarray) -> tuple[DepthReading, float, float]:
+    """The depth's parameters, rounded where they are near round ones; what translations are multiplied by; and the
+    stored value that stands for nothing. `stored`: some of the depths."""
+    if depth.model is DEVICE:
+        planes = Planes.of(depth, stored)
+        far = planes.far if np.isinf(planes.far) else _rounded(planes.far)
+        planes = replace(planes, near=_rounded(planes.near), far=far)
+        return planes.reading(), 1.0, planes.far_end
+    unit = _rounded(1 / depth.coefficients[0])
+    if depth.model is PLANAR and unit == 1:
+        return AS_GIVEN, 1.0, np.inf
+    if depth.model is PLANAR and unit > 0:
+        middle = float(np.median(stored))
+        if middle > 0 and abs(np.log(middle / _USUAL_DEPTH)) < abs(np.log(middle * unit / _USUAL_DEPTH)):
+            return AS_GIVEN, 1 / unit, np.inf
+    return replace(depth, coefficients=(1 / unit,)), 1.0, np.inf
+
+
+def _rounded(value: float) -> float:
+    """`value` with few digits if that is nearly the same."""
+    for digits, tolerance in _TOLERANCES:
+        near = float(f"{value:.{digits - 1}e}")
+        if abs(near - value) <= tolerance * abs(value):
+            return near
+    return value
+
+
+def write_mended(sequence: Sequence, diagnosis: Diagnosis, output: Path, on_frame=lambda: None) -> int:
+    """Write `sequence` as `diagnosis` reads it to the folder `output`; how many frames. Truth keeps its colours and
+    gets the new cameras; extrapolated frames are left out. Raises GffeError as `SequenceWriter`."""
+    refuse_same_folder(output, sequence.path)
+    repair = Repair(sequence, diagnosis)
+    size = sequence.width, sequence.height
+    with SequenceWriter(output, *size, sequence.fps, sequence.exposure, generator="gffe-cl check") as writer:
+        for entry, frame in repair.frames():
+            writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
+            on_frame()
+        for entry in sequence.ground_truth:
+            color = sequence.read_color(entry)
+            if diagnosis.encoded_color:
+                color = srgb_to_linear(color)
+            cameras = {
+                name: camera and repair.camera(camera)
+                for name, camera in (("render_camera", entry.render_camera), ("display_camera", entry.display_camera))
+            }
+            writer.add(replace(entry, **cameras), named_channels(color))
+            on_frame()
+    return len(sequence.rendered) + len(sequence.ground_truth)

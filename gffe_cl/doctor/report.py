@@ -1,0 +1,142 @@
+"""The doctor's report for people: text, and one HTML file with the pictures that convinced it."""
+
+from __future__ import annotations
+
+import base64
+from html import escape
+from io import BytesIO
+
+import numpy as np
+
+from gffe_cl.doctor.diagnose import Diagnosis
+from gffe_cl.doctor.repair import Repair, static_motion
+from gffe_cl.doctor.samples import PREVIOUS, Clip
+from gffe_cl.frame import RenderedFrame
+
+_MOST_WIDTH = 640  # pixels of a picture
+_STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1340px;margin:2em auto;padding:0 1em}
+body{background:#18181a;color:#ddd}
+h1{font-size:1.3em}li{margin:.4em 0}.fault b{color:#ff7b6b}.note b{color:#ffd166}.unknown b{color:#8ab4f8}
+figure{display:inline-block;margin:0 12px 12px 0}img{max-width:100%}figcaption,p.fine{color:#999;font-size:.9em}"""
+
+
+def summary(diagnosis: Diagnosis) -> list[str]:
+    """Sentences on how well it fits as given and as read, and how sure that is."""
+    r = diagnosis.residuals
+    if not r:
+        return []
+
+    def fit(name: str) -> str:
+        return f"median residual {r[f'{name}_median']:.3g} px, {r[f'{name}_inliers']:.0%} of the samples agree"
+
+    if not diagnosis.faults:
+        return [f"motion vectors, depth and cameras as given: {fit('given')}"]
+    lines = [f"as given: {fit('given')}", f"mended: {fit('read')}"]
+    if diagnosis.best and diagnosis.given and diagnosis.best.reading != diagnosis.given.reading:
+        lines.append(f"score {diagnosis.best.total:.2f}, {diagnosis.given.total:.2f} as given{_next_best(diagnosis)}")
+    return lines
+
+
+def _next_best(diagnosis: Diagnosis) -> str:
+    other = diagnosis.runner_up
+    if other is None:
+        return ""
+    parts = [*other.reading.motion.parts, *other.reading.camera.parts, other.reading.depth.model.name + " depth"]
+    return f", {other.total:.2f} the next best ({', '.join(parts)})"
+
+
+def as_json(diagnosis: Diagnosis) -> dict:
+    """Everything that was found, for programs."""
+    return {
+        "verdict": "faults" if diagnosis.faults else "fits",
+        "findings": [
+            {
+                "kind": f.kind,
+                "about": f.about,
+                "name": f.name,
+                "sentence": f.sentence,
+                "fix": f.fix,
+                "figures": f.figures,
+            }
+            for f in diagnosis.findings
+        ],
+        "residuals": diagnosis.residuals,
+        "scores": {
+            name: vars(verdict) | {"reading": None, "total": verdict.total}
+            for name, verdict in (("given", diagnosis.given), ("read", diagnosis.best), ("next", diagnosis.runner_up))
+            if verdict is not None
+        },
+        "order": diagnosis.order.order if diagnosis.order else None,
+        "frames": diagnosis.frames,
+    }
+
+
+def html_report(clip: Clip, diagnosis: Diagnosis, title: str, exposure: float) -> str:
+    """One self-contained page: the findings, and residuals of one frame as given and as read."""
+    items = "".join(
+        f'<li class="{f.kind.split()[-1] if f.kind != "cannot tell" else "unknown"}"><b>{f.kind}</b>'
+        f" {escape(str(f))}{f' <i>({escape(f.fix)})</i>' if f.fix else ''}</li>"
+        for f in diagnosis.findings
+    )
+    lines = "".join(f"<p>{escape(line)}</p>" for line in summary(diagnosis))
+    return (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title><style>{_STYLE}</style>'
+        f"<h1>{escape(title)}</h1>{lines}<ul>{items or '<li>nothing to complain of</li>'}</ul>"
+        f"{_pictures(clip, diagnosis, exposure)}</html>\n"
+    )
+
+
+def _pictures(clip: Clip, diagnosis: Diagnosis, exposure: float) -> str:
+    looks = [look for look in diagnosis.looks if PREVIOUS in look.neighbours]
+    if not looks:
+        return ""
+    entries = clip.rendered
+    index = looks[len(looks) // 2].index
+    before, here = (clip.read(entries[k]) for k in (index - 1, index))
+    mended = _mended_pair(clip, diagnosis, entries[index].file)
+    given = _residual(here, before)
+    read = _residual(*mended) if mended else given
+    top = max(float(np.nanquantile(given, 0.98)), 1e-3)
+    figures = [
+        ("colour", np.clip(np.nan_to_num(here.color[..., :3].astype(np.float32)) * exposure, 0, 1) ** (1 / 2.2)),
+        (f"residual as given, 0 (black) to {top:.3g} px (white)", _heat(given / top)),
+    ]
+    if mended and diagnosis.faults:
+        figures.append((f"residual mended, 0 to {top:.3g} px", _heat(read / top)))
+    made = "".join(
+        f'<figure><img src="data:image/png;base64,{_png(image)}"><figcaption>{escape(text)}</figcaption></figure>'
+        for text, image in figures
+    )
+    fine = "the residual is between motion vectors and what depth and cameras say; what moves by itself stays bright"
+    return f'<p class="fine">{escape(entries[index].file)}: {fine}</p>{made}'
+
+
+def _mended_pair(clip: Clip, diagnosis: Diagnosis, file: str) -> tuple[RenderedFrame, RenderedFrame] | None:
+    before = None
+    for entry, frame in Repair(clip, diagnosis).frames():
+        if entry.file == file:
+            return (frame, before) if before is not None else None
+        before = frame
+    return None
+
+
+def _residual(frame: RenderedFrame, before: RenderedFrame) -> np.ndarray:
+    """(H, W) pixels."""
+    if frame.motion is None:
+        return np.zeros(frame.depth.shape)
+    off = np.linalg.norm(frame.motion - static_motion(frame, before.camera), axis=-1)
+    return np.nan_to_num(off, nan=0.0, posinf=1e6)
+
+
+def _heat(values: np.ndarray) -> np.ndarray:
+    return np.clip(np.stack([3 * values, 3 * values - 1, 3 * values - 2], -1), 0, 1)
+
+
+def _png(image: np.ndarray) -> str:
+    from PIL import Image
+
+    picture = Image.fromarray((np.clip(image, 0, 1) * 255 + 0.5).astype(np.uint8))
+    picture.thumbnail((_MOST_WIDTH, _MOST_WIDTH))
+    file = BytesIO()
+    picture.save(file, "PNG")
+    return base64.b64encode(file.getvalue()).decode("ascii")

@@ -1,0 +1,156 @@
+"""What GFFE is compared with: methods of other kinds, in their plainest form, each a runner of the table.
+
+They stand for a way of doing it, not for somebody's product: published methods add what these leave out, networks above
+all. Runners take rendered frames by `submit(shot)` and make pictures of moments by `make(moment)`: linear (H, W, 3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gffe_cl.errors import GffeError
+from gffe_cl.evaluation.table.flicker import LUMA
+from gffe_cl.evaluation.table.image_space import filled, pixel_centres, sample, splat, taps
+from gffe_cl.evaluation.table.regions import same_surface
+from gffe_cl.evaluation.table.subjects import Moment, Shot
+from gffe_cl.metrics import display_values
+
+_SAME_AS_BEFORE = 0.1  # of the depth, between two frames of a moving camera
+_GUIDED_REACHES = (1, 2, 4, 8, 16, 32)  # pixels
+_GUIDED_DEPTH = 0.05  # of the depth: how alike guides must be
+
+
+class Repeat:
+    """The last rendered frame again."""
+
+    def submit(self, shot: Shot) -> None:
+        self._shown = shot.shown
+
+    def make(self, moment: Moment) -> np.ndarray:
+        return self._shown
+
+
+class MotionVectors:
+    """Motion vectors are carried on in image space, in the manner of Mob-FGSR (Yang et al., SIGGRAPH 2024): splat to
+    t + α with the depth test, holes take the nearest vector, and the colour of t is looked up backward.
+
+    `order` 1: at constant speed; 2: with the change of the vectors since the frame before, found where they point to.
+    """
+
+    def __init__(self, order: int):
+        self._order, self._before = order, None
+
+    def submit(self, shot: Shot) -> None:
+        frame = shot.frame
+        self._color, self._depth = shot.shown.astype(np.float32), frame.depth
+        speed = np.zeros((*frame.depth.shape, 2), np.float32) if frame.motion is None else -frame.motion
+        self._speed, self._change = speed, np.zeros_like(speed)
+        if self._order == 2 and self._before is not None and not frame.reset:
+            place = pixel_centres(*frame.depth.shape) - speed
+            self._change = speed - sample(self._before, place)[0]
+        self._before = np.nan_to_num(speed)
+
+    def make(self, moment: Moment) -> np.ndarray:
+        alpha = np.float32(moment.alpha)
+        moved = alpha * self._speed + alpha * (alpha + 1) / 2 * self._change
+        here = pixel_centres(*self._depth.shape)
+        field, known = splat(here + moved, self._depth, moved)
+        return sample(self._color, here - filled(field, known))[0]
+
+
+class OpticalFlow:
+    """Flow from t to t−1 by OpenCV's DIS (Kroeger et al., ECCV 2016) on what is displayed, carried on at constant speed
+    and warped forward; holes take the nearest vector. It needs pictures only."""
+
+    def __init__(self, exposure: float):
+        import cv2
+
+        self._find = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        self._exposure, self._grey = exposure, None
+
+    def submit(self, shot: Shot) -> None:
+        self._color = shot.shown.astype(np.float32)
+        grey = (255 * (display_values(shot.shown, self._exposure) @ LUMA)).astype(np.uint8)
+        before = grey if self._grey is None or shot.frame.reset else self._grey
+        self._flow, self._grey = self._find.calc(grey, before, None), grey
+
+    def make(self, moment: Moment) -> np.ndarray:
+        moved = -np.float32(moment.alpha) * self._flow
+        here = pixel_centres(*self._grey.shape)
+        field, known = splat(here + moved, np.ones(self._grey.shape, np.float32), moved)
+        return sample(self._color, here - filled(field, known))[0]
+
+
+class GuidedExtrapolation:
+    """G-buffers of the new frame guide a backward warp of frame t, in the manner of ExtraSS-E (Wu et al., SIGGRAPH Asia
+    2023): where its surface shows in t, the colour is looked up there; else it is a mean of pixels around whose depth
+    is alike. The G-buffers are exact, and their cost is not counted."""
+
+    def submit(self, shot: Shot) -> None:
+        self._color, self._depth = shot.shown.astype(np.float32), shot.frame.depth
+
+    def make(self, moment: Moment) -> np.ndarray:
+        guide = moment.guide
+        place = pixel_centres(*guide.depth.shape) + guide.motion
+        seen = same_surface(taps(self._depth, place), guide.source_depth)
+        height, width = guide.depth.shape
+        with np.errstate(invalid="ignore"):
+            seen &= (place >= 0).all(-1) & (place < (width, height)).all(-1)
+        color, weight = sample(self._color, place, seen)
+        return guided_fill(color, weight > 1e-3, guide.depth)
+
+
+class Interpolation:
+    """Between t and the rendered frame after it, along the latter's motion vectors: the latency that extrapolation
+    saves, as a reference. Both frames are looked up and mixed by time where they show one surface; what only t shows
+    follows t's own vectors."""
+
+    def submit(self, shot: Shot) -> None:
+        self._shot = shot
+
+    def make(self, moment: Moment) -> np.ndarray:
+        now, after = self._shot.frame, self._shot.following
+        alpha, height = np.float32(moment.alpha), now.depth.shape[0]
+        here = pixel_centres(height, now.depth.shape[1])
+        if after is None:
+            raise GffeError("interpolation: the rendered frame after this one is missing")
+        back = after.motion
+        own = np.zeros_like(back) if now.motion is None else now.motion
+        field, known = splat(here + (1 - alpha) * back, after.depth, np.concatenate([back, after.depth[..., None]], -1))
+        old, old_known = splat(here - alpha * own, now.depth, own)
+        vectors, depth = field[..., :2], field[..., 2]
+        before_place = here + alpha * vectors
+        met = taps(now.depth, before_place)
+        with np.errstate(invalid="ignore"):
+            both = (np.abs(met - depth) <= _SAME_AS_BEFORE * depth).any(0) | (np.isinf(met).any(0) & (depth >= 1e29))
+        later = sample(after.color[..., :3].astype(np.float32), here - (1 - alpha) * vectors)[0]
+        earlier = sample(now.color[..., :3].astype(np.float32), before_place)[0]
+        mixed = np.where(both[..., None], (1 - alpha) * earlier + alpha * later, later)
+        only_old = sample(now.color[..., :3].astype(np.float32), here + alpha * filled(old, old_known))[0]
+        return np.where(known[..., None], mixed, only_old)
+
+
+def guided_fill(color: np.ndarray, known: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """`color` (H, W, 3) with means of known pixels of like `depth` (H, W) where it is not `known`, from ever farther
+    off; what finds none takes the nearest pixel."""
+    color, known = color.copy(), known.copy()
+    nearness = np.where(np.isfinite(depth), 1 / np.maximum(depth, 1e-6), 0).astype(np.float32)
+    height, width = depth.shape
+    for reach in _GUIDED_REACHES:
+        y, x = np.nonzero(~known)
+        if not len(y):
+            return color
+        total, weights = np.zeros((len(y), 3), np.float32), np.zeros(len(y), np.float32)
+        for dy in (-2, -1, 0, 1, 2):
+            for dx in (-2, -1, 0, 1, 2):
+                ny, nx = y + dy * reach, x + dx * reach
+                inside = (ny >= 0) & (ny < height) & (nx >= 0) & (nx < width)
+                ny, nx = np.clip(ny, 0, height - 1), np.clip(nx, 0, width - 1)
+                apart = np.abs(nearness[ny, nx] - nearness[y, x]) / np.maximum(nearness[y, x], 1e-6)
+                weight = inside * known[ny, nx] * np.exp(-((apart / _GUIDED_DEPTH) ** 2) - 0.2 * (dx * dx + dy * dy))
+                total += weight[:, None] * color[ny, nx]
+                weights += weight
+        found = weights > 1e-3
+        color[y[found], x[found]] = total[found] / weights[found, None]
+        known[y[found], x[found]] = True
+    return filled(color, known)

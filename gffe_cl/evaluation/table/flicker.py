@@ -1,0 +1,46 @@
+"""Flicker: what shows of the error when rendered and generated frames alternate.
+
+At 60 Hz people do not see how far a single frame is off; they see that every second one is: lit edges that pulse,
+shadows that jump to and fro. The eye follows what moves, so the difference between shown and true frame is what counts,
+not that between successive frames; and at 30 Hz it is only sensitive to coarse patterns, falling to half at about
+three cycles per degree (Kelly, Motion and vision II, JOSA 1979). So: error of the luma that is displayed (Rec. 709),
+blurred by a Gaussian of 1/300 of the image's height (half at three cycles per degree, seen from three heights), and of
+that the mean absolute change from each shown frame to the next, rendered ones included, in per cent of display white.
+0 is what a renderer gives that needs no generated frames; an error that stays the same over time does not flicker.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+LUMA = np.float32((0.2126, 0.7152, 0.0722))
+_SIGMA = 1 / 300  # of the image's height
+
+
+class Flicker:
+    """Adds up over the frames of a sequence in the order of display."""
+
+    def __init__(self):
+        self._before: np.ndarray | None = None
+        self.sum, self.count = 0.0, 0
+
+    def add(self, shown: np.ndarray, truth: np.ndarray) -> float | None:
+        """Display values (H, W, 3) of the next frame, as shown and as it should be. Its change from the one before, per
+        cent; None for the first."""
+        error = gaussian_filter((shown - truth) @ LUMA, _SIGMA * shown.shape[0])
+        before, self._before = self._before, error
+        if before is None:
+            return None
+        change = 100 * float(np.abs(error - before).mean())
+        self.sum, self.count = self.sum + change, self.count + 1
+        return change
+
+    def cut(self) -> None:
+        """What follows is not shown right after what was added last."""
+        self._before = None
+
+    @property
+    def mean(self) -> float:
+        """Over all changes; NaN if there were none."""
+        return self.sum / self.count if self.count else float("nan")

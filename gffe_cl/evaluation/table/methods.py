@@ -1,0 +1,274 @@
+"""The methods of the table, and how each is run."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from gffe_cl import inference
+from gffe_cl.errors import GffeError
+from gffe_cl.evaluation.table import baselines
+from gffe_cl.evaluation.table.network import OnnxModel, OnnxRunner
+from gffe_cl.evaluation.table.subjects import Footage, Moment, Shot, Subject
+from gffe_cl.opencl.device import Device
+from gffe_cl.options import Options
+from gffe_cl.pipeline import Pipeline
+
+FULL = "gffe"
+GIVEN = "given"  # rendered frames as the sequence has them
+
+
+class Runner(Protocol):
+    """A method at work on one sequence."""
+
+    def submit(self, shot: Shot) -> None:
+        """Take the next rendered frame."""
+
+    def make(self, moment: Moment) -> np.ndarray:
+        """The picture of a moment after it: (H, W, 3) linear."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """One row of the table.
+
+    Attributes
+    ----------
+    name, title : on the command line and in JSON; for people
+    group : "gffe", "ablation", "deviation" (a deviation from the paper, switched to the paper's way) or "baseline"
+    options : of the pipeline, if it is one
+    window : what rendered frames it sees, as of `Footage.shots`
+    camera : False: the pipeline predicts the camera of the new frame
+    needs : "guide" (G-buffers of the new frame), "following" (the next rendered frame), "windows" (built-in scenes)
+    package : module that must be importable, and the extra that brings it
+    model : of the ONNX contract
+    make : (footage, device) → Runner, where it is no pipeline
+    """
+
+    name: str
+    title: str
+    group: str
+    options: Options | None = None
+    window: str = "off"
+    camera: bool = True
+    needs: frozenset[str] = frozenset()
+    package: tuple[str, str] | None = None
+    model: Path | None = None
+    make: Callable[[Footage], Runner] | None = None
+
+    def missing(self, footage: Subject | Footage) -> str | None:
+        """Why it cannot be run there; None if it can."""
+        if self.package and importlib.util.find_spec(self.package[0]) is None:
+            return f"needs {self.package[0]}: pip install 'gffe-cl[{self.package[1]}]'"
+        if "guide" in self.needs and not footage.exact:
+            return "needs G-buffers of the new frames, which only built-in scenes have"
+        if "windows" in self.needs and not footage.windows:
+            return "windows can be chosen for built-in scenes only"
+        return None
+
+    def identity(self) -> dict:
+        """What it computes, for the cache: besides the sources of the program."""
+        known = {"name": self.name, "window": self.window, "camera": self.camera}
+        if self.options:
+            known["options"] = asdict(self.options)
+            if self.options.corrects_shading:
+                weights = Path(self.options.scn_model) if self.options.scn_model else inference.default_model()
+                known["weights"] = hashlib.sha256(weights.read_bytes()).hexdigest()
+        if self.model:
+            known["model"] = hashlib.sha256(self.model.read_bytes()).hexdigest()
+        return known
+
+    def runner(self, footage: Footage, device: Device) -> Runner:
+        """At the start of a sequence. Raises GffeError."""
+        if self.options is None:
+            return self.make(footage)
+        return PipelineRunner(self, footage, device)
+
+
+class PipelineRunner:
+    """Our pipeline, with the options of a method. `pipeline` is its own."""
+
+    def __init__(self, method: Method, footage: Footage, device: Device):
+        size, render_size = (footage.width, footage.height), footage.render_size(method.window)
+        self.pipeline = Pipeline(device, *size, method.options, render_size=render_size, fps=footage.fps)
+        self.pipeline.exposure = footage.exposure
+        self._known, self._submitted = method.camera, 0.0
+        self.milliseconds: list[float] = []  # of kernels and the network, per rendered frame with one new one
+
+    def submit(self, shot: Shot) -> None:
+        self.pipeline.submit(shot.frame)
+        self._submitted = None
+
+    def finish(self) -> None:
+        """Wait for the device; what it did so far since `submit` counts for each new frame."""
+        taken = _total(self.pipeline.take_timings())
+        self._submitted = taken if self._submitted is None else self._submitted
+
+    def present(self) -> np.ndarray:
+        """What is shown of the rendered frame: windows make it a little softer."""
+        return self.pipeline.present().numpy("color")
+
+    def make(self, moment: Moment) -> np.ndarray:
+        camera = moment.camera if self._known else None
+        color = self.pipeline.extrapolate(camera, moment.time).numpy("color")
+        self.milliseconds.append(self._submitted + _total(self.pipeline.take_timings()))
+        return color
+
+
+def _total(timings: dict[str, float]) -> float:
+    return sum(timings.values())
+
+
+def _gffe(name: str, title: str, group: str, window: str = GIVEN, camera: bool = True, **options) -> Method:
+    needs = frozenset() if window in (GIVEN, "off") else frozenset({"windows"})
+    return Method(name, title, group, Options(**options), window, camera, needs)
+
+
+_PAPERS_WAY = {
+    "crack_closing": False,
+    "blocks": False,
+    "acceleration": False,
+    "hidden_parts": False,
+    "hole_filling": "downsample",
+    "soft_silhouettes": False,
+}
+
+_ALL = (
+    _gffe(FULL, "GFFE", "gffe"),
+    _gffe("no-motion", "no motion estimation", "ablation", motion=False),
+    _gffe("order-2", "prediction of order 2", "ablation", history=3, order=2),
+    _gffe("order-5", "prediction of order 5", "ablation", history=6, order=5),
+    _gffe("no-background", "no background", "ablation", levels=0),
+    _gffe("levels-1", "one level of background", "ablation", levels=1),
+    _gffe("levels-3", "three levels of background", "ablation", levels=3),
+    _gffe("adaptive-window", "adaptive rendering window", "ablation", "adaptive"),
+    _gffe("fixed-window", "fixed rendering window, 1.2 times", "ablation", "fixed:1.2"),
+    _gffe("no-scn", "no shading correction", "ablation", shading_correction=False),
+    _gffe("no-focus-mask", "no focus mask", "ablation", focus_mask=False),
+    _gffe("predicted-camera", "camera of the new frame predicted", "ablation", camera=False),
+    _gffe("single-pixel-splats", "fragments are single pixels", "deviation", crack_closing=False, blocks=False),
+    _gffe("constant-speed", "movers keep their speed", "deviation", acceleration=False),
+    _gffe("background-only", "holes are never a mover's", "deviation", hidden_parts=False),
+    _gffe("downsampled-holes", "holes from the image downsampled 32×", "deviation", hole_filling="downsample"),
+    _gffe("hard-silhouettes", "silhouettes as the warp leaves them", "deviation", soft_silhouettes=False),
+    _gffe("linear-camera", "camera predicted along a line", "deviation", camera=False, camera_order=1),
+    _gffe("papers-way", "all of these the paper's way", "deviation", **_PAPERS_WAY),
+    Method("repeat", "repeat the last frame", "baseline", make=lambda footage: baselines.Repeat()),
+    _gffe(
+        "static-reprojection",
+        "static reprojection (depth and camera only)",
+        "baseline",
+        "off",
+        motion=False,
+        levels=0,
+        hole_filling="push-pull",
+        soft_silhouettes=False,
+        shading_correction=False,
+        overlays=False,
+    ),
+    Method(
+        "flow",
+        "optical flow (DIS), extrapolated",
+        "baseline",
+        package=("cv2", "opencv"),
+        make=lambda footage: baselines.OpticalFlow(footage.exposure),
+    ),
+    Method(
+        "motion-vectors",
+        "motion vectors in image space, linear",
+        "baseline",
+        make=lambda footage: baselines.MotionVectors(1),
+    ),
+    Method(
+        "motion-vectors-2",
+        "motion vectors in image space, quadratic",
+        "baseline",
+        make=lambda footage: baselines.MotionVectors(2),
+    ),
+    Method(
+        "guided",
+        "extrapolation guided by G-buffers of the new frame",
+        "baseline",
+        needs=frozenset({"guide"}),
+        make=lambda footage: baselines.GuidedExtrapolation(),
+    ),
+    Method(
+        "interpolation",
+        "interpolation with the next frame (adds latency)",
+        "baseline",
+        needs=frozenset({"following"}),
+        make=lambda footage: baselines.Interpolation(),
+    ),
+)
+METHODS: dict[str, Method] = {method.name: method for method in _ALL}
+GROUPS = tuple(dict.fromkeys(method.group for method in _ALL))
+LATE_WARP = (FULL, "static-reprojection", "repeat")
+
+
+@dataclass(frozen=True)
+class Gain:
+    """What a part of the method is worth: the rows `with_it` and `without`, the region for whose sake it is there, and
+    the name of the paper's row without it."""
+
+    title: str
+    with_it: str
+    without: str
+    region: str
+    paper: str = ""
+
+
+GAINS = (
+    Gain("motion estimation", FULL, "no-motion", "dynamic", "w/o ME"),
+    Gain("background collection", FULL, "no-background", "static disocclusion", "w/o BGC"),
+    Gain("adaptive window", "adaptive-window", FULL, "out of screen", "w/o AW"),
+    Gain("shading correction", FULL, "no-scn", "focus", "w/o SCN"),
+    Gain("focus mask", FULL, "no-focus-mask", "rest", "w/o FM"),
+    Gain("linear prediction, against order 5", FULL, "order-5", "dynamic"),
+    Gain("second level of background", FULL, "levels-1", "static disocclusion"),
+    Gain("fragments cover what they map to", FULL, "single-pixel-splats", "rest"),
+    Gain("acceleration of movers", FULL, "constant-speed", "dynamic"),
+    Gain("hidden parts of movers", FULL, "background-only", "static disocclusion"),
+    Gain("holes continue their far side", FULL, "downsampled-holes", "static disocclusion"),
+    Gain("soft silhouettes", FULL, "hard-silhouettes", "silhouettes"),
+)
+
+
+def onnx_method(name: str, path: str | Path) -> Method:
+    """A network of `network`'s contract as a method. Raises GffeError."""
+    if not name or name in METHODS:
+        raise GffeError(f"--onnx {name}={path}: the name is empty or a method's own (expected another one)")
+    model = OnnxModel(path)
+    needs = frozenset({"following"}) if model.interpolates else frozenset()
+    title = f"{name} (ONNX{', adds latency' if needs else ''})"
+    return Method(
+        name, title, "baseline", needs=needs, model=Path(path),
+        make=lambda footage: OnnxRunner(model, footage.exposure),
+    )  # fmt: skip
+
+
+def chosen_methods(words: Iterable[str] | None, onnx: Iterable[str] = ()) -> dict[str, Method]:
+    """Methods and groups by name (None: all of them, but shading correction's where there are no weights), and networks
+    as "NAME=FILE", in the order of the table. Raises GffeError."""
+    networks = {}
+    for text in onnx:
+        name, equals, path = text.partition("=")
+        if not equals:
+            raise GffeError(f"--onnx {text}: expected NAME=FILE")
+        networks[name] = onnx_method(name, path)
+    known = METHODS | networks
+    wanted = set(known) if words is None else set()
+    for word in words or ():
+        found = {word} if word in known else {name for name, method in known.items() if method.group == word}
+        if not found:
+            raise GffeError(f"--methods: '{word}' is none of {', '.join((*GROUPS, *known))}")
+        wanted |= found
+    wanted |= set(networks)
+    if inference.default_model() is None:
+        wanted -= {"no-scn", "no-focus-mask"}
+    return {name: method for name, method in known.items() if name in wanted}

@@ -1,0 +1,330 @@
+"""What is evaluated: built-in scenes and sequences on disk, as rendered frames with the truth at moments in between.
+
+A `SceneSubject` or `FolderSubject` is a description: it can be sent to another process, and its `identity` tells it
+from all others without rendering or decoding anything. `open_subject` makes `Footage` of it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+
+from gffe_cl.camera import Camera
+from gffe_cl.errors import GffeError
+from gffe_cl.evaluation.compare import NO_HISTORY
+from gffe_cl.formats import open_capture
+from gffe_cl.frame import RenderedFrame
+from gffe_cl.opencl.device import Device
+from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, is_scene, load_scene
+from gffe_cl.sequence import Sequence
+from gffe_cl.source import Recorded
+from gffe_cl.window import WindowChooser
+
+_MOST_KEPT = 3 << 30  # bytes of footage that stay in memory
+_BYTES_PER_PIXEL = 45  # of a rendered frame and a moment
+
+
+@dataclass(frozen=True)
+class SceneSubject:
+    """A built-in scene. `frames` rendered ones are followed by moments at `alphas` (intervals); or, with `turns`, by
+    views at their own time from a camera that has turned by so many degrees (late warp)."""
+
+    scene: str
+    seed: int
+    width: int
+    height: int
+    frames: int
+    fps: float
+    alphas: tuple[float, ...]
+    turns: tuple[float, ...] = ()
+    exact: ClassVar[bool] = True  # as of `Footage`
+    windows: ClassVar[bool] = True
+
+    @property
+    def name(self) -> str:
+        return f"{self.scene}:{self.seed}"
+
+    @property
+    def moments(self) -> int:
+        """How many there are."""
+        return max(self.frames - NO_HISTORY, 0) * len(self.turns or self.alphas)
+
+    def identity(self) -> dict:
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class FolderSubject:
+    """A sequence on disk, of any form that `gffe formats` lists; it must hold ground truth in between."""
+
+    path: str
+    moments: int
+    exact: ClassVar[bool] = False
+    windows: ClassVar[bool] = False
+
+    @property
+    def name(self) -> str:
+        return Path(self.path).resolve().name
+
+    def identity(self) -> dict:
+        """By the contents of all files, not by where they are."""
+        root = Path(self.path)
+        root = root if root.is_dir() else root.parent
+        total = hashlib.sha256()
+        for path in sorted(p for p in root.rglob("*") if p.is_file()):
+            with path.open("rb") as file:
+                total.update(f"{path.relative_to(root)}\0".encode() + hashlib.file_digest(file, "sha256").digest())
+        return {"folder": total.hexdigest()}
+
+
+Subject = SceneSubject | FolderSubject
+
+
+@dataclass(frozen=True)
+class Guide:
+    """G-buffers of the new frame and what they tell of the rendered frame at t, exact. `depth` (H, W) float32, view z;
+    `motion` (H, W, 2) float32, pixels: where the surface is in the displayed image of t, minus here; `source_depth`
+    (H, W) float32: its view z there (NaN where it is behind that camera); `moving` (H, W) bool: it moves by itself."""
+
+    depth: np.ndarray
+    motion: np.ndarray
+    source_depth: np.ndarray
+    moving: np.ndarray
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A time at which a new frame is made: `time` in seconds, `alpha` in intervals after the rendered frame; `camera`
+    of the new frame, None if not known; `truth` (H, W, 3) linear; `turn`: degrees, for late warps."""
+
+    time: float
+    alpha: float
+    camera: Camera | None
+    truth: np.ndarray
+    guide: Guide | None = None
+    turn: float = 0.0
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A rendered frame, what is shown of it (H, W, 3) linear, the moments after it that count, the rendered frame that
+    follows it, if one does, and, with guides, which of what is shown (H, W) moves by itself."""
+
+    frame: RenderedFrame
+    shown: np.ndarray
+    moments: tuple[Moment, ...]
+    following: RenderedFrame | None = None
+    moving: np.ndarray | None = None
+
+
+class Footage:
+    """Rendered frames and moments of a subject. `exact`: whether moments bring a `Guide`; `windows`: whether frames can
+    be had through a window of choice; `labels`: of each moment in order (`regions`), filled in by who needs them."""
+
+    exact = windows = False
+
+    def __init__(self, name: str, width: int, height: int, fps: float, exposure: float):
+        self.name, self.width, self.height, self.fps, self.exposure = name, width, height, fps, exposure
+        self.labels: list[np.ndarray] = []
+        self._kept: dict[str, list[Shot]] = {}
+
+    def shots(self, window: str = "off") -> Iterator[Shot]:
+        """In order of time. `window`: "off" for frames as they are shown; "given": as they were recorded; or, where
+        `windows` can be had, any other mode of `WindowChooser`."""
+        window = "off" if self.windows and window == "given" else window
+        if window in self._kept:
+            yield from self._kept[window]
+            return
+        made = []
+        for shot in self._make(window):
+            if made is not None:
+                made.append(shot)
+                if len(made) * self.width * self.height * _BYTES_PER_PIXEL > _MOST_KEPT:
+                    made = None
+            yield shot
+        if made is not None:
+            self._kept[window] = made
+
+    def render_size(self, window: str) -> tuple[int, int]:
+        """Width and height of the frames of `shots(window)`, pixels."""
+        return self.width, self.height
+
+    def _make(self, window: str) -> Iterator[Shot]:
+        raise NotImplementedError
+
+
+class _Scene(Footage):
+    exact = windows = True
+
+    def __init__(self, subject: SceneSubject, device: Device):
+        self._scene = load_scene(subject.scene, subject.seed)
+        self._subject = subject
+        super().__init__(subject.name, subject.width, subject.height, subject.fps, self._scene.exposure)
+        self._renderer = SceneRenderer(device, self._scene, subject.width, subject.height)
+
+    def _make(self, window):
+        size = (self.width, self.height)
+        chooser = WindowChooser(window, size, self._subject.alphas)
+        frames = SceneFrames(self._renderer, chooser)
+        reference = self._reference(window)
+        before = None
+        for frame in frames.sequence(self._subject.frames + 1, self.fps):
+            if before is not None:
+                shown, moments, moving = next(reference)
+                yield Shot(before, shown, moments, frame, moving)
+            before = frame
+
+    def _reference(self, window):
+        """Of each rendered frame: what is shown, the moments after it, and what moves: the same for all windows."""
+        if "off" in self._kept:
+            yield from ((shot.shown, shot.moments, shot.moving) for shot in self._kept["off"])
+            return
+        before = None
+        for k in range(self._subject.frames):
+            now = k / self.fps, self._scene.camera(k / self.fps, self.width, self.height)
+            image = self._renderer.render(*now, *(before or now)).numpy()
+            moving = moving_pixels(image.motion, image.depth, now[1], (before or now)[1])
+            times = self._times(k) if k >= NO_HISTORY else []
+            yield image.color, tuple(self._moment(*now, *at) for at in times), moving
+            before = now
+
+    def _times(self, k: int) -> list[tuple[float, float, float]]:
+        """(time, α, degrees of turn) of the moments after rendered frame `k`."""
+        if self._subject.turns:
+            return [(k / self.fps, 0.0, turn) for turn in self._subject.turns]
+        return [((k + alpha) / self.fps, alpha, 0.0) for alpha in self._subject.alphas]
+
+    def _moment(self, source_time: float, source: Camera, time: float, alpha: float, turn: float) -> Moment:
+        camera = turned(self._scene.camera(time, self.width, self.height), turn)
+        image = self._renderer.render(time, camera, source_time, source).numpy()
+        moving = moving_pixels(image.motion, image.depth, camera, source)
+        z = np.where(np.isinf(image.depth), np.inf, image.other_position[..., 2])
+        z = np.where(np.isfinite(image.motion).all(-1), z, np.nan).astype(np.float32)
+        return Moment(time, alpha, camera, image.color, Guide(image.depth, image.motion, z, moving), turn)
+
+
+class _Folder(Footage):
+    def __init__(self, subject: FolderSubject, device: Device):
+        self._sequence, self._device = open_capture(subject.path), device
+        s = self._sequence
+        super().__init__(subject.name, s.width, s.height, s.fps, s.exposure)
+        self._given_size = Recorded(s, device).render_size
+
+    def render_size(self, window):
+        return (self.width, self.height) if window == "off" else self._given_size
+
+    def _make(self, window):
+        shown = self.shots("off") if window != "off" else None
+        recorded = Recorded(self._sequence, self._device, "off" if window == "off" else None)
+        truths = truths_after(self._sequence)
+        before = None
+        for entry, frame, _ in recorded.frames([], strict=False):
+            if before is not None:
+                yield self._shot(*before, None if frame.reset else frame, truths, shown)
+            before = entry, frame
+        if before is not None:
+            yield self._shot(*before, None, truths, shown)
+
+    def _shot(self, entry, frame, following, truths, shown) -> Shot:
+        if shown is not None:
+            same = next(shown)
+            return Shot(frame, same.shown, same.moments, following)
+        read, index = self._sequence.read_color, self._sequence.rendered.index(entry_of(self._sequence, entry))
+        interval, moments = interval_at(self._sequence, index), []
+        for truth in truths.get(entry.file, ()):
+            camera = self._sequence.camera_at(truth.time)
+            alpha = (truth.time - entry.time) / interval
+            moments.append(Moment(truth.time, alpha, camera, read(truth)))
+        return Shot(frame, frame.color[..., :3], tuple(moments), following)
+
+
+_MOVES = 0.5  # pixels from which a surface counts as moving by itself
+
+
+def open_subject(subject: Subject, device: Device) -> Footage:
+    """Its footage; nothing is rendered or decoded before it is asked for."""
+    return (_Scene if isinstance(subject, SceneSubject) else _Folder)(subject, device)
+
+
+def parse_subject(
+    text: str, size: tuple[int, int], frames: int, fps: float, alphas: tuple[float, ...], turns=()
+) -> Subject:
+    """ "corridor", "corridor:3" (a seed) or a folder. Raises GffeError, also for a folder without ground truth."""
+    name, colon, seed = text.partition(":")
+    if is_scene(text) or (name in SCENES and colon and not Path(text).exists()):
+        if colon and not seed.isdigit():
+            raise GffeError(f"'{text}': the seed must be a whole number (expected {name}:0 or the like)")
+        load_scene(name, int(seed or 0))
+        return SceneSubject(name, int(seed or 0), *size, frames, fps, tuple(alphas), tuple(turns))
+    if not Path(text).exists():
+        raise GffeError(f"'{text}': neither a built-in scene ({', '.join(SCENES)}) nor a folder")
+    sequence = open_capture(text)
+    count = sum(map(len, truths_after(sequence).values()))
+    if not count:
+        raise GffeError(
+            f"{text}: no ground truth between rendered frames with history, nothing to measure against"
+            " (expected frames of kind ground_truth, as `gffe render --ground-truth` writes)"
+        )
+    Recorded(sequence, None)
+    return FolderSubject(text, count)
+
+
+def truths_after(sequence: Sequence) -> dict[str, list]:
+    """Entries of ground truth by the file of the rendered frame they follow, where that one has history and a rendered
+    frame comes after it: what interpolates needs that, and all methods are measured at the same moments."""
+    found: dict[str, list] = {}
+    rendered, since, usable = sequence.rendered, 0, []
+    for k, entry in enumerate(rendered):
+        since = 0 if entry.reset or k == 0 else since + 1
+        followed = k + 1 < len(rendered) and not rendered[k + 1].reset
+        usable.append(since >= NO_HISTORY and followed)
+    for truth in sequence.ground_truth:
+        index = sequence.rendered_before(truth.time)
+        if index is not None and usable[index]:
+            found.setdefault(rendered[index].file, []).append(truth)
+    return found
+
+
+def interval_at(sequence: Sequence, index: int) -> float:
+    """Seconds from the rendered frame before to rendered frame `index`, which has one before it."""
+    rendered = sequence.rendered
+    return rendered[index].time - rendered[index - 1].time if index else 1 / sequence.fps
+
+
+def entry_of(sequence: Sequence, entry):
+    """The sequence's own entry of that file: `Recorded` may hand out changed ones."""
+    return next(own for own in sequence.rendered if own.file == entry.file)
+
+
+def turned(camera: Camera, degrees: float) -> Camera:
+    """The same camera, turned to the right about its own vertical axis."""
+    if not degrees:
+        return camera
+    angle = np.radians(degrees)
+    turn = np.eye(4)
+    turn[0, 0] = turn[2, 2] = np.cos(angle)
+    turn[0, 2], turn[2, 0] = -np.sin(angle), np.sin(angle)
+    return Camera(turn @ camera.world_to_view, *camera.intrinsics)
+
+
+def moving_pixels(motion: np.ndarray, depth: np.ndarray, camera: Camera, other: Camera) -> np.ndarray:
+    """(H, W) bool: where `motion` (pixels, from `camera` to `other`) is not that of a static point at `depth`."""
+    static_px, _ = other.project(_world(camera, depth))
+    with np.errstate(invalid="ignore"):
+        off = np.linalg.norm(motion + _centres(*depth.shape) - static_px, axis=-1)
+    return (off > _MOVES) & np.isfinite(depth)
+
+
+def _centres(height: int, width: int) -> np.ndarray:
+    y, x = np.mgrid[:height, :width].astype(np.float32) + np.float32(0.5)
+    return np.stack([x, y], -1)
+
+
+def _world(camera: Camera, depth: np.ndarray) -> np.ndarray:
+    """(H, W, 3); sky is put very far away."""
+    return camera.unproject(_centres(*depth.shape), np.where(np.isfinite(depth), depth, 1e7))

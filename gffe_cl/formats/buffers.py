@@ -1,0 +1,231 @@
+"""Buffers of a `gffe-folder`: which files hold one, and what its numbers mean."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gffe_cl.conventions import DIRECTIONS, depth_from_device, depth_from_distance
+from gffe_cl.errors import GffeError
+from gffe_cl.formats.cameras import UNITS, FoundCamera
+from gffe_cl.formats.capture import inside
+from gffe_cl.formats.images import Size, check_planes, read_planes
+from gffe_cl.formats.keys import Keys
+from gffe_cl.values import shown
+
+# How several 8-bit channels hold one number from 0 to 1: the weight of each, the first one first.
+PACKINGS = {
+    "none": None,
+    "big-endian": lambda n: [256.0 ** (n - 1 - k) * 255 / (256.0**n - 1) for k in range(n)],
+    "little-endian": lambda n: [256.0**k * 255 / (256.0**n - 1) for k in range(n)],
+    "unity": lambda n: [255.0**-k for k in range(n)],  # EncodeFloatRG, EncodeFloatRGBA
+}
+COLOR_ENCODINGS = ("linear", "srgb", "gamma")
+DEPTH_ENCODINGS = ("linear", "distance", "inverse", "device")
+TO_NEXT = "to_next"
+_NUMBER = re.compile(r"%(0\d{1,2})?d")
+
+
+@dataclass(frozen=True)
+class Buffer:
+    """Where the numbers of a buffer are, and a linear map to what they mean: (v − offset) · scale."""
+
+    name: str
+    pattern: str  # of its files, with %d or %04d for the frame's number
+    channels: tuple[str, ...]
+    array: str | None
+    packing: str
+    normalized: bool  # integers are 0 … 1
+    bottom_up: bool
+    offset: tuple[float, ...]
+    scale: tuple[float, ...]
+
+    def file(self, number: int) -> str:
+        return _NUMBER.sub(lambda found: found[0] % number, self.pattern)
+
+    def path(self, folder: Path, number: int) -> Path:
+        """GffeError if that leads out of `folder`."""
+        return inside(folder, self.file(number), self.name)
+
+    def check(self, folder: Path, number: int, size: Size) -> None:
+        """GffeError if the headers of the file say that it cannot be read."""
+        check_planes(self.path(folder, number), self.channels, self.file(number), size, self.array)
+
+    def read(self, folder: Path, number: int, size: Size) -> np.ndarray:
+        """(H, W, components): float64, or float16 and float32 where they are just that in the file."""
+        planes = read_planes(self.path(folder, number), self.channels, self.file(number), size, self.array)
+        if self.bottom_up:
+            planes = planes[::-1]
+        kind = planes.dtype
+        if kind.kind in "iub" and self.normalized:
+            planes = planes / (1.0 if kind.kind == "b" else float(np.iinfo(kind).max))
+        if self.packing != "none":
+            each = planes.shape[-1] // len(self.scale)
+            weights = np.array(PACKINGS[self.packing](each))
+            planes = planes.reshape(*planes.shape[:2], len(self.scale), each) @ weights
+        plain = not any(self.offset) and all(s == 1 for s in self.scale)
+        if plain and planes.dtype in (np.float16, np.float32):
+            return planes
+        return (planes - np.array(self.offset)) * np.array(self.scale)
+
+
+def parse_buffer(keys: Keys, name: str, default: tuple[str, ...]) -> Buffer:
+    """What all buffers have; `default` are the channels, one for each component."""
+    count = len(default)
+    pattern = keys.text("file")
+    if pattern is None or len(_NUMBER.findall(pattern)) != 1 or "%" in _NUMBER.sub("", pattern):
+        raise GffeError(
+            f"{keys.label}, file must be a name with %d or %04d for the frame's number, got {shown(pattern)}"
+        )
+    channels = keys.take("channels", list(default))
+    if not isinstance(channels, list) or not channels or not all(isinstance(c, str) for c in channels):
+        raise GffeError(f"{keys.label}, channels must be a list of names, got {shown(channels)}")
+    packing = keys.choice("packing", tuple(PACKINGS), "none")
+    right = len(channels) % count == 0 and len(channels) <= 4 if packing != "none" else len(channels) == count
+    if not right:
+        raise GffeError(f"{keys.label}, channels must be {count} names, or with packing up to 4, got {shown(channels)}")
+    normalized = keys.choice("values", ("normalized", "raw"), "normalized") == "normalized"
+    if packing != "none" and not normalized:
+        raise GffeError(f"{keys.label}: packed values are from 0 to 1 (expected no values: raw)")
+    return Buffer(
+        name,
+        pattern,
+        tuple(channels),
+        keys.text("array"),
+        packing,
+        normalized,
+        keys.choice("origin", ("top-left", "bottom-left"), "top-left") == "bottom-left",
+        keys.numbers("offset", count, (0.0,) * count),
+        keys.numbers("scale", count, (1.0,) * count),
+    )
+
+
+@dataclass(frozen=True)
+class ColorBuffer:
+    """Colour: `buffer`, then the encoding is undone."""
+
+    buffer: Buffer
+    encoding: str
+    gamma: float
+
+    def read(self, folder: Path, number: int, size: Size) -> np.ndarray:
+        """Linear RGB (H, W, 3), float16 as stored or float32."""
+        color = self.buffer.read(folder, number, size)
+        if self.encoding == "srgb":
+            color = np.where(color <= 0.04045, color / 12.92, ((np.maximum(color, 0) + 0.055) / 1.055) ** 2.4)
+        elif self.encoding == "gamma":
+            color = np.maximum(color, 0) ** self.gamma
+        return color if color.dtype == np.float16 else color.astype(np.float32)
+
+
+def parse_color(document: Any, name: str = "color") -> ColorBuffer:
+    keys = Keys(document, name)
+    buffer = parse_buffer(keys, name, ("R", "G", "B"))
+    made = ColorBuffer(buffer, keys.choice("encoding", COLOR_ENCODINGS, "linear"), keys.number("gamma", 2.2))
+    keys.done()
+    return made
+
+
+@dataclass(frozen=True)
+class DepthBuffer:
+    """Depth: `buffer`, then what `encoding` says of its numbers."""
+
+    buffer: Buffer
+    encoding: str
+    near: float | None
+    far: float
+    reversed: bool
+    opengl_buffer: bool
+    sky: float | None
+    sky_from: float | None
+
+    def read(self, folder: Path, number: int, size: Size, found: FoundCamera) -> np.ndarray:
+        """Planar depth (H, W) float32 in world units, +inf for sky; `found` is the camera of that frame."""
+        values = self.buffer.read(folder, number, size)[..., 0]
+        nothing = np.zeros(values.shape, bool)
+        if self.sky is not None:
+            nothing |= values == self.sky
+        if self.encoding == "device":
+            depth = self._from_device(values, found)
+        elif self.encoding == "inverse":
+            with np.errstate(divide="ignore"):
+                depth = 1.0 / values.astype(np.float64)
+        elif self.encoding == "distance":
+            depth = depth_from_distance(values.astype(np.float64), found.camera)
+        else:
+            depth = values
+        if self.sky_from is not None:
+            nothing |= depth >= self.sky_from
+        return np.where(nothing, np.inf, depth).astype(np.float32)
+
+    def _from_device(self, values: np.ndarray, found: FoundCamera) -> np.ndarray:
+        if self.near is None:
+            depth = depth_from_device(values, found.projection, layout="row-major", opengl_buffer=self.opengl_buffer)
+            return depth * np.float32(found.scale)
+        values = np.asarray(values, np.float64)
+        beyond = values if self.reversed else 1 - values  # 0 at the far plane
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depth = self.near / (beyond + self.near / self.far * (1 - beyond))
+        return np.where(beyond <= 0, np.inf, depth)
+
+
+def parse_depth(document: Any, convention: str) -> DepthBuffer:
+    keys = Keys(document, "depth")
+    buffer = parse_buffer(keys, "depth", ("R",))
+    encoding = keys.choice("encoding", DEPTH_ENCODINGS, "linear")
+    near, far = keys.number("near"), keys.take("far", "infinite")
+    far = np.inf if far == "infinite" else far
+    if not isinstance(far, int | float) or isinstance(far, bool) or (near is not None and not 0 < near < far):
+        raise GffeError(f'depth: expected 0 < near < far, far a number or "infinite", got {shown(near)}, {shown(far)}')
+    made = DepthBuffer(
+        buffer,
+        encoding,
+        near,
+        float(far),
+        keys.flag("reversed"),
+        keys.flag("opengl_buffer", convention == "opengl"),
+        keys.number("sky"),
+        keys.number("sky_from"),
+    )
+    keys.done()
+    return made
+
+
+@dataclass(frozen=True)
+class MotionBuffer:
+    """Motion: `buffer`, then unit, direction and y."""
+
+    buffer: Buffer
+    unit: str
+    direction: str
+    y_up: bool
+    jitter_removed: bool
+
+    @property
+    def to_next(self) -> bool:
+        """Whether the vectors of a frame say where its pixels go, so that those of the frame before are inverted."""
+        return self.direction == TO_NEXT
+
+    def read(self, folder: Path, number: int, size: Size) -> np.ndarray:
+        """(H, W, 2) float32, pixels, y down: (previous − here), or of `to_next` (next − here)."""
+        motion = self.buffer.read(folder, number, size).astype(np.float64)
+        factor = UNITS[self.unit](size)
+        sign = DIRECTIONS.get(self.direction, 1.0)
+        return (motion * (sign * factor[0], sign * factor[1] * (-1 if self.y_up else 1))).astype(np.float32)
+
+
+def parse_motion(document: Any) -> MotionBuffer:
+    keys = Keys(document, "motion")
+    made = MotionBuffer(
+        parse_buffer(keys, "motion", ("R", "G")),
+        keys.choice("unit", tuple(UNITS), "pixels"),
+        keys.choice("direction", (*DIRECTIONS, TO_NEXT), "to_previous"),
+        keys.choice("y", ("down", "up"), "down") == "up",
+        keys.choice("jitter", ("included", "removed"), "included") == "removed",
+    )
+    keys.done()
+    return made

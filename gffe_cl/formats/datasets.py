@@ -1,0 +1,326 @@
+"""Public data sets as captures: MPI Sintel, Spring, TartanAir.
+
+Their colours are of displays (sRGB, 8 bits). Sintel and TartanAir have flow to the next frame, which is inverted with a
+depth test; Spring has flow to the previous one.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from gffe_cl.camera import Camera
+from gffe_cl.conventions import rigid
+from gffe_cl.errors import GffeError
+from gffe_cl.files import open_regular
+from gffe_cl.formats.capture import MOST_FRAMES, MOST_SIDE, described
+from gffe_cl.formats.flow import inverted_flow, static_motion
+from gffe_cl.formats.images import Size, check_planes, read_planes
+from gffe_cl.formats.png import read_png_header
+from gffe_cl.sequence.description import FrameEntry, read_text
+from gffe_cl.sequence.pixels import ForeignPixels
+from gffe_cl.sequence.reader import Sequence
+
+_TAG = struct.pack("<f", 202021.25)  # of Sintel's files
+_NUMBER = re.compile(r"\d+")
+_MOST_TEXT = 64 << 20
+_SPRING_BASELINE = 0.065  # metres
+_NED = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])  # x forward, y right, z down → ours
+_TARTANAIR_FOCAL = 320.0
+_SKY = 1e4  # metres: what is farther is nothing
+
+
+class _Frame(NamedTuple):
+    """One frame; `flow` leads to the next one, or with `backward` from it to the one before; None if there is none."""
+
+    color: Path
+    depth: Callable[[], np.ndarray]
+    flow: Callable[[], np.ndarray] | None
+    camera: Camera
+    files: tuple[Path, ...]  # all that are read of it but the colours
+    backward: bool = False
+
+
+class DatasetPixels(ForeignPixels):
+    """`frames` by the names of their entries; colours in the display's encoding."""
+
+    def __init__(self, frames: dict[str, _Frame]):
+        super().__init__()
+        self._frames = frames
+        self._before = dict(zip(list(frames)[1:], frames.values(), strict=False))
+
+    def rendered(self, entry, size):
+        frame, before = self._frames[entry.file], self._before.get(entry.file)
+        depth, motion = frame.depth(), None
+        if not entry.reset and frame.backward:
+            motion = frame.flow().astype(np.float32)
+        elif not entry.reset:
+            motion = inverted_flow(before.flow(), before.depth(), before.camera, depth, frame.camera)
+        return self.color(entry, size), depth, motion
+
+    def color(self, entry, size):
+        path = self._frames[entry.file].color
+        shown = read_planes(path, "RGB", path.name, size) / np.float32(255)
+        return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def _opened(
+    folder: Path, frames: list[_Frame], size: Size, fps: float, root: Path | None = None, notes: tuple[str, ...] = ()
+) -> Sequence:
+    """The sequence of `frames`; GffeError for files that are missing or linked from outside of `root` (the folder)."""
+    if not 0 < len(frames) <= MOST_FRAMES:
+        raise GffeError(f"{folder}: {len(frames)} frames (expected 1 to {MOST_FRAMES})")
+    entries = {}
+    for k, frame in enumerate(frames):
+        _require_files((frame.color, *frame.files), root or folder)
+        check_planes(frame.color, "RGB", frame.color.name, size)
+        before = frames[k - 1] if k else None
+        cut = before is None or (frame.flow if frame.backward else before.flow) is None
+        entry = FrameEntry(f"frame_{k:06d}.exr", k / fps, reset=cut)
+        entry.render_camera = entry.display_camera = frame.camera
+        entries[entry.file] = entry
+    pixels = DatasetPixels(dict(zip(entries, frames, strict=True)))
+    pixels.notes += notes
+    return Sequence(folder, described(str(folder), size, entries.values(), fps), pixels)
+
+
+def _require_files(paths: tuple[Path, ...], root: Path) -> None:
+    for path in paths:
+        if not path.exists():
+            raise GffeError(f"{path.name}: no such file in {path.parent}")
+        if not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(root)):
+            raise GffeError(f"{path.name}: is a link out of the folder (expected a file in it)")
+
+
+def _images(folder: Path, pattern: str) -> list[Path]:
+    """PNG files in order; GffeError if there are none."""
+    found = sorted(folder.glob(pattern))
+    if not found:
+        raise GffeError(f"{folder}: no {pattern} (expected a frame at least)")
+    return found
+
+
+def _size(path: Path) -> Size:
+    header = read_png_header(path, path.name)
+    return header.width, header.height
+
+
+def _number(path: Path) -> str:
+    """The first number in a file's name, as it is written."""
+    return _NUMBER.search(path.name)[0]
+
+
+def _within(depth: np.ndarray, sky: float = _SKY) -> np.ndarray:
+    return np.where(depth >= sky, np.inf, depth).astype(np.float32)
+
+
+# MPI Sintel
+
+
+def is_sintel(folder: Path) -> bool:
+    return _sintel_folders(folder) is not None
+
+
+def open_sintel(folder: Path) -> Sequence:
+    """Open the scene whose colours are in `folder`, .../final/SCENE or .../clean/SCENE. Raises GffeError."""
+    parts = _sintel_folders(folder)
+    images = _images(folder, "frame_*.png")
+    size, frames = _size(images[0]), []
+    for path in images:
+        number = _number(path)
+        flow, depth = (parts[k] / f"frame_{number}{end}" for k, end in ((0, ".flo"), (1, ".dpt")))
+        _sintel_header(depth, 1, size)
+        has_flow = flow.exists()
+        if has_flow:
+            _sintel_header(flow, 2, size)
+        camera = _sintel_camera(parts[2] / f"frame_{number}.cam")
+        read_flow = (lambda flow=flow: _sintel_array(flow, 2, size)) if has_flow else None
+        read_depth = lambda depth=depth: _within(_sintel_array(depth, 1, size)[..., 0])  # noqa: E731
+        frames.append(_Frame(path, read_depth, read_flow, camera, (depth, *([flow] if has_flow else []))))
+    return _opened(folder, frames, size, 24.0, folder.absolute().parent.parent)
+
+
+def _sintel_folders(folder: Path) -> tuple[Path, Path, Path] | None:
+    """Flow, depth and cameras of the scene."""
+    folder = folder.absolute()
+    root = folder.parent.parent
+    parts = tuple(root / name / folder.name for name in ("flow", "depth", "camdata_left"))
+    return parts if all(part.is_dir() for part in parts) else None
+
+
+def _sintel_header(path: Path, channels: int, size: Size) -> None:
+    """GffeError unless the file at `path` holds an image of `size`, whole."""
+    try:
+        with open_regular(path) as file:
+            start, length = file.read(12), path.stat().st_size
+    except OSError as error:
+        raise GffeError(f"{path.name}: cannot be read ({error.strerror or error})") from None
+    if len(start) < 12 or not start.startswith(_TAG):
+        raise GffeError(f"{path.name}: not a file of MPI Sintel")
+    given = struct.unpack("<ii", start[4:])
+    if given != tuple(size):
+        raise GffeError(f"{path.name}: {given[0]}×{given[1]} pixels, expected {size[0]}×{size[1]}")
+    expected = 12 + 4 * channels * size[0] * size[1]
+    if length < expected:
+        raise GffeError(f"{path.name}: truncated, {length} of {expected} bytes")
+
+
+def _sintel_array(path: Path, channels: int, size: Size) -> np.ndarray:
+    _sintel_header(path, channels, size)
+    array = np.fromfile(path, "<f4", channels * size[0] * size[1], offset=12)
+    return array.reshape(size[1], size[0], channels)
+
+
+def _sintel_camera(path: Path) -> Camera:
+    """Tag, 3×3 intrinsics and 3×4 world → camera (x right, y down, z forward), float64."""
+    try:
+        with open_regular(path) as file:
+            data = file.read(4 + 8 * 21)
+    except OSError as error:
+        raise GffeError(f"{path.name}: cannot be read ({error.strerror or error})") from None
+    if len(data) < 172 or not data.startswith(_TAG):
+        raise GffeError(f"{path.name}: not a camera of MPI Sintel")
+    numbers = np.frombuffer(data, "<f8", 21, 4)
+    return _camera(np.vstack([numbers[9:].reshape(3, 4), (0, 0, 0, 1)]), *numbers[[0, 4, 2, 5]], path.name)
+
+
+def _camera(matrix, fx, fy, cx, cy, label) -> Camera:
+    if not np.isfinite(matrix).all():
+        raise GffeError(f"{label}: the camera's matrix must be finite")
+    try:
+        return Camera(rigid(matrix, "world to camera"), float(fx), float(fy), float(cx), float(cy))
+    except GffeError as error:
+        raise GffeError(f"{label}: {error}") from None
+
+
+# TartanAir
+
+
+def is_tartanair(folder: Path) -> bool:
+    return (folder / "pose_left.txt").exists() and (folder / "image_left").is_dir()
+
+
+def open_tartanair(folder: Path) -> Sequence:
+    """Open the trajectory in `folder`, left camera. Raises GffeError."""
+    images = _images(folder / "image_left", "*_left.png")
+    poses = _table(folder / "pose_left.txt", 7, len(images))
+    size, frames = _size(images[0]), []
+    for k, (path, pose) in enumerate(zip(images, poses, strict=True)):
+        number = _number(path)
+        depth = folder / "depth_left" / f"{number}_left_depth.npy"
+        check_planes(depth, "0", depth.name, size)
+        flow = folder / "flow" / f"{number}_{_number(images[k + 1])}_flow.npy" if k + 1 < len(images) else None
+        has_flow = flow is not None and flow.exists()
+        if has_flow:
+            check_planes(flow, "01", flow.name, size)
+        camera = _camera(_from_ned(pose), *[_TARTANAIR_FOCAL] * 2, size[0] / 2, size[1] / 2, "pose_left.txt")
+        read_flow = (lambda flow=flow: read_planes(flow, "01", flow.name, size)) if has_flow else None
+        read_depth = lambda depth=depth: _within(read_planes(depth, "0", depth.name, size)[..., 0])  # noqa: E731
+        frames.append(_Frame(path, read_depth, read_flow, camera, (depth, *([flow] if has_flow else []))))
+    note = "TartanAir's flow is the camera's: what moves by itself has wrong motion; 30 frames per second are assumed"
+    return _opened(folder, frames, size, 30.0, notes=(note,))
+
+
+def _from_ned(pose: np.ndarray) -> np.ndarray:
+    """(4, 4) world → right, down, forward, of tx ty tz qx qy qz qw: camera → world, x forward, y right, z down."""
+    x, y, z, w = pose[3:] / max(np.linalg.norm(pose[3:]), 1e-12)
+    made = np.eye(4)
+    made[:3, :3] = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+    made[:3, 3] = pose[:3]
+    return _NED @ np.linalg.inv(made)
+
+
+def _table(path: Path, columns: int, rows: int) -> np.ndarray:
+    """(rows, columns) float64 of a text file of finite numbers."""
+    try:
+        table = np.array(
+            [line.split() for line in read_text(path, _MOST_TEXT).splitlines() if line.strip()], np.float64
+        )
+    except ValueError:
+        table = np.zeros(0)
+    if table.ndim != 2 or table.shape[1] != columns or len(table) < rows or not np.isfinite(table).all():
+        raise GffeError(f"{path.name}: expected {columns} finite numbers for each of {rows} frames")
+    return table[:rows]
+
+
+# Spring
+
+
+def is_spring(folder: Path) -> bool:
+    return (folder / "frame_left").is_dir() and (folder / "cam_data" / "extrinsics.txt").exists()
+
+
+def open_spring(folder: Path) -> Sequence:
+    """Open the scene in `folder`, left camera, at the size of the colours. Raises GffeError, also without h5py."""
+    images = _images(folder / "frame_left", "frame_left_*.png")
+    size, frames = _size(images[0]), []
+    intrinsics = _table(folder / "cam_data" / "intrinsics.txt", 4, len(images))
+    extrinsics = _table(folder / "cam_data" / "extrinsics.txt", 16, len(images))
+    for path, (fx, fy, cx, cy), matrix in zip(images, intrinsics, extrinsics, strict=True):
+        number = _number(path)
+        disparity = folder / "disp1_left" / f"disp1_left_{number}.dsp5"
+        flow = folder / "flow_BW_left" / f"flow_BW_left_{number}.flo5"
+        camera = _camera(matrix.reshape(4, 4), fx, fy, cx, cy, "extrinsics.txt")
+        read_flow = (lambda flow=flow: _spring_array(flow, "flow", size)) if flow.exists() else None
+        read_depth = lambda file=disparity, fx=fx: _from_disparity(file, fx, size)  # noqa: E731
+        files = (disparity, *([flow] if read_flow else []))
+        frames.append(_Frame(path, read_depth, read_flow, camera, files, backward=True))
+    _spring_array(frames[0].files[0], "disparity", size)
+    return _settled(folder, frames, size)
+
+
+def _settled(folder: Path, frames: list[_Frame], size: Size) -> Sequence:
+    """With extrinsics as world → camera, or inverted: as what stands still says."""
+    for before, frame in zip(frames, frames[1:], strict=False):
+        if frame.flow is None:
+            continue
+        depth, flow, off = frame.depth(), frame.flow(), []
+        for turn in (lambda camera: camera, _inverse):
+            still, _ = static_motion(depth, turn(frame.camera), turn(before.camera))
+            off.append(np.nanmedian(np.linalg.norm(flow - still, axis=-1)))
+        if off[1] < off[0]:
+            frames = [one._replace(camera=_inverse(one.camera)) for one in frames]
+        break
+    return _opened(folder, frames, size, 24.0)
+
+
+def _inverse(camera: Camera) -> Camera:
+    return Camera(camera.view_to_world, *camera.intrinsics)
+
+
+def _from_disparity(path: Path, fx: float, size: Size) -> np.ndarray:
+    """Depth in metres: fx · 0.065 / d."""
+    disparity = np.abs(_spring_array(path, "disparity", size)[..., 0]).astype(np.float64)
+    with np.errstate(divide="ignore"):
+        return _within(fx * _SPRING_BASELINE / disparity)
+
+
+def _spring_array(path: Path, name: str, size: Size) -> np.ndarray:
+    """(H, W, C) float32 of an HDF5 file that may have twice the colours' pixels each way."""
+    try:
+        import h5py
+    except ImportError:
+        raise GffeError("Spring's files need h5py (pip install gffe-cl[spring])") from None
+    try:
+        with h5py.File(path, "r") as file:
+            stored = file[name]
+            shape = getattr(stored, "shape", ())
+            factor = shape[0] // size[1] if shape else 0
+            if shape[:2] not in ((size[1], size[0]), (2 * size[1], 2 * size[0])) or max(shape[:2]) > MOST_SIDE:
+                raise GffeError(f"{path.name}: {shape}, expected {size[0]}×{size[1]} pixels, or twice that each way")
+            if stored.dtype.kind != "f" or len(shape) > 3 or (len(shape) == 3 and shape[2] > 2):
+                raise GffeError(f"{path.name}: {stored.dtype} of shape {shape} (expected floating-point numbers)")
+            array = stored[::factor, ::factor].astype(np.float32)
+    except (OSError, KeyError, RuntimeError, ValueError) as error:
+        raise GffeError(f"{path.name}: cannot be read ({' '.join(str(error).split())[:200]})") from None
+    return array.reshape(size[1], size[0], -1)

@@ -1,0 +1,222 @@
+"""Captures of Unreal's Movie Render Queue: multilayer EXR, the camera in the header, centimetres.
+
+World depth is in centimetres and motion around ½, but documentation, decoders and versions disagree on the factor, and
+depth is planar or along the rays: what stands still tells, reprojected.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from gffe_cl.camera import Camera
+from gffe_cl.conventions import depth_from_distance, motion_from_unreal
+from gffe_cl.errors import GffeError
+from gffe_cl.formats.capture import MOST_FRAMES, described, inside, shown_part, through_window
+from gffe_cl.formats.flow import static_motion
+from gffe_cl.formats.layers import Place, layers_of
+from gffe_cl.sequence.description import FrameEntry
+from gffe_cl.sequence.exr import decoded, require_parts
+from gffe_cl.sequence.exr_header import ExrHeader, HeaderReader, read_header
+from gffe_cl.sequence.pixels import ForeignPixels
+from gffe_cl.sequence.reader import Sequence
+
+SKY = 1e7  # centimetres: 100 km
+_HALF_MAX = 65504.0  # depth stored as half ends there
+_CAMERA, _LAYER_DATA = "unreal/camera/", "unreal/layerData/"  # of Movie Render Queue, and of its newer graph
+_NAME = re.compile(r"(.*?)(\d+)\.exr", re.IGNORECASE | re.DOTALL)
+_FPS = 30.0
+_TRIED, _MOVED = 6, 0.5  # frames at most; pixels that the picture must move by to tell anything
+_GRID = 4  # every so many pixels
+
+
+class _Meaning(NamedTuple):
+    """What the numbers mean: motion's factor, and whether depth is along the rays."""
+
+    scale: float
+    along_rays: bool
+
+
+_USUAL = _Meaning(2.0, False)
+
+
+def is_unreal(folder: Path) -> bool:
+    files = sorted(folder.glob("*.exr"))
+    if not files:
+        return False
+    try:
+        header = read_header(files[0], files[0].name)
+    except GffeError:
+        return False
+    return any(name.startswith("unreal/") for part in header.parts for name in part.texts)
+
+
+def open_unreal(folder: Path) -> Sequence:
+    """Open the frames in `folder`: the headers of all files are checked; a few frames are read to settle what motion
+    and depth mean. Raises GffeError."""
+    numbered, reader, entries = _numbered(folder), HeaderReader(), []
+    size = fps = before = None
+    for number, file in numbered:
+        header = reader.read(inside(folder, file, str(folder)), file)
+        places = _places(header, file)
+        require_parts(header, {part for part, _ in places}, None, file)
+        part = header.parts[places[0][0]]
+        if size is None:
+            x0, y0, x1, y1 = part.display_window
+            size, fps = (x1 - x0 + 1, y1 - y0 + 1), _frame_rate(part.texts)
+        time = (number - numbered[0][0]) / (fps or _FPS)
+        entry = FrameEntry(file, time, reset=before is None or number != before + 1)
+        entry.render_camera = entry.display_camera = _camera(part.texts, size, file)
+        through_window(entry, part, size, file)
+        entries.append(entry)
+        before = number
+    pixels = UnrealPixels(folder)
+    if fps is None:
+        pixels.notes.append(f"{folder}: no frame rate in the headers, {_FPS:g} frames per second are assumed")
+    description = described(str(folder), size, entries, fps or _FPS)
+    pixels.settle(description.frames, size)
+    return Sequence(folder, description, pixels)
+
+
+class UnrealPixels(ForeignPixels):
+    """Frames in `folder`."""
+
+    def __init__(self, folder: Path):
+        super().__init__()
+        self._folder, self._meaning = folder, _USUAL
+
+    def rendered(self, entry, size):
+        color, depth, motion, _ = self._raw(entry, size)
+        depth = self._depth(depth, entry.render_camera, self._meaning.along_rays)
+        return color, depth, motion_from_unreal(motion, size, self._meaning.scale)
+
+    def color(self, entry, size):
+        color, _, _, header = self._raw(entry, size)
+        return shown_part(color, header.parts[_places(header, entry.file)[0][0]], entry.file)
+
+    def settle(self, entries: list[FrameEntry], size: tuple[int, int]) -> None:
+        """Find out what the numbers mean from the first frames in which the camera moves."""
+        for before, entry in list(zip(entries, entries[1:], strict=False))[:_TRIED]:
+            if entry.reset:
+                continue
+            _, raw_depth, raw_motion, _ = self._raw(entry, entry.render_size or size)
+            residuals, moved = {}, 0.0
+            for along_rays in (False, True):
+                depth = self._depth(raw_depth, entry.render_camera, along_rays)
+                still = static_motion(depth, entry.render_camera, before.render_camera)[0][::_GRID, ::_GRID]
+                moved = max(moved, _median_length(still))
+                for scale in (2.0, 1.0):
+                    given = motion_from_unreal(raw_motion, entry.render_size or size, scale)[::_GRID, ::_GRID]
+                    residuals[_Meaning(scale, along_rays)] = _median_length(given - still)
+            if moved >= _MOVED:
+                self._meaning = min(residuals, key=residuals.get)
+                if self._meaning != _USUAL:
+                    self.notes.append(_said(entry.file, self._meaning, residuals))
+                return
+        self.notes.append("the camera moves too little to tell the scale of the motion vectors: 2 is assumed")
+
+    def _depth(self, depth: np.ndarray, camera: Camera, along_rays: bool) -> np.ndarray:
+        nothing = ~(depth < (SKY if depth.dtype != np.float16 else _HALF_MAX))
+        depth = np.where(nothing & ~np.isnan(depth), np.inf, depth).astype(np.float32)
+        return depth_from_distance(depth, camera) if along_rays else depth
+
+    def _raw(self, entry: FrameEntry, size):
+        """Color (H, W, 3), depth (H, W) and motion (H, W, 2) as stored, and the header."""
+        path = inside(self._folder, entry.file, str(self._folder))
+        header = read_header(path, entry.file)
+        places = _places(header, entry.file)
+        require_parts(header, {part for part, _ in places}, size, entry.file)
+        arrays = decoded(path, header, places, entry.file)
+        return np.stack(arrays[:3], -1), arrays[3], np.stack(arrays[4:], -1), header
+
+
+def _median_length(vectors: np.ndarray) -> float:
+    lengths = np.linalg.norm(vectors, axis=-1)
+    lengths = lengths[np.isfinite(lengths)]
+    return float(np.median(lengths)) if lengths.size else np.inf
+
+
+def _said(file: str, meaning: _Meaning, residuals: dict) -> str:
+    words = f"motion vectors have a scale of {meaning.scale:g}" + (
+        ", depth is along the rays" if meaning.along_rays else ""
+    )
+    return f"{file}: {words} (what stands still: {residuals[meaning]:.2g} px off, as usual {residuals[_USUAL]:.2g} px)"
+
+
+def _numbered(folder: Path) -> list[tuple[int, str]]:
+    """The frames' numbers and files, in order. GffeError if they are of several shots."""
+    found, shots = [], set()
+    for path in folder.glob("*.exr"):
+        match = _NAME.fullmatch(path.name)
+        if match is None:
+            raise GffeError(f"{path.name}: no frame number in the name (expected Name.0000.exr)")
+        shots.add(match[1])
+        found.append((int(match[2][:18]), path.name))
+    if len(shots) > 1:
+        raise GffeError(f"{folder}: several shots, {', '.join(sorted(shots)[:3])} (expected one in a folder)")
+    if len(found) > MOST_FRAMES:
+        raise GffeError(f"{folder}: {len(found)} frames (expected at most {MOST_FRAMES})")
+    return sorted(found)
+
+
+def _places(header: ExrHeader, file: str) -> list[Place]:
+    """R, G, B, depth, motion x and y. GffeError naming what is missing."""
+    layers = layers_of(header)
+    wanted = {
+        "the final image": (_picture, "RGB"),
+        "WorldDepth": (lambda name: "worlddepth" in name or "scenedepth" in name, "R"),
+        "MotionVectors": (lambda name: "motionvector" in name, "RG"),
+    }
+    places = []
+    for what, (fits, components) in wanted.items():
+        for layer, held in layers.items():
+            if fits(layer.lower()) and all(c in held for c in components):
+                places += [held[c] for c in components]
+                break
+        else:
+            held = ", ".join(list(layers)[:12])
+            raise GffeError(f"{file}: no layer of {what} (expected it among the render passes; the file holds {held})")
+    return places
+
+
+def _picture(name: str) -> bool:
+    return name == "" or (name.startswith("finalimage") and ("beauty" in name or "movierenderqueue" not in name))
+
+
+def _camera(texts: dict[str, str], size: tuple[int, int], file: str) -> Camera:
+    location = [_number(texts, f"curPos/{axis}", file) for axis in "xyz"]
+    rotation = [_number(texts, f"curRot/{angle}", file) for angle in ("pitch", "yaw", "roll")]
+    try:
+        return Camera.from_unreal_pose(location, rotation, _number(texts, "fov", file), size)
+    except GffeError as error:
+        raise GffeError(f"{file}: {error}") from None
+
+
+def _number(texts: dict[str, str], name: str, file: str) -> float:
+    """The camera's number `name`, whichever layer's it is: all of a file are alike."""
+    for key, text in texts.items():
+        if key.startswith((_CAMERA, _LAYER_DATA)) and key.endswith(f"/{name}"):
+            try:
+                value = float(text)
+            except ValueError:
+                value = np.nan
+            if not np.isfinite(value):
+                raise GffeError(f"{file}: {key} must be a finite number, got '{text[:40]}'")
+            return value
+    raise GffeError(f"{file}: no {_CAMERA}…{name} in the header (expected the metadata of Movie Render Queue)")
+
+
+def _frame_rate(texts: dict[str, str]) -> float | None:
+    """Of the standard attribute, or of Unreal's."""
+    for name in ("framesPerSecond", "unreal/frameRate", "unreal/framerate"):
+        above, _, below = texts.get(name, "").partition("/")
+        try:
+            rate = float(above) / float(below or 1)
+        except (ValueError, ZeroDivisionError):
+            continue
+        if 0 < rate < 1e6:
+            return rate
+    return None

@@ -1,0 +1,126 @@
+"""Composition: what lies over the picture and is not warped with it (the paper's limitation 'effects without depth';
+frame generation SDKs' masks and UI layers)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.buffers import RGBA, XY, BufferSpec, DeviceFrame, as_buffer
+from gffe_cl.errors import GffeError
+from gffe_cl.frame import OVERLAYS, Overlays
+from gffe_cl.stage import Access, Board, Kernel, Stage
+from gffe_cl.stages.presentation import mapping
+
+
+class Composition(Stage):
+    """Keeps pixels of `fixed_mask` in place, and lays effects and user interface over the picture.
+
+    Pixels that stay in place have no depth for the other stages, so that nothing of them is warped or remembered; what
+    they uncover is a disocclusion like others. `active`: whether the last submitted frame brought overlays.
+    """
+
+    name = "composition"
+    buffers = (
+        BufferSpec(
+            "depth", np.float32, (), "source", "depth of the rendered frame without what stays in place", "depth",
+            kept=True,
+        ),
+        BufferSpec("fixed_mask", np.uint8, (), "source", "1 where the rendered pixel stays in place", "mask"),
+        BufferSpec("effects", np.float16, RGBA, "source", "effects without depth, premultiplied", "color"),
+        BufferSpec("effects_motion", np.float32, XY, "source", "their motion t → t−1, pixels", "motion"),
+        BufferSpec("ui", np.float16, RGBA, "target", "user interface, premultiplied", "color"),
+        BufferSpec("color", np.float16, RGBA, "target", "the picture with all of these", "color"),
+    )  # fmt: skip
+
+    kernels = (
+        Kernel(
+            "leave_out_fixed",
+            "source",
+            {"depth": "", "fixed_mask": ""},
+            {"out_depth": "composition.depth"},
+        ),
+        Kernel(
+            "compose",
+            "target",
+            {
+                **dict.fromkeys(("fixed_mask", "effects", "effects_motion", "ui", "source_color", "source_depth"), ""),
+                "color": "",
+            },
+            {
+                "out_color": "composition.color",
+                **{name: Access(f"frame.{name}", 0.0) for name in
+                   ("depth", "motion", "dynamic", "disoccluded", "filled_by")},
+            },
+        ),
+    )  # fmt: skip
+
+    def __init__(self, board: Board):
+        super().__init__(board)
+        self.layers: dict[str, cl.Buffer] = {}  # of the last frame, by the fields of Overlays
+        self._given: DeviceFrame | None = None
+
+    @property
+    def active(self) -> bool:
+        return bool(self.layers)
+
+    def held(self) -> list[BufferSpec]:
+        """The buffers that hold something; not those that the caller has."""
+        own = {name for name, buffer in self.layers.items() if buffer is self.buffer[name]}
+        return [spec for spec in self.buffers if spec.name in own | {"color"}]
+
+    def prepared(self, overlays: Overlays | None) -> dict[str, np.ndarray | cl.Buffer]:
+        """What there is of them, as `take` wants it. Raises GffeError for wrong shapes."""
+        arrays = {name: getattr(overlays, name) for name in OVERLAYS} if overlays else {}
+        ready = {name: self._ready(name, array) for name, array in arrays.items() if array is not None}
+        if "effects_motion" in ready and "effects" not in ready:
+            raise GffeError("frame: effects_motion without effects (expected both, or effects alone)")
+        return ready
+
+    def take(self, ready: dict[str, np.ndarray | cl.Buffer], frame: DeviceFrame) -> DeviceFrame:
+        """`frame` as other stages shall see it."""
+        self._given, self.layers = frame, {}
+        for name, array in ready.items():
+            self.layers[name] = array if isinstance(array, cl.Buffer) else self.buffer[name]
+            if not isinstance(array, cl.Buffer):
+                cl.enqueue_copy(self.device.queue, self.buffer[name], array)
+        self.swap()
+        if "fixed_mask" not in self.layers:
+            return frame
+        self.launch("leave_out_fixed", depth=frame.depth, fixed_mask=self.layers["fixed_mask"])
+        return replace(frame, depth=self.buffer["depth"])
+
+    def compose(self, color: cl.Buffer, alpha: float, rendered: bool = False) -> cl.Buffer:
+        """`color` (display) with the overlays at t + α; `rendered`: it is the rendered frame's, in which what stays in
+        place is in its place."""
+        given, has = self._given, {f"has_{name}": int(name in self.layers) for name in OVERLAYS}
+        has["has_fixed_mask"] &= not rendered
+        self.launch(
+            "compose",
+            to_render=mapping(given.display_camera, given.camera),
+            alpha=alpha,
+            color=color,
+            source_color=given.color,
+            source_depth=given.depth,
+            **has,
+            **{name: self.layers.get(name, self.buffer[name]) for name in OVERLAYS},
+        )
+        return self.buffer["color"]
+
+    def _ready(self, name: str, array) -> np.ndarray | cl.Buffer:
+        """As the device takes it."""
+        spec = self.spec(name)
+        shape, nbytes = spec.shape(self.sizes), spec.nbytes(self.sizes)
+        if buffer := as_buffer(array):
+            if buffer.size < nbytes:
+                raise GffeError(f"frame: {name} buffer must hold {nbytes} bytes, got {buffer.size}")
+            return buffer
+        array = np.asarray(array)
+        if array.shape != shape:
+            raise GffeError(f"frame: {name} must have shape {shape}, got {array.shape}")
+        if name == "fixed_mask":
+            return np.ascontiguousarray(array > 0, np.uint8)
+        with np.errstate(over="ignore"):
+            return np.ascontiguousarray(array, spec.dtype)

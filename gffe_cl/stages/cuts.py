@@ -1,0 +1,97 @@
+"""Cuts and teleports, found without being told (no part of the paper, which is told of them)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from gffe_cl.buffers import BufferSpec, DeviceFrame
+from gffe_cl.opencl.program import constants
+from gffe_cl.stage import Access, Board, Kernel, Stage, reprojection
+
+_CONSTANTS = constants("cuts.cl")
+SAMPLES = (_CONSTANTS["SAMPLES_X"], _CONSTANTS["SAMPLES_Y"])
+COUNTED = ("valid", "inside", "compared", "depth_right", "with_contrast", "contrast_right", "passed")
+_SHARE = SAMPLES[0] * SAMPLES[1] / (1920 * 1080)  # of the pixels at 1080p: the samples are as many at any size
+
+# What makes a cut; docs/cuts.md has the distances that frames and cuts keep from these.
+LEAST_SAMPLES = 64  # to say anything
+LEAST_OVERLAP = 0.05  # of the samples whose motion must stay in the image: a whip pan leaves more, a cut may not
+DEPTH_SURE = 0.4  # share of right depths below which it is a cut, whatever the colours
+DEPTH_UNSURE = 0.8  # … and above which it is none
+CONTRAST_RIGHT = 0.25  # between the two it is one if the share of right contrasts is lower
+LEAST_CONTRASTS = 32  # without so many the depths decide alone, in the middle
+TELEPORT = 10.0  # times the step before it, of a step beyond half of what is seen
+
+
+class CutDetection(Stage):
+    """Whether the frame before shows anything of what this one shows. Depths are compared along the motion vectors, and
+    the contrast between neighbours, which light that changes leaves as it is."""
+
+    name = "cuts"
+    buffers = (
+        BufferSpec(
+            "counts", np.int32, COUNTED, "once", "of each row of samples of the rendered frame: how many are so",
+            planes=SAMPLES[1], scratch=True,
+        ),
+    )  # fmt: skip
+    kernels = (
+        Kernel(
+            "compare_samples",
+            "once",
+            {
+                "color": Access("rendered.color", 4 * _SHARE),
+                "depth": Access("rendered.depth", _SHARE),
+                "motion": Access("rendered.motion", _SHARE),
+                "color_prev": Access("previous.color", 4 * _SHARE),
+                "depth_prev": Access("previous.depth", 4 * _SHARE),
+            },
+            {"counts": "cuts.counts"},
+            group="SAMPLES_X",
+        ),
+    )
+
+    def __init__(self, board: Board):
+        super().__init__(board)
+        self._step: float | None = None  # world units that the camera moved to the last frame; None after a reset
+
+    @classmethod
+    def is_wanted(cls, options: Any) -> bool:
+        return options.cut_detection
+
+    def is_cut(self, frame: DeviceFrame, previous: DeviceFrame | None) -> bool:
+        """Whether the rendered frame is to be treated as a reset; not known without a `previous` one. Waits for the
+        device."""
+        before, self._step = self._step, None
+        if previous is None:
+            return False
+        step = float(np.linalg.norm(frame.camera.position - previous.camera.position))
+        rows = min(self.sizes.source[1], SAMPLES[1])
+        self.launch(
+            "compare_samples",
+            (SAMPLES[0], rows),
+            camera_step=step,
+            to_previous=reprojection(frame.camera, previous.camera),
+        )
+        counts = self.read("counts")[:rows].sum(0)
+        jumped = before is not None and step > TELEPORT * before
+        found = is_cut(dict(zip(COUNTED, counts.tolist(), strict=True)), jumped)
+        self._step = None if found else step
+        return found
+
+
+def is_cut(counts: dict[str, int], jumped: bool = False) -> bool:
+    """What the counts of `COUNTED` say; `jumped`: whether the camera's step is `TELEPORT` times the one before."""
+    valid, inside, compared = counts["valid"], counts["inside"], counts["compared"]
+    if valid < LEAST_SAMPLES:
+        return False
+    if inside < LEAST_OVERLAP * valid or (jumped and counts["passed"] > valid / 2):
+        return True
+    if compared < LEAST_SAMPLES // 4:  # it is all sky, before and now
+        return False
+    depth = counts["depth_right"] / compared
+    if counts["with_contrast"] < LEAST_CONTRASTS:
+        return depth < (DEPTH_SURE + DEPTH_UNSURE) / 2
+    contrast = counts["contrast_right"] / counts["with_contrast"]
+    return depth < DEPTH_SURE or (depth < DEPTH_UNSURE and contrast < CONTRAST_RIGHT)

@@ -1,0 +1,51 @@
+/* LANES pixels of an image, and what lies around them (silhouettes.cl). */
+
+#include "wide_rgb.h"
+
+/* LANES pixels of an image from (x, y) on. `inner`: those around lie inside, too; else they are clamped to it. */
+typedef struct { int x, y, width, height; bool inner; } Span;
+
+/* Whether the pixels (dx, dy) from them are in the image, where these are; if not all, the nearest that are. */
+INLINE Ints is_inside(const Span p, const int dx, const int dy) {
+    if (p.inner) return ALL_LANES;
+    const Ints x = p.x + dx + LANE_NUMBERS, y = (Ints)(p.y + dy);
+    return (x >= 0) & (x < p.width) & (y >= 0) & (y < p.height);
+}
+
+INLINE int first_beside(const Span p, const int dx, const int dy) { return (p.y + dy) * p.width + p.x + dx; }
+
+INLINE Ints clamped_beside(const Span p, const int dx, const int dy) {
+    return clamp(p.y + dy, 0, p.height - 1) * p.width + clamp(p.x + dx + LANE_NUMBERS, (Ints)(0), (Ints)(p.width - 1));
+}
+
+INLINE Floats beside(const Span p, __global const float *plane, const int dx, const int dy) {
+    return p.inner ? load_floats(0, plane + first_beside(p, dx, dy)) : gather_floats(plane, clamped_beside(p, dx, dy));
+}
+
+INLINE Ints bytes_beside(const Span p, __global const uchar *plane, const int dx, const int dy) {
+    return to_ints(p.inner ? load_bytes(0, plane + first_beside(p, dx, dy)) : gather_bytes(plane, clamped_beside(p, dx, dy)));
+}
+
+INLINE Floats xy_beside(const Span p, __global const float2 *plane, const int dx, const int dy, Floats *y) {
+    if (p.inner) return load_xy(plane + first_beside(p, dx, dy), y);
+    const Ints i = 2 * clamped_beside(p, dx, dy);
+    *y = gather_floats((__global const float *)plane, i + 1);
+    return gather_floats((__global const float *)plane, i);
+}
+
+/* Colours without what is negative or no number, and 1 as a fourth channel. */
+INLINE void colors_beside(const Span p, __global const half *color, const int dx, const int dy, Strip *c) {
+    float texels[4 * LANES];
+    if (!p.inner) {
+        int pixel[LANES];
+        store_ints(clamped_beside(p, dx, dy), 0, pixel);
+        for (int k = 0; k < LANES; ++k) vstore4(vload_half4(pixel[k], color), k, texels);
+    }
+#pragma unroll
+    for (int part = 0; part < PARTS; ++part) {
+        const Texels all = p.inner ? load_texels(part, color + 4 * first_beside(p, dx, dy)) : reload_texels(part, texels);
+        const Texels low = all > 0.0f ? all : (Texels)(0.0f);
+        c->part[part] = low < COLOR_MAX ? low : (Texels)(COLOR_MAX);
+        VALID(c->part[part]) = 1.0f;
+    }
+}

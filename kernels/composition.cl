@@ -1,0 +1,95 @@
+/* What lies over the picture and is not warped with it: pixels that stay in place, effects without depth, the user
+   interface. Layers are linear RGB, premultiplied: layer + (1 - A) * picture. A mapping is (scale x, scale y, offset x,
+   offset y) from pixels of the display to pixels of the rendered image.
+
+   in   fixed_mask, effects, effects_motion   rendered image
+        ui                                    display
+        color                                 display   the picture without any of them
+   out  out_color                             display
+        depth, motion, dynamic, disoccluded, filled_by of pixels that stay in place                                    */
+
+#include "common.h"
+
+#define APPROACHES 3  /* of the effects' position to where they come from */
+
+/* Depth without what stays in place: no stage splats, collects or meets it. */
+__kernel void leave_out_fixed(const int source_width, const int source_height, __global const float *depth,
+                              __global const uchar *fixed_mask, __global float *out_depth) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= source_width || y >= source_height) return;
+    const int i = y * source_width + x;
+    out_depth[i] = fixed_mask[i] ? NAN : depth[i];
+}
+
+/* Whether a pixel, in floats that may be too large for integers, lies in the image. */
+inline bool holds(const int width, const int height, const float2 px) {
+    return px.x >= 0.0f && px.y >= 0.0f && px.x < (float)width && px.y < (float)height;
+}
+
+/* A texel of a layer; what is no number is transparent. */
+inline float4 load_layer(__global const half *layer, const int i) {
+    const float4 c = vload_half4(i, layer);
+    return (float4)(load_color(layer, i), isnan(c.w) ? 0.0f : clamp(c.w, 0.0f, 1.0f));
+}
+
+/* A layer at px, bilinear; transparent beyond the image. */
+inline float4 layer_at(__global const half *layer, const float2 px, const int width, const int height) {
+    const float2 corner = px - 0.5f, first = floor(corner), part = corner - first;
+    float4 sum = (float4)(0.0f);
+    for (int tap = 0; tap < 4; ++tap) {
+        const float2 at = first + (float2)((float)(tap & 1), (float)(tap >> 1));
+        const float weight = bilinear_weight(tap, part.x, part.y);
+        if (weight > 0.0f && holds(width, height, at)) sum += weight * load_layer(layer, (int)at.y * width + (int)at.x);
+    }
+    return sum;
+}
+
+inline float3 over(const float4 layer, const float3 picture) { return layer.xyz + (1.0f - layer.w) * picture; }
+
+/* Effects go on along their own motion: what is at px at t + alpha was at s = px + alpha * motion[s] at t. */
+inline float2 effects_origin(const float2 px, const float alpha, __global const float2 *motion, const int width,
+                             const int height) {
+    float2 origin = px;
+    for (int k = 0; k < APPROACHES; ++k) {
+        const float2 place = floor(origin);
+        if (!holds(width, height, place)) break;
+        const float2 moved = alpha * motion[(int)place.y * width + (int)place.x];
+        if (!isfinite(moved.x) || !isfinite(moved.y)) break;
+        origin = px + moved;
+    }
+    return origin;
+}
+
+__kernel void compose(const int target_width, const int target_height, const int source_width, const int source_height,
+                      const float4 to_render, const float alpha, const int has_fixed_mask, const int has_effects,
+                      const int has_effects_motion, const int has_ui, __global const uchar *fixed_mask,
+                      __global const half *effects, __global const float2 *effects_motion, __global const half *ui,
+                      __global const half *source_color, __global const float *source_depth, __global const half *color,
+                      __global half *out_color, __global float *depth, __global float2 *motion, __global uchar *dynamic,
+                      __global uchar *disoccluded, __global uchar *filled_by) {
+    const int x = get_global_id(0), y = get_global_id(1);
+    if (x >= target_width || y >= target_height) return;
+    const int dst = y * target_width + x;
+    const float2 px = pixel_centre(x, y), px_render = px * to_render.xy + to_render.zw;
+    float3 picture = load_color(color, dst);
+    if (has_fixed_mask) {
+        const float2 place = floor(px_render);
+        const bool rendered = holds(source_width, source_height, place);
+        const int src = rendered ? (int)place.y * source_width + (int)place.x : 0;
+        if (rendered && fixed_mask[src]) {
+            picture = load_color(source_color, src);
+            depth[dst] = source_depth[src];
+            motion[dst] = px_render - px;
+            dynamic[dst] = 0;
+            disoccluded[dst] = 0;
+            filled_by[dst] = BY_FIXED;
+        }
+    }
+    if (has_effects) {
+        float2 from = px_render;
+        if (has_effects_motion) from = effects_origin(px_render, alpha, effects_motion, source_width, source_height);
+        picture = over(layer_at(effects, from, source_width, source_height), picture);
+    }
+    if (has_ui) picture = over(load_layer(ui, dst), picture);
+    store_color(picture, out_color, dst);
+}

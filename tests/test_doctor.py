@@ -1,0 +1,238 @@
+"""The doctor names what is wrong and mends it; good sequences raise no alarm."""
+
+import json
+from functools import cache
+
+import numpy as np
+import pytest
+from synthetic import Rect, Rects, camera
+
+from gffe_cl.doctor import Repair, examine, open_for_check, quick_warning
+from gffe_cl.doctor.breaking import BREAKS, HARMLESS, Kept, broken
+from gffe_cl.doctor.samples import grid
+from gffe_cl.doctor.tone import display_curve_votes, is_encoded
+from gffe_cl.errors import GffeError
+from gffe_cl.sequence import SequenceWriter, named_channels, open_sequence
+
+W, H, COUNT = 120, 68, 9
+NEAR_ENOUGH = 0.1  # pixels
+
+
+def _world():
+    rects = [
+        Rect((0, 0, 24), (40, 30), frequency=0.35),
+        Rect((1.2, 0.3, 4), (0.7, 0.9), (1.5, 0, 0), 1.1, (0.7, 0.5, 0.2)),
+    ]
+    rng = np.random.default_rng(3)
+    for k in range(7):
+        place = (rng.uniform(-5, 5), rng.uniform(-2.5, 2.5), rng.uniform(5, 14))
+        tint = tuple(rng.uniform(0.2, 0.8, 3))
+        rects.append(Rect(place, tuple(rng.uniform(0.5, 1.8, 2)), frequency=0.4 + 0.1 * k, tint=tint))
+    return Rects(rects)
+
+
+@cache
+def clip(moves=True, turns=True):
+    """Frames of rectangles, one of which moves; exact in everything."""
+    world, frames, before = _world(), [], None
+    for k in range(COUNT):
+        time = k / 30
+        at = (0.09 * k + 0.01 * k * k, 0.03 * k, 0.06 * k) if moves else (0, 0, 0)
+        angles = dict(yaw=0.012 * k + 0.002 * k * k, pitch=-0.008 * k, roll=0.006 * k) if turns else {}
+        view = camera(W, H, at, **angles)
+        frames.append(world.frame(view, time, W, H, before, reset=k == 0, samples=2))
+        before = view, time
+    return Kept(frames)
+
+
+def names(diagnosis):
+    return [f"{f.about}: {f.name}" for f in diagnosis.faults]
+
+
+def motion_of(frames):
+    return np.stack([frame.motion for frame in frames[1:]])
+
+
+def reprojected(frames):
+    """(frames, H, W, 2) pixels, by `Camera` alone: where static points were one frame before."""
+    y, x = np.mgrid[:H, :W] + 0.5
+    px = np.stack([x, y], -1)
+    return np.stack([
+        before.camera.project(here.camera.unproject(px, np.minimum(here.depth.astype(np.float64), 1e6)))[0]
+        for before, here in zip(frames, frames[1:], strict=False)
+    ])  # fmt: skip
+
+
+def mended(names_of_faults):
+    bad = broken(clip(), names_of_faults)
+    diagnosis = examine(bad)
+    return diagnosis, [frame for _, frame in Repair(bad, diagnosis).frames()]
+
+
+def assert_restored(frames):
+    good = clip().images
+    for made, true in ((motion_of(frames), motion_of(good)), (reprojected(frames), reprojected(good))):
+        assert (np.linalg.norm(made - true, axis=-1) < NEAR_ENOUGH).mean() > 0.95
+
+
+@pytest.mark.parametrize("change", HARMLESS)
+def test_good_sequences_raise_no_alarm(change):
+    bad = broken(clip(), [change])
+    assert names(examine(bad)) == [] and quick_warning(bad) is None
+
+
+@pytest.mark.parametrize(("moves", "turns", "about"), [(False, True, "rotation only"), (False, False, "still camera")])
+def test_it_says_what_it_cannot_tell(moves, turns, about):
+    diagnosis = examine(clip(moves, turns))
+    assert names(diagnosis) == []
+    assert about in [finding.name for finding in diagnosis.of_kind("cannot tell")]
+
+
+NAMED = {
+    "motion negated": "motion: negated",
+    "motion in NDC": "motion: in NDC",
+    "motion to the next frame": "motion: to the next frame",
+    "motion jitter not removed": "motion: jitter not removed",
+    "motion without the camera": "motion: without the camera",
+    "depth reversed": "depth: reversed",
+    "depth along rays": "depth: along rays",
+    "camera transposed": "camera: rotation transposed",
+    "camera in centimetres": "depth: units",
+    "camera field of view": "camera: field of view",
+    "two frames swapped": "frames: out of order",
+}
+
+
+@pytest.mark.parametrize("fault", NAMED)
+def test_a_fault_is_named_and_mended(fault):
+    diagnosis, frames = mended([fault])
+    assert names(diagnosis) == [NAMED[fault]]
+    assert_restored(frames)
+
+
+PAIRS = [("motion y flipped", "camera OpenGL axes"), ("motion in UV", "depth device")]
+
+
+@pytest.mark.parametrize("pair", PAIRS, ids=" + ".join)
+def test_two_faults_at_once_are_mended(pair):
+    diagnosis, frames = mended(pair)
+    assert len(diagnosis.faults) == 2
+    assert_restored(frames)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("fault", [name for name in BREAKS if name not in NAMED and name != "colour tone-mapped"])
+def test_every_other_fault_is_mended(fault):
+    diagnosis, frames = mended([fault])
+    assert len(diagnosis.faults) == 1
+    if fault == "motion zero":  # what moved by itself is lost
+        assert names(diagnosis) == ["motion: zero"]
+        return
+    assert_restored(frames)
+
+
+def test_near_and_far_are_found():
+    diagnosis, _ = mended(["depth device"])
+    (fault,) = diagnosis.faults
+    assert fault.figures["near"] == pytest.approx(0.1, rel=1e-2) and not fault.figures["reversed"]
+
+
+def test_a_cut_is_found():
+    frames = list(clip().images)
+    away = [camera(W, H, (9, 1, -6), yaw=0.4 + 0.03 * k) for k in range(COUNT)]
+    before = None
+    for k in range(5, COUNT):
+        made = _world().frame(away[k], frames[k].time, W, H, before, samples=2)
+        made.motion = np.roll(frames[k].motion, 9, axis=1) if before is None else made.motion
+        before = away[k], frames[k].time
+        frames[k] = made
+    diagnosis = examine(Kept(frames))
+    assert names(diagnosis) == ["frames: cut"] and diagnosis.faults[0].figures["frame"] == 5
+
+
+def test_bad_pixels_are_a_note_that_says_where():
+    frames = list(clip().images)
+    color = frames[4].color.copy()
+    color[7, 11] = np.nan
+    frames[4] = type(frames[4])(color, frames[4].depth, frames[4].motion, frames[4].camera, frames[4].time)
+    diagnosis = examine(Kept(frames))
+    assert names(diagnosis) == []
+    assert any("color in frame_000004.exr at 11, 7" in finding.sentence for finding in diagnosis.findings)
+
+
+def test_display_values_are_told_from_linear_ones():
+    """Of edges between two colours whose pixels in between are mixtures; the curve is written out here."""
+    rng = np.random.default_rng(5)
+    (a, b), share = rng.uniform(0, 1, (2, 900, 1, 3)), rng.uniform(0.2, 0.8, (900, 1, 1))
+    linear = np.concatenate([a, a, a + share * (b - a), b, b], 1)
+    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    assert is_encoded(display_curve_votes([shown])) and not is_encoded(display_curve_votes([linear]))
+    assert display_curve_votes([linear * 3]) is None
+
+
+@pytest.mark.parametrize("size", [(1, 1), (7, 300), (120, 68), (1920, 1080)])
+def test_the_grid_stays_inside(size):
+    x, y = grid(size, 500)
+    assert len(x) and x.min() >= 0 and y.min() >= 0 and x.max() < size[0] and y.max() < size[1]
+
+
+def written(folder, kept):
+    with SequenceWriter(folder, W, H, 30.0) as writer:
+        for entry in kept.rendered:
+            frame = kept.read(entry)
+            writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
+    return folder
+
+
+def test_the_command(gffe, tmp_path):
+    good, bad = (
+        written(tmp_path / name, kept) for name, kept in (("good", clip()), ("bad", broken(clip(), ["motion negated"])))
+    )
+    code, text, err = gffe("check", good, "--json", tmp_path / "good.json")
+    assert (code, err) == (0, "") and json.loads((tmp_path / "good.json").read_text())["verdict"] == "fits"
+    code, text, err = gffe(
+        "check", bad, "--fix", tmp_path / "fixed", "--html", tmp_path / "page.html", "--json", tmp_path / "bad.json"
+    )
+    document = json.loads((tmp_path / "bad.json").read_text())
+    assert code == 1 and "negated" in text and "it fits now" in text
+    assert [finding["name"] for finding in document["findings"] if finding["kind"] == "fault"] == ["negated"]
+    assert document["residuals"]["given_median"] > 1 > 0.05 > document["residuals"]["read_median"]
+    page = (tmp_path / "page.html").read_text()
+    assert page.count("data:image/png;base64,") == 3 and "http" not in page
+    fixed = open_sequence(tmp_path / "fixed")
+    assert_restored([fixed.read(entry) for entry in fixed.rendered])
+
+
+def test_matrices_for_row_vectors_are_opened_and_mended(gffe, tmp_path):
+    folder = written(tmp_path / "rows", clip())
+    document = json.loads((folder / "sequence.json").read_text())
+    for frame in document["frames"]:
+        matrix = np.array(frame["render_camera"]["world_to_view"])
+        frame["render_camera"]["world_to_view"] = (matrix.T * 1.0).tolist()
+    (folder / "sequence.json").write_text(json.dumps(document))
+    with pytest.raises(GffeError, match="last row"):
+        open_sequence(folder)
+    opened, findings = open_for_check(folder)
+    assert [finding.name for finding in findings] == ["transposed"]
+    assert opened.rendered[3].render_camera == clip().rendered[3].render_camera
+
+
+def test_what_cannot_be_opened_keeps_its_own_message(gffe, tmp_path):
+    code, text, err = gffe("check", tmp_path / "nowhere")
+    assert code == 2 and "no such folder" in err and text == ""
+
+
+def test_a_run_warns_of_what_does_not_fit(gffe, tmp_path):
+    bad = written(tmp_path / "bad", broken(clip(), ["motion negated"]))
+    code, _, err = gffe("run", bad, tmp_path / "a", "--no-scn")
+    said = " ".join(err.split())
+    assert code == 0 and "warning: motion vectors do not fit depth and cameras (median" in said
+    assert f"`gffe check {bad}` says more" in said
+    code, _, err = gffe("run", bad, tmp_path / "b", "--no-scn", "--no-check")
+    assert code == 0 and "do not fit" not in err
+
+
+def test_the_quick_form_warns():
+    warning = quick_warning(broken(clip(), ["motion negated"]))
+    assert warning and "do not fit depth and cameras (median" in warning
+    assert quick_warning(broken(clip(), ["camera inverted"]))
