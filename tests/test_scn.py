@@ -721,7 +721,7 @@ def test_convolutions_have_a_multiple_of_four_input_channels(tmp_path):
     graph = onnx.load(tmp_path / "scn.onnx").graph
     shapes = {value.name: tuple(value.dims) for value in graph.initializer}
     convolutions = [shapes[node.input[1]] for node in graph.node if node.op_type == "Conv"]
-    assert len(convolutions) == 14
+    assert len(convolutions) == 26
     assert all(inputs % 4 == 0 for _, inputs, *_ in convolutions), convolutions
 
 

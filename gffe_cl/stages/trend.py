@@ -104,9 +104,9 @@ class Trend(Stage):
         if not self.is_made:
             return
         if self._made_at not in step.times[1:2]:
-            self.fill("trend", 0)  # nothing is known of the interval before
+            self.fill("trend", 0)
+            self.swap()  # nothing is known of the interval before
         self._made_at = step.times[0]
-        self.swap()
         if step.previous is None:
             self.fill("trend", 0)
             return
