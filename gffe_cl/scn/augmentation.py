@@ -9,7 +9,8 @@ from torch import Tensor
 from gffe_cl.opencl.program import constants
 from gffe_cl.scn.clips import CROP
 from gffe_cl.scn.crops import DYNAMIC, Batch
-from gffe_cl.scn.network import decode, encode, halve
+from gffe_cl.scn.images import halve
+from gffe_cl.scn.network import decode, encode
 from gffe_cl.stages.trend import WIDTH
 
 _CONSTANTS = constants("trend.cl")

@@ -21,7 +21,7 @@ from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
-from gffe_cl.scn import network
+from gffe_cl.scn import images, network
 from gffe_cl.scn.variety import vary_scene
 
 TRAINING_SCENES = ("corridor", "plaza", "room", "forest")
@@ -136,8 +136,8 @@ def _opened(mask: np.ndarray) -> np.ndarray:
 def halve(samples: np.ndarray) -> np.ndarray:
     """Samples at half resolution: means over 2×2 pixels, of colours' codes as the network's input has them."""
     colors, side = torch.from_numpy(samples.astype(np.float32)).tensor_split((PLANES["side"].start,), 1)
-    seen = network.decode(network.halve(network.encode(colors)))
-    return torch.cat((seen, network.halve(side)), 1).half().numpy()
+    seen = network.decode(images.halve(network.encode(colors)))
+    return torch.cat((seen, images.halve(side)), 1).half().numpy()
 
 
 def halved_path(path: Path) -> Path:

@@ -15,7 +15,8 @@ from gffe_cl.errors import GffeError
 from gffe_cl.metrics import FOCUS_SMAPE, relative_error, shading_regions
 from gffe_cl.opencl.program import constants
 from gffe_cl.scn.clips import CHANNELS, CROP, HALVED_CHANNELS, PLANES, VERSION, finished_clips, halved_path
-from gffe_cl.scn.network import encode, halve
+from gffe_cl.scn.images import halve
+from gffe_cl.scn.network import encode
 
 TOP_SHARE = 0.15  # of all crops: those with the most focus pixels (paper: 'Data Preparation')
 RANDOM_SHARE = 0.03  # of all crops: any of the others

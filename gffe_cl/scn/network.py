@@ -16,12 +16,16 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor, nn
 
+from gffe_cl.scn.flow import find_flow
+from gffe_cl.scn.images import double, halve, warp
 from gffe_cl.stages.law import HEADROOM, MU
 
 FOCUS_THRESHOLD = 1 / 32  # a smaller M is 0
 _CHANNELS = (16, 32, 48, 64)
 _HIDDEN = (32, 48, 64, 64)
 _DETAIL = 4
+_CANDIDATES = 16  # channels of what is known about the candidates
+_FOLLOW, _LASTS = 2, 3  # channels of the finest decoder: how far the found flow is followed, how far the trend lasts
 _HEAD = 16
 _LITTLE = 1e-4  # squared change of encoded colour
 _SLOPE = 0.1  # of leaky rectifiers
@@ -37,28 +41,6 @@ def encode(color: Tensor) -> Tensor:
 def decode(encoded: Tensor) -> Tensor:
     """Inverse of `encode`; negative codes are black, and none is brighter than half floats are."""
     return torch.expm1(encoded.clamp(0, _MOST) * _LOG) * (HEADROOM / MU)
-
-
-def halve(image: Tensor) -> Tensor:
-    """(N, C, H, W), even sizes → means over 2×2 pixels."""
-    return functional.avg_pool2d(image, 2)
-
-
-def double(image: Tensor) -> Tensor:
-    """Bilinear, pixel centres of both images on one plane, borders repeated."""
-    return functional.interpolate(image, scale_factor=2, mode="bilinear", align_corners=False)
-
-
-def warp(image: Tensor, flow: Tensor) -> Tensor:
-    """(N, C, h, w) sampled at x + flow[x], (N, 2, h, w) in pixels; bilinear, borders repeated."""
-    image, flow = image.float(), flow.float()
-    height, width = image.shape[-2:]
-    ys = torch.arange(height, dtype=flow.dtype, device=flow.device).view(1, height, 1)
-    xs = torch.arange(width, dtype=flow.dtype, device=flow.device).view(1, 1, width)
-    grid_x = (flow[:, 0] + (xs + 0.5)) * (2.0 / width) - 1.0
-    grid_y = (flow[:, 1] + (ys + 0.5)) * (2.0 / height) - 1.0
-    grid = torch.stack((grid_x, grid_y), -1)
-    return functional.grid_sample(image, grid, mode="bilinear", padding_mode="border", align_corners=False)
 
 
 def _conv(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
@@ -93,21 +75,21 @@ class Decoder(nn.Module):
     Below the coarsest level `inputs` are convolved, a multiple of 16: onnxruntime takes twice as long for others.
     """
 
-    def __init__(self, seen: int, beside: int, channels: int, coarser: int, hidden: int, inputs: int = 0):
+    def __init__(self, seen: int, beside: int, channels: int, coarser: int, hidden: int, inputs: int = 0, candidates: int = 0):
         super().__init__()
         given = 2 * seen + beside
-        self.squeeze = nn.Conv2d(coarser, inputs - given - 4, 1) if coarser else None
+        self.squeeze = nn.Conv2d(coarser, inputs - given - 4 - candidates, 1) if coarser else None
         self.body = nn.Sequential(_conv(inputs if coarser else given, hidden), _conv(hidden, hidden))
         self.out = nn.Conv2d(hidden, channels, 3, 1, 1)
 
-    def forward(self, now, before, beside, coarser=None) -> tuple[Tensor, Tensor]:
+    def forward(self, now, before, beside, coarser=None, candidates=()) -> tuple[Tensor, Tensor]:
         """`coarser`: what the level above returned: flows, and all its channels, the features after the first four."""
         if coarser is None:
             out = self.out(self.body(torch.cat((now, before, beside), 1)))
             return out[:, :4].float(), out
         flows = 2.0 * double(coarser[0])
         moved = warp(now, flows[:, :2]), warp(before, flows[:, 2:])
-        out = self.out(self.body(torch.cat((*moved, beside, flows, double(self.squeeze(coarser[1]))), 1)))
+        out = self.out(self.body(torch.cat((*moved, beside, flows, double(self.squeeze(coarser[1])), *candidates), 1)))
         return out[:, :4].float() + flows, out
 
 
@@ -132,7 +114,7 @@ class ShadingCorrectionNetwork(nn.Module):
     def __init__(self):
         super().__init__()
         self.encoder = Encoder()
-        finest = Decoder(3, _CHANNELS[0] + 6, _CHANNELS[0], _CHANNELS[1], _HIDDEN[0], 3 * _CHANNELS[0])
+        finest = Decoder(3, _CHANNELS[0] + 6, _CHANNELS[0], _CHANNELS[1], _HIDDEN[0], 4 * _CHANNELS[0], _CANDIDATES)
         self.decoders = nn.ModuleList([finest])
         for channels, coarser, hidden in zip(_CHANNELS[1:-1], _CHANNELS[2:], _HIDDEN[1:], strict=False):
             self.decoders.append(Decoder(channels // 2, 3, channels, coarser, hidden, 2 * channels))
@@ -170,6 +152,7 @@ class ShadingCorrectionNetwork(nn.Module):
         encoded = self.encoder(torch.cat((now, before), 0), torch.cat((before, now), 0), torch.cat((side, side), 0))
         time = alpha.view(-1, 1, 1, 1)
         smaller = [halve(frames)]
+        found, held, candidates = _candidates(smaller[0], halve(trends), time)
         while len(smaller) < len(self.decoders):
             smaller.append(halve(smaller[-1]))
         result = None
@@ -183,18 +166,35 @@ class ShadingCorrectionNetwork(nn.Module):
                 images = small[:, :3], small[:, 3:6]
             elif result:
                 images = (image[:, : _CHANNELS[k] // 2] for image in images)
-            result = self.decoders[k](*images, beside, result)
-        flows = 2.0 * double(result[0][:, :2])
-        detail = functional.pixel_shuffle(functional.leaky_relu(self.up(result[1]), _SLOPE), 2)
+            result = self.decoders[k](*images, beside, result, () if k else (candidates,))
+        result, out = result[0], result[1]
+        follow = torch.sigmoid(out[:, _FOLLOW : _FOLLOW + 1].float() - 2.0)
+        flows = 2.0 * double(result[:, :2] + follow * (time * found - result[:, :2]))
+        detail = functional.pixel_shuffle(functional.leaky_relu(self.up(out), _SLOPE), 2)
         moved = warp(now, flows)
-        trend, earlier = trends[:, :3], trends[:, 3:6]
-        held = (trend * earlier).sum(1, keepdim=True) / ((trend * trend).sum(1, keepdim=True) + _LITTLE)
-        steady = trend * held.clamp(0, 1)  # as far as the last interval went on as the one before
-        out = self.head(torch.cat((detail, now, before, moved, steady), 1)).float()
-        delta = out[:, :3] + (moved - now) + out[:, 5:6] * steady
+        lasting = trends[:, :3] * double((held + out[:, _LASTS : _LASTS + 1].float()).clamp(0, 1))
+        out = self.head(torch.cat((detail, now, before, moved, lasting), 1)).float()
+        delta = out[:, :3] + (moved - now) + out[:, 5:6] * lasting
         keep, likely = torch.sigmoid(out[:, 3:4]), out[:, 4:5]
         correction = torch.cat((delta, keep, (2 * likely).clamp(0, 1)), 1)
         return (correction, likely) if self.training else correction
+
+
+def _candidates(frames: Tensor, trends: Tensor, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """At a quarter of the resolution: the flow from the GAE frame into the warped previous one (2), as far as the last
+    interval's trend was that of the interval before (1), and what the decoder is to know about both (`_CANDIDATES`)."""
+    now, before = frames[:, :3], frames[:, 3:6]
+    with torch.no_grad():  # of inputs alone
+        found, differences = find_flow(now.mean(1, keepdim=True), before.mean(1, keepdim=True))
+        still, along = (differences + 1e-6).split(1, 1)
+        moved = warp(now, time * found)
+        trend, earlier, share = trends.split((3, 3, 1), 1)
+        held = (trend * earlier).sum(1, keepdim=True) / ((trend * trend).sum(1, keepdim=True) + _LITTLE)
+        held = held.clamp(0, 1)
+        size = found.square().sum(1, keepdim=True).sqrt()
+        known = (found / 4, size / 4, 4 * still.sqrt(), 4 * along.sqrt(), along / still, 4 * (moved - now), 4 * trend,
+                 4 * earlier.mean(1, keepdim=True), 4 * (now - before).mean(1, keepdim=True), held, share)  # fmt: skip
+    return found, held, torch.cat(known, 1)
 
 
 def compose(color: Tensor, correction: Tensor, focus_mask: bool = True) -> tuple[Tensor, Tensor, Tensor]:

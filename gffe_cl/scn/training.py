@@ -26,7 +26,8 @@ from gffe_cl.scn.augmentation import Augmentation
 from gffe_cl.scn.clips import VERSION
 from gffe_cl.scn.crops import Batch, Crop, keep_crops, load_batch
 from gffe_cl.scn.export import commit, weights_of
-from gffe_cl.scn.network import ShadingCorrectionNetwork, compose, double, encode
+from gffe_cl.scn.images import double
+from gffe_cl.scn.network import ShadingCorrectionNetwork, compose, encode
 from gffe_cl.values import require_seed
 
 CHECKPOINT = "checkpoint.pt"
