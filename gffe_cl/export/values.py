@@ -18,7 +18,7 @@ from gffe_cl.frame import OVERLAYS
 from gffe_cl.opencl.program import constants
 from gffe_cl.stage import Step, reprojection, zoom
 from gffe_cl.stages.background import MAX_LEVELS
-from gffe_cl.stages.correction import color_law
+from gffe_cl.stages.law import color_law
 from gffe_cl.stages.cuts import SAMPLES
 from gffe_cl.stages.history import STRIDE
 from gffe_cl.stages.prediction import MAX_ORDER, padded, polynomial_weights
