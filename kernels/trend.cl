@@ -70,35 +70,37 @@ WIDE __kernel void measure_changes(const int source_width, const int source_heig
     store_some_floats(load_floats(0, known) * share, count, out + 3 * plane);
 }
 
-/* Every plane blurred along rows: weights[d] of what is d cells away; beyond the image there is nothing. */
-__kernel void blur_rows(const int cells_width, const int cells_height, const int reach, __global const float *weights,
-                        __global const float *changes, __global float *blurred) {
+/* Every plane blurred along rows: a cell counts the less the farther away it is, none farther than `reach`; beyond the image
+   there is nothing. */
+__kernel void blur_rows(const int cells_width, const int cells_height, const int reach, __global const float *changes,
+                        __global float *blurred) {
     const int cell_x = get_global_id(0), cell_y = get_global_id(1);
     if (cell_x >= cells_width || cell_y >= cells_height) return;
     const int plane = cells_width * cells_height, row = cell_y * cells_width;
     for (int c = 0; c < CHANGES; ++c) {
         float sum = 0.0f;
         for (int x = max(cell_x - reach, 0); x <= min(cell_x + reach, cells_width - 1); ++x)
-            sum += weights[abs(x - cell_x)] * changes[c * plane + row + x];
+            sum += (float)(reach + 1 - abs(x - cell_x)) * changes[c * plane + row + x];
         blurred[c * plane + row + cell_x] = sum;
     }
 }
 
 /* The same along columns, and the mean of what is known. */
-__kernel void find_trend(const int cells_width, const int cells_height, const int reach, __global const float *weights,
-                         __global const float *blurred, __global float *trend) {
+__kernel void find_trend(const int cells_width, const int cells_height, const int reach, __global const float *blurred,
+                         __global float *trend) {
     const int cell_x = get_global_id(0), cell_y = get_global_id(1);
     if (cell_x >= cells_width || cell_y >= cells_height) return;
     const int plane = cells_width * cells_height, cell = cell_y * cells_width + cell_x;
+    const float whole = (float)((reach + 1) * (reach + 1) * (reach + 1) * (reach + 1)); /* sum of all weights */
     float sum[CHANGES];
     for (int c = 0; c < CHANGES; ++c) {
         sum[c] = 0.0f;
         for (int y = max(cell_y - reach, 0); y <= min(cell_y + reach, cells_height - 1); ++y)
-            sum[c] += weights[abs(y - cell_y)] * blurred[c * plane + y * cells_width + cell_x];
+            sum[c] += (float)(reach + 1 - abs(y - cell_y)) * blurred[c * plane + y * cells_width + cell_x];
     }
-    const float share = fmax(sum[3], LEAST_SHARE);
+    const float least = LEAST_SHARE * whole, share = fmax(sum[3], least);
     for (int c = 0; c < 3; ++c) trend[c * plane + cell] = divide(sum[c], share);
-    trend[3 * plane + cell] = sum[3];
+    trend[3 * plane + cell] = divide(sum[3], whole);
 }
 
 /* The four cells around positions in a rendered image, and their weights; 0 behind the camera. */

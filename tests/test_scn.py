@@ -16,12 +16,14 @@ torch = pytest.importorskip("torch")
 from gffe_cl import inference  # noqa: E402
 from gffe_cl.errors import GffeError  # noqa: E402
 from gffe_cl.metrics import display_values, focus_mask, shading_regions  # noqa: E402
-from gffe_cl.scn import clips, losses, network  # noqa: E402
+from gffe_cl.scn import clips, images, losses, network  # noqa: E402
 from gffe_cl.scn import training as training_module  # noqa: E402
 from gffe_cl.scn.augmentation import Augmentation, low_pass  # noqa: E402
 from gffe_cl.scn.crops import Batch, Crop, focus_truth, keep_crops, list_crops, load_batch  # noqa: E402
 from gffe_cl.scn.export import count_operations, export_onnx, largest_difference  # noqa: E402
+from gffe_cl.scn.flow import find_flow  # noqa: E402
 from gffe_cl.scn.training import CHECKPOINT, Processes, Recipe, Training, split_crops, weights  # noqa: E402
+from gffe_cl.stages.trend import reach_of  # noqa: E402
 
 
 def random(*shape, seed=0, scale=1.0):
@@ -44,9 +46,31 @@ def test_warp_by_whole_pixels():
     image = random(1, 3, 12, 17)
     flow = torch.zeros(1, 2, 12, 17)
     flow[:, 0], flow[:, 1] = 3.0, -2.0
-    moved = network.warp(image, flow)
+    moved = images.warp(image, flow)
     assert torch.allclose(moved[..., 2:, :-3], image[..., :-2, 3:], atol=1e-5)
     assert torch.allclose(moved[..., 0, -1], image[..., 0, -1], atol=1e-5)  # borders are repeated
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (1.6, -0.7), (-5.0, 4.0)])
+def test_flow_of_a_smooth_pattern_that_moved(shift):
+    """Between two samplings of one function; at the border the pattern leaves the image."""
+    ys, xs = torch.meshgrid(torch.arange(64.0), torch.arange(96.0), indexing="ij")
+
+    def pattern(x, y):
+        return (0.5 + 0.2 * torch.sin(0.21 * x + 0.1 * y) + 0.2 * torch.cos(0.05 * x - 0.17 * y))[None, None]
+
+    now, before = pattern(xs, ys), pattern(xs - shift[0], ys - shift[1])  # what is at x now was at x + shift
+    flow, differences = find_flow(now, before)
+    still, along = differences[0]
+    inner = flow[0, :, 12:-12, 12:-12]
+    assert (inner - torch.tensor(shift).view(2, 1, 1)).abs().mean() < 0.06
+    assert along[12:-12, 12:-12].max() < 1e-4
+    assert still.mean() == pytest.approx(float((now - before).square().mean()), rel=0.05, abs=1e-6)
+
+
+def test_flow_where_there_is_nothing_to_see():
+    flow, differences = find_flow(torch.full((1, 1, 16, 16), 0.3), torch.full((1, 1, 16, 16), 0.4))
+    assert not flow.any() and torch.allclose(differences, torch.tensor(0.01), atol=1e-6)
 
 
 def test_composition():
@@ -90,7 +114,7 @@ def test_codes_of_any_size_are_finite_colours():
 
 def test_a_new_network_changes_little():
     torch.manual_seed(0)
-    frames, trends = random(2, 8, 32, 32), torch.zeros(2, 7, 32, 32)
+    frames, trends = random(2, 8, 1, 1).expand(2, 8, 32, 32), torch.zeros(2, 7, 32, 32)
     net = network.ShadingCorrectionNetwork()
     correction, likely = net(frames, torch.tensor([0.25, 0.75]), trends)
     assert correction.shape == (2, 5, 32, 32) and correction[:, :3].abs().mean() < 0.15
@@ -113,7 +137,7 @@ def test_alpha_and_trends_matter():
 def test_trend_counts_as_far_as_it_has_lasted():
     """Without flow, and with a gate that is open, the correction is the trend: of what went on as before."""
     net = network.ShadingCorrectionNetwork().eval()
-    frames, trends = random(1, 8, 32, 32), random(1, 7, 32, 32) - 0.5
+    frames, trends = random(1, 8, 1, 1).expand(1, 8, 32, 32), random(1, 7, 1, 1).repeat(1, 1, 32, 32) - 0.5
     with torch.no_grad():
         for decoder in net.decoders:
             decoder.out.weight.zero_()
@@ -335,10 +359,7 @@ def test_trends_are_what_the_stage_finds():
     height, cells = 540, 24
     known = (random(1, 1, cells, cells, seed=2) < 0.7).float()
     changes = (random(1, 3, cells, cells) - 0.5) * known
-    sigma = height / 34 / 8
-    weights = np.exp(-0.5 * (np.arange(int(np.ceil(3 * sigma)) + 1) / sigma) ** 2)
-    weights = (weights / (2 * weights.sum() - 1)).astype(np.float32)
-    expected = twins.find_trend(torch.cat((changes, known), 1)[0].numpy(), weights)[:3]
+    expected = twins.find_trend(torch.cat((changes, known), 1)[0].numpy(), reach_of(height))[:3]
     spread = [torch.repeat_interleave(torch.repeat_interleave(x, 4, -1), 4, -2) for x in (changes, known)]
     found = low_pass(*spread, torch.tensor([float(height)]))
     assert found.shape == (1, 3, 4 * cells, 4 * cells)

@@ -1209,9 +1209,9 @@ def measure_changes(frame, before, dynamic, exposure, to_previous):
     return np.moveaxis(np.concatenate([changes, (known * share)[..., None]], -1), -1, 0)
 
 
-def find_trend(changes, weights):
+def find_trend(changes, reach):
     """(4, h, w): means over the neighbourhood of what is known, and the share that is."""
-    reach = len(weights) - 1
+    weights = np.arange(reach + 1, 0, -1, dtype=F) / F((reach + 1) ** 2)
     for axis in (2, 1):
         total, size = np.zeros_like(changes), changes.shape[axis]
         for d in range(-reach, reach + 1):

@@ -11,7 +11,7 @@ from gffe_cl.scn.clips import CROP
 from gffe_cl.scn.crops import DYNAMIC, Batch
 from gffe_cl.scn.images import halve
 from gffe_cl.scn.network import decode, encode
-from gffe_cl.stages.trend import WIDTH
+from gffe_cl.stages.trend import reach_of
 
 _CONSTANTS = constants("trend.cl")
 _CELL, _LEAST_SHARE = _CONSTANTS["CELL"], _CONSTANTS["LEAST_SHARE"]
@@ -184,13 +184,13 @@ def _changes(colors: Tensor, halved: bool) -> Tensor:
 
 def low_pass(changes: Tensor, known: Tensor, heights: Tensor) -> Tensor:
     """Means of `changes` (N, C, h, w; half resolution) around, over pixels that are `known` (N, 1, h, w): as
-    kernels/trend.cl has them, a Gaussian over cells of 8×8 pixels of frames of these heights (N,)."""
+    kernels/trend.cl has them, over cells of 8×8 pixels of frames of these heights (N,)."""
     size = changes.shape[-2:]
     cells = functional.avg_pool2d(torch.cat((changes * known, known), 1), _CELL // 2, ceil_mode=True)
-    sigma = (heights * (WIDTH / _CELL)).view(-1, 1, 1, 1)
+    reach = torch.tensor([reach_of(int(height)) + 1.0 for height in heights]).view(-1, 1, 1, 1)
     across, along = (torch.arange(side, dtype=changes.dtype) for side in cells.shape[-2:])
-    gaussian = [torch.exp(-0.5 * ((x[:, None] - x[None]) / sigma) ** 2) for x in (across, along)]
-    blurred = gaussian[0] @ cells @ gaussian[1] / (2 * torch.pi * sigma**2)
+    weights = [(1 - (x[:, None] - x[None]).abs() / reach).clamp(min=0) / reach for x in (across, along)]
+    blurred = weights[0] @ cells @ weights[1]
     mean = blurred[:, :-1] / blurred[:, -1:].clamp(min=_LEAST_SHARE)
     scaled = functional.interpolate(mean, scale_factor=_CELL // 2, mode="bilinear", align_corners=False)
     return scaled[..., : size[0], : size[1]]

@@ -1,7 +1,7 @@
 """How shading moved between two frames, by least squares (Lucas and Kanade, 1981), coarse to fine.
 
-It is part of the shading correction network, which may follow it (`network.ShadingCorrectionNetwork`): no weights, and of
-operations that every provider of onnxruntime has.
+It is part of the shading correction network, which may follow it (`network.ShadingCorrectionNetwork`): no weights, and
+of operations that every provider of onnxruntime has.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ _LONGEST = 2.0  # pixels of a step
 def find_flow(now: Tensor, before: Tensor) -> tuple[Tensor, Tensor]:
     """What is at x in `now` is at x + flow[x] in `before`, both (N, 1, h, w), sides multiples of 8.
 
-    Returns the flow, (N, 2, h, w) in pixels, and (N, 2, h, w) the mean squared difference around from `before` as it is,
-    and along the flow. Sums are over some 6×6 pixels of each level; the flow of every second pixel is found.
+    Returns the flow, (N, 2, h, w) in pixels, and (N, 2, h, w) the mean squared difference around from `before` as it
+    is, and along the flow. Sums are over some 6×6 pixels of each level; the flow of every second pixel is found.
     """
     images = [(now, before)]
     while len(images) < _LEVELS:

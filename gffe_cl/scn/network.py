@@ -75,7 +75,9 @@ class Decoder(nn.Module):
     Below the coarsest level `inputs` are convolved, a multiple of 16: onnxruntime takes twice as long for others.
     """
 
-    def __init__(self, seen: int, beside: int, channels: int, coarser: int, hidden: int, inputs: int = 0, candidates: int = 0):
+    def __init__(
+        self, seen: int, beside: int, channels: int, coarser: int, hidden: int, inputs: int = 0, candidates: int = 0
+    ):
         super().__init__()
         given = 2 * seen + beside
         self.squeeze = nn.Conv2d(coarser, inputs - given - 4 - candidates, 1) if coarser else None

@@ -105,8 +105,6 @@ class ShadingCorrection(Stage):
         if load:
             self.network = load_network(board.options.scn_model, board.options.scn_provider)
             self.network.prepare(*reversed(self.network_size))
-            self.trend: Trend = board.stages[Trend.name]
-            self.trend.needed = self.network.takes_trends
         self._network_milliseconds = 0.0
         self._copying_milliseconds = 0.0
         self._mappings: deque[cl.Event] = deque(maxlen=_EVENTS)
@@ -146,7 +144,9 @@ class ShadingCorrection(Stage):
     def infer(self, alpha: float) -> None:
         """Fill `correction`: the network works in the mapped buffers: no copy where host and device share memory."""
         frames = self.map(self, "frames", cl.map_flags.READ)
-        trends = self.map(self.trend, "trends", cl.map_flags.READ) if self.network.takes_trends else None
+        trends = (
+            self.map(self.board.stages[Trend.name], "trends", cl.map_flags.READ) if self.network.takes_trends else None
+        )
         correction = self.map(self, "correction", cl.map_flags.WRITE_INVALIDATE_REGION)
         try:
             start = time.perf_counter()

@@ -3,8 +3,6 @@ candidate that the shading correction network may choose."""
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from gffe_cl.buffers import BufferSpec
@@ -16,8 +14,7 @@ from gffe_cl.stages.law import color_law
 _CONSTANTS = constants("trend.cl")
 _CHANGES = _CONSTANTS["CHANGES"]
 _SAMPLED = 1 / _CONSTANTS["SAMPLE_STRIDE"] ** 2
-WIDTH = 1 / 34  # σ of the neighbourhood, in heights of the image
-_REACH = 3  # σ
+REACH_SHARE = 120  # rows of the image per cell of reach: the neighbourhood's σ is about a 34th of its height
 
 
 class Trend(Stage):
@@ -25,8 +22,7 @@ class Trend(Stage):
     both carried on to t + α. What both agree on is likely to go on.
 
     Changes are of encoded colour (see `ShadingCorrection`) between a pixel and where its surface was, static and shown,
-    in the frame before; a Gaussian of σ = H/34 weighs them. Made for the network that takes it (`needed`), and for
-    whoever looks at it.
+    in the frame before; cells around count the less the farther away they are, none farther than `reach_of`.
     """
 
     name = "trend"
@@ -44,12 +40,8 @@ class Trend(Stage):
             {"changes": "trend.changes"},
             step=("LANES", 1),
         ),
-        Kernel(
-            "blur_rows", "cells", {"weights": "trend.weights", "changes": "trend.changes"}, {"blurred": "trend.blurred"}
-        ),
-        Kernel(
-            "find_trend", "cells", {"weights": "trend.weights", "blurred": "trend.blurred"}, {"trend": "trend.trend"}
-        ),
+        Kernel("blur_rows", "cells", {"changes": "trend.changes"}, {"blurred": "trend.blurred"}),
+        Kernel("find_trend", "cells", {"blurred": "trend.blurred"}, {"trend": "trend.trend"}),
         Kernel(
             "carry_trends",
             "network",
@@ -58,55 +50,35 @@ class Trend(Stage):
             step=("LANES", 1),
         ),
     )
-    needed = False
-    is_looked_at = True
-    _made_at: float | None = None  # time of the frame that `trend` is of
+    buffers = (
+        BufferSpec(
+            "changes", np.float32, (), "cells", "change of encoded colour since t − 1 (1–3), and share of samples"
+            " that tell (4)", planes=_CHANGES, scratch=True,
+        ),
+        BufferSpec(
+            "blurred", np.float32, (), "cells", "the same, blurred along rows", planes=_CHANGES, scratch=True
+        ),
+        BufferSpec(
+            "trend", np.float32, (), "cells", "mean change of encoded colour around, from t − 1 to t (1–3), and"
+            " share of the surroundings that tells (4)", planes=_CHANGES, kept=True,
+        ),
+        BufferSpec(
+            "trends", np.float32, (), "network", "change of encoded colour until t + α as the last interval has it"
+            " (1–3), as the interval before has it (4–6), and share of the surroundings that tells of the last (7);"
+            " half resolution", planes=TREND_PLANES, mapped=True,
+        ),
+    )  # fmt: skip
 
     def __init__(self, board: Board):
-        sigma = board.sizes.source[1] * WIDTH / _CONSTANTS["CELL"]
-        self.reach = math.ceil(_REACH * sigma)
-        self.buffers = (
-            BufferSpec(
-                "changes", np.float32, (), "cells", "change of encoded colour since t − 1 (1–3), and share of samples"
-                " that tell (4)", planes=_CHANGES, scratch=True,
-            ),
-            BufferSpec(
-                "blurred", np.float32, (), "cells", "the same, blurred along rows", planes=_CHANGES, scratch=True
-            ),
-            BufferSpec(
-                "trend", np.float32, (), "cells", "mean change of encoded colour around, from t − 1 to t (1–3), and"
-                " share of the surroundings that tells (4)", planes=_CHANGES, kept=True,
-            ),
-            BufferSpec(
-                "trends", np.float32, (), "network", "change of encoded colour until t + α as the last interval has it"
-                " (1–3), as the interval before has it (4–6), and share of the surroundings that tells of the last (7);"
-                " half resolution", planes=TREND_PLANES, mapped=True,
-            ),
-            BufferSpec("weights", np.float32, (), "once", "of cells, by distance", planes=self.reach + 1, scratch=True),
-        )  # fmt: skip
         super().__init__(board)
-        weights = np.exp(-0.5 * (np.arange(self.reach + 1) / sigma) ** 2)
-        self.upload("weights", (weights / (2 * weights.sum() - 1)).astype(np.float32))
+        self.reach = reach_of(board.sizes.source[1])
 
     @classmethod
     def is_wanted(cls, options) -> bool:
         return options.corrects_shading or options.shading_inputs
 
-    @property
-    def is_made(self) -> bool:
-        return self.needed or (self.is_looked_at and self.board.options.shading_inputs)
-
-    def look_at(self, names: set[str] | None) -> None:
-        self.is_looked_at = names is None or any(f"{self.name}.{spec.name}" in names for spec in self.buffers)
-
     def rendered(self, step: Step) -> None:
         """Find the trend; after a reset there is none."""
-        if not self.is_made:
-            return
-        if self._made_at not in step.times[1:2]:
-            self.fill("trend", 0)
-            self.swap()  # nothing is known of the interval before
-        self._made_at = step.times[0]
         if step.previous is None:
             self.fill("trend", 0)
             return
@@ -117,8 +89,6 @@ class Trend(Stage):
 
     def extrapolated(self, step: Step) -> None:
         """Carry both trends on to the new frame."""
-        if not self.is_made:
-            return
         before = step.previous or step.frame
         self.launch(
             "carry_trends",
@@ -126,3 +96,8 @@ class Trend(Stage):
             to_source=reprojection(step.camera, step.frame.camera),
             to_previous=reprojection(step.camera, before.camera),
         )
+
+
+def reach_of(height: int) -> int:
+    """Cells that count around one, of an image of so many rows: at least one."""
+    return max(1, height // REACH_SHARE)
