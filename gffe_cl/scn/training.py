@@ -135,11 +135,14 @@ def loss_terms(
     """The terms of the loss, not weighted: see `weights`. `likely`: p of the network's focus mask.
 
     The frame that is reconstructed is the truth but for the focus mask, where it is the refined image (paper, equation
-    of the final prediction): the true mask's pixels too, or else a mask that begins at 0 would teach nothing.
+    of the final prediction): the true mask's pixels too, or else a mask that begins at 0 would teach nothing, and, a
+    little, all others. How much of it is worth showing, and so the mask, is for the error of the final frame to say:
+    small changes of shading are many, and no focus pixels.
     """
     refined, final, mask = compose(batch.gae, correction)
     truth = encode(batch.truth)
-    shown = encode(batch.truth + torch.maximum(mask, focus) * (refined - batch.truth))
+    taught = torch.maximum(mask.detach(), focus.float()).clamp(min=losses.TAUGHT)
+    shown = encode(batch.truth + taught * (refined - batch.truth))
     likely = likely.float()
     return {
         "reconstruction": losses.charbonnier(shown, truth),
