@@ -61,11 +61,20 @@ class Encoder(nn.Module):
             nn.Sequential(_conv(i, o, 2), _conv(o, o)) for i, o in zip(inputs, _CHANNELS, strict=True)
         )
 
-    def forward(self, color: Tensor, other: Tensor, side: Tensor) -> list[Tensor]:
-        features = [torch.cat((color, color - other, side), 1)]
-        for level in self.levels:
-            features.append(level(features[-1]))
-        return features[1:]
+    def forward(self, frames: Tensor) -> list[tuple[Tensor, Tensor]]:
+        """Features of the GAE frame and of the warped previous frame, from finest to coarsest, of `frames` (N, 8, h, w)
+        as the network has them. What is linear goes into the first weights: images are read as they are."""
+        first, *rest = self.levels[0][0]
+        color, change, side = first.weight.split((3, 3, 2), 1)
+        own, other = color + change, -change
+        features = []
+        for images in ((own, other, side), (other, own, side)):
+            found = functional.conv2d(frames, torch.cat(images, 1), first.bias, first.stride, first.padding)
+            found = self.levels[0][1](*(layer(found) for layer in rest))
+            features.append([found])
+            for level in self.levels[1:]:
+                features[-1].append(level(features[-1][-1]))
+        return list(zip(*features, strict=True))
 
 
 class Decoder(nn.Module):
@@ -149,9 +158,8 @@ class ShadingCorrectionNetwork(nn.Module):
             parameter[tuple(slice(n) for n in given.shape)] = torch.from_numpy(np.array(given))
 
     def forward(self, frames: Tensor, alpha: Tensor, trends: Tensor):
-        count = frames.shape[0]
-        now, before, side = frames[:, :3], frames[:, 3:6], frames[:, 6:8]
-        encoded = self.encoder(torch.cat((now, before), 0), torch.cat((before, now), 0), torch.cat((side, side), 0))
+        now, before = frames[:, :3], frames[:, 3:6]
+        encoded = self.encoder(frames)
         time = alpha.view(-1, 1, 1, 1)
         smaller = [halve(frames)]
         found, held, candidates = _candidates(smaller[0], halve(trends), time)
@@ -162,7 +170,7 @@ class ShadingCorrectionNetwork(nn.Module):
             small = smaller[k]
             plane = torch.zeros_like(small[:, :1])
             beside = torch.cat((small[:, 6:], plane + time) if result else (small[:, 6:], plane + time, plane), 1)
-            images = encoded[k][:count], encoded[k][count:]
+            images = encoded[k]
             if k == 0:  # warping features would cost a quarter of the network's time
                 beside = torch.cat((beside, images[0], small[:, :3]), 1)
                 images = small[:, :3], small[:, 3:6]
