@@ -19,7 +19,7 @@ from gffe_cl.scn.images import halve
 from gffe_cl.scn.network import encode
 
 TOP_SHARE = 0.15  # of all crops: those with the most focus pixels (paper: 'Data Preparation')
-RANDOM_SHARE = 0.03  # of all crops: any of the others
+RANDOM_SHARE = 0.06  # of all crops: any of the others
 _HALF_REACH = 0.75  # of the neighbourhood at half resolution, whose pixels are twice as far apart
 _DISOCCLUDED = constants("shading.cl")["MASK_DISOCCLUDED"]  # input mask there
 DYNAMIC = 0.75  # input mask above which a pixel counts as dynamic; 1 where it is one pixel of the frame

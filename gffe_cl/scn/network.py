@@ -1,9 +1,10 @@
 """The shading correction network (paper: 'Shading Correction Network' and its appendix).
 
-Flow-based, coarse to fine, all of it at half resolution: an encoder of four feature levels (the paper has three, but
-shading may move far) is shared by the GAE frame and the warped previous frame; a decoder per level predicts two flows,
-and the features of the frame at t + α; a head makes the correction, of what moves along the flow and of the trends of
-shading (kernels/trend.cl). `compose` makes the frame of it, as kernels/correction.cl does.
+Two things may go on: what moved, along the flow that `flow.find_flow` finds from the GAE frame into the warped previous
+one, coarse to fine, and what changed over wide areas (kernels/trend.cl). The network judges, per pixel, how far: four
+levels of features at a quarter of the display's resolution and below see both frames and what is known about both
+candidates; a head at half resolution makes the correction. `compose` makes the frame of it, as kernels/correction.cl
+does.
 """
 
 from __future__ import annotations
@@ -16,17 +17,18 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor, nn
 
+from gffe_cl.inference import INPUT_PLANES
 from gffe_cl.scn.flow import find_flow
 from gffe_cl.scn.images import double, halve, warp
 from gffe_cl.stages.law import HEADROOM, MU
 
 FOCUS_THRESHOLD = 1 / 32  # a smaller M is 0
-_CHANNELS = (16, 32, 48, 64)
-_HIDDEN = (32, 48, 64, 64)
+_CHANNELS = (24, 32, 48, 64)  # at 1/4 … 1/32 of the display
+_SEEN = 16  # channels of what is seen of the frames themselves, at a quarter
 _DETAIL = 4
-_CANDIDATES = 16  # channels of what is known about the candidates
-_FOLLOW, _LASTS = 2, 3  # channels of the finest decoder: how far the found flow is followed, how far the trend lasts
 _HEAD = 16
+_DOUBT = 0.1
+_FLOW_UNIT = 8.0  # pixels of half resolution
 _LITTLE = 1e-4  # squared change of encoded colour
 _SLOPE = 0.1  # of leaky rectifiers
 _LOG = torch.log1p(torch.tensor(MU)).item()
@@ -43,65 +45,8 @@ def decode(encoded: Tensor) -> Tensor:
     return torch.expm1(encoded.clamp(0, _MOST) * _LOG) * (HEADROOM / MU)
 
 
-def _conv(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
-    return nn.Sequential(nn.Conv2d(inputs, outputs, 3, stride, 1), nn.LeakyReLU(_SLOPE))
-
-
-class Encoder(nn.Module):
-    """(N, 8, h, w): encoded colour, its difference from the other frame, inverse depth, input mask → features at
-    1/2 … 1/16 of that size.
-
-    On one surface the two frames differ by their shading only: the difference is what moves.
-    """
-
-    def __init__(self):
-        super().__init__()
-        inputs = (8, *_CHANNELS[:-1])
-        self.levels = nn.ModuleList(
-            nn.Sequential(_conv(i, o, 2), _conv(o, o)) for i, o in zip(inputs, _CHANNELS, strict=True)
-        )
-
-    def forward(self, frames: Tensor) -> list[tuple[Tensor, Tensor]]:
-        """Features of the GAE frame and of the warped previous frame, from finest to coarsest, of `frames` (N, 8, h, w)
-        as the network has them. What is linear goes into the first weights: images are read as they are."""
-        first, *rest = self.levels[0][0]
-        color, change, side = first.weight.split((3, 3, 2), 1)
-        own, other = color + change, -change
-        features = []
-        for images in ((own, other, side), (other, own, side)):
-            found = functional.conv2d(frames, torch.cat(images, 1), first.bias, first.stride, first.padding)
-            found = self.levels[0][1](*(layer(found) for layer in rest))
-            features.append([found])
-            for level in self.levels[1:]:
-                features[-1].append(level(features[-1][-1]))
-        return list(zip(*features, strict=True))
-
-
-class Decoder(nn.Module):
-    """Flows (4 channels: into the GAE frame, into the warped previous frame) and features of the frame at t + α.
-
-    `seen`: channels of each of the two images, which are warped by the coarser flows; `beside`: of what is not.
-    Below the coarsest level `inputs` are convolved, a multiple of 16: onnxruntime takes twice as long for others.
-    """
-
-    def __init__(
-        self, seen: int, beside: int, channels: int, coarser: int, hidden: int, inputs: int = 0, candidates: int = 0
-    ):
-        super().__init__()
-        given = 2 * seen + beside
-        self.squeeze = nn.Conv2d(coarser, inputs - given - 4 - candidates, 1) if coarser else None
-        self.body = nn.Sequential(_conv(inputs if coarser else given, hidden), _conv(hidden, hidden))
-        self.out = nn.Conv2d(hidden, channels, 3, 1, 1)
-
-    def forward(self, now, before, beside, coarser=None, candidates=()) -> tuple[Tensor, Tensor]:
-        """`coarser`: what the level above returned: flows, and all its channels, the features after the first four."""
-        if coarser is None:
-            out = self.out(self.body(torch.cat((now, before, beside), 1)))
-            return out[:, :4].float(), out
-        flows = 2.0 * double(coarser[0])
-        moved = warp(now, flows[:, :2]), warp(before, flows[:, 2:])
-        out = self.out(self.body(torch.cat((*moved, beside, flows, double(self.squeeze(coarser[1])), *candidates), 1)))
-        return out[:, :4].float() + flows, out
+def _conv(inputs: int, outputs: int, stride: int = 1, size: int = 3) -> nn.Sequential:
+    return nn.Sequential(nn.Conv2d(inputs, outputs, size, stride, size // 2), nn.LeakyReLU(_SLOPE))
 
 
 class ShadingCorrectionNetwork(nn.Module):
@@ -114,24 +59,24 @@ class ShadingCorrectionNetwork(nn.Module):
         has it (3), share of the surroundings that tells
 
     Returns (N, 5, h, w): Δ (3; encoded colour), keep, focus mask M. While training also p, (N, 1, h, w), of which
-    M = 2 p clamped to 0 … 1: p is fitted to the true mask by L2, so it is about the probability of focus, and where
-    that is more likely than not the correction counts in full. There is no sigmoid: the L2 loss would have no gradient
-    where the mask is wrong.
+    M = 2 p − 0.1 clamped to 0 … 1: nothing is touched where there is little to gain. There is no sigmoid: where the
+    mask is wrong it would have no gradient.
 
-    Δ = (GAE frame moved along the flow − GAE frame) + g · trend, as far as that has lasted, + δ. Every convolution has
-    a multiple of four input channels: WebGPU's provider computes others wrongly.
+    Δ = (GAE frame moved along a flow − GAE frame) + g · trend, as far as it lasts, + δ; the flow is a mean of the one
+    that was found, α of it, and the network's own. Every convolution has a multiple of four input channels: WebGPU's
+    provider computes others wrongly.
     """
 
     def __init__(self):
         super().__init__()
-        self.encoder = Encoder()
-        finest = Decoder(3, _CHANNELS[0] + 6, _CHANNELS[0], _CHANNELS[1], _HIDDEN[0], 4 * _CHANNELS[0], _CANDIDATES)
-        self.decoders = nn.ModuleList([finest])
-        for channels, coarser, hidden in zip(_CHANNELS[1:-1], _CHANNELS[2:], _HIDDEN[1:], strict=False):
-            self.decoders.append(Decoder(channels // 2, 3, channels, coarser, hidden, 2 * channels))
-        self.decoders.append(Decoder(_CHANNELS[-1], 4, _CHANNELS[-1], 0, _HIDDEN[-1]))
-        self.up = nn.Conv2d(_CHANNELS[0], 4 * _DETAIL, 3, 1, 1)
-        self.head = nn.Sequential(_conv(_DETAIL + 12, _HEAD), nn.Conv2d(_HEAD, 6, 1))
+        self.seen = _conv(INPUT_PLANES, _SEEN, 2)
+        self.encoder = nn.ModuleList([_conv(_SEEN + _CANDIDATES, _CHANNELS[0])])
+        for i, o in zip(_CHANNELS[:-1], _CHANNELS[1:], strict=True):
+            self.encoder.append(nn.Sequential(_conv(i, o, 2), _conv(o, o)))
+        pairs = zip(_CHANNELS[1:], _CHANNELS[:-1], strict=True)
+        self.decoder = nn.ModuleList(_conv(coarse + fine, fine) for coarse, fine in pairs)  # finest first, as above
+        self.out = nn.Conv2d(_CHANNELS[0], 4 + 4 * _DETAIL, 3, 1, 1)
+        self.head = nn.Sequential(_conv(_DETAIL + 12, _HEAD, size=1), nn.Conv2d(_HEAD, 6, 1))
         self._begin()
 
     @torch.no_grad()
@@ -141,10 +86,9 @@ class ShadingCorrectionNetwork(nn.Module):
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, _SLOPE)
                 nn.init.zeros_(module.bias)
-        for decoder in self.decoders:
-            decoder.out.weight[:4] *= 0.1
+        self.out.weight[:4] *= 0.1
         self.head[1].weight *= 0.1
-        self.head[1].bias.copy_(torch.tensor((0.0, 0.0, 0.0, 2.0, 0.05, 0.0)))
+        self.head[1].bias.copy_(torch.tensor((0.0, 0.0, 0.0, 2.0, 0.15, 0.3)))
 
     @torch.no_grad()
     def take(self, weights: Mapping[str, np.ndarray]) -> None:
@@ -159,40 +103,34 @@ class ShadingCorrectionNetwork(nn.Module):
 
     def forward(self, frames: Tensor, alpha: Tensor, trends: Tensor):
         now, before = frames[:, :3], frames[:, 3:6]
-        encoded = self.encoder(frames)
         time = alpha.view(-1, 1, 1, 1)
-        smaller = [halve(frames)]
-        found, held, candidates = _candidates(smaller[0], halve(trends), time)
-        while len(smaller) < len(self.decoders):
-            smaller.append(halve(smaller[-1]))
-        result = None
-        for k in reversed(range(len(self.decoders))):
-            small = smaller[k]
-            plane = torch.zeros_like(small[:, :1])
-            beside = torch.cat((small[:, 6:], plane + time) if result else (small[:, 6:], plane + time, plane), 1)
-            images = encoded[k]
-            if k == 0:  # warping features would cost a quarter of the network's time
-                beside = torch.cat((beside, images[0], small[:, :3]), 1)
-                images = small[:, :3], small[:, 3:6]
-            elif result:
-                images = (image[:, : _CHANNELS[k] // 2] for image in images)
-            result = self.decoders[k](*images, beside, result, () if k else (candidates,))
-        result, out = result[0], result[1]
-        follow = torch.sigmoid(out[:, _FOLLOW : _FOLLOW + 1].float() - 2.0)
-        flows = 2.0 * double(result[:, :2] + follow * (time * found - result[:, :2]))
-        detail = functional.pixel_shuffle(functional.leaky_relu(self.up(out), _SLOPE), 2)
-        moved = warp(now, flows)
-        lasting = trends[:, :3] * double((held + out[:, _LASTS : _LASTS + 1].float()).clamp(0, 1))
-        out = self.head(torch.cat((detail, now, before, moved, lasting), 1)).float()
-        delta = out[:, :3] + (moved - now) + out[:, 5:6] * lasting
-        keep, likely = torch.sigmoid(out[:, 3:4]), out[:, 4:5]
-        correction = torch.cat((delta, keep, (2 * likely).clamp(0, 1)), 1)
+        found, held, candidates = _candidates(halve(frames[:, :6]), halve(trends), time)
+        features = [torch.cat((self.seen(frames), candidates), 1)]
+        for level in self.encoder:
+            features.append(level(features[-1]))
+        result = features.pop()
+        for level in reversed(self.decoder):
+            result = level(torch.cat((double(result), features.pop()), 1))
+        out = self.out(result).float()
+        own, follow, lasts, detail = out.split((2, 1, 1, 4 * _DETAIL), 1)
+        own = _FLOW_UNIT / 2 * own
+        flow = own + torch.sigmoid(follow) * (time * found - own)
+        moved = warp(now, 2.0 * double(flow)) - now
+        trend = trends[:, :3] * double((held + lasts).clamp(0, 1))
+        detail = functional.leaky_relu(functional.pixel_shuffle(detail, 2), _SLOPE)
+        said = self.head(torch.cat((detail, moved, trend, now, before), 1)).float()
+        delta = said[:, :3] + moved + said[:, 5:6] * trend
+        keep, likely = torch.sigmoid(said[:, 3:4]), said[:, 4:5]
+        correction = torch.cat((delta, keep, (2 * likely - _DOUBT).clamp(0, 1)), 1)
         return (correction, likely) if self.training else correction
 
 
+_CANDIDATES = 16  # channels of the following
+
+
 def _candidates(frames: Tensor, trends: Tensor, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """At a quarter of the resolution: the flow from the GAE frame into the warped previous one (2), as far as the last
-    interval's trend was that of the interval before (1), and what the decoder is to know about both (`_CANDIDATES`)."""
+    """At a quarter of the resolution: the flow from the GAE frame into the warped previous one (2), how far the last
+    interval's trend was that of the interval before (1), and what is known about both candidates (`_CANDIDATES`)."""
     now, before = frames[:, :3], frames[:, 3:6]
     with torch.no_grad():  # of inputs alone
         found, differences = find_flow(now.mean(1, keepdim=True), before.mean(1, keepdim=True))
@@ -201,9 +139,9 @@ def _candidates(frames: Tensor, trends: Tensor, time: Tensor) -> tuple[Tensor, T
         trend, earlier, share = trends.split((3, 3, 1), 1)
         held = (trend * earlier).sum(1, keepdim=True) / ((trend * trend).sum(1, keepdim=True) + _LITTLE)
         held = held.clamp(0, 1)
-        size = found.square().sum(1, keepdim=True).sqrt()
-        known = (found / 4, size / 4, 4 * still.sqrt(), 4 * along.sqrt(), along / still, 4 * (moved - now), 4 * trend,
-                 4 * earlier.mean(1, keepdim=True), 4 * (now - before).mean(1, keepdim=True), held, share)  # fmt: skip
+        known = (found / 4, 4 * still.sqrt(), 4 * along.sqrt(), along / still, 4 * (moved - now), 4 * trend,
+                 4 * earlier.mean(1, keepdim=True), 4 * (now - before).mean(1, keepdim=True), held, share,
+                 torch.zeros_like(share) + time)  # fmt: skip
     return found, held, torch.cat(known, 1)
 
 
