@@ -139,14 +139,30 @@ def test_trend_counts_as_far_as_it_has_lasted():
     net = network.ShadingCorrectionNetwork().eval()
     frames, trends = random(1, 8, 1, 1).expand(1, 8, 32, 32), random(1, 7, 1, 1).repeat(1, 1, 32, 32) - 0.5
     with torch.no_grad():
-        for decoder in net.decoders:
-            decoder.out.weight.zero_()
+        net.out.weight.zero_()
         net.head[1].weight.zero_()
-        net.head[1].bias.copy_(torch.tensor((0.0, 0.0, 0.0, 2.0, 0.05, 1.0)))
+        net.head[1].bias[5] = 1.0
         for share, counts in ((1.0, 1.0), (2.0, 1.0), (0.5, 0.5), (0.0, 0.0), (-1.0, 0.0)):
             trends[:, 3:6] = share * trends[:, :3]
             delta = net(frames, torch.tensor([0.5]), trends)[:, :3]
             assert torch.allclose(delta, counts * trends[:, :3], atol=2e-3), share
+
+
+def test_correction_follows_the_flow_that_was_found():
+    """Where the network says so, and nothing else, the GAE frame is moved by α of it."""
+    ys, xs = torch.meshgrid(torch.arange(64.0), torch.arange(96.0), indexing="ij")
+    bright = lambda moved: (0.5 + 0.2 * torch.sin(0.15 * (xs + moved)) + 0.2 * torch.cos(0.11 * ys)).expand(1, 3, 64, 96)  # noqa: E731
+    now, before = bright(0.0), bright(-4.0)  # what is at x was at x + 4
+    frames = torch.cat((now, before, torch.full((1, 2, 64, 96), 0.5)), 1)
+    net = network.ShadingCorrectionNetwork().eval()
+    with torch.no_grad():
+        net.out.weight.zero_()
+        net.head[1].weight.zero_()
+        for follow, share in ((20.0, 1.0), (-20.0, 0.0)):
+            net.out.bias[2] = follow
+            delta = net(frames, torch.tensor([0.5]), torch.zeros(1, 7, 64, 96))[:, :3]
+            expected = share * (bright(2.0) - now)
+            assert (delta - expected)[..., 12:-12, 12:-12].abs().max() < 0.02
 
 
 def test_training_begins_with_another_network_s_weights():
@@ -158,14 +174,14 @@ def test_training_begins_with_another_network_s_weights():
     other.take(weights)
     with torch.no_grad():
         assert torch.equal(one(*inputs), other(*inputs))
-        first = "encoder.levels.0.0.0.weight"
+        first = "seen.0.weight"
         other.take(weights | {first: weights[first][:, :6]})
         one.get_parameter(first)[:, 6:] = 0
         assert torch.allclose(one(*inputs), other(*inputs), atol=1e-6)
-    with pytest.raises(ValueError, match=r"'up\.bias' is missing"):
-        other.take({name: value for name, value in weights.items() if name != "up.bias"})
-    with pytest.raises(ValueError, match=r"'up.weight' is \[99, 16, 3, 3\]"):
-        other.take(weights | {"up.weight": np.zeros((99, 16, 3, 3), np.float32)})
+    with pytest.raises(ValueError, match=r"'out\.bias' is missing"):
+        other.take({name: value for name, value in weights.items() if name != "out.bias"})
+    with pytest.raises(ValueError, match=r"'out.weight' is \[99, 24, 3, 3\]"):
+        other.take(weights | {"out.weight": np.zeros((99, 24, 3, 3), np.float32)})
 
 
 # ---- losses --------------------------------------------------------------------------------------------
@@ -188,10 +204,10 @@ def test_display_values_agree():
     assert torch.isfinite(colors.grad).all()
 
 
-def test_weights_are_the_papers():
+def test_weights_are_the_papers_but_for_the_mask_s():
     assert weights(Recipe(blend_weight=0.5)) == {
         "reconstruction": 1.0,
-        "focus": 1.0,
+        "focus": 0.05,
         "perceptual": 0.01,
         "blend": 0.5,
     }
@@ -273,7 +289,7 @@ def test_keeping_crops():
     crops = [Crop(None, 0, 0, k, 0.5, focus) for k, focus in enumerate(np.linspace(0, 0.5, 200))]
     kept = keep_crops(crops, seed=1)
     assert {crop.x for crop in kept[:30]} == set(range(170, 200))
-    assert len({crop.x for crop in kept}) == 36
+    assert len({crop.x for crop in kept}) == 42
     assert keep_crops(crops, seed=1) == kept != keep_crops(crops, seed=2)
 
 
@@ -742,7 +758,7 @@ def test_convolutions_have_a_multiple_of_four_input_channels(tmp_path):
     graph = onnx.load(tmp_path / "scn.onnx").graph
     shapes = {value.name: tuple(value.dims) for value in graph.initializer}
     convolutions = [shapes[node.input[1]] for node in graph.node if node.op_type == "Conv"]
-    assert len(convolutions) == 26
+    assert len(convolutions) == 14
     assert all(inputs % 4 == 0 for _, inputs, *_ in convolutions), convolutions
 
 

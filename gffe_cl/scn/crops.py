@@ -116,7 +116,7 @@ def list_crops(folder: Path, seed: int, clips: int) -> list[Crop]:
 
 
 def keep_crops(crops: list[Crop], seed: int) -> list[Crop]:
-    """The top 15% by focus pixels, and 3% of all from the rest, at random."""
+    """The top 15% by focus pixels, and 6% of all from the rest, at random."""
     ranked = sorted(crops, key=lambda crop: -crop.focus)
     top = max(1, round(TOP_SHARE * len(ranked)))
     rest = ranked[top:]
