@@ -66,7 +66,9 @@ def texel_of(grid: str) -> tuple[int, int]:
     """Width and height in pixels that a texel of a grid covers, of the image that the grid is laid over."""
     if grid.startswith(("level", "mip")):
         return (1 << int(grid.removeprefix("level").removeprefix("mip")),) * 2
-    return {"blocks": (32, 32), "source_blocks": BLOCK, "target_blocks": BLOCK, "network": (2, 2)}.get(grid, (1, 1))
+    return {"blocks": (32, 32), "cells": (8, 8), "source_blocks": BLOCK, "target_blocks": BLOCK, "network": (2, 2)}.get(
+        grid, (1, 1)
+    )
 
 
 def texels_over(grid: str, fine: str, x: int, y: int, width: int, height: int) -> tuple[int, int, int, int]:
@@ -85,7 +87,7 @@ def spread(texels: np.ndarray, grid: str, fine: str, x: int, y: int, width: int,
 
 def lies_on_source(grid: str) -> bool:
     """Whether a grid is laid over the rendered image; else over the extrapolated one."""
-    return grid in ("source", "source_blocks") or grid.startswith("level")
+    return grid in ("source", "source_blocks", "cells") or grid.startswith("level")
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,8 @@ class BufferSpec:
     `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "blocks"
     (target / 32, rounded up), "source_blocks" and "target_blocks" (blocks of 8×4), "level0" … (source / 2^l, rounded
     up), "levels1" … (so many of these one after another), "mip1" … (target / 2^l, rounded up), "network" (target / 2,
-    rounded up to multiples of 16) or "once" (no image). `components` name its channels; a single one goes without.
+    rounded up to multiples of 16), "cells" (source / 8, rounded up) or "once" (no image). `components` name its
+    channels; a single one goes without.
     `view` says what it means, and so how to show it: "color" (linear RGB), "depth" (view z), "motion" (pixels, from
     here), "place" (position in pixels), "world" (position in the view space of the rendered camera), "mask" (0 or 1),
     "label" (`labels` name its values), "scalar". `mapped`: the host works in it. `kept`: that of the frame before is

@@ -1,7 +1,7 @@
 """Running the shading correction network with onnxruntime.
 
-A model takes `frames` (1, 8, h, w) and `alpha` (1,) and gives `correction` (1, 5, h, w), all float32, for any h and w
-that are multiples of 16.
+A model takes `frames` (1, 8, h, w), `alpha` (1,) and, if it wants them, `trends` (1, 7, h, w), and gives `correction`
+(1, 5, h, w), all float32, for any h and w that are multiples of 16.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gffe_cl.providers.sessions import FixedSession
 __all__ = ["AUTO", "PROVIDERS", "Network", "NetworkError", "default_model", "load_network", "load_onnxruntime"]
 
 MULTIPLE = 16  # of the network's width and height
-INPUT_PLANES, OUTPUT_PLANES = 8, 5
+INPUT_PLANES, TREND_PLANES, OUTPUT_PLANES = 8, 7, 5
 _FLOAT = "tensor(float)"
 _MOST_SIZES = 4  # whose sessions are kept
 _loaded: dict[tuple, tuple] = {}  # (path, what was asked for) → (stamp of the file, Network)
@@ -72,7 +72,8 @@ class Network:
     """A network and what runs it; see `load_network`.
 
     `session`: the CPU's, for any size. `copying`: milliseconds of the last run that went into copies to the provider
-    and back, as far as they are known apart. `remark`: what a user should know of what runs it, "" if nothing.
+    and back, as far as they are known apart. `takes_trends`:
+    whether the model has such an input. `remark`: what a user should know of what runs it, "" if nothing.
     """
 
     def __init__(self, path: Path, provider: str = CPU.name):
@@ -81,7 +82,11 @@ class Network:
         self._failure = ""
         self._fixed: dict[tuple[int, int], FixedSession] = {}  # by height and width, the latest last
         self._one_at_a_time = threading.RLock()  # on a provider; the CPU's session has no state
-        _require(path, "input", self.session.get_inputs(), {"frames": (1, INPUT_PLANES, None, None), "alpha": (1,)})
+        inputs = {"frames": (1, INPUT_PLANES, None, None), "alpha": (1,)}
+        self.takes_trends = any(value.name == "trends" for value in self.session.get_inputs())
+        if self.takes_trends:
+            inputs["trends"] = (1, TREND_PLANES, None, None)
+        _require(path, "input", self.session.get_inputs(), inputs)
         _require(path, "output", self.session.get_outputs(), {"correction": (1, OUTPUT_PLANES, None, None)})
         self.choice: Choice = choose(path, provider)
 
@@ -98,10 +103,13 @@ class Network:
         """Make what it takes to run on images of this size, which may take seconds. Raises NetworkError."""
         self._guarded(lambda: None if self.provider == CPU.ort else self._session_of(height, width))
 
-    def run(self, frames: np.ndarray, alpha: float, correction: np.ndarray) -> int:
-        """Read `frames` (8, h, w), write `correction` (5, h, w): C-contiguous float32, used in place on the CPU.
-        Returns for how many of its pixels the network gave NaN or infinity. Raises NetworkError."""
+    def run(self, frames: np.ndarray, alpha: float, correction: np.ndarray, trends: np.ndarray | None = None) -> int:
+        """Read `frames` (8, h, w) and, if the model `takes_trends`, `trends` (7, h, w), write `correction` (5, h, w):
+        C-contiguous float32, used in place on the CPU. Returns for how many of its pixels the network gave NaN or
+        infinity. Raises NetworkError."""
         inputs = {"frames": frames[None], "alpha": np.array([alpha], np.float32)}
+        if trends is not None:
+            inputs["trends"] = trends[None]
         self._guarded(lambda: self._run(inputs, correction[None]))
         return _pixels_not_finite(correction)
 
@@ -140,6 +148,8 @@ class Network:
                 self._fixed[size] = self._fixed.pop(size)
                 return self._fixed[size]
             images = {"frames": INPUT_PLANES, "correction": OUTPUT_PLANES}
+            if self.takes_trends:
+                images["trends"] = TREND_PLANES
             shapes = {name: (1, planes, *size) for name, planes in images.items()} | {"alpha": (1,)}
             made = FixedSession(self.path, self.choice.provider, shapes, self.session)
             while len(self._fixed) >= _MOST_SIZES:

@@ -43,6 +43,7 @@ from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import ShadingInputs
 from gffe_cl.stages.silhouettes import Silhouettes
 from gffe_cl.stages.surfaces import Surfaces
+from gffe_cl.stages.trend import Trend
 from gffe_cl.stages.upscaling import Upscaling
 from gffe_cl.stages.warp import Warp
 from gffe_cl.values import require_exposure
@@ -111,6 +112,7 @@ STAGES: tuple[type[Stage], ...] = (
     HoleFilling,
     Silhouettes,
     ShadingInputs,
+    Trend,
     ShadingCorrection,
     Upscaling,
 )

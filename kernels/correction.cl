@@ -2,6 +2,7 @@
    frame that its output makes of the extrapolated one. */
 
 #include "previous.h"
+#include "law.h"
 
 #define BIN_BITS 16       /* dropped from a depth: bins are 1/128 of a power of two wide */
 #define BINS 32768
@@ -57,72 +58,6 @@ void find_median(__global const uint *histogram, __global float *median_depth) {
     for (; bin < SCANNERS - 1 && below + sums[bin] < half_way; ++bin) below += sums[bin];
     for (bin *= BINS / SCANNERS; bin < BINS - 1 && below + histogram[bin] < half_way; ++bin) below += histogram[bin];
     *median_depth = total ? as_float((bin << BIN_BITS) | (1u << (BIN_BITS - 1))) : 1.0f;
-}
-
-/* Of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN. */
-inline Floats least(const Floats a, const float b) { return a < b ? a : (Floats)(b); }
-inline Floats most(const Floats a, const float b) { return a < b ? (Floats)(b) : a; }
-
-/* Of the power of two within sqrt(2) of x > 0. */
-inline Ints exponent_of(const Floats x) { return (floats_as_ints(x) - 0x3f3504f3) >> 23; }
-
-inline Floats mantissa_of(const Floats x, const Ints exponent) { return ints_as_floats(floats_as_ints(x) - (exponent << 23)); }
-
-/* ln(mantissa * 2^exponent), to about a unit in the last place: of Cephes (Moshier), without branches. Built-in functions
-   differ between runtimes, and not all of them are fast. */
-inline Floats log_of_parts(const Floats mantissa, const Ints exponent) {
-    const Floats e = to_floats(exponent), m = mantissa - 1.0f, z = m * m;
-    Floats y = 7.0376836292e-2f;
-    y = y * m - 1.1514610310e-1f;
-    y = y * m + 1.1676998740e-1f;
-    y = y * m - 1.2420140846e-1f;
-    y = y * m + 1.4249322787e-1f;
-    y = y * m - 1.6668057665e-1f;
-    y = y * m + 2.0000714765e-1f;
-    y = y * m - 2.4999993993e-1f;
-    y = y * m + 3.3333331174e-1f;
-    y = y * m * z - 2.12194440e-4f * e - 0.5f * z;
-    return m + y + 0.693359375f * e;
-}
-
-/* ln(x) and ln(a * b) for numbers >= 1; the product may be too large for a float. */
-inline Floats log_of(const Floats x) {
-    const Ints exponent = exponent_of(x);
-    return log_of_parts(mantissa_of(x, exponent), exponent);
-}
-
-inline Floats log_of_product(const Floats a, const Floats b) {
-    const Ints of_a = exponent_of(a), of_b = exponent_of(b);
-    const Floats product = mantissa_of(a, of_a) * mantissa_of(b, of_b);
-    const Ints more = exponent_of(product);
-    return log_of_parts(mantissa_of(product, more), of_a + of_b + more);
-}
-
-/* exp(x) - 1 for x from 0 to 88, likewise. */
-inline Floats exp_less_one(const Floats x) {
-    const Floats n = floor(x * 1.44269504088896341f + 0.5f);
-    const Floats r = x - n * 0.693359375f + n * 2.12194440e-4f;
-    Floats y = 1.9875691500e-4f;
-    y = y * r + 1.3981999507e-3f;
-    y = y * r + 8.3334519073e-3f;
-    y = y * r + 4.1665795894e-2f;
-    y = y * r + 1.6666665459e-1f;
-    y = y * r + 5.0000001201e-1f;
-    y = y * r * r + r;
-    const Floats power = ints_as_floats((to_ints(n) + 127) << 23);
-    return y * power + (power - 1.0f);
-}
-
-/* mu-law of colour: 1 at three stops above display white, no upper limit. `law`: mu * exposure / 8, 1 / ln(1 + mu), and
-   their reciprocals. NaN is 0. */
-#define LIFTED(type, c, law) (1.0f + (law).x * ((c) > 0.0f ? ((c) < COLOR_MAX ? (c) : (type)(COLOR_MAX)) : (type)(0.0f)))
-
-inline Floats lifted(const Floats c, const float4 law) { return LIFTED(Floats, c, law); }
-
-inline Floats encode(const Floats c, const float4 law) { return log_of(lifted(c, law)) * law.y; }
-
-inline Floats decode(const Floats e, const float4 law) {
-    return least(exp_less_one(least(most(e, 0.0f) * law.w, 88.0f)) * law.z, COLOR_MAX);
 }
 
 /* Of a strip of two rows: products of lifted colours, which stay below 1e28. */

@@ -152,6 +152,16 @@ inline void store_some_xy(const Floats x, const Floats y, const int count, __glo
     for (int k = 0; k < count; ++k) p[k] = (float2)(lanes_x[k], lanes_y[k]);
 }
 
+inline void store_some_floats(const Floats v, const int count, __global float *p) {
+    if (count >= LANES) {
+        store_floats(v, 0, p);
+        return;
+    }
+    float lanes[LANES];
+    store_floats(v, 0, lanes);
+    for (int k = 0; k < count; ++k) p[k] = lanes[k];
+}
+
 inline void store_some_halfs(const Floats v, const int count, __global half *p) {
     if (count >= LANES) {
         store_halfs(v, 0, p);

@@ -37,6 +37,30 @@ def look_model(path, channels=(0, 1, 2, 3, 4)):
     )
 
 
+def trend_model(path, which=0):
+    """Says what a plane of its trends is, in the first of its own; the focus mask is 1."""
+    nodes = [
+        helper.make_node("Gather", ["trends", "which"], ["plane"], axis=1),
+        helper.make_node("Sub", ["plane", "plane"], ["nothing"]),
+        helper.make_node("Add", ["nothing", "alpha"], ["something"]),
+        helper.make_node("Mul", ["something", "zero"], ["none"]),
+        helper.make_node("Slice", ["frames", "first", "second", "channel"], ["unused"]),
+        helper.make_node("Sub", ["unused", "unused"], ["empty"]),
+        helper.make_node("Add", ["none", "one"], ["full"]),
+        helper.make_node("Concat", ["plane", "empty", "empty", "full", "full"], ["correction"], axis=1),
+    ]
+    constants = {
+        "which": np.array([which]),
+        "zero": np.zeros(1, np.float32),
+        "one": np.ones(1, np.float32),
+        "first": np.array([0]),
+        "second": np.array([1]),
+        "channel": np.array([1]),
+    }
+    inputs = (("frames", FLOAT, FRAMES), ("alpha", FLOAT, ALPHA), ("trends", FLOAT, (1, 7, "h", "w")))
+    return save(path, nodes, constants, inputs)
+
+
 def movers_model(path, delta=0.1):
     """Brightens what moves: its focus mask is 1 where the input mask is nearly 1, else 0."""
     nodes = [

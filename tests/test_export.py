@@ -280,7 +280,7 @@ def test_one_pixel_per_work_item_as_on_gpus_gives_the_same_frames(device, librar
 
 @pytest.mark.slow
 def test_the_network_runs_between_its_buffers(device, library, tmp_path):
-    path = str(scn_models.movers_model(tmp_path / "scn.onnx"))
+    path = str(scn_models.trend_model(tmp_path / "scn.onnx"))
     options = replace(DEFAULT, shading_correction=True, scn_model=path)
     ran = []
     frames = moving(device, 4)
@@ -310,10 +310,11 @@ def network_of(device, path, ran):
     network = inference.load_network(path)
 
     @NETWORK
-    def run(user, queue, frames, correction, width, height, alpha):
-        given, made = np.empty((8, height, width), np.float32), np.empty((5, height, width), np.float32)
+    def run(user, queue, frames, trends, correction, width, height, alpha):
+        given, changed, made = (np.empty((planes, height, width), np.float32) for planes in (8, 7, 5))
         cl.enqueue_copy(device.queue, given, cl.Buffer.from_int_ptr(frames, True))
-        network.run(given, alpha, made)
+        cl.enqueue_copy(device.queue, changed, cl.Buffer.from_int_ptr(trends, True))
+        network.run(given, alpha, made, changed if network.takes_trends else None)
         cl.enqueue_copy(device.queue, cl.Buffer.from_int_ptr(correction, True), made)
         ran.append(alpha)
         return 0

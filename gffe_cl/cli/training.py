@@ -51,6 +51,9 @@ def train(
         typer.Option(help="About so long, a third of it for clips; the same command goes on from there."),
     ] = None,
     data_only: Annotated[bool, typer.Option("--data-only", help="Only make the clips.")] = False,
+    start: Annotated[
+        Path | None, typer.Option(help="ONNX network of an earlier training to begin with, such as the package's own.")
+    ] = None,
     vgg: Annotated[Path | None, typer.Option(help="torchvision's vgg19-*.pth, for the perceptual loss.")] = None,
     scheduler: SchedulerOption = None,
     device: DeviceOption = None,
@@ -103,7 +106,7 @@ def train(
                     write_json(json_path, {"clips": made, "done": False})
                 return
             count = complete_clips(data, seed, wanted)
-            training = Training(folder, recipe, list_crops(data, seed, count), processes, vgg, count)
+            training = Training(folder, recipe, list_crops(data, seed, count), processes, vgg, count, start)
             bars.update(task, description="steps", total=steps, completed=training.step)
             plan.begin_steps(training.step, steps)
 

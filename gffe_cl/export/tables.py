@@ -17,7 +17,7 @@ from gffe_cl.opencl.probing import DIVISION_SOURCE, INT64_SOURCE
 from gffe_cl.opencl.program import expand
 from gffe_cl.options import Options
 from gffe_cl.stage import Kernel, NearestStage, Stage
-from gffe_cl.stages import correction, cuts
+from gffe_cl.stages import correction, cuts, law
 from gffe_cl.stages.background import MAX_LEVELS
 from gffe_cl.stages.prediction import MAX_ORDER
 
@@ -51,6 +51,7 @@ def config(options: Options) -> str:
         "BLOCK": texel_of("blocks")[0],
         "BLOCK_WIDTH": BLOCK[0],
         "BLOCK_HEIGHT": BLOCK[1],
+        "CELL": texel_of("cells")[0],
         "NETWORK_TEXEL": texel_of("network")[0],
         "NETWORK_MULTIPLE": MULTIPLE,
         "ALIGNMENT": aligned(1),
@@ -70,8 +71,8 @@ def config(options: Options) -> str:
         "AT_REST": window.AT_REST,
         "NEAR_SAMPLES": window.NEAR_SAMPLES,
         "NEAR_QUANTILE": window.NEAR_QUANTILE,
-        "MU": correction.MU,
-        "HEADROOM": correction.HEADROOM,
+        "MU": law.MU,
+        "HEADROOM": law.HEADROOM,
         "CUT_DETECTION": int(options.cut_detection),
         "CORRECTS_SHADING": int(options.corrects_shading),
         "UPSCALES": int(options.upscale > 0),

@@ -18,16 +18,19 @@ from gffe_cl.frame import OVERLAYS
 from gffe_cl.opencl.program import constants
 from gffe_cl.stage import Step, reprojection, zoom
 from gffe_cl.stages.background import MAX_LEVELS
-from gffe_cl.stages.correction import color_law
 from gffe_cl.stages.cuts import SAMPLES
 from gffe_cl.stages.history import STRIDE
+from gffe_cl.stages.law import color_law
 from gffe_cl.stages.prediction import MAX_ORDER, padded, polynomial_weights
 from gffe_cl.stages.presentation import mapping
+from gffe_cl.stages.trend import REACH_SHARE, reach_of
 from gffe_cl.stages.upscaling import pixel_size
 from gffe_cl.vectors import length
 
 CAMERAS = ("FRAME", "PREVIOUS", "TARGET_CAMERA", "FRAME_DISPLAY", "PREVIOUS_DISPLAY")
-GRIDS = ("ONCE", "SOURCE", "TARGET", "BLOCKS", "SOURCE_BLOCKS", "TARGET_BLOCKS", "NETWORK", "MIP", "LEVEL", "LEVELS")
+GRIDS = (
+    "ONCE", "SOURCE", "TARGET", "BLOCKS", "SOURCE_BLOCKS", "TARGET_BLOCKS", "CELLS", "NETWORK", "MIP", "LEVEL", "LEVELS"
+)  # fmt: skip
 _HOLES = constants("holes.cl")
 MOST_PIXELS = 16384  # each way, of the images that C takes
 
@@ -111,6 +114,7 @@ def values() -> Iterator[tuple[Named, Callable[[Probe], object]]]:
     for least, share in ((8, 48), (16, 10)):  # of movers, of the far side
         value = Named("GFFE_REACH", least, share)
         yield value, lambda probe, least=least, share=share: max(least, probe.sizes.target[0] // share)
+    yield Named("GFFE_CELLS_REACH", REACH_SHARE), lambda probe: reach_of(probe.sizes.source[1])
     for number, name in enumerate(OVERLAYS):
         yield Named("GFFE_HAS", number), lambda probe, name=name: int(name in probe.overlays)
     for levels in range(1, MAX_LEVELS + 1):

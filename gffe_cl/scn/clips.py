@@ -16,22 +16,26 @@ from numpy.lib.stride_tricks import sliding_window_view
 from gffe_cl.cluster import Cluster, device_of_worker
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import HALF_MAX
+from gffe_cl.inference import TREND_PLANES
 from gffe_cl.metrics import focus_mask
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
-from gffe_cl.scn import network
+from gffe_cl.scn import images, network
 from gffe_cl.scn.variety import vary_scene
 
 TRAINING_SCENES = ("corridor", "plaza", "room", "forest")
 CHANNELS = 11  # exposed linear GAE (3), warped previous (3), ground truth (3), inverse depth, input mask
 PLANES = {"gae": slice(0, 3), "previous": slice(3, 6), "truth": slice(6, 9), "side": slice(9, 11)}
+HALVED_CHANNELS = CHANNELS + TREND_PLANES  # at half resolution the trends of shading come after
 CROP = 256
-VERSION = 4
+VERSION = 5
 _SIZES = ((480, 270), (640, 360), (800, 450), (960, 540))
 _SIZE_SHARES = (0.5, 0.35, 0.1, 0.05)
-_RENDERED = 3  # rendered frames per clip; the first has no history
+_ALPHAS = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 1.0)
+_RENDERED = 4  # rendered frames per clip
+_UNSEEN = 2  # the first ones, without samples: trends need two intervals
 _PER_FRAME = 2  # ground truths after each of the others
 _MOST_INVERSE_DEPTH = 8.0
 _CROPS_PER_FRAME = 6  # times the number that would cover the frame once
@@ -56,8 +60,8 @@ class ClipPlan:
         rng = np.random.default_rng([seed, index])
         width, height = _SIZES[int(rng.choice(len(_SIZES), p=_SIZE_SHARES))]
         alphas = tuple(
-            tuple(sorted(float(a) for a in rng.choice((0.25, 1 / 3, 0.5, 2 / 3, 0.75), _PER_FRAME, replace=False)))
-            for _ in range(_RENDERED - 1)
+            tuple(sorted(float(a) for a in rng.choice(_ALPHAS, _PER_FRAME, replace=False)))
+            for _ in range(_RENDERED - _UNSEEN)
         )
         scene = TRAINING_SCENES[index % len(TRAINING_SCENES)]
         fps = float(2.0 ** rng.uniform(np.log2(15), np.log2(60)))
@@ -69,17 +73,17 @@ class ClipPlan:
         return vary_scene(load_scene(self.scene, self.scene_seed), rng, middle)
 
 
-def make_clip(device: Device, plan: ClipPlan) -> tuple[np.ndarray, list[float]]:
-    """Render and extrapolate a clip: (S, 11, H, W) float16 samples (`PLANES`) and their α."""
+def make_clip(device: Device, plan: ClipPlan) -> tuple[np.ndarray, np.ndarray, list[float]]:
+    """Render and extrapolate a clip: (S, 11, H, W) float16 samples (`PLANES`), their trends (S, 7, H/2, W/2) and α."""
     scene = plan.make_scene()
     scene_frames = SceneFrames(SceneRenderer(device, scene, plan.width, plan.height, samples=5))
-    pipeline = Pipeline(
-        device, plan.width, plan.height, Options(shading_inputs=True, shading_correction=False), fps=plan.fps
-    )
-    samples, alphas = [], []
+    options = Options(shading_inputs=True, shading_correction=False)
+    pipeline = Pipeline(device, plan.width, plan.height, options, fps=plan.fps)
+    pipeline.exposure = scene.exposure
+    samples, trends, alphas = [], [], []
     for k, frame in enumerate(scene_frames.sequence(_RENDERED, plan.fps, plan.start)):
         pipeline.submit(frame)
-        for alpha in plan.alphas[k - 1] if k else ():
+        for alpha in plan.alphas[k - _UNSEEN] if k >= _UNSEEN else ():
             time = frame.time + alpha / plan.fps
             made = pipeline.extrapolate(scene_frames.display_camera(time), time)
             gae, depth = made.numpy("color"), made.numpy("depth")
@@ -87,8 +91,10 @@ def make_clip(device: Device, plan: ClipPlan) -> tuple[np.ndarray, list[float]]:
             mask = pipeline.stages["shading"].read("input_mask")
             truth = scene_frames.truth(time).read("color")
             samples.append(_sample(gae, previous, truth, depth, mask, scene.exposure))
+            carried = pipeline.stages["trend"].read("trends")[:, : plan.height // 2, : plan.width // 2]
+            trends.append(carried.astype(np.float16))
             alphas.append(alpha)
-    return np.stack(samples), alphas
+    return np.stack(samples), np.stack(trends), alphas
 
 
 def _sample(gae, previous, truth, depth, mask, exposure) -> np.ndarray:
@@ -131,12 +137,12 @@ def _opened(mask: np.ndarray) -> np.ndarray:
 def halve(samples: np.ndarray) -> np.ndarray:
     """Samples at half resolution: means over 2×2 pixels, of colours' codes as the network's input has them."""
     colors, side = torch.from_numpy(samples.astype(np.float32)).tensor_split((PLANES["side"].start,), 1)
-    seen = network.decode(network.halve(network.encode(colors)))
-    return torch.cat((seen, network.halve(side)), 1).half().numpy()
+    seen = network.decode(images.halve(network.encode(colors)))
+    return torch.cat((seen, images.halve(side)), 1).half().numpy()
 
 
 def halved_path(path: Path) -> Path:
-    """Where the samples of `path` are at half resolution."""
+    """Where the samples of `path` are at half resolution, with their trends."""
     return path.with_name(f"{path.stem}_half.npy")
 
 
@@ -211,11 +217,13 @@ def _clip_on_worker(plan: ClipPlan) -> tuple:
 
 
 def clip_data(device: Device, plan: ClipPlan) -> tuple[np.ndarray, np.ndarray, dict]:
-    """What is kept of a clip: samples, the same at half resolution (`make_clip`, `halve`), and their description."""
-    samples, alphas = make_clip(device, plan)
+    """What is kept of a clip: samples, the same at half resolution (`make_clip`, `halve`) with their trends, and their
+    description."""
+    samples, trends, alphas = make_clip(device, plan)
     rng = np.random.default_rng([plan.seed, plan.index, 2])
     crops = [crops_of(sample, rng) for sample in samples]
-    return samples, halve(samples), {"version": VERSION, "plan": asdict(plan), "alphas": alphas, "crops": crops}
+    halved = np.concatenate((halve(samples), trends), 1)
+    return samples, halved, {"version": VERSION, "plan": asdict(plan), "alphas": alphas, "crops": crops}
 
 
 def _keep(name: Path, samples: np.ndarray, halved: np.ndarray, document: dict) -> None:

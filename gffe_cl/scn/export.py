@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from gffe_cl.errors import GffeError
-from gffe_cl.inference import MULTIPLE, load_onnxruntime
+from gffe_cl.inference import INPUT_PLANES, MULTIPLE, TREND_PLANES, load_onnxruntime
 from gffe_cl.scn.channels import pad_file
 from gffe_cl.scn.network import ShadingCorrectionNetwork
 
@@ -23,14 +23,14 @@ TOLERANCE = 2e-4  # between onnxruntime and PyTorch, of values in about −1 …
 
 
 def export_onnx(network: ShadingCorrectionNetwork, path: Path) -> float:
-    """Write `network` to `path` (inputs frames, alpha; output correction; any height and width); returns the largest
-    difference between onnxruntime and PyTorch on random input of two sizes.
+    """Write `network` to `path` (inputs frames, alpha, trends; output correction; any height and width); returns the
+    largest difference between onnxruntime and PyTorch on random input of two sizes.
 
     Raises GffeError if they disagree, or the file cannot be written; then there is none.
     """
     network = network.eval().cpu().to(memory_format=torch.contiguous_format)
     path, part = Path(path), Path(path).with_suffix(".part.onnx")
-    example = (torch.rand(1, 8, 4 * MULTIPLE, 6 * MULTIPLE), torch.tensor([0.5]))
+    example = example_inputs(4 * MULTIPLE, 6 * MULTIPLE)
     free = {2: "height", 3: "width"}
     try:
         with warnings.catch_warnings(), torch.no_grad():
@@ -38,11 +38,11 @@ def export_onnx(network: ShadingCorrectionNetwork, path: Path) -> float:
             logging.getLogger("torch.onnx").setLevel(logging.ERROR)
             torch.onnx.export(
                 network,
-                example,
+                tuple(example.values()),
                 str(part),
-                input_names=["frames", "alpha"],
+                input_names=list(example),
                 output_names=["correction"],
-                dynamic_axes={"frames": free, "correction": free},
+                dynamic_axes={"frames": free, "trends": free, "correction": free},
                 opset_version=OPSET,
                 dynamo=False,
             )
@@ -61,16 +61,35 @@ def export_onnx(network: ShadingCorrectionNetwork, path: Path) -> float:
     return difference
 
 
+def example_inputs(height: int, width: int) -> dict[str, torch.Tensor]:
+    """Random input of the network, in the order of its arguments; equal sizes, equal numbers."""
+    generator = torch.Generator().manual_seed(height)
+    shapes = {"frames": (1, INPUT_PLANES, height, width), "alpha": (1,), "trends": (1, TREND_PLANES, height, width)}
+    return {name: torch.rand(shape, generator=generator) for name, shape in shapes.items()}
+
+
+def weights_of(path: Path) -> dict[str, np.ndarray]:
+    """The weights in a network that `export_onnx` wrote, by the names of its parameters. Raises GffeError."""
+    import onnx
+
+    try:
+        model = onnx.load(str(path))
+        return {item.name: onnx.numpy_helper.to_array(item) for item in model.graph.initializer}
+    except Exception as error:  # of protobuf, onnx or the system
+        raise GffeError(
+            f"{path}: not an ONNX network ({getattr(error, 'strerror', None) or type(error).__name__})"
+        ) from None
+
+
 def largest_difference(network: ShadingCorrectionNetwork, path: Path) -> float:
     """Between the outputs of onnxruntime and PyTorch."""
     session = load_onnxruntime().InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    rng, worst = np.random.default_rng(0), 0.0
+    worst = 0.0
     for height, width in ((2 * MULTIPLE, 3 * MULTIPLE), (5 * MULTIPLE, MULTIPLE)):
-        frames = rng.random((1, 8, height, width), np.float32)
-        alpha = rng.random(1, np.float32)
-        (onnx,) = session.run(None, {"frames": frames, "alpha": alpha})
+        inputs = example_inputs(height, width)
+        (onnx,) = session.run(None, {name: value.numpy() for name, value in inputs.items()})
         with torch.no_grad():
-            expected = network(torch.from_numpy(frames), torch.from_numpy(alpha)).numpy()
+            expected = network(*inputs.values()).numpy()
         worst = max(worst, float(np.abs(onnx - expected).max()))
     return worst
 
@@ -82,7 +101,7 @@ def count_operations(network: ShadingCorrectionNetwork, width: int, height: int)
     sides = [-(-side // (2 * MULTIPLE)) * MULTIPLE for side in (height, width)]
     shape_only = copy.deepcopy(network).to("meta").eval()
     with torch.no_grad(), torch.device("meta"), FlopCounterMode(display=False) as counter:
-        shape_only(torch.zeros(1, 8, *sides), torch.zeros(1))
+        shape_only(*(torch.zeros(1, n, *sides) if n else torch.zeros(1) for n in (INPUT_PLANES, 0, TREND_PLANES)))
     return sum(p.numel() for p in network.parameters()), counter.get_total_flops() / 1e9
 
 

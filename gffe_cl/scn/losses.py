@@ -12,13 +12,11 @@ from gffe_cl.errors import GffeError
 from gffe_cl.metrics import SRGB_TOE
 from gffe_cl.scn.network import encode
 
-VERSION = 2  # of what the terms mean: a run goes on only with its own
-FEATURES_WEIGHT = 0.01  # λ_f, λ_focus and λ_vgg of the paper
-FOCUS_WEIGHT = 1.0
-PERCEPTUAL_WEIGHT = 0.01
+VERSION = 4  # of what the terms mean: a run goes on only with its own
+FOCUS_WEIGHT = 0.05  # λ_focus; the paper's is 1, and its mask covers large errors only
+PERCEPTUAL_WEIGHT = 0.01  # λ_vgg of the paper
+TAUGHT = 0.2  # how much the refined image is taught where the focus mask is 0
 _CHARBONNIER = 1e-3
-_CENSUS = 7  # pixels each way
-_GREY_LEVELS = 255.0  # of the census transform's constants
 _DISPLAY_WEIGHT = 10.0
 _TOE = float(SRGB_TOE)
 
@@ -26,29 +24,6 @@ _TOE = float(SRGB_TOE)
 def charbonnier(a: Tensor, b: Tensor) -> Tensor:
     """Mean of √((a − b)² + ε²) − ε."""
     return (torch.sqrt((a - b) ** 2 + _CHARBONNIER**2) - _CHARBONNIER).mean()
-
-
-def census(a: Tensor, b: Tensor) -> Tensor:
-    """Soft Hamming distance of the census transforms of the channels' means, over 7×7 pixels (UnFlow, Meister et al.
-    2018), leaving out the border. Of two pixels that are compared with each other, one way counts for both.
-
-    UnFlow's constants, 0.81 and 0.1, are for grey levels of 0 … 255: it multiplies images by 255 before, and so are
-    features here. Neighbours differ by about 0.003 in features of a trained network; against √0.81 that would be a
-    plain square of differences, and its weight of λ_f next to nothing.
-    """
-    difference = _transformed(a) - _transformed(b)
-    squared = difference * difference
-    return (squared / (0.1 + squared)).mean()
-
-
-def _transformed(features: Tensor) -> Tensor:
-    """(N, 24, H − 6, W − 6)."""
-    gray, far = _GREY_LEVELS * features.mean(1), _CENSUS // 2
-    height, width = (side - 2 * far for side in gray.shape[-2:])
-    offsets = [(y, x) for y in range(far + 1) for x in range(-far, far + 1) if y > 0 or x > 0]
-    others = [gray[:, far + y : far + y + height, far + x : far + x + width] for y, x in offsets]
-    difference = torch.stack(others, 1) - gray[:, None, far : far + height, far : far + width]
-    return difference * torch.rsqrt(0.81 + difference * difference)
 
 
 def shown_loss(a: Tensor, b: Tensor) -> Tensor:

@@ -1,26 +1,35 @@
 """The shading correction network (paper: 'Shading Correction Network' and its appendix).
 
-Flow-based, coarse to fine, all of it at half resolution: an encoder of four feature levels (the paper has three, but
-shading may move far) is shared by the GAE frame and the warped previous frame; a decoder per level predicts two flows,
-and the features of the frame at t + α; a head makes the correction. `compose` makes the frame of it, as
-kernels/correction.cl does.
+Two things may go on: what moved, along the flow that `flow.find_flow` finds from the GAE frame into the warped previous
+one, coarse to fine, and what changed over wide areas (kernels/trend.cl). The network judges, per pixel, how far: four
+levels of features at a quarter of the display's resolution and below see both frames and what is known about both
+candidates; a head at half resolution makes the correction. `compose` makes the frame of it, as kernels/correction.cl
+does.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
+import numpy as np
 import torch
 import torch.nn.functional as functional
 from torch import Tensor, nn
 
-from gffe_cl.stages.correction import HEADROOM, MU
+from gffe_cl.inference import INPUT_PLANES
+from gffe_cl.scn.flow import find_flow
+from gffe_cl.scn.images import double, halve, warp
+from gffe_cl.stages.law import HEADROOM, MU
 
 FOCUS_THRESHOLD = 1 / 32  # a smaller M is 0
-_CHANNELS = (16, 32, 48, 64)
-_HIDDEN = (32, 48, 64, 64)
+_CHANNELS = (24, 32, 48, 64)  # at 1/4 … 1/32 of the display
+_SEEN = 16  # channels of what is seen of the frames themselves, at a quarter
 _DETAIL = 4
 _HEAD = 16
+_DOUBT = 0.1
+_FLOW_UNIT = 8.0  # pixels of half resolution
+_LITTLE = 1e-4  # squared change of encoded colour
 _SLOPE = 0.1  # of leaky rectifiers
 _LOG = torch.log1p(torch.tensor(MU)).item()
 _MOST = math.log1p(65504 * MU / HEADROOM) / _LOG
@@ -36,99 +45,38 @@ def decode(encoded: Tensor) -> Tensor:
     return torch.expm1(encoded.clamp(0, _MOST) * _LOG) * (HEADROOM / MU)
 
 
-def halve(image: Tensor) -> Tensor:
-    """(N, C, H, W), even sizes → means over 2×2 pixels."""
-    return functional.avg_pool2d(image, 2)
-
-
-def double(image: Tensor) -> Tensor:
-    """Bilinear, pixel centres of both images on one plane, borders repeated."""
-    return functional.interpolate(image, scale_factor=2, mode="bilinear", align_corners=False)
-
-
-def warp(image: Tensor, flow: Tensor) -> Tensor:
-    """(N, C, h, w) sampled at x + flow[x], (N, 2, h, w) in pixels; bilinear, borders repeated."""
-    image, flow = image.float(), flow.float()
-    height, width = image.shape[-2:]
-    ys = torch.arange(height, dtype=flow.dtype, device=flow.device).view(1, height, 1)
-    xs = torch.arange(width, dtype=flow.dtype, device=flow.device).view(1, 1, width)
-    grid_x = (flow[:, 0] + (xs + 0.5)) * (2.0 / width) - 1.0
-    grid_y = (flow[:, 1] + (ys + 0.5)) * (2.0 / height) - 1.0
-    grid = torch.stack((grid_x, grid_y), -1)
-    return functional.grid_sample(image, grid, mode="bilinear", padding_mode="border", align_corners=False)
-
-
-def _conv(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
-    return nn.Sequential(nn.Conv2d(inputs, outputs, 3, stride, 1), nn.LeakyReLU(_SLOPE))
-
-
-class Encoder(nn.Module):
-    """(N, 6, h, w), encoded colour and its difference from the other frame → features at 1/2 … 1/16 of that size.
-
-    On one surface the two frames differ by their shading only: the difference is what moves.
-    """
-
-    def __init__(self):
-        super().__init__()
-        inputs = (6, *_CHANNELS[:-1])
-        self.levels = nn.ModuleList(
-            nn.Sequential(_conv(i, o, 2), _conv(o, o)) for i, o in zip(inputs, _CHANNELS, strict=True)
-        )
-
-    def forward(self, color: Tensor, other: Tensor) -> list[Tensor]:
-        features = [torch.cat((color, color - other), 1)]
-        for level in self.levels:
-            features.append(level(features[-1]))
-        return features[1:]
-
-
-class Decoder(nn.Module):
-    """Flows (4 channels: into the GAE frame, into the warped previous frame) and features of the frame at t + α.
-
-    `warped`: channels of each of the two images that are warped by the coarser flows; `beside`: of what is not.
-    Below the coarsest level 3 · `channels` are convolved, a multiple of 16: onnxruntime takes twice as long for others.
-    """
-
-    def __init__(self, warped: int, beside: int, channels: int, coarser: int, hidden: int):
-        super().__init__()
-        inputs = 2 * warped + beside
-        self.squeeze = nn.Conv2d(coarser, 3 * channels - inputs - 4, 1) if coarser else None
-        self.body = nn.Sequential(_conv(3 * channels if coarser else inputs, hidden), _conv(hidden, hidden))
-        self.out = nn.Conv2d(hidden, channels, 3, 1, 1)
-
-    def forward(self, now, before, beside, coarser=None) -> tuple[Tensor, Tensor]:
-        """`coarser`: what the level above returned: flows, and all its channels, the features after the first four."""
-        if coarser is None:
-            out = self.out(self.body(torch.cat((now, before, beside), 1)))
-            return out[:, :4].float(), out
-        flows = 2.0 * double(coarser[0])
-        moved = warp(now, flows[:, :2]), warp(before, flows[:, 2:])
-        out = self.out(self.body(torch.cat((*moved, beside, flows, double(self.squeeze(coarser[1]))), 1)))
-        return out[:, :4].float() + flows, out
+def _conv(inputs: int, outputs: int, stride: int = 1, size: int = 3) -> nn.Sequential:
+    return nn.Sequential(nn.Conv2d(inputs, outputs, size, stride, size // 2), nn.LeakyReLU(_SLOPE))
 
 
 class ShadingCorrectionNetwork(nn.Module):
-    """`forward(frames, alpha)`.
+    """`forward(frames, alpha, trends)`.
 
     frames : (N, 8, h, w): encoded GAE colour (3), encoded warped previous frame (3), inverse depth, input mask; half
         resolution, h and w multiples of `MULTIPLE`
     alpha : (N,) or (1,)
+    trends : (N, 7, h, w): change of encoded colour until t + α as the last interval has it (3), as the interval before
+        has it (3), share of the surroundings that tells
 
-    Returns (N, 5, h, w): Δ (3; encoded colour), keep, focus mask M. While training also the features of each level,
-    finest first, and p, (N, 1, h, w), of which M = 2 p clamped to 0 … 1: p is fitted to the true mask by L2, so it is
-    about the probability of focus, and where that is more likely than not the correction counts in full. There is no
-    sigmoid: the L2 loss would have no gradient where the mask is wrong.
+    Returns (N, 5, h, w): Δ (3; encoded colour), keep, focus mask M. While training also p, (N, 1, h, w), of which
+    M = 2 p − 0.1 clamped to 0 … 1: nothing is touched where there is little to gain. There is no sigmoid: where the
+    mask is wrong it would have no gradient.
+
+    Δ = (GAE frame moved along a flow − GAE frame) + g · trend, as far as it lasts, + δ; the flow is a mean of the one
+    that was found, α of it, and the network's own. Every convolution has a multiple of four input channels: WebGPU's
+    provider computes others wrongly.
     """
 
     def __init__(self):
         super().__init__()
-        self.encoder = Encoder()
-        finest = Decoder(3, _CHANNELS[0] + 6, _CHANNELS[0], _CHANNELS[1], _HIDDEN[0])
-        self.decoders = nn.ModuleList([finest])
-        for channels, coarser, hidden in zip(_CHANNELS[1:], (*_CHANNELS[2:], 0), _HIDDEN[1:], strict=True):
-            self.decoders.append(Decoder(channels, 3, channels, coarser, hidden))
-        self.up = nn.Conv2d(_CHANNELS[0], 4 * _DETAIL, 3, 1, 1)
-        self.head = nn.Sequential(_conv(_DETAIL + 12, _HEAD), nn.Conv2d(_HEAD, 5, 3, 1, 1))
+        self.seen = _conv(INPUT_PLANES, _SEEN, 2)
+        self.encoder = nn.ModuleList([_conv(_SEEN + _CANDIDATES, _CHANNELS[0])])
+        for i, o in zip(_CHANNELS[:-1], _CHANNELS[1:], strict=True):
+            self.encoder.append(nn.Sequential(_conv(i, o, 2), _conv(o, o)))
+        pairs = zip(_CHANNELS[1:], _CHANNELS[:-1], strict=True)
+        self.decoder = nn.ModuleList(_conv(coarse + fine, fine) for coarse, fine in pairs)  # finest first, as above
+        self.out = nn.Conv2d(_CHANNELS[0], 4 + 4 * _DETAIL, 3, 1, 1)
+        self.head = nn.Sequential(_conv(_DETAIL + 12, _HEAD, size=1), nn.Conv2d(_HEAD, 6, 1))
         self._begin()
 
     @torch.no_grad()
@@ -138,36 +86,63 @@ class ShadingCorrectionNetwork(nn.Module):
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, _SLOPE)
                 nn.init.zeros_(module.bias)
-        for decoder in self.decoders:
-            decoder.out.weight[:4] *= 0.1
+        self.out.weight[:4] *= 0.1
         self.head[1].weight *= 0.1
-        self.head[1].bias.copy_(torch.tensor((0.0, 0.0, 0.0, 2.0, 0.05)))
+        self.head[1].bias.copy_(torch.tensor((0.0, 0.0, 0.0, 2.0, 0.15, 0.3)))
 
-    def forward(self, frames: Tensor, alpha: Tensor):
-        count = frames.shape[0]
-        now, before, side = frames[:, :3], frames[:, 3:6], frames[:, 6:8]
-        encoded = self.encoder(torch.cat((now, before), 0), torch.cat((before, now), 0))
+    @torch.no_grad()
+    def take(self, weights: Mapping[str, np.ndarray]) -> None:
+        """Begin with `weights` by the parameters' names; inputs and outputs that they do not have count for nothing
+        yet. Raises ValueError for those of another network."""
+        for name, parameter in self.named_parameters():
+            given = weights.get(name)
+            if given is None or given.ndim != parameter.ndim or any(np.greater(given.shape, parameter.shape)):
+                raise ValueError(f"'{name}' is {'missing' if given is None else list(given.shape)}")
+            parameter.zero_()
+            parameter[tuple(slice(n) for n in given.shape)] = torch.from_numpy(np.array(given))
+
+    def forward(self, frames: Tensor, alpha: Tensor, trends: Tensor):
+        now, before = frames[:, :3], frames[:, 3:6]
         time = alpha.view(-1, 1, 1, 1)
-        smaller = [halve(frames)]
-        while len(smaller) < len(self.decoders):
-            smaller.append(halve(smaller[-1]))
-        result, features = None, []
-        for k in reversed(range(len(self.decoders))):
-            small = smaller[k]
-            beside = torch.cat((small[:, 6:], torch.zeros_like(small[:, :1]) + time), 1)
-            images = encoded[k][:count], encoded[k][count:]
-            if k == 0:  # warping all its features would cost a quarter of the network's time
-                beside = torch.cat((beside, images[0], small[:, :3]), 1)
-                images = small[:, :3], small[:, 3:6]
-            result = self.decoders[k](*images, beside, result)
-            features.append(result[1][:, 4:])
-        flows = 2.0 * double(result[0][:, :2])
-        detail = functional.pixel_shuffle(functional.leaky_relu(self.up(result[1]), _SLOPE), 2)
-        moved = warp(now, flows)
-        out = self.head(torch.cat((detail, now, before, moved, side, torch.zeros_like(side[:, :1]) + time), 1))
-        delta, keep, likely = out[:, :3] + (moved - now), torch.sigmoid(out[:, 3:4]), out[:, 4:]
-        correction = torch.cat((delta, keep, (2 * likely).clamp(0, 1)), 1)
-        return (correction, features[::-1], likely) if self.training else correction
+        found, held, candidates = _candidates(halve(frames[:, :6]), halve(trends), time)
+        features = [torch.cat((self.seen(frames), candidates), 1)]
+        for level in self.encoder:
+            features.append(level(features[-1]))
+        result = features.pop()
+        for level in reversed(self.decoder):
+            result = level(torch.cat((double(result), features.pop()), 1))
+        out = self.out(result).float()
+        own, follow, lasts, detail = out.split((2, 1, 1, 4 * _DETAIL), 1)
+        own = _FLOW_UNIT / 2 * own
+        flow = own + torch.sigmoid(follow) * (time * found - own)
+        moved = warp(now, 2.0 * double(flow)) - now
+        trend = trends[:, :3] * double((held + lasts).clamp(0, 1))
+        detail = functional.leaky_relu(functional.pixel_shuffle(detail, 2), _SLOPE)
+        said = self.head(torch.cat((detail, moved, trend, now, before), 1)).float()
+        delta = said[:, :3] + moved + said[:, 5:6] * trend
+        keep, likely = torch.sigmoid(said[:, 3:4]), said[:, 4:5]
+        correction = torch.cat((delta, keep, (2 * likely - _DOUBT).clamp(0, 1)), 1)
+        return (correction, likely) if self.training else correction
+
+
+_CANDIDATES = 16  # channels of the following
+
+
+def _candidates(frames: Tensor, trends: Tensor, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """At a quarter of the resolution: the flow from the GAE frame into the warped previous one (2), how far the last
+    interval's trend was that of the interval before (1), and what is known about both candidates (`_CANDIDATES`)."""
+    now, before = frames[:, :3], frames[:, 3:6]
+    with torch.no_grad():  # of inputs alone
+        found, differences = find_flow(now.mean(1, keepdim=True), before.mean(1, keepdim=True))
+        still, along = (differences + 1e-6).split(1, 1)
+        moved = warp(now, time * found)
+        trend, earlier, share = trends.split((3, 3, 1), 1)
+        held = (trend * earlier).sum(1, keepdim=True) / ((trend * trend).sum(1, keepdim=True) + _LITTLE)
+        held = held.clamp(0, 1)
+        known = (found / 4, 4 * still.sqrt(), 4 * along.sqrt(), along / still, 4 * (moved - now), 4 * trend,
+                 4 * earlier.mean(1, keepdim=True), 4 * (now - before).mean(1, keepdim=True), held, share,
+                 torch.zeros_like(share) + time)  # fmt: skip
+    return found, held, torch.cat(known, 1)
 
 
 def compose(color: Tensor, correction: Tensor, focus_mask: bool = True) -> tuple[Tensor, Tensor, Tensor]:

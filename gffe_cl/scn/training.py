@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 import signal
@@ -21,14 +22,16 @@ from torch import Tensor, nn
 from gffe_cl.errors import GffeError
 from gffe_cl.metrics import FOCUS
 from gffe_cl.scn import losses
+from gffe_cl.scn.augmentation import Augmentation
 from gffe_cl.scn.clips import VERSION
-from gffe_cl.scn.crops import Augmentation, Batch, Crop, keep_crops, load_batch
-from gffe_cl.scn.export import commit
-from gffe_cl.scn.network import ShadingCorrectionNetwork, compose, double, encode
+from gffe_cl.scn.crops import Batch, Crop, keep_crops, load_batch
+from gffe_cl.scn.export import commit, weights_of
+from gffe_cl.scn.images import double
+from gffe_cl.scn.network import ShadingCorrectionNetwork, compose, encode
 from gffe_cl.values import require_seed
 
 CHECKPOINT = "checkpoint.pt"
-_FORMAT = 3
+_FORMAT = 4
 _CHECKPOINT_SECONDS = 120
 _VALIDATION_SHARE = 0.06  # of the clips
 _VALIDATION_CROPS = 96
@@ -122,25 +125,9 @@ class Processes:
             distributed.destroy_process_group()
 
 
-class _Model(nn.Module):
-    """The network, and its encoder's features of the truth, in one forward pass (as DDP wants it)."""
-
-    def __init__(self):
-        super().__init__()
-        self.network = ShadingCorrectionNetwork()
-
-    def forward(self, frames: Tensor, alpha: Tensor, truth: Tensor):
-        correction, features, likely = self.network(frames, alpha)
-        with torch.no_grad():
-            true_features = self.network.encoder(truth, frames[:, :3])
-        return correction, likely, features, true_features
-
-
 def loss_terms(
     correction: Tensor,
     likely: Tensor,
-    features: list[Tensor],
-    true_features: list[Tensor],
     batch: Batch,
     focus: Tensor,
     perceptual,
@@ -148,15 +135,17 @@ def loss_terms(
     """The terms of the loss, not weighted: see `weights`. `likely`: p of the network's focus mask.
 
     The frame that is reconstructed is the truth but for the focus mask, where it is the refined image (paper, equation
-    of the final prediction): the true mask's pixels too, or else a mask that begins at 0 would teach nothing.
+    of the final prediction): the true mask's pixels too, or else a mask that begins at 0 would teach nothing, and, a
+    little, all others. How much of it is worth showing, and so the mask, is for the error of the final frame to say:
+    small changes of shading are many, and no focus pixels.
     """
     refined, final, mask = compose(batch.gae, correction)
     truth = encode(batch.truth)
-    shown = encode(batch.truth + torch.maximum(mask, focus) * (refined - batch.truth))
+    taught = torch.maximum(mask.detach(), focus.float()).clamp(min=losses.TAUGHT)
+    shown = encode(batch.truth + taught * (refined - batch.truth))
     likely = likely.float()
     return {
         "reconstruction": losses.charbonnier(shown, truth),
-        "features": sum(losses.census(a.float(), b.float()) for a, b in zip(features, true_features, strict=True)),
         "focus": losses.focus_loss(likely if batch.halved else double(likely), focus),
         "perceptual": perceptual(shown, truth),
         "blend": losses.shown_loss(final, batch.truth),
@@ -166,7 +155,6 @@ def loss_terms(
 def weights(recipe: Recipe) -> dict[str, float]:
     return {
         "reconstruction": 1.0,
-        "features": losses.FEATURES_WEIGHT,
         "focus": losses.FOCUS_WEIGHT,
         "perceptual": losses.PERCEPTUAL_WEIGHT,
         "blend": recipe.blend_weight,
@@ -174,8 +162,8 @@ def weights(recipe: Recipe) -> dict[str, float]:
 
 
 class Training:
-    """One run in `folder` on the crops of `clips` clips: continues from its checkpoint if there is one. `sources`:
-    commits that trained it.
+    """One run in `folder` on the crops of `clips` clips: continues from its checkpoint if there is one, else begins
+    with the weights of the network `start`, if that is given. `sources`: commits that trained it.
 
     Raises GffeError if the checkpoint is of another recipe or other data, or cannot be read.
     """
@@ -188,6 +176,7 @@ class Training:
         processes: Processes,
         vgg: Path | None = None,
         clips: int = 0,
+        start: Path | None = None,
     ):
         if recipe.batch % processes.count:
             raise GffeError(
@@ -199,9 +188,12 @@ class Training:
         self.crops, self.validation = keep_crops(train, recipe.seed), validation
         self.device = processes.device
         torch.manual_seed(recipe.seed)
-        self.model = _Model().to(self.device, memory_format=torch.channels_last)
-        self.parallel = processes.wrap(self.model)
-        self.optimizer = torch.optim.Adam(self.model.parameters(), recipe.learning_rate)
+        self.network = ShadingCorrectionNetwork()
+        if start:
+            self._begin_with(start)
+        self.network = self.network.to(self.device, memory_format=torch.channels_last)
+        self.parallel = processes.wrap(self.network)
+        self.optimizer = torch.optim.Adam(self.network.parameters(), recipe.learning_rate)
         self.perceptual = losses.perceptual_loss(vgg).to(self.device)
         self.step, self.seconds, self.sources = 0, 0.0, []
         self.conditions = asdict(recipe) | {
@@ -211,15 +203,12 @@ class Training:
             "losses": losses.VERSION,
             "perceptual loss": self.perceptual.name,
             "processes": processes.count,
+            "start": hashlib.sha256(start.read_bytes()).hexdigest()[:12] if start else "nothing",
         }
         self._load()
         source = commit()
         if source not in self.sources[-1:]:
             self.sources.append(source)
-
-    @property
-    def network(self) -> ShadingCorrectionNetwork:
-        return self.model.network
 
     def run(
         self,
@@ -276,17 +265,13 @@ class Training:
             group["lr"] = recipe.learning_rate_at(self.step)
         self.parallel.train()
         with torch.autocast(self.device.type, torch.bfloat16, enabled=recipe.bfloat16):
-            correction, likely, features, true_features = self.parallel(
-                batch.frames().contiguous(memory_format=torch.channels_last), batch.alpha, batch.target()
-            )
-        terms = loss_terms(
-            correction.float(), likely, features, true_features, batch, batch.focus().float(), self.perceptual
-        )
+            correction, likely = self.parallel(*self._inputs(batch))
+        terms = loss_terms(correction.float(), likely, batch, batch.focus().float(), self.perceptual)
         factors = weights(recipe)
         loss = sum(factors[name] * value for name, value in terms.items())
         self.optimizer.zero_grad()
         loss.backward()
-        length = nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
+        length = nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
         if processes.any(not math.isfinite(length)):
             raise GffeError(
                 f"training: the loss is not finite at step {self.step} (expected a lower learning rate; the last"
@@ -294,6 +279,11 @@ class Training:
             )
         self.optimizer.step()
         return halved, {name: float(value.detach()) for name, value in (terms | {"loss": loss}).items()}
+
+    def _inputs(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
+        """The network's arguments."""
+        frames, trends = (x.contiguous(memory_format=torch.channels_last) for x in (batch.frames(), batch.trends))
+        return frames, batch.alpha, trends
 
     def _chosen(self) -> list[Crop]:
         """This process's share of the crops of the present step: every crop once per epoch, in an order of its own."""
@@ -312,7 +302,7 @@ class Training:
     def validate(self) -> dict[str, float]:
         """On crops of clips that are not trained on, not augmented: mean absolute encoded error of the GAE and the
         final frame on focus pixels that are not disoccluded, and on all; recall and precision of the focus mask."""
-        self.model.eval()
+        self.network.eval()
         sums: dict[str, float] = {}
 
         def add(name, value):
@@ -321,7 +311,7 @@ class Training:
         with torch.no_grad():
             for k in range(0, len(self.validation), self.recipe.batch):
                 batch = load_batch(self.validation[k : k + self.recipe.batch]).to(self.device)
-                correction = self.network(batch.frames().contiguous(memory_format=torch.channels_last), batch.alpha)
+                correction = self.network(*self._inputs(batch))
                 _, final, mask = compose(batch.gae, correction)
                 regions = batch.regions()
                 focus, mask = regions[FOCUS], mask * ~regions["disoccluded"]
@@ -344,6 +334,12 @@ class Training:
             "precision": sums["hit"] / max(sums["mask"], 1e-6),
         }
 
+    def _begin_with(self, start: Path) -> None:
+        try:
+            self.network.take(weights_of(start))
+        except ValueError as error:
+            raise GffeError(f"{start}: not a network of this kind, {error} (expected one that gffe trained)") from None
+
     # ---- checkpoints -----------------------------------------------------------------------------------
 
     def save(self) -> None:
@@ -356,7 +352,7 @@ class Training:
             "sources": self.sources,
             "step": self.step,
             "seconds": self.seconds,
-            "model": self.model.state_dict(),
+            "network": self.network.state_dict(),
             "optimizer": self.optimizer.state_dict(),
         }
         path = self.folder / CHECKPOINT
@@ -384,7 +380,7 @@ class Training:
                 raise GffeError(
                     f"{path}: was started with {', '.join(differing)} (expected the same options, or another folder)"
                 )
-            self.model.load_state_dict(state["model"])
+            self.network.load_state_dict(state["network"])
             self.optimizer.load_state_dict(state["optimizer"])
             self.step, self.seconds, self.sources = int(state["step"]), float(state["seconds"]), state["sources"]
 

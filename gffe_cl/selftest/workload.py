@@ -71,9 +71,9 @@ class FixedNetwork:
     """In place of the shading correction network, whose output differs between machines: a pattern that hangs on
     nothing but its size. Kernels around it must make the same of it everywhere."""
 
-    copying = 0.0
+    copying, takes_trends = 0.0, True
 
-    def run(self, frames: np.ndarray, alpha: float, correction: np.ndarray) -> int:
+    def run(self, frames: np.ndarray, alpha: float, correction: np.ndarray, trends: np.ndarray) -> int:
         """As `inference.Network.run`."""
         planes, height, width = correction.shape
         plane, y, x = np.ogrid[:planes, :height, :width]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections import deque
 
@@ -13,10 +12,10 @@ from gffe_cl.buffers import RGBA, BufferSpec
 from gffe_cl.inference import INPUT_PLANES, OUTPUT_PLANES, Network, load_network
 from gffe_cl.opencl.program import constants
 from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.law import color_law
 from gffe_cl.stages.shading import SEEN
+from gffe_cl.stages.trend import Trend
 
-MU = 5000.0
-HEADROOM = 8.0  # exposed colour that is encoded as 1: three stops above display white
 _IMAGE_PIXELS = 4  # per pixel of the network
 _EVENTS = 1024  # of mapping that are kept until they are taken
 
@@ -144,16 +143,19 @@ class ShadingCorrection(Stage):
 
     def infer(self, alpha: float) -> None:
         """Fill `correction`: the network works in the mapped buffers: no copy where host and device share memory."""
-        frames = self.map("frames", cl.map_flags.READ)
-        correction = self.map("correction", cl.map_flags.WRITE_INVALIDATE_REGION)
+        frames = self.map(self, "frames", cl.map_flags.READ)
+        trends = (
+            self.map(self.board.stages[Trend.name], "trends", cl.map_flags.READ) if self.network.takes_trends else None
+        )
+        correction = self.map(self, "correction", cl.map_flags.WRITE_INVALIDATE_REGION)
         try:
             start = time.perf_counter()
-            self.unusable_pixels += _IMAGE_PIXELS * self.network.run(frames, alpha, correction)
+            self.unusable_pixels += _IMAGE_PIXELS * self.network.run(frames, alpha, correction, trends)
             copying = self.network.copying
             self._network_milliseconds += (time.perf_counter() - start) * 1e3 - copying
             self._copying_milliseconds += copying
         finally:
-            for array in (frames, correction):
+            for array in filter(lambda array: array is not None, (frames, trends, correction)):
                 self._mappings.append(array.base.release(self.device.queue))
 
     def compose(self, exposure: float, within_mask: bool) -> None:
@@ -165,11 +167,11 @@ class ShadingCorrection(Stage):
         """Width and height of the network's images."""
         return self.sizes.of("network")
 
-    def map(self, name: str, flags: int) -> np.ndarray:
-        """The memory of a mapped buffer, once the kernels before are done; to be released on the queue."""
-        spec = self.spec(name)
+    def map(self, stage: Stage, name: str, flags: int) -> np.ndarray:
+        """The memory of a mapped buffer of a stage, once the kernels before are done; to be released on the queue."""
+        spec = stage.spec(name)
         array, event = cl.enqueue_map_buffer(
-            self.device.queue, self.buffer[name], flags, 0, spec.shape(self.sizes), spec.dtype
+            self.device.queue, stage.buffer[name], flags, 0, spec.shape(self.sizes), spec.dtype
         )
         self._mappings.append(event)
         return array
@@ -182,9 +184,3 @@ class ShadingCorrection(Stage):
         self._network_milliseconds = self._copying_milliseconds = 0.0
         self._mappings.clear()
         return taken
-
-
-def color_law(exposure: float) -> np.ndarray:
-    """μ · exposure / 8, 1 / ln(1 + μ), and their reciprocals."""
-    gain, log = MU * exposure / HEADROOM, math.log1p(MU)
-    return np.array([gain, 1 / log, 1 / gain, log], np.float32)

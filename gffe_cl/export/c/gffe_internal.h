@@ -10,8 +10,8 @@ extern "C" {
 #endif
 
 /* Grids of buffers and launches; a level or a number of levels goes with the last three. */
-enum { GFFE_ONCE, GFFE_SOURCE, GFFE_TARGET, GFFE_BLOCKS, GFFE_SOURCE_BLOCKS, GFFE_TARGET_BLOCKS, GFFE_NETWORK,
-       GFFE_MIP, GFFE_LEVEL, GFFE_LEVELS };
+enum { GFFE_ONCE, GFFE_SOURCE, GFFE_TARGET, GFFE_BLOCKS, GFFE_SOURCE_BLOCKS, GFFE_TARGET_BLOCKS, GFFE_CELLS,
+       GFFE_NETWORK, GFFE_MIP, GFFE_LEVEL, GFFE_LEVELS };
 
 enum { GFFE_FRAME, GFFE_PREVIOUS, GFFE_TARGET_CAMERA, GFFE_FRAME_DISPLAY, GFFE_PREVIOUS_DISPLAY, GFFE_CAMERAS };
 
@@ -27,6 +27,7 @@ enum {
     GFFE_EXPOSURE,
     GFFE_COLOR_LAW,      /* of the network's colours */
     GFFE_REACH,          /* pixels: at least a, else a b-th of the display's width */
+    GFFE_CELLS_REACH,    /* cells: at least one, else the a-th part of the rendered image's height */
     GFFE_HAS,            /* whether the frame brings overlay a */
     GFFE_LEVEL_STARTS,   /* first texels of levels 1 ... of a */
     GFFE_WIDTH,          /* of grid a, level b */

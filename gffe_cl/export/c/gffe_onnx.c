@@ -4,13 +4,14 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-enum { INPUT_PLANES = 8, OUTPUT_PLANES = 5 };
+enum { INPUT_PLANES = 8, TREND_PLANES = 7, OUTPUT_PLANES = 5 };
 
 struct gffe_onnx {
     const OrtApi *api;
     OrtEnv *env;
     OrtSession *session;
     OrtMemoryInfo *memory;
+    size_t inputs; /* 2, or 3 with trends */
 };
 
 /* Whether a call went well; says on stderr if it did not. */
@@ -36,7 +37,8 @@ gffe_onnx *gffe_onnx_open(const char *path) {
            went_well(n, n->api->DisableTelemetryEvents(n->env)) &&
            went_well(n, n->api->CreateSessionOptions(&options)) &&
            went_well(n, n->api->CreateCpuMemoryInfo(OrtArenaAllocator, OrtMemTypeDefault, &n->memory)) &&
-           went_well(n, n->api->CreateSession(n->env, path, options, &n->session));
+           went_well(n, n->api->CreateSession(n->env, path, options, &n->session)) &&
+           went_well(n, n->api->SessionGetInputCount(n->session, &n->inputs));
     if (options) n->api->ReleaseSessionOptions(options);
     if (good) return n;
     gffe_onnx_close(n);
@@ -62,40 +64,51 @@ static OrtValue *tensor(const gffe_onnx *n, void *memory, const int64_t *shape, 
     return made;
 }
 
-static int run_session(const gffe_onnx *n, void *frames, float alpha, void *correction, int64_t width, int64_t height) {
-    static const char *const inputs[] = {"frames", "alpha"};
+static OrtValue *planes(const gffe_onnx *n, void *memory, int64_t count, int64_t width, int64_t height) {
+    int64_t shape[4];
+    shape[0] = 1;
+    shape[1] = count;
+    shape[2] = height;
+    shape[3] = width;
+    return tensor(n, memory, shape, 4);
+}
+
+static int run_session(const gffe_onnx *n, void *frames, void *trends, float alpha, void *correction, int64_t width,
+                       int64_t height) {
+    static const char *const inputs[] = {"frames", "alpha", "trends"};
     static const char *const outputs[] = {"correction"};
-    int64_t frames_shape[4], correction_shape[4];
     const int64_t one = 1;
-    OrtValue *given[2], *made;
-    int good;
-    frames_shape[0] = correction_shape[0] = 1;
-    frames_shape[1] = INPUT_PLANES;
-    correction_shape[1] = OUTPUT_PLANES;
-    frames_shape[2] = correction_shape[2] = height;
-    frames_shape[3] = correction_shape[3] = width;
-    given[0] = tensor(n, frames, frames_shape, 4);
+    OrtValue *given[3], *made;
+    int good, k;
+    given[0] = planes(n, frames, INPUT_PLANES, width, height);
     given[1] = tensor(n, &alpha, &one, 1);
-    made = tensor(n, correction, correction_shape, 4);
-    good = given[0] && given[1] && made &&
-           went_well(n, n->api->Run(n->session, NULL, inputs, (const OrtValue *const *)given, 2, outputs, 1, &made));
-    if (given[0]) n->api->ReleaseValue(given[0]);
-    if (given[1]) n->api->ReleaseValue(given[1]);
+    given[2] = planes(n, trends, TREND_PLANES, width, height);
+    made = planes(n, correction, OUTPUT_PLANES, width, height);
+    good = given[0] && given[1] && given[2] && made &&
+           went_well(n, n->api->Run(n->session, NULL, inputs, (const OrtValue *const *)given, n->inputs < 3 ? 2 : 3,
+                                    outputs, 1, &made));
+    for (k = 0; k < 3; ++k)
+        if (given[k]) n->api->ReleaseValue(given[k]);
     if (made) n->api->ReleaseValue(made);
     return good;
 }
 
-int gffe_onnx_run(void *network, cl_command_queue queue, cl_mem frames, cl_mem correction, size_t width, size_t height,
-                  float alpha) {
+static void *map(cl_command_queue queue, cl_mem buffer, cl_map_flags flags, size_t nbytes) {
+    return clEnqueueMapBuffer(queue, buffer, CL_TRUE, flags, 0, nbytes, 0, NULL, NULL, NULL);
+}
+
+int gffe_onnx_run(void *network, cl_command_queue queue, cl_mem frames, cl_mem trends, cl_mem correction, size_t width,
+                  size_t height, float alpha) {
     const size_t plane = width * height * sizeof(float);
-    void *input, *output;
-    int good;
-    input = clEnqueueMapBuffer(queue, frames, CL_TRUE, CL_MAP_READ, 0, INPUT_PLANES * plane, 0, NULL, NULL, NULL);
-    output = clEnqueueMapBuffer(queue, correction, CL_TRUE, CL_MAP_WRITE_INVALIDATE_REGION, 0, OUTPUT_PLANES * plane, 0,
-                                NULL, NULL, NULL);
-    good = input && output &&
-           run_session((const gffe_onnx *)network, input, alpha, output, (int64_t)width, (int64_t)height);
-    if (input) clEnqueueUnmapMemObject(queue, frames, input, 0, NULL, NULL);
-    if (output) clEnqueueUnmapMemObject(queue, correction, output, 0, NULL, NULL);
+    const cl_mem buffers[] = {frames, trends, correction};
+    void *at[3];
+    int good, k;
+    at[0] = map(queue, frames, CL_MAP_READ, INPUT_PLANES * plane);
+    at[1] = map(queue, trends, CL_MAP_READ, TREND_PLANES * plane);
+    at[2] = map(queue, correction, CL_MAP_WRITE_INVALIDATE_REGION, OUTPUT_PLANES * plane);
+    good = at[0] && at[1] && at[2] &&
+           run_session((const gffe_onnx *)network, at[0], at[1], alpha, at[2], (int64_t)width, (int64_t)height);
+    for (k = 0; k < 3; ++k)
+        if (at[k]) clEnqueueUnmapMemObject(queue, buffers[k], at[k], 0, NULL, NULL);
     return good ? 0 : 1;
 }

@@ -23,7 +23,7 @@ size_t gffe_level_start(const gffe_step *step, int level) {
 }
 
 void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) {
-    const int on_source = grid == GFFE_SOURCE || grid == GFFE_SOURCE_BLOCKS || grid == GFFE_LEVEL;
+    const int on_source = grid == GFFE_SOURCE || grid == GFFE_SOURCE_BLOCKS || grid == GFFE_CELLS || grid == GFFE_LEVEL;
     const int *image = on_source ? step->source : step->target;
     size_t side[2] = {1, 1};
     int k;
@@ -34,6 +34,7 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
     }
     if (grid == GFFE_LEVEL || grid == GFFE_MIP) side[0] = side[1] = (size_t)1 << level;
     if (grid == GFFE_BLOCKS) side[0] = side[1] = GFFE_BLOCK;
+    if (grid == GFFE_CELLS) side[0] = side[1] = GFFE_CELL;
     if (grid == GFFE_NETWORK) side[0] = side[1] = GFFE_NETWORK_TEXEL;
     if (grid == GFFE_SOURCE_BLOCKS || grid == GFFE_TARGET_BLOCKS) {
         side[0] = GFFE_BLOCK_WIDTH;
@@ -118,6 +119,7 @@ static cl_int whole_number(const gffe_step *step, int kind, int a, int b) {
     size_t size[2];
     if (kind == GFFE_ORDER) return a < step->time_count - 1 ? a : step->time_count - 1;
     if (kind == GFFE_HAS) return step->has[a];
+    if (kind == GFFE_CELLS_REACH) return step->source[1] / a > 1 ? step->source[1] / a : 1;
     if (kind == GFFE_REACH) return step->target[0] / b > a ? step->target[0] / b : a;
     gffe_grid_size(step, a, b, size);
     return (cl_int)size[kind == GFFE_HEIGHT];

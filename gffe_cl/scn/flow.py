@@ -1,0 +1,59 @@
+"""How shading moved between two frames, by least squares (Lucas and Kanade, 1981), coarse to fine.
+
+It is part of the shading correction network, which may follow it (`network.ShadingCorrectionNetwork`): no weights, and
+of operations that every provider of onnxruntime has.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as functional
+from torch import Tensor
+
+from gffe_cl.scn.images import double, halve, warp
+
+_LEVELS = 3
+_STEPS = 2  # per level
+_FLAT = 1e-4  # squared gradient of encoded colour below which nothing moves
+_LONGEST = 2.0  # pixels of a step
+
+
+def find_flow(now: Tensor, before: Tensor) -> tuple[Tensor, Tensor]:
+    """What is at x in `now` is at x + flow[x] in `before`, both (N, 1, h, w), sides multiples of 8.
+
+    Returns the flow, (N, 2, h, w) in pixels, and (N, 2, h, w) the mean squared difference around from `before` as it
+    is, and along the flow. Sums are over some 6×6 pixels of each level; the flow of every second pixel is found.
+    """
+    images = [(now, before)]
+    while len(images) < _LEVELS:
+        images.append(tuple(halve(image) for image in images[-1]))
+    flow = None
+    for a, b in reversed(images):
+        height, width = a.shape[-2] // 2, a.shape[-1] // 2
+        flow = a.new_zeros(a.shape[0], 2, height, width) if flow is None else 2.0 * double(flow)
+        for _ in range(_STEPS):
+            flow = flow + _step(a, warp(b, double(flow)))
+    flow = double(flow)
+    differences = torch.cat(((before - now).square(), (warp(before, flow) - now).square()), 1)
+    return flow, double(_mean_around(differences))
+
+
+def _step(a: Tensor, b: Tensor) -> Tensor:
+    """By how much to move b, by least squares, that it may equal a; at half the resolution, in pixels of a."""
+    x, y = _gradient(a + b)
+    rest = 4.0 * (b - a)
+    xx, xy, yy, xr, yr = _mean_around(torch.cat((x * x, x * y, y * y, x * rest, y * rest), 1)).split(1, 1)
+    xx, yy = xx + _FLAT, yy + _FLAT
+    step = torch.cat((xy * yr - yy * xr, xy * xr - xx * yr), 1) / (xx * yy - xy * xy)
+    return step / (step.abs().amax(1, keepdim=True) / _LONGEST).clamp(min=1)
+
+
+def _gradient(image: Tensor) -> tuple[Tensor, Tensor]:
+    """Twice the gradient along x and y."""
+    padded = functional.pad(image, (1, 1, 1, 1), mode="replicate")
+    return padded[..., 1:-1, 2:] - padded[..., 1:-1, :-2], padded[..., 2:, 1:-1] - padded[..., :-2, 1:-1]
+
+
+def _mean_around(image: Tensor) -> Tensor:
+    """At half the resolution: of 3×3 of its pixels."""
+    return functional.avg_pool2d(halve(image), 3, 1, 1, count_include_pad=False)

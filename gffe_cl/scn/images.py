@@ -1,0 +1,29 @@
+"""Images as tensors (N, C, H, W): other resolutions, and sampling along a flow."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as functional
+from torch import Tensor
+
+
+def halve(image: Tensor) -> Tensor:
+    """(N, C, H, W), even sizes → means over 2×2 pixels."""
+    return functional.avg_pool2d(image, 2)
+
+
+def double(image: Tensor) -> Tensor:
+    """Bilinear, pixel centres of both images on one plane, borders repeated."""
+    return functional.interpolate(image, scale_factor=2, mode="bilinear", align_corners=False)
+
+
+def warp(image: Tensor, flow: Tensor) -> Tensor:
+    """(N, C, h, w) sampled at x + flow[x], (N, 2, h, w) in pixels; bilinear, borders repeated."""
+    image, flow = image.float(), flow.float()
+    height, width = image.shape[-2:]
+    ys = torch.arange(height, dtype=flow.dtype, device=flow.device).view(1, height, 1)
+    xs = torch.arange(width, dtype=flow.dtype, device=flow.device).view(1, 1, width)
+    grid_x = (flow[:, 0] + (xs + 0.5)) * (2.0 / width) - 1.0
+    grid_y = (flow[:, 1] + (ys + 0.5)) * (2.0 / height) - 1.0
+    grid = torch.stack((grid_x, grid_y), -1)
+    return functional.grid_sample(image, grid, mode="bilinear", padding_mode="border", align_corners=False)

@@ -1,0 +1,103 @@
+"""The trend of shading: what lights do slowly, found in the last two intervals and carried on. Beyond the paper: a
+candidate that the shading correction network may choose."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gffe_cl.buffers import BufferSpec
+from gffe_cl.inference import TREND_PLANES
+from gffe_cl.opencl.program import constants
+from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.law import color_law
+
+_CONSTANTS = constants("trend.cl")
+_CHANGES = _CONSTANTS["CHANGES"]
+_SAMPLED = 1 / _CONSTANTS["SAMPLE_STRIDE"] ** 2
+REACH_SHARE = 120  # rows of the image per cell of reach: the neighbourhood's σ is about a 34th of its height
+
+
+class Trend(Stage):
+    """How encoded colour changed on static surfaces from t − 1 to t, a mean over wide areas, and from t − 2 to t − 1;
+    both carried on to t + α. What both agree on is likely to go on.
+
+    Changes are of encoded colour (see `ShadingCorrection`) between a pixel and where its surface was, static and shown,
+    in the frame before; cells around count the less the farther away they are, none farther than `reach_of`.
+    """
+
+    name = "trend"
+    kernels = (
+        Kernel(
+            "measure_changes",
+            "cells",
+            {
+                "color": Access("rendered.color", _SAMPLED),
+                "depth": Access("rendered.depth", _SAMPLED),
+                "dynamic_mask": Access("history.dynamic_mask", _SAMPLED),
+                "color_prev": Access("previous.color", 4 * _SAMPLED),
+                "depth_prev": Access("previous.depth", 4 * _SAMPLED),
+            },
+            {"changes": "trend.changes"},
+            step=("LANES", 1),
+        ),
+        Kernel("blur_rows", "cells", {"changes": "trend.changes"}, {"blurred": "trend.blurred"}),
+        Kernel("find_trend", "cells", {"blurred": "trend.blurred"}, {"trend": "trend.trend"}),
+        Kernel(
+            "carry_trends",
+            "network",
+            {"depth": Access("frame.depth", 1 / 4), "trend": "trend.trend", "trend_prev": "trend.trend'"},
+            {"trends": "trend.trends"},
+            step=("LANES", 1),
+        ),
+    )
+    buffers = (
+        BufferSpec(
+            "changes", np.float32, (), "cells", "change of encoded colour since t − 1 (1–3), and share of samples"
+            " that tell (4)", planes=_CHANGES, scratch=True,
+        ),
+        BufferSpec(
+            "blurred", np.float32, (), "cells", "the same, blurred along rows", planes=_CHANGES, scratch=True
+        ),
+        BufferSpec(
+            "trend", np.float32, (), "cells", "mean change of encoded colour around, from t − 1 to t (1–3), and"
+            " share of the surroundings that tells (4)", planes=_CHANGES, kept=True,
+        ),
+        BufferSpec(
+            "trends", np.float32, (), "network", "change of encoded colour until t + α as the last interval has it"
+            " (1–3), as the interval before has it (4–6), and share of the surroundings that tells of the last (7);"
+            " half resolution", planes=TREND_PLANES, mapped=True,
+        ),
+    )  # fmt: skip
+
+    def __init__(self, board: Board):
+        super().__init__(board)
+        self.reach = reach_of(board.sizes.source[1])
+
+    @classmethod
+    def is_wanted(cls, options) -> bool:
+        return options.corrects_shading or options.shading_inputs
+
+    def rendered(self, step: Step) -> None:
+        """Find the trend; after a reset there is none."""
+        if step.previous is None:
+            self.fill("trend", 0)
+            return
+        to_previous = reprojection(step.frame.camera, step.previous.camera)
+        self.launch("measure_changes", law=color_law(step.exposure), to_previous=to_previous)
+        self.launch("blur_rows", reach=self.reach)
+        self.launch("find_trend", reach=self.reach)
+
+    def extrapolated(self, step: Step) -> None:
+        """Carry both trends on to the new frame."""
+        before = step.previous or step.frame
+        self.launch(
+            "carry_trends",
+            alpha=step.alpha,
+            to_source=reprojection(step.camera, step.frame.camera),
+            to_previous=reprojection(step.camera, before.camera),
+        )
+
+
+def reach_of(height: int) -> int:
+    """Cells that count around one, of an image of so many rows: at least one."""
+    return max(1, height // REACH_SHARE)
