@@ -151,9 +151,10 @@ def test_trend_counts_as_far_as_it_has_lasted():
 def test_correction_follows_the_flow_that_was_found():
     """Where the network says so, and nothing else, the GAE frame is moved by α of it."""
     ys, xs = torch.meshgrid(torch.arange(64.0), torch.arange(96.0), indexing="ij")
-    bright = lambda moved: (0.5 + 0.2 * torch.sin(0.15 * (xs + moved)) + 0.2 * torch.cos(0.11 * ys)).expand(
-        1, 3, 64, 96
-    )  # noqa: E731
+
+    def bright(moved):
+        return (0.5 + 0.2 * torch.sin(0.15 * (xs + moved)) + 0.2 * torch.cos(0.11 * ys)).expand(1, 3, 64, 96)
+
     now, before = bright(0.0), bright(-4.0)  # what is at x was at x + 4
     frames = torch.cat((now, before, torch.full((1, 2, 64, 96), 0.5)), 1)
     net = network.ShadingCorrectionNetwork().eval()
