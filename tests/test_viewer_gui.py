@@ -21,8 +21,9 @@ FRAME = ("rendered.", "truth", "presentation.")
 # layers that are made anew for every generated frame
 LEFT_BY_BACKGROUND = tuple(f"background.{name}" for name in ("color", "depth", "motion", "filled_by"))
 AFTER_SUBMIT = (
+    "trend.trends",
     *("frame.", "blocks.", "warp.", "hidden.", *LEFT_BY_BACKGROUND, "holes.", "silhouettes."),
-    *("shading.", "final", "focus_truth"),
+    *("shading.", "trend.trends", "final", "focus_truth"),
 )
 
 
@@ -122,7 +123,7 @@ def test_in_and_out(values):
     [
         (
             "motion estimation",
-            (*AFTER_SUBMIT, "history.", "acceleration.", "surfaces.", "prediction.", "background."),
+            (*AFTER_SUBMIT, "history.", "acceleration.", "surfaces.", "prediction.", "background.", "trend."),
             ("history.dynamic_mask", "prediction.target_position", "frame.dynamic", "final"),
             ("hidden.", "acceleration."),
         ),
@@ -132,7 +133,7 @@ def test_in_and_out(values):
             "hole filling",
             (
                 *("frame.", "warp.filled_by", "hidden.filled_by", "background.filled_by", "silhouettes."),
-                *("shading.", "final", "focus_truth"),
+                *("shading.", "trend.trends", "final", "focus_truth"),
             ),
             ("frame.color", "frame.depth", "frame.filled_by", "final"),
             ("holes.",),
@@ -448,7 +449,7 @@ def test_restart(values):
     assert values["options"] == [False, 1.5, True]
     assert values["playback"] == {"mode": "every frame", "speed": 0.5, "loop": False}
     assert values["compare"] == ["split", "frame.motion", 0.25]
-    assert [name for name, shown in values["panels"].items() if not shown] == ["Timings", "Plot"]
+    assert [name for name, shown in values["panels"].items() if not shown] == ["Timings", "Doctor", "Plot"]
     assert values["window"] == [1100, 700]
 
 
