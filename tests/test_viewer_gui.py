@@ -21,7 +21,6 @@ FRAME = ("rendered.", "truth", "presentation.")
 # layers that are made anew for every generated frame
 LEFT_BY_BACKGROUND = tuple(f"background.{name}" for name in ("color", "depth", "motion", "filled_by"))
 AFTER_SUBMIT = (
-    "trend.trends",
     *("frame.", "blocks.", "warp.", "hidden.", *LEFT_BY_BACKGROUND, "holes.", "silhouettes."),
     *("shading.", "trend.trends", "final", "focus_truth"),
 )
