@@ -40,6 +40,8 @@ PARTS = {
     ("extrapolated", "warp"): "warp",
     ("extrapolated", "background"): "background, projection",
     ("extrapolated", "holes"): "holes",
+    ("rendered", "trend"): "SCN, trend",
+    ("extrapolated", "trend"): "SCN, trend",
     ("extrapolated", "shading"): "SCN, inputs",
     ("extrapolated", "correction"): "SCN, kernels",
     ("extrapolated", "network"): "SCN, network",

@@ -45,6 +45,7 @@ PAPER = {
     "silhouettes": None,
     "misc": 120,
     "GAE": 1400,
+    "SCN, trend": None,
     "SCN, inputs": None,
     "SCN, kernels": None,
     "SCN, network": None,

@@ -49,7 +49,7 @@ SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
 
 # Parts by stage.
 SCN = {
-    "shading": "SCN, inputs", "correction": "SCN, kernels", "network": "SCN, network",
+    "trend": "SCN, trend", "shading": "SCN, inputs", "correction": "SCN, kernels", "network": "SCN, network",
     "network copies": "SCN, copies",
 }  # fmt: skip
 
