@@ -38,7 +38,10 @@ def loader(tmp_path_factory):
     environment = {k: v for k, v in os.environ.items() if k not in ("LD_PRELOAD", "OCL_ICD_VENDORS")}
     if not list(SYSTEM_VENDORS.glob("pocl*.icd")):
         pytest.skip("no PoCL of the system's")
-    environment["OCL_ICD_VENDORS"] = str(SYSTEM_VENDORS)
+    vendors = tmp_path_factory.mktemp("vendors")
+    for path in SYSTEM_VENDORS.glob("pocl*.icd"):
+        (vendors / path.name).write_text(path.read_text())
+    environment["OCL_ICD_VENDORS"] = str(vendors)
     for folder in (*os.environ.get("LIBRARY_PATH", "").split(":"), "", f"{sys.prefix}/lib"):
         found = f"{folder}/libOpenCL.so"
         link = [found] if folder and Path(found).exists() else ["-lOpenCL"]

@@ -344,7 +344,7 @@ def recording():
     return options
 onnxruntime.SessionOptions = recording
 path = Path(sys.argv[1])
-shapes = {"frames": (1, 8, 48, 80), "alpha": (1,), "correction": (1, 5, 48, 80)}
+shapes = {"frames": (1, 8, 48, 80), "alpha": (1,), "trends": (1, 7, 48, 80), "correction": (1, 5, 48, 80)}
 session = FixedSession(path, runtime.PROVIDERS["webgpu"], shapes, runtime.open_session(path)).session
 print(*sorted({part.ep_name for part in session.get_provider_graph_assignment_info()}))
 """

@@ -216,7 +216,7 @@ def test_every_layer_equals_a_plain_run(device):
         assert source.asked == [0, 1, 2, 3, 4, 5]
         assert set(result.milliseconds) == {
             *("cuts", "history", "surfaces", "prediction", "blocks", "warp"),
-            *("hidden", "background", "holes", "silhouettes", "shading"),
+            *("hidden", "background", "holes", "silhouettes", "shading", "trend"),
         }  # fmt: skip
         assert min(result.milliseconds.values()) > 0 and result.wall_ms > result.readback_ms > 0
 
@@ -307,7 +307,9 @@ def test_options_change_what_they_should(device):
         assert np.abs(np.subtract(*(p["prediction.target_position"][..., :2] for p in predicted))).max() > 0.01
         assert {"holes.mean_1"} == seen["hole_filling"] & {"holes.mean_1", "holes.block_color"}
         assert set(before) - seen["levels"] == {f"background.{n}_1" for n in ("color", "depth", "px", "state")}
-        assert set(before) - seen["shading_inputs"] == {"shading.warped_previous", "shading.input_mask"}
+        assert set(before) - seen["shading_inputs"] == {
+            *("shading.warped_previous", "shading.input_mask", "trend.trend", "trend.trends")
+        }
         assert_same(ask(engine, 13, first, before).images, before, set(before) - {"final"})  # and back
 
 
@@ -412,11 +414,15 @@ def test_inspection_equals_the_whole_buffers(device, tmp_path):
             places = {"target": (x, y), "source": (sx, sy)}
             places |= {f"level{level}": (sx >> level, sy >> level) for level in range(3)}
             places |= {"blocks": (x // 32, y // 32), "network": (x // 2, y // 2)}
-            places |= {"target_blocks": (x // 8, y // 4), "source_blocks": (sx // 8, sy // 4)}
+            places |= {
+                "target_blocks": (x // 8, y // 4),
+                "source_blocks": (sx // 8, sy // 4),
+                "cells": (sx // 8, sy // 8),
+            }
             outside = not (0 <= sx < W and 0 <= sy < H)
             for name, image in images.items():
                 spec = specs[name]
-                if outside and spec.grid in ("source", "source_blocks", "level0", "level1", "level2"):
+                if outside and spec.grid in ("source", "source_blocks", "cells", "level0", "level1", "level2"):
                     assert name not in seen.values
                     continue
                 px, py = places[spec.grid]

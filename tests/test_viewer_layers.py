@@ -58,7 +58,7 @@ def test_stage_buffers_become_layers():
 def test_layers_of_a_pipeline_come_in_its_order(device, tmp_path):
     layers = layers_of(Pipeline(device, 64, 48, Options(shading_inputs=True)))
     stages = ["frame", "history", "acceleration", "surfaces", "prediction", "blocks", "warp"]
-    stages += ["hidden", "background", "holes", "silhouettes", "shading"]
+    stages += ["hidden", "background", "holes", "silhouettes", "shading", "trend"]
     assert list(dict.fromkeys(spec.group for spec in layers.values())) == stages
     own = [name for name, spec in layers.items() if spec.group == "frame"]
     assert own[: len(FRAME_LAYERS) - 1] == [name for name in FRAME_LAYERS if name != "gae"]  # it is "final"

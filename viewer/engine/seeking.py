@@ -93,7 +93,6 @@ class Seeker:
         }
         cameras = (frame.camera, shown.camera, self._before)
         if alpha:
-            self.pipeline.exposure = self.source.exposure
             made = self.pipeline.extrapolate(self.source.camera(k, alpha), self.source.time(k, alpha))
             buffers[names.FINAL] = made.color
             if "correction" in self.pipeline.stages:
@@ -148,6 +147,7 @@ class Seeker:
         if last:
             self.pipeline.take_timings()  # of the warm-up: not this slot's
             self._count_launches()
+        self.pipeline.exposure = self.source.exposure
         self.pipeline.submit(frame)
         self._at, self._frame = m, frame
         if self.pipeline.is_cut:
