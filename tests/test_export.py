@@ -192,6 +192,7 @@ def test_every_object_of_opencl_is_released(device, library):
     assert references() == before
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_other_modules_other_sizes_windows_and_known_cameras(device, library):
     """Rendered images smaller than the display and wider than what is shown; several new frames after each; uneven
@@ -207,6 +208,7 @@ def test_other_modules_other_sizes_windows_and_known_cameras(device, library):
     assert {"presentation.motion", "history.history"} <= compared
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_cuts_that_nobody_tells_of(device, library):
     frames = moving(device, 4) + [replace(f, reset=False) for f in moving(device, 3, start=9.0, scene="room")]
@@ -226,6 +228,7 @@ def test_as_many_levels_as_the_image_has(device, library, size):
     assert len(levels) == max(1, (max(size) - 1).bit_length())
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("corrected", [False, True], ids=["plain", "corrected"])
 def test_upscaled_frames_have_the_same_bits(device, library, tmp_path, corrected):

@@ -15,7 +15,13 @@ LONG = pytest.mark.long
 
 
 @pytest.mark.parametrize(
-    "case", ["int64", pytest.param("int32", marks=LONG), "shading", pytest.param("scene", marks=LONG)]
+    "case",
+    [
+        pytest.param("int64", marks=LONG),
+        pytest.param("int32", marks=LONG),
+        "shading",
+        pytest.param("scene", marks=LONG),
+    ],
 )
 def test_oclgrind_reports_nothing(case, tmp_path):
     if shutil.which("oclgrind") is None:

@@ -286,6 +286,7 @@ def command(*arguments):
     return done.returncode, done.stdout, done.stderr
 
 
+@pytest.mark.long
 def test_webgpu_is_refused_where_it_is_wrong(swiftshader, gffe, tmp_path):
     """Its convolution of 6 channels is (plug-in 0.4.0); the line says all that a report needs. Padded, it passes."""
     pytest.importorskip("onnx")

@@ -125,6 +125,7 @@ def test_screenshot(gffe, screen, tmp_path):
     assert not (tmp_path / "config").exists()  # pictures for reports neither use nor change what is remembered
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_screenshot_with_shading_correction(gffe, screen, tmp_path):
     constant_model(tmp_path / "m.onnx")

@@ -581,6 +581,7 @@ def test_kernels_are_reloaded_and_broken_ones_survived(device, tmp_path, monkeyp
         assert (wait_for(engine.poll).images["final"] == good).all() and engine.build_error is None
 
 
+@pytest.mark.long
 def test_kernels_of_shading_correction_are_reloaded(device, tmp_path, monkeypatch):
     """Without a model they are not built; with one as all others."""
     folder = tmp_path / "kernels"
