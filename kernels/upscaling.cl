@@ -308,7 +308,7 @@ WIDE __kernel void accumulate(
     const Floats moved_x = gather_xy(dilated, src, &moved_y);
     const Floats px_previous_x = (px_x + moved_x) * to_previous_display.x + to_previous_display.z;
     const Floats px_previous_y = (px_y + moved_y) * to_previous_display.y + to_previous_display.w;
-    const Ints known = within(px_previous_x, px_previous_y, target_width, target_height) & (has_history ? ALL_LANES : (Ints)(0));
+    const Ints known = within(px_previous_x, px_previous_y, target_width, target_height) & ((Ints)(has_history) != 0);
     Wide4 past = {(Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f)};
     Floats held = 0.0f, locked = 0.0f, believed = 0.0f;
     if (ANY(known)) {
