@@ -212,7 +212,8 @@ class Pipeline:
 
     @property
     def exposure(self) -> float:
-        """Factor on colour before display, 1e-6 to 1e6; GffeError for others."""
+        """Factor on colour before display, 1e-6 to 1e6; GffeError for others. To be set before `submit`: what
+        changed between rendered frames is measured there (`stages.trend`)."""
         return self._exposure
 
     @exposure.setter

@@ -42,10 +42,8 @@ def display(color: Tensor) -> Tensor:
 def focus_loss(likely: Tensor, truth: Tensor) -> Tensor:
     """Mean squared error of the focus mask, where the paper writes ‖M̄ − M‖₂, on purpose.
 
-    Not rooted, its minimum over all crops is the probability of focus at a pixel, which the network's mask is made of
-    (`network.ShadingCorrectionNetwork`); rooted per crop or batch, crops in which more is wrong would count less, and
-    the mask would be too small where it is needed. Not summed, as that would grow with the crop: a trained network's
-    norm over 224×128 pixels is 2 to 14, the reconstruction loss 0.003 to 0.008, and λ_focus is 1.
+    Not rooted: per crop or batch, crops in which more is wrong would count less, and the mask would be too small where
+    it is needed. Not summed, as that would grow with the crop and outweigh all else.
     """
     return ((likely - truth) ** 2).mean()
 

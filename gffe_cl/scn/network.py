@@ -28,7 +28,7 @@ _SEEN = 16  # channels of what is seen of the frames themselves, at a quarter
 _DETAIL = 4
 _HEAD = 16
 _DOUBT = 0.1
-_FLOW_UNIT = 8.0  # pixels of half resolution
+_FLOW_UNIT = 4.0  # pixels of a quarter of the resolution
 _LITTLE = 1e-4  # squared change of encoded colour
 _SLOPE = 0.1  # of leaky rectifiers
 _LOG = torch.log1p(torch.tensor(MU)).item()
@@ -113,7 +113,7 @@ class ShadingCorrectionNetwork(nn.Module):
             result = level(torch.cat((double(result), features.pop()), 1))
         out = self.out(result).float()
         own, follow, lasts, detail = out.split((2, 1, 1, 4 * _DETAIL), 1)
-        own = _FLOW_UNIT / 2 * own
+        own = _FLOW_UNIT * own
         flow = own + torch.sigmoid(follow) * (time * found - own)
         moved = warp(now, 2.0 * double(flow)) - now
         trend = trends[:, :3] * double((held + lasts).clamp(0, 1))
