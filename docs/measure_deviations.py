@@ -114,12 +114,7 @@ GAE: dict[str, Change] = {
     "hidden parts of movers": Change({"hidden_parts": False}),
     "holes continue their far side": Change({"hole_filling": "downsample"}),
     "what lies beyond the image has no far side": Change(
-        edits={
-            "holes.cl": {
-                "*mean = weighted_mean(a.count, a.px, a.inverse, weight, color);\n    const float3": "*mean ="
-                " weighted_mean(a.count, a.px, a.inverse, weight, color);\n    return true;\n    const float3"
-            }
-        }
+        edits={"holes.cl": {"if (all > 0.0f) {": "if (false) {", "reach > 0 && is_out": "false && is_out"}}
     ),
     "silhouettes stay antialiased": Change({"soft_silhouettes": False}),
 }

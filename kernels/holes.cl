@@ -83,22 +83,54 @@ inline float3 static_source(const int dst_x, const int dst_y, const float invers
     return reproject(pixel_centre(dst_x, dst_y), inverse_depth > 0.0f ? divide(1.0f, inverse_depth) : INFINITY, to_source);
 }
 
-/* What a disocclusion shows is the surface on its far side, continued: of the first valid pixels in eight directions, up
-   to `reach` px away, the mean of those on the far side, weighted by the inverse of their distance. A surface whose
-   continuation lies outside of the rendered image was not hidden by anything: there all directions count, those close by most.
+/* Colour of the rendered frame at `px_source`, or at the place on its border that is closest; bilinear. */
+inline float3 border_color(const float2 px_source, const int width, const int height, __global const half *source_color) {
+    const float x = clamp(px_source.x - 0.5f, 0.0f, (float)(width - 1)), y = clamp(px_source.y - 0.5f, 0.0f, (float)(height - 1));
+    const int x0 = (int)x, y0 = (int)y;
+    float3 sum = (float3)(0.0f);
+    for (int tap = 0; tap < 4; ++tap) {
+        const int src = min(y0 + (tap >> 1), height - 1) * width + min(x0 + (tap & 1), width - 1);
+        sum += bilinear_weight(tap, x - (float)x0, y - (float)y0) * load_color(source_color, src);
+    }
+    return sum;
+}
+
+/* Whether `px_source` lies outside of the rendered image. */
+inline bool is_out_of_screen(const float3 px_source, const int width, const int height) {
+    return !(px_source.z > 0.0f && px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)width
+             && px_source.y < (float)height);
+}
+
+/* What lies out of screen goes on as the image's border does: the mean of what is beside the hole and of that border. */
+inline float3 continued(const float3 beside, const float3 px_source, const int source_width, const int source_height,
+                        __global const half *source_color) {
+    if (!(px_source.z > 0.0f)) return beside;
+    return 0.5f * (beside + border_color(px_source.xy, source_width, source_height, source_color));
+}
+
+/* Of the first valid pixels in eight directions, up to `reach` px away: a surface that, continued into the hole, lies outside
+   of the rendered image was hidden by nothing. If there are such, the hole is theirs, those close by count most. Else it is a
+   disocclusion, and shows the surface on its far side: the mean of those, weighted by the inverse of their distance.
    Gives (colour, inverse depth); false where no direction meets a valid pixel. */
 inline bool far_side(const int dst_x, const int dst_y, const int target_width, const int target_height, const int source_width,
                      const int source_height, const int reach, const Reprojection to_source, __global const uchar *filled_by,
-                     __global const half *color, __global const float *depth, float4 *mean) {
+                     __global const half *color, __global const float *depth, __global const half *source_color,
+                     float4 *mean) {
     const Around a = look_around(dst_x, dst_y, target_width, target_height, reach, filled_by, BY_HOLE_FILLING, depth);
-    float weight[DIRECTIONS];
+    float weight[DIRECTIONS], all = 0.0f;
     if (a.count == 0) return false;
+    for (int k = 0; k < a.count; ++k) {
+        const bool out = is_out_of_screen(static_source(dst_x, dst_y, a.inverse[k], to_source), source_width, source_height);
+        weight[k] = out ? a.closeness[k] * a.closeness[k] : 0.0f;
+        all += weight[k];
+    }
+    if (all > 0.0f) {
+        *mean = weighted_mean(a.count, a.px, a.inverse, weight, color);
+        const float3 px_source = static_source(dst_x, dst_y, mean->w, to_source);
+        mean->xyz = continued(mean->xyz, px_source, source_width, source_height, source_color);
+        return true;
+    }
     for (int k = 0; k < a.count; ++k) weight[k] = is_far(a, k) ? a.closeness[k] : 0.0f;
-    *mean = weighted_mean(a.count, a.px, a.inverse, weight, color);
-    const float3 px_source = static_source(dst_x, dst_y, mean->w, to_source);
-    if (px_source.z > 0.0f && px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)source_width
-        && px_source.y < (float)source_height) return true;
-    for (int k = 0; k < a.count; ++k) weight[k] = a.closeness[k] * a.closeness[k];
     *mean = weighted_mean(a.count, a.px, a.inverse, weight, color);
     return true;
 }
@@ -224,7 +256,8 @@ inline void fill_pixel(const int dst_x, const int dst_y, const int dst, const fl
 /* Fills what is still invalid from the far side; motion is that of a static point. RUN pixels per work-item. */
 SCAN __kernel void fill_far_side(const int target_width, const int target_height, const int source_width,
                                  const int source_height, const int reach, __global const uchar *block_class,
-                                 __global const uchar *filled_by, const Reprojection to_source, __global half *color, __global float *depth,
+                                 __global const uchar *filled_by, __global const half *source_color,
+                                 const Reprojection to_source, __global half *color, __global float *depth,
                                  __global float2 *motion) {
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
@@ -236,7 +269,7 @@ SCAN __kernel void fill_far_side(const int target_width, const int target_height
         if (filled_by[dst] != BY_HOLE_FILLING) continue;
         float4 mean;
         if (far_side(dst_x, dst_y, target_width, target_height, source_width, source_height, reach, to_source, filled_by, color,
-                     depth, &mean))
+                     depth, source_color, &mean))
             fill_pixel(dst_x, dst_y, dst, mean, to_source, color, depth, motion);
         else
             depth[dst] = BEYOND_REACH;
@@ -290,7 +323,7 @@ inline bool asks(const int dst, const int reach, __global const uchar *filled_by
     return filled_by[dst] == BY_HOLE_FILLING && (reach == 0 || depth[dst] == BEYOND_REACH);
 }
 
-/* Fills the rest from the means of 32x32 blocks, interpolated. Every work-group fills TILE x TILE blocks: it sums up those of
+/* Fills the rest from the means of 32x32 blocks, interpolated, out of screen with the image's border too if there is a `reach`. Every work-group fills TILE x TILE blocks: it sums up those of
    them, and of the ring around them, that its pixels ask for. The sums are kept for who wants to look at them. */
 SPARSE __kernel void fill_from_blocks(const int target_width, const int target_height, const int source_width,
                                       const int source_height, const int blocks_width, const int blocks_height, const int reach,
@@ -369,7 +402,10 @@ SPARSE __kernel void fill_from_blocks(const int target_width, const int target_h
                 sum += weight * sums[k];
                 inverse_sum += weight * inverse_sums[k];
             }
-            const float4 mean = sum.w > 0.0f ? (float4)(mean_of(sum.xyz, sum.w), divide(inverse_sum, sum.w)) : (float4)(0.0f);
+            float4 mean = sum.w > 0.0f ? (float4)(mean_of(sum.xyz, sum.w), divide(inverse_sum, sum.w)) : (float4)(0.0f);
+            const float3 px_source = static_source(dst_x, dst_y, mean.w, to_source);
+            if (reach > 0 && is_out_of_screen(px_source, source_width, source_height))
+                mean.xyz = continued(mean.xyz, px_source, source_width, source_height, source_color);
             fill_pixel(dst_x, dst_y, dst, mean, to_source, color, depth, motion);
         }
     }

@@ -196,11 +196,11 @@ def test_stages_equal_their_twins(device, options, size, target):
     sums = (None, None)
     if options.hole_filling != "push-pull":
         reach = pipeline.stages["holes"].reach
-        asked = twins.asked_blocks(warped, reach, to_source, size)
+        asked = twins.asked_blocks(warped, reach, to_source, twins.load_color(color))
         sums = tuple((array.T * asked.T).T for array in twins.downsample(warped, color, depth))
         np.testing.assert_allclose(pipeline.stages["holes"].read("block_color"), sums[0], rtol=1e-4, atol=1e-4)
         np.testing.assert_allclose(pipeline.stages["holes"].read("block_inverse_depth"), sums[1], rtol=1e-4, atol=1e-5)
-    filled = twins.fill_holes(warped, *sums, to_source, pipeline.stages["holes"].reach, size)
+    filled = twins.fill_holes(warped, *sums, to_source, pipeline.stages["holes"].reach, twins.load_color(color))
     holes = unfilled
     before_softening = pipeline.board.frame.read("color")
     if options.soft_silhouettes:
@@ -326,7 +326,7 @@ def test_block_means_reach_over_work_groups(device, filling):
     assert holes.mean() > 0.1 and 5 < asked.sum() < asked.size
     sums = tuple((array.T * asked.T).T for array in twins.downsample(before, frame.color, frame.depth))
     np.testing.assert_allclose(stage.read("block_color"), sums[0], rtol=1e-4, atol=1e-4)
-    filled = twins.fill_holes(before, *sums, to_source, stage.reach, (width, height))
+    filled = twins.fill_holes(before, *sums, to_source, stage.reach, twins.load_color(frame.color))
     for name in ("color", "depth", "motion"):
         got = pipeline.board.frame.read(name)
         assert got[~holes].tobytes() == left[name][~holes].tobytes() or (name == "color" and filling == "far-side")

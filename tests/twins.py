@@ -748,8 +748,30 @@ def march(y, x, d, reach, shape):
         t += 1
 
 
-def far_side(warped, y, x, reach, to_source, source_size):
-    """(colour, inverse depth) of the far side around one hole, or None; `source_size`: (width, height)."""
+def continued(beside, at, source_color):
+    """What is beside a hole that lies out of screen, with the border of the rendered image (height, width, 3)."""
+    if not at[2] > 0:
+        return beside
+    height, width = source_color.shape[:2]
+    x, y = np.clip(at[0] - F(0.5), 0, F(width - 1)), np.clip(at[1] - F(0.5), 0, F(height - 1))
+    xs, ys = [int(x), min(int(x) + 1, width - 1)], [int(y), min(int(y) + 1, height - 1)]
+    across = [source_color[j, xs[0]] * (1 - x % 1) + source_color[j, xs[1]] * (x % 1) for j in ys]
+    return (beside + across[0] * (1 - y % 1) + across[1] * (y % 1)) / 2
+
+
+def source_of(y, x, inverse, to_source):
+    """Where a static pixel of the new frame is in the rendered one: x, y, depth."""
+    z = np.array([F(1) / inverse if inverse > 0 else INF], F)
+    return reproject(np.array([[x + 0.5, y + 0.5]], F), z, to_source)[0]
+
+
+def is_outside(at, image):
+    height, width = image.shape[:2]
+    return not (at[2] > 0 and 0 <= at[0] < width and 0 <= at[1] < height)
+
+
+def far_side(warped, y, x, reach, to_source, source_color):
+    """(colour, inverse depth) of the far side around one hole, or None; `source_color`: (height, width, 3)."""
     met = []
     for d in _DIRECTIONS:
         for distance, q in march(y, x, d, reach, warped["depth"].shape):
@@ -764,13 +786,13 @@ def far_side(warped, y, x, reach, to_source, source_size):
     def mean(weighted):
         return sum(w * values for w, values in weighted) / sum(w for w, _ in weighted)
 
+    ways = [source_of(y, x, inverse, to_source) for inverse, _, _ in met]
+    outside = [(w * w, values) for at, (_, w, values) in zip(ways, met, strict=True) if is_outside(at, source_color)]
+    if outside:
+        found = mean(outside)
+        return np.append(continued(found[:3], source_of(y, x, found[3], to_source), source_color), found[3])
     least = min(inverse for inverse, _, _ in met)
-    found = mean([(w, values) for inverse, w, values in met if not inverse > least * HOLES.FAR_SIDE])
-    z = np.array([F(1) / found[3] if found[3] > 0 else INF], F)
-    at = reproject(np.array([[x + 0.5, y + 0.5]], F), z, to_source)[0]
-    if at[2] > 0 and 0 <= at[0] < source_size[0] and 0 <= at[1] < source_size[1]:
-        return found
-    return mean([(w * w, values) for _, w, values in met])
+    return mean([(w, values) for inverse, w, values in met if not inverse > least * HOLES.FAR_SIDE])
 
 
 def mix_far_side(warped):
@@ -799,12 +821,12 @@ def mix_far_side(warped):
     return color
 
 
-def asked_blocks(warped, reach, to_source, source_size):
+def asked_blocks(warped, reach, to_source, source_color):
     """(h, w) bool: the 32×32 blocks between whose centres a hole lies that has no far side."""
     height, width = warped["depth"].shape
     asked = np.zeros((-(-height // HOLES.BLOCK), -(-width // HOLES.BLOCK)), bool)
     for y, x in np.argwhere(warped["filled_by"] == COMMON.BY_NOTHING):
-        if far_side(warped, y, x, reach, to_source, source_size) is None:
+        if far_side(warped, y, x, reach, to_source, source_color) is None:
             y0, x0 = ((c + 0.5) / HOLES.BLOCK - 0.5 for c in (y, x))
             for tap in range(4):
                 ty, tx = int(np.floor(y0)) + (tap >> 1), int(np.floor(x0)) + (tap & 1)
@@ -812,7 +834,7 @@ def asked_blocks(warped, reach, to_source, source_size):
     return asked
 
 
-def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_size):
+def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color):
     """Colour, depth, motion of the warped frame with its holes filled: from the far side within `reach` px,
     else from the block sums; by push-pull if these are None."""
     if color_sum is None:
@@ -835,9 +857,13 @@ def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_size):
         mean_inverse = np.where(total[..., 3] > 0, inverse / total[..., 3], 0)
     holes = warped["filled_by"] == COMMON.BY_NOTHING
     for y, x in np.argwhere(holes):
-        found = far_side(warped, y, x, reach, to_source, source_size)
+        found = far_side(warped, y, x, reach, to_source, source_color)
         if found is not None:
             mean[y, x], mean_inverse[y, x] = found[:3], found[3]
+        elif reach > 0:
+            at = source_of(y, x, mean_inverse[y, x], to_source)
+            if is_outside(at, source_color):
+                mean[y, x] = continued(mean[y, x], at, source_color)
     return _filled(warped, mean, mean_inverse, to_source)
 
 

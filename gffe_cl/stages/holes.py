@@ -62,7 +62,11 @@ class Downsampled(HoleFilling):
         Kernel(
             "fill_far_side",
             "target",
-            {"block_class": "blocks.block_class", "filled_by": Access("frame.filled_by", "splatted")}
+            {
+                "block_class": "blocks.block_class",
+                "filled_by": Access("frame.filled_by", "splatted"),
+                "source_color": Access("rendered.color", "unfilled"),
+            }
             | _image("unfilled"),
             _filled("unfilled"),
             step=("RUN", 1),
