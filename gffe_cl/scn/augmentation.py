@@ -28,7 +28,7 @@ class Augmentation:
     previous frame, at x + α v in the truth, and at x − 2 v in the frame before, of which only the trend is known.
     Trends follow as the stage `Trend` would find them.
 
-    `shading`: how often a crop gets any. `changing`: the share of patterns that do not move steadily: they jump, are
+    `shading`: how often a crop gets any; a quarter of these has lights that switch. `changing`: the share of patterns that do not move steadily: they jump, are
     somewhere else in every frame, flicker or fade. Of these only fading goes on.
     """
 
@@ -47,7 +47,7 @@ class Augmentation:
         trends = trends.gather(1, order.expand_as(trends))
         before = _changes(colors, batch.halved)
         colors = colors * torch.exp2(self._uniform((1, count, 3, 1, 1), -0.3, 0.3))
-        for change, share in ((self._reflected, 0.4), (self._lit, 1.0), (self._lit, 0.4)):
+        for change, share in ((self._reflected, 0.4), (self._switched, 0.25), (self._lit, 1.0), (self._lit, 0.4)):
             some = self._some(count, share * self.shading)
             if len(some):
                 colors[:, some] = change(colors[:, some], side[some], alpha[some])
@@ -153,6 +153,23 @@ class Augmentation:
         lights = self._some(count, 0.35)
         factor[:, lights] = 1 / factor[:, lights]
         return colors * factor
+
+    def _switched(self, colors: Tensor, side: Tensor, alpha: Tensor) -> Tensor:
+        """Lights, screens and windows that switch, each by itself, and stay so for a while: from one area to a wall of
+        them, in part of each sample. Nothing of that goes on."""
+        _, count, _, height, width = colors.shape
+        cells = 2 ** int(torch.randint(0, 5, (), generator=self.generator))
+        levels = self._uniform((4, count, 1, cells, cells), -1.0, 1.0)
+        often = self._uniform((count, 1, 1, 1), 0.15, 0.9)  # how often a cell switches in an interval
+        for time, since, share in ((1, 3, 1.0), (0, 1, 1.0), (2, 0, alpha.view(-1, 1, 1, 1))):  # in order of time
+            stays = torch.rand(levels.shape[1:], generator=self.generator) >= often * share
+            levels[time] = torch.where(stays, levels[since], levels[time])
+        mode = "nearest" if self._chance() < 0.7 else "bilinear"
+        shape = functional.interpolate(levels.flatten(0, 1), (height, width), mode=mode).view(4, count, 1, height, width)
+        where = torch.randn((count, 1, 4, 4), generator=self.generator) + self._uniform((count, 1, 1, 1), -0.5, 2.0)
+        where = functional.interpolate(where, (height, width), mode="bicubic", align_corners=False)
+        used = torch.sigmoid(8 * where) * (side[:, 1:] <= DYNAMIC)
+        return colors * torch.exp2(used * shape * self._uniform((count, 3, 1, 1), 0.2, 2.0))
 
     def _reflected(self, colors: Tensor, side: Tensor, alpha: Tensor) -> Tensor:
         """Another sample as a reflection on part of each."""
