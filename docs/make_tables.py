@@ -74,7 +74,7 @@ def scenes_table() -> str:
     return table(("scene", "what it shows"), [(f"`{name}`", text) for name, text in SCENES.items()])
 
 
-def situations_table() -> str:
+def situation_scenes_table() -> str:
     return table(("situation", "what it shows"), [(f"`{name}`", text) for name, text in SITUATIONS.items()])
 
 
@@ -107,7 +107,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "buffers": buffers_table,
     "labels": labels_table,
     "scenes": scenes_table,
-    "situations": situations_table,
+    "situation_scenes": situation_scenes_table,
     "map": map_table,
     "formats": formats_table,
 }

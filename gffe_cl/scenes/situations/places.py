@@ -1,5 +1,5 @@
-"""Where situations take place: a yard in the sun and a hall under lamps, both still. The camera stands at positive z, and the
-back wall at `BACK`."""
+"""Where situations take place: a yard in the sun and a hall under lamps, both still. The camera stands at positive z,
+and the back wall at `BACK`."""
 
 from __future__ import annotations
 
