@@ -18,7 +18,7 @@ from gffe_cl.buffers import EXTRAPOLATED, FILLED_BY, RENDERED, BufferSpec
 from gffe_cl.formats import FORMATS
 from gffe_cl.options import OPTIONS, Option
 from gffe_cl.pipeline import STAGES
-from gffe_cl.scenes import SCENES
+from gffe_cl.scenes import SCENES, SITUATIONS
 from gffe_cl.stage import Stage
 from gffe_cl.stages.background import Background, _level_buffers
 from gffe_cl.stages.composition import Composition
@@ -74,6 +74,10 @@ def scenes_table() -> str:
     return table(("scene", "what it shows"), [(f"`{name}`", text) for name, text in SCENES.items()])
 
 
+def situation_scenes_table() -> str:
+    return table(("situation", "what it shows"), [(f"`{name}`", text) for name, text in SITUATIONS.items()])
+
+
 def map_table() -> str:
     """Every module and kernel file, with the first sentence of what it says of itself."""
     rows = []
@@ -103,6 +107,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "buffers": buffers_table,
     "labels": labels_table,
     "scenes": scenes_table,
+    "situation_scenes": situation_scenes_table,
     "map": map_table,
     "formats": formats_table,
 }

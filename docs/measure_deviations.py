@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 from make_tables import between_markers
+from situation_regions import region_of_situation
 
 from gffe_cl.evaluation.methods import submitted_frames
 from gffe_cl.frame import RenderedFrame
@@ -31,7 +32,7 @@ from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.opencl.program import kernel_folder
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
+from gffe_cl.scenes import SCENES, SITUATIONS, SceneFrames, SceneRenderer, load_scene
 
 ALPHA, FPS = 0.5, 30.0
 ALPHAS = (0.25, 0.5, 0.75, 1.0)
@@ -133,6 +134,22 @@ SCN: dict[str, Change] = {
     "a small focus mask is 0": Change(constants={"correction.cl": {"LEAST_MASK": "0.0f"}}),
     "(focus mask, as in the paper)": Change({"focus_mask": False}),
 }
+# For situations: the part that is for each, with what takes its place, and the region concerned. Both ways go without
+# their own part alone: "handheld" is measured with predicted cameras throughout.
+NO_NETWORK = Change({"shading_correction": False})
+PREDICTED = Change(camera=False)
+FOR_SITUATIONS: dict[str, tuple[str, Change, str]] = {
+    "bars": ("hidden parts of movers", GAE["hidden parts of movers"], "movers"),
+    "ropes": ("soft silhouettes", GAE["silhouettes stay antialiased"], "movers"),
+    "balls": ("acceleration", GAE["movers' acceleration goes on"], "movers"),
+    "rotors": ("acceleration", GAE["movers' acceleration goes on"], "movers"),
+    "handheld": ("`--camera-order 2`; 1", PREDICTED | Change({"camera_order": 1}), "all"),
+    "lamps": ("network", NO_NETWORK, "light"),
+    "shadows": ("network", NO_NETWORK, "light"),
+    "fan": ("network", NO_NETWORK, "light"),
+    "screen": ("network", NO_NETWORK, "light"),
+    "quantised": ("ε from the data; ¼ px", Change({"static_threshold": 0.25}), "still"),
+}
 # Static threshold: automatic, or so many pixels; on motion vectors as they are, and rounded.
 THRESHOLDS = (None, 0.25, 1.0, 4.0)
 ROUNDINGS = {"exact motion": 0.0, "motion rounded to ½ px": 0.5, "motion rounded to 1 px": 1.0}
@@ -199,9 +216,10 @@ def shown_frames(
     scene_and_seed: tuple[str, int],
     alphas: tuple[float, ...],
     round_to: float = 0.0,
+    concerned: str | None = None,
 ) -> Iterator[tuple[float, np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]]:
     """Of each new frame of a scene: α, the truth and what `options` with each of `changes` make, as display values, and
-    the regions (masks) by the first of `changes`."""
+    the regions (masks) by the first of `changes`; or, with `concerned`, the whole and that region of a situation."""
     print(f"\r{scene_and_seed[0]}, seed {scene_and_seed[1]}".ljust(40), end="", file=sys.stderr, flush=True)
     scene = load_scene(*scene_and_seed)
     frames = SceneFrames(SceneRenderer(device, scene, *setting.size))
@@ -219,8 +237,11 @@ def shown_frames(
             shown, regions = {}, {}
             for name, pipeline in pipelines.items():
                 made = pipeline.extrapolate(camera if changes[name].camera else None, time)
-                regions = regions or _regions(made)
+                regions = regions or (_regions(made) if concerned is None else {})
                 shown[name] = display_values(made.numpy("color"), scene.exposure)
+            if concerned:
+                region = region_of_situation(concerned, frames, (frame.time, frame.time - 1 / FPS), time)
+                regions = {"whole": np.ones_like(region), "region": region}
             yield alpha, truth, shown, regions
 
 
@@ -300,9 +321,36 @@ def parts_table(device: Device, setting: argparse.Namespace) -> str:
     return "\n".join(lines)
 
 
+def situations_table(device: Device, setting: argparse.Namespace) -> str:
+    """By situation: PSNR of the paper's way, of everything, and of everything but the part that is for it."""
+    ways = ("the paper's way", "all", "all but that part")
+    heads = [f"{way}, α = {alpha:g}" for alpha in (0.5, 1.0) for way in ways]
+    lines = [
+        f"| PSNR, dB: frame / region | part | region | {' | '.join(heads)} |",
+        "| --- |" + " --- |" * (2 + len(heads)),
+    ]
+    for name, (part, without, region) in FOR_SITUATIONS.items():
+        known = Change() if without.camera else PREDICTED
+        changes = dict(zip(ways, (PAPER | NO_NETWORK | known, known, without), strict=True))
+        changes[ways[0]].options.update(camera_order=1)
+        errors = {(alpha, way): Errors() for alpha in (0.5, 1.0) for way in ways}
+        for seed in range(setting.seeds):
+            for alpha, truth, shown, regions in shown_frames(
+                device, changes, Options(), setting, (name, seed), (0.5, 1.0), concerned=region
+            ):
+                for way, picture in shown.items():
+                    errors[alpha, way].add(picture, truth, regions)
+        pixels = errors[0.5, ways[0]].pixels
+        about = f"| `{name}` | {part} | {region}, {pixels['region'] / pixels['whole']:.0%} |"
+        figures = [f"{e.psnr('whole'):.2f} / {e.psnr('region'):.2f}" for e in errors.values()]
+        lines.append(f"{about} {' | '.join(figures)} |")
+    return "\n".join(lines)
+
+
 _HEAD = "| gain in dB, PSNR over | whole frame | holes | movers | the rest |\n| --- | --- | --- | --- | --- |"
 TABLES: dict[str, Callable[[Device, argparse.Namespace], str]] = {
-    "gae": gae_table, "parts": parts_table, "scn": scn_table, "threshold": threshold_table
+    "gae": gae_table, "parts": parts_table, "scn": scn_table, "threshold": threshold_table,
+    "situations": situations_table,
 }  # fmt: skip
 
 
@@ -310,7 +358,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help="into docs/deviations.md")
     parser.add_argument("--tables", nargs="*", choices=TABLES, default=list(TABLES))
-    parser.add_argument("--scenes", nargs="*", choices=SCENES, default=list(SCENES))
+    parser.add_argument("--scenes", nargs="*", choices=(*SCENES, *SITUATIONS), default=list(SCENES))
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--frames", type=int, default=8)
     parser.add_argument("--size", type=int, nargs=2, default=(480, 270))

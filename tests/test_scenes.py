@@ -7,7 +7,7 @@ from scene_oracle import cast, clearances, followed
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.opencl.device import list_devices, open_info
-from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
+from gffe_cl.scenes import SCENES, SITUATIONS, SceneFrames, SceneRenderer, load_scene
 from gffe_cl.scenes.flatten import build_tree
 from gffe_cl.window import WindowChooser
 
@@ -260,4 +260,4 @@ def test_help_names_every_scene():
     from gffe_cl.cli.commands import app
 
     text = CliRunner().invoke(app, ["render", "--help"]).output
-    assert all(name in text for name in NAMES)
+    assert all(name in text for name in (*NAMES, *SITUATIONS))

@@ -7,7 +7,7 @@ from functools import partial
 from imgui_bundle import imgui
 
 from gffe_cl.options import Option
-from gffe_cl.scenes import SCENES
+from gffe_cl.scenes import SCENES, SITUATIONS
 from gffe_cl.viewer.actions import Action
 from gffe_cl.viewer.engine.figures import QUANTITIES, REGIONS
 from gffe_cl.viewer.state import saving
@@ -259,12 +259,13 @@ def _item(actions, action) -> None:
 
 def _file_menu(model) -> None:
     imgui.separator()
-    if imgui.begin_menu("Built-in scenes###scenes"):
-        for name, text in SCENES.items():
-            if imgui.menu_item_simple(f"{name}###scene {name}"):
-                model.open(name)
-            imgui.set_item_tooltip(text)
-        imgui.end_menu()
+    for label, scenes in (("Built-in scenes###scenes", SCENES), ("Situations###situations", SITUATIONS)):
+        if imgui.begin_menu(label):
+            for name, text in scenes.items():
+                if imgui.menu_item_simple(f"{name}###scene {name}"):
+                    model.open(name)
+                imgui.set_item_tooltip(text)
+            imgui.end_menu()
     if imgui.begin_menu("Recent###recent", bool(model.settings.recent)):
         for path in list(model.settings.recent):
             if imgui.menu_item_simple(path):

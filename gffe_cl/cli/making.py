@@ -129,7 +129,8 @@ def render(
     scene: Annotated[
         str,
         typer.Argument(
-            help="Name of a built-in scene: corridor, plaza, room, forest, gallery, street, factory, courtyard."
+            help="Name of a built-in scene: corridor, plaza, room, forest, gallery, street, factory, courtyard. Or of a"
+            " situation: bars, ropes, balls, rotors, handheld, lamps, shadows, fan, screen, quantised."
         ),
     ],
     output: Annotated[Path, typer.Argument(help="Folder for the sequence.")],
@@ -265,7 +266,7 @@ def open_source(
     """A folder is a sequence; what is none may be the name of a scene, which `live` says how to render."""
     from gffe_cl.formats import open_capture
     from gffe_cl.opencl.device import open_device
-    from gffe_cl.scenes import SCENES, is_scene, load_scene
+    from gffe_cl.scenes import is_scene, load_scene, scene_names
     from gffe_cl.source import Live, Recorded
 
     if is_scene(str(sequence)):
@@ -276,7 +277,7 @@ def open_source(
         return opened, Live(scene, opened, *size, frames, fps, window or "off", upscale)
     given = [option for option, value in live.items() if value is not None]
     if given:
-        raise GffeError(f"{given[0]} is for built-in scenes ({', '.join(SCENES)}), {sequence} is none")
+        raise GffeError(f"{given[0]} is for built-in scenes ({scene_names()}), {sequence} is none")
     recorded, opened = open_capture(sequence), open_device(device)
     return opened, Recorded(recorded, opened, window, upscale)
 

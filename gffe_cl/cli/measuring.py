@@ -106,7 +106,9 @@ def _print_regions(result: Comparison, metrics: list[Metric]) -> None:
 @app.command()
 @takes_options("scn_model", "scn_provider", shading_correction=True)
 def study(
-    scenes: Annotated[list[str] | None, typer.Argument(help="Built-in scenes [dim](default: all)[/].")] = None,
+    scenes: Annotated[
+        list[str] | None, typer.Argument(help="Built-in scenes and situations [dim](default: the eight scenes)[/].")
+    ] = None,
     seeds: Annotated[int, typer.Option(help="Seeds 0 … N−1 of each.")] = 3,
     size: Annotated[str, typer.Option(help="Width × height, pixels.")] = "480x270",
     frames: Annotated[int, typer.Option(help="Rendered frames per scene and seed.")] = 10,

@@ -43,8 +43,8 @@ def evaluate(
         list[str] | None,
         typer.Argument(
             metavar="[SCENE|SEQUENCE]...",
-            help="Built-in scenes, 'forest' or with a seed 'forest:3', and folders of sequences with ground truth"
-            " [dim](default: all scenes)[/].",
+            help="Built-in scenes and situations, 'forest' or with a seed 'forest:3', and folders of sequences with"
+            " ground truth [dim](default: the eight scenes)[/].",
         ),
     ] = None,
     output: Annotated[Path, typer.Option("--out", help="Folder for the report and the finished cells.")] = Path(

@@ -35,28 +35,57 @@ SCENES = {
     "courtyard": "Sunlit court: arcades, laundry, a tree, birds above, a fountain; the camera turns as with a mouse",
 }
 
+# Each holds one thing that is hard, and little else; beside the eight above, which tables and studies are made of.
+SITUATIONS = {
+    "bars": "Movers behind bars: three people and an animal pass behind a fence",
+    "ropes": "Thin ropes, one to three pixels wide, that swing before a wall",
+    "balls": "Balls that fly on parabolas, bounce and roll",
+    "rotors": "Arcs: a pinwheel, a wheel with spokes, a rotor, a cart on wheels",
+    "handheld": "A camera that speeds up, turns and stops, in a still room",
+    "lamps": "Two lamps that swing: their light, and all shadows",
+    "shadows": "Shadows of things out of view, across steps, columns and walls",
+    "fan": "A fan before a lamp: shadows of blades turn over walls and floor",
+    "screen": "Screens that flicker, and the light they throw",
+    "quantised": "People walk, the camera strafes; motion vectors are rounded to whole pixels",
+}
+
 __all__ = [
     "SCENES",
+    "SITUATIONS",
     "Scene",
     "SceneArrays",
     "SceneFrames",
     "SceneImage",
     "SceneRenderer",
     "is_scene",
+    "is_scene_name",
     "load_scene",
+    "scene_names",
 ]
 
 
 def is_scene(target: str) -> bool:
     """Whether this names a built-in scene, not a sequence: a folder of that name comes first."""
-    return target in SCENES and not Path(target).exists()
+    return is_scene_name(target) and not Path(target).exists()
+
+
+def is_scene_name(name: str) -> bool:
+    """Whether `load_scene` knows it."""
+    return name in SCENES or name in SITUATIONS
+
+
+def scene_names() -> str:
+    """All of them, for messages."""
+    return f"{', '.join(SCENES)}; {', '.join(SITUATIONS)}"
 
 
 def load_scene(name: str, seed: int = 0) -> Scene:
-    """Build the scene `name` of `SCENES` for `seed`, 0 to 2³² − 1. Raises GffeError for an unknown name and for other
-    seeds."""
-    if name not in SCENES:
-        raise GffeError(f"unknown scene '{name}': expected one of {', '.join(SCENES)}")
+    """Build the scene `name` of `SCENES` or `SITUATIONS` for `seed`, 0 to 2³² − 1. Raises GffeError for an unknown name
+    and for other seeds."""
+    if not is_scene_name(name):
+        raise GffeError(f"unknown scene '{name}': expected one of {scene_names()}")
     seed = require_seed(seed, f"scene '{name}': seed")
-    module = importlib.import_module(f"gffe_cl.scenes.{name}")
-    return module.build(seed, np.random.default_rng([*name.encode(), seed]))
+    rng = np.random.default_rng([*name.encode(), seed])
+    if name in SITUATIONS:
+        return importlib.import_module("gffe_cl.scenes.situations").build(name, seed, rng)
+    return importlib.import_module(f"gffe_cl.scenes.{name}").build(seed, rng)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gffe_cl.camera import Camera
-from gffe_cl.scenes.vocabulary import ELLIPSOID, GEOMETRY, TEXTURES, Group, Light, Material, Scene
+from gffe_cl.scenes.vocabulary import ELLIPSOID, GEOMETRY, TEXTURES, Group, Light, Material, Scene, tint
 
 CASTS_SHADOW = GEOMETRY["CASTS_SHADOW"]
 
@@ -19,7 +19,6 @@ class FlatScene:
     object_info : (N, 4) int32, first primitive, count, flags, 0
     bounds : (N, 4) float64, centre and radius in the object's local space
     boxes : (N, 2, 3) float64, centre and half size of its box there
-    materials : (M, 5, 4) float32
     """
 
     def __init__(self, scene: Scene):
@@ -40,8 +39,13 @@ class FlatScene:
         self.object_info = np.array(object_info, np.int32)
         self.bounds = np.array(bounds, np.float64)
         self.boxes = np.array(boxes, np.float64)
-        self.materials = np.array([_material_rows(m) for m in materials], np.float32)
+        self._materials = list(materials)
+        self.flickers = any(m.flicker for m in materials)  # whether materials change with time
         self._still = {i: g.motion(0.0) for i, g in enumerate(scene.groups) if not g.motion.moves}
+
+    def materials(self, time: float) -> np.ndarray:
+        """(M, 5, 4) float32."""
+        return np.array([_material_rows(m, time) for m in self._materials], np.float32)
 
     def poses(self, time: float) -> np.ndarray:
         """(N, 4, 4) float64: local → world of every object."""
@@ -77,7 +81,7 @@ class FlatScene:
     def lights(self, time: float, camera: Camera, offset) -> np.ndarray:
         """(L, 3, 4) float32."""
         to_rel = offset - camera.position
-        rows = [_light_rows(light, light.motion(time), to_rel) for light in self.scene.lights]
+        rows = [_light_rows(light, time, to_rel) for light in self.scene.lights]
         return np.array(rows, np.float64).astype(np.float32).reshape(-1, 3, 4)
 
     def frame(self, camera: Camera, other_camera: Camera) -> np.ndarray:
@@ -176,18 +180,20 @@ def _bounding_sphere(group: Group, centre: np.ndarray, half_size: np.ndarray) ->
     return (*centre, radius * 1.0005 + 1e-4)
 
 
-def _material_rows(m: Material) -> list:
+def _material_rows(m: Material, time: float) -> list:
+    glow = m.flicker(time) if m.flicker else 1.0
     spread = np.random.default_rng(m.seed).uniform(0, 64, 3)
     return [
         (*m.color, TEXTURES[m.texture]),
         (*m.second, m.scale),
         (m.specular, m.roughness, m.mirror, m.transparency),
-        (*m.emission, m.contrast),
+        (*tint(m.emission, glow), m.contrast),
         (*spread, 0.0),
     ]
 
 
-def _light_rows(light: Light, pose: np.ndarray, to_rel: np.ndarray) -> list:
+def _light_rows(light: Light, time: float, to_rel: np.ndarray) -> list:
+    pose, factor = light.motion(time), light.flicker(time) if light.flicker else 1.0
     if light.kind == "sun":
         place = pose[:3, :3] @ (np.asarray(light.position) / np.linalg.norm(light.position))
     else:
@@ -195,6 +201,6 @@ def _light_rows(light: Light, pose: np.ndarray, to_rel: np.ndarray) -> list:
     axis = pose[:3, :3] @ (np.asarray(light.axis) / np.linalg.norm(light.axis))
     return [
         (*place, light.size),
-        (*light.color, GEOMETRY[light.kind.upper()]),
+        (*tint(light.color, factor), GEOMETRY[light.kind.upper()]),
         (*axis, np.cos(np.radians(light.angle))),
     ]

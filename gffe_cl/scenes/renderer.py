@@ -104,9 +104,9 @@ class SceneRenderer:
         self._tiles = -(-self.width // _TILE) * -(-self.height // _TILE)
         n, pixels = len(scene.groups), self.width * self.height
         self._static = {
-            name: self._uploaded(getattr(self.flat, name))
-            for name in ("object_info", "prims", "prim_info", "materials")
+            name: self._uploaded(getattr(self.flat, name)) for name in ("object_info", "prims", "prim_info")
         }
+        self._materials = self._uploaded(self.flat.materials(0.0))
         self._frame = device.buffer(15 * 16)
         self._objects = device.buffer(n * 7 * 16)
         self._order, self._leaf_of = device.buffer(n * 4), device.buffer(n * 4)
@@ -129,6 +129,7 @@ class SceneRenderer:
         other_camera: Camera | None = None,
         offset=(0.0, 0.0, 0.0),
         phase: int = 0,
+        motion_step: float = 0.0,
     ) -> SceneImage:
         """Render at `time` through `camera` (pixels of this renderer's image, any principal point).
 
@@ -142,6 +143,8 @@ class SceneRenderer:
             The whole world is moved by it; `camera` and `other_camera` stand in the moved world.
         phase : int
             Of the directions in which rough surfaces reflect: frames of different phases average to more of them.
+        motion_step : float
+            Pixels to multiples of which motion is rounded; 0: exact.
         """
         other_time = time if other_time is None else other_time
         other_camera = camera if other_camera is None else other_camera
@@ -158,10 +161,13 @@ class SceneRenderer:
         self._upload(self._frame, self.flat.frame(camera, other_camera))
         if len(lights):
             self._upload(self._lights, lights)
+        if self.flat.flickers:
+            self._upload(self._materials, self.flat.materials(time))
 
         queue, program, image = self.device.queue, self.program, self.image
         values = self._static | {
             "frame": self._frame,
+            "materials": self._materials,
             "objects": self._objects,
             "object_count": len(objects),
             "order": self._order,
@@ -176,6 +182,7 @@ class SceneRenderer:
             "base": min(_BASE_SAMPLES, self.samples),
             "samples": self.samples,
             "phase": phase,
+            "motion_step": np.float32(motion_step),
             "footprint": np.float32(self.footprint),
             "width": self.width,
             "height": self.height,

@@ -67,10 +67,11 @@ class SceneFrames:
         return self.jitter.camera(window.camera(shown, self.size, self.render_size), number)
 
     def image(self, time: float, camera: Camera, before: RenderedFrame | None = None, number: int = 0) -> SceneImage:
-        """On the device, until the next one is rendered. Motion refers to `before`; None: to the frame itself.
-        `number`: for jitter."""
+        """On the device, until the next one is rendered. Motion refers to `before`, rounded as the scene's is;
+        None: to the frame itself. `number`: for jitter."""
         phase = number % self.jitter.length
-        return self.renderer.render(time, camera, before and before.time, before and before.camera, phase=phase)
+        other = before and before.time, before and before.camera
+        return self.renderer.render(time, camera, *other, phase=phase, motion_step=self.scene.motion_step)
 
     def rendered(self, time: float, before: RenderedFrame | None = None, number: int = 0) -> RenderedFrame:
         """The rendered frame at `time` after `before`, of host arrays; a reset without one. `number`: for jitter."""

@@ -22,6 +22,19 @@ BOX, ELLIPSOID, CAPSULE, CONE = (GEOMETRY[name] for name in ("BOX", "ELLIPSOID",
 
 
 @dataclass(frozen=True)
+class Flicker:
+    """Brightness that jumps `rate` times per second, to anything from `least` to 1; `seed` says what to."""
+
+    rate: float
+    least: float = 0.0
+    seed: int = 0
+
+    def __call__(self, time: float) -> float:
+        picture = int(np.floor(time * self.rate + 1e-9))
+        return float(np.random.default_rng((self.seed, picture)).uniform(self.least, 1.0))
+
+
+@dataclass(frozen=True)
 class Material:
     """What a surface is made of.
 
@@ -47,6 +60,8 @@ class Material:
         Radiance of its own.
     seed : int
         Varies the texture.
+    flicker : time → factor, or None
+        Of the emission.
     """
 
     color: tuple = (0.5, 0.5, 0.5)
@@ -60,6 +75,7 @@ class Material:
     transparency: float = 0.0
     emission: tuple = (0.0, 0.0, 0.0)
     seed: int = 0
+    flicker: Flicker | None = None
 
 
 @dataclass(frozen=True)
@@ -124,7 +140,7 @@ class Light:
     `kind` is "sun" (`position` is the direction towards it, `size` the tangent of its angular radius),
     "lamp" (a sphere of radius `size`), "spot" (a lamp with an `axis` and a cone of `angle` degrees half
     width) or "fill" (no shadow: stands for light bounced off large surfaces). `motion` moves position and
-    axis.
+    axis; `flicker` is a factor of its colour over time.
     """
 
     kind: str
@@ -134,6 +150,7 @@ class Light:
     axis: tuple = (0.0, -1.0, 0.0)
     angle: float = 40.0
     motion: Motion = field(default_factory=Place)
+    flicker: Flicker | None = None
 
 
 @dataclass
@@ -162,6 +179,8 @@ class Scene:
         Path of the camera and of the point it looks at.
     focal : float
         Focal length in image heights.
+    motion_step : float
+        Pixels to multiples of which the motion of rendered frames is rounded, as engines' packed vectors are; 0: exact.
     """
 
     name: str
@@ -175,6 +194,7 @@ class Scene:
     focal: float = 0.9
     fps: float = 30.0
     exposure: float = 1.0
+    motion_step: float = 0.0
 
     def camera(self, time: float, width: int, height: int) -> Camera:
         """The camera at `time` for an image of the given size, principal point in its middle."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from imgui_bundle import hello_imgui, imgui
 
-from gffe_cl.scenes import SCENES
+from gffe_cl.scenes import scene_names
 from gffe_cl.viewer.panels import widgets
 
 _HELP_COLUMNS = 3
@@ -67,7 +67,7 @@ def path_window(app) -> None:
     chosen, app.path_text = imgui.input_text_with_hint("###path", str(Path.cwd()), app.path_text, enter)
     imgui.same_line()
     chosen |= imgui.button("open###open_this")
-    imgui.text_disabled(f"The folder of a sequence, or a built-in scene: {', '.join(SCENES)}")
+    imgui.text_disabled(f"The folder of a sequence, or a built-in scene: {scene_names()}")
     imgui.end()
     if chosen and app.path_text.strip():
         app.model.open(app.path_text.strip())

@@ -20,7 +20,7 @@ from gffe_cl.evaluation.compare import NO_HISTORY
 from gffe_cl.formats import open_capture
 from gffe_cl.frame import RenderedFrame
 from gffe_cl.opencl.device import Device
-from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, is_scene, load_scene
+from gffe_cl.scenes import SceneFrames, SceneRenderer, is_scene, is_scene_name, load_scene, scene_names
 from gffe_cl.sequence import Sequence
 from gffe_cl.source import Recorded
 from gffe_cl.window import WindowChooser
@@ -256,13 +256,13 @@ def parse_subject(
 ) -> Subject:
     """ "corridor", "corridor:3" (a seed) or a folder. Raises GffeError, also for a folder without ground truth."""
     name, colon, seed = text.partition(":")
-    if is_scene(text) or (name in SCENES and colon and not Path(text).exists()):
+    if is_scene(text) or (is_scene_name(name) and colon and not Path(text).exists()):
         if colon and not seed.isdigit():
             raise GffeError(f"'{text}': the seed must be a whole number (expected {name}:0 or the like)")
         load_scene(name, int(seed or 0))
         return SceneSubject(name, int(seed or 0), *size, frames, fps, tuple(alphas), tuple(turns))
     if not Path(text).exists():
-        raise GffeError(f"'{text}': neither a built-in scene ({', '.join(SCENES)}) nor a folder")
+        raise GffeError(f"'{text}': neither a built-in scene ({scene_names()}) nor a folder")
     sequence = open_capture(text)
     count = sum(map(len, truths_after(sequence).values()))
     if not count:

@@ -1,0 +1,33 @@
+"""The region of a situation in which what it holds is seen, exactly, from the renderer: for docs/measure_deviations.py
+and docs/make_limits.py."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+
+from gffe_cl.metrics import display_values
+from gffe_cl.scenes import SceneFrames
+
+BESIDE = 2  # pixels round what moves that are its silhouettes
+CHANGED = 0.02  # of display values, mean over R, G and B: what light makes brighter or darker
+
+
+def region_of_situation(kind: str, frames: SceneFrames, known: tuple[float, ...], time: float) -> np.ndarray:
+    """(H, W) bool: where, at `time`, something that moves by itself is seen or within `BESIDE` px ("movers"); where it
+    is not ("still"); where what is still was lit otherwise at one of the `known` times ("light"); or everything
+    ("all")."""
+    if kind == "all":
+        return np.ones(frames.size[::-1], bool)
+    moves = np.array([group.motion.moves for group in frames.scene.groups] + [False])  # the last one: sky
+    shown = frames.truth(time)
+    object_id, color = shown.read("object_id"), shown.read("color")
+    movers = binary_dilation(moves[object_id], iterations=BESIDE)
+    if kind in ("movers", "still"):
+        return movers if kind == "movers" else ~movers
+    found, now = np.zeros_like(movers), display_values(color, frames.scene.exposure)
+    for moment in known:
+        was = frames.renderer.render(moment, frames.display_camera(time))
+        change = np.abs(display_values(was.read("color"), frames.scene.exposure) - now).mean(-1)
+        found |= (change > CHANGED) & ~binary_dilation(moves[was.read("object_id")], iterations=BESIDE)
+    return found & ~movers

@@ -1,0 +1,26 @@
+"""Situations: small built-in scenes that each hold one thing that frame extrapolation finds hard, and little else."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gffe_cl.scenes.situations import cameras, movers, shading
+from gffe_cl.scenes.vocabulary import Scene
+
+BUILDERS = {
+    "bars": movers.bars,
+    "ropes": movers.ropes,
+    "balls": movers.balls,
+    "rotors": movers.rotors,
+    "handheld": cameras.handheld,
+    "lamps": shading.lamps,
+    "shadows": shading.shadows,
+    "fan": shading.fan,
+    "screen": shading.screen,
+    "quantised": cameras.quantised,
+}
+
+
+def build(name: str, seed: int, rng: np.random.Generator) -> Scene:
+    """The situation `name`, one of `SITUATIONS` of `gffe_cl.scenes`."""
+    return BUILDERS[name](seed, rng)
