@@ -41,6 +41,7 @@ from gffe_cl.stages.holes import FILLINGS, HoleFilling
 from gffe_cl.stages.prediction import MAX_ORDER, PositionPrediction
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import ShadingInputs
+from gffe_cl.stages.sharpening import Sharpening
 from gffe_cl.stages.silhouettes import Silhouettes
 from gffe_cl.stages.surfaces import Surfaces
 from gffe_cl.stages.trend import Trend
@@ -115,6 +116,7 @@ STAGES: tuple[type[Stage], ...] = (
     Trend,
     ShadingCorrection,
     Upscaling,
+    Sharpening,
 )
 
 
@@ -274,7 +276,8 @@ class Pipeline:
         else:
             color, depth, motion = frame.buffers
         if upscaling:
-            color = upscaling.buffer["history"]
+            sharpening = self.stages.get(Sharpening.name)
+            color = sharpening.buffer["rendered"] if sharpening else upscaling.buffer["history"]
         if self._has_overlays:
             color = self.composition.compose(color, 0.0, rendered=True)
         return PresentedFrame(frame.display_camera, frame.time, color, depth, motion, self.device, self.sizes.target)
@@ -384,7 +387,8 @@ class Pipeline:
             if stage.name in self._outputs:
                 self._outputs[stage.name].keep(self.board.frame.buffer)
         made = self.board.frame.buffer
-        last = next((self.stages[s.name] for s in (Upscaling, ShadingCorrection) if s.name in self.stages), None)
+        makers = (Sharpening, Upscaling, ShadingCorrection)
+        last = next((self.stages[s.name] for s in makers if s.name in self.stages), None)
         color = (last.buffer if last else made)["color"]
         if self._has_overlays:
             color = self.composition.compose(color, alpha)
