@@ -122,12 +122,12 @@ def measure(only: list[str]) -> None:
     """Measure parts, and keep each as soon as it is there."""
     device = open_device(None)
     for name in only or (*SCENES, "cost", "defects"):
-        measured = json.loads(JSON.read_text()) if JSON.exists() else {"scenes": {}}
-        measured |= {"size": SIZE, "scale": SCALE, "seed": SEED, "frames": [COUNTED_FROM, FRAMES], "timed": TIMED_SIZE}
-        measured |= {"jitter": JITTER_LENGTH, "device": device.info.name}
         found = (
             cost(device) if name == "cost" else defects(device) if name == "defects" else Measured(device, name).run()
         )
+        measured = json.loads(JSON.read_text()) if JSON.exists() else {"scenes": {}}
+        measured |= {"size": SIZE, "scale": SCALE, "seed": SEED, "frames": [COUNTED_FROM, FRAMES], "timed": TIMED_SIZE}
+        measured |= {"jitter": JITTER_LENGTH, "device": device.info.name}
         (measured["scenes"] if name in SCENES else measured)[name] = found
         JSON.write_text(json.dumps(measured, indent=1) + "\n")
         print(name, found, flush=True)
