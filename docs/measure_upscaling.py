@@ -1,10 +1,12 @@
 """What temporal upscaling is worth on the built-in scenes: the tables of docs/upscaling.md.
 
-    python docs/measure_upscaling.py            measures, writes docs/measured/upscaling.json and the tables
-    python docs/measure_upscaling.py --tables   writes the tables from the JSON that is there
+    python docs/measure_upscaling.py                  measures, writes docs/measured/upscaling.json and the tables
+    python docs/measure_upscaling.py --only cost …    these parts only: scenes by name, cost, defects
+    python docs/measure_upscaling.py --tables         writes the tables from the JSON that is there
 
 Scenes of a seed that the pass was not tuned with, from jittered frames of half the size and one sample per pixel; truth
-is rendered at the display's size with 8 samples per pixel. Shading correction is off.
+is rendered at the display's size with 8 samples per pixel. Shading correction is off. What is wrong with the pictures
+(ghosts, shimmer, thin bars) is measured by `upscaling_defects.py` beside it, on scenes whose truth is exact.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 from make_tables import between_markers, table
+from upscaling_defects import defect_tables, defects
 
 from gffe_cl.evaluation.table.flicker import Flicker
 from gffe_cl.frame import RenderedFrame
@@ -26,13 +29,12 @@ from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
 from gffe_cl.source import JITTER_LENGTH, jittered_renderer
-from gffe_cl.stage import Step
 
 DOCS = Path(__file__).parent
 JSON, PAGE = DOCS / "measured" / "upscaling.json", DOCS / "upscaling.md"
-SIZE, SCALE, SEED = (480, 270), 2, 1
+SIZE, SCALE, SEED = (960, 540), 2, 1
 START, FRAMES, COUNTED_FROM, SSIM_EVERY = 1.0, 11, 6, 2
-TIMED_SIZE, TIMED_FRAMES = (240, 136), 40
+TIMED_SIZE, TIMED_FRAMES = (960, 540), 24
 
 
 class Measured:
@@ -77,7 +79,8 @@ class Measured:
         made = self.upscaled.extrapolate(camera, time)
         pictures["generated, plain"] = (made.numpy("gae"), new_truth)
         pictures["generated"] = (made.numpy("color"), new_truth)
-        pictures["generated, true buffers"] = (self._with_true(depth, motion, camera, time), new_truth)
+        made = self.upscaled.extrapolate(camera, time, seen_through=(depth, np.nan_to_num(motion)))
+        pictures["generated, true buffers"] = (made.numpy("color"), new_truth)
         shown = {name: (self._shown(color), of) for name, (color, of) in pictures.items()}
         for name, pair in shown.items():
             self.figures[f"{name}, PSNR"].append(psnr(*pair))
@@ -86,14 +89,6 @@ class Measured:
         for name, pair in (("without", ("bicubic", "generated, plain")), ("with", ("upscaled", "generated"))):
             for picture in pair:
                 self.flicker[name].add(*shown[picture])
-
-    def _with_true(self, depth: np.ndarray, motion: np.ndarray, camera, time: float) -> np.ndarray:
-        """The new frame again, from exact depth and motion."""
-        stage, pipeline = self.upscaled.stages["upscaling"], self.upscaled
-        for name, values in (("depth", depth), ("motion", np.nan_to_num(motion))):
-            pipeline.board.frame.upload(name, values)
-        stage.extrapolated(Step(pipeline._current, pipeline._previous, pipeline._times, camera, time, 0.5))
-        return stage.read("color")[..., :3]
 
     def _shown(self, color: np.ndarray) -> np.ndarray:
         return display_values(color[..., :3], self.scene.exposure)
@@ -123,20 +118,25 @@ def cost(device: Device) -> dict[str, float]:
     return {name: float(np.percentile(values, 10)) for name, values in taken.items()}
 
 
-def measure() -> dict:
-    device, scenes = open_device(None), {}
-    for name in SCENES:
-        scenes[name] = Measured(device, name).run()
-        print(name, {key: round(value, 3) for key, value in scenes[name].items()}, flush=True)
-    return {
-        "size": SIZE, "scale": SCALE, "seed": SEED, "frames": [COUNTED_FROM, FRAMES], "jitter": JITTER_LENGTH,
-        "scenes": scenes, "cost": cost(device), "device": device.info.name, "timed": TIMED_SIZE,
-    }  # fmt: skip
+def measure(only: list[str]) -> None:
+    """Measure parts, and keep each as soon as it is there."""
+    device = open_device(None)
+    for name in only or (*SCENES, "cost", "defects"):
+        found = (
+            cost(device) if name == "cost" else defects(device) if name == "defects" else Measured(device, name).run()
+        )
+        measured = json.loads(JSON.read_text()) if JSON.exists() else {"scenes": {}}
+        measured |= {"size": SIZE, "scale": SCALE, "seed": SEED, "frames": [COUNTED_FROM, FRAMES], "timed": TIMED_SIZE}
+        measured |= {"jitter": JITTER_LENGTH, "device": device.info.name}
+        (measured["scenes"] if name in SCENES else measured)[name] = found
+        JSON.write_text(json.dumps(measured, indent=1) + "\n")
+        print(name, found, flush=True)
 
 
 def tables(measured: dict) -> dict[str, str]:
     rendered, generated = [], []
-    rows = measured["scenes"] | {"mean": _mean(list(measured["scenes"].values()))}
+    scenes = {name: measured["scenes"][name] for name in SCENES}
+    rows = scenes | {"mean": _mean(list(scenes.values()))}
     for name, f in rows.items():
         p, s = (lambda key, f=f: f[f"{key}, PSNR"]), (lambda key, f=f: f[f"{key}, SSIM"])
         gain = f"{p('upscaled') - p('bicubic'):+.2f} / {s('upscaled') - s('bicubic'):+.3f}"
@@ -155,6 +155,7 @@ def tables(measured: dict) -> dict[str, str]:
             ("scene", "GAE alone", "upscaled", "true depth and motion", "lost to these, dB", "flicker, %"), generated
         ),
         "cost": table(("milliseconds", f"{'×'.join(map(str, measured['timed']))}, {measured['device']}"), costs),
+        **defect_tables(measured["defects"]),
     }  # fmt: skip
 
 
@@ -165,10 +166,12 @@ def _mean(scenes: list[dict]) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tables", action="store_true", help="from the JSON that is there")
-    measured = json.loads(JSON.read_text()) if parser.parse_args().tables else measure()
-    JSON.write_text(json.dumps(measured, indent=1) + "\n")
+    parser.add_argument("--only", nargs="*", default=[], metavar="PART", help="scenes by name, cost, defects")
+    asked = parser.parse_args()
+    if not asked.tables:
+        measure(asked.only)
     text = PAGE.read_text()
-    for name, made in tables(measured).items():
+    for name, made in tables(json.loads(JSON.read_text())).items():
         text = between_markers(text, f"upscaling-{name}", made)
     PAGE.write_text(text)
 

@@ -41,6 +41,7 @@ from gffe_cl.stages.holes import FILLINGS, HoleFilling
 from gffe_cl.stages.prediction import MAX_ORDER, PositionPrediction
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import ShadingInputs
+from gffe_cl.stages.sharpening import Sharpening
 from gffe_cl.stages.silhouettes import Silhouettes
 from gffe_cl.stages.surfaces import Surfaces
 from gffe_cl.stages.trend import Trend
@@ -115,6 +116,7 @@ STAGES: tuple[type[Stage], ...] = (
     Trend,
     ShadingCorrection,
     Upscaling,
+    Sharpening,
 )
 
 
@@ -274,7 +276,8 @@ class Pipeline:
         else:
             color, depth, motion = frame.buffers
         if upscaling:
-            color = upscaling.buffer["history"]
+            sharpening = self.stages.get(Sharpening.name)
+            color = sharpening.buffer["rendered"] if sharpening else upscaling.buffer["history"]
         if self._has_overlays:
             color = self.composition.compose(color, 0.0, rendered=True)
         return PresentedFrame(frame.display_camera, frame.time, color, depth, motion, self.device, self.sizes.target)
@@ -347,13 +350,16 @@ class Pipeline:
         time: float | None = None,
         *,
         target_position: np.ndarray | None = None,
+        seen_through: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> ExtrapolatedFrame:
         """Make the frame at `time` (seconds; default: half an interval ahead) seen by `camera` (default:
         the predicted camera). Returns at once, unless it waits for the shading correction network; reading a buffer
         waits. With the time of the rendered frame itself and a newer camera it is a late warp (α = 0).
 
         `target_position` (H, W, 4) float32 replaces position prediction, for experiments: x, y in target
-        pixels, view depth there (−1: nothing), 0, for every pixel of the rendered frame.
+        pixels, view depth there (−1: nothing), 0, for every pixel of the rendered frame. `seen_through`, depth (H, W)
+        and motion (H, W, 2) float32 of the new frame as `ExtrapolatedFrame` has them, replaces these before upscaling
+        reads them, likewise.
 
         Raises GffeError before the first `submit`, or for a time before the last rendered frame.
         """
@@ -368,8 +374,12 @@ class Pipeline:
                 f"extrapolate: target_position must have shape {(*reversed(self.sizes.source), 4)},"
                 f" got {np.shape(target_position)}"
             )
+        geometry = self._geometry(seen_through)
         step = Step(source, self._previous, self._times, camera, time, alpha, self.exposure)
         for stage in self.stages.values():
+            if isinstance(stage, Upscaling):
+                for name, values in geometry.items():
+                    self.board.frame.upload(name, values)
             if target_position is not None and isinstance(stage, PositionPrediction):
                 stage.take(target_position)
             else:
@@ -377,7 +387,8 @@ class Pipeline:
             if stage.name in self._outputs:
                 self._outputs[stage.name].keep(self.board.frame.buffer)
         made = self.board.frame.buffer
-        last = next((self.stages[s.name] for s in (Upscaling, ShadingCorrection) if s.name in self.stages), None)
+        makers = (Sharpening, Upscaling, ShadingCorrection)
+        last = next((self.stages[s.name] for s in makers if s.name in self.stages), None)
         color = (last.buffer if last else made)["color"]
         if self._has_overlays:
             color = self.composition.compose(color, alpha)
@@ -394,6 +405,16 @@ class Pipeline:
             **{name: made[name] for name in ("dynamic", "disoccluded", "filled_by")},
             gae=made["color"],
         )
+
+    def _geometry(self, given: tuple[np.ndarray, np.ndarray] | None) -> dict[str, np.ndarray]:
+        """Depth and motion that replace the new frame's. GffeError for other shapes than theirs."""
+        if given is None:
+            return {}
+        size = tuple(reversed(self.sizes.target))
+        shapes = [np.shape(values) for values in given]
+        if shapes != [size, (*size, 2)]:
+            raise GffeError(f"extrapolate: seen_through must have shapes {size} and {(*size, 2)}, got {shapes}")
+        return {name: np.ascontiguousarray(v, np.float32) for name, v in zip(("depth", "motion"), given, strict=True)}
 
     def _need_frame(self) -> DeviceFrame:
         if self._current is None:

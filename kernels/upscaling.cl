@@ -28,6 +28,7 @@
 #define DEVIATIONS 1.3f       /* deviations from the mean that a history may have */
 #define LOCKED_ROOM 0.5f      /* compressed colour beside that, after LOCK_FRAMES: thin features that no sample meets now */
 #define LOCK_FRAMES 8.0f
+#define CLOSE 0.4f            /* weight from which on samples tell of the very pixel: they end a lock that they contradict */
 #define NOISE 0.015f          /* of compressed colours, beside their deviation */
 #define SCATTER 0.5f          /* weight of the scatter of what the history lacks, against its mean, which is followed */
 #define RIGHT 0.1f            /* deviations: error up to which the history is believed, and from which on it is not */
@@ -261,16 +262,20 @@ INLINE Wide4 sums_around(const Ints x, const int y, const Floats *wx, const floa
     return channels_in(sums);
 }
 
-/* The history that was found, in today's light, within a few deviations of the mean; how far it had to be moved there; the
-   fourth channel: samples. */
-INLINE Wide4 bounded(const Wide4 found, const Wide4 mean, const Wide4 around, const Floats more_room, const float exposure,
-                     Floats *clipped) {
+/* The history that was found, in today's light, within a few deviations of the mean, and more where it is locked; how far it
+   had to be moved there; the fourth channel: samples. `sum` of samples and their weight end locks. */
+INLINE Wide4 bounded(const Wide4 found, const Wide4 mean, const Wide4 around, const Floats sum, const Floats weight,
+                     const float exposure, Floats *locked, Floats *clipped) {
     Wide4 before = compressed_of(found.x, found.y, found.z, exposure);
     const Floats gain = wide_divide(greater(before.x + around.w, (Floats)(0.0f)), before.x + 1e-4f);
     before.x *= gain;
     before.y *= gain;
     before.z *= gain;
-    const Floats room_x = DEVIATIONS * around.x + NOISE + more_room, room_y = DEVIATIONS * around.y + NOISE + more_room,
+    const Floats own_room = DEVIATIONS * around.x + NOISE;
+    const Ints contradicted = (weight > CLOSE) & (fabs(sum - weight * before.x) > weight * own_room);
+    *locked = contradicted ? (Floats)(0.0f) : *locked;
+    const Floats more_room = LOCKED_ROOM * (*locked * (1.0f / LOCK_FRAMES));
+    const Floats room_x = own_room + more_room, room_y = DEVIATIONS * around.y + NOISE + more_room,
                  room_z = DEVIATIONS * around.z + NOISE + more_room;
     const Wide4 past = {lesser(greater(before.x, mean.x - room_x), mean.x + room_x),
                         lesser(greater(before.y, mean.y - room_y), mean.y + room_y),
@@ -319,7 +324,7 @@ WIDE __kernel void accumulate(
         locked = (known & (trust >= 1.0f)) ? agreed : (Floats)(0.0f);
         Floats clipped;
         past = bounded(cubic_at(known, px_previous_x, px_previous_y, target_width, target_height, history), middle, around,
-                       LOCKED_ROOM * (locked * (1.0f / LOCK_FRAMES)), exposure, &clipped);
+                       sum.x, total, exposure, &locked, &clipped);
         believed = known ? trust * greater(1.0f - CLIPPED * clipped, (Floats)(0.0f)) : (Floats)(0.0f);
         held = lesser(past.w * believed, (Floats)(MOST_WEIGHT));
     }

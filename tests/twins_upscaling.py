@@ -173,10 +173,13 @@ def accumulate(
     trust = middle[..., 3]
     before = lock[at[..., 1].astype(int), at[..., 0].astype(int)].astype(F)
     locked = np.where(known & (trust >= 1), np.minimum(before + F(1), UP.LOCK_FRAMES), F(0))
-    room = UP.DEVIATIONS * around[..., :3] + UP.NOISE + (UP.LOCKED_ROOM * locked / UP.LOCK_FRAMES)[..., None]
     found, _, _ = cubic_at(at, history)
     past = compressed_of(found[..., :3], exposure)
     past = past * (np.maximum(past[..., :1] + around[..., 3:], F(0)) / (past[..., :1] + F(1e-4)))
+    room = UP.DEVIATIONS * around[..., :3] + UP.NOISE
+    contradicted = (total > UP.CLOSE) & (np.abs(summed[..., 0] - total * past[..., 0]) > total * room[..., 0])
+    locked = np.where(contradicted, F(0), locked)
+    room = room + (UP.LOCKED_ROOM * locked / UP.LOCK_FRAMES)[..., None]
     kept = np.minimum(np.maximum(past, middle[..., :3] - room), middle[..., :3] + room)
     clipped = np.abs(kept - past).sum(-1)
     believed = np.where(known, trust * np.maximum(F(1) - UP.CLIPPED * clipped, F(0)), F(0))
@@ -202,3 +205,13 @@ def generate(depth, motion, disoccluded, gae, color, history, to_shown):
     own = load_color(color)
     changed = np.clip(past + (own - load_color(gae)), F(0), MOST)
     return np.where(seen[..., None], changed, own).astype(np.float16)
+
+
+def sharpen(color, strength):
+    """(H, W, 3) of what is shown, sharpened."""
+    c = np.pad(color[..., :3].astype(F), ((1, 1), (1, 1), (0, 0)), mode="edge")
+    own, around = c[1:-1, 1:-1], [c[:-2, 1:-1], c[1:-1, 2:], c[1:-1, :-2], c[2:, 1:-1]]
+    lumas = np.stack([F(0.25) * (t[..., 0] + t[..., 2]) + F(0.5) * t[..., 1] for t in (own, *around)])
+    less = F(strength) * lumas.min(0)
+    amount = less / np.maximum(F(5) * lumas.max(0) - F(4) * less, F(1e-6))
+    return np.clip(own + amount[..., None] * (F(4) * own - sum(around[1:], around[0])), F(0), MOST).astype(np.float16)

@@ -70,6 +70,13 @@ def evaluate(
     alpha: Annotated[
         str, typer.Option(help="Of built-in scenes: times of the new frames in intervals, separated by commas.")
     ] = "0.5",
+    upscale: Annotated[
+        float,
+        typer.Option(
+            help="Display pixels per rendered pixel, each way: small frames, of built-in scenes with jitter, go through"
+            " upscaling; beside it the group 'upscaling'."
+        ),
+    ] = 0.0,
     budget: Annotated[
         bool, typer.Option("--budget", help="Print where the error is, and what each region would gain if perfect.")
     ] = False,
@@ -85,6 +92,7 @@ def evaluate(
     from gffe_cl.evaluation.table.methods import LATE_WARP
     from gffe_cl.evaluation.table.results import results_of
     from gffe_cl.evaluation.table.subjects import SceneSubject, parse_subject
+    from gffe_cl.options import Options
     from gffe_cl.scenes import SCENES
 
     _check(frames, fps)
@@ -92,8 +100,10 @@ def evaluate(
     alphas = tuple(parse_numbers(alpha, "--alpha"))
     if not alphas or len(set(alphas)) < len(alphas) or not all(0 < a <= 8 for a in alphas):
         raise GffeError(f"--alpha must be different numbers within 0 and 8, got '{alpha}'")
+    if Options(upscale=upscale).upscale and late_warp:
+        raise GffeError("--upscale and --late-warp exclude each other")
     scenes = parse_size(size), frames, fps, alphas
-    chosen = tuple(parse_subject(text, *scenes) for text in subjects or SCENES)
+    chosen = tuple(parse_subject(text, *scenes, upscale=upscale) for text in subjects or SCENES)
     words = tuple(methods.split(",")) if methods else None
     output = _folder(output)
     with _filling(output, device, scheduler) as fill:

@@ -55,7 +55,12 @@ class Kernels(dict):
                 self.error = None
                 return False
             self._texts = texts
-            Pipeline(self._device, 1, 1, Options(upscale=1, shading_inputs=True, shading_correction=False))
+            Pipeline(
+                self._device,
+                1,
+                1,
+                Options(upscale=1, upscale_sharpening=1, shading_inputs=True, shading_correction=False),
+            )
             board = Board(self._device, Sizes((1, 1), (1, 1)))
             Presentation(board)
             Composition(board)

@@ -13,6 +13,7 @@ from gffe_cl.opencl.program import constants
 from gffe_cl.pipeline import Pipeline
 from gffe_cl.stages.background import MAX_LEVELS, REMEMBERED
 from gffe_cl.stages.holes import FILLINGS
+from gffe_cl.stages.sharpening import Sharpening
 from gffe_cl.stages.upscaling import Upscaling
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.buffers import Shot, device_layers, moved, pixel_values, read_blocks, source_position
@@ -137,6 +138,8 @@ def _with_upscaling(story: Story, pipeline: Pipeline, values: dict[str, np.ndarr
     said = "Upscaling: seen through the history of the rendered frame."
     if values[names.DISOCCLUDED][0]:
         said = "Upscaling: no history here, its own colour is shown."
+    if Sharpening.name in pipeline.stages:
+        said += " Sharpened."
     return replace(story, sentences=(*story.sentences, said))
 
 

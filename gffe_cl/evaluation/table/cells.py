@@ -15,11 +15,12 @@ import numpy as np
 from gffe_cl.evaluation.bench import Copier
 from gffe_cl.evaluation.report import error_image, to_image
 from gffe_cl.evaluation.table.flicker import Flicker
-from gffe_cl.evaluation.table.methods import Method, PipelineRunner, chosen_methods
+from gffe_cl.evaluation.table.methods import Method, chosen_methods
+from gffe_cl.evaluation.table.pipelines import PipelineRunner
 from gffe_cl.evaluation.table.regions import REGIONS, find_labels, masks
 from gffe_cl.evaluation.table.subjects import Footage, Moment, Shot, Subject, open_subject
 from gffe_cl.evaluation.table.videos import VIDEO_METRICS, measured_or_reason
-from gffe_cl.metrics import RegionErrors, display_values, measurable
+from gffe_cl.metrics import RegionErrors, display_values, measurable, psnr, ssim
 from gffe_cl.opencl.device import Device, open_device
 
 _QUALITY = 90  # of pictures, WebP
@@ -121,6 +122,7 @@ def _measure(
     metrics, picture = measurable(), picture_of(footage)
     frames, errors, flicker, pictures = [], [], Flicker(), {}
     shown_all: list[tuple[np.ndarray, np.ndarray, bool]] = []
+    upscaled: list[dict[str, float]] = []
     number = 0
     for shot in footage.shots(method.window):
         with clock.submitting():
@@ -129,12 +131,14 @@ def _measure(
             flicker.cut()
             _finish(runner)
             continue
-        in_order = not any(moment.turn for moment in shot.moments)
+        in_order = footage.knows_rendered and not any(moment.turn for moment in shot.moments)
         if in_order:
             pair = _rendered_pair(footage, runner, shot)
             flicker.add(*pair)
             if videos:
                 shown_all.append((*pair, False))
+            if footage.upscale:
+                upscaled.append({"rendered_psnr": psnr(*pair), "rendered_ssim": ssim(*pair)})
         for moment in shot.moments:
             _finish(runner)
             with clock.making():
@@ -157,6 +161,7 @@ def _measure(
         "frames": frames,
         "errors": asdict(RegionErrors.pooled(errors)),
         "flicker": _number(flicker.mean),
+        "rendered": {name: float(np.mean([row[name] for row in upscaled])) for name in upscaled[0]} if upscaled else {},
         "videos": figures,
         "skipped": skipped,
         "device": machine_of(device),
@@ -175,6 +180,9 @@ def _videos(names: Iterable[str], frames: list[tuple], footage: Footage) -> tupl
     figures, skipped = {}, {}
     for name in names:
         metric = VIDEO_METRICS[name]
+        if not (metric.generated_only or footage.knows_rendered):
+            skipped[name] = f"{metric.label} needs the truth of rendered frames"
+            continue
         used = [frame for frame in frames if frame[2] or not metric.generated_only]
         shown, truth = ([frame[k] for frame in used] for k in (0, 1))
         per_rendered = len(frames) / max(sum(not made for _, _, made in frames), 1)

@@ -63,7 +63,7 @@ def fill(
     names = [subject.name for subject in order.subjects]
     if len(set(names)) < len(names):
         raise GffeError(f"eval: two sequences have one name, {next(n for n in names if names.count(n) > 1)}")
-    methods = chosen_methods(order.methods, order.onnx)
+    methods = chosen_methods(order.methods, order.onnx, any(subject.upscale for subject in order.subjects))
     filled = Filled(methods, list(order.subjects), _machine(device, executor))
     cache, missing = Cache(folder), []
     for subject in order.subjects:

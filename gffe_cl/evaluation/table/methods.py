@@ -15,10 +15,16 @@ from gffe_cl import inference
 from gffe_cl.errors import GffeError
 from gffe_cl.evaluation.table import baselines
 from gffe_cl.evaluation.table.network import OnnxModel, OnnxRunner
+from gffe_cl.evaluation.table.pipelines import (
+    PipelineRunner,
+    RenderedUpscaled,
+    Resampled,
+    TrueGeometry,
+    UpscaledFirst,
+)
 from gffe_cl.evaluation.table.subjects import Footage, Moment, Shot, Subject
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
 
 FULL = "gffe"
 GIVEN = "given"  # rendered frames as the sequence has them
@@ -41,14 +47,17 @@ class Method:
     Attributes
     ----------
     name, title : on the command line and in JSON; for people
-    group : "gffe", "ablation", "deviation" (a deviation from the paper, switched to the paper's way) or "baseline"
+    group : "gffe", "ablation", "deviation" (a deviation from the paper, switched to the paper's way), "upscaling" (done
+        otherwise) or "baseline"
     options : of the pipeline, if it is one
     window : what rendered frames it sees, as of `Footage.shots`
     camera : False: the pipeline predicts the camera of the new frame
-    needs : "guide" (G-buffers of the new frame), "following" (the next rendered frame), "windows" (built-in scenes)
+    needs : "guide" (G-buffers of the new frame), "following" (the next rendered frame), "windows" (built-in scenes),
+        "upscale" (rendered frames smaller than what is shown)
     package : module that must be importable, and the extra that brings it
     model : of the ONNX contract
-    make : (footage, device) → Runner, where it is no pipeline
+    pipelines : how our pipeline is used, if it is one
+    make : footage → Runner, where it is no pipeline
     """
 
     name: str
@@ -60,6 +69,7 @@ class Method:
     needs: frozenset[str] = frozenset()
     package: tuple[str, str] | None = None
     model: Path | None = None
+    pipelines: type[PipelineRunner] = PipelineRunner
     make: Callable[[Footage], Runner] | None = None
 
     def missing(self, footage: Subject | Footage) -> str | None:
@@ -70,6 +80,10 @@ class Method:
             return "needs G-buffers of the new frames, which only built-in scenes have"
         if "windows" in self.needs and not footage.windows:
             return "windows can be chosen for built-in scenes only"
+        if "upscale" in self.needs and not footage.upscale:
+            return "needs rendered frames smaller than what is shown (--upscale)"
+        if footage.upscale and self.window != GIVEN:
+            return "takes rendered frames of the display's size, not --upscale's"
         return None
 
     def identity(self) -> dict:
@@ -88,46 +102,16 @@ class Method:
         """At the start of a sequence. Raises GffeError."""
         if self.options is None:
             return self.make(footage)
-        return PipelineRunner(self, footage, device)
-
-
-class PipelineRunner:
-    """Our pipeline, with the options of a method. `pipeline` is its own."""
-
-    def __init__(self, method: Method, footage: Footage, device: Device):
-        size, render_size = (footage.width, footage.height), footage.render_size(method.window)
-        self.pipeline = Pipeline(device, *size, method.options, render_size=render_size, fps=footage.fps)
-        self.pipeline.exposure = footage.exposure
-        self._known, self._submitted = method.camera, 0.0
-        self.milliseconds: list[float] = []  # of kernels and the network, per rendered frame with one new one
-
-    def submit(self, shot: Shot) -> None:
-        self.pipeline.submit(shot.frame)
-        self._submitted = None
-
-    def finish(self) -> None:
-        """Wait for the device; what it did so far since `submit` counts for each new frame."""
-        taken = _total(self.pipeline.take_timings())
-        self._submitted = taken if self._submitted is None else self._submitted
-
-    def present(self) -> np.ndarray:
-        """What is shown of the rendered frame: windows make it a little softer."""
-        return self.pipeline.present().numpy("color")
-
-    def make(self, moment: Moment) -> np.ndarray:
-        camera = moment.camera if self._known else None
-        color = self.pipeline.extrapolate(camera, moment.time).numpy("color")
-        self.milliseconds.append(self._submitted + _total(self.pipeline.take_timings()))
-        return color
-
-
-def _total(timings: dict[str, float]) -> float:
-    return sum(timings.values())
+        return self.pipelines(self, footage, device)
 
 
 def _gffe(name: str, title: str, group: str, window: str = GIVEN, camera: bool = True, **options) -> Method:
     needs = frozenset() if window in (GIVEN, "off") else frozenset({"windows"})
     return Method(name, title, group, Options(**options), window, camera, needs)
+
+
+def _upscaling(name: str, title: str, pipelines: type[PipelineRunner], *needs: str) -> Method:
+    return Method(name, title, "upscaling", Options(), GIVEN, needs=frozenset({"upscale", *needs}), pipelines=pipelines)
 
 
 _PAPERS_WAY = {
@@ -159,6 +143,10 @@ _ALL = (
     _gffe("hard-silhouettes", "silhouettes as the warp leaves them", "deviation", soft_silhouettes=False),
     _gffe("linear-camera", "camera predicted along a line", "deviation", camera=False, camera_order=1),
     _gffe("papers-way", "all of these the paper's way", "deviation", **_PAPERS_WAY),
+    _upscaling("bicubic", "no upscaling: small frames, resampled", Resampled),
+    _upscaling("rendered-upscaled", "rendered frames upscaled, new ones as extrapolated", RenderedUpscaled),
+    _upscaling("upscaled-first", "new frames extrapolated from upscaled ones", UpscaledFirst),
+    _upscaling("true-geometry", "upscaling fed by true depth and motion of new frames", TrueGeometry, "guide"),
     Method("repeat", "repeat the last frame", "baseline", make=lambda footage: baselines.Repeat()),
     _gffe(
         "static-reprojection",
@@ -252,9 +240,9 @@ def onnx_method(name: str, path: str | Path) -> Method:
     )  # fmt: skip
 
 
-def chosen_methods(words: Iterable[str] | None, onnx: Iterable[str] = ()) -> dict[str, Method]:
-    """Methods and groups by name (None: all of them, but shading correction's where there are no weights), and networks
-    as "NAME=FILE", in the order of the table. Raises GffeError."""
+def chosen_methods(words: Iterable[str] | None, onnx: Iterable[str] = (), upscale: bool = False) -> dict[str, Method]:
+    """Methods and groups by name (None: all of them, but shading correction's where there are no weights, and
+    upscaling's unless `upscale`), and networks as "NAME=FILE", in the order of the table. Raises GffeError."""
     networks = {}
     for text in onnx:
         name, equals, path = text.partition("=")
@@ -262,7 +250,8 @@ def chosen_methods(words: Iterable[str] | None, onnx: Iterable[str] = ()) -> dic
             raise GffeError(f"--onnx {text}: expected NAME=FILE")
         networks[name] = onnx_method(name, path)
     known = METHODS | networks
-    wanted = set(known) if words is None else set()
+    wanted = {name for name, method in known.items() if upscale or "upscale" not in method.needs}
+    wanted = wanted if words is None else set()
     for word in words or ():
         found = {word} if word in known else {name for name, method in known.items() if method.group == word}
         if not found:

@@ -56,12 +56,16 @@ class Column:
 METRIC_COLUMNS = tuple(Column(m.name, m.title, m.digits, m.higher_is_better) for m in METRICS.values())
 AGAINST = Column("against", f"against {FULL}, dB", 2, True)
 FLICKER = Column("flicker", "flicker, %", 2, False)
+RENDERED_COLUMNS = tuple(  # of rendered frames, where they are upscaled
+    Column(f"rendered_{m}", f"rendered: {METRICS[m].title}", METRICS[m].digits, True) for m in ("psnr", "ssim")
+)
 VIDEO_COLUMNS = tuple(
     Column(m.name, f"{m.label}, {m.unit}" if m.unit else m.label, m.digits, m.higher_is_better)
     for m in VIDEO_METRICS.values()
 )
 COST = (Column("milliseconds", "ms", 1, False), Column("bytes_per_pixel", "B/px", 0, False))
-COLUMNS = {c.name: c for c in (METRIC_COLUMNS[0], AGAINST, *METRIC_COLUMNS[1:], FLICKER, *VIDEO_COLUMNS, *COST)}
+_PICTURE = (METRIC_COLUMNS[0], AGAINST, *METRIC_COLUMNS[1:], *RENDERED_COLUMNS, FLICKER)
+COLUMNS = {c.name: c for c in (*_PICTURE, *VIDEO_COLUMNS, *COST)}
 
 
 def results_of(filled: Filled, late: dict[float, Filled] | None = None, command: str = "") -> dict:
@@ -169,7 +173,8 @@ def _cell(sequence: str, method: str, cell: Cell) -> dict:
     }
     cost = {name: timing.get(name) for name in ("milliseconds", "bytes_per_pixel")}
     timed = {"timed": timing.get("of"), "timed_on": timing.get("machine")}
-    whole = {"sequence": sequence, "method": method, **figures, "flicker": document["flicker"], **document["videos"]}
+    whole = {"sequence": sequence, "method": method, **figures, "flicker": document["flicker"]}
+    whole |= document["rendered"] | document["videos"]
     return whole | cost | timed | {"regions": regions, "frames": document["frames"]}
 
 

@@ -22,7 +22,7 @@ from gffe_cl.frame import RenderedFrame
 from gffe_cl.opencl.device import Device
 from gffe_cl.scenes import SceneFrames, SceneRenderer, is_scene, is_scene_name, load_scene, scene_names
 from gffe_cl.sequence import Sequence
-from gffe_cl.source import Recorded
+from gffe_cl.source import Recorded, jittered_renderer
 from gffe_cl.window import WindowChooser
 
 _MOST_KEPT = 3 << 30  # bytes of footage that stay in memory
@@ -32,7 +32,8 @@ _BYTES_PER_PIXEL = 45  # of a rendered frame and a moment
 @dataclass(frozen=True)
 class SceneSubject:
     """A built-in scene. `frames` rendered ones are followed by moments at `alphas` (intervals); or, with `turns`, by
-    views at their own time from a camera that has turned by so many degrees (late warp)."""
+    views at their own time from a camera that has turned by so many degrees (late warp). With `upscale` frames are
+    rendered so many times smaller, each way, with jitter and one sample per pixel."""
 
     scene: str
     seed: int
@@ -42,6 +43,7 @@ class SceneSubject:
     fps: float
     alphas: tuple[float, ...]
     turns: tuple[float, ...] = ()
+    upscale: float = 0.0
     exact: ClassVar[bool] = True  # as of `Footage`
     windows: ClassVar[bool] = True
 
@@ -60,10 +62,12 @@ class SceneSubject:
 
 @dataclass(frozen=True)
 class FolderSubject:
-    """A sequence on disk, of any form that `gffe formats` lists; it must hold ground truth in between."""
+    """A sequence on disk, of any form that `gffe formats` lists; it must hold ground truth in between. `upscale`: how
+    many times smaller than that its frames were rendered, if they go through upscaling."""
 
     path: str
     moments: int
+    upscale: float = 0.0
     exact: ClassVar[bool] = False
     windows: ClassVar[bool] = False
 
@@ -79,7 +83,7 @@ class FolderSubject:
         for path in sorted(p for p in root.rglob("*") if p.is_file()):
             with path.open("rb") as file:
                 total.update(f"{path.relative_to(root)}\0".encode() + hashlib.file_digest(file, "sha256").digest())
-        return {"folder": total.hexdigest()}
+        return {"folder": total.hexdigest(), "upscale": self.upscale}
 
 
 Subject = SceneSubject | FolderSubject
@@ -124,19 +128,21 @@ class Shot:
 
 class Footage:
     """Rendered frames and moments of a subject. `exact`: whether moments bring a `Guide`; `windows`: whether frames can
-    be had through a window of choice; `labels`: of each moment in order (`regions`), filled in by who needs them."""
+    be had through a window of choice; `upscale`: as of the subject; `labels`: of each moment in order (`regions`),
+    filled in by who needs them."""
 
     exact = windows = False
 
-    def __init__(self, name: str, width: int, height: int, fps: float, exposure: float):
+    def __init__(self, name: str, width: int, height: int, fps: float, exposure: float, upscale: float = 0.0):
         self.name, self.width, self.height, self.fps, self.exposure = name, width, height, fps, exposure
+        self.upscale = upscale
         self.labels: list[np.ndarray] = []
         self._kept: dict[str, list[Shot]] = {}
 
     def shots(self, window: str = "off") -> Iterator[Shot]:
-        """In order of time. `window`: "off" for frames as they are shown; "given": as they were recorded; or, where
-        `windows` can be had, any other mode of `WindowChooser`."""
-        window = "off" if self.windows and window == "given" else window
+        """In order of time. `window`: "off" for frames as they are shown; "given": as they were recorded, small ones if
+        there is upscaling; or, where `windows` can be had, any other mode of `WindowChooser`."""
+        window = "off" if self.windows and window == "given" and not self.upscale else window
         if window in self._kept:
             yield from self._kept[window]
             return
@@ -154,6 +160,11 @@ class Footage:
         """Width and height of the frames of `shots(window)`, pixels."""
         return self.width, self.height
 
+    @property
+    def knows_rendered(self) -> bool:
+        """Whether `Shot.shown` is what a rendered frame should look like: not if it is a small one, resampled."""
+        return self.exact or not self.upscale
+
     def _make(self, window: str) -> Iterator[Shot]:
         raise NotImplementedError
 
@@ -164,13 +175,22 @@ class _Scene(Footage):
     def __init__(self, subject: SceneSubject, device: Device):
         self._scene = load_scene(subject.scene, subject.seed)
         self._subject = subject
-        super().__init__(subject.name, subject.width, subject.height, subject.fps, self._scene.exposure)
-        self._renderer = SceneRenderer(device, self._scene, subject.width, subject.height)
+        size = (subject.width, subject.height)
+        super().__init__(subject.name, *size, subject.fps, self._scene.exposure, subject.upscale)
+        self._renderer = SceneRenderer(device, self._scene, *size)
+        self._small = jittered_renderer(device, self._scene, size, subject.upscale) if subject.upscale else None
+
+    def render_size(self, window):
+        if self._small is None or window != "given":
+            return self.width, self.height
+        return self._small[0].width, self._small[0].height
 
     def _make(self, window):
         size = (self.width, self.height)
-        chooser = WindowChooser(window, size, self._subject.alphas)
-        frames = SceneFrames(self._renderer, chooser)
+        if window == "given":
+            frames = SceneFrames(self._small[0], size=size, jitter=self._small[1])
+        else:
+            frames = SceneFrames(self._renderer, WindowChooser(window, size, self._subject.alphas))
         reference = self._reference(window)
         before = None
         for frame in frames.sequence(self._subject.frames + 1, self.fps):
@@ -212,15 +232,16 @@ class _Folder(Footage):
     def __init__(self, subject: FolderSubject, device: Device):
         self._sequence, self._device = open_capture(subject.path), device
         s = self._sequence
-        super().__init__(subject.name, s.width, s.height, s.fps, s.exposure)
-        self._given_size = Recorded(s, device).render_size
+        super().__init__(subject.name, s.width, s.height, s.fps, s.exposure, subject.upscale)
+        self._given_size = Recorded(s, device, upscale=subject.upscale).render_size
 
     def render_size(self, window):
         return (self.width, self.height) if window == "off" else self._given_size
 
     def _make(self, window):
         shown = self.shots("off") if window != "off" else None
-        recorded = Recorded(self._sequence, self._device, "off" if window == "off" else None)
+        is_off = window == "off"
+        recorded = Recorded(self._sequence, self._device, "off" if is_off else None, 0.0 if is_off else self.upscale)
         truths = truths_after(self._sequence)
         before = None
         for entry, frame, _ in recorded.frames([], strict=False):
@@ -252,15 +273,16 @@ def open_subject(subject: Subject, device: Device) -> Footage:
 
 
 def parse_subject(
-    text: str, size: tuple[int, int], frames: int, fps: float, alphas: tuple[float, ...], turns=()
+    text: str, size: tuple[int, int], frames: int, fps: float, alphas: tuple[float, ...], turns=(), upscale=0.0
 ) -> Subject:
-    """ "corridor", "corridor:3" (a seed) or a folder. Raises GffeError, also for a folder without ground truth."""
+    """ "corridor", "corridor:3" (a seed) or a folder. Raises GffeError, also for a folder without ground truth, or of
+    frames that are not `upscale` times smaller than that."""
     name, colon, seed = text.partition(":")
     if is_scene(text) or (is_scene_name(name) and colon and not Path(text).exists()):
         if colon and not seed.isdigit():
             raise GffeError(f"'{text}': the seed must be a whole number (expected {name}:0 or the like)")
         load_scene(name, int(seed or 0))
-        return SceneSubject(name, int(seed or 0), *size, frames, fps, tuple(alphas), tuple(turns))
+        return SceneSubject(name, int(seed or 0), *size, frames, fps, tuple(alphas), tuple(turns), upscale)
     if not Path(text).exists():
         raise GffeError(f"'{text}': neither a built-in scene ({scene_names()}) nor a folder")
     sequence = open_capture(text)
@@ -270,8 +292,13 @@ def parse_subject(
             f"{text}: no ground truth between rendered frames with history, nothing to measure against"
             " (expected frames of kind ground_truth, as `gffe render --ground-truth` writes)"
         )
-    Recorded(sequence, None)
-    return FolderSubject(text, count)
+    recorded = Recorded(sequence, None, upscale=upscale)
+    if (recorded.width, recorded.height) != (sequence.width, sequence.height):
+        raise GffeError(
+            f"{text}: its frames are as large as its ground truth, {sequence.width}×{sequence.height} (expected smaller"
+            " ones for --upscale, as `gffe render --scale` writes)"
+        )
+    return FolderSubject(text, count, upscale)
 
 
 def truths_after(sequence: Sequence) -> dict[str, list]:

@@ -288,8 +288,9 @@ static cl_mem memory_of(const gffe *g, const char *name) {
 
 static void hand_out(const gffe *g, gffe_frame *made) {
     const cl_mem corrected = memory_of(g, "correction.color"), upscaled = memory_of(g, "upscaling.color");
+    const cl_mem sharpened = memory_of(g, "sharpening.color");
     made->gae = memory_of(g, "frame.color");
-    made->color = upscaled ? upscaled : corrected ? corrected : made->gae;
+    made->color = sharpened ? sharpened : upscaled ? upscaled : corrected ? corrected : made->gae;
     made->depth = memory_of(g, "frame.depth");
     made->motion = memory_of(g, "frame.motion");
     made->dynamic = memory_of(g, "frame.dynamic");
@@ -354,6 +355,7 @@ static gffe_status resample(gffe *g, gffe_frame *made) {
 }
 
 gffe_status gffe_present(gffe *g, gffe_frame *made) {
+    const int sharpened = memory_of(g, "sharpening.rendered") != NULL;
     gffe_status status = need_frame(g);
     if (status) return status;
     memset(made, 0, sizeof *made);
@@ -365,7 +367,7 @@ gffe_status gffe_present(gffe *g, gffe_frame *made) {
     if (!is_shown_whole(g, GFFE_FRAME, GFFE_FRAME_DISPLAY) ||
         (g->has_previous && !is_shown_whole(g, GFFE_PREVIOUS, GFFE_PREVIOUS_DISPLAY)))
         status = resample(g, made);
-    if (GFFE_UPSCALES) made->color = memory_of(g, "upscaling.history");
+    if (GFFE_UPSCALES) made->color = memory_of(g, sharpened ? "sharpening.rendered" : "upscaling.history");
     return status ? status : gffe_compose(g, GFFE_COMPOSE_RENDERED, made);
 }
 

@@ -1,0 +1,118 @@
+"""Our pipeline as a method of the table, and upscaling done otherwise than the pipeline does it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gffe_cl.evaluation.table.image_space import pixel_centres
+from gffe_cl.evaluation.table.subjects import Footage, Moment, Shot
+from gffe_cl.frame import RenderedFrame
+from gffe_cl.opencl.device import Device
+from gffe_cl.pipeline import ExtrapolatedFrame, Pipeline
+from gffe_cl.stages.correction import ShadingCorrection
+from gffe_cl.stages.presentation import mapping
+
+if TYPE_CHECKING:
+    from gffe_cl.evaluation.table.methods import Method
+
+
+class PipelineRunner:
+    """Our pipeline, with the options of a method; with upscaling where frames are smaller than what is shown.
+    `pipeline` is its own; `milliseconds` of kernels and the network, per rendered frame with one new one."""
+
+    upscales = True
+
+    def __init__(self, method: Method, footage: Footage, device: Device):
+        size, render_size = (footage.width, footage.height), footage.render_size(method.window)
+        options = replace(method.options, upscale=footage.upscale if self.upscales else 0.0)
+        self.pipeline = Pipeline(device, *size, options, render_size=render_size, fps=footage.fps)
+        self.pipeline.exposure = footage.exposure
+        self._known, self._submitted = method.camera, 0.0
+        self.milliseconds: list[float] = []
+
+    def submit(self, shot: Shot) -> None:
+        self.pipeline.submit(shot.frame)
+        self._submitted = None
+
+    def finish(self) -> None:
+        """Wait for the device; what it did so far since `submit` counts for each new frame."""
+        taken = self._taken()
+        self._submitted = taken if self._submitted is None else self._submitted
+
+    def present(self) -> np.ndarray:
+        """What is shown of the rendered frame: windows make it a little softer."""
+        return self.pipeline.present().numpy("color")
+
+    def make(self, moment: Moment) -> np.ndarray:
+        color = self.color_of(self.extrapolated(moment))
+        self.milliseconds.append(self._submitted + self._taken())
+        return color
+
+    def extrapolated(self, moment: Moment) -> ExtrapolatedFrame:
+        return self.pipeline.extrapolate(self.camera_of(moment), moment.time)
+
+    def color_of(self, made: ExtrapolatedFrame) -> np.ndarray:
+        return made.numpy("color")
+
+    def camera_of(self, moment: Moment):
+        """None: the pipeline predicts it."""
+        return moment.camera if self._known else None
+
+    def pipelines(self) -> tuple[Pipeline, ...]:
+        return (self.pipeline,)
+
+    def _taken(self) -> float:
+        return sum(sum(pipeline.take_timings().values()) for pipeline in self.pipelines())
+
+
+class Resampled(PipelineRunner):
+    """Rendered frames are resampled (cubic), new ones extrapolated from them as they are."""
+
+    upscales = False
+
+
+class RenderedUpscaled(PipelineRunner):
+    """Rendered frames alone go through upscaling; new ones are shown as they are extrapolated from the small frames."""
+
+    def color_of(self, made):
+        correction = self.pipeline.stages.get(ShadingCorrection.name)
+        return correction.read("color")[..., :3] if correction else made.numpy("gae")
+
+
+class UpscaledFirst(PipelineRunner):
+    """Rendered frames are upscaled, and new ones extrapolated from what is shown of them, all at the display's size."""
+
+    def __init__(self, method: Method, footage: Footage, device: Device):
+        super().__init__(method, footage, device)
+        self._shown = Pipeline(device, footage.width, footage.height, method.options, fps=footage.fps)
+        self._shown.exposure = footage.exposure
+
+    def submit(self, shot):
+        super().submit(shot)
+        shown = self.pipeline.present()
+        buffers = (shown.numpy(name) for name in ("color", "depth", "motion"))
+        self._shown.submit(RenderedFrame(*buffers, shown.camera, shown.time, reset=shot.frame.reset))
+
+    def extrapolated(self, moment):
+        return self._shown.extrapolate(self.camera_of(moment), moment.time)
+
+    def pipelines(self):
+        return self.pipeline, self._shown
+
+
+class TrueGeometry(PipelineRunner):
+    """Upscaling is given the exact depth and motion of the new frame: what is missing then is not the warp's fault."""
+
+    def submit(self, shot):
+        super().submit(shot)
+        self._to_render = mapping(self.pipeline.shown_camera, shot.frame.camera)
+
+    def extrapolated(self, moment):
+        guide = moment.guide
+        here = pixel_centres(*guide.depth.shape)
+        place = (here + np.nan_to_num(guide.motion)) * self._to_render[:2] + self._to_render[2:]
+        geometry = guide.depth, (place - here).astype(np.float32)
+        return self.pipeline.extrapolate(self.camera_of(moment), moment.time, seen_through=geometry)
