@@ -14,6 +14,9 @@ from gffe_cl.viewer.picture.colors import wheel_color
 from gffe_cl.viewer.picture.legends import Legend
 
 
+_DISABLED_TOO = imgui.HoveredFlags_.allow_when_disabled.value
+
+
 def floating() -> None:
     """The next window is not docked: it needs a background."""
     imgui.set_next_window_bg_alpha(1.0)
@@ -21,7 +24,7 @@ def floating() -> None:
 
 def tooltip(text: str) -> None:
     """For the last item, disabled or not."""
-    if text and imgui.is_item_hovered(imgui.HoveredFlags_.allow_when_disabled.value):
+    if text and imgui.is_item_hovered(_DISABLED_TOO):
         imgui.begin_tooltip()
         imgui.push_text_wrap_pos(hello_imgui.em_size(28))
         imgui.text_unformatted(text)
