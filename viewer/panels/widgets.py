@@ -13,7 +13,6 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from gffe_cl.viewer.picture.colors import wheel_color
 from gffe_cl.viewer.picture.legends import Legend
 
-
 _DISABLED_TOO = imgui.HoveredFlags_.allow_when_disabled.value
 
 
