@@ -21,6 +21,7 @@ __all__ = ["AUTO", "PROVIDERS", "Network", "NetworkError", "default_model", "loa
 
 MULTIPLE = 16  # of the network's width and height
 INPUT_PLANES, TREND_PLANES, OUTPUT_PLANES = 8, 7, 5
+_PACKAGED = Path(str(files("gffe_cl") / "scn" / "weights" / "scn.onnx"))
 _FLOAT = "tensor(float)"
 _MOST_SIZES = 4  # whose sessions are kept
 _loaded: dict[tuple, tuple] = {}  # (path, what was asked for) → (stamp of the file, Network)
@@ -29,8 +30,7 @@ _asked_for: list[Network] = []  # since remarks were last taken
 
 def default_model() -> Path | None:
     """The weights that come with the package, if they do."""
-    path = Path(str(files("gffe_cl") / "scn" / "weights" / "scn.onnx"))
-    return path if path.is_file() else None
+    return _PACKAGED if _PACKAGED.is_file() else None
 
 
 def scn_missing() -> str | None:

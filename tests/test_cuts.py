@@ -20,8 +20,8 @@ from gffe_cl.source import Recorded
 from gffe_cl.stage import reprojection
 from gffe_cl.stages.cuts import COUNTED, SAMPLES, is_cut
 from gffe_cl.viewer.engine.messages import Setup
+from gffe_cl.viewer.engine.recorded import RecordedSource
 from gffe_cl.viewer.engine.seeking import Seeker
-from gffe_cl.viewer.engine.sources import RecordedSource
 from gffe_cl.viewer.state.contents import Contents
 
 WIDTH, HEIGHT, FPS = 96, 64, 30.0

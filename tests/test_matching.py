@@ -9,7 +9,7 @@ from gffe_cl.run import alphas_for, run_sequence
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels, open_sequence
 from gffe_cl.sequence.matching import Timeline
 from gffe_cl.source import Recorded
-from gffe_cl.viewer.engine.sources import RecordedSource
+from gffe_cl.viewer.engine.recorded import RecordedSource
 
 FRAMES = 6
 

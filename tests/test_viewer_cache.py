@@ -12,8 +12,8 @@ from gffe_cl.errors import GffeError
 from gffe_cl.viewer.engine.buffers import Moment
 from gffe_cl.viewer.engine.cache import FrameCache, FrameKey, Playhead
 from gffe_cl.viewer.engine.messages import Recipe, Request, Result, Setup
+from gffe_cl.viewer.engine.recorded import RecordedSource
 from gffe_cl.viewer.engine.reloading import WATCH_SECONDS
-from gffe_cl.viewer.engine.sources import RecordedSource
 from gffe_cl.viewer.panels.timeline import runs
 from gffe_cl.viewer.state.flying import Flight
 

@@ -34,8 +34,10 @@ from gffe_cl.opencl.program import kernel_folder
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.source import Recorded
 from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
+from gffe_cl.viewer.engine.live import SceneSource
 from gffe_cl.viewer.engine.messages import EngineError, Request, Result, Setup
-from gffe_cl.viewer.engine.sources import FrameSource, RecordedSource, SceneSource
+from gffe_cl.viewer.engine.recorded import RecordedSource
+from gffe_cl.viewer.engine.sources import FrameSource
 from gffe_cl.window import WindowChooser
 
 W, H, COUNT, FPS = 96, 64, 14, 30.0

@@ -21,7 +21,7 @@ from gffe_cl.viewer.engine.reloading import Kernels
 from gffe_cl.viewer.engine.scoring import Scorer
 from gffe_cl.viewer.engine.seeking import Seeker
 from gffe_cl.viewer.engine.sources import FrameSource
-from gffe_cl.viewer.engine.story import pixel_story
+from gffe_cl.viewer.engine.telling import pixel_story
 
 
 class SlotMaker:

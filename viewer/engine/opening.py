@@ -13,8 +13,10 @@ from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.scenes import is_scene, load_scene
 from gffe_cl.sequence import Sequence
 from gffe_cl.viewer.engine.growing import Growth
+from gffe_cl.viewer.engine.live import SceneSource
 from gffe_cl.viewer.engine.preview import Previewer, place_of
-from gffe_cl.viewer.engine.sources import FrameSource, RecordedSource, SceneSource
+from gffe_cl.viewer.engine.recorded import RecordedSource
+from gffe_cl.viewer.engine.sources import FrameSource
 
 
 def open_viewer_device(wanted: str | None = None) -> Device:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,6 +11,7 @@ import numpy as np
 from gffe_cl.metrics import METRICS, display_values, measurable
 from gffe_cl.viewer.engine.buffers import Moment
 from gffe_cl.viewer.engine.messages import Metrics
+from gffe_cl.viewer.engine.worker import Worker
 
 _SLOW = 4  # slots that wait for metrics that are slow
 _TO_MEASURE = 256 << 20  # bytes of slots that wait for their metrics; beyond that the oldest are given up
@@ -22,14 +22,14 @@ class Scorer:
 
     def __init__(self, notify: Callable[[], None], report: Callable[[Exception], None]):
         self._notify, self._report = notify, report
-        self._news = threading.Condition()
+        self._worker = Worker("metrics", self._next, self._do)
+        self._news = self._worker.lock
         self._known: dict[tuple, Metrics] = {}
         self._waiting: deque[tuple] = deque()
         self._slow: deque[tuple] = deque(maxlen=_SLOW)  # slots of which slow metrics are missing
         self._busy_with: tuple | None = None
         self._made: deque[Metrics] = deque()
-        self._closing = False
-        self._thread: threading.Thread | None = None
+        self._ready = False  # what metrics need is imported
         self._measured = [metric for metric in METRICS.values() if not metric.slow]
 
     def score(self, metrics: Metrics, moment: Moment, final: np.ndarray, truth: np.ndarray, exposure: float) -> Metrics:
@@ -43,10 +43,7 @@ class Scorer:
                 self._waiting.append((key, known, final, truth, exposure))
                 while len(self._waiting) > _TO_MEASURE // (final.nbytes + truth.nbytes) + 1:
                     self._waiting.popleft()
-                if self._thread is None:
-                    self._thread = threading.Thread(target=self._run, name="gffe-viewer-metrics", daemon=True)
-                    self._thread.start()
-                self._news.notify()
+                self._worker.wake()
         return known
 
     def take(self) -> Metrics | None:
@@ -61,26 +58,22 @@ class Scorer:
             self._made.clear()
 
     def close(self) -> None:
-        with self._news:
-            self._closing = True
-            self._news.notify()
+        self._worker.close()
 
-    def _run(self) -> None:
-        self._measured = measurable()  # imports what they need
-        while True:
-            with self._news:
-                while not (self._waiting or self._slow or self._closing):
-                    self._news.wait()
-                if self._closing:
-                    return
-                job = (self._waiting or self._slow).pop()
-                self._busy_with = job[0]
-            try:
-                self._measure(*job)
-            except Exception as error:
-                self._report(error)
-            with self._news:
-                self._busy_with = None
+    def _next(self) -> tuple | None:
+        job = (self._waiting or self._slow).pop() if self._waiting or self._slow else None
+        self._busy_with = job and job[0]
+        return job
+
+    def _do(self, job: tuple) -> None:
+        if not self._ready:
+            self._measured, self._ready = measurable(), True
+        try:
+            self._measure(*job)
+        except Exception as error:
+            self._report(error)
+        with self._news:
+            self._busy_with = None
 
     def _measure(self, key: tuple, known: Metrics, final: np.ndarray, truth: np.ndarray, exposure: float) -> None:
         shown, true = (display_values(color[..., :3], exposure) for color in (final, truth))

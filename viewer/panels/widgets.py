@@ -13,6 +13,8 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from gffe_cl.viewer.picture.colors import wheel_color
 from gffe_cl.viewer.picture.legends import Legend
 
+_DISABLED_TOO = imgui.HoveredFlags_.allow_when_disabled.value
+
 
 def floating() -> None:
     """The next window is not docked: it needs a background."""
@@ -21,7 +23,7 @@ def floating() -> None:
 
 def tooltip(text: str) -> None:
     """For the last item, disabled or not."""
-    if text and imgui.is_item_hovered(imgui.HoveredFlags_.allow_when_disabled.value):
+    if text and imgui.is_item_hovered(_DISABLED_TOO):
         imgui.begin_tooltip()
         imgui.push_text_wrap_pos(hello_imgui.em_size(28))
         imgui.text_unformatted(text)

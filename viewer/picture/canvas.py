@@ -24,7 +24,10 @@ from gffe_cl.viewer.picture.displays import TONE_MAPS, Display, FrameInfo, shown
 from gffe_cl.viewer.picture.view import COMPARISONS, OVERLAYS, Size, View
 
 _DTYPES = {"uint8": "f1", "float16": "f2", "float32": "f4"}
-_VARIANT = ("VIEW_A", "SMOOTH_A", "VIEW_B", "SMOOTH_B", "COMPARE", "OVERLAY")  # macros of display.frag
+_OF_LAYER = ("VIEW", "SMOOTH", "CHANNEL", "TONE_MAP")
+_VARIANT = (*(f"{name}_{side}" for side in "AB" for name in _OF_LAYER), "COMPARE", "OVERLAY", "GRID")  # of display.frag
+_MIXING = ("difference", "error")  # comparisons that need A and B at one place
+_GRID = (8.0, 24.0)  # screen pixels per texel and display pixel: lines between them show, and are as clear as they get
 _RING = 3  # pixel buffers per size, so that none is rewritten while the driver still reads it
 _RINGS = 12  # sizes that are kept
 _RENDERED = {"depth": names.RENDERED_DEPTH, "motion": names.RENDERED_MOTION, "color": names.RENDERED_COLOR}
@@ -56,23 +59,24 @@ class _Texture:
         self.texels.repeat_x = self.texels.repeat_y = False
         self.texels.filter = (moderngl.LINEAR, moderngl.LINEAR)
         self.planes, self.unit = planes, 255.0 if dtype == "f1" else 1.0
-        self.has_mipmaps = False
+        self.mipmaps = 0  # levels of the present texels, besides themselves
         self.spec: LayerSpec | None = None
         self.frame: FrameInfo | None = None
 
-    def smooth(self) -> None:
-        """Have mipmaps of the present texels."""
-        if not self.has_mipmaps:
-            self.texels.build_mipmaps()
-            self.has_mipmaps = True
+    def have_mipmaps(self, levels: int) -> None:
+        """At least so many."""
+        if levels > self.mipmaps:
+            self.texels.build_mipmaps(max_level=levels)
+            self.texels.filter = (moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR)
+            self.mipmaps = levels
 
 
 @dataclass(frozen=True)
 class _Shown:
-    """A layer as the shader takes it; `variant`: its view and whether it is drawn from mipmaps."""
+    """A layer as the shader takes it; `variant`: its _OF_LAYER."""
 
     texture: _Texture
-    variant: tuple[int, int]
+    variant: tuple[int, int, int, int]
     uniforms: dict[str, Any]
 
 
@@ -117,7 +121,7 @@ class Canvas:
         self._layers: dict[str, _Texture] = {}
         self._rings: dict[int, list[moderngl.Buffer]] = {}
         self._targets: dict[str, moderngl.Framebuffer] = {}
-        self._nothing = _Shown(_Texture(ctx, np.zeros((1, 1, 1, 1), np.uint8)), (-1, 0), {})
+        self._nothing = _Shown(_Texture(ctx, np.zeros((1, 1, 1, 1), np.uint8)), (-1, 0, -1, 0), {})
         tables = np.stack([colors.color_table(name) for name in colors.COLOR_MAPS])
         self._color_maps = ctx.texture((256, len(colors.COLOR_MAPS)), 3, tables.tobytes(), alignment=1, dtype="f4")
         self._color_maps.repeat_x = self._color_maps.repeat_y = False
@@ -141,7 +145,7 @@ class Canvas:
         buffer = self._next_buffer(texels.nbytes)
         buffer.write(texels)
         layer.texels.write(buffer, alignment=1)
-        layer.spec, layer.has_mipmaps, layer.frame = spec, False, frame
+        layer.spec, layer.mipmaps, layer.frame = spec, 0, frame
 
     def _next_buffer(self, nbytes: int) -> moderngl.Buffer:
         ring = self._rings.pop(nbytes, [])
@@ -235,11 +239,41 @@ class Canvas:
 
     def _draw(self, view: View, corner: tuple[int, int], framebuffer: moderngl.Framebuffer) -> None:
         """Into the framebuffer's viewport, which has its `corner` there and is full of background."""
+        a, b = (view.a, view.a_display), (view.b, view.b_display)
         size = framebuffer.viewport[2:]
-        b = None if view.compare in ("off", "flip") else view.b
-        shown = [self._shown(view.a, view.a_display, view.zoom), self._shown(b, view.b_display, view.zoom)]
+        left, top, right, bottom = self._display_rectangle(view, size)
+        if view.compare != "split":
+            mixed = b if view.compare in _MIXING else (None, None)
+            self._draw_part(view, (a, mixed), (left, top, right, bottom), corner, framebuffer)
+            return
+        line = view.split * size[0]
+        middle = min(max(math.ceil(line - 0.5), left), right)
+        self._draw_part(view, (a, (None, None)), (left, top, middle, bottom), corner, framebuffer)
+        self._draw_part(view, (b, (None, None)), (middle, top, right, bottom), corner, framebuffer)
+        first = max(math.floor(line - 0.5 - view.line / 2) + 1, 0)
+        last = min(math.ceil(line - 0.5 + view.line / 2), size[0])
+        if first < last:
+            framebuffer.clear(1.0, 1.0, 1.0, 1.0, viewport=(corner[0] + first, corner[1], last - first, size[1]))
+
+    def _draw_part(
+        self,
+        view: View,
+        layers: Sequence[tuple[str | None, Display | None]],
+        part: tuple[int, int, int, int],
+        corner: tuple[int, int],
+        framebuffer: moderngl.Framebuffer,
+    ) -> None:
+        """Two layers where the second is mixed with the first, else one; only `part` of the viewport: left, top, right,
+        bottom."""
+        left, top, right, bottom = part
+        if left >= right or top >= bottom:
+            return
+        size = framebuffer.viewport[2:]
+        shown = [self._shown(name, display, view.zoom) for name, display in layers]
+        contrast = self._grid_contrast(view, shown[0])
+        compare = COMPARISONS.index(view.compare) if view.compare in _MIXING else 0
         program = self._program(
-            *(layer.variant for layer in shown), COMPARISONS.index(view.compare), OVERLAYS.index(view.overlay)
+            *(n for layer in shown for n in layer.variant), compare, OVERLAYS.index(view.overlay), int(contrast > 0)
         )
         for index, layer in enumerate(shown):
             program.set(f"layer[{index}].", layer.uniforms)
@@ -249,10 +283,11 @@ class Canvas:
             (texture or self._nothing.texture).texels.use(unit)
         self._color_maps.use(_UNITS["color_maps"])
         program.set("", {f"has_{key}": layer is not None for key, layer in rendered.items()} | self._frame_uniforms())
-        values = {name: getattr(view, name) for name in ("centre", "zoom", "background", "grid", "split")}
+        values = {name: getattr(view, name) for name in ("centre", "zoom", "background")}
         values |= {
             "corner": corner,
             "size": size,
+            "grid_contrast": contrast,
             "difference_gain": view.gain,
             "error_squared": view.error == "squared",
             "error_high": max(view.error_high, 1e-12),
@@ -261,20 +296,27 @@ class Canvas:
             "has_regions": regions is not None,
         }
         program.set("", values)
-        if view.compare != "split":  # its line goes beyond the display
-            framebuffer.scissor = self._display_rectangle(view, corner, size)
+        framebuffer.scissor = corner[0] + left, corner[1] + top, right - left, bottom - top
         program.triangle.render(moderngl.TRIANGLES, vertices=3)
         framebuffer.scissor = None
 
-    def _display_rectangle(self, view: View, corner: tuple[int, int], size: Size) -> tuple[int, int, int, int]:
-        """(x, y, width, height) in the framebuffer: all pixels that show the display."""
+    def _grid_contrast(self, view: View, shown: _Shown) -> float:
+        """Of the lines between pixels; 0: there are none."""
+        narrow = min(view.zoom, *shown.uniforms.get("texel", (0.0,)))
+        if not view.grid or narrow < _GRID[0]:
+            return 0.0
+        share = min((narrow - _GRID[0]) / (_GRID[1] - _GRID[0]), 1.0)
+        return 0.08 + 0.25 * share * share * (3.0 - 2.0 * share)
+
+    def _display_rectangle(self, view: View, size: Size) -> tuple[int, int, int, int]:
+        """Left, top, right and bottom in a picture of `size`: of all pixels that show the display."""
         low, high = view.screen_at(size, 0, 0), view.screen_at(size, *self.frame.display_size)
         left, top = (min(max(math.floor(low[i]), 0), size[i]) for i in (0, 1))
         right, bottom = (min(max(math.ceil(high[i]), 0), size[i]) for i in (0, 1))
-        return corner[0] + left, corner[1] + top, right - left, bottom - top
+        return left, top, right, bottom
 
-    def _program(self, variant_a: tuple[int, int], variant_b: tuple[int, int], compare: int, overlay: int) -> _Program:
-        key = (*variant_a, *variant_b, compare, overlay)
+    def _program(self, *key: int) -> _Program:
+        """Of the choice `key` of _VARIANT."""
         if key not in self._programs:
             self._programs[key] = _Program(self.ctx, key)
         return self._programs[key]
@@ -303,20 +345,19 @@ class Canvas:
         area = frame.area(spec)
         texel = [zoom * frame.display_size[i] / (layer.size[i] * abs(area[i + 2] - area[i])) for i in (0, 1)]
         smooth = view == "color" and min(texel) < 1.0
-        if smooth:
-            layer.smooth()
+        level = min(round(-math.log2(max(min(texel), 1e-9))), int(math.log2(max(layer.size)))) if smooth else 0
+        layer.have_mipmaps(level)
         low, high = display.low, display.high
         uniforms = {
-            "channel": min(channel, layer.components - 1),
             "components": layer.components,
             "plane": min(max(display.plane, 0), layer.planes - 1),
             "unit": layer.unit,
             "area": area,
             "own": frame.own_place(spec),
             "texel": texel,
+            "level": float(level),
             "weighted": spec.view == "color" and spec.components[3:] == ("weight",),
             "gain": 2.0**display.exposure * frame.exposure,
-            "tone_map": TONE_MAPS.index(display.tone_map),
             "color_map": colors.COLOR_MAPS.index(display.color_map),
             "range": (low, high if high != low else low + abs(low) * 1e-6 + 1e-12),
             "inverse": display.inverse,
@@ -324,7 +365,9 @@ class Canvas:
             "tint": display.tint,
             "label_flip": colors.label_flip(spec),
         }
-        return _Shown(layer, (VIEWS.index(view), int(smooth)), uniforms)
+        tone_map = TONE_MAPS.index(display.tone_map) if view == "color" else 0
+        variant = VIEWS.index(view), int(smooth), min(channel, layer.components - 1), tone_map
+        return _Shown(layer, variant, uniforms)
 
 
 def read(texture: moderngl.Texture) -> np.ndarray:

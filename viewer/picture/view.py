@@ -28,6 +28,7 @@ class View:
     overlay : one of OVERLAYS, over whatever is compared; residual motion has full colour at `residual_scale` pixels;
         of regions (the layer of that name) only number `region` is bright, −1: each has a tint
     grid : lines between pixels when zoomed in
+    line : width of the wipe's line, screen pixels
     """
 
     a: str
@@ -46,6 +47,7 @@ class View:
     residual_scale: float = 4.0
     region: int = -1
     grid: bool = True
+    line: float = 2.0
 
     def display_at(self, size: Size, x: float, y: float) -> tuple[float, float]:
         """Display pixel under the screen position (x, y) of a canvas of `size`."""

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import itertools
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,13 +15,14 @@ from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.cache import CACHE_MIB, FrameCache
 from gffe_cl.viewer.engine.doctoring import Doctor
 from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
-from gffe_cl.viewer.engine.messages import EngineError, Metrics, Recipe, Request, Result, Setup
+from gffe_cl.viewer.engine.messages import EngineError, Metrics, Request, Result, Setup
 from gffe_cl.viewer.engine.opening import ScenePlan, make_source
 from gffe_cl.viewer.engine.preview import Preview, Previewer, preview_of
 from gffe_cl.viewer.engine.sources import FrameSource
 from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.picture.legend_strip import Entry
 from gffe_cl.viewer.picture.view import View
+from gffe_cl.viewer.state.asking import Asking
 from gffe_cl.viewer.state.captions import entries_of
 from gffe_cl.viewer.state.comparing import Comparison
 from gffe_cl.viewer.state.contents import Contents
@@ -32,11 +32,13 @@ from gffe_cl.viewer.state.flying import Flight, Flyer
 from gffe_cl.viewer.state.framing import Framing
 from gffe_cl.viewer.state.kept import KeptSettings, command_line
 from gffe_cl.viewer.state.looks import Looks
+from gffe_cl.viewer.state.needed import Needed
 from gffe_cl.viewer.state.parameters import Parameters
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.pointing import Pointing
 from gffe_cl.viewer.state.regions import Regions
 from gffe_cl.viewer.state.saving import Subject, Work
+from gffe_cl.viewer.state.scores import Scores
 from gffe_cl.viewer.state.screen import Screen
 from gffe_cl.viewer.state.second import Second
 from gffe_cl.viewer.state.selecting import Selection
@@ -83,18 +85,20 @@ class Model:
         self.kept = KeptSettings()
         self.comparison = Comparison(self.view, self.contents, self.looks, self.kept)
         self.second = Second(self.engine, self.filling.find)
+        self.asking = Asking(self.engine, self.contents, self.filling, self.second, self._take)
         self.regions = Regions(self.view, self.contents)
         self.disocclusions = Disocclusions(self.view, self.contents)
         self.survey = Survey(self.engine, self.playback)
         self.pointing = Pointing(self._inspect)
         self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
         self.selection = Selection(self.contents)
+        self.needed = Needed(self.view, self.contents, self.regions, self.disocclusions, self.selection)
         self.flyer: Flyer | None = None
         self.export: Work | None = None
         self.overview = False
         self.arrows = False
         self.measuring = False
-        self._metrics: dict[Recipe, dict[int, Metrics]] = {}  # by slot
+        self.scores = Scores(self.engine)
         self.messages: list[Message] = []
         self.doctor: Doctor | None = None  # of what is open, once it was asked for
         self.preview: Preview | None = None  # shown until there is a result of what is opened
@@ -103,10 +107,6 @@ class Model:
         self.notice = ""
         self.timings = Timings()
         self.recipe = self.engine.recipe(self.setup)
-        self._serial = itertools.count(1)
-        self._asked: Request | None = None  # the latest request, and it without its serial number
-        self._wanted: tuple[Request, Recipe | None, Request | None] | None = None
-        self.from_cache = False  # what is shown came from the cache
         self._was_playing = False
         self._target = ""
         self._keep_place = False
@@ -131,26 +131,25 @@ class Model:
         make = partial(
             make_source, target, self.parameters.window, self.plan, check=self._check, previewer=self._previewer
         )
-        self.engine.open_source(make, next(self._serial))
+        self.engine.open_source(make, self.asking.serial())
 
     def reload(self) -> None:
         """Read the same thing again, and stay where we are."""
         self._keep_place = True
         self.open(self._target)
 
-    def _opened(self, source: FrameSource, canvas) -> None:
+    def _opened(self, source: FrameSource) -> None:
         self.contents.open(source)
         self.parameters.open(source)
-        self.notice, self._asked, self._target = "", None, source.target
+        self.notice, self._target = "", source.target
         if self.preview is None:
-            self.screen.show({}, set(), canvas)
-        for part in (self.second, self.survey, self.walk, self.selection, self.disocclusions):
+            self.screen.show({}, set())
+        for part in (self.asking, self.second, self.survey, self.scores, self.walk, self.selection, self.disocclusions):
             part.forget()
         if self.export is not None:
             self.export.cancel()
         self.playback.open(source.count, source.fps, self._times(source.count), keep=self._keep_place)
         self.pointing.open(self.contents.size)
-        self._metrics.clear()
         self.doctor = None
         if self._keep_place and self.flying:
             self.playback.play()  # at another render rate, from where the camera is
@@ -173,30 +172,17 @@ class Model:
 
     def update(self, now: float, canvas) -> None:
         """Take what the engine has finished into textures, and ask for what is wanted next."""
+        self.screen.canvas = canvas
         if self._previewer is not None and (preview := self._previewer.take()) is not None:
             self.preview = preview
-            self.screen.preview(preview, canvas)
-        self.screen.proceed(canvas)
+            self.screen.preview(preview)
+        self.screen.proceed()
         if self.engine.source is not self.source:
-            self._opened(self.engine.source, canvas)
-        if self.source is not None and self.source.live and self.parameters.render_rate != self.plan.fps:
-            self.plan = self.plan._replace(fps=self.parameters.render_rate)
-            self.reload()
-        if self.source is not None and (count := self.source.count) != self.playback.count:
-            self.playback.extend(count, self._times(count))
+            self._opened(self.engine.source)
+        if self.source is not None:
+            self._follow_source()
         self.recipe = self.engine.recipe(self.setup)
-        while self.screen.ready and (answer := self.engine.poll()) is not None:
-            if isinstance(answer, EngineError):
-                self._failed(answer)
-            elif self.source is not None and self._is_news(answer):
-                self.from_cache = False
-                self._came(answer, canvas)
-        self._take_pair(canvas)
-        while (metrics := self.engine.poll_metrics()) is not None:
-            self._metrics.setdefault(self.engine.recipe(metrics.setup), {})[metrics.slot] = metrics
-        inspection = self.engine.poll_inspection()
-        if inspection is not None and inspection.slot == self.slot:
-            self.pointing.take(inspection)
+        self._take_answers()
         if self.source is None:
             return
         self.second.compare_with(None if self.overview else self.comparison.second)
@@ -205,12 +191,12 @@ class Model:
         result, ready = self.contents.result, None
         if result is not None and result.request.setup == self.setup:
             ready = result.request.slot
-        self._ask(self.playback.tick(now, ready).request, canvas)
+        self._ask(self.playback.tick(now, ready).request)
         self.disocclusions.update(canvas)
         faults = self.comparison.update(canvas), self.regions.update(canvas), self.selection.update()
         for fault in filter(None, faults):
             self.say(fault, error=True)
-        self._fill(now)
+        self.asking.fill(now, self.recipe, not (self.flying or self.overview or self.export))
         kept = self.kept.b if self.comparison.by_settings else None
         idle = not (self.flying or self.export or self.playback.playing or self.second.waits)
         self.survey.resets = sorted({0, *self.contents.resets})
@@ -220,6 +206,27 @@ class Model:
         self._was_playing = self.playback.playing
         if self.export is not None:
             self._advance_export(canvas)
+
+    def _follow_source(self) -> None:
+        """Another render rate was chosen, or there are more frames."""
+        if self.source.live and self.parameters.render_rate != self.plan.fps:
+            self.plan = self.plan._replace(fps=self.parameters.render_rate)
+            self.reload()
+        if (count := self.source.count) != self.playback.count:
+            self.playback.extend(count, self._times(count))
+
+    def _take_answers(self) -> None:
+        """All that the engine has finished."""
+        while self.screen.ready and (answer := self.engine.poll()) is not None:
+            if isinstance(answer, EngineError):
+                self._failed(answer)
+            elif self.source is not None:
+                self.asking.take(answer)
+        self._take_pair()
+        self.scores.update()
+        inspection = self.engine.poll_inspection()
+        if inspection is not None and inspection.slot == self.slot:
+            self.pointing.take(inspection)
 
     def _failed(self, error: EngineError) -> None:
         if self.second.failed(error):
@@ -236,7 +243,7 @@ class Model:
         self._keep_place = False
         self.pointing.story_due &= error.during != "inspection"
         if error.during == "source":
-            self._asked = None  # what was asked of the old one was thrown away
+            self.asking.forget()  # what was asked of the old one was thrown away
         self._previewer = self.preview = None
         if error.during in ("source", "slot"):
             self.playback.pause()
@@ -250,73 +257,35 @@ class Model:
         if self.export is not None:
             self.export.cancel()
 
-    def _came(self, result: Result, canvas) -> None:
-        """A's result is there; where it is compared with B's it waits for that."""
-        if self.second.belongs(result):
-            self.second.pair(result)
-        else:
-            self._take(result, None, canvas)
+    def _take_pair(self) -> None:
+        if self.screen.ready:
+            self.asking.take_pair()
 
-    def _take_pair(self, canvas) -> None:
-        """A's and B's results of one slot, when both are there."""
-        pair = self.second.take() if self.screen.ready else None
-        if pair is not None:
-            self._take(*pair, canvas)
-
-    def _take(self, result: Result, second: Result | None, canvas) -> None:
+    def _take(self, result: Result, second: Result | None) -> None:
+        """What is shown from now on, of A and B."""
         self.contents.take(result, second)
         self.failure = None
         self._previewer = self.preview = None
-        if result.metrics:
-            request = result.request
-            self.metrics[request.slot] = Metrics(request.slot, request.setup, result.metrics)
-        if second is not None and second.metrics:
-            request = second.request
-            self.metrics_of_second()[request.slot] = Metrics(request.slot, request.setup, second.metrics)
-        self.screen.show(result.images, {self.view.a, self.view.b}, canvas)
+        for made in (result, second):
+            self.scores.add_result(made)
+        self.screen.show(result.images, {self.view.a, self.view.b})
         self.timings.add(result)
         self.pointing.ask_again()
 
-    def _ask(self, slot: int, canvas) -> None:
-        """Show what is kept, else submit a request, if it is another one than before."""
+    def _ask(self, slot: int) -> None:
+        """Have a slot shown."""
         if self.flying:
             k, j = divmod(slot, self.n + 1)
             self.source.fly(k, j / (self.n + 1), self.flyer.pose)
-        request = Request(slot, self.setup, frozenset(self._needed()), 0, self.measuring, keep=not self.flying)
-        second = self.second.request(request, self._needed_of_second()) if self.second.kept else None
-        wanted = request, None if self.flying else self.recipe, second
-        steered = self.flying and self.flyer.moved
-        if wanted == self._wanted and self._asked is not None and not steered:
-            return
-        if self.second.waits and second is not None:
-            return  # one after the other, or the faster one would never be shown with the slower one
-        if self.flying:
-            self.flyer.moved = False
-        self._wanted = wanted
-        self._asked = replace(request, serial=next(self._serial))
-        if second is not None:
-            self.second.ask(replace(second, serial=next(self._serial)), self.source)
-        kept = None if self.flying else self.filling.find(self.recipe, request)
-        if kept is None:
-            self.engine.submit(self._asked, self.source)
-            return
-        self.engine.withdraw()
-        self.from_cache = True
-        self._came(replace(kept, request=self._asked), canvas)
-        self._take_pair(canvas)
-
-    def _is_news(self, result: Result) -> bool:
-        """Whether it was asked for after what is shown, or made anew."""
-        shown = self.contents.result
-        return shown is None or result.request.serial >= shown.request.serial
-
-    def _fill(self, now: float) -> None:
-        result = self.contents.result
-        if result is None or self._wanted is None:
-            return
-        nbytes = sum(image.nbytes for image in result.images.values())
-        beside = not (self.flying or self.overview or self.export or self._wanted[0].slot != result.request.slot)
-        self.filling.update(now, self.recipe, self._wanted[0], nbytes, beside)
+        layers = self.needed.all() if self.overview else self.needed.of_first()
+        layers |= self.export.layers if self.export is not None else frozenset()
+        request = Request(slot, self.setup, layers, 0, self.measuring, keep=not self.flying)
+        second = self.second.request(request, self.needed.of_second()) if self.second.kept else None
+        recipe, steered = (None, self.flyer.moved) if self.flying else (self.recipe, False)
+        if self.asking.ask(request, recipe, second, steered, self.source):
+            if self.flying:
+                self.flyer.moved = False
+            self._take_pair()
 
     def go_to(self, find: Callable[[], int | None]) -> None:
         """To the slot that `find`, of the survey, gives."""
@@ -324,6 +293,11 @@ class Model:
         if slot is not None:
             self.playback.seek(slot)
         self.say(text)
+
+    @property
+    def from_cache(self) -> bool:
+        """Whether what is shown came from the cache."""
+        return self.asking.from_cache
 
     @property
     def _inspects(self) -> bool:
@@ -341,12 +315,12 @@ class Model:
     @property
     def metrics(self) -> dict[int, Metrics]:
         """What was measured of the present recipe, by slot."""
-        return self._metrics.setdefault(self.recipe, {})
+        return self.scores.of(self.recipe)
 
     def metrics_of_second(self) -> dict[int, Metrics]:
         """... of B's settings."""
         kept = self.kept.b
-        return {} if kept is None else self._metrics.setdefault(self.engine.recipe(kept.setup(self.n)), {})
+        return {} if kept is None else self.scores.of(self.engine.recipe(kept.setup(self.n)))
 
     @property
     def n(self) -> int:
@@ -372,37 +346,14 @@ class Model:
     def settled(self) -> bool:
         """Whether what is shown is what was asked for."""
         return (
-            self.contents.result is not None
-            and self._asked is not None
-            and self.contents.result.request == self._asked
+            self.asking.answered
             and not self.engine.busy
             and not (self.pointing.story_due and self._inspects)
             and self.comparison.ready
-            and not self.second.waits
             and self.regions.ready
             and self.selection.ready
             and self.screen.ready
         )
-
-    def _needed(self) -> set[str]:
-        """Layers to read back."""
-        if self.overview:
-            return {spec.name for spec in self.contents.layers} or {names.FINAL}
-        wanted = {self.view.a}
-        if self.view.compare != "off" and self.view.b and not names.is_second(self.view.b):
-            wanted.add(self.view.b)
-        wanted |= self.regions.needed | self.disocclusions.needed | self.selection.needed
-        if self.view.overlay in ("edges", "residual motion"):
-            wanted |= {names.RENDERED_COLOR, names.RENDERED_DEPTH, names.RENDERED_MOTION}
-        specs = [self.contents.spec(name) for name in wanted]
-        if any(spec is not None and spec.view == "world" for spec in specs):
-            wanted.add(names.RENDERED_DEPTH)
-        if self.export is not None:
-            wanted |= self.export.layers
-        return wanted
-
-    def _needed_of_second(self) -> frozenset[str]:
-        return frozenset({self.view.a} | ({names.FINAL} & self.regions.needed))
 
     def keep_as_b(self) -> None:
         """Freeze what is computed now as B."""
@@ -464,7 +415,7 @@ class Model:
     def stop_flying(self) -> None:
         self.flyer = None
         self.source.forget_flight()
-        self._asked = None
+        self.asking.forget()
 
     def fly(self, flight: Flight | None, now: float) -> None:
         """Steer the camera; `now`: of the clock that playback goes by, seconds."""

@@ -73,6 +73,7 @@ class Parameters:
     """
 
     def __init__(self, options: Options, playback: Playback, window: str | None = None):
+        self._setup, self._setup_of = Setup(), None  # as last asked for, and what it was made of
         self.options = replace(options, **ALWAYS)
         self.window = window
         self.render_rate: float | None = None  # of built-in scenes, frames per second; None: the scene's
@@ -90,7 +91,11 @@ class Parameters:
 
     @property
     def setup(self) -> Setup:
-        return Setup(replace(self.options, shading_correction=self.is_on(CORRECTION)), self.window, self._playback.n)
+        parts = self.options, self.is_on(CORRECTION), self.window, self._playback.n
+        if parts != self._setup_of:  # asked for several times per frame of the interface
+            options, corrected, window, n = self._setup_of = parts
+            self._setup = Setup(replace(options, shading_correction=corrected), window, n)
+        return self._setup
 
     def offered(self) -> dict[str, Option]:
         """What can be chosen in this sequence; texts without choices are the command line's."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from bisect import bisect_right
 from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
@@ -13,6 +12,7 @@ import numpy as np
 from gffe_cl.viewer.engine.engine import Engine
 from gffe_cl.viewer.engine.figures import NEEDED, QUANTITIES, REGIONS, Figures, Measurer, Part
 from gffe_cl.viewer.engine.messages import Recipe, Request, Result, Setup
+from gffe_cl.viewer.engine.worker import Worker
 from gffe_cl.viewer.state.playback import Playback
 
 _AHEAD = 3  # slots that the engine is told of at once
@@ -248,21 +248,17 @@ class _Measuring:
     """Measures results on a thread, in the order in which they come."""
 
     def __init__(self):
-        self._news = threading.Condition()
+        self._worker = Worker("survey", self._next, self._do)
+        self._news = self._worker.lock
         self._waiting: deque[tuple[Recipe, Result, float]] = deque()
         self._under_way: tuple[Recipe, int] | None = None
         self._made: list[tuple[Recipe, int, Figures]] = []
         self._measurers: dict[Recipe, Measurer] = {}
-        self._thread: threading.Thread | None = None
-        self._closing = False
 
     def add(self, recipe: Recipe, result: Result, exposure: float) -> None:
         with self._news:
             self._waiting.append((recipe, result, exposure))
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="gffe-viewer-survey", daemon=True)
-                self._thread.start()
-            self._news.notify()
+            self._worker.wake()
 
     @property
     def waiting(self) -> int:
@@ -286,27 +282,24 @@ class _Measuring:
             self._made, self._under_way, self._measurers = [], None, {}
 
     def close(self) -> None:
-        with self._news:
-            self._closing = True
-            self._news.notify()
+        self._worker.close()
 
-    def _run(self) -> None:
-        while True:
-            with self._news:
-                while not (self._waiting or self._closing):
-                    self._news.wait()
-                if self._closing:
-                    return
-                recipe, result, exposure = self._waiting.popleft()
-                self._under_way = job = recipe, result.request.slot
-                if recipe not in self._measurers:
-                    self._measurers = {**dict(list(self._measurers.items())[-1:]), recipe: Measurer()}
-                measurer = self._measurers[recipe]
-            try:
-                figures = measurer.measure(result, exposure)
-            except Exception:
-                figures = Figures({"kernels": sum(result.milliseconds.values())})
-            with self._news:
-                if self._under_way == job:  # not forgotten meanwhile
-                    self._made.append((*job, figures))
-                    self._under_way = None
+    def _next(self) -> tuple[Recipe, Result, float, Measurer] | None:
+        if not self._waiting:
+            return None
+        recipe, result, exposure = self._waiting.popleft()
+        self._under_way = recipe, result.request.slot
+        if recipe not in self._measurers:
+            self._measurers = {**dict(list(self._measurers.items())[-1:]), recipe: Measurer()}
+        return recipe, result, exposure, self._measurers[recipe]
+
+    def _do(self, job: tuple[Recipe, Result, float, Measurer]) -> None:
+        recipe, result, exposure, measurer = job
+        try:
+            figures = measurer.measure(result, exposure)
+        except Exception:
+            figures = Figures({"kernels": sum(result.milliseconds.values())})
+        with self._news:
+            if self._under_way == (recipe, result.request.slot):  # not forgotten meanwhile
+                self._made.append((recipe, result.request.slot, figures))
+                self._under_way = None
