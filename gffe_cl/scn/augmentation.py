@@ -28,8 +28,9 @@ class Augmentation:
     previous frame, at x + α v in the truth, and at x − 2 v in the frame before, of which only the trend is known.
     Trends follow as the stage `Trend` would find them.
 
-    `shading`: how often a crop gets any; a quarter of these has lights that switch. `changing`: the share of patterns that do not move steadily: they jump, are
-    somewhere else in every frame, flicker or fade. Of these only fading goes on.
+    `shading`: how often a crop gets any; a quarter of these has lights that switch. `changing`: the share of patterns
+    that do not move steadily: they jump, are somewhere else in every frame, flicker or fade. Of these only fading goes
+    on.
     """
 
     def __init__(self, generator: torch.Generator, shading: float = 0.6, noise: float = 0.25, changing: float = 1 / 3):
@@ -165,7 +166,9 @@ class Augmentation:
             stays = torch.rand(levels.shape[1:], generator=self.generator) >= often * share
             levels[time] = torch.where(stays, levels[since], levels[time])
         mode = "nearest" if self._chance() < 0.7 else "bilinear"
-        shape = functional.interpolate(levels.flatten(0, 1), (height, width), mode=mode).view(4, count, 1, height, width)
+        shape = functional.interpolate(levels.flatten(0, 1), (height, width), mode=mode).view(
+            4, count, 1, height, width
+        )
         where = torch.randn((count, 1, 4, 4), generator=self.generator) + self._uniform((count, 1, 1, 1), -0.5, 2.0)
         where = functional.interpolate(where, (height, width), mode="bicubic", align_corners=False)
         used = torch.sigmoid(8 * where) * (side[:, 1:] <= DYNAMIC)
