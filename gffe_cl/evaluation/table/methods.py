@@ -102,7 +102,7 @@ class Method:
         """At the start of a sequence. Raises GffeError."""
         if self.options is None:
             return self.make(footage)
-        return self.pipelines(self, footage, device)
+        return self.pipelines(self.options, self.window, self.camera, footage, device)
 
 
 def _gffe(name: str, title: str, group: str, window: str = GIVEN, camera: bool = True, **options) -> Method:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,26 +10,25 @@ from gffe_cl.evaluation.table.image_space import pixel_centres
 from gffe_cl.evaluation.table.subjects import Footage, Moment, Shot
 from gffe_cl.frame import RenderedFrame
 from gffe_cl.opencl.device import Device
+from gffe_cl.options import Options
 from gffe_cl.pipeline import ExtrapolatedFrame, Pipeline
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import mapping
 
-if TYPE_CHECKING:
-    from gffe_cl.evaluation.table.methods import Method
-
 
 class PipelineRunner:
     """Our pipeline, with the options of a method; with upscaling where frames are smaller than what is shown.
-    `pipeline` is its own; `milliseconds` of kernels and the network, per rendered frame with one new one."""
+    `window` is a rule, `knows_camera` whether that of the new frame is given. `pipeline` is its own; `milliseconds` of
+    kernels and the network, per rendered frame with one new one."""
 
     upscales = True
 
-    def __init__(self, method: Method, footage: Footage, device: Device):
-        size, render_size = (footage.width, footage.height), footage.render_size(method.window)
-        options = replace(method.options, upscale=footage.upscale if self.upscales else 0.0)
+    def __init__(self, options: Options, window: str, knows_camera: bool, footage: Footage, device: Device):
+        size, render_size = (footage.width, footage.height), footage.render_size(window)
+        options = replace(options, upscale=footage.upscale if self.upscales else 0.0)
         self.pipeline = Pipeline(device, *size, options, render_size=render_size, fps=footage.fps)
         self.pipeline.exposure = footage.exposure
-        self._known, self._submitted = method.camera, 0.0
+        self._known, self._submitted = knows_camera, 0.0
         self.milliseconds: list[float] = []
 
     def submit(self, shot: Shot) -> None:
@@ -85,9 +83,9 @@ class RenderedUpscaled(PipelineRunner):
 class UpscaledFirst(PipelineRunner):
     """Rendered frames are upscaled, and new ones extrapolated from what is shown of them, all at the display's size."""
 
-    def __init__(self, method: Method, footage: Footage, device: Device):
-        super().__init__(method, footage, device)
-        self._shown = Pipeline(device, footage.width, footage.height, method.options, fps=footage.fps)
+    def __init__(self, options: Options, window: str, knows_camera: bool, footage: Footage, device: Device):
+        super().__init__(options, window, knows_camera, footage, device)
+        self._shown = Pipeline(device, footage.width, footage.height, options, fps=footage.fps)
         self._shown.exposure = footage.exposure
 
     def submit(self, shot):
