@@ -1,12 +1,16 @@
 /* Acceleration of movers (beyond the paper: 'Position estimation' with a second-order term where it can be trusted).
    The nearest mover of each cell has a mean velocity; its change since the frame before, met where the mover's motion points
    to, is its acceleration. What noise and bad vectors feign does not last, nor what a mover does that bounces or stops: only
-   as much of it counts as there was an interval before. Cells without a mover are skipped. */
+   as much of it counts as there was an interval before. On arcs acceleration turns: its own change goes on, too. Cells without
+   a mover are skipped. */
 
 #include "common.h"
 #include "cells.h"
 
 #define BEND_MOST 0.25f  /* an acceleration of more than this share of the velocity counts less, the more the larger it is */
+
+#define TURN 0.8333333f  /* the third difference's share beside the second's, (alpha + 2) / 3, at alpha = 1/2 */
+#define TURN_MOST 0.25f     /* a change of more than this share of the acceleration counts less, the more the larger it is */
 
 /* What a cell's fragments of one mover have in common. */
 typedef struct {
@@ -69,15 +73,24 @@ inline float trust(const float3 velocity, const float3 acceleration, const float
     return size > speed ? lasted * divide(speed, size) : lasted;
 }
 
-/* velocity: (xyz, view depth of the mover, 0: none). acceleration: per interval squared, such that after alpha intervals it
-   has added alpha (alpha + 1) of it; w: its trust, -1 where it is not known. `ratio`: of the last two intervals. */
+/* An acceleration as it will be, by how it was `before`. */
+inline float3 carried_on(const float3 acceleration, const float3 before) {
+    const float3 change = acceleration - before, cc = change * change, aa = acceleration * acceleration;
+    const float size = cc.x + cc.y + cc.z, most = TURN_MOST * TURN_MOST * (aa.x + aa.y + aa.z);
+    return acceleration + (size > most ? TURN * divide(most, size) : TURN) * change;
+}
+
+/* velocity: (xyz, view depth of the mover, 0: none). acceleration: per interval squared, as found; w: its trust, -1 where
+   it is not known. bend: what of it goes on, as it will be: after alpha intervals it has added alpha (alpha + 1) of it. `ratio`: of the
+   last two intervals. */
 SPARSE __kernel void track_acceleration(const int source_width, const int source_height, const int level_width,
                                         const int level_height, const float ratio,
                                         __global const float *depth, __global const float2 *motion,
                                         __global const uchar *dynamic_mask, __global const float *met_depth,
                                         __global const float4 *velocity_prev, __global const float4 *acceleration_prev,
                                         const Reprojection to_previous, const Reprojection from_previous,
-                                        __global float4 *velocity, __global float4 *acceleration) {
+                                        __global float4 *velocity, __global float4 *acceleration,
+                                        __global float4 *bend) {
     const int cell_x = get_global_id(0), cell_y = get_global_id(1);
     if (cell_x >= level_width || cell_y >= level_height) return;
     const int cell = cell_y * level_width + cell_x;
@@ -85,6 +98,7 @@ SPARSE __kernel void track_acceleration(const int source_width, const int source
                                       to_previous, from_previous);
     velocity[cell] = (float4)(mover.velocity, mover.depth);
     acceleration[cell] = (float4)(0.0f, 0.0f, 0.0f, -1.0f);
+    bend[cell] = (float4)(0.0f);
     if (!(mover.depth > 0.0f)) return;
 
     const float per_px = 1.0f / (float)CELL;
@@ -107,9 +121,10 @@ SPARSE __kernel void track_acceleration(const int source_width, const int source
     if (!(weight_sum > 0.0f)) return;
     const float3 was = rotate_to_target(mean_of(velocity_sum, weight_sum), from_previous);
     const float3 found = (mover.velocity - ratio * was) * divide(ratio, 1.0f + ratio);
-    float trusted = 0.0f;
-    if (before_weight_sum > 0.0f)
-        trusted = trust(mover.velocity, found,
-                        ratio * ratio * rotate_to_target(mean_of(before_sum, before_weight_sum), from_previous));
-    acceleration[cell] = (float4)(found, trusted);
+    acceleration[cell] = (float4)(found, 0.0f);
+    if (!(before_weight_sum > 0.0f)) return;
+    const float3 before = ratio * ratio * rotate_to_target(mean_of(before_sum, before_weight_sum), from_previous);
+    const float trusted = trust(mover.velocity, found, before);
+    acceleration[cell].w = trusted;
+    bend[cell].xyz = trusted * carried_on(found, before);
 }

@@ -13,12 +13,11 @@ typedef struct { float8 order1, order2, order3, order4, order5; } Polynomial;
 #define NOWHERE -1.0e9f  /* px: far off any image */
 
 /* What acceleration adds to the position of a fragment after alpha intervals. */
-inline float3 bend(const int src_x, const int src_y, const int source_width, const float z, const float alpha,
-                   __global const float4 *velocity, __global const float4 *acceleration) {
+inline float3 bent(const int src_x, const int src_y, const int source_width, const float z, const float alpha,
+                   __global const float4 *velocity, __global const float4 *bend) {
     const int cell = cell_of(src_x, src_y, source_width);
-    const float4 a = acceleration[cell];
-    if (!(a.w > 0.0f) || !is_of_cell(z, velocity[cell].w)) return (float3)(0.0f);
-    return (alpha * (alpha + 1.0f) * a.w) * a.xyz;
+    if (!is_of_cell(z, velocity[cell].w)) return (float3)(0.0f);
+    return (alpha * (alpha + 1.0f)) * bend[cell].xyz;
 }
 
 /* (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */
@@ -26,7 +25,7 @@ inline float3 predicted_position(const int src_x, const int src_y, const int sou
                                  const int order, const int bends, const float alpha, __global const float *depth,
                                  __global const float2 *motion, __global const uchar *dynamic_mask,
                                  __global const float *met_depth, __global const float4 *history,
-                                 __global const float4 *velocity, __global const float4 *acceleration,
+                                 __global const float4 *velocity, __global const float4 *bend,
                                  const Polynomial polynomial, const Reprojection from_previous,
                                  const Reprojection to_target) {
     const int src = src_y * source_width + src_x, plane = source_width * source_height;
@@ -47,7 +46,7 @@ inline float3 predicted_position(const int src_x, const int src_y, const int sou
     if (known > 0) {
         const float3 p1_prev = unproject(pixel_centre(src_x, src_y) + motion[src], met_depth[src], from_previous.source_inverse);
         predicted += weight[0] * (move_to_target(p1_prev, from_previous) - p0);
-        if (bends) predicted += bend(src_x, src_y, source_width, z, alpha, velocity, acceleration);
+        if (bends) predicted += bent(src_x, src_y, source_width, z, alpha, velocity, bend);
     }
     for (int k = 1; k < known; ++k) predicted += weight[k] * (history[k * plane + src].xyz - p0);
     const float3 target_pos = move_to_target(predicted, to_target);
@@ -55,12 +54,12 @@ inline float3 predicted_position(const int src_x, const int src_y, const int sou
     return (float3)(project(target_pos, to_target.target), target_pos.z);
 }
 
-/* target_position: planes of x, y and depth. `bends`: whether velocity and acceleration are known, of cells. */
+/* target_position: planes of x, y and depth. `bends`: whether velocity and bend are known, of cells. */
 WIDE __kernel void predict_positions(const int source_width, const int source_height, const int order,
                                      const int bends, const float alpha, __global const float *depth,
                                      __global const float2 *motion, __global const uchar *dynamic_mask,
                                      __global const float *met_depth, __global const float4 *history,
-                                     __global const float4 *velocity, __global const float4 *acceleration,
+                                     __global const float4 *velocity, __global const float4 *bend,
                                      const Polynomial polynomial, const Reprojection from_previous,
                                      const Reprojection to_target, __global float *target_position) {
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
@@ -81,7 +80,7 @@ WIDE __kernel void predict_positions(const int source_width, const int source_he
     for (int k = src; k < src + min(LANES, source_width - src_x); ++k) {
         if (whole && !dynamic_mask[k]) continue;
         const float3 place = predicted_position(src_x + k - src, src_y, source_width, source_height, order, bends, alpha, depth,
-                                                motion, dynamic_mask, met_depth, history, velocity, acceleration, polynomial,
+                                                motion, dynamic_mask, met_depth, history, velocity, bend, polynomial,
                                                 from_previous, to_target);
         target_position[k] = place.x;
         target_position[plane + k] = place.y;

@@ -74,9 +74,9 @@ def _state(pipeline, frame):
 
 
 def _movers(pipeline):
-    """Velocity and acceleration of cells, None where that is off."""
+    """Velocity, acceleration and what goes on of it, of cells, None where that is off."""
     stage = pipeline.stages.get("acceleration")
-    return stage and (stage.read("velocity"), stage.read("acceleration"))
+    return stage and tuple(stage.read(name) for name in ("velocity", "acceleration", "bend"))
 
 
 def _levels(pipeline, frame):
@@ -141,7 +141,7 @@ def test_stages_equal_their_twins(device, options, size, target):
         ratio = np.float32((times[0] - times[1]) / (times[1] - times[2]))
         turned = to_previous, reprojection(past.camera, now.camera)
         met = pipeline.stages["history"].read("met_depth")
-        expected = twins.track_acceleration(depth, motion, dynamic, met, *movers_before, ratio, *turned)
+        expected = twins.track_acceleration(depth, motion, dynamic, met, *movers_before[:2], ratio, *turned)
         assert np.array_equal(movers[0][..., 3] > 0, expected[0][..., 3] > 0)
         assert np.array_equal(movers[1][..., 3] < 0, expected[1][..., 3] < 0)
         assert (movers[1][..., 3] > 0).mean() > 0.01

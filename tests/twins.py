@@ -276,13 +276,20 @@ def _trust(velocity, found, before):
     return lasted * (speed / size) if size > speed else lasted
 
 
+def _carried_on(found, before):
+    """The third difference goes on as at α = ½, less where it is over a quarter of the second."""
+    change, most = found - before, F(ACCELERATION.TURN_MOST) * np.linalg.norm(found)
+    size = np.linalg.norm(change)
+    return found + F(ACCELERATION.TURN) * change * (F(1) if size <= most else (most / size) ** 2)
+
+
 def track_acceleration(
     depth, motion, dynamic, met_depth, velocity_prev, acceleration_prev, ratio, to_previous, from_previous
 ):
-    """Velocity and depth, acceleration and trust of cells, (⌈H/4⌉, ⌈W/4⌉, 4) each."""
+    """Velocity and depth, acceleration and trust, what goes on of it, of cells, (⌈H/4⌉, ⌈W/4⌉, 4) each."""
     side, (height, width) = ACCELERATION.CELL, depth.shape
     cells = -(-height // side), -(-width // side)
-    velocity, acceleration = np.zeros((*cells, 4), F), np.zeros((*cells, 4), F)
+    velocity, acceleration, bend = (np.zeros((*cells, 4), F) for _ in range(3))
     acceleration[..., 3] = -1
     known = (dynamic > 0) & (met_depth > 0)
     px = centres(height, width)
@@ -316,19 +323,20 @@ def track_acceleration(
         if not weights > 0:
             continue
         found = (v - ratio * rotate(was / weights, from_previous)) * (ratio / (1 + ratio))
-        trust = F(0)
+        acceleration[y, x] = (*found, 0)
         if before_weights > 0:
-            trust = _trust(v, found, ratio * ratio * rotate(before / before_weights, from_previous))
-        acceleration[y, x] = (*found, trust)
-    return velocity, acceleration
+            before = ratio * ratio * rotate(before / before_weights, from_previous)
+            acceleration[y, x, 3] = _trust(v, found, before)
+            bend[y, x, :3] = acceleration[y, x, 3] * _carried_on(found, before)
+    return velocity, acceleration, bend
 
 
 # ---- prediction ----------------------------------------------------------------------------------------
 
 
 def predict_positions(depth, dynamic, history, order, weights, to_target, alpha=0, movers=None):
-    """(H, W, 3) float32: px in the target image, view depth (−1: nothing). `movers`: velocity and acceleration of
-    cells, where acceleration is used."""
+    """(H, W, 3) float32: px in the target image, view depth (−1: nothing). `movers`: velocity, acceleration and
+    what goes on of it, of cells, where acceleration is used."""
     px = centres(*depth.shape)
     out = reproject(px, depth, to_target)
     p0 = unproject(px, depth, to_target[4])
@@ -341,13 +349,11 @@ def predict_positions(depth, dynamic, history, order, weights, to_target, alpha=
     if movers:
         height, width = depth.shape
         side = PREDICTION.CELL
-        velocity, acceleration = (a.repeat(side, 0).repeat(side, 1)[:height, :width] for a in movers)
+        velocity, _, bend = (a.repeat(side, 0).repeat(side, 1)[:height, :width] for a in movers)
         with np.errstate(invalid="ignore"):
             near = np.abs(depth - velocity[..., 3]) <= PREDICTION.CELL_TOLERANCE * velocity[..., 3]
-        bends = (known > 0) & near & (acceleration[..., 3] > 0)
-        alpha = F(alpha)
-        step = (alpha * (alpha + F(1)) * acceleration[..., 3:]) * acceleration[..., :3]
-        predicted = np.where(bends[..., None], predicted + step, predicted)
+        step = F(alpha) * (F(alpha) + F(1)) * bend[..., :3]
+        predicted = np.where(((known > 0) & near)[..., None], predicted + step, predicted)
     target = move(predicted, to_target)
     moved = np.concatenate([project(target, to_target[5]), target[..., 2:]], -1)
     out[dynamic > 0] = moved[dynamic > 0]

@@ -17,7 +17,8 @@ _CELLS = f"level{constants('cells.h')['CELL'].bit_length() - 1}"
 
 
 class Acceleration(Stage):
-    """How movers' velocity changes, in cells of 4×4 pixels, and how far that has lasted: prediction adds what has."""
+    """How movers' velocity changes, in cells of 4×4 pixels, and how far that has lasted: prediction adds what has,
+    turned on as it turned."""
 
     name = "acceleration"
     buffers = (
@@ -41,6 +42,14 @@ class Acceleration(Stage):
             "world",
             kept=True,
         ),
+        BufferSpec(
+            "bend",
+            np.float32,
+            ("x", "y", "z", ""),
+            _CELLS,
+            "what of that acceleration goes on, as it will be: α (α + 1) of it is added to positions",
+            "world",
+        ),
     )
     kernels = (
         Kernel(
@@ -54,12 +63,16 @@ class Acceleration(Stage):
                 "velocity_prev": Access("acceleration.velocity'", "dynamic"),
                 "acceleration_prev": Access("acceleration.acceleration'", "dynamic"),
             },
-            {"velocity": "acceleration.velocity", "acceleration": "acceleration.acceleration"},
+            {
+                "velocity": "acceleration.velocity",
+                "acceleration": "acceleration.acceleration",
+                "bend": "acceleration.bend",
+            },
         ),
     )
 
     def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
-        """New device buffers by name; both are parts of one, so that all of what is kept can be lent."""
+        """New device buffers by name; both that are kept are parts of one, so that all of what is kept can be lent."""
         specs = list(specs)
         made = super().allocate(spec for spec in specs if not spec.part_of)
         for spec in specs:
@@ -76,7 +89,8 @@ class Acceleration(Stage):
         self.start = aligned(self.buffers[0].nbytes(board.sizes))  # of acceleration, in memory
         nbytes = self.start + self.buffers[1].nbytes(board.sizes)
         memory = BufferSpec("memory", np.uint8, (), "once", "of both", planes=nbytes, kept=True, scratch=True)
-        self.buffers = (*(replace(spec, part_of="memory") for spec in self.buffers), memory)
+        velocity, acceleration, bend = self.buffers
+        self.buffers = (*(replace(spec, part_of="memory") for spec in (velocity, acceleration)), bend, memory)
         super().__init__(board)
         board.lend_memory(self, "memory'", at_once=True)
 

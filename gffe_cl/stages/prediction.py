@@ -46,7 +46,7 @@ class PositionPrediction(Stage):
                 "met_depth": Access("history.met_depth", "dynamic"),
                 "history": Access("history.history", "dynamic"),
                 "velocity": Access("acceleration.velocity", "dynamic"),
-                "acceleration": Access("acceleration.acceleration", "dynamic"),
+                "bend": Access("acceleration.bend", "dynamic"),
             },
             {"target_position": "prediction.target_position"},
             step=("LANES", 1),
@@ -57,7 +57,7 @@ class PositionPrediction(Stage):
         self.bends = Acceleration.name in board.stages
         if not self.bends:  # it reads nothing of them
             (predict,) = self.kernels
-            nothing = dict.fromkeys(("velocity", "acceleration"), Access("history.history", planes=0))
+            nothing = dict.fromkeys(("velocity", "bend"), Access("history.history", planes=0))
             self.kernels = (replace(predict, reads={**predict.reads, **nothing}),)
         super().__init__(board)
 
