@@ -1,7 +1,7 @@
 """What temporal upscaling is worth on the built-in scenes: the tables of docs/upscaling.md.
 
     python docs/measure_upscaling.py                  measures, writes docs/measured/upscaling.json and the tables
-    python docs/measure_upscaling.py --only cost …    these parts only: scenes by name, cost, defects
+    python docs/measure_upscaling.py --only cost …    these parts only: scenes by name, cost, defects, pictures
     python docs/measure_upscaling.py --tables         writes the tables from the JSON that is there
 
 Scenes of a seed that the pass was not tuned with, from jittered frames of half the size and one sample per pixel; truth
@@ -16,10 +16,11 @@ import json
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
+from time import process_time
 
 import numpy as np
 from make_tables import between_markers, table
-from upscaling_defects import defect_tables, defects
+from upscaling_defects import defect_tables, defects, pictures
 
 from gffe_cl.evaluation.table.flicker import Flicker
 from gffe_cl.frame import RenderedFrame
@@ -95,33 +96,45 @@ class Measured:
 
 
 def cost(device: Device) -> dict[str, float]:
-    """Milliseconds of kernels for a rendered and a generated frame, lowest tenths, frames of both pipelines in turn:
-    upscaling, GAE in the same pipeline, and GAE whose rendered frames have the display's size."""
+    """Milliseconds of a processor core for a rendered and a generated frame, medians, which other work on the machine
+    hardly changes: with upscaling less without, and GAE whose rendered frames have the display's size. The pipelines
+    take turns from frame to frame."""
     scene, size = load_scene("corridor", SEED), TIMED_SIZE
     small, jitter = jittered_renderer(device, scene, size, SCALE)
     large = SceneFrames(SceneRenderer(device, scene, *size, 1))
     frames = SceneFrames(small, size=size, jitter=jitter)
-    options = Options(shading_correction=False)
-    ours = Pipeline(device, *size, replace(options, upscale=SCALE), render_size=(small.width, small.height))
+    options, render_size = Options(shading_correction=False), (small.width, small.height)
+    with_it, without = (
+        Pipeline(device, *size, replace(options, upscale=upscale), render_size=render_size) for upscale in (SCALE, 0)
+    )
     full, before, taken = Pipeline(device, *size, options), (None, None), defaultdict(list)
     for k in range(TIMED_FRAMES):
         time = START + k / scene.fps
         before = frames.rendered(time, before[0], k), large.rendered(time, before[1])
-        for pipeline, frame in zip((ours, full), before, strict=True):
+        for name, pipeline, frame in (
+            ("with", with_it, before[0]),
+            ("small", without, before[0]),
+            ("full", full, before[1]),
+        ):
+            device.queue.finish()
+            start = process_time()
             pipeline.submit(frame)
             pipeline.extrapolate(frames.display_camera(time + 0.5 / scene.fps), time + 0.5 / scene.fps)
-        if k > 2:
-            timings = ours.take_timings()
-            taken["upscaling"].append(timings.pop("upscaling"))
-            taken["GAE of small frames"].append(sum(timings.values()))
-            taken["GAE of the display's size"].append(sum(full.take_timings().values()))
-    return {name: float(np.percentile(values, 10)) for name, values in taken.items()}
+            device.queue.finish()
+            if k >= COUNTED_FROM:
+                taken[name].append(1e3 * (process_time() - start))
+    small_cost, full_cost = (float(np.median(taken[name])) for name in ("small", "full"))
+    upscaling = float(np.median(np.subtract(taken["with"], taken["small"])))
+    return {"upscaling": upscaling, "GAE of small frames": small_cost, "GAE of the display's size": full_cost}
 
 
 def measure(only: list[str]) -> None:
     """Measure parts, and keep each as soon as it is there."""
     device = open_device(None)
-    for name in only or (*SCENES, "cost", "defects"):
+    for name in only or (*SCENES, "cost", "defects", "pictures"):
+        if name == "pictures":
+            pictures(device)
+            continue
         found = (
             cost(device) if name == "cost" else defects(device) if name == "defects" else Measured(device, name).run()
         )
@@ -154,7 +167,7 @@ def tables(measured: dict) -> dict[str, str]:
         "generated": table(
             ("scene", "GAE alone", "upscaled", "true depth and motion", "lost to these, dB", "flicker, %"), generated
         ),
-        "cost": table(("milliseconds", f"{'×'.join(map(str, measured['timed']))}, {measured['device']}"), costs),
+        "cost": table(("milliseconds of a core", f"{SIZE[0]}×{SIZE[1]}, {measured['device']}"), costs),
         **defect_tables(measured["defects"]),
     }  # fmt: skip
 
@@ -166,7 +179,7 @@ def _mean(scenes: list[dict]) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tables", action="store_true", help="from the JSON that is there")
-    parser.add_argument("--only", nargs="*", default=[], metavar="PART", help="scenes by name, cost, defects")
+    parser.add_argument("--only", nargs="*", default=[], metavar="PART", help="scenes by name, cost, defects, pictures")
     asked = parser.parse_args()
     if not asked.tables:
         measure(asked.only)

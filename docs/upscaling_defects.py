@@ -19,12 +19,13 @@ from gffe_cl.metrics import display_values
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.scenes import SCENES, SceneFrames, load_scene
+from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
 from gffe_cl.source import jittered_renderer
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from synthetic import Rect, Rects, camera
 
+DOCS = Path(__file__).parent
 W, H, SCALE, FPS = 192, 128, 2, 30
 SEED = 1
 JITTER = Jitter(16)
@@ -32,7 +33,9 @@ SHIMMER_SIZE, SETTLED, SEEN = (240, 136), 24, 16
 FAR, NEAR = 12, 6  # metres to the wall, and to what is before it
 GREY = Rect((0, 0, FAR), (40, 40), frequency=0, tint=(0.2,) * 3)
 AFTER = 6  # frames
-FLAT = 1.0e-3
+FLAT = 1e-3
+PICTURED_SIZE, CROP, ENLARGED = (480, 270), (80, 54), 4
+PICTURES = {"teeth": ("factory", 240, 90), "thin": ("gallery", 240, 90), "shadows": ("courtyard", 170, 176)}
 
 
 def pipeline_of(device: Device, size: tuple[int, int], upscale: float = SCALE) -> Pipeline:
@@ -145,6 +148,28 @@ def defect_tables(found: dict) -> dict[str, str]:
         "shimmer": table(("scene", "bicubic", "upscaled", "less"), shimmers),
         "bars": table(("width", "upscaled, mean", "upscaled, least", "bicubic, least"), bars_of),
     }
+
+
+def pictures(device: Device) -> None:
+    """Rendered frames of `PICTURES`: resampled, upscaled and true, side by side and enlarged."""
+    from PIL import Image
+
+    for name, (scene_name, x, y) in PICTURES.items():
+        scene = load_scene(scene_name, SEED)
+        small, jitter = jittered_renderer(device, scene, PICTURED_SIZE, SCALE)
+        truths = SceneRenderer(device, scene, *PICTURED_SIZE, 8)
+        made = SceneFrames(small, size=PICTURED_SIZE, jitter=jitter, truths=truths)
+        pipelines = [pipeline_of(device, PICTURED_SIZE, upscale) for upscale in (0, SCALE)]
+        for pipeline in pipelines:
+            pipeline.exposure = scene.exposure
+        for frame in made.sequence(11, scene.fps, 1.0):
+            for pipeline in pipelines:
+                pipeline.submit(frame)
+        truth = display_values(made.truth(frame.time).read("color")[..., :3], scene.exposure)
+        shown = [*(_shown(pipeline, scene.exposure) for pipeline in pipelines), truth]
+        crops = [image[y : y + CROP[1], x : x + CROP[0]].repeat(ENLARGED, 0).repeat(ENLARGED, 1) for image in shown]
+        image = Image.fromarray((255 * np.concatenate(crops, 1) + 0.5).astype(np.uint8))
+        image.save(DOCS / "pictures" / f"upscaling_{name}.jpg", quality=88)
 
 
 def _grown(mask: np.ndarray, by: int = 2) -> np.ndarray:
