@@ -246,7 +246,7 @@ def test_steps_that_cannot_be_done(tmp_path, command, argument, told):
     session = Session(tiny_sequence.write(tmp_path / "in"))
     try:
         with pytest.raises(GffeError, match=re.escape(told)):
-            app = SimpleNamespace(model=session.model, actions=Actions(), panel_names=("Picture",))
+            app = SimpleNamespace(model=session.model, actions=Actions(), docks=SimpleNamespace(names=("Picture",)))
             perform(app, command, argument)
     finally:
         session.model.close()
