@@ -43,7 +43,7 @@ _PANELS = {
     "Inspector": (inspector.draw, "RightBottom"),
     "Regions": (regions.draw, "RightBottom"),
     "Timings": (timings.draw, "RightBottom"),
-    "Kernels": (kernels.draw, "Right"),
+    "Kernels": (kernels.draw, "RightBottom"),
     "Doctor": (doctor.draw, "Right"),
     "Plot": (plot.draw, "Above"),
     "Timeline": (timeline.draw, "Bottom"),

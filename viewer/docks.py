@@ -17,6 +17,8 @@ _HIGHEST = 0.4  # of the height: timeline and plot
 _SIDES = (264.0, 348.0)  # pixels left and right of the picture, at the usual size of letters ...
 _WIDEST = (0.22, 0.28)  # ... but not more of the width
 _LOWER_RIGHT = 0.5  # of the height on the right
+_FLAGS = imgui.internal.DockNodeFlagsPrivate_
+_PLAIN_TABS = _FLAGS.no_window_menu_button.value | _FLAGS.no_close_button.value  # tabs have their own
 
 
 class Docks:
@@ -46,6 +48,7 @@ class Docks:
     def arrange(self, runner: hello_imgui.RunnerParams, size: tuple[int, int], open_panels: dict[str, bool]) -> None:
         """In a window of `size` pixels, before it is opened; `open_panels` says what is not as usual."""
         docking = hello_imgui.DockingParams()
+        docking.main_dock_space_node_flags |= _PLAIN_TABS
         bottom = min(_TIMELINE_HEIGHT * self._scale() / size[1], _HIGHEST)
         above = min(_PLOT_HEIGHT * self._scale() / size[1] / (1 - bottom), _HIGHEST)
         left, right = (min(side * self._scale() / size[0], most) for side, most in zip(_SIDES, _WIDEST, strict=True))
