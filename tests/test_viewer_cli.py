@@ -239,6 +239,8 @@ def test_scripts_that_are_none(tmp_path, text, told):
         ("split", "2", "split must be 0 to 1"),
         ("steer", "1,2", "expected steer RIGHT,UP,FORWARD,YAW,PITCH"),
         ("steer", "0,0,1,20,0", "the camera does not fly"),
+        ("layer", "finall", "no layer is called 'finall' (nearest: final,"),
+        ("layer", "rendered depth", "(nearest: rendered.depth,"),
         ("panel", "Nonsense", "no panel is called 'Nonsense' (there are: Picture)"),
     ],
 )

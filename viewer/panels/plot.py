@@ -1,4 +1,4 @@
-"""Plot over the timeline: what every generated frame is worth, for A and B; clicked, it goes there."""
+"""Plot under the picture: what every generated frame is worth, for A and B; clicked, it goes there."""
 
 from __future__ import annotations
 
