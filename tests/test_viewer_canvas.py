@@ -380,6 +380,13 @@ def test_split(canvas, pair, split):
     close(made[:, np.abs(from_line) < 1], 1)
 
 
+@pytest.mark.parametrize("split", [0.31, 0.5])
+def test_line_of_a_split_is_as_wide_as_it_shall_be(canvas, pair, split):
+    made = drawn(canvas, replace(pair[0], compare="split", split=split, line=4.0), (24, 18))
+    white = np.flatnonzero((made == 1).all((0, 2)))
+    assert white.size == 4 and abs(white.mean() + 0.5 - split * 24) <= 0.5
+
+
 def test_split_compares_layers_of_any_kind_and_size(canvas, pair):
     view, a, _ = pair
     canvas.upload("l", np.full((2, 3), 3, np.uint8), LABEL)

@@ -239,6 +239,8 @@ def test_scripts_that_are_none(tmp_path, text, told):
         ("split", "2", "split must be 0 to 1"),
         ("steer", "1,2", "expected steer RIGHT,UP,FORWARD,YAW,PITCH"),
         ("steer", "0,0,1,20,0", "the camera does not fly"),
+        ("layer", "finall", "no layer is called 'finall' (nearest: final,"),
+        ("layer", "rendered depth", "(nearest: rendered.depth,"),
         ("panel", "Nonsense", "no panel is called 'Nonsense' (there are: Picture)"),
     ],
 )
@@ -246,7 +248,7 @@ def test_steps_that_cannot_be_done(tmp_path, command, argument, told):
     session = Session(tiny_sequence.write(tmp_path / "in"))
     try:
         with pytest.raises(GffeError, match=re.escape(told)):
-            app = SimpleNamespace(model=session.model, actions=Actions(), panel_names=("Picture",))
+            app = SimpleNamespace(model=session.model, actions=Actions(), docks=SimpleNamespace(names=("Picture",)))
             perform(app, command, argument)
     finally:
         session.model.close()

@@ -55,22 +55,22 @@ def appearance(gui: Gui):
     values["letters"].append(letters())
     app.model.settings.ui_scale = 0.0
     widths = [gui.area()[2]]
-    app.toggle_panel("Kernels")
+    app.docks.toggle("Kernels")
     gui.key(KEY.b, CTRL)
     gui.frames(4)
     widths.append(gui.area()[2])
-    values["layers when hidden"] = app.panel("Layers").is_visible
+    values["layers when hidden"] = app.docks.panel("Layers").is_visible
     gui.shot("panels hidden")
     gui.key(KEY.b, CTRL)
     gui.frames(4)
     widths.append(gui.area()[2])
     values["widths"] = widths
-    values["kernels stay closed"] = not app.panel("Kernels").is_visible
-    app.toggle_panel("Layers")
+    values["kernels stay closed"] = not app.docks.panel("Kernels").is_visible
+    app.docks.toggle("Layers")
     gui.frames(3)
     app.actions.run("layout")
     gui.frames(4)
-    closed = [name for name in app.panel_names if not app.panel(name).is_visible]
+    closed = [name for name in app.docks.names if not app.docks.panel(name).is_visible]
     values["default arrangement"] = {"width": gui.area()[2], "closed": closed}
 
 
@@ -298,7 +298,7 @@ def frame_rate(gui: Gui):
     model.set_measuring(False)
     for name in ("Compare", "Timings"):
         gui.ctx.window_focus(f"//{name}")
-    values["open"] = [name for name in gui.app.panel_names if gui.app.panel(name).is_visible]
+    values["open"] = [name for name in gui.app.docks.names if gui.app.docks.panel(name).is_visible]
     window = gui.on_screen(glfw_utils.glfw_window_hello_imgui)
     for size in ((1280, 720), (1600, 900)):
         gui.on_screen(lambda size=size: glfw.set_window_size(window, *size))
@@ -345,7 +345,7 @@ def leave_while_working(gui: Gui) -> None:
     model.view.b = "frame.motion"
     gui.key(KEY.w)
     model.view.split = 0.25
-    app.toggle_panel("Timings")
+    app.docks.toggle("Timings")
     window = gui.on_screen(glfw_utils.glfw_window_hello_imgui)
     gui.on_screen(lambda: glfw.set_window_size(window, 1100, 700))
     model.plan = ScenePlan(1920, 1080, 0)
@@ -386,6 +386,6 @@ def found_again(gui: Gui) -> None:
         ),
         "playback": model.playback.preferences(),
         "compare": (model.view.compare, model.view.b, model.view.split),
-        "panels": {name: app.panel(name).is_visible for name in app.panel_names},
+        "panels": {name: app.docks.panel(name).is_visible for name in app.docks.names},
         "window": tuple(imgui.get_io().display_size),
     }

@@ -187,7 +187,7 @@ def doctor(gui: Gui):
     column = gui.window()[top : top + height, left + round(width * 3 / model.playback.count)].astype(int)
     values["marked"] = float((np.abs(column - np.multiply(DOUBT[:3], 255)).max(-1) < 12).mean())
     gui.key(KEY.escape)
-    gui.app.toggle_panel("Doctor")
+    gui.app.docks.toggle("Doctor")
     gui.open(gui.sequences / "small")
 
 
@@ -197,7 +197,7 @@ def kernel_timings(gui: Gui):
     model, values = gui.model, gui.values
     gui.ctx.window_focus("//Timings")
     gui.frames(3)
-    gui.app.panel("Inspector").is_visible = False
+    gui.app.docks.panel("Inspector").is_visible = False
     gui.click("//Timings/###bandwidth")
     gui.wait(lambda: model.engine.bandwidth and model.engine.traffic, "bandwidth and traffic")
     values["must move"] = {stage: sum(kernels.values()) for stage, kernels in model.engine.traffic.items()}
@@ -208,7 +208,7 @@ def kernel_timings(gui: Gui):
     gui.frames(3)
     values["drawn"] = float((gui.window() != before).any(-1).mean())
     gui.shot("kernel_timings")
-    gui.app.panel("Inspector").is_visible = True
+    gui.app.docks.panel("Inspector").is_visible = True
 
 
 @case

@@ -124,7 +124,7 @@ def finding_frames(gui: Gui):
     values["clicked"] = model.slot
     model.survey.on = False
     survey.quantity = "psnr"
-    gui.app.panel("Plot").is_visible = False
+    gui.app.docks.panel("Plot").is_visible = False
     gui.frames(3)
 
 

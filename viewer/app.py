@@ -5,15 +5,15 @@ from __future__ import annotations
 import shutil
 import sys
 import time
-import traceback
 from pathlib import Path
 
 import numpy as np
-from imgui_bundle import ImVec2, hello_imgui, imgui, immapp, implot  # before glfw
+from imgui_bundle import hello_imgui, imgui, immapp, implot  # before glfw
 from imgui_bundle import portable_file_dialogs as dialogs
 
 from gffe_cl.viewer import commands, keys
 from gffe_cl.viewer.actions import Actions
+from gffe_cl.viewer.docks import Docks
 from gffe_cl.viewer.panels import (
     compare,
     doctor,
@@ -27,7 +27,6 @@ from gffe_cl.viewer.panels import (
     theme,
     timeline,
     timings,
-    widgets,
     windows,
 )
 from gffe_cl.viewer.panels.palette import Palette
@@ -35,7 +34,7 @@ from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.settings import can_save
 
 _TITLE = "gffe-cl"
-_LAYOUT_VERSION = 3
+_LAYOUT_VERSION = 4
 _PANELS = {
     "Picture": (picture.draw, "MainDockSpace"),
     "Layers": (layer_list.draw, "Left"),
@@ -45,35 +44,17 @@ _PANELS = {
     "Regions": (regions.draw, "RightBottom"),
     "Timings": (timings.draw, "RightBottom"),
     "Kernels": (kernels.draw, "RightBottom"),
-    "Doctor": (doctor.draw, "RightBottom"),
+    "Doctor": (doctor.draw, "Right"),
     "Plot": (plot.draw, "Above"),
     "Timeline": (timeline.draw, "Bottom"),
 }
-_HIDDEN = ("Plot", "Doctor")  # until they are asked for
-SIDE_PANELS = tuple(
-    name for name in _PANELS if name not in ("Picture", "Plot", "Timeline")
-)  # those that are hidden together
-_TIMELINE_HEIGHT = 110.0  # pixels at the usual size of letters
-_PLOT_HEIGHT = 170.0
 _LEAST_SCALE, _LARGEST_SCALE = 0.6, 3.0
-_SIDES = (320.0, 464.0)  # pixels left and right of the picture, at the usual size of letters ...
-_WIDEST = (0.24, 0.33)  # ... but not more of the width
-_LOWER_RIGHT = 0.4  # of the height on the right
 
 
 def has_dialogs() -> bool:
     """Whether the system has a dialog for folders that can be opened."""
     programs = ("zenity", "kdialog", "matedialog", "qarma")
     return not sys.platform.startswith("linux") or any(map(shutil.which, programs))
-
-
-def _dock_nodes(name: str) -> list:
-    """Where a window is docked, from its own node to the root; empty if it floats or is not there."""
-    window = imgui.internal.find_window_by_name(name)
-    nodes = [window.dock_node if window is not None else None]
-    while nodes[-1] is not None:
-        nodes.append(nodes[-1].parent_node)
-    return nodes[:-1]
 
 
 class App:
@@ -86,14 +67,12 @@ class App:
         self.model = model
         self.on_frame = on_frame
         self.canvas = None  # made when there is a GL context
-        self.panels_hidden = False
-        self._before_hiding: list[str] = []
         self._themed: tuple[str, float] | None = None  # theme and scale that are applied
         self.clock = time.perf_counter  # what playback goes by
         self.steering = None  # of a script, instead of keys and mouse
         self._captures: list = []  # who wants the pixels of the window
         self.actions = Actions()
-        self.panel_names = tuple(_PANELS)
+        self.docks = Docks(self, _PANELS, lambda: self.scale)
         self.palette = Palette()
         commands.register(self)
         self._dropped: list[str] = []
@@ -103,12 +82,10 @@ class App:
         self.path_text: str | None = None  # of "open by path" while it is open
         self._params: hello_imgui.RunnerParams | None = None
         self.row_seen = ""  # of the list of layers: it was scrolled to this one
-        self._stretched: dict[str, tuple[float, float]] = {}  # sizes of docks that were set: now and at scale 1
         self.canvas_size = (0, 0)  # screen pixels
+        self.foot: tuple[float, float] | None = None  # of the picture: the middle of its lower edge, screen pixels
         self._drawn = self._texture = self._tiles = None
         self._all_there = True  # when the overview was drawn
-        self._plot_due = False
-        self._to_front: str | None = None  # the panel that is brought there
         self._told: tuple = (None, None)  # the pixel and the rectangle that the inspector tells of
         self.inspected: tuple = (None, [])  # an inspection, and its rows in the inspector
         self._layers_known: list = []  # those that have actions
@@ -139,7 +116,7 @@ class App:
         params.ini_disable = test is not None or not can_save()
         params.ini_folder_type = hello_imgui.IniFolderType.app_user_config_folder
         params.ini_filename = f"gffe-cl/layout{_LAYOUT_VERSION}.ini"
-        params.docking_params = self._docking(size)
+        self.docks.arrange(params, size, self.model.settings.panels)
         callbacks = params.callbacks
         callbacks.default_icon_font = hello_imgui.DefaultIconFont.font_awesome6
         callbacks.post_init = self._post_init
@@ -172,45 +149,6 @@ class App:
         if self._params is not None:
             self._params.app_shall_exit = True
 
-    def _docking(self, size: tuple[int, int]) -> hello_imgui.DockingParams:
-        docking = hello_imgui.DockingParams()
-        bottom = min(_TIMELINE_HEIGHT * self.scale / size[1], 0.4)
-        above = min(_PLOT_HEIGHT * self.scale / size[1] / (1 - bottom), 0.4)
-        left, right = (min(side * self.scale / size[0], most) for side, most in zip(_SIDES, _WIDEST, strict=True))
-        docking.docking_splits = [
-            hello_imgui.DockingSplit("MainDockSpace", "Bottom", imgui.Dir.down, bottom),
-            hello_imgui.DockingSplit("MainDockSpace", "Above", imgui.Dir.down, above),
-            hello_imgui.DockingSplit("MainDockSpace", "Left", imgui.Dir.left, left),
-            hello_imgui.DockingSplit("MainDockSpace", "Right", imgui.Dir.right, right / (1 - left)),
-            hello_imgui.DockingSplit("Right", "RightBottom", imgui.Dir.down, _LOWER_RIGHT),
-        ]
-        docking.dockable_windows = [self._panel(name, *panel) for name, panel in _PANELS.items()]
-        return docking
-
-    def _panel(self, name: str, draw, space: str) -> hello_imgui.DockableWindow:
-        window = hello_imgui.DockableWindow(name, space, can_be_closed_=name != "Picture")
-        window.is_visible = self.model.settings.panels.get(name, name not in _HIDDEN)
-        window.remember_is_visible = False  # the settings do
-        window.call_begin_end, docked = False, True
-
-        def draw_it():
-            nonlocal docked
-            if not docked:
-                widgets.floating()
-            unfolded, stays = imgui.begin(name, window.is_visible if window.can_be_closed else None)
-            docked = imgui.is_window_docked()
-            if unfolded:
-                try:
-                    draw(self)
-                except Exception:
-                    traceback.print_exc()  # ImGui, in the middle of something, will end the program
-                    raise
-            imgui.end()
-            window.is_visible = stays is not False
-
-        window.gui_function = draw_it
-        return window
-
     @property
     def scale(self) -> float:
         """Size of the interface; 1 is what suits the screen."""
@@ -220,87 +158,23 @@ class App:
         self.model.settings.ui_scale = self.scale * factor
         self.model.settings.ui_scale = self.scale
 
-    def _stretch_docks(self, before: float, after: float) -> None:
-        """Give the panels around the picture more or less room, for larger or smaller letters."""
-        width, height = imgui.get_io().display_size
-        around = {node.id_ for node in _dock_nodes("Picture")}
-        sizes = ("Layers", _WIDEST[0] * width), ("Modules", _WIDEST[1] * width), ("Timeline", 0.4 * height)
-        for name, most in sizes:
-            beside = [node for node in _dock_nodes(name) if node.id_ not in around]
-            if not beside:
-                continue
-            node, down = beside[-1], name == "Timeline"
-            now = node.size.y if down else node.size.x
-            made, usual = self._stretched.get(name, (0.0, 0.0))
-            if abs(now - made) > 2:  # the user chose another size
-                usual = now / before
-            made = min(usual * after, most)
-            self._stretched[name] = made, usual
-            size = ImVec2(node.size.x, made) if down else ImVec2(made, node.size.y)
-            imgui.internal.dock_builder_set_node_size(node.id_, size)
-
-    def panel(self, name: str) -> hello_imgui.DockableWindow:
-        return next(window for window in self._params.docking_params.dockable_windows if window.label == name)
-
-    def toggle_panel(self, name: str) -> None:
-        window = self.panel(name)
-        window.is_visible = not window.is_visible
-        self.panels_hidden = False
-
-    def show_panel(self, name: str) -> None:
-        """Have a panel there, in front of those that are docked with it."""
-        self.panel(name).is_visible = True
-        self._to_front = name
-
     def show_survey(self, on: bool) -> None:
         """Measure every generated frame, and show the plot of it; off: no more frames are measured."""
         self.model.survey.on = on
         if on:
-            self._show_plot()
-
-    def _show_plot(self) -> None:
-        self.panel("Plot").is_visible = True
-        self._plot_due = True
-
-    def _bring_to_front(self) -> None:
-        """Once it is there: its tab before the others, the keyboard stays where it is unless it is at one of them."""
-        nodes = _dock_nodes(self._to_front) if self._to_front else []
-        if not nodes or nodes[0].tab_bar is None:
-            return
-        at = imgui.get_current_context().nav_window
-        if at is not None and at.root_window.dock_node is not None and at.root_window.dock_node.id_ == nodes[0].id_:
-            imgui.set_window_focus(self._to_front)
-        nodes[0].tab_bar.next_selected_tab_id = imgui.internal.find_window_by_name(self._to_front).tab_id
-        self._to_front = None
-
-    def _make_room_for_plot(self) -> None:
-        """Once it is there: as high as it has to be at this size of letters."""
-        nodes = _dock_nodes("Plot")
-        if self._plot_due and nodes:
-            height = min(_PLOT_HEIGHT * self.scale, 0.4 * imgui.get_io().display_size.y)
-            if nodes[0].size.y < height:
-                imgui.internal.dock_builder_set_node_size(nodes[0].id_, ImVec2(nodes[0].size.x, height))
-            self._plot_due = False
+            self.docks.show("Plot")
 
     def switch_regions(self) -> None:
         """Regions of errors over the picture, with the panel that says which is which; or off."""
         regions = self.model.regions
         regions.switch(not regions.on)
         if regions.on:
-            self.show_panel("Regions")
+            self.docks.show("Regions")
 
     def find(self, find) -> None:
         """Go to a frame of the survey."""
-        self._show_plot()
+        self.docks.show("Plot")
         self.model.go_to(find)
-
-    def hide_panels(self) -> None:
-        """Leave the picture and the timeline alone, and bring back what was there."""
-        self.panels_hidden = not self.panels_hidden
-        if self.panels_hidden:
-            self._before_hiding = [name for name in SIDE_PANELS if self.panel(name).is_visible]
-        for name in self._before_hiding or SIDE_PANELS:
-            self.panel(name).is_visible = not self.panels_hidden
 
     def _post_init(self) -> None:
         import glfw
@@ -318,19 +192,18 @@ class App:
         model = self.model
         if self._themed != (model.settings.theme, self.scale):
             if self._themed is not None:
-                self._stretch_docks(self._themed[1], self.scale)
+                self.docks.stretch(self._themed[1], self.scale)
             self._themed = model.settings.theme, self.scale
             theme.apply(*self._themed)
-        self._make_room_for_plot()
-        self._bring_to_front()
+        self.docks.update()
         model.update(self.clock(), self.canvas)
         if model.contents.layers is not self._layers_known:
             self._layers_known = model.contents.layers
             commands.register_layers(self)
         model.fly(self.steering if self.steering and model.flying else keys.flight(model), self.clock())
         told = model.pointing.picked, model.selection.rectangle if self.drags == "nothing" else self._told[1]
-        if told != self._told and told != (None, None) and self.panel("Inspector").is_visible:
-            self._to_front = "Inspector"
+        if told != self._told and told != (None, None) and self.docks.panel("Inspector").is_visible:
+            self.docks.show("Inspector")
         self._told = told
         at_work = model.playback.playing or model.flying or model.engine.busy or not model.comparison.ready
         at_work |= model.survey.busy or not model.regions.ready
@@ -340,18 +213,9 @@ class App:
         import glfw
         from imgui_bundle import glfw_utils
 
-        shown = {name: self.panel(name).is_visible for name in _PANELS}
-        if self.panels_hidden:
-            shown |= dict.fromkeys(self._before_hiding, True)
-        self.model.settings.panels = shown
+        self.model.settings.panels = self.docks.remembered
         self.model.remember(glfw.get_window_size(glfw_utils.glfw_window_hello_imgui()))
         self.model.close()
-
-    def default_layout(self) -> None:
-        for name in _PANELS:
-            self.panel(name).is_visible = name not in _HIDDEN
-        self.panels_hidden = False
-        self._params.docking_params.layout_reset = True
 
     def drawn(self, view, size: tuple[int, int]):
         """Texture of the canvas, drawn anew only if something changed."""
@@ -396,7 +260,7 @@ class App:
     def examine(self) -> None:
         """Have the doctor look at the sequence, and show what it says."""
         self.model.examine()
-        self.show_panel("Doctor")
+        self.docks.show("Doctor")
 
     def open_dialog(self) -> None:
         """The system's folder dialog where there is one, else a field for the path."""

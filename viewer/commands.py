@@ -112,11 +112,11 @@ def register(app) -> None:
     add("theme", "Light theme", "Tools", "Ctrl+T", lambda: _theme(app), checked=lambda: model.settings.theme == "light")
     add("larger", "Larger interface", "Tools", "Ctrl+=", lambda: app.scale_by(1.1))
     add("smaller", "Smaller interface", "Tools", "Ctrl+-", lambda: app.scale_by(1 / 1.1))
-    add("panels", "Hide panels", "Panels", "Ctrl+B", app.hide_panels, checked=lambda: app.panels_hidden)
-    for name in app.panel_names:
-        add(f"panel {name}", name, "Panels", "", partial(app.toggle_panel, name),
-            checked=lambda name=name: app.panel(name).is_visible)  # fmt: skip
-    add("layout", "Default arrangement", "Panels", "", app.default_layout)
+    add("panels", "Hide panels", "Panels", "Ctrl+B", app.docks.hide, checked=lambda: app.docks.hidden)
+    for name in app.docks.names:
+        add(f"panel {name}", name, "Panels", "", partial(app.docks.toggle, name),
+            checked=lambda name=name: app.docks.panel(name).is_visible)  # fmt: skip
+    add("layout", "Default arrangement", "Panels", "", app.docks.reset)
 
     add("help", "Keys and help", "Help", "?", lambda: setattr(app, "help_open", not app.help_open))
 

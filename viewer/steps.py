@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 
 from gffe_cl.errors import GffeError
@@ -27,6 +28,9 @@ COMMANDS = {
     "wait": "wait SECONDS: let it play, or be looked at; wait done: until nothing is measured or examined any more",
     "shot": "shot FILE.png: a picture of the window",
 }
+
+
+_NEAR = 3  # names that are told where one is unknown
 
 
 @dataclass(frozen=True)
@@ -84,12 +88,21 @@ def found_layer(model, name: str) -> str:
     """Full name of a layer that can be shown. Raises GffeError."""
     found = model.contents.find(name)
     if found is None:
-        names = ", ".join(spec.name for spec in model.contents.layers)
-        raise GffeError(f"no layer is called '{name}' (there are: {names})")
+        raise GffeError(f"no layer is called '{name}' (nearest: {', '.join(_nearest(model, name))})")
     reason = model.contents.why_not(found)
     if reason:
         raise GffeError(f"layer '{found}': {reason}")
     return found
+
+
+def _nearest(model, text: str) -> list[str]:
+    """Names of layers that are meant perhaps, best first."""
+    known: dict[str, str] = {}  # full names by what somebody may write
+    for spec in model.contents.layers:
+        for written in (spec.name, spec.name.partition(".")[2], spec.label.lower()):
+            known.setdefault(written, spec.name)
+    found = get_close_matches(text.lower(), [written for written in known if written], 2 * _NEAR, cutoff=0.0)
+    return list(dict.fromkeys(known[written] for written in found))[:_NEAR]
 
 
 def _compare(app, argument: str) -> None:
@@ -158,9 +171,9 @@ def _run(app, wanted: str) -> None:
 
 
 def _panel(app, argument: str) -> None:
-    if argument not in app.panel_names:
-        raise GffeError(f"no panel is called '{argument}' (there are: {', '.join(app.panel_names)})")
-    app.show_panel(argument)
+    if argument not in app.docks.names:
+        raise GffeError(f"no panel is called '{argument}' (there are: {', '.join(app.docks.names)})")
+    app.docks.show(argument)
 
 
 def _palette(app, argument: str) -> None:

@@ -14,7 +14,8 @@ from gffe_cl.viewer.state.kept import told
 
 _ZOOM_STEP = 1.2
 _DRAG = 4.0  # screen pixels: less is a click
-_GRIP = 10.0  # screen pixels on both sides of the wipe's line
+_LINE = 2.0  # screen pixels at the usual size of letters: the wipe's line ...
+_GRIP = 10.0  # ... and on both sides of it, where it is taken hold of
 _NUMBERS = 64.0  # zoom from which values are written into the pixels ...
 _VALUES = 3  # ... so many of each
 _ARROW_SPACING = 24.0  # screen pixels
@@ -30,6 +31,7 @@ def draw(app) -> None:
     size = imgui.get_content_region_avail()
     width, height = max(int(size.x), 16), max(int(size.y), 16)
     origin = imgui.get_cursor_screen_pos()
+    app.foot = origin.x + width / 2, origin.y + height
     if model.contents.result is None and model.preview is not None:
         _preview(app, origin, (width, height))
         return
@@ -42,7 +44,9 @@ def draw(app) -> None:
     if model.overview:
         overview.draw(app, (width, height))
         return
-    texture = app.drawn(model.comparison.shown(), (width, height))
+    view = model.comparison.shown()
+    view.line = _LINE * _unit()
+    texture = app.drawn(view, (width, height))
     imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(width, height))
     imgui.set_cursor_screen_pos(origin)
     imgui.invisible_button("###picture", ImVec2(width, height), imgui.ButtonFlags_.mouse_button_left.value
@@ -114,7 +118,7 @@ def _mouse(app, place) -> None:
         after = place.to_display(at)
         view.centre = (view.centre[0] + before[0] - after[0], view.centre[1] + before[1] - after[1])
     line = place.origin.x + view.split * place.size[0]
-    on_line = view.compare == "split" and not model.comparison.flipped and abs(at.x - line) < _GRIP
+    on_line = view.compare == "split" and not model.comparison.flipped and abs(at.x - line) < _GRIP * _unit()
     if (hovered and on_line and not imgui.is_item_active()) or app.drags == "line":
         imgui.set_mouse_cursor(imgui.MouseCursor_.resize_ew.value)
     if imgui.is_item_activated():

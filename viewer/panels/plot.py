@@ -1,4 +1,4 @@
-"""Plot over the timeline: what every generated frame is worth, for A and B; clicked, it goes there."""
+"""Plot under the picture: what every generated frame is worth, for A and B; clicked, it goes there."""
 
 from __future__ import annotations
 
@@ -38,6 +38,9 @@ def _plot(model, survey) -> None:
     marks = range(0, slots, _step(slots, imgui.get_content_region_avail().x / hello_imgui.em_size(4)))
     implot.setup_axis_ticks(implot.ImAxis_.x1, [slot + 0.5 for slot in marks], [str(slot) for slot in marks])
     curves = []
+    for label, side, color in (("A", survey.a, _A), ("B", survey.b, _B)):  # the order of the legend
+        if survey.curve(side)[0].size:
+            implot.plot_dummy(label, spec=_spec(color, 2.5, False))
     for label, side, color, weight in (("B", survey.b, _B, 3.5), ("A", survey.a, _A, 1.5)):  # A over B: both are seen
         xs, ys = survey.curve(side)
         if xs.size:
@@ -72,7 +75,8 @@ def _controls(app) -> None:
         imgui.same_line()
         widgets.action_button(app.actions, name, icon)
     imgui.same_line()
-    imgui.text(_state(model))
+    text = _state(model)
+    imgui.text(widgets.shortened(text, imgui.get_content_region_avail().x) if text else "")
 
 
 def _state(model) -> str:
@@ -91,11 +95,15 @@ def _state(model) -> str:
 
 
 def _curve(label: str, xs: np.ndarray, ys: np.ndarray, color, weight: float, marked: bool) -> None:
+    implot.plot_line(label, xs + 0.5, ys, spec=_spec(color, weight, marked))
+
+
+def _spec(color, weight: float, marked: bool):
     spec = implot.Spec()
     spec.line_color, spec.line_weight = color, weight
     if marked:
         spec.marker, spec.marker_size, spec.marker_fill_color = implot.Marker_.circle.value, 1 + weight / 2, color
-    implot.plot_line(label, xs + 0.5, ys, spec=spec)
+    return spec
 
 
 def _hovered(model, curves, quantity) -> None:

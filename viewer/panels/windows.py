@@ -11,7 +11,7 @@ from gffe_cl.viewer.panels import widgets
 
 _HELP_COLUMNS = 3
 _MESSAGE_SECONDS = 8.0
-_ABOVE_FOOT = 5.2  # em: messages stand beside the timeline's buttons, where they cover nothing
+_ABOVE_FOOT = 2.2  # em: messages stand above what is written at the foot of the picture
 
 
 def help_window(app) -> None:
@@ -77,21 +77,17 @@ def path_window(app) -> None:
 
 
 def messages(app) -> None:
-    """What went wrong or was finished lately, in the lower right corner."""
+    """What went wrong or was finished lately, at the foot of the picture."""
     now = app.clock()
     for message in app.model.messages:
         message.since = now if message.since is None else message.since
     shown = [message for message in app.model.messages if now - message.since < _MESSAGE_SECONDS]
     if not shown:
         return
-    viewport = imgui.get_main_viewport()
-    corner = (
-        viewport.pos.x + viewport.size.x - 16,
-        viewport.pos.y + viewport.size.y - hello_imgui.em_size(_ABOVE_FOOT),
-    )
-    imgui.set_next_window_pos(corner, imgui.Cond_.always.value, (1.0, 1.0))
+    x, y = app.foot or imgui.get_main_viewport().get_center()
+    imgui.set_next_window_pos((x, y - hello_imgui.em_size(_ABOVE_FOOT)), imgui.Cond_.always.value, (0.5, 1.0))
     flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
-    flags |= imgui.WindowFlags_.no_focus_on_appearing | imgui.WindowFlags_.no_nav
+    flags |= imgui.WindowFlags_.no_focus_on_appearing | imgui.WindowFlags_.no_nav | imgui.WindowFlags_.no_inputs
     widgets.floating()
     imgui.begin("###messages", None, int(flags))
     imgui.push_text_wrap_pos(hello_imgui.em_size(36))

@@ -246,12 +246,11 @@ class Canvas:
             mixed = b if view.compare in _MIXING else (None, None)
             self._draw_part(view, (a, mixed), (left, top, right, bottom), corner, framebuffer)
             return
-        line = view.split * size[0]
-        middle = min(max(math.ceil(line - 0.5), left), right)
+        line, width = round(view.split * size[0]), max(round(view.line), 1)
+        middle = min(max(line, left), right)
         self._draw_part(view, (a, (None, None)), (left, top, middle, bottom), corner, framebuffer)
         self._draw_part(view, (b, (None, None)), (middle, top, right, bottom), corner, framebuffer)
-        first = max(math.floor(line - 0.5 - view.line / 2) + 1, 0)
-        last = min(math.ceil(line - 0.5 + view.line / 2), size[0])
+        first, last = max(line - width // 2, 0), min(line - width // 2 + width, size[0])
         if first < last:
             framebuffer.clear(1.0, 1.0, 1.0, 1.0, viewport=(corner[0] + first, corner[1], last - first, size[1]))
 

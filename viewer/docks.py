@@ -1,0 +1,181 @@
+"""Docked panels: where they are, which are open, how large they are, and which is in front."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable
+
+from imgui_bundle import ImVec2, hello_imgui, imgui
+
+from gffe_cl.viewer.panels import widgets
+
+_BY_HAND = ("Plot", "Doctor")  # closed until they are asked for
+_STAY = ("Picture", "Plot", "Timeline")  # where the panels on both sides are hidden
+_TIMELINE_HEIGHT = 110.0  # pixels at the usual size of letters
+_PLOT_HEIGHT = 170.0
+_HIGHEST = 0.4  # of the height: timeline and plot
+_SIDES = (264.0, 348.0)  # pixels left and right of the picture, at the usual size of letters ...
+_WIDEST = (0.22, 0.28)  # ... but not more of the width
+_LOWER_RIGHT = 0.5  # of the height on the right
+_FLAGS = imgui.internal.DockNodeFlagsPrivate_
+_PLAIN_TABS = _FLAGS.no_window_menu_button.value | _FLAGS.no_close_button.value  # tabs have their own
+
+
+class Docks:
+    """The panels of an application.
+
+    Parameters
+    ----------
+    panels : dict
+        What draws each panel, given the application, and the space that it is docked in; in order.
+    scale : callable
+        Size of the interface.
+    """
+
+    def __init__(self, app, panels: dict[str, tuple[Callable, str]], scale: Callable[[], float]):
+        self._app, self._panels, self._scale = app, panels, scale
+        self._runner: hello_imgui.RunnerParams | None = None  # what is set there is a copy of what it is set to
+        self.hidden = False  # the panels on both sides
+        self._before_hiding: list[str] = []
+        self._stretched: dict[str, tuple[float, float]] = {}  # sizes of docks that were set: now and at scale 1
+        self._plot_due = False
+        self._to_front: str | None = None  # the panel that is brought there
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(self._panels)
+
+    def arrange(self, runner: hello_imgui.RunnerParams, size: tuple[int, int], open_panels: dict[str, bool]) -> None:
+        """In a window of `size` pixels, before it is opened; `open_panels` says what is not as usual."""
+        docking = hello_imgui.DockingParams()
+        docking.main_dock_space_node_flags |= _PLAIN_TABS
+        bottom = min(_TIMELINE_HEIGHT * self._scale() / size[1], _HIGHEST)
+        above = min(_PLOT_HEIGHT * self._scale() / size[1] / (1 - bottom), _HIGHEST)
+        left, right = (min(side * self._scale() / size[0], most) for side, most in zip(_SIDES, _WIDEST, strict=True))
+        docking.docking_splits = [
+            hello_imgui.DockingSplit("MainDockSpace", "Bottom", imgui.Dir.down, bottom),
+            hello_imgui.DockingSplit("MainDockSpace", "Left", imgui.Dir.left, left),
+            hello_imgui.DockingSplit("MainDockSpace", "Right", imgui.Dir.right, right / (1 - left)),
+            hello_imgui.DockingSplit("MainDockSpace", "Above", imgui.Dir.down, above),
+            hello_imgui.DockingSplit("Right", "RightBottom", imgui.Dir.down, _LOWER_RIGHT),
+        ]
+        docking.dockable_windows = [self._window(name, open_panels) for name in self._panels]
+        runner.docking_params, self._runner = docking, runner
+
+    def _window(self, name: str, open_panels: dict[str, bool]) -> hello_imgui.DockableWindow:
+        draw, space = self._panels[name]
+        window = hello_imgui.DockableWindow(name, space, can_be_closed_=name != "Picture")
+        window.is_visible = open_panels.get(name, name not in _BY_HAND)
+        window.remember_is_visible = False  # the settings do
+        window.call_begin_end, docked = False, True
+
+        def draw_it():
+            nonlocal docked
+            if not docked:
+                widgets.floating()
+            unfolded, stays = imgui.begin(name, window.is_visible if window.can_be_closed else None)
+            docked = imgui.is_window_docked()
+            if unfolded:
+                try:
+                    draw(self._app)
+                except Exception:
+                    traceback.print_exc()  # ImGui, in the middle of something, will end the program
+                    raise
+            imgui.end()
+            window.is_visible = stays is not False
+
+        window.gui_function = draw_it
+        return window
+
+    # ---- which are open ----------------------------------------------------------------------------------
+
+    def panel(self, name: str) -> hello_imgui.DockableWindow:
+        return next(window for window in self._runner.docking_params.dockable_windows if window.label == name)
+
+    def toggle(self, name: str) -> None:
+        window = self.panel(name)
+        window.is_visible = not window.is_visible
+        self.hidden = False
+
+    def show(self, name: str) -> None:
+        """Have a panel there, in front of those that are docked with it."""
+        self.panel(name).is_visible = True
+        self._plot_due |= name == "Plot"
+        self._to_front = name
+
+    def hide(self) -> None:
+        """Leave the picture and the timeline alone, or bring back what was there."""
+        sides = [name for name in self._panels if name not in _STAY]
+        self.hidden = not self.hidden
+        if self.hidden:
+            self._before_hiding = [name for name in sides if self.panel(name).is_visible]
+        for name in self._before_hiding or sides:
+            self.panel(name).is_visible = not self.hidden
+
+    def reset(self) -> None:
+        """The default arrangement."""
+        for name in self._panels:
+            self.panel(name).is_visible = name not in _BY_HAND
+        self.hidden = False
+        self._runner.docking_params.layout_reset = True
+
+    @property
+    def remembered(self) -> dict[str, bool]:
+        """Which are open, for the next start."""
+        shown = {name: self.panel(name).is_visible for name in self._panels}
+        return shown | (dict.fromkeys(self._before_hiding, True) if self.hidden else {})
+
+    # ---- sizes, and what is in front -----------------------------------------------------------------------
+
+    def update(self) -> None:
+        """Once per frame of the interface."""
+        self._make_room_for_plot()
+        self._bring_to_front()
+
+    def stretch(self, before: float, after: float) -> None:
+        """Give the panels around the picture more or less room, for larger or smaller letters."""
+        width, height = imgui.get_io().display_size
+        around = {node.id_ for node in _nodes("Picture")}
+        sizes = ("Layers", _WIDEST[0] * width), ("Modules", _WIDEST[1] * width), ("Timeline", _HIGHEST * height)
+        for name, most in sizes:
+            beside = [node for node in _nodes(name) if node.id_ not in around]
+            if not beside:
+                continue
+            node, down = beside[-1], name == "Timeline"
+            now = node.size.y if down else node.size.x
+            made, usual = self._stretched.get(name, (0.0, 0.0))
+            if abs(now - made) > 2:  # the user chose another size
+                usual = now / before
+            made = min(usual * after, most)
+            self._stretched[name] = made, usual
+            size = ImVec2(node.size.x, made) if down else ImVec2(made, node.size.y)
+            imgui.internal.dock_builder_set_node_size(node.id_, size)
+
+    def _bring_to_front(self) -> None:
+        """Once it is there: its tab before the others, the keyboard stays where it is unless it is at one of them."""
+        nodes = _nodes(self._to_front) if self._to_front else []
+        if not nodes or nodes[0].tab_bar is None:
+            return
+        at = imgui.get_current_context().nav_window
+        if at is not None and at.root_window.dock_node is not None and at.root_window.dock_node.id_ == nodes[0].id_:
+            imgui.set_window_focus(self._to_front)
+        nodes[0].tab_bar.next_selected_tab_id = imgui.internal.find_window_by_name(self._to_front).tab_id
+        self._to_front = None
+
+    def _make_room_for_plot(self) -> None:
+        """Once it is there: as high as it has to be at this size of letters."""
+        nodes = _nodes("Plot")
+        if self._plot_due and nodes:
+            height = min(_PLOT_HEIGHT * self._scale(), _HIGHEST * imgui.get_io().display_size.y)
+            if nodes[0].size.y < height:
+                imgui.internal.dock_builder_set_node_size(nodes[0].id_, ImVec2(nodes[0].size.x, height))
+            self._plot_due = False
+
+
+def _nodes(name: str) -> list:
+    """Where a window is docked, from its own node to the root; empty if it floats or is not there."""
+    window = imgui.internal.find_window_by_name(name)
+    nodes = [window.dock_node if window is not None else None]
+    while nodes[-1] is not None:
+        nodes.append(nodes[-1].parent_node)
+    return nodes[:-1]
