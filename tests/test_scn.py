@@ -395,7 +395,8 @@ def test_trends_follow_a_light_that_fades(alpha, monkeypatch):
     augmentation = Augmentation(torch.Generator().manual_seed(0), shading=1.0, noise=0.0)
     factors = torch.tensor((0.5, 0.7, 0.4, 0.9)).view(4, 1, 1, 1, 1)  # t, t − 1, t + α, t − 2
     monkeypatch.setattr(Augmentation, "_lit", lambda self, colors, side, alpha: colors * factors**0.5)
-    monkeypatch.setattr(Augmentation, "_reflected", lambda self, colors, side, alpha: colors)
+    for other in ("_reflected", "_switched"):
+        monkeypatch.setattr(Augmentation, other, lambda self, colors, side, alpha: colors)
     monkeypatch.setattr(Augmentation, "_some", lambda self, count, share: torch.arange(count if share > 0.1 else 0))
     made = augmentation(batch)
     expected = (network.encode(made.gae) - network.encode(made.previous)).mean((1, 2, 3))

@@ -203,6 +203,7 @@ def saving(gui: Gui):
     values["png"] = {"size": saved.shape, "fault": float(np.abs(saved - shown * 255).max())}
     before = set(Path.cwd().iterdir())
     gui.key(KEY.e, CTRL)
+    gui.frames(2)
     gui.wait(lambda: model.export is None, "the layers")
     (folder,) = _made(before)
     images = gui.images()

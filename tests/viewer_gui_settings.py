@@ -117,7 +117,7 @@ def finding_frames(gui: Gui):
     gui.settle()
     gui.shot("plot of disocclusions")
     left, top, width, height = gui.area("//Plot/###survey")
-    gui.point(left + 0.55 * width, top + 0.4 * height)
+    gui.point(left + 0.62 * width, top + 0.4 * height)
     gui.ctx.mouse_click(0)
     gui.frames(2)
     gui.settle()
@@ -251,10 +251,10 @@ def legends_in_saved_pictures(gui: Gui):
     model, values = gui.model, gui.values
 
     def saved(name: str):
-        before = set(Path.cwd().glob("*.png"))
+        before = set(Path.cwd().glob("[!.]*.png"))  # others are not whole yet
         gui.key(KEY.s, CTRL)
-        gui.wait(lambda: set(Path.cwd().glob("*.png")) - before, "the picture")
-        path = (set(Path.cwd().glob("*.png")) - before).pop()
+        gui.wait(lambda: set(Path.cwd().glob("[!.]*.png")) - before, "the picture")
+        path = (set(Path.cwd().glob("[!.]*.png")) - before).pop()
         picture = np.asarray(Image.open(path))
         path.rename(gui.artefacts / f"saved, {name}.png")
         return picture

@@ -45,7 +45,7 @@ class Acceleration(Stage):
         BufferSpec(
             "bend",
             np.float32,
-            ("x", "y", "z", ""),
+            ("x", "y", "z", "unused"),
             _CELLS,
             "what of that acceleration goes on, as it will be: α (α + 1) of it is added to positions",
             "world",
