@@ -322,7 +322,7 @@ def test_block_means_reach_over_work_groups(device, filling):
         before |= {"color": twins.mix_far_side(before | {"disoccluded": pipeline.board.frame.read("disoccluded")})}
     stage = pipeline.stages["holes"]
     to_source = reprojection(to, frame.camera)
-    asked = twins.asked_blocks(before, stage.reach, to_source, (width, height))
+    asked = twins.asked_blocks(before, stage.reach, to_source, twins.load_color(frame.color))
     assert holes.mean() > 0.1 and 5 < asked.sum() < asked.size
     sums = tuple((array.T * asked.T).T for array in twins.downsample(before, frame.color, frame.depth))
     np.testing.assert_allclose(stage.read("block_color"), sums[0], rtol=1e-4, atol=1e-4)
