@@ -1084,7 +1084,6 @@ def project_background(warped, levels, zoom, to_target, to_source, before):
     `shown_before` from color_prev on."""
     out = {name: warped[name].copy() for name in ("color", "depth", "motion", "filled_by")}
     height, width = warped["depth"].shape
-    source_size = levels[0]["depth"].shape[::-1]
     holes = warped["disoccluded"] > 0
     best: dict = {}
     there = [reproject(level["px"], level["depth"], to_target) for level in levels]
@@ -1112,7 +1111,7 @@ def project_background(warped, levels, zoom, to_target, to_source, before):
         if warped["filled_by"][y, x] == COMMON.BY_HIDDEN_PART:
             continue
         at = reproject(px[y, x][None], np.array([z], F), to_source)[0]
-        if not (at[2] > 0 and 0 <= at[0] < source_size[0] and 0 <= at[1] < source_size[1]):
+        if is_outside(at, levels[0]["depth"]):
             continue
         level = levels[number]
         level_height, level_width = level["depth"].shape
