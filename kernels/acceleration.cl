@@ -80,25 +80,25 @@ inline float3 carried_on(const float3 acceleration, const float3 before) {
     return acceleration + (size > most ? TURN * divide(most, size) : TURN) * change;
 }
 
-/* velocity: (xyz, view depth of the mover, 0: none). acceleration: per interval squared, as found; w: its trust, -1 where
-   it is not known. bend: what of it goes on, as it will be: after alpha intervals it has added alpha (alpha + 1) of it. `ratio`: of the
+/* velocity: (xyz, view depth of the mover, 0: none). acceleration: per interval squared, as found, and its trust, -1
+   where it is not known. bend: what of it goes on, as it will be: after alpha intervals it has added alpha (alpha + 1) of it; and its trust. `ratio`: of the
    last two intervals. */
 SPARSE __kernel void track_acceleration(const int source_width, const int source_height, const int level_width,
                                         const int level_height, const float ratio,
                                         __global const float *depth, __global const float2 *motion,
                                         __global const uchar *dynamic_mask, __global const float *met_depth,
-                                        __global const float4 *velocity_prev, __global const float4 *acceleration_prev,
+                                        __global const float4 *velocity_prev, __global const uint2 *acceleration_prev,
                                         const Reprojection to_previous, const Reprojection from_previous,
-                                        __global float4 *velocity, __global float4 *acceleration,
-                                        __global float4 *bend) {
+                                        __global float4 *velocity, __global uint2 *acceleration,
+                                        __global uint2 *bend) {
     const int cell_x = get_global_id(0), cell_y = get_global_id(1);
     if (cell_x >= level_width || cell_y >= level_height) return;
     const int cell = cell_y * level_width + cell_x;
     const Mover mover = mover_of_cell(cell_x, cell_y, source_width, source_height, depth, motion, dynamic_mask, met_depth,
                                       to_previous, from_previous);
     velocity[cell] = (float4)(mover.velocity, mover.depth);
-    acceleration[cell] = (float4)(0.0f, 0.0f, 0.0f, -1.0f);
-    bend[cell] = (float4)(0.0f);
+    acceleration[cell] = packed((float3)(0.0f), -1.0f);
+    bend[cell] = packed((float3)(0.0f), 0.0f);
     if (!(mover.depth > 0.0f)) return;
 
     const float per_px = 1.0f / (float)CELL;
@@ -109,22 +109,23 @@ SPARSE __kernel void track_acceleration(const int source_width, const int source
     for (int tap = 0; tap < 4; ++tap) {
         const int tap_x = x0 + (tap & 1), tap_y = y0 + (tap >> 1);
         if (!inside(tap_x, tap_y, level_width, level_height)) continue;
-        const float4 v = velocity_prev[tap_y * level_width + tap_x], a = acceleration_prev[tap_y * level_width + tap_x];
+        const float4 v = velocity_prev[tap_y * level_width + tap_x];
         if (!(v.w > 0.0f) || !is_of_cell(v.w, mover.depth_prev)) continue;
         const float weight = bilinear_weight(tap, fx - (float)x0, fy - (float)y0);
         velocity_sum += weight * v.xyz;
         weight_sum += weight;
-        if (a.w < 0.0f) continue;
-        before_sum += weight * a.xyz;
+        const uint2 a = acceleration_prev[tap_y * level_width + tap_x];
+        if (!is_trust_known(a)) continue;
+        before_sum += weight * unpacked(a);
         before_weight_sum += weight;
     }
     if (!(weight_sum > 0.0f)) return;
     const float3 was = rotate_to_target(mean_of(velocity_sum, weight_sum), from_previous);
     const float3 found = (mover.velocity - ratio * was) * divide(ratio, 1.0f + ratio);
-    acceleration[cell] = (float4)(found, 0.0f);
+    acceleration[cell] = packed(found, 0.0f);
     if (!(before_weight_sum > 0.0f)) return;
     const float3 before = ratio * ratio * rotate_to_target(mean_of(before_sum, before_weight_sum), from_previous);
     const float trusted = trust(mover.velocity, found, before);
-    acceleration[cell].w = trusted;
-    bend[cell].xyz = trusted * carried_on(found, before);
+    acceleration[cell] = packed(found, trusted);
+    bend[cell] = packed(trusted * carried_on(found, before), trusted);
 }

@@ -14,10 +14,10 @@ typedef struct { float8 order1, order2, order3, order4, order5; } Polynomial;
 
 /* What acceleration adds to the position of a fragment after alpha intervals. */
 inline float3 bent(const int src_x, const int src_y, const int source_width, const float z, const float alpha,
-                   __global const float4 *velocity, __global const float4 *bend) {
+                   __global const float4 *velocity, __global const uint2 *bend) {
     const int cell = cell_of(src_x, src_y, source_width);
     if (!is_of_cell(z, velocity[cell].w)) return (float3)(0.0f);
-    return (alpha * (alpha + 1.0f)) * bend[cell].xyz;
+    return (alpha * (alpha + 1.0f)) * unpacked(bend[cell]);
 }
 
 /* (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */
@@ -25,7 +25,7 @@ inline float3 predicted_position(const int src_x, const int src_y, const int sou
                                  const int order, const int bends, const float alpha, __global const float *depth,
                                  __global const float2 *motion, __global const uchar *dynamic_mask,
                                  __global const float *met_depth, __global const float4 *history,
-                                 __global const float4 *velocity, __global const float4 *bend,
+                                 __global const float4 *velocity, __global const uint2 *bend,
                                  const Polynomial polynomial, const Reprojection from_previous,
                                  const Reprojection to_target) {
     const int src = src_y * source_width + src_x, plane = source_width * source_height;
@@ -59,7 +59,7 @@ WIDE __kernel void predict_positions(const int source_width, const int source_he
                                      const int bends, const float alpha, __global const float *depth,
                                      __global const float2 *motion, __global const uchar *dynamic_mask,
                                      __global const float *met_depth, __global const float4 *history,
-                                     __global const float4 *velocity, __global const float4 *bend,
+                                     __global const float4 *velocity, __global const uint2 *bend,
                                      const Polynomial polynomial, const Reprojection from_previous,
                                      const Reprojection to_target, __global float *target_position) {
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);

@@ -283,6 +283,13 @@ def _carried_on(found, before):
     return found + F(ACCELERATION.TURN) * change * (F(1) if size <= most else (most / size) ** 2)
 
 
+def _as_packed(acceleration):
+    """As it reads after packing: ten bits of the mantissa, trust in steps of 1/126."""
+    vector = ((np.ascontiguousarray(acceleration[..., :3]).view(np.uint32) + 0x1000) & 0xFFFFE000).view(F)
+    trust, steps = acceleration[..., 3:], F(ACCELERATION.MOST_TRUST)
+    return np.concatenate([vector, np.where(trust < 0, F(-1), np.floor(trust * steps + F(0.5)) / steps)], -1)
+
+
 def track_acceleration(
     depth, motion, dynamic, met_depth, velocity_prev, acceleration_prev, ratio, to_previous, from_previous
 ):
@@ -328,7 +335,8 @@ def track_acceleration(
             before = ratio * ratio * rotate(before / before_weights, from_previous)
             acceleration[y, x, 3] = _trust(v, found, before)
             bend[y, x, :3] = acceleration[y, x, 3] * _carried_on(found, before)
-    return velocity, acceleration, bend
+    bend[..., 3] = np.maximum(acceleration[..., 3], F(0))
+    return velocity, _as_packed(acceleration), _as_packed(bend)
 
 
 # ---- prediction ----------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ import pyopencl as cl
 
 from gffe_cl.buffers import BufferSpec, aligned
 from gffe_cl.opencl.program import constants
+from gffe_cl.packing import TRUSTED
 from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
 
 _CELLS = f"level{constants('cells.h')['CELL'].bit_length() - 1}"
@@ -41,14 +42,17 @@ class Acceleration(Stage):
             " −1: not known",
             "world",
             kept=True,
+            packing=TRUSTED,
         ),
         BufferSpec(
             "bend",
             np.float32,
-            ("x", "y", "z", "unused"),
+            ("x", "y", "z", "trust"),
             _CELLS,
             "what of that acceleration goes on, as it will be: α (α + 1) of it is added to positions",
             "world",
+            kept=True,
+            packing=TRUSTED,
         ),
     )
     kernels = (
@@ -72,13 +76,12 @@ class Acceleration(Stage):
     )
 
     def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
-        """New device buffers by name; both that are kept are parts of one, so that all of what is kept can be lent."""
+        """New device buffers by name; all are parts of one, so that what is kept can be lent."""
         specs = list(specs)
         made = super().allocate(spec for spec in specs if not spec.part_of)
         for spec in specs:
             if spec.part_of:
-                start = self.start if spec.name == "acceleration" else 0
-                made[spec.name] = made["memory"].get_sub_region(start, spec.nbytes(self.sizes))
+                made[spec.name] = made["memory"].get_sub_region(self.starts[spec.name], spec.nbytes(self.sizes))
         return made
 
     @classmethod
@@ -86,11 +89,12 @@ class Acceleration(Stage):
         return options.motion and options.acceleration and options.order == 1
 
     def __init__(self, board: Board):
-        self.start = aligned(self.buffers[0].nbytes(board.sizes))  # of acceleration, in memory
-        nbytes = self.start + self.buffers[1].nbytes(board.sizes)
-        memory = BufferSpec("memory", np.uint8, (), "once", "of both", planes=nbytes, kept=True, scratch=True)
-        velocity, acceleration, bend = self.buffers
-        self.buffers = (*(replace(spec, part_of="memory") for spec in (velocity, acceleration)), bend, memory)
+        self.starts, nbytes = {}, 0
+        for spec in self.buffers:
+            self.starts[spec.name] = nbytes
+            nbytes += aligned(spec.nbytes(board.sizes))
+        memory = BufferSpec("memory", np.uint8, (), "once", "of all", planes=nbytes, kept=True, scratch=True)
+        self.buffers = (*(replace(spec, part_of="memory") for spec in self.buffers), memory)
         super().__init__(board)
         board.lend_memory(self, "memory'", at_once=True)
 
