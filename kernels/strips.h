@@ -87,15 +87,24 @@ inline float4 cubic_from(const int x, const int y, const float4 wx, const float4
                          four_texels(image, x, y + 2, width, height), four_texels(image, x, y + 3, width, height), wx, wy, &sum);
 }
 
+/* Weights of cubic convolution (Keys) with these slopes at the taps: with 1/2 it is Catmull-Rom, with more it is sharper. */
+INLINE void sloped_weights(const Floats t, const float slope, Floats *weights) {
+    const Floats t2 = t * t, t3 = t2 * t;
+    weights[0] = slope * (2.0f * t2 - t - t3);
+    weights[1] = 1.0f + (slope - 3.0f) * t2 + (2.0f - slope) * t3;
+    weights[2] = slope * t + (3.0f - 2.0f * slope) * t2 + (slope - 2.0f) * t3;
+    weights[3] = slope * (t3 - t2);
+}
+
 /* The image at LANES places of the lanes in `use` (others: 0), cubic, clamped to the four inner taps. Of finite numbers. */
 INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, const int width, const int height,
-                      __global const half *image) {
+                      const float slope, __global const half *image) {
     const Floats corner_x = (use ? px_x : (Floats)(0.5f)) - 0.5f, corner_y = (use ? px_y : (Floats)(0.5f)) - 0.5f;
     const Floats first_x = floor(corner_x), first_y = floor(corner_y);
     const Ints x = to_ints(first_x) - 1, y = to_ints(first_y) - 1;
     Floats wx[4], wy[4];
-    wide_cubic_weights(corner_x - first_x, wx);
-    wide_cubic_weights(corner_y - first_y, wy);
+    sloped_weights(corner_x - first_x, slope, wx);
+    sloped_weights(corner_y - first_y, slope, wy);
     int lane_use[LANES], lane_x[LANES], lane_y[LANES];
     float texels[4 * LANES], lanes_x[4][LANES], lanes_y[4][LANES];
     store_ints(x, 0, lane_x);
@@ -130,55 +139,4 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
                                (float4)(lanes_y[0][k], lanes_y[1][k], lanes_y[2][k], lanes_y[3][k]), width, height, image),
                     k, texels);
     return channels_in(texels);
-}
-
-/* The same at LANES places of a row that are a pixel apart at most: they share columns of taps. */
-INLINE Wide4 cubic_in_row(const Ints use, const Floats px_x, const float px_y, const int width, const int height,
-                          __global const half *image) {
-#if LANES == 8
-    const Floats corner_x = px_x - 0.5f, first_x = floor(corner_x);
-    const float corner_y = px_y - 0.5f, first_y = floor(corner_y);
-    int x[LANES];
-    store_ints(to_ints(first_x) - 1, 0, x);
-    if (x[7] - x[0] <= 8) {
-        const int y = (int)first_y - 1;
-        const float4 wy = cubic_weights(corner_y - first_y);
-        float columns[48], low[48], high[48];
-#pragma unroll
-        for (int k = 0; k < 3; ++k) {
-            const float16 a = four_texels(image, x[0] + 4 * k, y, width, height), b = four_texels(image, x[0] + 4 * k, y + 1, width, height),
-                          c = four_texels(image, x[0] + 4 * k, y + 2, width, height), d = four_texels(image, x[0] + 4 * k, y + 3, width, height);
-            vstore16(wy.x * a + wy.y * b + wy.z * c + wy.w * d, k, columns);
-            vstore16(b < c ? b : c, k, low);
-            vstore16(b < c ? c : b, k, high);
-        }
-        Floats w[4];
-        wide_cubic_weights(corner_x - first_x, w);
-        Strip s;
-#pragma unroll
-        for (int part = 0; part < PARTS; ++part) {
-            float16 taps[4], least[2], most[2];
-            const int *lane = x + 4 * part;
-            const int a = 4 * (lane[0] - x[0]), b = 4 * (lane[1] - x[0]), c = 4 * (lane[2] - x[0]), d = 4 * (lane[3] - x[0]);
-#pragma unroll
-            for (int k = 0; k < 4; ++k)
-                taps[k] = (float16)(vload4(k, columns + a), vload4(k, columns + b), vload4(k, columns + c), vload4(k, columns + d));
-#pragma unroll
-            for (int k = 0; k < 2; ++k) {
-                least[k] = (float16)(vload4(k + 1, low + a), vload4(k + 1, low + b), vload4(k + 1, low + c), vload4(k + 1, low + d));
-                most[k] = (float16)(vload4(k + 1, high + a), vload4(k + 1, high + b), vload4(k + 1, high + c), vload4(k + 1, high + d));
-            }
-            const float16 sum = OF_TEXELS(w[0], part) * taps[0] + OF_TEXELS(w[1], part) * taps[1] + OF_TEXELS(w[2], part) * taps[2]
-                                + OF_TEXELS(w[3], part) * taps[3];
-            const float16 bottom = least[0] < least[1] ? least[0] : least[1], top = most[0] < most[1] ? most[1] : most[0];
-            const float16 raised = sum < bottom ? bottom : sum;
-            s.part[part] = top < raised ? top : raised;
-        }
-        Floats c[4];
-        channels_of(&s, c);
-        const Wide4 channels = {c[0], c[1], c[2], c[3]};
-        return channels;
-    }
-#endif
-    return cubic_at(use, px_x, (Floats)(px_y), width, height, image);
 }
