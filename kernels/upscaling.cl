@@ -374,7 +374,7 @@ WIDE __kernel void accumulate(
         const Floats motion = fabs(at_x - row_centres(dst_x)) + fabs(at_y - ((float)dst_y + 0.5f));
         const Floats rest = wide_divide((Floats)(1.0f), 1.0f + UNREST * motion * motion);
         const Wide4 middle = gather_channels(mean, src), around = gather_channels(deviation, src);
-        const Floats seen = gather_channels(compressed, src).w;
+        const Floats seen = fresh.w * per_far;
         const Floats trust = greater(1.0f - wide_divide(middle.w, WRONG + (WRONG_AT_REST - WRONG) * rest), (Floats)(0.0f));
         const Floats before = to_floats(gather_bytes(lock, to_ints(at_y) * target_width + to_ints(at_x)));
         locked = known & (motion < AT_REST) ? lock_of(before, trust * seen >= AGREED, seen) : (Floats)(0.0f);
