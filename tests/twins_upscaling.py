@@ -49,7 +49,9 @@ def cubic_at(px, image):
     def tap(i, j):
         return image[np.clip(y + j, 0, height - 1), np.clip(x + i, 0, width - 1)]
 
-    total = sum(wy[j][..., None] * wx[i][..., None] * tap(i - 1, j - 1) for j in range(4) for i in range(4))
+    taps = [(i, j) for j in range(4) for i in range(4) if i in (1, 2) or j in (1, 2)]  # no corners
+    scale = F(1) / sum(wx[i] * wy[j] for i, j in taps)
+    total = sum((scale * wy[j] * wx[i])[..., None] * tap(i - 1, j - 1) for i, j in taps)
     inner = np.stack([tap(i, j) for j in (0, 1) for i in (0, 1)])
     low, high = inner.min(0), inner.max(0)
     return np.clip(total, low, high), low, high
