@@ -24,8 +24,8 @@
 #define REACH 1.2f            /* display pixels: from where on a sample does not count */
 #define MOST_WEIGHT 12.0f     /* of a history at rest, in samples */
 #define MOVED_WEIGHT 1.0f     /* of one that moved: it blurs whenever it is resampled */
-#define LEAST_WEIGHT 0.8f     /* of what is shown until samples come */
-#define FRESH 0.6f            /* share of the rendered frame in that; the rest is the history, clipped */
+#define LEAST_WEIGHT 0.5f     /* of what is shown until samples come; of a history that weighs less, samples count less, too */
+#define FRESH 0.8f            /* share of the rendered frame, interpolated, in that; the rest is the history, clipped */
 #define SLOPE 0.75f           /* of the cubic that resamples the history: sharper than Catmull-Rom, which blurs in the long run */
 #define DEVIATIONS 2.0f       /* deviations from the mean that a history may have */
 #define NOISE 0.01f           /* of compressed colours, beside their deviation */
@@ -384,16 +384,18 @@ WIDE __kernel void accumulate(
         believed = known ? trust * (thin ? (Floats)(1.0f) : seen) : (Floats)(0.0f);
         held = lesser(past.w * believed, MOVED_WEIGHT + (MOST_WEIGHT - MOVED_WEIGHT) * rest);
     }
-    const Floats part = FRESH * greater(1.0f - held * (1.0f / LEAST_WEIGHT), (Floats)(0.0f)), share = known ? part : (Floats)(1.0f);
+    /* Where it is not believed the frame, interpolated, takes its place; samples beside that would be dots in a grid. */
+    const Floats kept = lesser(held * (1.0f / LEAST_WEIGHT), (Floats)(1.0f));
+    const Floats counted = known ? kept : (Floats)(1.0f), share = known ? FRESH * (1.0f - kept) : (Floats)(1.0f);
     past.x += (fresh.x * per_far - past.x) * share;
     past.y += (fresh.y * per_far - past.y) * share;
     past.z += (fresh.z * per_far - past.z) * share;
     held = greater(held, (Floats)(LEAST_WEIGHT));
-    total += held;
+    total = counted * total + held;
     const Floats scale = wide_divide((Floats)(1.0f), total);
-    sum.x = (sum.x + held * past.x) * scale;
-    sum.y = (sum.y + held * past.y) * scale;
-    sum.z = (sum.z + held * past.z) * scale;
+    sum.x = (counted * sum.x + held * past.x) * scale;
+    sum.y = (counted * sum.y + held * past.y) * scale;
+    sum.z = (counted * sum.z + held * past.z) * scale;
     sum.w = lesser(total, (Floats)(MOST_WEIGHT));
     store_channels(expanded(sum, exposure), count, out_history + 4 * dst);
     store_some_bytes(to_bytes(to_ints(locked)), count, out_lock + dst);

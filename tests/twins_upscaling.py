@@ -206,10 +206,12 @@ def accumulate(
     most = UP.MOVED_WEIGHT + (UP.MOST_WEIGHT - UP.MOVED_WEIGHT) * rest
     own = np.where(known, np.minimum(found[..., 3] * believed, most), F(0))
     held = np.maximum(own, UP.LEAST_WEIGHT)
-    share = UP.FRESH * np.maximum(F(1) - own / UP.LEAST_WEIGHT, F(0))[..., None]
-    past = np.where(known[..., None], kept + (fresh[..., :3] - kept) * share, fresh[..., :3])
-    total = total + held
-    now = expanded((near[..., :3] + held[..., None] * past) / total[..., None], exposure)
+    part = np.minimum(own * (F(1) / UP.LEAST_WEIGHT), F(1))[..., None]
+    past = np.where(known[..., None], kept + (fresh[..., :3] - kept) * (UP.FRESH * (F(1) - part)), fresh[..., :3])
+    counted = np.where(known, part[..., 0], F(1))
+    total = counted * total + held
+    mixed = (counted[..., None] * near[..., :3] + held[..., None] * past) / total[..., None]
+    now = expanded(mixed, exposure)
     weight = np.minimum(total, UP.MOST_WEIGHT)
     return np.concatenate([now, weight[..., None]], -1).astype(np.float16), locked.astype(np.uint8), F(1) - believed
 
