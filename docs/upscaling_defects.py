@@ -27,7 +27,7 @@ from synthetic import Rect, Rects, camera
 
 DOCS = Path(__file__).parent
 W, H, SCALE, FPS = 192, 128, 2, 30
-SEED = 1
+SEED = 2
 JITTER = Jitter(16)
 SHIMMER_SIZE, SETTLED, SEEN = (240, 136), 24, 16
 FAR, NEAR = 12, 6  # metres to the wall, and to what is before it

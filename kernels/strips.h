@@ -79,23 +79,66 @@ inline float8 two_texels(__global const half *image, const int x, const int y, c
     return (float8)(vload_half4(row + clamp(x, 0, width - 1), image), vload_half4(row + clamp(x + 1, 0, width - 1), image));
 }
 
-/* Cubic of the taps from (x, y) on, with these weights, clamped to the four inner ones. */
-inline float4 cubic_from(const int x, const int y, const float4 wx, const float4 wy, const int width, const int height,
-                         __global const half *image) {
-    float4 sum;
-    return cubic_of_rows(four_texels(image, x, y, width, height), four_texels(image, x, y + 1, width, height),
-                         four_texels(image, x, y + 2, width, height), four_texels(image, x, y + 3, width, height), wx, wy, &sum);
+/* Cubic of the 4x4 taps from (x, y) on, but for the corners, which weigh little; clamped to the four inner ones. */
+inline float4 round_cubic_from(const int x, const int y, const float4 wx, const float4 wy, const int width, const int height,
+                               __global const half *image) {
+    const float8 above = two_texels(image, x + 1, y, width, height), below = two_texels(image, x + 1, y + 3, width, height);
+    const float16 b = four_texels(image, x, y + 1, width, height), c = four_texels(image, x, y + 2, width, height);
+    const float16 columns = wy.y * b + wy.z * c;
+    const float4 left = columns.s4567 + (wy.x * above.lo + wy.w * below.lo), right = columns.s89ab + (wy.x * above.hi + wy.w * below.hi);
+    const float4 sum = wx.x * columns.s0123 + wx.y * left + wx.z * right + wx.w * columns.scdef;
+    const float8 least = b.s456789ab < c.s456789ab ? b.s456789ab : c.s456789ab, most = b.s456789ab < c.s456789ab ? c.s456789ab : b.s456789ab;
+    const float4 low = least.lo < least.hi ? least.lo : least.hi, high = most.lo < most.hi ? most.hi : most.lo;
+    const float4 raised = sum < low ? low : sum;
+    return high < raised ? high : raised;
 }
 
-/* The image at LANES places of the lanes in `use` (others: 0), cubic, clamped to the four inner taps. Of finite numbers. */
+#if LANES == 8
+
+/* The same of four pixels whose taps lie in a row, within the image, from index `first` on. */
+INLINE float16 round_cubic_of_run(const int first, const float4 *wx, const float4 *wy, const int width,
+                                  __global const half *image) {
+    float16 total, low, high;
+#pragma unroll
+    for (int tx = 0; tx < 4; ++tx) {
+        __global const half *p = image + 4 * (first + tx);
+        const float16 b = vload_half16(0, p + 4 * width), c = vload_half16(0, p + 8 * width);
+        float16 column = SPREAD(wy[1]) * b + SPREAD(wy[2]) * c;
+        if (tx == 1 || tx == 2) {
+            column += SPREAD(wy[0]) * vload_half16(0, p) + SPREAD(wy[3]) * vload_half16(0, p + 12 * width);
+            const float16 lower = b < c ? b : c, higher = b < c ? c : b;
+            low = tx == 1 ? lower : low < lower ? low : lower;
+            high = tx == 1 ? higher : high < higher ? higher : high;
+        }
+        total = tx == 0 ? SPREAD(wx[0]) * column : total + SPREAD(wx[tx]) * column;
+    }
+    const float16 raised = total < low ? low : total;
+    return high < raised ? high : raised;
+}
+
+#endif
+
+/* Weights of cubic convolution (Keys) with these slopes at the taps: with 1/2 it is Catmull-Rom, with more it is sharper. */
+INLINE void sloped_weights(const Floats t, const float slope, Floats *weights) {
+    const Floats t2 = t * t, t3 = t2 * t;
+    weights[0] = slope * (2.0f * t2 - t - t3);
+    weights[1] = 1.0f + (slope - 3.0f) * t2 + (2.0f - slope) * t3;
+    weights[2] = slope * t + (3.0f - 2.0f * slope) * t2 + (slope - 2.0f) * t3;
+    weights[3] = slope * (t3 - t2);
+}
+
+/* The image at LANES places of the lanes in `use` (others: 0), cubic without corners, clamped to the four inner taps. Of finite
+   numbers. */
 INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, const int width, const int height,
-                      __global const half *image) {
+                      const float slope, __global const half *image) {
     const Floats corner_x = (use ? px_x : (Floats)(0.5f)) - 0.5f, corner_y = (use ? px_y : (Floats)(0.5f)) - 0.5f;
     const Floats first_x = floor(corner_x), first_y = floor(corner_y);
     const Ints x = to_ints(first_x) - 1, y = to_ints(first_y) - 1;
     Floats wx[4], wy[4];
-    wide_cubic_weights(corner_x - first_x, wx);
-    wide_cubic_weights(corner_y - first_y, wy);
+    sloped_weights(corner_x - first_x, slope, wx);
+    sloped_weights(corner_y - first_y, slope, wy);
+    const Floats scale = wide_divide((Floats)(1.0f), 1.0f - (wx[0] + wx[3]) * (wy[0] + wy[3]));
+    for (int k = 0; k < 4; ++k) wx[k] *= scale;
     int lane_use[LANES], lane_x[LANES], lane_y[LANES];
     float texels[4 * LANES], lanes_x[4][LANES], lanes_y[4][LANES];
     store_ints(x, 0, lane_x);
@@ -112,8 +155,7 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
         if (!all(k ? in_row.hi : in_row.lo)) continue;
         const float4 four_x[4] = {k ? wx[0].hi : wx[0].lo, k ? wx[1].hi : wx[1].lo, k ? wx[2].hi : wx[2].lo, k ? wx[3].hi : wx[3].lo};
         const float4 four_y[4] = {k ? wy[0].hi : wy[0].lo, k ? wy[1].hi : wy[1].lo, k ? wy[2].hi : wy[2].lo, k ? wy[3].hi : wy[3].lo};
-        float16 sum;
-        store_texels(cubic_of_run(lane_y[4 * k] * width + lane_x[4 * k], four_x, four_y, width, image, &sum), k, texels);
+        store_texels(round_cubic_of_run(lane_y[4 * k] * width + lane_x[4 * k], four_x, four_y, width, image), k, texels);
         if (k) rest.hi = (int4)(0);
         else rest.lo = (int4)(0);
     }
@@ -126,59 +168,8 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
     }
     for (int k = 0; k < LANES; ++k)
         if (lane_use[k])
-            vstore4(cubic_from(lane_x[k], lane_y[k], (float4)(lanes_x[0][k], lanes_x[1][k], lanes_x[2][k], lanes_x[3][k]),
+            vstore4(round_cubic_from(lane_x[k], lane_y[k], (float4)(lanes_x[0][k], lanes_x[1][k], lanes_x[2][k], lanes_x[3][k]),
                                (float4)(lanes_y[0][k], lanes_y[1][k], lanes_y[2][k], lanes_y[3][k]), width, height, image),
                     k, texels);
     return channels_in(texels);
-}
-
-/* The same at LANES places of a row that are a pixel apart at most: they share columns of taps. */
-INLINE Wide4 cubic_in_row(const Ints use, const Floats px_x, const float px_y, const int width, const int height,
-                          __global const half *image) {
-#if LANES == 8
-    const Floats corner_x = px_x - 0.5f, first_x = floor(corner_x);
-    const float corner_y = px_y - 0.5f, first_y = floor(corner_y);
-    int x[LANES];
-    store_ints(to_ints(first_x) - 1, 0, x);
-    if (x[7] - x[0] <= 8) {
-        const int y = (int)first_y - 1;
-        const float4 wy = cubic_weights(corner_y - first_y);
-        float columns[48], low[48], high[48];
-#pragma unroll
-        for (int k = 0; k < 3; ++k) {
-            const float16 a = four_texels(image, x[0] + 4 * k, y, width, height), b = four_texels(image, x[0] + 4 * k, y + 1, width, height),
-                          c = four_texels(image, x[0] + 4 * k, y + 2, width, height), d = four_texels(image, x[0] + 4 * k, y + 3, width, height);
-            vstore16(wy.x * a + wy.y * b + wy.z * c + wy.w * d, k, columns);
-            vstore16(b < c ? b : c, k, low);
-            vstore16(b < c ? c : b, k, high);
-        }
-        Floats w[4];
-        wide_cubic_weights(corner_x - first_x, w);
-        Strip s;
-#pragma unroll
-        for (int part = 0; part < PARTS; ++part) {
-            float16 taps[4], least[2], most[2];
-            const int *lane = x + 4 * part;
-            const int a = 4 * (lane[0] - x[0]), b = 4 * (lane[1] - x[0]), c = 4 * (lane[2] - x[0]), d = 4 * (lane[3] - x[0]);
-#pragma unroll
-            for (int k = 0; k < 4; ++k)
-                taps[k] = (float16)(vload4(k, columns + a), vload4(k, columns + b), vload4(k, columns + c), vload4(k, columns + d));
-#pragma unroll
-            for (int k = 0; k < 2; ++k) {
-                least[k] = (float16)(vload4(k + 1, low + a), vload4(k + 1, low + b), vload4(k + 1, low + c), vload4(k + 1, low + d));
-                most[k] = (float16)(vload4(k + 1, high + a), vload4(k + 1, high + b), vload4(k + 1, high + c), vload4(k + 1, high + d));
-            }
-            const float16 sum = OF_TEXELS(w[0], part) * taps[0] + OF_TEXELS(w[1], part) * taps[1] + OF_TEXELS(w[2], part) * taps[2]
-                                + OF_TEXELS(w[3], part) * taps[3];
-            const float16 bottom = least[0] < least[1] ? least[0] : least[1], top = most[0] < most[1] ? most[1] : most[0];
-            const float16 raised = sum < bottom ? bottom : sum;
-            s.part[part] = top < raised ? top : raised;
-        }
-        Floats c[4];
-        channels_of(&s, c);
-        const Wide4 channels = {c[0], c[1], c[2], c[3]};
-        return channels;
-    }
-#endif
-    return cubic_at(use, px_x, (Floats)(px_y), width, height, image);
 }

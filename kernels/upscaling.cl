@@ -7,13 +7,13 @@
    in         color            render    the rendered frame
               depth, motion    render    its depth, and its motion into the render image before
               previous_depth   render    of the rendered frame before
-   between    compressed       render    its colour, compressed; A: share of `dilated` that was not hidden before
-              dilated          render    motion of the nearest surface around; NaN where that was hidden before
+   between    compressed       render    its colour, compressed; A: share of its place that was not hidden before
+              dilated          render    motion of the nearest surface around; NaN where nothing is known
               surprise         render    how far the colour is beyond the history around, compressed; A: 1 where there is any
-              mean             render    of 3x3 compressed colours; A: how far the history is trusted
+              mean             render    of 3x3 compressed colours; A: error of the history, in deviations
               deviation        render    theirs; A: by how much more light there is than in the history
    state      history          display   colour, linear: what is shown; A: how many samples are behind it
-              lock             display   frames in a row in which it foretold the samples
+              lock             display   frames in which it foretold the samples, at rest; more: a thin feature
    out        rejected         display   which share of the history was not believed
               out_color        display   a generated frame, seen through the history                                       */
 
@@ -21,19 +21,26 @@
 #include "around.h"
 #include "strips.h"
 
-#define REACH 1.1f            /* display pixels: from where on a sample does not count */
-#define MOST_WEIGHT 12.0f     /* of the history, in samples */
-#define LEAST_WEIGHT 0.8f     /* of what is shown until samples come */
-#define FRESH 0.55f           /* share of the rendered frame in that; the rest is the history, clipped */
-#define DEVIATIONS 1.3f       /* deviations from the mean that a history may have */
-#define LOCKED_ROOM 0.5f      /* compressed colour beside that, after LOCK_FRAMES: thin features that no sample meets now */
-#define LOCK_FRAMES 8.0f
-#define CLOSE 0.4f            /* weight from which on samples tell of the very pixel: they end a lock that they contradict */
-#define NOISE 0.015f          /* of compressed colours, beside their deviation */
-#define SCATTER 0.5f          /* weight of the scatter of what the history lacks, against its mean, which is followed */
-#define RIGHT 0.1f            /* deviations: error up to which the history is believed, and from which on it is not */
-#define WRONG 0.9f
-#define CLIPPED 4.0f          /* loss of belief by how much had to be clipped */
+#define REACH 1.2f            /* display pixels: from where on a sample does not count */
+#define MOST_WEIGHT 12.0f     /* of a history at rest, in samples */
+#define MOVED_WEIGHT 1.0f     /* of one that moved: it blurs whenever it is resampled */
+#define LEAST_WEIGHT 0.5f     /* of what is shown until samples come; of a history that weighs less, samples count less, too */
+#define FRESH 0.8f            /* share of the rendered frame, interpolated, in that; the rest is the history, clipped */
+#define SLOPE 0.75f           /* of the cubic that resamples the history: sharper than Catmull-Rom, which blurs in the long run */
+#define DEVIATIONS 2.0f       /* deviations from the mean that a history may have */
+#define NOISE 0.01f           /* of compressed colours, beside their deviation */
+#define SCATTER 1.0f          /* weight of the scatter of what the history lacks, against its mean, which is followed */
+#define WRONG 1.0f            /* deviations: error from which on a history that moved is not believed */
+#define WRONG_AT_REST 3.0f
+#define UNREST 10.0f          /* per squared pixel of motion */
+#define AT_REST 0.1f          /* pixels of motion up to which thin features are kept */
+#define AGREED 0.5f           /* trust from which on a frame counts for a lock */
+#define LOCK_FRAMES 8         /* that count at most */
+#define SETTLED 4.0f          /* from which on something nearer that is gone was thin, and no sample meets it now */
+#define THIN 16               /* the lock of such a feature; one less in each frame, down to LOCK_FRAMES */
+#define MET 0.75f             /* share of a place that was not hidden from which on nothing is gone */
+#define LOCKED_ROOM 0.5f      /* compressed colour that it may be off, beside DEVIATIONS */
+#define MOST_ERROR 1000.0f
 #define SAME_DEPTH 0.96f      /* relative depth from which on it is the same surface */
 
 /* Tone-mapped by the largest channel, so that bright samples do not outweigh all others; as (Y, Co, Cg). */
@@ -131,6 +138,7 @@ WIDE __kernel void compare(
     const Floats z = elsewhere ? gather_floats(depth, nearest) : beside(p, depth, 0, 0);
     Floats moved_y;
     const Floats moved_x = elsewhere ? gather_xy(motion, nearest, &moved_y) : xy_beside(p, motion, 0, 0, &moved_y);
+    const Ints moves = (z > 0.0f) & ((Ints)(has_history) != 0);
     Floats seen = 0.0f;
     if (has_history) {
         const Floats centre_x = to_floats(near_x) + 0.5f, centre_y = to_floats(near_y) + 0.5f;
@@ -158,7 +166,7 @@ WIDE __kernel void compare(
     }
     here.w = seen;
     store_channels(here, count, out_compressed + 4 * i);
-    store_some_xy(known ? moved_x : (Floats)(NAN), known ? moved_y : (Floats)(NAN), count, out_dilated + i);
+    store_some_xy(moves ? moved_x : (Floats)(NAN), moves ? moved_y : (Floats)(NAN), count, out_dilated + i);
     store_channels(surprise, count, out_surprise + 4 * i);
 }
 
@@ -182,7 +190,7 @@ INLINE void sums_beside(const Span p, __global const half *image, Floats *sum, F
 }
 
 /* Colours around each rendered pixel, and how well the history foretold them: it may be darker or lighter than they are,
-   which is made up for; what is left tells how far it is trusted. */
+   which is made up for; what is left is its error. */
 WIDE __kernel void survey(const int source_width, const int source_height, __global const half *compressed,
                           __global const half *surprise, __global half *out_mean, __global half *out_deviation) {
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * source_width + x, count = source_width - x;
@@ -203,85 +211,125 @@ WIDE __kernel void survey(const int source_width, const int source_height, __glo
     const Floats shift = bias * wide_divide(bias * bias, bias * bias + SCATTER * scatter + 1e-8f);
     const Floats missed = greater((off_square[0] + off_square[1] + off_square[2]) * per_known - shift * (2.0f * bias - shift), (Floats)(0.0f));
     const Floats error = sqrt(wide_divide(missed, variance[0] + variance[1] + variance[2] + NOISE * NOISE));
-    const Floats trust = lesser(greater((WRONG - error) * (1.0f / (WRONG - RIGHT)), (Floats)(0.0f)), (Floats)(1.0f));
-    const Floats seen = gather_channels(compressed, clamped_beside(p, 0, 0)).w;
-    const Wide4 of_mean = {middle[0], middle[1], middle[2], trust * seen};
+    const Wide4 of_mean = {middle[0], middle[1], middle[2], lesser(error, (Floats)(MOST_ERROR))};
     const Wide4 deviation = {sqrt(variance[0]), sqrt(variance[1]), sqrt(variance[2]), shift};
     store_channels(of_mean, count, out_mean + 4 * i);
     store_channels(deviation, count, out_deviation + 4 * i);
 }
 
-/* Weight of samples `off` display pixels away. */
-INLINE Floats sample_weight(const Floats off) {
-    const Floats t = off * (1.0f / REACH), left = greater(1.0f - t * t, (Floats)(0.0f));
-    return left * left;
+/* Weights of three samples in a row, a rendered pixel apart, the middle one `off` display pixels away. */
+INLINE void near_weights(const Floats off, const float size, Floats *weights) {
+    for (int k = 0; k < 3; ++k) {
+        const Floats t = (off + (float)(k - 1) * size) * (1.0f / REACH), left = greater(1.0f - t * t, (Floats)(0.0f));
+        weights[k] = left * left * left;
+    }
 }
 
-/* The weighted sum of the 3x3 samples around pixel (x, y). */
-inline float4 sum_around(const int x, const int y, const float3 wx, const float3 wy, const int width, const int height,
-                         __global const half *compressed) {
-    const float16 columns = wy.x * four_texels(compressed, x - 1, y - 1, width, height)
-                            + wy.y * four_texels(compressed, x - 1, y, width, height)
-                            + wy.z * four_texels(compressed, x - 1, y + 1, width, height);
-    return wx.x * columns.s0123 + wx.y * columns.s4567 + wx.z * columns.s89ab;
+/* The same for what interpolates between them; `off` in rendered pixels. */
+INLINE void far_weights(const Floats off, Floats *weights) {
+    const Floats within = lesser(greater(off, (Floats)(-1.0f)), (Floats)(1.0f));
+    for (int k = 0; k < 3; ++k) {
+        const Floats t = within + (float)(k - 1), left = greater(1.0f - t * t, (Floats)(0.0f));
+        weights[k] = left * left;
+    }
 }
 
-/* The same of LANES pixels of a row, which share columns where pixels are small. */
-INLINE Wide4 sums_around(const Ints x, const int y, const Floats *wx, const float3 wy, const int width, const int height,
-                         __global const half *compressed) {
-    float sums[4 * LANES], weights[3][LANES];
+/* Of the 3x3 samples around each of LANES pixels of a row: their weighted sum, and one with other weights. */
+typedef struct { Floats x[3]; float3 y; } Weights;
+
+INLINE Weights weights_of(const Floats *x, const Floats *y) {
+    const Weights w = {{x[0], x[1], x[2]}, (float3)(FIRST_LANE(y[0]), FIRST_LANE(y[1]), FIRST_LANE(y[2]))};
+    return w;
+}
+
+INLINE float16 columns_of(const float3 wy, const float16 above, const float16 here, const float16 below) {
+    return wy.x * above + wy.y * here + wy.z * below;
+}
+
+#if LANES == 8
+
+/* Of four pixels, whose columns start at these floats of `columns`. */
+INLINE float16 rows_of(const Weights *w, const int part, const int *first, const float *columns) {
+    const float *a = columns + first[0], *b = columns + first[1], *c = columns + first[2], *d = columns + first[3];
+    return OF_TEXELS(w->x[0], part) * (float16)(vload4(0, a), vload4(0, b), vload4(0, c), vload4(0, d))
+           + OF_TEXELS(w->x[1], part) * (float16)(vload4(1, a), vload4(1, b), vload4(1, c), vload4(1, d))
+           + OF_TEXELS(w->x[2], part) * (float16)(vload4(2, a), vload4(2, b), vload4(2, c), vload4(2, d));
+}
+
+#endif
+
+INLINE Wide4 sums_around(const Ints x, const int y, const Weights near, const Weights far, const int width, const int height,
+                         __global const half *compressed, Wide4 *far_sum) {
     int column[LANES];
     store_ints(x, 0, column);
-    for (int k = 0; k < 3; ++k) store_floats(wx[k], 0, weights[k]);
 #if LANES == 8
     const int first = column[0] - 1;
-    if (column[7] - first <= 10) {
-        float texels[48];
+    if (column[7] - first <= 10) {  /* pixels are small, or of one size: they share columns */
+        float near_columns[48], far_columns[48];
 #pragma unroll
-        for (int k = 0; k < 3; ++k)
-            vstore16(wy.x * four_texels(compressed, first + 4 * k, y - 1, width, height)
-                     + wy.y * four_texels(compressed, first + 4 * k, y, width, height)
-                     + wy.z * four_texels(compressed, first + 4 * k, y + 1, width, height), k, texels);
-        Strip s;
+        for (int k = 0; k < 3; ++k) {
+            const float16 above = four_texels(compressed, first + 4 * k, y - 1, width, height),
+                          here = four_texels(compressed, first + 4 * k, y, width, height),
+                          below = four_texels(compressed, first + 4 * k, y + 1, width, height);
+            vstore16(columns_of(near.y, above, here, below), k, near_columns);
+            vstore16(columns_of(far.y, above, here, below), k, far_columns);
+        }
+        Strip s, t;
 #pragma unroll
         for (int part = 0; part < PARTS; ++part) {
-            const float *a = texels + 4 * (column[4 * part] - column[0]), *b = texels + 4 * (column[4 * part + 1] - column[0]),
-                        *c = texels + 4 * (column[4 * part + 2] - column[0]), *d = texels + 4 * (column[4 * part + 3] - column[0]);
-            s.part[part] = OF_TEXELS(wx[0], part) * (float16)(vload4(0, a), vload4(0, b), vload4(0, c), vload4(0, d))
-                           + OF_TEXELS(wx[1], part) * (float16)(vload4(1, a), vload4(1, b), vload4(1, c), vload4(1, d))
-                           + OF_TEXELS(wx[2], part) * (float16)(vload4(2, a), vload4(2, b), vload4(2, c), vload4(2, d));
+            int from[4];
+            for (int k = 0; k < 4; ++k) from[k] = 4 * (column[4 * part + k] - column[0]);
+            s.part[part] = rows_of(&near, part, from, near_columns);
+            t.part[part] = rows_of(&far, part, from, far_columns);
         }
-        Floats c[4];
+        Floats c[4], d[4];
         channels_of(&s, c);
-        const Wide4 channels = {c[0], c[1], c[2], c[3]};
+        channels_of(&t, d);
+        const Wide4 channels = {c[0], c[1], c[2], c[3]}, far_channels = {d[0], d[1], d[2], d[3]};
+        *far_sum = far_channels;
         return channels;
     }
 #endif
-    for (int k = 0; k < LANES; ++k)
-        vstore4(sum_around(column[k], y, (float3)(weights[0][k], weights[1][k], weights[2][k]), wy, width, height, compressed), k, sums);
+    float sums[4 * LANES], far_sums[4 * LANES], near_x[3][LANES], far_x[3][LANES];
+    for (int k = 0; k < 3; ++k) {
+        store_floats(near.x[k], 0, near_x[k]);
+        store_floats(far.x[k], 0, far_x[k]);
+    }
+    for (int k = 0; k < LANES; ++k) {
+        const float16 above = four_texels(compressed, column[k] - 1, y - 1, width, height),
+                      here = four_texels(compressed, column[k] - 1, y, width, height),
+                      below = four_texels(compressed, column[k] - 1, y + 1, width, height);
+        const float16 a = columns_of(near.y, above, here, below), b = columns_of(far.y, above, here, below);
+        vstore4(near_x[0][k] * a.s0123 + near_x[1][k] * a.s4567 + near_x[2][k] * a.s89ab, k, sums);
+        vstore4(far_x[0][k] * b.s0123 + far_x[1][k] * b.s4567 + far_x[2][k] * b.s89ab, k, far_sums);
+    }
+    *far_sum = channels_in(far_sums);
     return channels_in(sums);
 }
 
-/* The history that was found, in today's light, within a few deviations of the mean, and more where it is locked; how far it
-   had to be moved there; the fourth channel: samples. `sum` of samples and their weight end locks. */
-INLINE Wide4 bounded(const Wide4 found, const Wide4 mean, const Wide4 around, const Floats sum, const Floats weight,
-                     const float exposure, Floats *locked, Floats *clipped) {
+INLINE Floats sum_of_weights(const Weights w) { return (w.x[0] + w.x[1] + w.x[2]) * (w.y.x + w.y.y + w.y.z); }
+
+/* The history that was found, in today's light, within a few deviations of the mean and `more_room`; its fourth channel. */
+INLINE Wide4 bounded(const Wide4 found, const Wide4 mean, const Wide4 around, const Floats more_room, const float exposure) {
     Wide4 before = compressed_of(found.x, found.y, found.z, exposure);
     const Floats gain = wide_divide(greater(before.x + around.w, (Floats)(0.0f)), before.x + 1e-4f);
     before.x *= gain;
     before.y *= gain;
     before.z *= gain;
-    const Floats own_room = DEVIATIONS * around.x + NOISE;
-    const Ints contradicted = (weight > CLOSE) & (fabs(sum - weight * before.x) > weight * own_room);
-    *locked = contradicted ? (Floats)(0.0f) : *locked;
-    const Floats more_room = LOCKED_ROOM * (*locked * (1.0f / LOCK_FRAMES));
-    const Floats room_x = own_room + more_room, room_y = DEVIATIONS * around.y + NOISE + more_room,
-                 room_z = DEVIATIONS * around.z + NOISE + more_room;
+    const Floats room = NOISE + more_room, room_x = DEVIATIONS * around.x + room, room_y = DEVIATIONS * around.y + room,
+                 room_z = DEVIATIONS * around.z + room;
     const Wide4 past = {lesser(greater(before.x, mean.x - room_x), mean.x + room_x),
                         lesser(greater(before.y, mean.y - room_y), mean.y + room_y),
                         lesser(greater(before.z, mean.z - room_z), mean.z + room_z), found.w};
-    *clipped = fabs(past.x - before.x) + fabs(past.y - before.y) + fabs(past.z - before.z);
     return past;
+}
+
+/* The lock of a pixel at rest: frames in which the history was right. Where that is settled, and depth says that something
+   nearer is gone, this was thin, and will be met again. */
+INLINE Floats lock_of(const Floats before, const Ints right, const Floats seen) {
+    const Floats most = (float)LOCK_FRAMES, counted = before + (right ? (Floats)(1.0f) : (Floats)(-1.0f));
+    const Floats next = before > most ? before - 1.0f : lesser(greater(counted, (Floats)(0.0f)), most);
+    return (seen < MET) & (before >= SETTLED) ? (Floats)(THIN) : next;
 }
 
 /* The rendered frame into the history. */
@@ -300,15 +348,20 @@ WIDE __kernel void accumulate(
     const int y = clamp((int)floor(px_y), 0, source_height - 1);
     const Ints src = y * source_width + x;
 
-    /* Samples near these pixels. */
-    const Floats off_x = (to_floats(x) + 0.5f - px_x) * pixel_size.x, off_y = ((float)y + 0.5f - px_y) * pixel_size.y;
-    const Floats wx[3] = {sample_weight(off_x - pixel_size.x), sample_weight(off_x), sample_weight(off_x + pixel_size.x)};
-    const Floats wy[3] = {sample_weight(off_y - pixel_size.y), sample_weight(off_y), sample_weight(off_y + pixel_size.y)};
-    const float3 wy3 = (float3)(FIRST_LANE(wy[0]), FIRST_LANE(wy[1]), FIRST_LANE(wy[2]));
-    Wide4 sum = sums_around(x, y, wx, wy3, source_width, source_height, compressed);
-    Floats total = (wx[0] + wx[1] + wx[2]) * (wy[0] + wy[1] + wy[2]);
+    /* Samples near these pixels, and the frame itself, interpolated. */
+    const Floats off_x = to_floats(x) + 0.5f - px_x, off_y = (float)y + 0.5f - px_y;
+    Floats wx[3], wy[3], far_x[3], far_y[3];
+    near_weights(off_x * pixel_size.x, pixel_size.x, wx);
+    near_weights(off_y * pixel_size.y, pixel_size.y, wy);
+    far_weights(off_x, far_x);
+    far_weights(off_y, far_y);
+    const Weights near = weights_of(wx, wy), far = weights_of(far_x, far_y);
+    Wide4 fresh;
+    Wide4 sum = sums_around(x, y, near, far, source_width, source_height, compressed, &fresh);
+    Floats total = sum_of_weights(near);
+    const Floats per_far = wide_divide((Floats)(1.0f), sum_of_weights(far));
 
-    /* History: believed as far as it foretold the samples around, within their colours. */
+    /* History: believed as far as it foretold the samples around, within their colours; less where it moved. */
     Floats moved_y;
     const Floats moved_x = gather_xy(dilated, src, &moved_y);
     const Floats px_previous_x = (px_x + moved_x) * to_previous_display.x + to_previous_display.z;
@@ -317,31 +370,32 @@ WIDE __kernel void accumulate(
     Wide4 past = {(Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f)};
     Floats held = 0.0f, locked = 0.0f, believed = 0.0f;
     if (ANY(known)) {
+        const Floats at_x = known ? px_previous_x : (Floats)(0.0f), at_y = known ? px_previous_y : (Floats)(0.0f);
+        const Floats motion = fabs(at_x - row_centres(dst_x)) + fabs(at_y - ((float)dst_y + 0.5f));
+        const Floats rest = wide_divide((Floats)(1.0f), 1.0f + UNREST * motion * motion);
         const Wide4 middle = gather_channels(mean, src), around = gather_channels(deviation, src);
-        const Ints near = to_ints(known ? px_previous_y : (Floats)(0.0f)) * target_width + to_ints(known ? px_previous_x : (Floats)(0.0f));
-        const Floats trust = middle.w;
-        const Floats agreed = lesser(to_floats(gather_bytes(lock, near)) + 1.0f, (Floats)(LOCK_FRAMES));
-        locked = (known & (trust >= 1.0f)) ? agreed : (Floats)(0.0f);
-        Floats clipped;
-        past = bounded(cubic_at(known, px_previous_x, px_previous_y, target_width, target_height, history), middle, around,
-                       sum.x, total, exposure, &locked, &clipped);
-        believed = known ? trust * greater(1.0f - CLIPPED * clipped, (Floats)(0.0f)) : (Floats)(0.0f);
-        held = lesser(past.w * believed, (Floats)(MOST_WEIGHT));
+        const Floats seen = fresh.w * per_far;
+        const Floats trust = greater(1.0f - wide_divide(middle.w, WRONG + (WRONG_AT_REST - WRONG) * rest), (Floats)(0.0f));
+        const Floats before = to_floats(gather_bytes(lock, to_ints(at_y) * target_width + to_ints(at_x)));
+        locked = known & (motion < AT_REST) ? lock_of(before, trust * seen >= AGREED, seen) : (Floats)(0.0f);
+        const Ints thin = locked > (float)LOCK_FRAMES;
+        past = bounded(cubic_at(known, px_previous_x, px_previous_y, target_width, target_height, SLOPE, history), middle, around,
+                       thin ? (Floats)(LOCKED_ROOM) : (Floats)(0.0f), exposure);
+        believed = known ? trust * (thin ? (Floats)(1.0f) : seen) : (Floats)(0.0f);
+        held = lesser(past.w * believed, MOVED_WEIGHT + (MOST_WEIGHT - MOVED_WEIGHT) * rest);
     }
-    const Ints lacking = held < LEAST_WEIGHT;
-    if (ANY(lacking)) {  /* until samples come, the frame itself fills in */
-        const Wide4 fresh = cubic_in_row(lacking, px_x, px_y, source_width, source_height, compressed);
-        const Floats part = FRESH * (1.0f - held * (1.0f / LEAST_WEIGHT)), share = known ? part : (Floats)(1.0f);
-        past.x = lacking ? past.x + (fresh.x - past.x) * share : past.x;
-        past.y = lacking ? past.y + (fresh.y - past.y) * share : past.y;
-        past.z = lacking ? past.z + (fresh.z - past.z) * share : past.z;
-        held = lacking ? (Floats)(LEAST_WEIGHT) : held;
-    }
-    total += held;
+    /* Where it is not believed the frame, interpolated, takes its place; samples beside that would be dots in a grid. */
+    const Floats kept = lesser(held * (1.0f / LEAST_WEIGHT), (Floats)(1.0f));
+    const Floats counted = known ? kept : (Floats)(1.0f), share = known ? FRESH * (1.0f - kept) : (Floats)(1.0f);
+    past.x += (fresh.x * per_far - past.x) * share;
+    past.y += (fresh.y * per_far - past.y) * share;
+    past.z += (fresh.z * per_far - past.z) * share;
+    held = greater(held, (Floats)(LEAST_WEIGHT));
+    total = counted * total + held;
     const Floats scale = wide_divide((Floats)(1.0f), total);
-    sum.x = (sum.x + held * past.x) * scale;
-    sum.y = (sum.y + held * past.y) * scale;
-    sum.z = (sum.z + held * past.z) * scale;
+    sum.x = (counted * sum.x + held * past.x) * scale;
+    sum.y = (counted * sum.y + held * past.y) * scale;
+    sum.z = (counted * sum.z + held * past.z) * scale;
     sum.w = lesser(total, (Floats)(MOST_WEIGHT));
     store_channels(expanded(sum, exposure), count, out_history + 4 * dst);
     store_some_bytes(to_bytes(to_ints(locked)), count, out_lock + dst);
@@ -369,7 +423,7 @@ WIDE __kernel void generate(const int target_width, const int target_height, con
     Ints uncovered = bytes_beside(p, disoccluded, 0, 0);
     if (elsewhere) uncovered |= to_ints(gather_bytes(disoccluded, nearest));
     const Ints seen = (uncovered == 0) & within(px_x, px_y, target_width, target_height);
-    Wide4 shown = cubic_at(seen, px_x, px_y, target_width, target_height, history);
+    Wide4 shown = cubic_at(seen, px_x, px_y, target_width, target_height, SLOPE, history);
     const Ints own_i = clamped_beside(p, 0, 0);
     Wide4 own = shown;
     if (corrected || !ALL(seen)) {

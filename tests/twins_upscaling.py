@@ -31,10 +31,11 @@ def expanded(c, exposure):
     return np.minimum(rgb * scale[..., None], MOST)
 
 
-def _weights(t):
-    t2, t3 = t * t, t * t * t
-    h = F(0.5)
-    return h * (F(2) * t2 - t - t3), F(1) - F(2.5) * t2 + F(1.5) * t3, h * (t + F(4) * t2 - F(3) * t3), h * (t3 - t2)
+def _weights(t, slope):
+    t2, t3, two, three = t * t, t * t * t, F(2), F(3)
+    first, last = slope * (two * t2 - t - t3), slope * (t3 - t2)
+    second = F(1) + (slope - three) * t2 + (two - slope) * t3
+    return first, second, slope * t + (three - two * slope) * t2 + (slope - two) * t3, last
 
 
 def cubic_at(px, image):
@@ -42,13 +43,15 @@ def cubic_at(px, image):
     height, width = image.shape[:2]
     corner = px - F(0.5)
     first = np.floor(corner)
-    wx, wy = (_weights(t) for t in np.moveaxis(corner - first, -1, 0))
+    wx, wy = (_weights(t, UP.SLOPE) for t in np.moveaxis(corner - first, -1, 0))
     x, y = np.moveaxis(first.astype(int), -1, 0)
 
     def tap(i, j):
         return image[np.clip(y + j, 0, height - 1), np.clip(x + i, 0, width - 1)]
 
-    total = sum(wy[j][..., None] * wx[i][..., None] * tap(i - 1, j - 1) for j in range(4) for i in range(4))
+    taps = [(i, j) for j in range(4) for i in range(4) if i in (1, 2) or j in (1, 2)]  # no corners
+    scale = F(1) / sum(wx[i] * wy[j] for i, j in taps)
+    total = sum((scale * wy[j] * wx[i])[..., None] * tap(i - 1, j - 1) for i, j in taps)
     inner = np.stack([tap(i, j) for j in (0, 1) for i in (0, 1)])
     low, high = inner.min(0), inner.max(0)
     return np.clip(total, low, high), low, high
@@ -110,7 +113,7 @@ def compare(color, depth, motion, depth_prev, history, to_previous, to_previous_
     _, low, high = cubic_at(np.where((seen > 0)[..., None], px, F(1)), history)
     known = (seen > 0)[..., None]
     off = np.where(known, here - compressed_of(np.clip(own, low, high), exposure), F(0))
-    dilated = np.where(known, moved, F(np.nan))
+    dilated = np.where((~invalid(z) & bool(has_history))[..., None], moved, F(np.nan))
     compressed, surprise = np.concatenate([here, seen[..., None]], -1), np.concatenate([off, known], -1)
     return compressed.astype(np.float16), dilated, surprise.astype(np.float16)
 
@@ -133,15 +136,28 @@ def survey(compressed, surprise):
     shift = bias * (bias * bias / (bias * bias + UP.SCATTER * scatter + F(1e-8)))
     missed = np.maximum(off_square[..., :3].sum(-1) / known - shift * (F(2) * bias - shift), F(0))
     error = np.sqrt(missed / (variance.sum(-1) + UP.NOISE * UP.NOISE))
-    trust = np.clip((UP.WRONG - error) * (F(1) / (UP.WRONG - UP.RIGHT)), F(0), F(1)) * compressed[..., 3].astype(F)
-    mean = np.concatenate([mean[..., :3], trust[..., None]], -1)
+    error = np.minimum(error, UP.MOST_ERROR)
+    mean = np.concatenate([mean[..., :3], error[..., None]], -1)
     return mean.astype(np.float16), np.concatenate([np.sqrt(variance), shift[..., None]], -1).astype(np.float16)
 
 
-def _sample_weights(off, step):
-    t = (off[..., None] + np.array([-1, 0, 1], F) * step) * (F(1) / UP.REACH)
-    rest = np.maximum(F(1) - t * t, F(0))
-    return rest * rest
+_THREE = np.array([-1, 0, 1], F)
+
+
+def _near_weights(off, step):
+    t = (off[..., None] + _THREE * step) * (F(1) / UP.REACH)
+    return np.maximum(F(1) - t * t, F(0)) ** 3
+
+
+def _far_weights(off):
+    t = np.clip(off, F(-1), F(1))[..., None] + _THREE
+    return np.maximum(F(1) - t * t, F(0)) ** 2
+
+
+def _lock(before, right, seen):
+    counted = np.clip(before + np.where(right, F(1), F(-1)), F(0), UP.LOCK_FRAMES)
+    following = np.where(before > UP.LOCK_FRAMES, before - F(1), counted)
+    return np.where((seen < UP.MET) & (before >= UP.SETTLED), F(UP.THIN), following)
 
 
 def accumulate(
@@ -155,41 +171,47 @@ def accumulate(
     px = mapped(centres(height, width), to_render)
     x = np.clip(np.floor(px[..., 0]).astype(int), 0, columns - 1)
     y = np.clip(np.floor(px[..., 1]).astype(int), 0, rows - 1)
+    off = np.stack([x, y], -1).astype(F) + F(0.5) - px
     step = F(1) / to_render[:2]
-    off = (np.stack([x, y], -1).astype(F) + F(0.5) - px) * step
-    wx, wy = _sample_weights(off[..., 0], step[0]), _sample_weights(off[..., 1], step[1])
-    total = wx.sum(-1) * wy.sum(-1)
-    summed = sum(
-        (wy[..., j] * wx[..., i])[..., None]
-        * compressed[np.clip(y + j - 1, 0, rows - 1), np.clip(x + i - 1, 0, columns - 1), :3]
-        for j in range(3)
-        for i in range(3)
-    )
+
+    def summed(wx, wy):
+        return sum(
+            (wy[..., j] * wx[..., i])[..., None]
+            * compressed[np.clip(y + j - 1, 0, rows - 1), np.clip(x + i - 1, 0, columns - 1)]
+            for j in range(3)
+            for i in range(3)
+        )
+
+    wx, wy = (_near_weights(off[..., k] * step[k], step[k]) for k in (0, 1))
+    near, total = summed(wx, wy), wx.sum(-1) * wy.sum(-1)
+    wx, wy = (_far_weights(off[..., k]) for k in (0, 1))
+    fresh = summed(wx, wy) / (wx.sum(-1) * wy.sum(-1))[..., None]
     history, lock = state[0].astype(F), state[1]
     px_previous = mapped(px + dilated[y, x], to_previous_display)
     known = within(px_previous, (height, width)) & bool(has_history)
     at = np.where(known[..., None], px_previous, F(0))
-    middle, around = mean[y, x], deviation[y, x]
-    trust = middle[..., 3]
+    motion = np.abs(at - centres(height, width)).sum(-1)
+    rest = F(1) / (F(1) + UP.UNREST * motion * motion)
+    middle, around, seen = mean[y, x], deviation[y, x], fresh[..., 3]
+    trust = np.maximum(F(1) - middle[..., 3] / (UP.WRONG + (UP.WRONG_AT_REST - UP.WRONG) * rest), F(0))
     before = lock[at[..., 1].astype(int), at[..., 0].astype(int)].astype(F)
-    locked = np.where(known & (trust >= 1), np.minimum(before + F(1), UP.LOCK_FRAMES), F(0))
+    locked = np.where(known & (motion < UP.AT_REST), _lock(before, trust * seen >= UP.AGREED, seen), F(0))
+    thin = locked > UP.LOCK_FRAMES
     found, _, _ = cubic_at(at, history)
     past = compressed_of(found[..., :3], exposure)
     past = past * (np.maximum(past[..., :1] + around[..., 3:], F(0)) / (past[..., :1] + F(1e-4)))
-    room = UP.DEVIATIONS * around[..., :3] + UP.NOISE
-    contradicted = (total > UP.CLOSE) & (np.abs(summed[..., 0] - total * past[..., 0]) > total * room[..., 0])
-    locked = np.where(contradicted, F(0), locked)
-    room = room + (UP.LOCKED_ROOM * locked / UP.LOCK_FRAMES)[..., None]
+    room = UP.DEVIATIONS * around[..., :3] + UP.NOISE + np.where(thin, UP.LOCKED_ROOM, F(0))[..., None]
     kept = np.minimum(np.maximum(past, middle[..., :3] - room), middle[..., :3] + room)
-    clipped = np.abs(kept - past).sum(-1)
-    believed = np.where(known, trust * np.maximum(F(1) - UP.CLIPPED * clipped, F(0)), F(0))
-    own = np.where(known, np.minimum(found[..., 3] * believed, UP.MOST_WEIGHT), F(0))
+    believed = np.where(known, trust * np.where(thin, F(1), seen), F(0))
+    most = UP.MOVED_WEIGHT + (UP.MOST_WEIGHT - UP.MOVED_WEIGHT) * rest
+    own = np.where(known, np.minimum(found[..., 3] * believed, most), F(0))
     held = np.maximum(own, UP.LEAST_WEIGHT)
-    fresh, _, _ = cubic_at(px, compressed[..., :3])
-    share = UP.FRESH * np.maximum(F(1) - own / UP.LEAST_WEIGHT, F(0))[..., None]
-    past = np.where(known[..., None], kept + (fresh - kept) * share, fresh)
-    total = total + held
-    now = expanded((summed + held[..., None] * past) / total[..., None], exposure)
+    part = np.minimum(own * (F(1) / UP.LEAST_WEIGHT), F(1))[..., None]
+    past = np.where(known[..., None], kept + (fresh[..., :3] - kept) * (UP.FRESH * (F(1) - part)), fresh[..., :3])
+    counted = np.where(known, part[..., 0], F(1))
+    total = counted * total + held
+    mixed = (counted[..., None] * near[..., :3] + held[..., None] * past) / total[..., None]
+    now = expanded(mixed, exposure)
     weight = np.minimum(total, UP.MOST_WEIGHT)
     return np.concatenate([now, weight[..., None]], -1).astype(np.float16), locked.astype(np.uint8), F(1) - believed
 

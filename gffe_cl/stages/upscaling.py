@@ -6,9 +6,11 @@ import numpy as np
 
 from gffe_cl.buffers import RGBA, XY, BufferSpec
 from gffe_cl.camera import Camera
+from gffe_cl.opencl.program import constants
 from gffe_cl.stage import Access, Kernel, Stage, Step, reprojection
 from gffe_cl.stages.presentation import mapping
 
+LOCK_FRAMES = int(constants("upscaling.cl")["LOCK_FRAMES"])  # a greater lock is that of a thin feature
 _YCOCG = ("Y", "Co", "Cg", "A")
 
 
@@ -22,20 +24,20 @@ class Upscaling(Stage):
     name = "upscaling"
     buffers = (
         BufferSpec(
-            "compressed", np.float16, _YCOCG, "source", "the rendered frame's colour, tone-mapped YCoCg; A: what was"
-            " seen before", scratch=True,
+            "compressed", np.float16, _YCOCG, "source", "the rendered frame's colour, tone-mapped YCoCg; A: share of"
+            " its place that was not hidden before", scratch=True,
         ),
         BufferSpec(
-            "dilated", np.float32, XY, "source", "motion of the nearest surface around; NaN where that was not seen"
-            " before", "motion",
+            "dilated", np.float32, XY, "source", "motion of the nearest surface around; NaN where nothing is known",
+            "motion",
         ),
         BufferSpec(
             "surprise", np.float16, _YCOCG, "source", "how far it is beyond the history around; A: 1 where there is"
             " any", scratch=True,
         ),
         BufferSpec(
-            "mean", np.float16, _YCOCG, "source", "mean colour of 3×3 pixels, tone-mapped YCoCg; A: trust in the"
-            " history", scratch=True,
+            "mean", np.float16, _YCOCG, "source", "mean colour of 3×3 pixels, tone-mapped YCoCg; A: error of the"
+            " history, in deviations", scratch=True,
         ),
         BufferSpec(
             "deviation", np.float16, _YCOCG, "source", "its standard deviation; A: light that the history lacks",
@@ -45,7 +47,10 @@ class Upscaling(Stage):
             "history", np.float16, RGBA, "target", "the rendered frame as displayed: samples gathered over time",
             "color", kept=True,
         ),
-        BufferSpec("lock", np.uint8, (), "target", "frames for which a thin feature is kept", kept=True),
+        BufferSpec(
+            "lock", np.uint8, (), "target", "frames in which the history was right, at rest, 8 at most; above: a thin"
+            " feature is kept", kept=True,
+        ),
         BufferSpec("rejected", np.uint8, (), "target", "share of the history that was not believed, in 255ths"),
         BufferSpec(
             "color", np.float16, RGBA, "target", "the generated frame, seen through the history", "color"

@@ -13,7 +13,7 @@ from gffe_cl.pipeline import Pipeline
 from gffe_cl.stages.background import MAX_LEVELS, REMEMBERED
 from gffe_cl.stages.holes import FILLINGS
 from gffe_cl.stages.sharpening import Sharpening
-from gffe_cl.stages.upscaling import Upscaling
+from gffe_cl.stages.upscaling import LOCK_FRAMES, Upscaling
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.buffers import Shot, device_layers, moved, pixel_values, read_blocks, source_position
 from gffe_cl.viewer.engine.fragment import Fragment, around, least
@@ -55,7 +55,10 @@ def _story(pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.
 
 def _gathered(shot: Shot, values: dict[str, np.ndarray]) -> str:
     weight, refused = float(values[names.UPSCALED][3]), float(values[names.REJECTED][0]) / 255
-    locked = f" It foretold the samples for {int(values[names.LOCK][0])} frames." if values[names.LOCK][0] else ""
+    lock = int(values[names.LOCK][0])
+    locked = f" At rest it was right for {lock} frames." if lock else ""
+    if lock > LOCK_FRAMES:
+        locked = " A thin feature that samples miss at times is kept."
     return (
         f"Rendered frame {shot.moment.k}, gathered over time: {weight:.1f} samples; {refused:.0%} of the history was"
         f" refused.{locked}"
