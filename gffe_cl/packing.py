@@ -1,4 +1,4 @@
-"""How values lie packed in device buffers, and what they mean on the host (kernels/background.cl and cells.h pack them)."""
+"""How values lie packed in device buffers, and what they mean on the host (background.cl and cells.h pack them)."""
 
 from __future__ import annotations
 
