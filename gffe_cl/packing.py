@@ -45,12 +45,12 @@ def _unpack_place(stored: np.ndarray, x: int, y: int, side: int) -> np.ndarray:
 
 def _unpack_trusted(stored: np.ndarray, x: int, y: int, side: int) -> np.ndarray:
     low, high = stored[..., 0], stored[..., 1]
-    parts = [low & 0x7FFFF, low >> 19 | (high & 63) << 13, high >> 6 & 0x7FFFF]
-    trust = (high >> 25).astype(np.int32)
+    parts = [low & 0x7FFFF, low >> 19 | (high & 127) << 12, high >> 7 & 0x7FFFF]
+    trust = (high >> 26).astype(np.int32)
     trusted = np.where(trust > _MOST_TRUST, np.float32(-1), trust / np.float32(_MOST_TRUST)).astype(np.float32)
     return np.stack([*((part << 13).astype(np.uint32).view(np.float32) for part in parts), trusted], -1)
 
 
 RGB9E5 = Packing("RGB9E5", np.uint32, 1, _unpack_color)
 OFFSET = Packing("int16 ×2", np.int16, 2, _unpack_place)
-TRUSTED = Packing("3 × 19 bits + 7", np.uint32, 2, _unpack_trusted)
+TRUSTED = Packing("3 × 19 bits + 6", np.uint32, 2, _unpack_trusted)

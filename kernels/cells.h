@@ -8,20 +8,20 @@ inline int cell_of(const int x, const int y, const int width) { return y / CELL 
 inline bool is_of_cell(const float z, const float cell_depth) { return fabs(z - cell_depth) <= CELL_TOLERANCE * cell_depth; }
 
 /* A vector and how much of it is trusted, 0 to 1 or -1 (not known), in 64 bits: of each float sign, exponent and ten bits of the
-   mantissa, then seven bits. */
-#define UNKNOWN_TRUST 127u
-#define MOST_TRUST 126
+   mantissa, then six bits; one is free: two words joined at 32 bits become a funnel shift, which Oclgrind does not know. */
+#define UNKNOWN_TRUST 63u
+#define MOST_TRUST 62
 
 inline uint shortened(const float x) { return (as_uint(x) + 0x1000u) >> 13; }
 
 inline uint2 packed(const float3 a, const float trust) {
     const uint x = shortened(a.x), y = shortened(a.y), z = shortened(a.z);
     const uint share = trust < 0.0f ? UNKNOWN_TRUST : (uint)(trust * (float)MOST_TRUST + 0.5f);
-    return (uint2)(x | y << 19, y >> 13 | z << 6 | share << 25);
+    return (uint2)(x | (y & 0xfffu) << 19, y >> 12 | z << 7 | share << 26);
 }
 
-inline bool is_trust_known(const uint2 p) { return p.y >> 25 != UNKNOWN_TRUST; }
+inline bool is_trust_known(const uint2 p) { return p.y >> 26 != UNKNOWN_TRUST; }
 
 inline float3 unpacked(const uint2 p) {
-    return (float3)(as_float(p.x << 13), as_float((p.x >> 19 | (p.y & 63u) << 13) << 13), as_float((p.y >> 6 & 0x7ffffu) << 13));
+    return (float3)(as_float(p.x << 13), as_float((p.x >> 19 | (p.y & 127u) << 12) << 13), as_float((p.y >> 7 & 0x7ffffu) << 13));
 }

@@ -284,7 +284,7 @@ def _carried_on(found, before):
 
 
 def _as_packed(acceleration):
-    """As it reads after packing: ten bits of the mantissa, trust in steps of 1/126."""
+    """As it reads after packing: ten bits of the mantissa, trust in steps of 1/62."""
     vector = ((np.ascontiguousarray(acceleration[..., :3]).view(np.uint32) + 0x1000) & 0xFFFFE000).view(F)
     trust, steps = acceleration[..., 3:], F(ACCELERATION.MOST_TRUST)
     return np.concatenate([vector, np.where(trust < 0, F(-1), np.floor(trust * steps + F(0.5)) / steps)], -1)
