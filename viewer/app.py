@@ -34,7 +34,7 @@ from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.settings import can_save
 
 _TITLE = "gffe-cl"
-_LAYOUT_VERSION = 4
+_LAYOUT_VERSION = 5
 _PANELS = {
     "Picture": (picture.draw, "MainDockSpace"),
     "Layers": (layer_list.draw, "Left"),
@@ -281,4 +281,8 @@ class App:
             kept = "from the cache, " if model.from_cache else ""
             parts.append(f"{kept}computed in {model.contents.result.wall_ms:.0f} ms")
         parts += model.warnings
-        imgui.text("     ".join(parts))
+        if windows.note(self):
+            imgui.same_line(0, hello_imgui.em_size(2))
+            imgui.text_disabled("     ".join(parts))
+        else:
+            imgui.text("     ".join(parts))

@@ -10,13 +10,15 @@ from imgui_bundle import ImVec2, hello_imgui, imgui
 from gffe_cl.viewer.panels import widgets
 
 _BY_HAND = ("Plot", "Doctor")  # closed until they are asked for
-_STAY = ("Picture", "Plot", "Timeline")  # where the panels on both sides are hidden
-_TIMELINE_HEIGHT = 110.0  # pixels at the usual size of letters
+_STAY = ("Picture", "Plot", "Timeline")  # one above the other: there, too, where the panels on both sides are hidden
+_TIMELINE_HEIGHT = 110.0  # pixels at the usual size of letters ...
+_ROW_HEIGHT = 27.0  # ... and of one more row of controls ...
+_ONE_ROW = 640.0  # ... where it is narrower than this
 _PLOT_HEIGHT = 170.0
 _HIGHEST = 0.4  # of the height: timeline and plot
 _SIDES = (264.0, 348.0)  # pixels left and right of the picture, at the usual size of letters ...
 _WIDEST = (0.22, 0.28)  # ... but not more of the width
-_LOWER_RIGHT = 0.5  # of the height on the right
+_LOWER_RIGHT = 0.56  # of the height on the right
 _FLAGS = imgui.internal.DockNodeFlagsPrivate_
 _PLAIN_TABS = _FLAGS.no_window_menu_button.value | _FLAGS.no_close_button.value  # tabs have their own
 
@@ -49,13 +51,14 @@ class Docks:
         """In a window of `size` pixels, before it is opened; `open_panels` says what is not as usual."""
         docking = hello_imgui.DockingParams()
         docking.main_dock_space_node_flags |= _PLAIN_TABS
-        bottom = min(_TIMELINE_HEIGHT * self._scale() / size[1], _HIGHEST)
-        above = min(_PLOT_HEIGHT * self._scale() / size[1] / (1 - bottom), _HIGHEST)
         left, right = (min(side * self._scale() / size[0], most) for side, most in zip(_SIDES, _WIDEST, strict=True))
+        rows = int((1 - left - right) * size[0] < _ONE_ROW * self._scale())
+        bottom = min((_TIMELINE_HEIGHT + rows * _ROW_HEIGHT) * self._scale() / size[1], _HIGHEST)
+        above = min(_PLOT_HEIGHT * self._scale() / size[1] / (1 - bottom), _HIGHEST)
         docking.docking_splits = [
-            hello_imgui.DockingSplit("MainDockSpace", "Bottom", imgui.Dir.down, bottom),
             hello_imgui.DockingSplit("MainDockSpace", "Left", imgui.Dir.left, left),
             hello_imgui.DockingSplit("MainDockSpace", "Right", imgui.Dir.right, right / (1 - left)),
+            hello_imgui.DockingSplit("MainDockSpace", "Bottom", imgui.Dir.down, bottom),
             hello_imgui.DockingSplit("MainDockSpace", "Above", imgui.Dir.down, above),
             hello_imgui.DockingSplit("Right", "RightBottom", imgui.Dir.down, _LOWER_RIGHT),
         ]

@@ -9,6 +9,7 @@ from pathlib import Path
 from gffe_cl.errors import GffeError
 from gffe_cl.viewer.state.comparing import WAYS
 from gffe_cl.viewer.state.flying import Flight
+from gffe_cl.viewer.state.model import Message
 from gffe_cl.viewer.state.parameters import ALL
 
 COMMANDS = {
@@ -24,7 +25,7 @@ COMMANDS = {
     "panel": "panel NAME: in front of those beside it",
     "palette": "palette TEXT: the palette with this typed into it; none: closed",
     "steer": "steer RIGHT,UP,FORWARD,YAW,PITCH: while the camera flies, keys held (-1 to 1), degrees per second; none",
-    "say": "say TEXT: a message",
+    "say": "say TEXT: a title over the picture's foot",
     "wait": "wait SECONDS: let it play, or be looked at; wait done: until nothing is measured or examined any more",
     "shot": "shot FILE.png: a picture of the window",
 }
@@ -197,8 +198,7 @@ def _steer(app, argument: str) -> None:
 
 
 def _say(app, argument: str) -> None:
-    app.model.messages = []  # one at a time, as titles are
-    app.model.say(argument)
+    app.model.messages = [Message(argument, "title")]  # one at a time
 
 
 _DOING = {

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
-from imgui_bundle import imgui
+from imgui_bundle import ImVec2, imgui
 
 from gffe_cl.options import Option
 from gffe_cl.viewer.panels import widgets
@@ -15,9 +16,7 @@ def draw(app) -> None:
     model = app.model
     offered = model.parameters.offered()
     widgets.heading("Modules")
-    for name, option in offered.items():
-        if option.is_module:
-            _module(model, name, option)
+    _modules(model, {name: option for name, option in offered.items() if option.is_module})
     widgets.heading("Parameters")
     for name, option in offered.items():
         if option.kind is not bool:
@@ -26,11 +25,42 @@ def draw(app) -> None:
         model.parameters.use_defaults()
 
 
+def _modules(model, options: dict[str, Option]) -> None:
+    """Their switches, in two columns where there is room."""
+    listed = list(options.items())
+    columns = next(found for rows in (math.ceil(len(listed) / 2), len(listed)) if _fits(found := _cut(listed, rows)))
+    imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(imgui.get_style().frame_padding.x, 1))
+    if imgui.begin_table("###modules", len(columns), imgui.TableFlags_.sizing_fixed_fit.value):
+        for column in columns:
+            imgui.table_next_column()
+            for name, option in column:
+                _module(model, name, option)
+        imgui.end_table()
+    imgui.pop_style_var()
+
+
+def _cut(listed: list, rows: int) -> list[list]:
+    return [listed[first : first + rows] for first in range(0, len(listed), rows)]
+
+
+def _fits(columns: list[list[tuple[str, Option]]]) -> bool:
+    """Whether there is room for them side by side; for a single one there is."""
+    beside = (
+        imgui.get_text_line_height() + imgui.get_style().item_inner_spacing.x + 2 * imgui.get_style().cell_padding.x
+    )
+    widths = (max(imgui.calc_text_size(_label(option)).x for _, option in column) + beside for column in columns)
+    return len(columns) == 1 or sum(widths) <= imgui.get_content_region_avail().x
+
+
+def _label(option: Option) -> str:
+    return option.off_label or option.label
+
+
 def _module(model, name: str, option: Option) -> None:
     parameters = model.parameters
     reason = parameters.why_not(name)
     widgets.toggle(
-        option.off_label or option.label, parameters.is_on(name) and reason is None,
+        _label(option), parameters.is_on(name) and reason is None,
         partial(parameters.switch, name), parameters.fault(name) or option.off_sentence or option.sentence, reason,
     )  # fmt: skip
 

@@ -67,7 +67,7 @@ class _Texture:
         """At least so many."""
         if levels > self.mipmaps:
             self.texels.build_mipmaps(max_level=levels)
-            self.texels.filter = (moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR)
+            self.texels.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
             self.mipmaps = levels
 
 
@@ -344,8 +344,8 @@ class Canvas:
         area = frame.area(spec)
         texel = [zoom * frame.display_size[i] / (layer.size[i] * abs(area[i + 2] - area[i])) for i in (0, 1)]
         smooth = view == "color" and min(texel) < 1.0
-        level = min(round(-math.log2(max(min(texel), 1e-9))), int(math.log2(max(layer.size)))) if smooth else 0
-        layer.have_mipmaps(level)
+        level = min(-math.log2(max(min(texel), 1e-9)), int(math.log2(max(layer.size)))) if smooth else 0.0
+        layer.have_mipmaps(math.ceil(level))
         low, high = display.low, display.high
         uniforms = {
             "components": layer.components,
@@ -354,7 +354,7 @@ class Canvas:
             "area": area,
             "own": frame.own_place(spec),
             "texel": texel,
-            "level": float(level),
+            "level": level,
             "weighted": spec.view == "color" and spec.components[3:] == ("weight",),
             "gain": 2.0**display.exposure * frame.exposure,
             "color_map": colors.COLOR_MAPS.index(display.color_map),

@@ -53,11 +53,16 @@ _OPTIONS = Options()
 
 @dataclass
 class Message:
-    """Something to tell; `since`: when it was shown first, seconds of the clock that playback goes by."""
+    """Something to tell, of a kind: "note", "error", or "title" of a script; `since`: when it was shown first, seconds
+    of the clock that playback goes by."""
 
     text: str
-    error: bool
+    kind: str
     since: float | None = None
+
+    @property
+    def error(self) -> bool:
+        return self.kind == "error"
 
 
 class Model:
@@ -461,7 +466,7 @@ class Model:
         return self.doctor.marks if self.doctor is not None else {}
 
     def say(self, text: str, error: bool = False) -> None:
-        self.messages = [*self.messages[-20:], Message(text, error)]
+        self.messages = [*self.messages[-20:], Message(text, "error" if error else "note")]
 
     def remember(self, window_size: tuple[int, int]) -> None:
         """Write the settings."""
