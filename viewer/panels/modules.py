@@ -27,29 +27,25 @@ def draw(app) -> None:
 
 def _modules(model, options: dict[str, Option]) -> None:
     """Their switches, in two columns where there is room."""
-    listed = list(options.items())
-    columns = next(found for rows in (math.ceil(len(listed) / 2), len(listed)) if _fits(found := _cut(listed, rows)))
+    listed, spacing = list(options.items()), imgui.get_style().item_spacing
+    first = listed[: math.ceil(len(listed) / 2)]
+    column = _width(first) + spacing.x
+    if column + _width(listed[len(first) :]) > imgui.get_content_region_avail().x:
+        first = listed
+    left = imgui.get_cursor_pos_x()
     imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(imgui.get_style().frame_padding.x, 1))
-    if imgui.begin_table("###modules", len(columns), imgui.TableFlags_.sizing_fixed_fit.value):
-        for column in columns:
-            imgui.table_next_column()
-            for name, option in column:
-                _module(model, name, option)
-        imgui.end_table()
+    for row, module in enumerate(first):
+        _module(model, *module)
+        for beside in listed[len(first) :][row : row + 1]:
+            imgui.same_line(left + column)
+            _module(model, *beside)
     imgui.pop_style_var()
 
 
-def _cut(listed: list, rows: int) -> list[list]:
-    return [listed[first : first + rows] for first in range(0, len(listed), rows)]
-
-
-def _fits(columns: list[list[tuple[str, Option]]]) -> bool:
-    """Whether there is room for them side by side; for a single one there is."""
-    beside = (
-        imgui.get_text_line_height() + imgui.get_style().item_inner_spacing.x + 2 * imgui.get_style().cell_padding.x
-    )
-    widths = (max(imgui.calc_text_size(_label(option)).x for _, option in column) + beside for column in columns)
-    return len(columns) == 1 or sum(widths) <= imgui.get_content_region_avail().x
+def _width(listed: list[tuple[str, Option]]) -> float:
+    """Of their switches below each other, pixels."""
+    box = imgui.get_text_line_height() + imgui.get_style().item_inner_spacing.x + 2
+    return box + max(imgui.calc_text_size(_label(option)).x for _, option in listed)
 
 
 def _label(option: Option) -> str:

@@ -29,16 +29,16 @@ def draw(app) -> None:
     elif reason:
         widgets.hint(f"This frame: {reason}")
     elif regions.map is not None:
-        _table(regions, "this frame" + ("" if regions.ready else " …"), regions.map.a, regions.map.b)
+        _table(regions, "frame", "this frame" + ("" if regions.ready else " …"), regions.map.a, regions.map.b)
     whole = model.survey.parts(model.survey.a)
     if whole:
         count = len(model.survey.with_parts(model.survey.a))
-        _table(regions, f"all {count} frames", whole, model.survey.parts(model.survey.b) or None)
+        _table(regions, "all", f"all {count} frames", whole, model.survey.parts(model.survey.b) or None)
 
 
-def _table(regions, of: str, a: dict[str, Part], b: dict[str, Part] | None) -> None:
+def _table(regions, name: str, of: str, a: dict[str, Part], b: dict[str, Part] | None) -> None:
     """A row for each region; `of`: which frames, instead of a heading."""
-    columns, name = [(of, 0.4), ("pixels", 0.17), ("error", 0.24), ("dB", 0.19)], of.split()[0]
+    columns = [(of, 0.4), ("pixels", 0.17), ("error", 0.24), ("dB", 0.19)]
     if b is not None:
         columns = [(of, 0.37), ("pixels", 0.16), ("error", 0.17), ("A dB", 0.15), ("B dB", 0.15)]
     if not imgui.begin_table(f"###regions {name}", len(columns), imgui.TableFlags_.row_bg.value):

@@ -110,15 +110,15 @@ def _bar(model) -> None:
     _cached(model, draw, origin, step, height)
     marked = [(frame, RESET) for frame in model.contents.resets] + [(frame, DOUBT) for frame in model.marks]
     for frame, color in marked:
-        x, ink = origin.x + frame * (model.n + 1) * step, imgui.get_color_u32(color)
+        x, ink = round(origin.x + frame * (model.n + 1) * step), imgui.get_color_u32(color)
         draw.add_line(ImVec2(x, origin.y), ImVec2(x, origin.y + height), ink, 2.0)
         draw.add_triangle_filled(ImVec2(x, origin.y), ImVec2(x + 7, origin.y + 3), ImVec2(x, origin.y + 6), ink)
-    at = origin.x + (playback.slot + 0.5) * step
+    at = round(origin.x + (playback.slot + 0.5) * step)
     ink = imgui.get_color_u32(imgui.Col_.text)
     draw.add_line(ImVec2(at, origin.y), ImVec2(at, origin.y + height), ink, 2.0)
     draw.add_triangle_filled(ImVec2(at - 5, origin.y), ImVec2(at + 5, origin.y), ImVec2(at, origin.y + 7), ink)
     for slot in (first, last + 1):
-        x = origin.x + slot * step
+        x = round(origin.x + slot * step)
         draw.add_line(ImVec2(x, origin.y), ImVec2(x, origin.y + height), imgui.get_color_u32((0.4, 0.9, 0.5, 0.9)), 2.0)
 
 
