@@ -116,7 +116,24 @@ def test_real_time_follows_the_clock_through_laps(playback, ticks):
     for now, slot, _ in played(playback, ticks):
         due = start + (at + (now - 1000.0) * playback.speed) % length
         laps = np.array([due - length, due, due + length])
-        assert np.abs(laps - np.clip(laps, playback.time_of(slot), playback.time_of(slot + 1))).min() < 1e-5
+        end = playback.time_of(slot + 1)  # one slot later than due at the most
+        end += (
+            playback.time_of(playback.first + 1) - start if slot == playback.last else playback.time_of(slot + 2) - end
+        )
+        assert np.abs(laps - np.clip(laps, playback.time_of(slot), end)).min() < 1e-5
+
+
+def test_a_late_tick_drops_nothing_and_rests_end_when_a_slot_is_due():
+    playback = Playback(5, 10.0, 0)
+    seen = [slot for _, slot, _ in played(playback, (0.1, 0.21, 0.05, 0.1, 0.15, 0.01))]
+    assert seen == [0, 1, 2, 3, 4, 0, 1] and playback.dropped == 0 and playback.due == 6
+    assert playback.rest(1001.0) == 0  # something is waited for
+    playback = Playback(5, 10.0, 0)
+    assert list(played(playback, (0.02,)))[-1][1] == 0 and playback.rest(1000.05) == pytest.approx(0.05)
+    playback.speed = 2.0
+    assert playback.rest(1000.05) == pytest.approx(0.01) and playback.rest(1001.0) == 0
+    playback.pause()
+    assert playback.rest(1000.05) == 0
 
 
 @cases

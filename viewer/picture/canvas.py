@@ -234,7 +234,9 @@ class Canvas:
             return old
         if old is not None:
             _release(old)
-        self._targets[name] = self.ctx.framebuffer([self.ctx.texture(size, 4)])
+        texture = self.ctx.texture(size, 4)
+        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)  # it is shown pixel by pixel
+        self._targets[name] = self.ctx.framebuffer([texture])
         return self._targets[name]
 
     def _draw(self, view: View, corner: tuple[int, int], framebuffer: moderngl.Framebuffer) -> None:
