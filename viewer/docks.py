@@ -16,6 +16,7 @@ _ROW_HEIGHT = 27.0  # ... and of one more row of controls ...
 _ONE_ROW = 640.0  # ... where it is narrower than this
 _PLOT_HEIGHT = 170.0
 _HIGHEST = 0.4  # of the height: timeline and plot
+_LEAST_PICTURE = 0.4  # of the height, above both
 _SIDES = (264.0, 348.0)  # pixels left and right of the picture, at the usual size of letters ...
 _WIDEST = (0.22, 0.28)  # ... but not more of the width
 _LOWER_RIGHT = 0.56  # of the height on the right
@@ -40,7 +41,7 @@ class Docks:
         self.hidden = False  # the panels on both sides
         self._before_hiding: list[str] = []
         self._stretched: dict[str, tuple[float, float]] = {}  # sizes of docks that were set: now and at scale 1
-        self._plot_due = False
+        self._plot_due = self._plot_beside = False  # a plot beside the timeline: the window is too low for both
         self._to_front: str | None = None  # the panel that is brought there
 
     @property
@@ -62,11 +63,14 @@ class Docks:
             hello_imgui.DockingSplit("MainDockSpace", "Above", imgui.Dir.down, above),
             hello_imgui.DockingSplit("Right", "RightBottom", imgui.Dir.down, _LOWER_RIGHT),
         ]
+        self._plot_beside = (1 - bottom) * (1 - above) < _LEAST_PICTURE
         docking.dockable_windows = [self._window(name, open_panels) for name in self._panels]
         runner.docking_params, self._runner = docking, runner
 
     def _window(self, name: str, open_panels: dict[str, bool]) -> hello_imgui.DockableWindow:
         draw, space = self._panels[name]
+        if name == "Plot" and self._plot_beside:
+            space = self._panels["Timeline"][1]
         window = hello_imgui.DockableWindow(name, space, can_be_closed_=name != "Picture")
         window.is_visible = open_panels.get(name, name not in _BY_HAND)
         window.remember_is_visible = False  # the settings do
@@ -170,7 +174,7 @@ class Docks:
         nodes = _nodes("Plot")
         if self._plot_due and nodes:
             height = min(_PLOT_HEIGHT * self._scale(), _HIGHEST * imgui.get_io().display_size.y)
-            if nodes[0].size.y < height:
+            if nodes[0].size.y < height and not self._plot_beside:
                 imgui.internal.dock_builder_set_node_size(nodes[0].id_, ImVec2(nodes[0].size.x, height))
             self._plot_due = False
 

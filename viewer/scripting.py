@@ -136,8 +136,8 @@ def _without_pointer() -> None:
 
 
 def _works_beside(model) -> bool:
-    """Whether frames are being measured, or the doctor examines the sequence."""
-    return model.survey.busy or (model.doctor is not None and not model.doctor.done)
+    """Whether frames are being measured, the doctor examines the sequence, or something is being saved."""
+    return model.survey.busy or model.export is not None or (model.doctor is not None and not model.doctor.done)
 
 
 def require_film(path: Path) -> None:

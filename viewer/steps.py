@@ -26,7 +26,7 @@ COMMANDS = {
     "palette": "palette TEXT: the palette with this typed into it; none: closed",
     "steer": "steer RIGHT,UP,FORWARD,YAW,PITCH: while the camera flies, keys held (-1 to 1), degrees per second; none",
     "say": "say TEXT: a title over the picture's foot",
-    "wait": "wait SECONDS: let it play, or be looked at; wait done: until nothing is measured or examined any more",
+    "wait": "wait SECONDS: let it play, or be looked at; wait done: until nothing is measured, examined or saved",
     "shot": "shot FILE.png: a picture of the window",
 }
 
@@ -181,8 +181,7 @@ def _palette(app, argument: str) -> None:
     if argument == "none":
         app.palette.close()
         return
-    app.palette.open()
-    app.palette.text = argument
+    app.palette.open(argument)
 
 
 def _steer(app, argument: str) -> None:

@@ -12,6 +12,7 @@ from gffe_cl.viewer.engine.figures import QUANTITIES
 from gffe_cl.viewer.panels import widgets
 
 COLORS = {"A": (0.96, 0.66, 0.28, 1.0), "B": (0.36, 0.72, 0.95, 1.0)}
+_HIGHEST_NUMBER = 0.88  # share of the height: there is no room for one above
 _FEW = 80  # slots: these are marked one by one
 
 
@@ -22,7 +23,7 @@ def draw(app) -> None:
         return
     _controls(app)
     flags = implot.Flags_.no_mouse_text | implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_legend
-    height = max(imgui.get_content_region_avail().y, hello_imgui.em_size(5))
+    height = max(imgui.get_content_region_avail().y, hello_imgui.em_size(4))
     implot.push_style_var(implot.StyleVar_.plot_padding.value, ImVec2(0, 4))  # as wide as the timeline below
     if implot.begin_plot("###survey", ImVec2(-1, height), int(flags)):
         _plot(model, model.survey)
@@ -58,7 +59,8 @@ def _axes(slots: int, values: np.ndarray) -> None:
     implot.setup_axis_ticks(implot.ImAxis_.y1, levels, texts)
     for level, text in zip(levels, texts, strict=True):
         size = imgui.calc_text_size(text)
-        implot.plot_text(text, 0.0, level, ImVec2(size.x / 2 + 4, -size.y / 2))
+        if level < low + _HIGHEST_NUMBER * (high - low):
+            implot.plot_text(text, 0.0, level, ImVec2(size.x / 2 + 4, -size.y / 2))
 
 
 def scale_of(least: float, most: float) -> tuple[float, float, list[float], list[str]]:
@@ -83,32 +85,37 @@ def _step(slots: int, most: float) -> int:
 
 
 def _controls(app) -> None:
-    model, survey = app.model, app.model.survey
-    widgets.toggle("measure every frame", survey.on, app.show_survey, "Every generated frame, in the background")
-    imgui.same_line()
-    imgui.set_next_item_width(hello_imgui.em_size(9))
-    if imgui.begin_combo("###quantity", QUANTITIES[survey.quantity].label):
-        for name, quantity in QUANTITIES.items():
-            if imgui.selectable(quantity.label, name == survey.quantity)[0]:
-                survey.quantity = name
-        imgui.end_combo()
-    for name, icon in (
-        ("worst", icons.ICON_FA_ARROW_DOWN_WIDE_SHORT),
-        ("next_worst", icons.ICON_FA_ARROW_RIGHT),
-        ("most_different", icons.ICON_FA_CODE_COMPARE),
-    ):
-        imgui.same_line()
-        widgets.action_button(app.actions, name, icon)
-    for label, side in (("A", survey.a), ("B", survey.b)):
-        mean = survey.mean(side, survey.quantity)
-        if mean is not None:
-            imgui.same_line()
-            imgui.text_colored(COLORS[label], label)
-            imgui.same_line(0, hello_imgui.em_size(0.3))
-            imgui.text(QUANTITIES[survey.quantity].text(mean))
-    imgui.same_line()
-    text = _progress(model)
-    imgui.text(widgets.shortened(text, imgui.get_content_region_avail().x) if text else "")
+    """Side by side, in as many rows as they need."""
+    model, survey, em = app.model, app.model.survey, hello_imgui.em_size
+    with widgets.in_rows(indent=0.0) as row:
+        row(0)
+        widgets.toggle("measure every frame", survey.on, app.show_survey, "Every generated frame, in the background")
+        row(em(9))
+        imgui.set_next_item_width(em(9))
+        if imgui.begin_combo("###quantity", QUANTITIES[survey.quantity].label):
+            for name, quantity in QUANTITIES.items():
+                if imgui.selectable(quantity.label, name == survey.quantity)[0]:
+                    survey.quantity = name
+            imgui.end_combo()
+        for name, icon in (
+            ("worst", icons.ICON_FA_ARROW_DOWN_WIDE_SHORT),
+            ("next_worst", icons.ICON_FA_ARROW_RIGHT),
+            ("most_different", icons.ICON_FA_CODE_COMPARE),
+        ):
+            row(em(2.2))
+            widgets.action_button(app.actions, name, icon)
+        for label, side in (("A", survey.a), ("B", survey.b)):
+            mean = survey.mean(side, survey.quantity)
+            if mean is not None:
+                text = QUANTITIES[survey.quantity].text(mean)
+                row(imgui.calc_text_size(f"{label} {text}").x)
+                imgui.text_colored(COLORS[label], label)
+                imgui.same_line(0, em(0.3))
+                imgui.text(text)
+        text = _progress(model)
+        if text:
+            row(min(imgui.calc_text_size(text).x, em(8)))
+            imgui.text(widgets.shortened(text, imgui.get_content_region_avail().x))
 
 
 def _progress(model) -> str:

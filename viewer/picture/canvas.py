@@ -116,6 +116,7 @@ class Canvas:
 
     def __init__(self, ctx: moderngl.Context):
         self.ctx = ctx
+        self.largest: int = ctx.info["GL_MAX_TEXTURE_SIZE"]  # pixels: a picture's width or height
         self.frame = FrameInfo((1, 1))
         self._programs: dict[tuple[int, ...], _Program] = {}
         self._layers: dict[str, _Texture] = {}
@@ -135,7 +136,7 @@ class Canvas:
         float16, float32 and uint8 go as they are (fastest when C-contiguous), other types as float32. An image wider
         or higher than the GPU's largest texture goes with every n-th pixel. An empty one is ignored.
         """
-        texels = _texels(array, spec, self.ctx.info["GL_MAX_TEXTURE_SIZE"])
+        texels = _texels(array, spec, self.largest)
         if texels is None:
             return
         layer = self._layers.get(name)
