@@ -9,7 +9,7 @@ from pathlib import Path
 from gffe_cl.errors import GffeError
 from gffe_cl.viewer.state.comparing import WAYS
 from gffe_cl.viewer.state.flying import Flight
-from gffe_cl.viewer.state.model import Message
+from gffe_cl.viewer.state.messages import Message
 from gffe_cl.viewer.state.parameters import ALL
 
 COMMANDS = {

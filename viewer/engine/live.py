@@ -51,17 +51,9 @@ class SceneSource(FrameSource):
     live = windowed = has_truth = True
 
     def __init__(
-        self,
-        scene: Scene,
-        device: Device,
-        width: int,
-        height: int,
-        fps: float | None = None,
-        window: str | None = None,
-        count: int = 600,
-        samples: int = 8,
-        cache_bytes: int = CACHE_BYTES,
-    ):
+        self, scene: Scene, device: Device, width: int, height: int, fps: float | None = None,
+        window: str | None = None, count: int = 600, samples: int = 8, cache_bytes: int = CACHE_BYTES,
+    ):  # fmt: skip
         self.fps = scene.fps if fps is None else fps
         require_frames(count, self.fps)
         self.scene, self.name, self.exposure = scene, scene.name, scene.exposure
