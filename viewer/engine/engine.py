@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import pyopencl as cl
+
 from gffe_cl.errors import GffeError
 from gffe_cl.evaluation.bench import Copier
 from gffe_cl.inference import NetworkError
@@ -132,6 +134,8 @@ class Engine(Exchange):
 
     def _fail(self, error: Exception, kind: str, content: Any) -> None:
         message = str(error) if isinstance(error, GffeError) else f"{type(error).__name__}: {error}"
+        if isinstance(error, cl.Error):
+            message = f"the device failed ({error}): what is in the cache stays; if it does not recover, start anew"
         serial = content.serial if isinstance(content, Request) else content[1] if kind == "source" else 0
         if kind == "device":
             self._problem, self.device_name = message, "no device"
