@@ -52,9 +52,8 @@ class Docks:
         """In a window of `size` pixels, before it is opened; `open_panels` says what is not as usual."""
         docking = hello_imgui.DockingParams()
         docking.main_dock_space_node_flags |= _PLAIN_TABS
-        left, right = (min(side * self._scale() / size[0], most) for side, most in zip(_SIDES, _WIDEST, strict=True))
-        rows = int((1 - left - right) * size[0] < _ONE_ROW * self._scale())
-        bottom = min((_TIMELINE_HEIGHT + rows * _ROW_HEIGHT) * self._scale() / size[1], _HIGHEST)
+        left, right = _sides(size[0], self._scale())
+        bottom = min((_TIMELINE_HEIGHT * self._scale() + _second_row(size[0], self._scale())) / size[1], _HIGHEST)
         above = min(_PLOT_HEIGHT * self._scale() / size[1] / (1 - bottom), _HIGHEST)
         docking.docking_splits = [
             hello_imgui.DockingSplit("MainDockSpace", "Left", imgui.Dir.left, left),
@@ -151,9 +150,10 @@ class Docks:
             node, down = beside[-1], name == "Timeline"
             now = node.size.y if down else node.size.x
             made, usual = self._stretched.get(name, (0.0, 0.0))
+            rows = [_second_row(width, scale) if down else 0.0 for scale in (before, after)]
             if abs(now - made) > 2:  # the user chose another size
-                usual = now / before
-            made = min(usual * after, most)
+                usual = (now - rows[0]) / before
+            made = min(usual * after + rows[1], most)
             self._stretched[name] = made, usual
             size = ImVec2(node.size.x, made) if down else ImVec2(made, node.size.y)
             imgui.internal.dock_builder_set_node_size(node.id_, size)
@@ -177,6 +177,16 @@ class Docks:
             if nodes[0].size.y < height and not self._plot_beside:
                 imgui.internal.dock_builder_set_node_size(nodes[0].id_, ImVec2(nodes[0].size.x, height))
             self._plot_due = False
+
+
+def _sides(width: float, scale: float) -> list[float]:
+    """Shares of a window's width, left and right of the picture."""
+    return [min(side * scale / width, most) for side, most in zip(_SIDES, _WIDEST, strict=True)]
+
+
+def _second_row(width: float, scale: float) -> float:
+    """Height of the controls of the timeline that have no room beside the others in a window of this width, pixels."""
+    return _ROW_HEIGHT * scale if (1 - sum(_sides(width, scale))) * width < _ONE_ROW * scale else 0.0
 
 
 def _nodes(name: str) -> list:

@@ -87,8 +87,7 @@ def _settings(app) -> None:
     entered, text = imgui.input_text("###name_of_b", kept.name, enter)
     if entered:
         model.kept.rename(kept, text)
-    imgui.same_line()
-    imgui.text("name of B")
+    widgets.beside("name of B")
     if model.second.fault or kept.suspicion:
         imgui.text_wrapped(model.second.fault or kept.suspicion)
 

@@ -120,7 +120,6 @@ def _range(display, change) -> None:
     widgets.leave_room_for("range")
     speed = max(abs(display.high - display.low) / 200, 1e-4)
     changed, low, high = imgui.drag_float_range2("###range", display.low, display.high, speed, 0.0, 0.0, "%.3g", "%.3g")
-    imgui.same_line()
-    imgui.text("range")
+    widgets.beside("range")
     if changed:
         change(low=low, high=high)

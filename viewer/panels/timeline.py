@@ -17,7 +17,7 @@ RESET = (0.93, 0.30, 0.30, 1.0)
 CACHED = (0.35, 0.80, 0.45, 1.0)
 _CACHED_HEIGHT = 3.0  # screen pixels
 _NARROW = 2.5  # screen pixels
-_LEAST_STATUS = 8.0  # em: with less room it has a row of its own
+_LEAST_STATUS = 4.5  # em: with less room it has a row of its own
 _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 
 
@@ -53,11 +53,12 @@ def _transport(app) -> None:
         row(width(4))
         _combo("speed", playback.speed, {speed: f"{speed:g}×" for speed in _SPEEDS},
                partial(setattr, playback, "speed"), 4)  # fmt: skip
-        text = _status(app.model)
-        row(min(imgui.calc_text_size(text).x, width(_LEAST_STATUS)))
+        row(width(_LEAST_STATUS))
         imgui.align_text_to_frame_padding()
-        imgui.text(widgets.shortened(text, imgui.get_content_region_avail().x))
-        widgets.tooltip(text)
+        long, short = _status(app.model)
+        room = imgui.get_content_region_avail().x
+        imgui.text(long if imgui.calc_text_size(long).x <= room else widgets.shortened(short, room))
+        widgets.tooltip(long)
 
 
 def _combo(name: str, value, texts: dict, change, width: float, told: dict | None = None) -> None:
@@ -72,14 +73,16 @@ def _combo(name: str, value, texts: dict, change, width: float, told: dict | Non
     widgets.tooltip("\n".join(f"{choice}: {text}" for choice, text in (told or {}).items()))
 
 
-def _status(model) -> str:
+def _status(model) -> tuple[str, str]:
+    """What is shown and when it is due, or how it plays; and the same in fewer letters."""
     playback = model.playback
-    seconds = f"{model.playback.time_of(playback.slot):.3f} s"
+    seconds = f"{playback.time_of(playback.slot):.3f} s"
     if playback.playing:
-        text = f"{seconds}   {playback.rate:.0f} of {playback.target_rate:.0f}/s"
-        return text + (f"   {playback.dropped} dropped" if playback.dropped else "")
+        rate, dropped = f"{playback.rate:.0f} of {playback.target_rate:.0f}/s", playback.dropped
+        return f"{seconds}   {rate}" + (f"   {dropped} dropped" if dropped else ""), f"{rate}, −{dropped}"
     k, j = divmod(playback.slot, model.n + 1)
-    return (f"rendered {k}" if j == 0 else f"generated {k} + {j}/{model.n + 1}") + f"   t = {seconds}"
+    at = f"{k} + {j}/{model.n + 1}" if j else f"{k}"
+    return f"{'generated' if j else 'rendered'} {at}   t = {seconds}", at
 
 
 def _bar(model) -> None:

@@ -82,8 +82,15 @@ def slider(
         change(default)
     imgui.end_disabled()
     tooltip(f"back to {default:g}")
+    beside(label)
+
+
+def beside(label: str) -> None:
+    """The label of the last item, as much of it as has room."""
     imgui.same_line()
-    imgui.text(label)
+    text = shortened(label, imgui.get_content_region_avail().x)
+    imgui.text(text)
+    tooltip("" if text == label else label)
 
 
 def leave_room_for(label: str) -> None:
@@ -114,8 +121,7 @@ def choice(
             if chosen and name != value:
                 change(name)
         imgui.end_combo()
-    imgui.same_line()
-    imgui.text(label)
+    beside(label)
 
 
 def hint(text: str) -> None:
