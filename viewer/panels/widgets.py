@@ -132,7 +132,8 @@ def hint(text: str) -> None:
 
 
 def shortened(text: str, width: float) -> str:
-    """As much of it as has room, its end rather than its middle."""
+    """As much of it as has room, its end rather than its middle; a few letters in any case."""
+    shorter = text
     if imgui.calc_text_size(text).x <= width:
         return text
     for kept in range(len(text) - 1, 2, -1):
