@@ -174,6 +174,8 @@ class Docks:
         nodes = _nodes("Plot")
         if self._plot_due and nodes:
             height = min(_PLOT_HEIGHT * self._scale(), _HIGHEST * imgui.get_io().display_size.y)
+            if len(nodes) > 1:
+                height = min(height, nodes[1].size.y / 2)  # the other half is the picture's
             if nodes[0].size.y < height and not self._plot_beside:
                 imgui.internal.dock_builder_set_node_size(nodes[0].id_, ImVec2(nodes[0].size.x, height))
             self._plot_due = False
