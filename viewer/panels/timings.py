@@ -76,10 +76,10 @@ def _kernels(model, stage: str, longest: float, color) -> None:
     must_move = model.engine.traffic.get(stage, {})
     for kernel, milliseconds in model.timings.of_stage(stage).items():
         imgui.table_next_column()
-        imgui.indent(hello_imgui.em_size(1))
+        imgui.indent(hello_imgui.em_size(2))
         imgui.text(widgets.shortened(kernel, imgui.get_content_region_avail().x))
         widgets.tooltip(kernel)
-        imgui.unindent(hello_imgui.em_size(1))
+        imgui.unindent(hello_imgui.em_size(2))
         _cost(model, milliseconds, longest, color, must_move.get(kernel))
 
 
