@@ -20,6 +20,7 @@ from gffe_cl.errors import GffeError
 from gffe_cl.sequence.exr import read_channels
 from gffe_cl.viewer.actions import IMGUI_KEYS, MODIFIERS, Action, Actions, parse_shortcut, shortcut_text
 from gffe_cl.viewer.engine.layers import LayerSpec
+from gffe_cl.viewer.panels.plot import scale_of
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
 from gffe_cl.viewer.state import settings as settings_module
 from gffe_cl.viewer.state.playback import EVERY_FRAME, MODES, REAL_TIME, Playback
@@ -215,6 +216,14 @@ def test_every_frame_keeps_the_pace_between_ticks_but_does_not_catch_up():
     playback.home()
     late = [slot for _, slot, _ in played(playback, [0.001] * 10 + [0.9] + [0.001] * 90)]
     assert late[10:14] == [0, 1, 2, 2] and late[-1] == 6  # a slot each 20 ms, one of them early
+
+
+@cases
+@given(st.floats(-1e6, 1e6), st.floats(0, 1e6) | st.floats(0, 1e-9))
+def test_axis_of_the_plot_has_room_and_a_few_round_numbers(least, more):
+    low, high, levels, texts = scale_of(least, least + more)
+    assert low < least <= least + more < high and 1 <= len(levels) <= 5
+    assert all(low <= level <= high for level in levels) and len(set(texts)) == len(texts)
 
 
 def test_nothing_counts_as_shown_that_was_not_delivered():

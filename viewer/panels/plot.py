@@ -12,7 +12,6 @@ from gffe_cl.viewer.engine.figures import QUANTITIES
 from gffe_cl.viewer.panels import widgets
 
 COLORS = {"A": (0.96, 0.66, 0.28, 1.0), "B": (0.36, 0.72, 0.95, 1.0)}
-_HIGHEST_NUMBER = 0.88  # share of the height: there is no room for one above
 _FEW = 80  # slots: these are marked one by one
 
 
@@ -26,20 +25,18 @@ def draw(app) -> None:
     height = max(imgui.get_content_region_avail().y, hello_imgui.em_size(4))
     implot.push_style_var(implot.StyleVar_.plot_padding.value, ImVec2(0, 4))  # as wide as the timeline below
     if implot.begin_plot("###survey", ImVec2(-1, height), int(flags)):
-        _plot(model, model.survey)
+        _plot(model, model.survey, height - 2 * imgui.get_text_line_height())
         implot.end_plot()
     implot.pop_style_var()
 
 
-def _plot(model, survey) -> None:
-    quantity, sides = (
-        QUANTITIES[survey.quantity],
-        [("B", survey.b, 3.5), ("A", survey.a, 1.5)],
-    )  # A over B: both are seen
+def _plot(model, survey, height: float) -> None:
+    quantity = QUANTITIES[survey.quantity]
+    sides = ("B", survey.b, 3.5), ("A", survey.a, 1.5)  # A over B: both are seen
     curves = [(name, *survey.curve(side), weight) for name, side, weight in sides]
     curves = [curve for curve in curves if curve[1].size]
     slots = max(model.playback.slots, 1)
-    _axes(slots, np.concatenate([ys for _, _, ys, _ in curves] or [np.array([0.0, 1.0])]))
+    _axes(slots, np.concatenate([ys for _, _, ys, _ in curves] or [np.array([0.0, 1.0])]), height)
     for name, xs, ys, weight in curves:
         _curve(name, xs, ys, COLORS[name], weight, xs.size <= _FEW)
     implot.plot_inf_lines("###now", np.array([model.slot + 0.5]))
@@ -47,8 +44,9 @@ def _plot(model, survey) -> None:
         _hovered(model, [curve[:3] for curve in reversed(curves)], quantity)
 
 
-def _axes(slots: int, values: np.ndarray) -> None:
-    """Slots as the timeline below has them, and a range for these values, whose numbers stand inside."""
+def _axes(slots: int, values: np.ndarray, height: float) -> None:
+    """Slots as the timeline below has them, and a range for these values, whose numbers stand inside; `height`: of the
+    curves, pixels."""
     hidden = implot.AxisFlags_.no_label.value
     implot.setup_axes("frame", "value", hidden, hidden | implot.AxisFlags_.no_tick_labels.value)
     implot.setup_axis_limits(implot.ImAxis_.x1, 0, slots, imgui.Cond_.always.value)
@@ -59,13 +57,13 @@ def _axes(slots: int, values: np.ndarray) -> None:
     implot.setup_axis_ticks(implot.ImAxis_.y1, levels, texts)
     for level, text in zip(levels, texts, strict=True):
         size = imgui.calc_text_size(text)
-        if level < low + _HIGHEST_NUMBER * (high - low):
+        if (high - level) / (high - low) * height > size.y:  # there is room for it above
             implot.plot_text(text, 0.0, level, ImVec2(size.x / 2 + 4, -size.y / 2))
 
 
 def scale_of(least: float, most: float) -> tuple[float, float, list[float], list[str]]:
     """Range of an axis on which these values have some room, round numbers in it, and how they are written."""
-    room = 0.1 * (most - least) or 0.05 * abs(most) or 0.05
+    room = max(0.1 * (most - least), 1e-3 * abs(most), 1e-3)
     low, high = least - room, most + 2 * room
     step = next(
         factor * 10.0**power

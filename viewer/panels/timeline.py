@@ -1,4 +1,4 @@
-"""Timeline: transport buttons, rendered and generated frames told apart, in and out points, scrubbing."""
+"""Timeline: rendered and generated frames told apart, in and out points, scrubbing; transport buttons."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ def draw(app) -> None:
     if model.source is None:
         imgui.text_disabled("Open a sequence or a scene")
         return
+    _bar(model)  # first: where the window is low, it is there
+    imgui.dummy(ImVec2(0, 0))
     _transport(app)
-    _bar(model)
 
 
 def _transport(app) -> None:
