@@ -149,9 +149,9 @@ def test_the_rules_can_fail():
 
 
 def test_the_viewer_knows_no_option_by_name():
-    """A new toggle needs no change in the viewer: only what explains a pixel, and what makes shading correction
-    unavailable, read single options."""
-    explaining = {"engine/telling.py", "engine/fragment.py", "state/parameters.py"}
+    """A new toggle needs no change in the viewer: only what explains a pixel, what makes shading correction
+    unavailable, and what frames are rendered for, read single options."""
+    explaining = {"engine/telling.py", "engine/fragment.py", "engine/seeking.py", "state/parameters.py"}
     folder = parts()["viewer"]
     for path in folder.rglob("*.py"):
         if path.relative_to(folder).as_posix() in explaining:

@@ -18,9 +18,10 @@ from gffe_cl.evaluation.report import error_image
 from gffe_cl.metrics import display_values
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec, layers_of
-from gffe_cl.viewer.picture.canvas import Canvas, _texels, read
+from gffe_cl.viewer.picture.canvas import Canvas, read
 from gffe_cl.viewer.picture.colors import LABEL_COLORS, MASK_OFF, SKY, color_table
 from gffe_cl.viewer.picture.displays import Display, FrameInfo, default_display, fitted
+from gffe_cl.viewer.picture.textures import texels_of
 from gffe_cl.viewer.picture.view import View
 
 LEVEL = 1.01 / 255  # half a level of rounding, and as much for powers
@@ -553,7 +554,9 @@ def test_uploads_go_through_a_ring_of_pixel_buffers(context, monkeypatch):
         values = np.full((5, 6), index, np.uint8)
         canvas.upload("l", values, LABEL)
         assert canvas.pixel_buffers == [30] * min(index + 1, 3)
-        assert canvas._rings[30][-1].read() == values.tobytes() and written[-1] is canvas._rings[30][-1]
+        assert (
+            canvas._buffers._rings[30][-1].read() == values.tobytes() and written[-1] is canvas._buffers._rings[30][-1]
+        )
         close(drawn(canvas, View("l", Display(), centre=(3, 2.5)), (6, 5)), LABEL_COLORS[index])
     assert len(set(map(id, written[:3]))) == 3 and all(written[i] is written[i + 3] for i in range(4))  # in turn
     canvas.upload("s", np.zeros((5, 6), np.float32), SCALAR)
@@ -595,8 +598,8 @@ def test_layer_that_has_changed_its_meaning(canvas):
 
 def test_too_large_images_are_thinned_out():
     array = np.arange(70, dtype=np.float32).reshape(7, 10)
-    assert _texels(array, SCALAR, 10).shape == (1, 7, 10, 1)
-    np.testing.assert_array_equal(_texels(array, SCALAR, 4)[0, ..., 0], array[::3, ::3])
+    assert texels_of(array, SCALAR, 10).shape == (1, 7, 10, 1)
+    np.testing.assert_array_equal(texels_of(array, SCALAR, 4)[0, ..., 0], array[::3, ::3])
 
 
 def test_missing_layer_is_background(canvas):

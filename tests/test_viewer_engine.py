@@ -32,7 +32,7 @@ from gffe_cl.metrics import METRICS, Metric, display_values, focus_mask, measura
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import kernel_folder
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
-from gffe_cl.source import Recorded
+from gffe_cl.source import Live, Recorded
 from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
 from gffe_cl.viewer.engine.live import SceneSource
 from gffe_cl.viewer.engine.messages import EngineError, Request, Result, Setup
@@ -95,7 +95,7 @@ class Clip(FrameSource):
         self.reset, self.back = reset, back
         self.gate.set()
 
-    def configure(self, window, n):
+    def configure(self, window, n, upscale=0.0):
         return False
 
     def rendered(self, k):
@@ -202,8 +202,8 @@ def assert_same(images, expected, names=None):
 def test_every_layer_equals_a_plain_run(device):
     """Played slot by slot, and in real time with frames skipped: all layers, bit for bit."""
     setup = Setup(replace(ALL, history=3, order=2), n=2)
-    played = [(k, j) for k in range(6) for j in range(3)]
-    expected = plain_run(device, frames(), setup, played)
+    played = [(k, j) for k in range(4) for j in range(3)]
+    expected = plain_run(device, frames(), setup, [*played, (5, 1)])
     with running(device, Clip()) as engine:
         for at, slot in zip(played, slots(setup, *played), strict=True):
             result = ask(engine, slot, setup, expected[at])
@@ -736,6 +736,26 @@ def test_a_scene_is_rendered_as_a_run_renders_it(device, kept):
                 assert (result.images["rendered.color"][..., :3] == given[4].color).all()
                 assert (result.images["rendered.depth"] == given[4].depth).all()
                 assert result.images["rendered.motion"].tobytes() == given[4].motion.tobytes()
+
+
+def test_a_scene_is_rendered_for_upscaling_as_a_run_renders_it(device):
+    """Smaller and jittered; without upscaling as before."""
+    given = [
+        frame for _, frame, _ in Live(load_scene("plaza"), device, *SMALL, 3, 30.0, upscale=2.0).frames([0.5], False)
+    ]
+    layers = ("rendered.color", "rendered.motion", "truth")
+    with running(device, scene_source) as engine:
+        whole = ask(engine, 5, Setup(), layers)
+        for _ in range(2):
+            small = ask(engine, 5, Setup(Options(upscale=2.0)), layers)
+            assert (small.images["rendered.color"][..., :3] == given[2].color).all()
+            assert small.images["rendered.motion"].tobytes() == given[2].motion.tobytes()
+            assert small.render_size == (32, 20) and small.moment.render_camera == given[2].camera
+            assert (small.images["truth"] == whole.images["truth"]).all()
+            again = ask(engine, 5, Setup(), layers)
+            assert (
+                again.render_size == SMALL and (again.images["rendered.color"] == whole.images["rendered.color"]).all()
+            )
 
 
 def test_flown_poses_are_replayed(device):

@@ -20,6 +20,7 @@ from gffe_cl.errors import GffeError
 from gffe_cl.sequence.exr import read_channels
 from gffe_cl.viewer.actions import IMGUI_KEYS, MODIFIERS, Action, Actions, parse_shortcut, shortcut_text
 from gffe_cl.viewer.engine.layers import LayerSpec
+from gffe_cl.viewer.panels.plot import scale_of
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
 from gffe_cl.viewer.state import settings as settings_module
 from gffe_cl.viewer.state.playback import EVERY_FRAME, MODES, REAL_TIME, Playback
@@ -116,7 +117,24 @@ def test_real_time_follows_the_clock_through_laps(playback, ticks):
     for now, slot, _ in played(playback, ticks):
         due = start + (at + (now - 1000.0) * playback.speed) % length
         laps = np.array([due - length, due, due + length])
-        assert np.abs(laps - np.clip(laps, playback.time_of(slot), playback.time_of(slot + 1))).min() < 1e-5
+        end = playback.time_of(slot + 1)  # one slot later than due at the most
+        end += (
+            playback.time_of(playback.first + 1) - start if slot == playback.last else playback.time_of(slot + 2) - end
+        )
+        assert np.abs(laps - np.clip(laps, playback.time_of(slot), end)).min() < 1e-5
+
+
+def test_a_late_tick_drops_nothing_and_rests_end_when_a_slot_is_due():
+    playback = Playback(5, 10.0, 0)
+    seen = [slot for _, slot, _ in played(playback, (0.1, 0.21, 0.05, 0.1, 0.15, 0.01))]
+    assert seen == [0, 1, 2, 3, 4, 0, 1] and playback.dropped == 0 and playback.due == 6
+    assert playback.rest(1001.0) == 0  # something is waited for
+    playback = Playback(5, 10.0, 0)
+    assert list(played(playback, (0.02,)))[-1][1] == 0 and playback.rest(1000.05) == pytest.approx(0.05)
+    playback.speed = 2.0
+    assert playback.rest(1000.05) == pytest.approx(0.01) and playback.rest(1001.0) == 0
+    playback.pause()
+    assert playback.rest(1000.05) == 0
 
 
 @cases
@@ -198,6 +216,14 @@ def test_every_frame_keeps_the_pace_between_ticks_but_does_not_catch_up():
     playback.home()
     late = [slot for _, slot, _ in played(playback, [0.001] * 10 + [0.9] + [0.001] * 90)]
     assert late[10:14] == [0, 1, 2, 2] and late[-1] == 6  # a slot each 20 ms, one of them early
+
+
+@cases
+@given(st.floats(-1e6, 1e6), st.floats(0, 1e6) | st.floats(0, 1e-9))
+def test_axis_of_the_plot_has_room_and_a_few_round_numbers(least, more):
+    low, high, levels, texts = scale_of(least, least + more)
+    assert low < least <= least + more < high and 1 <= len(levels) <= 5
+    assert all(low <= level <= high for level in levels) and len(set(texts)) == len(texts)
 
 
 def test_nothing_counts_as_shown_that_was_not_delivered():

@@ -5,6 +5,7 @@ import threading
 import time
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyopencl as cl
@@ -261,6 +262,19 @@ def test_every_option_that_is_remembered_comes_back():
 def test_a_damaged_option_costs_only_itself(damaged):
     options = restored({"crack_closing": False} | damaged)
     assert options == Options(crack_closing=False, **ALWAYS)
+
+
+@pytest.mark.parametrize("render_size, factor", [((32, 20), 2.0), ((64, 40), 1.0), ((77, 48), 1.0)])
+def test_a_sequence_is_upscaled_by_what_it_was_rendered_for(render_size, factor):
+    parameters = Parameters(Options(upscale=3.0), Playback())
+    parameters.open(SimpleNamespace(live=True, width=64, height=40, render_size=(64, 40)))
+    assert parameters.options.upscale == 3
+    parameters.open(SimpleNamespace(live=False, width=64, height=40, render_size=render_size))
+    assert parameters.options.upscale == factor
+    parameters.set("upscale", 2.5)
+    assert parameters.options.upscale == factor
+    parameters.switch("upscale", False)
+    assert parameters.options.upscale == 0
 
 
 def test_modules_and_parameters_come_from_the_descriptions(session):

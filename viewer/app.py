@@ -34,7 +34,7 @@ from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.settings import can_save
 
 _TITLE = "gffe-cl"
-_LAYOUT_VERSION = 4
+_LAYOUT_VERSION = 5
 _PANELS = {
     "Picture": (picture.draw, "MainDockSpace"),
     "Layers": (layer_list.draw, "Left"),
@@ -49,6 +49,7 @@ _PANELS = {
     "Timeline": (timeline.draw, "Bottom"),
 }
 _LEAST_SCALE, _LARGEST_SCALE = 0.6, 3.0
+_LONGEST_REST = 0.01  # seconds before a slot in which nothing is drawn
 
 
 def has_dialogs() -> bool:
@@ -196,6 +197,9 @@ class App:
             self._themed = model.settings.theme, self.scale
             theme.apply(*self._themed)
         self.docks.update()
+        if self.clock is time.perf_counter:
+            # what is drawn just before the next slot is due would delay it
+            time.sleep(min(model.playback.rest(self.clock()), _LONGEST_REST))
         model.update(self.clock(), self.canvas)
         if model.contents.layers is not self._layers_known:
             self._layers_known = model.contents.layers
@@ -281,4 +285,8 @@ class App:
             kept = "from the cache, " if model.from_cache else ""
             parts.append(f"{kept}computed in {model.contents.result.wall_ms:.0f} ms")
         parts += model.warnings
-        imgui.text("     ".join(parts))
+        if windows.note(self):
+            imgui.same_line(0, hello_imgui.em_size(2))
+            imgui.text_disabled("     ".join(parts))
+        else:
+            imgui.text("     ".join(parts))

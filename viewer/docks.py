@@ -10,13 +10,16 @@ from imgui_bundle import ImVec2, hello_imgui, imgui
 from gffe_cl.viewer.panels import widgets
 
 _BY_HAND = ("Plot", "Doctor")  # closed until they are asked for
-_STAY = ("Picture", "Plot", "Timeline")  # where the panels on both sides are hidden
-_TIMELINE_HEIGHT = 110.0  # pixels at the usual size of letters
+_STAY = ("Picture", "Plot", "Timeline")  # one above the other: there, too, where the panels on both sides are hidden
+_TIMELINE_HEIGHT = 110.0  # pixels at the usual size of letters ...
+_ROW_HEIGHT = 27.0  # ... and of one more row of controls ...
+_ONE_ROW = 640.0  # ... where it is narrower than this
 _PLOT_HEIGHT = 170.0
 _HIGHEST = 0.4  # of the height: timeline and plot
+_LEAST_PICTURE = 0.4  # of the height, above both
 _SIDES = (264.0, 348.0)  # pixels left and right of the picture, at the usual size of letters ...
 _WIDEST = (0.22, 0.28)  # ... but not more of the width
-_LOWER_RIGHT = 0.5  # of the height on the right
+_LOWER_RIGHT = 0.56  # of the height on the right
 _FLAGS = imgui.internal.DockNodeFlagsPrivate_
 _PLAIN_TABS = _FLAGS.no_window_menu_button.value | _FLAGS.no_close_button.value  # tabs have their own
 
@@ -38,7 +41,7 @@ class Docks:
         self.hidden = False  # the panels on both sides
         self._before_hiding: list[str] = []
         self._stretched: dict[str, tuple[float, float]] = {}  # sizes of docks that were set: now and at scale 1
-        self._plot_due = False
+        self._plot_due = self._plot_beside = False  # a plot beside the timeline: the window is too low for both
         self._to_front: str | None = None  # the panel that is brought there
 
     @property
@@ -49,21 +52,24 @@ class Docks:
         """In a window of `size` pixels, before it is opened; `open_panels` says what is not as usual."""
         docking = hello_imgui.DockingParams()
         docking.main_dock_space_node_flags |= _PLAIN_TABS
-        bottom = min(_TIMELINE_HEIGHT * self._scale() / size[1], _HIGHEST)
+        left, right = _sides(size[0], self._scale())
+        bottom = min((_TIMELINE_HEIGHT * self._scale() + _second_row(size[0], self._scale())) / size[1], _HIGHEST)
         above = min(_PLOT_HEIGHT * self._scale() / size[1] / (1 - bottom), _HIGHEST)
-        left, right = (min(side * self._scale() / size[0], most) for side, most in zip(_SIDES, _WIDEST, strict=True))
         docking.docking_splits = [
-            hello_imgui.DockingSplit("MainDockSpace", "Bottom", imgui.Dir.down, bottom),
             hello_imgui.DockingSplit("MainDockSpace", "Left", imgui.Dir.left, left),
             hello_imgui.DockingSplit("MainDockSpace", "Right", imgui.Dir.right, right / (1 - left)),
+            hello_imgui.DockingSplit("MainDockSpace", "Bottom", imgui.Dir.down, bottom),
             hello_imgui.DockingSplit("MainDockSpace", "Above", imgui.Dir.down, above),
             hello_imgui.DockingSplit("Right", "RightBottom", imgui.Dir.down, _LOWER_RIGHT),
         ]
+        self._plot_beside = (1 - bottom) * (1 - above) < _LEAST_PICTURE
         docking.dockable_windows = [self._window(name, open_panels) for name in self._panels]
         runner.docking_params, self._runner = docking, runner
 
     def _window(self, name: str, open_panels: dict[str, bool]) -> hello_imgui.DockableWindow:
         draw, space = self._panels[name]
+        if name == "Plot" and self._plot_beside:
+            space = self._panels["Timeline"][1]
         window = hello_imgui.DockableWindow(name, space, can_be_closed_=name != "Picture")
         window.is_visible = open_panels.get(name, name not in _BY_HAND)
         window.remember_is_visible = False  # the settings do
@@ -144,9 +150,10 @@ class Docks:
             node, down = beside[-1], name == "Timeline"
             now = node.size.y if down else node.size.x
             made, usual = self._stretched.get(name, (0.0, 0.0))
+            rows = [_second_row(width, scale) if down else 0.0 for scale in (before, after)]
             if abs(now - made) > 2:  # the user chose another size
-                usual = now / before
-            made = min(usual * after, most)
+                usual = (now - rows[0]) / before
+            made = min(usual * after + rows[1], most)
             self._stretched[name] = made, usual
             size = ImVec2(node.size.x, made) if down else ImVec2(made, node.size.y)
             imgui.internal.dock_builder_set_node_size(node.id_, size)
@@ -167,9 +174,21 @@ class Docks:
         nodes = _nodes("Plot")
         if self._plot_due and nodes:
             height = min(_PLOT_HEIGHT * self._scale(), _HIGHEST * imgui.get_io().display_size.y)
-            if nodes[0].size.y < height:
+            if len(nodes) > 1:
+                height = min(height, nodes[1].size.y / 2)  # the other half is the picture's
+            if nodes[0].size.y < height and not self._plot_beside:
                 imgui.internal.dock_builder_set_node_size(nodes[0].id_, ImVec2(nodes[0].size.x, height))
             self._plot_due = False
+
+
+def _sides(width: float, scale: float) -> list[float]:
+    """Shares of a window's width, left and right of the picture."""
+    return [min(side * scale / width, most) for side, most in zip(_SIDES, _WIDEST, strict=True)]
+
+
+def _second_row(width: float, scale: float) -> float:
+    """Height of the controls of the timeline that have no room beside the others in a window of this width, pixels."""
+    return _ROW_HEIGHT * scale if (1 - sum(_sides(width, scale))) * width < _ONE_ROW * scale else 0.0
 
 
 def _nodes(name: str) -> list:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.errors import GffeError
-from gffe_cl.viewer.start import PATIENCE, require_display
+from gffe_cl.viewer.start import PATIENCE, require_display, without_pointer
 from gffe_cl.viewer.state.playback import EVERY_FRAME
 from gffe_cl.viewer.steps import Step, number, parse, perform
 
@@ -57,7 +57,7 @@ class Director:
 
     def __call__(self, app) -> None:
         model = app.model
-        _without_pointer()
+        without_pointer()
         if self.problem is not None or self._is_stuck(model):
             app.close()
             return
@@ -127,17 +127,9 @@ class Director:
         self._take(app, save)
 
 
-def _without_pointer() -> None:
-    """Wherever the mouse is, nothing is told of what is under it."""
-    from imgui_bundle import imgui
-
-    nowhere = float(np.finfo(np.float32).min)
-    imgui.get_io().add_mouse_pos_event(nowhere, nowhere)
-
-
 def _works_beside(model) -> bool:
-    """Whether frames are being measured, or the doctor examines the sequence."""
-    return model.survey.busy or (model.doctor is not None and not model.doctor.done)
+    """Whether frames are being measured, the doctor examines the sequence, or something is being saved."""
+    return model.survey.busy or model.export is not None or (model.doctor is not None and not model.doctor.done)
 
 
 def require_film(path: Path) -> None:

@@ -119,6 +119,14 @@ def require_display() -> None:
         raise GffeError(f"the display {displays[0]} cannot be opened (DISPLAY may be wrong; {without})")
 
 
+def without_pointer() -> None:
+    """Wherever the mouse is, nothing is told of what is under it."""
+    from imgui_bundle import imgui
+
+    nowhere = float(np.finfo(np.float32).min)
+    imgui.get_io().add_mouse_pos_event(nowhere, nowhere)
+
+
 class _Photographer:
     """Sets up the view in the running application, waits until it stands, and closes the window."""
 
@@ -130,6 +138,7 @@ class _Photographer:
 
     def __call__(self, app) -> None:
         model = app.model
+        without_pointer()
         problem = model.failure or model.parameters.network_fault
         if problem or time.perf_counter() > self._until:
             self.problem = problem or f"the screenshot was not ready after {PATIENCE:.0f} s"

@@ -9,6 +9,7 @@ from pathlib import Path
 from gffe_cl.errors import GffeError
 from gffe_cl.viewer.state.comparing import WAYS
 from gffe_cl.viewer.state.flying import Flight
+from gffe_cl.viewer.state.messages import Message
 from gffe_cl.viewer.state.parameters import ALL
 
 COMMANDS = {
@@ -24,8 +25,8 @@ COMMANDS = {
     "panel": "panel NAME: in front of those beside it",
     "palette": "palette TEXT: the palette with this typed into it; none: closed",
     "steer": "steer RIGHT,UP,FORWARD,YAW,PITCH: while the camera flies, keys held (-1 to 1), degrees per second; none",
-    "say": "say TEXT: a message",
-    "wait": "wait SECONDS: let it play, or be looked at; wait done: until nothing is measured or examined any more",
+    "say": "say TEXT: a title over the picture's foot",
+    "wait": "wait SECONDS: let it play, or be looked at; wait done: until nothing is measured, examined or saved",
     "shot": "shot FILE.png: a picture of the window",
 }
 
@@ -180,8 +181,7 @@ def _palette(app, argument: str) -> None:
     if argument == "none":
         app.palette.close()
         return
-    app.palette.open()
-    app.palette.text = argument
+    app.palette.open(argument)
 
 
 def _steer(app, argument: str) -> None:
@@ -197,8 +197,7 @@ def _steer(app, argument: str) -> None:
 
 
 def _say(app, argument: str) -> None:
-    app.model.messages = []  # one at a time, as titles are
-    app.model.say(argument)
+    app.model.messages = [Message(argument, "title")]  # one at a time
 
 
 _DOING = {

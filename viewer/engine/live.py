@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import threading
 from bisect import bisect_left, bisect_right, insort
 from collections import OrderedDict
@@ -16,6 +17,7 @@ from gffe_cl.opencl.device import Device
 from gffe_cl.run import alphas_for
 from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer
 from gffe_cl.scenes.sequences import require_frames
+from gffe_cl.source import jittered_renderer
 from gffe_cl.stage import read_some_rows
 from gffe_cl.viewer.engine.sources import CACHE_BYTES, FrameSource
 from gffe_cl.viewer.engine.way import REMEMBERED
@@ -51,25 +53,16 @@ class SceneSource(FrameSource):
     live = windowed = has_truth = True
 
     def __init__(
-        self,
-        scene: Scene,
-        device: Device,
-        width: int,
-        height: int,
-        fps: float | None = None,
-        window: str | None = None,
-        count: int = 600,
-        samples: int = 8,
-        cache_bytes: int = CACHE_BYTES,
-    ):
+        self, scene: Scene, device: Device, width: int, height: int, fps: float | None = None,
+        window: str | None = None, count: int = 600, samples: int = 8, cache_bytes: int = CACHE_BYTES,
+    ):  # fmt: skip
         self.fps = scene.fps if fps is None else fps
         require_frames(count, self.fps)
         self.scene, self.name, self.exposure = scene, scene.name, scene.exposure
         self.width, self.height, self.count, self.render_size = width, height, count, (width, height)
-        self._device, self._frames = device, SceneFrames(SceneRenderer(device, scene, width, height, samples))
-        self._ring: OrderedDict[tuple, _Made] = OrderedDict()
-        self._ring_size = max(_LEAST_RING, cache_bytes // (sum(BYTES_PER_PIXEL) * width * height))
-        self.held = min(REMEMBERED, self._ring_size - 1)
+        self._device, self._whole = device, SceneRenderer(device, scene, width, height, samples)
+        self._frames, self._upscale, self._most = SceneFrames(self._whole), 0.0, cache_bytes
+        self._empty_ring()
         self._truths: OrderedDict[tuple, np.ndarray] = OrderedDict()
         self._since: list[_Made] = []  # delivered since `restart`
         self._flown: dict[float, Camera] = {}  # by k + alpha
@@ -82,23 +75,41 @@ class SceneSource(FrameSource):
 
     def sibling(self):
         other = copy.copy(self)  # renderer and poses are shared, rendered frames are not: they are used in place
-        other._frames, other._ring, other._since = copy.copy(self._frames), OrderedDict(), []
-        other._ring_size, other._way = max(_LEAST_RING, self._ring_size // 4), None
-        other.held = min(REMEMBERED, other._ring_size - 1)
+        other._frames, other._since = copy.copy(self._frames), []
+        other._way, other._most = None, self._most // 4
+        other._empty_ring()
         return other
 
-    def configure(self, window, n):
+    def _empty_ring(self) -> None:
+        """No frames on the device."""
+        self._ring: OrderedDict[tuple, _Made] = OrderedDict()
+        self._ring_size = max(_LEAST_RING, self._most // (sum(BYTES_PER_PIXEL) * math.prod(self.render_size)))
+        self.held = min(REMEMBERED, self._ring_size - 1)
+
+    def configure(self, window, n, upscale=0.0):
         window = window or "off"
-        way = (window, *(alphas_for(n) if window == "adaptive" else ()))
+        way = (window, upscale, *(alphas_for(n) if window == "adaptive" else ()))
         if way == self._way:
             return False
-        self._frames.windows = WindowChooser(window, self.render_size, alphas_for(n))
+        if upscale != self._upscale:
+            self._render_for(upscale)
+        self._frames.windows = WindowChooser(window, (self.width, self.height), alphas_for(n))
         self._way = way
         self.restart()
         return True
 
+    def _render_for(self, upscale: float) -> None:
+        """Frames for upscaling: smaller and jittered, as `gffe run` renders them; 0: as they are shown."""
+        size, renderer, jitter = (self.width, self.height), self._whole, None
+        if upscale:
+            renderer, jitter = jittered_renderer(self._device, self.scene, size, upscale)
+        self._frames = SceneFrames(renderer, None, size, jitter, self._whole)
+        self._upscale, self.render_size = upscale, self._frames.render_size
+        self._empty_ring()
+
     def restart(self):
-        self._frames.windows = WindowChooser(self._way[0], self.render_size, self._frames.windows.alphas)
+        size = self.width, self.height
+        self._frames.windows = WindowChooser(self._way[0], size, self._frames.windows.alphas)
         self._since = []
 
     def outdated(self, k, alpha):
@@ -175,7 +186,9 @@ class SceneSource(FrameSource):
         camera = self.camera(k, alpha)
         key = (k, alpha, *_bits(camera))
         if key not in self._truths:
-            self._truths[key] = self._frames.image(self.time(k, alpha), camera).read("color")
+            self._truths[key] = self._whole.render(
+                self.time(k, alpha), camera, motion_step=self.scene.motion_step
+            ).read("color")
             while len(self._truths) > _TRUTHS:
                 self._truths.popitem(last=False)
         self._truths.move_to_end(key)
@@ -192,7 +205,7 @@ class SceneSource(FrameSource):
         kept = self._ring.get(key)
         if kept is None or before is not None:
             last = before and before.frame
-            camera = self._frames.render_camera(shown, last)
+            camera = self._frames.render_camera(shown, last, k)
             if kept is None or (kept.frame.camera, kept.previous) != (camera, last.camera):
                 self._ring[key] = self._render(k, shown, camera, last)
         self._ring.move_to_end(key)
@@ -200,7 +213,7 @@ class SceneSource(FrameSource):
 
     def _render(self, k: int, shown: Camera, camera: Camera, before: RenderedFrame | None) -> _Made:
         device, size = self._device, self.render_size
-        image = self._frames.image(self.time(k), camera, before)
+        image = self._frames.image(self.time(k), camera, before, k)
         if len(self._ring) >= self._ring_size:
             oldest = self._ring.popitem(last=False)[1].frame
             buffers = (oldest.color, oldest.depth, oldest.motion)

@@ -62,7 +62,7 @@ class RecordedSource(Recorded, FrameSource):
         super().__init__(sequence, self._device, self._chosen)
         return True
 
-    def configure(self, window, n):
+    def configure(self, window, n, upscale=0.0):
         self._alphas = alphas_for(n)
         if window == self._chosen:
             return False

@@ -55,7 +55,7 @@ class Seeker:
 
     def prepare(self, setup: Setup) -> None:
         others = (setup.options, setup.kernels) != (self._options, self._kernels)
-        if self.source.configure(setup.window, setup.n) or others:
+        if self.source.configure(setup.window, setup.n, setup.options.upscale) or others:
             self.drop()
             self.cuts = set()
         self._options, self._kernels = setup.options, setup.kernels

@@ -47,9 +47,10 @@ class FrameSource(Protocol):
         What is read is shared; `fly` and `close` are called for this one only."""
         return copy.copy(self)
 
-    def configure(self, window: str | None, n: int) -> bool:
-        """Use rendering window `window` for `n` generated frames per rendered one; whether rendered frames change by
-        that. Raises GffeError for a window that this source does not have."""
+    def configure(self, window: str | None, n: int, upscale: float = 0.0) -> bool:
+        """Use rendering window `window` for `n` generated frames per rendered one, and render for upscaling by
+        `upscale` where frames are rendered meanwhile; whether rendered frames change by that. Raises GffeError for a
+        window that this source does not have."""
 
     def restart(self) -> None:
         """The next frame asked for has none before it."""

@@ -29,15 +29,15 @@ def draw(app) -> None:
     model = app.model
     view = model.view
     widgets.heading("Compare")
-    for name, text in _TEXTS.items():
-        reason = model.comparison.why_not(name)
-        imgui.begin_disabled(reason is not None)
-        if imgui.radio_button(f"{text}###compare {name}", view.compare == name):
-            model.comparison.set(name)
-        imgui.end_disabled()
-        widgets.tooltip(reason or "")
-        if name not in ("flip", "flip error"):
-            imgui.same_line()
+    with widgets.in_rows(indent=0.0) as row:
+        for name, text in _TEXTS.items():
+            reason = model.comparison.why_not(name)
+            row(imgui.get_frame_height() + imgui.get_style().item_inner_spacing.x + imgui.calc_text_size(text).x)
+            imgui.begin_disabled(reason is not None)
+            if imgui.radio_button(f"{text}###compare {name}", view.compare == name):
+                model.comparison.set(name)
+            imgui.end_disabled()
+            widgets.tooltip(reason or "")
     layers = {spec.name: f"{spec.group}: {spec.label}" for spec in model.contents.showable()}
     widgets.choice("A", view.a, layers, model.show_layer)
     _second(model, layers)
@@ -87,8 +87,7 @@ def _settings(app) -> None:
     entered, text = imgui.input_text("###name_of_b", kept.name, enter)
     if entered:
         model.kept.rename(kept, text)
-    imgui.same_line()
-    imgui.text("name of B")
+    widgets.beside("name of B")
     if model.second.fault or kept.suspicion:
         imgui.text_wrapped(model.second.fault or kept.suspicion)
 

@@ -26,7 +26,7 @@ def draw(app) -> None:
     elif not doctor.findings:
         widgets.hint("everything fits")
     else:
-        widgets.hint(f"{len(doctor.findings)} findings")
+        widgets.hint(f"{len(doctor.findings)} finding{'s' * (len(doctor.findings) > 1)}")
     _findings(doctor)
     if model.marks:
         widgets.heading("Frames in the wrong place")

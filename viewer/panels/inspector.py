@@ -68,7 +68,7 @@ def _story(model) -> None:
         imgui.text_wrapped(f"Its way through the last {len(story.way)} rendered frames:")
         with widgets.in_rows() as row:
             for point in story.way[1:]:
-                row(f"{point.k}")
+                row(imgui.calc_text_size(f"{point.k}").x)
                 if imgui.text_link(f"{point.k}###way {point.k}"):
                     model.walk.follow_way(point)
                 widgets.tooltip(f"rendered frame {point.k}, pixel ({point.px[0]:.1f}, {point.px[1]:.1f})")
@@ -81,7 +81,7 @@ def _links(model, number: int, links) -> None:
     with widgets.in_rows() as row:
         for link in links:
             reason, name = model.walk.why_not(link), f"{link.label}###{number} {link.label}"
-            row(link.label)
+            row(imgui.calc_text_size(link.label).x)
             if reason:
                 imgui.text_disabled(link.label)
             elif imgui.text_link(name):

@@ -24,9 +24,7 @@ _OVERLAY_HELP = {
 
 def draw(app) -> None:
     model = app.model
-    widgets.toggle(
-        "overview of all layers", model.overview, model.set_overview, "Every layer as a tile; click one to open it"
-    )
+    widgets.toggle("overview", model.overview, model.set_overview, "Every layer as a tile; click one to open it")
     widgets.choice("overlay", model.view.overlay, list(_OVERLAYS), lambda name: setattr(model.view, "overlay", name))
     if model.view.overlay in _OVERLAY_HELP:
         widgets.hint(_OVERLAY_HELP[model.view.overlay])
@@ -122,7 +120,6 @@ def _range(display, change) -> None:
     widgets.leave_room_for("range")
     speed = max(abs(display.high - display.low) / 200, 1e-4)
     changed, low, high = imgui.drag_float_range2("###range", display.low, display.high, speed, 0.0, 0.0, "%.3g", "%.3g")
-    imgui.same_line()
-    imgui.text("range")
+    widgets.beside("range")
     if changed:
         change(low=low, high=high)

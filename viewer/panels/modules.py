@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 
-from imgui_bundle import imgui
+from imgui_bundle import ImVec2, imgui
 
 from gffe_cl.options import Option
 from gffe_cl.viewer.panels import widgets
@@ -15,9 +16,7 @@ def draw(app) -> None:
     model = app.model
     offered = model.parameters.offered()
     widgets.heading("Modules")
-    for name, option in offered.items():
-        if option.is_module:
-            _module(model, name, option)
+    _modules(model, {name: option for name, option in offered.items() if option.is_module})
     widgets.heading("Parameters")
     for name, option in offered.items():
         if option.kind is not bool:
@@ -26,11 +25,38 @@ def draw(app) -> None:
         model.parameters.use_defaults()
 
 
+def _modules(model, options: dict[str, Option]) -> None:
+    """Their switches, in two columns where there is room."""
+    listed, spacing = list(options.items()), imgui.get_style().item_spacing
+    first = listed[: math.ceil(len(listed) / 2)]
+    column = _width(first) + spacing.x
+    if column + _width(listed[len(first) :]) > imgui.get_content_region_avail().x:
+        first = listed
+    left = imgui.get_cursor_pos_x()
+    imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(imgui.get_style().frame_padding.x, 1))
+    for row, module in enumerate(first):
+        _module(model, *module)
+        for beside in listed[len(first) :][row : row + 1]:
+            imgui.same_line(left + column)
+            _module(model, *beside)
+    imgui.pop_style_var()
+
+
+def _width(listed: list[tuple[str, Option]]) -> float:
+    """Of their switches below each other, pixels."""
+    box = imgui.get_text_line_height() + imgui.get_style().item_inner_spacing.x + 2
+    return box + max(imgui.calc_text_size(_label(option)).x for _, option in listed)
+
+
+def _label(option: Option) -> str:
+    return option.off_label or option.label
+
+
 def _module(model, name: str, option: Option) -> None:
     parameters = model.parameters
     reason = parameters.why_not(name)
     widgets.toggle(
-        option.off_label or option.label, parameters.is_on(name) and reason is None,
+        _label(option), parameters.is_on(name) and reason is None,
         partial(parameters.switch, name), parameters.fault(name) or option.off_sentence or option.sentence, reason,
     )  # fmt: skip
 

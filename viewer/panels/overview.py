@@ -21,6 +21,7 @@ def draw(app, room: tuple[int, int]) -> None:
         caption = round(imgui.get_text_line_height() + 3)
         tiles = model.overview_tiles()
         size = _size(len(tiles), room, model.contents.size, caption)
+        size = size[0], min(size[1], app.canvas.largest)
         texture, places = app.drawn_overview(tiles, size, caption, _GAP)
         origin = imgui.get_cursor_screen_pos()
         imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(*size))

@@ -24,8 +24,11 @@ class Palette:
         self._problem = ""
         self._refocus = False  # the field, which Enter has left
 
-    def open(self) -> None:
-        self.text, self.at, self.asked = "", 0, None
+    def open(self, text: str = "") -> None:
+        if self.text is not None:  # the field goes by what it was given when it became active
+            imgui.internal.clear_active_id()
+            self._refocus = True
+        self.text, self.at, self.asked = text, 0, None
 
     def ask(self, name: str) -> None:
         """Ask for the value of a number."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
@@ -9,46 +11,69 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from gffe_cl.viewer.engine.figures import QUANTITIES
 from gffe_cl.viewer.panels import widgets
 
-_A, _B = (0.96, 0.66, 0.28, 1.0), (0.36, 0.72, 0.95, 1.0)
+COLORS = {"A": (0.96, 0.66, 0.28, 1.0), "B": (0.36, 0.72, 0.95, 1.0)}
 _FEW = 80  # slots: these are marked one by one
 
 
 def draw(app) -> None:
-    model, survey = app.model, app.model.survey
+    model = app.model
     if model.source is None:
         imgui.text_disabled("Open a sequence or a scene")
         return
     _controls(app)
-    flags = implot.Flags_.no_mouse_text | implot.Flags_.no_menus | implot.Flags_.no_box_select
-    flags |= implot.Flags_.no_legend if survey.b is None else 0
-    height = max(imgui.get_content_region_avail().y, hello_imgui.em_size(5))
-    implot.push_style_var(implot.StyleVar_.fit_padding.value, ImVec2(0, 0.1))
+    flags = implot.Flags_.no_mouse_text | implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_legend
+    height = max(imgui.get_content_region_avail().y, hello_imgui.em_size(4))
+    implot.push_style_var(implot.StyleVar_.plot_padding.value, ImVec2(0, 4))  # as wide as the timeline below
     if implot.begin_plot("###survey", ImVec2(-1, height), int(flags)):
-        _plot(model, survey)
+        _plot(model, model.survey, height - 2 * imgui.get_text_line_height())
         implot.end_plot()
     implot.pop_style_var()
 
 
-def _plot(model, survey) -> None:
+def _plot(model, survey, height: float) -> None:
     quantity = QUANTITIES[survey.quantity]
-    fit, plain = implot.AxisFlags_.auto_fit.value, implot.AxisFlags_.no_label.value
-    implot.setup_axes("frame", f"{quantity.label} {quantity.unit}".rstrip(), plain, fit)
+    sides = ("B", survey.b, 3.5), ("A", survey.a, 1.5)  # A over B: both are seen
+    curves = [(name, *survey.curve(side), weight) for name, side, weight in sides]
+    curves = [curve for curve in curves if curve[1].size]
     slots = max(model.playback.slots, 1)
+    _axes(slots, np.concatenate([ys for _, _, ys, _ in curves] or [np.array([0.0, 1.0])]), height)
+    for name, xs, ys, weight in curves:
+        _curve(name, xs, ys, COLORS[name], weight, xs.size <= _FEW)
+    implot.plot_inf_lines("###now", np.array([model.slot + 0.5]))
+    if implot.is_plot_hovered():
+        _hovered(model, [curve[:3] for curve in reversed(curves)], quantity)
+
+
+def _axes(slots: int, values: np.ndarray, height: float) -> None:
+    """Slots as the timeline below has them, and a range for these values, whose numbers stand inside; `height`: of the
+    curves, pixels."""
+    hidden = implot.AxisFlags_.no_label.value
+    implot.setup_axes("frame", "value", hidden, hidden | implot.AxisFlags_.no_tick_labels.value)
     implot.setup_axis_limits(implot.ImAxis_.x1, 0, slots, imgui.Cond_.always.value)
     marks = range(0, slots, _step(slots, imgui.get_content_region_avail().x / hello_imgui.em_size(4)))
     implot.setup_axis_ticks(implot.ImAxis_.x1, [slot + 0.5 for slot in marks], [str(slot) for slot in marks])
-    curves = []
-    for label, side, color in (("A", survey.a, _A), ("B", survey.b, _B)):  # the order of the legend
-        if survey.curve(side)[0].size:
-            implot.plot_dummy(label, spec=_spec(color, 2.5, False))
-    for label, side, color, weight in (("B", survey.b, _B, 3.5), ("A", survey.a, _A, 1.5)):  # A over B: both are seen
-        xs, ys = survey.curve(side)
-        if xs.size:
-            curves.insert(0, (label, xs, ys))
-            _curve(label, xs, ys, color, weight, xs.size <= _FEW)
-    implot.plot_inf_lines("###now", np.array([model.slot + 0.5]))
-    if implot.is_plot_hovered():
-        _hovered(model, curves, quantity)
+    low, high, levels, texts = scale_of(float(values.min()), float(values.max()))
+    implot.setup_axis_limits(implot.ImAxis_.y1, low, high, imgui.Cond_.always.value)
+    implot.setup_axis_ticks(implot.ImAxis_.y1, levels, texts)
+    for level, text in zip(levels, texts, strict=True):
+        size = imgui.calc_text_size(text)
+        if (high - level) / (high - low) * height > size.y:  # there is room for it above
+            implot.plot_text(text, 0.0, level, ImVec2(size.x / 2 + 4, -size.y / 2))
+
+
+def scale_of(least: float, most: float) -> tuple[float, float, list[float], list[str]]:
+    """Range of an axis on which these values have some room, round numbers in it, and how they are written."""
+    room = max(0.1 * (most - least), 1e-3 * abs(most), 1e-3)
+    low, high = least - room, most + 2 * room
+    step = next(
+        factor * 10.0**power
+        for power in range(math.floor(math.log10(high - low)) - 1, 400)
+        for factor in (1, 2, 5)
+        if (high - low) / (factor * 10.0**power) <= 4
+    )
+    levels = [number * step for number in range(math.ceil(low / step), math.floor(high / step) + 1)]
+    digits = max(-math.floor(math.log10(step)), 0)
+    return low, high, levels, [f"{level:.{digits}f}" for level in levels]
 
 
 def _step(slots: int, most: float) -> int:
@@ -58,40 +83,45 @@ def _step(slots: int, most: float) -> int:
 
 
 def _controls(app) -> None:
-    model, survey = app.model, app.model.survey
-    widgets.toggle("measure every frame", survey.on, app.show_survey, "Every generated frame, in the background")
-    imgui.same_line()
-    imgui.set_next_item_width(hello_imgui.em_size(9))
-    if imgui.begin_combo("###quantity", QUANTITIES[survey.quantity].label):
-        for name, quantity in QUANTITIES.items():
-            if imgui.selectable(quantity.label, name == survey.quantity)[0]:
-                survey.quantity = name
-        imgui.end_combo()
-    for name, icon in (
-        ("worst", icons.ICON_FA_ARROW_DOWN_WIDE_SHORT),
-        ("next_worst", icons.ICON_FA_ARROW_RIGHT),
-        ("most_different", icons.ICON_FA_CODE_COMPARE),
-    ):
-        imgui.same_line()
-        widgets.action_button(app.actions, name, icon)
-    imgui.same_line()
-    text = _state(model)
-    imgui.text(widgets.shortened(text, imgui.get_content_region_avail().x) if text else "")
+    """Side by side, in as many rows as they need."""
+    model, survey, em = app.model, app.model.survey, hello_imgui.em_size
+    with widgets.in_rows(indent=0.0) as row:
+        row(0)
+        widgets.toggle("measure every frame", survey.on, app.show_survey, "Every generated frame, in the background")
+        row(em(9))
+        imgui.set_next_item_width(em(9))
+        if imgui.begin_combo("###quantity", QUANTITIES[survey.quantity].label):
+            for name, quantity in QUANTITIES.items():
+                if imgui.selectable(quantity.label, name == survey.quantity)[0]:
+                    survey.quantity = name
+            imgui.end_combo()
+        for name, icon in (
+            ("worst", icons.ICON_FA_ARROW_DOWN_WIDE_SHORT),
+            ("next_worst", icons.ICON_FA_ARROW_RIGHT),
+            ("most_different", icons.ICON_FA_CODE_COMPARE),
+        ):
+            row(em(2.2))
+            widgets.action_button(app.actions, name, icon)
+        for label, side in (("A", survey.a), ("B", survey.b)):
+            mean = survey.mean(side, survey.quantity)
+            if mean is not None:
+                text = QUANTITIES[survey.quantity].text(mean)
+                row(imgui.calc_text_size(f"{label} {text}").x)
+                imgui.text_colored(COLORS[label], label)
+                imgui.same_line(0, em(0.3))
+                imgui.text(text)
+        text = _progress(model)
+        if text:
+            row(min(imgui.calc_text_size(text).x, em(8)))
+            imgui.text(widgets.shortened(text, imgui.get_content_region_avail().x))
 
 
-def _state(model) -> str:
+def _progress(model) -> str:
     survey = model.survey
-    quantity, (done, total) = QUANTITIES[survey.quantity], survey.progress
-    parts = []
-    for label, side in (("A", survey.a), ("B", survey.b)):
-        mean = survey.mean(side, survey.quantity)
-        if mean is not None:
-            parts.append(f"{label} {quantity.text(mean)}")
+    done, total = survey.progress
     if survey.busy:
-        parts.append(f"{done} of {total} measured" + (" (waits for playback)" if model.playback.playing else ""))
-    elif not survey.on and done < total:
-        parts.append(f"{done} of {total} known")
-    return "   ".join(parts)
+        return f"{done} of {total} measured" + (" (waits for playback)" if model.playback.playing else "")
+    return f"{done} of {total} known" if not survey.on and done < total else ""
 
 
 def _curve(label: str, xs: np.ndarray, ys: np.ndarray, color, weight: float, marked: bool) -> None:

@@ -20,25 +20,27 @@ def draw(app) -> None:
     reason = regions.why_not()
     told = "Where errors are counted, each region in its colour"
     widgets.toggle("over the picture", regions.on, regions.switch, told, None if regions.on else reason)
+    if regions.only:
+        imgui.same_line()
+        text = f"only {regions.only}: click again for all"
+        imgui.text_disabled(widgets.shortened(text, imgui.get_content_region_avail().x))
     if not regions.on:
         widgets.hint(reason or "Switch them on to see where the error of this frame lies")
     elif reason:
         widgets.hint(f"This frame: {reason}")
     elif regions.map is not None:
-        widgets.heading("This frame" + ("" if regions.ready else " …"))
-        _table(regions, "frame", regions.map.a, regions.map.b)
-        if regions.only:
-            widgets.hint(f"Only: {regions.only}. Click again for all")
+        _table(regions, "frame", "this frame" + ("" if regions.ready else " …"), regions.map.a, regions.map.b)
     whole = model.survey.parts(model.survey.a)
     if whole:
-        widgets.heading(f"All {len(model.survey.with_parts(model.survey.a))} measured frames")
-        _table(regions, "all", whole, model.survey.parts(model.survey.b) or None)
+        count = len(model.survey.with_parts(model.survey.a))
+        _table(regions, "all", f"all {count} frames", whole, model.survey.parts(model.survey.b) or None)
 
 
-def _table(regions, name: str, a: dict[str, Part], b: dict[str, Part] | None) -> None:
-    columns = [("region", 0.4), ("pixels", 0.17), ("error", 0.24), ("dB", 0.19)]
+def _table(regions, name: str, of: str, a: dict[str, Part], b: dict[str, Part] | None) -> None:
+    """A row for each region; `of`: which frames, instead of a heading."""
+    columns = [(of, 0.4), ("pixels", 0.17), ("error", 0.24), ("dB", 0.19)]
     if b is not None:
-        columns = [("region", 0.37), ("pixels", 0.16), ("error", 0.17), ("A dB", 0.15), ("B dB", 0.15)]
+        columns = [(of, 0.37), ("pixels", 0.16), ("error", 0.17), ("A dB", 0.15), ("B dB", 0.15)]
     if not imgui.begin_table(f"###regions {name}", len(columns), imgui.TableFlags_.row_bg.value):
         return
     for title, share in columns:
@@ -58,10 +60,10 @@ def _table(regions, name: str, a: dict[str, Part], b: dict[str, Part] | None) ->
         imgui.table_next_column()
         _bar(part.error)
         widgets.tooltip("Share of A's squared error")
-        for of in (a, b):
-            if of is not None:
+        for side in (a, b):
+            if side is not None:
                 imgui.table_next_column()
-                imgui.text("–" if math.isnan(of[region].psnr) else f"{of[region].psnr:.1f}")
+                imgui.text("–" if math.isnan(side[region].psnr) else f"{side[region].psnr:.1f}")
     imgui.end_table()
 
 

@@ -1,7 +1,8 @@
-"""Timeline: transport buttons, rendered and generated frames told apart, in and out points, scrubbing."""
+"""Timeline: rendered and generated frames told apart, in and out points, scrubbing; transport buttons."""
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import pairwise
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
@@ -16,6 +17,7 @@ RESET = (0.93, 0.30, 0.30, 1.0)
 CACHED = (0.35, 0.80, 0.45, 1.0)
 _CACHED_HEIGHT = 3.0  # screen pixels
 _NARROW = 2.5  # screen pixels
+_LEAST_STATUS = 4.5  # em: with less room it has a row of its own
 _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 
 
@@ -24,54 +26,64 @@ def draw(app) -> None:
     if model.source is None:
         imgui.text_disabled("Open a sequence or a scene")
         return
+    _bar(model)  # first: where the window is low, it is there
+    imgui.dummy(ImVec2(0, 0))
     _transport(app)
-    _bar(model)
 
 
 def _transport(app) -> None:
-    playback = app.model.playback
-    for name, icon in (
-        ("first", icons.ICON_FA_BACKWARD_FAST),
-        ("step_back", icons.ICON_FA_BACKWARD_STEP),
-        ("play", icons.ICON_FA_PAUSE if playback.playing else icons.ICON_FA_PLAY),
-        ("step", icons.ICON_FA_FORWARD_STEP),
-        ("last", icons.ICON_FA_FORWARD_FAST),
-    ):
-        widgets.action_button(app.actions, name, icon)
-        imgui.same_line()
-    changed, loop = imgui.checkbox("loop", playback.loop)
-    if changed:
-        playback.loop = loop
-    imgui.same_line()
-    imgui.set_next_item_width(hello_imgui.em_size(8))
-    if imgui.begin_combo("###mode", playback.mode):
-        for mode in ("real time", "every frame"):
-            if imgui.selectable(mode, mode == playback.mode)[0]:
-                playback.mode = mode
-        imgui.end_combo()
-    widgets.tooltip("real time drops frames that come too late; every frame waits for each")
-    imgui.same_line()
-    imgui.set_next_item_width(hello_imgui.em_size(5))
-    if imgui.begin_combo("###speed", f"{playback.speed:g}×"):
-        for speed in _SPEEDS:
-            if imgui.selectable(f"{speed:g}×", speed == playback.speed)[0]:
-                playback.speed = speed
-        imgui.end_combo()
-    imgui.same_line()
-    imgui.text(_status(app.model))
+    """Controls side by side, in as many rows as they need."""
+    playback, width = app.model.playback, hello_imgui.em_size
+    with widgets.in_rows(indent=0.0) as row:
+        for name, icon in (
+            ("first", icons.ICON_FA_BACKWARD_FAST),
+            ("step_back", icons.ICON_FA_BACKWARD_STEP),
+            ("play", icons.ICON_FA_PAUSE if playback.playing else icons.ICON_FA_PLAY),
+            ("step", icons.ICON_FA_FORWARD_STEP),
+            ("last", icons.ICON_FA_FORWARD_FAST),
+        ):
+            row(width(2))
+            widgets.action_button(app.actions, name, icon, 2)
+        row(width(4.5))
+        widgets.toggle(
+            "loop", playback.loop, partial(setattr, playback, "loop"), "From the last frame to the first one"
+        )
+        row(width(7))
+        modes = {"real time": "drops frames that come too late", "every frame": "waits for each"}
+        _combo("mode", playback.mode, {mode: mode for mode in modes}, partial(setattr, playback, "mode"), 7, modes)
+        row(width(4))
+        _combo("speed", playback.speed, {speed: f"{speed:g}×" for speed in _SPEEDS},
+               partial(setattr, playback, "speed"), 4)  # fmt: skip
+        row(width(_LEAST_STATUS))
+        imgui.align_text_to_frame_padding()
+        long, short = _status(app.model)
+        room = imgui.get_content_region_avail().x
+        imgui.text(long if imgui.calc_text_size(long).x <= room else widgets.shortened(short, room))
+        widgets.tooltip(long)
 
 
-def _status(model) -> str:
+def _combo(name: str, value, texts: dict, change, width: float, told: dict | None = None) -> None:
+    """A choice of `width` em without a label."""
+    imgui.set_next_item_width(hello_imgui.em_size(width))
+    if imgui.begin_combo(f"###{name}", texts.get(value, f"{value}")):
+        for choice, text in texts.items():
+            if imgui.selectable(text, choice == value)[0]:
+                change(choice)
+            widgets.tooltip((told or {}).get(choice, ""))
+        imgui.end_combo()
+    widgets.tooltip("\n".join(f"{choice}: {text}" for choice, text in (told or {}).items()))
+
+
+def _status(model) -> tuple[str, str]:
+    """What is shown and when it is due, or how it plays; and the same in fewer letters."""
     playback = model.playback
-    slot = playback.slot
-    k, j = divmod(slot, model.n + 1)
-    kind = f"rendered {k}" if j == 0 else f"generated {k} + {j}/{model.n + 1}"
-    text = f"{kind}   t = {model.playback.time_of(slot):.3f} s"
+    seconds = f"{playback.time_of(playback.slot):.3f} s"
     if playback.playing:
-        text += f"   {playback.rate:.0f} of {playback.target_rate:.0f} frames/s"
-        if playback.dropped:
-            text += f", {playback.dropped} dropped"
-    return text
+        rate, dropped = f"{playback.rate:.0f} of {playback.target_rate:.0f}/s", playback.dropped
+        return f"{seconds}   {rate}" + (f"   {dropped} dropped" if dropped else ""), f"{rate}, −{dropped}"
+    k, j = divmod(playback.slot, model.n + 1)
+    at = f"{k} + {j}/{model.n + 1}" if j else f"{k}"
+    return f"{'generated' if j else 'rendered'} {at}   t = {seconds}", at
 
 
 def _bar(model) -> None:
@@ -102,15 +114,15 @@ def _bar(model) -> None:
     _cached(model, draw, origin, step, height)
     marked = [(frame, RESET) for frame in model.contents.resets] + [(frame, DOUBT) for frame in model.marks]
     for frame, color in marked:
-        x, ink = origin.x + frame * (model.n + 1) * step, imgui.get_color_u32(color)
+        x, ink = round(origin.x + frame * (model.n + 1) * step), imgui.get_color_u32(color)
         draw.add_line(ImVec2(x, origin.y), ImVec2(x, origin.y + height), ink, 2.0)
         draw.add_triangle_filled(ImVec2(x, origin.y), ImVec2(x + 7, origin.y + 3), ImVec2(x, origin.y + 6), ink)
-    at = origin.x + (playback.slot + 0.5) * step
+    at = round(origin.x + (playback.slot + 0.5) * step)
     ink = imgui.get_color_u32(imgui.Col_.text)
     draw.add_line(ImVec2(at, origin.y), ImVec2(at, origin.y + height), ink, 2.0)
     draw.add_triangle_filled(ImVec2(at - 5, origin.y), ImVec2(at + 5, origin.y), ImVec2(at, origin.y + 7), ink)
     for slot in (first, last + 1):
-        x = origin.x + slot * step
+        x = round(origin.x + slot * step)
         draw.add_line(ImVec2(x, origin.y), ImVec2(x, origin.y + height), imgui.get_color_u32((0.4, 0.9, 0.5, 0.9)), 2.0)
 
 

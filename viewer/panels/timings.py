@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from imgui_bundle import ImVec2, hello_imgui, imgui, implot
-from imgui_bundle import icons_fontawesome_6 as icons
+from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui, implot
 
 from gffe_cl.viewer.panels import widgets
 
-_BAR, _NECESSARY = (0.36, 0.62, 0.95, 0.25), (0.36, 0.62, 0.95, 0.55)
+_COLUMNS = (("stage", 0.38), ("time", 0.2), ("ms", 0.17), ("bytes/px", 0.25))
+_PALE = 0.4  # of a bar's colour: bytes that did not have to move
 
 
 def draw(app) -> None:
@@ -23,30 +23,25 @@ def draw(app) -> None:
         f"interface {imgui.get_io().framerate:.0f} frames/s   frame {model.timings.wall():.1f} ms"
         f"   reading back {model.timings.readback():.1f} ms   upload {model.screen.upload_ms:.1f} ms"
     )
-    bandwidth, pixels = model.engine.bandwidth, math.prod(model.contents.size)
-    if imgui.begin_table("###timings", 3, imgui.TableFlags_.row_bg.value):
-        for title, share in (("stage", 0.46), ("ms", 0.24), ("bytes/px", 0.3)):
+    bandwidth, longest = model.engine.bandwidth, max(means.values())
+    if imgui.begin_table("###timings", len(_COLUMNS), imgui.TableFlags_.row_bg.value):
+        for title, share in _COLUMNS:
             imgui.table_setup_column(title, imgui.TableColumnFlags_.width_stretch.value, share)
         imgui.table_headers_row()
-        for index, (name, milliseconds) in enumerate((*means.items(), ("all", sum(means.values())))):
-            per_pixel = f"{milliseconds * 1e6 * bandwidth / pixels:.0f}" if bandwidth else "–"
+        for index, (name, milliseconds) in enumerate(means.items()):
+            color = implot.get_colormap_color(index)
             imgui.table_next_column()
-            is_open = False
-            if name in means:
-                imgui.text_colored(implot.get_colormap_color(index), icons.ICON_FA_SQUARE)
-                imgui.same_line()
-                flags = imgui.TreeNodeFlags_.span_avail_width.value | imgui.TreeNodeFlags_.no_tree_push_on_open.value
-                is_open = imgui.tree_node_ex(f"{name}###stage {name}", flags)
-            else:
-                imgui.text(name)
+            flags = imgui.TreeNodeFlags_.span_avail_width.value | imgui.TreeNodeFlags_.no_tree_push_on_open.value
+            is_open = imgui.tree_node_ex(f"{name}###stage {name}", flags)
             if name == "correction":
                 network, copies = model.timings.network(), model.timings.copies()
                 widgets.tooltip(f"of this {network:.2f} ms in the network, {copies:.2f} ms in copies to it and back")
-            for text in (f"{milliseconds:.2f}", per_pixel):
-                imgui.table_next_column()
-                imgui.text(text)
+            _cost(model, milliseconds, longest, color)
             if is_open:
-                _kernels(model, name, sum(means.values()))
+                _kernels(model, name, longest, color)
+        imgui.table_next_column()
+        imgui.text("all")
+        _cost(model, sum(means.values()), None, None)
         imgui.end_table()
     _measure(model, bandwidth)
     flags = implot.Flags_.no_mouse_text.value | implot.Flags_.no_legend.value  # the table says which is which
@@ -58,31 +53,45 @@ def draw(app) -> None:
         implot.end_plot()
 
 
-def _kernels(model, stage: str, frame_ms: float) -> None:
-    """A row for each kernel of a stage: its share of the frame as a bar; of its bytes those that had to move."""
+def _cost(model, milliseconds: float, longest: float | None, color, must: float | None = None) -> None:
+    """Three cells: a bar, full for the `longest` stage, milliseconds, and bytes per pixel, beside which stand
+    those that `must` move and are a darker part of the bar."""
     bandwidth, pixels = model.engine.bandwidth, math.prod(model.contents.size)
+    moved = milliseconds * 1e6 * bandwidth / pixels if bandwidth else None
+    known = moved is not None and must is not None
+    imgui.table_next_column()
+    if longest is not None:
+        _bar(milliseconds / max(longest, 1e-9), must / max(moved, 1e-9) if known else None, color)
+    imgui.table_next_column()
+    imgui.text(f"{milliseconds:.2f}")
+    imgui.table_next_column()
+    imgui.text(("–" if moved is None else f"{moved:.0f}") + ("" if must is None else f" / {must:.0f}"))
+    widgets.tooltip(
+        "bytes per pixel: measured" + ("" if must is None else " / had to move, as its stage declares them")
+    )
+
+
+def _kernels(model, stage: str, longest: float, color) -> None:
+    """A row for each kernel of a stage."""
     must_move = model.engine.traffic.get(stage, {})
     for kernel, milliseconds in model.timings.of_stage(stage).items():
-        moved = milliseconds * 1e6 * bandwidth / pixels if bandwidth else None
-        must = must_move.get(kernel)
         imgui.table_next_column()
-        _bar(milliseconds / max(frame_ms, 1e-9), None if moved is None or must is None else must / max(moved, 1e-9))
-        imgui.text_disabled(f"   {kernel}")
-        imgui.table_next_column()
-        imgui.text_disabled(f"{milliseconds:.2f}")
-        imgui.table_next_column()
-        imgui.text_disabled(("–" if moved is None else f"{moved:.0f}") + ("" if must is None else f" / {must:.0f}"))
-        widgets.tooltip("bytes per pixel: measured / had to move, as its stage declares them")
+        imgui.indent(hello_imgui.em_size(2))
+        imgui.text(widgets.shortened(kernel, imgui.get_content_region_avail().x))
+        widgets.tooltip(kernel)
+        imgui.unindent(hello_imgui.em_size(2))
+        _cost(model, milliseconds, longest, color, must_move.get(kernel))
 
 
-def _bar(share: float, necessary: float | None) -> None:
-    """Behind the row's first cell: `share` of its width, of this the part `necessary` in another colour."""
+def _bar(share: float, necessary: float | None, color) -> None:
+    """In a cell: `share` of its width, of this the part `necessary` full, the rest paler where that is known."""
     origin, height = imgui.get_cursor_screen_pos(), imgui.get_text_line_height()
-    width = imgui.get_content_region_avail().x * min(share, 1.0)
-    draw = imgui.get_window_draw_list()
-    for part, color in ((1.0, _BAR), (min(necessary or 0.0, 1.0), _NECESSARY)):
-        corner = ImVec2(origin.x + width * part, origin.y + height)
-        draw.add_rect_filled(origin, corner, imgui.get_color_u32(color))
+    width = max(imgui.get_content_region_avail().x * min(share, 1.0), 1.0)
+    draw, parts = imgui.get_window_draw_list(), ((1.0, _PALE), (min(necessary or 0.0, 1.0), 1.0))
+    for part, opacity in parts if necessary is not None else ((1.0, 1.0),):
+        corner = ImVec2(origin.x + width * part, origin.y + 0.85 * height)
+        ink = imgui.get_color_u32(ImVec4(color.x, color.y, color.z, opacity))
+        draw.add_rect_filled(ImVec2(origin.x, origin.y + 0.2 * height), corner, ink)
 
 
 def _measure(model, bandwidth: float | None) -> None:

@@ -31,12 +31,12 @@ def tooltip(text: str) -> None:
         imgui.end_tooltip()
 
 
-def action_button(actions, name: str, icon: str) -> None:
-    """A button for an action, greyed out with the reason where it cannot run."""
+def action_button(actions, name: str, icon: str, width: float = 2.2) -> None:
+    """A button for an action, `width` em, greyed out with the reason where it cannot run."""
     action = actions[name]
     reason = action.enabled()
     imgui.begin_disabled(reason is not None)
-    if imgui.button(f"{icon}###{name}", ImVec2(hello_imgui.em_size(2.2), 0)):
+    if imgui.button(f"{icon}###{name}", ImVec2(hello_imgui.em_size(width), 0)):
         actions.run(name)
     imgui.end_disabled()
     shortcut = f"  ({action.shortcut})" if action.shortcut else ""
@@ -82,8 +82,15 @@ def slider(
         change(default)
     imgui.end_disabled()
     tooltip(f"back to {default:g}")
+    beside(label)
+
+
+def beside(label: str) -> None:
+    """The label of the last item, as much of it as has room."""
     imgui.same_line()
-    imgui.text(label)
+    text = shortened(label, imgui.get_content_region_avail().x)
+    imgui.text(text)
+    tooltip("" if text == label else label)
 
 
 def leave_room_for(label: str) -> None:
@@ -114,8 +121,7 @@ def choice(
             if chosen and name != value:
                 change(name)
         imgui.end_combo()
-    imgui.same_line()
-    imgui.text(label)
+    beside(label)
 
 
 def hint(text: str) -> None:
@@ -126,7 +132,8 @@ def hint(text: str) -> None:
 
 
 def shortened(text: str, width: float) -> str:
-    """As much of it as has room, its end rather than its middle."""
+    """As much of it as has room, its end rather than its middle; a few letters in any case."""
+    shorter = text
     if imgui.calc_text_size(text).x <= width:
         return text
     for kept in range(len(text) - 1, 2, -1):
@@ -141,22 +148,24 @@ def heading(text: str) -> None:
 
 
 @contextmanager
-def in_rows() -> Iterator[Callable[[str], None]]:
-    """Small items side by side, in as many rows as they need; what is yielded is called with the text before each."""
-    first, indent = True, hello_imgui.em_size(1.4)
-    imgui.indent(indent)
+def in_rows(indent: float = 1.4) -> Iterator[Callable[[float], None]]:
+    """Items side by side, in as many rows as they need, `indent` em from the left; what is yielded is called with the
+    width of each, pixels, before it."""
+    first, gap = True, hello_imgui.em_size(0.8 if indent else 0.5)
+    if indent:
+        imgui.indent(hello_imgui.em_size(indent))
 
-    def row(text: str) -> None:
+    def row(width: float) -> None:
         nonlocal first
-        gap = hello_imgui.em_size(0.8)
         if not first:
             imgui.same_line(0, gap)
-            if imgui.get_content_region_avail().x < imgui.calc_text_size(text).x:
+            if imgui.get_content_region_avail().x < width:
                 imgui.new_line()
         first = False
 
     yield row
-    imgui.unindent(indent)
+    if indent:
+        imgui.unindent(hello_imgui.em_size(indent))
 
 
 def show_legend(shown: Legend) -> None:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from imgui_bundle import hello_imgui, imgui
+from imgui_bundle import ImVec4, hello_imgui, imgui
+from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.scenes import scene_names
 from gffe_cl.viewer.panels import widgets
 
 _HELP_COLUMNS = 3
-_MESSAGE_SECONDS = 8.0
+_OVER_PICTURE = {"error": 6.0, "title": 8.0}  # seconds that a message stands there, by its kind ...
+_IN_STATUS = {"error": 30.0, "note": 8.0}  # ... and there
+_RED, _BLUE = ImVec4(0.97, 0.5, 0.45, 1.0), ImVec4(0.36, 0.62, 0.95, 1.0)
 _ABOVE_FOOT = 2.2  # em: messages stand above what is written at the foot of the picture
 
 
@@ -77,11 +80,8 @@ def path_window(app) -> None:
 
 
 def messages(app) -> None:
-    """What went wrong or was finished lately, at the foot of the picture."""
-    now = app.clock()
-    for message in app.model.messages:
-        message.since = now if message.since is None else message.since
-    shown = [message for message in app.model.messages if now - message.since < _MESSAGE_SECONDS]
+    """What went wrong lately, and a script's title, at the foot of the picture."""
+    shown = [message for message in _lately(app, _OVER_PICTURE) if message.kind != "note"]
     if not shown:
         return
     x, y = app.foot or imgui.get_main_viewport().get_center()
@@ -93,11 +93,33 @@ def messages(app) -> None:
     imgui.push_text_wrap_pos(hello_imgui.em_size(36))
     for message in shown[-4:]:
         if message.error:
-            imgui.text_colored((0.97, 0.5, 0.45, 1.0), "error")
+            imgui.text_colored(_RED, "error")
             imgui.same_line()
         imgui.text_unformatted(message.text)
     imgui.pop_text_wrap_pos()
     imgui.end()
+
+
+def note(app) -> bool:
+    """The newest message, in the status bar, where it hides nothing; whether there is one."""
+    shown = [message for message in _lately(app, _IN_STATUS) if message.kind != "title"]
+    if not shown:
+        return False
+    last = shown[-1]
+    icon = icons.ICON_FA_TRIANGLE_EXCLAMATION if last.error else icons.ICON_FA_CIRCLE_INFO
+    imgui.text_colored(_RED if last.error else _BLUE, icon)
+    imgui.same_line()
+    imgui.text(widgets.shortened(last.text.replace("\n", " "), imgui.get_content_region_avail().x))
+    widgets.tooltip("\n".join(message.text for message in shown))
+    return True
+
+
+def _lately(app, seconds: dict[str, float]) -> list:
+    """Messages that were shown first at most so many seconds ago, by their kind."""
+    now = app.clock()
+    for message in app.model.messages:
+        message.since = now if message.since is None else message.since
+    return [message for message in app.model.messages if now - message.since < seconds.get(message.kind, 0.0)]
 
 
 def progress(model) -> None:

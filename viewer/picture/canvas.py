@@ -1,4 +1,4 @@
-"""Drawing layers with OpenGL: uploads through pixel-buffer objects, and one shader that does the rest.
+"""Drawing layers with OpenGL: one shader does it all, in as many variants as are needed.
 
 Row 0 of an array is the top of the picture, row 0 of a layer's texture, and the first row in memory of the texture that
 `Canvas.draw` returns: uv (0, 0), which is the upper left corner in Dear ImGui. Nothing is flipped anywhere.
@@ -21,15 +21,13 @@ from gffe_cl.viewer.engine.layers import VIEWS, LayerSpec
 from gffe_cl.viewer.picture import colors
 from gffe_cl.viewer.picture.colors import Rgb
 from gffe_cl.viewer.picture.displays import TONE_MAPS, Display, FrameInfo, shown_as
+from gffe_cl.viewer.picture.textures import PixelBuffers, Texture, texels_of
 from gffe_cl.viewer.picture.view import COMPARISONS, OVERLAYS, Size, View
 
-_DTYPES = {"uint8": "f1", "float16": "f2", "float32": "f4"}
 _OF_LAYER = ("VIEW", "SMOOTH", "CHANNEL", "TONE_MAP")
 _VARIANT = (*(f"{name}_{side}" for side in "AB" for name in _OF_LAYER), "COMPARE", "OVERLAY", "GRID")  # of display.frag
 _MIXING = ("difference", "error")  # comparisons that need A and B at one place
 _GRID = (8.0, 24.0)  # screen pixels per texel and display pixel: lines between them show, and are as clear as they get
-_RING = 3  # pixel buffers per size, so that none is rewritten while the driver still reads it
-_RINGS = 12  # sizes that are kept
 _RENDERED = {"depth": names.RENDERED_DEPTH, "motion": names.RENDERED_MOTION, "color": names.RENDERED_COLOR}
 _REGIONS = "regions"
 _LABELLED = (_REGIONS, "disocclusions")  # overlays of a layer of their name
@@ -48,34 +46,11 @@ class Tile:
     height: int
 
 
-class _Texture:
-    """A layer on the GPU: (planes, H, W, components) texels."""
-
-    def __init__(self, ctx: moderngl.Context, texels: np.ndarray):
-        planes, height, width, self.components = texels.shape
-        self.size, self.format = (width, height), (texels.shape, texels.dtype)
-        dtype = _DTYPES[texels.dtype.name]
-        self.texels = ctx.texture_array((width, height, planes), self.components, alignment=1, dtype=dtype)
-        self.texels.repeat_x = self.texels.repeat_y = False
-        self.texels.filter = (moderngl.LINEAR, moderngl.LINEAR)
-        self.planes, self.unit = planes, 255.0 if dtype == "f1" else 1.0
-        self.mipmaps = 0  # levels of the present texels, besides themselves
-        self.spec: LayerSpec | None = None
-        self.frame: FrameInfo | None = None
-
-    def have_mipmaps(self, levels: int) -> None:
-        """At least so many."""
-        if levels > self.mipmaps:
-            self.texels.build_mipmaps(max_level=levels)
-            self.texels.filter = (moderngl.LINEAR_MIPMAP_NEAREST, moderngl.LINEAR)
-            self.mipmaps = levels
-
-
 @dataclass(frozen=True)
 class _Shown:
     """A layer as the shader takes it; `variant`: its _OF_LAYER."""
 
-    texture: _Texture
+    texture: Texture
     variant: tuple[int, int, int, int]
     uniforms: dict[str, Any]
 
@@ -116,12 +91,13 @@ class Canvas:
 
     def __init__(self, ctx: moderngl.Context):
         self.ctx = ctx
+        self.largest: int = ctx.info["GL_MAX_TEXTURE_SIZE"]  # pixels: a picture's width or height
         self.frame = FrameInfo((1, 1))
         self._programs: dict[tuple[int, ...], _Program] = {}
-        self._layers: dict[str, _Texture] = {}
-        self._rings: dict[int, list[moderngl.Buffer]] = {}
+        self._layers: dict[str, Texture] = {}
+        self._buffers = PixelBuffers(ctx)
         self._targets: dict[str, moderngl.Framebuffer] = {}
-        self._nothing = _Shown(_Texture(ctx, np.zeros((1, 1, 1, 1), np.uint8)), (-1, 0, -1, 0), {})
+        self._nothing = _Shown(Texture(ctx, np.zeros((1, 1, 1, 1), np.uint8)), (-1, 0, -1, 0), {})
         tables = np.stack([colors.color_table(name) for name in colors.COLOR_MAPS])
         self._color_maps = ctx.texture((256, len(colors.COLOR_MAPS)), 3, tables.tobytes(), alignment=1, dtype="f4")
         self._color_maps.repeat_x = self._color_maps.repeat_y = False
@@ -135,30 +111,17 @@ class Canvas:
         float16, float32 and uint8 go as they are (fastest when C-contiguous), other types as float32. An image wider
         or higher than the GPU's largest texture goes with every n-th pixel. An empty one is ignored.
         """
-        texels = _texels(array, spec, self.ctx.info["GL_MAX_TEXTURE_SIZE"])
+        texels = texels_of(array, spec, self.largest)
         if texels is None:
             return
         layer = self._layers.get(name)
         if layer is None or layer.format != (texels.shape, texels.dtype):
             self.forget([name])
-            layer = self._layers[name] = _Texture(self.ctx, texels)
-        buffer = self._next_buffer(texels.nbytes)
+            layer = self._layers[name] = Texture(self.ctx, texels)
+        buffer = self._buffers.next(texels.nbytes)
         buffer.write(texels)
         layer.texels.write(buffer, alignment=1)
         layer.spec, layer.mipmaps, layer.frame = spec, 0, frame
-
-    def _next_buffer(self, nbytes: int) -> moderngl.Buffer:
-        ring = self._rings.pop(nbytes, [])
-        self._rings[nbytes] = ring  # the latest used is the last
-        if len(ring) < _RING:
-            ring.append(self.ctx.buffer(reserve=nbytes, dynamic=True))
-        else:
-            ring.append(ring.pop(0))
-            ring[-1].orphan()
-        while len(self._rings) > _RINGS:
-            for buffer in self._rings.pop(next(iter(self._rings))):
-                buffer.release()
-        return ring[-1]
 
     @property
     def layers(self) -> dict[str, LayerSpec]:
@@ -168,7 +131,7 @@ class Canvas:
     @property
     def pixel_buffers(self) -> list[int]:
         """Sizes in bytes of the pixel buffers in use."""
-        return [buffer.size for ring in self._rings.values() for buffer in ring]
+        return self._buffers.sizes
 
     def forget(self, layers: Iterable[str]) -> None:
         """Release these layers, if they are there."""
@@ -180,15 +143,14 @@ class Canvas:
     def release(self) -> None:
         """Release everything; the canvas must not be used any more."""
         self.forget(list(self._layers))
-        for buffer in (buffer for ring in self._rings.values() for buffer in ring):
-            buffer.release()
+        self._buffers.release()
         for framebuffer in self._targets.values():
             _release(framebuffer)
         for program in self._programs.values():
             program.release()
         self._nothing.texture.texels.release()
         self._color_maps.release()
-        self._rings, self._targets, self._programs = {}, {}, {}
+        self._targets, self._programs = {}, {}
 
     # ---- drawing ---------------------------------------------------------------------------------------
 
@@ -234,7 +196,9 @@ class Canvas:
             return old
         if old is not None:
             _release(old)
-        self._targets[name] = self.ctx.framebuffer([self.ctx.texture(size, 4)])
+        texture = self.ctx.texture(size, 4)
+        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)  # it is shown pixel by pixel
+        self._targets[name] = self.ctx.framebuffer([texture])
         return self._targets[name]
 
     def _draw(self, view: View, corner: tuple[int, int], framebuffer: moderngl.Framebuffer) -> None:
@@ -344,8 +308,8 @@ class Canvas:
         area = frame.area(spec)
         texel = [zoom * frame.display_size[i] / (layer.size[i] * abs(area[i + 2] - area[i])) for i in (0, 1)]
         smooth = view == "color" and min(texel) < 1.0
-        level = min(round(-math.log2(max(min(texel), 1e-9))), int(math.log2(max(layer.size)))) if smooth else 0
-        layer.have_mipmaps(level)
+        level = min(-math.log2(max(min(texel), 1e-9)), int(math.log2(max(layer.size)))) if smooth else 0.0
+        layer.have_mipmaps(math.ceil(level))
         low, high = display.low, display.high
         uniforms = {
             "components": layer.components,
@@ -354,7 +318,7 @@ class Canvas:
             "area": area,
             "own": frame.own_place(spec),
             "texel": texel,
-            "level": float(level),
+            "level": level,
             "weighted": spec.view == "color" and spec.components[3:] == ("weight",),
             "gain": 2.0**display.exposure * frame.exposure,
             "color_map": colors.COLOR_MAPS.index(display.color_map),
@@ -379,19 +343,6 @@ def _release(framebuffer: moderngl.Framebuffer) -> None:
     for texture in framebuffer.color_attachments:
         texture.release()
     framebuffer.release()
-
-
-def _texels(array: np.ndarray, spec: LayerSpec, most: int) -> np.ndarray | None:
-    """(planes, H, W, C) of one of _DTYPES, C-contiguous; None if there is nothing in it."""
-    array = np.asarray(array)
-    if spec.planes == 1 and array.ndim < 4:
-        array = array[None]
-    array = array[..., None] if array.ndim == 3 else array[..., :4]
-    if array.ndim != 4 or not array.size:
-        return None
-    step = math.ceil(max(array.shape[1:3]) / most)
-    array = array[:, ::step, ::step]
-    return np.ascontiguousarray(array, array.dtype if array.dtype.name in _DTYPES else np.float32)
 
 
 def _grid(count: int, size: Size, picture: Size, caption: int, gap: int) -> list[tuple[int, int, int, int]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.cache import CACHE_MIB, FrameCache
 from gffe_cl.viewer.engine.doctoring import Doctor
 from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
-from gffe_cl.viewer.engine.messages import EngineError, Metrics, Request, Result, Setup
+from gffe_cl.viewer.engine.messages import Metrics, Setup
 from gffe_cl.viewer.engine.opening import ScenePlan, make_source
 from gffe_cl.viewer.engine.preview import Preview, Previewer, preview_of
 from gffe_cl.viewer.engine.sources import FrameSource
@@ -32,6 +31,8 @@ from gffe_cl.viewer.state.flying import Flight, Flyer
 from gffe_cl.viewer.state.framing import Framing
 from gffe_cl.viewer.state.kept import KeptSettings, command_line
 from gffe_cl.viewer.state.looks import Looks
+from gffe_cl.viewer.state.loop import Loop
+from gffe_cl.viewer.state.messages import Message
 from gffe_cl.viewer.state.needed import Needed
 from gffe_cl.viewer.state.parameters import Parameters
 from gffe_cl.viewer.state.playback import Playback
@@ -51,15 +52,6 @@ _SCENES = ScenePlan(480, 270, 0)
 _OPTIONS = Options()
 
 
-@dataclass
-class Message:
-    """Something to tell; `since`: when it was shown first, seconds of the clock that playback goes by."""
-
-    text: str
-    error: bool
-    since: float | None = None
-
-
 class Model:
     """State of the viewer.
 
@@ -74,6 +66,7 @@ class Model:
         self.settings, self._save_settings, self.plan, self._check = settings, save_settings, plan, check
         self.engine = Engine(partial(open_viewer_device, device), cache=FrameCache(cache_mib << 20))
         self.engine.start()
+        self._loop = Loop(self)
         self.contents = Contents()
         self.playback = Playback(n=n)
         self.filling = Filling(self.engine, self.playback)
@@ -85,7 +78,7 @@ class Model:
         self.kept = KeptSettings()
         self.comparison = Comparison(self.view, self.contents, self.looks, self.kept)
         self.second = Second(self.engine, self.filling.find)
-        self.asking = Asking(self.engine, self.contents, self.filling, self.second, self._take)
+        self.asking = Asking(self.engine, self.contents, self.filling, self.second, self._loop.take)
         self.regions = Regions(self.view, self.contents)
         self.disocclusions = Disocclusions(self.view, self.contents)
         self.survey = Survey(self.engine, self.playback)
@@ -102,14 +95,13 @@ class Model:
         self.messages: list[Message] = []
         self.doctor: Doctor | None = None  # of what is open, once it was asked for
         self.preview: Preview | None = None  # shown until there is a result of what is opened
-        self._previewer: Previewer | None = None
+        self.previewer: Previewer | None = None
         self.failure: str | None = None
         self.notice = ""
         self.timings = Timings()
         self.recipe = self.engine.recipe(self.setup)
-        self._was_playing = False
         self._target = ""
-        self._keep_place = False
+        self.keep_place = False
         self._closed = False
         self.playback.restore(settings.playback)
         self.parameters.restore(settings.options)
@@ -127,18 +119,18 @@ class Model:
         """A folder with a sequence, or the name of a built-in scene; `update` hears when it is open."""
         self.failure = None
         self.notice = f"opening {target} …"
-        self._previewer = preview_of(target) if self.source is None else None
+        self.previewer = preview_of(target) if self.source is None else None
         make = partial(
-            make_source, target, self.parameters.window, self.plan, check=self._check, previewer=self._previewer
+            make_source, target, self.parameters.window, self.plan, check=self._check, previewer=self.previewer
         )
         self.engine.open_source(make, self.asking.serial())
 
     def reload(self) -> None:
         """Read the same thing again, and stay where we are."""
-        self._keep_place = True
+        self.keep_place = True
         self.open(self._target)
 
-    def _opened(self, source: FrameSource) -> None:
+    def opened(self, source: FrameSource) -> None:
         self.contents.open(source)
         self.parameters.open(source)
         self.notice, self._target = "", source.target
@@ -148,144 +140,29 @@ class Model:
             part.forget()
         if self.export is not None:
             self.export.cancel()
-        self.playback.open(source.count, source.fps, self._times(source.count), keep=self._keep_place)
+        self.playback.open(source.count, source.fps, self.times(source.count), keep=self.keep_place)
         self.pointing.open(self.contents.size)
         self.doctor = None
-        if self._keep_place and self.flying:
+        if self.keep_place and self.flying:
             self.playback.play()  # at another render rate, from where the camera is
         else:
             self.flyer = None
-        if not self._keep_place:
+        if not self.keep_place:
             self.looks.forget()
             self.timings = Timings()
         self.comparison.drop_missing()
-        self.framing.due = not self._keep_place
-        self._keep_place = False
+        self.framing.due = not self.keep_place
+        self.keep_place = False
         if not source.live:
             self.settings.add_recent(Path(self._target).expanduser())
 
-    def _times(self, count: int) -> list[float] | None:
+    def times(self, count: int) -> list[float] | None:
         """Seconds, of rendered frames."""
         return None if self.source.live else [self.source.time(k) for k in range(count)]
 
-    # ---- one frame of the interface ------------------------------------------------------------------------
-
     def update(self, now: float, canvas) -> None:
         """Take what the engine has finished into textures, and ask for what is wanted next."""
-        self.screen.canvas = canvas
-        if self._previewer is not None and (preview := self._previewer.take()) is not None:
-            self.preview = preview
-            self.screen.preview(preview)
-        self.screen.proceed()
-        if self.engine.source is not self.source:
-            self._opened(self.engine.source)
-        if self.source is not None:
-            self._follow_source()
-        self.recipe = self.engine.recipe(self.setup)
-        self._take_answers()
-        if self.source is None:
-            return
-        self.second.compare_with(None if self.overview else self.comparison.second)
-        kept = self.second.kept
-        self.filling.others = frozenset() if kept is None else frozenset({self.engine.recipe(kept.setup(self.n))})
-        result, ready = self.contents.result, None
-        if result is not None and result.request.setup == self.setup:
-            ready = result.request.slot
-        self._ask(self.playback.tick(now, ready).request)
-        self.disocclusions.update(canvas)
-        faults = self.comparison.update(canvas), self.regions.update(canvas), self.selection.update()
-        for fault in filter(None, faults):
-            self.say(fault, error=True)
-        self.asking.fill(now, self.recipe, not (self.flying or self.overview or self.export))
-        kept = self.kept.b if self.comparison.by_settings else None
-        idle = not (self.flying or self.export or self.playback.playing or self.second.waits)
-        self.survey.resets = sorted({0, *self.contents.resets})
-        self.survey.update(self.setup, kept and kept.setup(self.n), self.source.exposure, idle)
-        if self._was_playing and not self.playback.playing and self.from_cache:
-            self.pointing.ask_again()
-        self._was_playing = self.playback.playing
-        if self.export is not None:
-            self._advance_export(canvas)
-
-    def _follow_source(self) -> None:
-        """Another render rate was chosen, or there are more frames."""
-        if self.source.live and self.parameters.render_rate != self.plan.fps:
-            self.plan = self.plan._replace(fps=self.parameters.render_rate)
-            self.reload()
-        if (count := self.source.count) != self.playback.count:
-            self.playback.extend(count, self._times(count))
-
-    def _take_answers(self) -> None:
-        """All that the engine has finished."""
-        while self.screen.ready and (answer := self.engine.poll()) is not None:
-            if isinstance(answer, EngineError):
-                self._failed(answer)
-            elif self.source is not None:
-                self.asking.take(answer)
-        self._take_pair()
-        self.scores.update()
-        inspection = self.engine.poll_inspection()
-        if inspection is not None and inspection.slot == self.slot:
-            self.pointing.take(inspection)
-
-    def _failed(self, error: EngineError) -> None:
-        if self.second.failed(error):
-            self.say(f"B: {error.message}", error=True)
-            return
-        if error.during != "metrics":
-            self.second.forget()
-        self.failure = error.message
-        if error.during == "network":
-            self._without_network(error.message)
-            return
-        self.say(error.message, error=True)
-        self.notice = error.message if self.source is None else ""
-        self._keep_place = False
-        self.pointing.story_due &= error.during != "inspection"
-        if error.during == "source":
-            self.asking.forget()  # what was asked of the old one was thrown away
-        self._previewer = self.preview = None
-        if error.during in ("source", "slot"):
-            self.playback.pause()
-            if self.export is not None:
-                self.export.cancel()
-
-    def _without_network(self, why: str) -> None:
-        """Go on without shading correction, until it is switched on again."""
-        self.say(f"shading correction is off: {why}", error=True)
-        self.parameters.network_fault = why
-        if self.export is not None:
-            self.export.cancel()
-
-    def _take_pair(self) -> None:
-        if self.screen.ready:
-            self.asking.take_pair()
-
-    def _take(self, result: Result, second: Result | None) -> None:
-        """What is shown from now on, of A and B."""
-        self.contents.take(result, second)
-        self.failure = None
-        self._previewer = self.preview = None
-        for made in (result, second):
-            self.scores.add_result(made)
-        self.screen.show(result.images, {self.view.a, self.view.b})
-        self.timings.add(result)
-        self.pointing.ask_again()
-
-    def _ask(self, slot: int) -> None:
-        """Have a slot shown."""
-        if self.flying:
-            k, j = divmod(slot, self.n + 1)
-            self.source.fly(k, j / (self.n + 1), self.flyer.pose)
-        layers = self.needed.all() if self.overview else self.needed.of_first()
-        layers |= self.export.layers if self.export is not None else frozenset()
-        request = Request(slot, self.setup, layers, 0, self.measuring, keep=not self.flying)
-        second = self.second.request(request, self.needed.of_second()) if self.second.kept else None
-        recipe, steered = (None, self.flyer.moved) if self.flying else (self.recipe, False)
-        if self.asking.ask(request, recipe, second, steered, self.source):
-            if self.flying:
-                self.flyer.moved = False
-            self._take_pair()
+        self._loop.update(now, canvas)
 
     def go_to(self, find: Callable[[], int | None]) -> None:
         """To the slot that `find`, of the survey, gives."""
@@ -300,13 +177,13 @@ class Model:
         return self.asking.from_cache
 
     @property
-    def _inspects(self) -> bool:
+    def inspects(self) -> bool:
         """Whether the engine is asked about pixels: not for what is played from the cache."""
         return not (self.from_cache and self.playback.playing)
 
     def _inspect(self, x: int, y: int) -> None:
         """Ask about a pixel of what is shown; what comes from the cache is not made for that while it plays."""
-        if self._inspects:
+        if self.inspects:
             request = self.contents.result.request if self.from_cache else None
             self.engine.inspect(x, y, request=request)
 
@@ -348,7 +225,7 @@ class Model:
         return (
             self.asking.answered
             and not self.engine.busy
-            and not (self.pointing.story_due and self._inspects)
+            and not (self.pointing.story_due and self.inspects)
             and self.comparison.ready
             and self.regions.ready
             and self.selection.ready
@@ -436,7 +313,7 @@ class Model:
         """Start saving beside the interface."""
         self.export = work(self._subject)
 
-    def _advance_export(self, canvas) -> None:
+    def advance_export(self, canvas) -> None:
         self.export.advance(canvas)
         if self.export.finished:
             if self.export.outcome:
@@ -461,7 +338,7 @@ class Model:
         return self.doctor.marks if self.doctor is not None else {}
 
     def say(self, text: str, error: bool = False) -> None:
-        self.messages = [*self.messages[-20:], Message(text, error)]
+        self.messages = [*self.messages[-20:], Message(text, "error" if error else "note")]
 
     def remember(self, window_size: tuple[int, int]) -> None:
         """Write the settings."""

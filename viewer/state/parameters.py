@@ -14,7 +14,7 @@ from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.schedule import MOST_GENERATED
 
 ALWAYS = {"shading_inputs": True}  # they are layers to look at
-CORRECTION = "shading_correction"
+CORRECTION, UPSCALING = "shading_correction", "upscale"
 _SHOWN = 60.0  # frames per second that are to be shown of a scene whose render rate is chosen
 OWN = {
     option.name: option
@@ -88,6 +88,7 @@ class Parameters:
             self.window = self.window or "off"
         else:
             self.window = "off" if self.window == "off" else None
+        self.set(UPSCALING, self.options.upscale)
 
     @property
     def setup(self) -> Setup:
@@ -146,7 +147,14 @@ class Parameters:
             self.render_rate = None if rate == "scene" else float(rate)
             self._playback.n = 1 if rate == "scene" else round(_SHOWN / self.render_rate) - 1
         else:
-            self.options = self.options.changed(name, value)
+            self.options = self.options.changed(name, self._possible(value) if name == UPSCALING else value)
+
+    def _possible(self, upscale: float) -> float:
+        """The nearest that there is: what is on disk was rendered for one factor."""
+        source = self._source
+        if not upscale or source is None or source.live:
+            return upscale
+        return max(round(source.width / source.render_size[0], 2), 1.0)
 
     def is_on(self, name: str) -> bool:
         """Whether a module is on; shading correction that failed is off."""

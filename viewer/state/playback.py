@@ -270,6 +270,16 @@ class Playback:
             self.visible = ready
         return Tick(self.slot, self.visible)
 
+    def rest(self, now: float) -> float:
+        """Seconds until the next slot is due, where nothing is waited for until then; 0 if it does not play."""
+        if not self._playing or self.waiting or self._now is None:
+            return 0.0
+        if self._mode == REAL_TIME:
+            left = self.time_of(self.slot + 1) - self._time
+        else:
+            left = self._schedule.duration(self.slot) - self._spent
+        return max(left / self._speed - (now - self._now), 0.0)
+
     def _deliver(self, now: float, ready: int, news: bool) -> None:
         """`ready` is there, between the points; `news`: it was not yet at the last tick."""
         behind = self.slot - ready
@@ -294,6 +304,8 @@ class Playback:
             time = max(time - laps * (end - start), start)
         slot = min(max(self._schedule.slot_at(time), first), last)
         passed = laps * (last - first + 1) + slot - self.slot
+        if passed == 2 and not self.waiting:  # a tick came late: what is due for less than a slot's time can wait
+            slot, passed = slot - 1 if slot > first else last, 1
         self.due, self.waiting = self.due + passed, self.waiting + passed
         self.slot, self._time = slot, min(time, end)
         if slot == last and not self._loop and not self.waiting:

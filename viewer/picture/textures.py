@@ -1,0 +1,83 @@
+"""Layers on the GPU: their textures, and the pixel-buffer objects through which they are uploaded."""
+
+from __future__ import annotations
+
+import math
+
+import moderngl
+import numpy as np
+
+from gffe_cl.viewer.engine.layers import LayerSpec
+from gffe_cl.viewer.picture.displays import FrameInfo
+
+_DTYPES = {"uint8": "f1", "float16": "f2", "float32": "f4"}
+_RING = 3  # pixel buffers per size, so that none is rewritten while the driver still reads it
+_RINGS = 12  # sizes that are kept
+
+
+class Texture:
+    """A layer on the GPU: (planes, H, W, components) texels."""
+
+    def __init__(self, ctx: moderngl.Context, texels: np.ndarray):
+        planes, height, width, self.components = texels.shape
+        self.size, self.format = (width, height), (texels.shape, texels.dtype)
+        dtype = _DTYPES[texels.dtype.name]
+        self.texels = ctx.texture_array((width, height, planes), self.components, alignment=1, dtype=dtype)
+        self.texels.repeat_x = self.texels.repeat_y = False
+        self.texels.filter = (moderngl.LINEAR, moderngl.LINEAR)
+        self.planes, self.unit = planes, 255.0 if dtype == "f1" else 1.0
+        self.mipmaps = 0  # levels of the present texels, besides themselves
+        self.spec: LayerSpec | None = None
+        self.frame: FrameInfo | None = None
+
+    def have_mipmaps(self, levels: int) -> None:
+        """At least so many, to be drawn smaller: what lies between two of them is mixed from both."""
+        if levels > self.mipmaps:
+            self.texels.build_mipmaps(max_level=levels)
+            self.texels.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+            self.mipmaps = levels
+
+
+class PixelBuffers:
+    """Buffers to upload through, a few of each size."""
+
+    def __init__(self, ctx: moderngl.Context):
+        self._ctx = ctx
+        self._rings: dict[int, list[moderngl.Buffer]] = {}
+
+    def next(self, nbytes: int) -> moderngl.Buffer:
+        """One of this size that may be written."""
+        ring = self._rings.pop(nbytes, [])
+        self._rings[nbytes] = ring  # the latest used is the last
+        if len(ring) < _RING:
+            ring.append(self._ctx.buffer(reserve=nbytes, dynamic=True))
+        else:
+            ring.append(ring.pop(0))
+            ring[-1].orphan()
+        while len(self._rings) > _RINGS:
+            for buffer in self._rings.pop(next(iter(self._rings))):
+                buffer.release()
+        return ring[-1]
+
+    @property
+    def sizes(self) -> list[int]:
+        """Of those in use, bytes."""
+        return [buffer.size for ring in self._rings.values() for buffer in ring]
+
+    def release(self) -> None:
+        for buffer in (buffer for ring in self._rings.values() for buffer in ring):
+            buffer.release()
+        self._rings = {}
+
+
+def texels_of(array: np.ndarray, spec: LayerSpec, most: int) -> np.ndarray | None:
+    """(planes, H, W, C) of one of _DTYPES, C-contiguous; None if there is nothing in it."""
+    array = np.asarray(array)
+    if spec.planes == 1 and array.ndim < 4:
+        array = array[None]
+    array = array[..., None] if array.ndim == 3 else array[..., :4]
+    if array.ndim != 4 or not array.size:
+        return None
+    step = math.ceil(max(array.shape[1:3]) / most)
+    array = array[:, ::step, ::step]
+    return np.ascontiguousarray(array, array.dtype if array.dtype.name in _DTYPES else np.float32)

@@ -1,0 +1,139 @@
+"""One frame of the interface after the other: what the engine has finished is taken, and what is due is asked for."""
+
+from __future__ import annotations
+
+from gffe_cl.viewer.engine.messages import EngineError, Request, Result
+
+
+class Loop:
+    """Moves a model on. Panels and actions change the model in between."""
+
+    def __init__(self, model):
+        self._model = model
+        self._was_playing = False
+
+    def update(self, now: float, canvas) -> None:
+        """At `now`, seconds of the clock that playback goes by; `canvas`: what is drawn on, None where there is
+        nothing."""
+        model = self._model
+        model.screen.canvas = canvas
+        if model.previewer is not None and (preview := model.previewer.take()) is not None:
+            model.preview = preview
+            model.screen.preview(preview)
+        model.screen.proceed()
+        if model.engine.source is not model.source:
+            model.opened(model.engine.source)
+        if model.source is not None:
+            self._follow_source()
+        model.recipe = model.engine.recipe(model.setup)
+        self._take_answers()
+        if model.source is None:
+            return
+        model.second.compare_with(None if model.overview else model.comparison.second)
+        kept = model.second.kept
+        model.filling.others = frozenset() if kept is None else frozenset({model.engine.recipe(kept.setup(model.n))})
+        result, ready = model.contents.result, None
+        if result is not None and result.request.setup == model.setup:
+            ready = result.request.slot
+        self._ask(model.playback.tick(now, ready).request)
+        model.disocclusions.update(canvas)
+        faults = model.comparison.update(canvas), model.regions.update(canvas), model.selection.update()
+        for fault in filter(None, faults):
+            model.say(fault, error=True)
+        model.asking.fill(now, model.recipe, not (model.flying or model.overview or model.export))
+        kept = model.kept.b if model.comparison.by_settings else None
+        idle = not (model.flying or model.export or model.playback.playing or model.second.waits)
+        model.survey.resets = sorted({0, *model.contents.resets})
+        model.survey.update(model.setup, kept and kept.setup(model.n), model.source.exposure, idle)
+        if self._was_playing and not model.playback.playing and model.from_cache:
+            model.pointing.ask_again()
+        self._was_playing = model.playback.playing
+        if model.export is not None:
+            model.advance_export(canvas)
+
+    def _follow_source(self) -> None:
+        """Another render rate was chosen, or there are more frames."""
+        model = self._model
+        if model.source.live and model.parameters.render_rate != model.plan.fps:
+            model.plan = model.plan._replace(fps=model.parameters.render_rate)
+            model.reload()
+        if (count := model.source.count) != model.playback.count:
+            model.playback.extend(count, model.times(count))
+
+    def _take_answers(self) -> None:
+        """All that the engine has finished."""
+        model = self._model
+        while model.screen.ready and (answer := model.engine.poll()) is not None:
+            if isinstance(answer, EngineError):
+                self._failed(answer)
+            elif model.source is not None:
+                model.asking.take(answer)
+        self._take_pair()
+        model.scores.update()
+        inspection = model.engine.poll_inspection()
+        if inspection is not None and inspection.slot == model.slot:
+            model.pointing.take(inspection)
+
+    def _failed(self, error: EngineError) -> None:
+        model = self._model
+        if model.second.failed(error):
+            model.say(f"B: {error.message}", error=True)
+            return
+        if error.during != "metrics":
+            model.second.forget()
+        model.failure = error.message
+        if error.during == "network":
+            self._without_network(error.message)
+            return
+        model.say(error.message, error=True)
+        model.notice = error.message if model.source is None else ""
+        model.keep_place = False
+        model.pointing.story_due &= error.during != "inspection"
+        if error.during == "source":
+            model.asking.forget()  # what was asked of the old one was thrown away
+        model.previewer = model.preview = None
+        if error.during in ("source", "slot"):
+            model.playback.pause()
+            if model.export is not None:
+                model.export.cancel()
+
+    def _without_network(self, why: str) -> None:
+        """Go on without shading correction, until it is switched on again."""
+        model = self._model
+        model.say(f"shading correction is off: {why}", error=True)
+        model.parameters.network_fault = why
+        if model.export is not None:
+            model.export.cancel()
+
+    def _take_pair(self) -> None:
+        model = self._model
+        if model.screen.ready:
+            model.asking.take_pair()
+
+    def take(self, result: Result, second: Result | None) -> None:
+        """What is shown from now on, of A and B."""
+        model = self._model
+        model.contents.take(result, second)
+        model.failure = None
+        model.previewer = model.preview = None
+        for made in (result, second):
+            model.scores.add_result(made)
+        model.screen.show(result.images, {model.view.a, model.view.b})
+        model.timings.add(result)
+        model.pointing.ask_again()
+
+    def _ask(self, slot: int) -> None:
+        """Have a slot shown."""
+        model = self._model
+        if model.flying:
+            k, j = divmod(slot, model.n + 1)
+            model.source.fly(k, j / (model.n + 1), model.flyer.pose)
+        layers = model.needed.all() if model.overview else model.needed.of_first()
+        layers |= model.export.layers if model.export is not None else frozenset()
+        request = Request(slot, model.setup, layers, 0, model.measuring, keep=not model.flying)
+        second = model.second.request(request, model.needed.of_second()) if model.second.kept else None
+        recipe, steered = (None, model.flyer.moved) if model.flying else (model.recipe, False)
+        if model.asking.ask(request, recipe, second, steered, model.source):
+            if model.flying:
+                model.flyer.moved = False
+            self._take_pair()
