@@ -329,7 +329,8 @@ INLINE Wide4 bounded(const Wide4 found, const Wide4 mean, const Wide4 around, co
 INLINE Floats lock_of(const Floats before, const Ints right, const Floats seen) {
     const Floats most = (float)LOCK_FRAMES, counted = before + (right ? (Floats)(1.0f) : (Floats)(-1.0f));
     const Floats next = before > most ? before - 1.0f : lesser(greater(counted, (Floats)(0.0f)), most);
-    return (seen < MET) & (before >= SETTLED) ? (Floats)(THIN) : next;
+    const Ints thin = (seen < MET) & (before >= SETTLED);
+    return thin ? (Floats)(THIN) : next;
 }
 
 /* The rendered frame into the history. */
@@ -377,7 +378,8 @@ WIDE __kernel void accumulate(
         const Floats seen = fresh.w * per_far;
         const Floats trust = greater(1.0f - wide_divide(middle.w, WRONG + (WRONG_AT_REST - WRONG) * rest), (Floats)(0.0f));
         const Floats before = to_floats(gather_bytes(lock, to_ints(at_y) * target_width + to_ints(at_x)));
-        locked = known & (motion < AT_REST) ? lock_of(before, trust * seen >= AGREED, seen) : (Floats)(0.0f);
+        const Ints rests = known & (motion < AT_REST);
+        locked = rests ? lock_of(before, trust * seen >= AGREED, seen) : (Floats)(0.0f);
         const Ints thin = locked > (float)LOCK_FRAMES;
         past = bounded(cubic_at(known, px_previous_x, px_previous_y, target_width, target_height, SLOPE, history), middle, around,
                        thin ? (Floats)(LOCKED_ROOM) : (Floats)(0.0f), exposure);
