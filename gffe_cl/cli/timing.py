@@ -91,7 +91,7 @@ def _bench_times(
     from dataclasses import asdict
 
     from gffe_cl.evaluation.bench import PAPER, Copier, bench_size, growth
-    from gffe_cl.evaluation.footage import footage_of, is_sequence
+    from gffe_cl.evaluation.footage import is_sequence
 
     if sizes is None:
         sizes = [None] if is_sequence(subject) else [parse_size(text) for text in _SIZES.split(",")]
@@ -102,7 +102,7 @@ def _bench_times(
             advance = steps(progress)(f"{device.info.name} ({device.info.platform})", len(sizes) * repeats)
             copier = Copier(device)
             for size in sizes:
-                footage = footage_of(device, subject, size, frame)
+                footage = _footage(device, subject, size, frame, options.upscale)
                 results.append(bench_size(device, copier, footage, options, repeats, advance))
         _print_bench(device.info, footage.name, results)
         if kernels:
@@ -111,6 +111,16 @@ def _bench_times(
         figures = {"of": footage.name, "growth": growth(results), "sizes": [asdict(r) for r in results]}
         report.append(named | figures)
     write_json(json_path, {"devices": report, "paper": PAPER})
+
+
+def _footage(device: Device, subject: str | None, size: tuple[int, int] | None, frame: int | None, upscale: float):
+    """For a display of `size` (None: of the sequence's, so many times as large)."""
+    from gffe_cl.evaluation.footage import footage_of
+
+    if not upscale:
+        return footage_of(device, subject, size, frame)
+    footage = footage_of(device, subject, size and tuple(max(1, round(n / upscale)) for n in size), frame)
+    return footage.shown_larger(*(size or (round(n * upscale) for n in (footage.width, footage.height))))
 
 
 def _bench_traffic(

@@ -28,6 +28,8 @@ from gffe_cl.pipeline import Pipeline
 from gffe_cl.stage import Board, read_some_rows
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import Presentation
+from gffe_cl.stages.sharpening import Sharpening
+from gffe_cl.stages.upscaling import Upscaling
 from gffe_cl.window import WindowChooser, fixed_window
 
 # Bytes per pixel of the paper's table at 1080p (RTX 4070 Ti Super, 672 GB/s), by our parts.
@@ -52,6 +54,8 @@ PAPER = {
     "SCN, copies": None,
     "SCN": 745,
 }
+_UPSCALING = (Upscaling.name, Sharpening.name)
+_BESIDE_GAE = (*traffic.SCN, *_UPSCALING)
 _COPY_BYTES = 256 << 20
 _COPY_RUN = 64
 _WINDOW = 1.2  # times the display, for presentation
@@ -138,7 +142,7 @@ def bench_size(
     footage = footage.on(device)
     presentation = Presentation(Board(device, Sizes((footage.width, footage.height), (footage.width, footage.height))))
     before = device.allocated
-    pipeline = Pipeline(device, footage.width, footage.height, options)
+    pipeline = Pipeline(device, footage.width, footage.height, options, render_size=footage.render_size)
     pipeline.exposure = footage.exposure
     samples, launches = _Samples(), {}
     for turn in footage.turns(repeats):
@@ -146,7 +150,8 @@ def bench_size(
         device.queue.finish()
         launches = _timed_pair(pipeline, footage, turn, samples)
         if turn.counts:
-            samples.parts["misc"].append(_windowing(device, presentation, turn))
+            if not footage.render_size:
+                samples.parts["misc"].append(_windowing(device, presentation, turn))
             samples.bandwidths.append(bandwidth)
             on_pair()
     bandwidth = statistics.median(samples.bandwidths)
@@ -155,7 +160,7 @@ def bench_size(
     shares = traffic.counters(pipeline)
     by_stage = traffic.memory(pipeline)
     network = getattr(pipeline.stages.get(ShadingCorrection.name), "network", None)
-    frames = KEPT_BYTES_PER_PIXEL * pixels
+    frames = KEPT_BYTES_PER_PIXEL * math.prod(footage.render_size or (footage.width, footage.height))
     return SizeBench(
         footage.width,
         footage.height,
@@ -164,7 +169,7 @@ def bench_size(
         wall=statistics.median(samples.walls),
         bandwidth=bandwidth,
         memory=device.allocated - before + frames,
-        memory_gae=frames + sum(nbytes for name, nbytes in by_stage.items() if name not in traffic.SCN),
+        memory_gae=frames + sum(nbytes for name, nbytes in by_stage.items() if name not in _BESIDE_GAE),
         must_move=_must_move(pipeline, launches, shares),
         shares=shares,
         memory_by_stage=by_stage,
@@ -210,7 +215,8 @@ def _timed_pair(pipeline: Pipeline, footage: Footage, turn: Turn, samples: _Samp
                 milliseconds = (event.profile.end - event.profile.start) * 1e-6
                 kernels[f"{stage}.{kernel}"] += milliseconds
                 parts[traffic.part(stage, when, kernel)] += milliseconds
-                commands["SCN" if stage in traffic.SCN else "GAE"] += 1
+                what = "SCN" if stage in traffic.SCN else "upscaling" if stage in _UPSCALING else "GAE"
+                commands[what] += 1
     parts |= {traffic.SCN[name]: milliseconds for name, milliseconds in network.items()}
     for taken, into in ((parts, samples.parts), (kernels, samples.kernels)):
         for name, milliseconds in taken.items():
@@ -231,11 +237,12 @@ def _must_move(pipeline: Pipeline, launches: dict[str, traffic.Launches], shares
 
 
 def _with_sums(parts: dict[str, float]) -> dict[str, float]:
-    """Those of GAE in the paper's order, "GAE", those of SCN, "SCN"."""
+    """Those of GAE in the paper's order, "GAE", upscaling, those of SCN, "SCN"."""
     parts = {name: parts[name] for name in (*(n for n in PAPER if n in parts), *(n for n in parts if n not in PAPER))}
     scn = {name: value for name, value in parts.items() if name in traffic.SCN.values()}
-    gae = {name: value for name, value in parts.items() if name not in scn}
-    return gae | {"GAE": math.fsum(gae.values())} | (scn | {"SCN": math.fsum(scn.values())} if scn else {})
+    upscaling = {name: value for name, value in parts.items() if name in _UPSCALING}
+    gae = {name: value for name, value in parts.items() if name not in scn and name not in upscaling}
+    return gae | {"GAE": math.fsum(gae.values())} | upscaling | (scn | {"SCN": math.fsum(scn.values())} if scn else {})
 
 
 def _windowing(device: Device, presentation: Presentation, turn: Turn) -> float:

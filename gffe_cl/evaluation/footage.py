@@ -49,7 +49,8 @@ class Turn:
 
 @dataclass(frozen=True)
 class Footage:
-    """`name` says what it is of; `cameras` are those of the extrapolated frames, `interval` is in seconds."""
+    """`name` says what it is of; `width` and `height` are the display's, `cameras` those of the extrapolated frames,
+    `interval` is in seconds. `render_size`: of rendered frames that are smaller than the display."""
 
     name: str
     width: int
@@ -59,6 +60,7 @@ class Footage:
     frames: tuple[RenderedFrame, ...]
     cameras: tuple[Camera | None, ...]
     forward: bool
+    render_size: tuple[int, int] | None = None
 
     def turns(self, counted: int) -> Iterator[Turn]:
         """The loop, until so many turns have counted."""
@@ -93,6 +95,14 @@ class Footage:
         )
         cameras = tuple(camera and moved(camera) for camera in self.cameras)
         return replace(self, width=width, height=height, frames=frames, cameras=cameras)
+
+    def shown_larger(self, width: int, height: int) -> Footage:
+        """The same frames for a larger display, as upscaling takes them."""
+        factors = width / self.width, height / self.height
+        frames = tuple(replace(f, display_camera=f.camera.scaled(*factors)) for f in self.frames)
+        cameras = tuple(camera and camera.scaled(*factors) for camera in self.cameras)
+        size = self.width, self.height
+        return replace(self, width=width, height=height, frames=frames, cameras=cameras, render_size=size)
 
     def on(self, device: Device) -> Footage:
         """The same in buffers of `device`."""

@@ -100,7 +100,10 @@ def bytes_per_pixel(pipeline: Pipeline, launches: Launches, shares: dict[str, fl
     for stage, launched in launches.items():
         by_kernel = moved.setdefault(stage, {})
         for kernel, given in launched:
-            for _, _, access in kernel.accesses():
+            for _, argument, access in kernel.accesses():
+                if not access.buffer:  # given at the launch, all of it
+                    by_kernel[kernel.name] = by_kernel.get(kernel.name, 0.0) + given[argument].size / pixels
+                    continue
                 spec = pipeline.board.spec(access.buffer.format(**given))
                 share = shares[access.share] if isinstance(access.share, str) else access.share
                 planes = spec.planes if access.planes is None else access.planes
