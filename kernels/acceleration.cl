@@ -8,9 +8,8 @@
 #include "cells.h"
 
 #define BEND_MOST 0.25f  /* an acceleration of more than this share of the velocity counts less, the more the larger it is */
-
 #define TURN 0.8333333f  /* the third difference's share beside the second's, (alpha + 2) / 3, at alpha = 1/2 */
-#define TURN_MOST 0.25f     /* a change of more than this share of the acceleration counts less, the more the larger it is */
+#define TURN_MOST 0.25f  /* a change of more than this share of the acceleration counts less, the more the larger it is */
 
 /* What a cell's fragments of one mover have in common. */
 typedef struct {
@@ -81,8 +80,8 @@ inline float3 carried_on(const float3 acceleration, const float3 before) {
 }
 
 /* velocity: (xyz, view depth of the mover, 0: none). acceleration: per interval squared, as found, and its trust, -1
-   where it is not known. bend: what of it goes on, as it will be: after alpha intervals it has added alpha (alpha + 1) of it; and its trust. `ratio`: of the
-   last two intervals. */
+   where it is not known. bend: what of it goes on, as it will be, and the same trust: after alpha intervals it has added
+   alpha (alpha + 1) of it. `ratio`: of the last two intervals. */
 SPARSE __kernel void track_acceleration(const int source_width, const int source_height, const int level_width,
                                         const int level_height, const float ratio,
                                         __global const float *depth, __global const float2 *motion,

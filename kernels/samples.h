@@ -19,7 +19,7 @@ INLINE void far_weights(const Floats off, Floats *weights) {
     }
 }
 
-/* Of the 3x3 samples around each of LANES pixels of a row: their weighted sum, and one with other weights. */
+/* Of 3x3 samples: weights of the columns, for each of LANES pixels of a row, and of the rows. */
 typedef struct { Floats x[3]; float3 y; } Weights;
 
 INLINE Weights weights_of(const Floats *x, const Floats *y) {
@@ -43,6 +43,7 @@ INLINE float16 rows_of(const Weights *w, const int part, const int *first, const
 
 #endif
 
+/* Of the 3x3 samples around each of LANES pixels of a row: their weighted sum, and one with other weights. */
 INLINE Wide4 sums_around(const Ints x, const int y, const Weights near, const Weights far, const int width, const int height,
                          __global const half *compressed, Wide4 *far_sum) {
     int column[LANES];

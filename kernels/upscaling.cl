@@ -40,7 +40,7 @@
 #define THIN 16               /* the lock of such a feature; one less in each frame, down to LOCK_FRAMES */
 #define MET 0.75f             /* share of a place that was not hidden from which on nothing is gone */
 #define LOCKED_ROOM 0.5f      /* compressed colour that it may be off, beside DEVIATIONS */
-#define MOST_ERROR 1000.0f
+#define MOST_ERROR 1000.0f    /* deviations; half has room for it */
 #define SAME_DEPTH 0.96f      /* relative depth from which on it is the same surface */
 
 /* Tone-mapped by the largest channel, so that bright samples do not outweigh all others; as (Y, Co, Cg). */

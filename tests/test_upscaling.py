@@ -211,7 +211,6 @@ def test_thin_bars_stay(device, width, least):
         if k >= 24:
             shown = color_of(pipeline)[H // 4 : 3 * H // 4, :, 1].mean(0)
             worst = min(worst, float(shown @ row / (row @ row)))
-    print(worst)
     assert worst > least
 
 

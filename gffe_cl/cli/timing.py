@@ -91,7 +91,7 @@ def _bench_times(
     from dataclasses import asdict
 
     from gffe_cl.evaluation.bench import PAPER, Copier, bench_size, growth
-    from gffe_cl.evaluation.footage import is_sequence
+    from gffe_cl.evaluation.footage import footage_of, is_sequence
 
     if sizes is None:
         sizes = [None] if is_sequence(subject) else [parse_size(text) for text in _SIZES.split(",")]
@@ -102,7 +102,7 @@ def _bench_times(
             advance = steps(progress)(f"{device.info.name} ({device.info.platform})", len(sizes) * repeats)
             copier = Copier(device)
             for size in sizes:
-                footage = _footage(device, subject, size, frame, options.upscale)
+                footage = footage_of(device, subject, size, frame, options.upscale)
                 results.append(bench_size(device, copier, footage, options, repeats, advance))
         _print_bench(device.info, footage.name, results)
         if kernels:
@@ -111,16 +111,6 @@ def _bench_times(
         figures = {"of": footage.name, "growth": growth(results), "sizes": [asdict(r) for r in results]}
         report.append(named | figures)
     write_json(json_path, {"devices": report, "paper": PAPER})
-
-
-def _footage(device: Device, subject: str | None, size: tuple[int, int] | None, frame: int | None, upscale: float):
-    """For a display of `size` (None: of the sequence's, so many times as large)."""
-    from gffe_cl.evaluation.footage import footage_of
-
-    if not upscale:
-        return footage_of(device, subject, size, frame)
-    footage = footage_of(device, subject, size and tuple(max(1, round(n / upscale)) for n in size), frame)
-    return footage.shown_larger(*(size or (round(n * upscale) for n in (footage.width, footage.height))))
 
 
 def _bench_traffic(
@@ -188,13 +178,13 @@ def _print_kernels(results: list[SizeBench]) -> None:
 
 
 def _print_traffic(footage: Footage, lanes: int, kernels: dict[str, KernelTraffic]) -> None:
-    from gffe_cl.evaluation.traffic import SCN as SCN_PARTS
+    from gffe_cl.evaluation.traffic import group
 
     form = "one pixel per work-item, as on GPUs" if lanes == 1 else f"{lanes} pixels per work-item, as on CPUs"
     title = plain(f"{footage.name}, a part of {footage.width}×{footage.height}, {form}")
     heads = ("must move", "loaded", "stored", "counted : must move")
     table = Table("bytes per pixel", *heads, title=title, box=None, header_style="bold")
-    gae = {name: moved for name, moved in kernels.items() if name.partition(".")[0] not in SCN_PARTS}
+    gae = {name: moved for name, moved in kernels.items() if group(name.partition(".")[0]) == "GAE"}
     for name, moved in kernels.items():
         ratio = f"{moved.counted / moved.declared:.1f}" if moved.declared >= 0.1 else ""
         table.add_row(name, *(f"{n:.1f}" for n in (moved.declared, moved.loaded, moved.stored)), ratio)

@@ -28,8 +28,6 @@ from gffe_cl.pipeline import Pipeline
 from gffe_cl.stage import Board, read_some_rows
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import Presentation
-from gffe_cl.stages.sharpening import Sharpening
-from gffe_cl.stages.upscaling import Upscaling
 from gffe_cl.window import WindowChooser, fixed_window
 
 # Bytes per pixel of the paper's table at 1080p (RTX 4070 Ti Super, 672 GB/s), by our parts.
@@ -54,8 +52,6 @@ PAPER = {
     "SCN, copies": None,
     "SCN": 745,
 }
-_UPSCALING = (Upscaling.name, Sharpening.name)
-_BESIDE_GAE = (*traffic.SCN, *_UPSCALING)
 _COPY_BYTES = 256 << 20
 _COPY_RUN = 64
 _WINDOW = 1.2  # times the display, for presentation
@@ -169,7 +165,7 @@ def bench_size(
         wall=statistics.median(samples.walls),
         bandwidth=bandwidth,
         memory=device.allocated - before + frames,
-        memory_gae=frames + sum(nbytes for name, nbytes in by_stage.items() if name not in _BESIDE_GAE),
+        memory_gae=frames + sum(nbytes for name, nbytes in by_stage.items() if traffic.group(name) == "GAE"),
         must_move=_must_move(pipeline, launches, shares),
         shares=shares,
         memory_by_stage=by_stage,
@@ -215,8 +211,7 @@ def _timed_pair(pipeline: Pipeline, footage: Footage, turn: Turn, samples: _Samp
                 milliseconds = (event.profile.end - event.profile.start) * 1e-6
                 kernels[f"{stage}.{kernel}"] += milliseconds
                 parts[traffic.part(stage, when, kernel)] += milliseconds
-                what = "SCN" if stage in traffic.SCN else "upscaling" if stage in _UPSCALING else "GAE"
-                commands[what] += 1
+                commands[traffic.group(stage)] += 1
     parts |= {traffic.SCN[name]: milliseconds for name, milliseconds in network.items()}
     for taken, into in ((parts, samples.parts), (kernels, samples.kernels)):
         for name, milliseconds in taken.items():
@@ -240,7 +235,7 @@ def _with_sums(parts: dict[str, float]) -> dict[str, float]:
     """Those of GAE in the paper's order, "GAE", upscaling, those of SCN, "SCN"."""
     parts = {name: parts[name] for name in (*(n for n in PAPER if n in parts), *(n for n in parts if n not in PAPER))}
     scn = {name: value for name, value in parts.items() if name in traffic.SCN.values()}
-    upscaling = {name: value for name, value in parts.items() if name in _UPSCALING}
+    upscaling = {name: value for name, value in parts.items() if name in traffic.UPSCALING}
     gae = {name: value for name, value in parts.items() if name not in scn and name not in upscaling}
     return gae | {"GAE": math.fsum(gae.values())} | upscaling | (scn | {"SCN": math.fsum(scn.values())} if scn else {})
 

@@ -114,9 +114,15 @@ def is_sequence(subject: str | None) -> bool:
     return subject is not None and not is_scene(subject)
 
 
-def footage_of(device: Device, subject: str | None, size: tuple[int, int] | None, number: int | None = None) -> Footage:
+def footage_of(
+    device: Device, subject: str | None, size: tuple[int, int] | None, number: int | None = None, upscale: float = 0.0
+) -> Footage:
     """Of the built-in scene of that name (None: `SCENE`), else of the sequence in that folder; `size` None: the
-    sequence's own."""
+    sequence's own. With `upscale` rendered frames are so many times smaller than `size`; None: the display is larger
+    than the sequence."""
+    if upscale:
+        footage = footage_of(device, subject, size and tuple(max(1, round(n / upscale)) for n in size), number)
+        return footage.shown_larger(*(size or (round(n * upscale) for n in (footage.width, footage.height))))
     if is_sequence(subject):
         return sequence_footage(device, open_capture(subject), size, number)
     return scene_footage(device, subject or SCENE, *size, number)

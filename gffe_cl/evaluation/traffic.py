@@ -52,6 +52,12 @@ SCN = {
     "trend": "SCN, trend", "shading": "SCN, inputs", "correction": "SCN, kernels", "network": "SCN, network",
     "network copies": "SCN, copies",
 }  # fmt: skip
+UPSCALING = ("upscaling", "sharpening")
+
+
+def group(stage: str) -> str:
+    """Whose work a stage is: "GAE", "SCN" or "upscaling"."""
+    return "SCN" if stage in SCN else "upscaling" if stage in UPSCALING else "GAE"
 
 
 def part(stage: str, when: str, kernel: str) -> str:
@@ -101,13 +107,13 @@ def bytes_per_pixel(pipeline: Pipeline, launches: Launches, shares: dict[str, fl
         by_kernel = moved.setdefault(stage, {})
         for kernel, given in launched:
             for _, argument, access in kernel.accesses():
-                if not access.buffer:  # given at the launch, all of it
-                    by_kernel[kernel.name] = by_kernel.get(kernel.name, 0.0) + given[argument].size / pixels
-                    continue
-                spec = pipeline.board.spec(access.buffer.format(**given))
                 share = shares[access.share] if isinstance(access.share, str) else access.share
-                planes = spec.planes if access.planes is None else access.planes
-                nbytes = spec.bytes_per_pixel * planes * math.prod(spec.size(pipeline.sizes)) * share
+                if access.buffer:
+                    spec = pipeline.board.spec(access.buffer.format(**given))
+                    planes = spec.planes if access.planes is None else access.planes
+                    nbytes = spec.bytes_per_pixel * planes * math.prod(spec.size(pipeline.sizes)) * share
+                else:  # each launch gives one
+                    nbytes = given[argument].size * share
                 by_kernel[kernel.name] = by_kernel.get(kernel.name, 0.0) + nbytes / pixels
     return moved
 

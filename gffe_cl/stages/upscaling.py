@@ -10,7 +10,7 @@ from gffe_cl.opencl.program import constants
 from gffe_cl.stage import Access, Kernel, Stage, Step, reprojection
 from gffe_cl.stages.presentation import mapping
 
-LOCK_FRAMES = int(constants("upscaling.cl")["LOCK_FRAMES"])  # a greater lock is that of a thin feature
+LOCK_FRAMES = constants("upscaling.cl")["LOCK_FRAMES"]  # a greater lock is that of a thin feature
 _YCOCG = ("Y", "Co", "Cg", "A")
 
 

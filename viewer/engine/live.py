@@ -186,9 +186,7 @@ class SceneSource(FrameSource):
         camera = self.camera(k, alpha)
         key = (k, alpha, *_bits(camera))
         if key not in self._truths:
-            self._truths[key] = self._whole.render(
-                self.time(k, alpha), camera, motion_step=self.scene.motion_step
-            ).read("color")
+            self._truths[key] = self._whole.render(self.time(k, alpha), camera).read("color")
             while len(self._truths) > _TRUTHS:
                 self._truths.popitem(last=False)
         self._truths.move_to_end(key)

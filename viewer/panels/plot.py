@@ -125,15 +125,11 @@ def _progress(model) -> str:
 
 
 def _curve(label: str, xs: np.ndarray, ys: np.ndarray, color, weight: float, marked: bool) -> None:
-    implot.plot_line(label, xs + 0.5, ys, spec=_spec(color, weight, marked))
-
-
-def _spec(color, weight: float, marked: bool):
     spec = implot.Spec()
     spec.line_color, spec.line_weight = color, weight
     if marked:
         spec.marker, spec.marker_size, spec.marker_fill_color = implot.Marker_.circle.value, 1 + weight / 2, color
-    return spec
+    implot.plot_line(label, xs + 0.5, ys, spec=spec)
 
 
 def _hovered(model, curves, quantity) -> None:
