@@ -65,8 +65,9 @@ static gffe_status check_queue(gffe *g, cl_context context, cl_command_queue que
 }
 
 gffe_status gffe_create(cl_context context, cl_command_queue queue, const gffe_options *options, gffe **made) {
-    gffe *g = (gffe *)calloc(1, sizeof *g);
+    gffe *g = made ? (gffe *)calloc(1, sizeof *g) : NULL;
     gffe_status status;
+    if (!made) return GFFE_INVALID;
     *made = g;
     if (!g) return GFFE_OUT_OF_MEMORY;
     if (!options) return gffe_fail(g, GFFE_INVALID, "gffe_create: needs options (gffe_default_options)");
@@ -103,15 +104,18 @@ void gffe_destroy(gffe *g) {
     free(g);
 }
 
-const char *gffe_message(const gffe *g) { return g ? g->message : "the host has no memory"; }
+const char *gffe_message(const gffe *g) { return g ? g->message : "there is no gffe: NULL was given, or the host has no memory"; }
 
-int gffe_is_cut(const gffe *g) { return g->is_cut; }
+int gffe_is_cut(const gffe *g) { return g && g->is_cut; }
 
 double gffe_interval(const gffe *g) {
+    if (!g || !g->is_ready) return 0;
     return g->step.time_count > 1 ? g->step.times[0] - g->step.times[1] : 1.0 / g->options.fps;
 }
 
 gffe_status gffe_set_exposure(gffe *g, double exposure) {
+    const gffe_status status = gffe_need(g, g, "gffe");
+    if (status) return status;
     if (!(exposure >= 1e-6 && exposure <= 1e6))
         return gffe_fail(g, GFFE_INVALID, "exposure must be 1e-6 to 1e6, got %g", exposure);
     g->step.exposure = exposure;
@@ -238,10 +242,12 @@ static gffe_camera without_jitter(const gffe_camera *camera, const int size[2]) 
 
 gffe_status gffe_submit(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
                         const gffe_camera *display_camera, double time, int reset) {
-    gffe_step *step = &g->step;
+    gffe_step *step;
     gffe_camera shown;
-    gffe_status status;
-    if (!display_camera && camera) {
+    gffe_status status = gffe_need(g, camera, "camera");
+    if (status) return status;
+    step = &g->step;
+    if (!display_camera) {
         shown = GFFE_UPSCALES ? without_jitter(camera, step->source) : *camera;
         if (step->source[0] != step->target[0] || step->source[1] != step->target[1])
             shown = gffe_scaled(camera, (double)step->target[0] / step->source[0],
@@ -268,12 +274,13 @@ gffe_status gffe_submit(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, cons
 
 /* ---- extrapolated and presented frames ---------------------------------------------------------------- */
 
-static gffe_status need_frame(gffe *g) {
-    return g->has_frame ? GFFE_OK : gffe_fail(g, GFFE_INVALID, "extrapolate: submit a rendered frame first");
+static gffe_status need_frame(gffe *g, const void *made) {
+    const gffe_status status = gffe_need(g, made, "made");
+    return status || g->has_frame ? status : gffe_fail(g, GFFE_INVALID, "extrapolate: submit a rendered frame first");
 }
 
 gffe_status gffe_predict_camera(gffe *g, double alpha, gffe_camera *made) {
-    const gffe_status status = need_frame(g);
+    const gffe_status status = need_frame(g, made);
     const char *fault;
     if (status) return status;
     fault = gffe_predict_camera_at(g->step.times[0] + alpha * gffe_interval(g), g->path, g->step.times, g->path_count,
@@ -302,13 +309,14 @@ static void hand_out(const gffe *g, gffe_frame *made) {
 }
 
 gffe_status gffe_extrapolate(gffe *g, const gffe_camera *camera, double time, gffe_frame *made) {
-    gffe_step *step = &g->step;
+    gffe_step *step;
     gffe_camera predicted;
-    gffe_status status = need_frame(g);
+    gffe_status status = need_frame(g, made);
     const char *fault;
     double alpha;
     int occasion, corrected;
     if (status) return status;
+    step = &g->step;
     alpha = (time - step->times[0]) / gffe_interval(g);
     if (!(alpha >= 0 && alpha <= DBL_MAX))
         return gffe_fail(g, GFFE_INVALID, "extrapolate: time %g s is before the last rendered frame's (%g s)", time,
@@ -355,9 +363,10 @@ static gffe_status resample(gffe *g, gffe_frame *made) {
 }
 
 gffe_status gffe_present(gffe *g, gffe_frame *made) {
-    const int sharpened = memory_of(g, "sharpening.rendered") != NULL;
-    gffe_status status = need_frame(g);
+    gffe_status status = need_frame(g, made);
+    int sharpened;
     if (status) return status;
+    sharpened = memory_of(g, "sharpening.rendered") != NULL;
     memset(made, 0, sizeof *made);
     made->camera = g->step.cameras[GFFE_FRAME_DISPLAY];
     made->time = g->step.times[0];
@@ -372,9 +381,13 @@ gffe_status gffe_present(gffe *g, gffe_frame *made) {
 }
 
 gffe_status gffe_get(gffe *g, const char *name, gffe_image *found) {
-    const int reference = gffe_reference(g, name);
+    gffe_status status = gffe_need(g, name, "name");
     const gffe_buffer *buffer;
     size_t size[2];
+    int reference;
+    if (!status) status = gffe_need(g, found, "found");
+    if (status) return status;
+    reference = gffe_reference(g, name);
     if (reference < 0 || !g->memory[reference] || g->plan->buffers[reference / 2].flags & GFFE_MEMORY)
         return gffe_fail(g, GFFE_INVALID, "there is no buffer '%.60s' (gffe_buffer_name tells what there is)", name);
     buffer = &g->plan->buffers[reference / 2];
@@ -388,5 +401,5 @@ gffe_status gffe_get(gffe *g, const char *name, gffe_image *found) {
 }
 
 const char *gffe_buffer_name(const gffe *g, int number) {
-    return number < 0 || number >= g->plan->buffer_count ? NULL : g->plan->buffers[number].name;
+    return !g || !g->is_ready || number < 0 || number >= g->plan->buffer_count ? NULL : g->plan->buffers[number].name;
 }

@@ -5,7 +5,9 @@
    - colour: half x 4 per pixel, linear scene-referred RGB (the fourth is not read)
    - depth: float, planar view-space z, world units, +inf for sky
    - motion: float x 2, pixels: (position in the previous rendered frame) - (position here)
-   One gffe serves one in-order queue; calls on one gffe come from one thread at a time. */
+   One gffe serves one in-order queue; calls on one gffe come from one thread at a time.
+   NULL where a pointer is needed, and a gffe that gffe_create failed to make: functions that return a gffe_status return
+   GFFE_INVALID, others do nothing and return NULL or zeros. Which pointers may be NULL stands at each function. */
 #ifndef GFFE_H
 #define GFFE_H
 
@@ -70,8 +72,8 @@ gffe_options gffe_default_options(int width, int height);
 
 /* Builds the kernels and allocates all buffers; nothing is built or allocated later but with the first frame that is
    rendered through a window, comes without motion, or brings overlays. `queue` must work in order. Whatever is returned, *made is
-   to be destroyed; it is NULL only where the host has no memory. After a failure it is good for nothing but
-   gffe_message. */
+   to be destroyed; it is NULL only where the host has no memory, and nothing is made where `made` is NULL. After a
+   failure it is good for nothing but gffe_message. */
 gffe_status gffe_create(cl_context context, cl_command_queue queue, const gffe_options *options, gffe **made);
 
 /* Waits for the queue, and frees everything. NULL is taken, too. */

@@ -15,7 +15,7 @@
 
 static double dot(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-double gffe_length(const double v[3]) { return sqrt(dot(v, v)); }
+double gffe_length(const double v[3]) { return v ? sqrt(dot(v, v)) : 0; }
 
 static void cross(const double a[3], const double b[3], double made[3]) {
     made[0] = a[1] * b[2] - a[2] * b[1];
@@ -80,7 +80,7 @@ static void view_inverse(const gffe_camera *camera, double rotation[3][3], doubl
 
 void gffe_position(const gffe_camera *camera, double position[3]) {
     double rotation[3][3];
-    view_inverse(camera, rotation, position);
+    if (camera && position) view_inverse(camera, rotation, position);
 }
 
 static int same_matrix(const gffe_camera *a, const gffe_camera *b) {
@@ -95,6 +95,7 @@ static int same_matrix(const gffe_camera *a, const gffe_camera *b) {
 void gffe_view_transform(const gffe_camera *a, const gffe_camera *b, double made[3][4]) {
     double rotation[3][3], translation[3], other[3][3], turned[3][3], moved[3];
     int i, j;
+    if (!a || !b || !made) return;
     if (same_matrix(a, b)) {
         for (i = 0; i < 3; ++i)
             for (j = 0; j < 4; ++j) made[i][j] = i == j;
@@ -144,7 +145,10 @@ const char *gffe_camera_fault(const gffe_camera *camera) {
 }
 
 gffe_camera gffe_scaled(const gffe_camera *camera, double scale_x, double scale_y) {
-    gffe_camera made = *camera;
+    gffe_camera made;
+    memset(&made, 0, sizeof made);
+    if (!camera) return made;
+    made = *camera;
     made.fx = camera->fx * scale_x;
     made.fy = camera->fy * scale_y;
     made.cx = camera->cx * scale_x;
@@ -155,6 +159,7 @@ gffe_camera gffe_scaled(const gffe_camera *camera, double scale_x, double scale_
 int gffe_have_one_pose(const gffe_camera *render, const gffe_camera *display) {
     double most = 0;
     int i, j;
+    if (!render || !display) return 0;
     for (i = 0; i < 3; ++i)
         if (fabs(render->world_to_view[i][3]) > most) most = fabs(render->world_to_view[i][3]);
     for (i = 0; i < 3; ++i) {
@@ -168,6 +173,7 @@ int gffe_have_one_pose(const gffe_camera *render, const gffe_camera *display) {
 void gffe_reprojection(const gffe_camera *source, const gffe_camera *target, float made[24]) {
     double matrix[3][4];
     int i, j;
+    if (!source || !target || !made) return;
     gffe_view_transform(source, target, matrix);
     for (i = 0; i < 3; ++i)
         for (j = 0; j < 4; ++j) made[4 * i + j] = (float)matrix[i][j];
@@ -186,12 +192,16 @@ void gffe_reprojection(const gffe_camera *source, const gffe_camera *target, flo
 }
 
 void gffe_zoom(const gffe_camera *source, const gffe_camera *target, float made[2]) {
+    if (!source || !target || !made) return;
     made[0] = (float)(target->fx / source->fx);
     made[1] = (float)(target->fy / source->fy);
 }
 
 void gffe_mapping(const gffe_camera *a, const gffe_camera *b, float made[4]) {
-    const double scale_x = b->fx / a->fx, scale_y = b->fy / a->fy;
+    double scale_x, scale_y;
+    if (!a || !b || !made) return;
+    scale_x = b->fx / a->fx;
+    scale_y = b->fy / a->fy;
     made[0] = (float)scale_x;
     made[1] = (float)scale_y;
     made[2] = (float)(b->cx - scale_x * a->cx);
@@ -320,6 +330,7 @@ const char *gffe_predict_camera_at(double time, const gffe_camera *cameras, cons
     double to, factor, turning[3][3], own[3][3], rotation[3][3], position[3];
     const char *fault;
     int i, k, any = 0;
+    if (!cameras || !times || !made) return "camera: cameras, times and made must not be NULL";
     if (order != 1 && order != 2) return "camera: the order of its prediction must be 1 or 2";
     if (count > GFFE_POSES) count = GFFE_POSES;
     if (count < 1 || !is_finite(times, count)) return "camera: needs one decreasing time per camera, and one camera";

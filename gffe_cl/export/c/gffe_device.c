@@ -1,5 +1,4 @@
 /* Kernels, and carrying out lists of operations. */
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -12,21 +11,6 @@
 
 enum { ROW = 64, ROW_OF_LANES = 128 };          /* work-items of a work-group, where a kernel does not say */
 enum { QUOTIENTS = 8 * 65536, EIGHT = 8 };      /* tried to see whether division is exact */
-
-gffe_status gffe_fail(gffe *g, gffe_status status, const char *format, ...) {
-    va_list values;
-    va_start(values, format);
-    vsnprintf(g->message, sizeof g->message, format, values);
-    va_end(values);
-    return status;
-}
-
-gffe_status gffe_opencl_failed(gffe *g, cl_int error, const char *doing) {
-    const int memory = error == CL_MEM_OBJECT_ALLOCATION_FAILURE || error == CL_OUT_OF_RESOURCES ||
-                       error == CL_OUT_OF_HOST_MEMORY || error == CL_INVALID_BUFFER_SIZE;
-    return gffe_fail(g, memory ? GFFE_OUT_OF_MEMORY : GFFE_OPENCL, "%s: OpenCL error %d%s", doing, (int)error,
-                     memory ? " (out of memory)" : "");
-}
 
 /* ---- what the device can do --------------------------------------------------------------------------- */
 
@@ -175,6 +159,7 @@ gffe_status gffe_open(gffe *g) {
     if (!status) status = gffe_allocate(g, 0);
     if (!status) status = set_initial(g);
     if (!status) g->counts = gffe_reference(g, "cuts.counts");
+    g->is_ready = !status;
     return status;
 }
 

@@ -162,6 +162,7 @@ struct gffe {
     gffe_step step;
     gffe_camera path[GFFE_POSES]; /* display cameras since the last reset, newest first */
     int path_count;
+    int is_ready; /* created well */
     int has_frame, has_previous, is_cut;
     int has_step;
     double camera_step;
@@ -189,6 +190,8 @@ gffe_status gffe_compose(gffe *g, int occasion, gffe_frame *made);
 void gffe_drop_overlays(gffe *g);
 
 /* gffe_device.c */
+/* GFFE_INVALID unless `g` was created well and `argument`, of that name, is there. */
+gffe_status gffe_need(gffe *g, const void *argument, const char *name);
 gffe_status gffe_fail(gffe *g, gffe_status status, const char *format, ...);
 gffe_status gffe_opencl_failed(gffe *g, cl_int error, const char *doing);
 gffe_status gffe_open(gffe *g);

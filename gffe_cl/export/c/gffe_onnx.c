@@ -26,7 +26,10 @@ gffe_onnx *gffe_onnx_open(const char *path) {
     gffe_onnx *n = (gffe_onnx *)calloc(1, sizeof *n);
     OrtSessionOptions *options = NULL;
     int good;
-    if (!n) return NULL;
+    if (!n || !path) {
+        free(n);
+        return NULL;
+    }
     n->api = OrtGetApiBase()->GetApi(ORT_API_VERSION);
     if (!n->api) {
         fprintf(stderr, "gffe_onnx: the library is older than its header\n");
@@ -103,6 +106,7 @@ int gffe_onnx_run(void *network, cl_command_queue queue, cl_mem frames, cl_mem t
     const cl_mem buffers[] = {frames, trends, correction};
     void *at[3];
     int good, k;
+    if (!network || !queue || !frames || !trends || !correction) return 1;
     at[0] = map(queue, frames, CL_MAP_READ, INPUT_PLANES * plane);
     at[1] = map(queue, trends, CL_MAP_READ, TREND_PLANES * plane);
     at[2] = map(queue, correction, CL_MAP_WRITE_INVALIDATE_REGION, OUTPUT_PLANES * plane);

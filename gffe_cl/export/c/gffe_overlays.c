@@ -14,8 +14,9 @@ static void hold(cl_mem *place, cl_mem buffer) {
 
 gffe_status gffe_set_overlays(gffe *g, const gffe_overlays *overlays) {
     cl_mem given[LAYERS] = {NULL, NULL, NULL, NULL};
-    gffe_status status = GFFE_OK;
+    gffe_status status = gffe_need(g, g, "gffe");
     int k;
+    if (status) return status;
     if (overlays) {
         given[0] = overlays->fixed_mask;
         given[1] = overlays->effects;

@@ -2,6 +2,7 @@
 #include <float.h>
 #include <math.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "gffe_camera.h"
 #include "gffe_config.h"
@@ -112,10 +113,12 @@ static int limit(double *low, double *high, double most) {
 
 const char *gffe_adaptive_window(const gffe_camera *current, const gffe_camera *predicted, int count,
                                  const gffe_window_options *options, gffe_window *made) {
-    const double size[2] = {options->width, options->height};
-    double low[2] = {-1, -1}, high[2] = {1, 1};
+    double size[2], low[2] = {-1, -1}, high[2] = {1, 1};
     int i, k, clamped = 0;
     const char *fault = gffe_camera_fault(current);
+    if (!options || !made || (!predicted && count > 0)) return "window: predicted, options and made must not be NULL";
+    size[0] = options->width;
+    size[1] = options->height;
     if (!(options->max_enlargement >= 1 && options->max_enlargement <= DBL_MAX))
         return "window: the maximum enlargement must be at least 1";
     if (!(options->distance > 0)) return "window: the distance of the virtual plane must be positive";
@@ -143,10 +146,15 @@ const char *gffe_adaptive_window(const gffe_camera *current, const gffe_camera *
 
 gffe_camera gffe_window_camera(const gffe_window *window, const gffe_camera *display, double width, double height,
                                double render_width, double render_height) {
-    const double scale_x = render_width / (width * ((window->u1 - window->u0) / 2));
-    const double scale_y = render_height / (height * ((window->v1 - window->v0) / 2));
-    const double left = (window->u0 + 1) / 2 * width, top = (window->v0 + 1) / 2 * height;
-    gffe_camera made = *display;
+    double scale_x, scale_y, left, top;
+    gffe_camera made;
+    memset(&made, 0, sizeof made);
+    if (!window || !display) return made;
+    scale_x = render_width / (width * ((window->u1 - window->u0) / 2));
+    scale_y = render_height / (height * ((window->v1 - window->v0) / 2));
+    left = (window->u0 + 1) / 2 * width;
+    top = (window->v0 + 1) / 2 * height;
+    made = *display;
     made.fx = display->fx * scale_x;
     made.fy = display->fy * scale_y;
     made.cx = (display->cx - left) * scale_x;
@@ -165,6 +173,7 @@ double gffe_nearest_depth(const float *depth, int width, int height) {
     size_t count = 0;
     float *some;
     double found = HUGE_VAL;
+    if (!depth || width < 1 || height < 1) return 0;
     if (stride < 1) stride = 1;
     some = (float *)malloc(((size_t)(width / stride) + 1) * ((size_t)(height / stride) + 1) * sizeof *some);
     if (!some) return -1;

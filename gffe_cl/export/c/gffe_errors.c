@@ -1,0 +1,25 @@
+/* How calls fail. */
+#include <stdarg.h>
+#include <stdio.h>
+
+#include "gffe_internal.h"
+
+gffe_status gffe_need(gffe *g, const void *argument, const char *name) {
+    if (!g || !g->is_ready) return GFFE_INVALID;
+    return argument ? GFFE_OK : gffe_fail(g, GFFE_INVALID, "%s must not be NULL", name);
+}
+
+gffe_status gffe_fail(gffe *g, gffe_status status, const char *format, ...) {
+    va_list values;
+    va_start(values, format);
+    vsnprintf(g->message, sizeof g->message, format, values);
+    va_end(values);
+    return status;
+}
+
+gffe_status gffe_opencl_failed(gffe *g, cl_int error, const char *doing) {
+    const int memory = error == CL_MEM_OBJECT_ALLOCATION_FAILURE || error == CL_OUT_OF_RESOURCES ||
+                       error == CL_OUT_OF_HOST_MEMORY || error == CL_INVALID_BUFFER_SIZE;
+    return gffe_fail(g, memory ? GFFE_OUT_OF_MEMORY : GFFE_OPENCL, "%s: OpenCL error %d%s", doing, (int)error,
+                     memory ? " (out of memory)" : "");
+}

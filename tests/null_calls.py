@@ -1,0 +1,111 @@
+"""A C program that calls every function of the exported headers with NULL for each of its pointers in turn: made from
+the declarations, so that it knows functions to come."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+HEADERS = ("gffe.h", "gffe_camera.h")
+MAY_BE_NULL = {  # where NULL means something
+    ("gffe_destroy", "g"), ("gffe_submit", "display_camera"), ("gffe_submit", "motion"),
+    ("gffe_set_overlays", "overlays"), ("gffe_extrapolate", "camera"),
+}  # fmt: skip
+# What a good call gives, by the type of a parameter, without const; arrays decay to pointers.
+GOOD = {
+    "gffe *": "g", "gffe **": "&other", "gffe_options *": "&options", "gffe_camera *": "cameras",
+    "gffe_frame *": "&frame", "gffe_image *": "&image", "gffe_overlays *": "&overlays", "gffe_window *": "&window",
+    "gffe_window_options *": "&window_options", "cl_context": "context", "cl_command_queue": "queue",
+    "cl_mem": "memory", "char *": '"history.dynamic_mask"', "double *": "numbers", "float *": "floats",
+    "double": "1.0", "int": "1",
+}  # fmt: skip
+
+_PROGRAM = """
+#include <stdio.h>
+#include <string.h>
+#include "gffe.h"
+
+int main(void) {
+    cl_platform_id platform;
+    cl_device_id device;
+    cl_context context;
+    cl_command_queue queue;
+    cl_mem memory;
+    gffe *g = NULL, *other = NULL, *failed = NULL;
+    gffe_options options = gffe_default_options(64, 48);
+    gffe_window_options window_options = gffe_default_window_options(64, 48);
+    gffe_camera cameras[2], made;
+    gffe_window window = {-1, -1, 1, 1, 0};
+    gffe_overlays overlays = {NULL, NULL, NULL, NULL};
+    gffe_frame frame;
+    gffe_image image;
+    double numbers[24] = {2, 1};
+    float floats[64 * 48] = {1};
+    int k, i;
+    memset(cameras, 0, sizeof cameras);
+    for (k = 0; k < 2; ++k) {
+        for (i = 0; i < 4; ++i) cameras[k].world_to_view[i][i] = 1;
+        cameras[k].fx = cameras[k].fy = 50;
+    }
+    if (clGetPlatformIDs(1, &platform, NULL)) return 3;
+    if (clGetDeviceIDs(platform, CL_DEVICE_TYPE_ALL, 1, &device, NULL)) return 3;
+    context = clCreateContext(NULL, 1, &device, NULL, NULL, NULL);
+    queue = clCreateCommandQueue(context, device, 0, NULL);
+    memory = clCreateBuffer(context, CL_MEM_READ_WRITE, 64 * 48 * 8, NULL, NULL);
+    if (gffe_create(context, queue, &options, &g) || !gffe_create(context, queue, NULL, &failed)) return 4;
+    if (gffe_submit(g, memory, memory, NULL, cameras, NULL, 0.5, 1)) return 5;
+    setvbuf(stdout, NULL, _IONBF, 0);
+%s
+    gffe_destroy(failed);
+    gffe_destroy(g);
+    return 0;
+}
+"""
+
+
+def declarations(folder: Path) -> Iterator[tuple[str, str, list[tuple[str, str]]]]:
+    """(type, name, [(type, name) of each parameter]) of every function of the headers."""
+    for header in HEADERS:
+        text = re.sub(r"/\*.*?\*/", " ", (folder / header).read_text(), flags=re.S)
+        for kind, name, listed in re.findall(r"^((?:const )?\w+(?: \*| ))(gffe_\w+)\(([^()]*)\);", text, re.M):
+            parameters = []
+            for one in listed.split(","):
+                about, own, array = re.fullmatch(r"\s*(.*?)(\w+)((?:\[\d+\])*)\s*", one, re.S).groups()
+                about = " ".join(about.replace("const ", "").split()) + " *" * bool(array)
+                parameters.append((about, own))
+            yield kind.strip(), name, parameters
+
+
+def is_pointer(kind: str) -> bool:
+    return kind.endswith("*") or kind.startswith("cl_")
+
+
+def calls(folder: Path) -> Iterator[tuple[str, str, str, str]]:
+    """(function, parameter that is NULL, type of what it returns, the call); "failed": of a gffe that was not made."""
+    for kind, name, parameters in declarations(folder):
+        for wrong, (about, own) in enumerate(parameters):
+            for value in [] if not is_pointer(about) else ["NULL", "failed"] if about == "gffe *" else ["NULL"]:
+                given = [value if k == wrong else _good(name, *p) for k, p in enumerate(parameters)]
+                if (name, value) != ("gffe_destroy", "failed"):
+                    yield name, own if value == "NULL" else value, kind, f"{name}({', '.join(given)})"
+
+
+def _good(function: str, kind: str, name: str) -> str:
+    if (function, name) in (("gffe_predict_camera", "made"), ("gffe_predict_camera_at", "made")):
+        return "&made"
+    if function in ("gffe_view_transform",) and name == "made":
+        return "(double (*)[4])numbers"
+    return GOOD[kind]
+
+
+def program(folder: Path) -> str:
+    """Its source: prints "FUNCTION PARAMETER STATUS" for each call, whose status is "-" where it returns none."""
+    lines = []
+    for function, parameter, kind, call in calls(folder):
+        lines.append(f'    printf("{function} {parameter} ");')
+        if kind == "gffe_status":
+            lines.append(f'    printf("%d\\n", (int){call});')
+        else:
+            lines.append(f'    (void){call};\n    printf("-\\n");')
+        if function == "gffe_create":
+            lines.append("    gffe_destroy(other);\n    other = NULL;")
+    return _PROGRAM % "\n".join(lines)
