@@ -15,7 +15,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from gffe_cl.errors import GffeError
+from gffe_cl.errors import GffeError, how_to_install
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.opencl.program import kernel_folder
 
@@ -32,7 +32,7 @@ class Cluster:
         try:
             from distributed import Client
         except ModuleNotFoundError:
-            raise GffeError("--scheduler needs dask and distributed: pip install 'gffe-cl[dask]'") from None
+            raise GffeError(f"--scheduler needs dask and distributed: {how_to_install('dask')}") from None
         try:
             self._client = Client(address, timeout=PATIENCE, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:

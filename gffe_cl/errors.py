@@ -1,4 +1,7 @@
-"""The one exception users meet, and how names of theirs are shown."""
+"""The one exception users meet, how names of theirs are shown, and how parts that are not installed are installed."""
+
+# The address of the repository, for users; empty until it is known, then lines that would name it are left out.
+REPOSITORY = ""
 
 
 class GffeError(Exception):
@@ -19,3 +22,8 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def how_to_install(extra: str) -> str:
+    """How to install an extra of the package, which is on no package index."""
+    return f"pip install '.[{extra}]' in a checkout of gffe-cl, or 'THE-WHEEL.whl[{extra}]'"

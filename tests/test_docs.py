@@ -4,6 +4,7 @@ import contextlib
 import io
 import re
 import shlex
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -197,3 +198,18 @@ def test_a_drifted_table_is_found():
 
 def test_readme_is_short():
     assert len(TEXTS["README.md"].splitlines()) <= 150
+
+
+def test_nothing_is_promised_from_an_index():
+    """The package is on none: extras are installed from a checkout or a wheel, as one function says."""
+    written = TEXTS | {
+        path.relative_to(ROOT).as_posix(): path.read_text("utf-8")
+        for folder in ("gffe_cl", "viewer")
+        for path in (ROOT / folder).rglob("*.py")
+    }
+    promising = re.compile(r"pip install ['\"]?gffe[-_]cl(\[|['\"`\s])")
+    assert not [name for name, text in written.items() if promising.search(text)]
+    assert promising.search("pip install 'gffe-cl[intel]'")  # ... or this would find nothing
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    named = {name for text in written.values() for name in re.findall(r"how_to_install\(['\"](\w+)['\"]\)", text)}
+    assert named and named <= set(extras)

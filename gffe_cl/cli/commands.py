@@ -21,6 +21,7 @@ from gffe_cl.cli import (  # noqa: F401 - registers the commands, in the order o
     viewing,
 )
 from gffe_cl.cli.common import app, out, warn_of_networks
+from gffe_cl.errors import REPOSITORY
 
 __all__ = ["app", "invoke"]
 
@@ -39,7 +40,7 @@ def invoke(arguments: list[str]) -> int:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        out.print(f"gffe-cl {__version__}")
+        out.print(" ".join(filter(None, (f"gffe-cl {__version__}", REPOSITORY))))
         raise typer.Exit()
 
 

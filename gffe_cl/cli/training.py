@@ -20,7 +20,7 @@ from gffe_cl.cli.common import (
     progress_bars,
     write_json,
 )
-from gffe_cl.errors import GffeError
+from gffe_cl.errors import GffeError, how_to_install
 
 
 @app.command()
@@ -67,7 +67,7 @@ def train(
         import tensorboard  # noqa: F401
         import torch
     except ImportError:
-        raise GffeError("training needs PyTorch and TensorBoard (expected: pip install 'gffe-cl[train]')") from None
+        raise GffeError(f"training needs PyTorch and TensorBoard (expected: {how_to_install('train')})") from None
     from gffe_cl.opencl.device import open_device
     from gffe_cl.scn.clips import complete_clips, finished_clips, make_clips
     from gffe_cl.scn.crops import list_crops

@@ -17,7 +17,7 @@ import numpy as np
 
 from gffe_cl.camera import Camera
 from gffe_cl.conventions import rigid
-from gffe_cl.errors import GffeError
+from gffe_cl.errors import GffeError, how_to_install
 from gffe_cl.files import open_regular
 from gffe_cl.formats.capture import MOST_FRAMES, MOST_SIDE, described
 from gffe_cl.formats.flow import inverted_flow, static_motion
@@ -310,7 +310,7 @@ def _spring_array(path: Path, name: str, size: Size) -> np.ndarray:
     try:
         import h5py
     except ImportError:
-        raise GffeError("Spring's files need h5py (pip install gffe-cl[spring])") from None
+        raise GffeError(f"Spring's files need h5py ({how_to_install('spring')})") from None
     try:
         with h5py.File(path, "r") as file:
             stored = file[name]

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import pyopencl as cl
 
-from gffe_cl.errors import GffeError
+from gffe_cl.errors import GffeError, how_to_install
 from gffe_cl.opencl import known_devices
 from gffe_cl.opencl.probing import DeviceInfo, probe, quiet_builds, try_int64_atomics
 from gffe_cl.opencl.runtimes import hide_vendors
@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 HOW_TO_GET_ONE = (
-    "install one with `pip install 'gffe-cl[intel]'` (x86-64 CPU, no root), "
+    f"install one with {how_to_install('intel')} (x86-64 CPU, no root), "
     "`apt install pocl-opencl-icd` (any CPU), or your GPU vendor's driver"
 )
 _ABOUT_AS_FAST = 1.5  # times slower: which of such devices is the default must not hang on noise

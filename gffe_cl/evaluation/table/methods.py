@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from gffe_cl import inference
-from gffe_cl.errors import GffeError
+from gffe_cl.errors import GffeError, how_to_install
 from gffe_cl.evaluation.table import baselines
 from gffe_cl.evaluation.table.network import OnnxModel, OnnxRunner
 from gffe_cl.evaluation.table.pipelines import (
@@ -75,7 +75,7 @@ class Method:
     def missing(self, footage: Subject | Footage) -> str | None:
         """Why it cannot be run there; None if it can."""
         if self.package and importlib.util.find_spec(self.package[0]) is None:
-            return f"needs {self.package[0]}: pip install 'gffe-cl[{self.package[1]}]'"
+            return f"needs {self.package[0]}: {how_to_install(self.package[1])}"
         if "guide" in self.needs and not footage.exact:
             return "needs G-buffers of the new frames, which only built-in scenes have"
         if "windows" in self.needs and not footage.windows:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gffe_cl.errors import how_to_install
+
 
 @dataclass(frozen=True)
 class VideoMetric:
@@ -70,7 +72,7 @@ def measured_or_reason(
     try:
         return metric.measure(shown, truth, fps), None
     except ModuleNotFoundError as error:
-        return None, f"{metric.label} needs {error.name}: pip install 'gffe-cl[metrics]'"
+        return None, f"{metric.label} needs {error.name}: {how_to_install('metrics')}"
     except Exception as error:  # whatever other people's packages throw: weights that cannot be fetched, above all
         text = " ".join(str(error).split())[:160] or type(error).__name__
         return None, f"{metric.label} cannot run here: {text}"
