@@ -80,7 +80,7 @@ def test_options_that_prose_names_exist():
     others = {"--logdir", "--nproc-per-node", "--write", "--editable", "--all-files", "--scene"}  # of other programs
     others |= {"--cases", "--minutes"}  # of scripts in docs
     others |= {"--nthreads"}  # of Dask's workers
-    others |= {"--from"}  # of uvx
+    others |= {"--from", "--no-deps"}  # of uvx and pip
     others |= {"--build"}  # of CMake
     others |= {"--python", "--every", "--between", "--no-truth", "--overwrite"}  # of Blender and its script
     known = {f for c in get_command(app).commands.values() for p in c.params for f in (*p.opts, *p.secondary_opts)}
