@@ -116,6 +116,14 @@ def require_kind(value: Any, kind: type, what: str, expected: str = "") -> Any:
     raise GffeError(f"{what} must be {expected or f'a {kind.__name__}'}, got {shown(value)}")
 
 
+def require_texts(value: Any, what: str) -> list[str]:
+    """`value` as a list; GffeError unless it holds texts only. A text is no list of them."""
+    texts = list(value) if isinstance(value, Iterable) and not isinstance(value, str | bytes) else [None]
+    if all(isinstance(text, str) for text in texts):
+        return texts
+    raise GffeError(f"{what} must be a list of texts, got {shown(value)}")
+
+
 def require_array(value: Any, what: str, *shape: Any, kinds: str = "iuf") -> np.ndarray:
     """`value` as an array of real numbers (of the `kinds` of NumPy's types). GffeError unless that has the `shape`: of
     each axis its length, several lengths or None for any; with an ellipsis in front, of the last axes only."""

@@ -246,7 +246,7 @@ def test_what_present_refuses(device):
         with pytest.raises(GffeError):
             present(wrong, device=device)
     for size in ((0, 0), (-4, 5), (3.5, 2), (1, 2, 3)):
-        with pytest.raises(GffeError, match="whole numbers"):
+        with pytest.raises(GffeError, match="in whole pixels"):
             present(frame, size=size, device=device)
 
 
