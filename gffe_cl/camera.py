@@ -72,7 +72,7 @@ class Camera:
             if not types <= {int, float}:
                 raise TypeError
             matrices = np.array(world_to_views, np.float64).reshape(-1, 4, 4)
-            numbers = np.array(intrinsics, np.float64).reshape(-1, 4)
+            numbers = np.array(intrinsics, np.float64).reshape(len(matrices), 4)
         except (TypeError, ValueError, OverflowError):
             raise GffeError("camera: expected 4×4 matrices and fx, fy, cx, cy of numbers") from None
         if len(matrices):

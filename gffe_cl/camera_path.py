@@ -11,7 +11,7 @@ import numpy as np
 from gffe_cl import vectors
 from gffe_cl.camera import Camera, predict_camera
 from gffe_cl.errors import GffeError
-from gffe_cl.values import require_array, require_kind, require_number, require_whole
+from gffe_cl.values import require_array, require_list, require_number, require_whole
 
 POSES = 4  # of which a prediction makes use
 JUMP = 4.0  # times the step before: a step that is longer is none of a steady movement
@@ -40,9 +40,7 @@ def predict_camera_at(time: float, cameras: Sequence[Camera], times: Sequence[fl
     decrease. Source: paper, 'Adaptive rendering window'; beyond it from order 2 on.
     """
     time, order = require_number(time, "camera: time"), require_whole(order, "camera: order", 1, 2)
-    cameras = list(require_kind(cameras, Sequence, "camera: cameras", "a list of cameras")[:POSES])
-    for camera in cameras:
-        require_kind(camera, Camera, "camera: each of cameras")
+    cameras = require_list(cameras, Camera, "camera: cameras", "a list of cameras")[:POSES]
     times = require_array(times, "camera: times", None)[:POSES].astype(np.float64)
     if not cameras or len(cameras) != len(times) or not np.isfinite(times).all() or (np.diff(times) >= 0).any():
         raise GffeError(f"camera: needs one decreasing time per camera, got {len(cameras)} and {times.tolist()}")

@@ -121,7 +121,9 @@ def _refuse_axes(p: np.ndarray, forward: int) -> NoReturn:
 
 def square(given: Any, name: str) -> np.ndarray:
     """(4, 4) float64, finite, of rows or of 16 numbers; GffeError naming `name`."""
-    array = require_array(given, f"camera: {name}", *((16,) if np.ndim(given) == 1 else (4, 4))).astype(np.float64)
+    array = require_array(given, f"camera: {name}", ...).astype(np.float64)
+    if array.shape not in ((4, 4), (16,)):
+        raise GffeError(f"camera: {name} must have shape (4, 4), or be 16 numbers, got shape {array.shape}")
     if not np.isfinite(array).all():
         raise GffeError(f"camera: {name} must be finite")
     return array.reshape(4, 4)

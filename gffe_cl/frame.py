@@ -15,7 +15,7 @@ import numpy as np
 
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
-from gffe_cl.values import require_array, require_bool, require_kind, require_number, require_whole, shown
+from gffe_cl.values import require_array, require_bool, require_kind, require_number, require_size, shown
 
 HALF_MAX = 65504.0
 _HALF_EXPONENT = 0x7C00  # its bits, all of them set in NaN and infinity
@@ -178,7 +178,7 @@ def pack_frame(frame: RenderedFrame, height: int, width: int) -> PackedFrame:
     Raises GffeError for a structural fault: a wrong shape or type, or motion missing although the frame is no reset.
     """
     require_kind(frame, RenderedFrame, "frame")
-    height, width = require_whole(height, "frame: height", 1), require_whole(width, "frame: width", 1)
+    width, height = require_size((width, height), "frame: size", whole=True)
     color = require_array(frame.color, "frame: color", height, width, (3, 4), kinds="f")
     depth = require_array(frame.depth, "frame: depth", height, width, kinds="f")
     bad = BadPixels()

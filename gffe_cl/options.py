@@ -8,8 +8,6 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from gffe_cl import inference
 from gffe_cl.errors import GffeError
 from gffe_cl.stages.background import MAX_LEVELS
@@ -81,9 +79,9 @@ class Option:
             return None
         given = value
         value = scalar(value)
-        whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+        whole = isinstance(value, int) and not isinstance(value, bool)
         right = {
-            bool: isinstance(value, bool | np.bool_),
+            bool: isinstance(value, bool),
             int: whole and self.low <= value <= self.high,
             float: is_number(value) and self.low <= value <= self.high,
             str: isinstance(value, str) and (not self.choices or value in self.choices),

@@ -54,9 +54,9 @@ from gffe_cl.values import (
     require_exposure,
     require_frame_rate,
     require_kind,
+    require_list,
     require_number,
     require_size,
-    require_texts,
     shown,
 )
 
@@ -448,7 +448,7 @@ class Pipeline:
         """From the next frame on keep the outputs `names`, such as "warp.color" (None: all), and no others; and make
         what only lookers want ("correction.refined", "shading.…") only if it is among them. Names of other buffers are
         ignored. Raises GffeError for what is no collection of texts."""
-        wanted = None if names is None else set(require_texts(names, "keep: names"))
+        wanted = None if names is None else set(require_list(names, str, "keep: names", "a list of texts"))
         for stage in self.stages.values():
             stage.look_at(wanted)
         found: dict[str, list[BufferSpec]] = {}

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,8 +23,10 @@ NUMBERS = (int, float, np.integer, np.floating)
 
 
 def scalar(value: Any) -> Any:
-    """`value`; of an array without dimensions its one element."""
-    return value[()] if isinstance(value, np.ndarray) and value.ndim == 0 else value
+    """`value`; of NumPy's scalars and arrays without dimensions what Python has for them."""
+    if isinstance(value, np.ndarray) and value.ndim == 0:
+        value = value[()]
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def is_number(value: Any) -> bool:
@@ -60,7 +64,7 @@ def require_frame_rate(value: Any, what: str = "fps") -> float:
 
 def require_within(value: Any, what: str, low: float, high: float) -> float:
     """`value` as a float; GffeError unless it is a number from `low` to `high`."""
-    if is_number(value) and low <= value <= high:
+    if is_number(value) and low <= float(value) <= high:
         return float(value)
     raise GffeError(f"{what} must be a finite number from {low:g} to {high:g}, got {shown(value)}")
 
@@ -68,8 +72,8 @@ def require_within(value: Any, what: str, low: float, high: float) -> float:
 def require_whole(value: Any, what: str, low: float = -math.inf, high: float = math.inf) -> int:
     """`value` as an int; GffeError unless it is an integer, of Python or NumPy, from `low` to `high`."""
     number = scalar(value)
-    if isinstance(number, int | np.integer) and not isinstance(number, bool) and low <= number <= high:
-        return int(number)
+    if isinstance(number, int) and not isinstance(number, bool) and low <= number <= high:
+        return number
     upto = f" to {high}" if high < math.inf else " on"
     bounds = f" from {low}{upto}" if low > -math.inf else ""
     raise GffeError(f"{what} must be a whole number{bounds}, got {shown(value)}")
@@ -96,8 +100,8 @@ def require_seed(value: Any, what: str = "seed") -> int:
 def require_bool(value: Any, what: str) -> bool:
     """`value` as a bool; GffeError for everything but the truth values of Python and NumPy."""
     given = scalar(value)
-    if isinstance(given, bool | np.bool_):
-        return bool(given)
+    if isinstance(given, bool):
+        return given
     raise GffeError(f"{what} must be True or False, got {shown(value)}")
 
 
@@ -116,12 +120,22 @@ def require_kind(value: Any, kind: type, what: str, expected: str = "") -> Any:
     raise GffeError(f"{what} must be {expected or f'a {kind.__name__}'}, got {shown(value)}")
 
 
-def require_texts(value: Any, what: str) -> list[str]:
-    """`value` as a list; GffeError unless it holds texts only. A text is no list of them."""
-    texts = list(value) if isinstance(value, Iterable) and not isinstance(value, str | bytes) else [None]
-    if all(isinstance(text, str) for text in texts):
-        return texts
-    raise GffeError(f"{what} must be a list of texts, got {shown(value)}")
+def require_path(value: Any, what: str) -> Path:
+    """`value` as a path; GffeError unless it is a text or path-like, and one that a file can have."""
+    if isinstance(value, str | os.PathLike) and isinstance(os.fspath(value), str) and "\0" not in os.fspath(value):
+        return Path(value)
+    raise GffeError(f"{what} must be a path, got {shown(value)}")
+
+
+def require_list(value: Any, kind: type, what: str, expected: str) -> list:
+    """`value` as a list; GffeError unless it holds nothing but what is of the type `kind`. A text is no list."""
+    try:
+        found = [None] if isinstance(value, str | bytes) else list(value)
+    except TypeError:
+        found = [None]
+    if all(isinstance(one, kind) for one in found):
+        return found
+    raise GffeError(f"{what} must be {expected}, got {shown(value)}")
 
 
 def require_array(value: Any, what: str, *shape: Any, kinds: str = "iuf") -> np.ndarray:
@@ -175,8 +189,6 @@ def shown(value: Any) -> str:
         return "nothing"
     if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape} and type {value.dtype}"
-    if isinstance(value, np.generic):
-        value = value.item() if isinstance(value, np.bool_ | np.integer | np.floating) else str(value)
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     if not isinstance(value, bool | int | float | str | list | tuple | dict):

@@ -25,7 +25,15 @@ import numpy as np
 from gffe_cl import vectors
 from gffe_cl.camera import Camera, predict_camera
 from gffe_cl.errors import GffeError
-from gffe_cl.values import require_array, require_kind, require_positive, require_size, require_vector, require_within
+from gffe_cl.values import (
+    require_array,
+    require_kind,
+    require_list,
+    require_positive,
+    require_size,
+    require_vector,
+    require_within,
+)
 
 MAX_ENLARGEMENT = 1.5
 _MOST_FIXED = 16
@@ -127,7 +135,7 @@ def adaptive_window(
     """
     require_kind(current, Camera, "window: current")
     predicted = [predicted] if isinstance(predicted, Camera) else predicted
-    predicted = list(require_kind(predicted, Iterable, "window: predicted", "a Camera, or several"))
+    predicted = require_list(predicted, Camera, "window: predicted", "a Camera, or several")
     max_enlargement = require_within(max_enlargement, "window: max_enlargement", 1, _MOST)
     distance = require_positive(distance, "window: distance", infinite=True)
     margin = require_within(margin, "window: margin", 0, _MOST)
@@ -135,7 +143,6 @@ def adaptive_window(
     size = np.array(require_size((2 * current.cx, 2 * current.cy) if size is None else size))
     low, high, clamped = -np.ones(2), np.ones(2), False
     for camera in predicted:
-        require_kind(camera, Camera, "window: each of predicted")
         points, clipped = _edges_on_plane(current, camera, size, distance)
         uv = 2 * points / size - 1
         low, high = np.minimum(low, uv.min(0)), np.maximum(high, uv.max(0))
