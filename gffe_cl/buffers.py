@@ -293,6 +293,8 @@ def given_buffer(array: Any, spec: BufferSpec, sizes: Sizes, device: Device) -> 
         if component != spec.dtype:
             raise GffeError(f"{what}: a device array must be of {np.dtype(spec.dtype)}, got {array.dtype}")
         array = array.base_data
+        if array is None:
+            raise GffeError(f"{what}: the device array has no memory any more")
     if not isinstance(array, cl.Buffer | PooledBuffer):
         return None
     if array.get_info(cl.mem_info.CONTEXT) != device.context:

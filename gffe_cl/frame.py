@@ -105,6 +105,14 @@ def checked_frame(frame: RenderedFrame) -> RenderedFrame:
     )
 
 
+def require_motion(frame: RenderedFrame) -> Any:
+    """The frame's motion; GffeError if it has none and is no reset."""
+    if frame.motion is None and not require_bool(frame.reset, "frame: reset"):
+        time = require_number(frame.time, "frame: time")
+        raise GffeError(f"frame at {time:g} s: motion is missing (only reset frames may lack it)")
+    return frame.motion
+
+
 def display_camera_of(frame: RenderedFrame, render_size: tuple[int, int], size: tuple[int, int]) -> Camera:
     """The camera of what is shown, in pixels of a display of `size`: by default the rendered frustum."""
     if frame.display_camera or render_size == size:
@@ -198,10 +206,7 @@ def pack_frame(frame: RenderedFrame, height: int, width: int) -> PackedFrame:
     depth = _float32(depth)
     bad.depth = depth.size - int(np.count_nonzero(depth > 0))
 
-    if frame.motion is None:
-        if not require_bool(frame.reset, "frame: reset"):
-            time = require_number(frame.time, "frame: time")
-            raise GffeError(f"frame at {time:g} s: motion is missing (only reset frames may lack it)")
+    if require_motion(frame) is None:
         motion = np.zeros((height, width, 2), np.float32)
     else:
         motion = _float32(require_array(frame.motion, "frame: motion", height, width, 2, kinds="f"))

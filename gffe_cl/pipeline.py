@@ -21,6 +21,7 @@ from gffe_cl.frame import (
     display_camera_of,
     is_shown_whole,
     pack_frame,
+    require_motion,
     require_one_pose,
 )
 from gffe_cl.jitter import without_jitter
@@ -275,20 +276,17 @@ class Pipeline:
     def _on_device(self, frame: RenderedFrame, packed: PackedFrame | None) -> DeviceFrame:
         display_camera = self._display_camera(frame)
         require_one_pose(frame.camera, display_camera)
-        arrays = (frame.color, frame.depth, frame.motion)
-        given = [given_buffer(a, spec, self.sizes, self.device) for a, spec in zip(arrays, RENDERED, strict=True)]
-        if all(given[:2]) and frame.motion is None and frame.reset:
-            given[2] = self._zero_motion()
-        if all(given):
-            return DeviceFrame(*given, frame.camera, display_camera, frame.time)
-        if any(given):
-            kinds = [
-                f"{spec.name} is {'a device buffer' if buffer else shown(array)}"
-                for spec, buffer, array in zip(RENDERED, given, arrays, strict=True)
-            ]
+        arrays = dict(zip(("color", "depth", "motion"), (frame.color, frame.depth, frame.motion), strict=True))
+        given = {s.name: given_buffer(arrays[s.name], s, self.sizes, self.device) for s in RENDERED}
+        if given["color"] and given["depth"] and require_motion(frame) is None:
+            given["motion"] = self._zero_motion()
+        if all(given.values()):
+            return DeviceFrame(**given, camera=frame.camera, display_camera=display_camera, time=frame.time)
+        if any(given.values()):
+            other = next(name for name, buffer in given.items() if not buffer)
             raise GffeError(
-                "frame: color, depth and motion must be all NumPy arrays or all device buffers, motion may be missing"
-                f" on a reset frame ({', '.join(kinds)}{'; a reset frame' if frame.reset else '; no reset frame'})"
+                "frame: color, depth and motion must be all NumPy arrays or all device buffers,"
+                f" got {other} as {shown(arrays[other])}"
             )
         width, height = self.sizes.source
         if packed is None:

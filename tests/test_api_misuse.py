@@ -39,7 +39,8 @@ FRAME = RenderedFrame(COLOR, DEPTH, MOTION, CAMERA, 0.0, reset=True)
 WRONG = (
     None, "", "1", b"1", float("nan"), float("inf"), -1, 0, 1.5, 2**70, 10**5000, 1j, True, [], [1, None],
     [[1], [1, 2]], {}, {"a": 1}, object(), np.array(None), np.array([1, "x"], object), np.zeros(3, complex),
-    np.zeros((2, 0)), np.ones((3, 5, 7), np.float32), np.array("now", "datetime64[s]"), np.array(["a"]), print, CAMERA, Options(), FRAME,
+    np.zeros((2, 0)), np.ones((3, 5, 7), np.float32), np.array("now", "datetime64[s]"), np.array(["a"]), print, CAMERA,
+    Options(), FRAME,
 )  # fmt: skip
 # Plain records, checked where they are used; what is made by others only; what takes no arguments.
 ON_A_DEVICE = {

@@ -40,15 +40,17 @@ class Composition(Stage):
         Kernel(
             "leave_out_fixed",
             "source",
-            {"depth": "", "fixed_mask": ""},
+            {"depth": "rendered.depth", "fixed_mask": "composition.fixed_mask"},
             {"out_depth": "composition.depth"},
         ),
         Kernel(
             "compose",
             "target",
             {
-                **dict.fromkeys(("fixed_mask", "effects", "effects_motion", "ui", "source_color", "source_depth"), ""),
-                "color": "",
+                **{name: f"composition.{name}" for name in OVERLAYS},
+                "source_color": "rendered.color",
+                "source_depth": "rendered.depth",
+                "color": "frame.color",  # or what stages after the frame's make of it
             },
             {
                 "out_color": "composition.color",
