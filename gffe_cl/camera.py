@@ -20,7 +20,6 @@ RIGIDITY_TOLERANCE = 1e-3
 MOST_FOCAL = 1e9
 MOST_DISTANCE = 1e15
 _FIELDS = ("world_to_view", "fx", "fy", "cx", "cy")
-_NOT_FINITE = "camera: not finite (world_to_view, fx, fy, cx and cy must be finite numbers)"
 _QUIETLY = np.errstate(all="ignore")  # what overflows is no camera, and said to be none
 _VIEW_AXES = {"opengl": (1.0, -1.0, -1.0), "direct3d": (1.0, -1.0, 1.0), "vulkan": (1.0, 1.0, 1.0)}
 
@@ -51,11 +50,7 @@ class Camera:
     cy: float
 
     def __post_init__(self):
-        intrinsics = [values.scalar(value) for value in (self.fx, self.fy, self.cx, self.cy)]
-        if not all(isinstance(value, values.NUMBERS) and not isinstance(value, bool) for value in intrinsics):
-            raise GffeError("camera: fx, fy, cx, cy must be numbers")
-        if not all(map(values.is_number, intrinsics)):
-            raise GffeError(_NOT_FINITE)
+        intrinsics = [values.require_number(getattr(self, name), f"camera: {name}") for name in _FIELDS[1:]]
         matrix = _matrix(self.world_to_view)
         intrinsics = np.array(intrinsics, np.float64)
         _check(matrix[None], intrinsics[None])
@@ -371,7 +366,7 @@ def _all_numbers(given) -> bool:
 def _check(matrices: np.ndarray, intrinsics: np.ndarray) -> None:
     """GffeError for what is wrong with any of the cameras: (N, 4, 4) and (N, 4), fx fy cx cy, float64."""
     if not (np.isfinite(matrices).all() and np.isfinite(intrinsics).all()):
-        raise GffeError(_NOT_FINITE)
+        raise GffeError("camera: not finite (world_to_view, fx, fy, cx and cy must be finite numbers)")
     rotations = matrices[:, :3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max()

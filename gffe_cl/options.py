@@ -4,6 +4,7 @@ documentation come from `OPTIONS`."""
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -78,7 +79,7 @@ class Option:
         if value is None and self.automatic is not None:
             return None
         given = value
-        value = scalar(value)
+        value = os.fspath(value) if isinstance(value, os.PathLike) else scalar(value)
         whole = isinstance(value, int) and not isinstance(value, bool)
         right = {
             bool: isinstance(value, bool),

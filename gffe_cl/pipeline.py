@@ -410,7 +410,7 @@ class Pipeline:
 
     def _need_frame(self) -> DeviceFrame:
         if self._current is None:
-            raise GffeError("extrapolate: submit a rendered frame first")
+            raise GffeError("pipeline: submit a rendered frame first")
         return self._current
 
     # ---- looking inside --------------------------------------------------------------------------------

@@ -109,8 +109,8 @@ def test_turning_steadily():
         ({"world_to_view": np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [5, 0, 0, 1]])}, "last row"),
         ({"fx": 0}, "fx and fy must be positive"),
         ({"fy": -3}, "fx and fy must be positive"),
-        ({"cx": np.inf}, "not finite"),
-        ({"cy": "middle"}, "numbers"),
+        ({"cx": np.inf}, "cx must be a finite number, got inf"),
+        ({"cy": "middle"}, 'cy must be a finite number, got "middle"'),
     ],
 )
 def test_refused(change, message):

@@ -201,12 +201,12 @@ def set_camera(value):
 
 BROKEN = {
     "singular camera": (set_camera({"world_to_view": [[0] * 4] * 3 + [[0, 0, 0, 1]]}), "singular"),
-    "non-finite camera": (set_camera({"fx": float("nan")}), "not finite"),
-    "infinite camera": (set_camera({"cx": 1e999}), "not finite"),
-    "huge camera": (set_camera({"cx": 10**400}), "not finite"),
-    "camera of text": (set_camera({"fy": "wide"}), "must be numbers"),
-    "number as text": (set_camera({"fx": "1"}), "must be numbers"),
-    "truth value": (set_camera({"fx": True}), "must be numbers"),
+    "non-finite camera": (set_camera({"fx": float("nan")}), "must be a finite number"),
+    "infinite camera": (set_camera({"cx": 1e999}), "must be a finite number"),
+    "huge camera": (set_camera({"cx": 10**400}), "must be a finite number"),
+    "camera of text": (set_camera({"fy": "wide"}), "must be a finite number"),
+    "number as text": (set_camera({"fx": "1"}), "must be a finite number"),
+    "truth value": (set_camera({"fx": True}), "must be a finite number"),
     "matrix of text": (set_camera({"world_to_view": np.eye(4).astype(str).tolist()}), "of numbers"),
     "matrix of truth values": (set_camera({"world_to_view": np.eye(4, dtype=bool).tolist()}), "real numbers"),
     "one truth value": (set_camera({"world_to_view": [[True, 0, 0, 0], *np.eye(4)[1:].tolist()]}), "real numbers"),

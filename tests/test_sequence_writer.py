@@ -168,7 +168,9 @@ def test_wrong_shape_and_no_frames(tmp_path):
         SequenceWriter(tmp_path / "out", W, H, 30) as writer,
     ):
         writer.add(rendered(0), named_channels(*pixels()))
-        writer.add(FrameEntry("frame_0.exr", 9.0, "extrapolated"), {})
+        writer.add(FrameEntry("frame_0.exr", 9.0, "extrapolated"), named_channels(*pixels()))
+    with pytest.raises(GffeError, match="no channels"), SequenceWriter(tmp_path / "out", W, H, 30) as writer:
+        writer.add(rendered(0), {})
     assert names(tmp_path) == []
 
 
