@@ -100,8 +100,8 @@ class Camera:
     @classmethod
     @_QUIETLY
     def from_pose(cls, position, direction, up, fx, fy, cx, cy) -> Camera:
-        """Camera from the paper's pose vectors (v_pos, v_dir, v_up), re-orthonormalised. Raises GffeError for vectors
-        that are no three finite numbers, or parallel ones."""
+        """Camera from the paper's pose vectors (v_pos, v_dir, v_up), re-orthonormalised. Raises GffeError
+        unless each is three finite numbers, and for `up` parallel to `direction`."""
         position = values.require_vector(position, "camera: position").tolist()
         forward = _normalised(values.require_vector(direction, "camera: direction"), "direction")
         right = vectors.cross(forward, values.require_vector(up, "camera: up").tolist())
@@ -257,16 +257,11 @@ class Camera:
         Raises GffeError for an unknown api, an empty image, or planes not within 0 < near < far.
         """
         values.require_choice(api, _VIEW_AXES, "camera: api")
-        near, far = (
-            values.require_number(near, "camera: near"),
-            values.require_number(far, "camera: far", infinite=True),
-        )
+        near = values.require_number(near, "camera: near")
+        far = values.require_number(far, "camera: far", infinite=True)
         if not 0 < near < far:
             raise GffeError(f"camera: expected 0 < near < far, got {near:g} and {far:g}")
-        width, height = (
-            values.require_positive(width, "camera: width"),
-            values.require_positive(height, "camera: height"),
-        )
+        width, height = values.require_size((width, height), "camera: image")
         reverse_depth = values.require_bool(reverse_depth, "camera: reverse_depth")
         ends = (1.0, 0.0) if reverse_depth else (-1.0, 1.0) if api == "opengl" else (0.0, 1.0)
         scale = (ends[1] - ends[0] * near / far) / (1 - near / far)  # clip z = scale · z + offset

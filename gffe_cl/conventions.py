@@ -106,7 +106,7 @@ def _refuse_projection(candidates: list[np.ndarray]) -> NoReturn:
 
 
 def _refuse_axes(p: np.ndarray, forward: int) -> NoReturn:
-    """Of a view that looks along its x or y axis."""
+    """Raise the GffeError for a projection along the x or y axis."""
     others = [axis for axis in range(3) if axis != forward]
     up = max(others, key=lambda axis: abs(p[1, axis]))
     (right,) = (axis for axis in others if axis != up)
@@ -114,8 +114,8 @@ def _refuse_axes(p: np.ndarray, forward: int) -> NoReturn:
     turn[2] *= round(np.linalg.det(turn))
     along = ("-" if p[3, forward] < 0 else "") + "xyz"[forward]
     raise GffeError(
-        f"camera: projection has w = {along}, so the view looks along {along} with {'xyz'[up]} vertical (expected w = z"
-        f" or -z); convert, for column vectors, with T = {turn.tolist()}: give T @ view and projection @ T.T"
+        f"camera: projection has w = {along}, so it looks along {along} with {'xyz'[up]} vertical (expected w = z or"
+        f" -z); convert, for column vectors, with T = {turn.tolist()}: projection @ T.T, and T @ view"
     )
 
 

@@ -119,8 +119,8 @@ class Pipeline:
 
     Nothing is allocated on the device or compiled after construction, but for the first uploads of host arrays and
     with the first frame that is rendered through a window, brings overlays, or lacks motion beside device buffers.
-    Device buffers must have been written on `device.queue`, or be finished, before they are submitted. A buffer that
-    was released must not be: drivers crash where they are asked about one.
+    Device buffers must have been written on `device.queue`, or be finished, before they are submitted. Do not submit a
+    released buffer: nothing tells that it is one, and drivers crash on it.
 
     Raises GffeError for arguments that are not what is expected here, and for images that find no room on the device.
     """

@@ -146,8 +146,11 @@ def _shown_overlays(overlays: Overlays, to_render: np.ndarray, render_size, size
         np.clip(np.floor((np.arange(n) + 0.5) * to_render[k] + to_render[2 + k]).astype(int), 0, rendered - 1)
         for k, (n, rendered) in enumerate(zip(size, render_size, strict=True))
     )
-    taken = {name: getattr(overlays, name) for name in ("fixed_mask", "effects", "effects_motion")}
-    taken = {name: np.asarray(array)[y[:, None], x] for name, array in taken.items() if array is not None}
+    taken = {}
+    for name, channels in (("fixed_mask", ()), ("effects", (4,)), ("effects_motion", (2,))):
+        if (array := getattr(overlays, name)) is not None:
+            array = require_array(array, f"frame: {name}", *reversed(render_size), *channels, kinds="biuf")
+            taken[name] = array[y[:, None], x]
     if "effects_motion" in taken:
         taken["effects_motion"] = taken["effects_motion"] / to_render[:2]
     return Overlays(**taken, ui=overlays.ui)
