@@ -19,6 +19,7 @@ from gffe_cl.errors import GffeError
 RIGIDITY_TOLERANCE = 1e-3
 MOST_FOCAL = 1e9
 MOST_DISTANCE = 1e15
+MOST_ALPHA = 1e6  # intervals
 _FIELDS = ("world_to_view", "fx", "fy", "cx", "cy")
 _QUIETLY = np.errstate(all="ignore")  # what overflows is no camera, and said to be none
 _VIEW_AXES = {"opengl": (1.0, -1.0, -1.0), "direct3d": (1.0, -1.0, 1.0), "vulkan": (1.0, 1.0, 1.0)}
@@ -312,11 +313,12 @@ def predict_camera(previous: Camera, current: Camera, alpha: float) -> Camera:
 
     Per pose vector (position, direction, up), re-orthonormalised, and likewise fx and fy; cx and cy stay.
     Paper: 'Adaptive rendering window'. `alpha` is in intervals between rendered frames and may exceed 1. Give cameras
-    without jitter: its next value is known to the renderer only. Raises GffeError if `alpha` is not a finite number.
+    without jitter: its next value is known to the renderer only. Raises GffeError unless `alpha` is a number up to a
+    million, either way.
     """
     values.require_kind(previous, Camera, "camera: previous")
     values.require_kind(current, Camera, "camera: current")
-    alpha = values.require_number(alpha, "camera: alpha")
+    alpha = values.require_within(alpha, "camera: alpha", -MOST_ALPHA, MOST_ALPHA)
 
     def ahead(a, b):
         return b + alpha * (b - a)
@@ -324,7 +326,8 @@ def predict_camera(previous: Camera, current: Camera, alpha: float) -> Camera:
     direction = ahead(previous.direction, current.direction)
     ups = (ahead(previous.up, current.up), current.up, -current.direction)  # the last two cannot both be parallel to it
     least = 1e-6 * vectors.length(direction.tolist())
-    up = next(up for up in ups if vectors.length(vectors.cross(direction.tolist(), up.tolist())) > least)
+    fitting = (up for up in ups if vectors.length(vectors.cross(direction.tolist(), up.tolist())) > least)
+    up = next(fitting, current.up)  # without a direction none fits: no camera
     predicted = Camera.from_pose(
         ahead(previous.position, current.position),
         direction,

@@ -47,14 +47,14 @@ def predict_camera_at(time: float, cameras: Sequence[Camera], times: Sequence[fl
     if len(cameras) == 1:
         return cameras[0]
     steps = -np.diff(times)
-    ahead = time - times[0]
+    ahead = time - float(times[0])
     predicted = predict_camera(cameras[1], cameras[0], ahead / steps[0])
     if order == 1 or len(cameras) == 2:
         return predicted
     pairs = list(zip(cameras[1:], cameras[:-1], strict=True))
     moves = [(new.position - old.position).tolist() for old, new in pairs]
     turns = [rotation_vector(_turn(old, new)).tolist() for old, new in pairs]
-    factor = ahead * (ahead + steps[0])
+    factor = ahead * (ahead + float(steps[0]))
     move, turn = ([factor * x for x in _lasting_change(motion, steps.tolist())] for motion in (moves, turns))
     if not (any(move) or any(turn)):
         return predicted

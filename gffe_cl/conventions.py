@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 
 from gffe_cl.errors import GffeError
-from gffe_cl.values import require_array, require_bool, require_choice, require_number, require_size, shown
+from gffe_cl.values import as_float32, require_array, require_bool, require_choice, require_number, require_size, shown
 
 LAYOUTS = ("auto", "row-major", "column-major")
 DIRECTIONS = {"to_previous": 1.0, "from_previous": -1.0}
@@ -208,7 +208,7 @@ def depth_from_device(
     depth = np.where(np.isnan(device), np.nan, np.where((depth > 0) & np.isfinite(depth), depth, np.inf))
     if sky:
         depth = np.where(device == far, np.inf, depth)
-    return _float32(depth)
+    return as_float32(depth)
 
 
 def depth_from_distance(distance: Any, camera: Any) -> np.ndarray:
@@ -222,7 +222,7 @@ def depth_from_distance(distance: Any, camera: Any) -> np.ndarray:
         raise GffeError(f"distance: camera must be a Camera, got {shown(camera)}")
     y, x = (np.arange(n) + 0.5 for n in distance.shape)
     across = 1 + ((x - camera.cx) / camera.fx) ** 2
-    return _float32(distance / np.sqrt(across + ((y - camera.cy) / camera.fy)[:, None] ** 2))
+    return as_float32(distance / np.sqrt(across + ((y - camera.cy) / camera.fy)[:, None] ** 2))
 
 
 def motion_from_ndc(motion: Any, size: Any, direction: str = "to_previous", y: str = "up") -> np.ndarray:
@@ -253,20 +253,14 @@ def motion_from_unreal(rg: Any, size: Any, scale: float = 2.0) -> np.ndarray:
     rg = _vectors(rg)
     width, height = require_size(size)
     scale = require_number(scale, "motion: scale")
-    return _float32((rg - 0.5) * (-scale * width, scale * height))
+    return as_float32((rg - 0.5) * (-scale * width, scale * height))
 
 
 def _scaled(motion, size, factor, direction, y) -> np.ndarray:
     sign = DIRECTIONS[require_choice(direction, DIRECTIONS, "motion: direction")]
     down = require_choice(y, ("up", "down"), "motion: y") == "down"
     width, height = require_size(size)
-    return _float32(_vectors(motion) * (sign * factor * width, sign * factor * height * (1 if down else -1)))
-
-
-def _float32(values: np.ndarray) -> np.ndarray:
-    """What is too large becomes infinite."""
-    with np.errstate(over="ignore"):
-        return values.astype(np.float32)
+    return as_float32(_vectors(motion) * (sign * factor * width, sign * factor * height * (1 if down else -1)))
 
 
 def _vectors(motion) -> np.ndarray:

@@ -15,7 +15,7 @@ import numpy as np
 
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
-from gffe_cl.values import require_array, require_bool, require_kind, require_number, require_size, shown
+from gffe_cl.values import as_float32, require_array, require_bool, require_kind, require_number, require_size, shown
 
 HALF_MAX = 65504.0
 _HALF_EXPONENT = 0x7C00  # its bits, all of them set in NaN and infinity
@@ -203,13 +203,13 @@ def pack_frame(frame: RenderedFrame, height: int, width: int) -> PackedFrame:
     if packed is None:
         packed = color_of_planes(rgb[..., c] for c in range(3)).base
 
-    depth = _float32(depth)
+    depth = as_float32(depth)
     bad.depth = depth.size - int(np.count_nonzero(depth > 0))
 
     if require_motion(frame) is None:
         motion = np.zeros((height, width, 2), np.float32)
     else:
-        motion = _float32(require_array(frame.motion, "frame: motion", height, width, 2, kinds="f"))
+        motion = as_float32(require_array(frame.motion, "frame: motion", height, width, 2, kinds="f"))
         finite = np.isfinite(motion)
         bad.motion = 0 if finite.all() else int((~finite).any(-1).sum())
     return PackedFrame(packed, depth, motion, bad)
@@ -240,9 +240,3 @@ def _fits_half(values: np.ndarray) -> bool:
         planes = (values[..., c].view(np.uint16) for c in range(values.shape[-1]))
         return all((plane & _HALF_EXPONENT).max() < _HALF_EXPONENT for plane in planes)
     return bool(max(values.max(), -values.min()) <= HALF_MAX)  # both are NaN if one value is
-
-
-def _float32(values: np.ndarray) -> np.ndarray:
-    """C-contiguous; what is too large becomes infinite."""
-    with np.errstate(over="ignore"):
-        return np.ascontiguousarray(values, np.float32)

@@ -10,7 +10,7 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.buffers import RENDERED, BufferSpec, DeviceFrame, Owner, Sizes, given_buffer
-from gffe_cl.camera import Camera
+from gffe_cl.camera import MOST_ALPHA, Camera
 from gffe_cl.camera_path import POSES, predict_camera_at
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import (
@@ -50,6 +50,7 @@ from gffe_cl.stages.trend import Trend
 from gffe_cl.stages.upscaling import Upscaling
 from gffe_cl.stages.warp import Warp
 from gffe_cl.values import (
+    as_float32,
     require_array,
     require_bool,
     require_exposure,
@@ -60,9 +61,6 @@ from gffe_cl.values import (
     require_size,
     shown,
 )
-
-_MOST_ALPHA = 1e6  # intervals ahead
-
 
 # In the order in which they work, on rendered frames and on new ones.
 STAGES: tuple[type[Stage], ...] = (
@@ -354,15 +352,15 @@ class Pipeline:
         alpha = (time - source.time) / self.interval
         if alpha < 0:
             raise GffeError(f"extrapolate: time {time:g} s is before the last rendered frame's ({source.time:g} s)")
-        if not alpha <= _MOST_ALPHA:
+        if not alpha <= MOST_ALPHA:
             raise GffeError(
-                f"extrapolate: time {time:g} s is more than {_MOST_ALPHA:g} intervals after {source.time:g} s"
+                f"extrapolate: time {time:g} s is more than {MOST_ALPHA:g} intervals after {source.time:g} s"
             )
         camera = self.predict_camera(alpha) if camera is None else camera
         require_kind(camera, Camera, "extrapolate: camera", "a Camera or None")
         if target_position is not None:
             shape = (*reversed(self.sizes.source), 4)
-            target_position = require_array(target_position, "extrapolate: target_position", *shape)
+            target_position = as_float32(require_array(target_position, "extrapolate: target_position", *shape))
         geometry = self._geometry(seen_through)
         step = Step(source, self._previous, self._times, camera, time, alpha, self.exposure)
         for stage in self.stages.values():
@@ -406,7 +404,7 @@ class Pipeline:
             require_array(given[0], f"{what}depth", *size),
             require_array(given[1], f"{what}motion", *size, 2),
         )
-        return {"depth": np.ascontiguousarray(depth, np.float32), "motion": np.ascontiguousarray(motion, np.float32)}
+        return {"depth": as_float32(depth), "motion": as_float32(motion)}
 
     def _need_frame(self) -> DeviceFrame:
         if self._current is None:

@@ -18,6 +18,7 @@ EXPOSURES = (1e-6, 1e6)
 FRAME_RATES = (1e-6, 1e6)
 MOST_SEED = 2**32 - 1
 MOST_SIDE = 1 << 16  # pixels
+_SIDES = (1e-9, 1e9)  # where they need not be whole
 _LARGEST = 1e300
 NUMBERS = (int, float, np.integer, np.floating)
 
@@ -86,7 +87,7 @@ def require_size(value: Any, what: str = "size", *, whole: bool = False) -> tupl
         width, height = value
         if whole:
             return require_whole(width, what, 1, MOST_SIDE), require_whole(height, what, 1, MOST_SIDE)
-        return require_positive(width, what), require_positive(height, what)
+        return require_within(width, what, *_SIDES), require_within(height, what, *_SIDES)
     except (GffeError, TypeError, ValueError):
         kind = f"whole pixels from 1 to {MOST_SIDE}" if whole else "pixels"
         raise GffeError(f"{what} must be (width, height) in {kind}, got {shown(value)}") from None
@@ -167,6 +168,12 @@ def require_vector(value: Any, what: str, count: int = 3) -> np.ndarray:
     if not (np.abs(array) < _LARGEST).all():
         raise GffeError(f"{what} must be {count} finite numbers, got {array.tolist()}")
     return array
+
+
+def as_float32(array: np.ndarray) -> np.ndarray:
+    """C-contiguous float32, `array` itself if it is that; what is too large becomes infinite."""
+    with np.errstate(over="ignore"):
+        return np.asarray(array, np.float32, order="C")
 
 
 def _shape_words(shape: tuple) -> str:

@@ -73,8 +73,9 @@ class Window(NamedTuple):
             raise GffeError(f"window: expected u0 < u1 and v0 < v1, got {u0:g}, {v0:g}, {u1:g}, {v1:g}")
         size = require_size(size)
         render_size = size if render_size is None else require_size(render_size)
-        scale_x, scale_y = (r / (s * e) for r, s, e in zip(render_size, size, self.enlargement, strict=True))
-        left, top = (self.u0 + 1) / 2 * size[0], (self.v0 + 1) / 2 * size[1]
+        enlargement = Window(u0, v0, u1, v1).enlargement
+        scale_x, scale_y = (r / (s * e) for r, s, e in zip(render_size, size, enlargement, strict=True))
+        left, top = (u0 + 1) / 2 * size[0], (v0 + 1) / 2 * size[1]
         return replace(
             display,
             fx=display.fx * scale_x,

@@ -30,14 +30,14 @@ from gffe_cl.sequence.description import checked_entry
 
 W, H = 24, 16
 MOST_MESSAGE = 600  # characters
-CAMERA = camera(W, H)
+CAMERA, TURNED = camera(W, H), camera(W, H, (0.1, 0, 0), yaw=0.2)
 VIEW, PROJECTION = CAMERA.view_matrix("opengl"), CAMERA.projection_matrix("opengl", W, H, near=0.1)
 DEPTH = np.full((H, W), 4.0, np.float32)
 MOTION = np.zeros((H, W, 2), np.float32)
 COLOR = np.full((H, W, 3), 0.5, np.float16)
 FRAME = RenderedFrame(COLOR, DEPTH, MOTION, CAMERA, 0.0, reset=True)
 WRONG = (
-    None, "", "1", b"1", float("nan"), float("inf"), -1, 0, 1.5, 2**70, 10**5000, 1j, True, [], [1, None],
+    None, "", "1", b"1", float("nan"), float("inf"), -1, 0, 1.5, 1e299, 2**70, 10**5000, 1j, True, [], [1, None],
     [[1], [1, 2]], {}, {"a": 1}, object(), np.array(None), np.array([1, "x"], object), np.zeros(3, complex),
     np.zeros((2, 0)), np.ones((3, 5, 7), np.float32), np.array("now", "datetime64[s]"), np.array(["a"]), print, CAMERA,
     Options(), FRAME,
@@ -112,9 +112,10 @@ def host_calls():
         "Camera.to_view_of": Call(CAMERA.to_view_of, {"other": CAMERA}),
         "Camera.scaled": Call(CAMERA.scaled, {"scale_x": 2.0, "scale_y": 2.0}),
         "Camera.moved": Call(CAMERA.moved, {"offset": np.ones(3)}),
-        "predict_camera": Call(gffe_cl.predict_camera, {"previous": CAMERA, "current": CAMERA, "alpha": 0.5}),
+        "predict_camera": Call(gffe_cl.predict_camera, {"previous": TURNED, "current": CAMERA, "alpha": 0.5}),
         "predict_camera_at": Call(
-            gffe_cl.predict_camera_at, {"time": 3.0, "cameras": [CAMERA] * 3, "times": [2.0, 1.0, 0.0], "order": 2}
+            gffe_cl.predict_camera_at,
+            {"time": 3.0, "cameras": [CAMERA, TURNED, CAMERA], "times": [2.0, 1.0, 0.0], "order": 2},
         ),
         "depth_from_device": Call(
             gffe_cl.depth_from_device,

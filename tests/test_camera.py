@@ -84,6 +84,11 @@ def test_prediction_of_a_moving_left_handed_camera(alpha):
 
 @pytest.mark.parametrize("alpha", [np.nan, np.inf])
 def test_alpha_must_be_finite(alpha):
+    turned = Camera.look_at((0, 0, 0), (1, 0, -1), (0, -1, 0), 9, 9, 5, 5)
+    with pytest.raises(GffeError, match="alpha"):
+        predict_camera(turned, camera(10, 10), 1e200)  # a direction that overflows
+    with pytest.raises(GffeError, match="no length"):
+        predict_camera(Camera.look_at((0, 0, 0), (0, 0, -1), (0, -1, 0), 9, 9, 5, 5), camera(10, 10), -0.5)
     from synthetic import camera
 
     with pytest.raises(GffeError, match="alpha"):
