@@ -11,7 +11,7 @@ import ast
 import inspect
 import re
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from gffe_cl.buffers import EXTRAPOLATED, FILLED_BY, RENDERED, BufferSpec
@@ -138,10 +138,26 @@ def with_tables(text: str) -> str:
 def _accessed(stage: type[Stage], kind: str) -> list[str]:
     """Buffers that the stage's kernels read or write, scratch left out; l stands for a level."""
     scratch = ("keys", "winners")
-    names = [a.buffer for kernel in stage.kernels for which, _, a in kernel.accesses() if which == kind and a.buffer]
+    names = [
+        a.buffer.format_map(_Chosen(kernel.choices, k))
+        for kernel in stage.kernels
+        for which, _, a in kernel.accesses()
+        for k in range(max(map(len, kernel.choices.values()), default=1))
+        if which == kind
+    ]
     names = [Background.of_level(0).get(name.strip("{}"), name) for name in names]
     names = [re.sub(r"\{\w+\}", "l", name) for name in names if not name.rstrip("'").endswith(scratch)]
     return list(dict.fromkeys(names))
+
+
+class _Chosen(dict):
+    """Choice number `k` of each name; names without any stay in braces."""
+
+    def __init__(self, choices: Mapping[str, tuple[str, ...]], k: int):
+        super().__init__({name: those[k] for name, those in choices.items()})
+
+    def __missing__(self, name: str) -> str:
+        return f"{{{name}}}"
 
 
 def _described(owner: str, specs: Iterable[BufferSpec]) -> list[tuple[str, ...]]:

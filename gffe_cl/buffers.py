@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 import pyopencl.array
+from pyopencl.tools import PooledBuffer
 
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
@@ -281,15 +282,27 @@ def halved(size: tuple[int, int], times: int) -> tuple[int, int]:
     return tuple(-(-n // (1 << times)) for n in size)
 
 
-def as_buffer(array: Any) -> cl.Buffer | None:
-    """The device buffer that `array` is; None for others. GffeError for a device array that is a part of one."""
-    if isinstance(array, cl.Buffer):
-        return array
+def given_buffer(array: Any, spec: BufferSpec, sizes: Sizes, device: Device) -> cl.Buffer | None:
+    """The device buffer that `array`, for what `spec` describes, is; None for others. GffeError for one that `device`
+    cannot use in place."""
+    what = f"frame: {spec.name}"
     if isinstance(array, cl.array.Array):
         if array.offset or not array.flags.c_contiguous:
-            raise GffeError("frame: device arrays must be C-contiguous and start at offset 0 of their buffer")
-        return array.base_data
-    return None
+            raise GffeError(f"{what}: device arrays must be C-contiguous and start at offset 0 of their buffer")
+        component = next(iter(array.dtype.fields.values()))[0] if array.dtype.fields else array.dtype
+        if component != spec.dtype:
+            raise GffeError(f"{what}: a device array must be of {np.dtype(spec.dtype)}, got {array.dtype}")
+        array = array.base_data
+        if array is None:
+            raise GffeError(f"{what}: the device array has no memory any more")
+    if not isinstance(array, cl.Buffer | PooledBuffer):
+        return None
+    if array.get_info(cl.mem_info.CONTEXT) != device.context:
+        raise GffeError(f"{what}: the device buffer belongs to another OpenCL context than the pipeline's device")
+    nbytes, (width, height) = spec.nbytes(sizes), spec.size(sizes)
+    if array.size < nbytes:
+        raise GffeError(f"{what} buffer must hold {nbytes} bytes ({width}×{height}), got {array.size}")
+    return array
 
 
 _ALIGNMENT = 1024  # texels, or bytes, between the starts of parts of a buffer: no device asks for more bytes

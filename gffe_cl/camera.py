@@ -13,15 +13,14 @@ from itertools import chain
 
 import numpy as np
 
-from gffe_cl import conventions, vectors
+from gffe_cl import conventions, values, vectors
 from gffe_cl.errors import GffeError
-from gffe_cl.values import NUMBERS, is_number
 
 RIGIDITY_TOLERANCE = 1e-3
 MOST_FOCAL = 1e9
 MOST_DISTANCE = 1e15
+MOST_ALPHA = 1e6  # intervals
 _FIELDS = ("world_to_view", "fx", "fy", "cx", "cy")
-_NOT_FINITE = "camera: not finite (world_to_view, fx, fy, cx and cy must be finite numbers)"
 _QUIETLY = np.errstate(all="ignore")  # what overflows is no camera, and said to be none
 _VIEW_AXES = {"opengl": (1.0, -1.0, -1.0), "direct3d": (1.0, -1.0, 1.0), "vulkan": (1.0, 1.0, 1.0)}
 
@@ -52,11 +51,7 @@ class Camera:
     cy: float
 
     def __post_init__(self):
-        intrinsics = [self.fx, self.fy, self.cx, self.cy]
-        if not all(isinstance(value, NUMBERS) and not isinstance(value, bool) for value in intrinsics):
-            raise GffeError("camera: fx, fy, cx, cy must be numbers")
-        if not all(map(is_number, intrinsics)):
-            raise GffeError(_NOT_FINITE)
+        intrinsics = [values.require_number(getattr(self, name), f"camera: {name}") for name in _FIELDS[1:]]
         matrix = _matrix(self.world_to_view)
         intrinsics = np.array(intrinsics, np.float64)
         _check(matrix[None], intrinsics[None])
@@ -67,13 +62,13 @@ class Camera:
     def many(cls, world_to_views: list, intrinsics: list) -> list[Camera]:
         """Cameras of lists of 4×4 lists and of (fx, fy, cx, cy): quicker than one by one. GffeError if any of them is
         none, without saying which."""
-        types = set(map(type, chain.from_iterable(chain.from_iterable(world_to_views))))
-        types |= set(map(type, chain.from_iterable(intrinsics)))
         try:
+            types = set(map(type, chain.from_iterable(chain.from_iterable(world_to_views))))
+            types |= set(map(type, chain.from_iterable(intrinsics)))
             if not types <= {int, float}:
                 raise TypeError
             matrices = np.array(world_to_views, np.float64).reshape(-1, 4, 4)
-            numbers = np.array(intrinsics, np.float64).reshape(-1, 4)
+            numbers = np.array(intrinsics, np.float64).reshape(len(matrices), 4)
         except (TypeError, ValueError, OverflowError):
             raise GffeError("camera: expected 4×4 matrices and fx, fy, cx, cy of numbers") from None
         if len(matrices):
@@ -98,21 +93,24 @@ class Camera:
     @classmethod
     @_QUIETLY
     def look_at(cls, position, target, up, fx, fy, cx, cy) -> Camera:
-        """Camera at `position` looking at `target` (world units); `up` is a world direction."""
-        position = np.asarray(position, np.float64)
-        return cls.from_pose(position, np.asarray(target, np.float64) - position, up, fx, fy, cx, cy)
+        """Camera at `position` looking at `target` (world units); `up` is a world direction. Raises GffeError if there
+        is no such camera."""
+        position = values.require_vector(position, "camera: position")
+        return cls.from_pose(position, values.require_vector(target, "camera: target") - position, up, fx, fy, cx, cy)
 
     @classmethod
     @_QUIETLY
     def from_pose(cls, position, direction, up, fx, fy, cx, cy) -> Camera:
-        """Camera from the paper's pose vectors (v_pos, v_dir, v_up), re-orthonormalised."""
-        forward = _normalised(direction, "direction")
-        right = vectors.cross(forward, np.asarray(up, np.float64).tolist())
+        """Camera from the paper's pose vectors (v_pos, v_dir, v_up), re-orthonormalised. Raises GffeError
+        unless each is three finite numbers, and for `up` parallel to `direction`."""
+        position = values.require_vector(position, "camera: position").tolist()
+        forward = _normalised(values.require_vector(direction, "camera: direction"), "direction")
+        right = vectors.cross(forward, values.require_vector(up, "camera: up").tolist())
         right = _normalised(right, "up (parallel to the direction)")
         down = vectors.cross(forward, right)
         matrix = np.eye(4)
         matrix[:3, :3] = (right, down, forward)
-        matrix[:3, 3] = [-x for x in vectors.times((right, down, forward), np.asarray(position, np.float64).tolist())]
+        matrix[:3, 3] = [-x for x in vectors.times((right, down, forward), position)]
         return cls(matrix, fx, fy, cx, cy)
 
     @classmethod
@@ -181,11 +179,13 @@ class Camera:
 
         Raises GffeError for fields of view that are not between 0° and 180°.
         """
-        if not 0 < fov < 180:
+        if not 0 < values.require_number(fov, "camera: fov") < 180:
             raise GffeError(f"camera: fov must be between 0 and 180 degrees, got {fov}")
-        width, height = size
+        width, height = values.require_size(size)
         focal = width / 2 / np.tan(np.radians(fov) / 2)
-        return cls(conventions.unreal_view(location, *rotation), focal, focal, width / 2, height / 2)
+        location = values.require_vector(location, "camera: location")
+        angles = values.require_vector(rotation, "camera: rotation (pitch, yaw, roll)")
+        return cls(conventions.unreal_view(location, *angles), focal, focal, width / 2, height / 2)
 
     @property
     def intrinsics(self) -> tuple[float, float, float, float]:
@@ -214,18 +214,23 @@ class Camera:
         matrix[:3, :3], matrix[:3, 3] = vectors.view_inverse(self.world_to_view.tolist())
         return matrix
 
+    @_QUIETLY
     def project(self, world_pos) -> tuple[np.ndarray, np.ndarray]:
-        """World positions (..., 3) → pixel positions (..., 2) and view depths (...)."""
-        view_pos = np.asarray(world_pos, np.float64) @ self.world_to_view[:3, :3].T + self.world_to_view[:3, 3]
+        """World positions (..., 3) → pixel positions (..., 2) and view depths (...). Raises GffeError for another
+        shape."""
+        world_pos = values.require_array(world_pos, "camera: world_pos", ..., 3).astype(np.float64)
+        view_pos = world_pos @ self.world_to_view[:3, :3].T + self.world_to_view[:3, 3]
         depth = view_pos[..., 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            x = self.fx * view_pos[..., 0] / depth + self.cx
-            y = self.fy * view_pos[..., 1] / depth + self.cy
+        x = self.fx * view_pos[..., 0] / depth + self.cx
+        y = self.fy * view_pos[..., 1] / depth + self.cy
         return np.stack([x, y], -1), depth
 
+    @_QUIETLY
     def unproject(self, px, depth) -> np.ndarray:
-        """Pixel positions (..., 2) and view depths (...) → world positions (..., 3)."""
-        px, depth = np.asarray(px, np.float64), np.asarray(depth, np.float64)
+        """Pixel positions (..., 2) and view depths (...) → world positions (..., 3). Raises GffeError for other
+        shapes."""
+        px = values.require_array(px, "camera: px", ..., 2).astype(np.float64)
+        depth = values.require_array(depth, "camera: depth", *px.shape[:-1]).astype(np.float64)
         view_pos = np.stack(
             [(px[..., 0] - self.cx) / self.fx * depth, (px[..., 1] - self.cy) / self.fy * depth, depth], -1
         )
@@ -236,9 +241,9 @@ class Camera:
         """(4, 4) float64, column vectors: world → the view space that `projection_matrix` of the same `api` takes.
 
         "opengl": x right, y up, z backward; "direct3d": x right, y up, z forward; "vulkan": x right, y down, z forward.
-        For row vectors (v·M) transpose it.
+        For row vectors (v·M) transpose it. Raises GffeError for an unknown api.
         """
-        _require_api(api)
+        values.require_choice(api, _VIEW_AXES, "camera: api")
         return np.diag([*_VIEW_AXES[api], 1.0]) @ self.world_to_view
 
     def projection_matrix(
@@ -252,11 +257,13 @@ class Camera:
 
         Raises GffeError for an unknown api, an empty image, or planes not within 0 < near < far.
         """
-        _require_api(api)
-        if not (0 < near < far and near < np.inf):
+        values.require_choice(api, _VIEW_AXES, "camera: api")
+        near = values.require_number(near, "camera: near")
+        far = values.require_number(far, "camera: far", infinite=True)
+        if not 0 < near < far:
             raise GffeError(f"camera: expected 0 < near < far, got {near:g} and {far:g}")
-        if not (width > 0 and height > 0):
-            raise GffeError(f"camera: the image must not be empty, got {width:g}×{height:g}")
+        width, height = values.require_size((width, height), "camera: image")
+        reverse_depth = values.require_bool(reverse_depth, "camera: reverse_depth")
         ends = (1.0, 0.0) if reverse_depth else (-1.0, 1.0) if api == "opengl" else (0.0, 1.0)
         scale = (ends[1] - ends[0] * near / far) / (1 - near / far)  # clip z = scale · z + offset
         offset = (ends[0] - scale) * near
@@ -274,6 +281,7 @@ class Camera:
 
     def to_view_of(self, other: Camera) -> np.ndarray:
         """(4, 4) float64: view space of this camera → view space of `other`; exactly 1 for equal poses."""
+        values.require_kind(other, Camera, "camera: other")
         if np.array_equal(self.world_to_view, other.world_to_view):
             return np.eye(4)
         rotation, translation = vectors.view_inverse(self.world_to_view.tolist())
@@ -286,13 +294,17 @@ class Camera:
         return matrix
 
     def scaled(self, scale_x: float, scale_y: float) -> Camera:
-        """The same frustum on an image whose sides are `scale_x`, `scale_y` times as many pixels."""
+        """The same frustum on an image whose sides are `scale_x`, `scale_y` times as many pixels. Raises GffeError
+        for factors that are not positive."""
+        scale_x, scale_y = (
+            values.require_positive(s, f"camera: scale_{a}") for s, a in ((scale_x, "x"), (scale_y, "y"))
+        )
         return replace(self, fx=self.fx * scale_x, fy=self.fy * scale_y, cx=self.cx * scale_x, cy=self.cy * scale_y)
 
     def moved(self, offset) -> Camera:
         """The same camera after the whole world has moved by `offset` (3,) world units."""
         matrix = self.world_to_view.copy()
-        matrix[:3, 3] -= matrix[:3, :3] @ np.asarray(offset, np.float64)
+        matrix[:3, 3] -= matrix[:3, :3] @ values.require_vector(offset, "camera: offset")
         return replace(self, world_to_view=matrix)
 
 
@@ -301,11 +313,12 @@ def predict_camera(previous: Camera, current: Camera, alpha: float) -> Camera:
 
     Per pose vector (position, direction, up), re-orthonormalised, and likewise fx and fy; cx and cy stay.
     Paper: 'Adaptive rendering window'. `alpha` is in intervals between rendered frames and may exceed 1. Give cameras
-    without jitter: its next value is known to the renderer only. Raises GffeError if `alpha` is not finite.
+    without jitter: its next value is known to the renderer only. Raises GffeError unless `alpha` is a number up to a
+    million, either way.
     """
-
-    if not np.isfinite(alpha):
-        raise GffeError(f"camera: alpha must be a finite number of intervals, got {alpha}")
+    values.require_kind(previous, Camera, "camera: previous")
+    values.require_kind(current, Camera, "camera: current")
+    alpha = values.require_within(alpha, "camera: alpha", -MOST_ALPHA, MOST_ALPHA)
 
     def ahead(a, b):
         return b + alpha * (b - a)
@@ -313,7 +326,8 @@ def predict_camera(previous: Camera, current: Camera, alpha: float) -> Camera:
     direction = ahead(previous.direction, current.direction)
     ups = (ahead(previous.up, current.up), current.up, -current.direction)  # the last two cannot both be parallel to it
     least = 1e-6 * vectors.length(direction.tolist())
-    up = next(up for up in ups if vectors.length(vectors.cross(direction.tolist(), up.tolist())) > least)
+    fitting = (up for up in ups if vectors.length(vectors.cross(direction.tolist(), up.tolist())) > least)
+    up = next(fitting, current.up)  # without a direction none fits: no camera
     predicted = Camera.from_pose(
         ahead(previous.position, current.position),
         direction,
@@ -334,14 +348,9 @@ def predict_camera(previous: Camera, current: Camera, alpha: float) -> Camera:
 
 def _matrix(given) -> np.ndarray:
     """(4, 4) float64, a copy of `given`; GffeError unless that is of numbers."""
-    try:
-        array = np.array(given)
-    except ValueError:
-        array = None  # rows of several lengths
-    if array is None or array.dtype.kind not in "iuf" or not array.shape or not _all_numbers(given):
-        raise GffeError("camera: world_to_view is not a 4×4 matrix of numbers")
-    if array.shape != (4, 4):
-        raise GffeError(f"camera: world_to_view must be 4×4, got {'×'.join(map(str, array.shape))}")
+    array = values.require_array(given, "camera: world_to_view", 4, 4)
+    if not _all_numbers(given):
+        raise GffeError("camera: world_to_view must be real numbers, got truth values")
     return array.astype(np.float64)
 
 
@@ -355,7 +364,7 @@ def _all_numbers(given) -> bool:
 def _check(matrices: np.ndarray, intrinsics: np.ndarray) -> None:
     """GffeError for what is wrong with any of the cameras: (N, 4, 4) and (N, 4), fx fy cx cy, float64."""
     if not (np.isfinite(matrices).all() and np.isfinite(intrinsics).all()):
-        raise GffeError(_NOT_FINITE)
+        raise GffeError("camera: not finite (world_to_view, fx, fy, cx and cy must be finite numbers)")
     rotations = matrices[:, :3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         off = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max()
@@ -376,14 +385,9 @@ def _both(focal: np.ndarray) -> str:
     return f"{focal[0, 0]:g} and {focal[0, 1]:g}"
 
 
-def _require_api(api: str) -> None:
-    if api not in _VIEW_AXES:
-        raise GffeError(f"camera: api must be {', '.join(_VIEW_AXES)}, got '{api}'")
-
-
 def _normalised(vector, name) -> list[float]:
-    values = np.asarray(vector, np.float64).tolist()
-    length = vectors.length(values)
+    components = np.asarray(vector, np.float64).tolist()
+    length = vectors.length(components)
     if not math.isfinite(length) or length < 1e-12:
         raise GffeError(f"camera: {name} has no length")
-    return [x / length for x in values]
+    return [x / length for x in components]

@@ -11,6 +11,7 @@ import numpy as np
 from gffe_cl import vectors
 from gffe_cl.camera import Camera, predict_camera
 from gffe_cl.errors import GffeError
+from gffe_cl.values import require_array, require_list, require_number, require_whole
 
 POSES = 4  # of which a prediction makes use
 JUMP = 4.0  # times the step before: a step that is longer is none of a steady movement
@@ -38,22 +39,22 @@ def predict_camera_at(time: float, cameras: Sequence[Camera], times: Sequence[fl
     Raises GffeError for other orders, no camera, other numbers of times than of cameras, and times that do not
     decrease. Source: paper, 'Adaptive rendering window'; beyond it from order 2 on.
     """
-    cameras, times = list(cameras[:POSES]), np.asarray(times[:POSES], np.float64)
-    if order not in (1, 2):
-        raise GffeError(f"camera: the order of its prediction must be 1 or 2, got {order}")
+    time, order = require_number(time, "camera: time"), require_whole(order, "camera: order", 1, 2)
+    cameras = require_list(cameras, Camera, "camera: cameras", "a list of cameras")[:POSES]
+    times = require_array(times, "camera: times", None)[:POSES].astype(np.float64)
     if not cameras or len(cameras) != len(times) or not np.isfinite(times).all() or (np.diff(times) >= 0).any():
         raise GffeError(f"camera: needs one decreasing time per camera, got {len(cameras)} and {times.tolist()}")
     if len(cameras) == 1:
         return cameras[0]
     steps = -np.diff(times)
-    ahead = float(time) - times[0]
+    ahead = time - float(times[0])
     predicted = predict_camera(cameras[1], cameras[0], ahead / steps[0])
     if order == 1 or len(cameras) == 2:
         return predicted
     pairs = list(zip(cameras[1:], cameras[:-1], strict=True))
     moves = [(new.position - old.position).tolist() for old, new in pairs]
     turns = [rotation_vector(_turn(old, new)).tolist() for old, new in pairs]
-    factor = ahead * (ahead + steps[0])
+    factor = ahead * (ahead + float(steps[0]))
     move, turn = ([factor * x for x in _lasting_change(motion, steps.tolist())] for motion in (moves, turns))
     if not (any(move) or any(turn)):
         return predicted

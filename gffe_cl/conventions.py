@@ -6,11 +6,12 @@ units, motion = (position in the previous rendered frame) − (position here) in
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
 from gffe_cl.errors import GffeError
+from gffe_cl.values import as_float32, require_array, require_bool, require_choice, require_number, require_size, shown
 
 LAYOUTS = ("auto", "row-major", "column-major")
 DIRECTIONS = {"to_previous": 1.0, "from_previous": -1.0}
@@ -36,12 +37,10 @@ def pinhole(view: Any, projection: Any, size: Any, layout: str, ndc_up: bool, vi
     known to be up, and a projection turned upside down is taken for one into a texture. Then, with P divided by P₃₂:
     fx = |P₀₀| W/2, cx = (1 + P₀₂) W/2; fy = |P₁₁| H/2, cy = (1 ± P₁₂) H/2.
     """
-    width, height = _size(size)
+    width, height = require_size(size)
     v, p = matrices(view, projection, layout)
     v = rigid(v, "view")
-    if np.abs(p[3, [0, 1, 3]]).max() > _ZERO * abs(p[3, 2]) or p[3, 2] == 0:
-        raise GffeError("camera: projection is not a perspective one (expected w = ±z, a last row of 0 0 ±1 0)")
-    p = p / abs(p[3, 2])
+    p = _perspective(p)
     if max(abs(p[0, 1]), abs(p[1, 0]), abs(p[0, 3]), abs(p[1, 3])) > _ZERO * np.abs(p[:2]).max():
         raise GffeError("camera: projection is sheared (expected an off-centre pinhole)")
     if not (p[0, 0] and p[1, 1]):
@@ -60,40 +59,74 @@ def pinhole(view: Any, projection: Any, size: Any, layout: str, ndc_up: bool, vi
 def matrices(view: Any, projection: Any, layout: str = "auto") -> tuple[np.ndarray, np.ndarray]:
     """Both as (4, 4) float64 for column vectors; see `layout` of `Camera.from_opengl`. GffeError if they are no such
     matrices, or contradict the layout."""
-    if layout not in LAYOUTS:
-        raise GffeError(f"camera: layout must be one of {', '.join(LAYOUTS)}, got '{layout}'")
     v, p = square(view, "view"), square(projection, "projection")
-    fits = {
-        "row-major": _is_view(v) and _is_projection(p),
-        "column-major": _is_view(v.T) and _is_projection(p.T),
-    }
-    fitting = [name for name, fit in fits.items() if fit]
-    if layout == "auto":
-        if len(fitting) == 2 and not (np.array_equal(v, v.T) and np.array_equal(p, p.T)):
-            raise GffeError("camera: the matrices fit both layouts (expected layout='row-major' or 'column-major')")
-        if not fitting:
-            raise GffeError(
-                "camera: view and projection are no perspective camera (expected a row or column 0 0 0 1 in the one and"
-                " 0 0 ±1 0 in the other)"
-            )
-        layout = fitting[0]
-    elif fitting and layout not in fitting:
-        raise GffeError(f"camera: view and projection do not fit layout '{layout}' (expected '{fitting[0]}')")
-    return (v, p) if layout == "row-major" else (v.T.copy(), p.T.copy())
+    turned = (v, p), (v.T, p.T)
+    fits = [_is_view(a) and _is_projection(b) for a, b in turned]
+    symmetric = np.array_equal(v, v.T) and np.array_equal(p, p.T)
+    chosen = _chosen_layout(layout, fits, symmetric, "view and projection")
+    if chosen is None and not (_is_view(v) or _is_view(v.T)):
+        raise GffeError("camera: view is no view matrix (expected a row or column 0 0 0 1)")
+    if chosen is None:
+        _refuse_projection([b for a, b in turned if _is_view(a)])
+    return tuple(m.copy() for m in turned[chosen])
+
+
+def _chosen_layout(layout: str, fits: list[bool], symmetric: bool, what: str) -> int | None:
+    """0 for row-major, 1 for column-major, None where "auto" finds neither; `fits`: which of the two `what` may be."""
+    require_choice(layout, LAYOUTS, "camera: layout")
+    if layout != "auto":
+        asked = LAYOUTS.index(layout) - 1
+        if fits[1 - asked] and not fits[asked]:
+            raise GffeError(f"camera: {what} do not fit layout '{layout}' (expected '{LAYOUTS[2 - asked]}')")
+        return asked
+    if all(fits) and not symmetric:
+        raise GffeError(f"camera: {what} fit both layouts (expected layout='row-major' or 'column-major')")
+    return fits.index(True) if any(fits) else None
+
+
+def _perspective(p: np.ndarray) -> np.ndarray:
+    """`p` for column vectors, scaled so that w = ±z; GffeError if it is no perspective projection along z."""
+    if np.abs(p[3, [0, 1, 3]]).max() > _ZERO * abs(p[3, 2]) or p[3, 2] == 0:
+        _refuse_projection([p])
+    return p / abs(p[3, 2])
+
+
+def _refuse_projection(candidates: list[np.ndarray]) -> NoReturn:
+    """Raise the GffeError that says what w is instead of ±z, and how to convert where it is another axis; `candidates`:
+    the projection for column vectors, in each layout that it may have."""
+    for p in candidates:
+        for k in np.flatnonzero(np.abs(np.abs(p[3]) - 1) <= _ZERO):
+            if np.delete(np.abs(p[3]), k).max() > _ZERO:
+                continue
+            if k == 3:
+                raise GffeError("camera: projection is no perspective one but orthographic, w = 1 (expected w = ±z)")
+            if k < 2:
+                _refuse_axes(p, int(k))
+    raise GffeError("camera: projection is no perspective one (expected w = ±z: a row or column 0 0 ±1 0)")
+
+
+def _refuse_axes(p: np.ndarray, forward: int) -> NoReturn:
+    """Raise the GffeError for a projection along the x or y axis."""
+    others = [axis for axis in range(3) if axis != forward]
+    up = max(others, key=lambda axis: abs(p[1, axis]))
+    (right,) = (axis for axis in others if axis != up)
+    turn = np.eye(4, dtype=int)[[right, up, forward, 3]]
+    turn[2] *= round(np.linalg.det(turn))
+    along = ("-" if p[3, forward] < 0 else "") + "xyz"[forward]
+    raise GffeError(
+        f"camera: projection has w = {along}, so it looks along {along} with {'xyz'[up]} vertical (expected w = z or"
+        f" -z); convert, for column vectors, with T = {turn.tolist()}: projection @ T.T, and T @ view"
+    )
 
 
 def square(given: Any, name: str) -> np.ndarray:
     """(4, 4) float64, finite, of rows or of 16 numbers; GffeError naming `name`."""
-    try:
-        array = np.array(given)
-    except ValueError:
-        array = np.array(None)
-    if array.dtype.kind not in "iuf" or array.size != 16 or array.shape not in ((4, 4), (16,)):
-        raise GffeError(f"camera: {name} must be a 4×4 matrix of numbers, or 16 of them, got shape {array.shape}")
-    array = array.astype(np.float64).reshape(4, 4)
+    array = require_array(given, f"camera: {name}", ...).astype(np.float64)
+    if array.shape not in ((4, 4), (16,)):
+        raise GffeError(f"camera: {name} must have shape (4, 4), or be 16 numbers, got shape {array.shape}")
     if not np.isfinite(array).all():
         raise GffeError(f"camera: {name} must be finite")
-    return array
+    return array.reshape(4, 4)
 
 
 def rigid(matrix: np.ndarray, name: str, tolerance: float = 1e-2) -> np.ndarray:
@@ -155,10 +188,15 @@ def depth_from_device(
     -------
     (…) float32: with P for column vectors, P₂₃ / (z − s P₂₂), s = P₃₂ = ±1; +inf beyond what the projection can show.
 
-    Raises GffeError if `projection` is no perspective projection.
+    Raises GffeError if `projection` is no perspective projection, or `z` no array of numbers.
     """
-    p = _projection(projection, layout)
-    device = np.asarray(z, np.float64)
+    p = square(projection, "projection")
+    chosen = _chosen_layout(
+        layout, [_is_projection(p), _is_projection(p.T)], np.array_equal(p, p.T), "entries of projection"
+    )
+    p = _perspective(p.T if chosen == 1 else p) if chosen is not None else _refuse_projection([p, p.T])
+    device = require_array(z, "depth: z", ...).astype(np.float64)
+    opengl_buffer, sky = require_bool(opengl_buffer, "depth: opengl_buffer"), require_bool(sky, "depth: sky")
     a, b = p[2, 2] * np.sign(p[3, 2]), p[2, 3]  # z = a + b / depth
     if b == 0:
         raise GffeError("camera: projection gives every depth the same value (expected two planes)")
@@ -170,22 +208,21 @@ def depth_from_device(
     depth = np.where(np.isnan(device), np.nan, np.where((depth > 0) & np.isfinite(depth), depth, np.inf))
     if sky:
         depth = np.where(device == far, np.inf, depth)
-    with np.errstate(over="ignore"):
-        return depth.astype(np.float32)
+    return as_float32(depth)
 
 
 def depth_from_distance(distance: Any, camera: Any) -> np.ndarray:
     """Planar depth (H, W) float32 from distances along the rays, as ray tracers give them, in the same unit.
 
     depth = distance / √(1 + ((x − cx)/fx)² + ((y − cy)/fy)²), x and y at pixel centres; `camera` is the `Camera` of
-    these pixels. Infinite distances stay.
+    these pixels. Infinite distances stay. Raises GffeError for another shape.
     """
-    distance = np.asarray(distance)
-    if distance.ndim != 2:
-        raise GffeError(f"distance must have shape (H, W), got {distance.shape}")
+    distance = require_array(distance, "distance", None, None)
+    if not all(hasattr(camera, name) for name in ("fx", "fy", "cx", "cy")):
+        raise GffeError(f"distance: camera must be a Camera, got {shown(camera)}")
     y, x = (np.arange(n) + 0.5 for n in distance.shape)
     across = 1 + ((x - camera.cx) / camera.fx) ** 2
-    return (distance / np.sqrt(across + ((y - camera.cy) / camera.fy)[:, None] ** 2)).astype(np.float32)
+    return as_float32(distance / np.sqrt(across + ((y - camera.cy) / camera.fy)[:, None] ** 2))
 
 
 def motion_from_ndc(motion: Any, size: Any, direction: str = "to_previous", y: str = "up") -> np.ndarray:
@@ -214,43 +251,20 @@ def motion_from_unreal(rg: Any, size: Any, scale: float = 2.0) -> np.ndarray:
     what stands still to see which one it is. `size` is (W, H) in pixels.
     """
     rg = _vectors(rg)
-    width, height = _size(size)
-    return ((rg - 0.5) * (-scale * width, scale * height)).astype(np.float32)
+    width, height = require_size(size)
+    scale = require_number(scale, "motion: scale")
+    return as_float32((rg - 0.5) * (-scale * width, scale * height))
 
 
 def _scaled(motion, size, factor, direction, y) -> np.ndarray:
-    if direction not in DIRECTIONS:
-        raise GffeError(f"motion: direction must be one of {', '.join(DIRECTIONS)}, got '{direction}'")
-    if y not in ("up", "down"):
-        raise GffeError(f"motion: y must be up or down, got '{y}'")
-    width, height = _size(size)
-    sign = DIRECTIONS[direction]
-    scale = (sign * factor * width, sign * factor * height * (1 if y == "down" else -1))
-    return (_vectors(motion) * scale).astype(np.float32)
+    sign = DIRECTIONS[require_choice(direction, DIRECTIONS, "motion: direction")]
+    down = require_choice(y, ("up", "down"), "motion: y") == "down"
+    width, height = require_size(size)
+    return as_float32(_vectors(motion) * (sign * factor * width, sign * factor * height * (1 if down else -1)))
 
 
 def _vectors(motion) -> np.ndarray:
-    array = np.asarray(motion)
-    if array.ndim < 1 or array.shape[-1] != 2:
-        raise GffeError(f"motion must have shape (H, W, 2), got {array.shape}")
-    return array.astype(np.float64)
-
-
-def _size(size) -> tuple[float, float]:
-    try:
-        width, height = map(float, size)
-    except (TypeError, ValueError):
-        width = height = 0.0
-    if not (0 < width < np.inf and 0 < height < np.inf):
-        raise GffeError(f"size must be (width, height) in pixels, got {size!r}")
-    return width, height
-
-
-def _projection(given, layout) -> np.ndarray:
-    """For column vectors, scaled so that w = ±z."""
-    identity = np.eye(4)
-    _, p = matrices(identity, given, layout)
-    return p / abs(p[3, 2])
+    return require_array(motion, "motion", ..., 2).astype(np.float64)
 
 
 def _is_view(m: np.ndarray) -> bool:

@@ -8,13 +8,14 @@ motion float ×2, row-major.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
+from gffe_cl.values import as_float32, require_array, require_bool, require_kind, require_number, require_size, shown
 
 HALF_MAX = 65504.0
 _HALF_EXPONENT = 0x7C00  # its bits, all of them set in NaN and infinity
@@ -72,6 +73,8 @@ class RenderedFrame:
         Nothing before this frame may be used (scene cut, teleport, start).
     overlays : Overlays or None
         What is not to be warped with the picture.
+
+    The fields are checked where the frame is used: `Pipeline.submit`, `present` and `pack_frame` raise GffeError.
     """
 
     color: Any
@@ -87,6 +90,27 @@ class RenderedFrame:
     def shown_camera(self) -> Camera:
         """What is shown: the display camera, else the render camera."""
         return self.display_camera or self.camera
+
+
+def checked_frame(frame: RenderedFrame) -> RenderedFrame:
+    """`frame` with `time` and `reset` as Python has them. GffeError unless all but its arrays is what it should be."""
+    require_kind(frame, RenderedFrame, "frame")
+    require_kind(frame.camera, Camera, "frame: camera")
+    if frame.display_camera is not None:
+        require_kind(frame.display_camera, Camera, "frame: display_camera", "a Camera or None")
+    if frame.overlays is not None:
+        require_kind(frame.overlays, Overlays, "frame: overlays", "Overlays or None")
+    return replace(
+        frame, time=require_number(frame.time, "frame: time"), reset=require_bool(frame.reset, "frame: reset")
+    )
+
+
+def require_motion(frame: RenderedFrame) -> Any:
+    """The frame's motion; GffeError if it has none and is no reset."""
+    if frame.motion is None and not require_bool(frame.reset, "frame: reset"):
+        time = require_number(frame.time, "frame: time")
+        raise GffeError(f"frame at {time:g} s: motion is missing (only reset frames may lack it)")
+    return frame.motion
 
 
 def display_camera_of(frame: RenderedFrame, render_size: tuple[int, int], size: tuple[int, int]) -> Camera:
@@ -144,14 +168,27 @@ class PackedFrame:
     motion: np.ndarray
     bad: BadPixels = field(default_factory=BadPixels)
 
+    def require_size(self, width: int, height: int) -> None:
+        """GffeError unless the arrays are those of images of this size."""
+        for name, channels, kind in (
+            ("color", (4,), np.float16),
+            ("depth", (), np.float32),
+            ("motion", (2,), np.float32),
+        ):
+            array, shape = getattr(self, name), (height, width, *channels)
+            if not (isinstance(array, np.ndarray) and array.shape == shape and array.dtype == kind):
+                raise GffeError(f"packed frame: {name} must be {np.dtype(kind)} of shape {shape}, got {shown(array)}")
+
 
 def pack_frame(frame: RenderedFrame, height: int, width: int) -> PackedFrame:
     """Check shapes and convert a host frame to device layout, counting bad pixels.
 
-    Raises GffeError for a structural fault: wrong shape, or motion missing although the frame is no reset.
+    Raises GffeError for a structural fault: a wrong shape or type, or motion missing although the frame is no reset.
     """
-    color = _shaped(frame.color, "color", (height, width, (3, 4)))
-    depth = _shaped(frame.depth, "depth", (height, width))
+    require_kind(frame, RenderedFrame, "frame")
+    width, height = require_size((width, height), "frame: size", whole=True)
+    color = require_array(frame.color, "frame: color", height, width, (3, 4), kinds="f")
+    depth = require_array(frame.depth, "frame: depth", height, width, kinds="f")
     bad = BadPixels()
 
     rgb = color[..., :3]
@@ -166,15 +203,13 @@ def pack_frame(frame: RenderedFrame, height: int, width: int) -> PackedFrame:
     if packed is None:
         packed = color_of_planes(rgb[..., c] for c in range(3)).base
 
-    depth = np.ascontiguousarray(depth, np.float32)
+    depth = as_float32(depth)
     bad.depth = depth.size - int(np.count_nonzero(depth > 0))
 
-    if frame.motion is None:
-        if not frame.reset:
-            raise GffeError(f"frame at {frame.time:g} s: motion is missing (only reset frames may lack it)")
+    if require_motion(frame) is None:
         motion = np.zeros((height, width, 2), np.float32)
     else:
-        motion = np.ascontiguousarray(_shaped(frame.motion, "motion", (height, width, 2)), np.float32)
+        motion = as_float32(require_array(frame.motion, "frame: motion", height, width, 2, kinds="f"))
         finite = np.isfinite(motion)
         bad.motion = 0 if finite.all() else int((~finite).any(-1).sum())
     return PackedFrame(packed, depth, motion, bad)
@@ -205,16 +240,3 @@ def _fits_half(values: np.ndarray) -> bool:
         planes = (values[..., c].view(np.uint16) for c in range(values.shape[-1]))
         return all((plane & _HALF_EXPONENT).max() < _HALF_EXPONENT for plane in planes)
     return bool(max(values.max(), -values.min()) <= HALF_MAX)  # both are NaN if one value is
-
-
-def _shaped(array, name, shape) -> np.ndarray:
-    array = np.asarray(array)
-    fits = array.ndim == len(shape) and all(
-        n in want if isinstance(want, tuple) else n == want for n, want in zip(array.shape, shape, strict=False)
-    )
-    if not fits:
-        want = ", ".join(" or ".join(map(str, n)) if isinstance(n, tuple) else str(n) for n in shape)
-        raise GffeError(f"frame: {name} must have shape ({want}), got {array.shape}")
-    if not np.issubdtype(array.dtype, np.floating):
-        raise GffeError(f"frame: {name} must be floating point, got {array.dtype}")
-    return array

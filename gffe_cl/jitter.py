@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
+from gffe_cl.values import require_kind, require_whole
 
 _BASES = (2, 3)
 _MOST = 1024
@@ -21,14 +22,19 @@ _MOST = 1024
 
 @dataclass(frozen=True)
 class Jitter:
-    """Halton's sequence of bases 2 and 3, its first `length` points over and over; 1: the middle of the pixel."""
+    """Halton's sequence of bases 2 and 3, its first `length` points over and over; 1: the middle of the pixel.
+
+    Raises GffeError unless `length` is a whole number from 1 to 1024."""
 
     length: int = 1
+
+    def __post_init__(self):
+        object.__setattr__(self, "length", require_whole(self.length, "jitter: length", 1, _MOST))
 
     @classmethod
     def parse(cls, text: str) -> Jitter:
         """ "halton:16" or "off". GffeError for others."""
-        if text == "off":
+        if require_kind(text, str, "jitter", "a text") == "off":
             return cls()
         kind, _, length = text.partition(":")
         if kind != "halton" or not (length.isascii() and length.isdigit()) or not 2 <= int(length) <= _MOST:
@@ -36,13 +42,16 @@ class Jitter:
         return cls(int(length))
 
     def offset(self, number: int) -> tuple[float, float]:
-        """Of frame `number`: pixels from the middle of each pixel to where it is sampled, −½ to ½."""
+        """Of frame `number`: pixels from the middle of each pixel to where it is sampled, −½ to ½. Raises GffeError
+        unless that is a whole number."""
+        number = require_whole(number, "jitter: number")
         if self.length == 1:
             return 0.0, 0.0
         return tuple(_radical_inverse(number % self.length + 1, base) - 0.5 for base in _BASES)
 
     def camera(self, camera: Camera, number: int) -> Camera:
         """What frame `number` is rendered through, where `camera` (render pixels) is what it would be without."""
+        require_kind(camera, Camera, "jitter: camera")
         x, y = self.offset(number)
         return replace(camera, cx=camera.cx - x, cy=camera.cy - y) if x or y else camera
 

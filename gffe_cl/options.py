@@ -4,6 +4,7 @@ documentation come from `OPTIONS`."""
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from gffe_cl.errors import GffeError
 from gffe_cl.stages.background import MAX_LEVELS
 from gffe_cl.stages.holes import FILLINGS
 from gffe_cl.stages.prediction import MAX_ORDER
+from gffe_cl.values import is_number, require_choice, scalar, shown
 
 
 @dataclass(frozen=True)
@@ -76,15 +78,17 @@ class Option:
         """`value` as the field holds it. GffeError if it makes no sense."""
         if value is None and self.automatic is not None:
             return None
-        number = self.kind in (int, float)
-        allowed = {bool: (bool,), int: (int,), float: (int, float), str: (str,)}[self.kind]
-        right = isinstance(value, allowed) and not (number and isinstance(value, bool))
-        if right and number:
-            right = self.low <= value <= self.high and math.isfinite(value)
-        if right and self.choices:
-            right = value in self.choices
-        if not right:
-            raise GffeError(f"options: {self.label} must be {self.expected}, got {value!r}")
+        given = value
+        value = os.fspath(value) if isinstance(value, os.PathLike) else scalar(value)
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        right = {
+            bool: isinstance(value, bool),
+            int: whole and self.low <= value <= self.high,
+            float: is_number(value) and self.low <= value <= self.high,
+            str: isinstance(value, str) and (not self.choices or value in self.choices),
+        }
+        if not right[self.kind]:
+            raise GffeError(f"options: {self.label} must be {self.expected}, got {shown(given)}")
         return self.kind(value)
 
     @property
@@ -218,11 +222,13 @@ class Options:
             raise GffeError(f"options: order must be 1 to history − 1 = {self.history - 1}, got {self.order}")
 
     def changed(self, name: str, value: Any) -> Options:
-        """With another value of one field; history and order give way to each other."""
-        values = {name: value}
-        if name == "history" and isinstance(value, int):
+        """With another value of one field; history and order give way to each other. GffeError for an unknown one, or
+        a value that makes no sense."""
+        require_choice(name, OPTIONS, "options: name")
+        values = {name: (value := OPTIONS[name].checked(value))}
+        if name == "history":
             values["order"] = max(1, min(self.order, value - 1))
-        if name == "order" and isinstance(value, int):
+        if name == "order":
             values["history"] = max(self.history, value + 1)
         return replace(self, **values)
 

@@ -4,28 +4,30 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.buffers import EXTRAPOLATED, RGBA, BufferSpec, DeviceFrame, Owner, Sizes, as_buffer
-from gffe_cl.camera import Camera
+from gffe_cl.buffers import RENDERED, BufferSpec, DeviceFrame, Owner, Sizes, given_buffer
+from gffe_cl.camera import MOST_ALPHA, Camera
 from gffe_cl.camera_path import POSES, predict_camera_at
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import (
-    BYTES_PER_PIXEL,
     BadPixels,
     PackedFrame,
     RenderedFrame,
+    checked_frame,
     display_camera_of,
     is_shown_whole,
     pack_frame,
+    require_motion,
     require_one_pose,
 )
 from gffe_cl.jitter import without_jitter
+from gffe_cl.made_frame import ExtrapolatedFrame, PresentedFrame
 from gffe_cl.opencl.device import Device
-from gffe_cl.opencl.faults import device_faults, telling_device_faults
+from gffe_cl.opencl.faults import telling_device_faults
 from gffe_cl.options import Options
 from gffe_cl.room import footprint, require_room
 from gffe_cl.stage import Board, Output, Stage, Step
@@ -47,57 +49,18 @@ from gffe_cl.stages.surfaces import Surfaces
 from gffe_cl.stages.trend import Trend
 from gffe_cl.stages.upscaling import Upscaling
 from gffe_cl.stages.warp import Warp
-from gffe_cl.values import require_exposure
-
-
-@dataclass(frozen=True)
-class MadeFrame:
-    """What the pipeline made, on the device: buffers that hold it until the next one is made.
-
-    `camera` in display pixels, `time` in seconds; `color` (half ×4, linear RGB), `depth` (float, world units, +inf sky)
-    and `motion` (float ×2, pixels).
-    """
-
-    camera: Camera
-    time: float
-    color: cl.Buffer
-    depth: cl.Buffer
-    motion: cl.Buffer
-    _device: Device
-    _size: tuple[int, int]
-
-    def numpy(self, name: str) -> np.ndarray:
-        """Copy to the host by the attribute's name: colours (H, W, 3) float16, "depth" (H, W) float32, "motion"
-        (H, W, 2) float32, all others (H, W) uint8. Raises GffeError where the device fails."""
-        spec = next(s for s in EXTRAPOLATED if s.name == _LIKE.get(name, name))
-        out = np.empty(spec.shape(Sizes(self._size, self._size)), spec.dtype)
-        with device_faults(self._device, f'reading "{name}"', lambda: f"{self._size[0]}×{self._size[1]}"):
-            cl.enqueue_copy(self._device.queue, out, getattr(self, name))
-        return out[..., :3] if spec.components == RGBA else out
-
-
-class PresentedFrame(MadeFrame):
-    """What is shown of the rendered frame at t: its display part, in display pixels; `motion` t → t−1 between the
-    displayed images. The buffers are the rendered frame's own where all of it is shown."""
-
-
-@dataclass(frozen=True)
-class ExtrapolatedFrame(MadeFrame):
-    """An extrapolated frame at t + α.
-
-    `motion` is t + α → t, into the rendered image of t; `dynamic`, `disoccluded`, `filled_by` (uchar). `gae` is the
-    colour before shading correction and overlays, the same buffer as `color` where these are off.
-    """
-
-    alpha: float
-    source_time: float
-    dynamic: cl.Buffer
-    disoccluded: cl.Buffer
-    filled_by: cl.Buffer
-    gae: cl.Buffer
-
-
-_LIKE = {"gae": "color"}  # what is described like another buffer
+from gffe_cl.values import (
+    as_float32,
+    require_array,
+    require_bool,
+    require_exposure,
+    require_frame_rate,
+    require_kind,
+    require_list,
+    require_number,
+    require_size,
+    shown,
+)
 
 # In the order in which they work, on rendered frames and on new ones.
 STAGES: tuple[type[Stage], ...] = (
@@ -153,8 +116,11 @@ class Pipeline:
         Whether the last submitted frame was found to be a cut, of which nobody told: it was treated as a reset.
 
     Nothing is allocated on the device or compiled after construction, but for the first uploads of host arrays and
-    with the first frame that is rendered through a window or brings overlays.
-    Device buffers must have been written on `device.queue`, or be finished, before they are submitted.
+    with the first frame that is rendered through a window, brings overlays, or lacks motion beside device buffers.
+    Device buffers must have been written on `device.queue`, or be finished, before they are submitted. Do not submit a
+    released buffer: nothing tells that it is one, and drivers crash on it.
+
+    Raises GffeError for arguments that are not what is expected here, and for images that find no room on the device.
     """
 
     def __init__(
@@ -168,12 +134,14 @@ class Pipeline:
         fps: float = 30.0,
         int64_atomics: bool | None = None,
     ):
-        if width < 1 or height < 1:
-            raise GffeError(f"pipeline: size must be positive, got {width}×{height}")
-        self.device = device
-        self.options = options or Options()
-        self.sizes = Sizes(source=tuple(render_size or (width, height)), target=(width, height))
-        self.fps = fps
+        self.device = require_kind(device, Device, "pipeline: device", "an open Device (open_device())")
+        target = require_size((width, height), "pipeline: size", whole=True)
+        source = target if render_size is None else require_size(render_size, "pipeline: render_size", whole=True)
+        self.sizes = Sizes(source, target)
+        self.options = Options() if options is None else require_kind(options, Options, "pipeline: options", "Options")
+        self.fps = require_frame_rate(fps, "pipeline: fps")
+        if int64_atomics is not None:
+            int64_atomics = require_bool(int64_atomics, "pipeline: int64_atomics")
         self._exposure = 1.0
         self.bad_pixels = BadPixels()
         self.is_cut = False
@@ -187,6 +155,7 @@ class Pipeline:
         self._current: DeviceFrame | None = None
         self._previous: DeviceFrame | None = None
         self._shown: DeviceFrame | None = None  # the current one with all of its depth
+        self._no_motion: cl.Buffer | None = None  # zeros, made with the first device buffers without motion
         self._times: list[float] = []  # of rendered frames since the last reset, newest first
         self._path: list[Camera] = []  # what they show through
 
@@ -233,10 +202,14 @@ class Pipeline:
         `packed` may bring the result of `pack_frame`, done ahead on another thread. Returns at once, but with cut
         detection waits for the device: `is_cut` says what it found.
 
-        Raises GffeError for wrong shapes, missing motion, or a time that does not increase.
+        Raises GffeError for fields that are not what `RenderedFrame` says, wrong shapes, missing motion, or a time that
+        does not increase; the pipeline is then as it was before.
         """
-        if not np.isfinite(frame.time) or (self._times and not frame.reset and frame.time <= self._times[0]):
-            raise GffeError(f"frame: time {frame.time:g} s must be finite and after the previous rendered frame's")
+        frame = checked_frame(frame)
+        if self._times and not frame.reset and frame.time <= self._times[0]:
+            raise GffeError(
+                f"frame: time {frame.time:g} s must be after the previous rendered frame's ({self._times[0]:g} s)"
+            )
         overlays = frame.overlays if self.options.overlays else None
         if overlays and self.composition is None:
             self.composition = Composition(self.board)
@@ -301,19 +274,22 @@ class Pipeline:
     def _on_device(self, frame: RenderedFrame, packed: PackedFrame | None) -> DeviceFrame:
         display_camera = self._display_camera(frame)
         require_one_pose(frame.camera, display_camera)
-        given = [as_buffer(array) for array in (frame.color, frame.depth, frame.motion)]
+        arrays = dict(zip(("color", "depth", "motion"), (frame.color, frame.depth, frame.motion), strict=True))
+        given = {s.name: given_buffer(arrays[s.name], s, self.sizes, self.device) for s in RENDERED}
+        if given["color"] and given["depth"] and require_motion(frame) is None:
+            given["motion"] = self._zero_motion()
+        if all(given.values()):
+            return DeviceFrame(**given, camera=frame.camera, display_camera=display_camera, time=frame.time)
+        if any(given.values()):
+            other = next(name for name, buffer in given.items() if not buffer)
+            raise GffeError(
+                "frame: color, depth and motion must be all NumPy arrays or all device buffers,"
+                f" got {other} as {shown(arrays[other])}"
+            )
         width, height = self.sizes.source
-        if all(given):
-            for name, buffer, bytes_per_pixel in zip(("color", "depth", "motion"), given, BYTES_PER_PIXEL, strict=True):
-                if buffer.size < bytes_per_pixel * width * height:
-                    raise GffeError(
-                        f"frame: {name} buffer must hold {bytes_per_pixel * width * height} bytes ({width}×{height}),"
-                        f" got {buffer.size}"
-                    )
-            return DeviceFrame(*given, frame.camera, display_camera, frame.time)
-        if any(given):
-            raise GffeError("frame: color, depth and motion must be all NumPy arrays or all device buffers")
-        packed = packed or pack_frame(frame, height, width)
+        if packed is None:
+            packed = pack_frame(frame, height, width)
+        require_kind(packed, PackedFrame, "submit: packed", "the result of pack_frame").require_size(width, height)
         self.bad_pixels += packed.bad
         if len(self._slots) < 2:
             cameras = (frame.camera, display_camera, frame.time)
@@ -324,6 +300,12 @@ class Pipeline:
         slot = self._slots[-1]
         slot.upload(self.device, packed)
         return DeviceFrame(*slot.buffers, frame.camera, display_camera, frame.time)
+
+    def _zero_motion(self) -> cl.Buffer:
+        if self._no_motion is None:
+            self._no_motion = self.device.buffer(RENDERED[2].nbytes(self.sizes))
+            cl.enqueue_fill_buffer(self.device.queue, self._no_motion, np.uint8(0), 0, self._no_motion.size)
+        return self._no_motion
 
     def _display_camera(self, frame: RenderedFrame) -> Camera:
         if self.options.upscale and frame.display_camera is None:
@@ -339,8 +321,9 @@ class Pipeline:
         return self._times[0] - self._times[1] if len(self._times) > 1 else 1.0 / self.fps
 
     def predict_camera(self, alpha: float) -> Camera:
-        """C̄ at t + α from the last display cameras (`predict_camera_at`); the last one itself after a reset."""
-        time = self._need_frame().time + alpha * self.interval
+        """C̄ at t + α from the last display cameras (`predict_camera_at`); the last one itself after a reset. Raises
+        GffeError before the first `submit`, or if `alpha` is not a finite number."""
+        time = self._need_frame().time + require_number(alpha, "predict_camera: alpha") * self.interval
         return predict_camera_at(time, self._path, self._times[: len(self._path)], self.options.camera_order)
 
     @telling_device_faults
@@ -361,19 +344,23 @@ class Pipeline:
         and motion (H, W, 2) float32 of the new frame as `ExtrapolatedFrame` has them, replaces these before upscaling
         reads them, likewise.
 
-        Raises GffeError before the first `submit`, or for a time before the last rendered frame.
+        Raises GffeError before the first `submit`, for a time before the last rendered frame's or over a million
+        intervals after it, and for arguments of other types or shapes.
         """
         source = self._need_frame()
-        time = source.time + self.interval / 2 if time is None else float(time)
+        time = source.time + self.interval / 2 if time is None else require_number(time, "extrapolate: time")
         alpha = (time - source.time) / self.interval
-        if not (np.isfinite(alpha) and alpha >= 0):
+        if alpha < 0:
             raise GffeError(f"extrapolate: time {time:g} s is before the last rendered frame's ({source.time:g} s)")
-        camera = camera or self.predict_camera(alpha)
-        if target_position is not None and np.shape(target_position) != (*reversed(self.sizes.source), 4):
+        if not alpha <= MOST_ALPHA:
             raise GffeError(
-                f"extrapolate: target_position must have shape {(*reversed(self.sizes.source), 4)},"
-                f" got {np.shape(target_position)}"
+                f"extrapolate: time {time:g} s is more than {MOST_ALPHA:g} intervals after {source.time:g} s"
             )
+        camera = self.predict_camera(alpha) if camera is None else camera
+        require_kind(camera, Camera, "extrapolate: camera", "a Camera or None")
+        if target_position is not None:
+            shape = (*reversed(self.sizes.source), 4)
+            target_position = as_float32(require_array(target_position, "extrapolate: target_position", *shape))
         geometry = self._geometry(seen_through)
         step = Step(source, self._previous, self._times, camera, time, alpha, self.exposure)
         for stage in self.stages.values():
@@ -410,15 +397,18 @@ class Pipeline:
         """Depth and motion that replace the new frame's. GffeError for other shapes than theirs."""
         if given is None:
             return {}
-        size = tuple(reversed(self.sizes.target))
-        shapes = [np.shape(values) for values in given]
-        if shapes != [size, (*size, 2)]:
-            raise GffeError(f"extrapolate: seen_through must have shapes {size} and {(*size, 2)}, got {shapes}")
-        return {name: np.ascontiguousarray(v, np.float32) for name, v in zip(("depth", "motion"), given, strict=True)}
+        if not isinstance(given, tuple | list) or len(given) != 2:
+            raise GffeError(f"extrapolate: seen_through must be (depth, motion), got {shown(given)}")
+        size, what = tuple(reversed(self.sizes.target)), "extrapolate: seen_through, "
+        depth, motion = (
+            require_array(given[0], f"{what}depth", *size),
+            require_array(given[1], f"{what}motion", *size, 2),
+        )
+        return {"depth": as_float32(depth), "motion": as_float32(motion)}
 
     def _need_frame(self) -> DeviceFrame:
         if self._current is None:
-            raise GffeError("extrapolate: submit a rendered frame first")
+            raise GffeError("pipeline: submit a rendered frame first")
         return self._current
 
     # ---- looking inside --------------------------------------------------------------------------------
@@ -453,8 +443,8 @@ class Pipeline:
     def keep(self, names: Iterable[str] | None = None) -> None:
         """From the next frame on keep the outputs `names`, such as "warp.color" (None: all), and no others; and make
         what only lookers want ("correction.refined", "shading.…") only if it is among them. Names of other buffers are
-        ignored."""
-        wanted = None if names is None else set(names)
+        ignored. Raises GffeError for what is no collection of texts."""
+        wanted = None if names is None else set(require_list(names, str, "keep: names", "a list of texts"))
         for stage in self.stages.values():
             stage.look_at(wanted)
         found: dict[str, list[BufferSpec]] = {}

@@ -15,9 +15,10 @@ from gffe_cl.buffers import BufferSpec
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import BadPixels
+from gffe_cl.made_frame import ExtrapolatedFrame, PresentedFrame
 from gffe_cl.opencl.device import Device
 from gffe_cl.options import Options
-from gffe_cl.pipeline import ExtrapolatedFrame, Pipeline, PresentedFrame
+from gffe_cl.pipeline import Pipeline
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
 from gffe_cl.sequence.exr import DEFAULT_COMPRESSION, codec_seconds, write_channels
 from gffe_cl.source import Source

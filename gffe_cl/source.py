@@ -199,7 +199,10 @@ class Live:
         size = self.width, self.height
         made = SceneFrames(self._renderer, WindowChooser(self._window, size, alphas), size, self._jitter)
         for k, frame in enumerate(made.sequence(self.count, self.fps)):
-            yield rendered_entry(k, frame, size), frame, pack_frame(frame, *reversed(self.render_size))
+            entry, packed = rendered_entry(k, frame, size), pack_frame(frame, *reversed(self.render_size))
+            if strict:
+                require_clean(entry.file, packed.bad)
+            yield entry, frame, packed
 
     def store(self, writer, entry, frame):
         writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))

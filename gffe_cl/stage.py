@@ -46,8 +46,9 @@ class Kernel:
 
     `grid` has its work-items, one per `step` pixels each way (a number, or the name of a constant of the kernel file);
     `group` of them, in a row, make a work-group (None: as suits the device).
-    `reads` and `writes` go by the names of its arguments; what is read and written is in both. "" stands for a buffer
-    that each launch gives.
+    `reads` and `writes` go by the names of its arguments; what is read and written is in both. A launch may give
+    another buffer than the declared one if it lies alike. `choices`: what names in {…} stand for where that is not a
+    level, launch by launch.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Kernel:
     writes: Mapping[str, Access | str] = field(default_factory=dict)
     step: tuple[int | str, int | str] = (1, 1)
     group: int | str | None = None
+    choices: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def accesses(self) -> Iterator[tuple[str, str, Access]]:
         """("reads" or "writes", argument, access) of each."""
@@ -91,7 +93,7 @@ class Step:
     frame : DeviceFrame
         The rendered frame.
     previous : DeviceFrame or None
-        The rendered frame before; None after a reset, and where motion estimation is off.
+        The rendered frame before; None after a reset.
     times : list of float
         Of the rendered frames since the last reset, newest first, seconds.
     camera, time, alpha, exposure

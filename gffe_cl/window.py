@@ -25,9 +25,19 @@ import numpy as np
 from gffe_cl import vectors
 from gffe_cl.camera import Camera, predict_camera
 from gffe_cl.errors import GffeError
+from gffe_cl.values import (
+    require_array,
+    require_kind,
+    require_list,
+    require_positive,
+    require_size,
+    require_vector,
+    require_within,
+)
 
 MAX_ENLARGEMENT = 1.5
 _MOST_FIXED = 16
+_MOST = 1e6
 NEAR_QUANTILE = 0.05  # of depth: nearer content may leave holes
 NEAR_SAMPLES = 8192  # pixels are enough for it
 MARGIN = 1.0  # display pixels beyond a predicted edge: taps of resampling, and the error of the prediction
@@ -55,11 +65,17 @@ class Window(NamedTuple):
         """The off-centre pinhole to render through, in pixels of the rendered image.
 
         `display` is the camera of what is shown, in pixels of an image of `size` (width, height); `render_size` is
-        the rendered image's, the same if None.
+        the rendered image's, the same if None. Raises GffeError if one of them, or the window, is empty.
         """
-        render_size = render_size or size
-        scale_x, scale_y = (r / (s * e) for r, s, e in zip(render_size, size, self.enlargement, strict=True))
-        left, top = (self.u0 + 1) / 2 * size[0], (self.v0 + 1) / 2 * size[1]
+        require_kind(display, Camera, "window: display")
+        u0, v0, u1, v1 = require_vector(self[:4], "window: u0, v0, u1, v1", 4).tolist()
+        if not (u0 < u1 and v0 < v1):
+            raise GffeError(f"window: expected u0 < u1 and v0 < v1, got {u0:g}, {v0:g}, {u1:g}, {v1:g}")
+        size = require_size(size)
+        render_size = size if render_size is None else require_size(render_size)
+        enlargement = Window(u0, v0, u1, v1).enlargement
+        scale_x, scale_y = (r / (s * e) for r, s, e in zip(render_size, size, enlargement, strict=True))
+        left, top = (u0 + 1) / 2 * size[0], (v0 + 1) / 2 * size[1]
         return replace(
             display,
             fx=display.fx * scale_x,
@@ -73,9 +89,8 @@ FULL = Window(-1.0, -1.0, 1.0, 1.0)
 
 
 def fixed_window(factor: float) -> Window:
-    """The display enlarged by `factor` ≥ 1 about its middle."""
-    if not 1 <= factor <= _MOST_FIXED:
-        raise GffeError(f"window: a fixed window must be 1 to {_MOST_FIXED} times the display, got {factor:g}")
+    """The display enlarged by `factor` about its middle. Raises GffeError unless that is a number from 1 to 16."""
+    factor = require_within(factor, "window: factor of a fixed window", 1, _MOST_FIXED)
     return Window(-factor, -factor, factor, factor)
 
 
@@ -119,18 +134,16 @@ def adaptive_window(
     Give cameras without jitter, and add it to the camera to render through: then what is shown has none. Raises
     GffeError for a maximum below 1, a distance that is not positive, an empty display, a negative margin or least.
     """
-    if not 1 <= max_enlargement < math.inf:
-        raise GffeError(f"window: the maximum enlargement must be at least 1, got {max_enlargement:g}")
-    if not distance > 0:
-        raise GffeError(f"window: the distance of the virtual plane must be positive, got {distance:g}")
-    size = size or (2 * current.cx, 2 * current.cy)
-    if not (0 <= margin < math.inf and 0 <= least < 1):
-        raise GffeError(f"window: margin and least must not be negative, got {margin:g} and {least:g}")
-    if not all(0 < n < math.inf for n in size):
-        raise GffeError(f"window: the size of the display must be positive, got {size[0]:g}×{size[1]:g}")
-    size = np.asarray(size, np.float64)
+    require_kind(current, Camera, "window: current")
+    predicted = [predicted] if isinstance(predicted, Camera) else predicted
+    predicted = require_list(predicted, Camera, "window: predicted", "a Camera, or several")
+    max_enlargement = require_within(max_enlargement, "window: max_enlargement", 1, _MOST)
+    distance = require_positive(distance, "window: distance", infinite=True)
+    margin = require_within(margin, "window: margin", 0, _MOST)
+    least = require_within(least, "window: least", 0, 1)
+    size = np.array(require_size((2 * current.cx, 2 * current.cy) if size is None else size))
     low, high, clamped = -np.ones(2), np.ones(2), False
-    for camera in [predicted] if isinstance(predicted, Camera) else predicted:
+    for camera in predicted:
         points, clipped = _edges_on_plane(current, camera, size, distance)
         uv = 2 * points / size - 1
         low, high = np.minimum(low, uv.min(0)), np.maximum(high, uv.max(0))
@@ -144,8 +157,9 @@ def adaptive_window(
 
 
 def nearest_depth(depth: np.ndarray) -> float:
-    """A `distance` for `adaptive_window`: the lower 5% quantile of depth (H, W), world units; infinite without any."""
-    depth = np.asarray(depth)
+    """A `distance` for `adaptive_window`: the lower 5% quantile of depth (H, W), world units; infinite without any.
+    Raises GffeError for another shape."""
+    depth = require_array(depth, "window: depth", None, None)
     stride = max(1, math.isqrt(depth.size // NEAR_SAMPLES))
     some = depth[::stride, ::stride]
     some = some[np.isfinite(some) & (some > 0)]

@@ -1,6 +1,9 @@
 """Cameras, depth and motion of graphics APIs and engines: points go through the API's own matrices to the screen, and
 must be where our camera sees them."""
 
+import json
+import re
+
 import numpy as np
 import pytest
 
@@ -205,19 +208,47 @@ def test_what_is_refused():
         "layout must be": (view, projection, SIZE, "rows"),
         "no perspective": (view, orthographic, SIZE),
         "sheared": (view, sheared, SIZE),
-        "4×4": (view[:3], projection, SIZE),
+        "(4, 4)": (view[:3], projection, SIZE),
         "finite": (view * np.nan, projection, SIZE),
         "size": (view, projection, (0, 3)),
         "not rigid": (view @ np.diag([1, 1, 3, 1]), projection, SIZE),
         "both layouts": (np.eye(4), frustum(1, -1, 1, -1, 1, (1.0, -1.0)), SIZE),
     }
     for words, given in bad.items():
-        with pytest.raises(GffeError, match=words):
+        with pytest.raises(GffeError, match=re.escape(words)):
             Camera.from_opengl(*given)
     with pytest.raises(GffeError, match="direction"):
         motion_from_ndc(np.zeros((1, 1, 2)), SIZE, "next")
     with pytest.raises(GffeError, match="shape"):
         motion_from_uv(np.zeros((1, 1, 3)), SIZE)
+
+
+@pytest.mark.parametrize("layout", ["auto", "row-major", "column-major"])
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_a_z_up_view_is_refused_with_what_converts_it(axis, layout):
+    camera = Camera.look_at((1, 2, 3), (0, 1, 0), (0, 1, 0), fx=300, fy=310, cx=170, cy=80)
+    forward, side = ([0, 0, -1, 0], [1, 0, 0, 0]) if axis == "y" else ([0, 0, -1, 0], [-1, 0, 0, 0])
+    rows = [side, forward] if axis == "y" else [forward, side]
+    turned = np.array([*rows, [0, 1, 0, 0], [0, 0, 0, 1]], float)
+    view = turned @ camera.view_matrix("opengl")
+    projection = camera.projection_matrix("opengl", *SIZE, near=0.1) @ turned.T
+    given = (view.T, projection.T) if layout == "column-major" else (view, projection)
+    with pytest.raises(GffeError, match=f"looks along {axis} with z vertical") as refused:
+        Camera.from_opengl(*given, SIZE, layout)
+    convert = np.array(json.loads(re.search(r"T = (.*\]\]):", str(refused.value))[1]))
+    made = Camera.from_opengl(convert @ view, projection @ convert.T, SIZE)
+    np.testing.assert_allclose(made.intrinsics, camera.intrinsics)
+    np.testing.assert_allclose(made.world_to_view, camera.world_to_view, atol=1e-12)
+
+
+@pytest.mark.parametrize("layout", ["auto", "row-major", "column-major"])
+def test_a_projection_alone_is_judged_alone(layout):
+    """No message speaks of a view."""
+    symmetric = frustum(1, -1, 1, -1, 1, (1.0, -1.0))
+    for projection in (np.eye(4), np.zeros((4, 4)), *([symmetric] if layout == "auto" else [])):
+        with pytest.raises(GffeError, match="projection") as refused:
+            depth_from_device([0.5], projection, layout=layout)
+        assert "view" not in str(refused.value)
 
 
 def test_a_scaled_view_keeps_its_place():

@@ -120,5 +120,5 @@ def test_new_frames_are_seen_through_what_is_given(device):
     inner = (slice(4, -4), slice(4, -4))
     off = np.abs(np.roll(shown[0], -1, 1) - shown[1])[inner]  # half a rendered pixel is one that is shown
     assert off[pipeline.board.frame.read("disoccluded")[inner] == 0].max() < 2e-3 < np.abs(shown[0] - shown[1]).max()
-    with pytest.raises(GffeError, match="seen_through must have shapes"):
+    with pytest.raises(GffeError, match="seen_through, motion must have shape"):
         pipeline.extrapolate(*at, seen_through=(flat, flat))

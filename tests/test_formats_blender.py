@@ -168,7 +168,7 @@ def frame_1(**changes):
         (frame_1(time=None), "time must be a finite number"),
         (frame_1(time=0.4), "times must increase"),
         (frame_1(fx=0), "fx must be greater than 0"),
-        (frame_1(world_to_camera=[[1, 0], [0, 1]]), "4×4"),
+        (frame_1(world_to_camera=[[1, 0], [0, 1]]), r"shape \(4, 4\)"),
         (frame_1(world_to_camera=np.diag([1.0, 1, 0, 1]).tolist()), "not rigid"),
         (frame_1(world_to_camera=None), "no world_to_camera"),
         (lambda d: d["frames"][1].update(kind="rendered"), "frame_0001.exr: no channel Depth.Z"),

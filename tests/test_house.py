@@ -12,12 +12,13 @@ from gffe_cl.options import OPTIONS
 # Lowest first. A room is a module or a package; rooms on one floor know nothing of each other.
 FLOORS = (
     ("errors",),
-    ("files", "memory", "values", "conventions", "vectors"),
+    ("values",),
+    ("files", "memory", "conventions", "vectors"),
     ("opencl", "camera", "metrics"),
     ("providers",),
     ("inference", "frame", "window", "jitter", "camera_path", "packing", "cluster"),
     ("buffers",),
-    ("stage", "sequence", "scenes", "room"),
+    ("stage", "sequence", "scenes", "room", "made_frame"),
     ("stages", "formats"),
     ("options",),
     ("pipeline", "source"),

@@ -179,7 +179,7 @@ def test_wrong_overlays_are_refused_in_one_line(device):
         (Overlays(fixed_mask=np.ones((H, W + 1))), r"fixed_mask must have shape \(64, 96\), got \(64, 97\)"),
         (Overlays(ui=np.ones((H, W, 3))), r"ui must have shape \(64, 96, 4\), got \(64, 96, 3\)"),
         (Overlays(effects_motion=np.ones((H, W, 2))), "effects_motion without effects"),
-        (Overlays(ui=device.buffer(100)), "ui buffer must hold 49152 bytes, got 100"),
+        (Overlays(ui=device.buffer(100)), r"ui buffer must hold 49152 bytes \(96×64\), got 100"),
     ):
         with pytest.raises(GffeError, match=message):
             pipeline.submit(replace(frame, overlays=overlays))

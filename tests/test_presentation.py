@@ -8,7 +8,7 @@ import twins
 from synthetic import Rect, Rects, camera, psnr
 from test_twins import assert_close
 
-from gffe_cl import Camera, GffeError, Options, Pipeline, RenderedFrame, fixed_window, present
+from gffe_cl import Camera, GffeError, Options, Overlays, Pipeline, RenderedFrame, fixed_window, present
 from gffe_cl.buffers import DeviceFrame, Sizes
 from gffe_cl.frame import require_one_pose
 from gffe_cl.stage import Board
@@ -242,11 +242,12 @@ def test_what_present_refuses(device):
         replace(frame, color=frame.color[:5]),
         replace(frame, depth=frame.depth[..., None]),
         replace(frame, color=None),
+        replace(frame, overlays=Overlays(effects=np.zeros((H, W, 3)))),
     ):
         with pytest.raises(GffeError):
             present(wrong, device=device)
     for size in ((0, 0), (-4, 5), (3.5, 2), (1, 2, 3)):
-        with pytest.raises(GffeError, match="whole numbers"):
+        with pytest.raises(GffeError, match="in whole pixels"):
             present(frame, size=size, device=device)
 
 

@@ -9,6 +9,7 @@ from gffe_cl.errors import GffeError
 from gffe_cl.opencl.device import list_devices, open_info
 from gffe_cl.scenes import SCENES, SITUATIONS, SceneFrames, SceneRenderer, load_scene
 from gffe_cl.scenes.flatten import build_tree
+from gffe_cl.source import Live
 from gffe_cl.window import WindowChooser
 
 NAMES = list(SCENES)
@@ -261,3 +262,18 @@ def test_help_names_every_scene():
 
     text = CliRunner().invoke(app, ["render", "--help"]).output
     assert all(name in text for name in (*NAMES, *SITUATIONS))
+
+
+def test_strict_counts_bad_pixels_of_built_in_scenes(device, monkeypatch):
+    live = Live(load_scene("corridor"), device, 16, 12, 2, 30.0)
+    render = SceneFrames.rendered
+
+    def spoilt(*given):
+        frame = render(*given)
+        frame.depth[3, 5] = np.nan
+        return frame
+
+    monkeypatch.setattr(SceneFrames, "rendered", spoilt)
+    assert [packed.bad.depth for *_, packed in live.frames([0.5], strict=False)] == [1, 1]
+    with pytest.raises(GffeError, match=r"frame_000000.exr: 1 × invalid depth .* \(strict\)"):
+        next(live.frames([0.5], strict=True))

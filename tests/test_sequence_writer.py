@@ -168,7 +168,9 @@ def test_wrong_shape_and_no_frames(tmp_path):
         SequenceWriter(tmp_path / "out", W, H, 30) as writer,
     ):
         writer.add(rendered(0), named_channels(*pixels()))
-        writer.add(FrameEntry("frame_0.exr", 9.0, "extrapolated"), {})
+        writer.add(FrameEntry("frame_0.exr", 9.0, "extrapolated"), named_channels(*pixels()))
+    with pytest.raises(GffeError, match="no channels"), SequenceWriter(tmp_path / "out", W, H, 30) as writer:
+        writer.add(rendered(0), {})
     assert names(tmp_path) == []
 
 
@@ -369,7 +371,7 @@ def test_compressions(tmp_path, compression):
 
 
 def test_unknown_compressions_are_refused(tmp_path, monkeypatch):
-    with pytest.raises(GffeError, match=r"compression must be one of none, rle, .*, got 'jpeg'"):
+    with pytest.raises(GffeError, match=r'compression must be one of none, rle, .*, got "jpeg"'):
         SequenceWriter(tmp_path, W, H, 30, compression="jpeg")
     monkeypatch.delattr(OpenEXR, "HTJ2K256_COMPRESSION", raising=False)
     with pytest.raises(GffeError, match="'htj2k256' needs a newer OpenEXR"):

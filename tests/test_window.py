@@ -231,15 +231,15 @@ def test_nearest_depth_skips_what_is_no_depth():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"max_enlargement": 0.9}, "at least 1"),
-        ({"max_enlargement": math.nan}, "at least 1"),
-        ({"distance": 0.0}, "must be positive"),
-        ({"distance": math.nan}, "must be positive"),
-        ({"size": (0, 10)}, "must be positive"),
-        ({"size": (5, math.nan)}, "must be positive"),
-        ({"margin": math.nan}, "must not be negative"),
-        ({"margin": -100.0}, "must not be negative"),
-        ({"least": -1.0}, "must not be negative"),
+        ({"max_enlargement": 0.9}, "max_enlargement must be"),
+        ({"max_enlargement": math.nan}, "max_enlargement must be"),
+        ({"distance": 0.0}, "distance must be"),
+        ({"distance": math.nan}, "distance must be"),
+        ({"size": (0, 10)}, "size must be"),
+        ({"size": (5, math.nan)}, "size must be"),
+        ({"margin": math.nan}, "margin must be"),
+        ({"margin": -100.0}, "margin must be"),
+        ({"least": -1.0}, "least must be"),
     ],
 )
 def test_refused(arguments, message):

@@ -106,14 +106,11 @@ def bytes_per_pixel(pipeline: Pipeline, launches: Launches, shares: dict[str, fl
     for stage, launched in launches.items():
         by_kernel = moved.setdefault(stage, {})
         for kernel, given in launched:
-            for _, argument, access in kernel.accesses():
+            for _, _, access in kernel.accesses():
                 share = shares[access.share] if isinstance(access.share, str) else access.share
-                if access.buffer:
-                    spec = pipeline.board.spec(access.buffer.format(**given))
-                    planes = spec.planes if access.planes is None else access.planes
-                    nbytes = spec.bytes_per_pixel * planes * math.prod(spec.size(pipeline.sizes)) * share
-                else:  # each launch gives one
-                    nbytes = given[argument].size * share
+                spec = pipeline.board.spec(access.buffer.format(**given))
+                planes = spec.planes if access.planes is None else access.planes
+                nbytes = spec.bytes_per_pixel * planes * math.prod(spec.size(pipeline.sizes)) * share
                 by_kernel[kernel.name] = by_kernel.get(kernel.name, 0.0) + nbytes / pixels
     return moved
 

@@ -10,7 +10,8 @@ from gffe_cl.errors import GffeError
 from gffe_cl.formats import blender, datasets, folder, unreal
 from gffe_cl.sequence.description import FILE_NAME
 from gffe_cl.sequence.folder import why_unfinished
-from gffe_cl.sequence.reader import Sequence, open_sequence
+from gffe_cl.sequence.reader import CAMERAS, Sequence, open_sequence
+from gffe_cl.values import require_choice, require_path
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,8 @@ def open_capture(path, *, cameras: str = "needed") -> Sequence:
     are: a `Sequence` as `open_sequence` gives it. With `cameras` "optional" those of our own form and of `gffe-folder`
     may lack cameras, as there. Raises GffeError, also for a folder of no known form.
     """
-    path = Path(path)
+    path = require_path(path, "open_capture: path")
+    require_choice(cameras, CAMERAS, "open_capture: cameras")
     place = path.parent if path.name in _JSON_FILES and not path.is_dir() else path
     try:
         if not place.is_dir():

@@ -16,6 +16,7 @@ from gffe_cl.errors import GffeError, how_to_install
 from gffe_cl.opencl import known_devices
 from gffe_cl.opencl.probing import DeviceInfo, probe, quiet_builds, try_int64_atomics
 from gffe_cl.opencl.runtimes import hide_vendors
+from gffe_cl.values import require_bool, require_kind, require_whole
 
 __all__ = [
     "HOW_TO_GET_ONE",
@@ -78,11 +79,15 @@ class Device:
         Bytes of the buffers made by `buffer` so far.
     opened : Opened
         What it has in common with others; a context of its own if it is made without.
+
+    Made by `open_device`.
     """
 
     def __init__(self, cl_device: cl.Device, info: DeviceInfo, opened: Opened | None = None):
-        self.info = info
-        self.cl_device = cl_device
+        self.info = require_kind(info, DeviceInfo, "device: info")
+        self.cl_device = require_kind(cl_device, cl.Device, "device: cl_device", "a pyopencl.Device (see open_device)")
+        if opened is not None:
+            require_kind(opened, Opened, "device: opened")
         self.opened = opened or Opened(cl.Context([cl_device]))
         self.context = self.opened.context
         self.allocated = 0
@@ -115,8 +120,10 @@ class Device:
         return int(self.cl_device.global_mem_size)
 
     def buffer(self, nbytes: int, mapped: bool = False) -> cl.Buffer:
-        """A new read-write device buffer of `nbytes` (at least 1); `mapped`: where the host can work in it."""
-        size = max(int(nbytes), 1)
+        """A new read-write device buffer of `nbytes` (at least 1); `mapped`: where the host can work in it. Raises
+        GffeError if that is no number of bytes, or the device cannot allocate them."""
+        size = max(require_whole(nbytes, "device: nbytes", 0, 2**63 - 1), 1)
+        mapped = require_bool(mapped, "device: mapped")
         try:
             flags = cl.mem_flags.READ_WRITE | (cl.mem_flags.ALLOC_HOST_PTR if mapped else 0)
             made = cl.Buffer(self.context, flags, size)
@@ -130,7 +137,7 @@ def list_devices(refresh: bool = False) -> list[DeviceInfo]:
     """Every OpenCL device, as probing found it: now with `refresh`, or where nothing is known yet of drivers like those
     that are installed. Never raises for a broken driver; such devices have `works == False`, and a driver that crashes
     or hangs while its devices are listed is one entry with the name of its `.icd` file."""
-    return _list_devices(refresh)[0]
+    return _list_devices(require_bool(refresh, "list_devices: refresh"))[0]
 
 
 def _list_devices(refresh: bool) -> tuple[list[DeviceInfo], bool]:
@@ -149,8 +156,10 @@ def _list_devices(refresh: bool) -> tuple[list[DeviceInfo], bool]:
 def open_device(wanted: str | None = None) -> Device:
     """Open the device that matches `wanted` (see `select`), or the default one.
 
-    Raises GffeError if no device works or none matches.
+    Raises GffeError if no device works or none matches, or `wanted` is no text.
     """
+    if wanted is not None:
+        require_kind(wanted, str, "open_device: wanted", 'a text such as "0:1", "gpu" or "intel"')
     wanted = wanted or os.environ.get("GFFE_DEVICE") or None
     infos, known = _list_devices(refresh=False)
     try:

@@ -9,19 +9,28 @@ import os
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.files import open_regular
-from gffe_cl.values import require_exposure, require_number, require_positive, shown
+from gffe_cl.values import (
+    MOST_SIDE,
+    require_bool,
+    require_choice,
+    require_exposure,
+    require_kind,
+    require_number,
+    require_positive,
+    require_size,
+    shown,
+)
 
 FILE_NAME = "sequence.json"
 FORMAT, VERSION = "gffe-sequence", 1
 KINDS = ("rendered", "ground_truth", "extrapolated")
 _CAMERA = ("world_to_view", "fx", "fy", "cx", "cy")
-_MAX_SIDE = 1 << 16
 _MAX_BYTES = 1 << 30
 _PLAIN_NAME = re.compile(r"[\w+=@-][\w+=@. -]*", re.ASCII)
 
@@ -119,6 +128,27 @@ def parse_description(text: str, name: str = FILE_NAME) -> Description:
             entry.reset = True
             break
     return description
+
+
+def checked_entry(entry: FrameEntry) -> FrameEntry:
+    """A copy of `entry` with numbers as Python has them; GffeError unless all of it is what it should be."""
+    require_kind(entry, FrameEntry, "entry")
+    check_file_name(entry.file, "entry")
+    label = f"{entry.file}: "
+    for name in ("render_camera", "display_camera"):
+        if (camera := getattr(entry, name)) is not None:
+            require_kind(camera, Camera, f"{label}{name}", "a Camera or None")
+    if entry.source is not None:
+        check_file_name(entry.source, f"{label}source")
+    size, alpha = entry.render_size, entry.alpha
+    return replace(
+        entry,
+        time=require_number(entry.time, f"{label}time"),
+        kind=require_choice(entry.kind, KINDS, f"{label}kind"),
+        reset=require_bool(entry.reset, f"{label}reset"),
+        render_size=None if size is None else require_size(size, f"{label}render_size", whole=True),
+        alpha=None if alpha is None else require_positive(alpha, f"{label}alpha"),
+    )
 
 
 def frame_label(index: int, file: str, name: str = FILE_NAME) -> str:
@@ -278,6 +308,6 @@ def _true_or_false(value, what) -> bool:
 
 
 def _whole(value, label, what) -> int:
-    if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= _MAX_SIDE:
+    if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MOST_SIDE:
         return value
-    raise GffeError(f"{label}: {what} must be whole pixels, 1 to {_MAX_SIDE}, got {shown(value)}")
+    raise GffeError(f"{label}: {what} must be whole pixels, 1 to {MOST_SIDE}, got {shown(value)}")

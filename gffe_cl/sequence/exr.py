@@ -16,6 +16,7 @@ import OpenEXR
 from gffe_cl.errors import GffeError
 from gffe_cl.sequence.exr_header import ExrHeader, read_header
 from gffe_cl.sequence.library_messages import library_messages
+from gffe_cl.values import require_choice
 
 _FLOAT_CHANNELS = ("Z", "motion.")  # always float32; any other channel keeps half if it is half
 _MOST_BYTES = 4 << 30
@@ -112,8 +113,7 @@ def stored_type(name: str, array, copy: bool = True) -> np.ndarray:
 
 def require_compression(name: str) -> str:
     """`name` if it is one of `COMPRESSIONS` that the installed library has, else GffeError."""
-    if name not in COMPRESSIONS:
-        raise GffeError(f"compression must be one of {', '.join(COMPRESSIONS)}, got '{name}'")
+    require_choice(name, COMPRESSIONS, "compression")
     if not hasattr(OpenEXR, _constant(name)):
         raise GffeError(f"compression '{name}' needs a newer OpenEXR than {OpenEXR.OPENEXR_VERSION} (expected another)")
     return name

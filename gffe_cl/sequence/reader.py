@@ -15,6 +15,7 @@ from gffe_cl.sequence import exr
 from gffe_cl.sequence.checks import time_warnings, zero_motion_warning
 from gffe_cl.sequence.description import (
     FILE_NAME,
+    KINDS,
     Description,
     FrameEntry,
     frame_label,
@@ -28,6 +29,12 @@ from gffe_cl.sequence.header_camera import has_camera, header_cameras
 from gffe_cl.sequence.matching import Timeline
 from gffe_cl.sequence.pixels import COLOR, MOTION, RENDERED, OwnPixels, Pixels, require_whole_overlays
 from gffe_cl.sequence.read_ahead import read_ahead
+from gffe_cl.values import require_choice, require_kind, require_list, require_number, require_path, require_whole
+
+_MOST_AHEAD = 1024
+
+
+CAMERAS = ("needed", "optional")  # of rendered frames
 
 
 class Sequence:
@@ -46,6 +53,9 @@ class Sequence:
         Times without a picture whose camera is known, of kind "camera_only".
     unfinished : bool
         Whether what wrote it was interrupted: the frames are those that were finished.
+
+    Methods raise GffeError for arguments of other types, for files that changed for the worse since opening, and
+    frames that another kind is expected of.
     """
 
     def __init__(self, path: Path, description: Description, pixels: Pixels):
@@ -79,27 +89,29 @@ class Sequence:
     def at(self, kind: str, time: float, source: str | None = None) -> FrameEntry | None:
         """The frame of `kind` whose time is `time` (seconds), to 1/50 of the interval of rendered frames there: what
         everything matches frames by. `source`: only frames that were extrapolated from this one."""
-        return self._timeline.at(kind, time, source)
+        if source is not None:
+            require_kind(source, str, "sequence: source", "a file name or None")
+        return self._timeline.at(*_moment(kind, time), source)
 
     def camera_at(self, time: float) -> Camera | None:
         """The display camera at `time` (seconds), matched as `at` does, if ground truth or a known camera tells it."""
-        return self._timeline.camera_at(time)
+        return self._timeline.camera_at(require_number(time, "sequence: time"))
 
     def nearest(self, kind: str, time: float) -> FrameEntry | None:
         """The frame of `kind` that is nearest in time, however far: for messages about what `at` does not find."""
-        return self._timeline.nearest(kind, time)
+        return self._timeline.nearest(*_moment(kind, time))
 
     def near_miss(self, kind: str, time: float) -> str | None:
         """A sentence if `at` finds nothing, but something is so near that it was probably meant: rounded times."""
-        return self._timeline.near_miss(kind, time)
+        return self._timeline.near_miss(*_moment(kind, time))
 
     def rendered_before(self, time: float) -> int | None:
         """Which of `rendered` is the last one before `time`; one that is `at` it is not before it."""
-        return self._timeline.rendered_before(time)
+        return self._timeline.rendered_before(require_number(time, "sequence: time"))
 
     def size_of(self, entry: FrameEntry) -> tuple[int, int]:
         """(width, height) of the images of `entry`, in pixels."""
-        return entry.render_size or (self.width, self.height)
+        return _entry(entry).render_size or (self.width, self.height)
 
     def warnings(self) -> list[str]:
         """Legal but suspicious: an unfinished sequence, frame times, what has been met in the frames read so far."""
@@ -125,7 +137,7 @@ class Sequence:
         """The rendered frame `entry`: color (H, W, 3) float16 or float32 as stored, depth (H, W) float32, motion
         (H, W, 2) float32 or None; and the overlays that it brings. Raises GffeError if the file changed for the worse
         since opening."""
-        if entry.kind != "rendered":
+        if _entry(entry).kind != "rendered":
             raise GffeError(f"{entry.file}: kind is {entry.kind} (expected a rendered frame)")
         size = self.size_of(entry)
         color, depth, motion, overlays = self._pixels.read(entry, size)
@@ -149,7 +161,8 @@ class Sequence:
 
     def read_channels(self, entry: FrameEntry, names: Iterable[str]) -> dict[str, np.ndarray]:
         """Channels of any frame by name, (H, W) each, in the type stored (float16, float32 or uint32)."""
-        return self._pixels.channels(entry, names, self.size_of(entry))
+        size = self.size_of(entry)
+        return self._pixels.channels(entry, require_list(names, str, "sequence: names", "a list of texts"), size)
 
     def read_color(self, entry: FrameEntry) -> np.ndarray:
         """Linear RGB of any frame: (H, W, 3), float16 or float32 as stored."""
@@ -157,7 +170,7 @@ class Sequence:
 
     def exr_file(self, entry: FrameEntry) -> Path | None:
         """The EXR file that holds the frame in our own form; None in captures of another one."""
-        return self._pixels.exr_file(entry)
+        return self._pixels.exr_file(_entry(entry))
 
     def prefetch(self, entries: Iterable[FrameEntry], read: Callable | None = None, ahead: int = 2) -> Iterator[tuple]:
         """Yield (entry, read(entry)) in order, reading the next `ahead` frames on threads.
@@ -165,7 +178,17 @@ class Sequence:
         `read` defaults to `self.read`. Errors are raised when their frame's turn comes; leaving the loop
         stops the threads.
         """
-        return read_ahead(entries, read or self.read, ahead)
+        entries = require_list(entries, FrameEntry, "sequence: entries", "a list of FrameEntry")
+        read = self.read if read is None else require_kind(read, Callable, "sequence: read", "a function or None")
+        return read_ahead(entries, read, require_whole(ahead, "sequence: ahead", 0, _MOST_AHEAD))
+
+
+def _entry(entry: FrameEntry) -> FrameEntry:
+    return require_kind(entry, FrameEntry, "sequence: entry")
+
+
+def _moment(kind: str, time: float) -> tuple[str, float]:
+    return require_choice(kind, (*KINDS, "camera_only"), "sequence: kind"), require_number(time, "sequence: time")
 
 
 @without_collections()
@@ -177,7 +200,10 @@ def open_sequence(path, *, cameras: str = "needed", mend: Callable[[str], str] |
     None then), which nothing but calibration can work on. `mend` makes of the JSON text what is taken for it. Raises
     GffeError.
     """
-    path = Path(path)
+    path = require_path(path, "open_sequence: path")
+    require_choice(cameras, CAMERAS, "open_sequence: cameras")
+    if mend is not None:
+        require_kind(mend, Callable, "open_sequence: mend", "a function or None")
     try:
         if not path.exists():
             raise GffeError(f"{path}: no such folder (expected a sequence: a folder with {FILE_NAME})")
@@ -189,7 +215,9 @@ def open_sequence(path, *, cameras: str = "needed", mend: Callable[[str], str] |
     if unfinished:
         raise GffeError(f"{folder}: {unfinished}")
     text = read_text(json_path)
-    description = parse_description(mend(text) if mend else text, json_path.name)
+    if mend is not None:
+        text = require_kind(mend(text), str, "open_sequence: what mend gives", "a text")
+    description = parse_description(text, json_path.name)
 
     # On one thread: the system calls are so short that threads only wait for each other.
     reader, passed = HeaderReader(), set()

@@ -16,14 +16,33 @@ import numpy as np
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import Overlays
 from gffe_cl.sequence import exr
-from gffe_cl.sequence.description import KINDS, Description, FrameEntry, describe, parse_description
+from gffe_cl.sequence.description import (
+    KINDS,
+    Description,
+    FrameEntry,
+    check_file_name,
+    checked_entry,
+    describe,
+    parse_description,
+)
 from gffe_cl.sequence.folder import GENERATOR, OutputFolder
 from gffe_cl.sequence.header_camera import camera_attributes
 from gffe_cl.sequence.pixels import OVERLAY_CHANNELS
 from gffe_cl.sequence.read_ahead import usable_cores
-from gffe_cl.values import require_exposure
+from gffe_cl.values import (
+    require_array,
+    require_bool,
+    require_exposure,
+    require_kind,
+    require_list,
+    require_path,
+    require_positive,
+    require_size,
+    require_whole,
+)
 
 _WAITING = 2  # frames, besides those that are being compressed
+_MOST_THREADS = 1024
 _MOST_BYTES = 2 << 30  # of frames under way
 
 
@@ -66,15 +85,19 @@ class SequenceWriter:
         generator: str = GENERATOR,
         compression: str = exr.DEFAULT_COMPRESSION,
     ):
-        self.path = Path(path)
-        self._description = Description(int(width), int(height), float(fps), require_exposure(exposure), [])
-        self._generator = generator
+        self.path = require_path(path, "writer: path")
+        size = require_size((width, height), "writer: width and height", whole=True)
+        fps, exposure = require_positive(fps, "writer: fps"), require_exposure(exposure, "writer: exposure")
+        self._description = Description(*size, fps, exposure, [])
+        self._generator = require_kind(generator, str, "writer: generator", "a text")
         self._folder = OutputFolder(self.path, generator)
         self._pending: deque = deque()
         self._times: set[float] = set()
         self._bytes = 0  # of the channels under way
         self._compression = exr.require_compression(compression)
-        self._threads = max(1, usable_cores() if threads is None else threads)
+        self._threads = (
+            usable_cores() if threads is None else require_whole(threads, "writer: threads", 1, _MOST_THREADS)
+        )
         self._pool: ThreadPoolExecutor | None = None
         self._kept: str | None = None
 
@@ -88,15 +111,18 @@ class SequenceWriter:
         if they, and the dict, are `owned` by the writer from now on, which empties it.
 
         Half stays half, masks of bool and uint8 become half, `Z` and `motion.*` float32. (H, W) is the
-        entry's render size, else the display size.
+        entry's render size, else the display size. Raises GffeError for another shape or type, and entries that could
+        not be read again.
         """
+        entry, owned = checked_entry(entry), require_bool(owned, "writer: owned")
+        require_kind(channels, dict, "writer: channels", "a dict of arrays by their names")
+        if not require_list(channels, str, "writer: names of channels", "texts"):
+            raise GffeError(f"{entry.file}: no channels (expected at least R, G and B)")
         if entry.kind == "rendered" and entry.render_camera is None:
             raise GffeError(f"{entry.file}: no render_camera (rendered frames need one)")
         width, height = self._size_of(entry)
         for name, array in channels.items():
-            if np.shape(array) != (height, width):
-                shape = f"({height}, {width}), got {np.shape(array)}"
-                raise GffeError(f"{entry.file}: channel '{name}' must have shape {shape}")
+            require_array(array, f"{entry.file}: channel '{name}'", height, width, kinds="biuf")
         given = channels if owned else {name: exr.stored_type(name, array) for name, array in channels.items()}
         attributes, nbytes = self._attributes(entry), sum(np.asarray(array).nbytes for array in given.values())
 
@@ -108,12 +134,12 @@ class SequenceWriter:
 
     def link(self, entry: FrameEntry, source_path) -> None:
         """Let the frame `entry` be the existing EXR file `source_path`: a hard link, or else a copy."""
-        source = Path(os.path.realpath(source_path))
-        self._submit(entry, lambda path: _link_or_copy(source, path))
+        source = Path(os.path.realpath(require_path(source_path, "writer: source_path")))
+        self._submit(checked_entry(entry), lambda path: _link_or_copy(source, path))
 
     def folder(self, name: str) -> Path:
         """Where to write other files of this run, which come to `path`/name together with the frames."""
-        return self._folder.folder(name)
+        return self._folder.folder(check_file_name(name, str(self.path)))
 
     def __exit__(self, kind, error, trace) -> None:
         interrupted = isinstance(error, KeyboardInterrupt)
@@ -172,9 +198,8 @@ class SequenceWriter:
             future, held = self._pending.popleft()
             self._bytes -= held
             future.result()
-        entry = replace(entry)
-        if not np.isfinite(entry.time) or (entry.kind != "extrapolated" and entry.time in self._times):
-            raise GffeError(f"{entry.file}: time {entry.time:g} s (expected a finite one of its own)")
+        if entry.kind != "extrapolated" and entry.time in self._times:
+            raise GffeError(f"{entry.file}: time {entry.time:g} s (expected one of its own)")
         path = self._folder.claim(entry.file)
         if entry.kind != "extrapolated":
             self._times.add(entry.time)
@@ -215,16 +240,23 @@ class SequenceWriter:
 
 
 def named_channels(color, depth=None, motion=None, overlays: Overlays | None = None) -> dict[str, np.ndarray]:
-    """Channels for `SequenceWriter.add` from color (H, W, 3 or 4), depth (H, W), motion (H, W, 2), and overlays."""
-    channels = dict(zip("RGB", np.moveaxis(np.asarray(color)[..., :3], -1, 0), strict=True))
+    """Channels for `SequenceWriter.add` from color (H, W, 3 or 4), depth (H, W), motion (H, W, 2), and overlays. Raises
+    GffeError for other shapes."""
+    color = require_array(color, "color", None, None, (3, 4))
+    channels = dict(zip("RGB", np.moveaxis(color[..., :3], -1, 0), strict=True))
     if depth is not None:
-        channels["Z"] = np.asarray(depth)
+        channels["Z"] = require_array(depth, "depth", *color.shape[:2])
     if motion is not None:
-        channels["motion.x"], channels["motion.y"] = np.moveaxis(np.asarray(motion), -1, 0)
+        channels["motion.x"], channels["motion.y"] = np.moveaxis(
+            require_array(motion, "motion", *color.shape[:2], 2), -1, 0
+        )
+    if overlays is not None:
+        require_kind(overlays, Overlays, "overlays", "Overlays or None")
     for field, names in OVERLAY_CHANNELS.items():
         array = getattr(overlays, field, None)
         if array is not None:
-            planes = np.moveaxis(np.atleast_3d(np.asarray(array)), -1, 0)
+            shape = (None, None, len(names)) if len(names) > 1 else (None, None)
+            planes = np.moveaxis(np.atleast_3d(require_array(array, f"overlays: {field}", *shape, kinds="biuf")), -1, 0)
             halves = planes.astype(np.float16) if field != "effects_motion" else planes.astype(np.float32)
             channels |= dict(zip(names, halves, strict=True))
     return channels

@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.buffers import RGBA, XY, BufferSpec, DeviceFrame, as_buffer
+from gffe_cl.buffers import RGBA, XY, BufferSpec, DeviceFrame, given_buffer
 from gffe_cl.errors import GffeError
 from gffe_cl.frame import OVERLAYS, Overlays
 from gffe_cl.stage import Access, Board, Kernel, Stage
 from gffe_cl.stages.presentation import mapping
+from gffe_cl.values import require_array
 
 
 class Composition(Stage):
@@ -39,15 +40,17 @@ class Composition(Stage):
         Kernel(
             "leave_out_fixed",
             "source",
-            {"depth": "", "fixed_mask": ""},
+            {"depth": "rendered.depth", "fixed_mask": "composition.fixed_mask"},
             {"out_depth": "composition.depth"},
         ),
         Kernel(
             "compose",
             "target",
             {
-                **dict.fromkeys(("fixed_mask", "effects", "effects_motion", "ui", "source_color", "source_depth"), ""),
-                "color": "",
+                **{name: f"composition.{name}" for name in OVERLAYS},
+                "source_color": "rendered.color",
+                "source_depth": "rendered.depth",
+                "color": "frame.color",  # or what stages after the frame's make of it
             },
             {
                 "out_color": "composition.color",
@@ -112,15 +115,11 @@ class Composition(Stage):
     def _ready(self, name: str, array) -> np.ndarray | cl.Buffer:
         """As the device takes it."""
         spec = self.spec(name)
-        shape, nbytes = spec.shape(self.sizes), spec.nbytes(self.sizes)
-        if buffer := as_buffer(array):
-            if buffer.size < nbytes:
-                raise GffeError(f"frame: {name} buffer must hold {nbytes} bytes, got {buffer.size}")
+        if buffer := given_buffer(array, spec, self.sizes, self.device):
             return buffer
-        array = np.asarray(array)
-        if array.shape != shape:
-            raise GffeError(f"frame: {name} must have shape {shape}, got {array.shape}")
-        if name == "fixed_mask":
+        is_mask = name == "fixed_mask"
+        array = require_array(array, f"frame: {name}", *spec.shape(self.sizes), kinds="biuf" if is_mask else "iuf")
+        if is_mask:
             return np.ascontiguousarray(array > 0, np.uint8)
         with np.errstate(over="ignore"):
             return np.ascontiguousarray(array, spec.dtype)

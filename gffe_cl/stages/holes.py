@@ -60,18 +60,6 @@ class Downsampled(HoleFilling):
     )
     kernels = (
         Kernel(
-            "fill_far_side",
-            "target",
-            {
-                "block_class": "blocks.block_class",
-                "filled_by": Access("frame.filled_by", "splatted"),
-                "source_color": Access("rendered.color", "unfilled"),
-            }
-            | _image("unfilled"),
-            _filled("unfilled"),
-            step=("RUN", 1),
-        ),
-        Kernel(
             "fill_from_blocks",
             "target",
             {
@@ -102,6 +90,18 @@ class FarSide(Downsampled):
             {"disoccluded": "frame.disoccluded", "filled_by": Access("frame.filled_by", "disoccluded")}
             | _image("disoccluded"),
             {"color": Access("frame.color", "disoccluded")},
+            step=("RUN", 1),
+        ),
+        Kernel(
+            "fill_far_side",
+            "target",
+            {
+                "block_class": "blocks.block_class",
+                "filled_by": Access("frame.filled_by", "splatted"),
+                "source_color": Access("rendered.color", "unfilled"),
+            }
+            | _image("unfilled"),
+            _filled("unfilled"),
             step=("RUN", 1),
         ),
         *Downsampled.kernels,

@@ -11,9 +11,18 @@ import numpy as np
 from gffe_cl.buffers import RGBA, XY, BufferSpec, DeviceFrame, Sizes
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
-from gffe_cl.frame import Overlays, RenderedFrame, display_camera_of, is_shown_whole, pack_frame, require_one_pose
+from gffe_cl.frame import (
+    Overlays,
+    RenderedFrame,
+    checked_frame,
+    display_camera_of,
+    is_shown_whole,
+    pack_frame,
+    require_one_pose,
+)
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.stage import Board, Kernel, Stage
+from gffe_cl.values import require_array, require_kind, require_size
 
 _ONE_AT_A_TIME = threading.Lock()  # the cached stages of `present` serve all threads
 
@@ -102,12 +111,15 @@ def present(
     Raises GffeError if the display camera has another pose than the render camera, for wrong shapes, or for device
     buffers.
     """
+    frame, previous = checked_frame(frame), previous if previous is None else checked_frame(previous)
     for array in (frame.color, frame.depth):
         if not isinstance(array, np.ndarray):
             raise GffeError("present: expected NumPy arrays (in a pipeline: Pipeline.present)")
-    packed = pack_frame(replace(frame, reset=frame.reset or previous is None), *_two(np.shape(frame.depth)))
-    height, width = packed.depth.shape
-    render_size, size = (width, height), _two(size or (width, height))
+    render_size = _size_of(frame)
+    packed = pack_frame(replace(frame, reset=frame.reset or previous is None), *reversed(render_size))
+    size = render_size if size is None else require_size(size, "present: size", whole=True)
+    if device is not None:
+        require_kind(device, Device, "present: device", "a Device or None")
     display = display_camera_of(frame, render_size, size)
     require_one_pose(frame.camera, display)
     before = None if frame.reset else previous and _cameras_of(previous, size)
@@ -134,8 +146,11 @@ def _shown_overlays(overlays: Overlays, to_render: np.ndarray, render_size, size
         np.clip(np.floor((np.arange(n) + 0.5) * to_render[k] + to_render[2 + k]).astype(int), 0, rendered - 1)
         for k, (n, rendered) in enumerate(zip(size, render_size, strict=True))
     )
-    taken = {name: getattr(overlays, name) for name in ("fixed_mask", "effects", "effects_motion")}
-    taken = {name: np.asarray(array)[y[:, None], x] for name, array in taken.items() if array is not None}
+    taken = {}
+    for name, channels in (("fixed_mask", ()), ("effects", (4,)), ("effects_motion", (2,))):
+        if (array := getattr(overlays, name)) is not None:
+            array = require_array(array, f"frame: {name}", *reversed(render_size), *channels, kinds="biuf")
+            taken[name] = array[y[:, None], x]
     if "effects_motion" in taken:
         taken["effects_motion"] = taken["effects_motion"] / to_render[:2]
     return Overlays(**taken, ui=overlays.ui)
@@ -143,16 +158,15 @@ def _shown_overlays(overlays: Overlays, to_render: np.ndarray, render_size, size
 
 def _cameras_of(frame: RenderedFrame, size: tuple[int, int]) -> tuple[Camera, Camera]:
     """Render camera and display camera of the frame before."""
-    height, width = _two(np.shape(frame.depth))
-    display = display_camera_of(frame, (width, height), size)
+    display = display_camera_of(frame, _size_of(frame), size)
     require_one_pose(frame.camera, display)
     return frame.camera, display
 
 
-def _two(numbers) -> tuple[int, int]:
-    if len(numbers) != 2 or not all(n >= 1 and n == int(n) for n in numbers):
-        raise GffeError(f"present: expected two whole numbers of pixels, got {tuple(numbers)}")
-    return int(numbers[0]), int(numbers[1])
+def _size_of(frame: RenderedFrame) -> tuple[int, int]:
+    """Width and height of its images."""
+    height, width = require_array(frame.depth, "frame: depth", None, None).shape
+    return require_size((width, height), "present: size of the frame", whole=True)
 
 
 @cache

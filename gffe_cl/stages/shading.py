@@ -83,7 +83,7 @@ class FocusMask(Stage):
         Kernel(
             "focus_mask",
             "target",
-            {"color": "frame.color", "truth": "", "is_dynamic": "frame.dynamic"},
+            {"color": "frame.color", "truth": "frame.color", "is_dynamic": "frame.dynamic"},
             {"focus_truth": "shading.focus_truth"},
         ),
     )

@@ -6,7 +6,6 @@ import numpy as np
 
 from gffe_cl.buffers import RGBA, BufferSpec
 from gffe_cl.stage import Kernel, Stage, Step
-from gffe_cl.stages.upscaling import Upscaling
 
 
 class Sharpening(Stage):
@@ -17,18 +16,23 @@ class Sharpening(Stage):
         BufferSpec("rendered", np.float16, RGBA, "target", "the rendered frame as displayed, sharpened", "color"),
         BufferSpec("color", np.float16, RGBA, "target", "the generated frame, sharpened", "color"),
     )
-    kernels = (Kernel("sharpen", "target", {"color": ""}, {"out_color": ""}, step=("LANES", 1)),)
+    kernels = (
+        Kernel(
+            "sharpen",
+            "target",
+            {"color": "upscaling.{shown}"},
+            {"out_color": "sharpening.{sharpened}"},
+            step=("LANES", 1),
+            choices={"shown": ("history", "color"), "sharpened": ("rendered", "color")},
+        ),
+    )
 
     @classmethod
     def is_wanted(cls, options) -> bool:
         return options.upscale > 0 and options.upscale_sharpening > 0
 
     def rendered(self, step: Step) -> None:
-        self._sharpen("history", "rendered")
+        self.launch("sharpen", shown="history", sharpened="rendered")
 
     def extrapolated(self, step: Step) -> None:
-        self._sharpen("color", "color")
-
-    def _sharpen(self, shown: str, into: str) -> None:
-        upscaling = self.board.stages[Upscaling.name]
-        self.launch("sharpen", color=upscaling.buffer[shown], out_color=self.buffer[into])
+        self.launch("sharpen", shown="color", sharpened="color")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gffe_cl.buffers import RGBA, XY, BufferSpec
 from gffe_cl.camera import Camera
 from gffe_cl.opencl.program import constants
-from gffe_cl.stage import Access, Kernel, Stage, Step, reprojection
+from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import mapping
 
 LOCK_FRAMES = constants("upscaling.cl")["LOCK_FRAMES"]  # a greater lock is that of a thin feature
@@ -101,13 +104,20 @@ class Upscaling(Stage):
             {
                 **{name: f"frame.{name}" for name in ("depth", "motion", "disoccluded")},
                 "gae": "frame.color",
-                "color": "",
+                "color": "correction.color",
                 "history": "upscaling.history",
             },
             {"out_color": "upscaling.color"},
             step=("LANES", 1),
         ),
     )
+
+    def __init__(self, board: Board):
+        self.corrected = ShadingCorrection.name in board.stages
+        if not self.corrected:
+            *others, generate = self.kernels
+            self.kernels = (*others, replace(generate, reads={**generate.reads, "color": "frame.color"}))
+        super().__init__(board)
 
     @classmethod
     def is_wanted(cls, options) -> bool:
@@ -128,10 +138,8 @@ class Upscaling(Stage):
         self.launch("accumulate", to_render=to_render, pixel_size=size, **shared)
 
     def extrapolated(self, step: Step) -> None:
-        frame, correction = step.frame, self.board.stages.get("correction")
-        color = (correction or self.board.frame).buffer["color"]
-        to_shown = mapping(frame.camera, frame.display_camera)
-        self.launch("generate", to_shown=to_shown, corrected=int(correction is not None), color=color)
+        to_shown = mapping(step.frame.camera, step.frame.display_camera)
+        self.launch("generate", to_shown=to_shown, corrected=int(self.corrected))
 
 
 def pixel_size(display: Camera, render: Camera) -> np.ndarray:
