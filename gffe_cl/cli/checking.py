@@ -7,7 +7,17 @@ from typing import Annotated
 
 import typer
 
-from gffe_cl.cli.common import JsonOption, app, out, output_file, plain, progress_bars, steps, write_json
+from gffe_cl.cli.common import (
+    FollowLinksOption,
+    JsonOption,
+    app,
+    out,
+    output_file,
+    plain,
+    progress_bars,
+    steps,
+    write_json,
+)
 from gffe_cl.files import replacing
 
 _STYLES = {"fault": "bold red", "note": "yellow", "cannot tell": "cyan"}
@@ -25,6 +35,7 @@ def check(
             "--html", help="Also write a page with residuals before and after.", callback=output_file("--html")
         ),
     ] = None,
+    follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
 ) -> None:
     """Say what does not fit in a sequence: motion vectors, depth, cameras, colours, the order of frames.

@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from gffe_cl.errors import GffeError, printable
-from gffe_cl.files import replacing, require_output_file
+from gffe_cl.files import follow_links_everywhere, replacing, require_output_file
 
 if TYPE_CHECKING:
     from gffe_cl.cluster import Cluster
@@ -40,6 +40,16 @@ DeviceOption = Annotated[
     typer.Option(
         "--device",
         help="Part of a device's or platform's name, its index (0:0), 'gpu' or 'cpu'; see `gffe devices`.",
+    ),
+]
+
+FollowLinksOption = Annotated[
+    bool,
+    typer.Option(
+        "--follow-links",
+        help="Files that a capture's files refer to: also those outside its folder (paths in JSON, HDF5 links)"
+        " [dim](default: only those inside)[/].",
+        callback=follow_links_everywhere,  # nothing else is done with it
     ),
 ]
 

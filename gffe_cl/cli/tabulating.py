@@ -15,6 +15,7 @@ from rich.table import Table
 
 from gffe_cl.cli.common import (
     DeviceOption,
+    FollowLinksOption,
     SchedulerOption,
     app,
     cluster_at,
@@ -86,6 +87,7 @@ def evaluate(
     scheduler: SchedulerOption = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Compute finished cells again.")] = False,
     device: DeviceOption = None,
+    follow_links: FollowLinksOption = False,
 ) -> None:
     """Measure methods on sequences: a report with tables, pictures and plots. Finished cells are kept."""
     from gffe_cl.evaluation.table.engine import Order

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
+from gffe_cl.files import follow_links as following
 from gffe_cl.frame import RenderedFrame, require_one_pose
 from gffe_cl.sequence import exr
 from gffe_cl.sequence.checks import time_warnings, zero_motion_warning
@@ -168,16 +170,22 @@ class Sequence:
         return read_ahead(entries, read or self.read, ahead)
 
 
-@without_collections()
-def open_sequence(path, *, cameras: str = "needed", mend: Callable[[str], str] | None = None) -> Sequence:
+def open_sequence(
+    path, *, cameras: str = "needed", mend: Callable[[str], str] | None = None, follow_links: bool | None = None
+) -> Sequence:
     """Open the sequence in the folder `path` (or whose `sequence.json` is `path`).
 
     JSON, cameras and the headers of all files are checked here, so that no later work meets a missing
     channel or file, a wrong size, or a truncated file. With `cameras` "optional" rendered frames may lack theirs (it is
-    None then), which nothing but calibration can work on. `mend` makes of the JSON text what is taken for it. Raises
-    GffeError.
+    None then), which nothing but calibration can work on. `mend` makes of the JSON text what is taken for it. With
+    `follow_links` the JSON may name files outside the folder; by default it may not. Raises GffeError.
     """
-    path = Path(path)
+    with following(follow_links):
+        return _opened(Path(path), cameras, mend)
+
+
+@without_collections()
+def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequence:
     try:
         if not path.exists():
             raise GffeError(f"{path}: no such folder (expected a sequence: a folder with {FILE_NAME})")
@@ -194,7 +202,7 @@ def open_sequence(path, *, cameras: str = "needed", mend: Callable[[str], str] |
     # On one thread: the system calls are so short that threads only wait for each other.
     reader, passed = HeaderReader(), set()
     for index, entry in enumerate(description.frames):
-        header = reader.read(f"{folder}/{entry.file}", entry.file, matrices=_lacks_camera(entry))
+        header = reader.read(os.path.join(folder, entry.place), entry.file, matrices=_lacks_camera(entry))
         alike = header.layout, entry.kind, entry.reset, entry.render_size
         if alike not in passed:
             _check_channels(entry, header)
