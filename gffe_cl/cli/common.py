@@ -32,8 +32,7 @@ for _stream in (sys.stdout, sys.stderr):
     if hasattr(_stream, "reconfigure"):
         _stream.reconfigure(errors="backslashreplace")  # whatever the terminal cannot show
 out = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
-# Whether it is a terminal is asked once: descriptor 2 is diverted now and then.
-err = Console(stderr=True, highlight=False, soft_wrap=True, force_terminal=sys.stderr.isatty())
+err = Console(stderr=True, highlight=False, soft_wrap=True)
 
 DeviceOption = Annotated[
     str | None,
