@@ -97,6 +97,12 @@ def replacing(path: Path) -> Iterator[Path]:
             part.unlink()
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write `text` as UTF-8, whole or not at all; names of files that are not UTF-8 appear in it with escapes."""
+    with replacing(path) as part:
+        part.write_bytes(text.encode("utf-8", "backslashreplace"))
+
+
 def require_output_file(path: Path, option: str) -> Path:
     """`path`; GffeError, naming the `option`, unless a report or picture may be written there: into a folder that
     exists, and not over a file of a sequence."""

@@ -18,7 +18,7 @@ from gffe_cl.cli.common import (
     steps,
     write_json,
 )
-from gffe_cl.files import replacing
+from gffe_cl.files import write_text
 
 _STYLES = {"fault": "bold red", "note": "yellow", "cannot tell": "cyan"}
 
@@ -58,8 +58,7 @@ def check(
         out.print(plain(line), soft_wrap=True)
     document = as_json(diagnosis)
     if html is not None:
-        with replacing(html) as part:
-            part.write_text(html_report(opened, diagnosis, title, opened.exposure), "utf-8")
+        write_text(html, html_report(opened, diagnosis, title, opened.exposure))
     if fix is not None:
         with progress_bars() as progress:
             total = len(opened.rendered) + len(opened.ground_truth)

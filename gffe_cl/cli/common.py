@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from gffe_cl.errors import GffeError, printable
-from gffe_cl.files import follow_links_everywhere, replacing, require_output_file
+from gffe_cl.files import follow_links_everywhere, require_output_file, write_text
 
 if TYPE_CHECKING:
     from gffe_cl.cluster import Cluster
@@ -138,8 +138,7 @@ def write_json(path: Path | None, document: dict) -> None:
     if path is None:
         return
     try:
-        with replacing(path) as part:
-            part.write_text(json.dumps(_finite(document), indent=1, allow_nan=False) + "\n", "utf-8")
+        write_text(path, json.dumps(_finite(document), indent=1, allow_nan=False) + "\n")
     except OSError as error:
         raise GffeError(f"{path}: cannot write: {error.strerror or error}") from None
 

@@ -27,7 +27,7 @@ from gffe_cl.cli.common import (
     warn,
 )
 from gffe_cl.errors import GffeError
-from gffe_cl.files import replacing
+from gffe_cl.files import write_text
 
 if TYPE_CHECKING:
     from gffe_cl.cluster import Cluster
@@ -192,8 +192,7 @@ def _write(output: Path, results: dict, filled: Filled) -> None:
     }
     for name, text in files.items():
         try:
-            with replacing(output / name) as part:
-                part.write_text(text, "utf-8")
+            write_text(output / name, text)
         except OSError as error:
             raise GffeError(f"{output / name}: cannot be written ({error.strerror or error})") from None
     out.print(f"{plain(output / 'index.html')}, results.json, results.csv")
