@@ -103,6 +103,14 @@ def write_text(path: Path, text: str) -> None:
         part.write_bytes(text.encode("utf-8", "backslashreplace"))
 
 
+def model_source(path: Path | str) -> str | bytes:
+    """What to give onnxruntime for the model at `path`, which takes names in UTF-8 only: the name, else the bytes."""
+    try:
+        return str(path).encode("utf-8").decode()
+    except UnicodeError:
+        return Path(path).read_bytes()
+
+
 def require_output_file(path: Path, option: str) -> Path:
     """`path`; GffeError, naming the `option`, unless a report or picture may be written there: into a folder that
     exists, and not over a file of a sequence."""

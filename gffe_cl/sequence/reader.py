@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.camera import Camera
-from gffe_cl.errors import GffeError
+from gffe_cl.errors import GffeError, printable
 from gffe_cl.files import follow_links as following
 from gffe_cl.frame import RenderedFrame, require_one_pose
 from gffe_cl.sequence import exr
@@ -110,7 +110,8 @@ class Sequence:
         cut = [f"{outside[0]}: the display reaches beyond what was rendered (display_camera)"] if outside else []
         few = [f"{self.path}: unfinished, what wrote it was interrupted after {len(self.frames)} frames"]
         times = time_warnings(self.rendered, self.fps)
-        return (few if self.unfinished else []) + list(self._pixels.notes) + times + cut + met
+        said = (few if self.unfinished else []) + list(self._pixels.notes) + times + cut + met
+        return [printable(text) for text in said]
 
     def _covers_display(self, entry: FrameEntry) -> bool:
         """Whether all that is shown was rendered, to half a pixel of the display; and of the frame, for jitter."""
