@@ -20,7 +20,7 @@ _CLOSE_RANGE, _UNSHARE = 436, 2  # Linux: the system call, the same on every pro
 _FIRST, _LAST = 3, 2**32 - 1
 _MOST_BYTES = 1 << 16
 _OF_LIBRARY = re.compile(rb"^ojph [^\n]*\n?", re.MULTILINE)  # what it prints through C's standard output
-_PREFIX = re.compile(r"^.*?: \(EXR_ERR_\w+\) |^(ojph \w+) \w+ at [^:]*:\d+: |^Warning: .* - ")
+_PREFIX = re.compile(r"^.*?: \(EXR_ERR_\w+\) |^ojph \w+ \w+ at [^:]*:\d+: |^Warning: .* - ")
 
 
 def quietly(work: Callable[[], Any]) -> Any:
