@@ -106,9 +106,10 @@ def write_text(path: Path, text: str) -> None:
 def model_source(path: Path | str) -> str | bytes:
     """What to give onnxruntime for the model at `path`, which takes names in UTF-8 only: the name, else the bytes."""
     try:
-        return str(path).encode("utf-8").decode()
+        str(path).encode("utf-8")
     except UnicodeError:
         return Path(path).read_bytes()
+    return str(path)
 
 
 def require_output_file(path: Path, option: str) -> Path:

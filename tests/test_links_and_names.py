@@ -44,6 +44,9 @@ def test_references_leave_the_folder_only_where_that_is_allowed(gffe, folder, tm
         np.testing.assert_array_equal(made.read(made.rendered[1]).color, expected.color)
     assert gffe("check", folder)[2].endswith("(--follow-links allows it)\n")  # not for ever
     assert os.listdir(tmp_path / "beside") == ["frame_1.exr"]
+    edit(folder, lambda d: d["frames"][0].update(file=made.rendered[1].file))
+    with pytest.raises(GffeError, match="would be called"):
+        open_sequence(folder, follow_links=True)
 
 
 def write_spring(root):

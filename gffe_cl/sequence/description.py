@@ -121,6 +121,7 @@ def parse_description(text: str, name: str = FILE_NAME) -> Description:
     if not isinstance(frames, list) or not frames:
         raise GffeError(f"{name}: frames must be a list of at least one frame")
     description.frames = [_parse_frame(frame, index, name) for index, frame in enumerate(frames)]
+    _require_names(description.frames, name)
     _parse_cameras(description.frames, frames, name)
     check_times(description.frames, name)
     for entry in description.frames:
@@ -128,6 +129,16 @@ def parse_description(text: str, name: str = FILE_NAME) -> Description:
             entry.reset = True
             break
     return description
+
+
+def _require_names(frames: list[FrameEntry], name: str) -> None:
+    """GffeError if two files of different folders would be called the same."""
+    places: dict[str, str] = {}
+    for index, entry in enumerate(frames):
+        other = places.setdefault(entry.file, entry.place)
+        if other != entry.place:
+            label = frame_label(index, entry.place, name)
+            raise GffeError(f"{label}: would be called {entry.file} like {other} (expected names of their own)")
 
 
 def frame_label(index: int, file: str, name: str = FILE_NAME) -> str:
