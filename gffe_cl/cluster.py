@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from gffe_cl.errors import GffeError, how_to_install
+from gffe_cl.files import follow_links, following_links
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.opencl.program import kernel_folder
 
@@ -50,12 +51,12 @@ class Cluster:
         from distributed import KilledWorker, as_completed
 
         run, waiting, names = uuid.uuid4().hex, iter(items.items()), {}
-        known = fingerprint()
+        known, links = fingerprint(), following_links()
 
         def submit(count: int) -> list:
             begun = []
             for name, arguments in islice(waiting, count):
-                future = self._client.submit(_on_worker, known, function, arguments, key=f"gffe-{run}-{name}")
+                future = self._client.submit(_on_worker, known, links, function, arguments, key=f"gffe-{run}-{name}")
                 names[future] = name
                 begun.append(future)
             return begun
@@ -79,8 +80,8 @@ class Cluster:
             self._client.cancel(list(names))
 
 
-def _on_worker(known: str, function: Callable[..., Any], arguments: tuple) -> Any:
-    with _one_at_a_time:
+def _on_worker(known: str, links: bool, function: Callable[..., Any], arguments: tuple) -> Any:
+    with _one_at_a_time, follow_links(links):
         if fingerprint() != known:
             raise GffeError("--scheduler: a worker has another version of gffe-cl (expected the same as here)")
         return function(*arguments)

@@ -1,4 +1,4 @@
-"""Files that are whole or not there at all, and files that are files."""
+"""Files that are whole or not there at all, files that are files, and which files other files may refer to."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 from typing import BinaryIO
 
@@ -14,6 +15,33 @@ from gffe_cl.errors import GffeError
 
 _OPENING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
+_anywhere = False  # of this process
+_anywhere_here: ContextVar[bool | None] = ContextVar("follow_links", default=None)  # of one call
+
+
+def following_links() -> bool:
+    """Whether references inside the files that are opened now may leave their folder; docs/formats.md has the rules.
+
+    Paths in JSON files and HDF5 links are references. Links of the file system are always followed: the user made them.
+    """
+    here = _anywhere_here.get()
+    return _anywhere if here is None else here
+
+
+@contextmanager
+def follow_links(allowed: bool | None) -> Iterator[None]:
+    """Settle `following_links` for this block and thread; None leaves it as it is."""
+    token = _anywhere_here.set(following_links() if allowed is None else allowed)
+    try:
+        yield
+    finally:
+        _anywhere_here.reset(token)
+
+
+def follow_links_everywhere(allowed: bool) -> None:
+    """Settle `following_links` for this process, wherever `follow_links` does not."""
+    global _anywhere
+    _anywhere = allowed
 
 
 def open_regular(path: Path | str) -> BinaryIO:
@@ -26,11 +54,28 @@ def descriptor_of(path: Path | str, flags: int = os.O_RDONLY) -> tuple[int, int]
     """As `open_regular`: a file descriptor and the size in bytes."""
     descriptor = os.open(path, flags | _OPENING)
     status = os.fstat(descriptor)
-    if stat.S_ISREG(status.st_mode):
-        return descriptor, status.st_size
-    os.close(descriptor)
-    kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
-    raise OSError(errno.EINVAL, f"is {kind}, expected a regular file")
+    try:
+        _require_regular(status)
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor, status.st_size
+
+
+def require_readable(path: Path, label: str) -> None:
+    """GffeError, beginning with `label`, unless the file at `path` is there and a regular one."""
+    try:
+        _require_regular(os.stat(path))
+    except FileNotFoundError:
+        raise GffeError(f"{label}: no such file in {path.parent}") from None
+    except (OSError, ValueError) as error:
+        raise GffeError(f"{label}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
+
+
+def _require_regular(status: os.stat_result) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a pipe or a device"
+        raise OSError(errno.EINVAL, f"is {kind}, expected a regular file")
 
 
 @contextmanager
@@ -50,6 +95,21 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             part.unlink()
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write `text` as UTF-8, whole or not at all; names of files that are not UTF-8 appear in it with escapes."""
+    with replacing(path) as part:
+        part.write_bytes(text.encode("utf-8", "backslashreplace"))
+
+
+def model_source(path: Path | str) -> str | bytes:
+    """What to give onnxruntime for the model at `path`, which takes names in UTF-8 only: the name, else the bytes."""
+    try:
+        str(path).encode("utf-8")
+    except UnicodeError:
+        return Path(path).read_bytes()
+    return str(path)
 
 
 def require_output_file(path: Path, option: str) -> Path:

@@ -181,12 +181,19 @@ def test_faults(tmp_path, change, words):
         open_capture(folder)
 
 
-def test_links_out_of_the_folder(tmp_path):
+def test_files_elsewhere(tmp_path):
+    """Links of the file system are followed, names in the JSON where that is allowed."""
     folder = write_blender(tmp_path / "in", shots())
-    (folder / "frame_0002.exr").rename(tmp_path / "elsewhere.exr")
-    (folder / "frame_0002.exr").symlink_to(tmp_path / "elsewhere.exr")
-    with pytest.raises(GffeError, match="link out of the folder"):
+    (tmp_path / "beside").mkdir()
+    for name in ("frame_0002.exr", "cameras.json"):
+        (folder / name).rename(tmp_path / "beside" / name)
+        (folder / name).symlink_to(tmp_path / "beside" / name)
+    expected = open_capture(folder).read(open_capture(folder).rendered[1]).depth
+    edit_json(folder / "cameras.json", lambda d: d["frames"][2].update(file="../beside/frame_0002.exr"))
+    with pytest.raises(GffeError, match="must stay inside"):
         open_capture(folder)
+    sequence = open_capture(folder, follow_links=True)
+    np.testing.assert_array_equal(sequence.read(sequence.rendered[1]).depth, expected)
 
 
 def test_commands_take_it(tmp_path, monkeypatch):

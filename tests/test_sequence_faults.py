@@ -1,5 +1,7 @@
 """Every structural fault is one line that says what is wrong and where."""
 
+import contextlib
+import ctypes
 import json
 import os
 import socket
@@ -18,7 +20,7 @@ from tiny_sequence import H, W, contiguous, edit, pixels, write
 from gffe_cl.errors import GffeError
 from gffe_cl.metrics import display_values, focus_mask, smape
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.sequence import SequenceWriter, exr_header, named_channels, open_sequence
+from gffe_cl.sequence import SequenceWriter, exr_header, named_channels, open_sequence, quiet
 from gffe_cl.sequence.exr_header import _Cursor, _parse
 from gffe_cl.sequence.header_camera import header_cameras
 
@@ -72,13 +74,13 @@ def test_damaged_and_unfinished(folder, capfd):
 
 
 def test_what_others_print_meanwhile_is_passed_on(folder, capfd):
-    """Three threads read damaged files, two print all the while, from Python and from C."""
+    """Three threads read damaged files, two print meanwhile, from Python and C; standard error is what it was."""
     path = folder / "frame_2.exr"
     flat = dict.fromkeys(named_channels(*pixels()), np.ones((H, W), np.float32))
     OpenEXR.File({"type": OpenEXR.scanlineimage}, flat).write(str(path))
     path.write_bytes(path.read_bytes()[:-15] + b"\xff" * 15)
     sequence = open_sequence(folder)
-    done = threading.Event()
+    done, stderr = threading.Event(), os.fstat(2)
 
     def read(_):
         with pytest.raises(GffeError, match=r"unable to decompress|Unable to decompress"):
@@ -86,6 +88,7 @@ def test_what_others_print_meanwhile_is_passed_on(folder, capfd):
 
     def talk(k):
         while not done.is_set():
+            assert os.path.samestat(os.fstat(2), stderr)
             sys.stdout.write(f"out {k}\n")
             os.write(2, b"error %d\n" % k)
             time.sleep(1e-4)
@@ -103,6 +106,39 @@ def test_what_others_print_meanwhile_is_passed_on(folder, capfd):
     assert out.count("\n") == err.count("\n")
     os.write(2, b"as before\n")
     assert capfd.readouterr() == ("", "as before\n")
+
+
+@pytest.mark.parametrize(("at", "words"), [(6, None), (40, "; Csiz does not match the SIZ marker size")])
+def test_damaged_htj2k(folder, capfd, at, words):
+    """Its decoder prints warnings through C's standard output, errors through standard error."""
+    path, ramp = folder / "frame_2.exr", np.add.outer(np.arange(H), np.arange(W)).astype(np.float32)
+    options = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.HTJ2K256_COMPRESSION}
+    OpenEXR.File(options, contiguous(dict.fromkeys(named_channels(*pixels()), ramp))).write(str(path))
+    data = bytearray(path.read_bytes())
+    start = data.index(b"\xff\x4f\xff\x51") + at
+    data[start : start + 2] = b"\xff\xff"
+    path.write_bytes(data)
+    sequence = open_sequence(folder)
+    with pytest.raises(GffeError, match=words) if words else contextlib.nullcontext():  # a warning alone
+        sequence.read(sequence.rendered[2])
+    ctypes.CDLL(None).fflush(None)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="threads have no descriptors of their own")
+@pytest.mark.parametrize("damaged", [False, True])
+def test_decoding_leaves_no_file_open(folder, monkeypatch, damaged):
+    """The descriptors of its thread mean other files on all others."""
+    path, seen, read = folder / "frame_2.exr", [], quiet._read
+    if damaged:
+        flat = dict.fromkeys(named_channels(*pixels()), np.ones((H, W), np.float32))
+        OpenEXR.File({"type": OpenEXR.scanlineimage}, flat).write(str(path))
+        path.write_bytes(path.read_bytes()[:-15] + b"\xff" * 15)
+    monkeypatch.setattr(quiet, "_read", lambda file: (seen.append(os.listdir("/proc/thread-self/fd")), read(file))[1])
+    sequence = open_sequence(folder)
+    with pytest.raises(GffeError) if damaged else contextlib.nullcontext():
+        sequence.read(sequence.rendered[2])
+    assert all(set(numbers) == set("012345") for numbers in seen) and seen  # 3, 4: what is printed; 5: the list itself
 
 
 @pytest.mark.parametrize("window", [(0, 0, -1, 35), (0, 0, -2, 35), (0, 5, 12, 3)])

@@ -6,6 +6,7 @@ from functools import partial
 
 from imgui_bundle import imgui
 
+from gffe_cl.errors import printable
 from gffe_cl.options import Option
 from gffe_cl.scenes import SCENES, SITUATIONS
 from gffe_cl.viewer.actions import Action
@@ -129,7 +130,7 @@ def _comparing(app, add, opened) -> None:
         return None if model.kept.b is not None else "no settings are kept as B"
 
     def copy(setup):
-        line = model.command_line(setup)
+        line = printable(model.command_line(setup))
         imgui.set_clipboard_text(line)
         model.say(f"copied: {line}")
 
@@ -268,6 +269,6 @@ def _file_menu(model) -> None:
             imgui.end_menu()
     if imgui.begin_menu("Recent###recent", bool(model.settings.recent)):
         for path in list(model.settings.recent):
-            if imgui.menu_item_simple(path):
+            if imgui.menu_item_simple(printable(path)):
                 model.open(path)
         imgui.end_menu()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 
 from gffe_cl.cli.interrupts import INTERRUPTED, Interrupts
 
@@ -10,6 +11,8 @@ from gffe_cl.cli.interrupts import INTERRUPTED, Interrupts
 def main() -> None:
     """Entry point: structural faults become one line and exit code 2. The commands are imported when signals are
     taken care of."""
+    if not sys.warnoptions:  # what libraries warn of, of damaged files above all, is no message of ours
+        warnings.simplefilter("ignore")
     with Interrupts() as interrupts:
         from gffe_cl.cli.faults import explain
 

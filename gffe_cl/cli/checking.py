@@ -7,8 +7,18 @@ from typing import Annotated
 
 import typer
 
-from gffe_cl.cli.common import JsonOption, app, out, output_file, plain, progress_bars, steps, write_json
-from gffe_cl.files import replacing
+from gffe_cl.cli.common import (
+    FollowLinksOption,
+    JsonOption,
+    app,
+    out,
+    output_file,
+    plain,
+    progress_bars,
+    steps,
+    write_json,
+)
+from gffe_cl.files import write_text
 
 _STYLES = {"fault": "bold red", "note": "yellow", "cannot tell": "cyan"}
 
@@ -25,6 +35,7 @@ def check(
             "--html", help="Also write a page with residuals before and after.", callback=output_file("--html")
         ),
     ] = None,
+    follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
 ) -> None:
     """Say what does not fit in a sequence: motion vectors, depth, cameras, colours, the order of frames.
@@ -47,8 +58,7 @@ def check(
         out.print(plain(line), soft_wrap=True)
     document = as_json(diagnosis)
     if html is not None:
-        with replacing(html) as part:
-            part.write_text(html_report(opened, diagnosis, title, opened.exposure), "utf-8")
+        write_text(html, html_report(opened, diagnosis, title, opened.exposure))
     if fix is not None:
         with progress_bars() as progress:
             total = len(opened.rendered) + len(opened.ground_truth)

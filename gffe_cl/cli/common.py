@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from gffe_cl.errors import GffeError, printable
-from gffe_cl.files import replacing, require_output_file
+from gffe_cl.files import follow_links_everywhere, require_output_file, write_text
 
 if TYPE_CHECKING:
     from gffe_cl.cluster import Cluster
@@ -32,14 +32,23 @@ for _stream in (sys.stdout, sys.stderr):
     if hasattr(_stream, "reconfigure"):
         _stream.reconfigure(errors="backslashreplace")  # whatever the terminal cannot show
 out = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
-# Whether it is a terminal is asked once: descriptor 2 is diverted now and then.
-err = Console(stderr=True, highlight=False, soft_wrap=True, force_terminal=sys.stderr.isatty())
+err = Console(stderr=True, highlight=False, soft_wrap=True)
 
 DeviceOption = Annotated[
     str | None,
     typer.Option(
         "--device",
         help="Part of a device's or platform's name, its index (0:0), 'gpu' or 'cpu'; see `gffe devices`.",
+    ),
+]
+
+FollowLinksOption = Annotated[
+    bool,
+    typer.Option(
+        "--follow-links",
+        help="Files that a capture's files refer to: also those outside its folder (paths in JSON, HDF5 links)"
+        " [dim](default: only those inside)[/].",
+        callback=follow_links_everywhere,  # nothing else is done with it
     ),
 ]
 
@@ -129,8 +138,7 @@ def write_json(path: Path | None, document: dict) -> None:
     if path is None:
         return
     try:
-        with replacing(path) as part:
-            part.write_text(json.dumps(_finite(document), indent=1, allow_nan=False) + "\n", "utf-8")
+        write_text(path, json.dumps(_finite(document), indent=1, allow_nan=False) + "\n")
     except OSError as error:
         raise GffeError(f"{path}: cannot write: {error.strerror or error}") from None
 

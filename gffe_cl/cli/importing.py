@@ -10,6 +10,7 @@ from rich.table import Table
 
 from gffe_cl.cli.common import (
     CompressionOption,
+    FollowLinksOption,
     JsonOption,
     app,
     out,
@@ -47,6 +48,7 @@ def import_(
         ),
     ] = 1,
     compression: CompressionOption = "zip",
+    follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
 ) -> None:
     """Convert a capture of any known form into a sequence of our own."""

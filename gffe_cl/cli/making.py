@@ -12,6 +12,7 @@ from rich.table import Table
 from gffe_cl.cli.common import (
     CompressionOption,
     DeviceOption,
+    FollowLinksOption,
     JsonOption,
     NoCheckOption,
     SchedulerOption,
@@ -218,6 +219,7 @@ def run(
     seed: Annotated[int | None, typer.Option(help="Of a built-in scene: its variation [dim](default 0)[/].")] = None,
     compression: CompressionOption = "zip",
     no_check: NoCheckOption = False,
+    follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
     *,
     options: Options,

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from gffe_cl.cli.common import (
     DeviceOption,
+    FollowLinksOption,
     JsonOption,
     app,
     out,
@@ -50,6 +51,7 @@ def compare(
         Path | None, typer.Option(help="With --mask focus: the same without shading correction (`gffe run --no-scn`).")
     ] = None,
     fail_under: Annotated[float | None, typer.Option(help="Exit with 1 if the mean PSNR is lower, dB.")] = None,
+    follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
 ) -> None:
     """Measure extrapolated frames of A against the ground truth of B."""

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from gffe_cl.cli.common import JsonOption, app, out, plain, progress_bars, steps, write_json
+from gffe_cl.cli.common import FollowLinksOption, JsonOption, app, out, plain, progress_bars, steps, write_json
 from gffe_cl.errors import GffeError
 
 
@@ -25,6 +25,7 @@ def calibrate(
     cx: Annotated[float | None, typer.Option(help="Principal point, pixels [dim](default: the middle)[/].")] = None,
     cy: Annotated[float | None, typer.Option(help="Likewise, from the top [dim](default: the middle)[/].")] = None,
     aspect: Annotated[float, typer.Option(help="fx / fy: of pixels that are no squares.")] = 1.0,
+    follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
 ) -> None:
     """Recover the cameras of a sequence from depth and motion vectors alone."""

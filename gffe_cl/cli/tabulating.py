@@ -15,6 +15,7 @@ from rich.table import Table
 
 from gffe_cl.cli.common import (
     DeviceOption,
+    FollowLinksOption,
     SchedulerOption,
     app,
     cluster_at,
@@ -26,7 +27,7 @@ from gffe_cl.cli.common import (
     warn,
 )
 from gffe_cl.errors import GffeError
-from gffe_cl.files import replacing
+from gffe_cl.files import write_text
 
 if TYPE_CHECKING:
     from gffe_cl.cluster import Cluster
@@ -86,6 +87,7 @@ def evaluate(
     scheduler: SchedulerOption = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Compute finished cells again.")] = False,
     device: DeviceOption = None,
+    follow_links: FollowLinksOption = False,
 ) -> None:
     """Measure methods on sequences: a report with tables, pictures and plots. Finished cells are kept."""
     from gffe_cl.evaluation.table.engine import Order
@@ -190,8 +192,7 @@ def _write(output: Path, results: dict, filled: Filled) -> None:
     }
     for name, text in files.items():
         try:
-            with replacing(output / name) as part:
-                part.write_text(text, "utf-8")
+            write_text(output / name, text)
         except OSError as error:
             raise GffeError(f"{output / name}: cannot be written ({error.strerror or error})") from None
     out.print(f"{plain(output / 'index.html')}, results.json, results.csv")

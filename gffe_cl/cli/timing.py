@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from gffe_cl.cli.common import JsonOption, app, out, parse_size, plain, progress_bars, steps, write_json
+from gffe_cl.cli.common import (
+    FollowLinksOption,
+    JsonOption,
+    app,
+    out,
+    parse_size,
+    plain,
+    progress_bars,
+    steps,
+    write_json,
+)
 from gffe_cl.cli.options import takes_options
 from gffe_cl.errors import GffeError
 
@@ -58,6 +68,7 @@ def bench(
     device: Annotated[
         str | None, typer.Option("--device", help="One device [dim](default: every device that works)[/].")
     ] = None,
+    follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
     *,
     options: Options,

@@ -10,6 +10,7 @@ import typer
 
 from gffe_cl.cli.common import (
     DeviceOption,
+    FollowLinksOption,
     JsonOption,
     NoCheckOption,
     app,
@@ -79,6 +80,7 @@ def view(
     ] = None,
     cache: Annotated[int, typer.Option(help="MiB of computed frames kept in memory; 0: none.")] = 2048,
     no_check: NoCheckOption = False,
+    follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
     *,
     options: Options,

@@ -10,6 +10,7 @@ from gffe_cl.doctor import cameras, motions
 from gffe_cl.doctor.cameras import CameraReading, axes_in_words
 from gffe_cl.doctor.depths import AS_GIVEN, DEVICE, PLANAR, DepthReading, Planes
 from gffe_cl.doctor.search import Reading
+from gffe_cl.errors import printable
 
 FAULT, NOTE, UNKNOWN = "fault", "note", "cannot tell"
 _UNITS = {100.0: "in centimetres, {0} in metres", 1000.0: "in millimetres, {0} in metres"}
@@ -29,7 +30,7 @@ class Finding:
     figures: dict = field(default_factory=dict)
 
     def __str__(self) -> str:
-        return f"{self.about}: {self.sentence}"
+        return printable(f"{self.about}: {self.sentence}")
 
 
 def faults_of(reading: Reading, stored: np.ndarray) -> list[Finding]:

@@ -12,14 +12,13 @@ from gffe_cl.formats.capture import (
     MOST_FRAMES,
     camera_of,
     described,
-    inside,
     read_json,
     shown_part,
     through_window,
     whole_number,
 )
 from gffe_cl.formats.layers import Place, holding, layers_of, owner
-from gffe_cl.sequence.description import Description, FrameEntry, check_file_name
+from gffe_cl.sequence.description import Description, FrameEntry, reference
 from gffe_cl.sequence.exr import decoded, require_parts
 from gffe_cl.sequence.exr_header import ExrHeader, HeaderReader, read_header
 from gffe_cl.sequence.pixels import COLOR, ForeignPixels, stack_color
@@ -51,7 +50,7 @@ def open_blender(folder: Path) -> Sequence:
     size = (description.width, description.height)
     reader = HeaderReader()
     for entry in description.frames:
-        header = reader.read(inside(folder, entry.file, FILE_NAME), entry.file)
+        header = reader.read(folder / entry.place, entry.file)
         passes = _passes(header, entry)
         parts = {part for places in filter(None, passes) for part, _ in places}
         require_parts(header, parts, None, entry.file)
@@ -81,7 +80,7 @@ class BlenderPixels(ForeignPixels):
     def color(self, entry, size):
         if entry.kind == "rendered":
             return self.rendered(entry, size)[0]
-        path = inside(self._folder, entry.file, FILE_NAME)
+        path = self._folder / entry.place
         header = read_header(path, entry.file)
         places = _passes(header, entry).color
         image = np.stack(decoded(path, header, places, entry.file), -1)
@@ -92,7 +91,7 @@ class BlenderPixels(ForeignPixels):
 
     def _read(self, entry: FrameEntry, size):
         """R, G, B and depth; X and Y, if there are vectors."""
-        path = inside(self._folder, entry.file, FILE_NAME)
+        path = self._folder / entry.place
         header = read_header(path, entry.file)
         passes = _passes(header, entry)
         places = [*passes.color, *passes.depth, *(passes.vector or [])]
@@ -128,7 +127,7 @@ def _frame(one, index: int, size) -> FrameEntry:
     label = f"{FILE_NAME}, frame {index}"
     if not isinstance(one, dict):
         raise GffeError(f"{label}: must be an object, got {shown(one)}")
-    kind, file = one.get("kind"), one.get("file")
+    kind, file, elsewhere = one.get("kind"), one.get("file"), None
     if kind not in KINDS:
         raise GffeError(f"{label}: kind must be one of {', '.join(KINDS)}, got {shown(kind)}")
     if kind == "camera_only":
@@ -136,10 +135,11 @@ def _frame(one, index: int, size) -> FrameEntry:
     elif file is None and isinstance(one.get("frame"), int):
         file = f"frame_{one['frame']:04d}.exr"
     if kind != "camera_only":
-        label = f"{label} ({check_file_name(file, label)})"
+        file, elsewhere = reference(file, label)
+        label = f"{label} ({file})"
     time = require_number(one.get("time"), f"{label}: time")
     camera = camera_of(one, "world_to_camera", size, label)
-    entry = FrameEntry(file, time, kind, reset=one.get("reset") is True, display_camera=camera)
+    entry = FrameEntry(file, time, kind, reset=one.get("reset") is True, display_camera=camera, elsewhere=elsewhere)
     if kind == "rendered":
         entry.render_camera = camera
     return entry

@@ -12,9 +12,9 @@ import numpy as np
 from gffe_cl.conventions import DIRECTIONS, depth_from_device, depth_from_distance
 from gffe_cl.errors import GffeError
 from gffe_cl.formats.cameras import UNITS, FoundCamera
-from gffe_cl.formats.capture import inside
 from gffe_cl.formats.images import Size, check_planes, read_planes
 from gffe_cl.formats.keys import Keys
+from gffe_cl.sequence.description import reference
 from gffe_cl.values import shown
 
 # How several 8-bit channels hold one number from 0 to 1: the weight of each, the first one first.
@@ -34,8 +34,7 @@ _NUMBER = re.compile(r"%(0\d{1,2})?d")
 class Buffer:
     """Where the numbers of a buffer are, and a linear map to what they mean: (v − offset) · scale."""
 
-    name: str
-    pattern: str  # of its files, with %d or %04d for the frame's number
+    pattern: str  # path of its files, with %d or %04d for the frame's number
     channels: tuple[str, ...]
     array: str | None
     packing: str
@@ -48,8 +47,7 @@ class Buffer:
         return _NUMBER.sub(lambda found: found[0] % number, self.pattern)
 
     def path(self, folder: Path, number: int) -> Path:
-        """GffeError if that leads out of `folder`."""
-        return inside(folder, self.file(number), self.name)
+        return folder / self.file(number)
 
     def check(self, folder: Path, number: int, size: Size) -> None:
         """GffeError if the headers of the file say that it cannot be read."""
@@ -73,7 +71,7 @@ class Buffer:
         return (planes - np.array(self.offset)) * np.array(self.scale)
 
 
-def parse_buffer(keys: Keys, name: str, default: tuple[str, ...]) -> Buffer:
+def parse_buffer(keys: Keys, default: tuple[str, ...]) -> Buffer:
     """What all buffers have; `default` are the channels, one for each component."""
     count = len(default)
     pattern = keys.text("file")
@@ -81,6 +79,7 @@ def parse_buffer(keys: Keys, name: str, default: tuple[str, ...]) -> Buffer:
         raise GffeError(
             f"{keys.label}, file must be a name with %d or %04d for the frame's number, got {shown(pattern)}"
         )
+    name_on_disk, elsewhere = reference(pattern, keys.label)
     channels = keys.take("channels", list(default))
     if not isinstance(channels, list) or not channels or not all(isinstance(c, str) for c in channels):
         raise GffeError(f"{keys.label}, channels must be a list of names, got {shown(channels)}")
@@ -92,8 +91,7 @@ def parse_buffer(keys: Keys, name: str, default: tuple[str, ...]) -> Buffer:
     if packing != "none" and not normalized:
         raise GffeError(f"{keys.label}: packed values are from 0 to 1 (expected no values: raw)")
     return Buffer(
-        name,
-        pattern,
+        elsewhere or name_on_disk,
         tuple(channels),
         keys.text("array"),
         packing,
@@ -124,7 +122,7 @@ class ColorBuffer:
 
 def parse_color(document: Any, name: str = "color") -> ColorBuffer:
     keys = Keys(document, name)
-    buffer = parse_buffer(keys, name, ("R", "G", "B"))
+    buffer = parse_buffer(keys, ("R", "G", "B"))
     made = ColorBuffer(buffer, keys.choice("encoding", COLOR_ENCODINGS, "linear"), keys.number("gamma", 2.2))
     keys.done()
     return made
@@ -175,7 +173,7 @@ class DepthBuffer:
 
 def parse_depth(document: Any, convention: str) -> DepthBuffer:
     keys = Keys(document, "depth")
-    buffer = parse_buffer(keys, "depth", ("R",))
+    buffer = parse_buffer(keys, ("R",))
     encoding = keys.choice("encoding", DEPTH_ENCODINGS, "linear")
     near, far = keys.number("near"), keys.take("far", "infinite")
     far = np.inf if far == "infinite" else far
@@ -221,7 +219,7 @@ class MotionBuffer:
 def parse_motion(document: Any) -> MotionBuffer:
     keys = Keys(document, "motion")
     made = MotionBuffer(
-        parse_buffer(keys, "motion", ("R", "G")),
+        parse_buffer(keys, ("R", "G")),
         keys.choice("unit", tuple(UNITS), "pixels"),
         keys.choice("direction", (*DIRECTIONS, TO_NEXT), "to_previous"),
         keys.choice("y", ("down", "up"), "down") == "up",

@@ -1,9 +1,8 @@
-"""What readers of foreign captures share: files that stay inside the folder, JSON, frames in order, windows."""
+"""What readers of foreign captures share: JSON, frames in order, windows."""
 
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 from gffe_cl.camera import Camera
 from gffe_cl.conventions import rigid, square
 from gffe_cl.errors import GffeError
-from gffe_cl.sequence.description import Description, FrameEntry, check_file_name, check_times, read_text
+from gffe_cl.sequence.description import Description, FrameEntry, check_times, read_text
 from gffe_cl.sequence.exr_header import ExrPart
 from gffe_cl.values import require_number, require_positive, shown
 
@@ -33,15 +32,6 @@ def read_json(path: Path) -> dict:
     if not isinstance(document, dict):
         raise GffeError(f"{path.name}: expected a JSON object, got {shown(document)}")
     return document
-
-
-def inside(folder: Path, name: Any, label: str) -> Path:
-    """The path of the file `name` in `folder`; GffeError if `name` or a link leads out of it."""
-    check_file_name(name, label)
-    path = folder / name
-    if not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder)):
-        raise GffeError(f"{label}: {shown(name)} is a link out of the folder (expected a file in it)")
-    return path
 
 
 def whole_number(value: Any, what: str, most: int = MOST_SIDE) -> int:

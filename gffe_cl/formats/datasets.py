@@ -6,7 +6,6 @@ depth test; Spring has flow to the previous one.
 
 from __future__ import annotations
 
-import os
 import re
 import struct
 from collections.abc import Callable
@@ -17,10 +16,11 @@ import numpy as np
 
 from gffe_cl.camera import Camera
 from gffe_cl.conventions import rigid
-from gffe_cl.errors import GffeError, how_to_install
-from gffe_cl.files import open_regular
-from gffe_cl.formats.capture import MOST_FRAMES, MOST_SIDE, described
+from gffe_cl.errors import GffeError
+from gffe_cl.files import following_links, open_regular, require_readable
+from gffe_cl.formats.capture import MOST_FRAMES, described
 from gffe_cl.formats.flow import inverted_flow, static_motion
+from gffe_cl.formats.hdf5 import read_hdf5
 from gffe_cl.formats.images import Size, check_planes, read_planes
 from gffe_cl.formats.png import read_png_header
 from gffe_cl.sequence.description import FrameEntry, read_text
@@ -70,15 +70,14 @@ class DatasetPixels(ForeignPixels):
         return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
-def _opened(
-    folder: Path, frames: list[_Frame], size: Size, fps: float, root: Path | None = None, notes: tuple[str, ...] = ()
-) -> Sequence:
-    """The sequence of `frames`; GffeError for files that are missing or linked from outside of `root` (the folder)."""
+def _opened(folder: Path, frames: list[_Frame], size: Size, fps: float, notes: tuple[str, ...] = ()) -> Sequence:
+    """The sequence of `frames`; GffeError for files that are missing."""
     if not 0 < len(frames) <= MOST_FRAMES:
         raise GffeError(f"{folder}: {len(frames)} frames (expected 1 to {MOST_FRAMES})")
     entries = {}
     for k, frame in enumerate(frames):
-        _require_files((frame.color, *frame.files), root or folder)
+        for path in frame.files:
+            require_readable(path, path.name)
         check_planes(frame.color, "RGB", frame.color.name, size)
         before = frames[k - 1] if k else None
         cut = before is None or (frame.flow if frame.backward else before.flow) is None
@@ -88,14 +87,6 @@ def _opened(
     pixels = DatasetPixels(dict(zip(entries, frames, strict=True)))
     pixels.notes += notes
     return Sequence(folder, described(str(folder), size, entries.values(), fps), pixels)
-
-
-def _require_files(paths: tuple[Path, ...], root: Path) -> None:
-    for path in paths:
-        if not path.exists():
-            raise GffeError(f"{path.name}: no such file in {path.parent}")
-        if not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(root)):
-            raise GffeError(f"{path.name}: is a link out of the folder (expected a file in it)")
 
 
 def _images(folder: Path, pattern: str) -> list[Path]:
@@ -112,8 +103,11 @@ def _size(path: Path) -> Size:
 
 
 def _number(path: Path) -> str:
-    """The first number in a file's name, as it is written."""
-    return _NUMBER.search(path.name)[0]
+    """The first number in a file's name, as it is written; GffeError if there is none."""
+    found = _NUMBER.search(path.name)
+    if found is None:
+        raise GffeError(f"{path.name}: no frame number in the name (expected one, as in frame_0001.png)")
+    return found[0]
 
 
 def _within(depth: np.ndarray, sky: float = _SKY) -> np.ndarray:
@@ -143,7 +137,7 @@ def open_sintel(folder: Path) -> Sequence:
         read_flow = (lambda flow=flow: _sintel_array(flow, 2, size)) if has_flow else None
         read_depth = lambda depth=depth: _within(_sintel_array(depth, 1, size)[..., 0])  # noqa: E731
         frames.append(_Frame(path, read_depth, read_flow, camera, (depth, *([flow] if has_flow else []))))
-    return _opened(folder, frames, size, 24.0, folder.absolute().parent.parent)
+    return _opened(folder, frames, size, 24.0)
 
 
 def _sintel_folders(folder: Path) -> tuple[Path, Path, Path] | None:
@@ -263,7 +257,7 @@ def is_spring(folder: Path) -> bool:
 def open_spring(folder: Path) -> Sequence:
     """Open the scene in `folder`, left camera, at the size of the colours. Raises GffeError, also without h5py."""
     images = _images(folder / "frame_left", "frame_left_*.png")
-    size, frames = _size(images[0]), []
+    size, frames, links = _size(images[0]), [], following_links()
     intrinsics = _table(folder / "cam_data" / "intrinsics.txt", 4, len(images))
     extrinsics = _table(folder / "cam_data" / "extrinsics.txt", 16, len(images))
     for path, (fx, fy, cx, cy), matrix in zip(images, intrinsics, extrinsics, strict=True):
@@ -271,11 +265,11 @@ def open_spring(folder: Path) -> Sequence:
         disparity = folder / "disp1_left" / f"disp1_left_{number}.dsp5"
         flow = folder / "flow_BW_left" / f"flow_BW_left_{number}.flo5"
         camera = _camera(matrix.reshape(4, 4), fx, fy, cx, cy, "extrinsics.txt")
-        read_flow = (lambda flow=flow: _spring_array(flow, "flow", size)) if flow.exists() else None
-        read_depth = lambda file=disparity, fx=fx: _from_disparity(file, fx, size)  # noqa: E731
+        read_flow = (lambda flow=flow: read_hdf5(flow, "flow", size, 2, links)) if flow.exists() else None
+        read_depth = lambda file=disparity, fx=fx: _from_disparity(file, fx, size, links)  # noqa: E731
         files = (disparity, *([flow] if read_flow else []))
         frames.append(_Frame(path, read_depth, read_flow, camera, files, backward=True))
-    _spring_array(frames[0].files[0], "disparity", size)
+    read_hdf5(frames[0].files[0], "disparity", size, 1, links)
     return _settled(folder, frames, size)
 
 
@@ -298,29 +292,8 @@ def _inverse(camera: Camera) -> Camera:
     return Camera(camera.view_to_world, *camera.intrinsics)
 
 
-def _from_disparity(path: Path, fx: float, size: Size) -> np.ndarray:
+def _from_disparity(path: Path, fx: float, size: Size, follow_links: bool) -> np.ndarray:
     """Depth in metres: fx · 0.065 / d."""
-    disparity = np.abs(_spring_array(path, "disparity", size)[..., 0]).astype(np.float64)
+    disparity = np.abs(read_hdf5(path, "disparity", size, 1, follow_links)[..., 0]).astype(np.float64)
     with np.errstate(divide="ignore"):
         return _within(fx * _SPRING_BASELINE / disparity)
-
-
-def _spring_array(path: Path, name: str, size: Size) -> np.ndarray:
-    """(H, W, C) float32 of an HDF5 file that may have twice the colours' pixels each way."""
-    try:
-        import h5py
-    except ImportError:
-        raise GffeError(f"Spring's files need h5py ({how_to_install('spring')})") from None
-    try:
-        with h5py.File(path, "r") as file:
-            stored = file[name]
-            shape = getattr(stored, "shape", ())
-            factor = shape[0] // size[1] if shape else 0
-            if shape[:2] not in ((size[1], size[0]), (2 * size[1], 2 * size[0])) or max(shape[:2]) > MOST_SIDE:
-                raise GffeError(f"{path.name}: {shape}, expected {size[0]}×{size[1]} pixels, or twice that each way")
-            if stored.dtype.kind != "f" or len(shape) > 3 or (len(shape) == 3 and shape[2] > 2):
-                raise GffeError(f"{path.name}: {stored.dtype} of shape {shape} (expected floating-point numbers)")
-            array = stored[::factor, ::factor].astype(np.float32)
-    except (OSError, KeyError, RuntimeError, ValueError) as error:
-        raise GffeError(f"{path.name}: cannot be read ({' '.join(str(error).split())[:200]})") from None
-    return array.reshape(size[1], size[0], -1)

@@ -189,7 +189,7 @@ def _require_camera(made: _Folder, found: FoundCamera | None, label: str) -> Non
 
 def _camera_files(keys: Keys) -> Buffer | None:
     pattern = keys.text("file")
-    return None if pattern is None else parse_buffer(Keys({"file": pattern}, "camera"), "camera", ("R",))
+    return None if pattern is None else parse_buffer(Keys({"file": pattern}, "camera"), ("R",))
 
 
 def _frames(given: Any, fps: float | None) -> Iterator[tuple[int, FrameEntry, Any]]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gffe_cl.errors import GffeError
+from gffe_cl.files import follow_links as following
 from gffe_cl.formats import blender, datasets, folder, unreal
 from gffe_cl.sequence.description import FILE_NAME
 from gffe_cl.sequence.folder import why_unfinished
@@ -85,16 +86,22 @@ FORMATS = {
 }
 
 
-def open_capture(path, *, cameras: str = "needed") -> Sequence:
+def open_capture(path, *, cameras: str = "needed", follow_links: bool | None = None) -> Sequence:
     """Open the capture in the folder `path` (or whose JSON file is `path`), of any form in `gffe formats`:
     which one it is, its files tell.
 
     Everything that can be checked without decoding pixels is. Frames are read in our own conventions, whatever theirs
     are: a `Sequence` as `open_sequence` gives it. With `cameras` "optional" those of our own form and of `gffe-folder`
-    may lack cameras, as there. Raises GffeError, also for a folder of no known form.
+    may lack cameras, as there. With `follow_links` files of the capture may refer to files outside the folder; by
+    default they may not. Raises GffeError, also for a folder of no known form.
     """
     path = require_path(path, "open_capture: path")
     require_choice(cameras, CAMERAS, "open_capture: cameras")
+    with following(follow_links):
+        return _opened(path, cameras)
+
+
+def _opened(path: Path, cameras: str) -> Sequence:
     place = path.parent if path.name in _JSON_FILES and not path.is_dir() else path
     try:
         if not place.is_dir():

@@ -15,7 +15,7 @@ import numpy as np
 from gffe_cl.camera import Camera
 from gffe_cl.conventions import depth_from_distance, motion_from_unreal
 from gffe_cl.errors import GffeError
-from gffe_cl.formats.capture import MOST_FRAMES, described, inside, shown_part, through_window
+from gffe_cl.formats.capture import MOST_FRAMES, described, shown_part, through_window
 from gffe_cl.formats.flow import static_motion
 from gffe_cl.formats.layers import Place, layers_of
 from gffe_cl.sequence.description import FrameEntry
@@ -60,7 +60,7 @@ def open_unreal(folder: Path) -> Sequence:
     numbered, reader, entries = _numbered(folder), HeaderReader(), []
     size = fps = before = None
     for number, file in numbered:
-        header = reader.read(inside(folder, file, str(folder)), file)
+        header = reader.read(folder / file, file)
         places = _places(header, file)
         require_parts(header, {part for part, _ in places}, None, file)
         part = header.parts[places[0][0]]
@@ -125,7 +125,7 @@ class UnrealPixels(ForeignPixels):
 
     def _raw(self, entry: FrameEntry, size):
         """Color (H, W, 3), depth (H, W) and motion (H, W, 2) as stored, and the header."""
-        path = inside(self._folder, entry.file, str(self._folder))
+        path = self._folder / entry.file
         header = read_header(path, entry.file)
         places = _places(header, entry.file)
         require_parts(header, {part for part, _ in places}, size, entry.file)

@@ -15,6 +15,7 @@ from types import ModuleType
 from typing import Any
 
 from gffe_cl.errors import GffeError
+from gffe_cl.files import model_source
 
 
 class NetworkError(GffeError):
@@ -125,7 +126,7 @@ def open_session(path: Path, provider: Provider = CPU, sizes: Mapping[str, int] 
     else:
         options.add_provider_for_devices([plugin_device(provider)], dict(provider.settings))
     try:
-        session = onnxruntime.InferenceSession(str(path), options, **arguments)
+        session = onnxruntime.InferenceSession(model_source(path), options, **arguments)
     except Exception as error:  # onnxruntime's classes have no common base
         if provider != CPU:
             raise NetworkError(f"provider {provider.name}: cannot be used: {one_line(error)}") from None

@@ -7,6 +7,7 @@ import json
 import math
 import os
 import re
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
-from gffe_cl.files import open_regular
+from gffe_cl.files import following_links, open_regular
 from gffe_cl.values import (
     MOST_SIDE,
     require_bool,
@@ -59,6 +60,8 @@ class FrameEntry:
         The rendered frame that an extrapolated one was made from.
     alpha : float or None
         (time − source time) / (source time − time of the rendered frame before it).
+    elsewhere : str or None
+        Path of the file where that is not in the folder; `file` is then what copies of it are called.
     """
 
     file: str
@@ -70,6 +73,12 @@ class FrameEntry:
     display_camera: Camera | None = None
     source: str | None = None
     alpha: float | None = None
+    elsewhere: str | None = None
+
+    @property
+    def place(self) -> str:
+        """Path of the file, seen from the folder."""
+        return self.elsewhere or self.file
 
 
 @dataclass
@@ -121,6 +130,7 @@ def parse_description(text: str, name: str = FILE_NAME) -> Description:
     if not isinstance(frames, list) or not frames:
         raise GffeError(f"{name}: frames must be a list of at least one frame")
     description.frames = [_parse_frame(frame, index, name) for index, frame in enumerate(frames)]
+    _require_names(description.frames, name)
     _parse_cameras(description.frames, frames, name)
     check_times(description.frames, name)
     for entry in description.frames:
@@ -151,6 +161,16 @@ def checked_entry(entry: FrameEntry) -> FrameEntry:
     )
 
 
+def _require_names(frames: list[FrameEntry], name: str) -> None:
+    """GffeError if two files of different folders would be called the same."""
+    places: dict[str, str] = {}
+    for index, entry in enumerate(frames):
+        other = places.setdefault(entry.file, entry.place)
+        if other != entry.place:
+            label = frame_label(index, entry.place, name)
+            raise GffeError(f"{label}: would be called {entry.file} like {other} (expected names of their own)")
+
+
 def frame_label(index: int, file: str, name: str = FILE_NAME) -> str:
     return f"{name}, frame {index} ({file})"
 
@@ -173,23 +193,43 @@ def check_times(frames: list[FrameEntry], name: str = FILE_NAME) -> None:
 
 
 def check_file_name(file, label: str) -> str:
-    """`file` if it is a relative path that stays inside the sequence's folder, else GffeError."""
+    """`file`, as Python calls it on disk, if it is a relative path inside the sequence's folder, else GffeError."""
     if isinstance(file, str) and _PLAIN_NAME.fullmatch(file) and file != FILE_NAME:
         return file
-    if not isinstance(file, str) or not file.strip() or "\0" in file or file in (".", FILE_NAME) or not _on_disk(file):
+    name = _on_disk(file) if isinstance(file, str) and file.strip() and "\0" not in file else None
+    if name is None or name in (".", FILE_NAME):
         raise GffeError(f"{label}: file must be the name of an EXR file, got {shown(file)}")
-    for path in (PurePosixPath(file), PureWindowsPath(file)):
-        if path.is_absolute() or path.anchor or ".." in path.parts:
-            raise GffeError(f"{label}: file must stay inside the sequence's folder, got {shown(file)}")
-    return file
+    if _leaves(name):
+        raise GffeError(f"{label}: file must stay inside the sequence's folder, got {shown(file)}")
+    return name
 
 
-def _on_disk(name: str) -> bool:
-    """Whether the file system can hold such a name: half a surrogate pair has no bytes."""
+def reference(file, label: str) -> tuple[str, str | None]:
+    """As `check_file_name`, for a file that is read: its name, and its path if that leaves the folder, which is a
+    GffeError unless links are followed (`gffe_cl.files.following_links`)."""
+    if not isinstance(file, str) or not _leaves(file):
+        return check_file_name(file, label), None
+    if not following_links():
+        raise GffeError(
+            f"{label}: file must stay inside the sequence's folder, got {shown(file)} (--follow-links allows it)"
+        )
+    parts = [part for part in PurePosixPath(file).parts if part not in ("..", "/")]
+    name = re.sub(r"[\\:]|\.\.", "_", "/".join(parts))
+    return check_file_name(name, label), _on_disk(file)
+
+
+def _leaves(file: str) -> bool:
+    paths = (PurePosixPath(file), PureWindowsPath(file))
+    return any(path.anchor or ".." in path.parts for path in paths)
+
+
+def _on_disk(name: str) -> str | None:
+    """What Python calls the file whose name is that UTF-8 text, whatever the locale; None where no file can be called
+    so: half a surrogate pair has no bytes."""
     try:
-        return bool(os.fsencode(name))
+        return os.fsdecode(name.encode("utf-8", sys.getfilesystemencodeerrors()))
     except UnicodeError:
-        return False
+        return None
 
 
 def read_text(path: Path, most: int = _MAX_BYTES) -> str:
@@ -253,17 +293,17 @@ def _camera_document(camera: Camera) -> dict:
 def _parse_frame(frame, index, name) -> FrameEntry:
     if not isinstance(frame, dict):
         raise GffeError(f"{name}, frame {index}: must be an object, got {shown(frame)}")
-    file = check_file_name(frame.get("file"), f"{name}, frame {index}")
+    file, elsewhere = reference(frame.get("file"), f"{name}, frame {index}")
     label = frame_label(index, file, name)
     kind = frame.get("kind")
     if kind not in KINDS:
         raise GffeError(f"{label}: kind must be one of {', '.join(KINDS)}, got {shown(kind)}")
     reset = _true_or_false(frame.get("reset", False), f"{label}: reset")
-    entry = FrameEntry(file, require_number(frame.get("time"), f"{label}: time"), kind, reset)
+    entry = FrameEntry(file, require_number(frame.get("time"), f"{label}: time"), kind, reset, elsewhere=elsewhere)
     if frame.get("render_size") is not None:
         entry.render_size = _parse_size(frame["render_size"], label)
     if frame.get("source") is not None:
-        entry.source = check_file_name(frame["source"], f"{label}, source")
+        entry.source, _ = reference(frame["source"], f"{label}, source")
     if frame.get("alpha") is not None:
         entry.alpha = require_positive(frame["alpha"], f"{label}: alpha")
     return entry

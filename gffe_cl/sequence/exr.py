@@ -15,7 +15,7 @@ import OpenEXR
 
 from gffe_cl.errors import GffeError
 from gffe_cl.sequence.exr_header import ExrHeader, read_header
-from gffe_cl.sequence.library_messages import library_messages
+from gffe_cl.sequence.quiet import quietly
 from gffe_cl.values import require_choice
 
 _FLOAT_CHANNELS = ("Z", "motion.")  # always float32; any other channel keeps half if it is half
@@ -51,15 +51,18 @@ def read_channels(path: Path, names, label: str, size=None) -> dict[str, np.ndar
 def decoded(path: Path, header: ExrHeader, places: list[tuple[int, str]], label: str) -> list[np.ndarray]:
     """The channels at `places`, (part, name), of the EXR file at `path`, as `read_channels` gives them."""
     _require_moderate(header, label)
-    said: list[str] = []
-    try:
-        with _counted(), library_messages(path) as said, OpenEXR.File(str(path), separate_channels=True) as file:
+
+    def decode() -> list[np.ndarray]:
+        with _counted(), OpenEXR.File(os.fsencode(path), separate_channels=True) as file:
             parts = [file.channels(i) for i in range(len(file.parts))]  # none if the library gave up
             if len(parts) != len(header.parts):
                 raise ValueError("corrupt pixel data")
             return [parts[part][name].pixels for part, name in places]
+
+    try:
+        return quietly(decode)
     except Exception as error:
-        reason = "; ".join(dict.fromkeys((_one_line(error), *map(_one_line, said[:1]))))
+        reason = "; ".join(dict.fromkeys(map(_one_line, (error, *getattr(error, "__notes__", ())))))
         raise GffeError(f"{label}: damaged, the pixels cannot be decoded ({reason})") from None
 
 
@@ -158,8 +161,8 @@ def write_channels(
         try:
             # The library takes any array for a contiguous one.
             contiguous = {name: np.ascontiguousarray(channel) for name, channel in channels.items()}
-            with _counted(), library_messages(part_path):
-                OpenEXR.File(header, contiguous).write(str(part_path))
+            with _counted():
+                OpenEXR.File(header, contiguous).write(os.fsencode(part_path))
         except RuntimeError as error:
             code = errno.ENOSPC if os.strerror(errno.ENOSPC) in str(error) else errno.EIO
             raise OSError(code, _one_line(error) if code == errno.EIO else os.strerror(code)) from None

@@ -58,7 +58,7 @@ class OwnPixels:
         self.notes = []
 
     def read(self, entry, size):
-        path = self._folder / entry.file
+        path = self._folder / entry.place
         header = read_header(path, entry.file)
         names = RENDERED if has_motion(header) or not entry.reset else RENDERED[:4]
         over = {field: those for field, those in OVERLAY_CHANNELS.items() if header.find(those[0])}
@@ -76,10 +76,10 @@ class OwnPixels:
         return stack_color(self.channels(entry, COLOR, size))
 
     def channels(self, entry, names, size):
-        return exr.read_channels(self._folder / entry.file, tuple(names), entry.file, size)
+        return exr.read_channels(self._folder / entry.place, tuple(names), entry.file, size)
 
     def exr_file(self, entry):
-        return self._folder / entry.file
+        return self._folder / entry.place
 
 
 class ForeignPixels:

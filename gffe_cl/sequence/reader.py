@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.camera import Camera
-from gffe_cl.errors import GffeError
+from gffe_cl.errors import GffeError, printable
+from gffe_cl.files import follow_links as following
 from gffe_cl.frame import RenderedFrame, require_one_pose
 from gffe_cl.sequence import exr
 from gffe_cl.sequence.checks import time_warnings, zero_motion_warning
@@ -120,7 +122,8 @@ class Sequence:
         cut = [f"{outside[0]}: the display reaches beyond what was rendered (display_camera)"] if outside else []
         few = [f"{self.path}: unfinished, what wrote it was interrupted after {len(self.frames)} frames"]
         times = time_warnings(self.rendered, self.fps)
-        return (few if self.unfinished else []) + list(self._pixels.notes) + times + cut + met
+        said = (few if self.unfinished else []) + list(self._pixels.notes) + times + cut + met
+        return [printable(text) for text in said]
 
     def _covers_display(self, entry: FrameEntry) -> bool:
         """Whether all that is shown was rendered, to half a pixel of the display; and of the frame, for jitter."""
@@ -191,19 +194,26 @@ def _moment(kind: str, time: float) -> tuple[str, float]:
     return require_choice(kind, (*KINDS, "camera_only"), "sequence: kind"), require_number(time, "sequence: time")
 
 
-@without_collections()
-def open_sequence(path, *, cameras: str = "needed", mend: Callable[[str], str] | None = None) -> Sequence:
+def open_sequence(
+    path, *, cameras: str = "needed", mend: Callable[[str], str] | None = None, follow_links: bool | None = None
+) -> Sequence:
     """Open the sequence in the folder `path` (or whose `sequence.json` is `path`).
 
     JSON, cameras and the headers of all files are checked here, so that no later work meets a missing
     channel or file, a wrong size, or a truncated file. With `cameras` "optional" rendered frames may lack theirs (it is
-    None then), which nothing but calibration can work on. `mend` makes of the JSON text what is taken for it. Raises
-    GffeError.
+    None then), which nothing but calibration can work on. `mend` makes of the JSON text what is taken for it. With
+    `follow_links` the JSON may name files outside the folder; by default it may not. Raises GffeError.
     """
     path = require_path(path, "open_sequence: path")
     require_choice(cameras, CAMERAS, "open_sequence: cameras")
     if mend is not None:
         require_kind(mend, Callable, "open_sequence: mend", "a function or None")
+    with following(follow_links):
+        return _opened(path, cameras, mend)
+
+
+@without_collections()
+def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequence:
     try:
         if not path.exists():
             raise GffeError(f"{path}: no such folder (expected a sequence: a folder with {FILE_NAME})")
@@ -222,7 +232,7 @@ def open_sequence(path, *, cameras: str = "needed", mend: Callable[[str], str] |
     # On one thread: the system calls are so short that threads only wait for each other.
     reader, passed = HeaderReader(), set()
     for index, entry in enumerate(description.frames):
-        header = reader.read(f"{folder}/{entry.file}", entry.file, matrices=_lacks_camera(entry))
+        header = reader.read(os.path.join(folder, entry.place), entry.file, matrices=_lacks_camera(entry))
         alike = header.layout, entry.kind, entry.reset, entry.render_size
         if alike not in passed:
             _check_channels(entry, header)

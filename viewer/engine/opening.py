@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import pyopencl as cl
 
+from gffe_cl.errors import printable
 from gffe_cl.formats import open_capture
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.scenes import is_scene, load_scene
@@ -68,4 +69,4 @@ def _suspicion(sequence: Sequence, target: str) -> str | None:
     from gffe_cl.doctor import quick_warning
 
     suspicion = quick_warning(sequence, sequence.exposure)
-    return suspicion and f"{suspicion}; `gffe check {target}` says more"
+    return suspicion and printable(f"{suspicion}; `gffe check {target}` says more")

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from gffe_cl.errors import GffeError
+from gffe_cl.errors import GffeError, printable
 from gffe_cl.frame import PackedFrame, RenderedFrame, pack_frame
 from gffe_cl.opencl.device import Device
 from gffe_cl.run import alphas_for
@@ -38,7 +38,7 @@ class RecordedSource(Recorded, FrameSource):
         super().__init__(sequence, device, "off")
         self.windowed = self._cut
         super().__init__(sequence, device, window)
-        self.name = sequence.path.resolve().name
+        self.name = printable(sequence.path.resolve().name)
         self.suspicions: list[str] = []
         self.check: Callable[[], str | None] | None = None  # finds a suspicion, on a thread of its own
         self._chosen = window

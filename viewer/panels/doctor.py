@@ -5,6 +5,7 @@ from __future__ import annotations
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
+from gffe_cl.errors import printable
 from gffe_cl.viewer.panels import widgets
 
 _RED, _AMBER, _GREY = (0.97, 0.5, 0.45, 1.0), (0.9, 0.7, 0.3, 1.0), (0.6, 0.6, 0.62, 1.0)
@@ -38,7 +39,7 @@ def draw(app) -> None:
                 widgets.tooltip(f"rendered frame {frame} {reason}")
     if any(finding.fix for finding in doctor.findings):
         imgui.separator()
-        widgets.hint(f"gffe check {model.source.target} --fix OUT  mends it")
+        widgets.hint(printable(f"gffe check {model.source.target} --fix OUT  mends it"))
 
 
 def _findings(doctor) -> None:

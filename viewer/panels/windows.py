@@ -7,6 +7,7 @@ from pathlib import Path
 from imgui_bundle import ImVec4, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from gffe_cl.errors import printable
 from gffe_cl.scenes import scene_names
 from gffe_cl.viewer.panels import widgets
 
@@ -67,7 +68,7 @@ def path_window(app) -> None:
         imgui.set_keyboard_focus_here()
     imgui.set_next_item_width(hello_imgui.em_size(34))
     enter = imgui.InputTextFlags_.enter_returns_true.value
-    chosen, app.path_text = imgui.input_text_with_hint("###path", str(Path.cwd()), app.path_text, enter)
+    chosen, app.path_text = imgui.input_text_with_hint("###path", printable(str(Path.cwd())), app.path_text, enter)
     imgui.same_line()
     chosen |= imgui.button("open###open_this")
     imgui.text_disabled(f"The folder of a sequence, or a built-in scene: {scene_names()}")

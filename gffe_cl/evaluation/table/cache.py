@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
+import os
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -89,7 +90,7 @@ def kernels() -> str:
     """A hash of all kernel files."""
     total = hashlib.sha256()
     for path in sorted(p for p in kernel_folder().rglob("*") if p.suffix in (".cl", ".h")):
-        total.update(path.name.encode() + b"\0" + path.read_bytes())
+        total.update(os.fsencode(path.name) + b"\0" + path.read_bytes())
     return total.hexdigest()
 
 

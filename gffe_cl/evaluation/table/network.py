@@ -18,6 +18,7 @@ import numpy as np
 
 from gffe_cl.errors import GffeError
 from gffe_cl.evaluation.table.subjects import Moment, Shot
+from gffe_cl.files import model_source
 from gffe_cl.inference import load_onnxruntime
 from gffe_cl.metrics import display_values, linear_values
 
@@ -38,7 +39,7 @@ class OnnxModel:
         for kind in ("intra_op", "inter_op"):
             options.add_session_config_entry(f"session.{kind}.allow_spinning", "0")
         try:
-            self._session = runtime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+            self._session = runtime.InferenceSession(model_source(path), options, providers=["CPUExecutionProvider"])
         except Exception as error:  # onnxruntime's classes have no common base
             raise GffeError(f"--onnx {path}: cannot be loaded (expected an ONNX model): {_one_line(error)}") from None
         shapes = {value.name: value.shape for value in self._session.get_inputs()}

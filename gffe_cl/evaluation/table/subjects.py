@@ -7,6 +7,7 @@ from all others without rendering or decoding anything. `open_subject` makes `Fo
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -82,7 +83,7 @@ class FolderSubject:
         total = hashlib.sha256()
         for path in sorted(p for p in root.rglob("*") if p.is_file()):
             with path.open("rb") as file:
-                total.update(f"{path.relative_to(root)}\0".encode() + hashlib.file_digest(file, "sha256").digest())
+                total.update(os.fsencode(path.relative_to(root)) + b"\0" + hashlib.file_digest(file, "sha256").digest())
         return {"folder": total.hexdigest(), "upscale": self.upscale}
 
 
