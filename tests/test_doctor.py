@@ -10,7 +10,7 @@ from synthetic import Rect, Rects, camera
 from gffe_cl.doctor import Repair, examine, open_for_check, quick_warning
 from gffe_cl.doctor.breaking import BREAKS, HARMLESS, Kept, broken
 from gffe_cl.doctor.samples import grid
-from gffe_cl.doctor.tone import display_curve_votes, is_encoded
+from gffe_cl.doctor.tone import display_curve_votes
 from gffe_cl.errors import GffeError
 from gffe_cl.sequence import SequenceWriter, named_channels, open_sequence
 

@@ -188,6 +188,20 @@ def _tone_mapped(frame):
     return {"color": np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055).astype(np.float16)}
 
 
+def _bottom_up(*buffers: str) -> Callable:
+    def changed(frame):
+        stored = {name: getattr(frame, name) for name in buffers}
+        return {name: image[::-1].copy() for name, image in stored.items() if image is not None}
+
+    return _each(changed)
+
+
+def _range_misread(z: np.ndarray) -> np.ndarray:
+    """Made linear from 0 … 1 by the formula for OpenGL's −1 … 1."""
+    device = FAR / (FAR - NEAR) * (1 - NEAR / np.minimum(z, FAR))
+    return np.where(np.isinf(z), z, 2 * FAR * NEAR / (FAR + NEAR - device * (FAR - NEAR)))
+
+
 BREAKS: dict[str, tuple[str, Callable]] = {
     "motion jitter not removed": ("motion", _jittered),
     "motion without the camera": ("motion", _without_camera),
@@ -204,6 +218,7 @@ BREAKS: dict[str, tuple[str, Callable]] = {
     "depth reversed": ("depth", _depth(lambda z: NEAR / z)),
     "depth device": ("depth", _depth(lambda z: FAR / (FAR - NEAR) * (1 - NEAR / np.minimum(z, FAR)))),
     "depth along rays": ("depth", _each(_along_rays)),
+    "depth range misread": ("depth", _depth(_range_misread)),
     "depth in centimetres": ("depth", _depth(lambda z: z * 100)),
     "camera transposed": ("camera", _camera(_rotation_transposed)),
     "camera inverted": ("camera", _camera(np.linalg.inv)),
@@ -213,6 +228,10 @@ BREAKS: dict[str, tuple[str, Callable]] = {
     "camera in centimetres": ("camera", _camera(_translation_scaled(100))),
     "camera field of view": ("camera", _camera(lambda m: m, _FOCAL_ERROR)),
     "two frames swapped": ("order", _two_swapped),
+    "color rows": ("color", _bottom_up("color")),
+    "depth rows": ("depth", _bottom_up("depth")),
+    "motion rows": ("motion", _bottom_up("motion")),
+    "all rows": ("rows", _bottom_up("color", "depth", "motion")),
     "colour tone-mapped": ("colour", _each(_tone_mapped)),
 }
 HARMLESS: dict[str, Callable] = {
