@@ -8,7 +8,9 @@ from functools import cache
 
 import numpy as np
 
+from gffe_cl.doctor.edges import edge_agreement
 from gffe_cl.doctor.findings import DISPLAY_VALUES, FAULT, NOTE, UNKNOWN, Finding, faults_of
+from gffe_cl.doctor.keys import tell_keys
 from gffe_cl.doctor.lacking import without_camera
 from gffe_cl.doctor.order import Order, Reordered, examine_order, shuffled_order
 from gffe_cl.doctor.rows import search_rows
@@ -88,10 +90,13 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
         sentence = f"vectors are quantised to {words} px: what moves slowly shakes a little"
         found.findings.append(Finding(NOTE, "motion", "quantised", sentence, figures={"step": step}))
 
+    edges = edge_agreement(found.looks)
+
     @cache
     def search_of(rows: tuple[str, ...]) -> Search:
         turned = with_rows({k: looks[k] for k in beside}, rows)
-        return Search([turned[look.index] for look in found.looks], step, rows)
+        sign = 1 if ("color" in rows) == ("depth" in rows) else -1
+        return Search([turned[look.index] for look in found.looks], step, rows, sign * edges)
 
     search = search_of(())
     found.given = search.verdict(Reading())
@@ -108,6 +113,7 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     _note_sky(found, search)
     _judge_colors(found)
     _tell_unknown(found, search)
+    tell_keys(found.findings, getattr(clip, "settings", None))
     return found
 
 
@@ -164,8 +170,9 @@ def _convincing(verdicts: list[Verdict], given: Verdict) -> Verdict:
     best = verdicts[0]
     if best.total < given.total + _MARGIN:
         return given
-    gain = np.nansum([best.motion_color, best.camera_color, -given.motion_color, -given.camera_color])
-    if best.agreement > given.agreement + _TELLING or (best.reading.rows and gain > _COLORS_ALONE):
+    if best.agreement > given.agreement + _TELLING or (
+        best.reading.rows and best.colors > given.colors + _COLORS_ALONE
+    ):
         return best
     for verdict in verdicts:
         motion = verdict.reading.motion
@@ -246,7 +253,7 @@ def _note_sky(found: Diagnosis, search: Search) -> None:
 
 
 def _judge_colors(found: Diagnosis) -> None:
-    votes = display_curve_votes([(look.image, look.deep) for look in found.looks])
+    votes = display_curve_votes(found.looks)
     if votes.verdict:
         sure = votes.verdict == "display values"
         words = "colors are display values (sRGB), not linear" if sure else "colors may be display values (sRGB)"

@@ -41,7 +41,8 @@ class Finding:
         return finding_id(self.about, self.name)
 
     def __str__(self) -> str:
-        return f"{self.about}: {self.sentence}"
+        change = f"; in the capture's sequence.json, {self.change}" if self.change else ""
+        return f"{self.about}: {self.sentence}{change}"
 
 
 def finding_id(about: str, name: str) -> str:
@@ -64,7 +65,11 @@ def faults_of(reading: Reading, stored: np.ndarray) -> list[Finding]:
     """One finding for every way in which `reading` differs from what is given; `stored`: sampled depths."""
     found = [
         Finding(
-            FAULT, buffer, BOTTOM_UP, f"rows of the {buffer} are stored from the bottom up", "rows are turned upside down"
+            FAULT,
+            buffer,
+            BOTTOM_UP,
+            f"rows of the {buffer} are stored from the bottom up",
+            "rows are turned upside down",
         )
         for buffer in reading.rows
     ]

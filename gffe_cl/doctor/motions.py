@@ -76,7 +76,6 @@ class MotionReading:
             return None
         return stored @ self.matrix(look.size).T
 
-
     def mirrored(self) -> MotionReading:
         """With y the other way round."""
         turn = tuple(tuple(row) for row in (np.diag([1, -1]) @ np.array(self.turn)).tolist())
@@ -89,8 +88,10 @@ class MotionReading:
         kept = tuple(part for part in self.parts if part in parts)
         if kept == self.parts:
             return self
-        pick = {name: next((value for key, value in table.items() if key and set(key) <= set(kept)), table[()]) for
-                name, table in (("unit", _UNITS), ("factor", _FACTORS))}
+        pick = {
+            name: next((value for key, value in table.items() if key and set(key) <= set(kept)), table[()])
+            for name, table in (("unit", _UNITS), ("factor", _FACTORS))
+        }
         turned = tuple(part for part in kept if any(part in key for key in _TURNS))
         step = NEXT if "to the next frame" in kept else PREVIOUS
         held_by = self.held_by if any(part in _HELD for part in kept) else 0

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gffe_cl.doctor.edges import edge_agreement
 from gffe_cl.doctor.evidence import Bench, moving, trimmed
 from gffe_cl.doctor.samples import BUFFERS, PREVIOUS, Clip, Look, take_looks, with_rows
 from gffe_cl.doctor.search import Reading, Search
@@ -25,17 +26,18 @@ _UPSIDE_DOWN = {(buffer,): f"{buffer} is upside down against the other buffers" 
 
 @dataclass
 class _Fit:
-    """`off` (N,): residuals in pixels; `share` of those that agree; `along`, `still`: color scores along the vectors and
-    without any motion, NaN where nothing tells."""
+    """`off` (N,): residuals in pixels; `share` of those that agree; `along`, `still`: color scores along the vectors
+    and without any motion, NaN where nothing tells; `edges`: how colors agree with depth at silhouettes."""
 
     off: np.ndarray
     share: float
     along: float
     still: float
+    edges: float
 
     @property
     def score(self) -> float:
-        return self.share + float(np.nan_to_num(self.along))
+        return self.share + float(np.nan_to_num(self.along)) + self.edges
 
 
 def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
@@ -44,11 +46,15 @@ def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
     count = min(_FRAMES, len(clip.rendered))
     if count < 2:
         return None
-    looks = take_looks(clip, range(count), _SAMPLES, set(range(count)), exposure)
-    given = _fit(looks)
+    looks = take_looks(clip, range(count), _SAMPLES, set(range(count - 1)), exposure)
+    edges = edge_agreement([looks[0]])
+    given = _fit(looks, edges)
     if given is None:
         return None
-    turned = {rows: _fit(with_rows(looks, rows)).score for rows in _UPSIDE_DOWN}
+    turned = {
+        rows: _fit(with_rows(looks, rows), edges if len(rows) > 1 or "motion" in rows else -edges).score
+        for rows in _UPSIDE_DOWN
+    }
     best = max(turned, key=turned.get)
     if turned[best] > given.score + _TURNED:
         return _UPSIDE_DOWN[best]
@@ -59,7 +65,7 @@ def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
     return None
 
 
-def _fit(looks: dict[int, Look]) -> _Fit | None:
+def _fit(looks: dict[int, Look], edges: float) -> _Fit | None:
     """None where there is nothing to compare."""
     pairs = [look for look in looks.values() if PREVIOUS in look.neighbours and look.motion is not None]
     if not pairs:
@@ -76,4 +82,4 @@ def _fit(looks: dict[int, Look]) -> _Fit | None:
     along = still = float("nan")
     if telling.sum() >= _FEWEST:
         along, still = (trimmed(bench.by_frame(score, telling)) for score in scores)
-    return _Fit(off, float((off <= near).mean()), along, still)
+    return _Fit(off, float((off <= near).mean()), along, still, edges)

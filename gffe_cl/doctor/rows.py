@@ -1,7 +1,7 @@
 """Which way up: the row order of each buffer, and whether the picture is upright.
 
-Turning all buffers, with y of motion vectors and cameras, makes a mirror image that fits as well. So every reading has a
-twin, and where neither is what is given, other evidence has to tell them apart: the sky, the ground, the world's axes.
+Turning all buffers, with y of motion vectors and cameras, makes a mirror image that fits as well. So every reading has
+a twin, and where neither is what is given, other evidence tells them apart: the sky, the ground, the world's axes.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gffe_cl.doctor.samples import BUFFERS
 from gffe_cl.doctor.search import GOOD, Reading, Search, Verdict
 
 _ORDERS = ((), ("color",), ("depth",), ("motion",))  # all others are mirror images of these
-_USUAL = 0.3  # of scores, by which other row orders must be better to be searched first
 _BLIND = 0.6  # sum of color scores below which colors may be turned
 _TURNED = 0.1  # of the sum of color scores, by which turned colors must be better
 _TWINS = 4  # readings that are compared with their mirror images
@@ -44,9 +44,11 @@ class WhichWayUp:
 
 def search_rows(search_of: Callable[[tuple[str, ...]], Search]) -> WhichWayUp:
     """Search all row orders in which something is to be expected; `search_of`: the search with such rows."""
-    plain = {rows: search_of(rows).verdict(Reading(rows=rows)).total + _USUAL * (not rows) for rows in _ORDERS}
+    plain = [search_of(rows).verdict(Reading(rows=rows)) for rows in _ORDERS]
+    best = max(plain, key=lambda verdict: verdict.total)
+    orders = [best.reading.rows] if _is_settled(best, search_of) else _ORDERS
     verdicts: list[Verdict] = []
-    for rows in sorted(_ORDERS, key=lambda rows: -plain[rows]):
+    for rows in orders:
         verdicts += search_of(rows).candidates()
         verdicts.sort(key=lambda verdict: -verdict.total)
         if _is_settled(verdicts[0], search_of):
@@ -68,18 +70,15 @@ def search_rows(search_of: Callable[[tuple[str, ...]], Search]) -> WhichWayUp:
     return WhichWayUp(verdicts, twins)
 
 
-def _colors(verdict: Verdict) -> float:
-    return float(np.nansum([verdict.motion_color, verdict.camera_color]))
-
-
-def _is_settled(best: Verdict, search_of) -> bool:
+def _is_settled(best: Verdict, search_of: Callable[[tuple[str, ...]], Search]) -> bool:
     """Whether other row orders need no search: all agree, and colors would not agree better upside down."""
-    reading = best.reading
-    if not best.agreement >= GOOD or _colors(best) < _BLIND or reading.rows:
-        return best.agreement >= GOOD and _colors(best) >= _BLIND
-    search = search_of(("color",))
-    turned = search.motion_color(reading.motion), search.camera_color(reading.camera, reading.depth)
-    return float(np.nansum(turned)) <= _colors(best) + _TURNED
+    if not best.agreement >= GOOD or best.colors < _BLIND or best.edges < 0:
+        return False
+    if "color" in best.reading.rows or best.reading.jitter:
+        return True
+    search = search_of(tuple(name for name in BUFFERS if name == "color" or name in best.reading.rows))
+    turned = search.motion_color(best.reading.motion), search.camera_color(best.reading.camera, best.reading.depth)
+    return float(np.nansum([*turned, search.edges])) <= best.colors + _TURNED
 
 
 def _upright(search: Search, reading: Reading) -> float:

@@ -138,7 +138,7 @@ def _upside_down(look: Look) -> Look:
 
 
 def _turned(image: np.ndarray | None) -> np.ndarray | None:
-    return None if image is None else np.ascontiguousarray(image[::-1])
+    return None if image is None else image[::-1]
 
 
 def grid(size: tuple[int, int], samples: int) -> tuple[np.ndarray, np.ndarray]:
@@ -212,11 +212,10 @@ def sampled(look: Look, px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     x, y = np.where(inside, x, 0), np.where(inside, y, 0)
     x0, y0 = np.minimum(x.astype(np.intp), width - 2), np.minimum(y.astype(np.intp), height - 2)
     fx, fy = (x - x0)[..., None].astype(np.float32), (y - y0)[..., None].astype(np.float32)
-    flat, at = image.reshape(-1, 3), y0 * width + x0
 
-    def tap(offset: int) -> np.ndarray:
-        return flat[at + offset].astype(np.float32)
+    def tap(down: int, right: int) -> np.ndarray:
+        return image[y0 + down, x0 + right].astype(np.float32)
 
-    top = tap(0) * (1 - fx) + tap(1) * fx
-    bottom = tap(width) * (1 - fx) + tap(width + 1) * fx
+    top = tap(0, 0) * (1 - fx) + tap(0, 1) * fx
+    bottom = tap(1, 0) * (1 - fx) + tap(1, 1) * fx
     return encoded(top * (1 - fy) + bottom * fy, look.exposure), inside

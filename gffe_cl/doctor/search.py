@@ -57,25 +57,32 @@ class Reading:
 class Verdict:
     """What speaks for a reading: each score is from 0 to 1.
 
-    `agreement`: motion vectors with cameras and depth; `motion_color`, `camera_color`: each of them with the colours.
+    `agreement`: motion vectors with cameras and depth; `motion_color`, `camera_color`: each of them with the colours;
+    `edges`: colors with depth, from −1 to 1 (`edge_agreement`).
     """
 
     reading: Reading
     agreement: float
     motion_color: float
     camera_color: float
+    edges: float = 0.0
+
+    @property
+    def colors(self) -> float:
+        """All that colors say."""
+        return float(np.nansum([self.motion_color, self.camera_color, self.edges]))
 
     @property
     def total(self) -> float:
-        return float(np.nansum([self.agreement, self.motion_color, self.camera_color])) - EDIT * self.reading.edits
+        return float(np.nan_to_num(self.agreement)) + self.colors - EDIT * self.reading.edits
 
 
 class Search:
     """Over the looks of one clip, in which the buffers `rows` have been turned upside down. `step`: of quantised motion
-    vectors, pixels, or 0."""
+    vectors, pixels, or 0; `edges`: how colors agree with depth at silhouettes."""
 
-    def __init__(self, looks: list[Look], step: float = 0.0, rows: tuple[str, ...] = ()):
-        self.plain = Reading(rows=rows)
+    def __init__(self, looks: list[Look], step: float = 0.0, rows: tuple[str, ...] = (), edges: float = 0.0):
+        self.plain, self.edges = Reading(rows=rows), edges
         self.full = Bench(looks)
         self.middle, self.thin = (Bench(looks, max(1, len(looks[0].px) // n)) for n in (_REFINING, _PER_FRAME))
         self.step = step
@@ -143,10 +150,10 @@ class Search:
         agrees = self.agreement(self.full, motion, static, reading.jitter)
         if not reading.jitter:
             color = self.motion_color(reading.motion), self.camera_color(reading.camera, reading.depth)
-            return Verdict(reading, agrees, *color)
+            return Verdict(reading, agrees, *color, self.edges)
         motion, static = self.motions(reading, self.full)
         step = reading.motion.step
-        return Verdict(reading, agrees, self._along(motion, step), self.static_color(static, step))
+        return Verdict(reading, agrees, self._along(motion, step), self.static_color(static, step), self.edges)
 
     def fitted(self, bench: Bench, reading: Reading, models=MODELS) -> list[Reading]:
         """Readings with the depth that fits motion and camera of `reading` best, by each of `models`."""

@@ -11,16 +11,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gffe_cl.doctor.edges import lines_of, silhouettes
+from gffe_cl.doctor.samples import Look
+
 _CONTRAST = 0.08  # least difference of the two sides in a channel
 _FLAT = 0.15  # largest difference along one side, of the contrast
 _TELLING = 0.03  # least difference of how well both readings fit
 _MIXTURE = 0.25  # largest difference of the channels' shares in a mixture, by the better reading
 _TIGHT = 0.06  # largest difference of those that tell
-_STEP = 5  # a silhouette's depths are so many times as far apart as those along one side
 _LEAST = 50  # silhouettes that tell
 _MIXED = 0.25  # least share of silhouettes whose pixel is a mixture, or the image is not antialiased
 _SURE, _DOUBTFUL = 0.75, 0.5  # shares of them that speak for a curve
-_PIXELS = 200_000  # of an image are looked at, in whole lines
 
 
 def srgb_to_linear(color: np.ndarray) -> np.ndarray:
@@ -50,23 +51,22 @@ class Votes(NamedTuple):
         return "display values" if self.share >= _SURE else "doubtful"
 
 
-def display_curve_votes(images: list[tuple[np.ndarray, np.ndarray]]) -> Votes:
-    """Votes on images that are given as linear, each with its depth: (H, W, 3) and (H, W), whatever the depth means;
-    none where values beyond 0 … 1 show that they are no display values."""
+def display_curve_votes(looks: list[Look]) -> Votes:
+    """Votes on the images of `looks`, which are given as linear; none where values beyond 0 … 1 show that they are no
+    display values."""
     total = np.zeros(4, int)
-    for image, depth in images:
-        every = max(1, depth.size // _PIXELS)
-        for color, deep in ((image, depth), (image.swapaxes(0, 1), depth.T)):
-            color = np.nan_to_num(np.asarray(color[::every], np.float32))
+    for look in looks:
+        for color, _, depth in lines_of(look):
+            color = np.nan_to_num(np.asarray(color, np.float32))
             if color.max() > 1.001 or color.min() < 0:
                 return Votes()
-            total += _of_lines(color, np.nan_to_num(deep[::every], posinf=0.0, neginf=0.0))
+            total += _of_lines(color, depth)
     return Votes(*total.tolist())
 
 
 def _of_lines(color: np.ndarray, depth: np.ndarray) -> tuple[int, int, int, int]:
     """Votes of vertical silhouettes one pixel wide."""
-    at = _silhouettes(depth)
+    at = silhouettes(depth)
     far_left, left, middle, right, far_right = (color[:, k : color.shape[1] - 4 + k][at] for k in range(5))
     contrast = np.abs(right - left)
     flat = np.maximum(np.abs(left - far_left), np.abs(right - far_right)) < _FLAT * contrast
@@ -78,14 +78,6 @@ def _of_lines(color: np.ndarray, depth: np.ndarray) -> tuple[int, int, int, int]
         best = np.fmin(given, decoded)
         mixed, telling = best < _MIXTURE, (best < _TIGHT) & (np.abs(given - decoded) > _TELLING)
     return int((decoded < given)[telling].sum()), int(telling.sum()), int(mixed.sum()), len(left)
-
-
-def _silhouettes(depth: np.ndarray) -> np.ndarray:
-    """(H, W − 4) bool: of every five pixels in a line, whether the first two and the last two show two surfaces."""
-    first, second, _, fourth, fifth = (depth[:, k : depth.shape[1] - 4 + k] for k in range(5))
-    along = np.maximum(np.abs(second - first), np.abs(fifth - fourth))
-    apart = np.abs(fourth - second)
-    return (apart > _STEP * along) & (apart > 1e-6 * np.abs(second + fourth))
 
 
 def _spread(a: np.ndarray, m: np.ndarray, b: np.ndarray) -> np.ndarray:

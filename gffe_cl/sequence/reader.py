@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -92,6 +93,11 @@ class Sequence:
     def near_miss(self, kind: str, time: float) -> str | None:
         """A sentence if `at` finds nothing, but something is so near that it was probably meant: rounded times."""
         return self._timeline.near_miss(kind, time)
+
+    @property
+    def settings(self) -> Any:
+        """What the capture's description says of its buffers, for forms that have one that can be changed; or None."""
+        return self._pixels.settings
 
     def rendered_before(self, time: float) -> int | None:
         """Which of `rendered` is the last one before `time`; one that is `at` it is not before it."""
