@@ -213,6 +213,7 @@ class Tile(Rect):
         return srgb_to_linear(np.stack(made, -1))
 
 
+@cache
 def tiled(samples):
     """Frames of tiles past which the camera moves; `samples` across a pixel: 1 is what has no antialiasing."""
     world, frames, before = Rects([Tile(r.centre, r.half, frequency=r.frequency) for r in _world().rects]), [], None
@@ -258,25 +259,6 @@ def written(folder, kept):
     return folder
 
 
-def test_the_command(gffe, tmp_path):
-    good, bad = (
-        written(tmp_path / name, kept) for name, kept in (("good", clip()), ("bad", broken(clip(), ["motion negated"])))
-    )
-    code, text, err = gffe("check", good, "--json", tmp_path / "good.json")
-    assert (code, err) == (0, "") and json.loads((tmp_path / "good.json").read_text())["verdict"] == "fits"
-    code, text, err = gffe(
-        "check", bad, "--fix", tmp_path / "fixed", "--html", tmp_path / "page.html", "--json", tmp_path / "bad.json"
-    )
-    document = json.loads((tmp_path / "bad.json").read_text())
-    assert code == 1 and "negated" in text and "it fits now" in text
-    assert [finding["name"] for finding in document["findings"] if finding["kind"] == "fault"] == ["negated"]
-    assert document["residuals"]["given_median"] > 1 > 0.05 > document["residuals"]["read_median"]
-    page = (tmp_path / "page.html").read_text()
-    assert page.count("data:image/png;base64,") == 3 and "http" not in page
-    fixed = open_sequence(tmp_path / "fixed")
-    assert_restored([fixed.read(entry) for entry in fixed.rendered])
-
-
 def test_matrices_for_row_vectors_are_opened_and_mended(gffe, tmp_path):
     folder = written(tmp_path / "rows", clip())
     document = json.loads((folder / "sequence.json").read_text())
@@ -310,3 +292,6 @@ def test_the_quick_form_warns():
     warning = quick_warning(broken(clip(), ["motion negated"]))
     assert warning and "do not fit depth and cameras (median" in warning
     assert quick_warning(broken(clip(), ["camera inverted"]))
+    for buffer in ("color", "depth", "motion"):
+        assert quick_warning(broken(clip(), [f"{buffer} rows"])) == f"{buffer} is upside down against the other buffers"
+    assert "does not fit the rows" in quick_warning(broken(clip(), ["all rows"]))

@@ -96,6 +96,7 @@ class MotionReading:
         step = NEXT if "to the next frame" in kept else PREVIOUS
         held_by = self.held_by if any(part in _HELD for part in kept) else 0
         adds = any(part in _LACKING for part in kept)
+        pick["unit_first"] = self.unit_first or pick["unit"] is None or "x and y swapped" not in kept
         return replace(self, parts=kept, turn=_TURNS[turned], step=step, held_by=held_by, adds_camera=adds, **pick)
 
 

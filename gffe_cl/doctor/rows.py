@@ -46,7 +46,8 @@ def search_rows(search_of: Callable[[tuple[str, ...]], Search]) -> WhichWayUp:
     """Search all row orders in which something is to be expected; `search_of`: the search with such rows."""
     plain = [search_of(rows).verdict(Reading(rows=rows)) for rows in _ORDERS]
     best = max(plain, key=lambda verdict: verdict.total)
-    orders = [best.reading.rows] if _is_settled(best, search_of) else _ORDERS
+    settled = _is_settled(best, search_of)
+    orders = [best.reading.rows] if settled else sorted(_ORDERS, key=lambda rows: -search_of(rows).edges)
     verdicts: list[Verdict] = []
     for rows in orders:
         verdicts += search_of(rows).candidates()
