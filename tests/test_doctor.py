@@ -83,6 +83,10 @@ def test_good_sequences_raise_no_alarm(change):
     assert names(examine(bad)) == [] and quick_warning(bad) is None
 
 
+def test_movers_decide_nothing_where_the_exposure_changes():
+    assert names(examine(broken(clip(False, False), ["exposure fades in"]))) == []
+
+
 @pytest.mark.parametrize(("moves", "turns", "about"), [(False, True, "rotation only"), (False, False, "still camera")])
 def test_it_says_what_it_cannot_tell(moves, turns, about):
     diagnosis = examine(clip(moves, turns))

@@ -15,6 +15,7 @@ from gffe_cl.sequence.description import check_times
 
 NEAR, FAR = 0.1, 1000.0  # world units, of device depths
 _FOCAL_ERROR = 1.08
+_GRAIN = 0.03  # of linear colors
 _JITTER = 8  # positions of the Halton sequence
 
 
@@ -168,6 +169,25 @@ def _sky_still(frame):
     return {"motion": np.where(np.isinf(frame.depth)[..., None], 0, frame.motion).astype(np.float32)}
 
 
+def _letterboxed(frame):
+    color, bar = frame.color.copy(), len(frame.color) // 8
+    color[:bar] = color[-bar:] = 0
+    return {"color": color}
+
+
+def _grainy(frames):
+    rng = np.random.default_rng(1)
+    return _each(lambda frame: {"color": _noisy(frame.color, rng)})(frames)
+
+
+def _noisy(color, rng):
+    return np.maximum(color + rng.normal(0, _GRAIN, color.shape), 0).astype(np.float16)
+
+
+def _fading_in(frames):
+    return [replace(frame, color=frame.color * np.float16(k / len(frames))) for k, frame in enumerate(frames)]
+
+
 def _times_kept(frames, order):
     none = np.zeros_like(frames[1].motion)
     moved = []
@@ -239,6 +259,9 @@ HARMLESS: dict[str, Callable] = {
     "vectors to 1/16 px": _motion(lambda v, size: np.round(v * 16) / 16),
     "vectors to 1 px": _motion(lambda v, size: np.round(v)),
     "sky without motion": _each(_sky_still),
+    "letterboxed": _each(_letterboxed),
+    "film grain": _grainy,
+    "exposure fades in": _fading_in,
 }
 
 

@@ -29,6 +29,7 @@ _VISIBLE = 0.3  # pixels, of what the camera's rotation and its translation move
 _UNEXPLAINED = 0.35  # share of samples that must agree roughly, or something is wrong that nobody has named
 _TELLING = 0.02  # of agreements: by less they do not decide
 _COLORS_ALONE = 0.12  # of colour scores, where they have to decide alone
+_COMPARABLE = 0.5  # color score of what stands still, below which movers' colors decide nothing
 _ROUGHLY = 0.25, 1.5  # of the motion's length, and pixels
 _ALIKE = 0.01  # difference of agreements below which two readings say the same
 _CUT = 0.15  # share of samples that agree: frames with less do not follow the one before
@@ -170,14 +171,14 @@ def _convincing(verdicts: list[Verdict], given: Verdict) -> Verdict:
     best = verdicts[0]
     if best.total < given.total + _MARGIN:
         return given
-    if best.agreement > given.agreement + _TELLING or (
-        best.reading.rows and best.colors > given.colors + _COLORS_ALONE
-    ):
+    gain = np.nansum([best.edges, best.camera_color, -given.edges, -given.camera_color])  # of colors with depth
+    if best.agreement > given.agreement + _TELLING or (best.reading.rows and gain > _COLORS_ALONE):
         return best
     for verdict in verdicts:
         motion = verdict.reading.motion
         if verdict.reading == replace(Reading(), motion=motion) and motion.step == PREVIOUS and not motion.held_by:
-            return verdict if verdict.motion_color > given.motion_color + _COLORS_ALONE else given
+            comparable = given.camera_color > _COMPARABLE  # what stands still is met again: the exposure is the same
+            return verdict if comparable and verdict.motion_color > given.motion_color + _COLORS_ALONE else given
     return given
 
 

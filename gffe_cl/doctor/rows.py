@@ -15,7 +15,7 @@ from gffe_cl.doctor.samples import BUFFERS
 from gffe_cl.doctor.search import GOOD, Reading, Search, Verdict
 
 _ORDERS = ((), ("color",), ("depth",), ("motion",))  # all others are mirror images of these
-_BLIND = 0.6  # sum of color scores below which colors may be turned
+_BLIND = 0.6  # sum of color scores below which colors may be turned, where silhouettes tell nothing
 _TURNED = 0.1  # of the sum of color scores, by which turned colors must be better
 _TWINS = 4  # readings that are compared with their mirror images
 _WEIGHT = 0.05  # of the evidence for the upright picture, in units of the scores
@@ -47,7 +47,7 @@ def search_rows(search_of: Callable[[tuple[str, ...]], Search]) -> WhichWayUp:
     plain = [search_of(rows).verdict(Reading(rows=rows)) for rows in _ORDERS]
     best = max(plain, key=lambda verdict: verdict.total)
     settled = _is_settled(best, search_of)
-    orders = [best.reading.rows] if settled else sorted(_ORDERS, key=lambda rows: -search_of(rows).edges)
+    orders = [best.reading.rows] if settled else [rows for rows in _ORDERS if search_of(rows).edges >= 0]
     verdicts: list[Verdict] = []
     for rows in orders:
         verdicts += search_of(rows).candidates()
@@ -73,7 +73,7 @@ def search_rows(search_of: Callable[[tuple[str, ...]], Search]) -> WhichWayUp:
 
 def _is_settled(best: Verdict, search_of: Callable[[tuple[str, ...]], Search]) -> bool:
     """Whether other row orders need no search: all agree, and colors would not agree better upside down."""
-    if not best.agreement >= GOOD or best.colors < _BLIND or best.edges < 0:
+    if not best.agreement >= GOOD or best.edges < 0 or (best.edges == 0 and best.colors < _BLIND):
         return False
     if "color" in best.reading.rows or best.reading.jitter:
         return True
