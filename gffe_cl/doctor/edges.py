@@ -41,8 +41,8 @@ def edge_agreement(looks: list[Look]) -> float:
             at = silhouettes(depth)
             count += int(at.sum())
             for k, color in enumerate(colors):
-                color = encoded(color, look.exposure)
-                changes[k] += np.abs(color[:, 3:-1] - color[:, 1:-3]).mean(-1)[at].sum()
+                before, after = (encoded(side[at], look.exposure) for side in (color[:, 1:-3], color[:, 3:-1]))
+                changes[k] += np.abs(after - before).mean(-1).sum()
         if count >= _LEAST and changes.sum() > 0:
             found.append((changes[0] - changes[1]) / changes.sum())
     agreement = float(np.median(found)) if found else 0.0
