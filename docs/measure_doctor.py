@@ -21,6 +21,7 @@ import numpy as np
 from make_tables import between_markers
 
 from gffe_cl.doctor.breaking import BREAKS, HARMLESS, Kept, broken
+from gffe_cl.doctor.choosing import fixed_by, selected
 from gffe_cl.doctor.diagnose import examine
 from gffe_cl.doctor.repair import Repair, static_motion
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
@@ -36,7 +37,8 @@ _APART = (  # faults of which no two make a case: they cancel, or one undoes the
     {"motion to the next frame", "motion one frame late", "motion jitter not removed", "motion without the camera"},
     {"motion in UV", "motion in NDC"},
     {"motion twice", "motion half"},
-    {"depth reversed", "depth device", "depth along rays"},
+    {"depth reversed", "depth device", "depth along rays", "depth range misread"},
+    {"color rows", "depth rows", "motion rows", "all rows"},
     {"depth in centimetres", "camera in centimetres"},
 )
 _ALONE = {"motion zero", "colour tone-mapped"}  # nothing is left of what these take away
@@ -66,7 +68,8 @@ def measure(good: Kept, names: tuple[str, ...]) -> dict:
     """What the doctor says of `good` with the faults `names`, and whether its fix restores the buffers."""
     bad = broken(good, list(names))
     diagnosis = examine(bad, bad.exposure)
-    mended = [frame for _, frame in Repair(bad, diagnosis).frames()]
+    chosen = selected(diagnosis, fixed_by(diagnosis))  # display values as well
+    mended = [frame for _, frame in Repair(bad, chosen).frames()]
     motion, static = restored(mended, good.images)
     share = static if "motion zero" in names else min(motion, static)  # what moved by itself is lost
     color = all(_same_color(a, b) for a, b in zip(mended, good.images, strict=True))

@@ -1,9 +1,20 @@
 """The doctor: what does not fit in a sequence of somebody else's, and what would mend it (`gffe check`)."""
 
+from gffe_cl.doctor.choosing import require_findings, selected
 from gffe_cl.doctor.diagnose import Diagnosis, examine
 from gffe_cl.doctor.findings import Finding
 from gffe_cl.doctor.opening import open_for_check
 from gffe_cl.doctor.quick import quick_warning
 from gffe_cl.doctor.repair import Repair, write_mended
 
-__all__ = ["Diagnosis", "Finding", "Repair", "examine", "open_for_check", "quick_warning", "write_mended"]
+__all__ = [
+    "Diagnosis",
+    "Finding",
+    "Repair",
+    "examine",
+    "open_for_check",
+    "quick_warning",
+    "require_findings",
+    "selected",
+    "write_mended",
+]

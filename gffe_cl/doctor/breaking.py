@@ -15,6 +15,7 @@ from gffe_cl.sequence.description import check_times
 
 NEAR, FAR = 0.1, 1000.0  # world units, of device depths
 _FOCAL_ERROR = 1.08
+_GRAIN = 0.03  # of linear colors
 _JITTER = 8  # positions of the Halton sequence
 
 
@@ -168,6 +169,25 @@ def _sky_still(frame):
     return {"motion": np.where(np.isinf(frame.depth)[..., None], 0, frame.motion).astype(np.float32)}
 
 
+def _letterboxed(frame):
+    color, bar = frame.color.copy(), len(frame.color) // 8
+    color[:bar] = color[-bar:] = 0
+    return {"color": color}
+
+
+def _grainy(frames):
+    rng = np.random.default_rng(1)
+    return _each(lambda frame: {"color": _noisy(frame.color, rng)})(frames)
+
+
+def _noisy(color, rng):
+    return np.maximum(color + rng.normal(0, _GRAIN, color.shape), 0).astype(np.float16)
+
+
+def _fading_in(frames):
+    return [replace(frame, color=frame.color * np.float16(k / len(frames))) for k, frame in enumerate(frames)]
+
+
 def _times_kept(frames, order):
     none = np.zeros_like(frames[1].motion)
     moved = []
@@ -188,6 +208,20 @@ def _tone_mapped(frame):
     return {"color": np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055).astype(np.float16)}
 
 
+def _bottom_up(*buffers: str) -> Callable:
+    def changed(frame):
+        stored = {name: getattr(frame, name) for name in buffers}
+        return {name: image[::-1].copy() for name, image in stored.items() if image is not None}
+
+    return _each(changed)
+
+
+def _range_misread(z: np.ndarray) -> np.ndarray:
+    """Made linear from 0 … 1 by the formula for OpenGL's −1 … 1."""
+    device = FAR / (FAR - NEAR) * (1 - NEAR / np.minimum(z, FAR))
+    return np.where(np.isinf(z), z, 2 * FAR * NEAR / (FAR + NEAR - device * (FAR - NEAR)))
+
+
 BREAKS: dict[str, tuple[str, Callable]] = {
     "motion jitter not removed": ("motion", _jittered),
     "motion without the camera": ("motion", _without_camera),
@@ -204,6 +238,7 @@ BREAKS: dict[str, tuple[str, Callable]] = {
     "depth reversed": ("depth", _depth(lambda z: NEAR / z)),
     "depth device": ("depth", _depth(lambda z: FAR / (FAR - NEAR) * (1 - NEAR / np.minimum(z, FAR)))),
     "depth along rays": ("depth", _each(_along_rays)),
+    "depth range misread": ("depth", _depth(_range_misread)),
     "depth in centimetres": ("depth", _depth(lambda z: z * 100)),
     "camera transposed": ("camera", _camera(_rotation_transposed)),
     "camera inverted": ("camera", _camera(np.linalg.inv)),
@@ -213,6 +248,10 @@ BREAKS: dict[str, tuple[str, Callable]] = {
     "camera in centimetres": ("camera", _camera(_translation_scaled(100))),
     "camera field of view": ("camera", _camera(lambda m: m, _FOCAL_ERROR)),
     "two frames swapped": ("order", _two_swapped),
+    "color rows": ("color", _bottom_up("color")),
+    "depth rows": ("depth", _bottom_up("depth")),
+    "motion rows": ("motion", _bottom_up("motion")),
+    "all rows": ("rows", _bottom_up("color", "depth", "motion")),
     "colour tone-mapped": ("colour", _each(_tone_mapped)),
 }
 HARMLESS: dict[str, Callable] = {
@@ -220,6 +259,9 @@ HARMLESS: dict[str, Callable] = {
     "vectors to 1/16 px": _motion(lambda v, size: np.round(v * 16) / 16),
     "vectors to 1 px": _motion(lambda v, size: np.round(v)),
     "sky without motion": _each(_sky_still),
+    "letterboxed": _each(_letterboxed),
+    "film grain": _grainy,
+    "exposure fades in": _fading_in,
 }
 
 

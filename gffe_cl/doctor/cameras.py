@@ -80,6 +80,21 @@ class CameraReading:
         made = _reading(self.layout, -np.array(self.axes), before)
         return replace(made, focal=self.focal)
 
+    def mirrored(self) -> CameraReading:
+        """With y the other way round."""
+        before = None if self.axes_before is None else np.array(self.axes_before)
+        return replace(_reading(self.layout, np.diag([1, -1, 1]) @ np.array(self.axes), before), focal=self.focal)
+
+    def keeping(self, parts: tuple[str, ...]) -> CameraReading:
+        """With only those of its parts, and "field of view", that are among `parts`."""
+        one = np.eye(3)
+        before = None if self.axes_before is None else np.array(self.axes_before)
+        if before is not None and not set(_named(before)) & set(parts):
+            before = None
+        axes = np.array(self.axes) if set(_named(np.array(self.axes))) & set(parts) else one
+        layout = tuple(part for part in self.layout if part in parts)
+        return replace(_reading(layout, axes, before), focal=self.focal if "field of view" in parts else 1.0)
+
     def with_focal(self, focal: float) -> CameraReading:
         return replace(self, focal=float(focal))
 

@@ -36,11 +36,21 @@ class DepthModel:
                 return (1 / stored)[..., None]
             if self.name == "along rays":
                 return (np.linalg.norm(ray, axis=-1) / stored)[..., None]
+            if self.name == "range":
+                return np.stack([np.ones_like(stored), 1 / stored], -1)
             return np.stack([np.ones_like(stored), stored], -1)
 
 
 PLANAR, ALONG_RAYS, DEVICE = DepthModel("planar", 1), DepthModel("along rays", 1), DepthModel("device", 2)
-MODELS = (PLANAR, ALONG_RAYS, DEVICE)
+RANGE = DepthModel("range", 2)  # a depth buffer that was made linear with 0 … 1 taken for −1 … 1, or the other way
+MODELS = (PLANAR, ALONG_RAYS, DEVICE, RANGE)
+_RANGES = 2.0, 0.5
+_NEAR_RANGE = 0.05  # of the logarithm of what the range was stretched by
+
+
+def misread_range(factor: float) -> float | None:
+    """2 where 0 … 1 was taken for −1 … 1, 0.5 where −1 … 1 was; None where `factor`, of 1 / depth, is none of them."""
+    return next((r for r in _RANGES if factor > 0 and abs(np.log(factor / r)) < _NEAR_RANGE), None)
 
 
 @dataclass(frozen=True)
@@ -49,6 +59,10 @@ class DepthReading:
 
     model: DepthModel = PLANAR
     coefficients: tuple[float, ...] = (1.0,)
+
+    @property
+    def is_possible(self) -> bool:
+        return self.model is not RANGE or misread_range(abs(self.coefficients[1])) is not None
 
     def inverse(self, stored: np.ndarray, ray: np.ndarray) -> np.ndarray:
         """(N,) float64: 1 / planar depth in units of the camera's translation; 0 for nothing."""

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 
-from gffe_cl.doctor.findings import FAULT, NOTE, UNKNOWN, Finding, faults_of
+from gffe_cl.doctor.edges import edge_agreement
+from gffe_cl.doctor.findings import DISPLAY_VALUES, FAULT, NOTE, UNKNOWN, Finding, faults_of
+from gffe_cl.doctor.keys import tell_keys
 from gffe_cl.doctor.lacking import without_camera
 from gffe_cl.doctor.order import Order, Reordered, examine_order, shuffled_order
-from gffe_cl.doctor.samples import PREVIOUS, Clip, Look, take_looks
+from gffe_cl.doctor.rows import search_rows
+from gffe_cl.doctor.samples import PREVIOUS, Clip, Look, take_looks, with_rows
 from gffe_cl.doctor.search import Reading, Search, Verdict
-from gffe_cl.doctor.tone import display_curve_votes, is_encoded
+from gffe_cl.doctor.tone import display_curve_votes
 from gffe_cl.frame import BadPixels
 
 _DEEP = 5  # frames that are looked at closely, with those before and after them
@@ -24,6 +29,7 @@ _VISIBLE = 0.3  # pixels, of what the camera's rotation and its translation move
 _UNEXPLAINED = 0.35  # share of samples that must agree roughly, or something is wrong that nobody has named
 _TELLING = 0.02  # of agreements: by less they do not decide
 _COLORS_ALONE = 0.12  # of colour scores, where they have to decide alone
+_COMPARABLE = 0.5  # color score of what stands still, below which movers' colors decide nothing
 _ROUGHLY = 0.25, 1.5  # of the motion's length, and pixels
 _ALIKE = 0.01  # difference of agreements below which two readings say the same
 _CUT = 0.15  # share of samples that agree: frames with less do not follow the one before
@@ -36,7 +42,8 @@ class Diagnosis:
 
     `findings`: faults, notes, and what cannot be told; `reading`: how the buffers are to be read; `given`, `best`:
     verdicts on what is given and on `reading`; `others`: on the next best; `order`: of the frames; `residuals`: pixels
-    as given and as read; `encoded_color`: sRGB values instead of linear ones; `frames`: how many were looked at.
+    as given and as read; `decodes_color`: colors are to be made linear, which only `gffe_cl.doctor.selected` decides;
+    `frames`: how many were looked at.
     """
 
     findings: list[Finding]
@@ -46,7 +53,7 @@ class Diagnosis:
     others: list[Verdict] = field(default_factory=list)
     order: Order | None = None
     residuals: dict[str, float] = field(default_factory=dict)
-    encoded_color: bool = False
+    decodes_color: bool = False
     frames: int = 0
     looks: list[Look] = field(default_factory=list, repr=False)
 
@@ -83,19 +90,31 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
         words = f"1/{round(1 / step)}" if step < 1 else "whole"
         sentence = f"vectors are quantised to {words} px: what moves slowly shakes a little"
         found.findings.append(Finding(NOTE, "motion", "quantised", sentence, figures={"step": step}))
-    search = Search(found.looks, step)
+
+    edges = edge_agreement(found.looks)
+
+    @cache
+    def search_of(rows: tuple[str, ...]) -> Search:
+        turned = with_rows({k: looks[k] for k in beside}, rows)
+        sign = 1 if ("color" in rows) == ("depth" in rows) else -1
+        return Search([turned[look.index] for look in found.looks], step, rows, sign * edges)
+
+    search = search_of(())
     found.given = search.verdict(Reading())
     if not found.given.agreement >= _DOUBTFUL:
         order = shuffled_order(looks, count, step)
         if order is not None:
             return _examine_reordered(clip, exposure, order, found)
-    _judge(found, search)
-    _tell_residuals(found, search)
-    found.order = examine_order(looks, found.reading, count, step)
+    _judge(found, search_of)
+    search = search_of(found.reading.rows)
+    found.looks = search.full.looks
+    _tell_residuals(found, search_of)
+    found.order = examine_order(with_rows(looks, found.reading.rows), found.reading, count, step)
     _judge_order(found, looks)
     _note_sky(found, search)
     _judge_colors(found)
     _tell_unknown(found, search)
+    tell_keys(found.findings, getattr(clip, "settings", None))
     return found
 
 
@@ -130,14 +149,20 @@ def _pixels(clip: Clip) -> int:
     return int(np.size(clip.read(entries[0]).depth)) if entries else 1
 
 
-def _judge(found: Diagnosis, search: Search) -> None:
-    found.best = without_camera(search)
+def _judge(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> None:
+    bench, mirrored = search_of(()).full, None
+    found.best = without_camera(search_of(()))
     if found.best is None:
-        verdicts = search.candidates()
-        found.best = _convincing(verdicts, found.given)
-        found.others = [v for v in verdicts if v.reading != found.best.reading]
+        ways = search_rows(search_of)
+        found.best = _convincing(ways.verdicts, found.given)
+        found.others = [v for v in ways.verdicts if v.reading != found.best.reading]
+        mirrored = ways.doubt(found.best.reading)
     found.reading = found.best.reading
-    found.findings += faults_of(found.reading, search.full.stored[search.full.solid])
+    found.findings += faults_of(found.reading, bench.stored[bench.solid])
+    if mirrored is not None:
+        instead = ", ".join(finding.id for finding in faults_of(mirrored, bench.stored[bench.solid]))
+        sentence = f"which way up the picture is: {instead} would explain the buffers as well, as a mirror image"
+        found.findings.append(Finding(UNKNOWN, "frames", "upside down", sentence))
 
 
 def _convincing(verdicts: list[Verdict], given: Verdict) -> Verdict:
@@ -146,17 +171,20 @@ def _convincing(verdicts: list[Verdict], given: Verdict) -> Verdict:
     best = verdicts[0]
     if best.total < given.total + _MARGIN:
         return given
-    if best.agreement > given.agreement + _TELLING:
+    gain = np.nansum([best.edges, best.camera_color, -given.edges, -given.camera_color])  # of colors with depth
+    if best.agreement > given.agreement + _TELLING or (best.reading.rows and gain > _COLORS_ALONE):
         return best
     for verdict in verdicts:
         motion = verdict.reading.motion
         if verdict.reading == replace(Reading(), motion=motion) and motion.step == PREVIOUS and not motion.held_by:
-            return verdict if verdict.motion_color > given.motion_color + _COLORS_ALONE else given
+            comparable = given.camera_color > _COMPARABLE  # what stands still is met again: the exposure is the same
+            return verdict if comparable and verdict.motion_color > given.motion_color + _COLORS_ALONE else given
     return given
 
 
-def _tell_residuals(found: Diagnosis, search: Search) -> None:
+def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> None:
     for name, reading in (("given", Reading()), ("read", found.reading)):
+        search = search_of(reading.rows)
         motion, static = search.motions(reading, search.full)
         use = search.full.solid & np.isfinite(motion).all(-1)
         off = np.nan_to_num(np.linalg.norm(motion - static, axis=-1)[use], nan=np.inf)
@@ -226,12 +254,15 @@ def _note_sky(found: Diagnosis, search: Search) -> None:
 
 
 def _judge_colors(found: Diagnosis) -> None:
-    votes = display_curve_votes([look.image for look in found.looks])
-    if is_encoded(votes):
-        found.encoded_color = True
-        share = votes[0] / votes[1]
-        sentence = f"colours are display values (sRGB), not linear: {share:.0%} of {votes[1]} antialiased edges say so"
-        found.findings.append(Finding(FAULT, "colour", "tone-mapped", sentence, "colours are made linear"))
+    votes = display_curve_votes(found.looks)
+    if votes.verdict:
+        sure = votes.verdict == "display values"
+        words = "colors are display values (sRGB), not linear" if sure else "colors may be display values (sRGB)"
+        sentence = f"{words}: {votes.share:.0%} of {votes.telling} antialiased silhouettes say so"
+        figures = votes._asdict()
+        found.findings.append(
+            Finding(FAULT if sure else NOTE, "color", DISPLAY_VALUES, sentence, "colors are made linear", figures)
+        )
 
 
 def _tell_unknown(found: Diagnosis, search: Search) -> None:

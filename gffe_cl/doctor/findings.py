@@ -8,11 +8,16 @@ import numpy as np
 
 from gffe_cl.doctor import cameras, motions
 from gffe_cl.doctor.cameras import CameraReading, axes_in_words
-from gffe_cl.doctor.depths import AS_GIVEN, DEVICE, PLANAR, DepthReading, Planes
+from gffe_cl.doctor.depths import AS_GIVEN, DEVICE, PLANAR, RANGE, DepthReading, Planes, misread_range
 from gffe_cl.doctor.search import Reading
 from gffe_cl.errors import printable
 
 FAULT, NOTE, UNKNOWN = "fault", "note", "cannot tell"
+DISPLAY_VALUES, BOTTOM_UP, RANGE_MISREAD = "display values", "bottom-up", "range"
+_RANGES = {
+    2.0: "depth from 0 … 1 was taken for −1 … 1 when it was made linear (a buffer of OpenGL needs 2d − 1 first)",
+    0.5: "depth was taken for a buffer of OpenGL from 0 … 1 (2d − 1) when it was made linear, which it is not",
+}
 _UNITS = {100.0: "in centimetres, {0} in metres", 1000.0: "in millimetres, {0} in metres"}
 _UNIT_SLACK = 0.03
 
@@ -20,7 +25,8 @@ _UNIT_SLACK = 0.03
 @dataclass
 class Finding:
     """`kind`: fault (breaks results), note (hurts little), or what cannot be told; `about`: motion, depth, camera,
-    frames or colour; `name`: short; `sentence`: what is wrong; `fix`: what `gffe check --fix` does, "" if nothing."""
+    frames or color; `name`: short; `sentence`: what is wrong; `fix`: what `gffe check --fix` does, "" if nothing;
+    `change`: what to change in the capture's own description, if there is one."""
 
     kind: str
     about: str
@@ -28,14 +34,47 @@ class Finding:
     sentence: str
     fix: str = ""
     figures: dict = field(default_factory=dict)
+    change: str = ""
+
+    @property
+    def id(self) -> str:
+        """Stable name for `--only` and `--except`: `motion-y-flipped`."""
+        return finding_id(self.about, self.name)
 
     def __str__(self) -> str:
-        return printable(f"{self.about}: {self.sentence}")
+        change = f"; in the capture's sequence.json, {self.change}" if self.change else ""
+        return printable(f"{self.about}: {self.sentence}{change}")
+
+
+def finding_id(about: str, name: str) -> str:
+    return f"{about} {name}".lower().replace(" ", "-")
+
+
+def fixable_ids() -> list[str]:
+    """All findings that `gffe check --fix` can mend or leave."""
+    names = {
+        "color": (DISPLAY_VALUES, BOTTOM_UP),
+        "motion": (*motions.SENTENCES, "jitter not removed", "sky without motion", BOTTOM_UP),
+        "depth": ("device", "reversed", "along rays", "units", "negative", RANGE_MISREAD, BOTTOM_UP),
+        "camera": (*cameras.SENTENCES, "field of view", "jitter not removed"),
+        "frames": ("out of order", "cut"),
+    }
+    return [finding_id(about, name) for about, group in names.items() for name in group]
 
 
 def faults_of(reading: Reading, stored: np.ndarray) -> list[Finding]:
     """One finding for every way in which `reading` differs from what is given; `stored`: sampled depths."""
     found = [
+        Finding(
+            FAULT,
+            buffer,
+            BOTTOM_UP,
+            f"rows of the {buffer} are stored from the bottom up",
+            "rows are turned upside down",
+        )
+        for buffer in reading.rows
+    ]
+    found += [
         Finding(FAULT, "motion", part, motions.SENTENCES[part], "motion vectors are converted")
         for part in reading.motion.parts
     ]
@@ -70,6 +109,10 @@ def _camera_faults(camera: CameraReading) -> list[Finding]:
 
 def _depth_fault(depth: DepthReading, stored: np.ndarray) -> Finding:
     c = depth.coefficients
+    stretched = misread_range(c[-1]) if depth.model in (RANGE, PLANAR) else None
+    if stretched:
+        figures = {"factor": stretched, "offset": c[0] if depth.model is RANGE else 0.0}
+        return Finding(FAULT, "depth", RANGE_MISREAD, _RANGES[stretched], "depths are made linear anew", figures)
     if depth.model is DEVICE:
         return _device_fault(depth, stored)
     if depth.model is PLANAR:

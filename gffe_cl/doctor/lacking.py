@@ -43,7 +43,7 @@ def without_camera(search: Search) -> Verdict | None:
         return None
     motion = _of_movers(search, static, length > _MOVER * largest) if largest > 0 else None
     motion = motion or replace(MotionReading(("zero",)), adds_camera=True)
-    return Verdict(Reading(motion, camera, depth), float("nan"), color, color)
+    return Verdict(Reading(motion, camera, depth), float("nan"), color, color, search.edges)
 
 
 def _by_colors(search: Search) -> tuple[CameraReading, DepthReading]:

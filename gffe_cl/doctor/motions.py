@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -21,6 +21,7 @@ _TURNS = {
 }
 _UNITS = {(): None, ("in UV",): 1.0, ("in NDC",): 0.5}  # pixels of a unit, in image sizes
 _FACTORS = {(): 1.0, ("twice too long",): 0.5, ("half as long as they are",): 2.0}
+_HELD, _LACKING = ("one frame late", "one frame early"), ("without the camera", "zero")
 SENTENCES = {
     "negated": "motion vectors are negated: they point from the previous position to here (current − previous)",
     "y flipped": "the y of motion vectors is flipped: they count upwards",
@@ -74,6 +75,29 @@ class MotionReading:
         if stored is None or self.step not in look.neighbours:
             return None
         return stored @ self.matrix(look.size).T
+
+    def mirrored(self) -> MotionReading:
+        """With y the other way round."""
+        turn = tuple(tuple(row) for row in (np.diag([1, -1]) @ np.array(self.turn)).tolist())
+        named = next(parts for parts, other in _TURNS.items() if other == turn)
+        turned = next(parts for parts, other in _TURNS.items() if other == self.turn)
+        return replace(self, turn=turn, parts=(*named, *(part for part in self.parts if part not in turned)))
+
+    def keeping(self, parts: tuple[str, ...]) -> MotionReading:
+        """With only those of its parts that are among `parts`."""
+        kept = tuple(part for part in self.parts if part in parts)
+        if kept == self.parts:
+            return self
+        pick = {
+            name: next((value for key, value in table.items() if key and set(key) <= set(kept)), table[()])
+            for name, table in (("unit", _UNITS), ("factor", _FACTORS))
+        }
+        turned = tuple(part for part in kept if any(part in key for key in _TURNS))
+        step = NEXT if "to the next frame" in kept else PREVIOUS
+        held_by = self.held_by if any(part in _HELD for part in kept) else 0
+        adds = any(part in _LACKING for part in kept)
+        pick["unit_first"] = self.unit_first or pick["unit"] is None or "x and y swapped" not in kept
+        return replace(self, parts=kept, turn=_TURNS[turned], step=step, held_by=held_by, adds_camera=adds, **pick)
 
 
 MOTION_AS_GIVEN = MotionReading()

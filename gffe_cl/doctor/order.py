@@ -42,6 +42,7 @@ class Reordered:
 
     def __init__(self, clip: Clip, order: list[int]):
         self._clip, entries = clip, clip.rendered
+        self.settings = getattr(clip, "settings", None)
         self.rendered = [
             replace(entries[index], time=entries[place].time, reset=place == 0) for place, index in enumerate(order)
         ]

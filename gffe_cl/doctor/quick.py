@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from gffe_cl.doctor.edges import edge_agreement
 from gffe_cl.doctor.evidence import Bench, moving, trimmed
-from gffe_cl.doctor.motions import MotionReading
-from gffe_cl.doctor.samples import PREVIOUS, Clip, take_looks
+from gffe_cl.doctor.samples import BUFFERS, PREVIOUS, Clip, Look, take_looks, with_rows
 from gffe_cl.doctor.search import Reading, Search
 
 _FRAMES = 3
@@ -14,16 +16,57 @@ _SAMPLES = 800  # of each frame
 _FITS = 0.45  # share of samples that agree: movers may be the rest
 _AGREES = 0.1  # of the motion's length
 _LEAST = 0.75  # pixels: residuals that do no harm, those of vectors in whole pixels among them
-_COLORS = 0.1  # of colour scores, by which no motion at all must fit better
+_COLORS = 0.1  # of color scores, by which no motion at all must fit better
+_TURNED = 0.15  # of the share of samples and the color score, by which buffers must fit better upside down
+_FEWEST = 64  # samples whose colors tell
+_UPSIDE_DOWN = {(buffer,): f"{buffer} is upside down against the other buffers" for buffer in BUFFERS} | {
+    BUFFERS: "y of motion vectors and cameras does not fit the rows of the buffers",
+}
+
+
+@dataclass
+class _Fit:
+    """`off` (N,): residuals in pixels; `share` of those that agree; `along`, `still`: color scores along the vectors
+    and without any motion, NaN where nothing tells; `edges`: how colors agree with depth at silhouettes."""
+
+    off: np.ndarray
+    share: float
+    along: float
+    still: float
+    edges: float
+
+    @property
+    def score(self) -> float:
+        return self.share + float(np.nan_to_num(self.along)) + self.edges
 
 
 def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
-    """A sentence if the first rendered frames of `clip` do not fit: motion vectors and depth with cameras, or motion
-    vectors and colours. Raises GffeError if a frame cannot be read."""
+    """A sentence if the first rendered frames of `clip` do not fit: motion vectors and depth with cameras, motion
+    vectors and colors, or a buffer that is upside down. Raises GffeError if a frame cannot be read."""
     count = min(_FRAMES, len(clip.rendered))
     if count < 2:
         return None
     looks = take_looks(clip, range(count), _SAMPLES, set(range(count - 1)), exposure)
+    edges = edge_agreement([looks[0]])
+    given = _fit(looks, edges)
+    if given is None:
+        return None
+    turned = {
+        rows: _fit(with_rows(looks, rows), edges if len(rows) > 1 or "motion" in rows else -edges).score
+        for rows in _UPSIDE_DOWN
+    }
+    best = max(turned, key=turned.get)
+    if turned[best] > given.score + _TURNED:
+        return _UPSIDE_DOWN[best]
+    if given.share < _FITS:
+        return f"motion vectors do not fit depth and cameras (median {np.median(given.off):.3g} px)"
+    if given.still > given.along + _COLORS:
+        return "motion vectors do not fit the colors"
+    return None
+
+
+def _fit(looks: dict[int, Look], edges: float) -> _Fit | None:
+    """None where there is nothing to compare."""
     pairs = [look for look in looks.values() if PREVIOUS in look.neighbours and look.motion is not None]
     if not pairs:
         return None
@@ -34,18 +77,9 @@ def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
     if len(off) < 16:
         return None
     near = max(_AGREES * float(np.median(np.linalg.norm(motion[use], axis=-1))), _LEAST)
-    if (off <= near).mean() < _FITS:
-        return f"motion vectors do not fit depth and cameras (median {np.median(off):.3g} px)"
-    if _contradicted(bench, motion):
-        return "motion vectors do not fit the colours"
-    return None
-
-
-def _contradicted(bench: Bench, motion: np.ndarray) -> bool:
-    """Whether the colours are met better without any motion than along the vectors."""
-    scores = bench.color_scores(np.stack([motion, np.zeros_like(motion)]), MotionReading().step)
-    use = np.isfinite(scores).all(0) & moving(motion) & (np.linalg.norm(np.nan_to_num(motion), axis=-1) > 1)
-    if use.sum() < 64:
-        return False
-    along, still = (trimmed(bench.by_frame(score, use)) for score in scores)
-    return bool(still > along + _COLORS)
+    scores = bench.color_scores(np.stack([motion, np.zeros_like(motion)]), PREVIOUS)
+    telling = np.isfinite(scores).all(0) & moving(motion) & (np.linalg.norm(np.nan_to_num(motion), axis=-1) > 1)
+    along = still = float("nan")
+    if telling.sum() >= _FEWEST:
+        along, still = (trimmed(bench.by_frame(score, telling)) for score in scores)
+    return _Fit(off, float((off <= near).mean()), along, still, edges)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.camera import Camera
-from gffe_cl.doctor.depths import AS_GIVEN, DEVICE, PLANAR, DepthReading, Planes, rays
+from gffe_cl.doctor.depths import AS_GIVEN, DEVICE, PLANAR, RANGE, DepthReading, Planes, misread_range, rays
 from gffe_cl.doctor.diagnose import Diagnosis
 from gffe_cl.doctor.motions import MotionReading
 from gffe_cl.doctor.samples import NEXT, Clip
@@ -29,6 +29,7 @@ class Repair:
 
     def __init__(self, clip: Clip, diagnosis: Diagnosis):
         self._clip, self._reading, self._diagnosis = clip, diagnosis.reading, diagnosis
+        self._rows = diagnosis.reading.rows
         self._cuts = {f.figures["frame"] for f in diagnosis.faults if f.name == "cut"}
         self._sky = any(f.name == "sky without motion" for f in diagnosis.findings)
         count = len(clip.rendered)
@@ -59,12 +60,20 @@ class Repair:
         matrix[:3, 3] *= self._translation
         return replace(read, world_to_view=matrix)
 
+    def color(self, color: np.ndarray) -> np.ndarray:
+        """As it is meant."""
+        color = self._turned("color", np.asarray(color))
+        return srgb_to_linear(color) if self._diagnosis.decodes_color else color
+
+    def _turned(self, buffer: str, image: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(image[::-1]) if buffer in self._rows else image
+
     def _geometry(self, index: int, time: float, reset: bool) -> RenderedFrame:
         frame = self._clip.read(self._clip.rendered[index])
-        color = srgb_to_linear(frame.color) if self._diagnosis.encoded_color else frame.color
         display = frame.display_camera and self.camera(frame.display_camera)
         camera = self.camera(frame.camera)
-        depth = self._planar(np.asarray(frame.depth), camera)
+        depth = self._planar(self._turned("depth", np.asarray(frame.depth)), camera)
+        color = self.color(frame.color)
         return replace(frame, color=color, depth=depth, camera=camera, display_camera=display, time=time, reset=reset)
 
     def _planar(self, stored: np.ndarray, camera: Camera) -> np.ndarray:
@@ -112,7 +121,7 @@ class Repair:
         if stored is None or np.shape(stored) != shape:
             return None
         height, width = shape[:2]
-        return np.asarray(stored, np.float64) @ self._reading.motion.matrix((width, height)).T
+        return self._turned("motion", np.asarray(stored, np.float64)) @ self._reading.motion.matrix((width, height)).T
 
     def _from_the_one_before(self, index_before, static, frame, before) -> np.ndarray:
         """The vectors of the frame before lead here: turned round where something moves, static elsewhere."""
@@ -187,6 +196,9 @@ def _units(depth: DepthReading, stored: np.ndarray) -> tuple[DepthReading, float
         far = planes.far if np.isinf(planes.far) else _rounded(planes.far)
         planes = replace(planes, near=_rounded(planes.near), far=far)
         return planes.reading(), 1.0, planes.far_end
+    stretched = misread_range(depth.coefficients[-1]) if depth.model in (RANGE, PLANAR) else None
+    if stretched:
+        return replace(depth, coefficients=(*depth.coefficients[:-1], stretched)), 1.0, np.inf
     unit = _rounded(1 / depth.coefficients[0])
     if depth.model is PLANAR and unit == 1:
         return AS_GIVEN, 1.0, np.inf
@@ -217,9 +229,7 @@ def write_mended(sequence: Sequence, diagnosis: Diagnosis, output: Path, on_fram
             writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
             on_frame()
         for entry in sequence.ground_truth:
-            color = sequence.read_color(entry)
-            if diagnosis.encoded_color:
-                color = srgb_to_linear(color)
+            color = repair.color(sequence.read_color(entry))
             cameras = {
                 name: camera and repair.camera(camera)
                 for name, camera in (("render_camera", entry.render_camera), ("display_camera", entry.display_camera))

@@ -8,9 +8,12 @@ from io import BytesIO
 
 import numpy as np
 
+from gffe_cl.doctor.cameras import CAMERA_AS_GIVEN
+from gffe_cl.doctor.choosing import fixed_by
+from gffe_cl.doctor.depths import AS_GIVEN, rays
 from gffe_cl.doctor.diagnose import Diagnosis
 from gffe_cl.doctor.repair import Repair, static_motion
-from gffe_cl.doctor.samples import PREVIOUS, Clip
+from gffe_cl.doctor.samples import PREVIOUS, Clip, Look
 from gffe_cl.frame import RenderedFrame
 
 _MOST_WIDTH = 640  # pixels of a picture
@@ -45,17 +48,56 @@ def _next_best(diagnosis: Diagnosis) -> str:
     return f", {other.total:.2f} the next best ({', '.join(parts)})"
 
 
+def changes(chosen: Diagnosis) -> list[str]:
+    """What mending `chosen` changes: a line for each finding, and one for each buffer with an example."""
+    known = set(fixed_by(chosen))
+    lines = [f"{f.id}: {f.fix}" for f in chosen.findings if f.id in known]
+    looks = [look for look in chosen.looks if PREVIOUS in look.neighbours]
+    return list(dict.fromkeys(lines)) + (_example(chosen, looks[len(looks) // 2]) if looks else [])
+
+
+def _example(chosen: Diagnosis, look: Look) -> list[str]:
+    """Of one sample of `look`: before → after."""
+    reading, lines = chosen.reading, []
+    camera = reading.camera.read(look.camera)
+    inverse = reading.depth.inverse(look.depth, rays(camera, look.px))
+    motion = None if reading.motion.adds_camera else reading.motion.pixels(look)
+    length = np.full(len(look.px), -1.0) if motion is None else np.nan_to_num(np.linalg.norm(motion, axis=-1))
+    k = int(np.where(look.solid & (inverse > 0), length, -2).argmax())
+    x, y = look.px[k]
+    if motion is not None and reading.motion.parts:
+        lines.append(f"motion vector {_numbers(reading.motion.stored(look)[k])} → {_numbers(motion[k])} px")
+    if reading.depth != AS_GIVEN:
+        lines.append(f"depth {look.depth[k]:.4g} → {1 / inverse[k]:.4g}")
+    if reading.camera != CAMERA_AS_GIVEN:
+        for name, value in (
+            ("position", lambda c: c.position),
+            ("forward", lambda c: c.world_to_view[2, :3]),
+            ("down", lambda c: c.world_to_view[1, :3]),
+            ("focal length", lambda c: [c.fx]),
+        ):
+            before, after = _numbers(value(look.camera)), _numbers(value(camera))
+            lines += [f"camera's {name} {before} → {after}"] if before != after else []
+    return [f"for example {look.file} at {x:g}, {y:g}: {'; '.join(lines)}"] if lines else []
+
+
+def _numbers(values) -> str:
+    return "(" + ", ".join(f"{value + 0.0:.4g}" for value in values) + ")"
+
+
 def as_json(diagnosis: Diagnosis) -> dict:
     """Everything that was found, for programs."""
     return {
         "verdict": "faults" if diagnosis.faults else "fits",
         "findings": [
             {
+                "id": f.id,
                 "kind": f.kind,
                 "about": f.about,
                 "name": f.name,
                 "sentence": f.sentence,
                 "fix": f.fix,
+                "change": f.change,
                 "figures": f.figures,
             }
             for f in diagnosis.findings

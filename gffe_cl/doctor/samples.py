@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -15,6 +15,7 @@ from gffe_cl.sequence import FrameEntry
 from gffe_cl.sequence.read_ahead import read_ahead
 
 PREVIOUS, NEXT = -1, 1
+BUFFERS = ("color", "depth", "motion")  # whose rows may be stored from the bottom up
 _TEXTURED = 0.02  # least difference of encoded colour between neighbours where colours tell places apart
 _SMALLEST = 8  # pixels: images that are smaller tell nothing
 _FAR = 1e9  # depths beyond this are nothing, as +inf
@@ -43,8 +44,10 @@ class Look:
     motion : (N, 2) float64 as stored, or None
     color : (N, 3) float32, encoded by `encoded`
     contrast : (N,) float32, how far the encoded colour is from that of the pixels around
-    image : (H, W, 3) float, linear colour of the whole frame as stored; None where it is not needed
+    image, deep : (H, W, 3) float, linear colour of the whole frame as stored, and (H, W) its depth; None where they
+        are not needed
     camera : Camera
+    mirrored : dict, `depth`, `motion`, `color` and `contrast` at the same places of images turned upside down
     neighbours : {PREVIOUS, NEXT → Look}, as far as there are any without a reset in between
     """
 
@@ -57,11 +60,13 @@ class Look:
     color: np.ndarray
     contrast: np.ndarray
     image: np.ndarray | None
+    deep: np.ndarray | None
     camera: Camera
     reset: bool
     bad: BadPixels
     first_bad: dict[str, tuple[int, int]] = field(default_factory=dict)
     exposure: float = 1.0
+    mirrored: dict = field(default_factory=dict, repr=False)
     neighbours: dict[int, Look] = field(default_factory=dict, repr=False)
 
     @property
@@ -95,11 +100,45 @@ def take_looks(clip: Clip, indices: Iterable[int], samples: int, images: set[int
     looks = dict(read_ahead(wanted, look, 2))
     if not looks:
         raise GffeError("nothing to check: no rendered frame")
+    return _linked(looks)
+
+
+def _linked(looks: dict[int, Look]) -> dict[int, Look]:
     for index, one in looks.items():
         before = looks.get(index - 1)
         if before and not one.reset and before.size == one.size and min(one.size) >= _SMALLEST:
             one.neighbours[PREVIOUS], before.neighbours[NEXT] = before, one
     return looks
+
+
+def with_rows(looks: dict[int, Look], rows: tuple[str, ...]) -> dict[int, Look]:
+    """`looks` at images in which the BUFFERS `rows` are turned upside down. Two of them, or three, are turned as the
+    others are and everything after that, so that the samples are those of the same points."""
+    if not rows:
+        return looks
+    if len(rows) > 1:
+        others = with_rows(looks, tuple(name for name in BUFFERS if name not in rows))
+        return _linked({index: _upside_down(look) for index, look in others.items()})
+    fields = {"color": ("color", "contrast")}.get(rows[0], rows)
+    return _linked({
+        index: replace(
+            look,
+            neighbours={},
+            image=_turned(look.image) if "color" in rows else look.image,
+            deep=_turned(look.deep) if "depth" in rows else look.deep,
+            **{name: look.mirrored[name] for name in fields},
+        )
+        for index, look in looks.items()
+    })  # fmt: skip
+
+
+def _upside_down(look: Look) -> Look:
+    px = look.px * (1, -1) + (0, look.size[1])
+    return replace(look, neighbours={}, px=px, image=_turned(look.image), deep=_turned(look.deep))
+
+
+def _turned(image: np.ndarray | None) -> np.ndarray | None:
+    return None if image is None else image[::-1]
 
 
 def grid(size: tuple[int, int], samples: int) -> tuple[np.ndarray, np.ndarray]:
@@ -117,26 +156,35 @@ def grid(size: tuple[int, int], samples: int) -> tuple[np.ndarray, np.ndarray]:
 def _look(frame: RenderedFrame, index: int, entry: FrameEntry, samples: int, whole: bool, exposure: float) -> Look:
     depth, color = np.asarray(frame.depth), np.asarray(frame.color)[..., :3]
     height, width = depth.shape
+    motion = None if frame.motion is None else np.asarray(frame.motion)
     x, y = grid((width, height), samples)
-    around = []
-    for dx, dy in ((0, 0), (2, 0), (-2, 0), (0, 2), (0, -2)):
-        around.append(encoded(color[np.clip(y + dy, 0, height - 1), np.clip(x + dx, 0, width - 1)], exposure))
+
+    def taken(y: np.ndarray) -> dict:
+        around = []
+        for dx, dy in ((0, 0), (2, 0), (-2, 0), (0, 2), (0, -2)):
+            around.append(encoded(color[np.clip(y + dy, 0, height - 1), np.clip(x + dx, 0, width - 1)], exposure))
+        return {
+            "depth": depth[y, x].astype(np.float64),
+            "motion": None if motion is None else motion[y, x].astype(np.float64),
+            "color": around[0],
+            "contrast": np.abs(np.stack(around[1:]) - around[0]).mean((0, 2)),
+        }
+
     bad, first = _bad_pixels(frame)
     return Look(
-        index,
-        entry.file,
-        (width, height),
-        np.stack([x, y], -1) + 0.5,
-        depth[y, x].astype(np.float64),
-        None if frame.motion is None else np.asarray(frame.motion)[y, x].astype(np.float64),
-        around[0],
-        np.abs(np.stack(around[1:]) - around[0]).mean((0, 2)),
-        color if whole else None,
-        frame.camera,
-        entry.reset,
-        bad,
-        first,
-        exposure,
+        index=index,
+        file=entry.file,
+        size=(width, height),
+        px=np.stack([x, y], -1) + 0.5,
+        image=color if whole else None,
+        deep=depth if whole else None,
+        camera=frame.camera,
+        reset=entry.reset,
+        bad=bad,
+        first_bad=first,
+        exposure=exposure,
+        mirrored=taken(height - 1 - y),
+        **taken(y),
     )
 
 
@@ -164,11 +212,10 @@ def sampled(look: Look, px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     x, y = np.where(inside, x, 0), np.where(inside, y, 0)
     x0, y0 = np.minimum(x.astype(np.intp), width - 2), np.minimum(y.astype(np.intp), height - 2)
     fx, fy = (x - x0)[..., None].astype(np.float32), (y - y0)[..., None].astype(np.float32)
-    flat, at = image.reshape(-1, 3), y0 * width + x0
 
-    def tap(offset: int) -> np.ndarray:
-        return flat[at + offset].astype(np.float32)
+    def tap(down: int, right: int) -> np.ndarray:
+        return image[y0 + down, x0 + right].astype(np.float32)
 
-    top = tap(0) * (1 - fx) + tap(1) * fx
-    bottom = tap(width) * (1 - fx) + tap(width + 1) * fx
+    top = tap(0, 0) * (1 - fx) + tap(0, 1) * fx
+    bottom = tap(1, 0) * (1 - fx) + tap(1, 1) * fx
     return encoded(top * (1 - fy) + bottom * fy, look.exposure), inside

@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gffe_cl.doctor.cameras import CAMERA_AS_GIVEN, CameraReading, camera_readings
-from gffe_cl.doctor.depths import AS_GIVEN, DEVICE, MODELS, PLANAR, DepthReading, fit_depth
+from gffe_cl.doctor.depths import AS_GIVEN, MODELS, PLANAR, DepthReading, fit_depth
 from gffe_cl.doctor.evidence import Bench, frame_offsets, log_score, mostly_nothing, moving, trimmed
 from gffe_cl.doctor.motions import MOTION_AS_GIVEN, MotionReading, motion_readings
-from gffe_cl.doctor.samples import PREVIOUS, Look
+from gffe_cl.doctor.samples import BUFFERS, PREVIOUS, Look
 from gffe_cl.doctor.wide import WideField
 
 EDIT = 0.02  # what every part of a hypothesis costs, in units of the scores
 _REFINING, _PER_FRAME = 600, 120  # samples per frame, while parameters are refined and while the field is wide
 _MOTIONS, _MOST_MOTIONS, _JOINT, _REFINED = 7, 80, 8, 2
 _MOTION_MARGIN = 0.12  # motion readings whose colours fit so much worse than the best one's are not looked at
-_GOOD = 0.8  # an agreement that leaves nothing to explain
+GOOD = 0.8  # an agreement that leaves nothing to explain
 FOCALS = (0.6, 0.75, 0.87, 0.94, 1.0, 1.06, 1.15, 1.33, 1.67)
 _FIRST_STEP, _LAST_STEP = 0.06, 2e-4  # of the logarithm of focal lengths
 _SAME_UNIT = 0.02  # units of depth and translation that differ by less are one
@@ -30,42 +30,59 @@ _MOST_JITTER = 1.6  # pixels between two frames
 @dataclass(frozen=True)
 class Reading:
     """One way to read all three: motion vectors, cameras, depth. `jitter`: what lacks it or has too much of it,
-    "motion", "camera" or ""."""
+    "motion", "camera" or ""; `rows`: the BUFFERS whose rows are stored from the bottom up."""
 
     motion: MotionReading = MOTION_AS_GIVEN
     camera: CameraReading = CAMERA_AS_GIVEN
     depth: DepthReading = AS_GIVEN
     jitter: str = ""
+    rows: tuple[str, ...] = ()
 
     @property
     def edits(self) -> float:
         """How much it differs from what is given."""
-        depth = 0 if self.depth == AS_GIVEN else 1.5 if self.depth.model is DEVICE else 1
+        depth = 0 if self.depth == AS_GIVEN else 1.5 if self.depth.model.terms == 2 else 1
         focal = self.camera.focal != 1
-        return len(self.motion.parts) + len(self.camera.parts) + depth + focal + 2 * bool(self.jitter)
+        rest = depth + focal + 2 * bool(self.jitter) + bool(self.rows)
+        return len(self.motion.parts) + len(self.camera.parts) + rest
+
+    def mirrored(self) -> Reading:
+        """What says the same of pictures turned upside down: all buffers whose rows this reading takes as they are are
+        turned, and only those, with y of motion vectors and cameras the other way round."""
+        rows = tuple(name for name in BUFFERS if name not in self.rows)
+        return replace(self, motion=self.motion.mirrored(), camera=self.camera.mirrored(), rows=rows)
 
 
 @dataclass
 class Verdict:
     """What speaks for a reading: each score is from 0 to 1.
 
-    `agreement`: motion vectors with cameras and depth; `motion_color`, `camera_color`: each of them with the colours.
+    `agreement`: motion vectors with cameras and depth; `motion_color`, `camera_color`: each of them with the colours;
+    `edges`: colors with depth, from −1 to 1 (`edge_agreement`).
     """
 
     reading: Reading
     agreement: float
     motion_color: float
     camera_color: float
+    edges: float = 0.0
+
+    @property
+    def colors(self) -> float:
+        """All that colors say."""
+        return float(np.nansum([self.motion_color, self.camera_color, self.edges]))
 
     @property
     def total(self) -> float:
-        return float(np.nansum([self.agreement, self.motion_color, self.camera_color])) - EDIT * self.reading.edits
+        return float(np.nan_to_num(self.agreement)) + self.colors - EDIT * self.reading.edits
 
 
 class Search:
-    """Over the looks of one clip. `step`: of quantised motion vectors, pixels, or 0."""
+    """Over the looks of one clip, in which the buffers `rows` have been turned upside down. `step`: of quantised motion
+    vectors, pixels, or 0; `edges`: how colors agree with depth at silhouettes."""
 
-    def __init__(self, looks: list[Look], step: float = 0.0):
+    def __init__(self, looks: list[Look], step: float = 0.0, rows: tuple[str, ...] = (), edges: float = 0.0):
+        self.plain, self.edges = Reading(rows=rows), edges
         self.full = Bench(looks)
         self.middle, self.thin = (Bench(looks, max(1, len(looks[0].px) // n)) for n in (_REFINING, _PER_FRAME))
         self.step = step
@@ -133,10 +150,10 @@ class Search:
         agrees = self.agreement(self.full, motion, static, reading.jitter)
         if not reading.jitter:
             color = self.motion_color(reading.motion), self.camera_color(reading.camera, reading.depth)
-            return Verdict(reading, agrees, *color)
+            return Verdict(reading, agrees, *color, self.edges)
         motion, static = self.motions(reading, self.full)
         step = reading.motion.step
-        return Verdict(reading, agrees, self._along(motion, step), self.static_color(static, step))
+        return Verdict(reading, agrees, self._along(motion, step), self.static_color(static, step), self.edges)
 
     def fitted(self, bench: Bench, reading: Reading, models=MODELS) -> list[Reading]:
         """Readings with the depth that fits motion and camera of `reading` best, by each of `models`."""
@@ -148,16 +165,16 @@ class Search:
         found, frame = [], bench.frame[use] if reading.jitter else None
         for model in models:
             depth = fit_depth(model, model.basis(bench.stored[use], reach.ray[use]), a[use], b[use], frame)
-            if depth is not None:
+            if depth is not None and depth.is_possible:
                 found.append(self._facing(replace(reading, depth=depth)))
         return found
 
     def candidates(self) -> list[Verdict]:
-        """Readings that may be right, the best first; what is given is always among them."""
-        found = {Reading(): self.verdict(Reading())}
+        """Readings that may be right, the best first; the plain one is always among them."""
+        found = {self.plain: self.verdict(self.plain)}
 
         def good() -> bool:
-            return max(found.values(), key=lambda v: v.total).agreement >= _GOOD
+            return max(found.values(), key=lambda v: v.total).agreement >= GOOD
 
         def add(readings) -> None:
             for reading in readings:
@@ -220,7 +237,7 @@ class Search:
         for motion in motions:
             vectors, color = self.thin.motion(motion), np.nan_to_num(self.motion_color(motion))
             for agrees, camera, depth in fields[motion.step].scores(vectors, self._scale(vectors), bool(jitter)):
-                reading = self._facing(Reading(motion, camera, depth, jitter))
+                reading = self._facing(replace(self.plain, motion=motion, camera=camera, depth=depth, jitter=jitter))
                 found.append((agrees + color - EDIT * reading.edits, reading))
         found.sort(key=lambda pair: -pair[0])
         return list(dict.fromkeys(reading for _, reading in found))[:_JOINT]

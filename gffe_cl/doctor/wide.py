@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from gffe_cl.doctor.cameras import CameraReading
-from gffe_cl.doctor.depths import AS_GIVEN, DEVICE, MODELS, DepthReading
+from gffe_cl.doctor.depths import AS_GIVEN, MODELS, DepthReading
 from gffe_cl.doctor.evidence import Bench, log_score
 
 _DRAWS = 24  # lines through two samples, of which the best one is kept
@@ -47,7 +47,7 @@ class WideField:
             basis = np.broadcast_to(basis, (*w.shape, basis.shape[-1]))
             if model is None:
                 fit = np.ones((len(w), 1))
-            elif model is DEVICE:
+            elif model.terms == 2:
                 fit = _lines(basis, w, power, cross, rest)
             else:
                 fit = _medians(basis[..., 0], w, power)[:, None]
@@ -57,8 +57,8 @@ class WideField:
             off = _pixels_off(a, b, tried, turned, shift)
             score = _agreement(off, frame, scale, jitter)
             for camera, agrees, values in zip(self._cameras, score, fit, strict=True):
-                if np.isfinite(values).all():
-                    depth = AS_GIVEN if model is None else DepthReading(model, tuple(values.tolist()))
+                depth = AS_GIVEN if model is None else DepthReading(model, tuple(values.tolist()))
+                if np.isfinite(values).all() and depth.is_possible:
                     found.append((float(agrees), camera, depth))
         return found
 

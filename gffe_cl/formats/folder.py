@@ -25,7 +25,7 @@ from gffe_cl.formats.buffers import (
     parse_depth,
     parse_motion,
 )
-from gffe_cl.formats.cameras import FoundCamera, parse_camera, parse_rules
+from gffe_cl.formats.cameras import CameraRules, FoundCamera, parse_camera, parse_rules
 from gffe_cl.formats.capture import MOST_FRAMES, described, read_json, whole_number
 from gffe_cl.formats.flow import inverted_flow
 from gffe_cl.formats.images import Size
@@ -51,15 +51,20 @@ class _Frame:
 
 
 @dataclass
-class _Folder:
-    """All that the JSON says."""
+class FolderSettings:
+    """All that the JSON says; `cameras`: how the matrices are meant."""
 
     size: Size
     color: ColorBuffer
     truth: ColorBuffer
     depth: DepthBuffer
     motion: MotionBuffer
+    cameras: CameraRules
     frames: dict[str, _Frame]  # by the entry's name
+
+    @property
+    def has_projections(self) -> bool:
+        return any(frame.camera and frame.camera.projection is not None for frame in self.frames.values())
 
 
 def is_folder(path: Path) -> bool:
@@ -89,12 +94,12 @@ def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
 class FolderPixels(ForeignPixels):
     """Frames of the capture in `folder`."""
 
-    def __init__(self, folder: Path, made: _Folder):
+    def __init__(self, folder: Path, made: FolderSettings):
         super().__init__()
-        self._folder, self._made = folder, made
+        self._folder, self.settings = folder, made
 
     def rendered(self, entry, size):
-        frame = self._made.frames[entry.file]
+        frame = self.settings.frames[entry.file]
         with np.errstate(all="ignore"):  # bad pixels are survived
             depth, motion = self._depth(frame), None
             if frame.before:
@@ -102,27 +107,27 @@ class FolderPixels(ForeignPixels):
         return self.color(entry, size), depth, motion
 
     def color(self, entry, size):
-        frame = self._made.frames[entry.file]
-        buffer = self._made.truth if entry.kind == "ground_truth" else self._made.color
+        frame = self.settings.frames[entry.file]
+        buffer = self.settings.truth if entry.kind == "ground_truth" else self.settings.color
         with np.errstate(all="ignore"):
             return buffer.read(self._folder, frame.number, size)
 
     def _depth(self, frame: _Frame) -> np.ndarray:
-        return self._made.depth.read(self._folder, frame.number, self._made.size, frame.camera)
+        return self.settings.depth.read(self._folder, frame.number, self.settings.size, frame.camera)
 
     def _motion(self, frame: _Frame, depth: np.ndarray) -> np.ndarray:
-        said, before = self._made.motion, frame.before
+        said, before = self.settings.motion, frame.before
         if said.to_next:
-            flow = said.read(self._folder, before.number, self._made.size)
+            flow = said.read(self._folder, before.number, self.settings.size)
             motion = inverted_flow(flow, self._depth(before), before.camera.camera, depth, frame.camera.camera)
         else:
-            motion = said.read(self._folder, frame.number, self._made.size)
+            motion = said.read(self._folder, frame.number, self.settings.size)
         if said.jitter_removed:
             motion += np.float32(np.subtract(before.camera.jitter, frame.camera.jitter))
         return motion
 
 
-def _parse(folder: Path, document: dict, cameras_needed: bool) -> tuple[_Folder, Description]:
+def _parse(folder: Path, document: dict, cameras_needed: bool) -> tuple[FolderSettings, Description]:
     keys = Keys(document, FILE_NAME)
     keys.take("format")
     if keys.take("version", VERSION) != VERSION:
@@ -138,12 +143,13 @@ def _parse(folder: Path, document: dict, cameras_needed: bool) -> tuple[_Folder,
     rules, files, listed = parse_rules(cameras), _camera_files(cameras), cameras.take("list")
     cameras.done()
     color = keys.take("color")
-    made = _Folder(
+    made = FolderSettings(
         size,
         parse_color(color),
         parse_color(keys.take("ground_truth", color), "ground_truth"),
         parse_depth(keys.take("depth"), rules.convention),
         parse_motion(keys.take("motion")),
+        rules,
         {},
     )
     frames = list(_frames(keys.take("frames"), fps))
@@ -173,7 +179,7 @@ def _parse(folder: Path, document: dict, cameras_needed: bool) -> tuple[_Folder,
     return made, described(FILE_NAME, size, [entry for _, entry, _ in frames], fps, exposure)
 
 
-def _require_camera(made: _Folder, found: FoundCamera | None, label: str) -> None:
+def _require_camera(made: FolderSettings, found: FoundCamera | None, label: str) -> None:
     """GffeError if the camera says too little for what the buffers need of it."""
     if made.depth.encoding == "device" and made.depth.near is None and (found is None or found.projection is None):
         raise GffeError(f"{label}: device depth needs a projection matrix, or near and far in depth")

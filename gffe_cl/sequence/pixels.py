@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -30,9 +30,11 @@ OVERLAY_CHANNELS = {
 
 class Pixels(Protocol):
     """The pixels of frames, by their entries; `size` is (width, height) of the image. Everything raises GffeError,
-    naming the file, where that is missing or damaged. `notes`: what is worth a warning."""
+    naming the file, where that is missing or damaged. `notes`: what is worth a warning; `settings`: what the capture's
+    description says of its buffers, for forms that have one that can be changed."""
 
     notes: list[str]
+    settings: Any
 
     def read(
         self, entry: FrameEntry, size: tuple[int, int]
@@ -55,7 +57,7 @@ class OwnPixels:
 
     def __init__(self, folder: Path):
         self._folder = folder
-        self.notes = []
+        self.notes, self.settings = [], None
 
     def read(self, entry, size):
         path = self._folder / entry.place
@@ -87,6 +89,7 @@ class ForeignPixels:
 
     def __init__(self):
         self.notes: list[str] = []
+        self.settings: Any = None
 
     def read(self, entry, size):
         return *self.rendered(entry, size), None

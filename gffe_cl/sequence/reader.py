@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -106,6 +107,11 @@ class Sequence:
     def near_miss(self, kind: str, time: float) -> str | None:
         """A sentence if `at` finds nothing, but something is so near that it was probably meant: rounded times."""
         return self._timeline.near_miss(*_moment(kind, time))
+
+    @property
+    def settings(self) -> Any:
+        """What the capture's description says of its buffers, for forms that have one that can be changed; or None."""
+        return self._pixels.settings
 
     def rendered_before(self, time: float) -> int | None:
         """Which of `rendered` is the last one before `time`; one that is `at` it is not before it."""

@@ -1,0 +1,59 @@
+"""Which findings are mended: those that the user names, or all but those of which one witness alone speaks."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+
+from gffe_cl.doctor.depths import AS_GIVEN
+from gffe_cl.doctor.diagnose import Diagnosis
+from gffe_cl.doctor.findings import BOTTOM_UP, DISPLAY_VALUES, Finding, finding_id, fixable_ids
+from gffe_cl.errors import GffeError
+from gffe_cl.values import shown
+
+ON_REQUEST = finding_id("color", DISPLAY_VALUES)  # only antialiased silhouettes speak for it: renderers can fool them
+
+
+def require_findings(names: Collection[str], option: str) -> None:
+    """GffeError unless all `names` are findings that can be mended."""
+    known = fixable_ids()
+    for name in names:
+        if name not in known:
+            raise GffeError(f"{option} {shown(name)}: no such finding (expected one of {', '.join(known)})")
+
+
+def selected(diagnosis: Diagnosis, only: Collection[str] = (), without: Collection[str] = ()) -> Diagnosis:
+    """`diagnosis` with the findings that are to be mended, and the reading that mends just these: `only`, or all but
+    display values; less `without`. Raises GffeError for names that are no findings, and for `only` what was not found.
+    """
+    require_findings(only, "--only")
+    require_findings(without, "--except")
+    found = fixed_by(diagnosis)
+    for name in only:
+        if name not in found:
+            words = f"expected one of {', '.join(found)}" if found else "there is nothing to mend"
+            raise GffeError(f"--only {name}: not found in this sequence ({words})")
+    wanted = set(only or [name for name in found if name != ON_REQUEST]) - set(without)
+    kept = [finding for finding in diagnosis.findings if finding.id in wanted]
+    reading, order = diagnosis.reading, diagnosis.order
+    reading = replace(
+        reading,
+        motion=reading.motion.keeping(_names(kept, "motion")),
+        camera=reading.camera.keeping(_names(kept, "camera")),
+        depth=reading.depth if set(_names(kept, "depth")) - {BOTTOM_UP} else AS_GIVEN,
+        jitter=reading.jitter if finding_id(reading.jitter, "jitter not removed") in wanted else "",
+        rows=tuple(buffer for buffer in reading.rows if finding_id(buffer, BOTTOM_UP) in wanted),
+    )
+    if order is not None and "frames-out-of-order" not in wanted:
+        order = replace(order, order=None)
+    return replace(diagnosis, findings=kept, reading=reading, order=order, decodes_color=ON_REQUEST in wanted)
+
+
+def fixed_by(diagnosis: Diagnosis) -> list[str]:
+    """Findings of `diagnosis` that can be mended or left, by their ids."""
+    known = set(fixable_ids())
+    return list(dict.fromkeys(f.id for f in diagnosis.findings if f.fix and f.id in known))
+
+
+def _names(findings: list[Finding], about: str) -> tuple[str, ...]:
+    return tuple(finding.name for finding in findings if finding.about == about)
