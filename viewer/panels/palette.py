@@ -7,7 +7,7 @@ from imgui_bundle import hello_imgui, imgui
 from gffe_cl.errors import GffeError
 from gffe_cl.options import Option
 from gffe_cl.viewer.panels import widgets
-from gffe_cl.viewer.state.parameters import ALL, Parameters, by_hand
+from gffe_cl.viewer.state.parameters import ALL, Parameters, by_hand, parsed
 
 _FOUND = 12  # actions that are listed
 _STEPS = 20  # of a number that is not whole, over its usual range
@@ -120,17 +120,6 @@ def _arrows() -> int:
 
 def _state(action) -> str:
     return {None: "", True: "on", False: ""}[action.checked()]
-
-
-def parsed(option: Option, text: str) -> float | int | None:
-    """The value of a number that is typed. Raises GffeError."""
-    text = text.strip()
-    if option.automatic and text == option.automatic:
-        return None
-    try:
-        return option.checked(option.kind(text.replace(",", ".")))
-    except (ValueError, GffeError):
-        raise GffeError(f"{option.label} must be {option.expected}, got '{text}'") from None
 
 
 def stepped(option: Option, value: float | None, steps: int) -> float | int:

@@ -61,11 +61,12 @@ class Model:
     def __init__(
         self, settings: Settings, *, device: str | None = None, n: int = 1, window: str | None = None,
         plan: ScenePlan = _SCENES, options: Options = _OPTIONS, save_settings: bool = True,
-        check: bool = False, cache_mib: int = CACHE_MIB,
+        check: bool = False, cache_mib: int = CACHE_MIB, start: bool = True,
     ):  # fmt: skip
         self.settings, self._save_settings, self.plan, self._check = settings, save_settings, plan, check
         self.engine = Engine(partial(open_viewer_device, device), cache=FrameCache(cache_mib << 20))
-        self.engine.start()
+        if start:  # else there is no device, and nothing can be opened
+            self.engine.start()
         self._loop = Loop(self)
         self.contents = Contents()
         self.playback = Playback(n=n)
