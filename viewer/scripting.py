@@ -22,8 +22,9 @@ _STILL_FRAMES = 3  # of the interface, after everything has arrived, before a pi
 def play_script(
     model, path: Path, steps: list[Step], film: Path | None = None, size: tuple[int, int] | None = None
 ) -> None:
-    """Run the steps of the script `path` in a window of its own, and write a `film` of it, WebP or GIF. Time passes only
-    while everything that is shown is what was asked for, so that slow machines make the same film. Raises GffeError."""
+    """Run the steps of the script `path` in a window of its own, and write a `film` of it, WebP or GIF. Time passes
+    only while everything that is shown is what was asked for, so that slow machines make the same film. Raises
+    GffeError."""
     require_display()
     from gffe_cl.viewer.app import App
 

@@ -55,9 +55,9 @@ def parse(path: Path, app=None) -> list[Step]:
         raise GffeError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
     app, steps = app or unopened(), []
     for number, text in enumerate(lines, 1):
-        command, *argument = text.split(None, 1)
-        if not text.strip() or command.startswith("#"):
+        if not text.strip() or text.strip().startswith("#"):
             continue
+        command, *argument = text.split(None, 1)
         try:
             steps.append(Step(number, command, _read(command, argument[0].strip() if argument else "", app)))
         except GffeError as error:
