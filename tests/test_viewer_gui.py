@@ -323,6 +323,8 @@ def test_kernels(values):
     assert 0.2 < values["darker by"] < 0.9
     assert f"warp.cl:{values['line']}" in values["error"] and "no_such_thing" in values["error"]
     assert values["picture stays"] and values["error is shown"] and values["recovered"]
+    first, *others = values["copied"].splitlines()
+    assert "does not build" in first and f"warp.cl:{values['line']}" in others[0]
 
 
 @pytest.mark.parametrize(
@@ -345,7 +347,13 @@ def test_dropping(values):
 def test_palette_and_help(values):
     assert values["palette"] and values["overview"] and values["palette closed"]
     assert values["chosen by Down"] == 1 and values["closed by Escape"]
-    assert values["help"] and values["help closed"]
+    assert values["help"]
+    states = values["states"]
+    on_top = [["keys"], ["keys"], ["keys", "path"], ["keys", "path", "palette"], ["keys", "path"], ["keys"], []]
+    assert [state["open"] for state in states] == on_top
+    assert [state["menu"] for state in states] == [False, True, *5 * [False]]
+    assert [state["reached"] for state in states] == [*6 * [False], True]
+    assert all(state["quits"] == 1 for state in states)
 
 
 def test_parameters_by_the_palette(values):

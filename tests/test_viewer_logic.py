@@ -479,6 +479,9 @@ def test_dispatch_runs_what_is_enabled():
     assert actions.dispatch({"Ctrl"}, "S") is None and actions.last_refusal == "nothing is open"
     assert actions.dispatch({"Shift"}, "/") == "help" and actions.last_refusal is None
     assert actions.dispatch({"Ctrl"}, "O", repeated=True) is None
+    assert actions.dispatch({"Ctrl"}, "O", covered=True) is None
+    actions.register(Action("quit", "Quit", "File", "Ctrl+Q", lambda: None, anywhere=True))
+    assert actions.dispatch({"Ctrl"}, "Q", covered=True) == "quit"
     assert actions.run("open") and not actions.run("save") and actions.last_refusal == "nothing is open"
     assert ran == ["open", "help", "open"]
     with pytest.raises(KeyError, match="'opne'"):

@@ -34,13 +34,15 @@ class Palette:
         """Ask for the value of a number."""
         self.text, self.asked, self._problem = "", name, ""
 
+    @property
+    def is_open(self) -> bool:
+        return self.text is not None
+
     def close(self) -> None:
         self.text = self.asked = None
 
-    def draw(self, actions, parameters: Parameters) -> None:
-        if self.text is None:
-            return
-        asked = self.asked
+    def draw(self, app) -> bool:
+        actions, asked = app.actions, self.asked
         viewport = imgui.get_main_viewport()
         top = (viewport.pos.x + viewport.size.x / 2, viewport.pos.y + viewport.size.y * 0.15)
         imgui.set_next_window_pos(top, imgui.Cond_.always.value, (0.5, 0.0))
@@ -49,13 +51,14 @@ class Palette:
         widgets.floating()
         imgui.begin(f"Command palette###palette{'_value' if asked else ''}", None, int(flags))
         appearing = imgui.is_window_appearing()
-        chosen = self._number(parameters) if asked else self._search(actions)
+        chosen = self._number(app.model.parameters) if asked else self._search(actions)
         lost = not imgui.is_window_focused() and not appearing
         imgui.end()
-        if chosen is not None or lost or imgui.is_key_pressed(imgui.Key.escape):
+        if chosen is not None or lost:
             self.close()
         if chosen:
             actions.run(chosen)
+        return not lost
 
     def _typed(self, hint: str) -> bool:
         """The field; whether Enter was pressed."""

@@ -143,6 +143,14 @@ def shortened(text: str, width: float) -> str:
     return shorter
 
 
+def cut(text: str, width: float) -> str:
+    """As much of its beginning as has room; a few letters in any case."""
+    kept = len(text)
+    while kept > 3 and imgui.calc_text_size(text[:kept] + "…" * (kept < len(text))).x > width:
+        kept -= 1
+    return text[:kept] + "…" * (kept < len(text))
+
+
 def heading(text: str) -> None:
     imgui.separator_text(text)
 

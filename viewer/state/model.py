@@ -341,6 +341,17 @@ class Model:
     def say(self, text: str, error: bool = False) -> None:
         self.messages = [*self.messages[-20:], Message(text, "error" if error else "note")]
 
+    def lately(self, now: float, seconds: dict[str, float]) -> list[Message]:
+        """Messages that were shown first at most so many seconds ago, by their kind."""
+        for message in self.messages:
+            message.since = now if message.since is None else message.since
+        return [message for message in self.messages if now - message.since < seconds.get(message.kind, 0.0)]
+
+    def dismiss_messages(self) -> None:
+        """Take all that stand over the picture away."""
+        for message in self.messages:
+            message.dismissed = True
+
     def remember(self, window_size: tuple[int, int]) -> None:
         """Write the settings."""
         if not self._save_settings:
