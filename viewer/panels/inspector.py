@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import groupby
+
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.picture.legends import value_text
+
+_MOST_NAMES = 0.45  # of the width: names of layers
 
 
 def draw(app) -> None:
@@ -28,25 +32,36 @@ def draw(app) -> None:
     if inspection.source is not None:
         at += f"   from ({inspection.source[0]:.2f}, {inspection.source[1]:.2f}) of the rendered frame"
     imgui.text_wrapped(at)
-    if imgui.begin_table("###values", 2, imgui.TableFlags_.row_bg.value):
-        for title, share in (("layer", 0.44), ("value", 0.56)):
-            imgui.table_setup_column(title, imgui.TableColumnFlags_.width_stretch.value, share)
-        for label, description, value in _rows(app, inspection):
+    _values(app, inspection)
+
+
+def _values(app, inspection) -> None:
+    """A table for each stage, under its name: layers, and their values."""
+    rows = _rows(app, inspection)
+    names = max((imgui.calc_text_size(label).x for _, label, _, _ in rows), default=0.0)
+    names = min(names + hello_imgui.em_size(0.6), _MOST_NAMES * imgui.get_content_region_avail().x)
+    for group, layers in groupby(rows, key=lambda row: row[0]):
+        imgui.text_disabled(group)
+        if not imgui.begin_table(f"###values {group}", 2, imgui.TableFlags_.row_bg.value):
+            continue
+        imgui.table_setup_column("layer", imgui.TableColumnFlags_.width_fixed.value, names)
+        imgui.table_setup_column("value", imgui.TableColumnFlags_.width_stretch.value)
+        for _, label, description, value in layers:
             imgui.table_next_row()
             imgui.table_next_column()
-            imgui.text_wrapped(label)
-            widgets.tooltip(description)
+            imgui.text(widgets.cut(label, names))
+            widgets.tooltip(f"{label}: {description}")
             imgui.table_next_column()
             imgui.text_wrapped(value)
         imgui.end_table()
 
 
-def _rows(app, inspection) -> list[tuple[str, str, str]]:
-    """(layer, its description, its value), made once for an inspection."""
+def _rows(app, inspection) -> list[tuple[str, str, str, str]]:
+    """(stage, layer, its description, its value), made once for an inspection."""
     known, rows = app.inspected
     if known is not inspection:
         rows = [
-            (f"{spec.group}: {spec.label}", spec.description, value_text(spec, inspection.values[spec.name]))
+            (spec.group, spec.label, spec.description, value_text(spec, inspection.values[spec.name]))
             for spec in app.model.contents.layers
             if spec.name in inspection.values
         ]
