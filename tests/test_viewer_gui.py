@@ -252,6 +252,7 @@ def test_inspector(values):
             pixel["compared"]
         )
     assert len(values["pixels"]) == 5 and values["left"]
+    assert values["heights"][0] == values["heights"][1]  # R G B stand in one line
 
 
 def test_story(values):
@@ -270,6 +271,7 @@ def test_story(values):
 def test_zoom_and_pan(values):
     assert np.ptp(values["under the cursor"], axis=0).max() < 1e-6
     assert values["zoomed"] > 4
+    assert values["enlarged"] < 9 and values["written"] > 0.05
     assert values["panned by"] == pytest.approx([90, -60], abs=1e-3)
     assert values["picked by panning"] is None
     assert values["one to one"] == 1.0 and values["fitted again"]
@@ -386,6 +388,9 @@ def test_disocclusions_in_flight(values):
 
 
 def test_appearance(values):
+    assert values["room"] > 0 and min(values["contrast"]) > 4.5
+    width, height = values["exposure"]
+    assert width > 3 * height  # of one line: "+0.00 EV" has room
     dark, light = values["bright"]
     assert dark < 80 and light > 180 and values["theme"] == "light"
     before, larger, after = values["letters"]
@@ -473,6 +478,7 @@ def test_settings_a_and_b(values):
 
 
 def test_finding_frames(values):
+    assert values["empty"] == [False, True]
     assert values["slots"] == [list(range(1, 16, 2))] * 2
     assert values["visited"] == values["worst"] and len(set(values["visited"])) == 3
     assert values["in the plot"] == pytest.approx(values["by hand"], abs=1e-9)
