@@ -252,6 +252,7 @@ def test_inspector(values):
             pixel["compared"]
         )
     assert len(values["pixels"]) == 5 and values["left"]
+    assert values["status"].startswith("(190, 106)   R ")
     assert values["heights"][0] == values["heights"][1]  # R G B stand in one line
 
 

@@ -7,6 +7,7 @@ from imgui_bundle import imgui
 from viewer_gui_driver import CTRL, KEY, SHIFT, Gui, collector
 
 from gffe_cl.buffers import lies_on_source, texel_of
+from gffe_cl.viewer.panels import status
 
 CASES, case = collector()
 
@@ -175,7 +176,7 @@ def inspector(gui: Gui):
                 wrong.append(name)
         values["pixels"].append({"pixel": (x, y), "wrong": wrong, "compared": compared})
     gui.shot("inspector")
-    values["heights"] = []
+    values["heights"], values["status"] = [], status.parts(model)[-1]
     for value in ("R 0  G 0  B 0", "R 0.009723  G 0.009723  B 0.009723"):
         gui.app.inspected = inspection, [row._replace(value=value) for row in gui.app.inspected[1] if row.is_color]
         gui.frames(3)

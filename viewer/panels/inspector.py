@@ -71,7 +71,7 @@ def _table(group: str, rows: list[Row], names: float) -> None:
     for row in rows:
         imgui.table_next_row()
         imgui.table_next_column()
-        imgui.text(widgets.cut(row.label, names))
+        imgui.text(widgets.shortened(row.label, names))
         widgets.tooltip(f"{row.label}: {row.description}")
         imgui.table_next_column()
         imgui.text_wrapped(row.value)

@@ -57,7 +57,7 @@ def _table(regions, name: str, of: str, a: dict[str, Part], b: dict[str, Part] |
         imgui.table_next_column()
         _swatch(number, region_colors()[region])
         spans = imgui.SelectableFlags_.span_all_columns.value
-        text = widgets.cut(region, imgui.get_content_region_avail().x - hello_imgui.em_size(0.2))
+        text = widgets.shortened(region, imgui.get_content_region_avail().x - hello_imgui.em_size(0.2))
         if imgui.selectable(f"{text}###{name} {region}", regions.only == region, spans)[0]:
             regions.see_only(region)
         widgets.tooltip(f"{region}: {meaning}; {_share(part.pixels)} of the pixels")

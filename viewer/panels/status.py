@@ -29,7 +29,7 @@ def draw(app) -> None:
         widgets.tooltip("\n".join(message.text for message in shown))
         told = True
     _beside(told)
-    text = "     ".join(_parts(model))
+    text = "     ".join(parts(model))
     if told:
         imgui.text_disabled(text)
     else:
@@ -58,17 +58,18 @@ def _beside(something: bool) -> None:
         imgui.same_line(0, hello_imgui.em_size(2))
 
 
-def _parts(model) -> list[str]:
-    parts = [model.engine.device_name or "opening the device …"]
+def parts(model) -> list[str]:
+    """What is open, how long it took, and what is under the pointer."""
+    told = [model.engine.device_name or "opening the device …"]
     if model.source is not None:
         info = model.source
-        parts.append(f"{info.name}   {info.width}×{info.height}")
+        told.append(f"{info.name}   {info.width}×{info.height}")
         if info.render_size != (info.width, info.height):
-            parts.append(f"rendered {info.render_size[0]}×{info.render_size[1]}")
+            told.append(f"rendered {info.render_size[0]}×{info.render_size[1]}")
     if model.contents.result is not None:
         kept = "from the cache, " if model.from_cache else ""
-        parts.append(f"{kept}computed in {model.contents.result.wall_ms:.0f} ms")
-    return [*parts, *model.warnings, *_under_pointer(model)]
+        told.append(f"{kept}computed in {model.contents.result.wall_ms:.0f} ms")
+    return [*told, *model.warnings, *_under_pointer(model)]
 
 
 def _under_pointer(model) -> list[str]:
