@@ -16,7 +16,7 @@ from gffe_cl import GffeError
 from gffe_cl.opencl import device as device_module
 from gffe_cl.opencl import runtimes
 from gffe_cl.opencl.device import DeviceInfo, best_of, select
-from gffe_cl.opencl.program import build, expand, kernel_folder
+from gffe_cl.opencl.program import build, expand, first_error, kernel_folder
 from gffe_cl.opencl.runtimes import only_vendors, vendors
 
 
@@ -207,6 +207,20 @@ def test_build_errors_name_file_and_line(device, sources):
         build(device, "broken")
     assert "kernels/broken.cl does not build" in str(caught.value)
     assert "broken.cl:4" in str(caught.value) and "nonsense" in str(caught.value)
+    assert "\\n" not in str(caught.value) and "broken.cl:4" in caught.value.log.split("\n", 1)[1]
+
+
+@pytest.mark.parametrize(
+    ("log", "told"),
+    [
+        ("w.cl:1:2: warning: odd\nw.cl:9:1: error: x\n  9 | x\n", "w.cl:9:1: error: x"),
+        ("1 error generated.\nerror: w.cl:9:1: x\nDevice failed", "error: w.cl:9:1: x"),
+        ("w.h: cannot read", "w.h: cannot read"),
+        ("", ""),
+    ],
+)
+def test_the_first_error_of_a_log(log, told):
+    assert first_error(log) == told
 
 
 def test_build_errors_in_the_header_too(device, sources):

@@ -17,8 +17,7 @@ from scn_models import constant_model
 from test_viewer_model import Session
 
 from gffe_cl.errors import GffeError
-from gffe_cl.viewer.actions import Actions
-from gffe_cl.viewer.steps import parse, perform
+from gffe_cl.viewer.steps import check, parse, perform, unopened
 
 GUIDE = Path(__file__).parents[1] / "docs" / "guide.md"
 GFFE = [sys.executable, "-c", "from gffe_cl.cli import main; main()", "view"]
@@ -209,49 +208,82 @@ def test_a_script_is_done_and_filmed(gffe, screen, tmp_path):
     assert not (tmp_path / "never.png").exists()
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("", "nothing to do"),
-        ("# only this", "nothing to do"),
-        ("wait 1\nfly away", "line 2: unknown command 'fly' (expected seek, layer"),
-        ("seek", "line 1: expected seek SLOT"),
-    ],
-)
-def test_scripts_that_are_none(tmp_path, text, told):
+WRONG_SCRIPTS = {
+    "": "nothing to do",
+    "# only this": "nothing to do",
+    "wait 1\nfly away": "line 2: unknown command 'fly' (expected seek, layer",
+    "seek": "line 1: expected seek SLOT",
+    "seek x": "expected a number",
+    "seek 1.5": "seek must be a whole number, 0 or more, got '1.5'",
+    "seek -1": "seek must be a whole number, 0 or more, got '-1'",
+    "wait nan": "line 1: expected a number, got 'nan'",
+    "wait -5": "wait must be 0 to 3600 seconds, or done, got -5",
+    "wait 1e9": "wait must be 0 to 3600 seconds",
+    "compare nonsense": "compare must be off, split",
+    "set nonsense 1": "unknown option 'nonsense'",
+    "set levels 99": "background levels must be",
+    "set levels inf": "background levels must be",
+    "set crack_closing 1": "crack closing must be on or off",
+    "set hole_filling nonsense": "hole filling must be ",
+    "do pley": "no action is called 'pley' (nearest: play",
+    "pixel a,b": "expected a number",
+    "pixel 1.5,2": "pixel must be 2 whole numbers, 0 or more, as 12,34, got '1.5,2'",
+    "rectangle 5,1,5,5": "with LEFT < RIGHT",
+    "split 2": "split must be 0 to 1",
+    "split nan": "expected a number",
+    "steer 1,2": "expected steer RIGHT,UP,FORWARD,YAW,PITCH",
+    "steer 0,0,0,inf,0": "expected a number",
+    "panel Nonsense": "no panel is called 'Nonsense' (expected Picture, Layers",
+    "shot there/a.png": "expected a .png in a folder that is there",
+}
+
+
+@pytest.fixture(scope="module")
+def unopened_app():
+    return unopened()
+
+
+@pytest.mark.parametrize("text", WRONG_SCRIPTS)
+def test_scripts_are_checked_before_anything_starts(tmp_path, unopened_app, text):
     (tmp_path / "steps.txt").write_text(text)
-    with pytest.raises(GffeError, match=re.escape(told)):
-        parse(tmp_path / "steps.txt")
+    with pytest.raises(GffeError, match=re.escape(WRONG_SCRIPTS[text])):
+        parse(tmp_path / "steps.txt", unopened_app)
 
 
-@pytest.mark.parametrize(
-    ("command", "argument", "told"),
-    [
-        ("seek", "99", "seek must be 0 to 5"),
-        ("seek", "x", "expected a number"),
-        ("compare", "nonsense", "compare must be off, split"),
-        ("set", "nonsense 1", "unknown option 'nonsense'"),
-        ("set", "levels 99", "background levels must be"),
-        ("do", "pley", "no action is called 'pley'"),
-        ("pixel", "a,b", "expected a number"),
-        ("pixel", "99,99", "pixel must be inside 13×9"),
-        ("rectangle", "1,1,99,5", "rectangle must be inside 13×9"),
-        ("split", "2", "split must be 0 to 1"),
-        ("steer", "1,2", "expected steer RIGHT,UP,FORWARD,YAW,PITCH"),
-        ("steer", "0,0,1,20,0", "the camera does not fly"),
-        ("layer", "finall", "no layer is called 'finall' (nearest: final,"),
-        ("layer", "rendered depth", "(nearest: rendered.depth,"),
-        ("panel", "Nonsense", "no panel is called 'Nonsense' (there are: Picture)"),
-    ],
-)
-def test_steps_that_cannot_be_done(tmp_path, command, argument, told):
-    session = Session(tiny_sequence.write(tmp_path / "in"))
+def test_steps_are_checked_against_the_sequence(tmp_path, unopened_app):
+    """All of them before the first; what depends on the options up to where they change."""
+    session, path = Session(tiny_sequence.write(tmp_path / "in")), tmp_path / "steps.txt"
+    app = SimpleNamespace(model=session.model, actions=unopened_app.actions)
+
+    def checked(text: str) -> list:
+        path.write_text(text)
+        steps = parse(path, unopened_app)
+        check(app, path, steps)
+        return steps
+
     try:
-        with pytest.raises(GffeError, match=re.escape(told)):
-            app = SimpleNamespace(model=session.model, actions=Actions(), docks=SimpleNamespace(names=("Picture",)))
-            perform(app, command, argument)
+        for text, told in {
+            "seek 1\nseek 99": "line 2: seek must be 0 to 5",
+            "pixel 99,99": "pixel must be inside 13×9",
+            "set n 3\nrectangle 1,1,99,5": "line 2: rectangle must be inside 13×9",
+            "layer finall": "no layer is called 'finall' (nearest: final,",
+            "with rendered depth": "(nearest: rendered.depth,",
+            "do layer nonsense": "no action is called 'layer nonsense'",
+        }.items():
+            with pytest.raises(GffeError, match=re.escape(told)):
+                checked(text)
+        checked("set n 3\nseek 11\nlayer upscaling.lock")
+        (flight,) = checked("steer 0,0,1,20,0")
+        with pytest.raises(GffeError, match="the camera does not fly"):
+            perform(app, flight.command, flight.value)
     finally:
         session.model.close()
+
+
+def test_actions_are_listed(gffe):
+    """All that a script can do, without a display."""
+    code, out, err = gffe("--actions")
+    assert (code, err) == (0, "") and {"play", "quit", "panel Plot"} <= {line[:32].strip() for line in out.splitlines()}
 
 
 @pytest.mark.slow

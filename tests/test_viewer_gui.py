@@ -252,6 +252,8 @@ def test_inspector(values):
             pixel["compared"]
         )
     assert len(values["pixels"]) == 5 and values["left"]
+    assert values["status"].startswith("(190, 106)   R ")
+    assert values["heights"][0] == values["heights"][1]  # R G B stand in one line
 
 
 def test_story(values):
@@ -270,6 +272,7 @@ def test_story(values):
 def test_zoom_and_pan(values):
     assert np.ptp(values["under the cursor"], axis=0).max() < 1e-6
     assert values["zoomed"] > 4
+    assert values["enlarged"] < 9 and values["written"] > 0.05
     assert values["panned by"] == pytest.approx([90, -60], abs=1e-3)
     assert values["picked by panning"] is None
     assert values["one to one"] == 1.0 and values["fitted again"]
@@ -323,6 +326,8 @@ def test_kernels(values):
     assert 0.2 < values["darker by"] < 0.9
     assert f"warp.cl:{values['line']}" in values["error"] and "no_such_thing" in values["error"]
     assert values["picture stays"] and values["error is shown"] and values["recovered"]
+    first, *others = values["copied"].splitlines()
+    assert "does not build" in first and f"warp.cl:{values['line']}" in others[0]
 
 
 @pytest.mark.parametrize(
@@ -345,7 +350,13 @@ def test_dropping(values):
 def test_palette_and_help(values):
     assert values["palette"] and values["overview"] and values["palette closed"]
     assert values["chosen by Down"] == 1 and values["closed by Escape"]
-    assert values["help"] and values["help closed"]
+    assert values["help"]
+    states = values["states"]
+    on_top = [["keys"], ["keys"], ["keys", "path"], ["keys", "path", "palette"], ["keys", "path"], ["keys"], []]
+    assert [state["open"] for state in states] == on_top
+    assert [state["menu"] for state in states] == [False, True, *5 * [False]]
+    assert [state["reached"] for state in states] == [*6 * [False], True]
+    assert all(state["quits"] == 1 for state in states)
 
 
 def test_parameters_by_the_palette(values):
@@ -378,6 +389,9 @@ def test_disocclusions_in_flight(values):
 
 
 def test_appearance(values):
+    assert values["room"] > 0 and min(values["contrast"]) > 4.5
+    width, height = values["exposure"]
+    assert width > 2.5 * height  # of one line: "+0.00 EV" has room
     dark, light = values["bright"]
     assert dark < 80 and light > 180 and values["theme"] == "light"
     before, larger, after = values["letters"]
@@ -465,6 +479,7 @@ def test_settings_a_and_b(values):
 
 
 def test_finding_frames(values):
+    assert values["empty"] == [False, True]
     assert values["slots"] == [list(range(1, 16, 2))] * 2
     assert values["visited"] == values["worst"] and len(set(values["visited"])) == 3
     assert values["in the plot"] == pytest.approx(values["by hand"], abs=1e-9)

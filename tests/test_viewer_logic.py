@@ -20,6 +20,7 @@ from gffe_cl.errors import GffeError
 from gffe_cl.sequence.exr import read_channels
 from gffe_cl.viewer.actions import IMGUI_KEYS, MODIFIERS, Action, Actions, parse_shortcut, shortcut_text
 from gffe_cl.viewer.engine.layers import LayerSpec
+from gffe_cl.viewer.panels.picture import short
 from gffe_cl.viewer.panels.plot import scale_of
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
 from gffe_cl.viewer.state import settings as settings_module
@@ -479,6 +480,9 @@ def test_dispatch_runs_what_is_enabled():
     assert actions.dispatch({"Ctrl"}, "S") is None and actions.last_refusal == "nothing is open"
     assert actions.dispatch({"Shift"}, "/") == "help" and actions.last_refusal is None
     assert actions.dispatch({"Ctrl"}, "O", repeated=True) is None
+    assert actions.dispatch({"Ctrl"}, "O", covered=True) is None
+    actions.register(Action("quit", "Quit", "File", "Ctrl+Q", lambda: None, anywhere=True))
+    assert actions.dispatch({"Ctrl"}, "Q", covered=True) == "quit"
     assert actions.run("open") and not actions.run("save") and actions.last_refusal == "nothing is open"
     assert ran == ["open", "help", "open"]
     with pytest.raises(KeyError, match="'opne'"):
@@ -937,3 +941,12 @@ def test_timings_count_the_network_to_shading_correction():
     assert timings.means() == {"warp": 1.0, "correction": 8.0} and timings.network() == 6.0
     timings.add(computed(warp=4.0))  # shading correction is off
     assert timings.means() == {"warp": 2.0}
+
+
+@pytest.mark.parametrize(
+    ("value", "letters", "written"),
+    [(0.15936, 4, ".159"), (-0.15936, 4, "-.16"), (0.012345, 4, ".012"), (0.012345, 7, ".0123"), (1234.5, 4, "1e+03"),
+     (10.0, 4, "10"), (0.0, 4, "0"), (float("inf"), 4, "inf"), (float("nan"), 4, "nan")],
+)  # fmt: skip
+def test_numbers_in_pixels_have_room(value, letters, written):
+    assert short(value, letters) == written

@@ -21,10 +21,10 @@ from gffe_cl.options import Option
 from gffe_cl.viewer.engine.doctoring import Doctor
 from gffe_cl.viewer.engine.messages import Metrics, Request, Setup
 from gffe_cl.viewer.engine.seeking import Seeker
-from gffe_cl.viewer.panels.palette import parsed, stepped
+from gffe_cl.viewer.panels.palette import stepped
 from gffe_cl.viewer.state import model as model_module
 from gffe_cl.viewer.state.model import Model
-from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand
+from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand, parsed
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.settings import Settings
 

@@ -20,6 +20,13 @@ from gffe_cl.viewer.engine.opening import ScenePlan
 from gffe_cl.viewer.picture.canvas import read
 
 CASES, case = collector()
+_ON_SLIDERS = imgui.Col_.text, imgui.Col_.slider_grab, imgui.Col_.slider_grab_active
+
+
+def _luminance(color) -> float:
+    """Of WCAG 2, for contrasts."""
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (color.x, color.y, color.z)]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
 @case
@@ -33,10 +40,18 @@ def appearance(gui: Gui):
     def letters():
         return gui.area("//Modules/crack closing")[3]
 
-    values["bright"] = [bright()]
+    def contrast():
+        style = imgui.get_style()
+        text, *grabs = (_luminance(style.color_(of)) for of in _ON_SLIDERS)
+        return min((max(text, grab) + 0.05) / (min(text, grab) + 0.05) for grab in grabs)
+
+    _, top, _, height = gui.area("//Modules/choice/###hole filling")
+    values["room"] = gui.on_screen(lambda: imgui.internal.find_window_by_name("Inspector").pos.y) - top - height
+    values["bright"], values["contrast"] = [bright()], [gui.on_screen(contrast)]
     gui.key(KEY.t, CTRL)
     gui.frames(2)
     values["bright"].append(bright())
+    values["contrast"].append(gui.on_screen(contrast))
     gui.shot("light theme")
     values["theme"] = app.model.settings.theme
     gui.key(KEY.t, CTRL)
@@ -49,6 +64,7 @@ def appearance(gui: Gui):
         gui.key(KEY.equal, CTRL)
     gui.frames(3)
     gui.shot("twice as large")
+    values["exposure"] = gui.area("//Layers/###exposure")[2:]
     for _ in range(8):
         gui.key(KEY.minus, CTRL)
     gui.frames(2)

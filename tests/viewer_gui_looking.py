@@ -7,6 +7,7 @@ from imgui_bundle import imgui
 from viewer_gui_driver import CTRL, KEY, SHIFT, Gui, collector
 
 from gffe_cl.buffers import lies_on_source, texel_of
+from gffe_cl.viewer.panels import status
 
 CASES, case = collector()
 
@@ -96,6 +97,11 @@ def zoom_and_pan(gui: Gui):
         gui.ctx.mouse_wheel_y(1)
         gui.frames()
         values["under the cursor"].append(under())
+    gui.settle()
+    values["enlarged"], middle = view.zoom / fitted[0], np.s_[size[1] // 4 : size[1] // 2, size[0] // 4 : size[0] // 2]
+    drawn = gui.window()[int(top) : int(top) + size[1], int(left) : int(left) + size[0]]
+    values["written"] = float((drawn[middle] != gui.picture()[middle]).any(-1).mean())
+    gui.shot("values in pixels")
     gui.ctx.mouse_wheel_y(-2)
     gui.frames(2)
     values["under the cursor"].append(under())
@@ -170,6 +176,12 @@ def inspector(gui: Gui):
                 wrong.append(name)
         values["pixels"].append({"pixel": (x, y), "wrong": wrong, "compared": compared})
     gui.shot("inspector")
+    values["heights"], values["status"] = [], status.parts(model)[-1]
+    for value in ("R 0  G 0  B 0", "R 0.009723  G 0.009723  B 0.009723"):
+        gui.app.inspected = inspection, [row._replace(value=value) for row in gui.app.inspected[1] if row.is_color]
+        gui.frames(3)
+        window = gui.on_screen(lambda: imgui.internal.find_window_by_name("Inspector"))
+        values["heights"].append(window.content_size.y)
     gui.point(5, 5)
     gui.frames(3)
     values["left"] = model.pointing.inspection is None

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+from imgui_bundle import imgui
 from viewer_gui_driver import CTRL, KEY, SHIFT, Gui, collector
 
 from gffe_cl.formats import open_capture
@@ -17,11 +18,13 @@ from gffe_cl.viewer.panels.timeline import DOUBT
 from gffe_cl.viewer.state.flying import Flight
 
 CASES, case = collector()
+_ANY_POPUP = imgui.PopupFlags_.any_popup.value
 
 
 @case
 def kernels(gui: Gui):
-    """A good edit changes the picture, a broken one shows where it is wrong, and repairing it recovers."""
+    """A good edit changes the picture; a broken one shows where it is wrong, also while the tab is hidden, until it is
+    repaired."""
     model, values, path = gui.model, gui.values, Path(os.environ["GFFE_KERNELS"]) / "warp.cl"
     text = path.read_text()
     gui.ctx.window_focus("//Kernels")
@@ -39,8 +42,15 @@ def kernels(gui: Gui):
     values["darker by"] = float(dark.mean() / before.mean())
     line = 1 + next(i for i, row in enumerate(text.splitlines()) if row and row in end)
     path.write_text(text.replace(end, "    return no_such_thing;\n"))
-    gui.wait(lambda: model.engine.build_error, "the file watch")  # without F5
+    gui.ctx.window_focus("//Inspector")
+    gui.wait(lambda: "warp.cl:" in (model.engine.build_error or ""), "the file watch")  # without F5
     gui.settle()
+    model.say("something else")
+    gui.click("//**/###kernel_error")
+    values["copied"] = gui.on_screen(imgui.get_clipboard_text)
+    gui.shot("kernels, broken and hidden")
+    gui.ctx.window_focus("//Kernels")
+    gui.frames(2)
     gui.shot("kernels, broken")
     values |= {"line": line, "error": model.engine.build_error}
     values["picture stays"] = bool((gui.picture() == dark).all())
@@ -49,7 +59,7 @@ def kernels(gui: Gui):
     gui.click("//Kernels/###reload_kernels")
     gui.wait(lambda: not model.engine.build_error and not model.engine.busy, "the repaired kernels")
     gui.settle()
-    values["recovered"] = bool((gui.picture() == before).all())
+    values["recovered"] = bool((gui.picture() == before).all()) and not gui.exists("//**/###kernel_error")
     gui.ctx.window_focus("//Inspector")
 
 
@@ -236,9 +246,47 @@ def palette_and_help(gui: Gui):
     gui.frames(3)
     values["help"] = gui.exists("//###help")
     gui.shot("help")
-    gui.key(KEY.slash, SHIFT)
-    gui.frames(2)
-    values["help closed"] = not app.help_open
+    values["states"] = _behind(gui)
+
+
+def _behind(gui: Gui) -> list[dict]:
+    """While Keys is open, with more and more on top of it, which Escape closes one by one: what is open, and whether
+    shortcuts reached what lies behind."""
+    app, model, states, quits = gui.app, gui.model, [], []
+    quit_action, layer = app.actions["quit"], model.view.a
+    usual = quit_action.run
+    object.__setattr__(quit_action, "run", lambda: quits.append(True))
+
+    def look(key=KEY.escape) -> None:
+        before, asked = (model.playback.slot, model.overview, model.looks.of(layer).exposure), len(quits)
+        for pressed in (KEY.o, KEY.e, KEY.right_arrow):
+            gui.key(pressed)
+        gui.key(KEY.q, CTRL)
+        gui.frames(2)
+        windows = {"keys": app.help.is_open, "path": app.open_path.is_open, "palette": app.palette.is_open}
+        reached = before != (model.playback.slot, model.overview, model.looks.of(layer).exposure)
+        states.append(
+            {"open": [name for name, is_open in windows.items() if is_open], "reached": reached,
+             "quits": len(quits) - asked, "menu": gui.on_screen(lambda: imgui.is_popup_open("", _ANY_POPUP))}
+        )  # fmt: skip
+        gui.key(key)
+        gui.frames(2)
+
+    try:
+        look(KEY.left_shift)
+        gui.click("//**/###menu View")
+        look()
+        app.open_path.open()
+        gui.frames(3)
+        look(KEY.left_shift)
+        app.palette.open()
+        gui.frames(3)
+        for _ in range(3):
+            look()
+        look(KEY.left_shift)
+    finally:
+        object.__setattr__(quit_action, "run", usual)
+    return states
 
 
 @case
@@ -256,7 +304,7 @@ def open_by_path(gui: Gui):
     gui.wait(lambda: model.source.name == "room", "the scene")
     gui.settle()
     values["opened"] = model.source.name, model.source.live
-    values["closed"] = gui.app.path_text is None
+    values["closed"] = not gui.app.open_path.is_open
     gui.open(gui.sequences / "small")
 
 

@@ -83,9 +83,14 @@ def finding_frames(gui: Gui):
     model.comparison.with_settings()
     model.set("motion", False)
     gui.settle()
+    gui.app.docks.show("Plot")
+    gui.frames(3)
+    values["empty"] = [gui.exists("//Plot/###survey")]
+    gui.shot("empty plot")
     gui.key(KEY.j, ALT)
     gui.wait(lambda: survey.on and not survey.busy, "the survey", 60)
     gui.frames(3)
+    values["empty"].append(gui.exists("//Plot/###survey"))
     values["slots"] = [sorted(map(int, survey.curve(side)[0])) for side in (survey.a, survey.b)]
     curve = dict(zip(*map(list, survey.curve(survey.a)), strict=True))
     values["curve"] = curve

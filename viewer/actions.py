@@ -110,7 +110,7 @@ class Action:
     `id` names it in the program, `label` and `group` for people. `shortcut` is text ("Ctrl+O") or "", `also` holds
     further ones. `enabled` gives the reason why it cannot run now, None if it can; `checked` the state of a switch,
     None for no switch. `run` takes nothing, or with `hold`, whether the key went down (True) or up (False). `repeat`:
-    a key that is kept down runs it again and again.
+    a key that is kept down runs it again and again. `anywhere`: its shortcut works over an open window, too.
     """
 
     id: str
@@ -123,6 +123,7 @@ class Action:
     tooltip: str = ""
     hold: bool = False
     repeat: bool = False
+    anywhere: bool = False
     also: tuple[str, ...] = ()
 
     def __post_init__(self):
@@ -211,12 +212,15 @@ class Actions:
             return True
         return self._start(action, None)
 
-    def dispatch(self, modifiers: frozenset[str], key: str, *, repeated: bool = False) -> str | None:
+    def dispatch(
+        self, modifiers: frozenset[str], key: str, *, repeated: bool = False, covered: bool = False
+    ) -> str | None:
         """A key went down: run the action of that shortcut and return its id; None if there is none or it is
-        disabled (`last_refusal` says why). `repeated`: the key is being kept down."""
+        disabled (`last_refusal` says why). `repeated`: the key is being kept down; `covered`: a window is open over
+        what most actions are about."""
         self.last_refusal = None
         action = self._by_shortcut.get(canonical(frozenset(modifiers), key))
-        if action is None or (repeated and not action.repeat):
+        if action is None or (repeated and not action.repeat) or (covered and not action.anywhere):
             return None
         if action.id in self._held:  # from now on this key holds it
             self._held[action.id] = key

@@ -24,12 +24,14 @@ from gffe_cl.viewer.panels import (
     picture,
     plot,
     regions,
+    status,
     theme,
     timeline,
     timings,
     windows,
 )
 from gffe_cl.viewer.panels.palette import Palette
+from gffe_cl.viewer.panels.stack import Stack
 from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.settings import can_save
 
@@ -74,13 +76,12 @@ class App:
         self._captures: list = []  # who wants the pixels of the window
         self.actions = Actions()
         self.docks = Docks(self, _PANELS, lambda: self.scale)
-        self.palette = Palette()
+        self.palette, self.help, self.open_path = Palette(), windows.Help(), windows.OpenPath()
+        self.stack = Stack(self.palette, self.help, self.open_path)
         commands.register(self)
         self._dropped: list[str] = []
         self._dialog = None
-        self.help_open = False
         self.display_height = 200.0  # of the display settings below the list of layers, as last drawn
-        self.path_text: str | None = None  # of "open by path" while it is open
         self._params: hello_imgui.RunnerParams | None = None
         self.row_seen = ""  # of the list of layers: it was scrolled to this one
         self.canvas_size = (0, 0)  # screen pixels
@@ -123,7 +124,7 @@ class App:
         callbacks.post_init = self._post_init
         callbacks.pre_new_frame = self._before_frame
         callbacks.show_menus = lambda: commands.menus(self)
-        callbacks.show_status = self._status
+        callbacks.show_status = lambda: status.draw(self)
         callbacks.show_gui = self._windows
         callbacks.before_swap = self._capture
         callbacks.before_exit = self._before_exit
@@ -204,7 +205,8 @@ class App:
         if model.contents.layers is not self._layers_known:
             self._layers_known = model.contents.layers
             commands.register_layers(self)
-        model.fly(self.steering if self.steering and model.flying else keys.flight(model), self.clock())
+        by_hand = None if self.stack.covers else keys.flight(model)
+        model.fly(self.steering if self.steering and model.flying else by_hand, self.clock())
         told = model.pointing.picked, model.selection.rectangle if self.drags == "nothing" else self._told[1]
         if told != self._told and told != (None, None) and self.docks.panel("Inspector").is_visible:
             self.docks.show("Inspector")
@@ -239,7 +241,7 @@ class App:
     # ---- windows that come and go ------------------------------------------------------------------------
 
     def _windows(self) -> None:
-        keys.dispatch(self.actions, keys.FLIGHT_KEYS if self.model.flying else frozenset())
+        keys.dispatch(self.actions, keys.FLIGHT_KEYS if self.model.flying else frozenset(), self.stack.covers)
         for path in self._dropped:
             self.model.open(path)
         self._dropped.clear()
@@ -249,9 +251,7 @@ class App:
             self._dialog = None
             if chosen:
                 self.model.open(chosen)
-        self.palette.draw(self.actions, self.model.parameters)
-        windows.help_window(self)
-        windows.path_window(self)
+        self.stack.draw(self)
         windows.progress(self.model)
         windows.messages(self)
         if self.on_frame is not None:
@@ -271,22 +271,4 @@ class App:
         if has_dialogs():
             self._dialog = dialogs.select_folder("Open a sequence", str(Path.cwd()))
         else:
-            self.path_text = ""
-
-    def _status(self) -> None:
-        model = self.model
-        parts = [model.engine.device_name or "opening the device …"]
-        if model.source is not None:
-            info = model.source
-            parts.append(f"{info.name}   {info.width}×{info.height}")
-            if info.render_size != (info.width, info.height):
-                parts.append(f"rendered {info.render_size[0]}×{info.render_size[1]}")
-        if model.contents.result is not None:
-            kept = "from the cache, " if model.from_cache else ""
-            parts.append(f"{kept}computed in {model.contents.result.wall_ms:.0f} ms")
-        parts += model.warnings
-        if windows.note(self):
-            imgui.same_line(0, hello_imgui.em_size(2))
-            imgui.text_disabled("     ".join(parts))
-        else:
-            imgui.text("     ".join(parts))
+            self.open_path.open()

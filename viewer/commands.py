@@ -44,7 +44,7 @@ def register(app) -> None:
         return lambda: change(model.view.a, *values)
 
     add("open", "Open …", "File", "Ctrl+O", app.open_dialog)
-    add("open_path", "Open by path …", "File", "Ctrl+Shift+O", lambda: setattr(app, "path_text", ""))
+    add("open_path", "Open by path …", "File", "Ctrl+Shift+O", app.open_path.open)
     add("reload", "Reload frames", "File", "Ctrl+R", model.reload, opened)
     add("save_png", "Save picture as PNG", "File", "Ctrl+S", partial(model.save, saving.PictureWork), savable)
     add("save_exr", "Save layers as EXR", "File", "Ctrl+E", partial(model.save, saving.LayersWork), savable)
@@ -52,7 +52,7 @@ def register(app) -> None:
     add("legends", "Legends in saved pictures", "File", "",
         lambda: setattr(model.settings, "legends", not model.settings.legends),
         checked=lambda: model.settings.legends)  # fmt: skip
-    add("quit", "Quit", "File", "Ctrl+Q", app.close)
+    add("quit", "Quit", "File", "Ctrl+Q", app.close, anywhere=True)
 
     add("play", "Play / stop", "Playback", "Space", playback("toggle"), opened)
     add("step", "Next frame", "Playback", "Right", playback("step", 1), opened, repeat=True)
@@ -119,7 +119,7 @@ def register(app) -> None:
             checked=lambda name=name: app.docks.panel(name).is_visible)  # fmt: skip
     add("layout", "Default arrangement", "Panels", "", app.docks.reset)
 
-    add("help", "Keys and help", "Help", "?", lambda: setattr(app, "help_open", not app.help_open))
+    add("help", "Keys and help", "Help", "?", app.help.toggle, anywhere=True)
 
 
 def _comparing(app, add, opened) -> None:

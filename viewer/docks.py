@@ -18,8 +18,8 @@ _PLOT_HEIGHT = 170.0
 _HIGHEST = 0.4  # of the height: timeline and plot
 _LEAST_PICTURE = 0.4  # of the height, above both
 _SIDES = (264.0, 348.0)  # pixels left and right of the picture, at the usual size of letters ...
-_WIDEST = (0.22, 0.28)  # ... but not more of the width
-_LOWER_RIGHT = 0.56  # of the height on the right
+_WIDEST = (0.24, 0.32)  # ... but not more of the width
+_LOWER_RIGHT = 0.52  # of the height on the right
 _FLAGS = imgui.internal.DockNodeFlagsPrivate_
 _PLAIN_TABS = _FLAGS.no_window_menu_button.value | _FLAGS.no_close_button.value  # tabs have their own
 

@@ -13,22 +13,25 @@ _TURN = 0.25  # degrees per pixel of mouse
 _KEYS = {getattr(imgui.Key, attribute): name for attribute, name in IMGUI_KEYS.items() if hasattr(imgui.Key, attribute)}
 
 
-def dispatch(actions, taken: frozenset[str] = frozenset()) -> None:
+def dispatch(actions, taken: frozenset[str] = frozenset(), covered: bool = False) -> None:
     """Run what is bound to the keys that went down; let go of what was held by those that went up. Keys in `taken` mean
-    something else now."""
+    something else now. While a window is open over the panels (`covered`) or text is typed, only actions that work
+    anywhere run."""
     io = imgui.get_io()
-    if io.want_text_input or io.app_focus_lost:
+    covered |= io.want_text_input
+    if covered or io.app_focus_lost:
         actions.release_all()
-        return
     pressed = (("Ctrl", io.key_ctrl), ("Shift", io.key_shift), ("Alt", io.key_alt), ("Super", io.key_super))
     modifiers = frozenset(name for name, down in pressed if down)
+    if io.app_focus_lost or (io.want_text_input and not modifiers - {"Shift"}):
+        return
     for key, name in _KEYS.items():
         if name in taken and not modifiers - {"Shift"}:
             continue
         if imgui.is_key_pressed(key, False):
-            actions.dispatch(modifiers, name)
+            actions.dispatch(modifiers, name, covered=covered)
         elif imgui.is_key_pressed(key, True):
-            actions.dispatch(modifiers, name, repeated=True)
+            actions.dispatch(modifiers, name, repeated=True, covered=covered)
         if imgui.is_key_released(key):
             actions.release(name)
 

@@ -11,7 +11,7 @@ import numpy as np
 from gffe_cl.errors import GffeError
 from gffe_cl.viewer.start import PATIENCE, require_display, without_pointer
 from gffe_cl.viewer.state.playback import EVERY_FRAME
-from gffe_cl.viewer.steps import Step, number, parse, perform
+from gffe_cl.viewer.steps import DONE, Step, check, perform
 
 RATE = 8.0  # steps of the clock per second, and frames of the film
 SIZE = (1120, 700)  # of the window
@@ -19,10 +19,12 @@ FILMS = (".webp", ".gif")
 _STILL_FRAMES = 3  # of the interface, after everything has arrived, before a picture is taken
 
 
-def play_script(model, path: Path, film: Path | None = None, size: tuple[int, int] | None = None) -> None:
-    """Run a script in a window of its own, and write a `film` of it, WebP or GIF. Time passes only while everything
-    that is shown is what was asked for, so that slow machines make the same film. Raises GffeError."""
-    steps = parse(path)
+def play_script(
+    model, path: Path, steps: list[Step], film: Path | None = None, size: tuple[int, int] | None = None
+) -> None:
+    """Run the steps of the script `path` in a window of its own, and write a `film` of it, WebP or GIF. Time passes
+    only while everything that is shown is what was asked for, so that slow machines make the same film. Raises
+    GffeError."""
     require_display()
     from gffe_cl.viewer.app import App
 
@@ -42,6 +44,7 @@ class Director:
 
     def __init__(self, script: Path, steps: list[Step], film: bool):
         self._script, self._steps, self._film = script, list(steps), film
+        self._checked = False
         self.problem: str | None = None
         self.frames: list[np.ndarray] = []
         self._time = 0.0
@@ -68,13 +71,15 @@ class Director:
         if self._until_done and _works_beside(model):
             self._time += 1 / RATE
             return
+        if not self._checked:
+            self._check(app)
         self._until_done = False
         if self._waits:
             self._waits -= 1
             self._time += 1 / RATE
             if self._film:
                 self._take(app, self.frames.append)
-        elif self._steps:
+        elif self._steps and self.problem is None:
             if self._film:  # at its own rate: none is left out
                 model.playback.mode = EVERY_FRAME
             self._do(app, self._steps.pop(0))
@@ -98,25 +103,28 @@ class Director:
 
         app.capture(taken)
 
+    def _check(self, app) -> None:
+        self._checked = True
+        try:
+            check(app, self._script, self._steps)
+        except GffeError as error:
+            self.problem = str(error)
+
     def _do(self, app, step: Step) -> None:
         try:
-            if step.command == "wait" and step.argument == "done":
+            if step.command == "wait" and step.value == DONE:
                 self._until_done = True
             elif step.command == "wait":
-                self._waits = max(round(number(step.argument) * RATE), 1)
+                self._waits = max(round(step.value * RATE), 1)
             elif step.command == "shot":
-                self._shoot(app, step.argument)
+                self._shoot(app, step.value)
             else:
-                perform(app, step.command, step.argument)
+                perform(app, step.command, step.value)
         except GffeError as error:
             self.problem = f"{self._script}, line {step.line}: {error}"
 
-    def _shoot(self, app, name: str) -> None:
+    def _shoot(self, app, path: Path) -> None:
         from gffe_cl.viewer.picture.files import save_png
-
-        path = Path(name)
-        if path.suffix.lower() != ".png" or not path.absolute().parent.is_dir():
-            raise GffeError(f"{name}: expected a .png in a folder that is there")
 
         def save(pixels: np.ndarray) -> None:
             try:

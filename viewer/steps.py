@@ -1,88 +1,130 @@
-"""What a script of the viewer can do, a step a line, and how each step is done (`gffe view --script`)."""
+"""What a script of the viewer can do, a step a line: how each is written, checked and done (`gffe view --script`)."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
+from typing import Any
 
 from gffe_cl.errors import GffeError
+from gffe_cl.options import Option
+from gffe_cl.viewer.actions import Action, Actions
 from gffe_cl.viewer.state.comparing import WAYS
 from gffe_cl.viewer.state.flying import Flight
 from gffe_cl.viewer.state.messages import Message
-from gffe_cl.viewer.state.parameters import ALL
+from gffe_cl.viewer.state.parameters import ALL, parsed
 
-COMMANDS = {
-    "seek": "seek SLOT: a frame, generated ones counted",
-    "layer": "layer NAME: what is shown",
-    "with": "with NAME: what it is compared with",
-    "compare": "compare WAY: off, split, difference, error or flip error",
-    "split": "split SHARE: where the line of the wipe is, 0 to 1",
-    "pixel": "pixel X,Y: its story; none: no more",
-    "rectangle": "rectangle LEFT,TOP,RIGHT,BOTTOM: statistics of its pixels; none: no more",
-    "set": "set OPTION VALUE: a parameter or module of the panel, as on, off, a number or a choice",
-    "do": "do ACTION: any action of the palette, by its id or label",
-    "panel": "panel NAME: in front of those beside it",
-    "palette": "palette TEXT: the palette with this typed into it; none: closed",
-    "steer": "steer RIGHT,UP,FORWARD,YAW,PITCH: while the camera flies, keys held (-1 to 1), degrees per second; none",
-    "say": "say TEXT: a title over the picture's foot",
-    "wait": "wait SECONDS: let it play, or be looked at; wait done: until nothing is measured, examined or saved",
-    "shot": "shot FILE.png: a picture of the window",
-}
+_NEAR = 3  # names that are suggested where one is unknown
+_LONGEST_WAIT = 3600.0  # seconds
+DONE = "done"  # of "wait": until nothing is measured, examined or saved
 
 
-_NEAR = 3  # names that are told where one is unknown
+@dataclass(frozen=True)
+class Command:
+    """`usage`: how it is written. `read(text, app)` checks its argument before anything is open, and converts it;
+    `fits(app, value)` checks what depends on the sequence, once that is open; `do(app, value)` does it. All raise
+    GffeError. `lasting`: whether what `fits` checks is the same whatever the options are. Without `do` the director of
+    the script does it."""
+
+    usage: str
+    read: Callable[[str, Any], Any]
+    do: Callable[[Any, Any], object] | None = None
+    fits: Callable[[Any, Any], object] = lambda app, value: None
+    lasting: bool = False
 
 
 @dataclass(frozen=True)
 class Step:
-    """`line` of the script: what to do, with what."""
+    """`line` of the script: what to do, with which value, as `Command.read` returned it."""
 
     line: int
     command: str
-    argument: str
+    value: Any
 
 
-def parse(path: Path) -> list[Step]:
-    """The steps of a script: one a line, empty lines and those that begin with # left out. Raises GffeError."""
+def parse(path: Path, app=None) -> list[Step]:
+    """The steps of a script: one a line, empty lines and those that begin with # left out. Everything is checked that
+    does not depend on the sequence. `app`: whose actions and panels there are (None: a viewer's that is never opened).
+    Raises GffeError."""
     try:
-        lines = Path(path).read_text("utf-8").splitlines()
+        lines = Path(path).read_text("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise GffeError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
-    steps = []
+    app, steps = app or unopened(), []
     for number, text in enumerate(lines, 1):
-        command, _, argument = text.strip().partition(" ")
-        if not command or command.startswith("#"):
+        if not text.strip() or text.strip().startswith("#"):
             continue
-        if command not in COMMANDS:
-            raise GffeError(f"{path}, line {number}: unknown command '{command}' (expected {', '.join(COMMANDS)})")
-        if not argument.strip():
-            raise GffeError(f"{path}, line {number}: expected {COMMANDS[command]}")
-        steps.append(Step(number, command, argument.strip()))
+        command, *argument = text.split(None, 1)
+        try:
+            steps.append(Step(number, command, _read(command, argument[0].strip() if argument else "", app)))
+        except GffeError as error:
+            raise GffeError(f"{path}, line {number}: {error}") from None
     if not steps:
         raise GffeError(f"{path}: nothing to do in it")
     return steps
 
 
-def perform(app, command: str, argument: str) -> None:
+def _read(command: str, argument: str, app) -> Any:
+    if command not in COMMANDS:
+        raise GffeError(f"unknown command '{command}' (expected {', '.join(COMMANDS)})")
+    if not argument:
+        raise GffeError(f"expected {COMMANDS[command].usage}")
+    return COMMANDS[command].read(argument, app)
+
+
+def unopened():
+    """An application without a window and without a device: for its actions and panels."""
+    from gffe_cl.viewer.app import App
+    from gffe_cl.viewer.state.model import Model
+    from gffe_cl.viewer.state.settings import Settings
+
+    return App(Model(Settings(), start=False, save_settings=False))
+
+
+def check(app, path: Path, steps: list[Step]) -> None:
+    """Check all steps against the sequence that is open, and its first frame. What depends on the options is checked
+    up to the first step that changes them. Raises GffeError."""
+    same_options = True
+    for step in steps:
+        command = COMMANDS[step.command]
+        try:
+            if same_options or command.lasting:
+                command.fits(app, step.value)
+        except GffeError as error:
+            raise GffeError(f"{path}, line {step.line}: {error}") from None
+        same_options &= not _changes_options(app, step)
+
+
+def _changes_options(app, step: Step) -> bool:
+    if step.command == "do":
+        action = _action(app.actions, step.value)
+        return action is not None and action.group in ("Modules", "Parameters")
+    return step.command == "set"
+
+
+def perform(app, command: str, value: Any) -> None:
     """Do one step, but "wait" and "shot", in the running application. Raises GffeError if it cannot be done."""
-    _DOING[command](app, argument)
+    COMMANDS[command].fits(app, value)
+    COMMANDS[command].do(app, value)
 
 
-def _seek(app, argument: str) -> None:
-    playback = app.model.playback
-    slot = number(argument)
-    if not 0 <= slot < playback.slots:
-        raise GffeError(f"seek must be 0 to {playback.slots - 1}, got {argument}")
-    playback.seek(int(slot))
+# ---- where and what ------------------------------------------------------------------------------------------
 
 
-def _layer(app, argument: str) -> None:
-    app.model.show_layer(found_layer(app.model, argument))
+def _slot(text: str, _app) -> int:
+    slot = number(text)
+    if slot < 0 or slot != int(slot):
+        raise GffeError(f"seek must be a whole number, 0 or more, got '{text}'")
+    return int(slot)
 
 
-def _with(app, argument: str) -> None:
-    app.model.comparison.with_layer(found_layer(app.model, argument))
+def _slot_fits(app, slot: int) -> None:
+    slots = app.model.playback.slots
+    if slot >= slots:
+        raise GffeError(f"seek must be 0 to {slots - 1}, got {slot}")
 
 
 def found_layer(model, name: str) -> str:
@@ -102,127 +144,250 @@ def _nearest(model, text: str) -> list[str]:
     for spec in model.contents.layers:
         for written in (spec.name, spec.name.partition(".")[2], spec.label.lower()):
             known.setdefault(written, spec.name)
+    return _close(text, known)
+
+
+def _close(text: str, known: dict[str, str]) -> list[str]:
+    """Names, by what somebody may write for them, that are the nearest to `text`; best first."""
     found = get_close_matches(text.lower(), [written for written in known if written], 2 * _NEAR, cutoff=0.0)
     return list(dict.fromkeys(known[written] for written in found))[:_NEAR]
 
 
-def _compare(app, argument: str) -> None:
-    comparison = app.model.comparison
-    if argument not in WAYS:
-        raise GffeError(f"compare must be {', '.join(WAYS)}, got '{argument}'")
-    reason = comparison.why_not(argument)
+def _layer_fits(app, name: str) -> None:
+    found_layer(app.model, name)
+
+
+def _layer(app, name: str) -> None:
+    app.model.show_layer(found_layer(app.model, name))
+
+
+def _with(app, name: str) -> None:
+    app.model.comparison.with_layer(found_layer(app.model, name))
+
+
+def _way(text: str, _app) -> str:
+    if text not in WAYS:
+        raise GffeError(f"compare must be {', '.join(WAYS)}, got '{text}'")
+    return text
+
+
+def _compare(app, way: str) -> None:
+    reason = app.model.comparison.why_not(way)
     if reason:
         raise GffeError(reason)
-    comparison.set(argument)
+    app.model.comparison.set(way)
 
 
-def _split(app, argument: str) -> None:
-    share = number(argument)
+def _share(text: str, _app) -> float:
+    share = number(text)
     if not 0 <= share <= 1:
-        raise GffeError(f"split must be 0 to 1, got {argument}")
-    app.model.view.split = share
+        raise GffeError(f"split must be 0 to 1, got {text}")
+    return share
 
 
-def _pixel(app, argument: str) -> None:
-    if argument == "none":
-        app.model.pointing.pick(None)
-        return
+def _whole(name: str, count: int, example: str) -> Callable[[str, Any], tuple[int, ...] | None]:
+    """Reads so many coordinates, or "none"."""
+
+    def read(text: str, _app) -> tuple[int, ...] | None:
+        if text == "none":
+            return None
+        values = numbers(text)
+        if len(values) != count or any(value < 0 or value != int(value) for value in values):
+            raise GffeError(f"{name} must be {count} whole numbers, 0 or more, as {example}, got '{text}'")
+        return tuple(map(int, values))
+
+    return read
+
+
+def _pixel_fits(app, pixel: tuple[int, int] | None) -> None:
     width, height = app.model.contents.size
-    pixel = [int(n) for n in numbers(argument)]
-    if len(pixel) != 2 or not (0 <= pixel[0] < width and 0 <= pixel[1] < height):
-        raise GffeError(f"pixel must be inside {width}×{height}, as 12,34, got '{argument}'")
-    app.model.pointing.pick(tuple(pixel))
+    if pixel is not None and not (pixel[0] < width and pixel[1] < height):
+        raise GffeError(f"pixel must be inside {width}×{height}, got {_listed(pixel)}")
 
 
-def _rectangle(app, argument: str) -> None:
-    if argument == "none":
+def _edges(text: str, app) -> tuple[int, ...] | None:
+    edges = _whole("rectangle", 4, "12,34,56,78")(text, app)
+    if edges is not None and not (edges[0] < edges[2] and edges[1] < edges[3]):
+        raise GffeError(f"rectangle must be LEFT,TOP,RIGHT,BOTTOM with LEFT < RIGHT and TOP < BOTTOM, got '{text}'")
+    return edges
+
+
+def _rectangle_fits(app, edges: tuple[int, ...] | None) -> None:
+    width, height = app.model.contents.size
+    if edges is not None and not (edges[2] <= width and edges[3] <= height):
+        raise GffeError(f"rectangle must be inside {width}×{height}, got {_listed(edges)}")
+
+
+def _rectangle(app, edges: tuple[int, ...] | None) -> None:
+    if edges is None:
         app.model.selection.forget()
-        return
-    width, height = app.model.contents.size
-    edges = numbers(argument)
-    if len(edges) != 4 or not (0 <= edges[0] < edges[2] <= width and 0 <= edges[1] < edges[3] <= height):
-        raise GffeError(f"rectangle must be inside {width}×{height}, as 12,34,56,78, got '{argument}'")
-    app.model.selection.draw(edges[:2], [edge - 0.5 for edge in edges[2:]])
+    else:
+        app.model.selection.draw(edges[:2], [edge - 0.5 for edge in edges[2:]])
 
 
-def _set(app, argument: str) -> None:
-    name, _, text = argument.partition(" ")
-    parameters, text, option = app.model.parameters, text.strip(), ALL.get(name)
+def _listed(values) -> str:
+    return ",".join(map(str, values))
+
+
+# ---- options and actions -------------------------------------------------------------------------------------
+
+
+def _setting(text: str, _app) -> tuple[str, bool, Any]:
+    """(option, whether it is a switch, value)."""
+    name, _, value = text.partition(" ")
+    option, value = ALL.get(name), value.strip()
     if option is None:
         raise GffeError(f"unknown option '{name}' (expected {', '.join(ALL)})")
+    if value in ("on", "off") and option.is_module:
+        return name, True, value == "on"
+    return name, False, _value(option, value)
+
+
+def _value(option: Option, text: str) -> Any:
+    if option.kind in (int, float):
+        return parsed(option, text)
+    if option.kind is bool and text in ("on", "off"):
+        return text == "on"
+    try:
+        return option.checked(text)
+    except GffeError:
+        switch = "on, off, " if option.is_module and option.kind is not bool else ""
+        raise GffeError(f"{option.label} must be {switch}{option.expected}, got '{text}'") from None
+
+
+def _set(app, setting: tuple[str, bool, Any]) -> None:
+    name, is_switch, value = setting
+    parameters = app.model.parameters
     reason = parameters.why_not(name)
     if reason:
-        raise GffeError(f"{option.label}: {reason}")
-    if text in ("on", "off") and option.is_module:
-        parameters.switch(name, text == "on")
-    elif option.kind in (int, float):
-        parameters.set(name, option.checked(option.kind(number(text))))
-    else:
-        parameters.set(name, text)
+        raise GffeError(f"{ALL[name].label}: {reason}")
+    (parameters.switch if is_switch else parameters.set)(name, value)
+
+
+def _action(actions: Actions, wanted: str) -> Action | None:
+    return next((action for action in actions if wanted in (action.id, action.label)), None)
+
+
+def _known_action(text: str, app) -> str:
+    of_layer = text.startswith("layer ") or ": " in text  # there are none before the first frame
+    if not of_layer:
+        _action_fits(app, text)
+    return text
+
+
+def _action_fits(app, wanted: str) -> None:
+    if _action(app.actions, wanted) is None:
+        known = {written.lower(): action.id for action in app.actions for written in (action.label, action.id)}
+        near = ", ".join(_close(wanted, known))
+        raise GffeError(f"no action is called '{wanted}' (nearest: {near}; all: gffe view --actions)")
 
 
 def _run(app, wanted: str) -> None:
-    actions = app.actions
-    found = next((action for action in actions if wanted in (action.id, action.label)), None)
-    if found is None:
-        near = ", ".join(action.id for action in actions.search(wanted)[:3])
-        raise GffeError(f"no action is called '{wanted}'" + (f" (like {near})" if near else ""))
-    if not actions.run(found.id):
-        raise GffeError(f"{found.label}: {actions.last_refusal}")
+    action = _action(app.actions, wanted)
+    if not app.actions.run(action.id):
+        raise GffeError(f"{action.label}: {app.actions.last_refusal}")
 
 
-def _panel(app, argument: str) -> None:
-    if argument not in app.docks.names:
-        raise GffeError(f"no panel is called '{argument}' (there are: {', '.join(app.docks.names)})")
-    app.docks.show(argument)
+def _panel(text: str, app) -> str:
+    if text not in app.docks.names:
+        raise GffeError(f"no panel is called '{text}' (expected {', '.join(app.docks.names)})")
+    return text
 
 
-def _palette(app, argument: str) -> None:
-    if argument == "none":
+# ---- the window ----------------------------------------------------------------------------------------------
+
+
+def _palette(app, text: str) -> None:
+    if text == "none":
         app.palette.close()
-        return
-    app.palette.open(argument)
+    else:
+        app.palette.open(text)
 
 
-def _steer(app, argument: str) -> None:
-    if argument == "none":
-        app.steering = None
-        return
-    parts = numbers(argument)
+def _flight(text: str, _app) -> Flight | None:
+    if text == "none":
+        return None
+    parts = numbers(text)
     if len(parts) != 5 or any(abs(part) > 1 for part in parts[:3]):
-        raise GffeError(f"expected {COMMANDS['steer']}, got '{argument}'")
-    if not app.model.flying:
+        raise GffeError(f"expected {COMMANDS['steer'].usage}, got '{text}'")
+    return Flight(tuple(parts[:3]), 1.0, 0.0, 0.0, tuple(parts[3:]))
+
+
+def _steer(app, flight: Flight | None) -> None:
+    if flight is not None and not app.model.flying:
         raise GffeError("steer: the camera does not fly (expected: do fly)")
-    app.steering = Flight(tuple(parts[:3]), 1.0, 0.0, 0.0, tuple(parts[3:]))
+    app.steering = flight
 
 
-def _say(app, argument: str) -> None:
-    app.model.messages = [Message(argument, "title")]  # one at a time
+def _say(app, text: str) -> None:
+    app.model.messages = [Message(text, "title")]  # one at a time
 
 
-_DOING = {
-    "seek": _seek,
-    "layer": _layer,
-    "with": _with,
-    "compare": _compare,
-    "split": _split,
-    "pixel": _pixel,
-    "rectangle": _rectangle,
-    "set": _set,
-    "do": _run,
-    "panel": _panel,
-    "palette": _palette,
-    "steer": _steer,
-    "say": _say,
-}
+def _seconds(text: str, _app) -> float | str:
+    if text == DONE:
+        return DONE
+    seconds = number(text)
+    if not 0 <= seconds <= _LONGEST_WAIT:
+        raise GffeError(f"wait must be 0 to {_LONGEST_WAIT:.0f} seconds, or {DONE}, got {text}")
+    return seconds
+
+
+def _picture_file(text: str, _app) -> Path:
+    path = Path(text)
+    if path.suffix.lower() != ".png" or not path.absolute().parent.is_dir():
+        raise GffeError(f"{text}: expected a .png in a folder that is there")
+    return path
+
+
+def _text(text: str, _app) -> str:
+    return text
+
+
+COMMANDS: dict[str, Command] = {
+    "seek": Command(
+        "seek SLOT: a frame, generated ones counted", _slot, lambda app, slot: app.model.playback.seek(slot), _slot_fits
+    ),
+    "layer": Command("layer NAME: what is shown", _text, _layer, _layer_fits),
+    "with": Command("with NAME: what it is compared with", _text, _with, _layer_fits),
+    "compare": Command("compare WAY: off, split, difference, error or flip error", _way, _compare),
+    "split": Command(
+        "split SHARE: where the line of the wipe is, 0 to 1", _share,
+        lambda app, share: setattr(app.model.view, "split", share),
+    ),
+    "pixel": Command(
+        "pixel X,Y: its story; none: no more", _whole("pixel", 2, "12,34"),
+        lambda app, pixel: app.model.pointing.pick(pixel), _pixel_fits, lasting=True,
+    ),
+    "rectangle": Command(
+        "rectangle LEFT,TOP,RIGHT,BOTTOM: statistics of its pixels; none: no more", _edges, _rectangle,
+        _rectangle_fits, lasting=True,
+    ),
+    "set": Command("set OPTION VALUE: a parameter or module of the panel, as on, off, a number or a choice", _setting,
+                   _set),
+    "do": Command("do ACTION: an action by its id or label (gffe view --actions)", _known_action, _run, _action_fits),
+    "panel": Command("panel NAME: in front of those beside it", _panel, lambda app, name: app.docks.show(name)),
+    "palette": Command("palette TEXT: the palette with this typed into it; none: closed", _text, _palette),
+    "steer": Command(
+        "steer RIGHT,UP,FORWARD,YAW,PITCH: while the camera flies, keys held (-1 to 1), degrees per second; none",
+        _flight, _steer,
+    ),
+    "say": Command("say TEXT: a title over the picture's foot", _text, _say),
+    "wait": Command(
+        "wait SECONDS: let it play, or be looked at; wait done: until nothing is measured, examined or saved", _seconds
+    ),
+    "shot": Command("shot FILE.png: a picture of the window", _picture_file),
+}  # fmt: skip
 
 
 def number(text: str) -> float:
-    """Raises GffeError."""
+    """Finite. Raises GffeError."""
     try:
-        return float(text)
+        value = float(text)
     except ValueError:
-        raise GffeError(f"expected a number, got '{text}'") from None
+        value = math.nan
+    if not math.isfinite(value):
+        raise GffeError(f"expected a number, got '{text}'")
+    return value
 
 
 def numbers(text: str) -> list[float]:

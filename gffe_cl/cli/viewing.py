@@ -27,6 +27,20 @@ if TYPE_CHECKING:
     from gffe_cl.options import Options
 
 
+def _list_actions(wanted: bool) -> None:
+    """All actions by their ids, with their labels and shortcuts."""
+    if not wanted:
+        return
+    _require_packages()
+    from gffe_cl.viewer.steps import unopened
+
+    for action in unopened().actions:
+        shortcut = f" ({action.shortcut})" if action.shortcut else ""
+        print(f"{action.id:32}{action.group}: {action.label}{shortcut}")
+    print("layer NAME                      any layer of the sequence, by its name, such as layer final")
+    raise typer.Exit
+
+
 @app.command()
 @takes_options("shading_correction", "scn_model", "scn_provider")
 def view(
@@ -74,6 +88,15 @@ def view(
         Path | None,
         typer.Option(help="Do what this file says, a step a line (docs/guide.md), and exit.", exists=False),
     ] = None,
+    actions: Annotated[
+        bool,
+        typer.Option(
+            "--actions",
+            help="List the actions that a script can do (`do ACTION`), and exit.",
+            is_eager=True,
+            callback=_list_actions,
+        ),
+    ] = False,
     film: Annotated[
         Path | None,
         typer.Option(help="Film the window while the script waits: .webp or .gif.", callback=output_file("--film")),
@@ -112,8 +135,7 @@ def view(
         require_film(film)
         if script is None:
             raise GffeError("--film needs a --script that says what is filmed")
-    if script is not None:
-        parse(script)
+    steps = [] if script is None else parse(script)
     if measure is not None and not 0 < measure <= 3600:
         raise GffeError(f"--measure must be seconds, up to 3600, got {measure:g}")
     if compare not in WAYS:
@@ -146,7 +168,7 @@ def view(
         if target is not None:
             model.open(target)
         if script is not None:
-            play_script(model, script, film, viewer_size)
+            play_script(model, script, steps, film, viewer_size)
             return
         if measure is None:
             run_viewer(model, viewer_size, shot)

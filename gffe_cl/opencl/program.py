@@ -64,7 +64,8 @@ class Program:
             with quiet_builds():
                 built = built_program(device.context, source, ("-cl-kernel-arg-info", *options))
         except cl.RuntimeError as error:
-            raise GffeError(f"kernels/{name}.cl does not build on {device.info.name}:\n{_log(error)}") from None
+            what, log = f"kernels/{name}.cl does not build on {device.info.name}", _log(error)
+            raise BuildError(f"{what}: {first_error(log)}", f"{what}:\n{log}") from None
         # Not `all_kernels`: pyopencl (2026.1) retains those once too often, and the context is never released.
         names = built.get_info(cl.program_info.KERNEL_NAMES).split(";")
         self.kernels = {kernel: cl.Kernel(built, kernel) for kernel in names}
@@ -189,6 +190,21 @@ def _expanded_lines(name: PurePosixPath, seen: set[PurePosixPath]) -> list[str]:
             lines += _expanded_lines(included, seen)
         lines.append(f'#line {number + 1} "{name}"')
     return lines
+
+
+class BuildError(GffeError):
+    """Kernels do not build: the message is the compiler's first error, `log` all that it said, in its lines."""
+
+    def __init__(self, message: str, log: str = ""):
+        super().__init__(message)
+        self.log = log
+
+
+def first_error(log: str) -> str:
+    """The line of a compiler's log that says what is wrong first, with file and line where it names them."""
+    lines = log.strip().splitlines()
+    errors = [line for line in lines if re.search(r"\berror\b", line)]
+    return ([line for line in errors if re.search(r"\w:\d+", line)] or errors or lines or [""])[0].strip()
 
 
 def _log(error: Exception) -> str:

@@ -57,7 +57,9 @@ class Engine(Exchange):
     builds : int
         How often other kernels were taken into use.
     build_error : str or None
-        Why the kernels on disk do not build, with file and line; the last good ones go on.
+        Why the kernels on disk do not build, with file and line, in one line; the last good ones go on.
+    build_log : str
+        All that the compiler said of that, in its lines.
     traffic : dict
         Bytes per display pixel, by stage and kernel, that a slot had to move, once counted.
     """
@@ -72,7 +74,7 @@ class Engine(Exchange):
         self.cache = FrameCache(0) if cache is None else cache
         self._open_the_device, self._notify = open_the_device, notify
         self.device_name, self.activity = "", "opening the device"
-        self.builds, self.build_error = 0, None
+        self.builds, self.build_error, self.build_log = 0, None, ""
         self.traffic: dict[str, dict[str, float]] = {}
         self._thread = threading.Thread(target=self._run, name="gffe-viewer-engine", daemon=True)
         self._device: Device | None = None
@@ -182,7 +184,7 @@ class Engine(Exchange):
         self._need_device()
         self.activity = "building kernels"
         changed = self._kernels.reload()
-        self.build_error = self._kernels.error
+        self.build_log, self.build_error = self._kernels.log, self._kernels.error
         self.builds += changed
         if changed and self._makers:
             for maker in self._makers.values():

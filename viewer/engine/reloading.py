@@ -33,6 +33,7 @@ class Kernels(dict):
         self._builds: dict[str, dict[str, str]] = {}  # texts in use since the start, by their identity
         self.identity = ""  # of the newest that build
         self.error: str | None = None
+        self.log = ""  # of the compiler, if there is an error
         self.look_again_at, self._files = time.monotonic() + WATCH_SECONDS, _files()
         device.programs = self
 
@@ -68,7 +69,7 @@ class Kernels(dict):
             if inference.default_model() or any(key[0] == ShadingCorrection.name for key in self):
                 ShadingCorrection(board, load=False)  # the network itself is not needed
         except Exception as error:
-            self._texts, self.error = before, str(error)
+            self._texts, self.error, self.log = before, str(error), getattr(error, "log", "") or str(error)
             return False
         self.error = None
         self.identity = hashlib.sha256(repr(sorted(texts.items())).encode()).hexdigest()[:12]

@@ -2,12 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from itertools import groupby
+from typing import NamedTuple
+
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.picture.legends import value_text
+
+_LEAST_NAMES = 0.22  # of the width: names of layers, where colours take the rest of the line
+
+
+class Row(NamedTuple):
+    """A layer's value: `group` is its stage, `description` the layer's."""
+
+    group: str
+    label: str
+    description: str
+    value: str
+    is_color: bool
 
 
 def draw(app) -> None:
@@ -28,28 +44,50 @@ def draw(app) -> None:
     if inspection.source is not None:
         at += f"   from ({inspection.source[0]:.2f}, {inspection.source[1]:.2f}) of the rendered frame"
     imgui.text_wrapped(at)
-    if imgui.begin_table("###values", 2, imgui.TableFlags_.row_bg.value):
-        for title, share in (("layer", 0.44), ("value", 0.56)):
-            imgui.table_setup_column(title, imgui.TableColumnFlags_.width_stretch.value, share)
-        for label, description, value in _rows(app, inspection):
-            imgui.table_next_row()
-            imgui.table_next_column()
-            imgui.text_wrapped(label)
-            widgets.tooltip(description)
-            imgui.table_next_column()
-            imgui.text_wrapped(value)
-        imgui.end_table()
+    _values(app, inspection)
 
 
-def _rows(app, inspection) -> list[tuple[str, str, str]]:
-    """(layer, its description, its value), made once for an inspection."""
+def _values(app, inspection) -> None:
+    """A table for each stage, under its name: layers, and their values."""
+    rows, room = _rows(app, inspection), imgui.get_content_region_avail().x - hello_imgui.em_size(1)
+    names = _widest(row.label for row in rows)
+    with widgets.compact():
+        for group, of_group in groupby(rows, key=lambda row: row.group):
+            imgui.text_disabled(group)
+            listed = list(of_group)
+            colors = _widest(row.value for row in listed if row.is_color)
+            _table(group, listed, max(min(names, room - colors), _LEAST_NAMES * room))
+
+
+def _widest(texts: Iterable[str]) -> float:
+    return max((imgui.calc_text_size(text).x for text in texts), default=0.0)
+
+
+def _table(group: str, rows: list[Row], names: float) -> None:
+    if not imgui.begin_table(f"###values {group}", 2, imgui.TableFlags_.row_bg.value):
+        return
+    imgui.table_setup_column("layer", imgui.TableColumnFlags_.width_fixed.value, names)
+    imgui.table_setup_column("value", imgui.TableColumnFlags_.width_stretch.value)
+    for row in rows:
+        imgui.table_next_row()
+        imgui.table_next_column()
+        imgui.text(widgets.shortened(row.label, names))
+        widgets.tooltip(f"{row.label}: {row.description}")
+        imgui.table_next_column()
+        imgui.text_wrapped(row.value)
+    imgui.end_table()
+
+
+def _rows(app, inspection) -> list[Row]:
+    """Made once for an inspection."""
     known, rows = app.inspected
     if known is not inspection:
         rows = [
-            (f"{spec.group}: {spec.label}", spec.description, value_text(spec, inspection.values[spec.name]))
+            Row(spec.group, spec.label, spec.description, value_text(spec, inspection.values[spec.name]),
+                spec.view == "color")
             for spec in app.model.contents.layers
             if spec.name in inspection.values
-        ]
+        ]  # fmt: skip
         app.inspected = inspection, rows
     return rows
 

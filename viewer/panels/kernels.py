@@ -7,8 +7,9 @@ from imgui_bundle import imgui
 
 from gffe_cl.opencl.program import kernel_folder
 from gffe_cl.viewer.panels import widgets
+from gffe_cl.viewer.panels.status import RED
 
-_RED, _GREEN = (0.95, 0.45, 0.4, 1.0), (0.5, 0.85, 0.5, 1.0)
+_GREEN = (0.5, 0.85, 0.5, 1.0)
 
 
 def draw(app) -> None:
@@ -18,11 +19,11 @@ def draw(app) -> None:
     imgui.same_line()
     if engine.build_error:
         imgui.push_text_wrap_pos(0.0)
-        imgui.text_colored(_RED, "does not build; the last good kernels are running")
-        imgui.text_unformatted(engine.build_error)
+        imgui.text_colored(RED, "does not build; the last good kernels are running")
+        imgui.text_unformatted(engine.build_log)
         imgui.pop_text_wrap_pos()
         if imgui.button("copy###copy_build_error"):
-            imgui.set_clipboard_text(engine.build_error)
+            imgui.set_clipboard_text(engine.build_log)
     else:
         imgui.text_colored(_GREEN, "built")
         widgets.hint("Save a .cl file: it is rebuilt at once")

@@ -32,11 +32,13 @@ def draw(app) -> None:
         widgets.show_legend(Legend("none", labels=disocclusion_colors()))
     height = max(imgui.get_content_region_avail().y - app.display_height, hello_imgui.em_size(6))
     if imgui.begin_child("###layers", ImVec2(0, height), imgui.ChildFlags_.borders.value):
+        imgui.push_style_var(imgui.StyleVar_.indent_spacing, hello_imgui.em_size(0.7))
         for group, specs in groupby(model.contents.layers, key=lambda spec: spec.group):
             if imgui.tree_node_ex(f"{group}###group {group}", imgui.TreeNodeFlags_.default_open.value):
                 for spec in specs:
                     _row(app, spec)
                 imgui.tree_pop()
+        imgui.pop_style_var()
     imgui.end_child()
     top = imgui.get_cursor_pos_y()
     _display(model)
@@ -48,7 +50,7 @@ def _row(app, spec) -> None:
     shown = spec.name == model.view.a
     reason = model.contents.why_not(spec.name)
     imgui.begin_disabled(reason is not None)
-    if imgui.selectable(f"{spec.label}###{spec.name}", shown)[0]:
+    if imgui.selectable(f"{widgets.shortened(spec.label, imgui.get_content_region_avail().x)}###{spec.name}", shown)[0]:
         model.show_layer(spec.name)
     imgui.end_disabled()
     if shown and spec.name != app.row_seen:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from functools import partial
 
-from imgui_bundle import ImVec2, imgui
+from imgui_bundle import imgui
 
 from gffe_cl.options import Option
 from gffe_cl.viewer.panels import widgets
@@ -15,12 +15,12 @@ from gffe_cl.viewer.state.parameters import by_hand
 def draw(app) -> None:
     model = app.model
     offered = model.parameters.offered()
-    widgets.heading("Modules")
-    _modules(model, {name: option for name, option in offered.items() if option.is_module})
-    widgets.heading("Parameters")
-    for name, option in offered.items():
-        if option.kind is not bool:
-            _parameter(model, name, option)
+    with widgets.compact():
+        _modules(model, {name: option for name, option in offered.items() if option.is_module})
+        widgets.heading("Parameters")
+        for name, option in offered.items():
+            if option.kind is not bool:
+                _parameter(model, name, option)
     if imgui.button("all defaults###defaults"):
         model.parameters.use_defaults()
 
@@ -33,13 +33,11 @@ def _modules(model, options: dict[str, Option]) -> None:
     if column + _width(listed[len(first) :]) > imgui.get_content_region_avail().x:
         first = listed
     left = imgui.get_cursor_pos_x()
-    imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(imgui.get_style().frame_padding.x, 1))
     for row, module in enumerate(first):
         _module(model, *module)
         for beside in listed[len(first) :][row : row + 1]:
             imgui.same_line(left + column)
             _module(model, *beside)
-    imgui.pop_style_var()
 
 
 def _width(listed: list[tuple[str, Option]]) -> float:

@@ -7,7 +7,7 @@ from imgui_bundle import hello_imgui, imgui
 from gffe_cl.errors import GffeError
 from gffe_cl.options import Option
 from gffe_cl.viewer.panels import widgets
-from gffe_cl.viewer.state.parameters import ALL, Parameters, by_hand
+from gffe_cl.viewer.state.parameters import ALL, Parameters, by_hand, parsed
 
 _FOUND = 12  # actions that are listed
 _STEPS = 20  # of a number that is not whole, over its usual range
@@ -34,13 +34,15 @@ class Palette:
         """Ask for the value of a number."""
         self.text, self.asked, self._problem = "", name, ""
 
+    @property
+    def is_open(self) -> bool:
+        return self.text is not None
+
     def close(self) -> None:
         self.text = self.asked = None
 
-    def draw(self, actions, parameters: Parameters) -> None:
-        if self.text is None:
-            return
-        asked = self.asked
+    def draw(self, app) -> bool:
+        actions, asked = app.actions, self.asked
         viewport = imgui.get_main_viewport()
         top = (viewport.pos.x + viewport.size.x / 2, viewport.pos.y + viewport.size.y * 0.15)
         imgui.set_next_window_pos(top, imgui.Cond_.always.value, (0.5, 0.0))
@@ -49,13 +51,14 @@ class Palette:
         widgets.floating()
         imgui.begin(f"Command palette###palette{'_value' if asked else ''}", None, int(flags))
         appearing = imgui.is_window_appearing()
-        chosen = self._number(parameters) if asked else self._search(actions)
+        chosen = self._number(app.model.parameters) if asked else self._search(actions)
         lost = not imgui.is_window_focused() and not appearing
         imgui.end()
-        if chosen is not None or lost or imgui.is_key_pressed(imgui.Key.escape):
+        if chosen is not None or lost:
             self.close()
         if chosen:
             actions.run(chosen)
+        return not lost
 
     def _typed(self, hint: str) -> bool:
         """The field; whether Enter was pressed."""
@@ -120,17 +123,6 @@ def _arrows() -> int:
 
 def _state(action) -> str:
     return {None: "", True: "on", False: ""}[action.checked()]
-
-
-def parsed(option: Option, text: str) -> float | int | None:
-    """The value of a number that is typed. Raises GffeError."""
-    text = text.strip()
-    if option.automatic and text == option.automatic:
-        return None
-    try:
-        return option.checked(option.kind(text.replace(",", ".")))
-    except (ValueError, GffeError):
-        raise GffeError(f"{option.label} must be {option.expected}, got '{text}'") from None
 
 
 def stepped(option: Option, value: float | None, steps: int) -> float | int:

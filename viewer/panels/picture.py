@@ -16,8 +16,9 @@ _ZOOM_STEP = 1.2
 _DRAG = 4.0  # screen pixels: less is a click
 _LINE = 2.0  # screen pixels at the usual size of letters: the wipe's line ...
 _GRIP = 10.0  # ... and on both sides of it, where it is taken hold of
-_NUMBERS = 64.0  # zoom from which values are written into the pixels ...
-_VALUES = 3  # ... so many of each
+_VALUES = 3  # that are written into a pixel where it is large enough: so many ...
+_LEAST_LETTERS = 8.0  # ... in letters of at least this size, screen pixels at the usual size of letters ...
+_LETTERS_WIDE, _LETTER = 4, 0.55  # ... of which as many have room, each so wide, em
 _ARROW_SPACING = 24.0  # screen pixels
 _ACCENT = (0.35, 0.85, 1.0, 1.0)
 _WARM = (1.0, 0.7, 0.25, 1.0)
@@ -57,8 +58,7 @@ def draw(app) -> None:
     marks.push_clip_rect(origin, ImVec2(origin.x + width, origin.y + height), True)
     if model.arrows:
         _arrows(model, place, marks)
-    if model.view.zoom >= _NUMBERS:
-        _numbers(model, place, marks)
+    _numbers(model, place, marks)
     _way(model, place, marks)
     _trajectory(model, place, marks)
     _rectangle(model, place, marks)
@@ -188,23 +188,44 @@ def _texels(model, spec, image) -> tuple[tuple[float, float], tuple[float, float
 
 
 def _numbers(model, place, marks) -> None:
+    """Values of the layer A in its pixels, where these are large enough for them."""
     spec, image = model.contents.spec(model.view.a), model.contents.image(model.view.a)
     if spec is None or image is None:
         return
-    image = image[min(model.looks.of(spec.name).plane, spec.planes - 1)] if spec.planes > 1 else image
+    display = model.looks.of(spec.name)
+    image = image[min(display.plane, spec.planes - 1)] if spec.planes > 1 else image
+    if display.channel in spec.components:
+        image = image.reshape(*image.shape[:2], -1)[..., spec.components.index(display.channel)]
     height, width = image.shape[:2]
     scale, start = _texels(model, spec, image)
+    lines = min(image[0, 0].size, _VALUES)
+    wide, high = (along * place.view.zoom for along in scale)
+    size = min(imgui.get_font_size(), wide / (_LETTERS_WIDE * _LETTER + 0.3), high / (lines + 0.3))
+    if size < _LEAST_LETTERS * _unit():
+        return
     left, top = place.to_display(place.origin)
     right, bottom = place.to_display(ImVec2(place.origin.x + place.size[0], place.origin.y + place.size[1]))
-    ink, shade = imgui.get_color_u32((1, 1, 1, 1)), imgui.get_color_u32((0, 0, 0, 0.8))
     top, bottom = ((y - start[1]) / scale[1] for y in (max(top, 0), min(bottom, model.source.height)))
     left, right = ((x - start[0]) / scale[0] for x in (max(left, 0), min(right, model.source.width)))
+    ink, shade = imgui.get_color_u32((1, 1, 1, 1)), imgui.get_color_u32((0, 0, 0, 0.8))
+    font, letters, edge = imgui.get_font(), int((wide / size - 0.3) / _LETTER), 0.15 * size
     for row in range(max(int(top), 0), min(math.ceil(bottom), height)):
         for column in range(max(int(left), 0), min(math.ceil(right), width)):
-            text = "\n".join(f"{value:.3g}" for value in np.ravel(image[row, column])[:_VALUES])
+            values = np.ravel(image[row, column])[:_VALUES]
+            text = "\n".join(short(float(value), letters) for value in values)
             at = place.to_screen(column * scale[0] + start[0], row * scale[1] + start[1])
             for offset, color in ((1, shade), (0, ink)):
-                marks.add_text(ImVec2(at.x + 3 + offset, at.y + 2 + offset), color, text)
+                marks.add_text(font, size, ImVec2(at.x + edge + offset, at.y + edge + offset), color, text)
+
+
+def short(value: float, letters: int) -> str:
+    """A number with three digits, or as many as so many letters have room for; without the zero before the point."""
+    for digits in (3, 2, 1):
+        text = f"{value:.{digits}g}"
+        text = text.replace("0.", ".", 1) if text.lstrip("-").startswith("0.") else text
+        if len(text) <= letters:
+            break
+    return text
 
 
 def _trajectory(model, place, marks) -> None:

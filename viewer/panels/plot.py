@@ -21,27 +21,46 @@ def draw(app) -> None:
         imgui.text_disabled("Open a sequence or a scene")
         return
     _controls(app)
+    curves = _curves(model.survey)
+    if not curves:
+        widgets.hint(_why_empty(model))
+        return
     flags = implot.Flags_.no_mouse_text | implot.Flags_.no_menus | implot.Flags_.no_box_select | implot.Flags_.no_legend
     height = max(imgui.get_content_region_avail().y, hello_imgui.em_size(4))
     implot.push_style_var(implot.StyleVar_.plot_padding.value, ImVec2(0, 4))  # as wide as the timeline below
     if implot.begin_plot("###survey", ImVec2(-1, height), int(flags)):
-        _plot(model, model.survey, height - 2 * imgui.get_text_line_height())
+        _plot(model, curves, height - 2 * imgui.get_text_line_height())
         implot.end_plot()
     implot.pop_style_var()
 
 
-def _plot(model, survey, height: float) -> None:
-    quantity = QUANTITIES[survey.quantity]
-    sides = ("B", survey.b, 3.5), ("A", survey.a, 1.5)  # A over B: both are seen
+def _curves(survey) -> list[tuple]:
+    """(side, slots, values, weight), A last: over B both are seen."""
+    sides = ("B", survey.b, 3.5), ("A", survey.a, 1.5)
     curves = [(name, *survey.curve(side), weight) for name, side, weight in sides]
-    curves = [curve for curve in curves if curve[1].size]
+    return [curve for curve in curves if curve[1].size]
+
+
+def _why_empty(model) -> str:
+    survey, label = model.survey, QUANTITIES[model.survey.quantity].label
+    reason = survey.why_not(False)
+    if survey.busy:
+        return f"No frame is measured yet: {_progress(model)}."
+    if survey.on:
+        return f"No frame has a value of {label}" + (f": {reason}." if reason else ".")
+    return (
+        f"No frame is measured yet. 'measure every frame' plots {label} of every generated frame against ground truth."
+    )
+
+
+def _plot(model, curves: list[tuple], height: float) -> None:
     slots = max(model.playback.slots, 1)
-    _axes(slots, np.concatenate([ys for _, _, ys, _ in curves] or [np.array([0.0, 1.0])]), height)
+    _axes(slots, np.concatenate([ys for _, _, ys, _ in curves]), height)
     for name, xs, ys, weight in curves:
         _curve(name, xs, ys, COLORS[name], weight, xs.size <= _FEW)
     implot.plot_inf_lines("###now", np.array([model.slot + 0.5]))
     if implot.is_plot_hovered():
-        _hovered(model, [curve[:3] for curve in reversed(curves)], quantity)
+        _hovered(model, [curve[:3] for curve in reversed(curves)], QUANTITIES[model.survey.quantity])
 
 
 def _axes(slots: int, values: np.ndarray, height: float) -> None:
@@ -134,9 +153,7 @@ def _curve(label: str, xs: np.ndarray, ys: np.ndarray, color, weight: float, mar
 
 def _hovered(model, curves, quantity) -> None:
     """The known slot nearest to the pointer: its values, and a click that goes there."""
-    known = np.unique(np.concatenate([xs for _, xs, _ in curves])) if curves else ()
-    if not len(known):
-        return
+    known = np.unique(np.concatenate([xs for _, xs, _ in curves]))
     at = implot.get_plot_mouse_pos().x - 0.5
     slot = int(known[np.argmin(np.abs(known - at))])
     values = [

@@ -10,6 +10,8 @@ from gffe_cl.viewer.engine.figures import REGIONS, Part
 from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.state.captions import region_colors
 
+_NAMES = 2.6  # columns of numbers: width of the regions' names
+
 
 def draw(app) -> None:
     model = app.model
@@ -38,13 +40,16 @@ def draw(app) -> None:
 
 def _table(regions, name: str, of: str, a: dict[str, Part], b: dict[str, Part] | None) -> None:
     """A row for each region; `of`: which frames, instead of a heading."""
-    columns = [(of, 0.4), ("pixels", 0.17), ("error", 0.24), ("dB", 0.19)]
-    if b is not None:
-        columns = [(of, 0.37), ("pixels", 0.16), ("error", 0.17), ("A dB", 0.15), ("B dB", 0.15)]
-    if not imgui.begin_table(f"###regions {name}", len(columns), imgui.TableFlags_.row_bg.value):
+    number = hello_imgui.em_size(2.6)
+    columns = [("pixels", number), ("error", 1.2 * number)]
+    columns += [("dB", number)] if b is None else [("A dB", number), ("B dB", number)]
+    if imgui.get_content_region_avail().x < sum(width for _, width in columns) + _NAMES * number:
+        del columns[0]  # told by the tooltip, too
+    if not imgui.begin_table(f"###regions {name}", len(columns) + 1, imgui.TableFlags_.row_bg.value):
         return
-    for title, share in columns:
-        imgui.table_setup_column(title, imgui.TableColumnFlags_.width_stretch.value, share)
+    imgui.table_setup_column(of, imgui.TableColumnFlags_.width_stretch.value)
+    for title, width in columns:
+        imgui.table_setup_column(title, imgui.TableColumnFlags_.width_fixed.value, width)
     imgui.table_headers_row()
     for number, (region, meaning) in enumerate(REGIONS.items()):
         part = a[region]
@@ -52,11 +57,13 @@ def _table(regions, name: str, of: str, a: dict[str, Part], b: dict[str, Part] |
         imgui.table_next_column()
         _swatch(number, region_colors()[region])
         spans = imgui.SelectableFlags_.span_all_columns.value
-        if imgui.selectable(f"{region}###{name} {region}", regions.only == region, spans)[0]:
+        text = widgets.shortened(region, imgui.get_content_region_avail().x - hello_imgui.em_size(0.2))
+        if imgui.selectable(f"{text}###{name} {region}", regions.only == region, spans)[0]:
             regions.see_only(region)
-        widgets.tooltip(f"{meaning[:1].upper()}{meaning[1:]}")
-        imgui.table_next_column()
-        imgui.text(_share(part.pixels))
+        widgets.tooltip(f"{region}: {meaning}; {_share(part.pixels)} of the pixels")
+        if columns[0][0] == "pixels":
+            imgui.table_next_column()
+            imgui.text(_share(part.pixels))
         imgui.table_next_column()
         _bar(part.error)
         widgets.tooltip("Share of A's squared error")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from imgui_bundle import ImVec4, hello_imgui, imgui
 
 _THEMES = {"dark": hello_imgui.ImGuiTheme_.darcula_darker, "light": hello_imgui.ImGuiTheme_.light_rounded}
+# of sliders: their numbers stand on them; and while they are dragged
+_GRABS = {"dark": ((0.16, 0.32, 0.52), (0.18, 0.38, 0.62)), "light": ((0.62, 0.77, 0.95), (0.52, 0.7, 0.93))}
 _ROUNDING = 3.0
 _ROUNDED = ("window", "child", "frame", "popup", "grab", "tab")
 
@@ -33,5 +35,7 @@ def apply(name: str, scale: float) -> None:
     for opaque in (col.popup_bg, col.title_bg_active, col.menu_bar_bg):
         color = style.color_(opaque)
         style.set_color_(opaque, ImVec4(color.x, color.y, color.z, 1.0))
+    for grab, color in zip((col.slider_grab, col.slider_grab_active), _GRABS[name], strict=True):
+        style.set_color_(grab, ImVec4(*color, 1.0))
     if name == "light":
         style.set_color_(col.text_disabled, ImVec4(0.42, 0.42, 0.42, 1.0))

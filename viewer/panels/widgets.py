@@ -68,7 +68,8 @@ def slider(
     """A slider with its unit in `text` and a button back to the default."""
     whole, room = isinstance(default, int), hello_imgui.em_size(11)  # the same for all, so that they line up
     needed = imgui.calc_text_size(label).x + 4 * imgui.get_style().item_spacing.x + imgui.get_frame_height()
-    _leave_room(needed if imgui.get_content_region_avail().x < 2 * room else max(room, needed))
+    written = imgui.calc_text_size(text % value).x + 2 * imgui.get_style().frame_padding.x
+    _leave_room(needed if imgui.get_content_region_avail().x < 2 * room else max(room, needed), written)
     if whole:
         changed, new = imgui.slider_int(f"###{label}", int(value), int(low), int(high), text)
     else:
@@ -98,10 +99,20 @@ def leave_room_for(label: str) -> None:
     _leave_room(imgui.calc_text_size(label).x + 2 * imgui.get_style().item_spacing.x)
 
 
-def _leave_room(pixels: float) -> None:
-    """... but take a third of the line itself."""
+def _leave_room(pixels: float, least: float = 0.0) -> None:
+    """... but take a third of the line itself, and `least` pixels."""
     width = imgui.get_content_region_avail().x
-    imgui.set_next_item_width(max(width - pixels, width / 3))
+    imgui.set_next_item_width(max(width - pixels, width / 3, least))
+
+
+@contextmanager
+def compact() -> Iterator[None]:
+    """Lower rows."""
+    style = imgui.get_style()
+    imgui.push_style_var(imgui.StyleVar_.frame_padding, ImVec2(style.frame_padding.x, style.frame_padding.y / 3))
+    imgui.push_style_var(imgui.StyleVar_.item_spacing, ImVec2(style.item_spacing.x, style.item_spacing.y / 2))
+    yield
+    imgui.pop_style_var(2)
 
 
 def choice(
@@ -141,6 +152,14 @@ def shortened(text: str, width: float) -> str:
         if imgui.calc_text_size(shorter).x <= width:
             break
     return shorter
+
+
+def cut(text: str, width: float) -> str:
+    """As much of its beginning as has room; a few letters in any case."""
+    kept = len(text)
+    while kept > 3 and imgui.calc_text_size(text[:kept] + "…" * (kept < len(text))).x > width:
+        kept -= 1
+    return text[:kept] + "…" * (kept < len(text))
 
 
 def heading(text: str) -> None:

@@ -61,11 +61,12 @@ class Model:
     def __init__(
         self, settings: Settings, *, device: str | None = None, n: int = 1, window: str | None = None,
         plan: ScenePlan = _SCENES, options: Options = _OPTIONS, save_settings: bool = True,
-        check: bool = False, cache_mib: int = CACHE_MIB,
+        check: bool = False, cache_mib: int = CACHE_MIB, start: bool = True,
     ):  # fmt: skip
         self.settings, self._save_settings, self.plan, self._check = settings, save_settings, plan, check
         self.engine = Engine(partial(open_viewer_device, device), cache=FrameCache(cache_mib << 20))
-        self.engine.start()
+        if start:  # else there is no device, and nothing can be opened
+            self.engine.start()
         self._loop = Loop(self)
         self.contents = Contents()
         self.playback = Playback(n=n)
@@ -339,6 +340,17 @@ class Model:
 
     def say(self, text: str, error: bool = False) -> None:
         self.messages = [*self.messages[-20:], Message(text, "error" if error else "note")]
+
+    def lately(self, now: float, seconds: dict[str, float]) -> list[Message]:
+        """Messages that were shown first at most so many seconds ago, by their kind."""
+        for message in self.messages:
+            message.since = now if message.since is None else message.since
+        return [message for message in self.messages if now - message.since < seconds.get(message.kind, 0.0)]
+
+    def dismiss_messages(self) -> None:
+        """Take all that stand over the picture away."""
+        for message in self.messages:
+            message.dismissed = True
 
     def remember(self, window_size: tuple[int, int]) -> None:
         """Write the settings."""

@@ -59,6 +59,17 @@ def by_hand(option: Option) -> Any:
     return option.default if option.default is not None else option.kind(min(max(1, option.low), option.high))
 
 
+def parsed(option: Option, text: str) -> float | int | None:
+    """The value of a number that is typed. Raises GffeError."""
+    text = text.strip()
+    if option.automatic and text == option.automatic:
+        return None
+    try:
+        return option.checked(option.kind(text.replace(",", ".")))
+    except (ValueError, OverflowError, GffeError):
+        raise GffeError(f"{option.label} must be {option.expected}, got '{text}'") from None
+
+
 class Parameters:
     """Values of `ALL`, by name.
 

@@ -1,0 +1,81 @@
+"""Status bar: kernels that do not build, the newest message, and what is open."""
+
+from __future__ import annotations
+
+from imgui_bundle import ImVec4, hello_imgui, imgui
+from imgui_bundle import icons_fontawesome_6 as icons
+
+from gffe_cl.opencl.program import first_error
+from gffe_cl.viewer.panels import widgets
+from gffe_cl.viewer.picture.legends import value_text
+
+RED, BLUE = ImVec4(0.97, 0.5, 0.45, 1.0), ImVec4(0.36, 0.62, 0.95, 1.0)
+_SECONDS = {"error": 30.0, "note": 8.0}  # that a message stands there, by its kind
+_KERNEL_SHARE = 0.7  # of the bar, at most, where something else is to be told
+
+
+def draw(app) -> None:
+    model, told = app.model, False
+    shown = [message for message in model.lately(app.clock(), _SECONDS) if message.kind != "title"]
+    if model.engine.build_error:
+        _kernel_error(model.engine.build_log, 1.0 if not shown else _KERNEL_SHARE)
+        told = True
+    if shown:
+        last = shown[-1]
+        _beside(told)
+        imgui.text_colored(RED if last.error else BLUE, _icon(last.error))
+        imgui.same_line()
+        imgui.text(widgets.shortened(last.text.replace("\n", " "), imgui.get_content_region_avail().x))
+        widgets.tooltip("\n".join(message.text for message in shown))
+        told = True
+    _beside(told)
+    text = "     ".join(parts(model))
+    if told:
+        imgui.text_disabled(text)
+    else:
+        imgui.text(text)
+
+
+def _kernel_error(log: str, share: float) -> None:
+    """The compiler's first error with file and line, as long as the kernels on disk do not build; clicked, the whole
+    log is copied."""
+    imgui.text_colored(RED, f"{_icon(True)} kernels do not build:")
+    imgui.same_line()
+    imgui.push_style_color(imgui.Col_.text_link, RED)
+    text = widgets.cut(first_error(log), share * imgui.get_content_region_avail().x)
+    if imgui.text_link(f"{text}###kernel_error"):
+        imgui.set_clipboard_text(log)
+    imgui.pop_style_color()
+    widgets.tooltip(f"{log}\n\nThe last good kernels are running. Click: copy this.")
+
+
+def _icon(error: bool) -> str:
+    return icons.ICON_FA_TRIANGLE_EXCLAMATION if error else icons.ICON_FA_CIRCLE_INFO
+
+
+def _beside(something: bool) -> None:
+    if something:
+        imgui.same_line(0, hello_imgui.em_size(2))
+
+
+def parts(model) -> list[str]:
+    """What is open, how long it took, and what is under the pointer."""
+    told = [model.engine.device_name or "opening the device …"]
+    if model.source is not None:
+        info = model.source
+        told.append(f"{info.name}   {info.width}×{info.height}")
+        if info.render_size != (info.width, info.height):
+            told.append(f"rendered {info.render_size[0]}×{info.render_size[1]}")
+    if model.contents.result is not None:
+        kept = "from the cache, " if model.from_cache else ""
+        told.append(f"{kept}computed in {model.contents.result.wall_ms:.0f} ms")
+    return [*told, *model.warnings, *_under_pointer(model)]
+
+
+def _under_pointer(model) -> list[str]:
+    """The value of the layer that is shown."""
+    inspection, spec = model.pointing.inspection, model.contents.spec(model.view.a)
+    if inspection is None or spec is None or spec.name not in inspection.values:
+        return []
+    x, y = inspection.pixel
+    return [f"({x}, {y})   {value_text(spec, inspection.values[spec.name])}"]
