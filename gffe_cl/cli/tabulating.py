@@ -6,11 +6,11 @@ import json
 import shlex
 import sys
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from gffe_cl.cli.common import (
@@ -18,11 +18,12 @@ from gffe_cl.cli.common import (
     SchedulerOption,
     app,
     cluster_at,
-    err,
     out,
     parse_numbers,
     parse_size,
     plain,
+    progress_bars,
+    steps,
     warn,
 )
 from gffe_cl.errors import GffeError
@@ -156,17 +157,11 @@ def _filling(output: Path, device: str | None, scheduler: str | None):
     """A function that fills a table of cells kept in `output`, with a bar that knows the time left."""
     from gffe_cl.evaluation.table.engine import fill
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    bars = Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=err, disable=not err.is_terminal)
-    with cluster_at(scheduler) as workers, bars:
+    with cluster_at(scheduler) as workers, progress_bars() as bars:
         executor = _executor(workers)
 
         def filled(text: str, order) -> Filled:
-            def on_plan(total: int):
-                task = bars.add_task(text, total=total)
-                return lambda: bars.advance(task)
-
-            return fill(order, output / "cells", device, executor, on_plan)
+            return fill(order, output / "cells", device, executor, partial(steps(bars), text))
 
         yield filled
 
