@@ -92,7 +92,7 @@ def evaluate(
     from gffe_cl.evaluation.table.engine import Order
     from gffe_cl.evaluation.table.methods import LATE_WARP
     from gffe_cl.evaluation.table.results import results_of
-    from gffe_cl.evaluation.table.subjects import SceneSubject, parse_subject
+    from gffe_cl.evaluation.table.subjects import SceneSubject
     from gffe_cl.options import Options
     from gffe_cl.scenes import SCENES
 
@@ -104,7 +104,7 @@ def evaluate(
     if Options(upscale=upscale).upscale and late_warp:
         raise GffeError("--upscale and --late-warp exclude each other")
     scenes = parse_size(size), frames, fps, alphas
-    chosen = tuple(parse_subject(text, *scenes, upscale=upscale) for text in subjects or SCENES)
+    chosen, broken = _subjects(subjects or SCENES, *scenes, upscale=upscale)
     words = tuple(methods.split(",")) if methods else None
     output = _folder(output)
     with _filling(output, device, scheduler) as fill:
@@ -114,9 +114,32 @@ def evaluate(
         for turn in TURNS if late_warp and built_in else ():
             turned = tuple(_turned(subject, turn) for subject in built_in)
             late[turn] = fill(f"Late warp, {turn:g}°", Order(turned, LATE_WARP, recompute=fresh))
+    for name, reason in broken.items():
+        filled.drop(name, reason)
     results = results_of(filled, late, shlex.join(["gffe", *sys.argv[1:]]))
     _write(output, results, filled)
     _print(results, budget)
+    if filled.broken:
+        raise GffeError(
+            f"eval: {len(filled.broken)} of the sequences could not be measured: {', '.join(filled.broken)}"
+        )
+
+
+def _subjects(texts, *scenes, upscale: float) -> tuple[tuple[Subject, ...], dict[str, str]]:
+    """The subjects, and why folders among several cannot be opened, by their names."""
+    from gffe_cl.evaluation.table.subjects import parse_subject
+
+    chosen, broken = [], {}
+    for text in texts:
+        try:
+            chosen.append(parse_subject(text, *scenes, upscale=upscale))
+        except GffeError as error:
+            if len(texts) == 1 or not Path(text).is_dir():
+                raise
+            broken[text] = str(error)
+    if not chosen:
+        raise GffeError("; ".join(broken.values()))
+    return tuple(chosen), broken
 
 
 def _check(frames: int, fps: float) -> None:
