@@ -1,8 +1,12 @@
 """Hostile values for every parameter of every command: what tests/test_cli_hostile.py and docs/fuzz.py run."""
 
 import functools
+import random
+import shlex
+import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import typer
@@ -53,7 +57,7 @@ def arguments(name: str, parameter, value: str) -> list[str]:
     base = list(QUICK.get(name, ()))
     if parameter.param_type_name == "option":
         option = max(parameter.opts, key=len)
-        return [name, *base, f"{option}={value}" if option.startswith("--") else f"{option}{value}"]
+        return [name, *base, *([f"{option}={value}"] if option.startswith("--") else [option, value])]
     positions = [p for p in commands()[name].params if p.param_type_name == "argument"]
     index = positions.index(parameter)
     base = [*base, *["{out}"] * (index + 1 - len(base))]
@@ -92,3 +96,24 @@ def wrong(code: int, errors: str) -> str:
     if code == 2 and (len(told) != 1 or len(told[0]) > 1020):
         return f"not one line: {errors[:300]}"
     return ""
+
+
+def run(seconds: float, seed: int, folder: Path) -> list[str]:
+    """Run cases in an order by chance until the time is over; the faults. `folder` holds what they need."""
+    places = {name: str(folder / name) for name in ("sequence", "folder", "file", "out")}
+    Path(places["folder"]).mkdir()
+    Path(places["file"]).write_text("a file\n")
+    render = ["render", "corridor", places["sequence"], "--size", "32x32", "--frames", "4", "--ground-truth"]
+    subprocess.run([sys.executable, "-m", "gffe_cl", *render], check=True, capture_output=True)
+    every, end, found, count = list(cases()), time.monotonic() + seconds, [], 0
+    random.Random(seed).shuffle(every)
+    for words in every:
+        count += 1
+        shutil.rmtree(places["out"], ignore_errors=True)
+        if said := fault(words, places, folder):
+            found.append(f"gffe {shlex.join(word[:60] for word in words)}: {said}")
+            print(found[-1], flush=True)
+        if time.monotonic() > end:
+            break
+    print(f"arguments: {count} of {len(every)} command lines, {len(found)} faults")
+    return found
