@@ -16,7 +16,7 @@ from gffe_cl.cli.commands import app
 SECONDS = 10  # that a command may take to refuse a value
 CODES = (0, 1, 2)
 EVERYWHERE = ("", "nan", "-1", "inf", "1e99", str(2**70), "x" * 5000, "{folder}", "{file}", "/dev/null")
-# Arguments with which a command is quick where the value is good. Other commands get none, so their values must be bad.
+# Arguments with which a command is quick where the value is good, or cannot work at all where it is slow.
 QUICK = {
     "render": ("corridor", "{out}", "--size", "32x32", "--frames", "2"),
     "run": ("{sequence}", "{out}"),
@@ -25,11 +25,11 @@ QUICK = {
     "import": ("{sequence}", "{out}"),
     "calibrate": ("{sequence}", "{out}"),
     "export": ("{out}",),
-    "eval": ("{sequence}", "--out", "{out}", "--methods", "repeat"),
+    "eval": ("{folder}", "--out", "{out}", "--methods", "repeat"),
     "study": ("corridor", "--size", "32x32", "--frames", "4", "--seeds", "1"),
-    "bench": ("corridor", "--sizes", "32x32", "--repeats", "1"),
-    "train": ("{out}", "--clips", "2", "--steps", "1", "--data-only", "--minutes", "0.001"),
-    "demo": ("--output", "{out}", "--size", "32x32"),
+    "bench": ("{folder}", "--sizes", "32x32"),
+    "train": ("{file}", "--clips", "2"),
+    "demo": ("--output", "{file}", "--size", "32x32"),
 }
 LONG = ("selftest", "view")  # take minutes, or open a window, where a value is good: only values that no command takes
 
@@ -84,7 +84,9 @@ def fault(words: list[str], places: dict[str, str], folder: Path) -> str:
     except subprocess.TimeoutExpired:
         return f"takes longer than {SECONDS} s"
     return wrong(child.returncode, child.stderr) or ", ".join(
-        f"wrote {path}" for path in set(folder.iterdir()) - before if str(path) not in places.values()
+        f"wrote {path}"
+        for path in set(folder.iterdir()) - before
+        if str(path) not in places.values() and not any(word.endswith(path.name) for word in given)
     )
 
 

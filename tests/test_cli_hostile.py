@@ -16,6 +16,7 @@ from fuzz_arguments import arguments, kind, parameters, wrong
 
 from gffe_cl import errors
 from gffe_cl.cli import common
+from gffe_cl.cluster import Cluster
 from gffe_cl.errors import GffeError
 from gffe_cl.export import writing
 from gffe_cl.files import only_process
@@ -49,6 +50,14 @@ def test_closed_streams(streams, tmp_path):
     command = f"{shlex.quote(sys.executable)} -m gffe_cl formats --json {shlex.quote(str(report))} {streams}"
     child = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
     assert child.returncode == 0 and not child.stderr and json.loads(report.read_text())["formats"]
+
+
+def test_addresses_of_schedulers_are_told_apart_from_others():
+    """Before anybody waits for an answer."""
+    pytest.importorskip("distributed", reason="needs dask")
+    for address in ("-1", "/dev/null", "tcp://", "host"):
+        with pytest.raises(GffeError, match="is no address"):
+            Cluster(address)
 
 
 def test_long_messages_keep_what_matters():
