@@ -18,6 +18,9 @@ from gffe_cl import errors
 from gffe_cl.cli import common
 from gffe_cl.cluster import Cluster
 from gffe_cl.errors import GffeError
+from gffe_cl.evaluation.table import engine
+from gffe_cl.evaluation.table.cells import Cell
+from gffe_cl.evaluation.table.subjects import SceneSubject
 from gffe_cl.export import writing
 from gffe_cl.files import only_process
 from gffe_cl.options import Options
@@ -116,6 +119,26 @@ def test_an_export_that_finds_no_room_leaves_nothing(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+def test_broken_sequences_are_left_out(tmp_path, monkeypatch):
+    def cell(subject, method, **_):
+        if subject.seed in broken:
+            raise GffeError("frame 3: is broken")
+        return Cell({"frames": []}, {}, {"machine": "A", "milliseconds": 1.0})
+
+    monkeypatch.setattr(engine, "compute_cell", cell)
+    monkeypatch.setattr(engine, "_machine", lambda *_: "A")
+    subjects = tuple(SceneSubject("room", seed, 64, 36, 6, 30.0, (0.5,)) for seed in range(3))
+    broken = [1]
+    filled = engine.fill(engine.Order(subjects, ("repeat",)), tmp_path)
+    assert filled.broken == {"room:1": "frame 3: is broken"}
+    assert {name for name, _ in filled.cells} == {"room:0", "room:2"} == {s.name for s in filled.subjects}
+    broken = [0, 1, 2]
+    with pytest.raises(GffeError, match="room:2: frame 3"):
+        engine.fill(engine.Order(subjects, ("repeat",), recompute=True), tmp_path)
+
+
+@pytest.mark.long
+@pytest.mark.slow
 def test_eval_measures_what_is_whole(gffe, tmp_path):
     """Of three sequences one has a broken description and one a broken frame: both are named with the reason."""
     whole, description, frame = (tmp_path / name for name in ("whole", "description", "frame"))
