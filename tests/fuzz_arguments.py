@@ -28,7 +28,7 @@ QUICK = {
     "eval": ("{folder}", "--out", "{out}", "--methods", "repeat"),
     "study": ("corridor", "--size", "32x32", "--frames", "4", "--seeds", "1"),
     "bench": ("{folder}", "--sizes", "32x32"),
-    "train": ("{file}", "--clips", "2"),
+    "train": ("{file}", "--clips", "1"),
     "demo": ("--output", "{file}", "--size", "32x32"),
 }
 LONG = ("selftest", "view")  # take minutes, or open a window, where a value is good: only values that no command takes

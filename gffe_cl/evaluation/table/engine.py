@@ -80,7 +80,11 @@ def fill(
     filled = Filled(methods, list(order.subjects), _machine(device, executor))
     cache, missing = Cache(folder), []
     for subject in order.subjects:
-        identity = subject.identity()
+        try:
+            identity = subject.identity()
+        except OSError as error:
+            filled.drop(subject.name, f"{error.filename}: {error.strerror or error}")
+            continue
         for name in (None, *methods):
             method = methods[name] if name else None
             if method and (reason := method.missing(subject)):
