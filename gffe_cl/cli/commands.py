@@ -24,6 +24,7 @@ from gffe_cl.cli import (  # noqa: F401 - registers the commands, in the order o
 )
 from gffe_cl.cli.common import app, out, warn_of_networks
 from gffe_cl.errors import GffeError
+from gffe_cl.values import MOST_SEED, shown
 
 __all__ = ["app", "invoke"]
 
@@ -58,6 +59,8 @@ def _checked(parameter, convert, context, given: Any) -> Any:
     for number in value if isinstance(value, list | tuple) else [value]:
         if isinstance(number, float) and not math.isfinite(number):
             raise GffeError(f"{name} must be a finite number, got {number}")
+        if isinstance(number, int) and abs(number) > MOST_SEED and name != "--seed":
+            raise GffeError(f"{name} must be a whole number of at most {MOST_SEED}, got {shown(number)}")
     return value
 
 
