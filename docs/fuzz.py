@@ -2,6 +2,7 @@
 
     python docs/fuzz.py --minutes 10
     python docs/fuzz.py --minutes 2 --target sequence:frame_1.exr --seed 7
+    python docs/fuzz.py --minutes 30 --arguments        # of every command, tests/fuzz_arguments.py
 
 Each target of tests/fuzz_targets.py runs in a child process. With atheris (`pip install atheris`) mutations follow the
 code that they reach; without, they are made by chance. An input that ends neither well nor with an error of one line is
@@ -16,6 +17,7 @@ import importlib.util
 import re
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -98,12 +100,18 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--target", help="one target; all, if left out")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--arguments", action="store_true", help="command lines instead of files")
     parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
     chosen = parser.parse_args()
     if chosen.child:
         run_target(chosen.target, chosen.minutes * 60, chosen.seed)
         return 0
     sys.path.insert(0, str(TESTS))
+    if chosen.arguments:
+        import fuzz_arguments
+
+        with tempfile.TemporaryDirectory() as folder:
+            return int(bool(fuzz_arguments.run(chosen.minutes * 60, chosen.seed, Path(folder))))
     import fuzz_targets
 
     names = [chosen.target] if chosen.target else list(fuzz_targets.targets())

@@ -6,6 +6,7 @@ A worker that dies loses nothing but what it was at, which another one takes; ev
 from __future__ import annotations
 
 import hashlib
+import re
 import threading
 import uuid
 from collections.abc import Callable, Iterator, Mapping
@@ -20,7 +21,8 @@ from gffe_cl.files import follow_links, following_links
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.opencl.program import kernel_folder
 
-PATIENCE = "20s"  # for a scheduler's answer
+PATIENCE = "8s"  # for a scheduler's answer
+_ADDRESS = re.compile(r"inproc://\S+|([a-z]+://)?[^\s/]+:\d{1,5}")
 _AHEAD = 64  # results that wait on workers, at most
 _one_at_a_time = threading.Lock()  # of a worker's threads: they share a device
 
@@ -34,6 +36,8 @@ class Cluster:
             from distributed import Client
         except ModuleNotFoundError:
             raise GffeError(f"--scheduler needs dask and distributed: {how_to_install('dask')}") from None
+        if not _ADDRESS.fullmatch(address):
+            raise GffeError(f"--scheduler {address}: is no address (expected tcp://HOST:8786)")
         try:
             self._client = Client(address, timeout=PATIENCE, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:

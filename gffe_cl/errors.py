@@ -16,6 +16,21 @@ class GffeError(Exception):
         super().__init__(printable(message))
 
 
+MOST = 1000  # characters of a message
+_MOST_WORD = 200
+
+
+def shortened(text: str) -> str:
+    """`text` in at most `MOST` characters. First, long words (paths, values) lose their middle, so that what is wrong
+    and what was expected stay readable; then the end is cut."""
+    if len(text) <= MOST:
+        return text
+    half = _MOST_WORD // 2
+    words = [word if len(word) <= _MOST_WORD else f"{word[:half]}…{word[-half:]}" for word in text.split(" ")]
+    text = " ".join(words)
+    return text if len(text) <= MOST else f"{text[: MOST - 1]}…"
+
+
 def printable(text: str) -> str:
     """`text` with everything that is no visible character (line breaks, terminal controls, halves of surrogate pairs)
     as an escape: `\\n`, `\\x1b`."""

@@ -6,10 +6,15 @@ import errno
 import os
 import stat
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from typing import BinaryIO
+
+try:
+    import fcntl
+except ImportError:  # not on Windows: no lock there
+    fcntl = None
 
 from gffe_cl.errors import GffeError
 
@@ -110,6 +115,58 @@ def model_source(path: Path | str) -> str | bytes:
     except UnicodeError:
         return Path(path).read_bytes()
     return str(path)
+
+
+@contextmanager
+def made_folder(path: Path) -> Iterator[None]:
+    """Make the folder `path` and its parents; after an exception those that were made are removed, if they are empty.
+    Raises OSError."""
+    missing = []
+    while not path.is_dir():
+        missing.append(path)
+        path = path.parent
+    try:
+        for folder in reversed(missing):
+            folder.mkdir(exist_ok=True)
+        yield
+    except BaseException:
+        for folder in missing:
+            with suppress(OSError):
+                folder.rmdir()
+        raise
+
+
+@contextmanager
+def only_process(folder: Path) -> Iterator[None]:
+    """Keep other processes that ask for it out of `folder`, which is made, during the block. GffeError if one is there,
+    or if nothing can be written. The lock ends with its process."""
+    path = folder / ".lock"
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(made_folder(folder))
+            file = stack.enter_context(open(path, "a"))
+            ours = lock(file) and os.path.samestat(os.fstat(file.fileno()), os.stat(path))
+        except OSError as error:
+            raise GffeError(f"{folder}: cannot be written to ({error.strerror or error})") from None
+        if not ours:
+            raise GffeError(f"{folder}: another process is writing into it (expected its end)")
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+
+
+def lock(file, shared: bool = False) -> bool:
+    """Whether nobody else holds the lock of this file, which then is ours until it is closed. File systems without
+    locks never say no."""
+    if fcntl is not None:
+        try:
+            fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
+    return True
 
 
 def require_output_file(path: Path, option: str) -> Path:

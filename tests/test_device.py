@@ -16,6 +16,7 @@ from gffe_cl import GffeError
 from gffe_cl.opencl import device as device_module
 from gffe_cl.opencl import runtimes
 from gffe_cl.opencl.device import DeviceInfo, best_of, select
+from gffe_cl.opencl.kept_programs import built_program
 from gffe_cl.opencl.program import build, expand, first_error, kernel_folder
 from gffe_cl.opencl.runtimes import only_vendors, vendors
 
@@ -51,37 +52,37 @@ def test_noise_does_not_choose_the_default():
 
 
 def test_a_crashing_driver_is_blamed_and_survived(monkeypatch):
-    """The child dies at the second of three devices: that one is marked, the others are probed."""
-    calls = []
+    """The child dies at the second of three devices: each is probed alone, and that one is marked."""
 
     def child(command, **_):
-        skip = command[3:]
-        calls.append(skip)
-        unknown = {"works": False, "megapixels_per_second": 0.0}
+        (asked,) = command[4:] or [""]
         lines, code = [], 0
         for device in (POCL, INTEL, GPU):
-            if device.index in skip:
-                continue
-            lines.append(json.dumps(asdict(device) | unknown))
-            if device is INTEL:
-                code = -11
-                break
-            lines.append(json.dumps(asdict(device)))
-        return subprocess.CompletedProcess(command, code, "\n".join(lines), "")
+            if asked in ("", "--list", device.index):
+                lines.append(json.dumps(asdict(device) | {"works": False, "megapixels_per_second": 0.0}))
+                if asked == "--list":
+                    continue
+                if device is INTEL:
+                    code = -11
+                    break
+                lines.append(json.dumps(asdict(device)))
+        return subprocess.CompletedProcess(command, code, "\n".join([*lines, *["probed"] * (not code)]), "")
 
     monkeypatch.setattr(subprocess, "run", child)
     found = {d.index: d for d in device_module.list_devices(refresh=True)}
     assert found["0:0"].works and found["2:0"].works and not found["1:0"].works
-    assert "crashed" in found["1:0"].problem and len(calls) == 2
+    assert "crashed" in found["1:0"].problem
 
 
-CRASH = """
+BROKEN = """
 #include <stdlib.h>
-__attribute__((constructor)) static void crash(void) { abort(); }
+#include <unistd.h>
+__attribute__((constructor)) static void load(void) { FAULT; }
 """
+FAULTS = {"crash": "abort()", "hang": "for (;;) pause()"}
 
 
-def test_a_driver_that_crashes_when_it_is_listed_is_named_and_hides_no_other(tmp_path):
+def test_drivers_that_crash_or_hang_when_they_are_listed_are_named_and_hide_no_other(tmp_path):
     """In processes of their own: the list names it, and the device that is opened next to it works."""
     compiler = shutil.which("cc")
     if compiler is None:
@@ -92,12 +93,17 @@ def test_a_driver_that_crashes_when_it_is_listed_is_named_and_hides_no_other(tmp
     folder = Path(only_vendors(sound))
     broken = tmp_path / "vendors"
     shutil.copytree(folder, broken)
-    (tmp_path / "crash.c").write_text(CRASH)
-    library = tmp_path / "libcrash.so"
-    subprocess.run([compiler, "-shared", "-fPIC", "-o", library, tmp_path / "crash.c"], check=True)
-    (broken / "crash.icd").write_text(f"{library}\n")
+    (tmp_path / "broken.c").write_text(BROKEN)
+    for name, fault in FAULTS.items():
+        library = tmp_path / f"lib{name}.so"
+        subprocess.run(
+            [compiler, "-shared", "-fPIC", f"-DFAULT={fault}", "-o", library, tmp_path / "broken.c"], check=True
+        )
+        (broken / f"{name}.icd").write_text(f"{library}\n")
     code = (
-        "import json, dataclasses; from gffe_cl.opencl.device import list_devices, open_device; infos = list_devices();"
+        "import json, dataclasses; from gffe_cl.opencl import probing;"
+        "probing._FIRST_SECONDS = 3; probing._LIST_SECONDS = 4;"
+        "from gffe_cl.opencl.device import list_devices, open_device; infos = list_devices();"
         "print(json.dumps([dataclasses.asdict(i) for i in infos])); open_device()"
     )
     environment = os.environ | {"OCL_ICD_VENDORS": str(broken)}
@@ -106,9 +112,10 @@ def test_a_driver_that_crashes_when_it_is_listed_is_named_and_hides_no_other(tmp
     assert child.returncode == 0, child.stderr
     found = [DeviceInfo(**document) for document in json.loads(child.stdout)]
     blamed = [info for info in found if not info.works]
-    assert [(info.platform, info.name) for info in blamed] == [("crash.icd", "libcrash.so")]
-    assert "driver crashed" in blamed[0].problem and str(library) in blamed[0].problem
-    assert len(found) > 1 and len({info.index for info in found}) == len(found)
+    assert [(info.platform, info.name) for info in blamed] == [(f"{name}.icd", f"lib{name}.so") for name in FAULTS]
+    for info, said in zip(blamed, ("driver crashed", "driver hangs (4 s)"), strict=True):
+        assert said in info.problem and str(tmp_path / info.name) in info.problem
+    assert len(found) > 2 and len({info.index for info in found if info.works}) == len(found) - len(blamed)
 
 
 def test_intel_runtime_in_a_folder_with_a_space(tmp_path):
@@ -221,6 +228,13 @@ def test_build_errors_name_file_and_line(device, sources):
 )
 def test_the_first_error_of_a_log(log, told):
     assert first_error(log) == told
+
+
+def test_builds_with_warnings_are_silent(device, capfd):
+    """clang counts its warnings on descriptor 2, whatever Python makes of the log."""
+    source = "#warning noticed\n__kernel void warn(__global int *a) { *a = 1; }"
+    built_program(device.context, source)
+    assert capfd.readouterr().err == ""
 
 
 def test_build_errors_in_the_header_too(device, sources):

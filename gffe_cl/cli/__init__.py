@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 
@@ -11,6 +12,7 @@ from gffe_cl.cli.interrupts import INTERRUPTED, Interrupts
 def main() -> None:
     """Entry point: structural faults become one line and exit code 2. The commands are imported when signals are
     taken care of."""
+    _open_missing_streams()
     if not sys.warnoptions:  # what libraries warn of, of damaged files above all, is no message of ours
         warnings.simplefilter("ignore")
     with Interrupts() as interrupts:
@@ -25,6 +27,16 @@ def main() -> None:
         except BaseException as error:
             code = explain(error, interrupts)
     sys.exit(code)
+
+
+def _open_missing_streams() -> None:
+    """Give standard streams that the caller closed to the null device. Their descriptors are the lowest free ones:
+    files that are opened later would take them, and be written to by whatever prints."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            stream = open(os.devnull, mode)  # noqa: SIM115 - stays open
+            os.set_inheritable(stream.fileno(), True)
+            setattr(sys, name, stream)
 
 
 __all__ = ["INTERRUPTED", "main"]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import math
+from functools import partial
+from typing import Annotated, Any
 
 import typer
 
@@ -21,7 +23,8 @@ from gffe_cl.cli import (  # noqa: F401 - registers the commands, in the order o
     viewing,
 )
 from gffe_cl.cli.common import app, out, warn_of_networks
-from gffe_cl.errors import REPOSITORY
+from gffe_cl.errors import REPOSITORY, GffeError
+from gffe_cl.values import MOST_SEED, shown
 
 __all__ = ["app", "invoke"]
 
@@ -29,13 +32,36 @@ __all__ = ["app", "invoke"]
 def invoke(arguments: list[str]) -> int:
     """Do what the command line says; the exit code. Raises whatever the command raises, and usage errors."""
     try:
-        with typer.main.get_command(app).make_context("gffe", arguments) as context:
+        with _command().make_context("gffe", arguments) as context:
             context.command.invoke(context)
     except typer.Exit as stop:
         return stop.exit_code
     finally:
         warn_of_networks()
     return 0
+
+
+def _command():
+    """The command line library's command, whose parameters take neither empty texts nor numbers that are not finite:
+    an empty path would be the working folder."""
+    group = typer.main.get_command(app)
+    for command in group.commands.values():
+        for parameter in command.params:
+            parameter.process_value = partial(_checked, parameter, parameter.process_value)
+    return group
+
+
+def _checked(parameter, convert, context, given: Any) -> Any:
+    name = max(parameter.opts, key=len) if parameter.param_type_name == "option" else parameter.name.upper()
+    if parameter.default != "" and "" in (given if isinstance(given, list | tuple) else [given]):
+        raise GffeError(f"{name} is empty (expected a value)")
+    value = convert(context, given)
+    for number in value if isinstance(value, list | tuple) else [value]:
+        if isinstance(number, float) and not math.isfinite(number):
+            raise GffeError(f"{name} must be a finite number, got {number}")
+        if isinstance(number, int) and abs(number) > MOST_SEED and name != "--seed":
+            raise GffeError(f"{name} must be a whole number of at most {MOST_SEED}, got {shown(number)}")
+    return value
 
 
 def _print_version(wanted: bool) -> None:

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sys
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from gffe_cl.errors import GffeError, printable
+from gffe_cl.errors import GffeError, printable, shortened
 from gffe_cl.files import follow_links_everywhere, require_output_file, write_text
+from gffe_cl.values import is_number
 
 if TYPE_CHECKING:
     from gffe_cl.cluster import Cluster
@@ -111,17 +114,67 @@ def parse_size(text: str) -> tuple[int, int]:
 
 def parse_numbers(text: str, option: str) -> list[float]:
     """'0.25,0.5' → [0.25, 0.5]."""
-    try:
-        return [float(part) for part in text.split(",")]
-    except ValueError:
-        raise GffeError(f"{option} must be numbers separated by commas, got '{text}'") from None
+    with suppress(ValueError):
+        numbers = [float(part) for part in text.split(",")]
+        if all(map(is_number, numbers)):
+            return numbers
+    raise GffeError(f"{option} must be numbers separated by commas, got '{text}'")
 
 
 @contextmanager
 def progress_bars():
+    """Progress of steps on standard error: bars on a terminal, lines elsewhere."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=err, disable=not err.is_terminal) as progress:
+    bars = Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=err) if err.is_terminal else _Lines()
+    with bars as progress:
         yield progress
+
+
+class _Lines(Progress):
+    """Progress where standard error is no terminal: one line for each finished step, and every `_PERIOD` seconds one
+    for the step that is being done, with an estimate. Commands that end within `_SOON` seconds print none."""
+
+    _SOON, _PERIOD = 3.0, 10.0
+
+    def __init__(self):
+        super().__init__(console=err, disable=True)
+        self._started = self._told = time.monotonic()
+        self._begun: dict[int, tuple[float, float]] = {}  # of tasks: when, and how much was done then
+        self._finished: set[int] = set()
+
+    def add_task(self, *arguments, **options):
+        task = super().add_task(*arguments, **options)
+        self._begun[task] = time.monotonic(), self._tasks[task].completed
+        return task
+
+    def advance(self, task_id, advance=1):
+        super().advance(task_id, advance)
+        self._tell(task_id)
+
+    def update(self, task_id, **changes):
+        if "total" in changes:  # another step begins
+            self._begun[task_id] = time.monotonic(), changes.get("completed") or 0
+            self._finished.discard(task_id)
+        super().update(task_id, **changes)
+        if "total" not in changes:
+            self._tell(task_id)
+
+    def _tell(self, task_id) -> None:
+        task, now = self._tasks[task_id], time.monotonic()
+        if not task.visible or not task.total or task_id in self._finished or now - self._started < self._SOON:
+            return
+        begun, before = self._begun[task_id]
+        spent, done = now - begun, task.completed - before
+        if task.completed >= task.total:
+            self._finished.add(task_id)
+            say(plain(f"{task.description}: {task.total:g} of {task.total:g}, {spent:.0f} s"))
+        elif now - self._told >= self._PERIOD and done > 0:
+            left = spent / done * (task.total - task.completed)
+            counted = f"{task.completed:g} of {task.total:g}, {spent:.0f} s"
+            say(plain(f"{task.description}: {counted}, about {left:.0f} s left"))
+        else:
+            return
+        self._told = now
 
 
 def steps(progress: Progress):
@@ -152,6 +205,15 @@ def _finite(value):
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def say(markup: str) -> None:
+    """Print a line on standard error. Where nobody can read it, a pipe without a reader or a full disk, the command
+    goes on."""
+    try:
+        err.print(markup)
+    except (OSError, SystemExit):  # rich ends the process where a pipe has no reader
+        err.file = open(os.devnull, "w")  # noqa: SIM115
+
+
 _warned: set[str] = set()
 
 
@@ -159,7 +221,7 @@ def warn(text: str) -> None:
     """Once in a command."""
     if text not in _warned:
         _warned.add(text)
-        err.print(f"[yellow]warning:[/] {plain(text)}")
+        say(f"[yellow]warning:[/] {plain(shortened(text))}")
 
 
 def warn_of_networks() -> None:

@@ -5,16 +5,16 @@ from __future__ import annotations
 import os
 import sys
 
-from gffe_cl.cli.common import err, plain
+from gffe_cl.cli.common import plain, say
 from gffe_cl.cli.interrupts import INTERRUPTED, Interrupts
-from gffe_cl.errors import GffeError
+from gffe_cl.errors import GffeError, shortened
 
 
 def explain(error: BaseException, interrupts: Interrupts) -> int:
     """Print what `error` means to the user; the exit code. What nobody foresaw is raised again."""
     if interrupts.received or isinstance(error, KeyboardInterrupt):
         kept = "; ".join(_notes(error))
-        err.print(plain(f"interrupted: {kept}" if kept else "interrupted"))
+        say(plain(shortened(f"interrupted: {kept}" if kept else "interrupted")))
         return INTERRUPTED
     if isinstance(error, GffeError):
         message = str(error)
@@ -30,7 +30,7 @@ def explain(error: BaseException, interrupts: Interrupts) -> int:
         message = f"{error.format_message()} (see `gffe --help`)"
     else:
         raise error
-    err.print(f"[bold red]error:[/] {plain(message)}")
+    say(f"[bold red]error:[/] {plain(shortened(message))}")
     return 2
 
 

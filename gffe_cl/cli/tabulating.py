@@ -6,11 +6,11 @@ import json
 import shlex
 import sys
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from gffe_cl.cli.common import (
@@ -19,11 +19,12 @@ from gffe_cl.cli.common import (
     SchedulerOption,
     app,
     cluster_at,
-    err,
     out,
     parse_numbers,
     parse_size,
     plain,
+    progress_bars,
+    steps,
     warn,
 )
 from gffe_cl.errors import GffeError
@@ -93,7 +94,7 @@ def evaluate(
     from gffe_cl.evaluation.table.engine import Order
     from gffe_cl.evaluation.table.methods import LATE_WARP
     from gffe_cl.evaluation.table.results import results_of
-    from gffe_cl.evaluation.table.subjects import SceneSubject, parse_subject
+    from gffe_cl.evaluation.table.subjects import SceneSubject
     from gffe_cl.options import Options
     from gffe_cl.scenes import SCENES
 
@@ -105,7 +106,7 @@ def evaluate(
     if Options(upscale=upscale).upscale and late_warp:
         raise GffeError("--upscale and --late-warp exclude each other")
     scenes = parse_size(size), frames, fps, alphas
-    chosen = tuple(parse_subject(text, *scenes, upscale=upscale) for text in subjects or SCENES)
+    chosen, broken = _subjects(subjects or SCENES, *scenes, upscale=upscale)
     words = tuple(methods.split(",")) if methods else None
     output = _folder(output)
     with _filling(output, device, scheduler) as fill:
@@ -115,9 +116,32 @@ def evaluate(
         for turn in TURNS if late_warp and built_in else ():
             turned = tuple(_turned(subject, turn) for subject in built_in)
             late[turn] = fill(f"Late warp, {turn:g}°", Order(turned, LATE_WARP, recompute=fresh))
+    for name, reason in broken.items():
+        filled.drop(name, reason)
     results = results_of(filled, late, shlex.join(["gffe", *sys.argv[1:]]))
     _write(output, results, filled)
     _print(results, budget)
+    if filled.broken:
+        raise GffeError(
+            f"eval: {len(filled.broken)} of the sequences could not be measured: {', '.join(filled.broken)}"
+        )
+
+
+def _subjects(texts, *scenes, upscale: float) -> tuple[tuple[Subject, ...], dict[str, str]]:
+    """The subjects, and why folders among several cannot be opened, by their names."""
+    from gffe_cl.evaluation.table.subjects import parse_subject
+
+    chosen, broken = [], {}
+    for text in texts:
+        try:
+            chosen.append(parse_subject(text, *scenes, upscale=upscale))
+        except GffeError as error:
+            if len(texts) == 1 or not Path(text).is_dir():
+                raise
+            broken[text] = str(error)
+    if not chosen:
+        raise GffeError("; ".join(broken.values()))
+    return tuple(chosen), broken
 
 
 def _check(frames: int, fps: float) -> None:
@@ -158,17 +182,11 @@ def _filling(output: Path, device: str | None, scheduler: str | None):
     """A function that fills a table of cells kept in `output`, with a bar that knows the time left."""
     from gffe_cl.evaluation.table.engine import fill
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    bars = Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=err, disable=not err.is_terminal)
-    with cluster_at(scheduler) as workers, bars:
+    with cluster_at(scheduler) as workers, progress_bars() as bars:
         executor = _executor(workers)
 
         def filled(text: str, order) -> Filled:
-            def on_plan(total: int):
-                task = bars.add_task(text, total=total)
-                return lambda: bars.advance(task)
-
-            return fill(order, output / "cells", device, executor, on_plan)
+            return fill(order, output / "cells", device, executor, partial(steps(bars), text))
 
         yield filled
 

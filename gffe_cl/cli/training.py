@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -21,6 +22,7 @@ from gffe_cl.cli.common import (
     write_json,
 )
 from gffe_cl.errors import GffeError, how_to_install
+from gffe_cl.files import only_process
 
 
 @app.command()
@@ -85,7 +87,9 @@ def train(
     wanted = begun or clips
     processes = Processes()
     try:
-        with progress_bars() as bars:
+        with progress_bars() as bars, ExitStack() as stack:
+            if processes.first and not data_only:
+                stack.enter_context(only_process(folder))
             plan = _Plan(minutes, data_only, begun, lambda text: bars.console.print(text) if processes.first else None)
             task = bars.add_task("clips", total=-(-wanted // processes.count), visible=processes.first)
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from itertools import islice
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
+from gffe_cl.files import made_folder
 from gffe_cl.source import Source
 
 
@@ -19,24 +22,27 @@ def write_frames(folder: Path, source: Source, count: int, alpha: float = 0.5) -
     lines = [f"gffe-raw 1 {source.width} {source.height} {' '.join(map(str, source.render_size))} {source.fps!r}"]
     before = None
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for number, (_, frame, packed) in enumerate(islice(source.frames([alpha], False), count)):
-            name = f"{number:04}"
-            for part in ("color", "depth", "motion"):
-                getattr(packed, part).tofile(folder / f"{name}.{part}")
-            size = (source.width, source.height)
-            shown = frame.display_camera or frame.camera.scaled(
-                *(s / r for s, r in zip(size, source.render_size, strict=True))
-            )
-            cameras = f"{_numbers(frame.camera)} {_numbers(shown)}"
-            lines.append(f"frame {name} {frame.time!r} {int(frame.reset)} {cameras}")
-            interval = 1 / source.fps if before is None or frame.reset else frame.time - before
-            time = frame.time + alpha * interval
-            known = source.cameras_at([time])
-            made = f"{name}_made {time!r}"
-            lines.append(f"make {made} {_numbers(known[0])}" if known else f"predict {made}")
-            before = frame.time
-        (folder / "frames.txt").write_text("\n".join(lines) + "\n", "ascii")
+        with made_folder(folder), TemporaryDirectory(prefix=".gffe-frames-", dir=folder) as name:
+            part = Path(name)
+            for number, (_, frame, packed) in enumerate(islice(source.frames([alpha], False), count)):
+                name = f"{number:04}"
+                for kind in ("color", "depth", "motion"):
+                    getattr(packed, kind).tofile(part / f"{name}.{kind}")
+                size = (source.width, source.height)
+                shown = frame.display_camera or frame.camera.scaled(
+                    *(s / r for s, r in zip(size, source.render_size, strict=True))
+                )
+                cameras = f"{_numbers(frame.camera)} {_numbers(shown)}"
+                lines.append(f"frame {name} {frame.time!r} {int(frame.reset)} {cameras}")
+                interval = 1 / source.fps if before is None or frame.reset else frame.time - before
+                time = frame.time + alpha * interval
+                known = source.cameras_at([time])
+                made = f"{name}_made {time!r}"
+                lines.append(f"make {made} {_numbers(known[0])}" if known else f"predict {made}")
+                before = frame.time
+            (part / "frames.txt").write_text("\n".join(lines) + "\n", "ascii")
+            for path in sorted(part.iterdir()):
+                os.replace(path, folder / path.name)
     except OSError as error:
         raise GffeError(f"{error.filename or folder}: cannot write: {error.strerror or error}") from None
     return len(lines) // 2

@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 from gffe_cl.errors import GffeError
 from gffe_cl.export.recording import record
 from gffe_cl.export.tables import Tables, config
+from gffe_cl.files import made_folder
 from gffe_cl.inference import default_model
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import expand
@@ -35,8 +36,7 @@ def export(folder: Path, device: Device, options: Options) -> list[str]:
     model = (options.scn_model or default_model()) if options.corrects_shading else None
     _require_own(folder)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(prefix=".gffe-export-", dir=folder) as name:
+        with made_folder(folder), TemporaryDirectory(prefix=".gffe-export-", dir=folder) as name:
             part = Path(name)
             (part / KERNELS).mkdir()
             for name, text in texts.items():

@@ -11,6 +11,8 @@ import os
 import sys
 import time
 import warnings
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -20,8 +22,9 @@ import pyopencl as cl
 from gffe_cl.opencl.child import run_child
 from gffe_cl.opencl.runtimes import VENDORS, hide_vendors, only_vendors, vendors
 
-_PROBE_SECONDS = 120
-_LIST_SECONDS = 30  # of one vendor
+_SECONDS = 20.0  # for all drivers together, the broken ones too
+_FIRST_SECONDS = 6.0  # for all in one child; longer means that one of them hangs
+_LIST_SECONDS = 6.0  # for the devices of one vendor
 _RANKING_SECONDS = 0.1  # of repeating the probe kernel: other processes disturb single runs
 _PROBED = "probed"  # last line of a child: what happens after it is no device's fault
 
@@ -54,15 +57,28 @@ class Probed:
 
 def probe() -> Probed:
     """Probe every OpenCL device. A driver that crashes or hangs while its devices are listed is hidden, from this
-    process too."""
-    found, failure = _probe_in_child()
-    if not failure:
-        return Probed(found)
+    process too.
+
+    One child tries all devices, one after the other, so that their figures do not disturb each other. Only if that one
+    fails, vendors and then devices are tried side by side, each in a child of its own.
+    """
+    end = time.monotonic() + _SECONDS
+    output, _ = _run_child([], _FIRST_SECONDS)
+    if _is_whole(output):
+        return Probed(_told(output))
     crashing = _crashing_vendors()
-    if not crashing:  # none does alone
-        return Probed([DeviceInfo("–", "unknown", "all drivers together", "", "", "other", problem=failure)])
-    hide_vendors(set(crashing))
-    return Probed(_probe_in_child()[0], crashing)
+    if crashing:
+        hide_vendors(set(crashing))
+    output, failure = _run_child(["--list"], _LIST_SECONDS)
+    if not _is_whole(output):  # none fails alone
+        unknown = DeviceInfo("–", "unknown", "all drivers together", "", "", "other", problem=failure)
+        return Probed([unknown], crashing)
+    return Probed(_side_by_side(lambda info: _probe_alone(info, end), _told(output)), crashing)
+
+
+def _side_by_side(work: Callable, items: list) -> list:
+    with ThreadPoolExecutor(max(len(items), 1)) as pool:
+        return list(pool.map(work, items))
 
 
 def _cl_devices() -> list[tuple[str, cl.Platform, cl.Device]]:
@@ -80,34 +96,39 @@ def _cl_devices() -> list[tuple[str, cl.Platform, cl.Device]]:
     return found
 
 
-def _probe_in_child() -> tuple[list[DeviceInfo], str]:
-    """Probe in child processes; when one dies, blame the device it was at and go on after it. The devices, and why they
-    could not be listed ("" if they could)."""
-    found: dict[str, DeviceInfo] = {}
-    while True:
-        output, failure = _run_child(sorted(found), _PROBE_SECONDS)
-        current = None
-        for line in output.splitlines():
-            if line.startswith("{"):
-                info = DeviceInfo(**json.loads(line))
-                found[info.index] = info
-                current = None if info.works or info.problem else info
-        if not failure or current is None:
-            failure = "" if _PROBED in output.splitlines() else failure
-            return sorted(found.values(), key=lambda info: info.index), failure
-        current.problem = failure
+def _is_whole(output: str) -> bool:
+    return _PROBED in output.splitlines()
+
+
+def _told(output: str) -> list[DeviceInfo]:
+    """The last that a child told of each device."""
+    found = [DeviceInfo(**json.loads(line)) for line in output.splitlines() if line.startswith("{")]
+    return sorted({info.index: info for info in found}.values(), key=lambda info: info.index)
+
+
+def _probe_alone(info: DeviceInfo, end: float) -> DeviceInfo:
+    """Probe one device in a child of its own, until `end`."""
+    output, failure = _run_child([info.index], max(end - time.monotonic(), 1.0))
+    (found,) = _told(output) or [info]
+    if not found.works:
+        found.problem = found.problem or failure or "driver does not list it again"
+    return found
 
 
 def _crashing_vendors() -> dict[str, DeviceInfo]:
     """The vendors whose devices cannot be listed, by the name of their `.icd` file; each is tried alone."""
+    icds = vendors()
     crashing = {}
-    for icd in vendors():
-        output, failure = _run_child(["--list"], _LIST_SECONDS, {VENDORS: str(only_vendors([icd]))})
-        if _PROBED not in output.splitlines():
+    for icd, (output, failure) in zip(icds, _side_by_side(_list_vendor, icds), strict=True):
+        if not _is_whole(output):
             library = icd.read_text().strip()
             problem = f"{failure} while it is listed: {library} is left out"
             crashing[icd.name] = DeviceInfo("–", Path(library).name, icd.name, "", "", "other", problem=problem)
     return crashing
+
+
+def _list_vendor(icd: Path) -> tuple[str, str]:
+    return _run_child(["--list"], _LIST_SECONDS, {VENDORS: str(only_vendors([icd]))})
 
 
 def _run_child(arguments: list[str], seconds: float, variables: dict[str, str] | None = None) -> tuple[str, str]:
@@ -115,9 +136,9 @@ def _run_child(arguments: list[str], seconds: float, variables: dict[str, str] |
     return run_child("gffe_cl.opencl.probing", arguments, seconds, variables)
 
 
-def _probe(index: str, platform: cl.Platform, device: cl.Device) -> None:
+def _described(index: str, platform: cl.Platform, device: cl.Device) -> DeviceInfo:
     kind = "gpu" if device.type & cl.device_type.GPU else "cpu" if device.type & cl.device_type.CPU else "other"
-    info = DeviceInfo(
+    return DeviceInfo(
         index,
         device.name.strip(),
         platform.name.strip(),
@@ -125,7 +146,9 @@ def _probe(index: str, platform: cl.Platform, device: cl.Device) -> None:
         device.driver_version.strip(),
         kind,
     )
-    print(json.dumps(asdict(info)), flush=True)  # names the culprit should the driver crash now
+
+
+def _probe(info: DeviceInfo, device: cl.Device) -> None:
     try:
         context = cl.Context([device])
         queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
@@ -172,7 +195,7 @@ def _run_probe_kernel(context, queue) -> float:
     a = cl.Buffer(context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=host)
     b = cl.Buffer(context, flags.WRITE_ONLY, 2 * n)
     with quiet_builds():
-        kernel = cl.Kernel(cl.Program(context, _PROBE_SOURCE).build(cache_dir=False), "probe")
+        kernel = cl.Kernel(cl.Program(context, _PROBE_SOURCE).build(options=["-w"], cache_dir=False), "probe")
     times, end = [], time.perf_counter() + _RANKING_SECONDS
     while len(times) < 3 or (len(times) < 20 and time.perf_counter() < end):
         event = kernel(queue, (n,), None, a, b, np.int32(n))
@@ -200,7 +223,7 @@ def try_int64_atomics(context: cl.Context, queue: cl.CommandQueue) -> bool:
 
     try:
         with quiet_builds():
-            kernel = cl.Kernel(cl.Program(context, INT64_SOURCE).build(cache_dir=False), "least")
+            kernel = cl.Kernel(cl.Program(context, INT64_SOURCE).build(options=["-w"], cache_dir=False), "least")
         out = np.full(2, np.iinfo(np.uint64).max, np.uint64)
         buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR, hostbuf=out)
         kernel(queue, (64,), None, buffer)
@@ -230,7 +253,7 @@ def try_exact_division(context: cl.Context, queue: cl.CommandQueue) -> bool:
     flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
     try:
         with quiet_builds():
-            kernel = cl.Kernel(cl.Program(context, DIVISION_SOURCE).build(cache_dir=False), "divide")
+            kernel = cl.Kernel(cl.Program(context, DIVISION_SOURCE).build(options=["-w"], cache_dir=False), "divide")
         one, eight = (cl.Buffer(context, cl.mem_flags.WRITE_ONLY, 4 * 8 * n) for _ in range(2))
         kernel(queue, (n,), None, *(cl.Buffer(context, flags, hostbuf=x) for x in (a, b)), one, eight)
         found = np.empty_like(a), np.empty_like(a)
@@ -242,8 +265,17 @@ def try_exact_division(context: cl.Context, queue: cl.CommandQueue) -> bool:
     return np.array_equal(found[0][:n], expected[:n]) and np.array_equal(found[1], expected)
 
 
-if __name__ == "__main__":
-    for _index, _platform, _device in _cl_devices():
-        if _index not in sys.argv[1:] and "--list" not in sys.argv[1:]:
-            _probe(_index, _platform, _device)
+def _main(wanted: list[str]) -> None:
+    """Print what is found out of the devices of the indices `wanted`, of all without any; after `--list` only what they
+    are."""
+    for index, platform, device in _cl_devices():
+        if not wanted or wanted == ["--list"] or index in wanted:
+            info = _described(index, platform, device)
+            print(json.dumps(asdict(info)), flush=True)
+            if wanted != ["--list"]:
+                _probe(info, device)
     print(_PROBED, flush=True)
+
+
+if __name__ == "__main__":
+    _main(sys.argv[1:])

@@ -207,9 +207,9 @@ def redirect_unwritable_caches() -> None:
     Both fail to build anything otherwise. Does nothing for a variable that the user has set.
     """
     home = platformdirs.user_cache_path()
-    while not home.exists() and home != home.parent:
+    while not os.path.lexists(home) and home != home.parent:
         home = home.parent
-    if not os.access(home, os.W_OK) or str(home).startswith("/proc"):
+    if not home.is_dir() or not os.access(home, os.W_OK) or str(home).startswith("/proc"):
         os.environ.setdefault("POCL_CACHE_DIR", str(cache_folder() / "pocl"))
         os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
 

@@ -14,13 +14,8 @@ import shutil
 from pathlib import Path
 from typing import TextIO
 
-try:
-    import fcntl
-except ImportError:  # not on Windows: no lock there
-    fcntl = None
-
 from gffe_cl.errors import GffeError
-from gffe_cl.files import open_regular
+from gffe_cl.files import lock, open_regular
 from gffe_cl.sequence.description import FILE_NAME, check_file_name
 
 GENERATOR = "gffe-cl"
@@ -41,7 +36,7 @@ def why_unfinished(folder: Path) -> str | None:
     """Where `folder` has no `sequence.json`, because it is still being written or was never finished: a sentence."""
     journal = folder / STAGING / _JOURNAL
     with contextlib.suppress(OSError), open_regular(journal) as file:
-        if not _lock(file, shared=True):
+        if not lock(file, shared=True):
             return f"is still being written, {_writer(journal)} (expected to wait for its end)"
         return f"is unfinished, what wrote it was cut off (expected {FILE_NAME}: write it again)"
     return None
@@ -164,7 +159,7 @@ class OutputFolder:
                 file = open(journal, "a+", encoding="utf-8", errors="replace")  # noqa: SIM115
             except FileNotFoundError:
                 continue
-            if not _lock(file):
+            if not lock(file):
                 file.close()
                 raise GffeError(f"{self.path}: another run is writing into it, {_writer(journal)} (expected its end)")
             with contextlib.suppress(FileNotFoundError):
@@ -260,19 +255,6 @@ class OutputFolder:
 
 def _folder_of(path) -> Path:
     return Path(path).parent if Path(path).name == FILE_NAME else Path(path)
-
-
-def _lock(file, shared: bool = False) -> bool:
-    """Whether nobody else holds the lock of this file, which then is ours until it is closed. File systems without
-    locks never say no."""
-    if fcntl is not None:
-        try:
-            fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return False
-        except OSError:
-            return True
-    return True
 
 
 def _writer(journal: Path) -> str:

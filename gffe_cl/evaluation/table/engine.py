@@ -13,7 +13,8 @@ from gffe_cl.evaluation.table.methods import Method, chosen_methods
 from gffe_cl.evaluation.table.subjects import Subject
 
 # (work items, arguments of `compute_cell` beside) → the items with their cells, as they come.
-Executor = Callable[[list["Work"], dict], Iterator[tuple["Work", Cell]]]
+# A GffeError in place of a cell: the sequence cannot be measured.
+Executor = Callable[[list["Work"], dict], Iterator[tuple["Work", Cell | GffeError]]]
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,8 @@ class Work:
 @dataclass
 class Filled:
     """The table: cells by (name of the sequence, name of the method), what describes each sequence, and why the others
-    are missing; `computed`: how many cells were not there before."""
+    are missing; `broken`: why, of sequences that cannot be measured at all, by their names; `computed`: how many cells
+    were not there before."""
 
     methods: dict[str, Method]
     subjects: list[Subject]
@@ -36,7 +38,17 @@ class Filled:
     cells: dict[tuple[str, str], Cell] = field(default_factory=dict)
     described: dict[str, Cell] = field(default_factory=dict)
     skipped: dict[tuple[str, str], str] = field(default_factory=dict)
+    broken: dict[str, str] = field(default_factory=dict)
     computed: int = 0
+
+    def drop(self, name: str, reason: str) -> None:
+        """Leave out a sequence that cannot be measured."""
+        self.broken.setdefault(name, reason)
+        self.subjects = [subject for subject in self.subjects if subject.name != name]
+        self.described.pop(name, None)
+        for table in (self.cells, self.skipped):
+            for key in [key for key in table if key[0] == name]:
+                del table[key]
 
 
 @dataclass(frozen=True)
@@ -59,7 +71,8 @@ def fill(
     on_plan: Callable[[int], Callable[[], None]] = lambda total: lambda: None,
 ) -> Filled:
     """Fill the table; cells are kept in `folder`. `on_plan` takes the number of moments to come and returns what is
-    called after each of them. Cells that were finished stay whatever ends it. Raises GffeError."""
+    called after each of them. Finished cells stay whatever ends it; a sequence with faults is left out. Raises
+    GffeError if all have some."""
     names = [subject.name for subject in order.subjects]
     if len(set(names)) < len(names):
         raise GffeError(f"eval: two sequences have one name, {next(n for n in names if names.count(n) > 1)}")
@@ -67,7 +80,11 @@ def fill(
     filled = Filled(methods, list(order.subjects), _machine(device, executor))
     cache, missing = Cache(folder), []
     for subject in order.subjects:
-        identity = subject.identity()
+        try:
+            identity = subject.identity()
+        except OSError as error:
+            filled.drop(subject.name, f"{error.filename}: {error.strerror or error}")
+            continue
         for name in (None, *methods):
             method = methods[name] if name else None
             if method and (reason := method.missing(subject)):
@@ -83,9 +100,15 @@ def fill(
     arguments = {"onnx": order.onnx, "videos": order.videos, "device": device}
     compute = executor or _in_this_process
     for work, cell in compute(missing, arguments | {"on_moment": advance}):
+        if isinstance(cell, GffeError):
+            filled.drop(work.subject.name, str(cell))
+            continue
         cache.write(work.key, cell)
         filled.computed += 1
-        _take(filled, work, cell, cache)
+        if work.subject.name not in filled.broken:
+            _take(filled, work, cell, cache)
+    if filled.broken and not filled.subjects:
+        raise GffeError("; ".join(f"{name}: {reason}" for name, reason in filled.broken.items()))
     return filled
 
 
@@ -99,9 +122,16 @@ def _machine(device: str | None, executor: Executor | None) -> str:
         return "a cluster"
 
 
-def _in_this_process(items: list[Work], arguments: dict) -> Iterator[tuple[Work, Cell]]:
+def _in_this_process(items: list[Work], arguments: dict) -> Iterator[tuple[Work, Cell | GffeError]]:
+    broken = set()
     for work in items:
-        yield work, compute_cell(work.subject, work.method, **arguments)
+        if work.subject.name in broken:
+            continue
+        try:
+            yield work, compute_cell(work.subject, work.method, **arguments)
+        except GffeError as error:
+            broken.add(work.subject.name)
+            yield work, error
 
 
 def _tried(cell: Cell) -> set[str]:

@@ -224,6 +224,7 @@ def _skipped(filled: Filled) -> list[dict]:
         for name, reason in cell.document["skipped"].items():
             label = VIDEO_METRICS[name].label
             reasons.setdefault((label, reason.removeprefix(f"{label} ")), [])
+    reasons |= {(name, reason): [] for name, reason in filled.broken.items()}
     return [{"what": what, "reason": reason, "sequences": where} for (what, reason), where in reasons.items()]
 
 
