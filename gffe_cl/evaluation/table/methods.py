@@ -48,8 +48,8 @@ class Method:
     Attributes
     ----------
     name, title : on the command line and in JSON; for people
-    group : "gffe", "ablation", "deviation" (a deviation from the paper, switched to the paper's way), "filling" (of holes,
-        with more or fewer levels of background), "window", "upscaling" (done otherwise) or "baseline"
+    group : "gffe", "ablation", "deviation" (a deviation from the paper, switched to the paper's way), "filling"
+        (of holes, with more or fewer levels of background), "window", "upscaling" (done otherwise) or "baseline"
     options : of the pipeline, if it is one
     window : what rendered frames it sees, as of `Footage.shots`
     camera : False: the pipeline predicts the camera of the new frame
