@@ -17,9 +17,8 @@ from pathlib import Path
 import numpy as np
 from measure_deviations import FOR_SITUATIONS, NO_NETWORK, PAPER, kernels_with
 from scipy.ndimage import uniform_filter
-from situation_regions import region_of_situation
+from situation_regions import region_of_situation, submitted_frames
 
-from gffe_cl.evaluation.methods import submitted_frames
 from gffe_cl.evaluation.report import contact_sheet
 from gffe_cl.metrics import display_values
 from gffe_cl.opencl.device import Device, open_device
@@ -110,7 +109,7 @@ def chosen_part(
     for pipeline in pipelines.values():
         pipeline.exposure = scene.exposure
     best, chosen = -np.inf, None
-    for k, frame, time in submitted_frames(frames, pipelines.values(), SEARCHED, FPS, alpha, lambda: None):
+    for k, frame, time in submitted_frames(frames, pipelines.values(), SEARCHED, FPS, alpha):
         if time is None:
             continue
         camera = frames.display_camera(time) if camera_known else None
@@ -140,7 +139,7 @@ def picture(device: Device, limit: Limit):
     pipeline = Pipeline(device, *SIZE, Options(), fps=FPS)
     pipeline.exposure = scene.exposure
     rows, columns = (slice(start, start + n) for start, n in zip((limit.y, limit.x), PART[::-1], strict=True))
-    for k, frame, time in submitted_frames(frames, [pipeline], limit.frame + 1, FPS, ALPHA, lambda: None):
+    for k, frame, time in submitted_frames(frames, [pipeline], limit.frame + 1, FPS, ALPHA):
         if k == limit.frame and time is not None:
             camera = frames.display_camera(time)
             made, truth = pipeline.extrapolate(camera, time).numpy("color"), frames.truth(time).read("color")

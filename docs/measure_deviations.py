@@ -23,9 +23,8 @@ from pathlib import Path
 
 import numpy as np
 from make_tables import between_markers
-from situation_regions import region_of_situation
+from situation_regions import region_of_situation, submitted_frames
 
-from gffe_cl.evaluation.methods import submitted_frames
 from gffe_cl.frame import RenderedFrame
 from gffe_cl.metrics import display_values
 from gffe_cl.opencl.device import Device, open_device
@@ -229,7 +228,7 @@ def shown_frames(
             pipelines[name] = Pipeline(device, *setting.size, replace(options, **change.options), fps=FPS)
         pipelines[name].exposure = scene.exposure
     takers = [_Rounding(pipeline, round_to) for pipeline in pipelines.values()]
-    for _, frame, measured in submitted_frames(frames, takers, setting.frames, FPS, ALPHA, lambda: None):
+    for _, frame, measured in submitted_frames(frames, takers, setting.frames, FPS, ALPHA):
         for alpha in alphas if measured is not None else ():
             time = frame.time + alpha / FPS
             camera = frames.display_camera(time)

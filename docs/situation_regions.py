@@ -1,12 +1,17 @@
-"""The region of a situation in which what it holds is seen, exactly, from the renderer: for docs/measure_deviations.py
-and docs/make_limits.py."""
+"""For docs/measure_deviations.py and docs/make_limits.py: frames of scenes, and the region of a situation in which what
+it holds is seen, exactly, from the renderer."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from scipy.ndimage import binary_dilation
 
+from gffe_cl.evaluation.compare import NO_HISTORY
+from gffe_cl.frame import RenderedFrame, pack_frame
 from gffe_cl.metrics import display_values
+from gffe_cl.pipeline import Pipeline
 from gffe_cl.scenes import SceneFrames
 
 BESIDE = 2  # pixels round what moves that are its silhouettes
@@ -31,3 +36,16 @@ def region_of_situation(kind: str, frames: SceneFrames, known: tuple[float, ...]
         change = np.abs(display_values(was.read("color"), frames.scene.exposure) - now).mean(-1)
         found |= (change > CHANGED) & ~binary_dilation(moves[was.read("object_id")], iterations=BESIDE)
     return found & ~movers
+
+
+def submitted_frames(
+    scene_frames: SceneFrames, pipelines: Iterable[Pipeline], frames: int, fps: float, alpha: float
+) -> Iterator[tuple[int, RenderedFrame, float | None]]:
+    """Render a scene's frames and submit each to all pipelines. Yields the number of the frame, the frame, and the time
+    t + α to measure at, None for frames with too little history."""
+    pipelines = list(pipelines)
+    for k, frame in enumerate(scene_frames.sequence(frames, fps)):
+        packed = pack_frame(frame, *np.shape(frame.depth))
+        for pipeline in pipelines:
+            pipeline.submit(frame, packed)
+        yield k, frame, frame.time + alpha / fps if k >= NO_HISTORY else None

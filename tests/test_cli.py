@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import OpenEXR
@@ -261,20 +262,17 @@ def test_wrong_options_of_shading_correction(gffe, scene, tmp_path):
         code, _, err = gffe("run", scene, tmp_path / "out", *options)
         assert code == 2 and expected in err and len(err.strip().splitlines()) == 1, err
         assert not (tmp_path / "out").exists()
-    code, _, err = gffe("study", "room", "--sheet", tmp_path / "s.png")
-    assert code == 2 and "--sheet goes with --shading" in err
 
 
-def test_study_of_shading(gffe, tmp_path):
+def test_study_is_a_part_of_eval(gffe, tmp_path, monkeypatch):
+    """The older name says which command does the same, and does it: here with a network that only blurs."""
+    monkeypatch.chdir(tmp_path)
     model = constant_model(tmp_path / "m.onnx", keep=0.0, mask=0.2)
     options = ("--seeds", 1, "--size", "96x54", "--frames", 5, "--scn-model", model)
-    report, sheet = tmp_path / "s.json", tmp_path / "s.png"
-    code, text, _ = gffe("study", "room", "--shading", *options, "--json", report, "--sheet", sheet)
-    assert code == 0 and "focus pixels" in text and sheet.stat().st_size > 1000
-    (result,) = json.loads(report.read_text())["results"]
-    whole = {method: regions["whole"] for method, regions in result["methods"].items()}
-    assert result["corrected"] == 1 and whole["GAE"]["share"] == 1
-    assert whole["GAE"]["psnr"] > whole["final"]["psnr"] > whole["no focus mask"]["psnr"]  # it only blurs
+    code, text, err = gffe("study", "room", "--shading", *options)
+    assert code == 0 and "focus" in text and "gffe eval room --seeds 1 --size 96x54" in err
+    means = {mean["method"]: mean["psnr"] for mean in json.loads(Path("report/results.json").read_text())["means"]}
+    assert means["no-scn"] > means["gffe"] > means["no-focus-mask"]
     code, _, err = gffe("study", "room", "--shading", "--windows")
     assert code == 2 and "exclude each other" in err
 
@@ -419,20 +417,19 @@ def test_a_window_that_is_none(gffe, tmp_path, arguments):
 
 
 @pytest.mark.long
-def test_study_of_windows(gffe, tmp_path):
-    """Off leaves holes beside a turning camera, adaptive none while it turns steadily, with smaller texels than the
-    fixed window that covers as much."""
-    report = tmp_path / "w.json"
-    options = ("--windows", "--seeds", 1, "--size", "96x54", "--frames", 8, "--json", report)
-    assert gffe("study", "forest", *options)[0] == 0
-    (result,) = json.loads(report.read_text())["results"]
-    steady = result["steady"]
-    assert steady["off"]["holes"] > 0.03 and steady["adaptive"]["holes"] < 0.002
-    assert result["reversing"]["adaptive"]["holes"] > 0.01  # no prediction foresees it
-    assert 1 < steady["adaptive"]["texel"] < steady["fixed:1.2"]["texel"]
-    assert steady["adaptive"]["interior"] > steady["fixed:1.2"]["interior"]
-    code, _, err = gffe("study", "forest", "--windows", "--disocclusions")
-    assert code == 2 and "exclude each other" in err
+def test_windows_for_a_camera_that_turns(gffe, tmp_path):
+    """Windows show what comes into view, the adaptive one at less cost in sharpness than a fixed one that covers as
+    much; more and smaller pixels cost none."""
+    options = ("--methods", "window", "--turn-rate", 150, "--size", "96x54", "--frames", 8, "--out", tmp_path)
+    assert gffe("eval", "forest", *options)[0] == 0
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert results["sequences"][0]["shares"]["out of screen"] > 0.03
+    means = {mean["method"].removeprefix("window-"): mean for mean in results["means"]}
+    outside, rest = ({name: m["regions"][r]["psnr"] for name, m in means.items()} for r in ("out of screen", "rest"))
+    assert outside["adaptive"] > outside["off"] + 3 and outside["wide"] > outside["off"] + 3
+    assert rest["adaptive"] > rest["1.2"] > rest["1.4"]
+    shown = {name: mean["rendered_psnr"] for name, mean in means.items()}
+    assert shown["off"] is None and shown["dense"] > shown["adaptive"] > shown["1.4"]
 
 
 def test_version(gffe):
@@ -804,13 +801,14 @@ def test_no_arguments_show_help(gffe):
     assert code == 0 and "Commands" in text and not err
 
 
-def test_study(gffe, tmp_path):
-    sizes = ("--size", "48x27", "--frames", 5, "--seeds", 1)
-    assert gffe("study", "room", *sizes, "--json", tmp_path / "s.json")[0] == 0
-    result = json.loads((tmp_path / "s.json").read_text())["results"][0]
-    assert result["visible"]["gae"] > result["visible"]["repeat"]
-    assert gffe("study", "room", *sizes, "--disocclusions", "--json", tmp_path / "d.json")[0] == 0
-    assert set(json.loads((tmp_path / "d.json").read_text())) == {"room", "all"}
+def test_eval_with_an_oracle_and_other_fillings(gffe, tmp_path):
+    """Who knows where fragments go is best; the paper's filling leaves the worst disocclusions."""
+    options = ("--size", "96x54", "--frames", 5, "--seeds", 2, "--out", tmp_path)
+    assert gffe("eval", "corridor", *options, "--methods", "repeat,true-motion,downsample-0,far-side-2")[0] == 0
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert [sequence["name"] for sequence in results["sequences"]] == ["corridor:0", "corridor:1"]
+    psnr = {mean["method"]: mean["psnr"] for mean in results["means"]}
+    assert psnr["true-motion"] > psnr["far-side-2"] > psnr["downsample-0"] > psnr["repeat"]
 
 
 def test_a_metric_is_described_once(gffe, scene, tmp_path, monkeypatch):

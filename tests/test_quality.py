@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from gffe_cl import inference
-from gffe_cl.evaluation.methods import submitted_frames
+from gffe_cl.evaluation.table.subjects import SceneSubject, open_subject
 from gffe_cl.metrics import display_values, focus_mask
 from gffe_cl.options import Options
 from gffe_cl.pipeline import Pipeline
-from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
+from gffe_cl.scenes import SCENES
 
 WIDTH, HEIGHT, FRAMES, FPS = 320, 180, 7, 30.0
 
@@ -17,18 +17,16 @@ WIDTH, HEIGHT, FRAMES, FPS = 320, 180, 7, 30.0
 def extrapolated(device, name, seed, options):
     """(GAE, final, truth, focus mask) half an interval after each rendered frame that has enough history; colours
     (H, W, 3) as displayed."""
-    scene = load_scene(name, seed)
-    scene_frames = SceneFrames(SceneRenderer(device, scene, WIDTH, HEIGHT))
+    footage = open_subject(SceneSubject(name, seed, WIDTH, HEIGHT, FRAMES, FPS, (0.5,)), device)
     pipeline = Pipeline(device, WIDTH, HEIGHT, options, fps=FPS)
-    pipeline.exposure = scene.exposure
-    for _, _, time in submitted_frames(scene_frames, [pipeline], FRAMES, FPS, 0.5, lambda: None):
-        if time is None:
-            continue
-        made = pipeline.extrapolate(scene_frames.display_camera(time), time)
-        truth = scene_frames.truth(time).read("color")
-        focus = focus_mask(made.numpy("gae"), truth, made.numpy("dynamic"), scene.exposure)
-        gae, final = (display_values(made.numpy(buffer), scene.exposure) for buffer in ("gae", "color"))
-        yield gae, final, display_values(truth, scene.exposure), focus
+    pipeline.exposure = footage.exposure
+    for shot in footage.shots():
+        pipeline.submit(shot.frame)
+        for moment in shot.moments:
+            made = pipeline.extrapolate(moment.camera, moment.time)
+            focus = focus_mask(made.numpy("gae"), moment.truth, made.numpy("dynamic"), footage.exposure)
+            gae, final = (display_values(made.numpy(buffer), footage.exposure) for buffer in ("gae", "color"))
+            yield gae, final, display_values(moment.truth, footage.exposure), focus
 
 
 def psnr(pairs):

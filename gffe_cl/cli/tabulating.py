@@ -1,4 +1,4 @@
-"""The command that fills the table of methods and sequences: eval."""
+"""The command that fills the table of methods and sequences: eval; and study, its older name for parts of that."""
 
 from __future__ import annotations
 
@@ -49,18 +49,24 @@ def evaluate(
             " ground truth [dim](default: the eight scenes)[/].",
         ),
     ] = None,
+    seeds: Annotated[
+        int, typer.Option(help="Of built-in scenes without a seed of their own: seeds 0 … N−1 of each.")
+    ] = 1,
     output: Annotated[Path, typer.Option("--out", help="Folder for the report and the finished cells.")] = Path(
         "report"
     ),
     methods: Annotated[
         str | None,
         typer.Option(
-            help="Methods or groups of them, separated by commas: gffe, ablation, deviation, baseline, …"
-            " [dim](default: all)[/]."
+            help="Methods or groups of them, separated by commas: gffe, ablation, deviation, baseline, filling,"
+            " window, upscaling, … [dim](default: all but the last three groups)[/]."
         ),
     ] = None,
     onnx: Annotated[
         list[str] | None, typer.Option(help="NAME=FILE: a network as one more method; may be given several times.")
+    ] = None,
+    scn_model: Annotated[
+        Path | None, typer.Option(help="Shading correction network (ONNX) to measure in place of the package's own.")
     ] = None,
     metrics: Annotated[
         str | None,
@@ -79,6 +85,16 @@ def evaluate(
             " upscaling; beside it the group 'upscaling'."
         ),
     ] = 0.0,
+    turn_rate: Annotated[
+        float,
+        typer.Option(
+            help="Degrees per second by which the camera of built-in scenes turns, and back: what windows are for"
+            " [dim](0 to 1000; default: 0, the scene's own camera)[/]."
+        ),
+    ] = 0.0,
+    regions: Annotated[
+        bool, typer.Option("--regions", help="Print the PSNR of every method in every region of the picture.")
+    ] = False,
     budget: Annotated[
         bool, typer.Option("--budget", help="Print where the error is, and what each region would gain if perfect.")
     ] = False,
@@ -98,7 +114,7 @@ def evaluate(
     from gffe_cl.options import Options
     from gffe_cl.scenes import SCENES
 
-    _check(frames, fps)
+    _check(frames, fps, seeds, turn_rate)
     videos = _videos(metrics)
     alphas = tuple(parse_numbers(alpha, "--alpha"))
     if not alphas or len(set(alphas)) < len(alphas) or not all(0 < a <= 8 for a in alphas):
@@ -106,35 +122,36 @@ def evaluate(
     if Options(upscale=upscale).upscale and late_warp:
         raise GffeError("--upscale and --late-warp exclude each other")
     scenes = parse_size(size), frames, fps, alphas
-    chosen, broken = _subjects(subjects or SCENES, *scenes, upscale=upscale)
+    named = [name for text in subjects or SCENES for name in _seeded(text, seeds)]
+    chosen, broken = _subjects(named, *scenes, upscale=upscale, turn_rate=turn_rate)
     words = tuple(methods.split(",")) if methods else None
     output = _folder(output)
     with _filling(output, device, scheduler) as fill:
-        filled = fill("Measuring", Order(chosen, words, tuple(onnx or ()), videos, fresh))
+        filled = fill("Measuring", Order(chosen, words, tuple(onnx or ()), videos, fresh, scn_model))
         built_in = [s for s in chosen if isinstance(s, SceneSubject)]
         late = {}
         for turn in TURNS if late_warp and built_in else ():
             turned = tuple(_turned(subject, turn) for subject in built_in)
-            late[turn] = fill(f"Late warp, {turn:g}°", Order(turned, LATE_WARP, recompute=fresh))
+            late[turn] = fill(f"Late warp, {turn:g}°", Order(turned, LATE_WARP, recompute=fresh, scn_model=scn_model))
     for name, reason in broken.items():
         filled.drop(name, reason)
     results = results_of(filled, late, shlex.join(["gffe", *sys.argv[1:]]))
     _write(output, results, filled)
-    _print(results, budget)
+    _print(results, budget, regions)
     if filled.broken:
         raise GffeError(
             f"eval: {len(filled.broken)} of the sequences could not be measured: {', '.join(filled.broken)}"
         )
 
 
-def _subjects(texts, *scenes, upscale: float) -> tuple[tuple[Subject, ...], dict[str, str]]:
+def _subjects(texts, *scenes, **more: float) -> tuple[tuple[Subject, ...], dict[str, str]]:
     """The subjects, and why folders among several cannot be opened, by their names."""
     from gffe_cl.evaluation.table.subjects import parse_subject
 
     chosen, broken = [], {}
     for text in texts:
         try:
-            chosen.append(parse_subject(text, *scenes, upscale=upscale))
+            chosen.append(parse_subject(text, *scenes, **more))
         except GffeError as error:
             if len(texts) == 1 or not Path(text).is_dir():
                 raise
@@ -144,9 +161,50 @@ def _subjects(texts, *scenes, upscale: float) -> tuple[tuple[Subject, ...], dict
     return tuple(chosen), broken
 
 
-def _check(frames: int, fps: float) -> None:
+@app.command(hidden=True)
+def study(
+    scenes: Annotated[list[str] | None, typer.Argument(help="Built-in scenes and situations.")] = None,
+    seeds: Annotated[int, typer.Option(help="Seeds 0 … N−1 of each.")] = 3,
+    size: Annotated[str, typer.Option(help="Width × height, pixels.")] = "480x270",
+    frames: Annotated[int, typer.Option(help="Rendered frames per scene and seed.")] = 10,
+    alpha: Annotated[float, typer.Option(help="Time of the extrapolated frames, in intervals.")] = 0.5,
+    fps: Annotated[float, typer.Option(help="Rendered frames per second.")] = 30.0,
+    disocclusions: Annotated[bool, typer.Option("--disocclusions", help="Compare ways to fill disocclusions.")] = False,
+    windows: Annotated[bool, typer.Option("--windows", help="Compare rendering windows.")] = False,
+    shading: Annotated[bool, typer.Option("--shading", help="Measure shading correction.")] = False,
+    scn_model: Annotated[Path | None, typer.Option(help="Shading correction network (ONNX).")] = None,
+    rate: Annotated[float, typer.Option(help="With --windows: degrees per second.")] = 150.0,
+    device: DeviceOption = None,
+) -> None:
+    """Older name of parts of `gffe eval`: prints the command that does the same, and runs it."""
+    if disocclusions + windows + shading > 1:
+        raise GffeError("study: --disocclusions, --windows and --shading exclude each other")
+    methods = (
+        "filling" if disocclusions else "window" if windows else "no-scn,gffe,no-focus-mask" if shading
+        else "repeat,papers-way,no-scn,true-motion"
+    )  # fmt: skip
+    given = {
+        "seeds": seeds, "size": size, "frames": frames, "alpha": f"{alpha:g}", "fps": fps, "methods": methods,
+        "turn_rate": rate if windows else 0.0, "scn_model": scn_model, "device": device, "regions": True,
+    }  # fmt: skip
+    flags = ((f"--{name.replace('_', '-')}", value) for name, value in given.items() if value)
+    words = [word for flag, value in flags for word in ((flag,) if value is True else (flag, str(value)))]
+    warn(f"`gffe study` is now: {shlex.join(['gffe', 'eval', *(scenes or ()), *words])}")
+    evaluate(scenes, **given)
+
+
+def _seeded(text: str, seeds: int) -> list[str]:
+    """A built-in scene's name with each seed in turn; anything else as it is."""
+    from gffe_cl.scenes import is_scene
+
+    return [f"{text}:{seed}" for seed in range(seeds)] if seeds > 1 and is_scene(text) else [text]
+
+
+def _check(frames: int, fps: float, seeds: int, turn_rate: float) -> None:
     if not (4 <= frames <= 10_000 and 0 < fps <= 1e6):
         raise GffeError(f"eval: --frames must be 4 to 10000 and --fps positive, got {frames} and {fps:g}")
+    if not (1 <= seeds <= 10_000 and 0 <= turn_rate <= 1000):
+        raise GffeError(f"eval: --seeds must be 1 to 10000 and --turn-rate 0 to 1000, got {seeds} and {turn_rate:g}")
 
 
 def _turned(subject: Subject, turn: float) -> Subject:
@@ -216,7 +274,7 @@ def _write(output: Path, results: dict, filled: Filled) -> None:
     out.print(f"{plain(output / 'index.html')}, results.json, results.csv")
 
 
-def _print(results: dict, with_budget: bool) -> None:
+def _print(results: dict, with_budget: bool, with_regions: bool) -> None:
     from gffe_cl.evaluation.table.results import columns_of
 
     columns = columns_of(results)
@@ -235,6 +293,8 @@ def _print(results: dict, with_budget: bool) -> None:
     out.print(table)
     count = len(results["sequences"])
     out.print(f"Means over {count} sequence{'s' if count > 1 else ''}. Flicker: `gffe_cl.evaluation.table.flicker`.")
+    if with_regions:
+        _print_regions(results)
     _print_gains(results)
     if results["late"]:
         _print_late(results["late"])
@@ -243,6 +303,19 @@ def _print(results: dict, with_budget: bool) -> None:
     for skip in results["skipped"]:
         where = f" ({', '.join(skip['sequences'])})" if skip["sequences"] else ""
         warn(f"left out: {skip['what']}{where}: {skip['reason']}")
+
+
+def _print_regions(results: dict) -> None:
+    """PSNR by method and region, of all sequences together."""
+    from gffe_cl.metrics import METRICS
+
+    regions, shares = list(results["regions"]), [sequence["shares"] for sequence in results["sequences"]]
+    heads = (f"{region} ({sum(share[region] for share in shares) / len(shares):.2%})" for region in regions)
+    table = Table("PSNR, dB, by region (share of the pixels)", *heads, box=None, header_style="bold")
+    for mean in results["means"]:
+        values = (mean["regions"][region]["psnr"] for region in regions)
+        table.add_row(mean["method"], *("–" if value is None else METRICS["psnr"].text(value) for value in values))
+    out.print(table)
 
 
 def _print_gains(results: dict) -> None:

@@ -6,10 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gffe_cl.evaluation.disocclusions import shows, world_positions
 from gffe_cl.evaluation.table.flicker import Flicker
 from gffe_cl.evaluation.table.regions import REGIONS as _TABLE
-from gffe_cl.evaluation.table.regions import steps
+from gffe_cl.evaluation.table.regions import shows, steps, world_positions
 from gffe_cl.metrics import METRICS, display_values, focus_mask, squared_error
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.messages import Result

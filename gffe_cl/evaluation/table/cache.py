@@ -18,7 +18,8 @@ from gffe_cl.opencl.program import kernel_folder
 _VERSION = 1
 # What has no part in the figures, or only carries them.
 _ELSEWHERE = ("cli", "viewer", "scn", "cluster.py", "demo.py", "run.py", "render.py", "__main__.py")
-_MEASURING = ("subjects", "regions", "methods", "baselines", "image_space", "network", "flicker", "videos", "cells")
+_MEASURING = ("subjects", "regions", "methods", "baselines", "image_space", "network", "flicker", "videos", "cells",
+              "pipelines", "windows")  # fmt: skip
 
 
 class Cache:
@@ -80,7 +81,7 @@ def sources() -> str:
     root, total = Path(str(files("gffe_cl"))), hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
         place = path.relative_to(root)
-        measuring = path.stem in (*_MEASURING, "disocclusions") if "evaluation" in place.parts else True
+        measuring = path.stem in _MEASURING if "evaluation" in place.parts else True
         if measuring and not set(place.parts) & set(_ELSEWHERE):
             total.update(f"{place.as_posix()}\0{_code(path.read_text('utf-8'))}\0".encode())
     return total.hexdigest()

@@ -9,13 +9,14 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
 from gffe_cl.evaluation.bench import Copier
 from gffe_cl.evaluation.report import error_image, to_image
 from gffe_cl.evaluation.table.flicker import Flicker
-from gffe_cl.evaluation.table.methods import Method, chosen_methods
+from gffe_cl.evaluation.table.methods import GIVEN, Method, chosen_methods
 from gffe_cl.evaluation.table.pipelines import PipelineRunner
 from gffe_cl.evaluation.table.regions import REGIONS, find_labels, masks
 from gffe_cl.evaluation.table.subjects import Footage, Moment, Shot, Subject, open_subject
@@ -75,6 +76,7 @@ def compute_cell(
     onnx: tuple[str, ...] = (),
     videos: tuple[str, ...] = (),
     device: str | None = None,
+    scn_model: Path | None = None,
     on_moment: Callable[[], None] = lambda: None,
 ) -> Cell:
     """The cell of the method of that name; None: what is the same for all methods. In any process: it opens its own
@@ -82,7 +84,7 @@ def compute_cell(
     footage = _footage(subject, device)
     if method is None:
         return _describe(footage)
-    chosen = chosen_methods([method], onnx)[method]
+    chosen = chosen_methods([method], onnx, scn_model=scn_model)[method]
     return _measure(footage, chosen, device, videos, on_moment)
 
 
@@ -137,7 +139,7 @@ def _measure(
             flicker.add(*pair)
             if videos:
                 shown_all.append((*pair, False))
-            if footage.upscale:
+            if footage.upscale or method.window not in (GIVEN, "off"):
                 upscaled.append({"rendered_psnr": psnr(*pair), "rendered_ssim": ssim(*pair)})
         for moment in shot.moments:
             _finish(runner)

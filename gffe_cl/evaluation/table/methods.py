@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -20,6 +20,7 @@ from gffe_cl.evaluation.table.pipelines import (
     RenderedUpscaled,
     Resampled,
     TrueGeometry,
+    TrueMotion,
     UpscaledFirst,
 )
 from gffe_cl.evaluation.table.subjects import Footage, Moment, Shot, Subject
@@ -47,8 +48,8 @@ class Method:
     Attributes
     ----------
     name, title : on the command line and in JSON; for people
-    group : "gffe", "ablation", "deviation" (a deviation from the paper, switched to the paper's way), "upscaling" (done
-        otherwise) or "baseline"
+    group : "gffe", "ablation", "deviation" (a deviation from the paper, switched to the paper's way), "filling"
+        (of holes, with more or fewer levels of background), "window", "upscaling" (done otherwise) or "baseline"
     options : of the pipeline, if it is one
     window : what rendered frames it sees, as of `Footage.shots`
     camera : False: the pipeline predicts the camera of the new frame
@@ -114,6 +115,16 @@ def _upscaling(name: str, title: str, pipelines: type[PipelineRunner], *needs: s
     return Method(name, title, "upscaling", Options(), GIVEN, needs=frozenset({"upscale", *needs}), pipelines=pipelines)
 
 
+def _filling(hole_filling: str, levels: int) -> Method:
+    title = f"{hole_filling} holes, {levels} level{'s' * (levels != 1)} of background"
+    options = {"hole_filling": hole_filling, "levels": levels, "shading_correction": False}
+    return _gffe(f"{hole_filling}-{levels}", title, "filling", **options)
+
+
+def _window(name: str, title: str, mode: str) -> Method:
+    return _gffe(f"window-{name}", title, "window", mode, shading_correction=False)
+
+
 _PAPERS_WAY = {
     "crack_closing": False,
     "blocks": False,
@@ -147,6 +158,22 @@ _ALL = (
     _upscaling("rendered-upscaled", "rendered frames upscaled, new ones as extrapolated", RenderedUpscaled),
     _upscaling("upscaled-first", "new frames extrapolated from upscaled ones", UpscaledFirst),
     _upscaling("true-geometry", "upscaling fed by true depth and motion of new frames", TrueGeometry, "guide"),
+    *(_filling("downsample", levels) for levels in range(4)),
+    *(_filling("push-pull", levels) for levels in (0, 2)),
+    *(_filling("far-side", levels) for levels in range(4)),
+    _window("off", "no rendering window", "off"),
+    *(_window(f, f"fixed rendering window, {f} times", f"fixed:{f}") for f in ("1.1", "1.2", "1.4")),
+    _window("adaptive", "adaptive rendering window", "adaptive"),
+    _window("dense", "adaptive rendering window, pixels as small as the display's", "adaptive, dense"),
+    _window("wide", "half more of the view on every side, pixels as small as the display's", "wide"),
+    Method(
+        "true-motion",
+        "every fragment where it truly is (oracle), no shading correction",
+        "baseline",
+        Options(shading_correction=False),
+        needs=frozenset({"guide"}),
+        pipelines=TrueMotion,
+    ),
     Method("repeat", "repeat the last frame", "baseline", make=lambda footage: baselines.Repeat()),
     _gffe(
         "static-reprojection",
@@ -196,6 +223,7 @@ _ALL = (
 )
 METHODS: dict[str, Method] = {method.name: method for method in _ALL}
 GROUPS = tuple(dict.fromkeys(method.group for method in _ALL))
+_ON_REQUEST = ("filling", "window", "upscaling")  # groups: in the table only if they are named
 LATE_WARP = (FULL, "static-reprojection", "repeat")
 
 
@@ -240,9 +268,12 @@ def onnx_method(name: str, path: str | Path) -> Method:
     )  # fmt: skip
 
 
-def chosen_methods(words: Iterable[str] | None, onnx: Iterable[str] = (), upscale: bool = False) -> dict[str, Method]:
+def chosen_methods(
+    words: Iterable[str] | None, onnx: Iterable[str] = (), upscale: bool = False, scn_model: Path | None = None
+) -> dict[str, Method]:
     """Methods and groups by name (None: all of them, but shading correction's where there are no weights, and
-    upscaling's unless `upscale`), and networks as "NAME=FILE", in the order of the table. Raises GffeError."""
+    those of `_ON_REQUEST`; upscaling's with `upscale`), and networks as "NAME=FILE", in the order of the table.
+    `scn_model`: the shading correction network in place of the package's own. Raises GffeError."""
     networks = {}
     for text in onnx:
         name, equals, path = text.partition("=")
@@ -250,7 +281,8 @@ def chosen_methods(words: Iterable[str] | None, onnx: Iterable[str] = (), upscal
             raise GffeError(f"--onnx {text}: expected NAME=FILE")
         networks[name] = onnx_method(name, path)
     known = METHODS | networks
-    wanted = {name for name, method in known.items() if upscale or "upscale" not in method.needs}
+    groups = {*GROUPS} - {*_ON_REQUEST} | ({"upscaling"} if upscale else set())
+    wanted = {name for name, method in known.items() if method.group in groups}
     wanted = wanted if words is None else set()
     for word in words or ():
         found = {word} if word in known else {name for name, method in known.items() if method.group == word}
@@ -258,6 +290,14 @@ def chosen_methods(words: Iterable[str] | None, onnx: Iterable[str] = (), upscal
             raise GffeError(f"--methods: '{word}' is none of {', '.join((*GROUPS, *known))}")
         wanted |= found
     wanted |= set(networks)
-    if inference.default_model() is None:
+    if scn_model is None and inference.default_model() is None:
         wanted -= {"no-scn", "no-focus-mask"}
-    return {name: method for name, method in known.items() if name in wanted}
+    return {name: _with_network(method, scn_model) for name, method in known.items() if name in wanted}
+
+
+def _with_network(method: Method, scn_model: Path | None) -> Method:
+    """The method with another shading correction network, where it has one."""
+    options = method.options
+    if scn_model is None or options is None or options.shading_correction is False:
+        return method
+    return replace(method, options=replace(options, shading_correction=True, scn_model=str(scn_model)))

@@ -102,6 +102,13 @@ class UpscaledFirst(PipelineRunner):
         return self.pipeline, self._shown
 
 
+class TrueMotion(PipelineRunner):
+    """Position prediction is given the true position of every fragment: what is missing then, nothing could predict."""
+
+    def extrapolated(self, moment):
+        return self.pipeline.extrapolate(self.camera_of(moment), moment.time, target_position=moment.true_positions())
+
+
 class TrueGeometry(PipelineRunner):
     """Upscaling is given the exact depth and motion of the new frame: what is missing then is not the warp's fault."""
 

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 import numpy as np
 
 from gffe_cl.camera import Camera
-from gffe_cl.evaluation.disocclusions import shows, world_positions
 from gffe_cl.evaluation.table.image_space import pixel_centres
 from gffe_cl.evaluation.table.subjects import Footage, Guide, Shot
 from gffe_cl.metrics import focus_mask
@@ -35,6 +34,7 @@ _LABEL = {name: number for number, name in enumerate(REGIONS)}
 _SAME_SURFACE = 0.02  # of the depth
 _MUCH = 0.25  # of a pixel: a surface shows there if it has so much of it, in some pixel
 _STEP = 0.1  # of the depth, from which two neighbours are two surfaces
+_SKY = 1e7  # world units
 
 
 def masks(labels: np.ndarray) -> dict[str, np.ndarray]:
@@ -137,3 +137,17 @@ def steps(depth: np.ndarray) -> np.ndarray:
         found[tuple(first)] |= step
         found[tuple(second)] |= step
     return found
+
+
+def shows(camera: Camera, width: int, height: int, world_pos: np.ndarray) -> np.ndarray:
+    """(N,) bool: whether world positions (N, 3) lie before `camera` and within its image, hidden or not."""
+    px, depth = camera.project(world_pos)
+    with np.errstate(invalid="ignore"):
+        return (depth > 0) & (px >= 0).all(-1) & (px < (width, height)).all(-1)
+
+
+def world_positions(camera: Camera, depth: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """(N, 3) of the pixels of `mask`; sky is put very far away."""
+    y, x = np.nonzero(mask)
+    z = depth[mask].astype(np.float64)
+    return camera.unproject(np.stack([x + 0.5, y + 0.5], -1), np.where(np.isinf(z), _SKY, z))

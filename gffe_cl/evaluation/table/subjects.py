@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -18,13 +18,13 @@ import numpy as np
 from gffe_cl.camera import Camera
 from gffe_cl.errors import GffeError
 from gffe_cl.evaluation.compare import NO_HISTORY
+from gffe_cl.evaluation.table.windows import chooser_of, rendered_size
 from gffe_cl.formats import open_capture
 from gffe_cl.frame import RenderedFrame
 from gffe_cl.opencl.device import Device
-from gffe_cl.scenes import SceneFrames, SceneRenderer, is_scene, is_scene_name, load_scene, scene_names
+from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer, is_scene, is_scene_name, load_scene, scene_names
 from gffe_cl.sequence import Sequence
 from gffe_cl.source import Recorded, jittered_renderer
-from gffe_cl.window import WindowChooser
 
 _MOST_KEPT = 3 << 30  # bytes of footage that stay in memory
 _BYTES_PER_PIXEL = 45  # of a rendered frame and a moment
@@ -34,7 +34,8 @@ _BYTES_PER_PIXEL = 45  # of a rendered frame and a moment
 class SceneSubject:
     """A built-in scene. `frames` rendered ones are followed by moments at `alphas` (intervals); or, with `turns`, by
     views at their own time from a camera that has turned by so many degrees (late warp). With `upscale` frames are
-    rendered so many times smaller, each way, with jitter and one sample per pixel."""
+    rendered so many times smaller, each way, with jitter and one sample per pixel. With `turn_rate` the camera turns to
+    the right, by so many degrees per second, and back after half of the frames."""
 
     scene: str
     seed: int
@@ -45,6 +46,7 @@ class SceneSubject:
     alphas: tuple[float, ...]
     turns: tuple[float, ...] = ()
     upscale: float = 0.0
+    turn_rate: float = 0.0
     exact: ClassVar[bool] = True  # as of `Footage`
     windows: ClassVar[bool] = True
 
@@ -105,7 +107,8 @@ class Guide:
 @dataclass(frozen=True)
 class Moment:
     """A time at which a new frame is made: `time` in seconds, `alpha` in intervals after the rendered frame; `camera`
-    of the new frame, None if not known; `truth` (H, W, 3) linear; `turn`: degrees, for late warps."""
+    of the new frame, None if not known; `truth` (H, W, 3) linear; `turn`: degrees, for late warps; `true_positions`,
+    with a guide: computes where every fragment of the rendered frame is then, as `extrapolate` takes it."""
 
     time: float
     alpha: float
@@ -113,6 +116,7 @@ class Moment:
     truth: np.ndarray
     guide: Guide | None = None
     turn: float = 0.0
+    true_positions: Callable[[], np.ndarray] | None = None
 
 
 @dataclass(frozen=True)
@@ -174,7 +178,9 @@ class _Scene(Footage):
     exact = windows = True
 
     def __init__(self, subject: SceneSubject, device: Device):
-        self._scene = load_scene(subject.scene, subject.seed)
+        self._scene, self._device = load_scene(subject.scene, subject.seed), device
+        if subject.turn_rate:
+            self._scene = turning(self._scene, subject.turn_rate, subject.frames // 2 / subject.fps)
         self._subject = subject
         size = (subject.width, subject.height)
         super().__init__(subject.name, *size, subject.fps, self._scene.exposure, subject.upscale)
@@ -183,7 +189,7 @@ class _Scene(Footage):
 
     def render_size(self, window):
         if self._small is None or window != "given":
-            return self.width, self.height
+            return rendered_size(window, (self.width, self.height))
         return self._small[0].width, self._small[0].height
 
     def _make(self, window):
@@ -191,7 +197,10 @@ class _Scene(Footage):
         if window == "given":
             frames = SceneFrames(self._small[0], size=size, jitter=self._small[1])
         else:
-            frames = SceneFrames(self._renderer, WindowChooser(window, size, self._subject.alphas))
+            renderer = self._renderer
+            if (larger := self.render_size(window)) != size:
+                renderer = SceneRenderer(self._device, self._scene, *larger)
+            frames = SceneFrames(renderer, chooser_of(window, size, self._subject.alphas), size)
         reference = self._reference(window)
         before = None
         for frame in frames.sequence(self._subject.frames + 1, self.fps):
@@ -226,7 +235,12 @@ class _Scene(Footage):
         moving = moving_pixels(image.motion, image.depth, camera, source)
         z = np.where(np.isinf(image.depth), np.inf, image.other_position[..., 2])
         z = np.where(np.isfinite(image.motion).all(-1), z, np.nan).astype(np.float32)
-        return Moment(time, alpha, camera, image.color, Guide(image.depth, image.motion, z, moving), turn)
+        guide = Guide(image.depth, image.motion, z, moving)
+
+        def true_positions() -> np.ndarray:
+            return _positions(self._renderer.render(source_time, source, time, camera).numpy())
+
+        return Moment(time, alpha, camera, image.color, guide, turn, true_positions)
 
 
 class _Folder(Footage):
@@ -274,7 +288,14 @@ def open_subject(subject: Subject, device: Device) -> Footage:
 
 
 def parse_subject(
-    text: str, size: tuple[int, int], frames: int, fps: float, alphas: tuple[float, ...], turns=(), upscale=0.0
+    text: str,
+    size: tuple[int, int],
+    frames: int,
+    fps: float,
+    alphas: tuple[float, ...],
+    *,
+    upscale: float = 0.0,
+    turn_rate: float = 0.0,
 ) -> Subject:
     """ "corridor", "corridor:3" (a seed) or a folder. Raises GffeError, also for a folder without ground truth, or of
     frames that are not `upscale` times smaller than that."""
@@ -283,7 +304,7 @@ def parse_subject(
         if colon and not seed.isdigit():
             raise GffeError(f"'{text}': the seed must be a whole number (expected {name}:0 or the like)")
         load_scene(name, int(seed or 0))
-        return SceneSubject(name, int(seed or 0), *size, frames, fps, tuple(alphas), tuple(turns), upscale)
+        return SceneSubject(name, int(seed or 0), *size, frames, fps, tuple(alphas), (), upscale, turn_rate)
     if not Path(text).exists():
         raise GffeError(f"'{text}': neither a built-in scene ({scene_names()}) nor a folder")
     sequence = open_capture(text)
@@ -338,6 +359,29 @@ def turned(camera: Camera, degrees: float) -> Camera:
     turn[0, 0] = turn[2, 2] = np.cos(angle)
     turn[0, 2], turn[2, 0] = -np.sin(angle), np.sin(angle)
     return Camera(turn @ camera.world_to_view, *camera.intrinsics)
+
+
+def turning(scene: Scene, rate: float, half: float) -> Scene:
+    """The same scene with a camera that turns to the right by `rate` degrees per second until `half` (seconds), then
+    back."""
+    forward = scene.target(0.0) - scene.eye(0.0)
+    start = np.arctan2(forward[0], -forward[2])
+    level = np.hypot(forward[0], forward[2])
+
+    def target(time):
+        angle = start + np.radians(rate) * (half - abs(half - time))
+        return scene.eye(time) + np.array((level * np.sin(angle), forward[1], -level * np.cos(angle)))
+
+    return replace(scene, target=target)
+
+
+def _positions(future) -> np.ndarray:
+    """(H, W, 4) float32 `target_position` of every fragment, of a rendering whose `other` is the target."""
+    position = np.zeros((*future.depth.shape, 4), np.float32)
+    position[..., :2] = _centres(*future.depth.shape) + future.motion
+    position[..., 2] = future.other_position[..., 2]
+    position[~np.isfinite(position[..., :2]).all(-1)] = (0, 0, -1, 0)
+    return position
 
 
 def moving_pixels(motion: np.ndarray, depth: np.ndarray, camera: Camera, other: Camera) -> np.ndarray:
