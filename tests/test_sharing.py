@@ -109,7 +109,7 @@ def test_a_driver_that_refuses_memory(device):
         small.buffer(1 << 42)
     small.memory = 1 << 60
     with pytest.raises(GffeError, match=r"cannot allocate \d+ MiB"):
-        Pipeline(small, 1 << 19, 1 << 19)
+        Pipeline(small, 1 << 16, 1 << 16)
 
 
 @pytest.fixture

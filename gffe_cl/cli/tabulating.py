@@ -68,6 +68,9 @@ def evaluate(
     scn_model: Annotated[
         Path | None, typer.Option(help="Shading correction network (ONNX) to measure in place of the package's own.")
     ] = None,
+    scn_provider: Annotated[
+        str, typer.Option(help="Execution provider of the shading correction network, as of `gffe run`.")
+    ] = "cpu",
     metrics: Annotated[
         str | None,
         typer.Option(help="Also measure these, which are slow, separated by commas: fvvdp, cvvdp, lpips."),
@@ -125,14 +128,15 @@ def evaluate(
     named = [name for text in subjects or SCENES for name in _seeded(text, seeds)]
     chosen, broken = _subjects(named, *scenes, upscale=upscale, turn_rate=turn_rate)
     words = tuple(methods.split(",")) if methods else None
+    network = (str(scn_model) if scn_model else None, scn_provider)
     output = _folder(output)
     with _filling(output, device, scheduler) as fill:
-        filled = fill("Measuring", Order(chosen, words, tuple(onnx or ()), videos, fresh, scn_model))
+        filled = fill("Measuring", Order(chosen, words, tuple(onnx or ()), videos, fresh, network))
         built_in = [s for s in chosen if isinstance(s, SceneSubject)]
         late = {}
         for turn in TURNS if late_warp and built_in else ():
             turned = tuple(_turned(subject, turn) for subject in built_in)
-            late[turn] = fill(f"Late warp, {turn:g}°", Order(turned, LATE_WARP, recompute=fresh, scn_model=scn_model))
+            late[turn] = fill(f"Late warp, {turn:g}°", Order(turned, LATE_WARP, recompute=fresh, network=network))
     for name, reason in broken.items():
         filled.drop(name, reason)
     results = results_of(filled, late, shlex.join(["gffe", *sys.argv[1:]]))
@@ -173,6 +177,7 @@ def study(
     windows: Annotated[bool, typer.Option("--windows", help="Compare rendering windows.")] = False,
     shading: Annotated[bool, typer.Option("--shading", help="Measure shading correction.")] = False,
     scn_model: Annotated[Path | None, typer.Option(help="Shading correction network (ONNX).")] = None,
+    scn_provider: Annotated[str, typer.Option(help="Execution provider of that network.")] = "cpu",
     rate: Annotated[float, typer.Option(help="With --windows: degrees per second.")] = 150.0,
     device: DeviceOption = None,
 ) -> None:
@@ -185,7 +190,8 @@ def study(
     )  # fmt: skip
     given = {
         "seeds": seeds, "size": size, "frames": frames, "alpha": f"{alpha:g}", "fps": fps, "methods": methods,
-        "turn_rate": rate if windows else 0.0, "scn_model": scn_model, "device": device, "regions": True,
+        "turn_rate": rate if windows else 0.0, "scn_model": scn_model, "scn_provider": scn_provider, "device": device,
+        "regions": True,
     }  # fmt: skip
     flags = ((f"--{name.replace('_', '-')}", value) for name, value in given.items() if value)
     words = [word for flag, value in flags for word in ((flag,) if value is True else (flag, str(value)))]

@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
@@ -76,7 +75,7 @@ def compute_cell(
     onnx: tuple[str, ...] = (),
     videos: tuple[str, ...] = (),
     device: str | None = None,
-    scn_model: Path | None = None,
+    network: tuple[str | None, str] = (None, "cpu"),
     on_moment: Callable[[], None] = lambda: None,
 ) -> Cell:
     """The cell of the method of that name; None: what is the same for all methods. In any process: it opens its own
@@ -84,7 +83,7 @@ def compute_cell(
     footage = _footage(subject, device)
     if method is None:
         return _describe(footage)
-    chosen = chosen_methods([method], onnx, scn_model=scn_model)[method]
+    chosen = chosen_methods([method], onnx, network=network)[method]
     return _measure(footage, chosen, device, videos, on_moment)
 
 

@@ -54,14 +54,14 @@ class Filled:
 @dataclass(frozen=True)
 class Order:
     """What is asked for. `methods`, `onnx` as of `chosen_methods`; `videos`: names of `VIDEO_METRICS`; `recompute`:
-    take no cell that is there; `scn_model`: as of `chosen_methods`."""
+    take no cell that is there; `network`: as of `chosen_methods`."""
 
     subjects: tuple[Subject, ...]
     methods: tuple[str, ...] | None = None
     onnx: tuple[str, ...] = ()
     videos: tuple[str, ...] = ()
     recompute: bool = False
-    scn_model: Path | None = None
+    network: tuple[str | None, str] = (None, "cpu")
 
 
 def fill(
@@ -77,7 +77,7 @@ def fill(
     names = [subject.name for subject in order.subjects]
     if len(set(names)) < len(names):
         raise GffeError(f"eval: two sequences have one name, {next(n for n in names if names.count(n) > 1)}")
-    methods = chosen_methods(order.methods, order.onnx, any(s.upscale for s in order.subjects), order.scn_model)
+    methods = chosen_methods(order.methods, order.onnx, any(s.upscale for s in order.subjects), order.network)
     filled = Filled(methods, list(order.subjects), _machine(device, executor))
     cache, missing = Cache(folder), []
     for subject in order.subjects:
@@ -98,7 +98,7 @@ def fill(
             else:
                 missing.append(work)
     advance = on_plan(sum(work.subject.moments for work in missing if work.method))
-    arguments = {"onnx": order.onnx, "videos": order.videos, "device": device, "scn_model": order.scn_model}
+    arguments = {"onnx": order.onnx, "videos": order.videos, "device": device, "network": order.network}
     compute = executor or _in_this_process
     for work, cell in compute(missing, arguments | {"on_moment": advance}):
         if isinstance(cell, GffeError):

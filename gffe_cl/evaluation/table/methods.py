@@ -269,11 +269,15 @@ def onnx_method(name: str, path: str | Path) -> Method:
 
 
 def chosen_methods(
-    words: Iterable[str] | None, onnx: Iterable[str] = (), upscale: bool = False, scn_model: Path | None = None
+    words: Iterable[str] | None,
+    onnx: Iterable[str] = (),
+    upscale: bool = False,
+    network: tuple[str | None, str] = (None, "cpu"),
 ) -> dict[str, Method]:
     """Methods and groups by name (None: all of them, but shading correction's where there are no weights, and
     those of `_ON_REQUEST`; upscaling's with `upscale`), and networks as "NAME=FILE", in the order of the table.
-    `scn_model`: the shading correction network in place of the package's own. Raises GffeError."""
+    `network`: file (None: the package's own) and execution provider of the shading correction network. Raises
+    GffeError."""
     networks = {}
     for text in onnx:
         name, equals, path = text.partition("=")
@@ -290,14 +294,17 @@ def chosen_methods(
             raise GffeError(f"--methods: '{word}' is none of {', '.join((*GROUPS, *known))}")
         wanted |= found
     wanted |= set(networks)
-    if scn_model is None and inference.default_model() is None:
+    if network[0] is None and inference.default_model() is None:
         wanted -= {"no-scn", "no-focus-mask"}
-    return {name: _with_network(method, scn_model) for name, method in known.items() if name in wanted}
+    return {name: _with_network(method, *network) for name, method in known.items() if name in wanted}
 
 
-def _with_network(method: Method, scn_model: Path | None) -> Method:
-    """The method with another shading correction network, where it has one."""
+def _with_network(method: Method, model: str | None, provider: str) -> Method:
+    """The method with another shading correction network or provider, where it has a network."""
     options = method.options
-    if scn_model is None or options is None or options.shading_correction is False:
+    if options is None or options.shading_correction is False or (model is None and provider == options.scn_provider):
         return method
-    return replace(method, options=replace(options, shading_correction=True, scn_model=str(scn_model)))
+    corrects = True if model else options.shading_correction
+    return replace(
+        method, options=replace(options, shading_correction=corrects, scn_model=model, scn_provider=provider)
+    )
