@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -130,9 +131,30 @@ def write_tartanair(root):
     return root
 
 
+def write_spring(root):
+    import h5py
+
+    for name in ("frame_left", "disp1_left", "flow_BW_left", "cam_data"):
+        (root / name).mkdir()
+    intrinsics, extrinsics = [], []
+    for k, frame in enumerate(seen(), 1):
+        color = np.clip(frame.color.astype(np.float32) * 255, 0, 255).astype(np.uint8)
+        Image.fromarray(color).save(root / "frame_left" / f"frame_left_{k:04d}.png")
+        with h5py.File(root / "disp1_left" / f"disp1_left_{k:04d}.dsp5", "w") as file:
+            disparity = np.repeat(np.repeat(1 / np.minimum(frame.depth, 1e3), 2, 0), 2, 1)
+            file.create_dataset("disparity", data=disparity.astype(np.float32), compression="gzip")
+        with h5py.File(root / "flow_BW_left" / f"flow_BW_left_{k:04d}.flo5", "w") as file:
+            file.create_dataset("flow", data=np.repeat(np.repeat(frame.motion, 2, 0), 2, 1), compression="gzip")
+        intrinsics.append(" ".join(map(str, frame.camera.intrinsics)))
+        extrinsics.append(" ".join(map(str, frame.camera.world_to_view.ravel())))
+    (root / "cam_data" / "intrinsics.txt").write_text("\n".join(intrinsics) + "\n")
+    (root / "cam_data" / "extrinsics.txt").write_text("\n".join(extrinsics) + "\n")
+    return root
+
+
 WRITERS = {
     "sequence": write_sequence, "folder": write_folder, "blender": write_blender, "unreal": write_unreal,
-    "sintel": write_sintel, "tartanair": write_tartanair,
+    "sintel": write_sintel, "tartanair": write_tartanair, **({"spring": write_spring} if find_spec("h5py") else {}),
 }  # fmt: skip
 # Which file of each form is mutated, below the folder that the writer gets.
 FILES = {
@@ -145,6 +167,7 @@ FILES = {
         "final/alley_1/frame_0001.png",
     ),
     "tartanair": ("pose_left.txt", "depth_left/000001_left_depth.npy"),
+    **({"spring": ("disp1_left/disp1_left_0002.dsp5",)} if find_spec("h5py") else {}),
 }  # fmt: skip
 
 

@@ -4,6 +4,7 @@ import json
 import struct
 import time
 import tracemalloc
+from pathlib import Path
 
 import numpy as np
 import OpenEXR
@@ -12,7 +13,7 @@ from foreign import H, W, edit_json, shots, write_blender, write_exr
 
 from gffe_cl import GffeError, open_capture
 from gffe_cl.cli import commands
-from gffe_cl.sequence.exr import _require_moderate
+from gffe_cl.sequence.exr import decoded
 from gffe_cl.sequence.exr_header import ExrHeader, ExrPart
 
 SECONDS, BYTES = 2, 100e6
@@ -85,8 +86,16 @@ def test_thousands_of_channels(folder):
 def test_gigabytes_of_channels_are_not_decoded():
     """As many as a header may have, of a large image."""
     part = ExrPart(channels={f"c{k}": "float32" for k in range(3000)}, data_window=(0, 0, 1919, 1079))
-    with pytest.raises(GffeError, match=r"a\.exr: 23\.2 GiB of pixels in 3000 channels \(expected at most 4 GiB\)"):
-        _require_moderate(ExrHeader([part]), "a.exr")
+    with pytest.raises(GffeError, match=r"a\.exr: .* MiB to decode \(expected at most 1012 MiB for 2073600 pixels\)"):
+        decoded(Path("a.exr"), ExrHeader([part]), [(0, "c0")], "a.exr")
+
+
+def test_large_parts_that_nobody_asks_for_are_not_decoded():
+    """The library decodes all parts of a file."""
+    frame = ExrPart(channels={"R": "float16"}, data_window=(0, 0, W - 1, H - 1))
+    unused = ExrPart(channels={"A": "float32"}, data_window=(0, 0, 8191, 8191))
+    with pytest.raises(GffeError, match=rf"256 MiB to decode \(expected at most 64 MiB for {H * W} pixels\)"):
+        decoded(Path("a.exr"), ExrHeader([frame, unused]), [(0, "R")], "a.exr")
 
 
 def test_bombs_of_zeros_that_the_json_does_not_announce(folder):

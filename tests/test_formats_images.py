@@ -14,6 +14,7 @@ from foreign import write_exr, write_parts
 from PIL import Image
 
 from gffe_cl import GffeError
+from gffe_cl.formats import png as png_module
 from gffe_cl.formats.images import check_planes, read_planes
 
 W, H = 23, 17
@@ -134,7 +135,35 @@ def test_images_of_another_size_are_not_decoded(tmp_path):
     deep = io.BytesIO()
     np.lib.format.write_array_header_1_0(deep, {"descr": "<f8", "fortran_order": False, "shape": (H, W, 10**8)})
     (tmp_path / "deep.npy").write_bytes(deep.getvalue())
-    assert "GiB of pixels" in fault(tmp_path / "deep.npy")
+    assert "MiB to decode (expected at most 64 MiB for 391 pixels)" in fault(tmp_path / "deep.npy")
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_damage_inside_of_npz_files(tmp_path, method):
+    """Whichever decoder meets it; a few bytes of the container mean nothing."""
+    stream = io.BytesIO()
+    np.save(stream, np.random.default_rng(1).random((H, W, 3)))
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", method) as archive:
+        archive.writestr("a.npy", stream.getvalue())
+    whole, said = (tmp_path / "a.npz").read_bytes(), []
+    for at in range(40, len(whole) - 200, 97):
+        (tmp_path / "a.npz").write_bytes(whole[:at] + bytes(8 * [255]) + whole[at + 8 :])
+        try:
+            read_planes(tmp_path / "a.npz", ("0",), "a.npz", (W, H))
+        except GffeError as error:
+            said.append(str(error))
+    assert len(said) > 50 and all("NPZ" in text or "NPY" in text for text in said), said
+
+
+@pytest.mark.parametrize("size", [(1, 300), (8, 20), (9, 21)])
+def test_filters_of_few_and_of_many_lines(size, monkeypatch):
+    """A line or two are undone byte by byte: diagonals would be as many as their pixels."""
+    rng = np.random.default_rng(7)
+    filters = rng.integers(0, 5, size[0]).astype(np.uint8)
+    coded = rng.integers(0, 256, (*size, 6)).astype(np.uint8)
+    made = png_module._unfiltered_bytes(filters, coded)
+    monkeypatch.setattr(png_module, "_FEW_LINES", 0)
+    assert np.array_equal(png_module._unfiltered(filters, coded), made)
 
 
 def test_more_pixels_than_the_header_says_are_not_inflated(tmp_path):

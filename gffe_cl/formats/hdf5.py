@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gffe_cl.errors import GffeError, how_to_install
-from gffe_cl.files import require_readable
+from gffe_cl.files import require_moderate, require_readable
 from gffe_cl.formats.images import Size
 
 
@@ -30,6 +31,8 @@ def read_hdf5(path: Path, name: str, size: Size, components: int, follow_links: 
             stored = h5py.Dataset(h5py.h5d.open(file.id, name.encode(), access))
             _check_storage(stored, path, name, follow_links)
             factor = _factor(stored, size, components, label)
+            held = [math.prod(shape) * stored.dtype.itemsize for shape in (stored.shape, stored.chunks or ())]
+            require_moderate(max(held), math.prod(size), label)  # a chunk is decoded as a whole
             array = stored[::factor, ::factor].astype(np.float32)
     except GffeError:
         raise

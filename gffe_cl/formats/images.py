@@ -12,7 +12,7 @@ from typing import BinaryIO
 import numpy as np
 
 from gffe_cl.errors import GffeError
-from gffe_cl.files import open_regular
+from gffe_cl.files import open_regular, require_moderate
 from gffe_cl.formats.layers import Place, layers_of
 from gffe_cl.formats.png import MAGIC as PNG_MAGIC
 from gffe_cl.formats.png import read_png, read_png_header
@@ -21,7 +21,6 @@ from gffe_cl.sequence.exr_header import ExrHeader, read_header
 
 Size = tuple[int, int]
 _EXR_MAGIC, _NPY_MAGIC, _ZIP_MAGIC = b"\x76\x2f\x31\x01", b"\x93NUMPY", b"PK\x03\x04"
-_MOST_BYTES = 2 << 30
 _RGBA = {"R": 0, "G": 1, "B": 2, "A": 3}
 _MOST_HEADER = 1 << 16
 
@@ -89,7 +88,7 @@ def _png(path, names, label, size, decode):
         if not grey and name not in header.channels:
             raise _no_channel(name, header.channels, label)
         order.append(0 if grey else header.channels.index(name))
-    _require_moderate(header.width * header.height * len(header.channels) * 2, label)
+    require_moderate(header.width * header.height * len(header.channels) * 2, math.prod(size), label)
     return read_png(path, header, label)[..., order] if decode else None
 
 
@@ -111,8 +110,11 @@ def _npz(path, names, label, size, array, decode):
                 )
             with archive.open(f"{array}.npy") as member:
                 return _array(member, names, f"{label}, {array}", size, decode)
-    except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError) as error:
-        raise GffeError(f"{label}: damaged NPZ file ({' '.join(str(error).split())})") from None
+    except (GffeError, OSError):
+        raise
+    except Exception as error:  # whatever the decoders of its compressions meet
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise GffeError(f"{label}: damaged NPZ file ({reason})") from None
 
 
 def _array(file: BinaryIO, names, label, size, decode):
@@ -124,7 +126,7 @@ def _array(file: BinaryIO, names, label, size, decode):
     channels = shape[2] if len(shape) == 3 else 1
     order = [_index(name, channels, label) for name in names]
     nbytes = math.prod(shape) * dtype.itemsize
-    _require_moderate(nbytes, label)
+    require_moderate(nbytes, math.prod(size), label)
     if not decode:
         return None
     data = bytearray()
@@ -175,8 +177,3 @@ def _no_channel(name: str, held: Ordered[str], label: str) -> GffeError:
 def _require_size(given: Size, size: Size, label: str) -> None:
     if tuple(given) != tuple(size):
         raise GffeError(f"{label}: {given[0]}×{given[1]} pixels, expected {size[0]}×{size[1]}")
-
-
-def _require_moderate(nbytes: int, label: str) -> None:
-    if nbytes > _MOST_BYTES:
-        raise GffeError(f"{label}: {nbytes / 2**30:.3g} GiB of pixels (expected at most {_MOST_BYTES >> 30} GiB)")

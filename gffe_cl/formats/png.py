@@ -21,6 +21,7 @@ MAGIC = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: ("Y",), 2: ("R", "G", "B"), 3: ("R", "G", "B", "A"), 4: ("Y", "A"), 6: ("R", "G", "B", "A")}
 _PALETTE = 3
 _MOST_FILE = 1 << 30
+_FEW_LINES = 8  # diagonals would be as many as their pixels
 
 
 class PngHeader(NamedTuple):
@@ -121,6 +122,8 @@ def _unfiltered(filters: np.ndarray, coded: np.ndarray) -> np.ndarray:
             elif kind == 2 and y:
                 plain[y] += plain[y - 1]
         return plain
+    if height <= _FEW_LINES:
+        return _unfiltered_bytes(filters, coded)
     diagonals = np.zeros((width + height, height + 1, depth), np.int16)  # [x + y + 1, y + 1]: a border of zeros
     for at in range(width + height - 1):
         first, last = max(0, at - width + 1), min(at, height - 1) + 1
@@ -131,6 +134,26 @@ def _unfiltered(filters: np.ndarray, coded: np.ndarray) -> np.ndarray:
         diagonals[at + 1, first + 1 : last + 1] = (coded[rows, at - rows] + said) & 255
     y, x = np.mgrid[:height, :width]
     return diagonals[x + y + 1, y + 1].astype(np.uint8)
+
+
+def _unfiltered_bytes(filters: np.ndarray, coded: np.ndarray) -> np.ndarray:
+    """As `_unfiltered`, one byte at a time."""
+    depth, above = coded.shape[2], bytearray(coded[0].size + coded.shape[2])
+    plain = []
+    for kind, line in zip(filters.tolist(), coded.reshape(len(coded), -1), strict=True):
+        made = bytearray(depth)  # a border of zeros
+        for at, byte in enumerate(line.tolist()):
+            left, up, corner = made[at], above[at + depth], above[at]
+            if kind == 4:
+                slope = left + up - corner
+                near = min((abs(slope - left), 0, left), (abs(slope - up), 1, up), (abs(slope - corner), 2, corner))
+                said = near[2]
+            else:
+                said = (0, left, up, (left + up) >> 1)[kind]
+            made.append((byte + said) & 255)
+        plain.append(np.frombuffer(made, np.uint8)[depth:])
+        above = made
+    return np.stack(plain).reshape(coded.shape)
 
 
 def _guessed(kind: np.ndarray, left: np.ndarray, above: np.ndarray, corner: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
 import threading
 import time
@@ -14,12 +15,12 @@ import numpy as np
 import OpenEXR
 
 from gffe_cl.errors import GffeError
+from gffe_cl.files import require_moderate
 from gffe_cl.sequence.exr_header import ExrHeader, read_header
 from gffe_cl.sequence.quiet import quietly
 from gffe_cl.values import require_choice
 
 _FLOAT_CHANNELS = ("Z", "motion.")  # always float32; any other channel keeps half if it is half
-_MOST_BYTES = 4 << 30
 _BYTES = {"uint32": 4, "float16": 2, "float32": 4}
 _HALVES = np.arange(256, dtype=np.float16)  # of small integers
 
@@ -50,7 +51,13 @@ def read_channels(path: Path, names, label: str, size=None) -> dict[str, np.ndar
 
 def decoded(path: Path, header: ExrHeader, places: list[tuple[int, str]], label: str) -> list[np.ndarray]:
     """The channels at `places`, (part, name), of the EXR file at `path`, as `read_channels` gives them."""
-    _require_moderate(header, label)
+    sides = [part.size for part in header.parts]
+    nbytes = sum(
+        width * height * sum(_BYTES[kind] for kind in part.channels.values())
+        for part, (width, height) in zip(header.parts, sides, strict=True)
+    )
+    # The library decodes all parts at once: those that nobody asked for, too.
+    require_moderate(nbytes, max((math.prod(sides[part]) for part, _ in places), default=0), label)
 
     def decode() -> list[np.ndarray]:
         with _counted(), OpenEXR.File(os.fsencode(path), separate_channels=True) as file:
@@ -64,17 +71,6 @@ def decoded(path: Path, header: ExrHeader, places: list[tuple[int, str]], label:
     except Exception as error:
         reason = "; ".join(dict.fromkeys(map(_one_line, (error, *getattr(error, "__notes__", ())))))
         raise GffeError(f"{label}: damaged, the pixels cannot be decoded ({reason})") from None
-
-
-def _require_moderate(header: ExrHeader, label: str) -> None:
-    """The library decodes all of a file at once: GffeError where that would be more than anybody's frame is."""
-    nbytes = sum(
-        part.size[0] * part.size[1] * sum(_BYTES[kind] for kind in part.channels.values()) for part in header.parts
-    )
-    if nbytes > _MOST_BYTES:
-        count = len(header.channels)
-        given, most = f"{nbytes / 2**30:.3g} GiB of pixels in {count} channels", f"{_MOST_BYTES >> 30} GiB"
-        raise GffeError(f"{label}: {given} (expected at most {most})")
 
 
 def require_channels(header: ExrHeader, names, label: str) -> list[tuple[int, str]]:
