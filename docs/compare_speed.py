@@ -58,9 +58,9 @@ def serve(footage: Path, device: str, scn: bool) -> None:
     os.dup2(2, 1)  # what drivers print
     import pyopencl as cl
 
-    from gffe_cl.camera import Camera
-    from gffe_cl.frame import RenderedFrame
-    from gffe_cl.pipeline import Options, Pipeline
+    from gffe_cl.frame.camera import Camera
+    from gffe_cl.frame.rendered_frame import RenderedFrame
+    from gffe_cl.pipeline.pipeline import Options, Pipeline
 
     try:
         from gffe_cl.opencl.device import open_device
@@ -157,7 +157,7 @@ def called(version: str) -> str:
 
 def store(footage, folder: Path) -> None:
     """Put footage where both versions find it."""
-    from gffe_cl.frame import pack_frame
+    from gffe_cl.frame.rendered_frame import pack_frame
 
     folder.mkdir()
     for k, frame in enumerate(footage.frames):
@@ -259,7 +259,7 @@ def main() -> None:
         serve(asked.serve, asked.device[0], asked.scn)
         return
 
-    from gffe_cl.evaluation.footage import SCENE, footage_of
+    from gffe_cl.evaluation.benchmark_input import SCENE, footage_of
     from gffe_cl.opencl.device import open_device
 
     width, height = (int(n) for n in asked.size.split("x"))

@@ -19,11 +19,11 @@ from measure_deviations import FOR_SITUATIONS, NO_NETWORK, PAPER, kernels_with
 from scipy.ndimage import uniform_filter
 from situation_regions import region_of_situation, submitted_frames
 
+from gffe_cl.evaluation.metrics import display_values
 from gffe_cl.evaluation.report import contact_sheet
-from gffe_cl.metrics import display_values
 from gffe_cl.opencl.device import Device, open_device
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 
 FOLDER = Path(__file__).parent / "pictures"

@@ -129,8 +129,8 @@ def measure(sequence: Path | None, device: str | None) -> None:
 
 def counted(device, subjects: list[str]) -> Iterator[tuple[str, dict]]:
     from gffe_cl.evaluation.bench import Copier, bench_size
-    from gffe_cl.evaluation.footage import footage_of
-    from gffe_cl.options import Options
+    from gffe_cl.evaluation.benchmark_input import footage_of
+    from gffe_cl.pipeline.options import Options
 
     copier = Copier(device)
     for subject in subjects:

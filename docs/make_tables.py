@@ -14,13 +14,13 @@ import sys
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
-from gffe_cl.buffers import EXTRAPOLATED, FILLED_BY, RENDERED, BufferSpec
 from gffe_cl.formats import FORMATS
-from gffe_cl.options import OPTIONS, Option
-from gffe_cl.pipeline import STAGES
+from gffe_cl.pipeline.options import OPTIONS, Option
+from gffe_cl.pipeline.pipeline import STAGES
 from gffe_cl.scenes import SCENES, SITUATIONS
-from gffe_cl.stage import Stage
 from gffe_cl.stages.background import Background, _level_buffers
+from gffe_cl.stages.base import Stage
+from gffe_cl.stages.buffers import EXTRAPOLATED, FILLED_BY, RENDERED, BufferSpec
 from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.holes import FILLINGS, FarSide, HoleFilling
 from gffe_cl.stages.presentation import Presentation

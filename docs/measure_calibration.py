@@ -16,20 +16,20 @@ from pathlib import Path
 import numpy as np
 from make_tables import between_markers
 
-from gffe_cl.calibration.calibrate import calibrate_sequence
-from gffe_cl.camera import Camera
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
+from gffe_cl.doctor.calibration.calibrate import calibrate_sequence
 from gffe_cl.evaluation.compare import NO_HISTORY
-from gffe_cl.metrics import METRICS, display_values
+from gffe_cl.evaluation.metrics import METRICS, display_values
+from gffe_cl.frame.camera import Camera
 from gffe_cl.opencl.device import Device, open_device
-from gffe_cl.options import Options
-from gffe_cl.render import render_sequence
-from gffe_cl.run import run_sequence
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.run import run_sequence
+from gffe_cl.pipeline.source import Recorded
 from gffe_cl.scenes import SCENES, load_scene
+from gffe_cl.scenes.render import render_sequence
 from gffe_cl.sequence import Sequence, open_sequence
 from gffe_cl.sequence.description import FILE_NAME, Description, FrameEntry, describe
 from gffe_cl.sequence.exr import write_channels
-from gffe_cl.source import Recorded
 
 SIZE, FRAMES, FPS = (240, 136), 21, 30.0
 MOVING = 0.4  # of the pixels, with objects of one's own

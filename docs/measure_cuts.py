@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 from make_tables import between_markers
 
-from gffe_cl.camera import Camera
-from gffe_cl.frame import RenderedFrame
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.opencl.device import Device, open_device
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.scenes import SCENES, SceneRenderer, load_scene
 from gffe_cl.stages.cuts import COUNTED, LEAST_OVERLAP
 

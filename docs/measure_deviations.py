@@ -25,12 +25,12 @@ import numpy as np
 from make_tables import between_markers
 from situation_regions import region_of_situation, submitted_frames
 
-from gffe_cl.frame import RenderedFrame
-from gffe_cl.metrics import display_values
+from gffe_cl.evaluation.metrics import display_values
+from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.opencl.program import kernel_folder
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.scenes import SCENES, SITUATIONS, SceneFrames, SceneRenderer, load_scene
 
 ALPHA, FPS = 0.5, 30.0

@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 from make_tables import between_markers
 
-from gffe_cl.doctor.breaking import BREAKS, HARMLESS, Kept, broken
 from gffe_cl.doctor.choosing import fixed_by, selected
 from gffe_cl.doctor.diagnose import examine
+from gffe_cl.doctor.fault_injection import BREAKS, HARMLESS, Kept, broken
 from gffe_cl.doctor.repair import Repair, static_motion
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.sequence import open_sequence

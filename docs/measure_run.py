@@ -23,10 +23,10 @@ from pathlib import Path
 import numpy as np
 from make_tables import between_markers
 
-from gffe_cl.frame import pack_frame
+from gffe_cl.frame.rendered_frame import pack_frame
 from gffe_cl.opencl.device import open_device
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.sequence import Sequence, open_sequence
 from gffe_cl.sequence.exr import COMPRESSIONS, codec_seconds, read_channels, write_channels
 from gffe_cl.sequence.read_ahead import usable_cores

@@ -22,14 +22,14 @@ import numpy as np
 from make_tables import between_markers, table
 from upscaling_defects import defect_tables, defects, pictures
 
+from gffe_cl.evaluation.metrics import display_values, psnr, ssim
 from gffe_cl.evaluation.table.flicker import Flicker
-from gffe_cl.frame import RenderedFrame
-from gffe_cl.metrics import display_values, psnr, ssim
+from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.opencl.device import Device, open_device
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
+from gffe_cl.pipeline.source import JITTER_LENGTH, jittered_renderer
 from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
-from gffe_cl.source import JITTER_LENGTH, jittered_renderer
 
 DOCS = Path(__file__).parent
 JSON, PAGE = DOCS / "measured" / "upscaling.json", DOCS / "upscaling.md"

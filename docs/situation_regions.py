@@ -9,9 +9,9 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from gffe_cl.evaluation.compare import NO_HISTORY
-from gffe_cl.frame import RenderedFrame, pack_frame
-from gffe_cl.metrics import display_values
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.evaluation.metrics import display_values
+from gffe_cl.frame.rendered_frame import RenderedFrame, pack_frame
+from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.scenes import SceneFrames
 
 BESIDE = 2  # pixels round what moves that are its silhouettes

@@ -13,14 +13,14 @@ from pathlib import Path
 import numpy as np
 from make_tables import table
 
-from gffe_cl.frame import RenderedFrame
-from gffe_cl.jitter import Jitter
-from gffe_cl.metrics import display_values
+from gffe_cl.evaluation.metrics import display_values
+from gffe_cl.frame.jitter import Jitter
+from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.opencl.device import Device
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
+from gffe_cl.pipeline.source import jittered_renderer
 from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
-from gffe_cl.source import jittered_renderer
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
 from synthetic import Rect, Rects, camera

@@ -9,8 +9,8 @@ import tempfile
 
 import pytest
 
-from gffe_cl import inference
 from gffe_cl.cli import main
+from gffe_cl.inference import network
 from gffe_cl.opencl.device import list_devices, open_info, select
 
 _cache = tempfile.TemporaryDirectory(prefix="gffe-tests-")  # children of tests share it
@@ -32,7 +32,7 @@ def pytest_generate_tests(metafunc):
         metafunc.parametrize("device", infos, ids=names, indirect=True, scope="session")
 
 
-_default_model = inference.default_model
+_default_model = network.default_model
 
 
 @pytest.fixture(scope="session")
@@ -44,7 +44,7 @@ def default_model():
 @pytest.fixture(scope="session", autouse=True)
 def _no_weights():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(inference, "default_model", lambda: None)
+        patch.setattr(network, "default_model", lambda: None)
         yield
 
 

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import OpenEXR
 
-from gffe_cl.camera import Camera
+from gffe_cl.frame.camera import Camera
 from gffe_cl.opencl.device import open_device
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 

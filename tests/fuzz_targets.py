@@ -19,9 +19,10 @@ import numpy as np
 import OpenEXR
 from PIL import Image
 
-from gffe_cl import Camera, GffeError, conventions, open_capture
-from gffe_cl.camera import predict_camera
-from gffe_cl.options import OPTIONS, Options
+from gffe_cl import Camera, GffeError, open_capture
+from gffe_cl.frame import conventions
+from gffe_cl.frame.camera import predict_camera
+from gffe_cl.pipeline.options import OPTIONS, Options
 from gffe_cl.selftest.scene import FPS, frames
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
 

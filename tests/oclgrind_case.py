@@ -11,10 +11,10 @@ import numpy as np
 from test_shading_correction import made_stages
 from test_twins import run
 
-from gffe_cl.frame import Overlays
+from gffe_cl.frame.rendered_frame import Overlays
 from gffe_cl.opencl.device import open_device
 from gffe_cl.opencl.program import kernel_folder
-from gffe_cl.options import Options
+from gffe_cl.pipeline.options import Options
 from gffe_cl.stages.shading import FocusMask
 
 WIDTH, HEIGHT = 64, 48

@@ -25,7 +25,7 @@ from gffe_cl import (
     Window,
     open_sequence,
 )
-from gffe_cl.options import OPTIONS
+from gffe_cl.pipeline.options import OPTIONS
 from gffe_cl.sequence.description import checked_entry
 
 W, H = 24, 16

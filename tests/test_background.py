@@ -6,8 +6,8 @@ import pytest
 from synthetic import Rect, Rects, camera
 
 from gffe_cl import Options, Pipeline
-from gffe_cl.buffers import BY_HIDDEN_PART
-from gffe_cl.packing import OFFSET, RGB9E5
+from gffe_cl.stages.buffers import BY_HIDDEN_PART
+from gffe_cl.stages.pixel_formats import OFFSET, RGB9E5
 
 W, H = 128, 80
 WALL = Rect((0, 0, 10), frequency=0.25)

@@ -13,14 +13,14 @@ import pytest
 import tiny_sequence
 from scn_models import constant_model
 
-from gffe_cl.camera import Camera
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation import bench as bench_module
-from gffe_cl.evaluation import counting, footage
-from gffe_cl.frame import RenderedFrame
+from gffe_cl.evaluation import benchmark_input, counting
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.opencl.device import open_device
-from gffe_cl.options import Options
-from gffe_cl.pipeline import STAGES
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import STAGES
 from gffe_cl.sequence import open_sequence
 from gffe_cl.stages.holes import FILLINGS
 
@@ -140,7 +140,7 @@ def small_copies(monkeypatch):
 def test_turns_follow_the_frame_that_motion_refers_to():
     camera = Camera(np.eye(4), 10, 10, 5, 5)
     frames = tuple(RenderedFrame(k, k, k, camera, 0.0) for k in range(4))
-    loop = footage.Footage("x", 10, 10, 1.0, 0.1, frames, (None,) * 4, forward=True)
+    loop = benchmark_input.Footage("x", 10, 10, 1.0, 0.1, frames, (None,) * 4, forward=True)
     turns = list(loop.turns(4))
     assert [turn.index for turn in turns] == [0, 1, 2, 3, 0, 1, 2, 3]
     assert [turn.counts for turn in turns] == [False, False, True, True] * 2
@@ -155,7 +155,7 @@ def test_turns_follow_the_frame_that_motion_refers_to():
 
 
 def test_a_part_sees_what_the_whole_does():
-    shown = footage.scene_footage(open_device(), "room", 64, 48)
+    shown = benchmark_input.scene_footage(open_device(), "room", 64, 48)
     part = shown.part(20, 16, (0.25, 0.5))
     assert (part.width, part.height) == (20, 16) == part.frames[0].depth.shape[::-1]
     assert np.array_equal(part.frames[1].motion, shown.frames[1].motion[16:32, 6:26])
@@ -168,18 +168,18 @@ def test_a_part_sees_what_the_whole_does():
 
 def test_loops_avoid_resets(tmp_path):
     sequence = open_sequence(tiny_sequence.write(tmp_path / "in", frames=12))
-    assert footage._loop(sequence, None) == (3, 9) and footage._loop(sequence, 1) == (0, 6)
-    assert footage._loop(sequence, 11) == (6, 12)
+    assert benchmark_input._loop(sequence, None) == (3, 9) and benchmark_input._loop(sequence, 1) == (0, 6)
+    assert benchmark_input._loop(sequence, 11) == (6, 12)
     for number in (0, 12, -1):
         with pytest.raises(GffeError, match=rf"--frame {number}: expected a rendered frame"):
-            footage._loop(sequence, number)
+            benchmark_input._loop(sequence, number)
     sequence.frames[:] = [replace(entry, reset=entry.file == sequence.rendered[5].file) for entry in sequence.frames]
-    assert footage._loop(sequence, 6) == (5, 11) and footage._loop(sequence, 4) == (0, 5)
+    assert benchmark_input._loop(sequence, 6) == (5, 11) and benchmark_input._loop(sequence, 4) == (0, 5)
     with pytest.raises(GffeError, match="and no reset"):
-        footage._loop(sequence, 5)
+        benchmark_input._loop(sequence, 5)
     sequence.frames[:] = [replace(entry, reset=True) for entry in sequence.frames]
     with pytest.raises(GffeError, match="no rendered frame follows another one"):
-        footage._loop(sequence, None)
+        benchmark_input._loop(sequence, None)
 
 
 def test_enlarging_keeps_planes_and_edges():
@@ -192,8 +192,8 @@ def test_enlarging_keeps_planes_and_edges():
     color = np.stack([x, y, 0 * x], -1)
     camera = Camera(np.eye(4), 10, 10, 8, 6)
     frame = RenderedFrame(*(a.astype(np.float32) for a in (color, 1 / inverse, motion)), camera, 0.0)
-    assert footage.enlarged(frame, 16, 12) is frame
-    large = footage.enlarged(frame, 48, 36)
+    assert benchmark_input.enlarged(frame, 16, 12) is frame
+    large = benchmark_input.enlarged(frame, 48, 36)
     near = large.depth < 2
     assert near.sum() == 9 * 16 and near[12:24, 15:27].all()
     assert np.allclose(large.depth[near], 1) and np.allclose(large.motion[near], (-27, 9))
@@ -212,9 +212,9 @@ def test_enlarging_keeps_the_sky_and_bad_pixels():
     depth = np.full((4, 4), np.inf, np.float32)
     depth[3, 3] = np.nan
     frame = RenderedFrame(np.ones((4, 4, 3), np.float16), depth, None, Camera(np.eye(4), 4, 4, 2, 2), 0.0, reset=True)
-    large = footage.enlarged(frame, 8, 8)
+    large = benchmark_input.enlarged(frame, 8, 8)
     assert np.isnan(large.depth[6:, 6:]).all() and np.isposinf(large.depth[:5, :5]).all() and large.reset
-    assert not large.motion.any() and footage.enlarged(frame, 1, 1).depth.shape == (1, 1)
+    assert not large.motion.any() and benchmark_input.enlarged(frame, 1, 1).depth.shape == (1, 1)
 
 
 # ---- traffic ---------------------------------------------------------------------------------------------------
@@ -274,7 +274,7 @@ def test_traffic_does_not_grow(lanes):
         assert not os.environ.get("CI"), "CI must have oclgrind"
         pytest.skip("oclgrind is not installed")
     table = json.loads(TABLE.read_text())
-    shown = footage.scene_footage(open_device(), table["of"], *table["size"])
+    shown = benchmark_input.scene_footage(open_device(), table["of"], *table["size"])
     now = counting.report({lanes: counting.count(shown, Options(), lanes)}, shown)
     found = counting.grown(table, now)
     assert not found, "\n".join([*found, f"If that is meant to be: {RECORD}"])

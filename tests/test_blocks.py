@@ -6,8 +6,8 @@ import twins
 from synthetic import Rect, Rects, camera
 from test_twins import SCENE, frames
 
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 
 # What lies before a wall and hides parts of it, moves or stands still; tilted by the cameras of `frames`.

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from synthetic import Rect, Rects, camera
 
-from gffe_cl.calibration.calibrate import Calibration, calibrate_sequence
-from gffe_cl.calibration.correspondences import Correspondences, correspondences
-from gffe_cl.calibration.focal import find_focal, lens_of_view, view_of_lens
-from gffe_cl.calibration.pose import Lens, fit, residuals, rotation_of
-from gffe_cl.camera import Camera
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
+from gffe_cl.doctor.calibration.calibrate import Calibration, calibrate_sequence
+from gffe_cl.doctor.calibration.correspondences import Correspondences, correspondences
+from gffe_cl.doctor.calibration.focal import find_focal, lens_of_view, view_of_lens
+from gffe_cl.doctor.calibration.pose import Lens, fit, residuals, rotation_of
+from gffe_cl.frame.camera import Camera
 from gffe_cl.sequence import open_sequence
 from gffe_cl.sequence.description import Description, FrameEntry, describe
 from gffe_cl.sequence.exr import write_channels

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gffe_cl import Camera, GffeError, predict_camera, predict_camera_at
-from gffe_cl.camera_path import rotation_matrix, rotation_vector
+from gffe_cl.frame.camera_prediction import rotation_matrix, rotation_vector
 
 angle = st.floats(-3, 3)
 coordinate = st.floats(-100, 100)

@@ -11,7 +11,7 @@ from onnx import helper, numpy_helper
 from scn_models import save
 
 from gffe_cl import GffeError
-from gffe_cl.inference import load_network
+from gffe_cl.inference.network import load_network
 from gffe_cl.scn.channels import pad_channels, pad_file
 
 RNG = np.random.default_rng(3)

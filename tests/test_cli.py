@@ -18,10 +18,10 @@ from scn_models import constant_model
 from synthetic import Rect, Rects, camera
 
 from gffe_cl import open_sequence
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
+from gffe_cl.evaluation.metrics import METRICS, Metric
 from gffe_cl.evaluation.table.results import METRIC_COLUMNS
-from gffe_cl.metrics import METRICS, Metric
-from gffe_cl.run import alphas_for
+from gffe_cl.pipeline.run import alphas_for
 from gffe_cl.scenes import load_scene
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
 
@@ -396,7 +396,7 @@ def test_options_of_scenes_are_refused_for_sequences(gffe, scene, tmp_path):
 
 def test_baseline_of_a_windowed_sequence_is_its_display_part(gffe, tmp_path):
     from gffe_cl.evaluation.compare import baseline_repeat, shown_color
-    from gffe_cl.metrics import display_values, psnr
+    from gffe_cl.evaluation.metrics import display_values, psnr
 
     options = ("--size", "96x54", "--frames", 4, "--ground-truth", "--window", "fixed:1.3")
     assert gffe("render", "room", tmp_path / "in", *options)[0] == 0

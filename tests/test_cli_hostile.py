@@ -14,16 +14,16 @@ from types import SimpleNamespace
 import pytest
 from fuzz_arguments import arguments, kind, parameters, wrong
 
-from gffe_cl import errors
 from gffe_cl.cli import common
-from gffe_cl.cluster import Cluster
-from gffe_cl.errors import GffeError
-from gffe_cl.evaluation.table import engine
-from gffe_cl.evaluation.table.cells import Cell
-from gffe_cl.evaluation.table.subjects import SceneSubject
+from gffe_cl.core import errors
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.files import only_process
+from gffe_cl.evaluation.table import runner
+from gffe_cl.evaluation.table.datasets import SceneSubject
+from gffe_cl.evaluation.table.jobs import Cell
 from gffe_cl.export import writing
-from gffe_cl.files import only_process
-from gffe_cl.options import Options
+from gffe_cl.opencl.remote_workers import Cluster
+from gffe_cl.pipeline.options import Options
 
 
 def test_empty_and_infinite_values_are_refused(gffe, tmp_path, monkeypatch):
@@ -125,16 +125,16 @@ def test_broken_sequences_are_left_out(tmp_path, monkeypatch):
             raise GffeError("frame 3: is broken")
         return Cell({"frames": []}, {}, {"machine": "A", "milliseconds": 1.0})
 
-    monkeypatch.setattr(engine, "compute_cell", cell)
-    monkeypatch.setattr(engine, "_machine", lambda *_: "A")
+    monkeypatch.setattr(runner, "compute_cell", cell)
+    monkeypatch.setattr(runner, "_machine", lambda *_: "A")
     subjects = tuple(SceneSubject("room", seed, 64, 36, 6, 30.0, (0.5,)) for seed in range(3))
     broken = [1]
-    filled = engine.fill(engine.Order(subjects, ("repeat",)), tmp_path)
+    filled = runner.fill(runner.Order(subjects, ("repeat",)), tmp_path)
     assert filled.broken == {"room:1": "frame 3: is broken"}
     assert {name for name, _ in filled.cells} == {"room:0", "room:2"} == {s.name for s in filled.subjects}
     broken = [0, 1, 2]
     with pytest.raises(GffeError, match="room:2: frame 3"):
-        engine.fill(engine.Order(subjects, ("repeat",), recompute=True), tmp_path)
+        runner.fill(runner.Order(subjects, ("repeat",), recompute=True), tmp_path)
 
 
 @pytest.mark.long

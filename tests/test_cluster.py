@@ -5,9 +5,9 @@ import signal
 
 import pytest
 
-from gffe_cl.cluster import Cluster, fingerprint
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
 from gffe_cl.opencl.device import open_device
+from gffe_cl.opencl.remote_workers import Cluster, fingerprint
 
 SEED = 3  # of two small clips
 pytestmark = [pytest.mark.long, pytest.mark.slow]
@@ -77,6 +77,6 @@ def test_work_that_fails_says_why(cluster, monkeypatch):
     assert dict(cluster.compute(abs, items)) == {str(k): k for k in range(200)}
     with pytest.raises(TypeError):
         list(cluster.compute(abs, {"a": ("text",)}))
-    monkeypatch.setattr("gffe_cl.cluster.fingerprint", lambda: fingerprint()[::-1])
+    monkeypatch.setattr("gffe_cl.opencl.remote_workers.fingerprint", lambda: fingerprint()[::-1])
     with pytest.raises(GffeError, match="another version of gffe-cl"):
         list(cluster.compute(abs, {"a": (1,)}))

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from gffe_cl.camera import Camera
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation.compare import baseline_repeat, compare
-from gffe_cl.metrics import METRICS, display_values, psnr, ssim
+from gffe_cl.evaluation.metrics import METRICS, display_values, psnr, ssim
+from gffe_cl.frame.camera import Camera
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels, open_sequence
 
 W, H = 11, 8

@@ -16,7 +16,7 @@ from gffe_cl import (
     motion_from_unreal,
     motion_from_uv,
 )
-from gffe_cl.conventions import rigid
+from gffe_cl.frame.conventions import rigid
 
 SIZE = (320, 180)
 

@@ -11,18 +11,18 @@ from synthetic import Rect, Rects, camera
 from test_twins import frames
 
 from gffe_cl.evaluation.compare import compare
-from gffe_cl.frame import pack_frame
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
-from gffe_cl.run import run_sequence
+from gffe_cl.frame.rendered_frame import pack_frame
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
+from gffe_cl.pipeline.run import run_sequence
+from gffe_cl.pipeline.source import Recorded
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels, open_sequence
-from gffe_cl.source import Recorded
-from gffe_cl.stage import reprojection
+from gffe_cl.stages.base import reprojection
 from gffe_cl.stages.cuts import COUNTED, SAMPLES, is_cut
 from gffe_cl.viewer.engine.messages import Setup
-from gffe_cl.viewer.engine.recorded import RecordedSource
-from gffe_cl.viewer.engine.seeking import Seeker
-from gffe_cl.viewer.state.contents import Contents
+from gffe_cl.viewer.engine.seeker import Seeker
+from gffe_cl.viewer.engine.sources.recorded import RecordedSource
+from gffe_cl.viewer.picture.current_frame import Contents
 
 WIDTH, HEIGHT, FPS = 96, 64, 30.0
 FIRST = Rects([Rect((0, 0, 9)), Rect((0, 0.6, 5), (0.6, 1.2), velocity=(2, 0, 0), frequency=2, tint=(0.7, 0.2, 0.1))])

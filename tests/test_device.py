@@ -16,8 +16,8 @@ from gffe_cl import GffeError
 from gffe_cl.opencl import device as device_module
 from gffe_cl.opencl import runtimes
 from gffe_cl.opencl.device import DeviceInfo, best_of, select
-from gffe_cl.opencl.kept_programs import built_program
 from gffe_cl.opencl.program import build, expand, first_error, kernel_folder
+from gffe_cl.opencl.program_cache import built_program
 from gffe_cl.opencl.runtimes import only_vendors, vendors
 
 
@@ -289,7 +289,7 @@ def test_too_large_an_allocation_is_one_line(device):
         device.buffer(1 << 50)
 
 
-@pytest.mark.parametrize("first", ["gffe_cl", "gffe_cl.pipeline", "pyopencl"])
+@pytest.mark.parametrize("first", ["gffe_cl", "gffe_cl.pipeline.pipeline", "pyopencl"])
 def test_order_of_imports_does_not_matter(first):
     """Devices are found, listed and opened alike in a fresh process, whatever was imported first."""
     code = (

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from synthetic import Rect, Rects, camera
 
+from gffe_cl.core.errors import GffeError
 from gffe_cl.doctor import Repair, examine, open_for_check, quick_warning
-from gffe_cl.doctor.breaking import BREAKS, HARMLESS, Kept, broken
-from gffe_cl.doctor.samples import grid
-from gffe_cl.doctor.tone import Votes, srgb_to_linear
-from gffe_cl.errors import GffeError
+from gffe_cl.doctor.fault_injection import BREAKS, HARMLESS, Kept, broken
+from gffe_cl.doctor.hypotheses.sampling import grid
+from gffe_cl.doctor.hypotheses.transfer_function import Votes, srgb_to_linear
 from gffe_cl.sequence import SequenceWriter, named_channels, open_sequence
 
 W, H, COUNT = 120, 68, 9

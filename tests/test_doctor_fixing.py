@@ -9,12 +9,12 @@ import pytest
 from test_doctor import H, W, assert_restored, clip, names, tiled, written
 
 from gffe_cl import open_capture
+from gffe_cl.core.errors import GffeError
 from gffe_cl.doctor import Finding, Repair, examine, selected
-from gffe_cl.doctor.breaking import Kept, broken
-from gffe_cl.doctor.cameras import CAMERA_AS_GIVEN, camera_readings
-from gffe_cl.doctor.keys import tell_keys
-from gffe_cl.doctor.motions import MOTION_AS_GIVEN, motion_readings
-from gffe_cl.errors import GffeError
+from gffe_cl.doctor.fault_injection import Kept, broken
+from gffe_cl.doctor.format_keys import tell_keys
+from gffe_cl.doctor.hypotheses.cameras import CAMERA_AS_GIVEN, camera_readings
+from gffe_cl.doctor.hypotheses.motions import MOTION_AS_GIVEN, motion_readings
 from gffe_cl.sequence import open_sequence
 
 

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from frame_models import network
 
-from gffe_cl import cluster
-from gffe_cl.errors import GffeError
-from gffe_cl.evaluation.table import cache, engine, results
-from gffe_cl.evaluation.table.cells import Cell
-from gffe_cl.evaluation.table.engine import Order, fill
+from gffe_cl.core.errors import GffeError
+from gffe_cl.evaluation.table import cache, results, runner
+from gffe_cl.evaluation.table.datasets import FolderSubject, SceneSubject, parse_subject
+from gffe_cl.evaluation.table.jobs import Cell
 from gffe_cl.evaluation.table.methods import GAINS, METHODS, chosen_methods
 from gffe_cl.evaluation.table.page import page
 from gffe_cl.evaluation.table.regions import REGIONS
-from gffe_cl.evaluation.table.subjects import FolderSubject, SceneSubject, parse_subject
+from gffe_cl.evaluation.table.runner import Order, fill
+from gffe_cl.opencl import remote_workers
 
 
 def test_subjects(tmp_path, monkeypatch):
@@ -159,7 +159,7 @@ def _same_as_compare(gffe, tmp_path, sequence, cell):
     ],
 )
 def test_eval_says_what_is_wrong(gffe, tmp_path, arguments, words, monkeypatch):
-    monkeypatch.setattr(cluster, "PATIENCE", "0.2s")
+    monkeypatch.setattr(remote_workers, "PATIENCE", "0.2s")
     code, _, err = gffe("eval", *arguments, "--out", tmp_path / "report", "--size", "32x32")
     assert code == 2 and words in " ".join(err.split()) and not (tmp_path / "report" / "index.html").exists()
 
@@ -183,7 +183,7 @@ def test_an_interrupt_leaves_finished_cells(tmp_path, monkeypatch):
             if len(done) == 2:
                 raise KeyboardInterrupt
             done.append(work.method)
-            yield work, engine.compute_cell(work.subject, work.method, **arguments)
+            yield work, runner.compute_cell(work.subject, work.method, **arguments)
 
     with pytest.raises(KeyboardInterrupt):
         fill(order, tmp_path, executor=stops)
@@ -235,7 +235,7 @@ def test_a_cluster_gives_the_same_cells(tmp_path):
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
     ) as local:
-        compute, seen = executor_of(cluster.Cluster(local.scheduler_address)), []
+        compute, seen = executor_of(remote_workers.Cluster(local.scheduler_address)), []
 
         def killing(items, arguments):
             for work, cell in compute(items, arguments):

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from frame_models import network
 
-from gffe_cl.camera import Camera
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
+from gffe_cl.evaluation.metrics import METRICS, RegionErrors, display_values, linear_values
 from gffe_cl.evaluation.table import baselines, image_space, results, videos
+from gffe_cl.evaluation.table.datasets import Guide, Moment, Shot, turned
 from gffe_cl.evaluation.table.flicker import Flicker
 from gffe_cl.evaluation.table.methods import chosen_methods
 from gffe_cl.evaluation.table.network import OnnxModel, OnnxRunner
 from gffe_cl.evaluation.table.regions import REGIONS, exact_parts, labels_of, masks
-from gffe_cl.evaluation.table.subjects import Guide, Moment, Shot, turned
-from gffe_cl.frame import RenderedFrame
-from gffe_cl.metrics import METRICS, RegionErrors, display_values, linear_values
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import RenderedFrame
 
 W, H = 48, 32
 CAMERA = Camera(np.eye(4), 40, 40, W / 2, H / 2)

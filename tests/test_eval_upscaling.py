@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from test_upscaling import MOVING, H, W, frames, path, pipeline_for
 
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
+from gffe_cl.evaluation.table.datasets import open_subject, parse_subject
 from gffe_cl.evaluation.table.image_space import pixel_centres
 from gffe_cl.evaluation.table.methods import METHODS, chosen_methods
-from gffe_cl.evaluation.table.subjects import open_subject, parse_subject
 from gffe_cl.stages.presentation import mapping
 
 

@@ -21,23 +21,23 @@ from exported import (
     require_compiler,
 )
 
-from gffe_cl import inference
-from gffe_cl.buffers import Owner, spread
-from gffe_cl.camera import Camera
-from gffe_cl.camera_path import predict_camera_at, rotation_matrix
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
 from gffe_cl.export.recording import record
 from gffe_cl.export.writing import export
-from gffe_cl.frame import Overlays, RenderedFrame, pack_frame
-from gffe_cl.jitter import Jitter
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.camera_prediction import predict_camera_at, rotation_matrix
+from gffe_cl.frame.jitter import Jitter
+from gffe_cl.frame.rendered_frame import Overlays, RenderedFrame, pack_frame
+from gffe_cl.frame.window import WindowChooser, adaptive_window, nearest_depth
+from gffe_cl.inference import network as inference
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.scenes import load_scene
 from gffe_cl.scenes.renderer import SceneRenderer
 from gffe_cl.scenes.sequences import SceneFrames
+from gffe_cl.stages.buffers import Owner, spread
 from gffe_cl.stages.hidden import HiddenParts
 from gffe_cl.stages.holes import Downsampled
-from gffe_cl.window import WindowChooser, adaptive_window, nearest_depth
 
 W, H = 83, 61
 DEFAULT = Options(shading_correction=False)

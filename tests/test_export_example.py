@@ -14,8 +14,8 @@ import pytest
 from exported import STRICT, require_compiler
 
 from gffe_cl.cli.making import open_source
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
 
 COUNT, SIZE = 4, "70x52"
 SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")

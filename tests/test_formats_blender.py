@@ -212,8 +212,8 @@ def test_commands_take_it(tmp_path, monkeypatch):
 
 
 def test_the_viewer_and_bench_take_it(tmp_path):
-    from gffe_cl.evaluation.footage import sequence_footage
-    from gffe_cl.viewer.engine.opening import ScenePlan, make_source
+    from gffe_cl.evaluation.benchmark_input import sequence_footage
+    from gffe_cl.viewer.engine.sources.opening import ScenePlan, make_source
 
     folder = write_blender(tmp_path, shots())
     source = make_source(str(folder), None, ScenePlan(W, H, 0), None)

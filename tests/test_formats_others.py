@@ -8,7 +8,7 @@ from foreign import H, W, shots, write_exr
 from PIL import Image
 
 from gffe_cl import Camera, GffeError, open_capture
-from gffe_cl.formats.flow import static_motion
+from gffe_cl.formats.motion_conversion import static_motion
 
 HERE = np.stack(np.meshgrid(np.arange(W) + 0.5, np.arange(H) + 0.5), -1)
 

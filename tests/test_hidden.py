@@ -5,7 +5,7 @@ import pytest
 from synthetic import Rect, Rects, camera
 
 from gffe_cl import Options, Pipeline
-from gffe_cl.buffers import BY_HIDDEN_PART
+from gffe_cl.stages.buffers import BY_HIDDEN_PART
 
 W, H = 160, 80
 WALL = Rect((0, 0, 10), frequency=0.25)

@@ -11,7 +11,7 @@ from synthetic import Rect, Rects, camera
 from gffe_cl import Camera, GffeError, SequenceWriter, named_channels, open_capture, open_sequence
 from gffe_cl.cli import commands
 from gffe_cl.formats import FORMATS
-from gffe_cl.formats.flow import composed, inverted_flow, sampled, static_motion
+from gffe_cl.formats.motion_conversion import composed, inverted_flow, sampled, static_motion
 from gffe_cl.sequence import FrameEntry
 
 SIZE = (64, 48)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scn_models import constant_model
 
-from gffe_cl.inference import load_network
+from gffe_cl.inference.network import load_network
 
-LOADS = "from gffe_cl.inference import load_network; load_network({!r}).session.get_inputs()"
+LOADS = "from gffe_cl.inference.network import load_network; load_network({!r}).session.get_inputs()"
 
 
 def test_onnxruntime_writes_nothing_about_the_device(tmp_path):

@@ -5,8 +5,8 @@ import pyopencl as cl
 import pytest
 from pyopencl.characterize import has_src_build_cache
 
-from gffe_cl.opencl import kept_programs
-from gffe_cl.opencl.kept_programs import built_program
+from gffe_cl.opencl import program_cache
+from gffe_cl.opencl.program_cache import built_program
 
 pytestmark = pytest.mark.device
 SOURCE = "__kernel void twice(__global float *x) { x[get_global_id(0)] *= FACTOR; }"
@@ -22,7 +22,7 @@ def folder(tmp_path, monkeypatch):
 @pytest.fixture
 def keeping(device, monkeypatch):
     """Keeps programs for every device, also where drivers do."""
-    monkeypatch.setattr(kept_programs, "has_src_build_cache", lambda _: False)
+    monkeypatch.setattr(program_cache, "has_src_build_cache", lambda _: False)
     return device
 
 

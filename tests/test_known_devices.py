@@ -11,7 +11,7 @@ from test_device import GPU, INTEL, POCL
 
 from gffe_cl import GffeError
 from gffe_cl.opencl import device as device_module
-from gffe_cl.opencl import known_devices, probing
+from gffe_cl.opencl import device_cache, probing
 from gffe_cl.opencl.device import list_devices, open_device
 from gffe_cl.opencl.probing import Probed
 
@@ -119,12 +119,12 @@ def test_other_drivers_are_probed_anew(cache, probes, tmp_path, monkeypatch):
     def set_a_variable():
         monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
 
-    keys = [known_devices.fingerprint()]
+    keys = [device_cache.fingerprint()]
     for change in (replace_library, install_another, find_its_library, set_a_variable):
         list_devices()
-        assert known_devices.fingerprint() == keys[-1]
+        assert device_cache.fingerprint() == keys[-1]
         change()
-        keys.append(known_devices.fingerprint())
+        keys.append(device_cache.fingerprint())
     assert len(set(keys)) == len(keys)
     list_devices()
     assert probes.calls == len(keys)
@@ -153,13 +153,13 @@ def test_what_does_not_work_is_tried_again_after_an_hour(cache, probes, kind, mo
 
 
 def test_what_works_stays_known(cache, probes, monkeypatch):
-    monkeypatch.setattr(known_devices, "vendors", lambda: ["a.icd"])
-    monkeypatch.setattr(known_devices, "fingerprint", lambda: "key")
+    monkeypatch.setattr(device_cache, "vendors", lambda: ["a.icd"])
+    monkeypatch.setattr(device_cache, "fingerprint", lambda: "key")
     list_devices()
     age(cache, 1e7)
     list_devices()
     assert probes.calls == 1
-    monkeypatch.setattr(known_devices, "vendors", list)  # drivers that no file tells of
+    monkeypatch.setattr(device_cache, "vendors", list)  # drivers that no file tells of
     list_devices()
     assert probes.calls == 2
 
@@ -167,10 +167,10 @@ def test_what_works_stays_known(cache, probes, monkeypatch):
 def test_only_the_newest_files_stay(cache, probes):
     cache.mkdir()
     for k in range(30):
-        known_devices.keep(f"key{k}", Probed([POCL]))
+        device_cache.keep(f"key{k}", Probed([POCL]))
         os.utime(cache / f"devices-key{k}.json", (k, k))
-    known_devices.keep("newest", Probed([POCL]))
-    assert len(list(cache.iterdir())) == 16 and known_devices.recall("newest").devices == [POCL]
+    device_cache.keep("newest", Probed([POCL]))
+    assert len(list(cache.iterdir())) == 16 and device_cache.recall("newest").devices == [POCL]
 
 
 def test_a_known_device_that_is_not_there_is_looked_for(cache, device, monkeypatch):
@@ -181,7 +181,7 @@ def test_a_known_device_that_is_not_there_is_looked_for(cache, device, monkeypat
     for gone in (replace(GPU, index=there), replace(GPU, index="9:9"), replace(GPU, index="0:99")):
         calls = []
         monkeypatch.setattr(device_module, "probe", lambda calls=calls: calls.append(1) or really())
-        known_devices.keep(known_devices.fingerprint(), Probed([replace(gone)]))
+        device_cache.keep(device_cache.fingerprint(), Probed([replace(gone)]))
         opened = open_device(there)
         assert opened.info.name == device.info.name and len(calls) == 1
         assert open_device(there).info == opened.info and len(calls) == 1

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from tiny_sequence import H, W, camera, pixels
 
-from gffe_cl.options import Options
-from gffe_cl.run import alphas_for, run_sequence
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.run import alphas_for, run_sequence
+from gffe_cl.pipeline.source import Recorded
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels, open_sequence
 from gffe_cl.sequence.matching import Timeline
-from gffe_cl.source import Recorded
-from gffe_cl.viewer.engine.recorded import RecordedSource
+from gffe_cl.viewer.engine.sources.recorded import RecordedSource
 
 FRAMES = 6
 

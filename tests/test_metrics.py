@@ -6,8 +6,8 @@ import types
 import numpy as np
 import pytest
 
-from gffe_cl import metrics
-from gffe_cl.metrics import METRICS, RegionErrors, display_values, psnr, shading_regions, smape, ssim
+from gffe_cl.evaluation import metrics
+from gffe_cl.evaluation.metrics import METRICS, RegionErrors, display_values, psnr, shading_regions, smape, ssim
 
 
 def test_display_values():

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from gffe_cl.metrics import display_values
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.evaluation.metrics import display_values
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.scenes import SceneFrames, SceneRenderer
-from gffe_cl.scenes.motions import Bounce, Carry, Motion, Place, Spin, Swing, rotation, translation
-from gffe_cl.scenes.vocabulary import Air, Box, Capsule, Group, Light, Material, Scene, Sphere, wave
+from gffe_cl.scenes.parts.motions import Bounce, Carry, Motion, Place, Spin, Swing, rotation, translation
+from gffe_cl.scenes.scene_types import Air, Box, Capsule, Group, Light, Material, Scene, Sphere, wave
 
 RED = Material((0.8, 0.2, 0.15), (0.9, 0.8, 0.2), "checker", 0.12)
 GREY = Material((0.5, 0.55, 0.6), (0.25, 0.3, 0.35), "checker", 0.5)

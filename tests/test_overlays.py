@@ -9,10 +9,10 @@ import twins
 from synthetic import Rect, Rects, camera, psnr
 
 from gffe_cl import GffeError, Options, Overlays, Pipeline
-from gffe_cl.buffers import BY_FIXED, DeviceFrame, Sizes
-from gffe_cl.frame import PackedFrame
+from gffe_cl.frame.rendered_frame import PackedFrame
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels, open_sequence
-from gffe_cl.stage import Board
+from gffe_cl.stages.base import Board
+from gffe_cl.stages.buffers import BY_FIXED, DeviceFrame, Sizes
 from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.presentation import mapping
 

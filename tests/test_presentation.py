@@ -9,11 +9,11 @@ from synthetic import Rect, Rects, camera, psnr
 from test_twins import assert_close
 
 from gffe_cl import Camera, GffeError, Options, Overlays, Pipeline, RenderedFrame, fixed_window, present
-from gffe_cl.buffers import DeviceFrame, Sizes
-from gffe_cl.frame import require_one_pose
-from gffe_cl.stage import Board
+from gffe_cl.frame.rendered_frame import require_one_pose
+from gffe_cl.frame.window import FULL, Window
+from gffe_cl.stages.base import Board
+from gffe_cl.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.stages.presentation import Presentation, mapping
-from gffe_cl.window import FULL, Window
 
 W, H = 96, 64
 SCENE = Rects(
@@ -52,7 +52,7 @@ def test_kernel_equals_its_twin(device, size, render_size, window):
     through = window.camera(display, size, render_size)
     maps = (mapping(display, through), mapping(through, display), mapping(before, before.scaled(1.3, 1.1)))
     stage = Presentation(Board(device, Sizes(render_size, size)))
-    from gffe_cl.frame import PackedFrame
+    from gffe_cl.frame.rendered_frame import PackedFrame
 
     frame = DeviceFrame.allocate(device, render_size, through, display, 0.0)
     frame.upload(device, PackedFrame(color, depth, motion))

@@ -15,12 +15,14 @@ import tiny_sequence
 from onnx import helper
 from scn_models import look_model, save
 
-from gffe_cl import GffeError, inference
-from gffe_cl.inference import Network, NetworkError, load_network
-from gffe_cl.providers import checking, choosing, runtime
-from gffe_cl.providers.checking import Verdict, verdict
-from gffe_cl.providers.choosing import Choice, choose
-from gffe_cl.providers.runtime import CPU, PROVIDERS
+from gffe_cl import GffeError
+from gffe_cl.inference import network as inference
+from gffe_cl.inference import provider_check, provider_choice
+from gffe_cl.inference import providers as runtime
+from gffe_cl.inference.network import Network, NetworkError, load_network
+from gffe_cl.inference.provider_check import Verdict, verdict
+from gffe_cl.inference.provider_choice import Choice, choose
+from gffe_cl.inference.providers import CPU, PROVIDERS
 
 WEBGPU = PROVIDERS["webgpu"]
 FOLDERS = (os.environ.get("GFFE_SWIFTSHADER", ""), "/usr/lib/chromium")
@@ -82,11 +84,11 @@ def passing(provider, milliseconds):
     ],
 )
 def test_auto_is_the_fastest_that_passes(monkeypatch, found, expected, remark):
-    monkeypatch.setattr(choosing, "installed_providers", lambda: [CPU, *(PROVIDERS[name] for name in found)])
-    monkeypatch.setattr(choosing, "verdict", lambda path, provider: found[provider.name])
+    monkeypatch.setattr(provider_choice, "installed_providers", lambda: [CPU, *(PROVIDERS[name] for name in found)])
+    monkeypatch.setattr(provider_choice, "verdict", lambda path, provider: found[provider.name])
     assert choose(Path("m"), "auto") == Choice(PROVIDERS[expected], expected != "cpu", remark)
     for name, each in found.items():
-        monkeypatch.setattr(choosing, "find_provider", PROVIDERS.__getitem__)
+        monkeypatch.setattr(provider_choice, "find_provider", PROVIDERS.__getitem__)
         if each.passes:
             assert choose(Path("m"), name) == Choice(PROVIDERS[name])
         else:
@@ -103,7 +105,7 @@ def test_verdicts_are_kept(cache, tmp_path, monkeypatch):
         calls.append(given)
         return replace(answer)
 
-    monkeypatch.setattr(checking, "_in_child", ask)
+    monkeypatch.setattr(provider_check, "_in_child", ask)
     assert verdict(path, WEBGPU) == verdict(path, WEBGPU) == answer and len(calls) == 1
     verdict(path, PROVIDERS["cuda"])
     verdict(path, WEBGPU, refresh=True)
@@ -142,7 +144,7 @@ def test_what_a_driver_does_is_no_harm(cache, tmp_path, monkeypatch, does, probl
     (tmp_path / "plugins").mkdir()
     (tmp_path / "plugins" / f"{WEBGPU.plugin}.py").write_text(PLUGIN.format(does))
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "plugins"))
-    monkeypatch.setattr(checking, "_SECONDS", 1 if "hangs" in problem else 60)
+    monkeypatch.setattr(provider_check, "_SECONDS", 1 if "hangs" in problem else 60)
     monkeypatch.syspath_prepend(tmp_path / "plugins")
     with pytest.raises(NetworkError, match=f"provider webgpu: .*{problem}") as caught:
         load_network(look_model(tmp_path / "m.onnx"), "webgpu")
@@ -157,7 +159,7 @@ def test_devices_says_what_may_run_the_network(gffe, tmp_path, monkeypatch):
     }
     monkeypatch.setattr(inference, "default_model", lambda: Path(look_model(tmp_path / "m.onnx")))
     monkeypatch.setattr(runtime, "installed_providers", lambda: [CPU, *(PROVIDERS[name] for name in found)])
-    monkeypatch.setattr(checking, "verdict", lambda path, provider, refresh: found[provider.name])
+    monkeypatch.setattr(provider_check, "verdict", lambda path, provider, refresh: found[provider.name])
     code, text, _ = gffe("devices", "--json", tmp_path / "d.json")
     text = " ".join(text.split())
     assert code == 0 and "provider webgpu: Fast GPU, 5.0 ms for 960×540, the CPU 90.0 ms; differs" in text
@@ -336,7 +338,7 @@ ASSIGNED = """
 import sys, collections
 from pathlib import Path
 from gffe_cl.providers import runtime
-from gffe_cl.providers.sessions import FixedSession
+from gffe_cl.inference.sessions import FixedSession
 onnxruntime = runtime.load_onnxruntime()
 made = onnxruntime.SessionOptions
 def recording():

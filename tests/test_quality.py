@@ -4,11 +4,11 @@ gain on scenes that they were not trained on."""
 import numpy as np
 import pytest
 
-from gffe_cl import inference
-from gffe_cl.evaluation.table.subjects import SceneSubject, open_subject
-from gffe_cl.metrics import display_values, focus_mask
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.evaluation.metrics import display_values, focus_mask
+from gffe_cl.evaluation.table.datasets import SceneSubject, open_subject
+from gffe_cl.inference import network
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.scenes import SCENES
 
 WIDTH, HEIGHT, FRAMES, FPS = 320, 180, 7, 30.0
@@ -52,7 +52,7 @@ def test_geometry_is_extrapolated_as_well_as_it_was(device, name):
 @pytest.fixture
 def shipped_weights(monkeypatch, default_model):
     """The weights that come with the package are there, and on by default as for a user."""
-    monkeypatch.setattr(inference, "default_model", default_model)
+    monkeypatch.setattr(network, "default_model", default_model)
     assert default_model() is not None, "gffe_cl/scn/weights/scn.onnx is missing"
 
 

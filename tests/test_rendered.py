@@ -6,10 +6,10 @@ import pytest
 import twins
 from test_twins import frames
 
-from gffe_cl.buffers import DeviceFrame, Sizes
-from gffe_cl.frame import pack_frame
-from gffe_cl.options import Options
-from gffe_cl.stage import Board, Step, reprojection
+from gffe_cl.frame.rendered_frame import pack_frame
+from gffe_cl.pipeline.options import Options
+from gffe_cl.stages.base import Board, Step, reprojection
+from gffe_cl.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.surfaces import Surfaces
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scene_oracle import cast, clearances, followed
 
-from gffe_cl.camera import Camera
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.window import WindowChooser
 from gffe_cl.opencl.device import list_devices, open_info
+from gffe_cl.pipeline.source import Live
 from gffe_cl.scenes import SCENES, SITUATIONS, SceneFrames, SceneRenderer, load_scene
 from gffe_cl.scenes.flatten import build_tree
-from gffe_cl.source import Live
-from gffe_cl.window import WindowChooser
 
 NAMES = list(SCENES)
 SHADING = ("gallery", "street", "factory", "courtyard")  # for what moves on surfaces that do not

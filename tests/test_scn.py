@@ -13,9 +13,9 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from gffe_cl import inference  # noqa: E402
-from gffe_cl.errors import GffeError  # noqa: E402
-from gffe_cl.metrics import display_values, focus_mask, shading_regions  # noqa: E402
+from gffe_cl.core.errors import GffeError  # noqa: E402
+from gffe_cl.evaluation.metrics import display_values, focus_mask, shading_regions  # noqa: E402
+from gffe_cl.inference import network as inference  # noqa: E402
 from gffe_cl.scn import clips, images, losses, network  # noqa: E402
 from gffe_cl.scn import training as training_module  # noqa: E402
 from gffe_cl.scn.augmentation import Augmentation, low_pass  # noqa: E402

@@ -10,11 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gffe_cl import inference
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
+from gffe_cl.inference import network
+from gffe_cl.inference.provider_check import TOLERANCE
 from gffe_cl.opencl.device import list_devices, open_info
 from gffe_cl.opencl.program import kernel_folder
-from gffe_cl.providers.checking import TOLERANCE
 from gffe_cl.selftest import report, selftest
 from gffe_cl.selftest.network import compare_provider, model_digest
 from gffe_cl.selftest.reference import (
@@ -38,7 +38,7 @@ LITTLE = {"cases": ["paper"], "forms": ["own"], "until": "frame 1 + 1/3", "speed
 
 @pytest.fixture
 def weights(monkeypatch, default_model):
-    monkeypatch.setattr(inference, "default_model", default_model)
+    monkeypatch.setattr(network, "default_model", default_model)
     monkeypatch.setattr("gffe_cl.selftest.network.default_model", default_model)
     monkeypatch.setattr("gffe_cl.selftest.workload.default_model", default_model)
 

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tiny_sequence import H, W, camera, contiguous, edit, pixels, write
 
-from gffe_cl.camera import Camera
-from gffe_cl.errors import GffeError
-from gffe_cl.frame import BadPixels, RenderedFrame, pack_frame
+from gffe_cl.core.errors import GffeError
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import BadPixels, RenderedFrame, pack_frame
 from gffe_cl.sequence import (
     FrameEntry,
     SequenceWriter,
@@ -302,7 +302,7 @@ def test_halves_that_were_read_are_packed_already(tmp_path):
 def test_freed_memory_is_kept():
     """Pages that were fetched once serve again, instead of new ones for each array."""
     code = (
-        "import resource, numpy as np\nfrom gffe_cl.memory import keep_freed_memory\n{}\n"
+        "import resource, numpy as np\nfrom gffe_cl.opencl.malloc_tuning import keep_freed_memory\n{}\n"
         "def faults():\n    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
         "np.ones(1 << 22)\nbefore = faults()\nfor k in range(20): np.ones(1 << 22)\nprint(faults() - before)"
     )

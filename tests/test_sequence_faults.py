@@ -17,10 +17,10 @@ import OpenEXR
 import pytest
 from tiny_sequence import H, W, contiguous, edit, pixels, write
 
-from gffe_cl.errors import GffeError
-from gffe_cl.metrics import display_values, focus_mask, smape
-from gffe_cl.pipeline import Pipeline
-from gffe_cl.sequence import SequenceWriter, exr_header, named_channels, open_sequence, quiet
+from gffe_cl.core.errors import GffeError
+from gffe_cl.evaluation.metrics import display_values, focus_mask, smape
+from gffe_cl.pipeline.pipeline import Pipeline
+from gffe_cl.sequence import SequenceWriter, exr_header, named_channels, open_sequence, openexr_stderr
 from gffe_cl.sequence.exr_header import _Cursor, _parse
 from gffe_cl.sequence.header_camera import header_cameras
 
@@ -129,12 +129,14 @@ def test_damaged_htj2k(folder, capfd, at, words):
 @pytest.mark.parametrize("damaged", [False, True])
 def test_decoding_leaves_no_file_open(folder, monkeypatch, damaged):
     """The descriptors of its thread mean other files on all others."""
-    path, seen, read = folder / "frame_2.exr", [], quiet._read
+    path, seen, read = folder / "frame_2.exr", [], openexr_stderr._read
     if damaged:
         flat = dict.fromkeys(named_channels(*pixels()), np.ones((H, W), np.float32))
         OpenEXR.File({"type": OpenEXR.scanlineimage}, flat).write(str(path))
         path.write_bytes(path.read_bytes()[:-15] + b"\xff" * 15)
-    monkeypatch.setattr(quiet, "_read", lambda file: (seen.append(os.listdir("/proc/thread-self/fd")), read(file))[1])
+    monkeypatch.setattr(
+        openexr_stderr, "_read", lambda file: (seen.append(os.listdir("/proc/thread-self/fd")), read(file))[1]
+    )
     sequence = open_sequence(folder)
     with pytest.raises(GffeError) if damaged else contextlib.nullcontext():
         sequence.read(sequence.rendered[2])

@@ -18,7 +18,7 @@ import OpenEXR
 import pytest
 from tiny_sequence import H, W, edit, names, pixels, rendered, write
 
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
 from gffe_cl.sequence import (
     FrameEntry,
     SequenceWriter,
@@ -29,7 +29,7 @@ from gffe_cl.sequence import (
 from gffe_cl.sequence import exr as exr_module
 from gffe_cl.sequence import writer as writer_module
 from gffe_cl.sequence.exr_header import read_header
-from gffe_cl.sequence.folder import OutputFolder
+from gffe_cl.sequence.output_folder import OutputFolder
 
 
 @pytest.fixture
@@ -110,7 +110,7 @@ def test_one_writer_at_a_time(tmp_path):
     out = tmp_path / "out"
     child = (
         "import sys; sys.path.insert(0, sys.argv[1])\n"
-        "from tiny_sequence import write\nfrom gffe_cl.errors import GffeError\n"
+        "from tiny_sequence import write\nfrom gffe_cl.core.errors import GffeError\n"
         "try:\n    write(sys.argv[2])\nexcept GffeError as error:\n    print(error)"
     )
     with SequenceWriter(out, W, H, 30) as writer:

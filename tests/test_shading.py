@@ -4,9 +4,9 @@ import numpy as np
 import pyopencl as cl
 import pytest
 
-from gffe_cl.buffers import Sizes
-from gffe_cl.metrics import focus_mask, smape
-from gffe_cl.stage import Board
+from gffe_cl.evaluation.metrics import focus_mask, smape
+from gffe_cl.stages.base import Board
+from gffe_cl.stages.buffers import Sizes
 from gffe_cl.stages.shading import FocusMask
 
 SIZES = [(61, 37), (64, 48), (1, 5), (7, 1), (1, 1)]

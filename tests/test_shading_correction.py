@@ -10,12 +10,13 @@ from scn_models import ALPHA, FLOAT, FRAMES, constant_model, look_model, movers_
 from synthetic import Rect, Rects, camera
 from test_twins import run
 
-from gffe_cl import GffeError, Options, Pipeline, inference
-from gffe_cl.buffers import DeviceFrame, Sizes
-from gffe_cl.frame import BadPixels, PackedFrame
-from gffe_cl.inference import load_network
+from gffe_cl import GffeError, Options, Pipeline
+from gffe_cl.frame.rendered_frame import BadPixels, PackedFrame
+from gffe_cl.inference import network as inference
+from gffe_cl.inference.network import load_network
 from gffe_cl.opencl.device import quiet_builds
-from gffe_cl.stage import Board, Step
+from gffe_cl.stages.base import Board, Step
+from gffe_cl.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.shading import ShadingInputs
 

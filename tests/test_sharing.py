@@ -14,10 +14,10 @@ import pyopencl as cl
 import pytest
 
 from gffe_cl import GffeError
-from gffe_cl.frame import KEPT_BYTES_PER_PIXEL
+from gffe_cl.frame.rendered_frame import KEPT_BYTES_PER_PIXEL
 from gffe_cl.opencl.device import open_info
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.selftest.reference import digest
 from gffe_cl.selftest.scene import CUT, FPS, display_camera, frames
 
@@ -141,7 +141,7 @@ def test_memory_goes_with_a_pipeline_that_is_refused(device, monkeypatch, no_col
         taken.append(weakref.ref(self))
         return {}
 
-    monkeypatch.setattr("gffe_cl.buffers.Owner.allocate", allocate)
+    monkeypatch.setattr("gffe_cl.stages.buffers.Owner.allocate", allocate)
     with pytest.raises(GffeError, match="no more"):
         Pipeline(device, *SIZES[0])
     assert len(taken) == 4 and not any(stage() for stage in taken)
@@ -170,7 +170,7 @@ def test_a_device_that_is_lost(device, seen, monkeypatch):
         def fail(*_, **__):
             raise error
 
-        patch.setattr("gffe_cl.stage.Stage.launch", fail)
+        patch.setattr("gffe_cl.stages.base.Stage.launch", fail)
         for work_on in (lambda: pipeline.submit(seen[0][1]), pipeline.extrapolate):
             said = r"(submit|extrapolate) failed: .*64×36 takes .* MiB of the .*new pipeline"
             with pytest.raises(GffeError, match=said) as told:

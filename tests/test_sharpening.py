@@ -6,8 +6,8 @@ import twins_upscaling as twin
 from synthetic import Rect, Rects
 from test_upscaling import MOVING, STILL, H, W, color_of, frames, path, pipeline_for
 
-from gffe_cl.errors import GffeError
-from gffe_cl.options import Options
+from gffe_cl.core.errors import GffeError
+from gffe_cl.pipeline.options import Options
 
 
 def sharp_and_not(device, scene=MOVING, strength=0.6, count=5, size=(W, H), **about):

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from synthetic import Rect, Rects, camera
 
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
 
 W, H, FINER = 64, 48, 8
 SCENE = Rects(

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from scene_oracle import cast, clearances
 
-from gffe_cl.errors import GffeError
-from gffe_cl.evaluation.table.subjects import parse_subject
+from gffe_cl.core.errors import GffeError
+from gffe_cl.evaluation.table.datasets import parse_subject
 from gffe_cl.scenes import SCENES, SITUATIONS, SceneFrames, SceneRenderer, is_scene, load_scene
+from gffe_cl.scenes.scene_types import Flicker
 from gffe_cl.scenes.situations import BUILDERS
-from gffe_cl.scenes.vocabulary import Flicker
 
 W, H = 64, 36
 TIME, STEP = 0.7, 1 / 30

@@ -7,7 +7,7 @@ from test_twins import frames
 from gffe_cl import Options, Pipeline
 from gffe_cl.evaluation import traffic
 from gffe_cl.opencl.program import parse_constants, parse_kernels
-from gffe_cl.stage import Access, Kernel, Stage
+from gffe_cl.stages.base import Access, Kernel, Stage
 from gffe_cl.stages.surfaces import Surfaces
 
 W, H = 64, 48

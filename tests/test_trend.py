@@ -10,9 +10,9 @@ from synthetic import Rect, Rects, camera
 from test_twins import frames
 
 from gffe_cl import GffeError, Options, Pipeline
-from gffe_cl.frame import RenderedFrame
-from gffe_cl.inference import load_network
-from gffe_cl.stage import reprojection
+from gffe_cl.frame.rendered_frame import RenderedFrame
+from gffe_cl.inference.network import load_network
+from gffe_cl.stages.base import reprojection
 
 LOOKED_AT = Options(shading_inputs=True, shading_correction=False)
 WALL = Rects([Rect((0, 0, 8), (40, 40), frequency=0.5)])

@@ -7,9 +7,9 @@ import twins_silhouettes
 from synthetic import Rect, Rects, camera
 
 from gffe_cl.opencl.device import list_devices, open_info
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
-from gffe_cl.stage import Output, reprojection
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
+from gffe_cl.stages.base import Output, reprojection
 from gffe_cl.stages.prediction import polynomial_weights
 
 SCENE = Rects(

@@ -9,15 +9,15 @@ import pytest
 import twins_upscaling as twin
 from synthetic import Rect, Rects, camera
 
-from gffe_cl.errors import GffeError
-from gffe_cl.frame import RenderedFrame
-from gffe_cl.jitter import Jitter, without_jitter
+from gffe_cl.core.errors import GffeError
+from gffe_cl.frame.jitter import Jitter, without_jitter
+from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.opencl.device import list_devices, open_info
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.sequence import open_sequence
-from gffe_cl.stage import reprojection
+from gffe_cl.stages.base import reprojection
 from gffe_cl.stages.presentation import mapping
 
 W, H = 96, 64

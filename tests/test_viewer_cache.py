@@ -8,14 +8,14 @@ import tiny_sequence
 from test_viewer_model import Session
 
 from gffe_cl import Options
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
 from gffe_cl.viewer.engine.buffers import Moment
 from gffe_cl.viewer.engine.cache import FrameCache, FrameKey, Playhead
 from gffe_cl.viewer.engine.messages import Recipe, Request, Result, Setup
-from gffe_cl.viewer.engine.recorded import RecordedSource
 from gffe_cl.viewer.engine.reloading import WATCH_SECONDS
+from gffe_cl.viewer.engine.sources.recorded import RecordedSource
 from gffe_cl.viewer.panels.timeline import runs
-from gffe_cl.viewer.state.flying import Flight
+from gffe_cl.viewer.state.navigation import Flight
 
 BYTES = 1000
 FINAL = frozenset({"final"})
@@ -106,7 +106,7 @@ def session(tmp_path):
 @pytest.fixture
 def computed(monkeypatch):
     """Slots that were computed, with their roles, since this list was cleared."""
-    from gffe_cl.viewer.engine.making import SlotMaker
+    from gffe_cl.viewer.engine.slot_renderer import SlotMaker
 
     slots, make = [], SlotMaker.make
 

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from scn_models import constant_model
 
 from gffe_cl import Camera, Options, Pipeline
+from gffe_cl.evaluation.metrics import display_values
 from gffe_cl.evaluation.report import error_image
-from gffe_cl.metrics import display_values
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec, layers_of
 from gffe_cl.viewer.picture.canvas import Canvas, read

@@ -16,7 +16,7 @@ from PIL import Image
 from scn_models import constant_model
 from test_viewer_model import Session
 
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
 from gffe_cl.viewer.steps import check, parse, perform, unopened
 
 GUIDE = Path(__file__).parents[1] / "docs" / "guide.md"
@@ -320,7 +320,7 @@ def test_leaving_while_the_device_works(tmp_path, fault, code):
     (tmp_path / "script.py").write_text(
         "import atexit\n"
         "from types import SimpleNamespace\n"
-        "from gffe_cl.errors import GffeError\n"
+        "from gffe_cl.core.errors import GffeError\n"
         "from gffe_cl.viewer.start import leaving\n"
         "atexit.register(print, 'taken down')\n"
         "print('figures')\n"

@@ -22,23 +22,23 @@ from gffe_cl import (
     Pipeline,
     SequenceWriter,
     fixed_window,
-    inference,
     named_channels,
     open_sequence,
 )
 from gffe_cl.evaluation import bench as bench_module
-from gffe_cl.frame import pack_frame
-from gffe_cl.metrics import METRICS, Metric, display_values, focus_mask, measurable, psnr, ssim
+from gffe_cl.evaluation.metrics import METRICS, Metric, display_values, focus_mask, measurable, psnr, ssim
+from gffe_cl.frame.rendered_frame import pack_frame
+from gffe_cl.frame.window import WindowChooser
+from gffe_cl.inference import network as inference
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import kernel_folder
+from gffe_cl.pipeline.source import Live, Recorded
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
-from gffe_cl.source import Live, Recorded
 from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
-from gffe_cl.viewer.engine.live import SceneSource
 from gffe_cl.viewer.engine.messages import EngineError, Request, Result, Setup
-from gffe_cl.viewer.engine.recorded import RecordedSource
-from gffe_cl.viewer.engine.sources import FrameSource
-from gffe_cl.window import WindowChooser
+from gffe_cl.viewer.engine.sources.live import SceneSource
+from gffe_cl.viewer.engine.sources.recorded import RecordedSource
+from gffe_cl.viewer.engine.sources.source import FrameSource
 
 W, H, COUNT, FPS = 96, 64, 14, 30.0
 ALL = Options(shading_inputs=True)

@@ -8,26 +8,26 @@ import numpy as np
 import pytest
 
 from gffe_cl import Options
-from gffe_cl.camera import Camera
+from gffe_cl.evaluation.metrics import display_values, psnr, squared_error
 from gffe_cl.evaluation.table.flicker import Flicker
 from gffe_cl.evaluation.table.regions import REGIONS as TABLE
 from gffe_cl.evaluation.table.regions import find_labels
-from gffe_cl.metrics import display_values, psnr, squared_error
+from gffe_cl.frame.camera import Camera
 from gffe_cl.opencl.device import open_device
-from gffe_cl.render import render_sequence
 from gffe_cl.scenes import load_scene
+from gffe_cl.scenes.render import render_sequence
 from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.figures import NEEDED, REGIONS, Figures, Measurer, Part, parts_of, region_labels
+from gffe_cl.viewer.engine.explain.motion_trail import Passed, way_of
 from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.engine.messages import Recipe, Request, Setup
-from gffe_cl.viewer.engine.way import Passed, way_of
+from gffe_cl.viewer.engine.slot_metrics import NEEDED, REGIONS, Figures, Measurer, Part, parts_of, region_labels
 from gffe_cl.viewer.picture.colors import LABEL_COLORS, color_table
+from gffe_cl.viewer.picture.disocclusions import Disocclusions
 from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.picture.legend_strip import Entry, with_legends
 from gffe_cl.viewer.picture.legends import legend
-from gffe_cl.viewer.picture.rectangle import statistics
+from gffe_cl.viewer.picture.selection import statistics
 from gffe_cl.viewer.picture.view import View
-from gffe_cl.viewer.state.disocclusions import Disocclusions
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.survey import Survey
 
@@ -117,9 +117,9 @@ def test_disocclusions_over_the_picture():
 
 def test_regions_are_those_of_the_table(tmp_path):
     """... of `gffe eval` where it finds them by the pipeline: its two kinds of disocclusions are one here."""
-    from gffe_cl.evaluation.table.subjects import FolderSubject, open_subject
+    from gffe_cl.evaluation.table.datasets import FolderSubject, open_subject
     from gffe_cl.viewer.engine.engine import Engine
-    from gffe_cl.viewer.engine.opening import ScenePlan, make_source
+    from gffe_cl.viewer.engine.sources.opening import ScenePlan, make_source
 
     device = open_device()
     render_sequence(load_scene("corridor"), tmp_path, device, 96, 54, 5, 30.0, ground_truth=True, samples=1)

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scn_models import constant_model
 
 from gffe_cl import Camera, Options, Pipeline
-from gffe_cl.buffers import EXTRAPOLATED, FILLED_BY, BufferSpec, Sizes
-from gffe_cl.stage import Stage
 from gffe_cl.stages.background import Background, _level_buffers
+from gffe_cl.stages.base import Stage
+from gffe_cl.stages.buffers import EXTRAPOLATED, FILLED_BY, BufferSpec, Sizes
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.holes import Downsampled

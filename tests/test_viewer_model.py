@@ -14,13 +14,14 @@ import tiny_sequence
 from scn_models import constant_model
 from test_doctor import COUNT, clip
 
-from gffe_cl import OPTIONS, Options, inference
-from gffe_cl.doctor.breaking import broken
-from gffe_cl.errors import GffeError
-from gffe_cl.options import Option
-from gffe_cl.viewer.engine.doctoring import Doctor
+from gffe_cl import OPTIONS, Options
+from gffe_cl.core.errors import GffeError
+from gffe_cl.doctor.fault_injection import broken
+from gffe_cl.inference import network
+from gffe_cl.pipeline.options import Option
+from gffe_cl.viewer.engine.doctor_worker import Doctor
 from gffe_cl.viewer.engine.messages import Metrics, Request, Setup
-from gffe_cl.viewer.engine.seeking import Seeker
+from gffe_cl.viewer.engine.seeker import Seeker
 from gffe_cl.viewer.panels.palette import stepped
 from gffe_cl.viewer.state import model as model_module
 from gffe_cl.viewer.state.model import Model
@@ -189,7 +190,7 @@ def test_shading_correction_runs_where_there_is_a_model(session, tmp_path, monke
     model.playback.seek(3)
     assert not computed(session) and "no trained weights" in model.parameters.why_not("shading_correction")
     weights = Path(constant_model(tmp_path / "m.onnx"))
-    monkeypatch.setattr(inference, "default_model", lambda: weights)
+    monkeypatch.setattr(network, "default_model", lambda: weights)
     assert computed(session) and model.parameters.why_not("shading_correction") is None
     model.show_layer("gae")
     session.settle()
@@ -199,7 +200,7 @@ def test_shading_correction_runs_where_there_is_a_model(session, tmp_path, monke
     model.parameters.switch("shading_correction", True)
     model.set("focus_mask", False)
     assert computed(session)
-    monkeypatch.setattr(inference, "default_model", lambda: None)
+    monkeypatch.setattr(network, "default_model", lambda: None)
     assert not computed(session) and not model.messages
 
 

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import pytest
 
 from gffe_cl import Options
-from gffe_cl.options import OPTIONS
+from gffe_cl.pipeline.options import OPTIONS
 from gffe_cl.viewer.engine.messages import Setup
-from gffe_cl.viewer.state.kept import Kept, KeptSettings, command_line
+from gffe_cl.viewer.state.presets import Kept, KeptSettings, command_line
 
 SOURCE = SimpleNamespace(target="shots/a b", name="a b", live=False, width=8, height=4)
 OTHER = Options(
@@ -42,7 +42,7 @@ def parsed(line: str, monkeypatch) -> dict:
 
     monkeypatch.setattr(making, "open_source", stand_in)
     monkeypatch.setattr(making, "_check_quickly", lambda *_: None)
-    monkeypatch.setattr("gffe_cl.run.run_sequence", run_sequence)
+    monkeypatch.setattr("gffe_cl.pipeline.run.run_sequence", run_sequence)
     words = shlex.split(line)
     assert words[0] == "gffe"
     with pytest.raises(Stop):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from synthetic import camera
 
 from gffe_cl import Camera, GffeError, adaptive_window, fixed_window, nearest_depth, predict_camera
-from gffe_cl.window import FULL, WindowChooser
+from gffe_cl.frame.window import FULL, WindowChooser
 
 SIZE = (320, 180)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.camera import Camera
+from gffe_cl.frame.camera import Camera
 from gffe_cl.sequence import (
     FrameEntry,
     SequenceWriter,

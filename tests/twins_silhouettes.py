@@ -3,8 +3,8 @@
 import numpy as np
 from twins import COMMON, as_rgb9e5
 
-from gffe_cl.buffers import BLOCK
 from gffe_cl.opencl.program import constants
+from gffe_cl.stages.buffers import BLOCK
 
 F = np.float32
 CONSTANTS = constants("silhouettes.cl")

@@ -13,8 +13,8 @@ from pathlib import Path
 
 def make(folder: Path) -> None:
     from gffe_cl.opencl.device import open_device
-    from gffe_cl.render import render_sequence
     from gffe_cl.scenes import load_scene
+    from gffe_cl.scenes.render import render_sequence
 
     device, scene = open_device(), load_scene("corridor")
     render_sequence(scene, folder / "small", device, 192, 108, 8, 30.0, ground_truth=True, window="adaptive")
@@ -30,14 +30,14 @@ def run(phase: str, folder: Path, artefacts: Path, only: list[str]) -> None:
     import viewer_gui_playing as playing
     import viewer_gui_settings as settings_cases
 
-    from gffe_cl import inference
+    from gffe_cl.inference import network
     from gffe_cl.viewer.app import App
-    from gffe_cl.viewer.engine.opening import ScenePlan
+    from gffe_cl.viewer.engine.sources.opening import ScenePlan
     from gffe_cl.viewer.start import leaving
     from gffe_cl.viewer.state.model import Model
     from gffe_cl.viewer.state.settings import Settings
 
-    inference.default_model = lambda: None  # nothing hangs on weights that are installed
+    network.default_model = lambda: None  # nothing hangs on weights that are installed
     settings, warning = Settings.load()
     model = Model(settings, plan=ScenePlan(160, 90, 0))
     assert warning is None, warning

@@ -15,8 +15,8 @@ from imgui_bundle import glfw_utils, imgui
 from PIL import Image
 from viewer_gui_driver import CTRL, KEY, Gui, collector
 
-from gffe_cl.metrics import display_values
-from gffe_cl.viewer.engine.opening import ScenePlan
+from gffe_cl.evaluation.metrics import display_values
+from gffe_cl.viewer.engine.sources.opening import ScenePlan
 from gffe_cl.viewer.picture.canvas import read
 
 CASES, case = collector()

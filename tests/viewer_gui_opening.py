@@ -15,7 +15,7 @@ from gffe_cl.formats import open_capture
 from gffe_cl.sequence import SequenceWriter, named_channels
 from gffe_cl.viewer.app import has_dialogs
 from gffe_cl.viewer.panels.timeline import DOUBT
-from gffe_cl.viewer.state.flying import Flight
+from gffe_cl.viewer.state.navigation import Flight
 
 CASES, case = collector()
 _ANY_POPUP = imgui.PopupFlags_.any_popup.value

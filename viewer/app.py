@@ -11,7 +11,7 @@ import numpy as np
 from imgui_bundle import hello_imgui, imgui, immapp, implot  # before glfw
 from imgui_bundle import portable_file_dialogs as dialogs
 
-from gffe_cl.viewer import commands, keys
+from gffe_cl.viewer import commands, keys, theme
 from gffe_cl.viewer.actions import Actions
 from gffe_cl.viewer.docks import Docks
 from gffe_cl.viewer.panels import (
@@ -25,15 +25,14 @@ from gffe_cl.viewer.panels import (
     plot,
     regions,
     status,
-    theme,
     timeline,
     timings,
     windows,
 )
 from gffe_cl.viewer.panels.palette import Palette
-from gffe_cl.viewer.panels.stack import Stack
 from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.settings import can_save
+from gffe_cl.viewer.window_stack import Stack
 
 _TITLE = "gffe-cl"
 _LAYOUT_VERSION = 5

@@ -6,11 +6,11 @@ from functools import partial
 
 from imgui_bundle import imgui
 
-from gffe_cl.errors import printable
-from gffe_cl.options import Option
+from gffe_cl.core.errors import printable
+from gffe_cl.pipeline.options import Option
 from gffe_cl.scenes import SCENES, SITUATIONS
 from gffe_cl.viewer.actions import Action
-from gffe_cl.viewer.engine.figures import QUANTITIES, REGIONS
+from gffe_cl.viewer.engine.slot_metrics import QUANTITIES, REGIONS
 from gffe_cl.viewer.state import saving
 from gffe_cl.viewer.state.parameters import ALL
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from imgui_bundle import imgui
 
 from gffe_cl.viewer.actions import IMGUI_KEYS
-from gffe_cl.viewer.state.flying import Flight
+from gffe_cl.viewer.state.navigation import Flight
 
 FLIGHT_KEYS = frozenset("WASDQE")
 _TURN = 0.25  # degrees per pixel of mouse

@@ -9,12 +9,12 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from gffe_cl.errors import GffeError
-from gffe_cl.options import Option
+from gffe_cl.core.errors import GffeError
+from gffe_cl.pipeline.options import Option
 from gffe_cl.viewer.actions import Action, Actions
+from gffe_cl.viewer.state.captions import Message
 from gffe_cl.viewer.state.comparing import WAYS
-from gffe_cl.viewer.state.flying import Flight
-from gffe_cl.viewer.state.messages import Message
+from gffe_cl.viewer.state.navigation import Flight
 from gffe_cl.viewer.state.parameters import ALL, parsed
 
 _NEAR = 3  # names that are suggested where one is unknown

@@ -9,22 +9,9 @@ from typing import Annotated, Any
 import typer
 
 from gffe_cl import __version__
-from gffe_cl.cli import (  # noqa: F401 - registers the commands, in the order of `gffe --help`
-    checking,
-    exporting,
-    importing,
-    making,
-    measuring,
-    recovering,
-    tabulating,
-    testing,
-    timing,
-    training,
-    viewing,
-)
 from gffe_cl.cli.common import app, out, warn_of_networks
-from gffe_cl.errors import REPOSITORY, GffeError
-from gffe_cl.values import MOST_SEED, shown
+from gffe_cl.core.errors import REPOSITORY, GffeError
+from gffe_cl.core.validation import MOST_SEED, shown
 
 __all__ = ["app", "invoke"]
 

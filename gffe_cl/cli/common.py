@@ -17,12 +17,12 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from gffe_cl.errors import GffeError, printable, shortened
-from gffe_cl.files import follow_links_everywhere, require_output_file, write_text
-from gffe_cl.values import is_number
+from gffe_cl.core.errors import GffeError, printable, shortened
+from gffe_cl.core.files import follow_links_everywhere, require_output_file, write_text
+from gffe_cl.core.validation import is_number
 
 if TYPE_CHECKING:
-    from gffe_cl.cluster import Cluster
+    from gffe_cl.opencl.remote_workers import Cluster
 
 app = typer.Typer(
     help="G-buffer free frame extrapolation: makes the frames after the ones your renderer has finished.",
@@ -66,7 +66,7 @@ def cluster_at(address: str | None) -> Iterator[Cluster | None]:
     if not address:
         yield None
         return
-    from gffe_cl.cluster import Cluster
+    from gffe_cl.opencl.remote_workers import Cluster
 
     cluster = Cluster(address)
     try:
@@ -226,7 +226,7 @@ def warn(text: str) -> None:
 
 def warn_of_networks() -> None:
     """At the end of any command: where the network did not run on what was asked for."""
-    if inference := sys.modules.get("gffe_cl.inference"):
+    if inference := sys.modules.get("gffe_cl.inference.network"):
         for remark in inference.take_remarks():
             warn(remark)
     _warned.clear()

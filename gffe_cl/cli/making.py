@@ -29,14 +29,14 @@ from gffe_cl.cli.common import (
     write_json,
 )
 from gffe_cl.cli.options import takes_options
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
 
 if TYPE_CHECKING:
+    from gffe_cl.inference.provider_check import Verdict
     from gffe_cl.opencl.device import Device, DeviceInfo
-    from gffe_cl.options import Options
-    from gffe_cl.providers.checking import Verdict
-    from gffe_cl.run import RunReport
-    from gffe_cl.source import Live, Recorded
+    from gffe_cl.pipeline.options import Options
+    from gffe_cl.pipeline.run import RunReport
+    from gffe_cl.pipeline.source import Live, Recorded
 
 
 _MANY_CUTS = 0.2  # of the rendered frames
@@ -83,9 +83,9 @@ def devices(
 
 def _provider_verdicts(refresh: bool) -> list[Verdict]:
     """Of all providers that are installed, but the CPU's, with the package's own network."""
-    from gffe_cl.inference import default_model
-    from gffe_cl.providers.checking import verdict
-    from gffe_cl.providers.runtime import CPU, installed_providers
+    from gffe_cl.inference.network import default_model
+    from gffe_cl.inference.provider_check import verdict
+    from gffe_cl.inference.providers import CPU, installed_providers
 
     model = default_model()
     others = [provider for provider in installed_providers() if provider != CPU] if model else []
@@ -104,9 +104,9 @@ def demo(
     options: Options,
 ) -> None:
     """Render the scene 'corridor', extrapolate it, and measure the result against ground truth."""
-    from gffe_cl.demo import METHODS
-    from gffe_cl.demo import demo as run_demo
-    from gffe_cl.metrics import measurable
+    from gffe_cl.cli.demo import METHODS
+    from gffe_cl.cli.demo import demo as run_demo
+    from gffe_cl.evaluation.metrics import measurable
     from gffe_cl.opencl.device import open_device
 
     width, height = parse_size(size)
@@ -163,10 +163,10 @@ def render(
     device: DeviceOption = None,
 ) -> None:
     """Render a built-in scene to a sequence: colour, depth, motion vectors and cameras."""
-    from gffe_cl.jitter import Jitter
+    from gffe_cl.frame.jitter import Jitter
     from gffe_cl.opencl.device import open_device
-    from gffe_cl.render import render_sequence
     from gffe_cl.scenes import load_scene
+    from gffe_cl.scenes.render import render_sequence
 
     width, height = parse_size(size)
     built, jittered = load_scene(scene, seed), Jitter.parse(jitter)
@@ -225,8 +225,8 @@ def run(
     options: Options,
 ) -> None:
     """Extrapolate after every rendered frame of a sequence, or of a built-in scene that is rendered meanwhile."""
-    from gffe_cl.memory import keep_freed_memory
-    from gffe_cl.run import alphas_for, run_sequence
+    from gffe_cl.opencl.malloc_tuning import keep_freed_memory
+    from gffe_cl.pipeline.run import alphas_for, run_sequence
 
     if n is not None and alpha is not None:
         raise GffeError("-n and --alpha exclude each other")
@@ -251,7 +251,7 @@ def run(
 
 def _check_quickly(source: Recorded | Live, target: Path) -> None:
     from gffe_cl.doctor import quick_warning
-    from gffe_cl.source import Recorded
+    from gffe_cl.pipeline.source import Recorded
 
     suspicion = quick_warning(source.sequence, source.exposure) if isinstance(source, Recorded) else None
     if suspicion:
@@ -268,8 +268,8 @@ def open_source(
     """A folder is a sequence; what is none may be the name of a scene, which `live` says how to render."""
     from gffe_cl.formats import open_capture
     from gffe_cl.opencl.device import open_device
+    from gffe_cl.pipeline.source import Live, Recorded
     from gffe_cl.scenes import is_scene, load_scene, scene_names
-    from gffe_cl.source import Live, Recorded
 
     if is_scene(str(sequence)):
         size, frames, fps, seed = live.values()

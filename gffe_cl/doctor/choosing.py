@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import replace
 
-from gffe_cl.doctor.depths import AS_GIVEN
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.validation import shown
 from gffe_cl.doctor.diagnose import Diagnosis
 from gffe_cl.doctor.findings import BOTTOM_UP, DISPLAY_VALUES, Finding, finding_id, fixable_ids
-from gffe_cl.errors import GffeError
-from gffe_cl.values import shown
+from gffe_cl.doctor.hypotheses.depths import AS_GIVEN
 
 ON_REQUEST = finding_id("color", DISPLAY_VALUES)  # only antialiased silhouettes speak for it: renderers can fool them
 

@@ -8,16 +8,16 @@ from functools import cache
 
 import numpy as np
 
-from gffe_cl.doctor.edges import edge_agreement
 from gffe_cl.doctor.findings import DISPLAY_VALUES, FAULT, NOTE, UNKNOWN, Finding, faults_of
-from gffe_cl.doctor.keys import tell_keys
-from gffe_cl.doctor.lacking import without_camera
-from gffe_cl.doctor.order import Order, Reordered, examine_order, shuffled_order
-from gffe_cl.doctor.rows import search_rows
-from gffe_cl.doctor.samples import PREVIOUS, Clip, Look, take_looks, with_rows
-from gffe_cl.doctor.search import Reading, Search, Verdict
-from gffe_cl.doctor.tone import display_curve_votes
-from gffe_cl.frame import BadPixels
+from gffe_cl.doctor.format_keys import tell_keys
+from gffe_cl.doctor.hypotheses.edges import edge_agreement
+from gffe_cl.doctor.hypotheses.missing_camera_motion import without_camera
+from gffe_cl.doctor.hypotheses.order import Order, Reordered, examine_order, shuffled_order
+from gffe_cl.doctor.hypotheses.row_order import search_rows
+from gffe_cl.doctor.hypotheses.sampling import PREVIOUS, Clip, Look, take_looks, with_rows
+from gffe_cl.doctor.hypotheses.search import Reading, Search, Verdict
+from gffe_cl.doctor.hypotheses.transfer_function import display_curve_votes
+from gffe_cl.frame.rendered_frame import BadPixels
 
 _DEEP = 5  # frames that are looked at closely, with those before and after them
 _SAMPLES = 2500  # of each frame

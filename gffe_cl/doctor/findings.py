@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gffe_cl.doctor import cameras, motions
-from gffe_cl.doctor.cameras import CameraReading, axes_in_words
-from gffe_cl.doctor.depths import AS_GIVEN, DEVICE, PLANAR, RANGE, DepthReading, Planes, misread_range
-from gffe_cl.doctor.search import Reading
-from gffe_cl.errors import printable
+from gffe_cl.core.errors import printable
+from gffe_cl.doctor.hypotheses import cameras, motions
+from gffe_cl.doctor.hypotheses.cameras import CameraReading, axes_in_words
+from gffe_cl.doctor.hypotheses.depths import AS_GIVEN, DEVICE, PLANAR, RANGE, DepthReading, Planes, misread_range
+from gffe_cl.doctor.hypotheses.search import Reading
 
 FAULT, NOTE, UNKNOWN = "fault", "note", "cannot tell"
 DISPLAY_VALUES, BOTTOM_UP, RANGE_MISREAD = "display values", "bottom-up", "range"

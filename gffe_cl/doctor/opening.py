@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gffe_cl.core.errors import GffeError
 from gffe_cl.doctor.findings import FAULT, Finding
-from gffe_cl.errors import GffeError
 from gffe_cl.formats import open_capture
 from gffe_cl.sequence import Sequence, open_sequence
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gffe_cl.doctor.edges import edge_agreement
-from gffe_cl.doctor.evidence import Bench, moving, trimmed
-from gffe_cl.doctor.samples import BUFFERS, PREVIOUS, Clip, Look, take_looks, with_rows
-from gffe_cl.doctor.search import Reading, Search
+from gffe_cl.doctor.hypotheses.edges import edge_agreement
+from gffe_cl.doctor.hypotheses.sampling import BUFFERS, PREVIOUS, Clip, Look, take_looks, with_rows
+from gffe_cl.doctor.hypotheses.scoring import Bench, moving, trimmed
+from gffe_cl.doctor.hypotheses.search import Reading, Search
 
 _FRAMES = 3
 _SAMPLES = 800  # of each frame

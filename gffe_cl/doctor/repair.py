@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.camera import Camera
-from gffe_cl.doctor.depths import AS_GIVEN, DEVICE, PLANAR, RANGE, DepthReading, Planes, misread_range, rays
 from gffe_cl.doctor.diagnose import Diagnosis
-from gffe_cl.doctor.motions import MotionReading
-from gffe_cl.doctor.samples import NEXT, Clip
-from gffe_cl.doctor.tone import srgb_to_linear
-from gffe_cl.frame import RenderedFrame
+from gffe_cl.doctor.hypotheses.depths import AS_GIVEN, DEVICE, PLANAR, RANGE, DepthReading, Planes, misread_range, rays
+from gffe_cl.doctor.hypotheses.motions import MotionReading
+from gffe_cl.doctor.hypotheses.sampling import NEXT, Clip
+from gffe_cl.doctor.hypotheses.transfer_function import srgb_to_linear
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.sequence import FrameEntry, Sequence, SequenceWriter, named_channels, refuse_same_folder
 
 _FAR = 1e9  # stands for infinity where directions are reprojected

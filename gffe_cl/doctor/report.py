@@ -8,13 +8,13 @@ from io import BytesIO
 
 import numpy as np
 
-from gffe_cl.doctor.cameras import CAMERA_AS_GIVEN
 from gffe_cl.doctor.choosing import fixed_by
-from gffe_cl.doctor.depths import AS_GIVEN, rays
 from gffe_cl.doctor.diagnose import Diagnosis
+from gffe_cl.doctor.hypotheses.cameras import CAMERA_AS_GIVEN
+from gffe_cl.doctor.hypotheses.depths import AS_GIVEN, rays
+from gffe_cl.doctor.hypotheses.sampling import PREVIOUS, Clip, Look
 from gffe_cl.doctor.repair import Repair, static_motion
-from gffe_cl.doctor.samples import PREVIOUS, Clip, Look
-from gffe_cl.frame import RenderedFrame
+from gffe_cl.frame.rendered_frame import RenderedFrame
 
 _MOST_WIDTH = 640  # pixels of a picture
 _STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1340px;margin:2em auto;padding:0 1em}

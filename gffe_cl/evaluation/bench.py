@@ -17,18 +17,18 @@ from dataclasses import dataclass, field
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.buffers import DeviceFrame, Sizes
 from gffe_cl.evaluation import traffic
-from gffe_cl.evaluation.footage import Footage, Turn
-from gffe_cl.frame import KEPT_BYTES_PER_PIXEL
+from gffe_cl.evaluation.benchmark_input import Footage, Turn
+from gffe_cl.frame.rendered_frame import KEPT_BYTES_PER_PIXEL
+from gffe_cl.frame.window import WindowChooser, fixed_window
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import build
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
-from gffe_cl.stage import Board, read_some_rows
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
+from gffe_cl.stages.base import Board, read_some_rows
+from gffe_cl.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import Presentation
-from gffe_cl.window import WindowChooser, fixed_window
 
 # Bytes per pixel of the paper's table at 1080p (RTX 4070 Ti Super, 672 GB/s), by our parts.
 PAPER = {

@@ -8,9 +8,17 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gffe_cl.errors import GffeError
-from gffe_cl.frame import is_shown_whole
-from gffe_cl.metrics import FOCUS, METRICS, RegionErrors, display_values, focus_mask, measurable, shading_regions
+from gffe_cl.core.errors import GffeError
+from gffe_cl.evaluation.metrics import (
+    FOCUS,
+    METRICS,
+    RegionErrors,
+    display_values,
+    focus_mask,
+    measurable,
+    shading_regions,
+)
+from gffe_cl.frame.rendered_frame import is_shown_whole
 from gffe_cl.opencl.device import Device
 from gffe_cl.sequence import FrameEntry, Sequence
 from gffe_cl.sequence.read_ahead import read_ahead

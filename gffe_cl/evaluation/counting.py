@@ -20,12 +20,12 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation import traffic
-from gffe_cl.evaluation.footage import Footage
+from gffe_cl.evaluation.benchmark_input import Footage
 from gffe_cl.opencl.device import open_device
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
 
 SIZE = (1920, 1080)  # pixels, by default
 PART = (192, 108)  # of which so many are counted,

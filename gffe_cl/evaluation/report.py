@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
 
 _MARGIN = 8
 _BAR = 28  # of a line of text

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from gffe_cl.buffers import BY_HIDDEN_PART, BY_HOLE_FILLING, BY_NOTHING
-from gffe_cl.inference import MULTIPLE
-from gffe_cl.pipeline import Pipeline
-from gffe_cl.stage import Kernel
+from gffe_cl.inference.network import MULTIPLE
+from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.stages.background import REMEMBERED, SHOWN
+from gffe_cl.stages.base import Kernel
 from gffe_cl.stages.blocks import SPLATTED, Blocks
+from gffe_cl.stages.buffers import BY_HIDDEN_PART, BY_HOLE_FILLING, BY_NOTHING
 
 _STILL = 1 / 64  # change of encoded colour from t − 1 to t + α
 

@@ -7,10 +7,10 @@ from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from gffe_cl.camera import Camera
-from gffe_cl.errors import GffeError
-from gffe_cl.files import made_folder
-from gffe_cl.source import Source
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.files import made_folder
+from gffe_cl.frame.camera import Camera
+from gffe_cl.pipeline.source import Source
 
 
 def write_frames(folder: Path, source: Source, count: int, alpha: float = 0.5) -> int:

@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.buffers import BufferSpec, DeviceFrame, Sizes
-from gffe_cl.camera import Camera
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
 from gffe_cl.export.values import MOST_PIXELS, Named, Probe, launch_sizes, values
-from gffe_cl.frame import OVERLAYS
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import OVERLAYS
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import Argument
-from gffe_cl.options import Options
-from gffe_cl.pipeline import stages_of
-from gffe_cl.stage import Board, Kernel, Stage, Step
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import stages_of
+from gffe_cl.stages.base import Board, Kernel, Stage, Step
+from gffe_cl.stages.buffers import BufferSpec, DeviceFrame, Sizes
 from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.cuts import CutDetection

@@ -7,18 +7,18 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from gffe_cl import camera, camera_path, window
-from gffe_cl.buffers import BLOCK, BufferSpec, aligned, texel_of
 from gffe_cl.export.recording import Given, Operation, Plan
 from gffe_cl.export.values import MOST_PIXELS, Named, grid_of
-from gffe_cl.frame import BYTES_PER_PIXEL, OVERLAYS, SAME_POSE
-from gffe_cl.inference import MULTIPLE
+from gffe_cl.frame import camera, camera_prediction, window
+from gffe_cl.frame.rendered_frame import BYTES_PER_PIXEL, OVERLAYS, SAME_POSE
+from gffe_cl.inference.network import MULTIPLE
 from gffe_cl.opencl.probing import DIVISION_SOURCE, INT64_SOURCE
 from gffe_cl.opencl.program import expand
-from gffe_cl.options import Options
-from gffe_cl.stage import Kernel, NearestStage, Stage
+from gffe_cl.pipeline.options import Options
 from gffe_cl.stages import correction, cuts, law
 from gffe_cl.stages.background import MAX_LEVELS
+from gffe_cl.stages.base import Kernel, NearestStage, Stage
+from gffe_cl.stages.buffers import BLOCK, BufferSpec, aligned, texel_of
 from gffe_cl.stages.prediction import MAX_ORDER
 
 OCCASIONS = (
@@ -62,9 +62,9 @@ def config(options: Options) -> str:
         "MOST_DISTANCE": camera.MOST_DISTANCE,
         "SAME_POSE": SAME_POSE,
         "CAMERA_ORDER": options.camera_order,
-        "POSES": camera_path.POSES,
-        "JUMP": camera_path.JUMP,
-        "LEAST_CHANGE": camera_path.LEAST,
+        "POSES": camera_prediction.POSES,
+        "JUMP": camera_prediction.JUMP,
+        "LEAST_CHANGE": camera_prediction.LEAST,
         "MAX_ENLARGEMENT": window.MAX_ENLARGEMENT,
         "WINDOW_MARGIN": window.MARGIN,
         "HORIZON": window.HORIZON,

@@ -12,12 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gffe_cl.buffers import Sizes, level_starts
-from gffe_cl.camera import Camera
-from gffe_cl.frame import OVERLAYS
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import OVERLAYS
+from gffe_cl.frame.vectors import length
 from gffe_cl.opencl.program import constants
-from gffe_cl.stage import Step, reprojection, zoom
 from gffe_cl.stages.background import MAX_LEVELS
+from gffe_cl.stages.base import Step, reprojection, zoom
+from gffe_cl.stages.buffers import Sizes, level_starts
 from gffe_cl.stages.cuts import SAMPLES
 from gffe_cl.stages.history import STRIDE
 from gffe_cl.stages.law import color_law
@@ -25,7 +26,6 @@ from gffe_cl.stages.prediction import MAX_ORDER, padded, polynomial_weights
 from gffe_cl.stages.presentation import mapping
 from gffe_cl.stages.trend import REACH_SHARE, reach_of
 from gffe_cl.stages.upscaling import pixel_size
-from gffe_cl.vectors import length
 
 CAMERAS = ("FRAME", "PREVIOUS", "TARGET_CAMERA", "FRAME_DISPLAY", "PREVIOUS_DISPLAY")
 GRIDS = (

@@ -8,14 +8,14 @@ from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.files import made_folder
 from gffe_cl.export.recording import record
 from gffe_cl.export.tables import Tables, config
-from gffe_cl.files import made_folder
-from gffe_cl.inference import default_model
+from gffe_cl.inference.network import default_model
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import expand
-from gffe_cl.options import Options
+from gffe_cl.pipeline.options import Options
 
 MODEL = "scn.onnx"
 KERNELS = "kernels"

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.validation import require_exposure, require_number, require_positive, shown
 from gffe_cl.formats.capture import (
     MOST_FRAMES,
     camera_of,
@@ -21,9 +22,8 @@ from gffe_cl.formats.layers import Place, holding, layers_of, owner
 from gffe_cl.sequence.description import Description, FrameEntry, reference
 from gffe_cl.sequence.exr import decoded, require_parts
 from gffe_cl.sequence.exr_header import ExrHeader, HeaderReader, read_header
-from gffe_cl.sequence.pixels import COLOR, ForeignPixels, stack_color
+from gffe_cl.sequence.pixel_source import COLOR, ForeignPixels, stack_color
 from gffe_cl.sequence.reader import Sequence
-from gffe_cl.values import require_exposure, require_number, require_positive, shown
 
 FILE_NAME = "cameras.json"
 KINDS = ("rendered", "ground_truth", "camera_only")

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from gffe_cl.conventions import DIRECTIONS, depth_from_device, depth_from_distance
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.validation import shown
 from gffe_cl.formats.cameras import UNITS, FoundCamera
 from gffe_cl.formats.images import Size, check_planes, read_planes
-from gffe_cl.formats.keys import Keys
+from gffe_cl.formats.json_schema import Keys
+from gffe_cl.frame.conventions import DIRECTIONS, depth_from_device, depth_from_distance
 from gffe_cl.sequence.description import reference
-from gffe_cl.values import shown
 
 # How several 8-bit channels hold one number from 0 to 1: the weight of each, the first one first.
 PACKINGS = {

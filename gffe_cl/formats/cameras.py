@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from gffe_cl.camera import Camera
-from gffe_cl.conventions import LAYOUTS, matrices, rigid, square
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
 from gffe_cl.formats.images import Size
-from gffe_cl.formats.keys import Keys
+from gffe_cl.formats.json_schema import Keys
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.conventions import LAYOUTS, matrices, rigid, square
 
 # What makes a camera of view and projection, and the view's axes where there is no projection to tell them.
 CONVENTIONS = {

@@ -14,17 +14,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gffe_cl.camera import Camera
-from gffe_cl.conventions import rigid
-from gffe_cl.errors import GffeError
-from gffe_cl.files import following_links, open_regular, require_readable
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.files import following_links, open_regular, require_readable
 from gffe_cl.formats.capture import MOST_FRAMES, described
-from gffe_cl.formats.flow import inverted_flow, static_motion
 from gffe_cl.formats.hdf5 import read_hdf5
 from gffe_cl.formats.images import Size, check_planes, read_planes
+from gffe_cl.formats.motion_conversion import inverted_flow, static_motion
 from gffe_cl.formats.png import read_png_header
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.conventions import rigid
 from gffe_cl.sequence.description import FrameEntry, read_text
-from gffe_cl.sequence.pixels import ForeignPixels
+from gffe_cl.sequence.pixel_source import ForeignPixels
 from gffe_cl.sequence.reader import Sequence
 
 _TAG = struct.pack("<f", 202021.25)  # of Sintel's files

@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from gffe_cl.errors import GffeError
-from gffe_cl.files import open_regular
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.files import open_regular
+from gffe_cl.core.validation import require_exposure, require_number, require_positive, shown
 from gffe_cl.formats.buffers import (
     Buffer,
     ColorBuffer,
@@ -27,13 +28,12 @@ from gffe_cl.formats.buffers import (
 )
 from gffe_cl.formats.cameras import CameraRules, FoundCamera, parse_camera, parse_rules
 from gffe_cl.formats.capture import MOST_FRAMES, described, read_json, whole_number
-from gffe_cl.formats.flow import inverted_flow
 from gffe_cl.formats.images import Size
-from gffe_cl.formats.keys import Keys
+from gffe_cl.formats.json_schema import Keys
+from gffe_cl.formats.motion_conversion import inverted_flow
 from gffe_cl.sequence.description import FILE_NAME, Description, FrameEntry
-from gffe_cl.sequence.pixels import ForeignPixels
+from gffe_cl.sequence.pixel_source import ForeignPixels
 from gffe_cl.sequence.reader import Sequence
-from gffe_cl.values import require_exposure, require_number, require_positive, shown
 
 FORMAT, VERSION = "gffe-folder", 1
 _MOST_NUMBER = 10**9

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from gffe_cl.errors import GffeError, how_to_install
-from gffe_cl.files import require_moderate, require_readable
+from gffe_cl.core.errors import GffeError, how_to_install
+from gffe_cl.core.files import require_moderate, require_readable
 from gffe_cl.formats.images import Size
 
 

@@ -11,8 +11,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from gffe_cl.errors import GffeError
-from gffe_cl.files import open_regular, require_moderate
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.files import open_regular, require_moderate
 from gffe_cl.formats.layers import Place, layers_of
 from gffe_cl.formats.png import MAGIC as PNG_MAGIC
 from gffe_cl.formats.png import read_png, read_png_header

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.errors import GffeError
-from gffe_cl.formats.flow import composed
-from gffe_cl.frame import RenderedFrame
+from gffe_cl.core.errors import GffeError
+from gffe_cl.formats.motion_conversion import composed
+from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.sequence import FrameEntry, Sequence, SequenceWriter, named_channels, refuse_same_folder
 from gffe_cl.sequence.exr import DEFAULT_COMPRESSION
 

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from gffe_cl.errors import GffeError
-from gffe_cl.files import open_regular
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.files import open_regular
 
 MAGIC = b"\x89PNG\r\n\x1a\n"
 _CHANNELS = {0: ("Y",), 2: ("R", "G", "B"), 3: ("R", "G", "B", "A"), 4: ("Y", "A"), 6: ("R", "G", "B", "A")}

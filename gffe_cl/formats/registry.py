@@ -6,13 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from gffe_cl.errors import GffeError
-from gffe_cl.files import follow_links as following
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.files import follow_links as following
+from gffe_cl.core.validation import require_choice, require_path
 from gffe_cl.formats import blender, datasets, folder, unreal
 from gffe_cl.sequence.description import FILE_NAME
-from gffe_cl.sequence.folder import why_unfinished
+from gffe_cl.sequence.output_folder import why_unfinished
 from gffe_cl.sequence.reader import CAMERAS, Sequence, open_sequence
-from gffe_cl.values import require_choice, require_path
 
 
 @dataclass(frozen=True)

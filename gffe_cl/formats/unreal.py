@@ -12,16 +12,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gffe_cl.camera import Camera
-from gffe_cl.conventions import depth_from_distance, motion_from_unreal
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
 from gffe_cl.formats.capture import MOST_FRAMES, described, shown_part, through_window
-from gffe_cl.formats.flow import static_motion
 from gffe_cl.formats.layers import Place, layers_of
+from gffe_cl.formats.motion_conversion import static_motion
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.conventions import depth_from_distance, motion_from_unreal
 from gffe_cl.sequence.description import FrameEntry
 from gffe_cl.sequence.exr import decoded, require_parts
 from gffe_cl.sequence.exr_header import ExrHeader, HeaderReader, read_header
-from gffe_cl.sequence.pixels import ForeignPixels
+from gffe_cl.sequence.pixel_source import ForeignPixels
 from gffe_cl.sequence.reader import Sequence
 
 SKY = 1e7  # centimetres: 100 km

@@ -12,11 +12,11 @@ from functools import cached_property
 
 import pyopencl as cl
 
-from gffe_cl.errors import GffeError, how_to_install
-from gffe_cl.opencl import known_devices
+from gffe_cl.core.errors import GffeError, how_to_install
+from gffe_cl.core.validation import require_bool, require_kind, require_whole
+from gffe_cl.opencl import device_cache
 from gffe_cl.opencl.probing import DeviceInfo, probe, quiet_builds, try_int64_atomics
 from gffe_cl.opencl.runtimes import hide_vendors
-from gffe_cl.values import require_bool, require_kind, require_whole
 
 __all__ = [
     "HOW_TO_GET_ONE",
@@ -142,11 +142,11 @@ def list_devices(refresh: bool = False) -> list[DeviceInfo]:
 
 def _list_devices(refresh: bool) -> tuple[list[DeviceInfo], bool]:
     """The devices, and whether they were known without probing."""
-    key = known_devices.fingerprint()
-    known = None if refresh else known_devices.recall(key)
+    key = device_cache.fingerprint()
+    known = None if refresh else device_cache.recall(key)
     probed = known or probe()
     if known is None:
-        known_devices.keep(key, probed)
+        device_cache.keep(key, probed)
     elif probed.crashing:
         hide_vendors(set(probed.crashing))
     _crashing.update(probed.crashing)

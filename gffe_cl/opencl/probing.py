@@ -19,8 +19,8 @@ from pathlib import Path
 
 import pyopencl as cl
 
-from gffe_cl.opencl.child import run_child
 from gffe_cl.opencl.runtimes import VENDORS, hide_vendors, only_vendors, vendors
+from gffe_cl.opencl.subprocess_runner import run_child
 
 _SECONDS = 20.0  # for all drivers together, the broken ones too
 _FIRST_SECONDS = 6.0  # for all in one child; longer means that one of them hangs

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
 from gffe_cl.opencl.device import Device, quiet_builds
-from gffe_cl.opencl.kept_programs import built_program
+from gffe_cl.opencl.program_cache import built_program
 
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
 _COMMENT = re.compile(r"/\*.*?\*/|//[^\n]*", re.DOTALL)

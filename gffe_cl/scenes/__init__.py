@@ -18,11 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.validation import require_seed
 from gffe_cl.scenes.renderer import SceneArrays, SceneImage, SceneRenderer
+from gffe_cl.scenes.scene_types import Scene
 from gffe_cl.scenes.sequences import SceneFrames
-from gffe_cl.scenes.vocabulary import Scene
-from gffe_cl.values import require_seed
 
 SCENES = {
     "corridor": "Indoor passage: walkers, mirror ball, railings, a sweeping lamp; the camera dollies",
@@ -88,4 +88,4 @@ def load_scene(name: str, seed: int = 0) -> Scene:
     rng = np.random.default_rng([*name.encode(), seed])
     if name in SITUATIONS:
         return importlib.import_module("gffe_cl.scenes.situations").build(name, seed, rng)
-    return importlib.import_module(f"gffe_cl.scenes.{name}").build(seed, rng)
+    return importlib.import_module(f"gffe_cl.scenes.places.{name}").build(seed, rng)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.camera import Camera
-from gffe_cl.scenes.vocabulary import ELLIPSOID, GEOMETRY, TEXTURES, Group, Light, Material, Scene, tint
+from gffe_cl.frame.camera import Camera
+from gffe_cl.scenes.scene_types import ELLIPSOID, GEOMETRY, TEXTURES, Group, Light, Material, Scene, tint
 
 CASTS_SHADOW = GEOMETRY["CASTS_SHADOW"]
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.camera import Camera
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
+from gffe_cl.frame.camera import Camera
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import build, constants
 from gffe_cl.scenes.flatten import FlatScene, build_tree, nearest_first
-from gffe_cl.scenes.vocabulary import Scene
+from gffe_cl.scenes.scene_types import Scene
 
 _TILE = constants("scenes/scene.cl")["TILE"]
 _BASE_SAMPLES = 3
@@ -27,7 +27,7 @@ _LAYOUT = {  # of a rendering's buffers: channels and type
 
 @dataclass
 class SceneArrays:
-    """A rendering on the host; colour, depth and motion as in `gffe_cl.frame.RenderedFrame`.
+    """A rendering on the host; colour, depth and motion as in `gffe_cl.frame.rendered_frame.RenderedFrame`.
 
     color (H, W, 3) float16; depth (H, W) float32; motion (H, W, 2) float32; other_position (H, W, 4) float32;
     object_id (H, W) int32.

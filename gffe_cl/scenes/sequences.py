@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gffe_cl.camera import Camera
-from gffe_cl.errors import GffeError
-from gffe_cl.frame import RenderedFrame
-from gffe_cl.jitter import Jitter
+from gffe_cl.core.errors import GffeError
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.jitter import Jitter
+from gffe_cl.frame.rendered_frame import RenderedFrame
+from gffe_cl.frame.window import WindowChooser
 from gffe_cl.opencl.device import Device
 from gffe_cl.scenes.renderer import SceneImage, SceneRenderer
-from gffe_cl.scenes.vocabulary import Scene
-from gffe_cl.window import WindowChooser
+from gffe_cl.scenes.scene_types import Scene
 
 
 def require_frames(count: int, fps: float) -> None:

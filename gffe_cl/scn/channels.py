@@ -15,8 +15,8 @@ import numpy as np
 import onnx
 from onnx import helper, numpy_helper
 
-from gffe_cl.errors import GffeError
-from gffe_cl.files import replacing
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.files import replacing
 
 _LANES = 4
 _CHANNELS = 1  # the axis, of images and of weights

@@ -13,17 +13,17 @@ import numpy as np
 import torch
 from numpy.lib.stride_tricks import sliding_window_view
 
-from gffe_cl.cluster import Cluster, device_of_worker
-from gffe_cl.errors import GffeError
-from gffe_cl.frame import HALF_MAX
-from gffe_cl.inference import TREND_PLANES
-from gffe_cl.metrics import focus_mask
+from gffe_cl.core.errors import GffeError
+from gffe_cl.evaluation.metrics import focus_mask
+from gffe_cl.frame.rendered_frame import HALF_MAX
+from gffe_cl.inference.network import TREND_PLANES
 from gffe_cl.opencl.device import Device
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.opencl.remote_workers import Cluster, device_of_worker
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.scn import images, network
-from gffe_cl.scn.variety import vary_scene
+from gffe_cl.scn.domain_randomization import vary_scene
 
 TRAINING_SCENES = ("corridor", "plaza", "room", "forest")
 CHANNELS = 11  # exposed linear GAE (3), warped previous (3), ground truth (3), inverse depth, input mask

@@ -11,12 +11,13 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor
 
-from gffe_cl.errors import GffeError
-from gffe_cl.metrics import FOCUS_SMAPE, relative_error, shading_regions
+from gffe_cl.core.errors import GffeError
+from gffe_cl.evaluation.metrics import relative_error, shading_regions
 from gffe_cl.opencl.program import constants
 from gffe_cl.scn.clips import CHANNELS, CROP, HALVED_CHANNELS, PLANES, VERSION, finished_clips, halved_path
 from gffe_cl.scn.images import halve
 from gffe_cl.scn.network import encode
+from gffe_cl.stages.shading import FOCUS_SMAPE
 
 TOP_SHARE = 0.15  # of all crops: those with the most focus pixels (paper: 'Data Preparation')
 RANDOM_SHARE = 0.06  # of all crops: any of the others
@@ -74,12 +75,12 @@ class Batch:
         return focus_truth(self.gae, self.truth, dynamic, _HALF_REACH if self.halved else 1.0)
 
     def regions(self) -> dict[str, Tensor]:
-        """`gffe_cl.metrics.shading_regions`, (N, 1, H, W) bool: where results are measured. Of whole samples only."""
+        """`gffe_cl.evaluation.metrics.shading_regions`, (N, 1, H, W) bool: where results are measured. Of whole samples only."""
         return shading_regions(self.focus(), self.side[:, 1:] == _DISOCCLUDED)
 
 
 def focus_truth(gae: Tensor, truth: Tensor, dynamic: Tensor, reach: float = 1.0) -> Tensor:
-    """M^focus, (N, 1, H, W) bool: as `gffe_cl.metrics.focus_mask`; neighbours are `reach` pixels away."""
+    """M^focus, (N, 1, H, W) bool: as `gffe_cl.evaluation.metrics.focus_mask`; neighbours are `reach` pixels away."""
     height, width = gae.shape[-2:]
     padded = functional.pad(truth, (1, 1, 1, 1), value=1e9)
     least = None

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from gffe_cl.errors import GffeError
-from gffe_cl.inference import INPUT_PLANES, MULTIPLE, TREND_PLANES, load_onnxruntime
+from gffe_cl.core.errors import GffeError
+from gffe_cl.inference.network import INPUT_PLANES, MULTIPLE, TREND_PLANES, load_onnxruntime
 from gffe_cl.scn.channels import pad_file
 from gffe_cl.scn.network import ShadingCorrectionNetwork
 

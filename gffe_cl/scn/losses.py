@@ -8,8 +8,8 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor, nn
 
-from gffe_cl.errors import GffeError
-from gffe_cl.metrics import SRGB_TOE
+from gffe_cl.core.errors import GffeError
+from gffe_cl.evaluation.metrics import SRGB_TOE
 from gffe_cl.scn.network import encode
 
 VERSION = 4  # of what the terms mean: a run goes on only with its own
@@ -33,7 +33,7 @@ def shown_loss(a: Tensor, b: Tensor) -> Tensor:
 
 
 def display(color: Tensor) -> Tensor:
-    """sRGB of exposed linear colour, clipped to 0 … 1: as `gffe_cl.metrics.display_values`."""
+    """sRGB of exposed linear colour, clipped to 0 … 1: as `gffe_cl.evaluation.metrics.display_values`."""
     linear = color.clamp(0, 1)
     curve = 1.055 * linear.clamp(min=_TOE) ** (1 / 2.4) - 0.055
     return torch.where(linear <= _TOE, 12.92 * linear, curve)

@@ -17,7 +17,7 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor, nn
 
-from gffe_cl.inference import INPUT_PLANES
+from gffe_cl.inference.network import INPUT_PLANES
 from gffe_cl.scn.flow import find_flow
 from gffe_cl.scn.images import double, halve, warp
 from gffe_cl.stages.law import HEADROOM, MU

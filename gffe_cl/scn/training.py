@@ -19,8 +19,9 @@ import torch
 import torch.distributed as distributed
 from torch import Tensor, nn
 
-from gffe_cl.errors import GffeError
-from gffe_cl.metrics import FOCUS
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.validation import require_seed
+from gffe_cl.evaluation.metrics import FOCUS
 from gffe_cl.scn import losses
 from gffe_cl.scn.augmentation import Augmentation
 from gffe_cl.scn.clips import VERSION
@@ -28,7 +29,6 @@ from gffe_cl.scn.crops import Batch, Crop, keep_crops, load_batch
 from gffe_cl.scn.export import commit, weights_of
 from gffe_cl.scn.images import double
 from gffe_cl.scn.network import ShadingCorrectionNetwork, compose, encode
-from gffe_cl.values import require_seed
 
 CHECKPOINT = "checkpoint.pt"
 _FORMAT = 4

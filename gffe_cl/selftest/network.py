@@ -6,9 +6,9 @@ import hashlib
 
 import numpy as np
 
-from gffe_cl.inference import OUTPUT_PLANES, NetworkError, default_model, load_network
-from gffe_cl.providers.checking import verdict
-from gffe_cl.providers.runtime import CPU, installed_providers
+from gffe_cl.inference.network import OUTPUT_PLANES, NetworkError, default_model, load_network
+from gffe_cl.inference.provider_check import verdict
+from gffe_cl.inference.providers import CPU, installed_providers
 from gffe_cl.selftest.reference import Reference, recorded
 
 ALPHA = 2 / 3

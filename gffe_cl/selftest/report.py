@@ -11,12 +11,12 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from gffe_cl.errors import GffeError
-from gffe_cl.opencl.child import run_child
+from gffe_cl.core.errors import GffeError
+from gffe_cl.inference.provider_check import TOLERANCE
 from gffe_cl.opencl.device import DeviceInfo, list_devices, select
-from gffe_cl.opencl.known_devices import TOLD
+from gffe_cl.opencl.device_cache import TOLD
 from gffe_cl.opencl.runtimes import vendors
-from gffe_cl.providers.checking import TOLERANCE
+from gffe_cl.opencl.subprocess_runner import run_child
 from gffe_cl.selftest.network import providers
 from gffe_cl.selftest.worker import MARK
 

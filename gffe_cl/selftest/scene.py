@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gffe_cl.camera import Camera
-from gffe_cl.frame import Overlays, RenderedFrame
-from gffe_cl.window import WindowChooser
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import Overlays, RenderedFrame
+from gffe_cl.frame.window import WindowChooser
 
 FPS = 30.0
 ALPHAS = (1 / 3, 2 / 3)

@@ -16,11 +16,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gffe_cl.errors import GffeError
-from gffe_cl.frame import RenderedFrame
+from gffe_cl.core.errors import GffeError
+from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.opencl.device import Device, open_info
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.selftest.reference import digest
 from gffe_cl.selftest.scene import FPS, frames
 

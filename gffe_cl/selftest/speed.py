@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from gffe_cl.evaluation.bench import Copier, SizeBench, bench_size
-from gffe_cl.evaluation.footage import Footage
+from gffe_cl.evaluation.benchmark_input import Footage
 from gffe_cl.opencl.device import Device
-from gffe_cl.options import Options
+from gffe_cl.pipeline.options import Options
 from gffe_cl.selftest.scene import CUT, FPS, display_camera, frames
 
 SIZE = (640, 360)  # width and height, pixels

@@ -15,7 +15,7 @@ from typing import Any
 
 import pyopencl as cl
 
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
 from gffe_cl.opencl.device import DeviceInfo, list_devices, open_info
 from gffe_cl.selftest.network import compare_provider
 from gffe_cl.selftest.reference import Comparison, Reference, inputs_digest, recorded

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gffe_cl.camera import Camera
-from gffe_cl.inference import default_model
+from gffe_cl.frame.camera import Camera
+from gffe_cl.inference.network import default_model
 from gffe_cl.opencl.device import Device
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.selftest.scene import ALPHAS, FPS, display_camera, frames
 from gffe_cl.stages.correction import ShadingCorrection
 

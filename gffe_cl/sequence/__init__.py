@@ -2,7 +2,7 @@
 
 from gffe_cl.sequence.checks import require_clean
 from gffe_cl.sequence.description import FrameEntry
-from gffe_cl.sequence.folder import refuse_same_folder
+from gffe_cl.sequence.output_folder import refuse_same_folder
 from gffe_cl.sequence.reader import Sequence, open_sequence
 from gffe_cl.sequence.writer import SequenceWriter, named_channels
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.camera import Camera
-from gffe_cl.errors import GffeError
-from gffe_cl.frame import BadPixels
+from gffe_cl.core.errors import GffeError
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import BadPixels
 from gffe_cl.sequence.description import FrameEntry
 
 _SLOW_INTERVAL = 5.0  # seconds between rendered frames that look like milliseconds

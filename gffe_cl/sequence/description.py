@@ -13,10 +13,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
-from gffe_cl.camera import Camera
-from gffe_cl.errors import GffeError
-from gffe_cl.files import following_links, open_regular
-from gffe_cl.values import (
+import numpy as np
+
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.files import following_links, open_regular
+from gffe_cl.core.validation import (
     MOST_SIDE,
     require_bool,
     require_choice,
@@ -27,6 +28,8 @@ from gffe_cl.values import (
     require_size,
     shown,
 )
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import RenderedFrame
 
 FILE_NAME = "sequence.json"
 FORMAT, VERSION = "gffe-sequence", 1
@@ -206,7 +209,7 @@ def check_file_name(file, label: str) -> str:
 
 def reference(file, label: str) -> tuple[str, str | None]:
     """As `check_file_name`, for a file that is read: its name, and its path if that leaves the folder, which is a
-    GffeError unless links are followed (`gffe_cl.files.following_links`)."""
+    GffeError unless links are followed (`gffe_cl.core.files.following_links`)."""
     if not isinstance(file, str) or not _leaves(file):
         return check_file_name(file, label), None
     if not following_links():
@@ -351,3 +354,11 @@ def _whole(value, label, what) -> int:
     if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MOST_SIDE:
         return value
     raise GffeError(f"{label}: {what} must be whole pixels, 1 to {MOST_SIDE}, got {shown(value)}")
+
+
+def rendered_entry(number: int, frame: RenderedFrame, size: tuple[int, int]) -> FrameEntry:
+    """What describes a rendered frame in a sequence on disk, for a display of `size`."""
+    height, width = np.shape(frame.depth)
+    render_size = (width, height) if (width, height) != size else None
+    cameras = {"render_camera": frame.camera, "display_camera": frame.display_camera}
+    return FrameEntry(f"frame_{number:06d}.exr", frame.time, reset=frame.reset, render_size=render_size, **cameras)

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from gffe_cl.errors import GffeError
-from gffe_cl.files import require_moderate
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.files import require_moderate
+from gffe_cl.core.validation import require_choice
 from gffe_cl.sequence.exr_header import ExrHeader, read_header
-from gffe_cl.sequence.quiet import quietly
-from gffe_cl.values import require_choice
+from gffe_cl.sequence.openexr_stderr import quietly
 
 _FLOAT_CHANNELS = ("Z", "motion.")  # always float32; any other channel keeps half if it is half
 _BYTES = {"uint32": 4, "float16": 2, "float32": 4}

@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gffe_cl.errors import GffeError
-from gffe_cl.files import descriptor_of
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.files import descriptor_of
 
 _MAGIC = b"\x76\x2f\x31\x01"
 _TILED, _NON_IMAGE, _MULTI_PART = 0x200, 0x800, 0x1000

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.camera import Camera
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
+from gffe_cl.frame.camera import Camera
 from gffe_cl.sequence.exr_header import ExrPart
 
 _FLIP_Y = np.diag([1.0, -1.0, 1.0, 1.0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 
-from gffe_cl.camera import Camera
+from gffe_cl.frame.camera import Camera
 from gffe_cl.sequence.description import KINDS, FrameEntry
 
 _TOLERANCE = 1 / 50  # of the interval of rendered frames

@@ -10,10 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from gffe_cl.camera import Camera
-from gffe_cl.errors import GffeError, printable
-from gffe_cl.files import follow_links as following
-from gffe_cl.frame import RenderedFrame, require_one_pose
+from gffe_cl.core.errors import GffeError, printable
+from gffe_cl.core.files import follow_links as following
+from gffe_cl.core.validation import (
+    require_choice,
+    require_kind,
+    require_list,
+    require_number,
+    require_path,
+    require_whole,
+)
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import RenderedFrame, require_one_pose
 from gffe_cl.sequence import exr
 from gffe_cl.sequence.checks import time_warnings, zero_motion_warning
 from gffe_cl.sequence.description import (
@@ -27,12 +35,11 @@ from gffe_cl.sequence.description import (
     without_collections,
 )
 from gffe_cl.sequence.exr_header import HeaderReader
-from gffe_cl.sequence.folder import why_unfinished
 from gffe_cl.sequence.header_camera import has_camera, header_cameras
 from gffe_cl.sequence.matching import Timeline
-from gffe_cl.sequence.pixels import COLOR, MOTION, RENDERED, OwnPixels, Pixels, require_whole_overlays
+from gffe_cl.sequence.output_folder import why_unfinished
+from gffe_cl.sequence.pixel_source import COLOR, MOTION, RENDERED, OwnPixels, Pixels, require_whole_overlays
 from gffe_cl.sequence.read_ahead import read_ahead
-from gffe_cl.values import require_choice, require_kind, require_list, require_number, require_path, require_whole
 
 _MOST_AHEAD = 1024
 

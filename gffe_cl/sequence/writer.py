@@ -13,23 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.errors import GffeError
-from gffe_cl.frame import Overlays
-from gffe_cl.sequence import exr
-from gffe_cl.sequence.description import (
-    KINDS,
-    Description,
-    FrameEntry,
-    check_file_name,
-    checked_entry,
-    describe,
-    parse_description,
-)
-from gffe_cl.sequence.folder import GENERATOR, OutputFolder
-from gffe_cl.sequence.header_camera import camera_attributes
-from gffe_cl.sequence.pixels import OVERLAY_CHANNELS
-from gffe_cl.sequence.read_ahead import usable_cores
-from gffe_cl.values import (
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.validation import (
     require_array,
     require_bool,
     require_exposure,
@@ -40,6 +25,21 @@ from gffe_cl.values import (
     require_size,
     require_whole,
 )
+from gffe_cl.frame.rendered_frame import Overlays
+from gffe_cl.sequence import exr
+from gffe_cl.sequence.description import (
+    KINDS,
+    Description,
+    FrameEntry,
+    check_file_name,
+    checked_entry,
+    describe,
+    parse_description,
+)
+from gffe_cl.sequence.header_camera import camera_attributes
+from gffe_cl.sequence.output_folder import GENERATOR, OutputFolder
+from gffe_cl.sequence.pixel_source import OVERLAY_CHANNELS
+from gffe_cl.sequence.read_ahead import usable_cores
 
 _WAITING = 2  # frames, besides those that are being compressed
 _MOST_THREADS = 1024

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.buffers import BufferSpec, aligned
 from gffe_cl.opencl.program import constants
-from gffe_cl.packing import TRUSTED
-from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.buffers import BufferSpec, aligned
+from gffe_cl.stages.pixel_formats import TRUSTED
 
 _CELLS = f"level{constants('cells.h')['CELL'].bit_length() - 1}"
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.buffers import BufferSpec
 from gffe_cl.opencl.program import constants
-from gffe_cl.stage import Access, Board, Kernel, NearestStage, Step, zoom
+from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Step, zoom
+from gffe_cl.stages.buffers import BufferSpec
 from gffe_cl.stages.silhouettes import Silhouettes
 
 _CONSTANTS = constants("blocks.cl")

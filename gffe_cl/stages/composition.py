@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.buffers import RGBA, XY, BufferSpec, DeviceFrame, given_buffer
-from gffe_cl.errors import GffeError
-from gffe_cl.frame import OVERLAYS, Overlays
-from gffe_cl.stage import Access, Board, Kernel, Stage
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.validation import require_array
+from gffe_cl.frame.rendered_frame import OVERLAYS, Overlays
+from gffe_cl.stages.base import Access, Board, Kernel, Stage
+from gffe_cl.stages.buffers import RGBA, XY, BufferSpec, DeviceFrame, given_buffer
 from gffe_cl.stages.presentation import mapping
-from gffe_cl.values import require_array
 
 
 class Composition(Stage):

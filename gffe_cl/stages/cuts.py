@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from gffe_cl.buffers import BufferSpec, DeviceFrame
+from gffe_cl.frame.vectors import length
 from gffe_cl.opencl.program import constants
-from gffe_cl.stage import Access, Board, Kernel, Stage, reprojection
-from gffe_cl.vectors import length
+from gffe_cl.stages.base import Access, Board, Kernel, Stage, reprojection
+from gffe_cl.stages.buffers import BufferSpec, DeviceFrame
 
 _CONSTANTS = constants("cuts.cl")
 SAMPLES = (_CONSTANTS["SAMPLES_X"], _CONSTANTS["SAMPLES_Y"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection, zoom
+from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection, zoom
 
 _FILLED = {name: Access(f"frame.{name}", "hidden parts") for name in ("color", "depth", "motion", "filled_by")}
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.buffers import BufferSpec
 from gffe_cl.opencl.program import constants
-from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.buffers import BufferSpec
 
 # Bounds of the automatic static threshold ε, in pixels.
 THRESHOLD_LOW, THRESHOLD_HIGH = 0.25, 4.0

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gffe_cl.buffers import BufferSpec
 from gffe_cl.opencl.program import constants
-from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
 from gffe_cl.stages.background import Background
+from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.buffers import BufferSpec
 
 _CONSTANTS = constants("holes.cl")
 _TILE, _GROUP = _CONSTANTS["TILE"], _CONSTANTS["GROUP"]

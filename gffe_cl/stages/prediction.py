@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.buffers import BufferSpec
 from gffe_cl.opencl.program import constants
-from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
 from gffe_cl.stages.acceleration import Acceleration
+from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.buffers import BufferSpec
 
 MAX_ORDER = 5
 _WEIGHTS = 8  # that the kernel takes of each order

@@ -8,10 +8,10 @@ from functools import cache, lru_cache
 
 import numpy as np
 
-from gffe_cl.buffers import RGBA, XY, BufferSpec, DeviceFrame, Sizes
-from gffe_cl.camera import Camera
-from gffe_cl.errors import GffeError
-from gffe_cl.frame import (
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.validation import require_array, require_kind, require_size
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import (
     Overlays,
     RenderedFrame,
     checked_frame,
@@ -21,8 +21,8 @@ from gffe_cl.frame import (
     require_one_pose,
 )
 from gffe_cl.opencl.device import Device, open_device
-from gffe_cl.stage import Board, Kernel, Stage
-from gffe_cl.values import require_array, require_kind, require_size
+from gffe_cl.stages.base import Board, Kernel, Stage
+from gffe_cl.stages.buffers import RGBA, XY, BufferSpec, DeviceFrame, Sizes
 
 _ONE_AT_A_TIME = threading.Lock()  # the cached stages of `present` serve all threads
 

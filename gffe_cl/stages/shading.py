@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.buffers import BufferSpec
-from gffe_cl.metrics import FOCUS_SMAPE, SMAPE_EPSILON
-from gffe_cl.stage import Access, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.base import Access, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.buffers import BufferSpec
+
+FOCUS_SMAPE = 0.5  # the paper's: errors above this are the shading correction network's business
+SMAPE_EPSILON = 0.01  # the paper's: keeps black pixels from counting fully
 
 # What kernels read to know what the previous rendered frame shows at pixels of the extrapolated one (previous.h).
 SEEN = {

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.buffers import RGBA, BufferSpec
-from gffe_cl.stage import Kernel, Stage, Step
+from gffe_cl.stages.base import Kernel, Stage, Step
+from gffe_cl.stages.buffers import RGBA, BufferSpec
 
 
 class Sharpening(Stage):

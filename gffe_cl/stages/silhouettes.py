@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.buffers import RGBA, BufferSpec
 from gffe_cl.opencl.program import constants
-from gffe_cl.packing import RGB9E5
-from gffe_cl.stage import Access, Kernel, Stage, Step, zoom
+from gffe_cl.stages.base import Access, Kernel, Stage, Step, zoom
+from gffe_cl.stages.buffers import RGBA, BufferSpec
+from gffe_cl.stages.pixel_formats import RGB9E5
 
 _CONSTANTS = constants("silhouettes.cl")
 LAYERS = tuple(

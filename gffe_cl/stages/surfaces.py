@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.buffers import BufferSpec
-from gffe_cl.stage import Access, Board, Kernel, NearestStage, Step
 from gffe_cl.stages.background import Background
+from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Step
+from gffe_cl.stages.buffers import BufferSpec
 
 _COLLECTING = {
     "state": Access("background.state_0"),

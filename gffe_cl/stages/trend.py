@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.buffers import BufferSpec
-from gffe_cl.inference import TREND_PLANES
+from gffe_cl.inference.network import TREND_PLANES
 from gffe_cl.opencl.program import constants
-from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.buffers import BufferSpec
 from gffe_cl.stages.law import color_law
 
 _CONSTANTS = constants("trend.cl")

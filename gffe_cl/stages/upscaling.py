@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.buffers import RGBA, XY, BufferSpec
-from gffe_cl.camera import Camera
+from gffe_cl.frame.camera import Camera
 from gffe_cl.opencl.program import constants
-from gffe_cl.stage import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.buffers import RGBA, XY, BufferSpec
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import mapping
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpec
-from gffe_cl.stage import Access, Board, Kernel, NearestStage, Step, zoom
+from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Step, zoom
+from gffe_cl.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpec
 
 _MIXED = BufferSpec(
     "mixed", np.uint8, (), "target",

@@ -14,13 +14,12 @@ from typing import Any
 
 import pyopencl as cl
 
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation.bench import Copier
-from gffe_cl.inference import NetworkError
+from gffe_cl.inference.network import NetworkError
 from gffe_cl.opencl.device import Device
 from gffe_cl.viewer.engine.cache import FrameCache, FrameKey
-from gffe_cl.viewer.engine.exchange import Exchange
-from gffe_cl.viewer.engine.making import SlotMaker, weights_of
+from gffe_cl.viewer.engine.mailbox import Exchange
 from gffe_cl.viewer.engine.messages import (
     Closing,
     EngineError,
@@ -31,9 +30,10 @@ from gffe_cl.viewer.engine.messages import (
     Result,
     Setup,
 )
-from gffe_cl.viewer.engine.opening import open_viewer_device
+from gffe_cl.viewer.engine.metric_worker import Scorer
 from gffe_cl.viewer.engine.reloading import Kernels
-from gffe_cl.viewer.engine.scoring import Scorer
+from gffe_cl.viewer.engine.slot_renderer import SlotMaker, weights_of
+from gffe_cl.viewer.engine.sources.opening import open_viewer_device
 
 _CLOSE_SECONDS = 2.0
 

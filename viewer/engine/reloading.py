@@ -7,14 +7,14 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from gffe_cl import inference
-from gffe_cl.buffers import Sizes
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
+from gffe_cl.inference import network
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import Program, expand, kernel_folder
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
-from gffe_cl.stage import Board
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
+from gffe_cl.stages.base import Board
+from gffe_cl.stages.buffers import Sizes
 from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import Presentation
@@ -66,7 +66,7 @@ class Kernels(dict):
             Presentation(board)
             Composition(board)
             FocusMask(board)
-            if inference.default_model() or any(key[0] == ShadingCorrection.name for key in self):
+            if network.default_model() or any(key[0] == ShadingCorrection.name for key in self):
                 ShadingCorrection(board, load=False)  # the network itself is not needed
         except Exception as error:
             self._texts, self.error, self.log = before, str(error), getattr(error, "log", "") or str(error)

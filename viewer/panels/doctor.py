@@ -5,7 +5,7 @@ from __future__ import annotations
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
-from gffe_cl.errors import printable
+from gffe_cl.core.errors import printable
 from gffe_cl.viewer.panels import widgets
 
 _RED, _AMBER, _GREY = (0.97, 0.5, 0.45, 1.0), (0.9, 0.7, 0.3, 1.0), (0.6, 0.6, 0.62, 1.0)

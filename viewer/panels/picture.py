@@ -10,7 +10,7 @@ from imgui_bundle import ImVec2, hello_imgui, imgui
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.panels import overview, widgets
 from gffe_cl.viewer.picture.view import View
-from gffe_cl.viewer.state.kept import told
+from gffe_cl.viewer.state.presets import told
 
 _ZOOM_STEP = 1.2
 _DRAG = 4.0  # screen pixels: less is a click

@@ -8,7 +8,7 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from gffe_cl.viewer.engine.figures import QUANTITIES
+from gffe_cl.viewer.engine.slot_metrics import QUANTITIES
 from gffe_cl.viewer.panels import widgets
 
 COLORS = {"A": (0.96, 0.66, 0.28, 1.0), "B": (0.36, 0.72, 0.95, 1.0)}

@@ -6,7 +6,7 @@ import math
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
-from gffe_cl.viewer.engine.figures import REGIONS, Part
+from gffe_cl.viewer.engine.slot_metrics import REGIONS, Part
 from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.state.captions import region_colors
 

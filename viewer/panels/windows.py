@@ -6,7 +6,7 @@ from pathlib import Path
 
 from imgui_bundle import hello_imgui, imgui
 
-from gffe_cl.errors import printable
+from gffe_cl.core.errors import printable
 from gffe_cl.scenes import scene_names
 from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.panels.status import RED

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation.report import write_video
-from gffe_cl.run import _dump_channels
+from gffe_cl.pipeline.run import _dump_channels
 from gffe_cl.sequence.exr import write_channels
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.metrics import display_values, flip_error
+from gffe_cl.evaluation.metrics import display_values, flip_error
 from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.picture.latest import Latest
 

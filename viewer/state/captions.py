@@ -1,20 +1,37 @@
-"""What the colours of the picture mean, as it is shown now: for the legends of saved pictures."""
+"""Text over the picture: captions, and messages to the user."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from gffe_cl.viewer.engine import names
-from gffe_cl.viewer.engine.figures import REGIONS
 from gffe_cl.viewer.engine.layers import LayerSpec
-from gffe_cl.viewer.picture import flip_map
+from gffe_cl.viewer.engine.slot_metrics import REGIONS
+from gffe_cl.viewer.picture import disocclusions, flip_map
 from gffe_cl.viewer.picture.colors import LABEL_COLORS, Rgb
+from gffe_cl.viewer.picture.current_frame import Contents
+from gffe_cl.viewer.picture.display_settings import Looks
 from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.picture.legend_strip import Entry
 from gffe_cl.viewer.picture.legends import Legend, legend
 from gffe_cl.viewer.picture.view import View
-from gffe_cl.viewer.state import disocclusions
 from gffe_cl.viewer.state.comparing import Comparison
-from gffe_cl.viewer.state.contents import Contents
-from gffe_cl.viewer.state.looks import Looks
+
+
+@dataclass
+class Message:
+    """Something to tell, of a kind: "note", "error", or "title" of a script; `since`: when it was shown first, seconds
+    of the clock that playback goes by; `dismissed`: the user took it away from over the picture."""
+
+    text: str
+    kind: str
+    since: float | None = None
+    dismissed: bool = False
+
+    @property
+    def error(self) -> bool:
+        return self.kind == "error"
+
 
 REST: Rgb = (0.35, 0.35, 0.35)  # of the region that has no tint
 _EDGES = (("depth", (1.0, 0.0, 0.0)), ("motion", (0.0, 1.0, 0.0)), ("colour", (0.0, 0.0, 1.0)))

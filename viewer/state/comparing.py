@@ -1,4 +1,4 @@
-"""Comparing two layers: wipe, flip, difference and maps of errors."""
+"""Comparing A with B, and the scores of both against ground truth."""
 
 from __future__ import annotations
 
@@ -6,14 +6,45 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from gffe_cl.metrics import METRICS
+from gffe_cl.evaluation.metrics import METRICS
 from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.engine import Engine
+from gffe_cl.viewer.engine.messages import Metrics, Recipe, Result
 from gffe_cl.viewer.picture import flip_map
+from gffe_cl.viewer.picture.current_frame import Contents
+from gffe_cl.viewer.picture.display_settings import Looks
 from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.picture.view import ERRORS, View
-from gffe_cl.viewer.state.contents import Contents
-from gffe_cl.viewer.state.kept import Kept, KeptSettings
-from gffe_cl.viewer.state.looks import Looks
+from gffe_cl.viewer.state.presets import Kept, KeptSettings
+
+
+class Scores:
+    """Metrics by what slots were made with, and by slot."""
+
+    def __init__(self, engine: Engine):
+        self._engine = engine
+        self._known: dict[Recipe, dict[int, Metrics]] = {}
+
+    def of(self, recipe: Recipe) -> dict[int, Metrics]:
+        return self._known.setdefault(recipe, {})
+
+    def add(self, metrics: Metrics) -> None:
+        self.of(self._engine.recipe(metrics.setup))[metrics.slot] = metrics
+
+    def add_result(self, result: Result | None) -> None:
+        """Those that a slot came with."""
+        if result is not None and result.metrics:
+            self.add(Metrics(result.request.slot, result.request.setup, result.metrics))
+
+    def update(self) -> None:
+        """Once per frame of the interface: those that became known."""
+        while (metrics := self._engine.poll_metrics()) is not None:
+            self.add(metrics)
+
+    def forget(self) -> None:
+        """There is another source."""
+        self._known.clear()
+
 
 WAYS = ("off", "split", "flip", "difference", "error", "flip error")
 FLIP_HIGH = 0.5

@@ -8,45 +8,38 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from gffe_cl.errors import GffeError
-from gffe_cl.options import Options
+from gffe_cl.core.errors import GffeError
+from gffe_cl.pipeline.options import Options
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.cache import CACHE_MIB, FrameCache
-from gffe_cl.viewer.engine.doctoring import Doctor
+from gffe_cl.viewer.engine.doctor_worker import Doctor
 from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
 from gffe_cl.viewer.engine.messages import Metrics, Setup
-from gffe_cl.viewer.engine.opening import ScenePlan, make_source
-from gffe_cl.viewer.engine.preview import Preview, Previewer, preview_of
-from gffe_cl.viewer.engine.sources import FrameSource
+from gffe_cl.viewer.engine.sources.opening import ScenePlan, make_source
+from gffe_cl.viewer.engine.sources.preview import Preview, Previewer, preview_of
+from gffe_cl.viewer.engine.sources.source import FrameSource
+from gffe_cl.viewer.picture.current_frame import Contents
+from gffe_cl.viewer.picture.disocclusions import Disocclusions
+from gffe_cl.viewer.picture.display_settings import Looks
 from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.picture.legend_strip import Entry
+from gffe_cl.viewer.picture.regions import Regions
+from gffe_cl.viewer.picture.selection import Selection
 from gffe_cl.viewer.picture.view import View
-from gffe_cl.viewer.state.asking import Asking
-from gffe_cl.viewer.state.captions import entries_of
-from gffe_cl.viewer.state.comparing import Comparison
-from gffe_cl.viewer.state.contents import Contents
-from gffe_cl.viewer.state.disocclusions import Disocclusions
-from gffe_cl.viewer.state.filling import Filling
-from gffe_cl.viewer.state.flying import Flight, Flyer
-from gffe_cl.viewer.state.framing import Framing
-from gffe_cl.viewer.state.kept import KeptSettings, command_line
-from gffe_cl.viewer.state.looks import Looks
+from gffe_cl.viewer.state.captions import Message, entries_of
+from gffe_cl.viewer.state.compare_b import Second
+from gffe_cl.viewer.state.comparing import Comparison, Scores
 from gffe_cl.viewer.state.loop import Loop
-from gffe_cl.viewer.state.messages import Message
-from gffe_cl.viewer.state.needed import Needed
+from gffe_cl.viewer.state.navigation import Flight, Flyer, Walk
 from gffe_cl.viewer.state.parameters import Parameters
 from gffe_cl.viewer.state.playback import Playback
-from gffe_cl.viewer.state.pointing import Pointing
-from gffe_cl.viewer.state.regions import Regions
+from gffe_cl.viewer.state.presets import KeptSettings, command_line
+from gffe_cl.viewer.state.requests import Asking, Filling, Needed
 from gffe_cl.viewer.state.saving import Subject, Work
-from gffe_cl.viewer.state.scores import Scores
-from gffe_cl.viewer.state.screen import Screen
-from gffe_cl.viewer.state.second import Second
-from gffe_cl.viewer.state.selecting import Selection
 from gffe_cl.viewer.state.settings import Settings
 from gffe_cl.viewer.state.survey import Survey
 from gffe_cl.viewer.state.timings import Timings
-from gffe_cl.viewer.state.walking import Walk
+from gffe_cl.viewer.state.viewport import Framing, Pointing, Screen
 
 _SCENES = ScenePlan(480, 270, 0)
 _OPTIONS = Options()

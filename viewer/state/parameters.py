@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from gffe_cl import inference
-from gffe_cl.errors import GffeError
-from gffe_cl.options import OPTIONS, Option, Options
+from gffe_cl.core.errors import GffeError
+from gffe_cl.inference import network
+from gffe_cl.pipeline.options import OPTIONS, Option, Options
 from gffe_cl.viewer.engine.messages import Setup
-from gffe_cl.viewer.engine.sources import FrameSource
+from gffe_cl.viewer.engine.sources.source import FrameSource
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.schedule import MOST_GENERATED
 
@@ -128,7 +128,7 @@ class Parameters:
         if name == "window" and not self._source.windowed:
             return "this sequence was not rendered through a window (no overscan)"
         if name == CORRECTION:
-            return None if self.options.scn_model else inference.scn_missing()
+            return None if self.options.scn_model else network.scn_missing()
         needed = ALL[name].needs
         if needed is None:
             return None

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.viewer.picture.canvas import read
+from gffe_cl.viewer.picture.current_frame import Contents
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
 from gffe_cl.viewer.picture.legend_strip import Entry, with_legends
 from gffe_cl.viewer.picture.view import View
-from gffe_cl.viewer.state.contents import Contents
 from gffe_cl.viewer.state.playback import Playback
 
 _WAITING = 2  # frames between the interface and the encoder

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gffe_cl.viewer.engine.engine import Engine
-from gffe_cl.viewer.engine.figures import NEEDED, QUANTITIES, REGIONS, Figures, Measurer, Part
 from gffe_cl.viewer.engine.messages import Recipe, Request, Result, Setup
+from gffe_cl.viewer.engine.slot_metrics import NEEDED, QUANTITIES, REGIONS, Figures, Measurer, Part
 from gffe_cl.viewer.engine.worker import Worker
 from gffe_cl.viewer.state.playback import Playback
 

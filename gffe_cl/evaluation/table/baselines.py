@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
+from gffe_cl.evaluation.metrics import display_values
+from gffe_cl.evaluation.table.datasets import Moment, Shot
 from gffe_cl.evaluation.table.flicker import LUMA
 from gffe_cl.evaluation.table.image_space import filled, pixel_centres, sample, sample_sharp, splat, taps
 from gffe_cl.evaluation.table.regions import same_surface
-from gffe_cl.evaluation.table.subjects import Moment, Shot
-from gffe_cl.metrics import display_values
 
 _SAME_AS_BEFORE = 0.1  # of the depth, between two frames of a moving camera
 _GUIDED_REACHES = (1, 2, 4, 8, 16, 32)  # pixels

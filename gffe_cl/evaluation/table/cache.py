@@ -10,15 +10,15 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
-from gffe_cl.errors import GffeError
-from gffe_cl.evaluation.table.cells import Cell
-from gffe_cl.files import replacing
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.files import replacing
+from gffe_cl.evaluation.table.jobs import Cell
 from gffe_cl.opencl.program import kernel_folder
 
 _VERSION = 1
 # What has no part in the figures, or only carries them.
-_ELSEWHERE = ("cli", "viewer", "scn", "cluster.py", "demo.py", "run.py", "render.py", "__main__.py")
-_MEASURING = ("subjects", "regions", "methods", "baselines", "image_space", "network", "flicker", "videos", "cells",
+_ELSEWHERE = ("cli", "viewer", "scn", "remote_workers.py", "demo.py", "run.py", "render.py", "__main__.py")
+_MEASURING = ("datasets", "regions", "methods", "baselines", "image_space", "network", "flicker", "videos", "jobs",
               "pipelines", "windows")  # fmt: skip
 
 

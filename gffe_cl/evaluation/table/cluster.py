@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import lru_cache
 
-from gffe_cl.cluster import Cluster
-from gffe_cl.errors import GffeError
+from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation.table.cache import key_of
-from gffe_cl.evaluation.table.cells import Cell, compute_cell
-from gffe_cl.evaluation.table.engine import Executor, Work
+from gffe_cl.evaluation.table.datasets import Subject
+from gffe_cl.evaluation.table.jobs import Cell, compute_cell
 from gffe_cl.evaluation.table.methods import chosen_methods
-from gffe_cl.evaluation.table.subjects import Subject
+from gffe_cl.evaluation.table.runner import Executor, Work
+from gffe_cl.opencl.remote_workers import Cluster
 
 
 def executor_of(workers: Cluster) -> Executor:

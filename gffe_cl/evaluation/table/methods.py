@@ -11,9 +11,9 @@ from typing import Protocol
 
 import numpy as np
 
-from gffe_cl import inference
-from gffe_cl.errors import GffeError, how_to_install
+from gffe_cl.core.errors import GffeError, how_to_install
 from gffe_cl.evaluation.table import baselines
+from gffe_cl.evaluation.table.datasets import Footage, Moment, Shot, Subject
 from gffe_cl.evaluation.table.network import OnnxModel, OnnxRunner
 from gffe_cl.evaluation.table.pipelines import (
     PipelineRunner,
@@ -23,9 +23,9 @@ from gffe_cl.evaluation.table.pipelines import (
     TrueMotion,
     UpscaledFirst,
 )
-from gffe_cl.evaluation.table.subjects import Footage, Moment, Shot, Subject
+from gffe_cl.inference import network as inference
 from gffe_cl.opencl.device import Device
-from gffe_cl.options import Options
+from gffe_cl.pipeline.options import Options
 
 FULL = "gffe"
 GIVEN = "given"  # rendered frames as the sequence has them

@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.errors import GffeError
-from gffe_cl.evaluation.table.subjects import Moment, Shot
-from gffe_cl.files import model_source
-from gffe_cl.inference import load_onnxruntime
-from gffe_cl.metrics import display_values, linear_values
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.files import model_source
+from gffe_cl.evaluation.metrics import display_values, linear_values
+from gffe_cl.evaluation.table.datasets import Moment, Shot
+from gffe_cl.inference.network import load_onnxruntime
 
 _MULTIPLE = 32
 _TENSORS = "inputs previous, next (optional), timestep (optional) and an output frame"

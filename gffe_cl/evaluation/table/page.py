@@ -6,8 +6,8 @@ import base64
 import json
 from importlib.resources import files
 
-from gffe_cl.evaluation.table.engine import Filled
 from gffe_cl.evaluation.table.results import PAPER
+from gffe_cl.evaluation.table.runner import Filled
 
 _FRAME = """<!doctype html>
 <html lang="en">

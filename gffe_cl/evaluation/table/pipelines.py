@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from gffe_cl.evaluation.table.datasets import Footage, Moment, Shot
 from gffe_cl.evaluation.table.image_space import pixel_centres
-from gffe_cl.evaluation.table.subjects import Footage, Moment, Shot
-from gffe_cl.frame import RenderedFrame
-from gffe_cl.made_frame import ExtrapolatedFrame
+from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.opencl.device import Device
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.pipeline.made_frame import ExtrapolatedFrame
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import mapping
 

@@ -12,13 +12,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gffe_cl.camera import Camera
+from gffe_cl.evaluation.metrics import focus_mask
+from gffe_cl.evaluation.table.datasets import Footage, Guide, Shot
 from gffe_cl.evaluation.table.image_space import pixel_centres
-from gffe_cl.evaluation.table.subjects import Footage, Guide, Shot
-from gffe_cl.metrics import focus_mask
+from gffe_cl.frame.camera import Camera
 from gffe_cl.opencl.device import Device
-from gffe_cl.options import Options
-from gffe_cl.pipeline import Pipeline
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
 
 # By label; where several would hold, the first does.
 REGIONS = {

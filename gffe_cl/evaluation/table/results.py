@@ -13,12 +13,12 @@ from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
-from gffe_cl.evaluation.table.cells import Cell
-from gffe_cl.evaluation.table.engine import Filled
+from gffe_cl.evaluation.metrics import METRICS, RegionErrors
+from gffe_cl.evaluation.table.jobs import Cell
 from gffe_cl.evaluation.table.methods import FULL, GAINS
 from gffe_cl.evaluation.table.regions import REGIONS
+from gffe_cl.evaluation.table.runner import Filled
 from gffe_cl.evaluation.table.videos import VIDEO_METRICS
-from gffe_cl.metrics import METRICS, RegionErrors
 
 _PACKAGES = ("gffe-cl", "numpy", "pyopencl", "onnxruntime", "scikit-image", "flip-evaluator", "opencv-python-headless")
 

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gffe_cl.errors import how_to_install
+from gffe_cl.core.errors import how_to_install
 
 
 @dataclass(frozen=True)
 class VideoMetric:
     """`measure(shown, truth, fps)` takes lists of display values (H, W, 3), rendered and generated frames in the order
     of display, and the rate of display in frames per second; generated frames alone if `generated_only`. Other
-    attributes as of `gffe_cl.metrics.Metric`."""
+    attributes as of `gffe_cl.evaluation.metrics.Metric`."""
 
     name: str
     label: str

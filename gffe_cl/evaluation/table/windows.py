@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from gffe_cl.camera import Camera
-from gffe_cl.window import Window, WindowChooser
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.window import Window, WindowChooser
 
 # Rendered pixels are as small as the display's: so many times as many of them, each way.
 DENSER = {"adaptive, dense": 1.2, "wide": 1.5}

@@ -1,4 +1,4 @@
-/* The order of things, and the state between frames (gffe_cl/pipeline.py). */
+/* The order of things, and the state between frames (gffe_cl/pipeline/pipeline.py). */
 #include "gffe.h"
 
 #include <float.h>
@@ -229,7 +229,7 @@ static void remember(gffe *g, double time) {
     g->path[0] = step->cameras[GFFE_FRAME_DISPLAY];
 }
 
-/* The camera as it was meant: a principal point within a pixel of the middle belongs there (gffe_cl/jitter.py). */
+/* The camera as it was meant: a principal point within a pixel of the middle belongs there (gffe_cl/frame/jitter.py). */
 static gffe_camera without_jitter(const gffe_camera *camera, const int size[2]) {
     const double x = size[0] / 2.0, y = size[1] / 2.0;
     gffe_camera made = *camera;

@@ -11,7 +11,7 @@
 #pragma STDC FP_CONTRACT OFF
 #endif
 
-/* ---- vectors of three (gffe_cl/vectors.py) ------------------------------------------------------------ */
+/* ---- vectors of three (gffe_cl/frame/vectors.py) ------------------------------------------------------------ */
 
 static double dot(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
@@ -59,7 +59,7 @@ static int normalised(const double v[3], double made[3]) {
     return 1;
 }
 
-/* ---- cameras (gffe_cl/camera.py) ---------------------------------------------------------------------- */
+/* ---- cameras (gffe_cl/frame/camera.py) ---------------------------------------------------------------------- */
 
 static void rotation_of(const gffe_camera *camera, double made[3][3]) {
     int i, j;
@@ -260,7 +260,7 @@ static const char *predict(const gffe_camera *previous, const gffe_camera *curre
     return NULL;
 }
 
-/* ---- prediction from several cameras (gffe_cl/camera_path.py) ------------------------------------------ */
+/* ---- prediction from several cameras (gffe_cl/frame/camera_prediction.py) ------------------------------------------ */
 
 /* The rotation vector from the view of `old` to that of `new`: axis times angle. */
 static void turn_between(const gffe_camera *older, const gffe_camera *newer, double made[3]) {

@@ -1,4 +1,4 @@
-/* Adaptive rendering windows (gffe_cl/window.py). */
+/* Adaptive rendering windows (gffe_cl/frame/window.py). */
 #include <float.h>
 #include <math.h>
 #include <stdlib.h>

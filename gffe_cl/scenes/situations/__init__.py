@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from gffe_cl.scenes.scene_types import Scene
 from gffe_cl.scenes.situations import cameras, movers, shading
-from gffe_cl.scenes.vocabulary import Scene
 
 BUILDERS = {
     "bars": movers.bars,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.scenes.figures import walker
-from gffe_cl.scenes.motions import Path
+from gffe_cl.scenes.parts.figures import walker
+from gffe_cl.scenes.parts.motions import Path
+from gffe_cl.scenes.scene_types import Scene, wave
 from gffe_cl.scenes.situations.places import hall, lamplight, scene, sunlight, yard
-from gffe_cl.scenes.vocabulary import Scene, wave
 
 
 def handheld(seed: int, rng: np.random.Generator) -> Scene:

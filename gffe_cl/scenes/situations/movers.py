@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.scenes.figures import animal, walker
-from gffe_cl.scenes.furniture import IRON, STEEL, railing
-from gffe_cl.scenes.motions import Bounce, Motion, Path, Place, Roll, Slide, Spin, Swing
+from gffe_cl.scenes.parts.figures import animal, walker
+from gffe_cl.scenes.parts.furniture import IRON, STEEL, railing
+from gffe_cl.scenes.parts.motions import Bounce, Motion, Path, Place, Roll, Slide, Spin, Swing
+from gffe_cl.scenes.scene_types import Box, Capsule, Cylinder, Group, Material, Scene, Sphere, pick, tint, vary
 from gffe_cl.scenes.situations.places import hall, lamplight, scene, still_camera, sunlight, yard
-from gffe_cl.scenes.vocabulary import Box, Capsule, Cylinder, Group, Material, Scene, Sphere, pick, tint, vary
 
 _PAINTS = ((0.6, 0.1, 0.06), (0.1, 0.28, 0.55), (0.62, 0.45, 0.06), (0.1, 0.4, 0.2), (0.45, 0.2, 0.45))
 

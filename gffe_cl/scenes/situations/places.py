@@ -7,23 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gffe_cl.scenes.furniture import IRON, STEEL, bench
-from gffe_cl.scenes.living import bookcase
-from gffe_cl.scenes.motions import Place
-from gffe_cl.scenes.vocabulary import (
-    Air,
-    Box,
-    Cone,
-    Cylinder,
-    Group,
-    Light,
-    Material,
-    Scene,
-    pick,
-    tint,
-    vary,
-    wave,
-)
+from gffe_cl.scenes.parts.furniture import IRON, STEEL, bench
+from gffe_cl.scenes.parts.motions import Place
+from gffe_cl.scenes.parts.room_furniture import bookcase
+from gffe_cl.scenes.scene_types import Air, Box, Cone, Cylinder, Group, Light, Material, Scene, pick, tint, vary, wave
 
 BACK, HALF_WIDTH, HEIGHT = -5.5, 4.5, 3.4  # metres; width and height of the hall
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.scenes.furniture import IRON
-from gffe_cl.scenes.luminaires import spotlight, swinging_lamp
-from gffe_cl.scenes.motions import Motion, Place, Slide, Spin, Swing
-from gffe_cl.scenes.situations.places import BACK, HEIGHT, hall, lamplight, scene, still_camera, yard
-from gffe_cl.scenes.vocabulary import (
+from gffe_cl.scenes.parts.furniture import IRON
+from gffe_cl.scenes.parts.luminaires import spotlight, swinging_lamp
+from gffe_cl.scenes.parts.motions import Motion, Place, Slide, Spin, Swing
+from gffe_cl.scenes.scene_types import (
     Air,
     Box,
     Capsule,
@@ -23,6 +22,7 @@ from gffe_cl.scenes.vocabulary import (
     tint,
     vary,
 )
+from gffe_cl.scenes.situations.places import BACK, HEIGHT, hall, lamplight, scene, still_camera, yard
 
 _WARM = (1.0, 0.82, 0.58)
 

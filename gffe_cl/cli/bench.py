@@ -1,0 +1,205 @@
+"""The command that measures cost: bench."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from gffe_cl.cli.common import (
+    FollowLinksOption,
+    JsonOption,
+    app,
+    out,
+    parse_size,
+    plain,
+    progress_bars,
+    steps,
+    write_json,
+)
+from gffe_cl.cli.options import takes_options
+from gffe_cl.core.errors import GffeError
+
+if TYPE_CHECKING:
+    from gffe_cl.evaluation.bench import SizeBench
+    from gffe_cl.evaluation.benchmark_input import Footage
+    from gffe_cl.evaluation.counting import KernelTraffic
+    from gffe_cl.opencl.device import Device, DeviceInfo
+    from gffe_cl.pipeline.options import Options
+
+_SIZES = "960x540,1280x720,1920x1080,3840x2160"
+
+
+@app.command()
+@takes_options()
+def bench(
+    subject: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="SCENE|SEQUENCE", help="Name of a built-in scene, or folder of a sequence [dim](default: plaza)[/]."
+        ),
+    ] = None,
+    sizes: Annotated[
+        str | None,
+        typer.Option(
+            help="Width × height, separated by commas; sequences are enlarged"
+            f" [dim](default: {_SIZES}; of a sequence its own)[/]."
+        ),
+    ] = None,
+    repeats: Annotated[int, typer.Option(help="Timed frames per size.")] = 15,
+    frame: Annotated[
+        int | None,
+        typer.Option(help="Which rendered frame [dim](default: 31 of a scene, the middle one of a sequence)[/]."),
+    ] = None,
+    kernels: Annotated[bool, typer.Option("--kernels", help="Print the time of every kernel too.")] = False,
+    traffic: Annotated[
+        bool,
+        typer.Option(
+            "--traffic",
+            help="Instead of timing, count the bytes that each kernel loads and stores, with Oclgrind, in a part of the"
+            " images of one size [dim](default: 1920x1080)[/].",
+        ),
+    ] = False,
+    lanes: Annotated[
+        str, typer.Option(help="With --traffic: pixels per work-item, 1 as on GPUs, 8 as on CPUs; or both: 1,8.")
+    ] = "1",
+    device: Annotated[
+        str | None, typer.Option("--device", help="One device [dim](default: every device that works)[/].")
+    ] = None,
+    follow_links: FollowLinksOption = False,
+    json_path: JsonOption = None,
+    *,
+    options: Options,
+) -> None:
+    """Time every stage, in milliseconds and in bytes per pixel, beside the paper's table."""
+    from gffe_cl.opencl.device import list_devices, open_device, open_info
+
+    if repeats < 1:
+        raise GffeError(f"--repeats must be at least 1, got {repeats}")
+    parsed = None if sizes is None else [parse_size(text) for text in sizes.split(",")]
+    if traffic:
+        _bench_traffic(open_device(device), subject, parsed, frame, _parse_lanes(lanes), options, json_path)
+        return
+    if device is None:
+        opened = [open_info(info) for info in list_devices() if info.works] or [open_device()]
+    else:
+        opened = [open_device(device)]
+    _bench_times(opened, subject, parsed, frame, repeats, kernels, options, json_path)
+
+
+def _bench_times(
+    devices: list[Device],
+    subject: str | None,
+    sizes: list[tuple[int, int]] | None,
+    frame: int | None,
+    repeats: int,
+    kernels: bool,
+    options: Options,
+    json_path: Path | None,
+) -> None:
+    from dataclasses import asdict
+
+    from gffe_cl.evaluation.bench import PAPER, Copier, bench_size, growth
+    from gffe_cl.evaluation.benchmark_input import footage_of, is_sequence
+
+    if sizes is None:
+        sizes = [None] if is_sequence(subject) else [parse_size(text) for text in _SIZES.split(",")]
+    report = []
+    for device in devices:
+        results = []
+        with progress_bars() as progress:
+            advance = steps(progress)(f"{device.info.name} ({device.info.platform})", len(sizes) * repeats)
+            copier = Copier(device)
+            for size in sizes:
+                footage = footage_of(device, subject, size, frame, options.upscale)
+                results.append(bench_size(device, copier, footage, options, repeats, advance))
+        _print_bench(device.info, footage.name, results)
+        if kernels:
+            _print_kernels(results)
+        named = {"device": device.info.name, "platform": device.info.platform, "copied by": copier.way}
+        figures = {"of": footage.name, "growth": growth(results), "sizes": [asdict(r) for r in results]}
+        report.append(named | figures)
+    write_json(json_path, {"devices": report, "paper": PAPER})
+
+
+def _bench_traffic(
+    device: Device,
+    subject: str | None,
+    sizes: list[tuple[int, int]] | None,
+    frame: int | None,
+    lanes: list[int],
+    options: Options,
+    json_path: Path | None,
+) -> None:
+    from gffe_cl.evaluation.benchmark_input import footage_of
+    from gffe_cl.evaluation.counting import SIZE, count, report
+
+    if sizes and len(sizes) > 1:
+        raise GffeError(f"--traffic takes one size, got {len(sizes)}")
+    footage = footage_of(device, subject, sizes[0] if sizes else SIZE, frame)
+    counted = {n: count(footage, options, n) for n in lanes}
+    for n, kernels in counted.items():
+        _print_traffic(footage, n, kernels)
+    write_json(json_path, report(counted, footage))
+
+
+def _parse_lanes(text: str) -> list[int]:
+    lanes = text.split(",")
+    if not set(lanes) <= {"1", "8"}:
+        raise GffeError(f"--lanes must be 1, 8 or 1,8, got '{text}'")
+    return [int(n) for n in lanes]
+
+
+def _print_bench(info: DeviceInfo, name: str, results: list[SizeBench]) -> None:
+    from gffe_cl.evaluation.bench import PAPER, growth
+
+    heads = (*(f"{r.width}×{r.height}" for r in results), "must move", "paper, 1080p")
+    title = plain(f"{name}, {info.name} ({info.platform})")
+    table = Table("bytes per pixel (ms)", *heads, title=title, box=None, header_style="bold")
+    last = results[-1]
+    for part in results[0].milliseconds:
+        figures = [f"{r.bytes_per_pixel[part]:.0f} ({r.milliseconds[part]:.2f})" for r in results]
+        must = f"{last.must_move[part]:.0f}" if part in last.must_move else ""
+        style = "bold" if part in ("GAE", "SCN") else None
+        table.add_row(part, *figures, must, str(PAPER.get(part) or ""), style=style)
+    table.add_row("wall time, ms", *(f"{r.wall:.2f}" for r in results), "", "")
+    table.add_row("copy bandwidth, GB/s", *(f"{r.bandwidth:.1f}" for r in results), "", "672")
+    table.add_row("device memory, MiB", *(f"{r.memory / 2**20:.0f}" for r in results), "", "")
+    table.add_row("of which GAE's", *(f"{r.memory_gae / 2**20:.0f}" for r in results), "", "")
+    commands = (" + ".join(f"{n} {part}" for part, n in r.commands.items()) for r in results)
+    table.add_row("commands for both frames", *commands, "", "")
+    if last.provider:
+        table.add_row("the network ran on", *(r.provider.removesuffix("ExecutionProvider") for r in results), "", "")
+    out.print(table)
+    if (power := growth(results)) is not None:
+        out.print(f"GAE grows as pixels^{power:.2f}.")
+    shares = ", ".join(f"{share} {value:.2%}" for share, value in last.shares.items())
+    out.print(f"Must move: what the stages declare, at {last.width}×{last.height}; shares of the pixels: {shares}.")
+    sizes = ", ".join(f"{stage} {nbytes / 2**20:.1f}" for stage, nbytes in last.memory_by_stage.items())
+    out.print(f"Device memory there, MiB: {sizes}; two rendered frames beside, motion of one.")
+
+
+def _print_kernels(results: list[SizeBench]) -> None:
+    table = Table("kernel, ms", *(f"{r.width}×{r.height}" for r in results), box=None, header_style="bold")
+    for name in results[0].kernels:
+        table.add_row(name, *(f"{r.kernels.get(name, 0):.2f}" for r in results))
+    out.print(table)
+
+
+def _print_traffic(footage: Footage, lanes: int, kernels: dict[str, KernelTraffic]) -> None:
+    from gffe_cl.evaluation.traffic import group
+
+    form = "one pixel per work-item, as on GPUs" if lanes == 1 else f"{lanes} pixels per work-item, as on CPUs"
+    title = plain(f"{footage.name}, a part of {footage.width}×{footage.height}, {form}")
+    heads = ("must move", "loaded", "stored", "counted : must move")
+    table = Table("bytes per pixel", *heads, title=title, box=None, header_style="bold")
+    gae = {name: moved for name, moved in kernels.items() if group(name.partition(".")[0]) == "GAE"}
+    for name, moved in kernels.items():
+        ratio = f"{moved.counted / moved.declared:.1f}" if moved.declared >= 0.1 else ""
+        table.add_row(name, *(f"{n:.1f}" for n in (moved.declared, moved.loaded, moved.stored)), ratio)
+    sums = [sum(getattr(moved, field) for moved in gae.values()) for field in ("declared", "loaded", "stored")]
+    table.add_row("GAE", *(f"{n:.1f}" for n in sums), f"{sum(sums[1:]) / sums[0]:.1f}", style="bold")
+    out.print(table)
+    out.print("Loaded and stored: counted by Oclgrind, without caches; must move: what the stages declare.")

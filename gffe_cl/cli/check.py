@@ -1,0 +1,111 @@
+"""The command that finds faults of sequences: check."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gffe_cl.cli.common import (
+    FollowLinksOption,
+    JsonOption,
+    app,
+    out,
+    output_file,
+    plain,
+    progress_bars,
+    steps,
+    write_json,
+)
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.files import write_text
+
+if TYPE_CHECKING:
+    from gffe_cl.doctor import Diagnosis
+    from gffe_cl.sequence import Sequence
+
+_STYLES = {"fault": "bold red", "note": "yellow", "cannot tell": "cyan"}
+
+
+@app.command()
+def check(
+    sequence: Annotated[Path, typer.Argument(help="Sequence to examine.")],
+    fix: Annotated[
+        Path | None, typer.Option("--fix", help="Write the sequence with the faults mended to this folder.")
+    ] = None,
+    html: Annotated[
+        Path | None,
+        typer.Option(
+            "--html", help="Also write a page with residuals before and after.", callback=output_file("--html")
+        ),
+    ] = None,
+    follow_links: FollowLinksOption = False,
+    only: Annotated[
+        list[str] | None,
+        typer.Option("--only", metavar="FINDING", help="With --fix: finding to mend, and no other. Repeatable."),
+    ] = None,
+    without: Annotated[
+        list[str] | None,
+        typer.Option("--except", metavar="FINDING", help="With --fix: finding to leave as it is. Repeatable."),
+    ] = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Say what does not fit in a sequence: motion vectors, depth, cameras, colors, the order of frames.
+
+    Exit code 0: nothing, or notes only; 1: faults, which break results.
+    """
+    from gffe_cl.doctor import examine, open_for_check, require_findings, selected
+    from gffe_cl.doctor.report import as_json, html_report, summary
+
+    require_findings(only or (), "--only")
+    require_findings(without or (), "--except")
+    if fix is None and (only or without):
+        raise GffeError("--only and --except choose what --fix mends (expected --fix FOLDER)")
+    opened, mended = open_for_check(sequence)
+    diagnosis = examine(opened, opened.exposure)
+    diagnosis.findings[:0] = mended
+    title = f"{sequence}: {len(opened.rendered)} rendered frames, {opened.width}×{opened.height}"
+    looked = "" if diagnosis.frames == len(opened.rendered) else f"; {diagnosis.frames} of them looked at"
+    out.print(plain(title + looked))
+    for finding in diagnosis.findings:
+        name = f" ({plain(finding.id)})" if finding.fix else ""
+        out.print(f"[{_STYLES[finding.kind]}]{finding.kind}[/] {plain(finding)}{name}", soft_wrap=True)
+    for line in summary(diagnosis):
+        out.print(plain(line), soft_wrap=True)
+    chosen = selected(diagnosis, only or (), without or ())
+    document = as_json(diagnosis)
+    if html is not None:
+        write_text(html, html_report(opened, diagnosis, title, opened.exposure))
+    if fix is not None:
+        document |= _mend(opened, diagnosis, chosen, fix)
+    elif diagnosis.faults:
+        out.print("`--fix OUT` writes a sequence without these faults", soft_wrap=True)
+    write_json(json_path, document)
+    if diagnosis.faults:
+        raise typer.Exit(1)
+
+
+def _mend(opened: Sequence, diagnosis: Diagnosis, chosen: Diagnosis, fix: Path) -> dict:
+    """Write `chosen` mended to `fix`, check that again, and say what is changed; for the JSON."""
+    from gffe_cl.doctor import examine, write_mended
+    from gffe_cl.doctor.choosing import ON_REQUEST, fixed_by
+    from gffe_cl.doctor.report import as_json, changes
+    from gffe_cl.sequence import open_sequence
+
+    for line in changes(chosen):
+        out.print(f"to change: {plain(line)}", soft_wrap=True)
+    with progress_bars() as progress:
+        total = len(opened.rendered) + len(opened.ground_truth)
+        write_mended(opened, chosen, fix, steps(progress)("Writing", total))
+    again = examine(open_sequence(fix), opened.exposure)
+    changed = fixed_by(chosen)
+    left = [name for name in fixed_by(diagnosis) if name not in changed]
+    out.print(plain(f"{fix}: changed {', '.join(changed) or 'nothing'}"), soft_wrap=True)
+    if left:
+        asked = f" ({ON_REQUEST} is changed only where --only names it)" if ON_REQUEST in left else ""
+        out.print(plain(f"left as given: {', '.join(left)}{asked}"), soft_wrap=True)
+    faults = ", ".join(finding.id for finding in again.faults)
+    verdict = f"still with faults: {faults}" if faults else "it fits now"
+    out.print(plain(f"{fix}: checked again, {verdict}"), soft_wrap=True)
+    return {"changed": changed, "left": left, "fixed": as_json(again)}

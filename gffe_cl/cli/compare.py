@@ -1,0 +1,94 @@
+"""The command that measures pictures: compare."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from gffe_cl.cli.common import (
+    FollowLinksOption,
+    JsonOption,
+    app,
+    out,
+    plain,
+    progress_bars,
+    steps,
+    warn,
+    write_json,
+)
+from gffe_cl.core.errors import GffeError
+
+if TYPE_CHECKING:
+    from gffe_cl.evaluation.compare import Comparison
+    from gffe_cl.evaluation.metrics import Metric
+
+
+@app.command()
+def compare(
+    a: Annotated[Path, typer.Argument(help="Sequence with extrapolated frames.")],
+    b: Annotated[Path, typer.Argument(help="Sequence with ground truth.")],
+    mask: Annotated[
+        str | None,
+        typer.Option(
+            help="Measure only where this channel of A is not 0 (mask.dynamic …); or 'focus': where shading is wrong."
+        ),
+    ] = None,
+    gae: Annotated[
+        Path | None, typer.Option(help="With --mask focus: the same without shading correction (`gffe run --no-scn`).")
+    ] = None,
+    fail_under: Annotated[float | None, typer.Option(help="Exit with 1 if the mean PSNR is lower, dB.")] = None,
+    follow_links: FollowLinksOption = False,
+    json_path: JsonOption = None,
+) -> None:
+    """Measure extrapolated frames of A against the ground truth of B."""
+    from gffe_cl.evaluation.compare import compare as compare_sequences
+    from gffe_cl.evaluation.metrics import measurable, missing_metrics
+    from gffe_cl.formats import open_capture
+
+    if gae is not None and mask != "focus":
+        raise GffeError("--gae goes with --mask focus")
+    first, second, third = open_capture(a), open_capture(b), None if gae is None else open_capture(gae)
+    for sequence in (first, second, third):
+        if sequence is not None and sequence.unfinished:
+            warn(sequence.warnings()[0])
+    with progress_bars() as progress:
+        advance = steps(progress)("Comparing", len(first.extrapolated))
+        result = compare_sequences(first, second, mask, lambda done, total: advance(), third)
+    metrics = measurable()
+    table = Table("frame", *(metric.title for metric in metrics), box=None, header_style="bold")
+    for frame in result.frames:
+        figures = (metric.text(frame.values[metric.name]) for metric in metrics)
+        table.add_row(plain(frame.file), *figures, style=None if frame.counted else "dim")
+    out.print(table)
+    for note in result.notes:
+        out.print(plain(note))
+    left_out = sum(not frame.counted for frame in result.frames)
+    dim = f" ({left_out} frames without history left out)" if left_out else ""
+    means = (metric.sentence(result.mean[metric.name]) for metric in metrics)
+    out.print(f"[bold]mean[/]{dim}: {', '.join(means)}")
+    if result.regions:
+        _print_regions(result, metrics)
+    for reason in missing_metrics():
+        out.print(plain(reason))
+    write_json(json_path, result.to_json())
+    if fail_under is not None and not result.mean["psnr"] >= fail_under:
+        raise typer.Exit(1)
+
+
+def _print_regions(result: Comparison, metrics: list[Metric]) -> None:
+    """Where `--gae` is given, each metric without and with shading correction, and the gain."""
+    heads = ("GAE", "final", "gain") if result.gae else ("",)
+    table = Table("all frames together", "share", "metric", *heads, box=None, header_style="bold")
+    for region, figures in result.regions.items():
+        name, share = region, f"{figures['share']:.2%}"
+        for metric in metrics:
+            cells = [metric.text(figures[metric.name])]
+            if result.gae:
+                before, gain = result.gae[region][metric.name], result.gain[region][metric.name]
+                cells = [metric.text(before), *cells, metric.text(gain, signed=True)]
+            table.add_row(name, share, metric.title, *cells)
+            name = share = ""
+    out.print(table)

@@ -1,0 +1,359 @@
+"""The command that fills the table of methods and sequences: eval; and study, its older name for parts of that."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from gffe_cl.cli.common import (
+    DeviceOption,
+    FollowLinksOption,
+    SchedulerOption,
+    app,
+    cluster_at,
+    out,
+    parse_numbers,
+    parse_size,
+    plain,
+    progress_bars,
+    steps,
+    warn,
+)
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.files import write_text
+
+if TYPE_CHECKING:
+    from gffe_cl.evaluation.table.datasets import Subject
+    from gffe_cl.evaluation.table.results import Column
+    from gffe_cl.evaluation.table.runner import Executor, Filled
+    from gffe_cl.opencl.remote_workers import Cluster
+
+TURNS = (0.5, 1.0, 2.0, 4.0)  # degrees
+
+
+@app.command("eval")
+def evaluate(
+    subjects: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[SCENE|SEQUENCE]...",
+            help="Built-in scenes and situations, 'forest' or with a seed 'forest:3', and folders of sequences with"
+            " ground truth [dim](default: the eight scenes)[/].",
+        ),
+    ] = None,
+    seeds: Annotated[
+        int, typer.Option(help="Of built-in scenes without a seed of their own: seeds 0 … N−1 of each.")
+    ] = 1,
+    output: Annotated[Path, typer.Option("--out", help="Folder for the report and the finished cells.")] = Path(
+        "report"
+    ),
+    methods: Annotated[
+        str | None,
+        typer.Option(
+            help="Methods or groups of them, separated by commas: gffe, ablation, deviation, baseline, filling,"
+            " window, upscaling, … [dim](default: all but the last three groups)[/]."
+        ),
+    ] = None,
+    onnx: Annotated[
+        list[str] | None, typer.Option(help="NAME=FILE: a network as one more method; may be given several times.")
+    ] = None,
+    scn_model: Annotated[
+        Path | None, typer.Option(help="Shading correction network (ONNX) to measure in place of the package's own.")
+    ] = None,
+    scn_provider: Annotated[
+        str, typer.Option(help="Execution provider of the shading correction network, as of `gffe run`.")
+    ] = "cpu",
+    metrics: Annotated[
+        str | None,
+        typer.Option(help="Also measure these, which are slow, separated by commas: fvvdp, cvvdp, lpips."),
+    ] = None,
+    size: Annotated[str, typer.Option(help="Of built-in scenes: width × height, pixels.")] = "480x270",
+    frames: Annotated[int, typer.Option(help="Of built-in scenes: rendered frames.")] = 16,
+    fps: Annotated[float, typer.Option(help="Of built-in scenes: rendered frames per second.")] = 30.0,
+    alpha: Annotated[
+        str, typer.Option(help="Of built-in scenes: times of the new frames in intervals, separated by commas.")
+    ] = "0.5",
+    upscale: Annotated[
+        float,
+        typer.Option(
+            help="Display pixels per rendered pixel, each way: small frames, of built-in scenes with jitter, go through"
+            " upscaling; beside it the group 'upscaling'."
+        ),
+    ] = 0.0,
+    turn_rate: Annotated[
+        float,
+        typer.Option(
+            help="Degrees per second by which the camera of built-in scenes turns, and back: what windows are for"
+            " [dim](0 to 1000; default: 0, the scene's own camera)[/]."
+        ),
+    ] = 0.0,
+    regions: Annotated[
+        bool, typer.Option("--regions", help="Print the PSNR of every method in every region of the picture.")
+    ] = False,
+    budget: Annotated[
+        bool, typer.Option("--budget", help="Print where the error is, and what each region would gain if perfect.")
+    ] = False,
+    late_warp: Annotated[
+        bool, typer.Option("--late-warp", help="Also measure rendered frames shown from a camera that has turned.")
+    ] = False,
+    scheduler: SchedulerOption = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Compute finished cells again.")] = False,
+    device: DeviceOption = None,
+    follow_links: FollowLinksOption = False,
+) -> None:
+    """Measure methods on sequences: a report with tables, pictures and plots. Finished cells are kept."""
+    from gffe_cl.evaluation.table.datasets import SceneSubject
+    from gffe_cl.evaluation.table.methods import LATE_WARP
+    from gffe_cl.evaluation.table.results import results_of
+    from gffe_cl.evaluation.table.runner import Order
+    from gffe_cl.pipeline.options import Options
+    from gffe_cl.scenes import SCENES
+
+    _check(frames, fps, seeds, turn_rate)
+    videos = _videos(metrics)
+    alphas = tuple(parse_numbers(alpha, "--alpha"))
+    if not alphas or len(set(alphas)) < len(alphas) or not all(0 < a <= 8 for a in alphas):
+        raise GffeError(f"--alpha must be different numbers within 0 and 8, got '{alpha}'")
+    if Options(upscale=upscale).upscale and late_warp:
+        raise GffeError("--upscale and --late-warp exclude each other")
+    scenes = parse_size(size), frames, fps, alphas
+    named = [name for text in subjects or SCENES for name in _seeded(text, seeds)]
+    chosen, broken = _subjects(named, *scenes, upscale=upscale, turn_rate=turn_rate)
+    words = tuple(methods.split(",")) if methods else None
+    network = (str(scn_model) if scn_model else None, scn_provider)
+    output = _folder(output)
+    with _filling(output, device, scheduler) as fill:
+        filled = fill("Measuring", Order(chosen, words, tuple(onnx or ()), videos, fresh, network))
+        built_in = [s for s in chosen if isinstance(s, SceneSubject)]
+        late = {}
+        for turn in TURNS if late_warp and built_in else ():
+            turned = tuple(_turned(subject, turn) for subject in built_in)
+            late[turn] = fill(f"Late warp, {turn:g}°", Order(turned, LATE_WARP, recompute=fresh, network=network))
+    for name, reason in broken.items():
+        filled.drop(name, reason)
+    results = results_of(filled, late, shlex.join(["gffe", *sys.argv[1:]]))
+    _write(output, results, filled)
+    _print(results, budget, regions)
+    if filled.broken:
+        raise GffeError(
+            f"eval: {len(filled.broken)} of the sequences could not be measured: {', '.join(filled.broken)}"
+        )
+
+
+def _subjects(texts, *scenes, **more: float) -> tuple[tuple[Subject, ...], dict[str, str]]:
+    """The subjects, and why folders among several cannot be opened, by their names."""
+    from gffe_cl.evaluation.table.datasets import parse_subject
+
+    chosen, broken = [], {}
+    for text in texts:
+        try:
+            chosen.append(parse_subject(text, *scenes, **more))
+        except GffeError as error:
+            if len(texts) == 1 or not Path(text).is_dir():
+                raise
+            broken[text] = str(error)
+    if not chosen:
+        raise GffeError("; ".join(broken.values()))
+    return tuple(chosen), broken
+
+
+@app.command(hidden=True)
+def study(
+    scenes: Annotated[list[str] | None, typer.Argument(help="Built-in scenes and situations.")] = None,
+    seeds: Annotated[int, typer.Option(help="Seeds 0 … N−1 of each.")] = 3,
+    size: Annotated[str, typer.Option(help="Width × height, pixels.")] = "480x270",
+    frames: Annotated[int, typer.Option(help="Rendered frames per scene and seed.")] = 10,
+    alpha: Annotated[float, typer.Option(help="Time of the extrapolated frames, in intervals.")] = 0.5,
+    fps: Annotated[float, typer.Option(help="Rendered frames per second.")] = 30.0,
+    disocclusions: Annotated[bool, typer.Option("--disocclusions", help="Compare ways to fill disocclusions.")] = False,
+    windows: Annotated[bool, typer.Option("--windows", help="Compare rendering windows.")] = False,
+    shading: Annotated[bool, typer.Option("--shading", help="Measure shading correction.")] = False,
+    scn_model: Annotated[Path | None, typer.Option(help="Shading correction network (ONNX).")] = None,
+    scn_provider: Annotated[str, typer.Option(help="Execution provider of that network.")] = "cpu",
+    rate: Annotated[float, typer.Option(help="With --windows: degrees per second.")] = 150.0,
+    device: DeviceOption = None,
+) -> None:
+    """Older name of parts of `gffe eval`: prints the command that does the same, and runs it."""
+    if disocclusions + windows + shading > 1:
+        raise GffeError("study: --disocclusions, --windows and --shading exclude each other")
+    methods = (
+        "filling" if disocclusions else "window" if windows else "no-scn,gffe,no-focus-mask" if shading
+        else "repeat,papers-way,no-scn,true-motion"
+    )  # fmt: skip
+    given = {
+        "seeds": seeds, "size": size, "frames": frames, "alpha": f"{alpha:g}", "fps": fps, "methods": methods,
+        "turn_rate": rate if windows else 0.0, "scn_model": scn_model, "scn_provider": scn_provider, "device": device,
+        "regions": True,
+    }  # fmt: skip
+    flags = ((f"--{name.replace('_', '-')}", value) for name, value in given.items() if value)
+    words = [word for flag, value in flags for word in ((flag,) if value is True else (flag, str(value)))]
+    warn(f"`gffe study` is now: {shlex.join(['gffe', 'eval', *(scenes or ()), *words])}")
+    evaluate(scenes, **given)
+
+
+def _seeded(text: str, seeds: int) -> list[str]:
+    """A built-in scene's name with each seed in turn; anything else as it is."""
+    from gffe_cl.scenes import is_scene
+
+    return [f"{text}:{seed}" for seed in range(seeds)] if seeds > 1 and is_scene(text) else [text]
+
+
+def _check(frames: int, fps: float, seeds: int, turn_rate: float) -> None:
+    if not (4 <= frames <= 10_000 and 0 < fps <= 1e6):
+        raise GffeError(f"eval: --frames must be 4 to 10000 and --fps positive, got {frames} and {fps:g}")
+    if not (1 <= seeds <= 10_000 and 0 <= turn_rate <= 1000):
+        raise GffeError(f"eval: --seeds must be 1 to 10000 and --turn-rate 0 to 1000, got {seeds} and {turn_rate:g}")
+
+
+def _turned(subject: Subject, turn: float) -> Subject:
+    from dataclasses import replace
+
+    return replace(subject, alphas=(), turns=(turn,))
+
+
+def _videos(text: str | None) -> tuple[str, ...]:
+    from gffe_cl.evaluation.table.videos import VIDEO_METRICS
+
+    names = tuple(text.split(",")) if text else ()
+    if unknown := [name for name in names if name not in VIDEO_METRICS]:
+        raise GffeError(f"--metrics: '{unknown[0]}' is none of {', '.join(VIDEO_METRICS)}")
+    return names
+
+
+def _folder(path: Path) -> Path:
+    """`path`, made if it is not there. GffeError if it is no place for a report."""
+    if path.exists() and not path.is_dir():
+        raise GffeError(f"--out {path}: is a file (expected a folder)")
+    if (path / "sequence.json").exists():
+        raise GffeError(f"--out {path}: is a sequence (expected another folder)")
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise GffeError(f"--out {path}: cannot be made ({error.strerror or error})") from None
+    return path
+
+
+@contextmanager
+def _filling(output: Path, device: str | None, scheduler: str | None):
+    """A function that fills a table of cells kept in `output`, with a bar that knows the time left."""
+    from gffe_cl.evaluation.table.runner import fill
+
+    with cluster_at(scheduler) as workers, progress_bars() as bars:
+        executor = _executor(workers)
+
+        def filled(text: str, order) -> Filled:
+            return fill(order, output / "cells", device, executor, partial(steps(bars), text))
+
+        yield filled
+
+
+def _executor(workers: Cluster | None) -> Executor | None:
+    if not workers:
+        return None
+    from gffe_cl.evaluation.table.cluster import executor_of
+
+    return executor_of(workers)
+
+
+def _write(output: Path, results: dict, filled: Filled) -> None:
+    from gffe_cl.evaluation.table.page import page
+    from gffe_cl.evaluation.table.results import to_csv
+
+    files = {
+        "results.json": json.dumps(results, indent=1, allow_nan=False) + "\n",
+        "results.csv": to_csv(results),
+        "index.html": page(results, filled),
+    }
+    for name, text in files.items():
+        try:
+            write_text(output / name, text)
+        except OSError as error:
+            raise GffeError(f"{output / name}: cannot be written ({error.strerror or error})") from None
+    out.print(f"{plain(output / 'index.html')}, results.json, results.csv")
+
+
+def _print(results: dict, with_budget: bool, with_regions: bool) -> None:
+    from gffe_cl.evaluation.table.results import columns_of
+
+    columns = columns_of(results)
+    titles = {method["name"]: method["title"] for method in results["methods"]}
+    groups = {method["name"]: method["group"] for method in results["methods"]}
+    table = Table("method", "", *(c.title for c in columns), box=None, header_style="bold")
+    before = None
+    for mean in results["means"]:
+        name = mean["method"]
+        if before is not None and groups[name] != before:
+            table.add_section()
+        before = groups[name]
+        missing = len(results["sequences"]) - mean["sequences"]
+        note = f" [dim](not on {missing})[/]" if missing else ""
+        table.add_row(name, plain(titles[name]) + note, *(c.text(mean[c.name], c.name == "against") for c in columns))
+    out.print(table)
+    count = len(results["sequences"])
+    out.print(f"Means over {count} sequence{'s' if count > 1 else ''}. Flicker: `gffe_cl.evaluation.table.flicker`.")
+    if with_regions:
+        _print_regions(results)
+    _print_gains(results)
+    if results["late"]:
+        _print_late(results["late"])
+    if with_budget:
+        _print_budget(results["budget"])
+    for skip in results["skipped"]:
+        where = f" ({', '.join(skip['sequences'])})" if skip["sequences"] else ""
+        warn(f"left out: {skip['what']}{where}: {skip['reason']}")
+
+
+def _print_regions(results: dict) -> None:
+    """PSNR by method and region, of all sequences together."""
+    from gffe_cl.evaluation.metrics import METRICS
+
+    regions, shares = list(results["regions"]), [sequence["shares"] for sequence in results["sequences"]]
+    heads = (f"{region} ({sum(share[region] for share in shares) / len(shares):.2%})" for region in regions)
+    table = Table("PSNR, dB, by region (share of the pixels)", *heads, box=None, header_style="bold")
+    for mean in results["means"]:
+        values = (mean["regions"][region]["psnr"] for region in regions)
+        table.add_row(mean["method"], *("–" if value is None else METRICS["psnr"].text(value) for value in values))
+    out.print(table)
+
+
+def _print_gains(results: dict) -> None:
+    if not results["gains"]:
+        return
+    table = Table(
+        "what a part is worth, dB", "whole frame", "in its region", "", "paper", box=None, header_style="bold"
+    )
+    for gain in results["gains"]:
+        figures = [_db(gain[key]) for key in ("mean", "in_region")]
+        table.add_row(gain["title"], *figures, gain["region"], _db(gain["paper"]))
+    out.print(table)
+
+
+def _print_budget(budget: dict[str, list[dict]]) -> None:
+    for name, rows in budget.items():
+        table = Table(plain(name), "of the pixels", "of the error", "dB if perfect", box=None, header_style="bold")
+        for row in rows:
+            table.add_row(row["region"], f"{row['pixels']:.2%}", f"{row['error']:.1%}", _db(row["gain"]))
+        out.print(table)
+
+
+def _print_late(rows: list[dict]) -> None:
+    from gffe_cl.evaluation.table.results import METRIC_COLUMNS
+
+    heads: list[Column] = list(METRIC_COLUMNS)
+    table = Table("late warp", "turn", *(c.title for c in heads), "not shown before", box=None, header_style="bold")
+    for row in rows:
+        figures = (c.text(row[c.name]) for c in heads)
+        table.add_row(row["title"], f"{row['turn']:g}°", *figures, f"{row['disoccluded']:.2%}")
+    out.print(table)
+
+
+def _db(value: float | None) -> str:
+    return "" if value is None else f"{value + 0.0:+.2f}"

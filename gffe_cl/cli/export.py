@@ -1,0 +1,57 @@
+"""The command that writes the pipeline as C: export."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gffe_cl.cli.common import DeviceOption, app, out, plain
+from gffe_cl.cli.making import open_source
+from gffe_cl.cli.options import takes_options
+from gffe_cl.core.errors import GffeError
+from gffe_cl.pipeline.options import OPTIONS
+
+if TYPE_CHECKING:
+    from gffe_cl.pipeline.options import Options
+
+_OF_PYTHON_ALONE = ("overlays", "scn_provider")
+_EXPORTED = [name for name, option in OPTIONS.items() if option.flag and name not in _OF_PYTHON_ALONE]
+
+
+@app.command()
+@takes_options(*_EXPORTED)
+def export(
+    output: Annotated[Path, typer.Argument(help="Folder for the C code: new, empty, or an earlier export.")],
+    frames: Annotated[
+        Path | None,
+        typer.Option(help="Also write frames of this capture, or built-in scene, for the example to read."),
+    ] = None,
+    count: Annotated[int, typer.Option(help="With --frames: how many.", min=1, max=1000)] = 10,
+    size: Annotated[
+        str | None, typer.Option(help="With --frames, of a built-in scene: width × height [dim](default 960x540)[/].")
+    ] = None,
+    device: DeviceOption = None,
+    *,
+    options: Options,
+) -> None:
+    """Write the pipeline as C for engines: C99 and OpenCL alone, no Python. Options are fixed by it, sizes are not."""
+    from gffe_cl.export import export as write
+    from gffe_cl.export import write_frames
+    from gffe_cl.opencl.device import open_device
+
+    if frames is None and size is not None:
+        raise GffeError("--size is for --frames of a built-in scene")
+    options = replace(options, shading_correction=bool(options.shading_correction))
+    opened, source = open_device(device), None
+    if frames is not None:
+        opened, source = open_source(
+            frames, None, device, {"--size": size, "--frames": count, "--fps": None, "--seed": None}, options.upscale
+        )
+    written = write(output, opened, options)
+    out.print(f"{len(written)} files in {plain(output)}: README.md says how to build and call them.")
+    if source:
+        made = write_frames(output / "frames", source, count)
+        out.print(f"{made} rendered frames in {plain(output / 'frames')} for the example, gffe_example.")

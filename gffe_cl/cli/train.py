@@ -1,0 +1,224 @@
+"""The command that trains: train."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gffe_cl.cli.common import (
+    DeviceOption,
+    JsonOption,
+    SchedulerOption,
+    app,
+    cluster_at,
+    out,
+    progress_bars,
+    write_json,
+)
+from gffe_cl.core.errors import GffeError, how_to_install
+from gffe_cl.core.files import only_process
+
+
+@app.command()
+def train(
+    folder: Annotated[Path, typer.Argument(help="Checkpoint, logs, model and its card; continues what it holds.")],
+    data: Annotated[
+        Path | None,
+        typer.Option(help="Cache of training clips, made as far as missing [dim](default: FOLDER/data)[/]."),
+    ] = None,
+    clips: Annotated[
+        int, typer.Option(help="Clips to train on; each gives four samples. Fewer where --minutes does not allow them.")
+    ] = 400,
+    steps: Annotated[int, typer.Option(help="Optimiser steps.")] = 20000,
+    batch: Annotated[int, typer.Option(help="Crops of 256×256 per step.")] = 16,
+    learning_rate: Annotated[float, typer.Option(help="Of Adam, at the beginning.")] = 1e-4,
+    final_learning_rate: Annotated[float, typer.Option(help="And at the end.")] = 1e-5,
+    shading: Annotated[float, typer.Option(help="How often crops get moving shading of their own, 0 to 1.")] = 0.6,
+    blend_weight: Annotated[float, typer.Option(help="Of the loss of the frame as it is shown.")] = 1.0,
+    full_every: Annotated[
+        int, typer.Option(help="Steps from one at full resolution to the next; half, quicker, between.")
+    ] = 4,
+    bfloat16: Annotated[
+        bool, typer.Option("--bfloat16", help="Mixed precision: quicker where there is AMX or a GPU.")
+    ] = False,
+    seed: Annotated[int, typer.Option(help="Of data, order, augmentation and first weights.")] = 0,
+    minutes: Annotated[
+        float | None,
+        typer.Option(help="About so long, a third of it for clips; the same command goes on from there."),
+    ] = None,
+    data_only: Annotated[bool, typer.Option("--data-only", help="Only make the clips.")] = False,
+    start: Annotated[
+        Path | None, typer.Option(help="ONNX network of an earlier training to begin with, such as the package's own.")
+    ] = None,
+    vgg: Annotated[Path | None, typer.Option(help="torchvision's vgg19-*.pth, for the perceptual loss.")] = None,
+    scheduler: SchedulerOption = None,
+    device: DeviceOption = None,
+    json_path: JsonOption = None,
+) -> None:
+    """Train the shading correction network on varied built-in scenes, and export it as ONNX.
+
+    Several GPUs: torchrun --nproc-per-node N -m gffe_cl train …
+    """
+    try:
+        import tensorboard  # noqa: F401
+        import torch
+    except ImportError:
+        raise GffeError(f"training needs PyTorch and TensorBoard (expected: {how_to_install('train')})") from None
+    from gffe_cl.opencl.device import open_device
+    from gffe_cl.scn.clips import complete_clips, finished_clips, make_clips
+    from gffe_cl.scn.crops import list_crops
+    from gffe_cl.scn.training import Processes, Recipe, Training, clips_of_run
+
+    if minutes is not None and not minutes > 0:
+        raise GffeError(f"--minutes must be positive, got {minutes:g}")
+    if clips < 2:
+        raise GffeError(f"--clips must be at least 2, got {clips}")
+    recipe = Recipe(seed, steps, batch, learning_rate, final_learning_rate, shading, blend_weight, full_every, bfloat16)
+    data = data or folder / "data"
+    begun = None if data_only else clips_of_run(folder)
+    if begun is not None and clips < begun:
+        raise GffeError(f"--clips {clips}: {folder} was started with {begun} (expected at least as many)")
+    wanted = begun or clips
+    processes = Processes()
+    try:
+        with progress_bars() as bars, ExitStack() as stack:
+            if processes.first and not data_only:
+                stack.enter_context(only_process(folder))
+            plan = _Plan(minutes, data_only, begun, lambda text: bars.console.print(text) if processes.first else None)
+            task = bars.add_task("clips", total=-(-wanted // processes.count), visible=processes.first)
+
+            def on_clip(made: bool) -> None:
+                bars.advance(task)
+                plan.clip(made, wanted, processes.count)
+
+            part = processes.rank, processes.count
+            with cluster_at(scheduler) as workers:
+                opened = None if workers else open_device(device)
+                make_clips(data, opened, seed, wanted, on_clip, part, plan.clips_until, _LEAST_CLIPS, workers)
+            processes.any(False)  # all have made theirs
+            if data_only:
+                if processes.first:
+                    made = len(finished_clips(data, seed, wanted))
+                    late = made < wanted
+                    out.print(f"clips: {made} of {wanted}" + ("; the same command goes on from here" if late else ""))
+                    write_json(json_path, {"clips": made, "done": False})
+                return
+            count = complete_clips(data, seed, wanted)
+            training = Training(folder, recipe, list_crops(data, seed, count), processes, vgg, count, start)
+            bars.update(task, description="steps", total=steps, completed=training.step)
+            plan.begin_steps(training.step, steps)
+
+            def on_step(progress) -> None:
+                bars.update(task, completed=progress.step)
+                plan.step(progress.step, steps)
+
+            done = training.run(plan.steps_until, on_step)
+        if processes.first:
+            _export(training, folder, data, count, done, torch.__version__, json_path)
+    finally:
+        processes.close()
+
+
+_LEAST_CLIPS = 2  # to train on and to validate with
+_MEASURED_STEPS = 4
+
+
+class _Plan:
+    """How the time is shared out: a third for clips, of those that are still to be made, and the rest, at least a third
+    again, for steps. Says what it comes to as soon as it has been measured.
+
+    `clips_until`, `steps_until`: values of `time.monotonic()`; None: no limit.
+    """
+
+    def __init__(self, minutes: float | None, data_only: bool, begun: int | None, say):
+        self.say, self.begun, self.minutes = say, begun, minutes
+        self.started = self.now = time.monotonic()
+        share = 1.0 if data_only else 1 / 3
+        self.clips_until = None if minutes is None or begun else self.started + 60 * share * minutes
+        self.steps_until: float | None = None
+        self.made = self.first_step = 0
+        if begun:
+            say(f"going on with the {begun} clips that this run was started with")
+        elif minutes is not None:
+            say(
+                f"clips: at most {_duration(60 * share * minutes)}"
+                + ("" if data_only else ", then steps, then the model")
+            )
+
+    def clip(self, made: bool, wanted: int, processes: int) -> None:
+        """After a clip."""
+        self.made += made
+        if not made or self.made != _LEAST_CLIPS:
+            return
+        each = (time.monotonic() - self.started) / self.made
+        if self.clips_until is None:
+            self.say(f"clips: {each:.1f} s each, about {_duration(each * wanted / processes)} for {wanted}")
+        else:
+            possible = int((self.clips_until - self.started) / each) * processes
+            self.say(
+                f"clips: {each:.1f} s each, about {max(_LEAST_CLIPS, min(possible, wanted))} of {wanted} in this time"
+            )
+
+    def begin_steps(self, done: int, steps: int) -> None:
+        self.now, self.first_step = time.monotonic(), done
+        if self.minutes is None:
+            self.say(f"steps: {steps - done:,} of {steps:,} to go, until all are done")
+            return
+        self.steps_until = max(self.started + 60 * self.minutes, self.now + 20 * self.minutes)
+        self.say(f"steps: {steps - done:,} of {steps:,} to go, for {_duration(self.steps_until - self.now)}")
+
+    def step(self, done: int, steps: int) -> None:
+        """After `done` steps."""
+        if done - self.first_step != _MEASURED_STEPS:
+            return
+        each = (time.monotonic() - self.now) / _MEASURED_STEPS
+        left = steps - self.first_step
+        if self.steps_until is None:
+            self.say(f"steps: {each:.2f} s each, about {_duration(each * left)} for all")
+        else:
+            possible = min(left, int((self.steps_until - self.now) / each))
+            self.say(f"steps: {each:.2f} s each, about {possible:,} in this time")
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def _export(training, folder: Path, data: Path, clips: int, done: bool, torch_version: str, json_path) -> None:
+    from gffe_cl.scn import losses
+    from gffe_cl.scn.export import count_operations, export_onnx, model_card
+
+    figures = training.validate()
+    difference = export_onnx(training.network, folder / "scn.onnx")
+    parameters, operations = count_operations(training.network, 1920, 1080)
+    recipe = training.recipe
+    facts = {
+        "parameters": f"{parameters:,}",
+        "operations at 1920×1080": f"{operations:.1f} GFLOP",
+        "steps": f"{training.step:,} of {recipe.steps:,}, {recipe.batch} crops each",
+        "training": f"{training.seconds / 3600:.2f} h on {training.device.type}, PyTorch {torch_version}",
+        "data": f"{clips} clips, seed {recipe.seed}; {len(training.crops):,} crops of 256×256",
+        "losses": f"version {losses.VERSION}, perceptual: {training.perceptual.name}",
+        "onnxruntime against PyTorch": f"largest difference {difference:.1g}",
+        "source": f"commit {', then '.join(training.sources)}",
+    }
+    if training.processes.count > 1:
+        facts["processes"] = str(training.processes.count)
+    command = shlex.join(("gffe", *sys.argv[1:]))
+    try:
+        (folder / "MODEL_CARD.md").write_text(model_card(facts, figures, command))
+    except OSError as error:
+        raise GffeError(f"{folder}: cannot write the model card: {error.strerror}") from None
+    for name, value in (facts | {name: f"{value:.4g}" for name, value in figures.items()}).items():
+        out.print(f"{name}: {value}")
+    if not done:
+        out.print("not finished: the same command goes on from here")
+    write_json(json_path, {"step": training.step, "done": done, "validation": figures, **facts})

@@ -1,0 +1,1 @@
+"""Cameras for captures that have none, from depth and motion vectors (`gffe calibrate`)."""

@@ -1,0 +1,1 @@
+"""Frames as renderers give them: cameras, buffers, jitter, adaptive windows, conventions of graphics APIs."""

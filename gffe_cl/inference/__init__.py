@@ -1,0 +1,1 @@
+"""Networks run by onnxruntime: sessions, execution providers, their check against the CPU."""

@@ -1,0 +1,40 @@
+"""Choosing what runs the network."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from gffe_cl.inference.provider_check import verdict
+from gffe_cl.inference.providers import CPU, NetworkError, Provider, find_provider, installed_providers
+
+AUTO = "auto"
+
+
+@dataclass(frozen=True)
+class Choice:
+    """`may_fall_back`: the CPU may take over later; `remark`: what a user should know of the choice, "" if nothing."""
+
+    provider: Provider
+    may_fall_back: bool = False
+    remark: str = ""
+
+
+def choose(path: Path, wanted: str) -> Choice:
+    """What runs the network in the file `path`: the provider of the name `wanted`, if it gives the CPU's results;
+    "auto": the fastest of those that do. Raises NetworkError."""
+    if wanted.lower() != AUTO:
+        provider = find_provider(wanted)
+        if provider != CPU and (problem := verdict(path, provider).problem):
+            raise NetworkError(problem)
+        return Choice(provider)
+    found = {provider: verdict(path, provider) for provider in installed_providers() if provider != CPU}
+    remark = "; ".join(each.problem for each in found.values() if each.problem and each.present)
+    faster = {
+        provider: each.milliseconds
+        for provider, each in found.items()
+        if each.passes and each.milliseconds < each.cpu_milliseconds
+    }
+    if faster:
+        return Choice(min(faster, key=faster.get), may_fall_back=True, remark=remark)
+    return Choice(CPU, remark=remark)

@@ -1,0 +1,470 @@
+"""The order of the stages, and the state between frames."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.validation import (
+    as_float32,
+    require_array,
+    require_bool,
+    require_exposure,
+    require_frame_rate,
+    require_kind,
+    require_list,
+    require_number,
+    require_size,
+    shown,
+)
+from gffe_cl.frame.camera import MOST_ALPHA, Camera
+from gffe_cl.frame.camera_prediction import POSES, predict_camera_at
+from gffe_cl.frame.jitter import without_jitter
+from gffe_cl.frame.rendered_frame import (
+    BadPixels,
+    PackedFrame,
+    RenderedFrame,
+    checked_frame,
+    display_camera_of,
+    is_shown_whole,
+    pack_frame,
+    require_motion,
+    require_one_pose,
+)
+from gffe_cl.opencl.device import Device
+from gffe_cl.opencl.device_errors import telling_device_faults
+from gffe_cl.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame
+from gffe_cl.pipeline.options import Options
+from gffe_cl.stages.acceleration import Acceleration
+from gffe_cl.stages.background import Background
+from gffe_cl.stages.base import Board, Output, Stage, Step
+from gffe_cl.stages.blocks import Blocks
+from gffe_cl.stages.buffers import RENDERED, BufferSpec, DeviceFrame, Owner, Sizes, given_buffer
+from gffe_cl.stages.composition import Composition
+from gffe_cl.stages.correction import ShadingCorrection
+from gffe_cl.stages.cuts import CutDetection
+from gffe_cl.stages.hidden import HiddenParts
+from gffe_cl.stages.history import HistoryTracking
+from gffe_cl.stages.holes import FILLINGS, HoleFilling
+from gffe_cl.stages.memory_budget import footprint, require_room
+from gffe_cl.stages.prediction import MAX_ORDER, PositionPrediction
+from gffe_cl.stages.presentation import Presentation
+from gffe_cl.stages.shading import ShadingInputs
+from gffe_cl.stages.sharpening import Sharpening
+from gffe_cl.stages.silhouettes import Silhouettes
+from gffe_cl.stages.surfaces import Surfaces
+from gffe_cl.stages.trend import Trend
+from gffe_cl.stages.upscaling import Upscaling
+from gffe_cl.stages.warp import Warp
+
+# In the order in which they work, on rendered frames and on new ones.
+STAGES: tuple[type[Stage], ...] = (
+    CutDetection,
+    HistoryTracking,
+    Acceleration,
+    Surfaces,
+    PositionPrediction,
+    Blocks,
+    Warp,
+    HiddenParts,
+    Background,
+    HoleFilling,
+    Silhouettes,
+    ShadingInputs,
+    Trend,
+    ShadingCorrection,
+    Upscaling,
+    Sharpening,
+)
+
+
+def stages_of(options: Options) -> list[type[Stage]]:
+    """The stages that the options ask for, in order."""
+    chosen = (FILLINGS[options.hole_filling].stage if stage is HoleFilling else stage for stage in STAGES)
+    return [stage for stage in chosen if stage and stage.is_wanted(options)]
+
+
+class Pipeline:
+    """Extrapolates frames from the rendered frames submitted so far.
+
+    Parameters
+    ----------
+    device : Device
+    width, height : int
+        Of the extrapolated (display) image, pixels.
+    options : Options
+    render_size : (int, int) or None
+        Width and height of the rendered images where they differ from the display's.
+    fps : float
+        Rendered frames per second, used for α until two frames are known.
+    int64_atomics : bool or None
+        Force or forbid the 64-bit path of the warp; None: as the device can. Both give the same bits.
+
+    Attributes
+    ----------
+    exposure : float
+        Factor on colour before display, 1e-6 to 1e6, for the shading correction network; may change from frame to
+        frame.
+    bad_pixels : BadPixels
+        Met so far.
+    is_cut : bool
+        Whether the last submitted frame was found to be a cut, of which nobody told: it was treated as a reset.
+
+    Nothing is allocated on the device or compiled after construction, but for the first uploads of host arrays and
+    with the first frame that is rendered through a window, brings overlays, or lacks motion beside device buffers.
+    Device buffers must have been written on `device.queue`, or be finished, before they are submitted. Do not submit a
+    released buffer: nothing tells that it is one, and drivers crash on it.
+
+    Raises GffeError for arguments that are not what is expected here, and for images that find no room on the device.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        width: int,
+        height: int,
+        options: Options | None = None,
+        *,
+        render_size: tuple[int, int] | None = None,
+        fps: float = 30.0,
+        int64_atomics: bool | None = None,
+    ):
+        self.device = require_kind(device, Device, "pipeline: device", "an open Device (open_device())")
+        target = require_size((width, height), "pipeline: size", whole=True)
+        source = target if render_size is None else require_size(render_size, "pipeline: render_size", whole=True)
+        self.sizes = Sizes(source, target)
+        self.options = Options() if options is None else require_kind(options, Options, "pipeline: options", "Options")
+        self.fps = require_frame_rate(fps, "pipeline: fps")
+        if int64_atomics is not None:
+            int64_atomics = require_bool(int64_atomics, "pipeline: int64_atomics")
+        self._exposure = 1.0
+        self.bad_pixels = BadPixels()
+        self.is_cut = False
+        require_room(device, self.sizes, lambda sizes: self._allocate(sizes, int64_atomics)[1])
+        self.board, self._nbytes = self._allocate(self.sizes, int64_atomics)
+        self.stages: dict[str, Stage] = dict(self.board.stages)
+        self.presentation: Presentation | None = None  # made with the first windowed frame
+        self.composition: Composition | None = None  # made with the first frame that brings overlays
+        self._outputs: dict[str, Output] = {}  # what is kept of each stage's
+        self._slots: list[DeviceFrame] = []
+        self._current: DeviceFrame | None = None
+        self._previous: DeviceFrame | None = None
+        self._shown: DeviceFrame | None = None  # the current one with all of its depth
+        self._no_motion: cl.Buffer | None = None  # zeros, made with the first device buffers without motion
+        self._times: list[float] = []  # of rendered frames since the last reset, newest first
+        self._path: list[Camera] = []  # what they show through
+
+    @telling_device_faults
+    def _allocate(self, sizes: Sizes, int64_atomics: bool | None) -> tuple[Board, int]:
+        """All stages and their buffers, and how many bytes these are."""
+        before = self.device.allocated
+        board = Board(self.device, sizes, self.options, int64_atomics)
+        try:
+            for stage in stages_of(self.options):
+                stage(board)
+            board.lend()
+            _ = board.frame  # made when it is first asked for
+        except BaseException:
+            board.let_go()
+            raise
+        return board, self.device.allocated - before
+
+    def __del__(self):
+        if board := getattr(self, "board", None):
+            board.let_go()
+
+    def _footprint(self) -> str:
+        return footprint(self.device, self.sizes, getattr(self, "_nbytes", None))
+
+    @property
+    def exposure(self) -> float:
+        """Factor on colour before display, 1e-6 to 1e6; GffeError for others. To be set before `submit`: what
+        changed between rendered frames is measured there (`stages.trend`)."""
+        return self._exposure
+
+    @exposure.setter
+    def exposure(self, value: float) -> None:
+        self._exposure = require_exposure(value, "pipeline: exposure")
+
+    # ---- rendered frames -------------------------------------------------------------------------------
+
+    @telling_device_faults
+    def submit(self, frame: RenderedFrame, packed: PackedFrame | None = None) -> None:
+        """Take a rendered frame; frames must come in order of time.
+
+        Arrays may be NumPy arrays (copied to the device; bad pixels are added to `bad_pixels`) or device
+        buffers, which are used in place: do not overwrite them before two more frames have been submitted.
+        `packed` may bring the result of `pack_frame`, done ahead on another thread. Returns at once, but with cut
+        detection waits for the device: `is_cut` says what it found.
+
+        Raises GffeError for fields that are not what `RenderedFrame` says, wrong shapes, missing motion, or a time that
+        does not increase; the pipeline is then as it was before.
+        """
+        frame = checked_frame(frame)
+        if self._times and not frame.reset and frame.time <= self._times[0]:
+            raise GffeError(
+                f"frame: time {frame.time:g} s must be after the previous rendered frame's ({self._times[0]:g} s)"
+            )
+        overlays = frame.overlays if self.options.overlays else None
+        if overlays and self.composition is None:
+            self.composition = Composition(self.board)
+        layers = self.composition.prepared(overlays) if self.composition else {}
+        self._shown = on_device = self._on_device(frame, packed)
+        if self.composition:
+            on_device = self.composition.take(layers, on_device)
+        self._previous = None if frame.reset else self._current
+        self._current = on_device
+        self.board.rendered, self.board.previous = self._current, self._previous or self._current
+        detection = self.stages.get(CutDetection.name)
+        self.is_cut = detection is not None and detection.is_cut(self._current, self._previous)
+        if frame.reset or self.is_cut:
+            self._times.clear()
+            self._path.clear()
+            self._previous, self.board.previous = None, self._current
+        self._times = [frame.time, *self._times[:MAX_ORDER]]
+        self._path = [on_device.display_camera, *self._path[: POSES - 1]]
+        step = Step(self._current, self._previous, self._times, exposure=self.exposure)
+        for stage in self.stages.values():
+            stage.swap()
+        self.board.lend()
+        for stage in self.stages.values():
+            stage.rendered(step)
+        if self.presentation is None and not self._shown_whole(on_device):
+            self.presentation = Presentation(self.board)
+
+    @telling_device_faults
+    def present(self) -> PresentedFrame:
+        """What is shown of the last submitted frame; resamples it where it was rendered through a window, or where the
+        frame before was and motion must be converted. Returns at once. Raises GffeError before the first `submit`."""
+        self._need_frame()
+        frame, upscaling = self._shown, self.stages.get(Upscaling.name)
+        if self._needs_presentation:
+            self.presentation.present(frame, self._previous, with_color=upscaling is None)
+            color, depth, motion = (self.presentation.buffer[name] for name in ("color", "depth", "motion"))
+        else:
+            color, depth, motion = frame.buffers
+        if upscaling:
+            sharpening = self.stages.get(Sharpening.name)
+            color = sharpening.buffer["rendered"] if sharpening else upscaling.buffer["history"]
+        if self._has_overlays:
+            color = self.composition.compose(color, 0.0, rendered=True)
+        return PresentedFrame(frame.display_camera, frame.time, color, depth, motion, self.device, self.sizes.target)
+
+    @property
+    def shown_camera(self) -> Camera:
+        """The display camera of the last submitted frame. Raises GffeError before the first `submit`."""
+        return self._need_frame().display_camera
+
+    @property
+    def _has_overlays(self) -> bool:
+        return bool(self.composition and self.composition.active)
+
+    @property
+    def _needs_presentation(self) -> bool:
+        return any(frame and not self._shown_whole(frame) for frame in (self._current, self._previous))
+
+    def _shown_whole(self, frame: DeviceFrame) -> bool:
+        return self.sizes.source == self.sizes.target and is_shown_whole(frame.camera, frame.display_camera)
+
+    def _on_device(self, frame: RenderedFrame, packed: PackedFrame | None) -> DeviceFrame:
+        display_camera = self._display_camera(frame)
+        require_one_pose(frame.camera, display_camera)
+        arrays = dict(zip(("color", "depth", "motion"), (frame.color, frame.depth, frame.motion), strict=True))
+        given = {s.name: given_buffer(arrays[s.name], s, self.sizes, self.device) for s in RENDERED}
+        if given["color"] and given["depth"] and require_motion(frame) is None:
+            given["motion"] = self._zero_motion()
+        if all(given.values()):
+            return DeviceFrame(**given, camera=frame.camera, display_camera=display_camera, time=frame.time)
+        if any(given.values()):
+            other = next(name for name, buffer in given.items() if not buffer)
+            raise GffeError(
+                "frame: color, depth and motion must be all NumPy arrays or all device buffers,"
+                f" got {other} as {shown(arrays[other])}"
+            )
+        width, height = self.sizes.source
+        if packed is None:
+            packed = pack_frame(frame, height, width)
+        require_kind(packed, PackedFrame, "submit: packed", "the result of pack_frame").require_size(width, height)
+        self.bad_pixels += packed.bad
+        if len(self._slots) < 2:
+            cameras = (frame.camera, display_camera, frame.time)
+            motion = self._slots[0].motion if self._slots else None  # nothing reads that of the frame before
+            self._slots.append(DeviceFrame.allocate(self.device, self.sizes.source, *cameras, motion))
+        else:
+            self._slots.append(self._slots.pop(0))
+        slot = self._slots[-1]
+        slot.upload(self.device, packed)
+        return DeviceFrame(*slot.buffers, frame.camera, display_camera, frame.time)
+
+    def _zero_motion(self) -> cl.Buffer:
+        if self._no_motion is None:
+            self._no_motion = self.device.buffer(RENDERED[2].nbytes(self.sizes))
+            cl.enqueue_fill_buffer(self.device.queue, self._no_motion, np.uint8(0), 0, self._no_motion.size)
+        return self._no_motion
+
+    def _display_camera(self, frame: RenderedFrame) -> Camera:
+        if self.options.upscale and frame.display_camera is None:
+            frame = replace(frame, camera=without_jitter(frame.camera, self.sizes.source))
+            return frame.camera.scaled(*(t / s for s, t in zip(self.sizes.source, self.sizes.target, strict=True)))
+        return display_camera_of(frame, self.sizes.source, self.sizes.target)
+
+    # ---- extrapolated frames ---------------------------------------------------------------------------
+
+    @property
+    def interval(self) -> float:
+        """Seconds between the last two rendered frames; 1/fps after a reset."""
+        return self._times[0] - self._times[1] if len(self._times) > 1 else 1.0 / self.fps
+
+    def predict_camera(self, alpha: float) -> Camera:
+        """C̄ at t + α from the last display cameras (`predict_camera_at`); the last one itself after a reset. Raises
+        GffeError before the first `submit`, or if `alpha` is not a finite number."""
+        time = self._need_frame().time + require_number(alpha, "predict_camera: alpha") * self.interval
+        return predict_camera_at(time, self._path, self._times[: len(self._path)], self.options.camera_order)
+
+    @telling_device_faults
+    def extrapolate(
+        self,
+        camera: Camera | None = None,
+        time: float | None = None,
+        *,
+        target_position: np.ndarray | None = None,
+        seen_through: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> ExtrapolatedFrame:
+        """Make the frame at `time` (seconds; default: half an interval ahead) seen by `camera` (default:
+        the predicted camera). Returns at once, unless it waits for the shading correction network; reading a buffer
+        waits. With the time of the rendered frame itself and a newer camera it is a late warp (α = 0).
+
+        `target_position` (H, W, 4) float32 replaces position prediction, for experiments: x, y in target
+        pixels, view depth there (−1: nothing), 0, for every pixel of the rendered frame. `seen_through`, depth (H, W)
+        and motion (H, W, 2) float32 of the new frame as `ExtrapolatedFrame` has them, replaces these before upscaling
+        reads them, likewise.
+
+        Raises GffeError before the first `submit`, for a time before the last rendered frame's or over a million
+        intervals after it, and for arguments of other types or shapes.
+        """
+        source = self._need_frame()
+        time = source.time + self.interval / 2 if time is None else require_number(time, "extrapolate: time")
+        alpha = (time - source.time) / self.interval
+        if alpha < 0:
+            raise GffeError(f"extrapolate: time {time:g} s is before the last rendered frame's ({source.time:g} s)")
+        if not alpha <= MOST_ALPHA:
+            raise GffeError(
+                f"extrapolate: time {time:g} s is more than {MOST_ALPHA:g} intervals after {source.time:g} s"
+            )
+        camera = self.predict_camera(alpha) if camera is None else camera
+        require_kind(camera, Camera, "extrapolate: camera", "a Camera or None")
+        if target_position is not None:
+            shape = (*reversed(self.sizes.source), 4)
+            target_position = as_float32(require_array(target_position, "extrapolate: target_position", *shape))
+        geometry = self._geometry(seen_through)
+        step = Step(source, self._previous, self._times, camera, time, alpha, self.exposure)
+        for stage in self.stages.values():
+            if isinstance(stage, Upscaling):
+                for name, values in geometry.items():
+                    self.board.frame.upload(name, values)
+            if target_position is not None and isinstance(stage, PositionPrediction):
+                stage.take(target_position)
+            else:
+                stage.extrapolated(step)
+            if stage.name in self._outputs:
+                self._outputs[stage.name].keep(self.board.frame.buffer)
+        made = self.board.frame.buffer
+        makers = (Sharpening, Upscaling, ShadingCorrection)
+        last = next((self.stages[s.name] for s in makers if s.name in self.stages), None)
+        color = (last.buffer if last else made)["color"]
+        if self._has_overlays:
+            color = self.composition.compose(color, alpha)
+        return ExtrapolatedFrame(
+            camera,
+            time,
+            color,
+            made["depth"],
+            made["motion"],
+            self.device,
+            self.sizes.target,
+            alpha,
+            source.time,
+            **{name: made[name] for name in ("dynamic", "disoccluded", "filled_by")},
+            gae=made["color"],
+        )
+
+    def _geometry(self, given: tuple[np.ndarray, np.ndarray] | None) -> dict[str, np.ndarray]:
+        """Depth and motion that replace the new frame's. GffeError for other shapes than theirs."""
+        if given is None:
+            return {}
+        if not isinstance(given, tuple | list) or len(given) != 2:
+            raise GffeError(f"extrapolate: seen_through must be (depth, motion), got {shown(given)}")
+        size, what = tuple(reversed(self.sizes.target)), "extrapolate: seen_through, "
+        depth, motion = (
+            require_array(given[0], f"{what}depth", *size),
+            require_array(given[1], f"{what}motion", *size, 2),
+        )
+        return {"depth": as_float32(depth), "motion": as_float32(motion)}
+
+    def _need_frame(self) -> DeviceFrame:
+        if self._current is None:
+            raise GffeError("pipeline: submit a rendered frame first")
+        return self._current
+
+    # ---- looking inside --------------------------------------------------------------------------------
+
+    def named_buffers(self) -> Iterator[tuple[Owner, BufferSpec]]:
+        """Every named buffer that holds the present frame, with its owner; read one with `owner.read(spec.name)`. It is
+        called "<owner.name>.<spec.name>".
+
+        What a stage left in the buffers of the extrapolated frame ("warp.color": before the background filled anything)
+        is among them once `keep` asked for it.
+        """
+        yield from ((self.board.frame, spec) for spec in self.board.frame.buffers)
+        for stage in self.stages.values():
+            yield from ((stage, spec) for spec in stage.buffers if not spec.scratch)
+            if output := self._outputs.get(stage.name):
+                yield from ((output, output.spec(name)) for name in output.buffer)
+        if self.presentation and self._needs_presentation:
+            yield from ((self.presentation, spec) for spec in self.presentation.buffers)
+        if self._has_overlays:
+            yield from ((self.composition, spec) for spec in self.composition.held())
+
+    def outputs(self) -> Iterator[tuple[str, BufferSpec]]:
+        """What `keep` can keep: the stages' names, and the buffers of the extrapolated frame that each of them writes
+        and another one writes too."""
+        writers = [(stage.name, name) for stage in self.stages.values() for name in stage.outputs()]
+        several = {name for name, count in Counter(name for _, name in writers).items() if count > 1}
+        for stage, name in writers:
+            if name in several:
+                spec = self.board.frame.spec(name)
+                yield stage, replace(spec, description=f"{spec.description}, as the stage '{stage}' left it")
+
+    def keep(self, names: Iterable[str] | None = None) -> None:
+        """From the next frame on keep the outputs `names`, such as "warp.color" (None: all), and no others; and make
+        what only lookers want ("correction.refined", "shading.…") only if it is among them. Names of other buffers are
+        ignored. Raises GffeError for what is no collection of texts."""
+        wanted = None if names is None else set(require_list(names, str, "keep: names", "a list of texts"))
+        for stage in self.stages.values():
+            stage.look_at(wanted)
+        found: dict[str, list[BufferSpec]] = {}
+        for stage, spec in self.outputs():
+            found.setdefault(stage, []).append(spec)
+        for stage, specs in found.items():
+            chosen = {spec.name for spec in specs if wanted is None or f"{stage}.{spec.name}" in wanted}
+            if chosen or stage in self._outputs:
+                self._outputs.setdefault(stage, Output(self.stages[stage], specs)).choose(chosen)
+
+    def take_timings(self) -> dict[str, float]:
+        """Milliseconds of kernel time per stage since the last call (waits for the device); with shading correction
+        "network" is the wall time in the network, "network copies" that of copies to what runs it and back."""
+        return {stage: sum(kernels.values()) for stage, kernels in self.take_kernel_timings().items()}
+
+    def take_kernel_timings(self) -> dict[str, dict[str, float]]:
+        """As `take_timings`, by stage and kernel."""
+        self.device.queue.finish()
+        stages = [*self.stages.values(), *filter(None, (self.presentation, self.composition))]
+        timings = {stage.name: stage.take_kernel_milliseconds() for stage in stages}
+        correction = self.stages.get(ShadingCorrection.name)
+        network = correction.take_network_milliseconds() if correction else {}
+        return timings | {name: {name: milliseconds} for name, milliseconds in network.items()}

@@ -1,1 +1,0 @@
-"""What runs networks: onnxruntime's execution providers, compared with the CPU before they are trusted."""

@@ -1,0 +1,434 @@
+"""The contract of a stage: it declares the buffers it makes, and what each of its kernels reads and writes.
+
+From the declarations come the arguments of the kernels, the stage dump, the viewer's layers, the documentation's tables
+of stages and memory, and the bytes per pixel that must move (`gffe bench`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.frame.camera import Camera
+from gffe_cl.opencl.device import Device
+from gffe_cl.opencl.program import Program, build
+from gffe_cl.stages.buffers import RENDERED, BufferSpec, DeviceFrame, ExtrapolatedBuffers, Owner, Sizes, aligned
+
+_EXTRAPOLATE = 1000  # more than there are stages
+_EVENTS = 1024  # kept per stage for whoever asks for timings
+# Work-items of a work-group, all in one row: rows stream better than squares on CPUs, where long ones cost least.
+_ROW, _ROW_OF_LANES = 64, 128
+
+
+@dataclass(frozen=True)
+class Access:
+    """What a kernel reads or writes through one argument.
+
+    `buffer` is its name; {…} in it are given at the launch. `share` says of which share of the buffer's pixels, by a
+    counter of `evaluation.traffic.SHARES` or as a number; `planes` of how many planes, None for all.
+    """
+
+    buffer: str
+    share: str | float = 1.0
+    planes: int | None = None
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A kernel of a stage.
+
+    `grid` has its work-items, one per `step` pixels each way (a number, or the name of a constant of the kernel file);
+    `group` of them, in a row, make a work-group (None: as suits the device).
+    `reads` and `writes` go by the names of its arguments; what is read and written is in both. A launch may give
+    another buffer than the declared one if it lies alike. `choices`: what names in {…} stand for where that is not a
+    level, launch by launch.
+    """
+
+    name: str
+    grid: str
+    reads: Mapping[str, Access | str] = field(default_factory=dict)
+    writes: Mapping[str, Access | str] = field(default_factory=dict)
+    step: tuple[int | str, int | str] = (1, 1)
+    group: int | str | None = None
+    choices: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def accesses(self) -> Iterator[tuple[str, str, Access]]:
+        """("reads" or "writes", argument, access) of each."""
+        for kind in ("reads", "writes"):
+            for argument, access in getattr(self, kind).items():
+                yield kind, argument, access if isinstance(access, Access) else Access(access)
+
+
+class Output(Owner):
+    """What a stage left in the buffers of the extrapolated frame, kept where somebody asks for it."""
+
+    def __init__(self, stage: Stage, specs: Iterable[BufferSpec]):
+        super().__init__(stage.device, stage.sizes)
+        self.name, self.buffers = stage.name, tuple(specs)
+
+    def choose(self, names: set[str]) -> None:
+        """Keep the buffers `names` from now on, and no others."""
+        specs = [spec for spec in self.buffers if spec.name in names and spec.name not in self.buffer]
+        self.buffer = {name: b for name, b in self.buffer.items() if name in names} | self.allocate(specs)
+
+    def keep(self, of: Mapping[str, cl.Buffer]) -> None:
+        """Enqueue copies of what is chosen."""
+        for name, buffer in self.buffer.items():
+            cl.enqueue_copy(self.device.queue, buffer, of[name])
+
+
+@dataclass
+class Step:
+    """What a stage works on: a rendered frame (after `submit`), or a new frame extrapolated from it.
+
+    Attributes
+    ----------
+    frame : DeviceFrame
+        The rendered frame.
+    previous : DeviceFrame or None
+        The rendered frame before; None after a reset.
+    times : list of float
+        Of the rendered frames since the last reset, newest first, seconds.
+    camera, time, alpha, exposure
+        Of the new frame: its camera, seconds, α, and the factor on colour before display.
+    """
+
+    frame: DeviceFrame
+    previous: DeviceFrame | None
+    times: list[float]
+    camera: Camera | None = None
+    time: float = 0.0
+    alpha: float = 0.0
+    exposure: float = 1.0
+
+
+class Board:
+    """Where stages find each other's buffers.
+
+    `int64`: whether keys are 64 bits wide (see `NearestStage`); None: if the device has such atomics.
+
+    Stages lend memory that they do not need themselves between one `submit` and the next, or once they have worked on
+    the rendered frame, for transient and fleeting buffers of all stages: several in one place, if no stage works with
+    more than one of them.
+    """
+
+    def __init__(self, device: Device, sizes: Sizes, options: Any = None, int64: bool | None = None):
+        self.device, self.sizes, self.options = device, sizes, options
+        self.int64 = device.int64_atomics if int64 is None else int64
+        self.stages: dict[str, Stage] = {}
+        self.transient: list[tuple[Stage, BufferSpec]] = []  # of all stages so far, the fleeting ones too
+        self.lent: dict[tuple[Stage, str], int] = {}  # memory, by its stage's names, and the work (`_use`) before that
+        self.rendered: DeviceFrame | None = None
+        self.previous: DeviceFrame | None = None  # the rendered frame itself where there is none before
+
+    @cached_property
+    def frame(self) -> ExtrapolatedBuffers:
+        """The extrapolated frame."""
+        return ExtrapolatedBuffers(self.device, self.sizes)
+
+    def lend_memory(self, stage: Stage, name: str, at_once: bool = False) -> None:
+        """Lend the memory that `stage` calls so, after `submit` or, `at_once`, after its own work there."""
+        self.lent[stage, name] = list(self.stages).index(stage.name) if at_once else _EXTRAPOLATE - 1
+
+    def lend(self) -> None:
+        """Give every transient buffer its place in lent memory, or one of its own if there is none: once all stages are
+        made, and whenever they swapped."""
+        for stage, spec in self.transient:
+            if place := self._places[stage.name, spec.name]:
+                (owner, name), start = place
+                stage.buffer[spec.name] = owner.own(name).get_sub_region(start, spec.nbytes(self.sizes))
+            elif spec.name not in stage.buffer:
+                stage.buffer |= stage.allocate([spec])
+
+    @cached_property
+    def _places(self) -> dict[tuple[str, str], tuple[tuple[Stage, str], int] | None]:
+        """Of transient buffers, largest first: in which lent memory, and from which byte on."""
+        places: dict = {}
+        taken: dict[tuple[Stage, str], list] = {lent: [] for lent in self.lent}
+        for stage, spec in sorted(self.transient, key=lambda one: -one[1].nbytes(self.sizes)):
+            nbytes, used = spec.nbytes(self.sizes), self._use(stage, spec)
+            free = {lent: parts for lent, parts in taken.items() if self.lent[lent] < min(used)}
+            starts = {lent: _free_start(parts, nbytes, used) for lent, parts in free.items()}
+            fitting = (lent for lent, start in starts.items() if start + nbytes <= lent[0].own(lent[1]).size)
+            lent = next(fitting, None)
+            places[stage.name, spec.name] = lent and (lent, starts[lent])
+            if lent:  # a byte more: texels of one index must not take each other's place in caches
+                taken[lent].append((starts[lent], aligned(starts[lent] + nbytes + 1), used))
+        return places
+
+    def _use(self, stage: Stage, spec: BufferSpec) -> frozenset[int]:
+        """The work at whose time a buffer is used, that of stages on the rendered frame, by their numbers, and then on
+        the new one: until the last that names it, or all that follow if it is of interest afterwards."""
+        name, used = f"{stage.name}.{spec.name}", []
+        for number, other in enumerate(self.stages.values()):
+            names_it = any(access.buffer == name for kernel in other.kernels for *_, access in kernel.accesses())
+            if names_it or other is stage or (used and not spec.scratch):
+                used.append(number)
+        start = 0 if spec.fleeting else _EXTRAPOLATE
+        return frozenset(range(start + used[0], start + used[-1] + 1))
+
+    def let_go(self) -> None:
+        """Forget the stages. They and the board know each other: without this the memory of a pipeline that nobody has
+        any more would be free only when Python's garbage collector next looks for circles."""
+        for known in (self.stages, self.transient, self.lent, self.__dict__.get("_places", {})):
+            known.clear()
+
+    def buffer(self, name: str) -> cl.Buffer:
+        """Of that name. KeyError if no stage has it."""
+        owner, _, rest = name.partition(".")
+        if owner in ("rendered", "previous"):
+            return getattr(getattr(self, owner), rest)
+        if owner == "frame":
+            return self.frame.buffer[rest]
+        return self.stages[owner].own(rest)
+
+    def spec(self, name: str) -> BufferSpec:
+        owner, _, rest = name.partition(".")
+        if owner in ("rendered", "previous"):
+            return next(spec for spec in RENDERED if spec.name == rest)
+        return (self.frame if owner == "frame" else self.stages[owner]).spec(rest.removesuffix("'"))
+
+
+def _free_start(parts: Iterable[tuple[int, int, frozenset[int]]], nbytes: int, used: frozenset[int]) -> int:
+    """The first byte from which on `nbytes` are free at the time of the stages `used`; parts: from, to, used."""
+    start = 0
+    for begin, end, _ in sorted(part for part in parts if part[2] & used):
+        if start + nbytes <= begin:
+            break
+        start = max(start, end)
+    return start
+
+
+class Recorder(Protocol):
+    """Who takes down what stages would enqueue, while nothing is: a stage's `recorder`."""
+
+    def launched(self, stage: Stage, kernel: Kernel, size: tuple[int, int], values: Mapping[str, Any]) -> None:
+        """`kernel` over `size`; `values`: of its arguments, by name, and perhaps others."""
+
+    def filled(self, stage: Stage, buffer: cl.Buffer, byte: int, nbytes: int) -> None:
+        """The first `nbytes` of a buffer set to `byte`."""
+
+    def copied(self, stage: Stage, to: cl.Buffer, of: cl.Buffer) -> None:
+        """A whole buffer copied."""
+
+
+class Stage(Owner):
+    """Base of all stages.
+
+    Subclasses set `name` (kernel file and module too), `buffers` and `kernels`, and override `rendered`, `extrapolated`
+    or both. `events` holds the latest profiling events since the last `take_events`; `before` what is kept of the frame
+    before.
+    """
+
+    kernels: tuple[Kernel, ...] = ()
+    registered = True  # whether other stages find its buffers on the board
+
+    def __init__(self, board: Board, **variant: int):
+        super().__init__(board.device, board.sizes)
+        self.board = board
+        self.program: Program = build(self.device, self.name, **variant)
+        self.events: deque[tuple[str, cl.Event]] = deque(maxlen=_EVENTS)
+        self.launches: list[tuple[Kernel, dict]] | None = None  # with what was given, while somebody counts
+        self.recorder: Recorder | None = None
+        borrowing = [spec for spec in self.buffers if spec.transient or spec.fleeting]
+        self.buffer = self.allocate(spec for spec in self.buffers if spec not in borrowing)
+        self.before = self.allocate(spec for spec in self.buffers if spec.kept)
+        self._kernels = {kernel.name: kernel for kernel in self.kernels}
+        self._check()
+        if self.registered:
+            board.stages[self.name] = self
+            board.transient += [(self, spec) for spec in borrowing]
+
+    @classmethod
+    def is_wanted(cls, options: Any) -> bool:
+        """Whether the pipeline's options ask for this stage."""
+        return True
+
+    def look_at(self, names: set[str] | None) -> None:
+        """From the next frame on somebody looks at the buffers `names`, such as "correction.refined" (None: at all of
+        them): what nobody looks at need not be made."""
+
+    def rendered(self, step: Step) -> None:
+        """Work on a rendered frame, once, after it was submitted."""
+
+    def extrapolated(self, step: Step) -> None:
+        """Work on a new frame."""
+
+    @classmethod
+    def outputs(cls) -> tuple[str, ...]:
+        """Names of the buffers of the extrapolated frame that the stage writes."""
+        written = (access.buffer for kernel in cls.kernels for kind, _, access in kernel.accesses() if kind == "writes")
+        return tuple(dict.fromkeys(name.removeprefix("frame.") for name in written if name.startswith("frame.")))
+
+    def own(self, name: str) -> cl.Buffer:
+        """A buffer of this stage; with an apostrophe what is kept of the frame before."""
+        return self.before[name[:-1]] if name.endswith("'") else self.buffer[name]
+
+    def swap(self) -> None:
+        """What was made becomes what is kept of the frame before; for all stages, before any works on a new one."""
+        for name, buffer in self.before.items():
+            self.before[name], self.buffer[name] = self.buffer[name], buffer
+
+    def launch(self, name: str, size: tuple[int, int] | None = None, **given: Any) -> None:
+        """Enqueue a kernel over its grid, or over `size` (width, height), in rows of work-items.
+
+        Arguments come by name: those given here, the buffers that the kernel declares, sizes (`source_width`,
+        `target_height`, `network_width` …; `level_width`: of the grid itself) and options. The width is rounded up to
+        whole groups: kernels guard against the padding.
+        """
+        kernel = self._kernels[name]
+        if self.launches is not None:
+            self.launches.append((kernel, given))
+        size = size or self.sizes.of(kernel.grid.format(**given))
+        values = {"level_width": size[0], "level_height": size[1]} | given
+        for _, argument, access in kernel.accesses():
+            if argument not in given:
+                values[argument] = self._buffer(access.buffer, given)
+        for argument in self.program.arguments[name]:
+            if argument.name not in values:
+                values[argument.name] = self._scalar(argument.name)
+        if self.recorder:
+            self.recorder.launched(self, kernel, size, values)
+            return
+        width, height = (-(-n // self._number(step)) for n, step in zip(size, kernel.step, strict=True))
+        row = _ROW_OF_LANES if self.device.lanes > 1 else _ROW
+        group = self._number(kernel.group) if kernel.group else row
+        grid = (-(-width // group) * group, height)
+        self.events.append((name, self.program.launch(self.device.queue, name, grid, (group, 1), values)))
+
+    def fill(self, name: str, byte: int, nbytes: int | None = None) -> None:
+        """Enqueue setting the first `nbytes` bytes of a buffer of this stage, or all of them."""
+        buffer = self.buffer[name]
+        nbytes = nbytes or buffer.size
+        if self.recorder:
+            self.recorder.filled(self, buffer, byte, nbytes)
+            return
+        if self.launches is not None:
+            share = nbytes / self.spec(name).nbytes(self.sizes)
+            self.launches.append((Kernel("fill", "once", writes={"": Access(f"{self.name}.{name}", share)}), {}))
+        event = cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint8(byte), 0, nbytes)
+        self.events.append(("fill", event))
+
+    def copy(self, to: str, of: str) -> None:
+        """Enqueue a copy between buffers of one size, by their names."""
+        to, of = self._buffer(to, {}), self._buffer(of, {})
+        if self.recorder:
+            self.recorder.copied(self, to, of)
+            return
+        self.events.append(("copy", cl.enqueue_copy(self.device.queue, to, of)))
+
+    def take_milliseconds(self) -> float:
+        """Kernel time since events were last taken; the device must have finished."""
+        return sum(e.profile.end - e.profile.start for _, e in self.take_events()) * 1e-6
+
+    def take_kernel_milliseconds(self) -> dict[str, float]:
+        """As `take_milliseconds`, by kernel."""
+        taken: dict[str, float] = {}
+        for kernel, event in self.take_events():
+            taken[kernel] = taken.get(kernel, 0.0) + (event.profile.end - event.profile.start) * 1e-6
+        return taken
+
+    def take_events(self) -> list[tuple[str, cl.Event]]:
+        events = list(self.events)
+        self.events.clear()
+        return events
+
+    def _buffer(self, name: str, given: Mapping[str, Any]) -> cl.Buffer:
+        name = name.format(**given) if "{" in name else name
+        owner, _, rest = name.partition(".")
+        return self.own(rest) if owner == self.name else self.board.buffer(name)
+
+    def _scalar(self, name: str) -> Any:
+        """The value of an argument that is a size or an option."""
+        grid, _, side = name.rpartition("_")
+        if side in ("width", "height"):
+            return self.sizes.of(grid)[side == "height"]
+        if not hasattr(self.board.options, name):
+            raise TypeError(f"kernels/{self.name}.cl: no value for argument '{name}'")
+        return getattr(self.board.options, name)
+
+    def _number(self, number: int | str) -> int:
+        return self.program.constants[number] if isinstance(number, str) else number
+
+    def _check(self) -> None:
+        """What the kernels declare must be what their source says."""
+        for kernel in self.kernels:
+            where = f"kernels/{self.name}.cl, {kernel.name}"
+            assert kernel.name in self.program.arguments, f"{where}: there is no such kernel"
+            buffers = {a.name: a for a in self.program.arguments[kernel.name] if a.buffer}
+            declared = set(kernel.reads) | set(kernel.writes)
+            assert declared == set(buffers), f"{where}: declared {sorted(declared)}, takes {sorted(buffers)}"
+            written = {name for name, argument in buffers.items() if not argument.read_only}
+            assert written == set(kernel.writes), (
+                f"{where}: declared as written {sorted(kernel.writes)}, are {sorted(written)}"
+            )
+
+
+class NearestStage(Stage):
+    """A stage that keeps the nearest of several fragments per pixel (nearest.h).
+
+    With 64-bit atomics one key holds depth and index; without, a second pass finds the least index among the
+    nearest. Both give the same bits. A kernel that offers fragments is launched once for each of `passes`.
+    """
+
+    def __init__(self, board: Board):
+        self.passes = range(1 if board.int64 else 2)
+        super().__init__(board, **({"INT64_ATOMICS": 1} if board.int64 else {}))
+
+    @staticmethod
+    def keys(board: Board, prefix: str, grid: str, **more: Any) -> tuple[BufferSpec, BufferSpec]:
+        """The buffers of keys and winners for a grid, "<prefix>keys" and "<prefix>winners"; `more`: of their specs."""
+        about = "nearest fragment offered to each pixel: depth" + (", index" if board.int64 else "")
+        dtype, winners = (np.uint64, "once") if board.int64 else (np.uint32, grid)
+        return (
+            BufferSpec(f"{prefix}keys", dtype, (), grid, about, scratch=True, **more),
+            BufferSpec(
+                f"{prefix}winners", np.uint32, (), winners, "its index, without 64-bit atomics", scratch=True, **more
+            ),
+        )
+
+    def clear_keys(self, prefix: str, size: tuple[int, int]) -> None:
+        """Enqueue emptying the keys of an image of (width, height), before fragments are offered."""
+        for name in (f"{prefix}keys", f"{prefix}winners")[: len(self.passes)]:
+            self.fill(name, 0xFF, math.prod(size) * self.spec(name).bytes_per_pixel)
+
+
+def read_some_rows(device: Device, depth: cl.Buffer, size: tuple[int, int], every: int = 16) -> np.ndarray:
+    """(ceil(H / every), W) float32: each `every`-th row of a depth buffer of `size` (width, height)."""
+    width, height = size
+    rows = np.empty((-(-height // every), width), np.float32)
+    pitch = width * rows.itemsize
+    cl.enqueue_copy(
+        device.queue,
+        rows,
+        depth,
+        buffer_origin=(0, 0, 0),
+        host_origin=(0, 0, 0),
+        region=(pitch, len(rows), 1),
+        buffer_pitches=(pitch * every, 0),
+        host_pitches=(pitch, 0),
+    )
+    return rows
+
+
+def zoom(source: Camera, target: Camera) -> np.ndarray:
+    """(2,) float32: target pixels per source pixel of what is equally far from both cameras."""
+    return np.array([target.fx / source.fx, target.fy / source.fy], np.float32)
+
+
+def reprojection(source: Camera, target: Camera) -> np.ndarray:
+    """The `Reprojection` struct of common.h, composed in float64: source view space → target view space."""
+    matrix = source.to_view_of(target)
+    packed = np.zeros((6, 4), np.float32)
+    packed[:3] = matrix[:3]
+    packed[3] = source.intrinsics
+    packed[4] = (1 / source.fx, 1 / source.fy, source.cx, source.cy)
+    packed[5] = target.intrinsics
+    return packed

@@ -1,0 +1,54 @@
+"""Whether a pipeline finds room on a device: asked before anything is allocated, for drivers that promise what they do
+not have."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from gffe_cl.core.errors import GffeError
+from gffe_cl.frame.rendered_frame import KEPT_BYTES_PER_PIXEL
+from gffe_cl.opencl.device import Device
+from gffe_cl.stages.buffers import Sizes
+
+_SURELY = 1024  # bytes per pixel that suffice for any options: only what is larger is looked at more closely
+_TRIAL = 256  # pixels along the longer side of the images by which memory is estimated
+_MARGIN = 0.97  # of what would fit: sides are rounded
+
+
+def require_room(device: Device, sizes: Sizes, allocated_for: Callable[[Sizes], int]) -> None:
+    """GffeError that says what would fit, unless images of `sizes` find room on the device; `allocated_for` makes all
+    buffers for other sizes, and says how many bytes these are."""
+    pixels = _pixels(sizes)
+    if pixels * _SURELY <= device.memory:
+        return
+    shrink = _TRIAL / max(*sizes.source, *sizes.target)
+    trial = Sizes(*(_scaled(size, shrink) for size in (sizes.source, sizes.target)))
+    frames = KEPT_BYTES_PER_PIXEL * math.prod(sizes.source)
+    before = device.allocated
+    needed = allocated_for(trial) * pixels / _pixels(trial) + frames
+    device.allocated = before  # what was tried is gone again
+    if needed <= device.memory:
+        return
+    width, height = _scaled(sizes.target, _MARGIN * math.sqrt(device.memory / needed))
+    fits = f"expected at most about {width}×{height} of this shape with these options"
+    raise GffeError(f"pipeline: {footprint(device, sizes, needed)} ({fits})")
+
+
+def footprint(device: Device, sizes: Sizes, nbytes: float | None) -> str:
+    """The sizes of the images in words, and how much of the device's memory they take, as far as that is known."""
+    through = f" (rendered {sizes.source[0]}×{sizes.source[1]})" if sizes.source != sizes.target else ""
+    takes = "" if nbytes is None else f" takes {_size(nbytes)}"
+    return f"{sizes.target[0]}×{sizes.target[1]}{through}{takes} of the {_size(device.memory)} of {device.info.name}"
+
+
+def _pixels(sizes: Sizes) -> int:
+    return max(math.prod(sizes.source), math.prod(sizes.target))
+
+
+def _scaled(size: tuple[int, int], factor: float) -> tuple[int, int]:
+    return tuple(max(int(side * factor), 1) for side in size)
+
+
+def _size(nbytes: float) -> str:
+    return f"{nbytes / 2**30:.1f} GiB" if nbytes >= 2**30 else f"{nbytes / 2**20:.0f} MiB"

@@ -1,0 +1,53 @@
+"""What the doctor says of the sequence that is open (`gffe check`), beside everything else."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING
+
+from gffe_cl.core.errors import GffeError
+from gffe_cl.sequence import Sequence
+
+if TYPE_CHECKING:
+    from gffe_cl.doctor import Finding
+
+_WRONG_PLACE = "does not follow the frame before it (doctor)"
+
+
+class Doctor:
+    """Examines `sequence` on a thread of its own.
+
+    Attributes
+    ----------
+    done : bool
+    findings : list of Finding
+        Faults first, then notes and what cannot be told.
+    marks : dict
+        Rendered frames that something is said of, with what.
+    problem : str
+        Why it could not be examined.
+    """
+
+    def __init__(self, sequence: Sequence):
+        self.done, self.problem = False, ""
+        self.findings: list[Finding] = []
+        self.marks: dict[int, str] = {}
+        threading.Thread(target=self._run, args=(sequence,), name="gffe-viewer-doctor", daemon=True).start()
+
+    def _run(self, sequence: Sequence) -> None:
+        from gffe_cl.doctor import examine
+        from gffe_cl.doctor.findings import FAULT, NOTE
+
+        try:
+            found = examine(sequence, sequence.exposure)
+        except GffeError as error:
+            self.problem = str(error)
+        except Exception as error:  # a window says so; nothing else hangs on it
+            self.problem = f"{type(error).__name__}: {error}"
+        else:
+            kinds = [FAULT, NOTE]
+            rank = {kind: place for place, kind in enumerate(kinds)}
+            self.findings = sorted(found.findings, key=lambda finding: rank.get(finding.kind, len(kinds)))
+            if found.order is not None:
+                self.marks = dict.fromkeys(found.order.misfits, _WRONG_PLACE)
+        self.done = True

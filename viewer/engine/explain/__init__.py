@@ -1,0 +1,1 @@
+"""Why a pixel looks as it does."""

@@ -1,0 +1,158 @@
+"""A fragment of a rendered frame: what history tracking and prediction know of it, for the story of a pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gffe_cl.frame.camera import Camera
+from gffe_cl.opencl.program import constants
+from gffe_cl.pipeline.pipeline import Pipeline
+from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.buffers import Shot, device_layers, moved, read_blocks
+from gffe_cl.viewer.engine.explain.pixel_explain_types import Link, Step, Story
+
+_CELLS = constants("cells.h")
+
+
+@dataclass(frozen=True)
+class Fragment:
+    """A fragment of the rendered frame: what history tracking and prediction know of it."""
+
+    trajectory: tuple[tuple[float, float], ...]
+    dynamic: bool
+    residual: float | None
+    threshold: float | None
+    sentences: tuple[str, ...]
+    pixel: tuple[int, int]
+
+    def story(self, pixel, filled_by, source_px, start, level=None) -> Story:
+        known = (self.trajectory, self.dynamic, self.residual, self.threshold)
+        said = (*start, *self.sentences)
+        return Story(pixel, filled_by, source_px, *known, level, sentences=said, fragment=self.pixel)
+
+    @classmethod
+    def at(cls, pipeline: Pipeline, shot: Shot, source_px, landed=None) -> Fragment | None:
+        """The fragment at `source_px`. `landed`: (display pixel, whether it lands in it, whether it is dynamic): then
+        the one next to `source_px` that does. None out of the image."""
+        layers = device_layers(pipeline, shot)
+        at = layers[names.RENDERED_DEPTH].place((0, 0), source_px)
+        if at is None:
+            return None
+        if landed:
+            at = _fragment_that_landed(pipeline, layers, at, *landed)
+        wanted = (names.RENDERED_DEPTH, names.RENDERED_MOTION, names.DYNAMIC_MASK, names.MET_DEPTH)
+        wanted += tuple(name for name in (names.HISTORY, names.TARGET_POSITION) if name in layers)
+        values = read_blocks(pipeline, {name: (layers[name], *at, 1, 1) for name in wanted})
+        depth, motion, mask, met, *_ = (values[name].reshape(len(values[name]), -1) for name in wanted)
+        depth, motion, dynamic = float(depth[0, 0]), motion[0].astype(np.float64), bool(mask[0, 0])
+        px = np.add(at, 0.5)
+        residual = _residual(shot, px, depth, motion) if pipeline.options.motion else None
+        history_stage = pipeline.stages["history"]
+        threshold = None if residual is None else float(np.sqrt(history_stage.read("static_threshold_squared")[0]))
+        known = _known_places(shot, px + motion, float(met[0, 0]), values.get(names.HISTORY)) if dynamic else []
+
+        path = [_projected(place, shot.moment.display_camera) for place in known[::-1]]
+        path.append(moved(px, shot.moment.render_camera, shot.moment.display_camera))
+        if (target := values.get(names.TARGET_POSITION)) is not None and target.flat[2] > 0:
+            path.append(tuple(map(float, target.flat[:2])))
+        used = min(len(known), pipeline.options.order) if shot.moment.alpha else -1
+        bend = _bend(pipeline, layers, at, depth) if used == 1 else 0.0
+        sentences = _fragment_sentences(pipeline, shot, depth, motion, dynamic, residual, threshold, used, bend)
+        at = tuple(map(int, at))
+        return cls(tuple(point for point in path if point), dynamic, residual, threshold, sentences, at)
+
+
+def _bend(pipeline, layers, at, depth: float) -> float:
+    """How much of its mover's acceleration counts for the fragment at source pixel `at`, 0 to 1."""
+    if names.ACCELERATION not in layers:
+        return 0.0
+    cell = (layers[name] for name in (names.VELOCITY, names.ACCELERATION))
+    where = (at[0] // _CELLS["CELL"], at[1] // _CELLS["CELL"], 1, 1)
+    values = read_blocks(pipeline, {layer.spec.name: (layer, *where) for layer in cell})
+    mover_depth, trust = (float(array.flat[3]) for array in values.values())
+    return max(trust, 0.0) if abs(depth - mover_depth) <= _CELLS["CELL_TOLERANCE"] * mover_depth else 0.0
+
+
+def _fragment_that_landed(pipeline, layers, at, pixel, inside: bool, dynamic: bool) -> tuple[int, int]:
+    """The winner of a display pixel: within a pixel of where its motion points to; `at` if none fits."""
+    x0, y0, width, height = around(at, 1, layers[names.RENDERED_DEPTH].size)
+    wanted = (names.TARGET_POSITION, names.DYNAMIC_MASK)
+    block = read_blocks(pipeline, {name: (layers[name], x0, y0, width, height) for name in wanted})
+    place, mask = (block[name][0].reshape(width * height, -1) for name in wanted)
+    fits = (place[:, 2] > 0) & (mask[:, 0] == dynamic)
+    if inside:
+        fits &= (np.floor(place[:, :2]) == pixel).all(1)
+    distance = place[:, 2] if inside else np.hypot(*(place[:, :2] - np.add(pixel, 0.5)).T)
+    best = least(distance, fits)
+    return at if best is None else (x0 + best % width, y0 + best // width)
+
+
+def _residual(shot: Shot, px, depth: float, motion) -> float | None:
+    """Pixels between where its motion says that the fragment was and where it was if static; None if not tested."""
+    if shot.moment.previous_camera is None or not (0 < depth < np.inf) or not np.isfinite(motion).all():
+        return None
+    was, z = shot.moment.previous_camera.project(shot.moment.render_camera.unproject(px, depth))
+    return float(np.hypot(*(was - px - motion))) if z > 0 else None
+
+
+def _fragment_sentences(pipeline, shot, depth, motion, dynamic, residual, threshold, used, bend) -> tuple[str, ...]:
+    if not depth > 0:
+        return (f"Its depth ({depth:g}) is invalid, so nothing of it is splatted.",)
+    if depth == np.inf:
+        return ("Sky: it turns with the camera.",)
+    if not pipeline.options.motion:
+        return ("Motion estimation is off: everything counts as static.",)
+    if shot.moment.previous_camera is None:
+        return ("No frame before this one is known: everything counts as static.",)
+    if residual is None:
+        why = "its motion is NaN or infinite" if not np.isfinite(motion).all() else "it was behind the camera before"
+        return (f"Dynamic: {why}.",)
+    kind, than = ("Dynamic", "more than") if dynamic else ("Static", "not more than")
+    said: list[str] = [
+        Step(
+            f"{kind}: its motion is {residual:.2f} px from that of a surface that stands still,"
+            f" {than} the threshold of {threshold:.2f} px.",
+            Link("dynamic mask", names.DYNAMIC_MASK),
+        )
+    ]
+    if dynamic and used == 0:
+        unknown = "No earlier position of it is known (hidden or out of the image then), so it stays where it is."
+        said.append(Step(unknown, Link("met depth", names.MET_DEPTH)))
+    elif dynamic and used > 0:
+        how = "linearly" if used == 1 else f"by a polynomial of order {used}"
+        predicted = f"Predicted {how} from its last {used + 1} positions."
+        said.append(Step(predicted, Link("target position", names.TARGET_POSITION)))
+        if bend > 0:
+            bent = f"{bend:.0%} of its acceleration counts too: so much of that there was before."
+            said.append(Step(bent, Link("acceleration", names.ACCELERATION)))
+    return tuple(said)
+
+
+def _known_places(shot: Shot, px_prev, met_depth: float, history) -> list[np.ndarray]:
+    """P_1 … as far as they are known, in the view space of the rendered camera. `history`: what is stored, if it is."""
+    if shot.moment.previous_camera is None or not met_depth > 0:
+        return []
+    world = shot.moment.previous_camera.unproject(px_prev, met_depth)
+    older = [] if history is None else history.reshape(-1, 4)[1:]
+    matrix = shot.moment.render_camera.world_to_view
+    return [matrix[:3, :3] @ world + matrix[:3, 3], *(place[:3] for place in older if place[3] != 0)]
+
+
+def _projected(view_pos, camera: Camera) -> tuple[float, float] | None:
+    """Display pixels of a position in view space; None behind the camera."""
+    x, y, z = map(float, view_pos)
+    return (camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy) if z > 0 else None
+
+
+def least(values: np.ndarray, fits: np.ndarray) -> int | None:
+    """Index of the least of `values` (N,), infinite ones too, where `fits` (N,)."""
+    candidates = np.flatnonzero(fits)
+    return int(candidates[np.argmin(values[candidates])]) if candidates.size else None
+
+
+def around(at, reach: int, size) -> tuple[int, int, int, int]:
+    """x, y, width, height of the block up to `reach` around `at`, within an image of `size`."""
+    low = [max(c - reach, 0) for c in at]
+    return (*low, *(min(c + reach + 1, s) - first for c, s, first in zip(at, size, low, strict=True)))

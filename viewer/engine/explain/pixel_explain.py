@@ -1,0 +1,212 @@
+"""Telling the story of how a pixel came about, from what the buffers of its slot hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from gffe_cl.opencl.program import constants
+from gffe_cl.pipeline.pipeline import Pipeline
+from gffe_cl.stages.background import MAX_LEVELS, REMEMBERED
+from gffe_cl.stages.buffers import BY_CRACK_CLOSING, BY_HIDDEN_PART, BY_HOLE_FILLING, BY_NOTHING, BY_WARP, FILLED_BY
+from gffe_cl.stages.holes import FILLINGS
+from gffe_cl.stages.sharpening import Sharpening
+from gffe_cl.stages.upscaling import LOCK_FRAMES, Upscaling
+from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.buffers import Shot, device_layers, moved, pixel_values, read_blocks, source_position
+from gffe_cl.viewer.engine.explain.fragment_history import Fragment, around, least
+from gffe_cl.viewer.engine.explain.motion_trail import Passed, way_of
+from gffe_cl.viewer.engine.explain.pixel_explain_types import Link, Step, Story
+
+_MIXED = 2 * constants("background.cl")["SAME_SURFACE"]  # relative depth within which texels of a level are mixed
+
+
+def pixel_story(
+    pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.ndarray] | None = None,
+    passed: Iterable[Passed] = (),
+) -> Story:  # fmt: skip
+    """The story of display pixel (x, y), read from the pipeline's buffers; `values` may bring its `pixel_values`,
+    `passed` are the frames submitted last, newest first."""
+    story = _story(pipeline, shot, x, y, values)
+    if story.fragment is None:
+        return story
+    own = tuple(c + 0.5 for c in story.fragment)
+    return replace(story, way=way_of(pipeline.device.queue, passed, own))
+
+
+def _story(pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.ndarray] | None) -> Story:
+    source_px = source_position(pipeline, shot, x, y)
+    if not shot.moment.alpha:
+        told = Fragment.at(pipeline, shot, source_px)
+        start = f"Rendered frame {shot.moment.k} as it is."
+        if Upscaling.name in pipeline.stages:
+            start = _gathered(shot, values or pixel_values(pipeline, shot, x, y))
+        return (
+            told.story((x, y), "rendered frame", source_px, (start,))
+            if told
+            else Story((x, y), "rendered frame", source_px)
+        )
+    values = values or pixel_values(pipeline, shot, x, y)
+    made = _with_silhouette(_how_it_was_made(pipeline, shot, x, y, source_px, values), values)
+    return _with_upscaling(_with_correction(made, pipeline, values), pipeline, values)
+
+
+def _gathered(shot: Shot, values: dict[str, np.ndarray]) -> str:
+    weight, refused = float(values[names.UPSCALED][3]), float(values[names.REJECTED][0]) / 255
+    lock = int(values[names.LOCK][0])
+    locked = f" At rest it was right for {lock} frames." if lock else ""
+    if lock > LOCK_FRAMES:
+        locked = " A thin feature that samples miss at times is kept."
+    return (
+        f"Rendered frame {shot.moment.k}, gathered over time: {weight:.1f} samples; {refused:.0%} of the history was"
+        f" refused.{locked}"
+    )
+
+
+def _with_upscaling(story: Story, pipeline: Pipeline, values: dict[str, np.ndarray]) -> Story:
+    if Upscaling.name not in pipeline.stages:
+        return story
+    said = "Upscaling: seen through the history of the rendered frame."
+    if values[names.DISOCCLUDED][0]:
+        said = "Upscaling: no history here, its own colour is shown."
+    if Sharpening.name in pipeline.stages:
+        said += " Sharpened."
+    return replace(story, sentences=(*story.sentences, said))
+
+
+def _with_silhouette(story: Story, values: dict[str, np.ndarray]) -> Story:
+    coverage = int(values.get(names.COVERAGE, (0,))[0])
+    if not coverage:
+        return story
+    said = f"Soft silhouettes: a nearer surface covers {(coverage - 1) / 254:.0%} of it."
+    if coverage == 1:
+        said = "Soft silhouettes: the colour of a nearer surface, which was mixed in, is taken out."
+    return replace(story, sentences=(*story.sentences, Step(said, Link("coverage", names.COVERAGE))))
+
+
+def _with_correction(story: Story, pipeline: Pipeline, values: dict[str, np.ndarray]) -> Story:
+    if "correction" not in pipeline.stages:
+        return story
+    before, after = values[names.GAE][:3], values[names.FINAL][:3]
+    if before.tobytes() == after.tobytes():
+        return replace(story, corrected=False)
+    mask = f"focus mask {float(values[names.FOCUS_MASK][0]):.2f}"
+    if not pipeline.options.focus_mask:
+        mask += ", which is off"
+    colors = (f"({', '.join(f'{float(c):.4g}' for c in color)})" for color in (before, after))
+    said = f"Shading correction changed it ({mask}): from {' to '.join(colors)}."
+    step = Step(said, Link("focus mask", names.FOCUS_MASK), Link("before", names.GAE))
+    return replace(story, corrected=True, sentences=(*story.sentences, step))
+
+
+def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, values) -> Story:
+    number = int(values[names.FILLED_BY][0])
+    label, level = _filled_by(number), number - 1 if 1 <= number <= MAX_LEVELS else None
+    if number in (BY_HOLE_FILLING, BY_NOTHING):
+        return Story((x, y), label, source_px, sentences=_hole_sentences(pipeline, shot, source_px))
+    if number == BY_HIDDEN_PART:
+        return Story((x, y), label, source_px, sentences=_hidden_sentences(shot, source_px, values))
+    if level is not None and values[names.DISOCCLUDED][0]:
+        return _background_story(pipeline, shot, (x, y), source_px, level, values)
+    landed = (x, y), number == BY_WARP, bool(values[names.DYNAMIC][0])
+    told = Fragment.at(pipeline, shot, source_px, landed)
+    where = f"({source_px[0]:.1f}, {source_px[1]:.1f}) of rendered frame {shot.moment.k}" if source_px else "nowhere"
+    own = tuple(c + 0.5 for c in told.pixel) if told else source_px
+    there, filled = _to_source(shot, own), Link("filled by", names.FILLED_BY)
+    start = [Step(f"Shown by its own fragment, from {where}.", *there)]
+    if number == BY_CRACK_CLOSING:
+        said = f"Crack closing: the fragment from {where} covers this pixel too, none lands in it."
+        start = [Step(said, *there, filled)]
+    elif level is not None:
+        said = f"Its colour is mixed with that of a silhouette there, so it comes from {label}."
+        start.append(Step(said, filled, Link(f"level {level}", names.background("color", level))))
+    elif number != BY_WARP:
+        start = [Step(f"Its colour comes from: {label}.", filled)]
+    elif values[names.MIXED][0]:
+        said = "Its colour is mixed with that of a silhouette there, so its neighbour's is shown."
+        start.append(Step(said, Link("mixed", names.MIXED)))
+    if told is None:
+        return Story((x, y), label, source_px, sentences=tuple(start))
+    return told.story((x, y), label, source_px, tuple(start), level)
+
+
+def _to_source(shot: Shot, source_px) -> tuple[Link, ...]:
+    """To the pixel of the rendered frame that is shown there, if it is within the display."""
+    if not source_px:
+        return ()
+    at = moved(source_px, shot.moment.render_camera, shot.moment.display_camera)
+    return (Link(f"frame {shot.moment.k}", names.FINAL, shot.moment.k, tuple(int(np.floor(c)) for c in at)),)
+
+
+def _filled_by(number: int) -> str:
+    return dict(FILLED_BY).get(number, f"unknown ({number})")
+
+
+def _hidden_sentences(shot: Shot, source_px, values) -> tuple[str, ...]:
+    depth, front = float(values[names.DEPTH][0]), None
+    if names.RENDERED_DEPTH in values:
+        front = float(values[names.RENDERED_DEPTH][0])
+    where = f" at ({source_px[0]:.1f}, {source_px[1]:.1f})" if source_px else ""
+    shown = "" if front is None else f", which shows depth {front:.4g} there; the depth here is {depth:.4g}"
+    return (
+        Step(
+            "A hidden part of a mover: the mean of the mover around it, with its motion.",
+            Link("filled by", names.FILLED_BY),
+        ),
+        f"Moving like that it was{where} of rendered frame {shot.moment.k}{shown}.",
+    )
+
+
+def _hole_sentences(pipeline: Pipeline, shot: Shot, source_px) -> tuple[str, ...]:
+    nothing = f"No fragment of rendered frame {shot.moment.k} lands here, nor one that the background remembers."
+    if "background" not in pipeline.stages:
+        nothing = f"No fragment of rendered frame {shot.moment.k} lands here, and there is no background."
+    nothing = Step(nothing, Link("disoccluded", names.DISOCCLUDED))
+    if pipeline.options.hole_filling == "none":
+        return nothing, "Hole filling is off: black, at infinite depth."
+    filled = f"Hole filling: its colour {FILLINGS[pipeline.options.hole_filling].sentence}."
+    said = [nothing, Step(filled, Link("filled by", names.FILLED_BY))]
+    if source_px and not all(0 <= c < s for c, s in zip(source_px, pipeline.sizes.source, strict=True)):
+        said.append(f"It lies outside the rendered image, at ({source_px[0]:.1f}, {source_px[1]:.1f}).")
+    return tuple(said)
+
+
+def _background_story(pipeline, shot, pixel, source_px, level: int, values) -> Story:
+    depth = float(values[names.DEPTH][0])
+    at = _remembered(pipeline, shot, pixel, source_px, level, depth)
+    lies = f", last at ({at[0]:.1f}, {at[1]:.1f}) of the rendered image" if at else ""
+    links = Link(f"level {level}", names.background("color", level)), Link("filled by", names.FILLED_BY)
+    said = [Step(f"Filled from background level {level}: a static surface hidden now{lies}.", *links)]
+    if names.RENDERED_DEPTH in values:
+        front = float(values[names.RENDERED_DEPTH][0])
+        hides = f"At that place rendered frame {shot.moment.k} shows depth {front:.4g}; the depth here is {depth:.4g}."
+        said.append(Step(hides, *_to_source(shot, source_px)))
+    if getattr(pipeline.stages.get("holes"), "mixes", False):
+        said.append(
+            "Its colour is mixed with that of the surface beside the hole, the nearer and the more uniform the more."
+        )
+    now = (pixel[0] + 0.5, pixel[1] + 0.5)
+    path = (moved(at, shot.moment.render_camera, shot.moment.display_camera), now) if at else (now,)
+    return Story(pixel, _filled_by(1 + level), source_px, path, level=level, level_px=at, sentences=tuple(said))
+
+
+def _remembered(pipeline, shot, pixel, source_px, level: int, depth: float) -> tuple[float, float] | None:
+    """Where the remembered fragment lies that is shown at `pixel`, at `depth` there: pixels of the rendered image."""
+    layers = [device_layers(pipeline, shot)[names.background(name, level)] for name in ("state", "depth", "px")]
+    at = source_px and layers[0].place(pixel, source_px)
+    if not at:
+        return None
+    x0, y0, width, height = around(at, 2, layers[0].size)
+    block = read_blocks(pipeline, {layer.spec.name: (layer, x0, y0, width, height) for layer in layers})
+    state, z, px = (values[0].reshape(width * height, -1) for values in block.values())
+    fits = state[:, 0] == REMEMBERED
+    if np.isfinite(depth):
+        world = shot.moment.camera.unproject(np.add(pixel, 0.5), depth)
+        expected = float(shot.moment.render_camera.project(world)[1])
+        fits &= np.abs(z[:, 0] - expected) <= _MIXED * expected
+    else:
+        fits &= np.isinf(z[:, 0])
+    best = least(np.hypot(*(px.astype(np.float64) - source_px).T), fits)
+    return None if best is None else tuple(map(float, px[best]))

@@ -1,0 +1,76 @@
+"""What the story of a pixel consists of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gffe_cl.viewer.engine.explain.motion_trail import WayPoint
+
+
+@dataclass(frozen=True)
+class Link:
+    """Where a step of a story leads: to `layer`, if it is named, of this slot or of rendered frame `frame`; there to
+    display pixel `pixel`, by default the same."""
+
+    label: str
+    layer: str = ""
+    frame: int | None = None
+    pixel: tuple[int, int] | None = None
+
+
+class Step(str):
+    """A sentence of a story, and where it leads."""
+
+    links: tuple[Link, ...]
+
+    def __new__(cls, text: str, *links: Link):
+        step = super().__new__(cls, text)
+        step.links = links
+        return step
+
+
+@dataclass(frozen=True)
+class Story:
+    """How a display pixel came about.
+
+    Attributes
+    ----------
+    pixel : (int, int)
+    filled_by : str
+        Which stage its colour comes from.
+    source : (float, float) or None
+        Where the warp's motion points to, in pixels of the rendered image.
+    trajectory : tuple of (float, float)
+        Display pixels: the known positions P_i … P_1 and P_0 of its fragment as seen at the rendered frame, then where
+        it is now.
+    dynamic : bool or None
+        None where no fragment of the rendered frame is shown.
+    residual, threshold : float or None
+        Pixels: how far its motion is from that of a static surface, and from where on it is dynamic.
+    level : int or None
+        Of the background that it was filled from.
+    level_px : (float, float) or None
+        Where that fragment lies in the rendered image, pixels.
+    corrected : bool or None
+        Whether shading correction changed its colour; None for rendered frames and where that is off.
+    sentences : tuple of str
+        Some are a `Step`.
+    fragment : (int, int) or None
+        Its pixel of the rendered image, where it is a fragment of that.
+    way : tuple of WayPoint
+        Of that fragment through the last rendered frames, from the present one back.
+    """
+
+    pixel: tuple[int, int]
+    filled_by: str
+    source: tuple[float, float] | None
+    trajectory: tuple[tuple[float, float], ...] = ()
+    dynamic: bool | None = None
+    residual: float | None = None
+    threshold: float | None = None
+    level: int | None = None
+    level_px: tuple[float, float] | None = None
+    corrected: bool | None = None
+    sentences: tuple[str, ...] = ()
+    fragment: tuple[int, int] | None = None
+    way: tuple[WayPoint, ...] = ()

@@ -1,0 +1,163 @@
+"""Bringing the pipeline to any slot: going on from where it is, or warming up a new one."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.core.errors import GffeError
+from gffe_cl.evaluation import traffic
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import BadPixels, RenderedFrame
+from gffe_cl.opencl.device import Device
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pipeline import Pipeline
+from gffe_cl.stages.buffers import DeviceFrame
+from gffe_cl.stages.shading import FocusMask
+from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.buffers import Moment, Shot
+from gffe_cl.viewer.engine.explain.motion_trail import Passed
+from gffe_cl.viewer.engine.messages import Setup
+from gffe_cl.viewer.engine.sources.source import FrameSource
+
+WARM_UP = 8  # rendered frames submitted before the one that is wanted
+
+
+class Seeker:
+    """Holds the pipeline, and knows how far it has come. `check` is called before each rendered frame, and may raise to
+    give up."""
+
+    def __init__(self, device: Device, source: FrameSource, check: Callable[[], None]):
+        self.device, self.source, self._check = device, source, check
+        self.cuts: set[int] = set()  # rendered frames that were found to be cuts so far
+        self._options: Options | None = None
+        self._kernels = ""  # that were asked for, see Setup
+        self._ring: list[DeviceFrame] = []  # what host frames are uploaded into: the pipeline uses two in place
+        self.drop()
+
+    def drop(self) -> None:
+        """Forget the pipeline; the next slot makes a new one."""
+        self.pipeline: Pipeline | None = None
+        self.shot: Shot | None = None
+        self.truth: np.ndarray | None = None  # of the shot, (H, W, 3), if it was asked for
+        self.bad_pixels = BadPixels()
+        self._at: int | None = None  # the frame submitted last
+        self._frame: RenderedFrame | None = None
+        self._before: Camera | None = None  # render camera of the frame before
+        self.passed: deque[Passed] = deque(maxlen=self.source.held)  # submitted frames, the newest first
+        self._presented = None
+        self._focus: FocusMask | None = None  # made when it is asked for
+        self.launched: traffic.Launches = {}  # by the last slot, without warm-up
+
+    def prepare(self, setup: Setup) -> None:
+        others = (setup.options, setup.kernels) != (self._options, self._kernels)
+        if self.source.configure(setup.window, setup.n, setup.options.upscale) or others:
+            self.drop()
+            self.cuts = set()
+        self._options, self._kernels = setup.options, setup.kernels
+
+    def go_to(self, k: int, alpha: float) -> list[str]:
+        """Submit what is missing up to rendered frame `k`, from a new pipeline on unless that is a little ahead.
+        Frames that cannot be read are left out, but for `k` itself; returns sentences about them."""
+        source, at = self.source, self._at
+        if at is not None and at <= k <= at + WARM_UP and not source.outdated(k, alpha):
+            frames = range(max(at + 1, source.reset_before(k)), k + 1)
+        else:
+            frames = range(max(k - WARM_UP, source.reset_before(k), 0), k + 1)
+            self._restart()
+        notes = []
+        for m in frames:
+            self._check()
+            try:
+                self._submit(m, last=m == k)
+            except GffeError as error:
+                if m == k:
+                    raise
+                notes.append(f"rendered frame {m} is left out: {error}")
+                self._restart()
+        if frames:
+            self._presented = self.pipeline.present()
+        return notes
+
+    def shoot(self, k: int, alpha: float) -> Shot:
+        """Make the slot of rendered frame `k`, submitted last, and `alpha`."""
+        frame, shown, self.truth = self._frame, self._presented, None
+        buffers = {
+            names.RENDERED_COLOR: frame.color,
+            names.RENDERED_DEPTH: frame.depth,
+            names.RENDERED_MOTION: frame.motion,
+        }
+        cameras = (frame.camera, shown.camera, self._before)
+        if alpha:
+            made = self.pipeline.extrapolate(self.source.camera(k, alpha), self.source.time(k, alpha))
+            buffers[names.FINAL] = made.color
+            if "correction" in self.pipeline.stages:
+                buffers[names.GAE] = made.gae
+            self.shot = Shot(Moment(k, alpha, made.time, made.camera, *cameras), buffers)
+        else:
+            buffers[names.FINAL] = shown.color
+            if self.source.has_truth:
+                buffers[names.TRUTH] = shown.color
+            self.shot = Shot(Moment(k, 0.0, frame.time, shown.camera, *cameras), buffers)
+        self.launched = self._count_launches()
+        return self.shot
+
+    def _count_launches(self) -> traffic.Launches:
+        """What was launched since this was called last."""
+        stages = self.pipeline.stages
+        launched = {name: stage.launches or [] for name, stage in stages.items()}
+        for stage in stages.values():
+            stage.launches = []
+        return launched
+
+    def find_focus(self, truth: np.ndarray) -> None:
+        """Add "focus_truth" to the shot, an extrapolated one; `truth`: (H, W, 4) float16."""
+        if self._focus is None:
+            self._focus = FocusMask(self.pipeline.board)
+            self._true_color = self.device.buffer(truth.nbytes)
+        cl.enqueue_copy(self.device.queue, self._true_color, truth)
+        self._focus.make(self._true_color, self.source.exposure)
+        self.shot.buffers[names.FOCUS_TRUTH] = self._focus.buffer["focus_truth"]
+
+    def _restart(self) -> None:
+        self.drop()  # before as much is allocated again
+        source = self.source
+        self.pipeline = Pipeline(
+            self.device, source.width, source.height, self._options, render_size=source.render_size, fps=source.fps
+        )
+        if not self._ring or self._ring[0].color.size != 8 * source.render_size[0] * source.render_size[1]:
+            self._ring = []
+        source.restart()
+
+    def _submit(self, m: int, last: bool) -> None:
+        source, before = self.source, self._frame
+        frame, packed = source.rendered(m), source.packed(m)
+        if packed:
+            if len(self._ring) < 3:
+                self._ring.append(DeviceFrame.allocate(self.device, source.render_size, None, None, 0.0))
+            else:
+                self._ring.append(self._ring.pop(0))
+            self._ring[-1].upload(self.device, packed)
+            color, depth, motion = self._ring[-1].buffers
+            frame = replace(frame, color=color, depth=depth, motion=motion)
+        if last:
+            self.pipeline.take_timings()  # of the warm-up: not this slot's
+            self._count_launches()
+        self.pipeline.exposure = self.source.exposure
+        self.pipeline.submit(frame)
+        self._at, self._frame = m, frame
+        if self.pipeline.is_cut:
+            self.cuts.add(m)
+        self._before = before.camera if before and not (frame.reset or self.pipeline.is_cut) else None
+        pixels = packed or frame
+        self.passed.appendleft(
+            Passed(
+                m, frame.camera, frame.display_camera or frame.camera, source.render_size, pixels.depth, pixels.motion,
+                self._before is None,
+            )
+        )  # fmt: skip
+        self.bad_pixels = packed.bad if packed else BadPixels()

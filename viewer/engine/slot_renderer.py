@@ -1,0 +1,161 @@
+"""Making slots: the pipeline of one role, what it made last, and what can be asked about that."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from gffe_cl.core.errors import GffeError
+from gffe_cl.evaluation import traffic
+from gffe_cl.frame.rendered_frame import HALF_MAX
+from gffe_cl.opencl.device import Device
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.run import alphas_for
+from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.buffers import device_layers, pixel_values, read_layers
+from gffe_cl.viewer.engine.explain.pixel_explain import pixel_story
+from gffe_cl.viewer.engine.layers import layers_of
+from gffe_cl.viewer.engine.messages import Inspection, Interrupted, Metrics, Request, Result
+from gffe_cl.viewer.engine.metric_worker import Scorer
+from gffe_cl.viewer.engine.reloading import Kernels
+from gffe_cl.viewer.engine.seeker import Seeker
+from gffe_cl.viewer.engine.sources.source import FrameSource
+
+
+class SlotMaker:
+    """Makes slots of `source`, which nobody else uses, one after the other.
+
+    `check` is called between rendered frames, and may raise to give up what is being made.
+
+    Attributes
+    ----------
+    last : Request or None
+        What was made last.
+    """
+
+    def __init__(
+        self, device: Device, source: FrameSource, kernels: Kernels, scorer: Scorer, check: Callable[[], None]
+    ):
+        self.source, self._kernels, self._scorer = source, kernels, scorer
+        self._seeker = Seeker(device, source, check)
+        self.last: Request | None = None
+        self._flight = 0
+
+    def drop(self) -> None:
+        """Forget the pipeline; the next slot makes a new one."""
+        self._seeker.drop()
+
+    def holds(self, request: Request) -> bool:
+        """Whether the pipeline's buffers are those of this slot."""
+        last = self.last
+        there = self._seeker.shot is not None and last is not None
+        return there and (last.slot, last.setup, self._flight) == (request.slot, request.setup, self.source.flight)
+
+    def make(self, request: Request, to_inspect: bool = False) -> Result:
+        """`to_inspect`: the pipeline's buffers are to hold all layers, whatever the request is for. Raises GffeError;
+        the pipeline is forgotten then."""
+        start = time.perf_counter()
+        alphas = (0.0, *alphas_for(request.setup.n))
+        k, j = divmod(request.slot, len(alphas))
+        if not 0 <= k < self.source.count:
+            raise GffeError(f"slot {request.slot}: expected 0 to {self.source.count * len(alphas) - 1}")
+        self.last, self._flight = request, self.source.flight
+        try:
+            with self._kernels.used(request.setup.kernels):
+                return self._made(request, k, alphas[j], start, to_inspect)
+        except Interrupted:
+            raise  # goes on from there next time
+        except Exception:
+            self._seeker.drop()
+            raise
+
+    def _made(self, request: Request, k: int, alpha: float, start: float, to_inspect: bool) -> Result:
+        seeker, source = self._seeker, self.source
+        seeker.prepare(request.setup)
+        notes = seeker.go_to(k, alpha)
+        seeker.pipeline.keep(None if to_inspect else request.layers)
+        shot = seeker.shoot(k, alpha)
+        pipeline = seeker.pipeline
+        specs = layers_of(pipeline)
+        if not source.has_truth:
+            del specs[names.TRUTH], specs[names.FOCUS_TRUTH]
+        kernels = pipeline.take_kernel_timings()
+        measure = request.metrics and alpha > 0 and source.has_truth
+        wanted = (request.layers | ({names.FINAL} if measure else set())) & specs.keys()
+        truth = None
+        if alpha and source.has_truth and (measure or wanted & {names.TRUTH, names.FOCUS_TRUTH}):
+            seeker.truth = truth = self._truth(k, alpha, notes)
+        if truth is not None and names.FOCUS_TRUTH in wanted:
+            seeker.find_focus(_rgba(truth))
+        reading = time.perf_counter()
+        images = read_layers(pipeline, device_layers(pipeline, shot), wanted)
+        readback_ms = (time.perf_counter() - reading) * 1e3
+        known = Metrics(request.slot, request.setup)
+        if truth is not None and names.TRUTH in wanted:
+            images[names.TRUTH] = _rgba(truth)
+        if truth is not None and measure:
+            known = self._scorer.score(known, shot.moment, images[names.FINAL], truth, source.exposure)
+        return Result(
+            request,
+            shot.moment,
+            images={name: image for name, image in images.items() if name in request.layers},
+            specs=specs,
+            kernels=kernels,
+            wall_ms=(time.perf_counter() - start) * 1e3,
+            readback_ms=readback_ms,
+            warnings=(*source.warnings(), *notes),
+            bad_pixels=seeker.bad_pixels,
+            metrics=known.values,
+            cuts=frozenset(seeker.cuts),
+            render_size=source.render_size,
+        )
+
+    def _truth(self, k: int, alpha: float, notes: list[str]) -> np.ndarray | None:
+        """A fault of the truth is a warning: the slot itself can be shown."""
+        try:
+            return self.source.truth(k, alpha)
+        except GffeError as error:
+            notes.append(str(error))
+            return None
+
+    def must_move(self) -> dict[str, dict[str, float]]:
+        """Bytes per display pixel, by stage and kernel, that the slot made last had to move; empty without one."""
+        pipeline = self._seeker.pipeline
+        if pipeline is None or self._seeker.shot is None:
+            return {}
+        return traffic.bytes_per_pixel(pipeline, self._seeker.launched, traffic.counters(pipeline))
+
+    def inspect(self, x: int, y: int, layers: frozenset[str] | None) -> Inspection | None:
+        """What the slot made last holds at display pixel (x, y); None outside, and where there is no slot."""
+        seeker = self._seeker
+        if not (seeker.shot and 0 <= x < self.source.width and 0 <= y < self.source.height):
+            return None
+        pipeline, shot = seeker.pipeline, seeker.shot
+        values = pixel_values(pipeline, shot, x, y)
+        story = pixel_story(pipeline, shot, x, y, values, seeker.passed)
+        if seeker.truth is not None:
+            values[names.TRUTH] = _rgba(seeker.truth[y : y + 1, x : x + 1])[0, 0]
+        if layers is not None:
+            values = {name: value for name, value in values.items() if name in layers}
+        return Inspection((x, y), self.last.slot, story.source, values, story)
+
+
+def weights_of(options: Options) -> str:
+    """What tells the weights of shading correction from others; empty where it is off."""
+    path = options.weights
+    if path is None:
+        return ""
+    try:
+        state = path.stat()
+    except OSError:
+        return str(path)
+    return f"{path} {state.st_mtime_ns} {state.st_size}"
+
+
+def _rgba(color: np.ndarray) -> np.ndarray:
+    """(H, W, 4) float16 of (H, W, 3)."""
+    out = np.zeros((*color.shape[:2], 4), np.float16)
+    out[..., :3] = color if color.dtype == np.float16 else np.clip(color, -HALF_MAX, HALF_MAX)
+    return out

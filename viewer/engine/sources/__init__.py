@@ -1,0 +1,1 @@
+"""Sources of frames: sequences on disk, built-in scenes, previews."""

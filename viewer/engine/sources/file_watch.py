@@ -1,0 +1,53 @@
+"""Captures that are being written while they are looked at."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gffe_cl.core.errors import GffeError
+from gffe_cl.formats import open_capture
+from gffe_cl.sequence import Sequence
+
+_DESCRIPTIONS = ("sequence.json", "cameras.json")
+
+
+class Growth:
+    """Tells when the capture at `place` has become another one; `look` is called now and then, from one thread."""
+
+    def __init__(self, place: Path):
+        self.place = place
+        self._folder = place if place.is_dir() else place.parent
+        self._known = self._seen = self._state()
+
+    def look(self) -> Sequence | None:
+        """The capture opened anew, if it has changed since it was opened last, and not since the last look: whoever
+        writes it is not in the middle of something. One that cannot be opened is looked at again."""
+        before, self._seen = self._seen, self._state()
+        if self._seen == self._known or self._seen != before:
+            return None
+        try:
+            sequence = open_capture(self.place)
+        except GffeError:
+            return None
+        self._known = self._seen
+        return sequence
+
+    def _state(self) -> list[tuple[int, int] | None]:
+        """Times of change and sizes of the folder and of the files that describe it."""
+        found = []
+        for path in (self._folder, *(self._folder / name for name in _DESCRIPTIONS)):
+            try:
+                state = path.stat()
+                found.append((state.st_mtime_ns, state.st_size))
+            except OSError:
+                found.append(None)
+        return found
+
+
+def continues(sequence: Sequence, longer: Sequence) -> bool:
+    """Whether `longer` is `sequence` with more rendered frames after those that it has."""
+    count = len(sequence.rendered)
+    same = (sequence.width, sequence.height, sequence.fps, sequence.exposure) == (
+        longer.width, longer.height, longer.fps, longer.exposure,
+    )  # fmt: skip
+    return same and len(longer.rendered) > count and longer.rendered[:count] == sequence.rendered

@@ -1,0 +1,226 @@
+"""Frames of a built-in scene, rendered while they are looked at; its camera may be flown."""
+
+from __future__ import annotations
+
+import copy
+import math
+import threading
+from bisect import bisect_left, bisect_right, insort
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gffe_cl.frame.camera import Camera, predict_camera
+from gffe_cl.frame.rendered_frame import BYTES_PER_PIXEL, RenderedFrame
+from gffe_cl.frame.window import WindowChooser
+from gffe_cl.opencl.device import Device
+from gffe_cl.pipeline.run import alphas_for
+from gffe_cl.pipeline.source import jittered_renderer
+from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer
+from gffe_cl.scenes.sequences import require_frames
+from gffe_cl.stages.base import read_some_rows
+from gffe_cl.viewer.engine.explain.motion_trail import REMEMBERED
+from gffe_cl.viewer.engine.sources.source import CACHE_BYTES, FrameSource
+
+_LEAST_RING = 3  # the pipeline uses two frames in place
+_TRUTHS = 4
+_PAST = 9  # rendered frames that a seek submits: only their poses can make what is shown outdated
+_LONGEST_GAP = 8.0  # rendered frames between two flown poses that are of one flight
+
+
+@dataclass
+class _Made:
+    """A frame of a scene on the device, where it was rendered. `previous`: render camera that its motion refers to;
+    `rows`: some rows of its depth, for an adaptive window."""
+
+    k: int
+    frame: RenderedFrame
+    previous: Camera | None
+    rows: np.ndarray | None
+
+
+class SceneSource(FrameSource):
+    """A built-in scene, rendered on the engine's device and left there.
+
+    The camera follows the scene's path where it has not been flown. The last frames are kept on the device: a warm-up
+    takes them as they were played, so their windows may come from frames before it.
+
+    `window`: "adaptive", "fixed:FACTOR" or "off" (None); `samples`: per pixel, at edges; `cache_bytes`: of rendered
+    frames that are kept on the device, at least three frames.
+    """
+
+    live = windowed = has_truth = True
+
+    def __init__(
+        self, scene: Scene, device: Device, width: int, height: int, fps: float | None = None,
+        window: str | None = None, count: int = 600, samples: int = 8, cache_bytes: int = CACHE_BYTES,
+    ):  # fmt: skip
+        self.fps = scene.fps if fps is None else fps
+        require_frames(count, self.fps)
+        self.scene, self.name, self.exposure = scene, scene.name, scene.exposure
+        self.width, self.height, self.count, self.render_size = width, height, count, (width, height)
+        self._device, self._whole = device, SceneRenderer(device, scene, width, height, samples)
+        self._frames, self._upscale, self._most = SceneFrames(self._whole), 0.0, cache_bytes
+        self._empty_ring()
+        self._truths: OrderedDict[tuple, np.ndarray] = OrderedDict()
+        self._since: list[_Made] = []  # delivered since `restart`
+        self._flown: dict[float, Camera] = {}  # by k + alpha
+        self._flown_at: list[float] = []  # its keys in order
+        self._flown_last = -1.0  # key of the last call of `fly`
+        self._flights = 0  # calls of `fly`
+        self._lock = threading.Lock()  # of the flown poses
+        self._way: tuple | None = None
+        self.configure(window, 1)
+
+    def sibling(self):
+        other = copy.copy(self)  # renderer and poses are shared, rendered frames are not: they are used in place
+        other._frames, other._since = copy.copy(self._frames), []
+        other._way, other._most = None, self._most // 4
+        other._empty_ring()
+        return other
+
+    def _empty_ring(self) -> None:
+        """No frames on the device."""
+        self._ring: OrderedDict[tuple, _Made] = OrderedDict()
+        self._ring_size = max(_LEAST_RING, self._most // (sum(BYTES_PER_PIXEL) * math.prod(self.render_size)))
+        self.held = min(REMEMBERED, self._ring_size - 1)
+
+    def configure(self, window, n, upscale=0.0):
+        window = window or "off"
+        way = (window, upscale, *(alphas_for(n) if window == "adaptive" else ()))
+        if way == self._way:
+            return False
+        if upscale != self._upscale:
+            self._render_for(upscale)
+        self._frames.windows = WindowChooser(window, (self.width, self.height), alphas_for(n))
+        self._way = way
+        self.restart()
+        return True
+
+    def _render_for(self, upscale: float) -> None:
+        """Frames for upscaling: smaller and jittered, as `gffe run` renders them; 0: as they are shown."""
+        size, renderer, jitter = (self.width, self.height), self._whole, None
+        if upscale:
+            renderer, jitter = jittered_renderer(self._device, self.scene, size, upscale)
+        self._frames = SceneFrames(renderer, None, size, jitter, self._whole)
+        self._upscale, self.render_size = upscale, self._frames.render_size
+        self._empty_ring()
+
+    def restart(self):
+        size = self.width, self.height
+        self._frames.windows = WindowChooser(self._way[0], size, self._frames.windows.alphas)
+        self._since = []
+
+    def outdated(self, k, alpha):
+        changed = [made for made in self._since if self.camera(made.k, 0.0) != made.frame.display_camera]
+        with self._lock:
+            for made in changed:
+                if made.k not in self._flown or (made.k, 0.0) == (k, alpha):
+                    return True
+                self._flown[made.k] = made.frame.display_camera  # the new pose came too late
+        return False
+
+    def fly(self, k: int, alpha: float, camera: Camera) -> None:
+        """From now on `camera` (display pixels) sees the scene at `time(k, alpha)`. May be called from any thread.
+
+        Calls follow each other as a flight does: it moves evenly from one pose to the next if that is at most eight
+        rendered frames later, and replaces what was flown in between. A new pose of a rendered frame that has been
+        used already is taken only if that frame itself is shown next.
+        """
+        at = k + alpha
+        with self._lock:
+            self._flights += 1
+            self.flight = self._flights
+            if self._flown_last < at <= self._flown_last + _LONGEST_GAP:
+                skipped = slice(bisect_right(self._flown_at, self._flown_last), bisect_left(self._flown_at, at))
+                for between in self._flown_at[skipped]:
+                    del self._flown[between]
+                del self._flown_at[skipped]
+            self._flown_last = at
+            self._record(at, camera)
+
+    def _record(self, at: float, camera: Camera) -> None:
+        if at not in self._flown:
+            insort(self._flown_at, at)
+        self._flown[at] = camera
+
+    def forget_flight(self) -> None:
+        """Back to the scene's own path. May be called from any thread."""
+        with self._lock:
+            self._flown.clear()
+            self._flown_at.clear()
+            self._flown_last, self.flight = -1.0, 0
+
+    def camera(self, k, alpha):
+        return self._flown_camera(k + alpha) or self._frames.display_camera(self.time(k, alpha))
+
+    def _flown_camera(self, at: float) -> Camera | None:
+        with self._lock:
+            if at in self._flown:
+                return self._flown[at]
+            after = bisect_left(self._flown_at, at)
+            if not 0 < after < len(self._flown_at):
+                return None
+            start, end = self._flown_at[after - 1 : after + 1]
+            if end - start > _LONGEST_GAP:
+                return None
+            return predict_camera(self._flown[start], self._flown[end], (at - end) / (end - start))
+
+    def time(self, k, alpha=0.0):
+        step = 1.0 / self.fps
+        return k * step + alpha * (k * step - (k - 1) * step if k else step)
+
+    def rendered(self, k):
+        before = self._since[-1] if self._since and self._since[-1].k == k - 1 else None
+        made = self._made(k, before)
+        self._since = [*self._since[1 - _PAST :], made]
+        if made.rows is not None:
+            self._frames.windows.observe(made.rows)
+        return replace(made.frame, reset=before is None)
+
+    def packed(self, k):
+        return None
+
+    def truth(self, k, alpha):
+        camera = self.camera(k, alpha)
+        key = (k, alpha, *_bits(camera))
+        if key not in self._truths:
+            self._truths[key] = self._whole.render(self.time(k, alpha), camera).read("color")
+            while len(self._truths) > _TRUTHS:
+                self._truths.popitem(last=False)
+        self._truths.move_to_end(key)
+        return self._truths[key]
+
+    def _made(self, k: int, before: _Made | None) -> _Made:
+        """Frame `k` after `before`; without one, as it was made for the window in use, whatever was before it then."""
+        flown = self._flown_camera(k)
+        shown = flown or self.camera(k, 0.0)
+        if flown:
+            with self._lock:
+                self._record(float(k), flown)  # what was flown through is replayed, whatever is flown later
+        key = (k, *self._way, *_bits(shown))
+        kept = self._ring.get(key)
+        if kept is None or before is not None:
+            last = before and before.frame
+            camera = self._frames.render_camera(shown, last, k)
+            if kept is None or (kept.frame.camera, kept.previous) != (camera, last.camera):
+                self._ring[key] = self._render(k, shown, camera, last)
+        self._ring.move_to_end(key)
+        return self._ring[key]
+
+    def _render(self, k: int, shown: Camera, camera: Camera, before: RenderedFrame | None) -> _Made:
+        device, size = self._device, self.render_size
+        image = self._frames.image(self.time(k), camera, before, k)
+        if len(self._ring) >= self._ring_size:
+            oldest = self._ring.popitem(last=False)[1].frame
+            buffers = (oldest.color, oldest.depth, oldest.motion)
+        else:
+            buffers = tuple(device.buffer(nbytes * size[0] * size[1]) for nbytes in BYTES_PER_PIXEL)
+        image.copy_to(buffers)
+        rows = read_some_rows(device, buffers[1], size) if self._way[0] == "adaptive" else None
+        return _Made(k, RenderedFrame(*buffers, camera, self.time(k), shown), before and before.camera, rows)
+
+
+def _bits(camera: Camera) -> tuple[bytes, tuple[float, ...]]:
+    return camera.world_to_view.tobytes(), camera.intrinsics

@@ -1,0 +1,72 @@
+"""Opening the device, and what the user names: a sequence's folder or a built-in scene."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from functools import partial
+from typing import NamedTuple
+
+import pyopencl as cl
+
+from gffe_cl.core.errors import printable
+from gffe_cl.formats import open_capture
+from gffe_cl.opencl.device import Device, open_device
+from gffe_cl.scenes import is_scene, load_scene
+from gffe_cl.sequence import Sequence
+from gffe_cl.viewer.engine.sources.file_watch import Growth
+from gffe_cl.viewer.engine.sources.live import SceneSource
+from gffe_cl.viewer.engine.sources.preview import Previewer, place_of
+from gffe_cl.viewer.engine.sources.recorded import RecordedSource
+from gffe_cl.viewer.engine.sources.source import FrameSource
+
+
+def open_viewer_device(wanted: str | None = None) -> Device:
+    """The device that `open_device` opens; of a CPU all compute units but one, which is left to the interface."""
+    device = open_device(wanted)
+    cl_device = device.cl_device
+    if device.info.kind != "cpu" or cl_device.max_compute_units < 2:
+        return device
+    counts = [cl.device_partition_property.BY_COUNTS, cl_device.max_compute_units - 1]
+    with suppress(cl.Error):
+        return Device(cl_device.create_sub_devices(counts)[0], device.info)
+    return device
+
+
+class ScenePlan(NamedTuple):
+    """How built-in scenes are rendered; `fps`: None for the scene's own."""
+
+    width: int
+    height: int
+    seed: int
+    fps: float | None = None
+
+
+def make_source(
+    target: str,
+    window: str | None,
+    plan: ScenePlan,
+    device,
+    check: bool = False,
+    previewer: Previewer | None = None,
+) -> FrameSource:
+    """The sequence in the folder `target` (or of its sequence.json, or with this file), else the scene of that name.
+    With `check` its `suspicions` will say whether the first frames of a sequence fit. `previewer`: of this target, if
+    one has opened it already. Raises GffeError."""
+    if is_scene(target):
+        source = SceneSource(load_scene(target, plan.seed), device, plan.width, plan.height, plan.fps, window)
+    else:
+        sequence = open_capture(place_of(target)) if previewer is None else previewer.sequence()
+        source = RecordedSource(sequence, device, window if window == "off" else None)
+        source.growth = Growth(place_of(target))
+        if check:
+            source.check = partial(_suspicion, sequence, target)
+    source.target = target
+    return source
+
+
+def _suspicion(sequence: Sequence, target: str) -> str | None:
+    """A sentence, if the first frames do not fit."""
+    from gffe_cl.doctor import quick_warning
+
+    suspicion = quick_warning(sequence, sequence.exposure)
+    return suspicion and printable(f"{suspicion}; `gffe check {target}` says more")

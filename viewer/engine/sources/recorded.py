@@ -1,0 +1,178 @@
+"""Frames of a sequence on disk, read ahead."""
+
+from __future__ import annotations
+
+import threading
+from bisect import bisect_right
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from gffe_cl.core.errors import GffeError, printable
+from gffe_cl.frame.rendered_frame import PackedFrame, RenderedFrame, pack_frame
+from gffe_cl.opencl.device import Device
+from gffe_cl.pipeline.run import alphas_for
+from gffe_cl.pipeline.source import Recorded
+from gffe_cl.sequence import Sequence
+from gffe_cl.stages.presentation import present
+from gffe_cl.viewer.engine.sources.file_watch import Growth, continues
+from gffe_cl.viewer.engine.sources.source import CACHE_BYTES, FrameSource
+
+_AHEAD = 2  # frames read ahead
+
+
+class RecordedSource(Recorded, FrameSource):
+    """A sequence on disk, its decoded frames cached.
+
+    `device` presents the display part for the window "off"; None is the window it was rendered through. `cache_bytes`:
+    of decoded frames that are kept. Raises GffeError as `gffe_cl.pipeline.source.Recorded` does; for faults of a file when its
+    frame is asked for.
+    """
+
+    def __init__(self, sequence: Sequence, device: Device, window: str | None = None, cache_bytes: int = CACHE_BYTES):
+        super().__init__(sequence, device, "off")
+        self.windowed = self._cut
+        super().__init__(sequence, device, window)
+        self.name = printable(sequence.path.resolve().name)
+        self.suspicions: list[str] = []
+        self.check: Callable[[], str | None] | None = None  # finds a suspicion, on a thread of its own
+        self._chosen = window
+        self._alphas = alphas_for(1)
+        self._cache = _ReadAhead(cache_bytes)
+        self.growth: Growth | None = None
+        self._list_frames(sequence)
+
+    def _list_frames(self, sequence: Sequence) -> None:
+        self._entries = sequence.rendered
+        self.resets = tuple(k for k, entry in enumerate(self._entries) if entry.reset or k == 0)
+        truths = sequence.ground_truth
+        self._next_truth = dict(zip((entry.file for entry in truths), truths[1:], strict=False))
+        self.has_truth = bool(truths)
+
+    def grow(self):
+        sequence = self.growth and self.growth.look()
+        if not sequence or not continues(self.sequence, sequence):
+            return False
+        self._list_frames(sequence)
+        super().__init__(sequence, self._device, self._chosen)
+        return True
+
+    def configure(self, window, n, upscale=0.0):
+        self._alphas = alphas_for(n)
+        if window == self._chosen:
+            return False
+        before = self._cut
+        super().__init__(self.sequence, self._device, window)
+        self._chosen = window
+        return self._cut != before
+
+    def look_closer(self):
+        check, self.check = self.check, None
+        if check is not None:
+            threading.Thread(target=self._suspect, args=(check,), name="gffe-viewer-check", daemon=True).start()
+
+    def _suspect(self, check):
+        with suppress(GffeError):  # a frame that cannot be read: who looks at it is told
+            self.suspicions += filter(None, [check()])
+
+    def reset_before(self, k):
+        return self.resets[bisect_right(self.resets, k) - 1]
+
+    def rendered(self, k):
+        return self._frame(k)[0]
+
+    def packed(self, k):
+        return self._frame(k)[1]
+
+    def camera(self, k, alpha):
+        cameras = self.cameras_at([self.time(k, new) for new in self._alphas])
+        return cameras and cameras[self._alphas.index(alpha)]
+
+    def time(self, k, alpha=0.0):
+        time = self._entries[k].time
+        first = k == 0 or self._entries[k].reset
+        return time + alpha * (1.0 / self.fps if first else time - self._entries[k - 1].time)
+
+    def truth(self, k, alpha):
+        entry = self.sequence.at("ground_truth", self.time(k, alpha))
+        if entry is None:
+            return None
+        color = self._cache.get(("truth", entry.file), lambda: self.sequence.read_color(entry))
+        following = self._next_truth.get(entry.file)
+        ahead = {("truth", following.file): lambda: self.sequence.read_color(following)} if following else {}
+        self._cache.ahead("truth", ahead)
+        if color.shape[:2] != (self.height, self.width):
+            raise GffeError(
+                f"{entry.file}: {color.shape[1]}×{color.shape[0]} pixels, expected {self.width}×{self.height}"
+            )
+        return color
+
+    def close(self):
+        self._cache.close()
+
+    def _frame(self, k: int) -> tuple[RenderedFrame, PackedFrame]:
+        made = self._cache.get(("shown", k), lambda: self._shown(k)) if self._cut else self._as_rendered(k)
+        following = [(k + i) % self.count for i in range(1, _AHEAD + 1)]
+        self._cache.ahead("rendered", {("rendered", m): lambda m=m: self._read(m) for m in following})
+        return made
+
+    def _as_rendered(self, k: int) -> tuple[RenderedFrame, PackedFrame]:
+        return self._cache.get(("rendered", k), lambda: self._read(k))
+
+    def _read(self, k: int) -> tuple[RenderedFrame, PackedFrame]:
+        frame = self.sequence.read(self._entries[k])
+        packed = pack_frame(frame, *np.shape(frame.depth))
+        motion = None if frame.motion is None else packed.motion
+        return replace(frame, color=packed.color, depth=packed.depth, motion=motion), packed
+
+    def _shown(self, k: int) -> tuple[RenderedFrame, PackedFrame]:
+        """The display part; bad pixels are those of the whole."""
+        frame, packed = self._as_rendered(k)
+        entry = self._entries[max(k - 1, 0)]
+        before = replace(frame, camera=entry.render_camera, display_camera=entry.display_camera)
+        shown = present(frame, before, size=self.render_size, device=self._device)
+        return shown, replace(pack_frame(shown, self.height, self.width), bad=packed.bad)
+
+
+class _ReadAhead:
+    """Results of reading, by (kind, …): the last `nbytes` of them are kept, some are read ahead on a thread."""
+
+    def __init__(self, nbytes: int):
+        self._most, self._bytes = nbytes, 0
+        self._kept: OrderedDict[Hashable, Any] = OrderedDict()
+        self._coming: dict[tuple, Future] = {}
+        self._pool = ThreadPoolExecutor(1, thread_name_prefix="gffe-viewer-read")
+
+    def get(self, key: tuple, read: Callable[[], Any]) -> Any:
+        """What was kept or comes, else what `read` returns; raises what reading raised, and tries again next time."""
+        if key in self._kept:
+            self._kept.move_to_end(key)
+            return self._kept[key]
+        future = self._coming.pop(key, None)
+        value = self._kept[key] = read() if future is None else future.result()
+        self._bytes += _nbytes(value)
+        while self._bytes > self._most and len(self._kept) > 1:
+            self._bytes -= _nbytes(self._kept.popitem(last=False)[1])
+        return value
+
+    def ahead(self, kind: str, wanted: dict[tuple, Callable[[], Any]]) -> None:
+        """Read `wanted` next, and nothing else of this kind."""
+        for key in [key for key in self._coming if key[0] == kind and key not in wanted]:
+            self._coming.pop(key).cancel()
+        for key, read in wanted.items():
+            if key not in self._kept and key not in self._coming:
+                self._coming[key] = self._pool.submit(read)
+
+    def close(self) -> None:
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _nbytes(value: np.ndarray | tuple[RenderedFrame, PackedFrame]) -> int:
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    return sum(array.nbytes for array in (value[1].color, value[1].depth, value[1].motion))

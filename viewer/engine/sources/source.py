@@ -1,0 +1,93 @@
+"""What the viewer's frames come from: the contract of a source."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable
+from typing import Protocol
+
+import numpy as np
+
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import PackedFrame, RenderedFrame
+from gffe_cl.viewer.engine.explain.motion_trail import REMEMBERED
+
+CACHE_BYTES = 512 << 20  # of frames that a source keeps
+
+
+class FrameSource(Protocol):
+    """Rendered frames by number. All but `fly`, `forget_flight` and `time` is called from one thread, the engine's.
+
+    `target`: how the user named it; `width`, `height`: of the display, pixels; `render_size`: (width, height) of the
+    rendered frames, may change with `configure`; `count`: of rendered frames; `live`: rendered meanwhile, the camera
+    may be flown; `windowed`: rendered through a window that can be used or not; `resets`: numbers of the frames
+    that are told to be one, in order; `flight`: another number whenever other poses are flown, 0 for none;
+    `held`: of the frames delivered last, so many stay as they are;
+    `suspicions`: sentences about the whole, more of them may come.
+    """
+
+    name: str
+    width: int
+    height: int
+    render_size: tuple[int, int]
+    fps: float
+    exposure: float
+    count: int
+    target: str = ""
+    live: bool = False
+    windowed: bool = False
+    resets: tuple[int, ...] = (0,)
+    has_truth: bool = False
+    flight: int = 0
+    held: int = REMEMBERED
+    suspicions: Iterable[str] = ()
+
+    def sibling(self) -> FrameSource:
+        """The same frames for another pipeline, which uses it on the same thread: with a window and a place of its own.
+        What is read is shared; `fly` and `close` are called for this one only."""
+        return copy.copy(self)
+
+    def configure(self, window: str | None, n: int, upscale: float = 0.0) -> bool:
+        """Use rendering window `window` for `n` generated frames per rendered one, and render for upscaling by
+        `upscale` where frames are rendered meanwhile; whether rendered frames change by that. Raises GffeError for a
+        window that this source does not have."""
+
+    def restart(self) -> None:
+        """The next frame asked for has none before it."""
+
+    def outdated(self, k: int, alpha: float) -> bool:
+        """Whether frames delivered since `restart` must be delivered anew before `time(k, alpha)` is shown."""
+        return False
+
+    def reset_before(self, k: int) -> int:
+        """Number of the last reset frame up to `k`."""
+        return 0
+
+    def rendered(self, k: int) -> RenderedFrame:
+        """Frame `k`, of host arrays or device buffers. Raises GffeError."""
+
+    def packed(self, k: int) -> PackedFrame | None:
+        """`pack_frame` of frame `k`; None where `rendered` gives device buffers."""
+
+    def camera(self, k: int, alpha: float) -> Camera | None:
+        """Display camera at `time(k, alpha)`, if it and those of the other new frames of the interval are known."""
+
+    def truth(self, k: int, alpha: float) -> np.ndarray | None:
+        """(H, W, 3) linear RGB, float16 or float32: the ground truth at `time(k, alpha)`, if there is one."""
+
+    def time(self, k: int, alpha: float = 0.0) -> float:
+        """Seconds: of frame `k`, and `alpha` times the interval before it later."""
+
+    def warnings(self) -> list[str]:
+        """Legal but suspicious things met so far."""
+        return []
+
+    def grow(self) -> bool:
+        """Take over frames that were added at the end since it was opened; whether there are any."""
+        return False
+
+    def look_closer(self) -> None:
+        """The first slot is made: now there is time for `suspicions`."""
+
+    def close(self) -> None:
+        """Stops what runs beside."""

@@ -1,0 +1,97 @@
+"""What there is to show: the source that is open, and the slot that was computed last."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.layers import LayerSpec
+from gffe_cl.viewer.engine.messages import Result
+from gffe_cl.viewer.engine.sources.source import FrameSource
+from gffe_cl.viewer.picture.displays import FrameInfo, area_of
+
+
+class Contents:
+    """Of the picture and of the list of layers.
+
+    Attributes
+    ----------
+    source : FrameSource or None
+    result : Result or None
+        Of the slot computed last; None until there is one of this source.
+    second : Result or None
+        Of the same slot by other settings, where these are compared; its layers are named by `names.of_second`.
+    layers : list of LayerSpec
+        All that can be shown.
+    changes : int
+        How often there were other images.
+    """
+
+    def __init__(self):
+        self.source: FrameSource | None = None
+        self.result: Result | None = None
+        self.second: Result | None = None
+        self.layers: list[LayerSpec] = []
+        self.changes = 0
+
+    def open(self, source: FrameSource) -> None:
+        self.source, self.result, self.second = source, None, None
+        self.changes += 1
+
+    def take(self, result: Result, second: Result | None = None) -> None:
+        self.result, self.second, self.layers = result, second, list(result.specs.values())
+        self.changes += 1
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the display, pixels."""
+        return self.source.width, self.source.height
+
+    @property
+    def resets(self) -> dict[int, str]:
+        """Rendered frames after which nothing older is used, and why: those that are told, and cuts found so far."""
+        found = self.result.cuts if self.result is not None else ()
+        return dict.fromkeys(sorted(found), "a cut was found here") | dict.fromkeys(self.source.resets[1:], "reset")
+
+    @property
+    def asked(self) -> frozenset[str]:
+        """Layers that the present images were asked for."""
+        asked = self.result.request.layers if self.result is not None else frozenset()
+        return asked | {names.of_second(name) for name in (self.second.request.layers if self.second else ())}
+
+    def spec(self, name: str | None) -> LayerSpec | None:
+        if names.is_second(name):
+            name = names.plain(name)
+            if self.second is not None:
+                return self.second.specs.get(name)
+        return next((spec for spec in self.layers if spec.name == name), None)
+
+    def image(self, name: str | None) -> np.ndarray | None:
+        if names.is_second(name):
+            return None if self.second is None else self.second.images.get(names.plain(name))
+        return None if self.result is None else self.result.images.get(name)
+
+    def find(self, text: str) -> str | None:
+        """Full name of a layer given by it or by the buffer's name alone."""
+        found = [spec.name for spec in self.layers]
+        if text in found:
+            return text
+        return next((name for name in found if name.partition(".")[2] == text), None)
+
+    def why_not(self, name: str) -> str | None:
+        """Why a layer cannot be shown in this sequence."""
+        name = names.plain(name)
+        if name in (names.TRUTH, names.FOCUS_TRUTH) and self.source is not None and not self.source.has_truth:
+            return "this sequence has no ground truth"
+        return None
+
+    def showable(self) -> list[LayerSpec]:
+        return [spec for spec in self.layers if self.why_not(spec.name) is None]
+
+    def frame_info(self, result: Result | None = None) -> FrameInfo:
+        """What the layers of the result refer to, for displaying them; by default of A's."""
+        result = result or self.result
+        source, moment, rendered = self.source, result.moment, result.render_size
+        area = area_of(moment.render_camera, rendered, moment.display_camera, self.size)
+        cameras = moment.render_camera, moment.previous_camera
+        return FrameInfo(self.size, rendered, self.size, source.exposure, *cameras, source_area=area)

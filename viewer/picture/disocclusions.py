@@ -1,0 +1,106 @@
+"""Disocclusions over the picture: what a generated frame had no pixels for, also while the camera flies."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.layers import LayerSpec
+from gffe_cl.viewer.engine.messages import Result, Setup
+from gffe_cl.viewer.engine.slot_metrics import out_of_screen
+from gffe_cl.viewer.picture.current_frame import Contents
+from gffe_cl.viewer.picture.view import View
+
+NAME = OVERLAY = "disocclusions"
+KINDS = ("out of screen", "hidden")  # in this order: the labels, and the colours of regions of errors
+NONE = 255
+_NEEDED = frozenset({names.DEPTH, names.DISOCCLUDED})
+_REMEMBERED = 60  # generated frames: a second of most flights
+_SPEC = LayerSpec(NAME, "Disocclusions", "overlay", "label", labels=tuple(enumerate(KINDS)))
+
+
+class Share(NamedTuple):
+    """Of the picture, 0 to 1: what is still empty after crack closing, and the part of it that lies outside of the
+    rendered frame, which a larger rendering window would have."""
+
+    all: float
+    out_of_screen: float
+
+    def __str__(self) -> str:
+        return f"{self.all:.1%} ({self.out_of_screen:.1%} out of screen)"
+
+
+class Disocclusions:
+    """Found while the overlay "disocclusions" is on, for every slot before it is drawn.
+
+    Attributes
+    ----------
+    share : Share or None
+        Of the slot that is shown, if it is a generated one.
+    """
+
+    def __init__(self, view: View, contents: Contents):
+        self._view, self._contents = view, contents
+        self._seen = -1
+        self._shares: deque[Share] = deque(maxlen=_REMEMBERED)
+        self._setup: Setup | None = None  # of which the shares are
+        self.share: Share | None = None
+
+    @property
+    def on(self) -> bool:
+        return self._view.overlay == OVERLAY
+
+    def switch(self, on: bool) -> None:
+        """Show them over the picture, or not."""
+        self._view.overlay = OVERLAY if on else "none"
+
+    def forget(self) -> None:
+        """There is another source."""
+        self._setup, self.share = None, None
+        self._shares.clear()
+
+    @property
+    def needed(self) -> frozenset[str]:
+        """Layers to read back for it."""
+        return _NEEDED if self.on else frozenset()
+
+    @property
+    def mean(self) -> Share | None:
+        """Over the generated frames shown lately with these settings."""
+        return Share(*np.mean(self._shares, 0).tolist()) if self._shares else None
+
+    def text(self) -> str:
+        """What is known, in words; empty where nothing is."""
+        parts = [f"disoccluded {self.share}"] if self.share else []
+        if len(self._shares) > 1:
+            parts.append(f"last {len(self._shares)} frames {self.mean}")
+        return "   ".join(parts)
+
+    def update(self, canvas) -> None:
+        """Once per frame of the interface, after the images have come."""
+        contents = self._contents
+        if not self.on or contents.changes == self._seen:
+            return
+        self._seen, self.share = contents.changes, None
+        result = contents.result
+        labels = None if result is None else self._labels(result)
+        if canvas is not None and labels is not None:
+            canvas.upload(NAME, labels, _SPEC)
+        elif canvas is not None:
+            canvas.forget([NAME])
+
+    def _labels(self, result: Result) -> np.ndarray | None:
+        """(H, W) uint8, indices into `KINDS` and NONE; nothing of rendered frames."""
+        if not (result.moment.alpha and result.images.keys() >= _NEEDED):
+            return None
+        holes = result.images[names.DISOCCLUDED] != 0
+        outside = out_of_screen(result, holes)
+        if result.request.setup != self._setup:
+            self._setup = result.request.setup
+            self._shares.clear()
+        self.share = Share(*(np.count_nonzero(mask) / holes.size for mask in (holes, outside)))
+        self._shares.append(self.share)
+        return np.where(outside, np.uint8(0), np.where(holes, np.uint8(1), np.uint8(NONE)))

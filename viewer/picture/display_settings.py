@@ -1,0 +1,109 @@
+"""How each layer is displayed: fitted to its picture at the first look, changed by the user, remembered."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.layers import LayerSpec
+from gffe_cl.viewer.picture.current_frame import Contents
+from gffe_cl.viewer.picture.displays import Display, default_display, fitted, shown_as
+
+_SAMPLES = 65536
+_LARGEST_EXPOSURE = 16.0  # stops
+
+
+class Looks:
+    """Displays of layers by name; what the user chose is in `saved` too. A display is never changed in place."""
+
+    def __init__(self, contents: Contents, saved: dict[str, dict]):
+        self._contents, self._saved = contents, saved
+        self._displays: dict[str, Display] = {}
+
+    def of(self, name: str) -> Display:
+        """How the layer `name` is displayed now, whatever settings made it."""
+        name = names.plain(name)
+        if name not in self._displays:
+            spec = self._contents.spec(name)
+            if name not in self._saved:
+                return Display() if spec is None else default_display(spec)
+            self._displays[name] = Display.from_dict(self._saved[name])
+        return self._displays[name]
+
+    def meet(self, layers: Iterable[str]) -> None:
+        """Layers whose images are there: those that were never looked at get a range that fits."""
+        for name in layers:
+            spec = self._contents.spec(name)
+            if name not in self._displays and name not in self._saved and spec is not None:
+                self._displays[name] = self._first(spec)
+
+    def forget(self) -> None:
+        """Other pictures: what was fitted to the old ones does not hold for them."""
+        self._displays.clear()
+
+    def change(self, name: str, **values) -> None:
+        """Display a layer with these `values` from now on."""
+        self._keep(name, replace(self.of(name), **values))
+
+    def choose_plane(self, name: str, plane: int) -> None:
+        """Show another plane; of a scalar with a range of its own."""
+        self.change(name, plane=plane)
+        spec = self._contents.spec(name)
+        if spec is not None and shown_as(spec, self.of(name))[0] == "scalar":
+            self._keep(name, self._fitted(spec, self.of(name)))
+
+    def expose(self, name: str, stops: float) -> None:
+        self.change(name, exposure=self.of(name).exposure + stops)
+
+    def fit(self, name: str) -> None:
+        """Range from the picture; of a colour its exposure."""
+        spec = self._contents.spec(name)
+        if spec is None:
+            return
+        display = self.of(name)
+        if shown_as(spec, display)[0] == "color":
+            display = replace(display, exposure=self._exposure(name, display.exposure))
+        self._keep(name, self._fitted(spec, display))
+
+    def _exposure(self, name: str, now: float) -> float:
+        """Stops that make the brightest of 99% of the pixels just white."""
+        image = self._contents.image(name)
+        if image is None:
+            return now
+        pixels = image[..., :3].reshape(-1, 3)
+        brightest = pixels[:: max(len(pixels) // _SAMPLES, 1)].astype(np.float64).max(-1)
+        brightest = brightest[np.isfinite(brightest)]
+        white = float(np.quantile(brightest, 0.99)) * self._contents.source.exposure if brightest.size else 0.0
+        return min(max(-math.log2(white), -_LARGEST_EXPOSURE), _LARGEST_EXPOSURE) if white > 0 else now
+
+    def reset(self, name: str) -> None:
+        spec = self._contents.spec(name)
+        if spec is not None:
+            self._displays[name] = self._first(spec)
+            self._saved.pop(name, None)
+
+    def next_channel(self, name: str) -> None:
+        spec = self._contents.spec(name)
+        if spec is not None:
+            now = self.of(name).channel
+            index = spec.channels.index(now) if now in spec.channels else 0
+            self.change(name, channel=spec.channels[(index + 1) % len(spec.channels)])
+
+    def _keep(self, name: str, display: Display) -> None:
+        self._displays[name] = display
+        self._saved[name] = display.to_dict()
+
+    def _first(self, spec: LayerSpec) -> Display:
+        display = default_display(spec)
+        return display if spec.limits else self._fitted(spec, display)
+
+    def _fitted(self, spec: LayerSpec, display: Display) -> Display:
+        contents = self._contents
+        image = contents.image(spec.name)
+        if image is None:
+            return display
+        return fitted(spec, image, display, contents.frame_info(), contents.image(names.RENDERED_DEPTH))

@@ -1,0 +1,131 @@
+"""Regions of errors: their map as a layer, and their figures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gffe_cl.evaluation.metrics import display_values, squared_error
+from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.layers import LayerSpec
+from gffe_cl.viewer.engine.messages import Result
+from gffe_cl.viewer.engine.slot_metrics import NEEDED, REGIONS, Part, parts_of, region_labels
+from gffe_cl.viewer.picture.current_frame import Contents
+from gffe_cl.viewer.picture.latest import Latest
+from gffe_cl.viewer.picture.view import View
+
+NAME = "regions"
+SPEC = LayerSpec(
+    NAME, "Regions", "compare", "label", labels=tuple(enumerate(REGIONS)), description="where errors are counted"
+)
+
+
+@dataclass(frozen=True)
+class RegionMap:
+    """`labels`: (H, W) uint8, indices into `REGIONS`, as A's pipeline finds them; the parts of A's error in them, and
+    of B's, if it is there."""
+
+    labels: np.ndarray
+    a: dict[str, Part]
+    b: dict[str, Part] | None = None
+
+
+def region_map(result: Result, b: np.ndarray | None, exposure: float) -> RegionMap:
+    """Of a generated slot of A with the layers `figures.NEEDED`, and B's final colours (H, W, 4) of the same slot."""
+    labels = region_labels(result, exposure)
+    true = display_values(result.images[names.TRUTH][..., :3], exposure)
+    parts = [
+        None if color is None else parts_of(labels, squared_error(display_values(color[..., :3], exposure), true))
+        for color in (result.images[names.FINAL], b)
+    ]
+    return RegionMap(labels, *parts)
+
+
+OVERLAY = "regions"
+
+
+class Regions:
+    """Found while the overlay "regions" is on.
+
+    Attributes
+    ----------
+    map : RegionMap or None
+        Of the slot that is shown, once it is known.
+    changes : int
+        How often there was another one.
+    """
+
+    def __init__(self, view: View, contents: Contents):
+        self._view, self._contents = view, contents
+        self._maps = Latest("regions")
+        self.map: RegionMap | None = None
+        self.changes = 0
+
+    @property
+    def on(self) -> bool:
+        return self._view.overlay == OVERLAY
+
+    def switch(self, on: bool) -> None:
+        """Show them over the picture, or not."""
+        self._view.overlay, self._view.region = OVERLAY if on else "none", -1
+
+    @property
+    def only(self) -> str | None:
+        """The region that is seen alone."""
+        return list(REGIONS)[self._view.region] if self.on and self._view.region >= 0 else None
+
+    def see_only(self, name: str | None) -> None:
+        """One region alone, None: all of them, each in its colour; again: all of them."""
+        again = name is not None and name == self.only
+        self.switch(True)
+        self._view.region = -1 if name is None or again else list(REGIONS).index(name)
+
+    def why_not(self) -> str | None:
+        """Why there are no regions here."""
+        contents = self._contents
+        reason = contents.why_not(names.TRUTH)
+        if reason or contents.result is None:
+            return reason
+        if not contents.result.moment.alpha:
+            return "a rendered frame has no errors"
+        known = self._contents.image(names.TRUTH) is not None or names.TRUTH not in contents.asked
+        return None if known else "there is no ground truth at this time"
+
+    @property
+    def needed(self) -> frozenset[str]:
+        """Layers to read back for it."""
+        return NEEDED if self.on else frozenset()
+
+    @property
+    def ready(self) -> bool:
+        """Whether what is shown belongs to the present images."""
+        return not self.on or self.why_not() is not None or self._maps.ready
+
+    def update(self, canvas) -> str | None:
+        """Once per frame of the interface: take what is found, and have the next found. Returns what went wrong."""
+        if not self.on:
+            return None
+        result, contents = self._contents.result, self._contents
+        try:
+            made = self._maps.take()
+        except Exception as error:
+            self.switch(False)
+            return f"regions: {error}"
+        if made is not None:
+            self.map, self.changes = made, self.changes + 1
+            if canvas is not None:
+                canvas.upload(NAME, made.labels, SPEC)
+        have = result is not None and NEEDED & result.specs.keys() <= result.images.keys()
+        if not have or self.why_not() is not None:
+            if self.map is not None and result is not None and self.why_not():
+                self.map, self.changes = None, self.changes + 1
+                if canvas is not None:
+                    canvas.forget([NAME])
+            return None
+        second = contents.image(names.of_second(names.FINAL))
+        self._maps.want((contents.changes, second is None), region_map, result, second, contents.source.exposure)
+        return None
+
+    def close(self) -> None:
+        self._maps.close()

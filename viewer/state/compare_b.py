@@ -1,0 +1,95 @@
+"""B where it is not another layer but other settings: the same slot, made beside A's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from gffe_cl.viewer.engine.engine import Engine
+from gffe_cl.viewer.engine.messages import EngineError, Recipe, Request, Result
+from gffe_cl.viewer.state.presets import Kept
+
+
+class Second:
+    """Brings B's slots together with A's: what is shown is of one slot, so whichever is there first waits.
+
+    Parameters
+    ----------
+    find : callable
+        What the cache has for a recipe and a request.
+
+    Attributes
+    ----------
+    kept : Kept or None
+        B's settings while there is something to show of them.
+    fault : str
+        Why there is nothing of B; empty if there is.
+    asked : Request or None
+        What was asked of B last.
+    """
+
+    def __init__(self, engine: Engine, find: Callable[[Recipe, Request], Result | None]):
+        self._engine, self._find = engine, find
+        self.kept: Kept | None = None
+        self.fault = ""
+        self.asked: Request | None = None
+        self._first: Result | None = None  # A's, which waits for B's
+        self._made: Result | None = None  # B's
+        self._shown: Request | None = None  # of B, that was given to be shown
+
+    def compare_with(self, kept: Kept | None) -> None:
+        """With these settings from now on; None: with none."""
+        if kept is None or self.kept is None or replace(kept, name=self.kept.name) != self.kept:
+            self.forget()
+        self.kept = kept
+
+    def forget(self) -> None:
+        """Nothing is waited for any more."""
+        if self.asked is not None:
+            self._engine.withdraw("b")
+        self.asked = self._first = self._made = None
+        self.fault = ""
+
+    @property
+    def waits(self) -> bool:
+        """Whether A's and B's results of what was asked for are not both there."""
+        return self.kept is not None and self.asked is not None and self._shown != self.asked
+
+    def request(self, first: Request, layers: frozenset[str]) -> Request:
+        """What is asked of B where `first` is asked of A."""
+        return replace(first, setup=self.kept.setup(first.setup.n), layers=layers, role="b")
+
+    def ask(self, request: Request, source) -> None:
+        """The slot of B that belongs to the one of A that is asked for now."""
+        self.asked, self.fault = request, ""
+        self._first = self._shown = None
+        kept = self._find(self._engine.recipe(request.setup), request) if request.keep else None
+        self._made = None if kept is None else replace(kept, request=request)
+        if kept is None:
+            self._engine.submit(request, source)
+
+    def failed(self, error: EngineError) -> bool:
+        """Whether a fault is B's: then A is shown alone."""
+        if self.asked is None or error.serial != self.asked.serial:
+            return False
+        self.fault = error.message
+        return True
+
+    def belongs(self, first: Result) -> bool:
+        """Whether a result of A is to be shown together with one of B."""
+        return self.asked is not None and self.asked.slot == first.request.slot
+
+    def pair(self, first: Result) -> None:
+        """A's result is there."""
+        self._first = first
+
+    def take(self) -> tuple[Result, Result | None] | None:
+        """A's and B's results when both are there; B's is None if it failed."""
+        made = self._engine.poll("b")
+        if made is not None and made.request == self.asked:
+            self._made = made
+        if self._first is None or (self._made is None and not self.fault):
+            return None
+        pair = self._first, self._made
+        self._first, self._shown = None, self.asked
+        return pair

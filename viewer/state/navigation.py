@@ -1,0 +1,145 @@
+"""Ways through a scene: flying its camera, and following the links of a pixel's story."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from gffe_cl.frame.camera import Camera
+from gffe_cl.viewer.engine.explain.motion_trail import WayPoint
+from gffe_cl.viewer.engine.explain.pixel_explain_types import Link
+from gffe_cl.viewer.picture.current_frame import Contents
+from gffe_cl.viewer.picture.view import View
+from gffe_cl.viewer.state.playback import Playback
+from gffe_cl.viewer.state.viewport import Pointing
+
+_SPEED = 2.0  # world units per second
+_STEEPEST = math.radians(85)
+_LONGEST = 0.15  # seconds that are flown at once
+
+
+class Flight(NamedTuple):
+    """Steering of one interface frame: (right, up, forward) in −1 … 1 and times faster; turns in degrees, and `spin`,
+    (yaw, pitch) in degrees per second."""
+
+    move: tuple[float, float, float]
+    faster: float
+    yaw: float
+    pitch: float
+    spin: tuple[float, float] = (0.0, 0.0)
+
+
+class Flyer:
+    """A camera that is steered; `pose` is where it is now (display pixels)."""
+
+    def __init__(self, start: Camera):
+        self.active = True
+        self._start = start
+        self._position = start.position.copy()
+        direction = start.direction
+        self._yaw = math.atan2(direction[0], -direction[2])
+        self._pitch = math.asin(min(max(direction[1], -1.0), 1.0))
+        self._then: float | None = None
+        self.moved = True  # since somebody last set it to False
+        self.pose = start
+
+    def steer(self, flight: Flight, now: float) -> None:
+        """Move on by the time since the last call (seconds) and turn."""
+        elapsed = 0.0 if self._then is None else min(now - self._then, _LONGEST)
+        self._then = now
+        yaw, pitch = (turn + elapsed * spin for turn, spin in zip((flight.yaw, flight.pitch), flight.spin, strict=True))
+        moving = any(flight.move) and elapsed > 0
+        if not (moving or yaw or pitch):
+            return
+        self.moved = True
+        self._yaw += math.radians(yaw)
+        self._pitch = min(max(self._pitch - math.radians(pitch), -_STEEPEST), _STEEPEST)
+        level = math.cos(self._pitch)
+        forward = np.array([math.sin(self._yaw) * level, math.sin(self._pitch), -math.cos(self._yaw) * level])
+        right = np.array([math.cos(self._yaw), 0.0, math.sin(self._yaw)])
+        axes = np.stack([right, (0.0, 1.0, 0.0), forward])
+        self._position += np.asarray(flight.move) @ axes * (_SPEED * flight.faster * elapsed)
+        self.pose = Camera.from_pose(self._position, forward, (0.0, 1.0, 0.0), *self._start.intrinsics)
+
+
+_MOST = 50
+
+
+@dataclass(frozen=True)
+class _Place:
+    """What was looked at."""
+
+    slot: int
+    layer: str
+    pixel: tuple[int, int] | None
+    zoom: float
+    centre: tuple[float, float]
+
+
+class Walk:
+    """The places from which links were followed."""
+
+    def __init__(self, view: View, contents: Contents, playback: Playback, pointing: Pointing):
+        self._view, self._contents, self._playback, self._pointing = view, contents, playback, pointing
+        self._left: list[_Place] = []
+
+    def forget(self) -> None:
+        """There is another source."""
+        self._left.clear()
+
+    def why_not(self, link: Link) -> str | None:
+        """Why a link leads nowhere."""
+        if link.layer and self._contents.spec(link.layer) is None:
+            return "this layer is not made with these options"
+        if link.pixel is not None and not all(0 <= c < s for c, s in zip(link.pixel, self._contents.size, strict=True)):
+            return "outside of what is displayed"
+        return None
+
+    def follow(self, link: Link) -> None:
+        """Go where a link leads."""
+        if self.why_not(link) is not None:
+            return
+        self._leave()
+        if link.layer:
+            self._view.a = link.layer
+        if link.frame is not None:
+            self._playback.seek(link.frame * (self._playback.n + 1))
+        if link.pixel is not None:
+            self.look_at(link.pixel)
+
+    def follow_way(self, point: WayPoint) -> None:
+        """Go to where the fragment was in that rendered frame."""
+        x, y = point.px
+        self.follow(Link("", frame=point.k, pixel=(int(x // 1), int(y // 1))))
+
+    def go_to_pixel(self, pixel: tuple[int, int]) -> None:
+        """Look at a pixel of this slot."""
+        self._leave()
+        self.look_at(pixel)
+
+    def look_at(self, pixel: tuple[int, int]) -> None:
+        """Tell its story; where only a part of the picture is seen, have it in the middle."""
+        self._pointing.pick(pixel)
+        view, size = self._view, self._contents.size
+        if view.centre != (size[0] / 2, size[1] / 2):
+            view.centre = (pixel[0] + 0.5, pixel[1] + 0.5)
+
+    @property
+    def can_go_back(self) -> bool:
+        return bool(self._left)
+
+    def back(self) -> None:
+        """To where the last link was followed."""
+        place = self._left.pop()
+        self._view.a, self._view.zoom, self._view.centre = place.layer, place.zoom, place.centre
+        if self._playback.slot != place.slot:
+            self._playback.seek(place.slot)
+        self._pointing.pick(place.pixel)
+
+    def _leave(self) -> None:
+        view = self._view
+        place = _Place(self._playback.slot, view.a, self._pointing.picked, view.zoom, view.centre)
+        self._left = [*self._left[1 - _MOST :], place]

@@ -1,0 +1,154 @@
+"""Settings that were kept under a name, to be B beside those that go on being changed; and the command line that gives
+what settings give."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass, replace
+from typing import Any
+
+from gffe_cl.core.errors import GffeError
+from gffe_cl.pipeline.options import OPTIONS, Options, command_words
+from gffe_cl.viewer.engine.messages import Setup
+from gffe_cl.viewer.engine.slot_renderer import weights_of
+from gffe_cl.viewer.engine.sources.preview import place_of
+from gffe_cl.viewer.engine.sources.source import FrameSource
+
+_MOST = 12
+_LONGEST = 60  # letters of a name
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Settings under a name: modules, parameters, network and rendering window as they were. `kernels`: the build that
+    was in use, of this session; empty: the newest. `weights`: what told those of the network from others."""
+
+    name: str
+    options: Options
+    window: str | None = None
+    kernels: str = ""
+    weights: str = ""
+
+    def setup(self, n: int) -> Setup:
+        """... for `n` generated frames per rendered one, which is a matter of playback."""
+        return Setup(self.options, self.window, n, self.kernels)
+
+    @property
+    def suspicion(self) -> str:
+        """What is not as it was when the settings were kept; empty if nothing."""
+        if self.weights != weights_of(self.options):
+            return "the network's file has changed since these settings were kept"
+        return ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain JSON; kernels are not in it."""
+        changed = {
+            name: getattr(self.options, name)
+            for name, option in OPTIONS.items()
+            if getattr(self.options, name) != option.default
+        }
+        return {"name": self.name, "options": changed, "window": self.window}
+
+    @classmethod
+    def from_json(cls, document: Any) -> Kept | None:
+        """What `to_json` returned once; None if it is damaged."""
+        if not isinstance(document, dict) or not isinstance(document.get("options"), dict):
+            return None
+        name, window = document.get("name"), document.get("window")
+        if not isinstance(name, str) or not name.strip() or not (window is None or isinstance(window, str)):
+            return None
+        known = {key: value for key, value in document["options"].items() if key in OPTIONS}
+        try:
+            options = Options(**known)
+        except (GffeError, TypeError):
+            return None
+        return cls(name[:_LONGEST], options, window, "", weights_of(options))
+
+
+class KeptSettings:
+    """All kept settings, the latest first, and the one that is B.
+
+    Attributes
+    ----------
+    all : list of Kept
+    b : Kept or None
+    """
+
+    def __init__(self):
+        self.all: list[Kept] = []
+        self.b: Kept | None = None
+
+    def keep(self, setup: Setup, kernels: str, name: str = "") -> Kept:
+        """Keep what is computed now, as B; the same under another name gets that name."""
+        made = Kept(name or self._unused(setup), setup.options, setup.window, kernels, weights_of(setup.options))
+        self.all = [kept for kept in self.all if replace(kept, name=made.name) != made and kept.name != made.name]
+        self.all = [made, *self.all][:_MOST]
+        self.b = made
+        return made
+
+    def rename(self, kept: Kept, name: str) -> None:
+        """Another name; none that is taken or empty."""
+        name = name.strip()[:_LONGEST]
+        if not name or any(other.name == name for other in self.all):
+            return
+        renamed = replace(kept, name=name)
+        self.all = [renamed if other == kept else other for other in self.all]
+        self.b = renamed if self.b == kept else self.b
+
+    def choose(self, name: str) -> None:
+        """As B."""
+        self.b = next((kept for kept in self.all if kept.name == name), self.b)
+
+    def forget(self, kept: Kept) -> None:
+        self.all = [other for other in self.all if other != kept]
+        if self.b == kept:
+            self.b = self.all[0] if self.all else None
+
+    def preferences(self) -> list[dict[str, Any]]:
+        """Plain JSON."""
+        return [kept.to_json() for kept in self.all]
+
+    def restore(self, saved: list) -> None:
+        """Take over what `preferences` returned once; what is damaged is left out. None of them is B."""
+        found = filter(None, map(Kept.from_json, saved))
+        self.all = list({kept.name: kept for kept in found}.values())[:_MOST]
+
+    def _unused(self, setup: Setup) -> str:
+        """A name that says what is not as usual, and is not taken."""
+        stem = told(setup)
+        taken, number = {kept.name for kept in self.all}, 1
+        while (name := stem if number == 1 else f"{stem} ({number})") in taken:
+            number += 1
+        return name
+
+
+def told(setup: Setup) -> str:
+    """What is not as usual, in a few words."""
+    return ", ".join(_deviations(setup.options))[: _LONGEST - 5].rstrip(" ,") or "defaults"
+
+
+def _deviations(options: Options) -> list[str]:
+    """... one by one."""
+    found = []
+    for name, option in OPTIONS.items():
+        value = getattr(options, name)
+        if value == option.default or not option.remembered:
+            continue
+        if option.automatic and option.kind is bool and (value or not Options().corrects_shading):
+            continue  # as it would be by itself
+        label = option.off_label or option.label if value == option.off else option.label
+        off = option.off is not None and value == option.off
+        found.append(f"no {label}" if off else label if value is True else f"{label} {value}")
+    return found
+
+
+def command_line(setup: Setup, source: FrameSource, seed: int) -> str:
+    """What gives the frames that the viewer shows with `setup`, for a shell; `seed`: of a built-in scene."""
+    target = source.target if source.live else str(place_of(source.target).absolute())
+    words = ["gffe", "run", target, f"{source.name}_extrapolated"]
+    words += ["-n", str(setup.n)] if setup.n != 1 else []
+    if source.live:
+        words += ["--size", f"{source.width}x{source.height}"] + (["--seed", str(seed)] if seed else [])
+    usual = "off" if source.live else None
+    words += ["--window", setup.window] if setup.window not in (None, usual) else []
+    return shlex.join([*words, *command_words(setup.options)])

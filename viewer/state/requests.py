@@ -1,0 +1,198 @@
+"""What is asked of the engine: the slot that is due, the layers that are read back, and slots ahead for the cache."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from itertools import islice
+
+from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.cache import FrameKey, Playhead
+from gffe_cl.viewer.engine.engine import Engine
+from gffe_cl.viewer.engine.messages import Recipe, Request, Result
+from gffe_cl.viewer.picture.current_frame import Contents
+from gffe_cl.viewer.picture.disocclusions import Disocclusions
+from gffe_cl.viewer.picture.regions import Regions
+from gffe_cl.viewer.picture.selection import Selection
+from gffe_cl.viewer.picture.view import View
+from gffe_cl.viewer.state.compare_b import Second
+from gffe_cl.viewer.state.playback import Playback
+
+
+class Needed:
+    """Names of layers of A and of B."""
+
+    def __init__(
+        self, view: View, contents: Contents, regions: Regions, disocclusions: Disocclusions, selection: Selection
+    ):
+        self._view, self._contents = view, contents
+        self._regions, self._disocclusions, self._selection = regions, disocclusions, selection
+
+    def all(self) -> frozenset[str]:
+        """Whatever there is."""
+        return frozenset(spec.name for spec in self._contents.layers) or frozenset({names.FINAL})
+
+    def of_first(self) -> frozenset[str]:
+        view, wanted = self._view, {self._view.a}
+        if view.compare != "off" and view.b and not names.is_second(view.b):
+            wanted.add(view.b)
+        wanted |= self._regions.needed | self._disocclusions.needed | self._selection.needed
+        if view.overlay in ("edges", "residual motion"):
+            wanted |= {names.RENDERED_COLOR, names.RENDERED_DEPTH, names.RENDERED_MOTION}
+        specs = [self._contents.spec(name) for name in wanted]
+        if any(spec is not None and spec.view == "world" for spec in specs):
+            wanted.add(names.RENDERED_DEPTH)
+        return frozenset(wanted)
+
+    def of_second(self) -> frozenset[str]:
+        return frozenset({self._view.a} | ({names.FINAL} & self._regions.needed))
+
+
+_STILL = 0.3  # seconds that a still picture must have stood
+_PLANNED = 16  # slots that the engine is told of at once
+
+
+class Filling:
+    """Plans what the engine computes beside.
+
+    Attributes
+    ----------
+    cached : frozenset of int
+        The slots that are there as the picture needs them.
+    others : frozenset of Recipe
+        Of what else is looked at.
+    background : list of callables
+        Each gives requests of role "ahead" that are wanted when all of the above is there, most wanted first.
+    """
+
+    def __init__(self, engine: Engine, playback: Playback):
+        self._engine, self._cache, self._playback = engine, engine.cache, playback
+        self.cached: frozenset[int] = frozenset()
+        self.background: list[Callable[[], Iterable[Request]]] = []
+        self.others: frozenset[Recipe] = frozenset()
+        self._seen = self._planned = None
+        self._since = 0.0
+
+    def find(self, recipe: Recipe, request: Request) -> Result | None:
+        """What was asked for, if it is there."""
+        return self._cache.get(FrameKey(recipe, request.slot), request.layers, request.metrics)
+
+    def update(self, now: float, recipe: Recipe, request: Request, nbytes: int, beside: bool) -> None:
+        """Once per frame of the interface. `request`: the one of the picture, whose slots take `nbytes` each; `beside`:
+        whether there may be computed beside."""
+        if not self._cache.most:
+            return
+        playback, wanted = self._playback, (recipe, request.layers, request.metrics)
+        playhead = Playhead(request.slot, playback.first, playback.last)
+        if (wanted, playhead) != self._seen:
+            self._cache.use({recipe, *self.others}, playhead)
+            self._seen, self._since = (wanted, playhead), now
+            self._planned = None
+        due = beside and (playback.playing or now - self._since > _STILL)
+        state = self._cache.changes, due, len(self.background)
+        if state == self._planned:
+            return
+        self._planned = state
+        self.cached = self._cache.slots(*wanted)
+        self._engine.prefetch(self._plan(request, playhead, nbytes) if due else ())
+
+    def _plan(self, request: Request, playhead: Playhead, nbytes: int) -> list[Request]:
+        length = playhead.last - playhead.first + 1
+        start = min(max(playhead.slot, playhead.first), playhead.last) - playhead.first
+        ahead = (playhead.first + (start + i) % length for i in range(min(length, self._cache.room(nbytes))))
+        missing = islice((slot for slot in ahead if slot not in self.cached), _PLANNED)
+        plan = [Request(slot, request.setup, request.layers, 0, request.metrics, "ahead") for slot in missing]
+        for more in self.background:
+            plan += islice(more(), _PLANNED - len(plan)) if len(plan) < _PLANNED else ()
+        return plan
+
+
+class Asking:
+    """Looks into the cache first, else asks the engine.
+
+    Parameters
+    ----------
+    show : callable
+        Called with A's result and B's of one slot, or None, as soon as they are there.
+
+    Attributes
+    ----------
+    asked : Request or None
+        What was asked of A last.
+    from_cache : bool
+        What is shown came from the cache.
+    """
+
+    def __init__(
+        self, engine: Engine, contents: Contents, filling: Filling, second: Second,
+        show: Callable[[Result, Result | None], None],
+    ):  # fmt: skip
+        self._engine, self._contents, self._filling, self._second, self._show = engine, contents, filling, second, show
+        self.asked: Request | None = None
+        self.from_cache = False
+        self._wanted: tuple[Request, Recipe | None, Request | None] | None = None
+        self._serial = itertools.count(1)
+
+    def serial(self) -> int:
+        """Another number for everything that is asked of the engine."""
+        return next(self._serial)
+
+    def forget(self) -> None:
+        """What was asked for does not come, or is not the right thing any more."""
+        self.asked = None
+
+    def ask(self, request: Request, recipe: Recipe | None, second: Request | None, anew: bool, source) -> bool:
+        """Have slots of A and B shown, unless they are asked for already; whether they were not. `recipe`: of A, None
+        where nothing that is kept will do; `anew`: also the same request again."""
+        wanted = request, recipe, second
+        if wanted == self._wanted and self.asked is not None and not anew:
+            return False
+        if self._second.waits and second is not None:
+            return False  # one after the other, or the faster one would never be shown with the slower one
+        self._wanted = wanted
+        self.asked = replace(request, serial=self.serial())
+        if second is not None:
+            self._second.ask(replace(second, serial=self.serial()), source)
+        kept = None if recipe is None else self._filling.find(recipe, request)
+        if kept is None:
+            self._engine.submit(self.asked, source)
+            return True
+        self._engine.withdraw()
+        self.from_cache = True
+        self._came(replace(kept, request=self.asked))
+        return True
+
+    def take(self, result: Result) -> None:
+        """A's result has been computed; one that was asked for before what is shown is too old."""
+        shown = self._contents.result
+        if shown is None or result.request.serial >= shown.request.serial:
+            self.from_cache = False
+            self._came(result)
+
+    def take_pair(self) -> None:
+        """Show A's and B's results of one slot, when both are there."""
+        pair = self._second.take()
+        if pair is not None:
+            self._show(*pair)
+
+    def fill(self, now: float, recipe: Recipe, may_run: bool) -> None:
+        """Once per frame of the interface: have what is ahead made beside."""
+        result = self._contents.result
+        if result is None or self._wanted is None:
+            return
+        nbytes, request = sum(image.nbytes for image in result.images.values()), self._wanted[0]
+        self._filling.update(now, recipe, request, nbytes, may_run and request.slot == result.request.slot)
+
+    @property
+    def answered(self) -> bool:
+        """Whether what is shown is what was asked for."""
+        result = self._contents.result
+        return result is not None and result.request == self.asked and not self._second.waits
+
+    def _came(self, result: Result) -> None:
+        """A's result is there; where it is compared with B's it waits for that."""
+        if self._second.belongs(result):
+            self._second.pair(result)
+        else:
+            self._show(result, None)
