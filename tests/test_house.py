@@ -152,8 +152,11 @@ def test_the_viewer_knows_no_option_by_name():
     """A new toggle needs no change in the viewer: only what explains a pixel, what makes shading correction
     unavailable, and what frames are rendered for, read single options."""
     explaining = {
-        "engine/explain/pixel_explain.py", "engine/explain/fragment_history.py", "engine/seeker.py", "state/parameters.py",
-    }  # fmt: skip
+        "engine/explain/pixel_explain.py",
+        "engine/explain/fragment_history.py",
+        "engine/seeker.py",
+        "state/parameters.py",
+    }
     folder = parts()["viewer"]
     for path in folder.rglob("*.py"):
         if path.relative_to(folder).as_posix() in explaining:

@@ -30,7 +30,7 @@ class RecordedSource(Recorded, FrameSource):
     """A sequence on disk, its decoded frames cached.
 
     `device` presents the display part for the window "off"; None is the window it was rendered through. `cache_bytes`:
-    of decoded frames that are kept. Raises GffeError as `gffe_cl.pipeline.source.Recorded` does; for faults of a file when its
+    of decoded frames that are kept. Raises GffeError as `pipeline.source.Recorded` does; for faults of a file when its
     frame is asked for.
     """
 
