@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from exported import STRICT, require_compiler
 
-from gffe_cl.cli.making import open_source
+from gffe_cl.cli.run import open_source
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import Pipeline
 

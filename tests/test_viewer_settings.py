@@ -27,7 +27,8 @@ def parsed(line: str, monkeypatch) -> dict:
     """What `gffe run` makes of a command line: the arguments of the function that runs."""
     import typer
 
-    from gffe_cl.cli import commands, making  # noqa: F401
+    from gffe_cl.cli import commands  # noqa: F401
+    from gffe_cl.cli import run as run_module
     from gffe_cl.cli.common import app
 
     found = {}
@@ -40,8 +41,8 @@ def parsed(line: str, monkeypatch) -> dict:
         found.update(output=output, options=options, alphas=alphas)
         raise Stop
 
-    monkeypatch.setattr(making, "open_source", stand_in)
-    monkeypatch.setattr(making, "_check_quickly", lambda *_: None)
+    monkeypatch.setattr(run_module, "open_source", stand_in)
+    monkeypatch.setattr(run_module, "_check_quickly", lambda *_: None)
     monkeypatch.setattr("gffe_cl.pipeline.run.run_sequence", run_sequence)
     words = shlex.split(line)
     assert words[0] == "gffe"

@@ -9,6 +9,22 @@ from typing import Annotated, Any
 import typer
 
 from gffe_cl import __version__
+from gffe_cl.cli import (  # noqa: F401 - registers the commands, in the order of `gffe --help`
+    bench,
+    calibrate,
+    check,
+    compare,
+    demo,
+    devices,
+    eval,
+    export,
+    import_capture,
+    render,
+    run,
+    selftest,
+    train,
+    view,
+)  # fmt: skip
 from gffe_cl.cli.common import app, out, warn_of_networks
 from gffe_cl.core.errors import REPOSITORY, GffeError
 from gffe_cl.core.validation import MOST_SEED, shown

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gffe_cl.cli.common import DeviceOption, app, out, plain
-from gffe_cl.cli.making import open_source
 from gffe_cl.cli.options import takes_options
+from gffe_cl.cli.run import open_source
 from gffe_cl.core.errors import GffeError
 from gffe_cl.pipeline.options import OPTIONS
 

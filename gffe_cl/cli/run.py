@@ -1,4 +1,4 @@
-"""The commands that make frames: devices, demo, render, run."""
+"""The command that extrapolates: run."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
 
 from gffe_cl.cli.common import (
     CompressionOption,
@@ -15,10 +14,7 @@ from gffe_cl.cli.common import (
     FollowLinksOption,
     JsonOption,
     NoCheckOption,
-    SchedulerOption,
-    WindowOption,
     app,
-    cluster_at,
     out,
     parse_numbers,
     parse_size,
@@ -32,7 +28,6 @@ from gffe_cl.cli.options import takes_options
 from gffe_cl.core.errors import GffeError
 
 if TYPE_CHECKING:
-    from gffe_cl.inference.provider_check import Verdict
     from gffe_cl.opencl.device import Device, DeviceInfo
     from gffe_cl.pipeline.options import Options
     from gffe_cl.pipeline.run import RunReport
@@ -40,146 +35,6 @@ if TYPE_CHECKING:
 
 
 _MANY_CUTS = 0.2  # of the rendered frames
-
-
-@app.command()
-def devices(
-    kind: Annotated[str | None, typer.Option(help="Only devices of this kind: gpu, cpu or other.")] = None,
-    refresh: Annotated[
-        bool, typer.Option("--refresh", help="Probe them anew, whatever is known of them from before.")
-    ] = False,
-    json_path: JsonOption = None,
-) -> None:
-    """List every OpenCL device: whether a kernel really runs on it, and what it lacks; and what may run the network."""
-    from dataclasses import asdict
-
-    from gffe_cl.opencl.device import HOW_TO_GET_ONE, best_of, list_devices
-
-    infos = [info for info in list_devices(refresh) if kind in (None, info.kind)]
-    table = Table("", "index", "device", "platform", "kernel runs", "lacks", box=None, header_style="bold")
-    working = [info for info in infos if info.works]
-    default = best_of(working) if working else None
-    for info in infos:
-        table.add_row(
-            "*" if info is default else "",
-            info.index,
-            plain(info.name),
-            plain(info.platform + (f" ({info.driver})" if info.driver else "")),
-            "[green]yes[/]" if info.works else f"[red]no[/]: {plain(info.problem)}",
-            ", ".join(info.lacks) or "nothing",
-        )
-    if infos:
-        out.print(table)
-    if default:
-        out.print("* the default; choose another with --device or GFFE_DEVICE (--refresh probes anew)")
-    verdicts = _provider_verdicts(refresh)
-    for found in verdicts:
-        out.print(plain(f"network's provider {found.provider}: {found.summary()}"))
-    document = {"devices": [asdict(i) | {"default": i is default} for i in infos]}
-    write_json(json_path, document | {"providers": [asdict(found) for found in verdicts]})
-    if not working:
-        raise GffeError(f"no OpenCL device{f' of kind {kind}' if kind else ''} runs a kernel: {HOW_TO_GET_ONE}")
-
-
-def _provider_verdicts(refresh: bool) -> list[Verdict]:
-    """Of all providers that are installed, but the CPU's, with the package's own network."""
-    from gffe_cl.inference.network import default_model
-    from gffe_cl.inference.provider_check import verdict
-    from gffe_cl.inference.providers import CPU, installed_providers
-
-    model = default_model()
-    others = [provider for provider in installed_providers() if provider != CPU] if model else []
-    return [verdict(model, provider, refresh) for provider in others]
-
-
-@app.command()
-@takes_options("shading_correction", "scn_model", "scn_provider")
-def demo(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("out/demo"),
-    size: Annotated[str, typer.Option(help="Width × height, pixels.")] = "960x540",
-    seed: Annotated[int, typer.Option(help="Variation of the scene.")] = 0,
-    window: WindowOption = "off",
-    device: DeviceOption = None,
-    *,
-    options: Options,
-) -> None:
-    """Render the scene 'corridor', extrapolate it, and measure the result against ground truth."""
-    from gffe_cl.cli.demo import METHODS
-    from gffe_cl.cli.demo import demo as run_demo
-    from gffe_cl.evaluation.metrics import measurable
-    from gffe_cl.opencl.device import open_device
-
-    width, height = parse_size(size)
-    if min(width, height) < 32 or max(width, height) > 4096:
-        raise GffeError(f"demo: --size must be 32 to 4096 pixels each way, got '{size}'")
-    opened = open_device(device)
-    out.print(plain(f"Device: {opened.info.name} ({opened.info.platform})"))
-    with progress_bars() as progress:
-        metrics = run_demo(output, opened, width, height, seed, window, options, steps(progress))
-    measured = measurable()
-    heads = (metric.title for metric in measured)
-    table = Table("against ground truth at t + ½", *heads, box=None, header_style="bold")
-    for name, figures in metrics.items():
-        table.add_row(METHODS[name], *(metric.text(figures[metric.name]) for metric in measured))
-    out.print(table)
-    out.print(f"Results are in {plain(output)}: contact_sheet.png, side_by_side.mp4, metrics.json, extrapolated/")
-
-
-@app.command()
-def render(
-    scene: Annotated[
-        str,
-        typer.Argument(
-            help="Name of a built-in scene: corridor, plaza, room, forest, gallery, street, factory, courtyard. Or of a"
-            " situation: bars, ropes, balls, rotors, handheld, lamps, shadows, fan, screen, quantised."
-        ),
-    ],
-    output: Annotated[Path, typer.Argument(help="Folder for the sequence.")],
-    size: Annotated[str, typer.Option(help="Width × height, pixels.")] = "960x540",
-    frames: Annotated[int, typer.Option(help="Rendered frames.")] = 30,
-    fps: Annotated[float, typer.Option(help="Rendered frames per second.")] = 30.0,
-    seed: Annotated[int, typer.Option(help="Variation of layout, textures, lights and camera path.")] = 0,
-    ground_truth: Annotated[
-        bool, typer.Option("--ground-truth", help="Also the frames in between, for measuring.")
-    ] = False,
-    per_frame: Annotated[
-        int, typer.Option("-n", help="Frames in between per rendered frame, for --ground-truth and --window adaptive.")
-    ] = 1,
-    samples: Annotated[
-        int | None, typer.Option(help="Colour samples per pixel at edges [dim](default 8; 1 with --jitter)[/].")
-    ] = None,
-    window: Annotated[
-        str,
-        typer.Option(
-            help="Rendering window: adaptive (covers frames in between, see -n), fixed:1.2 (times the display) or off."
-        ),
-    ] = "off",
-    jitter: Annotated[str, typer.Option(help="Of the camera, for upscaling: halton:16 (points), or off.")] = "off",
-    scale: Annotated[
-        float, typer.Option(help="Rendered frames are so many times smaller than --size, each way; truth is not.")
-    ] = 1.0,
-    compression: CompressionOption = "zip",
-    scheduler: SchedulerOption = None,
-    device: DeviceOption = None,
-) -> None:
-    """Render a built-in scene to a sequence: colour, depth, motion vectors and cameras."""
-    from gffe_cl.frame.jitter import Jitter
-    from gffe_cl.opencl.device import open_device
-    from gffe_cl.scenes import load_scene
-    from gffe_cl.scenes.render import render_sequence
-
-    width, height = parse_size(size)
-    built, jittered = load_scene(scene, seed), Jitter.parse(jitter)
-    with cluster_at(scheduler) as workers, progress_bars() as progress:
-        opened = None if workers else open_device(device)
-        total = frames * (1 + per_frame * ground_truth)
-        count = render_sequence(
-            built, output, opened, width, height, frames, fps,
-            ground_truth=ground_truth, per_frame=per_frame, samples=samples, window=window, jitter=jittered,
-            scale=scale, compression=compression, cluster=workers,
-            on_frame=steps(progress)(f"Rendering '{scene}'", total),
-        )  # fmt: skip
-    out.print(f"{count} frames in {plain(output)}")
 
 
 @app.command()

@@ -1,0 +1,70 @@
+"""The command that lists devices: devices."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from gffe_cl.cli.common import (
+    JsonOption,
+    app,
+    out,
+    plain,
+    write_json,
+)
+from gffe_cl.core.errors import GffeError
+
+if TYPE_CHECKING:
+    from gffe_cl.inference.provider_check import Verdict
+
+
+@app.command()
+def devices(
+    kind: Annotated[str | None, typer.Option(help="Only devices of this kind: gpu, cpu or other.")] = None,
+    refresh: Annotated[
+        bool, typer.Option("--refresh", help="Probe them anew, whatever is known of them from before.")
+    ] = False,
+    json_path: JsonOption = None,
+) -> None:
+    """List every OpenCL device: whether a kernel really runs on it, and what it lacks; and what may run the network."""
+    from dataclasses import asdict
+
+    from gffe_cl.opencl.device import HOW_TO_GET_ONE, best_of, list_devices
+
+    infos = [info for info in list_devices(refresh) if kind in (None, info.kind)]
+    table = Table("", "index", "device", "platform", "kernel runs", "lacks", box=None, header_style="bold")
+    working = [info for info in infos if info.works]
+    default = best_of(working) if working else None
+    for info in infos:
+        table.add_row(
+            "*" if info is default else "",
+            info.index,
+            plain(info.name),
+            plain(info.platform + (f" ({info.driver})" if info.driver else "")),
+            "[green]yes[/]" if info.works else f"[red]no[/]: {plain(info.problem)}",
+            ", ".join(info.lacks) or "nothing",
+        )
+    if infos:
+        out.print(table)
+    if default:
+        out.print("* the default; choose another with --device or GFFE_DEVICE (--refresh probes anew)")
+    verdicts = _provider_verdicts(refresh)
+    for found in verdicts:
+        out.print(plain(f"network's provider {found.provider}: {found.summary()}"))
+    document = {"devices": [asdict(i) | {"default": i is default} for i in infos]}
+    write_json(json_path, document | {"providers": [asdict(found) for found in verdicts]})
+    if not working:
+        raise GffeError(f"no OpenCL device{f' of kind {kind}' if kind else ''} runs a kernel: {HOW_TO_GET_ONE}")
+
+
+def _provider_verdicts(refresh: bool) -> list[Verdict]:
+    """Of all providers that are installed, but the CPU's, with the package's own network."""
+    from gffe_cl.inference.network import default_model
+    from gffe_cl.inference.provider_check import verdict
+    from gffe_cl.inference.providers import CPU, installed_providers
+
+    model = default_model()
+    others = [provider for provider in installed_providers() if provider != CPU] if model else []
+    return [verdict(model, provider, refresh) for provider in others]
