@@ -58,23 +58,16 @@ def serve(footage: Path, device: str, scn: bool) -> None:
     os.dup2(2, 1)  # what drivers print
     import pyopencl as cl
 
-    from gffe_cl.frame.camera import Camera
-    from gffe_cl.frame.rendered_frame import RenderedFrame
-    from gffe_cl.pipeline.pipeline import Options, Pipeline
+    import gffe_cl as gffe  # the public names: modules have other places in other versions
 
-    try:
-        from gffe_cl.opencl.device import open_device
-    except ImportError:
-        from gffe_cl.device import open_device
-
-    opened = open_device(device)
+    opened = gffe.open_device(device)
     about = json.loads((footage / "about.json").read_text())
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
     frames = [
         [cl.Buffer(opened.context, flags, hostbuf=np.load(footage / f"{name}_{k}.npy")) for name in about["arrays"]]
         for k in range(len(about["cameras"]))
     ]
-    pipeline = Pipeline(opened, about["width"], about["height"], Options(shading_correction=scn))
+    pipeline = gffe.Pipeline(opened, about["width"], about["height"], gffe.Options(shading_correction=scn))
     pipeline.exposure = about["exposure"]
 
     def say(reply: dict) -> None:
@@ -83,13 +76,13 @@ def serve(footage: Path, device: str, scn: bool) -> None:
     say({"device": f"{opened.info.name} ({opened.info.platform})"})
     for line in sys.stdin:
         asked = json.loads(line)
-        camera = Camera(**about["cameras"][asked["index"]])
+        camera = gffe.Camera(**about["cameras"][asked["index"]])
         target = about["targets"][asked["index"]]
-        frame = RenderedFrame(*frames[asked["index"]], camera, asked["time"], reset=asked["reset"])
+        frame = gffe.RenderedFrame(*frames[asked["index"]], camera, asked["time"], reset=asked["reset"])
         wall, cpu = time.perf_counter(), time.process_time()
         pipeline.submit(frame)
         rendered = pipeline.take_timings()
-        pipeline.extrapolate(target and Camera(**target), asked["until"])
+        pipeline.extrapolate(target and gffe.Camera(**target), asked["until"])
         extrapolated = pipeline.take_timings()
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         say({"rendered": rendered, "extrapolated": extrapolated, "wall": wall * 1e3, "cpu": cpu * 1e3})

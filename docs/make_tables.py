@@ -7,7 +7,6 @@ In Markdown, `<!-- NAME:begin -->` and `<!-- NAME:end -->` mark where the table 
 
 from __future__ import annotations
 
-import ast
 import inspect
 import re
 import sys
@@ -78,19 +77,6 @@ def situation_scenes_table() -> str:
     return table(("situation", "what it shows"), [(f"`{name}`", text) for name, text in SITUATIONS.items()])
 
 
-def map_table() -> str:
-    """Every module and kernel file, with the first sentence of what it says of itself."""
-    rows = []
-    for top in ("gffe_cl", "kernels", "viewer"):
-        folders = [REPOSITORY / top, *(f for f in sorted((REPOSITORY / top).rglob("*")) if f.is_dir())]
-        for folder in folders:
-            files = sorted(f for f in folder.iterdir() if f.suffix in (".py", ".cl", ".h"))
-            for k, file in enumerate(f for f in files if f.name not in ("__init__.py", "__main__.py")):
-                room = f"**`{folder.relative_to(REPOSITORY)}/`**" if k == 0 else ""
-                rows.append((room, f"`{file.name}`", _about(file)))
-    return table(("room", "file", "what it is for"), rows)
-
-
 def formats_table() -> str:
     """Every form of captures that is opened: what it is, what its folder holds."""
     rows = [
@@ -108,7 +94,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "labels": labels_table,
     "scenes": scenes_table,
     "situation_scenes": situation_scenes_table,
-    "map": map_table,
     "formats": formats_table,
 }
 
@@ -174,16 +159,6 @@ def _described(owner: str, specs: Iterable[BufferSpec]) -> list[tuple[str, ...]]
 
 def _quoted(names: Iterable[str]) -> str:
     return ", ".join(f"`{name}`" for name in names)
-
-
-def _about(file: Path) -> str:
-    """First sentence of a module's docstring, or of the comment at the top of a kernel file."""
-    text = file.read_text()
-    if file.suffix == ".py":
-        text = ast.get_docstring(ast.parse(text)) or ""
-    else:
-        text = text.partition("/*")[2].partition("*/")[0] if text.lstrip().startswith("/*") else ""
-    return _first_sentence(text)
 
 
 def _first_sentence(text: str) -> str:

@@ -337,7 +337,7 @@ def test_webgpu_gives_the_cpus_frames(swiftshader, gffe, tmp_path):
 ASSIGNED = """
 import sys, collections
 from pathlib import Path
-from gffe_cl.providers import runtime
+from gffe_cl.inference import providers as runtime
 from gffe_cl.inference.sessions import FixedSession
 onnxruntime = runtime.load_onnxruntime()
 made = onnxruntime.SessionOptions
