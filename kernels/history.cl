@@ -10,9 +10,9 @@
 #define RESIDUAL_STRIDE 4        /* every 4th pixel of every 4th row is enough for a quantile */
 #define RESIDUAL_ROWS 4          /* ... of which a work-item takes so many */
 #define GROUP 64                 /* work-items per work-group of find_threshold */
-#define SCATTER_DISTANCE 8       /* px, diagonally: far enough for quantisation errors to differ, near enough for one surface */
-#define HISTOGRAMS 3
-#define PLATEAU_BIN 12           /* the first bin, 2^-14 px^2, of what the same motion vector must not be off by in two places */
+#define SCATTER_DISTANCE 8       /* px, diagonally: near enough for one surface */
+#define HISTOGRAMS 2
+#define CAMERA_ERROR 0.75f       /* px: static points are off by less where the camera is a fit */
 
 #define SEARCH_RADIUS 2          /* px around x' in which the right surface is looked for */
 #define DEPTH_TOLERANCE 0.03f    /* relative depth within which a surface is plausible for a fragment that stands ... */
@@ -24,20 +24,19 @@ inline float squared_distance(const float2 a, const float2 b) {
     return dx * dx + dy * dy;
 }
 
-/* Residual x^ - x' of the static test at pixels, and their motion; returns where it applies. */
+/* Residual x^ - x' of the static test at pixels; returns where it applies. */
 inline Ints static_residual(const Ints src_x, const int src_y, const int source_width, const int source_height,
                             __global const float *depth, __global const float2 *motion, const Reprojection to_previous,
-                            Floats *residual_x, Floats *residual_y, Floats *mv_x, Floats *mv_y) {
+                            Floats *residual_x, Floats *residual_y) {
     const Ints there = src_x < (src_y < source_height ? source_width : 0);
     const Ints src = there ? src_y * source_width + src_x : (Ints)(0);
     const Floats z = gather_floats(depth, src), px_x = to_floats(src_x) + 0.5f, px_y = (float)src_y + 0.5f;
     __global const float *mv_px = (__global const float *)motion;
-    *mv_x = gather_floats(mv_px, 2 * src);
-    *mv_y = gather_floats(mv_px, 2 * src + 1);
+    const Floats mv_x = gather_floats(mv_px, 2 * src), mv_y = gather_floats(mv_px, 2 * src + 1);
     const Wide3 px_static = wide_reproject(px_x, px_y, z, to_previous);
-    *residual_x = px_static.x - (px_x + *mv_x);
-    *residual_y = px_static.y - (px_y + *mv_y);
-    return there & (z > 0.0f) & !isinf(z) & isfinite(*mv_x) & isfinite(*mv_y) & (px_static.z > 0.0f);
+    *residual_x = px_static.x - (px_x + mv_x);
+    *residual_y = px_static.y - (px_y + mv_y);
+    return there & (z > 0.0f) & !isinf(z) & isfinite(mv_x) & isfinite(mv_y) & (px_static.z > 0.0f);
 }
 
 /* Adds 1 to the bins of squared residuals. */
@@ -55,41 +54,44 @@ inline int sum_of(__local const int *histogram, const int first) {
     return sum;
 }
 
-/* Upper bound of the bin below which `share` of a histogram's counts lie. */
-inline float quantile(__local const int *histogram, const float share) {
+/* The bin below whose upper bound `share` of a histogram's counts lie; *below: how many do. */
+inline int quantile_bin(__local const int *histogram, const float share, int *below) {
     const float least = share * (float)sum_of(histogram, 0);
-    int below = 0, bin = 0;
+    *below = 0;
     for (int b = 0; b < RESIDUAL_BINS; ++b) {
-        bin = b;
-        below += histogram[b];
-        if ((float)below >= least) break;
+        *below += histogram[b];
+        if ((float)*below >= least) return b;
     }
-    return as_float((uint)(bin + 1 + RESIDUAL_FIRST_BIN) << 22);
+    return RESIDUAL_BINS - 1;
 }
 
-/* epsilon from the noise floor, within [low, high] px: 4 times the lower quartile of the residual, or the median of its change
-   if that is less. The quartile belongs to static pixels as long as a quarter of the frame is static; where a mover
-   fills more, its residual is large but does not change from pixel to pixel, as noise does.
-   Quantised vectors are equal over plateaus, where the residual changes as little; where vectors differ it changes by about a
-   quantum, which is more than rounding can be off by. So if a third of the pairs lie on plateaus, it is the change of the
-   others that counts, or 6 times the quartile if that is less. */
-inline float noise_threshold_squared(__local int *histogram, const float low, const float high) {
-    __local int *changes = histogram + RESIDUAL_BINS, *same_motion = histogram + 2 * RESIDUAL_BINS;
+/* Squared residual at which bin b begins, px^2. */
+inline float bin_start(const int b) { return as_float((uint)(b + RESIDUAL_FIRST_BIN) << 22); }
+
+/* epsilon from the residual, within [low, high] px: where the errors of static pixels end. From their lowest tenth on, bins
+   belong to one population as long as the next two hold more than 1% of it: errors of rounding and of cameras are spread without a
+   gap, whatever their size. At most 8 times the lower quartile, which belongs to static pixels as long as a quarter of the
+   frame is static: what moves is spread without a gap, too.
+   If nearly all of the frame is off by more than a camera can be, and by the same, that is a mover that fills the frame, and
+   the change of the residual is all the noise there is. */
+inline float noise_threshold_squared(__local const int *histogram, const float low, const float high) {
+    __local const int *changes = histogram + RESIDUAL_BINS;
+    int below, count;
     if (!sum_of(histogram, 0)) return low * low;
-    const float residual = quantile(histogram, 0.25f);
-    const int pairs = sum_of(changes, 0) + sum_of(same_motion, 0);
-    float noise = 16.0f * residual;
-    if (3 * sum_of(same_motion, PLATEAU_BIN) > pairs) {
-        noise = fmin(36.0f * residual, sum_of(changes, 0) ? quantile(changes, 0.75f) : INFINITY);
-    } else if (pairs) {
-        for (int b = 0; b < RESIDUAL_BINS; ++b) changes[b] += same_motion[b];
-        noise = fmin(noise, 16.0f * quantile(changes, 0.5f));
+    const int first = quantile_bin(histogram, 0.1f, &below), quartile = quantile_bin(histogram, 0.25f, &count);
+    int last = first;
+    for (; last + 2 < RESIDUAL_BINS && (float)(histogram[last + 1] + histogram[last + 2]) > 0.01f * (float)below; ++last)
+        below += histogram[last + 1];
+    float noise = fmin(bin_start(last + 1), 64.0f * bin_start(quartile + 1));
+    if (bin_start(first) > CAMERA_ERROR * CAMERA_ERROR && sum_of(changes, 0)) {
+        const float change = bin_start(quantile_bin(changes, 0.97f, &count) + 1);
+        if (16.0f * change < bin_start(first)) noise = 16.0f * change;
     }
     return clamp(noise, low * low, high * high);
 }
 
 /* Histograms over a subset of the pixels, two bins per octave: of the squared residual, and of its squared change over a
-   short distance where motion differs and where it is the same; and the threshold that follows. Every work-group counts by itself and adds what it has to `pending`; the
+   short distance; and the threshold that follows. Every work-group counts by itself and adds what it has to `pending`; the
    last one of them, told by the number of groups that are done, takes that out again, so it is zero for the next frame. */
 WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void find_threshold(const int source_width, const int source_height, const float low, const float high,
@@ -101,15 +103,12 @@ void find_threshold(const int source_width, const int source_height, const float
     for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int src_y = first; src_y < min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, source_height); src_y += RESIDUAL_STRIDE) {
-        Floats x, y, mv_x, mv_y, near_x, near_y, near_mv_x, near_mv_y;
-        const Ints use = static_residual(src_x, src_y, source_width, source_height, depth, motion, to_previous, &x, &y, &mv_x,
-                                         &mv_y);
+        Floats x, y, near_x, near_y;
+        const Ints use = static_residual(src_x, src_y, source_width, source_height, depth, motion, to_previous, &x, &y);
         const Ints near_use = static_residual(src_x + SCATTER_DISTANCE, src_y + SCATTER_DISTANCE, source_width, source_height,
-                                              depth, motion, to_previous, &near_x, &near_y, &near_mv_x, &near_mv_y);
-        const Ints same = (mv_x == near_mv_x) & (mv_y == near_mv_y);
+                                              depth, motion, to_previous, &near_x, &near_y);
         count_residuals(counts, use, x, y);
-        count_residuals(counts + RESIDUAL_BINS, use & near_use & !same, x - near_x, y - near_y);
-        count_residuals(counts + 2 * RESIDUAL_BINS, use & near_use & same, x - near_x, y - near_y);
+        count_residuals(counts + RESIDUAL_BINS, use & near_use, x - near_x, y - near_y);
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP)

@@ -107,8 +107,7 @@ def static_residual_squared(depth, motion, to_previous):
 
 
 def residual_histogram(depth, motion, to_previous):
-    """(3, 64) int32: of the squared residual, and of its squared change over 8 px diagonally, where motion differs and
-    where it is the same."""
+    """(2, 64) int32: of the squared residual, and of its squared change over 8 px diagonally."""
     height, width = depth.shape
     px = centres(height, width)
     where = reproject(px, depth, to_previous)
@@ -126,27 +125,31 @@ def residual_histogram(depth, motion, to_previous):
     sampled = np.zeros_like(use)
     sampled[::stride, ::stride] = True
     near, near_use = _shifted(residual, apart, apart, np.nan), _shifted(use, apart, apart, False)
-    same = (motion == _shifted(motion, apart, apart, np.nan)).all(-1)
     with np.errstate(over="ignore", invalid="ignore"):
-        pairs, change = sampled & use & near_use, residual - near
-        counts = histogram(residual[sampled & use]), histogram(change[pairs & ~same]), histogram(change[pairs & same])
+        counts = histogram(residual[sampled & use]), histogram((residual - near)[sampled & use & near_use])
     return np.stack(counts).astype(np.int32)
 
 
 def noise_threshold_squared(histogram, low=0.25, high=4.0):
-    def quantile(counts, share):
-        bin_ = int(np.argmax(np.cumsum(counts) >= share * counts.sum()))
-        return np.array([(bin_ + 1 + HISTORY.RESIDUAL_FIRST_BIN) << 22], np.uint32).view(F)[0]
+    residuals, changes = histogram
 
-    residuals, changes, same_motion = histogram
+    def start(b):
+        return np.array([(b + HISTORY.RESIDUAL_FIRST_BIN) << 22], np.uint32).view(F)[0]
+
+    def quantile_bin(counts, share):
+        return int(np.argmax(np.cumsum(counts) >= F(share) * F(counts.sum())))
+
     if residuals.sum() == 0:
         return F(low * low)
-    noise = quantile(residuals, 0.25)
-    pairs = changes.sum() + same_motion.sum()
-    if 3 * same_motion[HISTORY.PLATEAU_BIN :].sum() > pairs:
-        noise = min(F(36) * noise, quantile(changes, 0.75) if changes.sum() else INF)
-    else:
-        noise = F(16) * (min(noise, quantile(changes + same_motion, 0.5)) if pairs else noise)
+    first = last = quantile_bin(residuals, 0.1)
+    below = residuals[: first + 1].sum()
+    while last + 2 < len(residuals) and residuals[last + 1 : last + 3].sum() > F(0.01) * F(below):
+        last += 1
+        below += residuals[last]
+    noise = min(start(last + 1), F(64) * start(quantile_bin(residuals, 0.25) + 1))
+    if start(first) > F(HISTORY.CAMERA_ERROR) ** 2 and changes.sum():
+        change = F(16) * start(quantile_bin(changes, 0.97) + 1)
+        noise = change if change < start(first) else noise
     return np.clip(noise, F(low * low), F(high * high))
 
 

@@ -49,8 +49,7 @@ class HistoryTracking(Stage):
             np.int32,
             tuple(f"bin{b}" for b in range(_CONSTANTS["RESIDUAL_BINS"])),
             "once",
-            "squared static residual, and its squared change over 8 px where motion differs and where it is the same;"
-            " two bins per octave",
+            "squared static residual, and its squared change over 8 px; two bins per octave",
             planes=_CONSTANTS["HISTOGRAMS"],
         ),
         BufferSpec(
