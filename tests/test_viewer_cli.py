@@ -138,7 +138,8 @@ def test_screenshot_with_shading_correction(gffe, screen, tmp_path):
 def test_asking_for_shading_correction_without_weights(tmp_path):
     tiny_sequence.write(tmp_path / "in")
     (tmp_path / "script.py").write_text(
-        "from gffe_cl.inference import network\nnetwork.default_model = lambda: None\nfrom gffe_cl.cli import main; main()\n"
+        "from gffe_cl.inference import network\nnetwork.default_model = lambda: None\n"
+        "from gffe_cl.cli import main; main()\n"
     )
     child = subprocess.run(
         [sys.executable, "script.py", "view", "in", "--scn"], cwd=tmp_path, capture_output=True, text=True, timeout=100
