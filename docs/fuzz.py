@@ -2,11 +2,11 @@
 
     python docs/fuzz.py --minutes 10
     python docs/fuzz.py --minutes 2 --target sequence:frame_1.exr --seed 7
-    python docs/fuzz.py --minutes 30 --arguments        # of every command, tests/fuzz_arguments.py
+    python docs/fuzz.py --minutes 30 --arguments        # of every command, tests/helpers/fuzz_arguments.py
 
-Each target of tests/fuzz_targets.py runs in a child process. With atheris (`pip install atheris`) mutations follow the
-code that they reach; without, they are made by chance. An input that ends neither well nor with an error of one line is
-kept in tests/fuzz_cases, which tests/test_fuzz.py reads again. Exit code 1 if there is one.
+Each target of tests/helpers/fuzz_targets.py runs in a child process. With atheris (`pip install atheris`) mutations
+follow the code that they reach; without, they are made by chance. An input that ends neither well nor with an error of
+one line is kept in tests/formats/fuzz_cases, which tests/formats/test_fuzz.py reads again. Exit code 1 if there is one.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 TESTS = Path(__file__).parent.parent / "tests"
-CASES, WORK = TESTS / "fuzz_cases", TESTS / ".fuzz_corpus"
+CASES, WORK = TESTS / "formats" / "fuzz_cases", TESTS / ".fuzz_corpus"
 SECONDS, MEGABYTES = 20, 4096  # that one input may take
 
 
@@ -52,7 +52,7 @@ def run_target(name: str, seconds: float, seed: int) -> None:
     """In a child process: until the time is over, or an input is a fault."""
     if importlib.util.find_spec("atheris"):
         run_with_atheris(name, seconds, seed)
-    sys.path.insert(0, str(TESTS))
+    sys.path.insert(0, str(TESTS / "helpers"))
     import fuzz_targets
 
     target, rng = fuzz_targets.targets()[name], np.random.default_rng(seed)
@@ -72,7 +72,7 @@ def run_with_atheris(name: str, seconds: float, seed: int) -> None:
     import atheris
 
     with atheris.instrument_imports(include=["gffe_cl"]):
-        sys.path.insert(0, str(TESTS))
+        sys.path.insert(0, str(TESTS / "helpers"))
         import fuzz_targets
     target, rng = fuzz_targets.targets()[name], np.random.default_rng(seed)
 
@@ -106,7 +106,7 @@ def main() -> int:
     if chosen.child:
         run_target(chosen.target, chosen.minutes * 60, chosen.seed)
         return 0
-    sys.path.insert(0, str(TESTS))
+    sys.path.insert(0, str(TESTS / "helpers"))
     if chosen.arguments:
         import fuzz_arguments
 

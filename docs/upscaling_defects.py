@@ -1,6 +1,6 @@
 """What upscaling leaves wrong: ghosts, shimmer and thin bars, measured where the truth is exact.
 
-`measure_upscaling.py` calls this. Scenes are rectangles (`tests/synthetic.py`), and built-in ones held still.
+`measure_upscaling.py` calls this. Scenes are rectangles (`tests/helpers/synthetic.py`), and built-in ones held still.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.pipeline.source import jittered_renderer
 from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "helpers"))
 from synthetic import Rect, Rects, camera
 
 DOCS = Path(__file__).parent

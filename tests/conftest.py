@@ -6,6 +6,7 @@ import functools
 import os
 import sys
 import tempfile
+from pathlib import Path
 
 import pytest
 
@@ -15,6 +16,8 @@ from gffe_cl.opencl.device import list_devices, open_info, select
 
 _cache = tempfile.TemporaryDirectory(prefix="gffe-tests-")  # children of tests share it
 os.environ["GFFE_DEVICE_CACHE"] = _cache.name
+_helpers = Path(__file__).parent / "helpers"
+os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(_helpers), os.environ.get("PYTHONPATH"))))
 
 
 @functools.cache

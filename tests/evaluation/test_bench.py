@@ -24,7 +24,7 @@ from gffe_cl.pipeline.pipeline import STAGES
 from gffe_cl.sequence import open_sequence
 from gffe_cl.stages.holes import FILLINGS
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 TABLE = ROOT / "docs" / "measured" / "traffic.json"
 RECORD = "gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json && python docs/make_performance.py"
 

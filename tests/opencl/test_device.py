@@ -139,7 +139,7 @@ def test_intel_runtime_in_a_folder_with_a_space(tmp_path):
         " for i in list_devices() if 'Intel' in i.platform])"
     )
     variables = {name: value for name, value in os.environ.items() if name not in ("OCL_ICD_VENDORS", "GFFE_DEVICE")}
-    variables |= {"PYTHONPATH": str(Path(__file__).parents[1]), "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    variables |= {"PYTHONPATH": str(Path(__file__).parents[2]), "XDG_CACHE_HOME": str(tmp_path / "cache")}
     for _ in range(2):  # made, then found
         child = subprocess.run([python, "-c", code], capture_output=True, text=True, env=variables)
         assert child.stdout.strip() == "[(True, '')]", child.stdout + child.stderr

@@ -19,7 +19,7 @@ from test_viewer_model import Session
 from gffe_cl.core.errors import GffeError
 from gffe_cl.viewer.steps import check, parse, perform, unopened
 
-GUIDE = Path(__file__).parents[1] / "docs" / "guide.md"
+GUIDE = Path(__file__).parents[2] / "docs" / "guide.md"
 GFFE = [sys.executable, "-c", "from gffe_cl.cli import main; main()", "view"]
 XVFB = ["xvfb-run", "-a", "-s", "-screen 0 1920x1200x24"]
 

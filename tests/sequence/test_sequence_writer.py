@@ -119,7 +119,7 @@ def test_one_writer_at_a_time(tmp_path):
             write(out)
         with pytest.raises(GffeError, match="is still being written"):
             open_sequence(out)
-        arguments = [sys.executable, "-c", child, str(Path(__file__).parent), str(out)]
+        arguments = [sys.executable, "-c", child, str(Path(__file__).parents[1] / "helpers"), str(out)]
         said = subprocess.run(arguments, capture_output=True, text=True, check=True).stdout
         assert f"another run is writing into it, process {os.getpid()}" in said
     assert [entry.file for entry in open_sequence(out).frames] == ["frame_0.exr"]

@@ -14,7 +14,7 @@ from test_formats_images import png
 from gffe_cl import Camera, GffeError, open_capture
 
 NEAR, FAR = 0.05, 400.0
-DOCS = Path(__file__).parent.parent / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def rendered():

@@ -13,7 +13,7 @@ import pytest
 from gffe_cl import open_capture
 from gffe_cl.formats.motion_conversion import static_motion
 
-SCRIPT = Path(__file__).parent.parent / "docs" / "blender" / "export_gffe.py"
+SCRIPT = Path(__file__).parents[2] / "docs" / "blender" / "export_gffe.py"
 PYTHON = os.environ.get("GFFE_BLENDER_PYTHON", sys.executable)
 WIDTH, HEIGHT, EVERY = 81, 46, 2
 STEP = np.array([0.3, 0.0, 0.1])  # of the cube, between rendered frames
