@@ -129,7 +129,9 @@ CHOICES: dict[str, tuple[Change, str]] = {
     "camera of the frame known": (Change(camera=False), "camera predicted"),
 }
 SCN: dict[str, Change] = {
-    "previous frame only where its surface was shown": Change(constants={"previous.h": {"SAME_SURFACE": "1e30f"}}),
+    "previous frame only where its surface was shown": Change(
+        constants={"warped_previous.h": {"SAME_SURFACE": "1e30f"}}
+    ),
     "a small focus mask is 0": Change(constants={"correction.cl": {"LEAST_MASK": "0.0f"}}),
     "(focus mask, as in the paper)": Change({"focus_mask": False}),
 }

@@ -5,7 +5,7 @@
    a mover are skipped. */
 
 #include "common.h"
-#include "cells.h"
+#include "mover_grid.h"
 
 #define BEND_MOST 0.25f  /* an acceleration of more than this share of the velocity counts less, the more the larger it is */
 #define TURN 0.8333333f  /* the third difference's share beside the second's, (alpha + 2) / 3, at alpha = 1/2 */

@@ -8,7 +8,7 @@
    do RUN at once. */
 
 #include "common.h"
-#include "wide.h"
+#include "simd.h"
 #include "nearest.h"
 #include "levels.h"
 #include "blocks.h"
@@ -143,7 +143,7 @@ INLINE void offer_fragment(const float3 now, const uint texel, const Collection 
         const int cell = (corner_y >> level) * level_width + (corner_x >> level);
         const uint bits = as_uint(z) | GIVES_WAY;
         if (cell == filled || (level == 0 && cell == own) || to.taken[cell] != EMPTY
-            || !may_win(to.pass, to.fill_keys, cell, bits, texel)) continue;
+            || !may_win(to.pass, to.fill_keys, cell, bits)) continue;
         if (may_be_at(corner_y * to.width + corner_x, z, to.width, to.depth, to.dynamic_mask, to.links, &margin, &behind)
             && (level == 0 || behind))
             offer_bits(to.pass, to.fill_keys, to.fill_winners, cell, bits, texel);

@@ -5,7 +5,7 @@
    reach it lie side by side and are smooth: then one surface covers it, and nothing can be before it. */
 
 #include "common.h"
-#include "wide.h"
+#include "simd.h"
 #include "flow.h"
 #include "blocks.h"
 #include "nearest.h"

@@ -1,8 +1,8 @@
 /* What surrounds the shading correction network (paper: 'Shading Correction Network'): its input at half resolution, and the
    frame that its output makes of the extrapolated one. */
 
-#include "previous.h"
-#include "law.h"
+#include "warped_previous.h"
+#include "mu_law.h"
 
 #define BIN_BITS 16       /* dropped from a depth: bins are 1/128 of a power of two wide */
 #define BINS 32768

@@ -1,7 +1,7 @@
 /* Cubic (Catmull-Rom) interpolation of half images. */
 
 #include "rgb.h"
-#include "wide.h"
+#include "simd.h"
 
 /* Catmull-Rom weights of the four taps around t in [0, 1). */
 inline float4 cubic_weights(const float t) {

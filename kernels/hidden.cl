@@ -5,8 +5,8 @@
    RUN pixels without a hole are skipped at once, and so are RUN x LANES without a dynamic pixel within reach. */
 
 #include "common.h"
-#include "wide.h"
-#include "march.h"
+#include "simd.h"
+#include "directional_search.h"
 #include "blocks.h"
 
 #define ONE_OBJECT 0.05f  /* relative depth within which two dynamic fragments are of one object ... */

@@ -3,7 +3,7 @@
    motion points to, at the depth met there, which is all that is stored of it for k = 2; for more, P_1 ... P_{k-1} are. */
 
 #include "common.h"
-#include "wide.h"
+#include "simd.h"
 
 #define RESIDUAL_BINS 64
 #define RESIDUAL_FIRST_BIN 214   /* bits of 2^-20 >> 22: the squared residual of the first bin, in px^2 */

@@ -4,8 +4,8 @@
    at once, and blocks are summed up only where a pixel asks for them. */
 
 #include "common.h"
-#include "wide.h"
-#include "march.h"
+#include "simd.h"
+#include "directional_search.h"
 #include "blocks.h"
 
 #define BLOCK 32

@@ -13,22 +13,27 @@ typedef uint Key;   /* depth bits; the index is found in a second pass */
 
 /* `depth_bits`: those of a positive float, perhaps with GIVES_WAY. One key for them and the index with 64-bit atomics; else
    pass 0 finds the least of them, pass 1 the least index of it. An offer that cannot win any more need not be made: a plain look
-   costs less than an atomic, and one that comes too early only makes an offer in vain. */
+   costs less than an atomic, and one that comes too early only makes an offer in vain. It takes 32 bits, the depth's: devices need
+   not load 64 as a whole, and a new depth with an old index would drop a tie. */
 #define LOOKS 1  /* 0 for Oclgrind, which takes that look for a race */
+#ifdef __ENDIAN_LITTLE__
+#define DEPTH_WORD 1  /* of a key's two words */
+#else
+#define DEPTH_WORD 0
+#endif
 
-inline bool may_win(const int pass, __global const Key *keys, const int c, const uint depth_bits, const uint i) {
+inline bool may_win(const int pass, __global const Key *keys, const int c, const uint depth_bits) {
 #ifdef INT64_ATOMICS
     (void)pass;
-    return !LOOKS || keys[c] > (((ulong)depth_bits << 32) | i);
+    return !LOOKS || ((__global const uint *)keys)[2 * c + DEPTH_WORD] >= depth_bits;
 #else
-    (void)i;
     return pass == 0 ? !LOOKS || keys[c] > depth_bits : keys[c] == depth_bits;
 #endif
 }
 
 inline void offer_bits(const int pass, __global Key *keys, __global uint *winners, const int c, const uint depth_bits,
                        const uint i) {
-    if (!may_win(pass, keys, c, depth_bits, i)) return;
+    if (!may_win(pass, keys, c, depth_bits)) return;
 #ifdef INT64_ATOMICS
     (void)winners;
     atom_min(keys + c, ((ulong)depth_bits << 32) | i);

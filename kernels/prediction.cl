@@ -4,8 +4,8 @@
    the linear prediction. */
 
 #include "common.h"
-#include "wide.h"
-#include "cells.h"
+#include "simd.h"
+#include "mover_grid.h"
 
 /* In orderN, component i - 1: factor of (P_i - P_0) in the polynomial of order N. */
 typedef struct { float8 order1, order2, order3, order4, order5; } Polynomial;

@@ -1,10 +1,10 @@
 /* Around the shading correction network (paper: 'Shading Correction Network'): what it sees of the previous rendered frame, at
    full size for whoever looks at it, and the focus mask that it learns. */
 
-#include "previous.h"
+#include "warped_previous.h"
 #include "rgb.h"
 
-/* warped_previous and input_mask. network_input (correction.cl) does not need them: it has the same from previous.h. */
+/* warped_previous and input_mask. network_input (correction.cl) does not need them: it has the same from warped_previous.h. */
 WIDE __kernel void prepare_inputs(const int target_width, const int target_height, const int source_width,
                                   const int source_height, const int has_previous, __global const half *color,
                                   __global const float *depth, __global const float2 *out_motion,

@@ -9,8 +9,8 @@
    out        out_color   display   sharpened                                                                            */
 
 #include "common.h"
-#include "around.h"
-#include "strips.h"
+#include "stencil.h"
+#include "simd_texels.h"
 
 INLINE Floats luma_of(const Strip *s) {
     Floats c[4];

@@ -4,7 +4,7 @@
    Only pixels at steps of depth whose two sides move apart are looked at; LANES of others are skipped at once. */
 
 #include "common.h"
-#include "around.h"
+#include "stencil.h"
 #include "flow.h"
 #include "blocks.h"
 #include "rgb9e5.h"

@@ -3,7 +3,7 @@
    Where depth changes by little, or by much between two flat surfaces, links follow from it without a division. */
 
 #include "common.h"
-#include "wide.h"
+#include "simd.h"
 #include "nearest.h"
 #include "levels.h"
 

@@ -3,7 +3,7 @@
    not: the shading correction network tells them apart.
    A cell has 8x8 pixels of the rendered image; a few of them stand for all. */
 
-#include "law.h"
+#include "mu_law.h"
 
 #define CELL 8
 #define SAMPLE_STRIDE 4        /* px, from the second pixel of a cell on */

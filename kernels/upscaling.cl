@@ -18,9 +18,9 @@
               out_color        display   a generated frame, seen through the history                                       */
 
 #include "common.h"
-#include "around.h"
-#include "strips.h"
-#include "samples.h"
+#include "stencil.h"
+#include "simd_texels.h"
+#include "sample_filter.h"
 
 #define MOST_WEIGHT 12.0f     /* of a history at rest, in samples */
 #define MOVED_WEIGHT 1.0f     /* of one that moved: it blurs whenever it is resampled */

@@ -4,7 +4,7 @@
    nor searched: their pixels find the fragment by the inverse of the block's flow. */
 
 #include "common.h"
-#include "wide.h"
+#include "simd.h"
 #include "cubic.h"
 #include "nearest.h"
 #include "flow.h"

@@ -58,7 +58,7 @@ class KernelTraffic:
 
 
 def count(footage: Footage, options: Options, lanes: int) -> dict[str, KernelTraffic]:
-    """Traffic by "stage.kernel" in a part of the footage (of host arrays), with so many lanes (wide.h). Raises
+    """Traffic by "stage.kernel" in a part of the footage (of host arrays), with so many lanes (simd.h). Raises
     GffeError if Oclgrind is missing or fails."""
     footage = footage.part(*PART, CENTRE)
     command = shutil.which("oclgrind")

@@ -15,7 +15,7 @@ from gffe_cl.inference.network import MULTIPLE
 from gffe_cl.opencl.probing import DIVISION_SOURCE, INT64_SOURCE
 from gffe_cl.opencl.program import expand
 from gffe_cl.pipeline.options import Options
-from gffe_cl.stages import correction, cuts, law
+from gffe_cl.stages import correction, cuts, mu_law
 from gffe_cl.stages.background import MAX_LEVELS
 from gffe_cl.stages.base import Kernel, NearestStage, Stage
 from gffe_cl.stages.buffers import BLOCK, BufferSpec, aligned, texel_of
@@ -71,8 +71,8 @@ def config(options: Options) -> str:
         "AT_REST": window.AT_REST,
         "NEAR_SAMPLES": window.NEAR_SAMPLES,
         "NEAR_QUANTILE": window.NEAR_QUANTILE,
-        "MU": law.MU,
-        "HEADROOM": law.HEADROOM,
+        "MU": mu_law.MU,
+        "HEADROOM": mu_law.HEADROOM,
         "CUT_DETECTION": int(options.cut_detection),
         "CORRECTS_SHADING": int(options.corrects_shading),
         "UPSCALES": int(options.upscale > 0),

@@ -21,7 +21,7 @@ from gffe_cl.stages.base import Step, reprojection, zoom
 from gffe_cl.stages.buffers import Sizes, level_starts
 from gffe_cl.stages.cuts import SAMPLES
 from gffe_cl.stages.history import STRIDE
-from gffe_cl.stages.law import color_law
+from gffe_cl.stages.mu_law import color_law
 from gffe_cl.stages.prediction import MAX_ORDER, padded, polynomial_weights
 from gffe_cl.stages.presentation import mapping
 from gffe_cl.stages.trend import REACH_SHARE, reach_of

@@ -99,7 +99,7 @@ class Device:
 
     @cached_property
     def lanes(self) -> int:
-        """Pixels per work-item in dense kernels (wide.h): 8 on CPUs, 1 on everything else, or `GFFE_LANES`."""
+        """Pixels per work-item in dense kernels (simd.h): 8 on CPUs, 1 on everything else, or `GFFE_LANES`."""
         return int(os.environ.get("GFFE_LANES") or (8 if self.info.kind == "cpu" else 1))
 
     @cached_property

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from gffe_cl.inference.network import INPUT_PLANES
 from gffe_cl.scn.flow import find_flow
 from gffe_cl.scn.images import double, halve, warp
-from gffe_cl.stages.law import HEADROOM, MU
+from gffe_cl.stages.mu_law import HEADROOM, MU
 
 FOCUS_THRESHOLD = 1 / 32  # a smaller M is 0
 _CHANNELS = (24, 32, 48, 64)  # at 1/4 … 1/32 of the display

@@ -12,7 +12,7 @@ from gffe_cl.inference.network import INPUT_PLANES, OUTPUT_PLANES, Network, load
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection
 from gffe_cl.stages.buffers import RGBA, BufferSpec
-from gffe_cl.stages.law import color_law
+from gffe_cl.stages.mu_law import color_law
 from gffe_cl.stages.shading import SEEN
 from gffe_cl.stages.trend import Trend
 

@@ -1,4 +1,4 @@
-"""How values lie packed in device buffers, and what they mean on the host (background.cl and cells.h pack them)."""
+"""How values lie packed in device buffers (by background.cl and mover_grid.h), and what they mean on the host."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from gffe_cl.opencl.program import constants
 
 _PX_UNITS = constants("background.cl")["PX_UNITS"]
-_MOST_TRUST = constants("cells.h")["MOST_TRUST"]
+_MOST_TRUST = constants("mover_grid.h")["MOST_TRUST"]
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from gffe_cl.stages.buffers import BufferSpec
 FOCUS_SMAPE = 0.5  # the paper's: errors above this are the shading correction network's business
 SMAPE_EPSILON = 0.01  # the paper's: keeps black pixels from counting fully
 
-# What kernels read to know what the previous rendered frame shows at pixels of the extrapolated one (previous.h).
+# What kernels read to know what the previous rendered frame shows at pixels of the new one (warped_previous.h).
 SEEN = {
     "color": "frame.color",
     "depth": "frame.depth",

@@ -9,7 +9,7 @@ from gffe_cl.inference.network import TREND_PLANES
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection
 from gffe_cl.stages.buffers import BufferSpec
-from gffe_cl.stages.law import color_law
+from gffe_cl.stages.mu_law import color_law
 
 _CONSTANTS = constants("trend.cl")
 _CHANGES = _CONSTANTS["CHANGES"]

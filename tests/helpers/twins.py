@@ -41,7 +41,7 @@ COMMON = SimpleNamespace(**constants("common.h"))
         "hidden.cl",
         "background.cl",
         "holes.cl",
-        "previous.h",
+        "warped_previous.h",
         "correction.cl",
         "trend.cl",
     )

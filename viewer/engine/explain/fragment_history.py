@@ -13,7 +13,7 @@ from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.buffers import Shot, device_layers, moved, read_blocks
 from gffe_cl.viewer.engine.explain.pixel_explain_types import Link, Step, Story
 
-_CELLS = constants("cells.h")
+_CELLS = constants("mover_grid.h")
 
 
 @dataclass(frozen=True)

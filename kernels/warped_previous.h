@@ -3,7 +3,7 @@
    border, are looked at one by one. */
 
 #include "common.h"
-#include "wide_rgb.h"
+#include "simd_rgb.h"
 
 #define SAME_SURFACE 0.03f      /* relative depth within which the surface met in the previous frame is the fragment's ... */
 #define DEPTH_PER_MOTION 2.0f   /* ... and what is added per unit of its sideways motion, as in history tracking */

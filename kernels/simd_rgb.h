@@ -1,6 +1,6 @@
 /* Colours of half images, LANES pixels at once, as they are: finite_rgb makes numbers of what is none. */
 
-#include "wide.h"
+#include "simd.h"
 
 typedef struct { Floats r, g, b; } WideRgb;
 
@@ -112,7 +112,7 @@ inline void channels_of(const Strip *s, Floats *channels) {
 #endif
 }
 
-/* The first `count` of LANES pixels, or all if it is more, as for load_some_floats of wide.h. */
+/* The first `count` of LANES pixels, or all if it is more, as for load_some_floats of simd.h. */
 inline Strip load_strip(const int count, __global const half *color) {
     Strip s;
     if (count >= LANES) {

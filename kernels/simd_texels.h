@@ -1,6 +1,6 @@
 /* LANES texels of half images at once, wherever they lie, and cubic interpolation at LANES places (upscaling.cl). */
 
-#include "wide_rgb.h"
+#include "simd_rgb.h"
 #include "cubic.h"
 
 /* Of numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN. */

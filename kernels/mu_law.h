@@ -1,7 +1,7 @@
 /* The law by which colour is encoded for the shading correction network (paper: 'Shading Correction Network'), LANES at once. */
 
 #include "common.h"
-#include "wide.h"
+#include "simd.h"
 
 /* Of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN. */
 inline Floats least(const Floats a, const float b) { return a < b ? a : (Floats)(b); }

@@ -1,6 +1,6 @@
 /* LANES pixels of an image, and what lies around them (silhouettes.cl). */
 
-#include "wide_rgb.h"
+#include "simd_rgb.h"
 
 /* LANES pixels of an image from (x, y) on. `inner`: those around lie inside, too; else they are clamped to it. */
 typedef struct { int x, y, width, height; bool inner; } Span;
