@@ -165,7 +165,7 @@ class Options:
     levels: int = _option(
         2, "background levels", "L: level 0 holds what moving objects hide, deeper ones what static surfaces do.",
         low=0, high=MAX_LEVELS, off=0, off_label="background collection",
-        off_sentence="Static surfaces that are hidden now, remembered in levels.", flag="--layers",
+        off_sentence="Static surfaces that are hidden now, remembered in levels.", flag="--background-levels",
         off_flag="--no-background",
     )  # fmt: skip
     hole_filling: str = _option(
