@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from typer.main import get_command
 
-from gffe_cl.cli.commands import app
+from gffe_cl.cli.commands import RENAMED, app
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")] + sorted(
@@ -81,7 +81,7 @@ def test_options_that_prose_names_exist():
     others |= {"--cases", "--minutes", "--arguments"}  # of scripts in docs
     others |= {"--nthreads"}  # of Dask's workers
     others |= {"--from", "--no-deps"}  # of uvx and pip
-    others |= {"--build"}  # of CMake
+    others |= {"--build", *RENAMED}  # of CMake; older names
     others |= {"--python", "--every", "--between", "--no-truth", "--overwrite"}  # of Blender and its script
     known = {f for c in get_command(app).commands.values() for p in c.params for f in (*p.opts, *p.secondary_opts)}
     for name, text in TEXTS.items():

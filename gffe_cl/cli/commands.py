@@ -31,14 +31,14 @@ from gffe_cl.core.validation import MOST_SEED, shown
 
 __all__ = ["app", "invoke"]
 
-_RENAMED = {"--layers": "--background-levels"}  # older names of options, which are still taken
+RENAMED = {"--layers": "--background-levels"}  # older names of options, which are still taken
 
 
 def invoke(arguments: list[str]) -> int:
     """Do what the command line says; the exit code. Raises whatever the command raises, and usage errors."""
     try:
         words = (word.partition("=") for word in arguments)
-        arguments = [_RENAMED.get(name, name) + equals + value for name, equals, value in words]
+        arguments = [RENAMED.get(name, name) + equals + value for name, equals, value in words]
         with _command().make_context("gffe", arguments) as context:
             context.command.invoke(context)
     except typer.Exit as stop:

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pyopencl as cl
 import pytest
-import twins_cuts
 from synthetic import Rect, Rects, camera
 from test_twins import frames
+from twins import scene_cuts as twins_cuts
 
 from gffe_cl.evaluation.compare import compare
 from gffe_cl.frame.rendered_frame import pack_frame

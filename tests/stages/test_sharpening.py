@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-import twins_upscaling as twin
 from synthetic import Rect, Rects
 from test_upscaling import MOVING, STILL, H, W, color_of, frames, path, pipeline_for
+from twins import upscaling as twin
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.pipeline.options import Options

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import twins
-import twins_silhouettes
 from synthetic import Rect, Rects, camera
+from twins import silhouettes as twins_silhouettes
 
 from gffe_cl.opencl.device import list_devices, open_info
 from gffe_cl.pipeline.options import Options

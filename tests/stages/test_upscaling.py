@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import twins_upscaling as twin
 from synthetic import Rect, Rects, camera
+from twins import upscaling as twin
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.jitter import Jitter, without_jitter

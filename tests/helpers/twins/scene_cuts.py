@@ -3,9 +3,10 @@
 from types import SimpleNamespace
 
 import numpy as np
-from twins import F, invalid, load_color, reproject
 
 from gffe_cl.opencl.program import constants
+from twins.common import F, invalid, reproject
+from twins.warp import load_color
 
 CUTS = SimpleNamespace(**{n: F(v) if isinstance(v, float) else v for n, v in constants("cuts.cl").items()})
 

@@ -3,9 +3,10 @@
 from types import SimpleNamespace
 
 import numpy as np
-from twins import F, centres, invalid, load_color
 
 from gffe_cl.opencl.program import constants
+from twins.common import F, centres, invalid
+from twins.warp import load_color
 
 UP = SimpleNamespace(**{n: F(v) if isinstance(v, float) else v for n, v in constants("upscaling.cl").items()})
 MOST = F(65504)

@@ -1,10 +1,11 @@
 """NumPy twin of kernels/silhouettes.cl, pixel by pixel."""
 
 import numpy as np
-from twins import COMMON, as_rgb9e5
 
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.buffers import BLOCK
+from twins.background import as_rgb9e5
+from twins.common import COMMON
 
 F = np.float32
 CONSTANTS = constants("silhouettes.cl")

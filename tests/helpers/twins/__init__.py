@@ -1,0 +1,59 @@
+"""NumPy twins of the kernels: the oracles of the device tests.
+
+Plain float32 arithmetic in the kernels' order, whole images at a time. Cameras come as the same packed
+`Reprojection` arrays that kernels get, (6, 4) float32. Constants are read from the kernels' sources.
+
+One module per stage.
+"""
+
+from twins.acceleration import track_acceleration
+from twins.background import REMEMBERED, SHOWN, collect_levels, collect_shown, project_background
+from twins.common import COMMON, centres
+from twins.composition import compose
+from twins.correction import correct, decode, depth_median, encode, network_input
+from twins.hidden_parts import fill_hidden_parts
+from twins.history import noise_threshold_squared, residual_histogram, track_history
+from twins.holes import asked_blocks, downsample, fill_holes, mix_far_side
+from twins.prediction import predict_positions
+from twins.presentation import present
+from twins.shading import prepare_inputs
+from twins.shading_trend import carry_trends, find_trend, measure_changes
+from twins.warp import block_classes, link_surfaces, load_color, resolve, smooth_blocks, splat, unmixed
+
+__all__ = [
+    "COMMON",
+    "REMEMBERED",
+    "SHOWN",
+    "asked_blocks",
+    "block_classes",
+    "carry_trends",
+    "centres",
+    "collect_levels",
+    "collect_shown",
+    "compose",
+    "correct",
+    "decode",
+    "depth_median",
+    "downsample",
+    "encode",
+    "fill_hidden_parts",
+    "fill_holes",
+    "find_trend",
+    "link_surfaces",
+    "load_color",
+    "measure_changes",
+    "mix_far_side",
+    "network_input",
+    "noise_threshold_squared",
+    "predict_positions",
+    "prepare_inputs",
+    "present",
+    "project_background",
+    "residual_histogram",
+    "resolve",
+    "smooth_blocks",
+    "splat",
+    "track_acceleration",
+    "track_history",
+    "unmixed",
+]

@@ -1,0 +1,92 @@
+"""Twin of acceleration.cl."""
+
+import numpy as np
+
+from twins.common import INF, F, centres, kernel_constants, move, rotate, unproject
+
+ACCELERATION = kernel_constants("acceleration.cl")
+
+
+def _is_of_cell(z, cell_depth):
+    return abs(z - cell_depth) <= ACCELERATION.CELL_TOLERANCE * cell_depth
+
+
+def _mover_of_cell(inside, p0, p1, px_prev, depth, met_depth):
+    """Mean velocity, position and depths of the nearest mover among pixels `inside`; None if there is none."""
+    nearest = min((depth[at] for at in inside), default=INF)
+    of_it = [at for at in inside if _is_of_cell(depth[at], nearest)]
+    if not of_it:
+        return None
+    count = F(len(of_it))
+    return [sum((a[at] for at in of_it), F(0)) / count for a in (p0 - p1, px_prev, depth, met_depth)]
+
+
+def _trust(velocity, found, before):
+    size, speed = (found * found).sum(), ACCELERATION.BEND_MOST**2 * (velocity * velocity).sum()
+    if not size > 0:
+        return F(0)
+    lasted = np.clip((found * before).sum() / size, F(0), F(1))
+    return lasted * (speed / size) if size > speed else lasted
+
+
+def _carried_on(found, before):
+    """The third difference goes on as at α = ½, less where it is over a quarter of the second."""
+    change, most = found - before, F(ACCELERATION.TURN_MOST) * np.linalg.norm(found)
+    size = np.linalg.norm(change)
+    return found + F(ACCELERATION.TURN) * change * (F(1) if size <= most else (most / size) ** 2)
+
+
+def _as_packed(acceleration):
+    """As it reads after packing: ten bits of the mantissa, trust in steps of 1/62."""
+    vector = ((np.ascontiguousarray(acceleration[..., :3]).view(np.uint32) + 0x1000) & 0xFFFFE000).view(F)
+    trust, steps = acceleration[..., 3:], F(ACCELERATION.MOST_TRUST)
+    return np.concatenate([vector, np.where(trust < 0, F(-1), np.floor(trust * steps + F(0.5)) / steps)], -1)
+
+
+def track_acceleration(
+    depth, motion, dynamic, met_depth, velocity_prev, acceleration_prev, ratio, to_previous, from_previous
+):
+    """Velocity and depth, acceleration and trust, what goes on of it, of cells, (⌈H/4⌉, ⌈W/4⌉, 4) each."""
+    side, (height, width) = ACCELERATION.CELL, depth.shape
+    cells = -(-height // side), -(-width // side)
+    velocity, acceleration, bend = (np.zeros((*cells, 4), F) for _ in range(3))
+    acceleration[..., 3] = -1
+    known = (dynamic > 0) & (met_depth > 0)
+    px = centres(height, width)
+    with np.errstate(all="ignore"):
+        px_prev = px + motion
+        p0 = unproject(px, depth, to_previous[4])
+        p1 = move(unproject(px_prev, met_depth, from_previous[4]), from_previous)
+    for y, x in np.ndindex(cells):
+        rows, columns = range(side * y, min(side * y + side, height)), range(side * x, min(side * x + side, width))
+        inside = [(j, i) for j in rows for i in columns if known[j, i]]
+        mover = _mover_of_cell(inside, p0, p1, px_prev, depth, met_depth)
+        if mover is None:
+            continue
+        v, at, z, z_prev = mover
+        velocity[y, x] = (*v, z)
+        at = at / F(side) - F(0.5)
+        x0, y0 = map(int, np.floor(at))
+        was, before, weights, before_weights = np.zeros(3, F), np.zeros(3, F), F(0), F(0)
+        for tap in range(4):
+            i, j = x0 + (tap & 1), y0 + (tap >> 1)
+            if not (0 <= i < cells[1] and 0 <= j < cells[0]):
+                continue
+            v_prev, a_prev = velocity_prev[j, i], acceleration_prev[j, i]
+            if not v_prev[3] > 0 or not _is_of_cell(v_prev[3], z_prev):
+                continue
+            u, w = at - (x0, y0)
+            weight = F(u if tap & 1 else 1 - u) * F(w if tap >> 1 else 1 - w)
+            was, weights = was + weight * v_prev[:3], weights + weight
+            if a_prev[3] >= 0:
+                before, before_weights = before + weight * a_prev[:3], before_weights + weight
+        if not weights > 0:
+            continue
+        found = (v - ratio * rotate(was / weights, from_previous)) * (ratio / (1 + ratio))
+        acceleration[y, x] = (*found, 0)
+        if before_weights > 0:
+            before = ratio * ratio * rotate(before / before_weights, from_previous)
+            acceleration[y, x, 3] = _trust(v, found, before)
+            bend[y, x, :3] = acceleration[y, x, 3] * _carried_on(found, before)
+    bend[..., 3] = np.maximum(acceleration[..., 3], F(0))
+    return velocity, _as_packed(acceleration), _as_packed(bend)

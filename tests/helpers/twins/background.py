@@ -1,0 +1,206 @@
+"""Twin of background.cl."""
+
+import numpy as np
+
+from twins.common import COMMON, INF, F, centres, invalid, kernel_constants, reproject
+from twins.holes import is_outside, static_motion
+from twins.warp import _STEPS, _shifted, load_color, unmixed
+
+BACKGROUND = kernel_constants("background.cl")
+EMPTY_TEXEL, SHOWN, REMEMBERED = BACKGROUND.EMPTY, BACKGROUND.SHOWN, BACKGROUND.REMEMBERED
+
+
+def collect_shown(color, depth, dynamic, collect):
+    """Level 0 before anything is remembered: a dict of color (H, W, 4) float16, depth, px, state."""
+    height, width = depth.shape
+    keep = collect & (unmixed(depth, dynamic) > 0)
+    packed = np.zeros((height, width, 4), np.float16)
+    packed[..., :3] = load_color(color)
+    return {
+        "color": packed,
+        "depth": depth.copy(),
+        "px": centres(height, width),
+        "state": np.where(keep, SHOWN, EMPTY_TEXEL).astype(np.uint8),
+    }
+
+
+def as_rgb9e5(color):
+    """(…, 4) float16 of colours (…, 3 or 4) once they were stored in three mantissas that share an exponent."""
+    kept = np.clip(color[..., :3].astype(np.float64), 0, BACKGROUND.COLOR_MOST)
+    exponent = np.floor(np.log2(np.maximum(kept.max(-1, keepdims=True), 2.0**-16)))
+    carries = np.rint(kept.max(-1, keepdims=True) * 2.0 ** (8 - exponent)) == 512
+    unit = 2.0 ** (exponent + carries - 8)
+    out = np.zeros((*color.shape[:-1], 4), np.float16)
+    out[..., :3] = np.rint(kept / unit) * unit
+    return out
+
+
+def as_offset(px, texel, level):
+    """(2,) float32 of a position once it was stored as the offset from the centre of `texel` (row, column)."""
+    side = F(1 << level)
+    centre = (np.array(texel[::-1], F) + F(0.5)) * side
+    units = np.clip(np.rint((px - centre) * (BACKGROUND.PX_UNITS / side)), -32768, 32767)
+    return centre + units * (side / BACKGROUND.PX_UNITS)
+
+
+def _slopes(depth, links):
+    most = np.zeros(depth.shape, F)
+    for bit, (dx, dy) in enumerate(_STEPS):
+        with np.errstate(invalid="ignore"):
+            step = np.abs(_shifted(depth, dx, dy, np.nan) - depth)
+        most = np.where((links >> bit) & 1 > 0, np.fmax(most, step), most)
+    return np.where(np.isinf(depth), F(0), most)
+
+
+def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
+    """All levels of a rendered frame from those of the frame before (lists of dicts) and `level0`, its
+    `collect_shown`. Ties and order as in the kernels."""
+    height, width = depth.shape
+    count = len(levels_before)
+    slopes = _slopes(depth, links)
+
+    def may_be_at(sy, sx, z):
+        """(allowed, margin, behind) for a fragment of depth z."""
+        shown = depth[sy, sx]
+        if invalid(shown):
+            return True, F(0), True
+        margin = BACKGROUND.SAME_SURFACE * shown + slopes[sy, sx]
+        behind = not np.isinf(shown) if np.isinf(z) else z > shown + margin
+        in_front = not np.isinf(z) if np.isinf(shown) else z < shown - margin
+        return not in_front and (behind or not dynamic[sy, sx]), margin, behind
+
+    def offer(best, cell, z, i):
+        best[cell] = min(best.get(cell, (INF, 1 << 40)), (z, i))
+
+    def settle(best, level, before, now):
+        into = levels[level]
+        for cell, (z, i) in best.items():
+            into["state"][cell], into["depth"][cell] = REMEMBERED, z
+            into["px"][cell] = as_offset(now[i, :2], cell, level)
+            into["color"][cell] = as_rgb9e5(before["color"].reshape(-1, 4)[i])
+
+    levels = [{name: array.copy() for name, array in level0.items()}]
+    for level, before in enumerate(levels_before):
+        now = reproject(before["px"].reshape(-1, 2), before["depth"].reshape(-1), to_current)
+        x, y, z = now.T
+        inside = (z > 0) & (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        fragments = np.flatnonzero((before["state"].reshape(-1) != EMPTY_TEXEL) & inside)
+        if level + 1 < count:
+            levels.append({name: np.zeros_like(a) for name, a in levels_before[level + 1].items()})
+        current = levels[level]
+        fill, push, touched = {}, {}, {}
+        for i in fragments:
+            sx, sy = int(np.floor(x[i])), int(np.floor(y[i]))
+            allowed, margin, behind = may_be_at(sy, sx, z[i])
+            if not allowed or (level > 0 and not behind):
+                continue
+            cell = (sy >> level, sx >> level)
+            if current["state"][cell] == EMPTY_TEXEL:
+                offer(fill, cell, z[i], i)
+            elif level + 1 < count:
+                base = current["depth"][cell]
+                level_margin = margin if level == 0 else F(2) * BACKGROUND.SAME_SURFACE * base
+                if not np.isinf(base) if np.isinf(z[i]) else z[i] > base + level_margin:
+                    offer(push, (sy >> (level + 1), sx >> (level + 1)), z[i], i)
+        settle(fill, level, before, now)
+        if push:
+            settle(push, level + 1, before, now)
+        reach = F(0.499) * F(1 << level)
+        for i in fragments:
+            for dx, dy in ((-reach, -reach), (reach, -reach), (-reach, reach), (reach, reach)):
+                sx, sy = int(np.floor(x[i] + dx)), int(np.floor(y[i] + dy))
+                cell = (sy >> level, sx >> level)
+                if not (0 <= sx < width and 0 <= sy < height) or current["state"][cell] != EMPTY_TEXEL:
+                    continue
+                allowed, _, behind = may_be_at(sy, sx, z[i])
+                if allowed and (level == 0 or behind):
+                    offer(touched, cell, z[i], i)
+        settle(touched, level, before, now)
+    return levels
+
+
+def shown_before(px, z, color_prev, depth_prev, unmixed_prev, to_previous):
+    """Colour of a static point in the frame before, or None."""
+    height, width = depth_prev.shape
+    x, y, z_prev = reproject(px[None], np.array([z], F), to_previous)[0]
+    if not (z_prev > 0 and 0.5 <= x < width - 0.5 and 0.5 <= y < height - 0.5) or not unmixed_prev[int(y), int(x)]:
+        return None
+    x0, y0 = int(x - F(0.5)), int(y - F(0.5))
+    u, v = x - F(0.5) - F(x0), y - F(0.5) - F(y0)
+    found = np.zeros(3, F)
+    for tap in range(4):
+        at = y0 + (tap >> 1), x0 + (tap & 1)
+        d = depth_prev[at]
+        if not (np.isinf(d) if np.isinf(z_prev) else abs(d - z_prev) <= F(2) * BACKGROUND.SAME_SURFACE * z_prev):
+            return None
+        weight = (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
+        found = found + weight * load_color(color_prev[at])
+    return found
+
+
+def project_background(warped, levels, zoom, to_target, to_source, before):
+    """color, depth, motion and filled_by of the warped frame after background projection; `before`: the arguments of
+    `shown_before` from color_prev on."""
+    out = {name: warped[name].copy() for name in ("color", "depth", "motion", "filled_by")}
+    height, width = warped["depth"].shape
+    holes = warped["disoccluded"] > 0
+    best: dict = {}
+    there = [reproject(level["px"], level["depth"], to_target) for level in levels]
+    for number, level in enumerate(levels):
+        wide = level["depth"].shape[1]
+        for ty, tx in np.argwhere(level["state"] == REMEMBERED):
+            x, y, z = there[number][ty, tx]
+            reach = BACKGROUND.REACH
+            if not (z > 0 and -reach < x < width + reach and -reach < y < height + reach):
+                continue
+            nearer = F(1) if np.isinf(z) else level["depth"][ty, tx] / z
+            side = F(1 << number) * BACKGROUND.FOOTPRINT_HALF * nearer
+            half = [min(max(side * zoom[k], F(0.5)), reach) for k in range(2)]
+            x0, x1 = max(int(np.ceil(x - half[0] - F(0.5))), 0), min(int(np.floor(x + half[0] - F(0.5))), width - 1)
+            y0, y1 = max(int(np.ceil(y - half[1] - F(0.5))), 0), min(int(np.floor(y + half[1] - F(0.5))), height - 1)
+            key = (z, number, ty * wide + tx)
+            for cell in ((cy, cx) for cy in range(y0, y1 + 1) for cx in range(x0, x1 + 1)):
+                shown = warped["depth"][cell]
+                alike = np.isinf(z) if np.isinf(shown) else abs(z - shown) <= BACKGROUND.SAME_SURFACE * shown
+                if holes[cell] or (warped["mixed"][cell] and alike):
+                    best[cell] = min(best.get(cell, (INF, 99, 0)), key)
+    px = centres(height, width)
+
+    for (y, x), (z, number, i) in best.items():
+        if warped["filled_by"][y, x] == COMMON.BY_HIDDEN_PART:
+            continue
+        at = reproject(px[y, x][None], np.array([z], F), to_source)[0]
+        if is_outside(at, levels[0]["depth"]):
+            continue
+        level = levels[number]
+        level_height, level_width = level["depth"].shape
+        ty, tx = divmod(i, level_width)
+        winner = level["depth"][ty, tx]
+        nearer = F(1) if np.isinf(z) else winner / z
+        sides = [F(1 << number) * nearer * zoom[k] for k in range(2)]
+        for reach in (1, 2):
+            total, weights = np.zeros(3, F), F(0)
+            for ny in range(max(ty - reach, 0), min(ty + reach + 1, level_height)):
+                for nx in range(max(tx - reach, 0), min(tx + reach + 1, level_width)):
+                    d = level["depth"][ny, nx]
+                    alike = (
+                        np.isinf(d) if np.isinf(winner) else abs(d - winner) <= F(2) * BACKGROUND.SAME_SURFACE * winner
+                    )
+                    at = there[number][ny, nx]
+                    if level["state"][ny, nx] == EMPTY_TEXEL or not alike or not at[2] > 0:
+                        continue
+                    wx, wy = (F(1) - abs(at[k] - px[y, x, k]) * (F(1) / (sides[k] * F(reach))) for k in range(2))
+                    if wx > 0 and wy > 0:
+                        total = total + wx * wy * load_color(level["color"][ny, nx])
+                        weights = weights + wx * wy
+            if weights >= BACKGROUND.ENOUGH_WEIGHT:
+                break
+        found = total / weights if weights > F(0.01) else load_color(level["color"][ty, tx])
+        sharp = shown_before(px[y, x], z, *before)
+        found = found if sharp is None else sharp
+        out["color"][y, x, :3] = found if holes[y, x] else F(0.5) * (found + load_color(warped["color"][y, x]))
+        out["filled_by"][y, x] = 1 + number
+        if holes[y, x]:
+            out["depth"][y, x] = z
+            out["motion"][y, x] = static_motion(px[y, x][None], np.array([z], F), to_source)[0]
+    return out

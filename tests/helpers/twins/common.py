@@ -1,0 +1,64 @@
+"""What twins share: projections, constants of kernels."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from gffe_cl.opencl.program import constants
+
+F = np.float32
+INF = F(np.inf)
+COMMON = SimpleNamespace(**constants("common.h"))
+
+
+def kernel_constants(file):
+    """Those of a kernel file, as attributes; fractions are float32."""
+    return SimpleNamespace(**{name: F(v) if isinstance(v, float) else v for name, v in constants(file).items()})
+
+
+WARP = kernel_constants("warp.cl")
+NOBODY = WARP.NOBODY
+COLOR_MAX = F(COMMON.COLOR_MAX)
+
+
+def centres(height, width):
+    """(H, W, 2) float32 pixel centres."""
+    y, x = np.mgrid[:height, :width].astype(F)
+    return np.stack([x + F(0.5), y + F(0.5)], -1)
+
+
+def invalid(depth):
+    return ~(depth > 0)
+
+
+def unproject(px, z, inverse):
+    scale = np.where(np.isinf(z), F(1), z)
+    x = (px[..., 0] - inverse[2]) * inverse[0] * scale
+    y = (px[..., 1] - inverse[3]) * inverse[1] * scale
+    return np.stack([x, y, scale + np.zeros_like(x)], -1).astype(F)
+
+
+def rotate(v, r):
+    return np.stack([r[k, 0] * v[..., 0] + r[k, 1] * v[..., 1] + r[k, 2] * v[..., 2] for k in range(3)], -1)
+
+
+def move(v, r):
+    return rotate(v, r) + r[:3, 3]
+
+
+def project(v, camera):
+    with np.errstate(all="ignore"):
+        x = camera[0] * v[..., 0] / v[..., 2] + camera[2]
+        y = camera[1] * v[..., 1] / v[..., 2] + camera[3]
+    return np.stack([x, y], -1)
+
+
+def reproject(px, z, r):
+    view = unproject(px, z, r[4])
+    sky = np.isinf(z)
+    target = np.where(sky[..., None], rotate(view, r), move(view, r))
+    xy = project(target, r[5])
+    behind = ~(target[..., 2] > 0)
+    out = np.concatenate([xy, np.where(sky, INF, target[..., 2])[..., None]], -1)
+    out[behind] = (0, 0, -1)
+    return out.astype(F)

@@ -1,0 +1,62 @@
+"""Twin of hidden.cl."""
+
+import numpy as np
+
+from twins.common import COMMON, F, kernel_constants, reproject
+from twins.holes import _DIRECTIONS, march
+from twins.warp import load_color
+
+HIDDEN = kernel_constants("hidden.cl")
+
+
+def fill_hidden_parts(warped, source_depth, zoom, to_source, reach):
+    """color, depth, motion and filled_by of the warped frame with the hidden parts of movers."""
+    out = {name: warped[name].copy() for name in ("color", "depth", "motion", "filled_by")}
+    depth, holes, dynamic = warped["depth"], warped["disoccluded"] > 0, warped["dynamic"] > 0
+    height, width = source_depth.shape
+
+    def moves_along(q, y, x):
+        offset = [F(x - q[1]) / zoom[0], F(y - q[0]) / zoom[1]]
+        return np.array([q[1] + 0.5, q[0] + 0.5], F) + warped["motion"][q] + np.array(offset, F)
+
+    def mover(y, x, d):
+        """(distance, pixel) of the first mover in direction d, or None."""
+        before = []
+        for distance, q in march(y, x, d, reach, depth.shape):
+            if not dynamic[q]:
+                before += [] if holes[q] else [depth[q]]
+                continue
+            if any(not z < depth[q] * HIDDEN.STANDS_BEFORE for z in before):
+                return None
+            px = moves_along(q, y, x)
+            if not (0 <= px[0] < width and 0 <= px[1] < height):
+                return None
+            shown = source_depth[int(px[1]), int(px[0])]
+            then = reproject(np.array([[q[1] + 0.5, q[0] + 0.5]], F), depth[q][None], to_source)[0, 2]
+            return (distance, q) if not shown > 0 or shown < HIDDEN.HIDES * then else None
+        return None
+
+    def same(a, b):
+        return abs(a - b) <= HIDDEN.ONE_OBJECT * min(a, b)
+
+    for y, x in np.argwhere(holes):
+        met = [mover(y, x, d) for d in _DIRECTIONS]
+        found = [m for m in met if m]
+        if not found:
+            continue
+        distance, of = min(found, key=lambda m: m[0])
+        if distance * F(HIDDEN.BESIDE) > F(reach):
+            pairs = [(met[k], met[(k + 4) % 8]) for k in range(8) if met[k] and met[(k + 4) % 8]]
+            pairs = [a for a, b in pairs if a[0] + b[0] <= F(reach) and same(depth[a[1]], depth[b[1]])]
+            if not pairs:
+                continue
+            of = min(pairs, key=lambda m: m[0])[1]
+        z = depth[of]
+        alike = [(F(1) / d, q) for d, q in found if abs(depth[q] - z) <= HIDDEN.ONE_OBJECT * z]
+        total = sum(w for w, _ in alike)
+        out["color"][y, x, :3] = sum(w * load_color(warped["color"][q]) for w, q in alike) / total
+        out["depth"][y, x] = sum(w * depth[q] for w, q in alike) / total
+        px = sum(w * moves_along(q, y, x) for w, q in alike) / total
+        out["motion"][y, x] = px - np.array([x + 0.5, y + 0.5], F)
+        out["filled_by"][y, x] = COMMON.BY_HIDDEN_PART
+    return out

@@ -1,0 +1,166 @@
+"""Twin of history.cl."""
+
+import numpy as np
+
+from twins.common import INF, F, centres, invalid, kernel_constants, move, reproject, unproject
+from twins.warp import _shifted
+
+HISTORY = kernel_constants("history.cl")
+
+
+def static_residual_squared(depth, motion, to_previous):
+    """r² of the static test, NaN where it does not apply; and where the fragment is if static."""
+    px = centres(*depth.shape)
+    where = reproject(px, depth, to_previous)
+    with np.errstate(invalid="ignore"):
+        d = where[..., :2] - (px + motion)
+        r2 = d[..., 0] * d[..., 0] + d[..., 1] * d[..., 1]
+    return r2, where
+
+
+def residual_histogram(depth, motion, to_previous):
+    """(2, 64) int32: of the squared residual, and of its squared change over 8 px diagonally."""
+    height, width = depth.shape
+    px = centres(height, width)
+    where = reproject(px, depth, to_previous)
+    with np.errstate(invalid="ignore", over="ignore"):
+        residual = where[..., :2] - (px + motion)
+    use = ~invalid(depth) & ~np.isinf(depth) & np.isfinite(motion).all(-1) & (where[..., 2] > 0)
+
+    bins, stride, apart = HISTORY.RESIDUAL_BINS, HISTORY.RESIDUAL_STRIDE, HISTORY.SCATTER_DISTANCE
+
+    def histogram(vectors):
+        r2 = vectors[:, 0] * vectors[:, 0] + vectors[:, 1] * vectors[:, 1]
+        which = np.clip((r2.view(np.uint32) >> 22).astype(int) - HISTORY.RESIDUAL_FIRST_BIN, 0, bins - 1)
+        return np.bincount(which, minlength=bins)
+
+    sampled = np.zeros_like(use)
+    sampled[::stride, ::stride] = True
+    near, near_use = _shifted(residual, apart, apart, np.nan), _shifted(use, apart, apart, False)
+    with np.errstate(over="ignore", invalid="ignore"):
+        counts = histogram(residual[sampled & use]), histogram((residual - near)[sampled & use & near_use])
+    return np.stack(counts).astype(np.int32)
+
+
+def noise_threshold_squared(histogram, low=0.25, high=4.0):
+    residuals, changes = histogram
+
+    def start(b):
+        return np.array([(b + HISTORY.RESIDUAL_FIRST_BIN) << 22], np.uint32).view(F)[0]
+
+    def quantile_bin(counts, share):
+        return int(np.argmax(np.cumsum(counts) >= F(share) * F(counts.sum())))
+
+    if residuals.sum() == 0:
+        return F(low * low)
+    first = last = quantile_bin(residuals, 0.1)
+    below = residuals[: first + 1].sum()
+    while last + 2 < len(residuals) and residuals[last + 1 : last + 3].sum() > F(0.01) * F(below):
+        last += 1
+        below += residuals[last]
+    noise = min(start(last + 1), F(64) * start(quantile_bin(residuals, 0.25) + 1))
+    if start(first) > F(HISTORY.CAMERA_ERROR) ** 2 and changes.sum():
+        change = F(16) * start(quantile_bin(changes, 0.97) + 1)
+        noise = change if change < start(first) else noise
+    return np.clip(noise, F(low * low), F(high * high))
+
+
+def _depth_met(px, expected, tolerance, depth_prev):
+    """One fragment's look-up in the previous depth: (depth or −1, index of the pixel used)."""
+    height, width = depth_prev.shape
+
+    def plausible(z):
+        return z > 0 and not np.isinf(z) and abs(z - expected) <= tolerance
+
+    if not (-4 < px[0] < width + 4 and -4 < px[1] < height + 4):
+        return F(-1), 0
+    fx, fy = px[0] - F(0.5), px[1] - F(0.5)
+    x0, y0 = int(np.floor(fx)), int(np.floor(fy))
+    u, v = fx - F(x0), fy - F(y0)
+    total = weights = heaviest = F(0)
+    nearest = 0
+    for tap in range(4):
+        x, y = x0 + (tap & 1), y0 + (tap >> 1)
+        if not (0 <= x < width and 0 <= y < height) or not plausible(depth_prev[y, x]):
+            continue
+        weight = (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
+        total = total + weight * depth_prev[y, x]
+        weights = weights + weight
+        if weight > heaviest:
+            heaviest, nearest = weight, y * width + x
+    if weights > 0:
+        return total / weights, nearest
+    found, closest = F(-1), INF
+    xc, yc = int(np.floor(px[0])), int(np.floor(px[1]))
+    around = range(-HISTORY.SEARCH_RADIUS, HISTORY.SEARCH_RADIUS + 1)
+    for y in (yc + k for k in around):
+        for x in (xc + k for k in around):
+            if not (0 <= x < width and 0 <= y < height):
+                continue
+            dx, dy = F(x + 0.5) - px[0], F(y + 0.5) - px[1]
+            distance = dx * dx + dy * dy
+            if distance < closest and plausible(depth_prev[y, x]):
+                closest, found, nearest = distance, depth_prev[y, x], y * width + x
+    if found > 0:
+        return found, nearest
+    taps = []
+    for tap in range(4):
+        x, y = x0 + (tap & 1), y0 + (tap >> 1)
+        if not (0 <= x < width and 0 <= y < height):
+            return F(-1), nearest
+        z = depth_prev[y, x]
+        if not (z > 0 and not np.isinf(z) and abs(z - expected) <= HISTORY.DEPTH_CHANGE_MOST * expected):
+            return F(-1), nearest
+        taps.append(z)
+        total = total + (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v) * z
+    nearest = (y0 + (v >= 0.5)) * width + x0 + (u >= 0.5)
+    return (total if max(taps) - min(taps) <= HISTORY.DEPTH_TOLERANCE * min(taps) else F(-1)), nearest
+
+
+def track_history(
+    depth,
+    motion,
+    positions,
+    threshold_squared,
+    to_previous,
+    from_previous,
+    depth_prev,
+    dynamic_prev,
+    history_prev,
+):
+    """Algorithm 1; `depth_prev` None after a reset. Returns dynamic mask (H, W), the depth met (H, W) and history
+    (k−1, H, W, 4), 0 where static."""
+    height, width = depth.shape
+    px = centres(height, width)
+    p0 = unproject(px, depth, to_previous[4])
+    dynamic = np.zeros((height, width), np.uint8)
+    met_depth = np.zeros((height, width), F)
+    history = np.zeros((positions - 1, height, width, 4), F)
+    if depth_prev is None:
+        return dynamic, met_depth, history
+    r2, where = static_residual_squared(depth, motion, to_previous)
+    usable = np.isfinite(motion).all(-1)
+    dynamic[:] = ~usable | (where[..., 2] < 0) | ~(r2 <= threshold_squared)
+    dynamic[invalid(depth) | np.isinf(depth)] = 0
+    history[:, dynamic > 0, :3] = p0[dynamic > 0]
+    for y, x in np.argwhere((dynamic > 0) & usable & (where[..., 2] > 0)):
+        px_prev, at = px[y, x] + motion[y, x], where[y, x]
+        sideways = (abs(px_prev[0] - at[0]) + abs(px_prev[1] - at[1])) * from_previous[4, 0] * at[2]
+        tolerance = HISTORY.DEPTH_TOLERANCE * at[2] + HISTORY.DEPTH_PER_MOTION * sideways
+        z_prev, nearest = _depth_met(px_prev, at[2], tolerance, depth_prev)
+        if not z_prev > 0:
+            continue
+        met_depth[y, x] = z_prev
+        p1_prev = unproject(px_prev, z_prev, from_previous[4])
+        history[0, y, x] = (*move(p1_prev, from_previous), 1)
+        ny, nx = divmod(nearest, width)
+        at_nearest = unproject(np.array([nx + 0.5, ny + 0.5], F), depth_prev[ny, nx], from_previous[4])
+        offset = p1_prev - at_nearest
+        for k in range(1, positions - 1):
+            older = np.append(at_nearest, F(1))
+            if dynamic_prev[ny, nx]:
+                older = history_prev[k - 1, ny, nx]
+            if older[3] == 0:
+                break
+            history[k, y, x] = (*move(older[:3] + offset, from_previous), 1)
+    return dynamic, met_depth, history

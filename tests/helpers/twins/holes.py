@@ -1,0 +1,228 @@
+"""Twin of holes.cl."""
+
+import itertools
+
+import numpy as np
+
+from twins.common import COMMON, INF, F, centres, invalid, kernel_constants, reproject
+from twins.warp import load_color
+
+HOLES = kernel_constants("holes.cl")
+
+
+def downsample(warped, source_color, source_depth):
+    """Weighted sums per 32×32 block: (colour, 1) (h, w, 4) and inverse depth (h, w), float64 accuracy."""
+    height, width = warped["depth"].shape
+    size = HOLES.BLOCK
+    blocks = (-(-height // size), -(-width // size))
+    color_sum, inverse_sum = np.zeros((*blocks, 4)), np.zeros(blocks)
+    y, x = np.mgrid[:height, :width]
+    sy, sx = y * source_depth.shape[0] // height, x * source_depth.shape[1] // width
+    rendered = (load_color(source_color)[sy, sx], source_depth[sy, sx], HOLES.RENDERED_WEIGHT)
+    warp = (load_color(warped["color"]), warped["depth"], 1.0)
+    for (c, z, pixel_weight), use in (
+        (warp, warped["filled_by"] != COMMON.BY_NOTHING),
+        (rendered, ~invalid(rendered[1])),
+    ):
+        c = c.astype(np.float64)
+        weight = np.where(use, pixel_weight / (1 + np.maximum(c.max(-1), 0)), 0)
+        with np.errstate(all="ignore"):
+            inverse = np.where(np.isinf(z) | ~use, 0, 1 / z.astype(np.float64))
+        np.add.at(color_sum, (y // size, x // size), weight[..., None] * np.dstack([c, np.ones_like(weight)]))
+        np.add.at(inverse_sum, (y // size, x // size), weight * inverse)
+    return color_sum, inverse_sum
+
+
+def _upsample(mean, height, width):
+    """Bilinear interpolation of a level (h, w, 4) at the texels of the next finer one."""
+    y, x = np.mgrid[:height, :width]
+    u, v = np.where(x & 1, F(0.25), F(0.75)), np.where(y & 1, F(0.25), F(0.75))
+    total = np.zeros((height, width, 4), F)
+    for tap in range(4):
+        tx = np.clip(((x - 1) >> 1) + (tap & 1), 0, mean.shape[1] - 1)
+        ty = np.clip(((y - 1) >> 1) + (tap >> 1), 0, mean.shape[0] - 1)
+        weight = np.where(tap & 1, u, F(1) - u) * np.where(tap >> 1, v, F(1) - v)
+        total = total + weight[..., None] * mean[ty, tx]
+    return total
+
+
+def _quads(image):
+    """(4, h/2, w/2, …): the four children of each texel of the next level, zeros beyond the border."""
+    height, width = image.shape[:2]
+    padded = np.pad(image, ((0, height % 2), (0, width % 2)) + ((0, 0),) * (image.ndim - 2))
+    return np.stack([padded[k >> 1 :: 2, k & 1 :: 2] for k in range(4)])
+
+
+def push_pull(warped):
+    """(H, W, 4) colour and inverse depth for every pixel, from a pyramid of means of the valid ones."""
+    height, width = warped["depth"].shape
+    valid = (warped["filled_by"] != COMMON.BY_NOTHING).astype(F)
+    color = load_color(warped["color"])
+    with np.errstate(all="ignore"):
+        inverse = np.where(np.isinf(warped["depth"]), F(0), F(1) / warped["depth"])
+    weight = valid / (F(1) + np.maximum(color.max(-1), F(0)))
+    values = np.concatenate([color, np.where(valid > 0, inverse, F(0))[..., None]], -1).astype(F)
+    total, count = (_quads(weight[..., None] * values).sum(0), _quads(weight).sum(0))
+    with np.errstate(all="ignore"):
+        means = [np.where(count[..., None] > 0, total / count[..., None], F(0)).astype(F)]
+    weights = [(count > 0).astype(F)]
+    for _ in range(max(1, (max(height, width) - 1).bit_length()) - 1):
+        total, count = _quads(weights[-1][..., None] * means[-1]).sum(0), _quads(weights[-1]).sum(0)
+        with np.errstate(all="ignore"):
+            means.append(np.where(count[..., None] > 0, total / count[..., None], F(0)).astype(F))
+        weights.append(np.minimum(count, F(1)))
+    for level in range(len(means) - 2, -1, -1):
+        w = weights[level][..., None]
+        means[level] = w * means[level] + (F(1) - w) * _upsample(means[level + 1], *means[level].shape[:2])
+    return _upsample(means[0], height, width)
+
+
+_DIRECTIONS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
+
+
+def march(y, x, d, reach, shape):
+    """(distance in px, (y, x)) of the pixels from (y, x) on in direction d that lie in the image and within reach."""
+    step = F(1.41421356) if d[0] and d[1] else F(1)
+    t = 1
+    while F(t) * step <= F(reach):
+        qx, qy = x + t * d[0], y + t * d[1]
+        if not (0 <= qx < shape[1] and 0 <= qy < shape[0]):
+            return
+        yield F(t) * step, (qy, qx)
+        t += 1
+
+
+def continued(beside, at, source_color):
+    """What is beside a hole that lies out of screen, with the border of the rendered image (height, width, 3)."""
+    if not at[2] > 0:
+        return beside
+    height, width = source_color.shape[:2]
+    x, y = np.clip(at[0] - F(0.5), 0, F(width - 1)), np.clip(at[1] - F(0.5), 0, F(height - 1))
+    xs, ys = [int(x), min(int(x) + 1, width - 1)], [int(y), min(int(y) + 1, height - 1)]
+    across = [source_color[j, xs[0]] * (1 - x % 1) + source_color[j, xs[1]] * (x % 1) for j in ys]
+    return (beside + across[0] * (1 - y % 1) + across[1] * (y % 1)) / 2
+
+
+def source_of(y, x, inverse, to_source):
+    """Where a static pixel of the new frame is in the rendered one: x, y, depth."""
+    z = np.array([F(1) / inverse if inverse > 0 else INF], F)
+    return reproject(np.array([[x + 0.5, y + 0.5]], F), z, to_source)[0]
+
+
+def is_outside(at, image):
+    height, width = image.shape[:2]
+    return not (at[2] > 0 and 0 <= at[0] < width and 0 <= at[1] < height)
+
+
+def far_side(warped, y, x, reach, to_source, source_color):
+    """(colour, inverse depth) of the far side around one hole, or None; `source_color`: (height, width, 3)."""
+    met = []
+    for d in _DIRECTIONS:
+        for distance, q in march(y, x, d, reach, warped["depth"].shape):
+            if warped["filled_by"][q] != COMMON.BY_NOTHING:
+                z = warped["depth"][q]
+                inverse = F(0) if np.isinf(z) else F(1) / z
+                met.append((inverse, F(1) / distance, np.append(load_color(warped["color"][q]), inverse)))
+                break
+    if not met:
+        return None
+
+    def mean(weighted):
+        return sum(w * values for w, values in weighted) / sum(w for w, _ in weighted)
+
+    ways = [source_of(y, x, inverse, to_source) for inverse, _, _ in met]
+    outside = [(w * w, values) for at, (_, w, values) in zip(ways, met, strict=True) if is_outside(at, source_color)]
+    if outside:
+        found = mean(outside)
+        return np.append(continued(found[:3], source_of(y, x, found[3], to_source), source_color), found[3])
+    least = min(inverse for inverse, _, _ in met)
+    return mean([(w, values) for inverse, w, values in met if not inverse > least * HOLES.FAR_SIDE])
+
+
+def mix_far_side(warped):
+    """Colour of the frame as the background left it, its fills mixed with the far side."""
+    color, shown = warped["color"].copy(), load_color(warped["color"])
+    hole = warped["disoccluded"] != 0
+    remembered = hole & ~np.isin(warped["filled_by"], (COMMON.BY_NOTHING, COMMON.BY_HIDDEN_PART))
+    with np.errstate(divide="ignore"):
+        inverse = F(1) / warped["depth"]
+    for y, x in np.argwhere(remembered):
+        met = []
+        for d in _DIRECTIONS:
+            found = (m for m in march(y, x, d, HOLES.MIXED_REACH, hole.shape) if not hole[m[1]])
+            met += [(F(1) / distance, q) for distance, q in itertools.islice(found, 1)]
+        least = min((inverse[q] for _, q in met), default=F(0))
+        far = [(closeness, q) for closeness, q in met if inverse[q] <= least * HOLES.FAR_SIDE]
+        if not far:
+            continue
+        weights = np.array([closeness for closeness, _ in far], F)
+        colors = np.array([shown[q] for _, q in far])
+        mean = np.average(colors, axis=0, weights=weights)
+        spread = np.average((colors.mean(1) - mean.mean()) ** 2, weights=weights)
+        typical = (HOLES.CONTRAST * mean.mean()) ** 2
+        counts = weights.max() * (typical / (typical + spread) if spread > 0 else 1)
+        color[y, x, :3] = (shown[y, x] + counts * mean) / (1 + counts)
+    return color
+
+
+def asked_blocks(warped, reach, to_source, source_color):
+    """(h, w) bool: the 32×32 blocks between whose centres a hole lies that has no far side."""
+    height, width = warped["depth"].shape
+    asked = np.zeros((-(-height // HOLES.BLOCK), -(-width // HOLES.BLOCK)), bool)
+    for y, x in np.argwhere(warped["filled_by"] == COMMON.BY_NOTHING):
+        if far_side(warped, y, x, reach, to_source, source_color) is None:
+            y0, x0 = ((c + 0.5) / HOLES.BLOCK - 0.5 for c in (y, x))
+            for tap in range(4):
+                ty, tx = int(np.floor(y0)) + (tap >> 1), int(np.floor(x0)) + (tap & 1)
+                asked[np.clip(ty, 0, asked.shape[0] - 1), np.clip(tx, 0, asked.shape[1] - 1)] = True
+    return asked
+
+
+def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color):
+    """Colour, depth, motion of the warped frame with its holes filled: from the far side within `reach` px,
+    else from the block sums; by push-pull if these are None."""
+    if color_sum is None:
+        filled = push_pull(warped)
+        return _filled(warped, filled[..., :3], filled[..., 3], to_source)
+    height, width = warped["depth"].shape
+    px = centres(height, width)
+    b = px.astype(np.float64) / HOLES.BLOCK - 0.5
+    b0 = np.floor(b).astype(int)
+    f = b - b0
+    total, inverse = np.zeros((height, width, 4)), np.zeros((height, width))
+    for tap in range(4):
+        x = np.clip(b0[..., 0] + (tap & 1), 0, color_sum.shape[1] - 1)
+        y = np.clip(b0[..., 1] + (tap >> 1), 0, color_sum.shape[0] - 1)
+        weight = np.abs(1 - (tap & 1) - f[..., 0]) * np.abs(1 - (tap >> 1) - f[..., 1])
+        total += weight[..., None] * color_sum[y, x]
+        inverse += weight * inverse_sum[y, x]
+    with np.errstate(all="ignore"):
+        mean = np.where(total[..., 3:] > 0, total[..., :3] / total[..., 3:], 0)
+        mean_inverse = np.where(total[..., 3] > 0, inverse / total[..., 3], 0)
+    holes = warped["filled_by"] == COMMON.BY_NOTHING
+    for y, x in np.argwhere(holes):
+        found = far_side(warped, y, x, reach, to_source, source_color)
+        if found is not None:
+            mean[y, x], mean_inverse[y, x] = found[:3], found[3]
+        elif reach > 0:
+            at = source_of(y, x, mean_inverse[y, x], to_source)
+            if is_outside(at, source_color):
+                mean[y, x] = continued(mean[y, x], at, source_color)
+    return _filled(warped, mean, mean_inverse, to_source)
+
+
+def _filled(warped, mean, mean_inverse, to_source):
+    px = centres(*warped["depth"].shape)
+    holes = warped["filled_by"] == COMMON.BY_NOTHING
+    with np.errstate(all="ignore"):
+        z = np.where(mean_inverse > 0, 1 / mean_inverse, np.inf).astype(F)
+    out = {name: warped[name].copy() for name in ("color", "depth", "motion")}
+    out["color"][holes, :3] = mean[holes]
+    out["depth"][holes], out["motion"][holes] = z[holes], static_motion(px, z, to_source)[holes]
+    return out
+
+
+def static_motion(px, z, to_source):
+    """Motion into the source image of static points at depth z of the target."""
+    where = reproject(px, z, to_source)
+    return np.where((where[..., 2] > 0)[..., None], where[..., :2] - px, F(0))

@@ -1,0 +1,34 @@
+"""Twin of prediction.cl."""
+
+import numpy as np
+
+from twins.common import F, centres, invalid, kernel_constants, move, project, reproject, unproject
+
+PREDICTION = kernel_constants("prediction.cl")
+
+
+def predict_positions(depth, dynamic, history, order, weights, to_target, alpha=0, movers=None):
+    """(H, W, 3) float32: px in the target image, view depth (−1: nothing). `movers`: velocity, acceleration and
+    what goes on of it, of cells, where acceleration is used."""
+    px = centres(*depth.shape)
+    out = reproject(px, depth, to_target)
+    p0 = unproject(px, depth, to_target[4])
+    known = np.cumprod(history[:order, ..., 3] != 0, axis=0).sum(0)
+    predicted = p0.copy()
+    for k in range(order):
+        weight = np.where(known > 0, weights[np.maximum(known, 1) - 1, k], F(0))
+        step = weight[..., None] * (history[k, ..., :3] - p0)
+        predicted = np.where((known > k)[..., None], predicted + step, predicted)
+    if movers:
+        height, width = depth.shape
+        side = PREDICTION.CELL
+        velocity, _, bend = (a.repeat(side, 0).repeat(side, 1)[:height, :width] for a in movers)
+        with np.errstate(invalid="ignore"):
+            near = np.abs(depth - velocity[..., 3]) <= PREDICTION.CELL_TOLERANCE * velocity[..., 3]
+        step = F(alpha) * (F(alpha) + F(1)) * bend[..., :3]
+        predicted = np.where(((known > 0) & near)[..., None], predicted + step, predicted)
+    target = move(predicted, to_target)
+    moved = np.concatenate([project(target, to_target[5]), target[..., 2:]], -1)
+    out[dynamic > 0] = moved[dynamic > 0]
+    out[invalid(depth) | ~(out[..., 2] > 0)] = (PREDICTION.NOWHERE, PREDICTION.NOWHERE, -1)
+    return out

@@ -1,0 +1,312 @@
+"""Twins of surfaces.cl, blocks.cl and warp.cl."""
+
+import numpy as np
+
+from twins.common import COLOR_MAX, COMMON, INF, NOBODY, WARP, F, centres, invalid, kernel_constants
+
+SURFACES = kernel_constants("surfaces.cl")
+BLOCKS = kernel_constants("blocks.cl")
+_STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))  # right, down, left, up: bits 1, 2, 4, 8
+
+
+def _shifted(image, dx, dy, fill):
+    """image[y + dy, x + dx], `fill` outside."""
+    height, width = image.shape[:2]
+    out = np.full_like(image, fill)
+    ys, xs = slice(max(-dy, 0), height - max(dy, 0)), slice(max(-dx, 0), width - max(dx, 0))
+    yd, xd = slice(max(dy, 0), height + min(dy, 0)), slice(max(dx, 0), width + min(dx, 0))
+    if ys.start < ys.stop and xs.start < xs.stop:
+        out[ys, xs] = image[yd, xd]
+    return out
+
+
+def link_surfaces(depth, dynamic):
+    with np.errstate(all="ignore"):
+        w = np.where(invalid(depth), F(-1), np.where(np.isinf(depth), F(0), F(1) / depth)).astype(F)
+    links = np.zeros(depth.shape, np.uint8)
+    for bit, (dx, dy) in enumerate(_STEPS):
+        a2, a = _shifted(w, -dx, -dy, -1), w
+        b, b2 = _shifted(w, dx, dy, -1), _shifted(w, 2 * dx, 2 * dy, -1)
+        size = np.maximum(a, b)
+        near = np.abs(a - b) <= SURFACES.SURFACE_STEP * size
+        near |= (a2 > 0) & (np.abs((a - a2) - (b - a)) <= SURFACES.SURFACE_CURVATURE * size)
+        near |= (b2 > 0) & (np.abs((b2 - b) - (b - a)) <= SURFACES.SURFACE_CURVATURE * size)
+        sky = (a == 0) | (b == 0)
+        same = (a >= 0) & (b >= 0) & np.where(sky, a == b, near)
+        links |= (same & (_shifted(dynamic, dx, dy, 2) == dynamic)).astype(np.uint8) << bit
+    return links
+
+
+def unmixed(depth, dynamic):
+    """(H, W) uint8: 1 where depth is valid and no pixel within 2 px is dynamic or nearer."""
+    keep = ~invalid(depth)
+    around = range(-SURFACES.GROW, SURFACES.GROW + 1)
+    for dy in around:
+        for dx in around:
+            with np.errstate(invalid="ignore"):
+                nearer = _shifted(depth, dx, dy, np.inf) < depth * SURFACES.NEARER
+            keep &= ~(_shifted(dynamic, dx, dy, 0) > 0) & ~nearer
+    return keep.astype(np.uint8)
+
+
+def flow(target_position, depth, links, zoom):
+    """Jacobian columns ddx, ddy (H, W, 3) and the determinant of its 2×2 part."""
+    here = target_position
+    sky = np.isinf(here[..., 2])
+
+    def slope(bit, dx, dy):
+        ahead, behind = _shifted(here, dx, dy, -1), _shifted(here, -dx, -dy, -1)
+        use_ahead = ((links >> bit) & 1 > 0) & (ahead[..., 2] > 0)
+        use_behind = ((links >> (bit + 2)) & 1 > 0) & (behind[..., 2] > 0)
+        with np.errstate(invalid="ignore"):
+            total = np.where(use_ahead[..., None], F(0) + (ahead - here), F(0))
+            total = np.where(use_behind[..., None], total + (here - behind), total)
+        total[..., 2][sky] = 0
+        both = use_ahead & use_behind
+        return np.where(both[..., None], total * F(0.5), total), use_ahead | use_behind
+
+    ddx, linked_x = slope(0, 1, 0)
+    ddy, linked_y = slope(1, 0, 1)
+    with np.errstate(all="ignore"):
+        nearer = np.where(sky, F(1), depth / here[..., 2])
+        scale_x, scale_y = zoom[0] * nearer, zoom[1] * nearer
+        most = WARP.STRETCH_MOST * np.maximum(scale_x, scale_y)
+        zero = np.zeros_like(scale_x)
+        plain_x = np.stack([scale_x, zero, zero], -1)
+        plain_y = np.stack([zero, scale_y, zero], -1)
+        bad_x = ~linked_x | (np.abs(ddx[..., 0]) > most) | (np.abs(ddx[..., 1]) > most)
+        bad_y = ~linked_y | (np.abs(ddy[..., 0]) > most) | (np.abs(ddy[..., 1]) > most)
+        ddx, ddy = np.where(bad_x[..., None], plain_x, ddx), np.where(bad_y[..., None], plain_y, ddy)
+        det = ddx[..., 0] * ddy[..., 1] - ddy[..., 0] * ddx[..., 1]
+        folded = ~(det > F(0.02) * scale_x * scale_y)
+        ddx, ddy = np.where(folded[..., None], plain_x, ddx), np.where(folded[..., None], plain_y, ddy)
+        det = np.where(folded, scale_x * scale_y, det)
+    return ddx.astype(F), ddy.astype(F), det.astype(F)
+
+
+def _source_offset(ddx, ddy, d):
+    """Times the determinant."""
+    x, y = d[..., 0], d[..., 1]
+    return np.stack([ddy[..., 1] * x - ddy[..., 0] * y, ddx[..., 0] * y - ddx[..., 1] * x], -1)
+
+
+def smooth_blocks(target_position, depth, links, zoom):
+    """(rows, columns) bool: source blocks over which predicted positions change linearly."""
+    height, width = depth.shape
+    rows, columns = -(-height // BLOCKS.BLOCK_HEIGHT), -(-width // BLOCKS.BLOCK_WIDTH)
+    linked = np.zeros((height + 4, width + 4), bool)  # with a border that is not
+    linked[2:-2, 2:-2] = links == BLOCKS.ALL_LINKS
+    smooth = np.zeros((rows, columns), bool)
+    for by in range(rows):
+        for bx in range(columns):
+            y, x = by * BLOCKS.BLOCK_HEIGHT, bx * BLOCKS.BLOCK_WIDTH
+            y1, x1 = y + BLOCKS.BLOCK_HEIGHT, x + BLOCKS.BLOCK_WIDTH
+            if y1 > height or x1 > width or not linked[y : y1 + 4, x : x1 + 4].all():
+                continue
+            around = target_position[y - 1 : y1 + 1, x - 1 : x1 + 1]
+            here = around[1:-1, 1:-1]
+            left, right, up, down = around[1:-1, :-2], around[1:-1, 2:], around[:-2, 1:-1], around[2:, 1:-1]
+            z, z_source = here[..., 2], depth[y:y1, x:x1]
+            left, right, up, down, here = (a[..., :2] for a in (left, right, up, down, here))
+            most = BLOCKS.STRETCH_HIGH
+            flat = (z > 0) & (z_source <= most * z) & (z <= most * z_source)
+            for a, b in ((left, right), (up, down)):
+                bend = np.abs((b - here) - (here - a))
+                flat &= (bend <= BLOCKS.BEND_MOST).all(-1)
+            ddx, ddy = F(0.5) * (right - left), F(0.5) * (down - up)
+            for along, across, size in ((ddx[..., 0], ddy[..., 0], zoom[0]), (ddy[..., 1], ddx[..., 1], zoom[1])):
+                flat &= (along >= BLOCKS.STRETCH_LOW * size) & (along <= most * size)
+                flat &= np.abs(across) <= BLOCKS.SHEAR_MOST * size
+            turn = np.abs(ddx[1:] - ddx[:-1]) <= BLOCKS.BEND_MOST
+            smooth[by, bx] = flat.all() and turn.all()
+    return smooth
+
+
+def block_classes(smooth, target_position, depth, links, zoom, target_size):
+    """(rows, columns) bool: target blocks that are warped backward."""
+    width, height = target_size
+    side = np.array((BLOCKS.BLOCK_WIDTH, BLOCKS.BLOCK_HEIGHT))
+    rows, columns = -(-height // side[1]), -(-width // side[0])
+    low, high = np.full((rows, columns, 2), 10**6), np.full((rows, columns, 2), -1)
+    spoilt = np.zeros((rows, columns), bool)
+    ddx, ddy, _ = flow(target_position, depth, links, zoom)
+    here = target_position[..., :2]
+    reach = F(WARP.FOOTPRINT_REACH)
+    half = np.minimum(WARP.FOOTPRINT_HALF * (np.abs(ddx[..., :2]) + np.abs(ddy[..., :2])), reach)
+    with np.errstate(invalid="ignore"):
+        lands = (
+            (target_position[..., 2] > 0) & (here > -reach).all(-1) & (here < np.array(target_size, F) + reach).all(-1)
+        )
+    for by, bx in np.ndindex(*smooth.shape):
+        part = np.s_[by * side[1] : (by + 1) * side[1], bx * side[0] : (bx + 1) * side[0]]
+        use = lands[part]
+        if not use.any():
+            continue
+        first, last = (here[part] - half[part])[use].min(0), (here[part] + half[part])[use].max(0)
+        if (last <= 0).any() or (first >= target_size).any():
+            continue
+        x0, y0 = (np.maximum(first, 0).astype(int) // side).tolist()
+        x1, y1 = (np.minimum(last, np.array(target_size) - 1).astype(int) // side).tolist()
+        reached = np.s_[y0 : y1 + 1, x0 : x1 + 1]
+        low[reached], high[reached] = np.minimum(low[reached], (bx, by)), np.maximum(high[reached], (bx, by))
+        spoilt[reached] |= not smooth[by, bx]
+    backward = np.zeros((rows, columns), bool)
+    for by, bx in np.argwhere(~spoilt & (high >= low).all(-1)):
+        (x0, y0), (x1, y1) = low[by, bx], high[by, bx]
+        near = x1 - x0 < BLOCKS.COLUMNS_MOST and y1 - y0 < BLOCKS.ROWS_MOST
+        backward[by, bx] = near and smooth[y0 : y1 + 1, x0 : x1 + 1].all()
+    if width % side[0]:
+        backward[:, -1] = False
+    return backward
+
+
+def splat(target_position, depth, links, zoom, target_size, close_cracks):
+    """(H', W') uint64 keys: depth bits << 32 | source index; all ones where nothing lands."""
+    width, height = target_size
+    keys = np.full(height * width, np.iinfo(np.uint64).max, np.uint64)
+    here = target_position.reshape(-1, 3)
+    ddx, ddy, det = flow(target_position, depth, links, zoom)
+    ddx, ddy, limit = ddx.reshape(-1, 3), ddy.reshape(-1, 3), WARP.FOOTPRINT_HALF * det.reshape(-1)
+    index = np.arange(len(here), dtype=np.uint64)
+    reach = F(WARP.FOOTPRINT_REACH)
+    with np.errstate(invalid="ignore"):
+        lands = (here[:, 2] > 0) & (here[:, :2] > -reach).all(1)
+        lands &= (here[:, 0] < width + reach) & (here[:, 1] < height + reach)
+    key = (np.ascontiguousarray(here[:, 2]).view(np.uint32).astype(np.uint64) << np.uint64(32)) | index
+    here, ddx, ddy, limit, key = (a[lands] for a in (here, ddx, ddy, limit, key))
+    own = np.floor(here[:, :2]).astype(int)
+
+    def offer(x, y, use):
+        use = use & (x >= 0) & (y >= 0) & (x < width) & (y < height)
+        np.minimum.at(keys, y[use] * width + x[use], key[use])
+
+    offer(own[:, 0], own[:, 1], np.ones(len(own), bool))
+    if close_cracks:
+        half = np.minimum(WARP.FOOTPRINT_HALF * (np.abs(ddx[:, :2]) + np.abs(ddy[:, :2])), reach)
+        half = half + F(0.51)
+        first = np.ceil(here[:, :2] - half).astype(int)
+        last = np.floor(here[:, :2] + half - F(1)).astype(int)
+        for oy in range(int((last - first)[:, 1].max(initial=-1)) + 1):
+            for ox in range(int((last - first)[:, 0].max(initial=-1)) + 1):
+                t = first + (ox, oy)
+                d = np.abs(_source_offset(ddx, ddy, (t.astype(F) + F(0.5)) - here[:, :2]))
+                offer(t[:, 0], t[:, 1], (t <= last).all(1) & (t != own).any(1) & (d <= limit[:, None]).all(1))
+    return keys.reshape(height, width)
+
+
+def load_color(color):
+    c = np.nan_to_num(color[..., :3].astype(F), nan=0.0, posinf=COLOR_MAX, neginf=-COLOR_MAX)
+    return np.clip(c, -COLOR_MAX, COLOR_MAX)
+
+
+def _cubic_weights(t):
+    t2, t3 = t * t, t * t * t
+    t3 = t2 * t
+    h = F(0.5)
+    return np.stack(
+        [
+            -h * t + t2 - h * t3,
+            F(1) - F(2.5) * t2 + F(1.5) * t3,
+            h * t + F(2) * t2 - F(1.5) * t3,
+            h * t3 - h * t2,
+        ]
+    )
+
+
+def resolve(keys, target_position, color, depth, dynamic, links, zoom):
+    """All outputs of the warp, as a dict of (H', W', …) arrays named like the stage's buffers."""
+    height, width = keys.shape
+    source_height, source_width = depth.shape
+    holes = keys == np.iinfo(np.uint64).max
+    s = np.where(holes, 0, keys & np.uint64(NOBODY)).astype(int)
+    sy, sx = np.divmod(s, source_width)
+    here = target_position[sy, sx]
+    ddx, ddy, det = (a[sy, sx] for a in flow(target_position, depth, links, zoom))
+    centre = centres(height, width)
+    with np.errstate(invalid="ignore"):
+        d = np.clip(_source_offset(ddx, ddy, centre - here[..., :2]) / det[..., None], F(-1), F(1))
+    d = np.where(np.abs(d) < WARP.STILL, F(0), d)
+
+    def at(dx, dy):
+        x, y = sx + dx, sy + dy
+        inside = (x >= 0) & (y >= 0) & (x < source_width) & (y < source_height)
+        return inside, np.clip(y, 0, source_height - 1), np.clip(x, 0, source_width - 1)
+
+    def deviation(dx, dy):
+        inside, y, x = at(dx, dy)
+        there = target_position[y, x]
+        dx, dy = np.asarray(dx).astype(F), np.asarray(dy).astype(F)
+        ex = there[..., 0] - here[..., 0] - ddx[..., 0] * dx - ddy[..., 0] * dy
+        ey = there[..., 1] - here[..., 1] - ddx[..., 1] * dx - ddy[..., 1] * dy
+        e = np.maximum(np.abs(ex), np.abs(ey))
+        return inside, np.where(there[..., 2] > 0, e, INF)
+
+    own_depth = depth[sy, sx]
+    step_x, step_y = np.zeros_like(sx), np.zeros_like(sy)
+    for dx, dy in _STEPS:
+        inside, e = deviation(dx, dy)
+        _, y, x = at(dx, dy)
+        with np.errstate(invalid="ignore"):
+            away = inside & (depth[y, x] < own_depth * WARP.NEARER) & (e > WARP.MOVES_AWAY)
+        step_x -= dx * away
+        step_y -= dy * away
+    inside, e = deviation(step_x, step_y)
+    stays = ~(inside & (e <= WARP.SAME_MOTION))
+    step_x[stays] = step_y[stays] = 0
+
+    p = d + np.stack([step_x, step_y], -1).astype(F)
+    o = np.floor(p).astype(int)
+    u, v = (p - o.astype(F))[..., 0], (p - o.astype(F))[..., 1]
+    rgb = load_color(color)
+    alike, taps = {}, {}
+    for ty in range(4):
+        for tx in range(4):
+            inside, e = deviation(o[..., 0] + tx - 1, o[..., 1] + ty - 1)
+            _, y, x = at(o[..., 0] + tx - 1, o[..., 1] + ty - 1)
+            alike[ty, tx], taps[ty, tx] = inside & (e <= WARP.SAME_MOTION), rgb[y, x]
+    told_by = [(ty, tx) for ty in range(4) for tx in range(4) if (ty in (1, 2)) == (tx in (1, 2))]
+    everywhere = np.all([alike[tap] for tap in told_by], axis=0)
+    wx, wy = _cubic_weights(u), _cubic_weights(v)
+    cubic = np.zeros((height, width, 3), F)
+    for tx in range(4):
+        column = np.zeros((height, width, 3), F)
+        for ty in range(4):
+            column = column + wy[ty][..., None] * taps[ty, tx]
+        cubic = cubic + wx[tx][..., None] * column
+    stack = np.stack([taps[ty, tx] for ty in (1, 2) for tx in (1, 2)])
+    cubic = np.clip(cubic, stack.min(0), stack.max(0))
+    linear, weights = np.zeros((height, width, 3), F), np.zeros((height, width), F)
+    for tap in range(4):
+        tx, ty = tap & 1, tap >> 1
+        weight = (u if tx else F(1) - u) * (v if ty else F(1) - v)
+        weight = np.where(alike[ty + 1, tx + 1], weight, F(0))
+        linear = linear + weight[..., None] * taps[ty + 1, tx + 1]
+        weights = weights + weight
+    with np.errstate(all="ignore"):
+        linear = np.where((weights > F(0.01))[..., None], linear / weights[..., None], rgb[sy, sx])
+    out = np.where(everywhere[..., None], cubic, linear)
+    out = np.where(((p == 0).all(-1))[..., None], rgb[sy, sx], out)
+    out = np.clip(out, -COLOR_MAX, COLOR_MAX)
+
+    z = here[..., 2] + ddx[..., 2] * d[..., 0] + ddy[..., 2] * d[..., 1]
+    source_centre = np.stack([sx + 0.5, sy + 0.5], -1).astype(F)
+    own_pixel = (np.floor(here[..., :2]) == np.floor(centre)).all(-1)
+    result = {
+        "color": np.concatenate([out, np.zeros((height, width, 1), F)], -1).astype(np.float16),
+        "depth": np.where(z > 0, z, here[..., 2]),
+        "motion": source_centre + d - centre,
+        "dynamic": dynamic[sy, sx].copy(),
+        "disoccluded": holes.astype(np.uint8),
+        "mixed": ((step_x != 0) | (step_y != 0)).astype(np.uint8),
+        "filled_by": np.where(own_pixel, COMMON.BY_WARP, COMMON.BY_CRACK_CLOSING).astype(np.uint8),
+    }
+    for name, empty in (
+        ("color", 0),
+        ("depth", INF),
+        ("motion", 0),
+        ("dynamic", 0),
+        ("mixed", 0),
+        ("filled_by", COMMON.BY_NOTHING),
+    ):
+        result[name][holes] = empty
+    return result
