@@ -242,15 +242,13 @@ class Pipeline:
         """What is shown of the last submitted frame; resamples it where it was rendered through a window, or where the
         frame before was and motion must be converted. Returns at once. Raises GffeError before the first `submit`."""
         self._need_frame()
-        frame, upscaling = self._shown, self.stages.get(Upscaling.name)
+        frame, picture = self._shown, self._picture("rendered")
         if self._needs_presentation:
-            self.presentation.present(frame, self._previous, with_color=upscaling is None)
+            self.presentation.present(frame, self._previous, with_color=picture is None)
             color, depth, motion = (self.presentation.buffer[name] for name in ("color", "depth", "motion"))
         else:
             color, depth, motion = frame.buffers
-        if upscaling:
-            sharpening = self.stages.get(Sharpening.name)
-            color = sharpening.buffer["rendered"] if sharpening else upscaling.buffer["history"]
+        color = picture or color
         if self._has_overlays:
             color = self.composition.compose(color, 0.0, rendered=True)
         return PresentedFrame(frame.display_camera, frame.time, color, depth, motion, self.device, self.sizes.target)
@@ -361,22 +359,14 @@ class Pipeline:
         if target_position is not None:
             shape = (*reversed(self.sizes.source), 4)
             target_position = as_float32(require_array(target_position, "extrapolate: target_position", *shape))
-        geometry = self._geometry(seen_through)
-        step = Step(source, self._previous, self._times, camera, time, alpha, self.exposure)
+        replaced = {"target_position": target_position, "geometry": self._geometry(seen_through)}
+        step = Step(source, self._previous, self._times, camera, time, alpha, self.exposure, **replaced)
         for stage in self.stages.values():
-            if isinstance(stage, Upscaling):
-                for name, values in geometry.items():
-                    self.board.frame.upload(name, values)
-            if target_position is not None and isinstance(stage, PositionPrediction):
-                stage.take(target_position)
-            else:
-                stage.extrapolated(step)
+            stage.extrapolated(step)
             if stage.name in self._outputs:
                 self._outputs[stage.name].keep(self.board.frame.buffer)
         made = self.board.frame.buffer
-        makers = (Sharpening, Upscaling, ShadingCorrection)
-        last = next((self.stages[s.name] for s in makers if s.name in self.stages), None)
-        color = (last.buffer if last else made)["color"]
+        color = self._picture("extrapolated") or made["color"]
         if self._has_overlays:
             color = self.composition.compose(color, alpha)
         return ExtrapolatedFrame(
@@ -392,6 +382,11 @@ class Pipeline:
             **{name: made[name] for name in ("dynamic", "disoccluded", "filled_by")},
             gae=made["color"],
         )
+
+    def _picture(self, occasion: str) -> cl.Buffer | None:
+        """What the last stage that makes a picture then has made."""
+        makers = [stage for stage in self.stages.values() if occasion in stage.pictures]
+        return makers[-1].buffer[makers[-1].pictures[occasion]] if makers else None
 
     def _geometry(self, given: tuple[np.ndarray, np.ndarray] | None) -> dict[str, np.ndarray]:
         """Depth and motion that replace the new frame's. GffeError for other shapes than theirs."""

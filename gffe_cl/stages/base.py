@@ -98,6 +98,10 @@ class Step:
         Of the rendered frames since the last reset, newest first, seconds.
     camera, time, alpha, exposure
         Of the new frame: its camera, seconds, α, and the factor on colour before display.
+    target_position : (H, W, 4) float32 or None
+        Replaces what position prediction makes.
+    geometry : mapping of name to array
+        Depth and motion that replace the new frame's before upscaling reads them; empty: its own.
     """
 
     frame: DeviceFrame
@@ -107,6 +111,8 @@ class Step:
     time: float = 0.0
     alpha: float = 0.0
     exposure: float = 1.0
+    target_position: np.ndarray | None = None
+    geometry: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 class Board:
@@ -229,6 +235,9 @@ class Stage(Owner):
 
     kernels: tuple[Kernel, ...] = ()
     registered = True  # whether other stages find its buffers on the board
+    # Which of its buffers holds the picture of the "rendered" or "extrapolated" frame as the stage leaves it; the last
+    # stage that has one makes the final image.
+    pictures: Mapping[str, str] = {}
 
     def __init__(self, board: Board, **variant: int):
         super().__init__(board.device, board.sizes)

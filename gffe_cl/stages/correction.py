@@ -32,6 +32,7 @@ class ShadingCorrection(Stage):
     """
 
     name = "correction"
+    pictures = {"extrapolated": "color"}
     buffers = (
         BufferSpec(
             "frames", np.float32, (), "network", "what the network sees: encoded GAE colour (1–3), encoded warped"

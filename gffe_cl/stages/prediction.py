@@ -62,6 +62,9 @@ class PositionPrediction(Stage):
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:
+        if step.target_position is not None:
+            self._replace(step.target_position)
+            return
         before = step.previous or step.frame
         self.launch(
             "predict_positions",
@@ -73,8 +76,7 @@ class PositionPrediction(Stage):
             to_target=reprojection(step.frame.camera, step.camera),
         )
 
-    def take(self, target_position: np.ndarray) -> None:
-        """Have these positions, (H, W, 3 or 4) float32, instead."""
+    def _replace(self, target_position: np.ndarray) -> None:
         values = np.array(target_position[..., :3], np.float32)
         values[~(values[..., 2] > 0)] = (NOWHERE, NOWHERE, -1)
         self.upload("target_position", values)

@@ -12,6 +12,7 @@ class Sharpening(Stage):
     """What is shown of a rendered frame, and of a new one, with more contrast between neighbours that differ little."""
 
     name = "sharpening"
+    pictures = {"rendered": "rendered", "extrapolated": "color"}
     buffers = (
         BufferSpec("rendered", np.float16, RGBA, "target", "the rendered frame as displayed, sharpened", "color"),
         BufferSpec("color", np.float16, RGBA, "target", "the generated frame, sharpened", "color"),

@@ -25,6 +25,7 @@ class Upscaling(Stage):
     """
 
     name = "upscaling"
+    pictures = {"rendered": "history", "extrapolated": "color"}
     buffers = (
         BufferSpec(
             "compressed", np.float16, _YCOCG, "source", "the rendered frame's colour, tone-mapped YCoCg; A: share of"
@@ -138,6 +139,8 @@ class Upscaling(Stage):
         self.launch("accumulate", to_render=to_render, pixel_size=size, **shared)
 
     def extrapolated(self, step: Step) -> None:
+        for name, values in step.geometry.items():
+            self.board.frame.upload(name, values)
         to_shown = mapping(step.frame.camera, step.frame.display_camera)
         self.launch("generate", to_shown=to_shown, corrected=int(self.corrected))
 
