@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import pyopencl as cl
@@ -237,7 +237,7 @@ class Stage(Owner):
     registered = True  # whether other stages find its buffers on the board
     # Which of its buffers holds the picture of the "rendered" or "extrapolated" frame as the stage leaves it; the last
     # stage that has one makes the final image.
-    pictures: Mapping[str, str] = {}
+    pictures: ClassVar[Mapping[str, str]] = {}
 
     def __init__(self, board: Board, **variant: int):
         super().__init__(board.device, board.sizes)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 import pyopencl as cl
@@ -32,7 +34,7 @@ class ShadingCorrection(Stage):
     """
 
     name = "correction"
-    pictures = {"extrapolated": "color"}
+    pictures: ClassVar[Mapping[str, str]] = {"extrapolated": "color"}
     buffers = (
         BufferSpec(
             "frames", np.float32, (), "network", "what the network sees: encoded GAE colour (1–3), encoded warped"

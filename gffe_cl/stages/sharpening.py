@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 import numpy as np
 
 from gffe_cl.stages.base import Kernel, Stage, Step
@@ -12,7 +15,7 @@ class Sharpening(Stage):
     """What is shown of a rendered frame, and of a new one, with more contrast between neighbours that differ little."""
 
     name = "sharpening"
-    pictures = {"rendered": "rendered", "extrapolated": "color"}
+    pictures: ClassVar[Mapping[str, str]] = {"rendered": "rendered", "extrapolated": "color"}
     buffers = (
         BufferSpec("rendered", np.float16, RGBA, "target", "the rendered frame as displayed, sharpened", "color"),
         BufferSpec("color", np.float16, RGBA, "target", "the generated frame, sharpened", "color"),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -25,7 +27,7 @@ class Upscaling(Stage):
     """
 
     name = "upscaling"
-    pictures = {"rendered": "history", "extrapolated": "color"}
+    pictures: ClassVar[Mapping[str, str]] = {"rendered": "history", "extrapolated": "color"}
     buffers = (
         BufferSpec(
             "compressed", np.float16, _YCOCG, "source", "the rendered frame's colour, tone-mapped YCoCg; A: share of"
