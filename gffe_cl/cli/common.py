@@ -132,7 +132,8 @@ def progress_bars():
 
 class _Lines(Progress):
     """Progress where standard error is no terminal: one line for each finished step, and every `_PERIOD` seconds one
-    for the step that is being done, with an estimate. Commands that end within `_SOON` seconds print none."""
+    for the step that is being done, with an estimate once two units of it are done: the first one may hold what is done
+    once, such as building kernels. Commands that end within `_SOON` seconds print none."""
 
     _SOON, _PERIOD = 3.0, 10.0
 
@@ -140,6 +141,7 @@ class _Lines(Progress):
         super().__init__(console=err, disable=True)
         self._started = self._told = time.monotonic()
         self._begun: dict[int, tuple[float, float]] = {}  # of tasks: when, and how much was done then
+        self._first: dict[int, tuple[float, float]] = {}  # likewise, after the first unit
         self._finished: set[int] = set()
 
     def add_task(self, *arguments, **options):
@@ -155,23 +157,27 @@ class _Lines(Progress):
         if "total" in changes:  # another step begins
             self._begun[task_id] = time.monotonic(), changes.get("completed") or 0
             self._finished.discard(task_id)
+            self._first.pop(task_id, None)
         super().update(task_id, **changes)
         if "total" not in changes:
             self._tell(task_id)
 
     def _tell(self, task_id) -> None:
         task, now = self._tasks[task_id], time.monotonic()
+        begun, before = self._begun[task_id]
+        if task.completed > before:
+            self._first.setdefault(task_id, (now, task.completed))
         if not task.visible or not task.total or task_id in self._finished or now - self._started < self._SOON:
             return
-        begun, before = self._begun[task_id]
-        spent, done = now - begun, task.completed - before
+        spent = now - begun
         if task.completed >= task.total:
             self._finished.add(task_id)
             say(plain(f"{task.description}: {task.total:g} of {task.total:g}, {spent:.0f} s"))
-        elif now - self._told >= self._PERIOD and done > 0:
-            left = spent / done * (task.total - task.completed)
-            counted = f"{task.completed:g} of {task.total:g}, {spent:.0f} s"
-            say(plain(f"{task.description}: {counted}, about {left:.0f} s left"))
+        elif now - self._told >= self._PERIOD:
+            since, first = self._first.get(task_id, (now, task.completed))
+            done = task.completed - first
+            left = f", about {(now - since) / done * (task.total - task.completed):.0f} s left" if done > 0 else ""
+            say(plain(f"{task.description}: {task.completed:g} of {task.total:g}, {spent:.0f} s{left}"))
         else:
             return
         self._told = now

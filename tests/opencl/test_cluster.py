@@ -6,6 +6,9 @@ import signal
 import pytest
 
 from gffe_cl.core.errors import GffeError
+from gffe_cl.evaluation.table import cluster as cells_on_cluster
+from gffe_cl.evaluation.table.datasets import SceneSubject
+from gffe_cl.evaluation.table.runner import Work
 from gffe_cl.opencl.device import open_device
 from gffe_cl.opencl.remote_workers import Cluster, fingerprint
 
@@ -80,3 +83,18 @@ def test_work_that_fails_says_why(cluster, monkeypatch):
     monkeypatch.setattr("gffe_cl.opencl.remote_workers.fingerprint", lambda: fingerprint()[::-1])
     with pytest.raises(GffeError, match="another version of gffe-cl"):
         list(cluster.compute(abs, {"a": (1,)}))
+
+
+def test_a_worker_hands_back_why_a_sequence_cannot_be_measured(monkeypatch):
+    """... and the others go on; that its sources are others ends everything."""
+
+    def damaged(*_, **__):
+        raise GffeError("frame_000003.exr: truncated")
+
+    subject = SceneSubject("room", 0, 32, 18, 4, 30.0, (0.5,))
+    monkeypatch.setattr(cells_on_cluster, "compute_cell", damaged)
+    monkeypatch.setattr(cells_on_cluster, "key_of", lambda *_: "here")
+    made = cells_on_cluster._cell(Work(subject, None, "here"), {"onnx": (), "network": (None, "cpu")})
+    assert isinstance(made, GffeError) and "truncated" in str(made)
+    with pytest.raises(GffeError, match="another version"):
+        cells_on_cluster._cell(Work(subject, None, "there"), {"onnx": (), "network": (None, "cpu")})

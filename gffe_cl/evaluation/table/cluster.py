@@ -17,13 +17,13 @@ from gffe_cl.opencl.remote_workers import Cluster
 def executor_of(workers: Cluster) -> Executor:
     """An executor for `fill`. Workers see folders of sequences and ONNX files under the same paths as here."""
 
-    def compute(items: list[Work], arguments: dict) -> Iterator[tuple[Work, Cell]]:
+    def compute(items: list[Work], arguments: dict) -> Iterator[tuple[Work, Cell | GffeError]]:
         return _compute(workers, items, arguments)
 
     return compute
 
 
-def _compute(workers: Cluster, items: list[Work], arguments: dict) -> Iterator[tuple[Work, Cell]]:
+def _compute(workers: Cluster, items: list[Work], arguments: dict) -> Iterator[tuple[Work, Cell | GffeError]]:
     on_moment = arguments.pop("on_moment")
     named = {f"{work.method or 'description'} on {work.subject.name}": work for work in items}
     for name, cell in workers.compute(_cell, {name: (work, arguments) for name, work in named.items()}):
@@ -32,16 +32,20 @@ def _compute(workers: Cluster, items: list[Work], arguments: dict) -> Iterator[t
             on_moment()
 
 
-def _cell(work: Work, arguments: dict) -> Cell:
-    """On a worker. GffeError if the same name would mean something else there."""
-    chosen = chosen_methods([work.method], arguments["onnx"]) if work.method else {}
+def _cell(work: Work, arguments: dict) -> Cell | GffeError:
+    """On a worker: the cell, or why the sequence cannot be measured. Raises GffeError if the same name would mean
+    something else there."""
+    chosen = chosen_methods([work.method], arguments["onnx"], network=arguments["network"]) if work.method else {}
     method = chosen.get(work.method)
     if key_of(_identity(work.subject), method and method.identity()) != work.key:
         raise GffeError(
             "--scheduler: a worker has another version of gffe-cl, other weights or other files of"
             f" {work.subject.name} (expected the same as here)"
         )
-    return compute_cell(work.subject, work.method, **arguments)
+    try:
+        return compute_cell(work.subject, work.method, **arguments)
+    except GffeError as error:
+        return error
 
 
 @lru_cache(maxsize=4)
