@@ -20,7 +20,7 @@ from gffe_cl.core.errors import GffeError
 
 _OPENING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
-_MOST_SMALL, _MOST_PER_PIXEL = 64 << 20, 512  # bytes that an image may decode to
+_MOST_SMALL, _MOST_PER_PIXEL, _MOST = 64 << 20, 512, 4 << 30  # bytes that an image may decode to
 _anywhere = False  # of this process
 _anywhere_here: ContextVar[bool | None] = ContextVar("follow_links", default=None)  # of one call
 
@@ -188,8 +188,8 @@ def _is_exr(path: Path) -> bool:
 
 def require_moderate(nbytes: int, pixels: int, label: str) -> None:
     """GffeError, beginning with `label`, where decoding would take more than an image of so many pixels can need: 512
-    bytes for each, as in 128 channels of floats, or 64 MiB for small ones."""
-    most = max(_MOST_SMALL, _MOST_PER_PIXEL * pixels)
+    bytes for each, as in 128 channels of floats, but 64 MiB for small ones and 4 GiB at most."""
+    most = min(max(_MOST_SMALL, _MOST_PER_PIXEL * pixels), _MOST)
     if nbytes > most:
         raise GffeError(
             f"{label}: {nbytes / 2**20:.4g} MiB to decode (expected at most {most / 2**20:.4g} MiB for {pixels} pixels)"

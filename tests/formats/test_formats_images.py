@@ -162,7 +162,7 @@ def test_filters_of_few_and_of_many_lines(size, monkeypatch):
     filters = rng.integers(0, 5, size[0]).astype(np.uint8)
     coded = rng.integers(0, 256, (*size, 6)).astype(np.uint8)
     made = png_module._unfiltered_bytes(filters, coded)
-    monkeypatch.setattr(png_module, "_FEW_LINES", 0)
+    monkeypatch.setattr(png_module, "_FEW_BYTES", 0)
     assert np.array_equal(png_module._unfiltered(filters, coded), made)
 
 
