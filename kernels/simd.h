@@ -1,8 +1,13 @@
-/* LANES pixels of a row per work-item: 8 on CPUs, whose compilers do not find them by themselves, 1 on GPUs.
-
-   What every pixel needs is written once, in the types and functions below, for both. The rare pixel that needs more goes
-   through a function of one pixel, lane by lane. Arithmetic, comparisons and `condition ? a : b` are OpenCL C's own, for
-   scalars and vectors alike; combine conditions with &, | and !, never with && and ||. */
+/* Several pixels of a row per work-item. LANES is 8 on CPUs, whose compilers do not vectorize these kernels by themselves, and
+   1 on GPUs. The same source serves both:
+   - Floats, Ints, Uints and Bytes hold one value per lane. With LANES 1 they are plain scalars.
+   - A comparison of Floats gives Ints: -1 or 0 with 8 lanes, 1 or 0 with one. Test with ANY and ALL. Never add or compare it.
+   - Select with `condition ? a : b`. Combine conditions with &, | and !, never with && and ||.
+   - The last work-item of a row may have fewer pixels: load_some_... and store_some_... take their `count`. Loads repeat the
+     last pixel, stores skip the rest.
+   - wide_X is X of common.h for all lanes, with the same bits (wide_reproject_roughly: nearly). A rare pixel goes through the
+     function of one pixel, lane by lane.
+   - RUN bytes (16 on CPUs, 1 on GPUs) are for kernels that scan masks and find little to do. */
 
 #define INLINE inline __attribute__((always_inline))  /* for what compilers for CPUs else leave as a call */
 
