@@ -24,7 +24,7 @@ from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.scenes import SCENES, SceneRenderer, load_scene
-from gffe_cl.stages.cuts import COUNTED, LEAST_OVERLAP
+from gffe_cl.stages.scene_cuts import COUNTED, LEAST_OVERLAP
 
 SIZE, SEEDS, SAMPLES = (240, 136), (11, 12, 13), 2
 SECTION = 12  # frames of one kind of motion
@@ -74,7 +74,7 @@ class Judge:
         """Whether it is found to be a cut, and the counts. Times are made anew."""
         self._time += STEP
         self.pipeline.submit(replace(frame, time=self._time, reset=reset))
-        counts = self.pipeline.stages["cuts"].read("counts").sum(0)
+        counts = self.pipeline.stages["scene_cuts"].read("counts").sum(0)
         return self.pipeline.is_cut, dict(zip(COUNTED, counts.tolist(), strict=True))
 
 

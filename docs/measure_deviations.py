@@ -93,11 +93,11 @@ GAE: dict[str, Change] = {
     "movers' acceleration goes on": Change({"acceleration": False}),
     "nothing is collected after a reset": Change(
         edits={
-            "surfaces.cl": {"if (!collect) return;": ""},
+            "connectivity.cl": {"if (!collect) return;": ""},
             "background.cl": {"if (collect && x + RUN": "if (x + RUN", "collect != 0, keys": "true, keys"},
         }
     ),
-    "nothing is collected beside movers and nearer surfaces": Change(constants={"surfaces.cl": {"GROW": "0"}}),
+    "nothing is collected beside movers and nearer surfaces": Change(constants={"connectivity.cl": {"GROW": "0"}}),
     "fragments must be deeper by a margin (case 2)": Change(
         constants={"background.cl": {"BEHIND": "1.0f"}},
         edits={

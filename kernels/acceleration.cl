@@ -27,25 +27,25 @@ inline Mover mover_of_cell(const int cell_x, const int cell_y, const int source_
                            __global const float *depth, __global const float2 *motion, __global const uchar *dynamic_mask,
                            __global const float *met_depth, const Reprojection to_previous,
                            const Reprojection from_previous) {
-    const int end_x = min((cell_x + 1) * CELL, source_width), end_y = min((cell_y + 1) * CELL, source_height);
+    const int end_x = min((cell_x + 1) * MOVER_CELL, source_width), end_y = min((cell_y + 1) * MOVER_CELL, source_height);
     Mover mover = {(float3)(0.0f), (float2)(0.0f), 0.0f, 0.0f};
-    if (end_x - cell_x * CELL == CELL && end_y - cell_y * CELL == CELL) {
-        __global const uchar *row = dynamic_mask + cell_y * CELL * source_width + cell_x * CELL;
+    if (end_x - cell_x * MOVER_CELL == MOVER_CELL && end_y - cell_y * MOVER_CELL == MOVER_CELL) {
+        __global const uchar *row = dynamic_mask + cell_y * MOVER_CELL * source_width + cell_x * MOVER_CELL;
         const uchar4 any = vload4(0, row) | vload4(0, row + source_width) | vload4(0, row + 2 * source_width)
                            | vload4(0, row + 3 * source_width);
         if (as_uint(any) == 0) return mover;
     }
     float nearest = INFINITY;
-    for (int src_y = cell_y * CELL; src_y < end_y; ++src_y)
-        for (int src_x = cell_x * CELL; src_x < end_x; ++src_x) {
+    for (int src_y = cell_y * MOVER_CELL; src_y < end_y; ++src_y)
+        for (int src_x = cell_x * MOVER_CELL; src_x < end_x; ++src_x) {
             const int src = src_y * source_width + src_x;
             if (is_known(src, dynamic_mask, met_depth)) nearest = fmin(nearest, depth[src]);
         }
     if (isinf(nearest)) return mover;
 
     float count = 0.0f;
-    for (int src_y = cell_y * CELL; src_y < end_y; ++src_y)
-        for (int src_x = cell_x * CELL; src_x < end_x; ++src_x) {
+    for (int src_y = cell_y * MOVER_CELL; src_y < end_y; ++src_y)
+        for (int src_x = cell_x * MOVER_CELL; src_x < end_x; ++src_x) {
             const int src = src_y * source_width + src_x;
             if (!is_known(src, dynamic_mask, met_depth) || !is_of_cell(depth[src], nearest)) continue;
             const float2 px = pixel_centre(src_x, src_y), px_prev = px + motion[src];
@@ -100,7 +100,7 @@ SPARSE __kernel void track_acceleration(const int source_width, const int source
     bend[cell] = packed((float3)(0.0f), 0.0f);
     if (!(mover.depth > 0.0f)) return;
 
-    const float per_px = 1.0f / (float)CELL;
+    const float per_px = 1.0f / (float)MOVER_CELL;
     const float fx = mover.px_prev.x * per_px - 0.5f, fy = mover.px_prev.y * per_px - 0.5f;
     const int x0 = (int)floor(fx), y0 = (int)floor(fy);
     float3 velocity_sum = (float3)(0.0f), before_sum = (float3)(0.0f);

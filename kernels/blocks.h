@@ -1,4 +1,4 @@
-/* Blocks of 8x4 pixels, of source and of target images (blocks.cl, warp.cl). */
+/* Blocks of 8x4 pixels, of source and of target images (backward_blocks.cl, warp.cl). */
 
 #define BLOCK_WIDTH 8
 #define BLOCK_HEIGHT 4

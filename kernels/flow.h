@@ -1,4 +1,4 @@
-/* Where source pixels go: predicted positions and their slopes (warp.cl, blocks.cl), one by one and LANES at once. */
+/* Where source pixels go: predicted positions and their slopes (warp.cl, backward_blocks.cl), one by one and LANES at once. */
 
 #define FOOTPRINT_HALF 0.65f     /* half a source pixel and a margin for second-order terms */
 #define FOOTPRINT_REACH 8        /* px: the most that a fragment covers to each side */

@@ -1,17 +1,17 @@
 /* Hole filling: what is still invalid is continued from the far side of the disocclusion, or comes from the image
    downsampled 32 times (paper: 'Shading correction network').
    To be filled are the pixels that are labelled so; labels and valid pixels stay as they are. RUN pixels without any are skipped
-   at once, and blocks are summed up only where a pixel asks for them. */
+   at once, and the downsampled image is made only where a pixel asks for them. */
 
 #include "common.h"
 #include "simd.h"
 #include "directional_search.h"
 #include "blocks.h"
 
-#define BLOCK 32
+#define DOWNSAMPLING 32
 #define RENDERED_WEIGHT 0.0009765625f  /* of the rendered frame beside valid pixels: decides only where there are none */
 
-/* Adds a pixel to the sums; bright pixels weigh less, or one lamp would fill its whole block. */
+/* Adds a pixel to the sums; bright pixels weigh less, or one lamp would fill its whole texel. */
 inline void add(float4 *sum, float *inverse_sum, const float pixel_weight, const float3 c, const float z) {
     const float weight = divide(pixel_weight, 1.0f + fmax(fmax(c.x, fmax(c.y, c.z)), 0.0f));
     *sum += weight * (float4)(c, 1.0f);
@@ -276,27 +276,27 @@ SCAN __kernel void fill_far_side(const int target_width, const int target_height
     }
 }
 
-/* ---- block means ------------------------------------------------------------------------------------------------- */
+/* ---- downsampled, as in the paper ------------------------------------------------------------------------------------------------- */
 
-#define TILE 4               /* blocks along the side of what one work-group fills: it needs those around them, too */
+#define TILE 4               /* texels along the side of what one work-group fills: it needs those around them, too */
 #define RING (TILE + 2)
-#define GROUP 128            /* work-items of it: one per row of pixels, or BLOCK columns of strips */
-#define STRIP 8              /* rows of a block that one work-item sums up */
+#define GROUP 128            /* work-items of it: one per row of pixels, or DOWNSAMPLING columns of strips */
+#define STRIP 8              /* rows of a texel that one work-item sums up */
 
-/* Where a pixel lies between the centres of four blocks: the first one, and how far from it. */
-inline int2 first_block(const int dst_x, const int dst_y, float2 *between) {
-    const float2 b = pixel_centre(dst_x, dst_y) * (1.0f / BLOCK) - 0.5f;
+/* Where a pixel lies between the centres of four texels of the downsampled image: the first one, and how far from it. */
+inline int2 first_texel(const int dst_x, const int dst_y, float2 *between) {
+    const float2 b = pixel_centre(dst_x, dst_y) * (1.0f / DOWNSAMPLING) - 0.5f;
     const float2 first = floor(b);
     *between = b - first;
     return convert_int2(first);
 }
 
-/* Index in the ring of one of the four, clamped to the image; (ring_x, ring_y): the ring's first block. */
-inline int tap_in_ring(const int2 first, const int tap, const int ring_x, const int ring_y, const int blocks_width,
-                       const int blocks_height) {
-    const int block_x = clamp(first.x + (tap & 1), 0, blocks_width - 1);
-    const int block_y = clamp(first.y + (tap >> 1), 0, blocks_height - 1);
-    return (block_y - ring_y) * RING + block_x - ring_x;
+/* Index in the ring of one of the four, clamped to the image; (ring_x, ring_y): the ring's first texel. */
+inline int tap_in_ring(const int2 first, const int tap, const int ring_x, const int ring_y, const int downsampled_width,
+                       const int downsampled_height) {
+    const int texel_x = clamp(first.x + (tap & 1), 0, downsampled_width - 1);
+    const int texel_y = clamp(first.y + (tap >> 1), 0, downsampled_height - 1);
+    return (texel_y - ring_y) * RING + texel_x - ring_x;
 }
 
 /* Weighted sums, (colour, 1) and inverse depth, over STRIP rows of a column: of valid pixels, and a little of the rendered
@@ -318,45 +318,45 @@ inline float4 sum_strip(const int dst_x, const int first_y, const int target_wid
     return sum;
 }
 
-/* Whether a pixel is to be filled from blocks: all that are invalid where `reach` is 0. */
+/* Whether a pixel is to be filled from the downsampled image: all that are invalid where `reach` is 0. */
 inline bool asks(const int dst, const int reach, __global const uchar *filled_by, __global const float *depth) {
     return filled_by[dst] == BY_HOLE_FILLING && (reach == 0 || depth[dst] == BEYOND_REACH);
 }
 
-/* Fills the rest from the means of 32x32 blocks, interpolated, out of screen with the image's border too if there is a `reach`. Every work-group fills TILE x TILE blocks: it sums up those of
+/* Fills the rest from the image downsampled 32x, interpolated, out of screen with the image's border too if there is a `reach`. Every work-group fills what lies under TILE x TILE texels: it sums up those of
    them, and of the ring around them, that its pixels ask for. The sums are kept for who wants to look at them. */
-SPARSE __kernel void fill_from_blocks(const int target_width, const int target_height, const int source_width,
-                                      const int source_height, const int blocks_width, const int blocks_height, const int reach,
+SPARSE __kernel void fill_from_downsampled(const int target_width, const int target_height, const int source_width,
+                                      const int source_height, const int downsampled_width, const int downsampled_height, const int reach,
                                       const Reprojection to_source, __global const uchar *filled_by,
                                       __global const half *source_color, __global const float *source_depth,
                                       __global half *color, __global float *depth, __global float2 *motion,
-                                      __global float4 *block_color, __global float *block_inverse_depth) {
+                                      __global float4 *downsampled_color, __global float *downsampled_inverse_depth) {
     __local float4 sums[RING * RING], strip_sums[GROUP];
     __local float inverse_sums[RING * RING], strip_inverse_sums[GROUP];
     __local uint asked[RING * RING], any_asks;
     const int lane = get_local_id(0);
-    const int tile_x = get_group_id(0) * TILE * BLOCK, dst_y = get_group_id(1) * TILE * BLOCK + lane;
+    const int tile_x = get_group_id(0) * TILE * DOWNSAMPLING, dst_y = get_group_id(1) * TILE * DOWNSAMPLING + lane;
     const int ring_x = get_group_id(0) * TILE - 1, ring_y = get_group_id(1) * TILE - 1;
-    const int end_x = dst_y < target_height ? min(tile_x + TILE * BLOCK, target_width) : tile_x;
-    const int own_x = ring_x + 1 + lane % TILE, own_y = ring_y + 1 + lane / TILE, own = own_y * blocks_width + own_x;
-    const bool has_own = lane < TILE * TILE && own_x < blocks_width && own_y < blocks_height;
+    const int end_x = dst_y < target_height ? min(tile_x + TILE * DOWNSAMPLING, target_width) : tile_x;
+    const int own_x = ring_x + 1 + lane % TILE, own_y = ring_y + 1 + lane / TILE, own = own_y * downsampled_width + own_x;
+    const bool has_own = lane < TILE * TILE && own_x < downsampled_width && own_y < downsampled_height;
     float2 between;
 
     if (lane < RING * RING) asked[lane] = 0;
     if (lane == 0) any_asks = 0;
     if (has_own) {
-        block_color[own] = (float4)(0.0f);
-        block_inverse_depth[own] = 0.0f;
+        downsampled_color[own] = (float4)(0.0f);
+        downsampled_inverse_depth[own] = 0.0f;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int run_x = tile_x; run_x < end_x; run_x += RUN) {
         if (run_x + RUN <= end_x && !run_has(filled_by + dst_y * target_width + run_x, BY_HOLE_FILLING)) continue;
         for (int dst_x = run_x; dst_x < min(run_x + RUN, end_x); ++dst_x) {
             if (!asks(dst_y * target_width + dst_x, reach, filled_by, depth)) continue;
-            const int2 first = first_block(dst_x, dst_y, &between);
+            const int2 first = first_texel(dst_x, dst_y, &between);
             atomic_or(&any_asks, 1u);
             for (int tap = 0; tap < 4; ++tap)
-                atomic_or(asked + tap_in_ring(first, tap, ring_x, ring_y, blocks_width, blocks_height), 1u);
+                atomic_or(asked + tap_in_ring(first, tap, ring_x, ring_y, downsampled_width, downsampled_height), 1u);
         }
     }
     barrier(CLK_LOCAL_MEM_FENCE);
@@ -366,8 +366,8 @@ SPARSE __kernel void fill_from_blocks(const int target_width, const int target_h
     for (int k = 0; k < RING * RING; ++k) {
         if (!asked[k]) continue;
         float inverse_sum;
-        strip_sums[lane] = sum_strip((ring_x + k % RING) * BLOCK + lane % BLOCK,
-                                     (ring_y + k / RING) * BLOCK + lane / BLOCK * STRIP, target_width, target_height,
+        strip_sums[lane] = sum_strip((ring_x + k % RING) * DOWNSAMPLING + lane % DOWNSAMPLING,
+                                     (ring_y + k / RING) * DOWNSAMPLING + lane / DOWNSAMPLING * STRIP, target_width, target_height,
                                      source_width, source_height, filled_by, color, depth, source_color, source_depth,
                                      &inverse_sum);
         strip_inverse_sums[lane] = inverse_sum;
@@ -384,8 +384,8 @@ SPARSE __kernel void fill_from_blocks(const int target_width, const int target_h
     }
     const int own_in_ring = (lane / TILE + 1) * RING + lane % TILE + 1;
     if (has_own && asked[own_in_ring]) {
-        block_color[own] = sums[own_in_ring];
-        block_inverse_depth[own] = inverse_sums[own_in_ring];
+        downsampled_color[own] = sums[own_in_ring];
+        downsampled_inverse_depth[own] = inverse_sums[own_in_ring];
     }
 
     for (int run_x = tile_x; run_x < end_x; run_x += RUN) {
@@ -393,12 +393,12 @@ SPARSE __kernel void fill_from_blocks(const int target_width, const int target_h
         for (int dst_x = run_x; dst_x < min(run_x + RUN, end_x); ++dst_x) {
             const int dst = dst_y * target_width + dst_x;
             if (!asks(dst, reach, filled_by, depth)) continue;
-            const int2 first = first_block(dst_x, dst_y, &between);
+            const int2 first = first_texel(dst_x, dst_y, &between);
             float4 sum = (float4)(0.0f);
             float inverse_sum = 0.0f;
             for (int tap = 0; tap < 4; ++tap) {
                 const float weight = bilinear_weight(tap, between.x, between.y);
-                const int k = tap_in_ring(first, tap, ring_x, ring_y, blocks_width, blocks_height);
+                const int k = tap_in_ring(first, tap, ring_x, ring_y, downsampled_width, downsampled_height);
                 sum += weight * sums[k];
                 inverse_sum += weight * inverse_sums[k];
             }

@@ -15,7 +15,7 @@ typedef struct { float8 order1, order2, order3, order4, order5; } Polynomial;
 /* What acceleration adds to the position of a fragment after alpha intervals. */
 inline float3 bent(const int src_x, const int src_y, const int source_width, const float z, const float alpha,
                    __global const float4 *velocity, __global const uint2 *bend) {
-    const int cell = cell_of(src_x, src_y, source_width);
+    const int cell = mover_cell_of(src_x, src_y, source_width);
     if (!is_of_cell(z, velocity[cell].w)) return (float3)(0.0f);
     return (alpha * (alpha + 1.0f)) * unpacked(bend[cell]);
 }

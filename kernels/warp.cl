@@ -1,6 +1,6 @@
 /* Warp (paper: 'Warping', with crack closing and resampling).
    A fragment covers, in the target image, the parallelogram to which its own pixel maps; the nearest fragment keeps a
-   target pixel, ties go to the smallest source index. Blocks that show one smooth surface (blocks.cl) are neither splatted
+   target pixel, ties go to the smallest source index. Blocks that show one smooth surface (backward_blocks.cl) are neither splatted
    nor searched: their pixels find the fragment by the inverse of the block's flow. */
 
 #include "common.h"
@@ -387,7 +387,7 @@ inline Ints resolve_lanes(const bool smooth, const int dst_x, const int dst_y, c
     return done;
 }
 
-/* Where LANES pixels of a block come from, by the inverse of its flow: `source` is find_source's of blocks.cl. */
+/* Where LANES pixels of a block come from, by the inverse of its flow: `source` is find_source's of backward_blocks.cl. */
 inline Floats px_from_block(const float8 source, const int dst_x, const int dst_y, Floats *px_y) {
     const Floats from_x = row_centres(dst_x % BLOCK_WIDTH) - 0.5f * (float)BLOCK_WIDTH;
     const float from_y = (float)(dst_y % BLOCK_HEIGHT) + 0.5f - 0.5f * (float)BLOCK_HEIGHT;

@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import os
 import sys
+import threading
 import time
 import warnings
 from collections.abc import Iterator
@@ -90,6 +91,7 @@ def leaving(model) -> Iterator[None]:
         raise
     finally:
         model.close()
+        threading.excepthook = lambda _: None  # of threads that the interpreter takes down in the midst of their work
         if model.left_working:
             atexit.register(_end, code)
 

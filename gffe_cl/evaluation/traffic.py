@@ -14,8 +14,8 @@ import numpy as np
 from gffe_cl.inference.network import MULTIPLE
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.stages.background import REMEMBERED, SHOWN
+from gffe_cl.stages.backward_blocks import SPLATTED, BackwardBlocks
 from gffe_cl.stages.base import Kernel
-from gffe_cl.stages.blocks import SPLATTED, Blocks
 from gffe_cl.stages.buffers import BY_HIDDEN_PART, BY_HOLE_FILLING, BY_NOTHING
 
 _STILL = 1 / 64  # change of encoded colour from t − 1 to t + α
@@ -33,11 +33,11 @@ def still_tiles(frames: np.ndarray) -> np.ndarray:
 SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
     "dynamic": ("history.dynamic_mask", lambda mask: mask != 0),
     "disoccluded": ("frame.disoccluded", lambda mask: mask != 0),
-    "splatted": ("blocks.block_class", lambda block: block == SPLATTED),
+    "splatted": ("backward_blocks.block_class", lambda block: block == SPLATTED),
     "hidden parts": ("frame.filled_by", lambda label: label == BY_HIDDEN_PART),
     "mixed": ("warp.mixed", lambda mask: mask != 0),
     "unfilled": ("frame.filled_by", lambda label: (label == BY_HOLE_FILLING) | (label == BY_NOTHING)),
-    "beyond reach": ("holes.block_color", lambda sums: sums[..., 3] != 0),
+    "beyond reach": ("holes.downsampled_color", lambda sums: sums[..., 3] != 0),
     "remembered": ("background.state_0", lambda state: state == REMEMBERED),
     "not shown": ("background.state_0", lambda state: state != SHOWN),
     "layers": ("silhouettes.layer", lambda layer: layer != 0),
@@ -49,7 +49,7 @@ SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
 
 # Parts by stage.
 SCN = {
-    "trend": "SCN, trend", "shading": "SCN, inputs", "correction": "SCN, kernels", "network": "SCN, network",
+    "shading_trend": "SCN, trend", "shading": "SCN, inputs", "correction": "SCN, kernels", "network": "SCN, network",
     "network copies": "SCN, copies",
 }  # fmt: skip
 UPSCALING = ("upscaling", "sharpening")
@@ -80,7 +80,7 @@ def counters(pipeline: Pipeline) -> dict[str, float]:
         counted[name] = float(counts(found.read(rest)).mean()) if there else 0.0
     return counted | {
         "holes": counted["disoccluded"] + counted["mixed"],
-        "splatting": float(pipeline.stages[Blocks.name].splatting().mean()),
+        "splatting": float(pipeline.stages[BackwardBlocks.name].splatting().mean()),
     }
 
 

@@ -24,8 +24,8 @@ from gffe_cl.stages.base import Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec, DeviceFrame, Sizes
 from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.correction import ShadingCorrection
-from gffe_cl.stages.cuts import CutDetection
 from gffe_cl.stages.presentation import Presentation
+from gffe_cl.stages.scene_cuts import SceneCuts
 from gffe_cl.stages.upscaling import Upscaling
 
 # Rendered and extrapolated images: tiny, middling and wide, all sides different, so that no size looks like another;
@@ -177,7 +177,7 @@ class _Rehearsal:
         self.all[Presentation.name].present(step.frame, step.previous, with_color=Upscaling.name not in self.stages)
 
     def _look_for_cut(self, step: Step) -> None:
-        if detection := self.stages.get(CutDetection.name):
+        if detection := self.stages.get(SceneCuts.name):
             detection.is_cut(step.frame, step.previous)
 
     def _step(self, number: int, first: bool) -> Step:

@@ -15,7 +15,7 @@ from gffe_cl.inference.network import MULTIPLE
 from gffe_cl.opencl.probing import DIVISION_SOURCE, INT64_SOURCE
 from gffe_cl.opencl.program import expand
 from gffe_cl.pipeline.options import Options
-from gffe_cl.stages import correction, cuts, mu_law
+from gffe_cl.stages import correction, mu_law, scene_cuts
 from gffe_cl.stages.background import MAX_LEVELS
 from gffe_cl.stages.base import Kernel, NearestStage, Stage
 from gffe_cl.stages.buffers import BLOCK, BufferSpec, aligned, texel_of
@@ -48,7 +48,7 @@ def config(options: Options) -> str:
     """gffe_config.h: numbers that Python's modules define, and what was chosen."""
     numbers = {
         "MOST_PIXELS": MOST_PIXELS,
-        "BLOCK": texel_of("blocks")[0],
+        "DOWNSAMPLING": texel_of("downsampled")[0],
         "BLOCK_WIDTH": BLOCK[0],
         "BLOCK_HEIGHT": BLOCK[1],
         "CELL": texel_of("cells")[0],
@@ -76,18 +76,18 @@ def config(options: Options) -> str:
         "CUT_DETECTION": int(options.cut_detection),
         "CORRECTS_SHADING": int(options.corrects_shading),
         "UPSCALES": int(options.upscale > 0),
-        "CUT_SAMPLES_X": cuts.SAMPLES[0],
-        "CUT_SAMPLES_Y": cuts.SAMPLES[1],
-        "CUT_LEAST_SAMPLES": cuts.LEAST_SAMPLES,
-        "CUT_LEAST_OVERLAP": cuts.LEAST_OVERLAP,
-        "CUT_DEPTH_SURE": cuts.DEPTH_SURE,
-        "CUT_DEPTH_UNSURE": cuts.DEPTH_UNSURE,
-        "CUT_CONTRAST_RIGHT": cuts.CONTRAST_RIGHT,
-        "CUT_LEAST_CONTRASTS": cuts.LEAST_CONTRASTS,
-        "CUT_TELEPORT": cuts.TELEPORT,
+        "CUT_SAMPLES_X": scene_cuts.SAMPLES[0],
+        "CUT_SAMPLES_Y": scene_cuts.SAMPLES[1],
+        "CUT_LEAST_SAMPLES": scene_cuts.LEAST_SAMPLES,
+        "CUT_LEAST_OVERLAP": scene_cuts.LEAST_OVERLAP,
+        "CUT_DEPTH_SURE": scene_cuts.DEPTH_SURE,
+        "CUT_DEPTH_UNSURE": scene_cuts.DEPTH_UNSURE,
+        "CUT_CONTRAST_RIGHT": scene_cuts.CONTRAST_RIGHT,
+        "CUT_LEAST_CONTRASTS": scene_cuts.LEAST_CONTRASTS,
+        "CUT_TELEPORT": scene_cuts.TELEPORT,
     }
     lines = [f"#define GFFE_{name} {number!r}" for name, number in numbers.items()]
-    counted = ", ".join(f"GFFE_{name.upper()}" for name in cuts.COUNTED)
+    counted = ", ".join(f"GFFE_{name.upper()}" for name in scene_cuts.COUNTED)
     lines.append(f"enum {{ {counted}, GFFE_COUNTED }}; /* of the samples of a cut */")
     return _HEADER + "#ifndef GFFE_CONFIG_H\n#define GFFE_CONFIG_H\n\n" + "\n".join(lines) + "\n\n#endif\n"
 

@@ -19,17 +19,18 @@ from gffe_cl.opencl.program import constants
 from gffe_cl.stages.background import MAX_LEVELS
 from gffe_cl.stages.base import Step, reprojection, zoom
 from gffe_cl.stages.buffers import Sizes, level_starts
-from gffe_cl.stages.cuts import SAMPLES
 from gffe_cl.stages.history import STRIDE
 from gffe_cl.stages.mu_law import color_law
 from gffe_cl.stages.prediction import MAX_ORDER, padded, polynomial_weights
 from gffe_cl.stages.presentation import mapping
-from gffe_cl.stages.trend import REACH_SHARE, reach_of
+from gffe_cl.stages.scene_cuts import SAMPLES
+from gffe_cl.stages.shading_trend import REACH_SHARE, reach_of
 from gffe_cl.stages.upscaling import pixel_size
 
 CAMERAS = ("FRAME", "PREVIOUS", "TARGET_CAMERA", "FRAME_DISPLAY", "PREVIOUS_DISPLAY")
 GRIDS = (
-    "ONCE", "SOURCE", "TARGET", "BLOCKS", "SOURCE_BLOCKS", "TARGET_BLOCKS", "CELLS", "NETWORK", "MIP", "LEVEL", "LEVELS"
+    "ONCE", "SOURCE", "TARGET", "DOWNSAMPLED", "SOURCE_BLOCKS", "TARGET_BLOCKS", "CELLS", "NETWORK", "MIP", "LEVEL",
+    "LEVELS"
 )  # fmt: skip
 _HOLES = constants("holes.cl")
 MOST_PIXELS = 16384  # each way, of the images that C takes
@@ -141,10 +142,10 @@ def launch_sizes() -> Iterator[tuple[Named, Callable[[Probe], tuple[int, int]]]]
         Named("GFFE_SAMPLED_SOURCE", STRIDE),
         lambda probe: tuple(-(-n // STRIDE) for n in probe.sizes.source),
     )
-    yield Named("GFFE_TILED_BLOCKS", _HOLES["TILE"], _HOLES["GROUP"]), _tiled_blocks
+    yield Named("GFFE_TILED", _HOLES["TILE"], _HOLES["GROUP"]), _tiled
     yield Named("GFFE_SAMPLED_ROWS", *SAMPLES), lambda probe: (SAMPLES[0], min(probe.sizes.source[1], SAMPLES[1]))
 
 
-def _tiled_blocks(probe: Probe) -> tuple[int, int]:
-    width, height = (-(-blocks // _HOLES["TILE"]) for blocks in probe.sizes.of("blocks"))
+def _tiled(probe: Probe) -> tuple[int, int]:
+    width, height = (-(-side // _HOLES["TILE"]) for side in probe.sizes.of("downsampled"))
     return width * _HOLES["GROUP"], height

@@ -42,41 +42,41 @@ from gffe_cl.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame
 from gffe_cl.pipeline.options import Options
 from gffe_cl.stages.acceleration import Acceleration
 from gffe_cl.stages.background import Background
+from gffe_cl.stages.backward_blocks import BackwardBlocks
 from gffe_cl.stages.base import Board, Output, Stage, Step
-from gffe_cl.stages.blocks import Blocks
 from gffe_cl.stages.buffers import RENDERED, BufferSpec, DeviceFrame, Owner, Sizes, given_buffer
 from gffe_cl.stages.composition import Composition
+from gffe_cl.stages.connectivity import Connectivity
 from gffe_cl.stages.correction import ShadingCorrection
-from gffe_cl.stages.cuts import CutDetection
-from gffe_cl.stages.hidden import HiddenParts
+from gffe_cl.stages.hidden_parts import HiddenParts
 from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.holes import FILLINGS, HoleFilling
 from gffe_cl.stages.memory_budget import footprint, require_room
 from gffe_cl.stages.prediction import MAX_ORDER, PositionPrediction
 from gffe_cl.stages.presentation import Presentation
+from gffe_cl.stages.scene_cuts import SceneCuts
 from gffe_cl.stages.shading import ShadingInputs
+from gffe_cl.stages.shading_trend import ShadingTrend
 from gffe_cl.stages.sharpening import Sharpening
 from gffe_cl.stages.silhouettes import Silhouettes
-from gffe_cl.stages.surfaces import Surfaces
-from gffe_cl.stages.trend import Trend
 from gffe_cl.stages.upscaling import Upscaling
 from gffe_cl.stages.warp import Warp
 
 # In the order in which they work, on rendered frames and on new ones.
 STAGES: tuple[type[Stage], ...] = (
-    CutDetection,
+    SceneCuts,
     HistoryTracking,
     Acceleration,
-    Surfaces,
+    Connectivity,
     PositionPrediction,
-    Blocks,
+    BackwardBlocks,
     Warp,
     HiddenParts,
     Background,
     HoleFilling,
     Silhouettes,
     ShadingInputs,
-    Trend,
+    ShadingTrend,
     ShadingCorrection,
     Upscaling,
     Sharpening,
@@ -220,7 +220,7 @@ class Pipeline:
         self._previous = None if frame.reset else self._current
         self._current = on_device
         self.board.rendered, self.board.previous = self._current, self._previous or self._current
-        detection = self.stages.get(CutDetection.name)
+        detection = self.stages.get(SceneCuts.name)
         self.is_cut = detection is not None and detection.is_cut(self._current, self._previous)
         if frame.reset or self.is_cut:
             self._times.clear()

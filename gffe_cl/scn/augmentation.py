@@ -11,9 +11,9 @@ from gffe_cl.scn.clips import CROP
 from gffe_cl.scn.crops import DYNAMIC, Batch
 from gffe_cl.scn.images import halve
 from gffe_cl.scn.network import decode, encode
-from gffe_cl.stages.trend import reach_of
+from gffe_cl.stages.shading_trend import reach_of
 
-_CONSTANTS = constants("trend.cl")
+_CONSTANTS = constants("shading_trend.cl")
 _CELL, _LEAST_SHARE = _CONSTANTS["CELL"], _CONSTANTS["LEAST_SHARE"]
 _KNOWN = 0.25  # input masks farther than this from that of static, shown pixels are others' or mixed
 _UNKNOWN_BEFORE = 0.08  # share of crops that are taken as from the second frame after a reset
@@ -204,7 +204,7 @@ def _changes(colors: Tensor, halved: bool) -> Tensor:
 
 def low_pass(changes: Tensor, known: Tensor, heights: Tensor) -> Tensor:
     """Means of `changes` (N, C, h, w; half resolution) around, over pixels that are `known` (N, 1, h, w): as
-    kernels/trend.cl has them, over cells of 8×8 pixels of frames of these heights (N,)."""
+    kernels/shading_trend.cl has them, over cells of 8×8 pixels of frames of these heights (N,)."""
     size = changes.shape[-2:]
     cells = functional.avg_pool2d(torch.cat((changes * known, known), 1), _CELL // 2, ceil_mode=True)
     reach = torch.tensor([reach_of(int(height)) + 1.0 for height in heights]).view(-1, 1, 1, 1)

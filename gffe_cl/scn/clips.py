@@ -91,7 +91,7 @@ def make_clip(device: Device, plan: ClipPlan) -> tuple[np.ndarray, np.ndarray, l
             mask = pipeline.stages["shading"].read("input_mask")
             truth = scene_frames.truth(time).read("color")
             samples.append(_sample(gae, previous, truth, depth, mask, scene.exposure))
-            carried = pipeline.stages["trend"].read("trends")[:, : plan.height // 2, : plan.width // 2]
+            carried = pipeline.stages["shading_trend"].read("trends")[:, : plan.height // 2, : plan.width // 2]
             trends.append(carried.astype(np.float16))
             alphas.append(alpha)
     return np.stack(samples), np.stack(trends), alphas

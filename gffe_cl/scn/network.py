@@ -1,8 +1,8 @@
 """The shading correction network (paper: 'Shading Correction Network' and its appendix).
 
 Two things may go on: what moved, along the flow that `flow.find_flow` finds from the GAE frame into the warped previous
-one, coarse to fine, and what changed over wide areas (kernels/trend.cl). The network judges, per pixel, how far: four
-levels of features at a quarter of the display's resolution and below see both frames and what is known about both
+one, coarse to fine, and what changed over wide areas (kernels/shading_trend.cl). The network judges per pixel how far:
+four levels of features at a quarter of the display's resolution and below see both frames and what is known about both
 candidates; a head at half resolution makes the correction. `compose` makes the frame of it, as kernels/correction.cl
 does.
 """

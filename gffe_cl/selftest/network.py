@@ -24,7 +24,7 @@ def providers() -> list[str]:
 def output_of(provider: str, reference: Reference) -> np.ndarray:
     """(5, h, w) float32: what the network makes of the recorded input. Raises NetworkError."""
     values = reference.values["default"]
-    frames, trends = (np.ascontiguousarray(values[name]) for name in ("correction.frames", "trend.trends"))
+    frames, trends = (np.ascontiguousarray(values[name]) for name in ("correction.frames", "shading_trend.trends"))
     made = np.empty((OUTPUT_PLANES, *frames.shape[1:]), np.float32)
     network = load_network(None, provider)
     network.run(frames, ALPHA, made, trends if network.takes_trends else None)

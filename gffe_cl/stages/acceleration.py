@@ -14,7 +14,7 @@ from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection
 from gffe_cl.stages.buffers import BufferSpec, aligned
 from gffe_cl.stages.pixel_formats import TRUSTED
 
-_CELLS = f"level{constants('mover_grid.h')['CELL'].bit_length() - 1}"
+_CELLS = f"level{constants('mover_grid.h')['MOVER_CELL'].bit_length() - 1}"
 
 
 class Acceleration(Stage):

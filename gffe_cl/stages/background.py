@@ -77,7 +77,7 @@ class Background(NearestStage):
             {
                 "depth": Access("rendered.depth", "not shown"),
                 "dynamic_mask": Access("history.dynamic_mask", "not shown"),
-                "links": Access("surfaces.links", "not shown"),
+                "links": Access("connectivity.links", "not shown"),
                 "frame_depth": Access("{depth_of_shown}"),
                 "taken": Access("background.state_{level}"),
                 "level_depth": Access("{depth_of_taken}"),
@@ -110,7 +110,7 @@ class Background(NearestStage):
             {
                 "frame_color": Access("rendered.color", "holes"),
                 "frame_depth": Access("rendered.depth", "holes"),
-                "block_class": "blocks.block_class",
+                "block_class": "backward_blocks.block_class",
                 "disoccluded": Access("frame.disoccluded", "splatted"),
                 "mixed": Access("warp.mixed", "splatted"),
                 "color_prev": Access("previous.color", "holes"),

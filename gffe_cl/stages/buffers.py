@@ -31,6 +31,7 @@ XY = ("x", "y")
 
 _LABELS = constants("common.h")
 BLOCK = tuple(constants("blocks.h")[f"BLOCK_{side}"] for side in ("WIDTH", "HEIGHT"))  # pixels
+DOWNSAMPLING = constants("holes.cl")["DOWNSAMPLING"]  # of hole filling as in the paper
 BY_HOLE_FILLING, BY_NOTHING = _LABELS["BY_HOLE_FILLING"], _LABELS["BY_NOTHING"]
 BY_WARP, BY_CRACK_CLOSING = _LABELS["BY_WARP"], _LABELS["BY_CRACK_CLOSING"]
 BY_HIDDEN_PART, BY_FIXED = _LABELS["BY_HIDDEN_PART"], _LABELS["BY_FIXED"]
@@ -67,9 +68,13 @@ def texel_of(grid: str) -> tuple[int, int]:
     """Width and height in pixels that a texel of a grid covers, of the image that the grid is laid over."""
     if grid.startswith(("level", "mip")):
         return (1 << int(grid.removeprefix("level").removeprefix("mip")),) * 2
-    return {"blocks": (32, 32), "cells": (8, 8), "source_blocks": BLOCK, "target_blocks": BLOCK, "network": (2, 2)}.get(
-        grid, (1, 1)
-    )
+    return {
+        "downsampled": (DOWNSAMPLING, DOWNSAMPLING),
+        "cells": (8, 8),
+        "source_blocks": BLOCK,
+        "target_blocks": BLOCK,
+        "network": (2, 2),
+    }.get(grid, (1, 1))
 
 
 def texels_over(grid: str, fine: str, x: int, y: int, width: int, height: int) -> tuple[int, int, int, int]:
@@ -95,7 +100,7 @@ def lies_on_source(grid: str) -> bool:
 class BufferSpec:
     """One named buffer.
 
-    `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "blocks"
+    `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "downsampled"
     (target / 32, rounded up), "source_blocks" and "target_blocks" (blocks of 8×4), "level0" … (source / 2^l, rounded
     up), "levels1" … (so many of these one after another), "mip1" … (target / 2^l, rounded up), "network" (target / 2,
     rounded up to multiples of 16), "cells" (source / 8, rounded up) or "once" (no image). `components` name its

@@ -16,7 +16,7 @@ from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection
 from gffe_cl.stages.buffers import RGBA, BufferSpec
 from gffe_cl.stages.mu_law import color_law
 from gffe_cl.stages.shading import SEEN
-from gffe_cl.stages.trend import Trend
+from gffe_cl.stages.shading_trend import ShadingTrend
 
 _IMAGE_PIXELS = 4  # per pixel of the network
 _EVENTS = 1024  # of mapping that are kept until they are taken
@@ -148,7 +148,9 @@ class ShadingCorrection(Stage):
         """Fill `correction`: the network works in the mapped buffers: no copy where host and device share memory."""
         frames = self.map(self, "frames", cl.map_flags.READ)
         trends = (
-            self.map(self.board.stages[Trend.name], "trends", cl.map_flags.READ) if self.network.takes_trends else None
+            self.map(self.board.stages[ShadingTrend.name], "trends", cl.map_flags.READ)
+            if self.network.takes_trends
+            else None
         )
         correction = self.map(self, "correction", cl.map_flags.WRITE_INVALIDATE_REGION)
         try:

@@ -43,24 +43,28 @@ class HoleFilling(Stage):
 
 
 class Downsampled(HoleFilling):
-    """From the means of 32×32 blocks (the paper's)."""
+    """From the image downsampled 32× (the paper's)."""
 
     buffers = (
         BufferSpec(
-            "block_color",
+            "downsampled_color",
             np.float32,
             ("R", "G", "B", "weight"),
-            "blocks",
-            "weighted sum of valid colour per 32×32 block; 0 where no hole asks for it",
+            "downsampled",
+            "weighted sum of valid colour over 32×32 pixels; 0 where no hole asks for it",
             "color",
         ),
         BufferSpec(
-            "block_inverse_depth", np.float32, (), "blocks", "weighted sum of inverse depth per block, 1/world units"
+            "downsampled_inverse_depth",
+            np.float32,
+            (),
+            "downsampled",
+            "weighted sum of inverse depth over them, 1/world units",
         ),
     )
     kernels = (
         Kernel(
-            "fill_from_blocks",
+            "fill_from_downsampled",
             "target",
             {
                 "filled_by": "frame.filled_by",
@@ -69,19 +73,22 @@ class Downsampled(HoleFilling):
             }
             | _image("beyond reach"),
             _filled("beyond reach")
-            | {"block_color": "holes.block_color", "block_inverse_depth": "holes.block_inverse_depth"},
+            | {
+                "downsampled_color": "holes.downsampled_color",
+                "downsampled_inverse_depth": "holes.downsampled_inverse_depth",
+            },
             group="GROUP",
         ),
     )
 
     def fill_holes(self, to_source: np.ndarray) -> None:
-        width, height = (-(-blocks // _TILE) for blocks in self.sizes.of("blocks"))
-        self.launch("fill_from_blocks", (width * _GROUP, height), reach=self.reach, to_source=to_source)
+        width, height = (-(-side // _TILE) for side in self.sizes.of("downsampled"))
+        self.launch("fill_from_downsampled", (width * _GROUP, height), reach=self.reach, to_source=to_source)
 
 
 class FarSide(Downsampled):
-    """Continues the far side of a disocclusion, and takes block means beyond its reach. What the background has filled
-    is mixed with the far side."""
+    """Continues the far side of a disocclusion, and takes the downsampled image beyond its reach. What the
+    background has filled is mixed with the far side."""
 
     kernels = (
         Kernel(
@@ -96,7 +103,7 @@ class FarSide(Downsampled):
             "fill_far_side",
             "target",
             {
-                "block_class": "blocks.block_class",
+                "block_class": "backward_blocks.block_class",
                 "filled_by": Access("frame.filled_by", "splatted"),
                 "source_color": Access("rendered.color", "unfilled"),
             }

@@ -56,7 +56,7 @@ class Silhouettes(Stage):
             "find_layers",
             "source",
             {
-                "links": "surfaces.links",
+                "links": "connectivity.links",
                 "depth": Access("rendered.depth", "layers"),
                 "target_position": Access("prediction.target_position", "layers"),
                 "color": Access("rendered.color", "layers"),

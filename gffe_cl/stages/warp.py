@@ -27,10 +27,10 @@ class Warp(NearestStage):
             "splat",
             "source",
             {
-                "reach": "blocks.reach",
-                "block_class": "blocks.block_class",
+                "reach": "backward_blocks.reach",
+                "block_class": "backward_blocks.block_class",
                 "depth": Access("rendered.depth", "splatting"),
-                "links": Access("surfaces.links", "splatting"),
+                "links": Access("connectivity.links", "splatting"),
                 "target_position": Access("prediction.target_position", "splatting"),
             }
             | _keys("splatted"),
@@ -41,12 +41,12 @@ class Warp(NearestStage):
             "resolve",
             "target",
             {
-                "block_class": "blocks.block_class",
-                "block_source": "blocks.block_source",
-                "source_smooth": "blocks.smooth",
+                "block_class": "backward_blocks.block_class",
+                "block_source": "backward_blocks.block_source",
+                "source_smooth": "backward_blocks.smooth",
                 "color": "rendered.color",
                 "depth": Access("rendered.depth", "splatted"),
-                "links": Access("surfaces.links", "splatted"),
+                "links": Access("connectivity.links", "splatted"),
                 "dynamic_mask": "history.dynamic_mask",
                 "target_position": "prediction.target_position",
             }

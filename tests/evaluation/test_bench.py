@@ -36,15 +36,15 @@ def test_bench(gffe, tmp_path):
     for one in report["devices"]:
         for size in one["sizes"]:
             parts = {
-                "cuts",
+                "scene_cuts",
                 "history",
                 "acceleration",
                 "prediction",
-                "blocks",
+                "backward_blocks",
                 "warp",
-                "hidden",
+                "hidden_parts",
                 "background, collection",
-                "surfaces",
+                "connectivity",
                 "background, projection",
                 "holes",
                 "silhouettes",

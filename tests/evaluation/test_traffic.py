@@ -8,7 +8,7 @@ from gffe_cl import Options, Pipeline
 from gffe_cl.evaluation import traffic
 from gffe_cl.opencl.program import parse_constants, parse_kernels
 from gffe_cl.stages.base import Access, Kernel, Stage
-from gffe_cl.stages.surfaces import Surfaces
+from gffe_cl.stages.connectivity import Connectivity
 
 W, H = 64, 48
 
@@ -33,7 +33,7 @@ def test_bytes_per_pixel_are_those_of_the_buffers(device):
     assert moved["prediction"]["predict_positions"] == pytest.approx(
         4 + 1 + (8 + 4 + 2) * shares["dynamic"] + 12, rel=1e-2
     )
-    assert moved["surfaces"]["find_surfaces"] == pytest.approx(4 + 1 + 1)
+    assert moved["connectivity"]["find_links"] == pytest.approx(4 + 1 + 1)
     key = 8  # one of 64 bits, or key and winner
     splats = 1 if device.int64_atomics else 2
     block = -(-W // 8) * -(-H // 4) / (W * H)  # blocks per pixel
@@ -111,7 +111,9 @@ def test_kernels_and_constants_are_read_from_the_source():
     assert [a.name for a in kernels["second"]] == ["nodes", "count", "zoom"]
 
 
-_WRITTEN = dict.fromkeys(("links", "state", "fill_keys", "fill_winners", "push_keys", "push_winners"), "surfaces.links")
+_WRITTEN = dict.fromkeys(
+    ("links", "state", "fill_keys", "fill_winners", "push_keys", "push_winners"), "connectivity.links"
+)
 
 
 @pytest.mark.parametrize(
@@ -128,12 +130,12 @@ _WRITTEN = dict.fromkeys(("links", "state", "fill_keys", "fill_winners", "push_k
 )
 def test_wrong_declarations_are_refused(device, reads, writes, complaint):
     class Wrong(Stage):
-        name = "surfaces"
-        buffers = Surfaces.buffers
-        kernels = (Kernel("find_surfaces", "source", reads, writes),)
+        name = "connectivity"
+        buffers = Connectivity.buffers
+        kernels = (Kernel("find_links", "source", reads, writes),)
 
     pipeline = Pipeline(device, W, H)
-    with pytest.raises(AssertionError, match=f"find_surfaces: {complaint}"):
+    with pytest.raises(AssertionError, match=f"find_links: {complaint}"):
         Wrong(pipeline.board)
 
 

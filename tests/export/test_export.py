@@ -36,7 +36,7 @@ from gffe_cl.scenes import load_scene
 from gffe_cl.scenes.renderer import SceneRenderer
 from gffe_cl.scenes.sequences import SceneFrames
 from gffe_cl.stages.buffers import Owner, spread
-from gffe_cl.stages.hidden import HiddenParts
+from gffe_cl.stages.hidden_parts import HiddenParts
 from gffe_cl.stages.holes import Downsampled
 
 W, H = 83, 61
@@ -216,7 +216,7 @@ def test_cuts_that_nobody_tells_of(device, library):
     frames = [replace(frame, time=time) for frame, time in zip(frames, times, strict=True)]
     compared, cuts = run_both(device, library, DEEP, frames, cameras=None)
     assert cuts == [False] * 4 + [True, False, False]
-    assert {"shading.warped_previous", "background.color_3", "holes.block_color"} <= compared
+    assert {"shading.warped_previous", "background.color_3", "holes.downsampled_color"} <= compared
 
 
 @pytest.mark.slow
@@ -476,7 +476,9 @@ def test_an_argument_that_c_does_not_know_stops_the_export(device, monkeypatch):
         super(HiddenParts, self).__init__(board)
 
     monkeypatch.setattr(HiddenParts, "__init__", other)
-    with pytest.raises(GffeError, match=r"kernels/hidden.cl, fill_hidden_parts: argument 'reach' hangs on something"):
+    with pytest.raises(
+        GffeError, match=r"kernels/hidden_parts.cl, fill_hidden_parts: argument 'reach' hangs on something"
+    ):
         record(device, DEFAULT, True)
 
 

@@ -121,6 +121,6 @@ def test_kernels_are_modest(lanes):
         told = memory_of_kernels(name, f"-DLANES={lanes}", f"-DRUN={16 if lanes > 1 else 1}")
         assert set(told) == set(parse_kernels(expand(f"{name}.cl")))
         found |= {f"{name}.{kernel}": sizes for kernel, sizes in told.items()}
-    assert found["holes.fill_from_blocks"][0] == 3428  # as Intel's runtime and PoCL say
+    assert found["holes.fill_from_downsampled"][0] == 3428  # as Intel's runtime and PoCL say
     assert {kernel: sizes for kernel, sizes in found.items() if sizes[0] > MOST_LOCAL} == {}
     assert {kernel: sizes for kernel, sizes in found.items() if sizes[1] > MOST_PRIVATE[lanes]} == {}

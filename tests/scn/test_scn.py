@@ -23,7 +23,7 @@ from gffe_cl.scn.crops import Batch, Crop, focus_truth, keep_crops, list_crops, 
 from gffe_cl.scn.export import count_operations, export_onnx, largest_difference  # noqa: E402
 from gffe_cl.scn.flow import find_flow  # noqa: E402
 from gffe_cl.scn.training import CHECKPOINT, Processes, Recipe, Training, split_crops, weights  # noqa: E402
-from gffe_cl.stages.trend import reach_of  # noqa: E402
+from gffe_cl.stages.shading_trend import reach_of  # noqa: E402
 
 
 def random(*shape, seed=0, scale=1.0):
@@ -778,4 +778,4 @@ def test_the_pipeline_gives_the_exported_network_its_trends(opened, tmp_path):
     for frame in frames.sequence(3, 30, 0):
         pipeline.submit(frame)
     assert np.isfinite(pipeline.extrapolate().numpy("color")).all()
-    assert pipeline.stages["trend"].read("trends").any() and not pipeline.stages["correction"].unusable_pixels
+    assert pipeline.stages["shading_trend"].read("trends").any() and not pipeline.stages["correction"].unusable_pixels

@@ -602,7 +602,7 @@ def test_outputs_of_the_stages_can_be_kept(device):
     submit(pipeline, scene, cameras, [k / 30 for k in range(5)])
     pipeline.extrapolate(camera(W, H, (0.3, 0, 0)), 4.5 / 30)
     read = {f"{owner.name}.{spec.name}": owner.read(spec.name) for owner, spec in pipeline.named_buffers()}
-    stages = ("warp", "hidden", "background", "holes")
+    stages = ("warp", "hidden_parts", "background", "holes")
     expected = {f"{s}.{n}" for s in stages for n in ("color", "depth", "motion", "filled_by")}
     expected = expected - {"holes.filled_by"} | {"silhouettes.color"}  # labelled so by the warp
     assert {f"{stage}.{spec.name}" for stage, spec in pipeline.outputs()} == expected <= set(read)

@@ -156,7 +156,7 @@ def test_stages_equal_their_twins(device, options, size, target):
     assert_close(got, predicted)
 
     links = twins.link_surfaces(depth, dynamic)
-    assert np.array_equal(pipeline.stages["surfaces"].read("links"), links)
+    assert np.array_equal(pipeline.stages["connectivity"].read("links"), links)
 
     # From here on the device's own positions, so that one rounding is not counted twice.
     zoom = np.array([to.fx / now.camera.fx, to.fy / now.camera.fy], np.float32)
@@ -168,7 +168,7 @@ def test_stages_equal_their_twins(device, options, size, target):
     assert warped["disoccluded"].any()
 
     to_source = reprojection(to, now.camera)
-    warped |= twins.fill_hidden_parts(warped, depth, zoom, to_source, pipeline.stages["hidden"].reach)
+    warped |= twins.fill_hidden_parts(warped, depth, zoom, to_source, pipeline.stages["hidden_parts"].reach)
     assert (warped["filled_by"] == twins.COMMON.BY_HIDDEN_PART).any()
 
     if options.levels:
@@ -196,10 +196,12 @@ def test_stages_equal_their_twins(device, options, size, target):
     sums = (None, None)
     if options.hole_filling != "push-pull":
         reach = pipeline.stages["holes"].reach
-        asked = twins.asked_blocks(warped, reach, to_source, twins.load_color(color))
+        asked = twins.asked_texels(warped, reach, to_source, twins.load_color(color))
         sums = tuple((array.T * asked.T).T for array in twins.downsample(warped, color, depth))
-        np.testing.assert_allclose(pipeline.stages["holes"].read("block_color"), sums[0], rtol=1e-4, atol=1e-4)
-        np.testing.assert_allclose(pipeline.stages["holes"].read("block_inverse_depth"), sums[1], rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(pipeline.stages["holes"].read("downsampled_color"), sums[0], rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(
+            pipeline.stages["holes"].read("downsampled_inverse_depth"), sums[1], rtol=1e-4, atol=1e-5
+        )
     filled = twins.fill_holes(warped, *sums, to_source, pipeline.stages["holes"].reach, twins.load_color(color))
     holes = unfilled
     before_softening = pipeline.board.frame.read("color")
@@ -322,10 +324,10 @@ def test_block_means_reach_over_work_groups(device, filling):
         before |= {"color": twins.mix_far_side(before | {"disoccluded": pipeline.board.frame.read("disoccluded")})}
     stage = pipeline.stages["holes"]
     to_source = reprojection(to, frame.camera)
-    asked = twins.asked_blocks(before, stage.reach, to_source, twins.load_color(frame.color))
+    asked = twins.asked_texels(before, stage.reach, to_source, twins.load_color(frame.color))
     assert holes.mean() > 0.1 and 5 < asked.sum() < asked.size
     sums = tuple((array.T * asked.T).T for array in twins.downsample(before, frame.color, frame.depth))
-    np.testing.assert_allclose(stage.read("block_color"), sums[0], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(stage.read("downsampled_color"), sums[0], rtol=1e-4, atol=1e-4)
     filled = twins.fill_holes(before, *sums, to_source, stage.reach, twins.load_color(frame.color))
     for name in ("color", "depth", "motion"):
         got = pipeline.board.frame.read(name)

@@ -217,8 +217,8 @@ def test_every_layer_equals_a_plain_run(device):
             assert_same(result.images, expected[at])
         assert source.asked == [0, 1, 2, 3, 4, 5]
         assert set(result.milliseconds) == {
-            *("cuts", "history", "surfaces", "prediction", "blocks", "warp"),
-            *("hidden", "background", "holes", "silhouettes", "shading", "trend"),
+            *("scene_cuts", "history", "connectivity", "prediction", "backward_blocks", "warp"),
+            *("hidden_parts", "background", "holes", "silhouettes", "shading", "shading_trend"),
         }  # fmt: skip
         assert min(result.milliseconds.values()) > 0 and result.wall_ms > result.readback_ms > 0
 
@@ -276,7 +276,7 @@ def test_options_change_what_they_should(device):
     first = Setup(ALL, n=1)
     upto_submit = {
         "history.dynamic_mask",
-        "surfaces.links",
+        "connectivity.links",
         "background.color_0",
         "background.state_0",
         "rendered.depth",
@@ -289,12 +289,12 @@ def test_options_change_what_they_should(device):
         "history": (4, set(), upto_submit | {"final"}),
         "acceleration": (False, {"prediction.target_position"}, upto_submit),
         "upscale": (1.0, {"final"}, upto_submit | {"frame.color"}),
-        "levels": (1, set(), {"history.met_depth", "surfaces.links", "background.color_0", "background.px_0"}),
+        "levels": (1, set(), {"history.met_depth", "connectivity.links", "background.color_0", "background.px_0"}),
         "shading_inputs": (False, set(), upto_submit | {"final", "background.color_1"}),
     }
     with running(device, Clip()) as engine:
         before = ask(engine, 13, first, "all").images
-        assert "holes.block_color" in before and "shading.input_mask" in before
+        assert "holes.downsampled_color" in before and "shading.input_mask" in before
         seen = {}
         for name, (value, different, same) in cases.items():
             after = ask(engine, 13, replace(first, options=replace(ALL, **{name: value})), "all").images
@@ -307,10 +307,10 @@ def test_options_change_what_they_should(device):
         assert ask(engine, 13, Setup(replace(order, order=1)), "all").images["history.history"].shape == (3, H, W, 4)
         predicted = [ask(engine, 13, Setup(replace(order, order=o)), "all").images for o in (1, 2)]
         assert np.abs(np.subtract(*(p["prediction.target_position"][..., :2] for p in predicted))).max() > 0.01
-        assert {"holes.mean_1"} == seen["hole_filling"] & {"holes.mean_1", "holes.block_color"}
+        assert {"holes.mean_1"} == seen["hole_filling"] & {"holes.mean_1", "holes.downsampled_color"}
         assert set(before) - seen["levels"] == {f"background.{n}_1" for n in ("color", "depth", "px", "state")}
         assert set(before) - seen["shading_inputs"] == {
-            *("shading.warped_previous", "shading.input_mask", "trend.trend", "trend.trends")
+            *("shading.warped_previous", "shading.input_mask", "shading_trend.trend", "shading_trend.trends")
         }
         assert_same(ask(engine, 13, first, before).images, before, set(before) - {"final"})  # and back
 
@@ -415,7 +415,7 @@ def test_inspection_equals_the_whole_buffers(device, tmp_path):
             sx, sy = np.floor(seen.source).astype(int)
             places = {"target": (x, y), "source": (sx, sy)}
             places |= {f"level{level}": (sx >> level, sy >> level) for level in range(3)}
-            places |= {"blocks": (x // 32, y // 32), "network": (x // 2, y // 2)}
+            places |= {"downsampled": (x // 32, y // 32), "network": (x // 2, y // 2)}
             places |= {
                 "target_blocks": (x // 8, y // 4),
                 "source_blocks": (sx // 8, sy // 4),

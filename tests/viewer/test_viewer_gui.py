@@ -21,8 +21,8 @@ FRAME = ("rendered.", "truth", "presentation.")
 # layers that are made anew for every generated frame
 LEFT_BY_BACKGROUND = tuple(f"background.{name}" for name in ("color", "depth", "motion", "filled_by"))
 AFTER_SUBMIT = (
-    *("frame.", "blocks.", "warp.", "hidden.", *LEFT_BY_BACKGROUND, "holes.", "silhouettes."),
-    *("shading.", "trend.trends", "final", "focus_truth"),
+    *("frame.", "backward_blocks.", "warp.", "hidden_parts.", *LEFT_BY_BACKGROUND, "holes.", "silhouettes."),
+    *("shading.", "shading_trend.trends", "final", "focus_truth"),
 )
 
 
@@ -122,17 +122,25 @@ def test_in_and_out(values):
     [
         (
             "motion estimation",
-            (*AFTER_SUBMIT, "history.", "acceleration.", "surfaces.", "prediction.", "background.", "trend."),
+            (
+                *AFTER_SUBMIT,
+                "history.",
+                "acceleration.",
+                "connectivity.",
+                "prediction.",
+                "background.",
+                "shading_trend.",
+            ),
             ("history.dynamic_mask", "prediction.target_position", "frame.dynamic", "final"),
-            ("hidden.", "acceleration."),
+            ("hidden_parts.", "acceleration."),
         ),
         ("background collection", AFTER_SUBMIT, ("frame.filled_by", "frame.color", "final"), ("background.", "warp.")),
         ("crack closing", AFTER_SUBMIT, ("frame.filled_by", "frame.disoccluded", "frame.color", "final"), ()),
         (
             "hole filling",
             (
-                *("frame.", "warp.filled_by", "hidden.filled_by", "background.filled_by", "silhouettes."),
-                *("shading.", "trend.trends", "final", "focus_truth"),
+                *("frame.", "warp.filled_by", "hidden_parts.filled_by", "background.filled_by", "silhouettes."),
+                *("shading.", "shading_trend.trends", "final", "focus_truth"),
             ),
             ("frame.color", "frame.depth", "frame.filled_by", "final"),
             ("holes.",),

@@ -13,13 +13,13 @@ from gffe_cl import Camera, Options, Pipeline
 from gffe_cl.stages.background import Background, _level_buffers
 from gffe_cl.stages.base import Stage
 from gffe_cl.stages.buffers import EXTRAPOLATED, FILLED_BY, BufferSpec, Sizes
+from gffe_cl.stages.connectivity import Connectivity
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.holes import Downsampled
 from gffe_cl.stages.prediction import PositionPrediction
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import ShadingInputs
-from gffe_cl.stages.surfaces import Surfaces
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS, VIEWS, LayerSpec, layer_of, layers_of
 from gffe_cl.viewer.picture.colors import COLOR_MAPS, LABEL_COLORS, SKY, color_table, wheel_color
 from gffe_cl.viewer.picture.displays import TONE_MAPS, Display, FrameInfo, area_of, default_display, fitted, shown_as
@@ -29,7 +29,7 @@ DEPTH, MOTION, FINAL = (FRAME_LAYERS[name] for name in ("rendered.depth", "rende
 STAGES: tuple[type[Stage], ...] = (
     HistoryTracking,
     PositionPrediction,
-    Surfaces,
+    Connectivity,
     Presentation,
     Downsampled,
     ShadingInputs,
@@ -57,8 +57,8 @@ def test_stage_buffers_become_layers():
 
 def test_layers_of_a_pipeline_come_in_its_order(device, tmp_path):
     layers = layers_of(Pipeline(device, 64, 48, Options(shading_inputs=True)))
-    stages = ["frame", "history", "acceleration", "surfaces", "prediction", "blocks", "warp"]
-    stages += ["hidden", "background", "holes", "silhouettes", "shading", "trend"]
+    stages = ["frame", "history", "acceleration", "connectivity", "prediction", "backward_blocks", "warp"]
+    stages += ["hidden_parts", "background", "holes", "silhouettes", "shading", "shading_trend"]
     assert list(dict.fromkeys(spec.group for spec in layers.values())) == stages
     own = [name for name, spec in layers.items() if spec.group == "frame"]
     assert own[: len(FRAME_LAYERS) - 1] == [name for name in FRAME_LAYERS if name != "gae"]  # it is "final"
@@ -79,7 +79,7 @@ def test_layers_do_not_depend_on_what_is_kept(device):
     assert list(layers_of(pipeline).items()) == list(layers.items())
     generated = {name for name, spec in layers.items() if spec.of_generated}
     assert {"frame.color", "warp.color", "background.color", "holes.color", "prediction.target_position"} <= generated
-    assert not generated & {"final", "rendered.color", "history.history", "surfaces.links", "background.color_0"}
+    assert not generated & {"final", "rendered.color", "history.history", "connectivity.links", "background.color_0"}
 
 
 @pytest.mark.parametrize(
@@ -304,7 +304,7 @@ def test_labels_can_be_told_apart():
 
 
 def test_the_full_set_of_bits_is_calm():
-    shown = dict(legend(BY_NAME["surfaces.links"], Display()).labels)
+    shown = dict(legend(BY_NAME["connectivity.links"], Display()).labels)
     assert shown["15"] == LABEL_COLORS[0] and shown["0"] == LABEL_COLORS[15]
 
 
@@ -349,8 +349,8 @@ def test_channel_of_a_vector_has_a_ramp():
         ("frame.dynamic", np.uint8(1), "yes"),
         ("frame.filled_by", np.uint8(254), "254: crack closing"),
         ("frame.filled_by", np.uint8(77), "77"),
-        ("surfaces.links", np.uint8(15), "15"),
-        ("holes.block_inverse_depth", 0.123456, "0.1235"),
+        ("connectivity.links", np.uint8(15), "15"),
+        ("holes.downsampled_inverse_depth", 0.123456, "0.1235"),
     ],
 )
 def test_value_texts(name, values, text):

@@ -107,7 +107,7 @@ class FrameInfo:
 
     def area(self, spec: LayerSpec) -> tuple[float, float, float, float]:
         area = self.source_area if lies_on_source(spec.grid) else self.target_area
-        if spec.grid not in ("network", "blocks", "source_blocks", "target_blocks"):
+        if spec.grid not in ("network", "downsampled", "source_blocks", "target_blocks"):
             return area
         image = (self.render_size if lies_on_source(spec.grid) else self.target_size) or self.display_size
         texels = Sizes(image, image).of(spec.grid)

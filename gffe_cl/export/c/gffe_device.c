@@ -158,7 +158,7 @@ gffe_status gffe_open(gffe *g) {
     }
     if (!status) status = gffe_allocate(g, 0);
     if (!status) status = set_initial(g);
-    if (!status) g->counts = gffe_reference(g, "cuts.counts");
+    if (!status) g->counts = gffe_reference(g, "scene_cuts.counts");
     g->is_ready = !status;
     return status;
 }
@@ -220,7 +220,7 @@ static cl_int copy(gffe *g, const gffe_operation *operation) {
 
 static gffe_status run_network(gffe *g) {
     const cl_mem frames = g->memory[gffe_reference(g, "correction.frames")];
-    const cl_mem trends = g->memory[gffe_reference(g, "trend.trends")];
+    const cl_mem trends = g->memory[gffe_reference(g, "shading_trend.trends")];
     const cl_mem correction = g->memory[gffe_reference(g, "correction.correction")];
     size_t size[2];
     int failed;

@@ -10,7 +10,7 @@ extern "C" {
 #endif
 
 /* Grids of buffers and launches; a level or a number of levels goes with the last three. */
-enum { GFFE_ONCE, GFFE_SOURCE, GFFE_TARGET, GFFE_BLOCKS, GFFE_SOURCE_BLOCKS, GFFE_TARGET_BLOCKS, GFFE_CELLS,
+enum { GFFE_ONCE, GFFE_SOURCE, GFFE_TARGET, GFFE_DOWNSAMPLED, GFFE_SOURCE_BLOCKS, GFFE_TARGET_BLOCKS, GFFE_CELLS,
        GFFE_NETWORK, GFFE_MIP, GFFE_LEVEL, GFFE_LEVELS };
 
 enum { GFFE_FRAME, GFFE_PREVIOUS, GFFE_TARGET_CAMERA, GFFE_FRAME_DISPLAY, GFFE_PREVIOUS_DISPLAY, GFFE_CAMERAS };
@@ -42,7 +42,7 @@ enum {
 enum {
     GFFE_WHOLE,          /* grid a, level b */
     GFFE_SAMPLED_SOURCE, /* every a-th pixel of every a-th row */
-    GFFE_TILED_BLOCKS,   /* b work-items for a x a blocks */
+    GFFE_TILED,   /* b work-items for a x a texels of the downsampled image */
     GFFE_SAMPLED_ROWS    /* a in each of b rows, or as many rows as there are */
 };
 

@@ -33,7 +33,7 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
         return;
     }
     if (grid == GFFE_LEVEL || grid == GFFE_MIP) side[0] = side[1] = (size_t)1 << level;
-    if (grid == GFFE_BLOCKS) side[0] = side[1] = GFFE_BLOCK;
+    if (grid == GFFE_DOWNSAMPLED) side[0] = side[1] = GFFE_DOWNSAMPLING;
     if (grid == GFFE_CELLS) side[0] = side[1] = GFFE_CELL;
     if (grid == GFFE_NETWORK) side[0] = side[1] = GFFE_NETWORK_TEXEL;
     if (grid == GFFE_SOURCE_BLOCKS || grid == GFFE_TARGET_BLOCKS) {
@@ -52,8 +52,8 @@ void gffe_launch_size(const gffe_step *step, int kind, int a, int b, size_t size
     case GFFE_SAMPLED_SOURCE:
         for (k = 0; k < 2; ++k) size[k] = rounded_up((size_t)step->source[k], (size_t)a);
         break;
-    case GFFE_TILED_BLOCKS:
-        gffe_grid_size(step, GFFE_BLOCKS, 0, size);
+    case GFFE_TILED:
+        gffe_grid_size(step, GFFE_DOWNSAMPLED, 0, size);
         size[0] = rounded_up(size[0], (size_t)a) * (size_t)b;
         size[1] = rounded_up(size[1], (size_t)a);
         break;

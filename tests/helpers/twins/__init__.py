@@ -13,7 +13,7 @@ from twins.composition import compose
 from twins.correction import correct, decode, depth_median, encode, network_input
 from twins.hidden_parts import fill_hidden_parts
 from twins.history import noise_threshold_squared, residual_histogram, track_history
-from twins.holes import asked_blocks, downsample, fill_holes, mix_far_side
+from twins.holes import asked_texels, downsample, fill_holes, mix_far_side
 from twins.prediction import predict_positions
 from twins.presentation import present
 from twins.shading import prepare_inputs
@@ -24,7 +24,7 @@ __all__ = [
     "COMMON",
     "REMEMBERED",
     "SHOWN",
-    "asked_blocks",
+    "asked_texels",
     "block_classes",
     "carry_trends",
     "centres",

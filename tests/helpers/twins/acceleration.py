@@ -47,7 +47,7 @@ def track_acceleration(
     depth, motion, dynamic, met_depth, velocity_prev, acceleration_prev, ratio, to_previous, from_previous
 ):
     """Velocity and depth, acceleration and trust, what goes on of it, of cells, (⌈H/4⌉, ⌈W/4⌉, 4) each."""
-    side, (height, width) = ACCELERATION.CELL, depth.shape
+    side, (height, width) = ACCELERATION.MOVER_CELL, depth.shape
     cells = -(-height // side), -(-width // side)
     velocity, acceleration, bend = (np.zeros((*cells, 4), F) for _ in range(3))
     acceleration[..., 3] = -1

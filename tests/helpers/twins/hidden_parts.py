@@ -1,4 +1,4 @@
-"""Twin of hidden.cl."""
+"""Twin of hidden_parts.cl."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from twins.common import COMMON, F, kernel_constants, reproject
 from twins.holes import _DIRECTIONS, march
 from twins.warp import load_color
 
-HIDDEN = kernel_constants("hidden.cl")
+HIDDEN = kernel_constants("hidden_parts.cl")
 
 
 def fill_hidden_parts(warped, source_depth, zoom, to_source, reach):

@@ -13,7 +13,7 @@ HOLES = kernel_constants("holes.cl")
 def downsample(warped, source_color, source_depth):
     """Weighted sums per 32×32 block: (colour, 1) (h, w, 4) and inverse depth (h, w), float64 accuracy."""
     height, width = warped["depth"].shape
-    size = HOLES.BLOCK
+    size = HOLES.DOWNSAMPLING
     blocks = (-(-height // size), -(-width // size))
     color_sum, inverse_sum = np.zeros((*blocks, 4)), np.zeros(blocks)
     y, x = np.mgrid[:height, :width]
@@ -165,13 +165,13 @@ def mix_far_side(warped):
     return color
 
 
-def asked_blocks(warped, reach, to_source, source_color):
+def asked_texels(warped, reach, to_source, source_color):
     """(h, w) bool: the 32×32 blocks between whose centres a hole lies that has no far side."""
     height, width = warped["depth"].shape
-    asked = np.zeros((-(-height // HOLES.BLOCK), -(-width // HOLES.BLOCK)), bool)
+    asked = np.zeros((-(-height // HOLES.DOWNSAMPLING), -(-width // HOLES.DOWNSAMPLING)), bool)
     for y, x in np.argwhere(warped["filled_by"] == COMMON.BY_NOTHING):
         if far_side(warped, y, x, reach, to_source, source_color) is None:
-            y0, x0 = ((c + 0.5) / HOLES.BLOCK - 0.5 for c in (y, x))
+            y0, x0 = ((c + 0.5) / HOLES.DOWNSAMPLING - 0.5 for c in (y, x))
             for tap in range(4):
                 ty, tx = int(np.floor(y0)) + (tap >> 1), int(np.floor(x0)) + (tap & 1)
                 asked[np.clip(ty, 0, asked.shape[0] - 1), np.clip(tx, 0, asked.shape[1] - 1)] = True
@@ -186,7 +186,7 @@ def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color):
         return _filled(warped, filled[..., :3], filled[..., 3], to_source)
     height, width = warped["depth"].shape
     px = centres(height, width)
-    b = px.astype(np.float64) / HOLES.BLOCK - 0.5
+    b = px.astype(np.float64) / HOLES.DOWNSAMPLING - 0.5
     b0 = np.floor(b).astype(int)
     f = b - b0
     total, inverse = np.zeros((height, width, 4)), np.zeros((height, width))

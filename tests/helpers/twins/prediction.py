@@ -21,7 +21,7 @@ def predict_positions(depth, dynamic, history, order, weights, to_target, alpha=
         predicted = np.where((known > k)[..., None], predicted + step, predicted)
     if movers:
         height, width = depth.shape
-        side = PREDICTION.CELL
+        side = PREDICTION.MOVER_CELL
         velocity, _, bend = (a.repeat(side, 0).repeat(side, 1)[:height, :width] for a in movers)
         with np.errstate(invalid="ignore"):
             near = np.abs(depth - velocity[..., 3]) <= PREDICTION.CELL_TOLERANCE * velocity[..., 3]

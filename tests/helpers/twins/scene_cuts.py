@@ -1,4 +1,4 @@
-"""NumPy twin of kernels/cuts.cl; see twins.py."""
+"""NumPy twin of kernels/scene_cuts.cl; see twins.py."""
 
 from types import SimpleNamespace
 
@@ -8,7 +8,7 @@ from gffe_cl.opencl.program import constants
 from twins.common import F, invalid, reproject
 from twins.warp import load_color
 
-CUTS = SimpleNamespace(**{n: F(v) if isinstance(v, float) else v for n, v in constants("cuts.cl").items()})
+CUTS = SimpleNamespace(**{n: F(v) if isinstance(v, float) else v for n, v in constants("scene_cuts.cl").items()})
 
 
 def _brightness(color, x, y):

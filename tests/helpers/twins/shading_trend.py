@@ -1,4 +1,4 @@
-"""Twin of trend.cl."""
+"""Twin of shading_trend.cl."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from twins.common import COLOR_MAX, F, centres, kernel_constants, reproject
 from twins.correction import _log
 from twins.warp import load_color
 
-TREND = kernel_constants("trend.cl")
+TREND = kernel_constants("shading_trend.cl")
 
 
 def measure_changes(frame, before, dynamic, exposure, to_previous):

@@ -1,11 +1,11 @@
-"""Twins of surfaces.cl, blocks.cl and warp.cl."""
+"""Twins of connectivity.cl, backward_blocks.cl and warp.cl."""
 
 import numpy as np
 
 from twins.common import COLOR_MAX, COMMON, INF, NOBODY, WARP, F, centres, invalid, kernel_constants
 
-SURFACES = kernel_constants("surfaces.cl")
-BLOCKS = kernel_constants("blocks.cl")
+SURFACES = kernel_constants("connectivity.cl")
+BLOCKS = kernel_constants("backward_blocks.cl")
 _STEPS = ((1, 0), (0, 1), (-1, 0), (0, -1))  # right, down, left, up: bits 1, 2, 4, 8
 
 

@@ -1,4 +1,4 @@
-"""Surfaces of a rendered frame: which neighbouring pixels show one surface (for 'Warping' and the background)."""
+"""Connectivity of a rendered frame: which neighbouring pixels show one surface (for 'Warping' and the background)."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _COLLECTING = {
 }
 
 
-class Surfaces(NearestStage):
+class Connectivity(NearestStage):
     """Links pixels of one surface that are equally static or dynamic, and shows the background those whose colour
     cannot hold another one's."""
 
-    name = "surfaces"
+    name = "connectivity"
     buffers = (
         BufferSpec(
             "links", np.uint8, (), "source", "neighbours of the same surface: 1 right, 2 down, 4 left, 8 up", "label"
@@ -31,10 +31,10 @@ class Surfaces(NearestStage):
     )
     kernels = (
         Kernel(
-            "find_surfaces",
+            "find_links",
             "source",
             {"depth": "rendered.depth", "dynamic_mask": "history.dynamic_mask"},
-            {"links": "surfaces.links"} | _COLLECTING,
+            {"links": "connectivity.links"} | _COLLECTING,
             step=("LANES", 1),
         ),
     )
@@ -43,9 +43,9 @@ class Surfaces(NearestStage):
         self.collects = board.options is not None and Background.is_wanted(board.options)
         if not self.collects:  # it writes nothing of them
             (find,) = self.kernels
-            nothing = dict.fromkeys(_COLLECTING, Access("surfaces.links", planes=0))
+            nothing = dict.fromkeys(_COLLECTING, Access("connectivity.links", planes=0))
             self.kernels = (replace(find, writes={**find.writes, **nothing}),)
         super().__init__(board)
 
     def rendered(self, step: Step) -> None:
-        self.launch("find_surfaces", collect=self.collects and step.previous is not None)
+        self.launch("find_links", collect=self.collects and step.previous is not None)

@@ -38,7 +38,7 @@ def trends_of(device, levels, alpha=0.5, exposure=1.0):
         pipeline.submit(frame)
     pipeline.extrapolate(time=frame.time + alpha / 30)
     width, height = SIZE[0] // 2, SIZE[1] // 2
-    return pipeline.stages["trend"].read("trends")[:, :height, :width]
+    return pipeline.stages["shading_trend"].read("trends")[:, :height, :width]
 
 
 @pytest.mark.parametrize("size, reach", [((136, 244), 2), ((136, 104), 1), ((61, 37), 1), ((9, 70), 1), ((1, 1), 1)])
@@ -47,7 +47,7 @@ def test_kernels_equal_their_twins(device, size, reach, exposure):
     """To the bit for what is measured, and to rounding of sums for the rest."""
     pipeline = Pipeline(device, *size, LOOKED_AT)
     pipeline.exposure = exposure
-    stage, seen = pipeline.stages["trend"], []
+    stage, seen = pipeline.stages["shading_trend"], []
     for frame in frames(*size):
         before = stage.read("trend") if seen else None
         pipeline.submit(frame)
@@ -105,7 +105,7 @@ def test_a_reset_leaves_no_trend(device):
     for k, frame in enumerate(lit_frames([1.0, 0.5, 0.25, 0.2, 0.1, 0.05])):
         pipeline.submit(replace(frame, reset=k in (0, 3), motion=None if k == 3 else frame.motion))
         pipeline.extrapolate()
-        said = pipeline.stages["trend"].read("trends")
+        said = pipeline.stages["shading_trend"].read("trends")
         known.append((bool(said[:3].any()), bool(said[3:6].any())))
     assert known[:3] == [(False, False), (True, False), (True, True)]
     assert not known[3][0] and known[4:] == [(True, False), (True, True)]
@@ -120,7 +120,7 @@ def test_colours_that_make_no_sense_change_nothing_else(device):
         frame.color[2::7] = 0
         pipeline.submit(frame)
     pipeline.extrapolate()
-    assert np.isfinite(pipeline.stages["trend"].read("trends")).all()
+    assert np.isfinite(pipeline.stages["shading_trend"].read("trends")).all()
 
 
 # ---- networks --------------------------------------------------------------------------------------------
@@ -134,7 +134,7 @@ def test_a_network_gets_its_trends(device, tmp_path):
     for frame in lit_frames([1.0, 0.9, 0.81]):
         pipeline.submit(frame)
     made = pipeline.extrapolate()
-    stage, correction = pipeline.stages["trend"], pipeline.stages["correction"]
+    stage, correction = pipeline.stages["shading_trend"], pipeline.stages["correction"]
     assert np.array_equal(correction.read("correction")[0], stage.read("trends")[1])
     gae, final = made.numpy("gae").astype(np.float32), made.numpy("color").astype(np.float32)
     assert (final[20:-20, 20:-20, 0] < gae[20:-20, 20:-20, 0]).mean() > 0.99

@@ -182,7 +182,7 @@ INLINE void find(const Place p, const int collect, __global uchar *links, const 
     for (int k = 0; k < min(count, LANES); ++k) forget(to.fill_keys, to.fill_winners, i + k);
 }
 
-WIDE __kernel void find_surfaces(const int source_width, const int source_height, const int collect, __global const float *depth,
+WIDE __kernel void find_links(const int source_width, const int source_height, const int collect, __global const float *depth,
                                  __global const uchar *dynamic_mask, __global uchar *links, __global uchar *state,
                                  __global Key *fill_keys, __global uint *fill_winners, __global Key *push_keys,
                                  __global uint *push_winners) {

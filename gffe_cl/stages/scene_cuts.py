@@ -11,7 +11,7 @@ from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, reprojection
 from gffe_cl.stages.buffers import BufferSpec, DeviceFrame
 
-_CONSTANTS = constants("cuts.cl")
+_CONSTANTS = constants("scene_cuts.cl")
 SAMPLES = (_CONSTANTS["SAMPLES_X"], _CONSTANTS["SAMPLES_Y"])
 COUNTED = ("valid", "inside", "compared", "depth_right", "with_contrast", "contrast_right", "passed")
 _SHARE = SAMPLES[0] * SAMPLES[1] / (1920 * 1080)  # of the pixels at 1080p: the samples are as many at any size
@@ -26,11 +26,11 @@ LEAST_CONTRASTS = 32  # without so many the depths decide alone, in the middle
 TELEPORT = 10.0  # times the step before it, of a step beyond half of what is seen
 
 
-class CutDetection(Stage):
+class SceneCuts(Stage):
     """Whether the frame before shows anything of what this one shows. Depths are compared along the motion vectors, and
     the contrast between neighbours, which light that changes leaves as it is."""
 
-    name = "cuts"
+    name = "scene_cuts"
     buffers = (
         BufferSpec(
             "counts", np.int32, COUNTED, "once", "of each row of samples of the rendered frame: how many are so",
@@ -48,7 +48,7 @@ class CutDetection(Stage):
                 "color_prev": Access("previous.color", 4 * _SHARE),
                 "depth_prev": Access("previous.depth", 4 * _SHARE),
             },
-            {"counts": "cuts.counts"},
+            {"counts": "scene_cuts.counts"},
             group="SAMPLES_X",
         ),
     )

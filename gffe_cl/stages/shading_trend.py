@@ -11,13 +11,13 @@ from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection
 from gffe_cl.stages.buffers import BufferSpec
 from gffe_cl.stages.mu_law import color_law
 
-_CONSTANTS = constants("trend.cl")
+_CONSTANTS = constants("shading_trend.cl")
 _CHANGES = _CONSTANTS["CHANGES"]
 _SAMPLED = 1 / _CONSTANTS["SAMPLE_STRIDE"] ** 2
 REACH_SHARE = 120  # rows of the image per cell of reach: the neighbourhood's σ is about a 34th of its height
 
 
-class Trend(Stage):
+class ShadingTrend(Stage):
     """How encoded colour changed on static surfaces from t − 1 to t, a mean over wide areas, and from t − 2 to t − 1;
     both carried on to t + α. What both agree on is likely to go on.
 
@@ -25,7 +25,7 @@ class Trend(Stage):
     in the frame before; cells around count the less the farther away they are, none farther than `reach_of`.
     """
 
-    name = "trend"
+    name = "shading_trend"
     kernels = (
         Kernel(
             "measure_changes",
@@ -37,16 +37,20 @@ class Trend(Stage):
                 "color_prev": Access("previous.color", 4 * _SAMPLED),
                 "depth_prev": Access("previous.depth", 4 * _SAMPLED),
             },
-            {"changes": "trend.changes"},
+            {"changes": "shading_trend.changes"},
             step=("LANES", 1),
         ),
-        Kernel("blur_rows", "cells", {"changes": "trend.changes"}, {"blurred": "trend.blurred"}),
-        Kernel("find_trend", "cells", {"blurred": "trend.blurred"}, {"trend": "trend.trend"}),
+        Kernel("blur_rows", "cells", {"changes": "shading_trend.changes"}, {"blurred": "shading_trend.blurred"}),
+        Kernel("find_trend", "cells", {"blurred": "shading_trend.blurred"}, {"trend": "shading_trend.trend"}),
         Kernel(
             "carry_trends",
             "network",
-            {"depth": Access("frame.depth", 1 / 4), "trend": "trend.trend", "trend_prev": "trend.trend'"},
-            {"trends": "trend.trends"},
+            {
+                "depth": Access("frame.depth", 1 / 4),
+                "trend": "shading_trend.trend",
+                "trend_prev": "shading_trend.trend'",
+            },
+            {"trends": "shading_trend.trends"},
             step=("LANES", 1),
         ),
     )

@@ -10,14 +10,14 @@ _FILLED = {name: Access(f"frame.{name}", "hidden parts") for name in ("color", "
 class HiddenParts(Stage):
     """Decides which disocclusions are a mover's own, hidden in the rendered frame, and continues it into them."""
 
-    name = "hidden"
+    name = "hidden_parts"
     kernels = (
         Kernel(
             "fill_hidden_parts",
             "target",
             {
                 "source_depth": Access("rendered.depth", "hidden parts"),
-                "block_class": "blocks.block_class",
+                "block_class": "backward_blocks.block_class",
                 "disoccluded": Access("frame.disoccluded", "splatted"),
                 "is_dynamic": Access("frame.dynamic", "disoccluded"),
                 "color": Access("frame.color", "hidden parts"),

@@ -58,15 +58,15 @@ def test_classes_and_results(device, scene, size, target):
     pipelines = both(device, seen, {}, size, target, to, seen[-1].time + 0.02)
     stages = pipelines[0].stages
     zoom = np.array([to.fx / seen[-1].camera.fx, to.fy / seen[-1].camera.fy], np.float32)
-    position, links = stages["prediction"].read("target_position"), stages["surfaces"].read("links")
+    position, links = stages["prediction"].read("target_position"), stages["connectivity"].read("links")
     smooth = twins.smooth_blocks(position, seen[-1].depth, links, zoom)
-    assert np.array_equal(stages["blocks"].read("smooth") > 0, smooth)
-    classes = stages["blocks"].read("block_class")
+    assert np.array_equal(stages["backward_blocks"].read("smooth") > 0, smooth)
+    classes = stages["backward_blocks"].read("block_class")
     expected = twins.block_classes(smooth, position, seen[-1].depth, links, zoom, pipelines[0].sizes.target)
     assert np.array_equal(classes, expected)
     if min(size) > 50:
         assert 0.1 < classes.mean() < 0.95
-    assert not pipelines[1].stages["blocks"].read("block_class").any()
+    assert not pipelines[1].stages["backward_blocks"].read("block_class").any()
     assert_same_picture(*pipelines)
 
 
@@ -77,7 +77,7 @@ def test_the_same_camera_gives_the_same_picture(device):
     for k, frame in enumerate(still):
         still[k] = type(frame)(frame.color, frame.depth, frame.motion * 0, frame.camera, k / 30, reset=k == 0)
     pipeline = both(device, still, {}, size, None, still[0].camera, 1.5 / 30)[0]
-    assert pipeline.stages["blocks"].read("block_class").mean() > 0.4
+    assert pipeline.stages["backward_blocks"].read("block_class").mean() > 0.4
     color = pipeline.board.frame.read("color")[..., :3]
     assert np.array_equal(color, still[0].color[..., :3].astype(np.float16))
     assert not pipeline.board.frame.read("motion").any()
@@ -90,7 +90,7 @@ def test_built_in_scenes(device, name):
     seen = list(rendered.sequence(3, 30.0))
     time = seen[-1].time + 0.5 / 30
     pipelines = both(device, seen, {"shading_correction": False}, (320, 180), None, rendered.display_camera(time), time)
-    assert pipelines[0].stages["blocks"].read("block_class").mean() > 0.1
+    assert pipelines[0].stages["backward_blocks"].read("block_class").mean() > 0.1
     assert_same_picture(*pipelines)
 
 
@@ -103,7 +103,7 @@ def test_blocks_with_an_affine_flow(device):
     # Without stages that lend memory, so that nothing takes the place of what the blocks say.
     options = {"levels": 0, "acceleration": False, "soft_silhouettes": False, "shading_correction": False}
     pipelines = both(device, seen, options, size, None, to, seen[-1].time + 0.02)
-    affine = pipelines[0].stages["blocks"].read("block_source")[..., 7]
-    backward = pipelines[0].stages["blocks"].read("block_class") == 1
+    affine = pipelines[0].stages["backward_blocks"].read("block_source")[..., 7]
+    backward = pipelines[0].stages["backward_blocks"].read("block_class") == 1
     assert backward.mean() > 0.3 and (affine[backward] == 1).all()
     assert_same_picture(*pipelines)

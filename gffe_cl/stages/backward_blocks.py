@@ -1,4 +1,4 @@
-"""Blocks: which parts of the new frame need no splatting (for 'Warping')."""
+"""Backward blocks: which parts of the new frame need no splatting (for 'Warping')."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Step, zoom
 from gffe_cl.stages.buffers import BufferSpec
 from gffe_cl.stages.silhouettes import Silhouettes
 
-_CONSTANTS = constants("blocks.cl")
+_CONSTANTS = constants("backward_blocks.cl")
 _FIVE_PER_BLOCK = 5 / (_CONSTANTS["BLOCK_WIDTH"] * _CONSTANTS["BLOCK_HEIGHT"])  # pixels, in find_source
 SPLATTED, BACKWARD = _CONSTANTS["SPLATTED"], _CONSTANTS["BACKWARD"]
 CLASSES = ((SPLATTED, "splatted: edges, movers, disocclusions"), (BACKWARD, "one smooth surface, warped backward"))
 
 
-class Blocks(NearestStage):
+class BackwardBlocks(NearestStage):
     """Finds the blocks of 8×4 pixels that one smooth surface covers, to be warped backward; the others are splatted."""
 
-    name = "blocks"
+    name = "backward_blocks"
     buffers = (
         BufferSpec(
             "smooth", np.uint8, (), "source_blocks", "1 where predicted positions change linearly over the block",
@@ -46,24 +46,28 @@ class Blocks(NearestStage):
             "source_blocks",
             {
                 "depth": "rendered.depth",
-                "links": "surfaces.links",
+                "links": "connectivity.links",
                 "target_position": "prediction.target_position",
-                "reached_by": "blocks.reached_by",
+                "reached_by": "backward_blocks.reached_by",
             },
-            {"smooth": "blocks.smooth", "reach": "blocks.reach", "reached_by": "blocks.reached_by"},
+            {
+                "smooth": "backward_blocks.smooth",
+                "reach": "backward_blocks.reach",
+                "reached_by": "backward_blocks.reached_by",
+            },
         ),
         Kernel(
             "classify_blocks",
             "target_blocks",
             {
-                "smooth": "blocks.smooth",
-                "reached_by": "blocks.reached_by",
+                "smooth": "backward_blocks.smooth",
+                "reached_by": "backward_blocks.reached_by",
                 "target_position": Access("prediction.target_position", _FIVE_PER_BLOCK),
             },
             {
-                "reached_by": "blocks.reached_by",
-                "block_class": "blocks.block_class",
-                "block_source": "blocks.block_source",
+                "reached_by": "backward_blocks.reached_by",
+                "block_class": "backward_blocks.block_class",
+                "block_source": "backward_blocks.block_source",
                 "marked": "silhouettes.marked",
                 "keys": Access("warp.keys", "splatted"),
                 "winners": Access("warp.winners", "splatted"),
@@ -75,7 +79,7 @@ class Blocks(NearestStage):
         self.softens = Silhouettes.is_wanted(board.options)
         if not self.softens:  # it writes nothing of them
             find, classify = self.kernels
-            nothing = Access("blocks.block_class", planes=0)
+            nothing = Access("backward_blocks.block_class", planes=0)
             self.kernels = (find, replace(classify, writes={**classify.writes, "marked": nothing}))
         super().__init__(board)
 
