@@ -325,7 +325,8 @@ def test_numbers_of_the_palette():
     assert parsed(threshold, " auto ") is None and parsed(threshold, "1,5") == 1.5 and parsed(levels, "3") == 3
     order = ALL["camera_order"]
     assert parsed(order, "auto") is None and parsed(order, "2") == 2 and stepped(order, None, 1) == 2
-    for option, text in ((order, "3"), (levels, "9"), (levels, "1.5"), (levels, ""), (threshold, "nan"), (threshold, "much")):
+    assert parsed(order, "1") == 1
+    for option, text in ((levels, "9"), (levels, "1.5"), (levels, ""), (threshold, "nan"), (threshold, "much")):
         with pytest.raises(GffeError, match=f"{option.label} must be"):
             parsed(option, text)
     assert stepped(levels, 4, 1) == 4 and stepped(levels, 0, -1) == 0 and stepped(levels, 2, 1) == 3
