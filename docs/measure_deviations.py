@@ -144,7 +144,7 @@ FOR_SITUATIONS: dict[str, tuple[str, Change, str]] = {
     "ropes": ("soft silhouettes", GAE["silhouettes stay antialiased"], "movers"),
     "balls": ("acceleration", GAE["movers' acceleration goes on"], "movers"),
     "rotors": ("acceleration", GAE["movers' acceleration goes on"], "movers"),
-    "handheld": ("`--camera-order 2`; 1", PREDICTED | Change({"camera_order": 1}), "all"),
+    "handheld": ("`--camera-order auto`; 1", PREDICTED | Change({"camera_order": 1}), "all"),
     "lamps": ("network", NO_NETWORK, "light"),
     "shadows": ("network", NO_NETWORK, "light"),
     "fan": ("network", NO_NETWORK, "light"),

@@ -100,7 +100,7 @@ def _options(chosen: list[Option], values: dict[str, Any], fixed: dict[str, Any]
             value = option.off
         elif option.kind is bool and option.default is True:
             value = not value
-        elif option.kind is float and isinstance(value, str):
+        elif option.kind in (int, float) and isinstance(value, str):
             value = None if value == option.automatic else _number(option, value)
         try:
             made[option.name] = option.checked(value)
@@ -116,8 +116,8 @@ def _options(chosen: list[Option], values: dict[str, Any], fixed: dict[str, Any]
     return Options(**made)
 
 
-def _number(option: Option, text: str) -> float:
+def _number(option: Option, text: str) -> float | int:
     try:
-        return float(text)
+        return option.kind(text)
     except ValueError:
         raise GffeError(f"{option.flag} must be {option.expected}, got '{text}'") from None

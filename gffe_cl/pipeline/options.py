@@ -146,9 +146,10 @@ class Options:
         " motion vectors.", kind=float, low=0.0, high=1e6, usual_high=8.0, unit="pixels", automatic="auto",
         flag="--static-threshold",
     )  # fmt: skip
-    camera_order: int = _option(
-        2, "camera prediction's order", "Degree of the predicted camera's path where the new camera is not known; 1 is"
-        " linear, the paper's.", low=1, high=2, flag="--camera-order",
+    camera_order: int | None = _option(
+        None, "camera prediction's order", "Path of the predicted camera where the new camera is not known: 1 straight,"
+        " as in the paper; 2 bends on; auto bends on and learns how the camera shakes.", kind=int, low=1, high=2,
+        automatic="auto", flag="--camera-order",
     )  # fmt: skip
     crack_closing: bool = _option(
         True, "crack closing", "A fragment covers what its pixel maps to; off: single pixels, as in the paper.",

@@ -226,9 +226,9 @@ class Pipeline:
             self._times.clear()
             self._path.clear()
             self._previous, self.board.previous = None, self._current
-        self._times = [frame.time, *self._times[:MAX_ORDER]]
+        self._times = [frame.time, *self._times[: POSES - 1]]
         self._path = [on_device.display_camera, *self._path[: POSES - 1]]
-        step = Step(self._current, self._previous, self._times, exposure=self.exposure)
+        step = Step(self._current, self._previous, self._recent_times, exposure=self.exposure)
         for stage in self.stages.values():
             stage.swap()
         self.board.lend()
@@ -314,6 +314,11 @@ class Pipeline:
     # ---- extrapolated frames ---------------------------------------------------------------------------
 
     @property
+    def _recent_times(self) -> list[float]:
+        """Times of rendered frames that stages make use of."""
+        return self._times[: MAX_ORDER + 1]
+
+    @property
     def interval(self) -> float:
         """Seconds between the last two rendered frames; 1/fps after a reset."""
         return self._times[0] - self._times[1] if len(self._times) > 1 else 1.0 / self.fps
@@ -322,7 +327,7 @@ class Pipeline:
         """C̄ at t + α from the last display cameras (`predict_camera_at`); the last one itself after a reset. Raises
         GffeError before the first `submit`, or if `alpha` is not a finite number."""
         time = self._need_frame().time + require_number(alpha, "predict_camera: alpha") * self.interval
-        return predict_camera_at(time, self._path, self._times[: len(self._path)], self.options.camera_order)
+        return predict_camera_at(time, self._path, self._times, self.options.camera_order)
 
     @telling_device_faults
     def extrapolate(
@@ -360,7 +365,7 @@ class Pipeline:
             shape = (*reversed(self.sizes.source), 4)
             target_position = as_float32(require_array(target_position, "extrapolate: target_position", *shape))
         replaced = {"target_position": target_position, "geometry": self._geometry(seen_through)}
-        step = Step(source, self._previous, self._times, camera, time, alpha, self.exposure, **replaced)
+        step = Step(source, self._previous, self._recent_times, camera, time, alpha, self.exposure, **replaced)
         for stage in self.stages.values():
             stage.extrapolated(step)
             if stage.name in self._outputs:

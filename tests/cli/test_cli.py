@@ -173,6 +173,7 @@ def test_switches(gffe, scene, tmp_path):
             ["--no-background"],
             ["--history", "4", "--order", "2"],
             ["--static-threshold", "2.5"],
+            *(["--camera", "predicted", "--camera-order", order] for order in ("auto", "1", "2")),
         )
     ):
         assert gffe("run", scene, tmp_path / f"out{index}", *option)[0] == 0
@@ -553,6 +554,8 @@ def test_structural_faults_end_with_one_line(gffe, scene, tmp_path, fault):
         (["--history", "9"], "history"),
         (["--history", "2", "--order", "2"], "order"),
         (["--static-threshold", "-1"], "threshold"),
+        (["--camera-order", "3"], "1 to 2, or auto"),
+        (["--camera-order", "1.5"], "1 to 2, or auto"),
         (["--camera", "mine"], "--camera"),
         (["--frobnicate"], "--frobnicate"),
     ],

@@ -1,5 +1,7 @@
 """Cameras: projection, composition far from the origin, prediction, and what is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -187,7 +189,7 @@ def test_noise_does_not_go_on():
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.lists(cameras(), min_size=3, max_size=4), st.floats(0, 2))
+@given(st.lists(cameras(), min_size=3, max_size=14), st.floats(0, 2))
 def test_predicted_from_many_is_a_camera(path, alpha):
     predicted = predict_camera_at(alpha, path, range(0, -len(path), -1))
     rotation = predicted.world_to_view[:3, :3]
@@ -207,3 +209,99 @@ def test_poses_that_make_no_path():
     for cameras, times, order in (([], [], 2), ([one], [0, 1], 2), ([one, one], [0, 0], 2), ([one], [0], 3)):
         with pytest.raises(GffeError, match="camera: "):
             predict_camera_at(1.0, cameras, times, order)
+
+
+def shaking(times, seed=0, pan=0.0, jump=None):
+    """Cameras in a shaking hand: turned by sines of 0.5 to 8 Hz; `pan` radians a second, at rest but for that; from
+    the time `jump` on somewhere else."""
+    from synthetic import camera
+
+    rng = np.random.default_rng(seed)
+    hertz, phase = np.exp(rng.uniform(np.log(0.5), np.log(8), (9, 3))), rng.random((9, 3))
+
+    def at(time):
+        yaw, pitch, roll = 0.004 * (np.sin(2 * np.pi * (hertz * time + phase)) / hertz**0.8).sum(0)
+        far = 7.0 * (jump is not None and time >= jump)
+        return camera(64, 48, (far, 0, 0), yaw=yaw + pan * time, pitch=pitch, roll=roll)
+
+    return [at(time) for time in times], at
+
+
+def rms_errors(at, times, alphas=(0.5, 1.0), first=4):
+    """By order, over all new frames between `times`."""
+    found, path = {1: [], 2: [], None: []}, [at(time) for time in times]
+    for k in range(first, len(times) - 1):
+        known = slice(max(k - 14, 0), k + 1)
+        for alpha in alphas:
+            time = times[k] + alpha * (times[k + 1] - times[k])
+            for order, errors in found.items():
+                made = predict_camera_at(time, path[known][::-1], times[known][::-1], order)
+                errors.append(px_error(made, at(time)) ** 2)
+    return {order: float(np.sqrt(np.mean(errors))) for order, errors in found.items()}
+
+
+@pytest.mark.parametrize(("fps", "most"), [(24, 0.9), (30, 0.7), (60, 0.5)])
+@pytest.mark.parametrize("pan", [0.0, 0.5])
+def test_a_shaking_camera_is_learned(fps, most, pan):
+    times = (np.arange(3 * fps) / fps).tolist()
+    errors = rms_errors(shaking(times, pan=pan)[1], times)
+    assert errors[None] < most * min(errors[1], errors[2]), errors
+
+
+def test_a_shaking_camera_is_learned_at_irregular_times():
+    rng = np.random.default_rng(1)
+    times = np.cumsum(rng.uniform(0.8, 1.25, 120) / 60).tolist()
+    errors = rms_errors(shaking(times)[1], times)
+    assert errors[None] < 0.9 * min(errors[1], errors[2]), errors
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        lambda t: ((0.5 * t, 0, t), 0.4 * t),
+        lambda t: ((0.5 * t**2, 0, t), 0.4 * t - 0.3 * t**2),
+        lambda t: ((max(t - 0.5, 0.0), 0, 0), 0.4 * max(t - 0.5, 0.0)),
+        lambda t: ((min(t, 0.7), 0, 0), 0.4 * min(t, 0.7)),
+        lambda t: ((min(max(t - 0.3, 0.0), 0.4), 0, 0), 0.4 * min(max(t - 0.3, 0.0), 0.4)),
+        lambda t: ((0, 0, 0), 0),
+    ],
+    ids=["constant velocity", "constant acceleration", "starting", "stopping", "starting and stopping", "at rest"],
+)
+def test_steady_movement_needs_no_learning(path):
+    from synthetic import camera
+
+    def at(time):
+        position, yaw = path(round(time, 9))
+        return camera(64, 48, position, yaw=yaw)
+
+    errors = rms_errors(at, [k / 10 for k in range(30)])
+    assert errors[None] <= errors[2] + 1e-3, errors
+
+
+def test_a_jump_is_not_learned():
+    """Neither the frames after it nor those of a trembling hand suffer."""
+    times = (np.arange(60) / 30).tolist()
+    errors = rms_errors(shaking(times, jump=1.0)[1], times)
+    assert errors[None] <= 1.001 * errors[2], errors
+    after = [k / 30 for k in range(20, 60)]
+    before_and_after = rms_errors(shaking(after, jump=1.0)[1], after, first=14)
+    assert before_and_after[None] < before_and_after[2], before_and_after
+
+
+def test_four_poses_are_too_few_to_learn_from():
+    times = [k / 30 for k in range(4, 0, -1)]
+    cameras, _ = shaking(times)
+    for count in (1, 2, 3, 4):
+        known = cameras[:count], times[:count]
+        assert predict_camera_at(0.15, *known) == predict_camera_at(0.15, *known, order=2)
+
+
+def test_learning_does_not_depend_on_the_axes():
+    from synthetic import camera
+
+    times = [k / 30 for k in range(14, 0, -1)]
+    cameras, _ = shaking(times, pan=0.3)
+    world = np.linalg.inv(camera(64, 48, (3, -2, 1), yaw=1.0, pitch=0.6, roll=2.0).world_to_view)
+    turned = [replace(c, world_to_view=c.world_to_view @ world) for c in cameras]
+    expected, made = predict_camera_at(0.49, cameras, times), predict_camera_at(0.49, turned, times)
+    np.testing.assert_allclose(made.world_to_view, expected.world_to_view @ world, atol=1e-9)

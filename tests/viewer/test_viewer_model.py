@@ -323,6 +323,9 @@ def test_a_module_that_is_usually_off_can_be_switched_on(monkeypatch):
 def test_numbers_of_the_palette():
     threshold, levels = ALL["static_threshold"], ALL["levels"]
     assert parsed(threshold, " auto ") is None and parsed(threshold, "1,5") == 1.5 and parsed(levels, "3") == 3
+    order = ALL["camera_order"]
+    assert parsed(order, "auto") is None and parsed(order, "2") == 2 and stepped(order, None, 1) == 2
+    assert parsed(order, "1") == 1
     for option, text in ((levels, "9"), (levels, "1.5"), (levels, ""), (threshold, "nan"), (threshold, "much")):
         with pytest.raises(GffeError, match=f"{option.label} must be"):
             parsed(option, text)

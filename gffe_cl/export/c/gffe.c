@@ -225,7 +225,11 @@ static void remember(gffe *g, double time) {
     for (k = step->time_count - 1; k > 0; --k) step->times[k] = step->times[k - 1];
     step->times[0] = time;
     if (g->path_count < GFFE_POSES) ++g->path_count;
-    for (k = g->path_count - 1; k > 0; --k) g->path[k] = g->path[k - 1];
+    for (k = g->path_count - 1; k > 0; --k) {
+        g->path[k] = g->path[k - 1];
+        g->path_times[k] = g->path_times[k - 1];
+    }
+    g->path_times[0] = time;
     g->path[0] = step->cameras[GFFE_FRAME_DISPLAY];
 }
 
@@ -283,7 +287,7 @@ gffe_status gffe_predict_camera(gffe *g, double alpha, gffe_camera *made) {
     const gffe_status status = need_frame(g, made);
     const char *fault;
     if (status) return status;
-    fault = gffe_predict_camera_at(g->step.times[0] + alpha * gffe_interval(g), g->path, g->step.times, g->path_count,
+    fault = gffe_predict_camera_at(g->step.times[0] + alpha * gffe_interval(g), g->path, g->path_times, g->path_count,
                                    GFFE_CAMERA_ORDER, made);
     return fault ? gffe_fail(g, GFFE_INVALID, "%s", fault) : GFFE_OK;
 }

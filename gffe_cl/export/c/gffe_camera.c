@@ -303,25 +303,112 @@ static void rotation_matrix(const double vector[3], double made[3][3]) {
         for (j = 0; j < 3; ++j) made[i][j] = (i == j ? 1.0 : 0.0) + sine * crossed[i][j] + versine * twice[i][j];
 }
 
-/* Second divided difference of what moves by `motion`, newest first, in `steps` of time: the part that lasts. */
-static void lasting_change(double motion[][3], const double *steps, int count, double made[3]) {
-    double speeds[GFFE_POSES][3], changes[GFFE_POSES][3], square, squared, lasting;
+static int is_jump(double motion[][3], int k) {
+    return gffe_length(motion[k]) > GFFE_JUMP * gffe_length(motion[k + 1]);
+}
+
+/* The part of changes[k] that lasts. */
+static void lasting_change(double motion[][3], const double *steps, double changes[][3], int k, double made[3]) {
+    const double square = dot(changes[k + 1], changes[k + 1]), squared = steps[k + 1] * steps[k + 1];
+    double lasting = 0;
+    int c;
+    if (square * (squared * squared) > GFFE_LEAST_CHANGE)
+        lasting = smaller(larger(dot(changes[k], changes[k + 1]) / square, 0), 1);
+    for (c = 0; c < 3; ++c) made[c] = is_jump(motion, k) ? 0 : lasting * changes[k][c];
+}
+
+/* Ridge regression with exponential forgetting: the next change of velocity is the last one, plus three inputs times
+   coefficients that all components share. */
+typedef struct next_change {
+    double products[3][3]; /* of inputs and inputs */
+    double targets[3];     /* products of inputs and what was to be predicted */
+    double gained, moved;  /* correction times error of the usual prediction, and squared correction */
+} next_change;
+
+/* What the change after changes[k] is predicted from, beside that. */
+static void make_inputs(double speeds[][3], double changes[][3], int k, double made[3][3]) {
+    int c;
+    for (c = 0; c < 3; ++c) {
+        made[0][c] = speeds[k][c];
+        made[1][c] = changes[k][c];
+        made[2][c] = changes[k][c] - changes[k + 1][c];
+    }
+}
+
+/* x of matrix * x = right, for a symmetric matrix; 0 where rounding leaves none. */
+static void solve(double matrix[3][3], const double right[3], double made[3]) {
+    double columns[3][3], scale;
+    int i;
+    cross(matrix[1], matrix[2], columns[0]);
+    cross(matrix[2], matrix[0], columns[1]);
+    cross(matrix[0], matrix[1], columns[2]);
+    scale = dot(matrix[0], columns[0]);
+    for (i = 0; i < 3; ++i) made[i] = scale > 0 ? dot(columns[i], right) / scale : 0;
+}
+
+/* By how much the model's prediction differs from `usual`. */
+static void correction_of(const next_change *model, double inputs[3][3], const double usual[3], double made[3]) {
+    double matrix[3][3], factors[3], scale;
+    int i, c;
+    memcpy(matrix, model->products, sizeof matrix);
+    for (i = 0; i < 3; ++i) {
+        scale = model->products[i][i] + dot(inputs[i], inputs[i]);
+        matrix[i][i] += scale > 0 ? GFFE_RIDGE * scale : 1.0;
+    }
+    solve(matrix, model->targets, factors);
+    for (c = 0; c < 3; ++c)
+        made[c] = inputs[1][c] - usual[c] +
+                  (factors[0] * inputs[0][c] + factors[1] * inputs[1][c] + factors[2] * inputs[2][c]);
+}
+
+/* The share of `correction` that would have made the errors so far least. */
+static double trust(const next_change *model, const double correction[3]) {
+    const double moved = model->moved + GFFE_RIDGE * dot(correction, correction);
+    return model->gained > 0 && moved > 0 ? smaller(model->gained / moved, 1) : 0;
+}
+
+/* Takes the change that came after `inputs`, for which `correction` was predicted. */
+static void learn(next_change *model, double inputs[3][3], const double usual[3], const double correction[3],
+                  const double change[3]) {
+    double error[3], wanted[3];
+    int i, j;
+    for (i = 0; i < 3; ++i) {
+        error[i] = change[i] - usual[i];
+        wanted[i] = change[i] - inputs[1][i];
+    }
+    model->gained = GFFE_FORGETTING * model->gained + dot(correction, error);
+    model->moved = GFFE_FORGETTING * model->moved + dot(correction, correction);
+    for (i = 0; i < 3; ++i) {
+        model->targets[i] = GFFE_FORGETTING * model->targets[i] + dot(inputs[i], wanted);
+        for (j = 0; j <= i; ++j)
+            model->products[i][j] = model->products[j][i] =
+                GFFE_FORGETTING * model->products[i][j] + dot(inputs[i], inputs[j]);
+    }
+}
+
+/* Predicts the next second divided difference of what moves by `motion`, newest first, in `steps` of time. */
+static void predict_change(double motion[][3], const double *steps, int count, double made[3]) {
+    double speeds[GFFE_POSES][3], changes[GFFE_POSES][3], inputs[3][3], usual[3], correction[3], share;
+    next_change model;
     int i, k;
-    made[0] = made[1] = made[2] = 0;
-    if (gffe_length(motion[0]) > GFFE_JUMP * gffe_length(motion[1])) return;
     for (i = 0; i < count; ++i)
         for (k = 0; k < 3; ++k) speeds[i][k] = motion[i][k] / steps[i];
     for (i = 0; i + 1 < count; ++i)
         for (k = 0; k < 3; ++k) changes[i][k] = (speeds[i][k] - speeds[i + 1][k]) / (steps[i] + steps[i + 1]);
-    lasting = 1;
-    if (count > 2) {
-        square = dot(changes[1], changes[1]);
-        squared = steps[1] * steps[1];
-        lasting = 0;
-        if (square * (squared * squared) > GFFE_LEAST_CHANGE)
-            lasting = smaller(larger(dot(changes[0], changes[1]) / square, 0), 1);
+    if (count == 2) {
+        for (k = 0; k < 3; ++k) made[k] = is_jump(motion, 0) ? 0 : changes[0][k];
+        return;
     }
-    for (k = 0; k < 3; ++k) made[k] = count > 2 ? lasting * changes[0][k] : changes[0][k];
+    memset(&model, 0, sizeof model);
+    for (i = count - 3;; --i) {
+        make_inputs(speeds, changes, i, inputs);
+        lasting_change(motion, steps, changes, i, usual);
+        correction_of(&model, inputs, usual, correction);
+        if (i == 0) break;
+        learn(&model, inputs, usual, correction, changes[i - 1]);
+    }
+    share = trust(&model, correction);
+    for (k = 0; k < 3; ++k) made[k] = usual[k] + share * correction[k];
 }
 
 const char *gffe_predict_camera_at(double time, const gffe_camera *cameras, const double *times, int count, int order,
@@ -331,7 +418,8 @@ const char *gffe_predict_camera_at(double time, const gffe_camera *cameras, cons
     const char *fault;
     int i, k, any = 0;
     if (!cameras || !times || !made) return "camera: cameras, times and made must not be NULL";
-    if (order != 1 && order != 2) return "camera: the order of its prediction must be 1 or 2";
+    if (order < 0 || order > 2) return "camera: the order of its prediction must be 0 (automatic), 1 or 2";
+    if (order && count > 4) count = 4;
     if (count > GFFE_POSES) count = GFFE_POSES;
     if (count < 1 || !is_finite(times, count)) return "camera: needs one decreasing time per camera, and one camera";
     for (i = 0; i + 1 < count; ++i) {
@@ -349,8 +437,8 @@ const char *gffe_predict_camera_at(double time, const gffe_camera *cameras, cons
         turn_between(&cameras[i + 1], &cameras[i], turns[i]);
     }
     factor = to * (to + steps[0]);
-    lasting_change(moves, steps, count - 1, move);
-    lasting_change(turns, steps, count - 1, turn);
+    predict_change(moves, steps, count - 1, move);
+    predict_change(turns, steps, count - 1, turn);
     for (k = 0; k < 3; ++k) {
         move[k] = factor * move[k];
         turn[k] = factor * turn[k];

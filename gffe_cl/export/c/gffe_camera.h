@@ -53,7 +53,7 @@ gffe_camera gffe_window_camera(const gffe_window *window, const gffe_camera *dis
 double gffe_nearest_depth(const float *depth, int width, int height);
 
 /* The camera at `time` from the last `count` >= 1 rendered frames, newest first, with their times in seconds; `order` 1
-   (linear) or 2. NULL if it was made, else what is wrong. */
+   (linear), 2 (with the lasting change of velocity) or 0 (automatic: 2, and what the frames before taught). NULL if it was made, else what is wrong. */
 const char *gffe_predict_camera_at(double time, const gffe_camera *cameras, const double *times, int count, int order,
                                    gffe_camera *made);
 

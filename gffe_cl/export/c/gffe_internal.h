@@ -161,6 +161,7 @@ struct gffe {
     int counts;     /* of a cut: the buffer's reference, or -1 */
     gffe_step step;
     gffe_camera path[GFFE_POSES]; /* display cameras since the last reset, newest first */
+    double path_times[GFFE_POSES];
     int path_count;
     int is_ready; /* created well */
     int has_frame, has_previous, is_cut;
