@@ -33,19 +33,26 @@ OLD = "61564f7"
 # What stages are called on either side: by when they work, and by the name that `take_timings` has.
 PARTS = {
     ("rendered", "history"): "history",
-    ("rendered", "surfaces"): "surfaces",
-    ("rendered", "warp"): "surfaces",
+    ("rendered", "warp"): "connectivity",
     ("rendered", "background"): "background, collection",
     ("extrapolated", "prediction"): "prediction",
     ("extrapolated", "warp"): "warp",
     ("extrapolated", "background"): "background, projection",
     ("extrapolated", "holes"): "holes",
-    ("rendered", "trend"): "SCN, trend",
-    ("extrapolated", "trend"): "SCN, trend",
+    ("rendered", "shading_trend"): "SCN, trend",
+    ("extrapolated", "shading_trend"): "SCN, trend",
     ("extrapolated", "shading"): "SCN, inputs",
     ("extrapolated", "correction"): "SCN, kernels",
     ("extrapolated", "network"): "SCN, network",
     ("extrapolated", "network copies"): "SCN, network",
+}
+# Stages of older versions, and what they are called now.
+RENAMED = {
+    "surfaces": "connectivity",
+    "blocks": "backward_blocks",
+    "hidden": "hidden_parts",
+    "trend": "shading_trend",
+    "cuts": "scene_cuts",
 }
 
 
@@ -106,6 +113,7 @@ class Version:
         parts: dict[str, float] = defaultdict(float)
         for when in ("rendered", "extrapolated"):
             for stage, milliseconds in heard[when].items():
+                stage = RENAMED.get(stage, stage)
                 if milliseconds or (when, stage) in PARTS:
                     parts[PARTS.get((when, stage), stage)] += milliseconds
         scn = {name: parts.pop(name) for name in list(parts) if name.startswith("SCN")}

@@ -4,7 +4,7 @@
    is not nearer, the mover has no part there, and the hole is left to the background.
    RUN pixels without a hole are skipped at once, and so are RUN x LANES without a dynamic pixel within reach. */
 
-#include "common.h"
+#include "frame.h"
 #include "simd.h"
 #include "directional_search.h"
 #include "blocks.h"
@@ -14,20 +14,25 @@
 #define STANDS_BEFORE 0.97f  /* times the depth of a mover: its parts are looked for behind static pixels nearer than that */
 #define BESIDE 3          /* a mover that is nearer than this part of the reach need not be on both sides */
 
+#define LEAST_REACH 8     /* px, in which movers are looked for ... */
+#define REACH_SHARE 48    /* ... or this part of the target's width */
+
 /* The new frame, and the depth of the rendered one. */
 typedef struct {
-    int width, height, source_width, source_height, reach;
-    float2 zoom;
-    Reprojection to_source;
+    __global const float *source_depth;
     __global const uchar *disoccluded, *is_dynamic;
-    __global const float *depth, *source_depth;
-    __global const float2 *motion;
-} Frames;
+    __global half *color;
+    __global float *depth;
+    __global float2 *motion;
+    __global uchar *filled_by;
+} Images;
+
+inline int reach_of(const Frame *frame) { return max(LEAST_REACH, frame->target_width / REACH_SHARE); }
 
 /* Where the pixel `offset` away from (x, y) was in the rendered image if it moves as that one does. */
-inline float2 moves_along(const int x, const int y, const int2 offset, const Frames f) {
-    return pixel_centre(x, y) + f.motion[y * f.width + x]
-           + (float2)(divide((float)offset.x, f.zoom.x), divide((float)offset.y, f.zoom.y));
+inline float2 moves_along(const int x, const int y, const int2 offset, const Frame *frame, const Images f) {
+    return pixel_centre(x, y) + f.motion[y * frame->target_width + x]
+           + (float2)(divide((float)offset.x, frame->zoom.x), divide((float)offset.y, frame->zoom.y));
 }
 
 /* The first of `steps` pixels, `offset` apart from each other, that is dynamic, counted from 1; 0: none. */
@@ -44,9 +49,10 @@ inline int first_dynamic(const int dst, const int offset, const int steps, __glo
 }
 
 /* Steps to the first mover in direction d, behind what stands before it, of which a part may have been hidden here; 0: none. */
-inline int steps_to_mover(const int dst_x, const int dst_y, const int2 d, const Frames f) {
-    const int dst = dst_y * f.width + dst_x, offset = d.y * f.width + d.x;
-    const int t = first_dynamic(dst, offset, steps_within(f.reach, d, dst_x, dst_y, f.width, f.height), f.is_dynamic);
+inline int steps_to_mover(const int dst_x, const int dst_y, const int2 d, const Frame *frame, const Images f) {
+    const int width = frame->target_width, height = frame->target_height;
+    const int dst = dst_y * width + dst_x, offset = d.y * width + d.x;
+    const int t = first_dynamic(dst, offset, steps_within(reach_of(frame), d, dst_x, dst_y, width, height), f.is_dynamic);
     if (t == 0) return 0;
     const float z = f.depth[dst + t * offset];
     for (int k = 1; k < t; ++k) {
@@ -54,11 +60,11 @@ inline int steps_to_mover(const int dst_x, const int dst_y, const int2 d, const 
         if (!f.disoccluded[between] && !(f.depth[between] < z * STANDS_BEFORE)) return 0;
     }
     const int x = dst_x + t * d.x, y = dst_y + t * d.y;
-    const float2 px_source = moves_along(x, y, -t * d, f);
-    if (!(px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)f.source_width
-          && px_source.y < (float)f.source_height)) return 0;
-    const float z_shown = f.source_depth[(int)px_source.y * f.source_width + (int)px_source.x];
-    return INVALID_DEPTH(z_shown) || z_shown < HIDES * reproject(pixel_centre(x, y), z, f.to_source).z ? t : 0;
+    const float2 px_source = moves_along(x, y, -t * d, frame, f);
+    if (!(px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)frame->source_width
+          && px_source.y < (float)frame->source_height)) return 0;
+    const float z_shown = f.source_depth[(int)px_source.y * frame->source_width + (int)px_source.x];
+    return INVALID_DEPTH(z_shown) || z_shown < HIDES * reproject(pixel_centre(x, y), z, frame->to_source).z ? t : 0;
 }
 
 /* The direction, of those with `t` steps to a mover, in which the mover lies that the hole belongs to: one close by, or else the
@@ -81,17 +87,16 @@ inline int owner(const int *t, const float *z, const int reach) {
 }
 
 /* Fills a hole with the mean of the mover that it belongs to around it, weighted by the inverse of distance. */
-inline void fill_hidden_part(const int dst_x, const int dst_y, const Frames f, __global half *color, __global float *depth,
-                             __global float2 *motion, __global uchar *filled_by) {
-    const int dst = dst_y * f.width + dst_x;
+inline void fill_hidden_part(const int dst_x, const int dst_y, const Frame *frame, const Images f) {
+    const int width = frame->target_width, dst = dst_y * width + dst_x;
     int t[DIRECTIONS];
     float z[DIRECTIONS];
     for (int k = 0; k < DIRECTIONS; ++k) {
         const int2 d = direction(k);
-        t[k] = steps_to_mover(dst_x, dst_y, d, f);
-        z[k] = t[k] ? f.depth[dst + t[k] * (d.y * f.width + d.x)] : 0.0f;
+        t[k] = steps_to_mover(dst_x, dst_y, d, frame, f);
+        z[k] = t[k] ? f.depth[dst + t[k] * (d.y * width + d.x)] : 0.0f;
     }
-    const int of = owner(t, z, f.reach);
+    const int of = owner(t, z, reach_of(frame));
     if (of < 0) return;
     float3 sum = (float3)(0.0f);
     float2 px_sum = (float2)(0.0f);
@@ -101,15 +106,15 @@ inline void fill_hidden_part(const int dst_x, const int dst_y, const Frames f, _
         const int2 d = direction(k);
         const int x = dst_x + t[k] * d.x, y = dst_y + t[k] * d.y;
         const float weight = divide(1.0f, (float)t[k] * step_length(d));
-        sum += weight * load_color(color, y * f.width + x);
-        px_sum += weight * moves_along(x, y, -t[k] * d, f);
+        sum += weight * load_color(f.color, y * width + x);
+        px_sum += weight * moves_along(x, y, -t[k] * d, frame, f);
         z_sum += weight * z[k];
         weight_sum += weight;
     }
-    store_color(mean_of(sum, weight_sum), color, dst);
-    depth[dst] = divide(z_sum, weight_sum);
-    motion[dst] = (float2)(divide(px_sum.x, weight_sum), divide(px_sum.y, weight_sum)) - pixel_centre(dst_x, dst_y);
-    filled_by[dst] = BY_HIDDEN_PART;
+    store_color(mean_of(sum, weight_sum), f.color, dst);
+    f.depth[dst] = divide(z_sum, weight_sum);
+    f.motion[dst] = (float2)(divide(px_sum.x, weight_sum), divide(px_sum.y, weight_sum)) - pixel_centre(dst_x, dst_y);
+    f.filled_by[dst] = BY_HIDDEN_PART;
 }
 
 /* Whether nothing within `reach` of RUN pixels in the rows from first_y to last_y is dynamic. */
@@ -124,25 +129,23 @@ inline bool nothing_moves(const int first_x, const int first_y, const int last_y
 }
 
 /* RUN x LANES pixels per work-item. */
-SCAN __kernel void fill_hidden_parts(const int source_width, const int source_height, const int target_width,
-                                     const int target_height, const int reach, const float2 zoom, const Reprojection to_source,
-                                     __global const float *source_depth, __global const uchar *block_class,
-                                     __global const uchar *disoccluded,
-                                     __global const uchar *is_dynamic, __global half *color, __global float *depth,
-                                     __global float2 *motion, __global uchar *filled_by) {
+SCAN __kernel void fill_hidden_parts(const Frame frame, __global const float *source_depth, __global const uchar *block_class,
+                                     __global const uchar *disoccluded, __global const uchar *is_dynamic,
+                                     __global half *color, __global float *depth, __global float2 *motion,
+                                     __global uchar *filled_by) {
+    const Images images = {source_depth, disoccluded, is_dynamic, color, depth, motion, filled_by};
+    const int target_width = frame.target_width, target_height = frame.target_height;
     const int first_x = get_global_id(0) * RUN, end_y = min((int)(get_global_id(1) + 1) * LANES, target_height);
     if (first_x >= target_width || (int)get_global_id(1) * LANES >= target_height) return;
-    const Frames f = {target_width, target_height, source_width, source_height, reach, zoom, to_source, disoccluded, is_dynamic,
-                      depth, source_depth, motion};
     bool looked = false;
     for (int dst_y = (int)get_global_id(1) * LANES; dst_y < end_y; ++dst_y) {
         if (run_is_backward(first_x, dst_y, target_width, block_class)) continue;
         const int first = dst_y * target_width + first_x;
         if (first_x + RUN <= target_width && run_is_zero(disoccluded + first)) continue;
-        if (!looked && nothing_moves(first_x, dst_y, end_y - 1, reach, target_width, target_height, is_dynamic)) return;
+        if (!looked && nothing_moves(first_x, dst_y, end_y - 1, reach_of(&frame), target_width, target_height, is_dynamic)) return;
         looked = true;
         for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x)
             if (disoccluded[dst_y * target_width + dst_x])
-                fill_hidden_part(dst_x, dst_y, f, color, depth, motion, filled_by);
+                fill_hidden_part(dst_x, dst_y, &frame, images);
     }
 }

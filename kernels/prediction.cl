@@ -3,65 +3,65 @@
    motion points to in the frame before, at the depth met there. What acceleration.cl trusts of a mover's acceleration is added to
    the linear prediction. */
 
-#include "common.h"
+#include "frame.h"
 #include "simd.h"
 #include "mover_grid.h"
 
-/* In orderN, component i - 1: factor of (P_i - P_0) in the polynomial of order N. */
-typedef struct { float8 order1, order2, order3, order4, order5; } Polynomial;
-
 #define NOWHERE -1.0e9f  /* px: far off any image */
 
+/* The rendered frame, and what is known of its fragments' motion; `velocity` and `bend` are of the movers' grid. */
+typedef struct {
+    __global const float *depth;
+    __global const float2 *motion;
+    __global const uchar *dynamic_mask;
+    __global const float *met_depth;
+    __global const float4 *history, *velocity;
+    __global const uint2 *bend;
+} Fragments;
+
 /* What acceleration adds to the position of a fragment after alpha intervals. */
-inline float3 bent(const int src_x, const int src_y, const int source_width, const float z, const float alpha,
-                   __global const float4 *velocity, __global const uint2 *bend) {
-    const int cell = mover_cell_of(src_x, src_y, source_width);
-    if (!is_of_cell(z, velocity[cell].w)) return (float3)(0.0f);
-    return (alpha * (alpha + 1.0f)) * unpacked(bend[cell]);
+inline float3 bent(const int src_x, const int src_y, const Frame *frame, const Fragments f, const float z) {
+    const int cell = mover_cell_of(src_x, src_y, frame->source_width);
+    if (!is_of_cell(z, f.velocity[cell].w)) return (float3)(0.0f);
+    return (frame->alpha * (frame->alpha + 1.0f)) * unpacked(f.bend[cell]);
 }
 
 /* (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */
-inline float3 predicted_position(const int src_x, const int src_y, const int source_width, const int source_height,
-                                 const int order, const int bends, const float alpha, __global const float *depth,
-                                 __global const float2 *motion, __global const uchar *dynamic_mask,
-                                 __global const float *met_depth, __global const float4 *history,
-                                 __global const float4 *velocity, __global const uint2 *bend,
-                                 const Polynomial polynomial, const Reprojection from_previous,
-                                 const Reprojection to_target) {
-    const int src = src_y * source_width + src_x, plane = source_width * source_height;
-    const float z = depth[src];
+inline float3 predicted_position(const int src_x, const int src_y, const Frame *frame, const Fragments f) {
+    const int src = src_y * frame->source_width + src_x, plane = frame->source_width * frame->source_height;
+    const float z = f.depth[src];
     const float3 nowhere = (float3)(NOWHERE, NOWHERE, -1.0f);
     if (INVALID_DEPTH(z)) return nowhere;
-    if (!dynamic_mask[src]) {
-        const float3 place = reproject(pixel_centre(src_x, src_y), z, to_target);
+    if (!f.dynamic_mask[src]) {
+        const float3 place = reproject(pixel_centre(src_x, src_y), z, frame->to_target);
         return place.z > 0.0f ? place : nowhere;
     }
-    const float3 p0 = unproject(pixel_centre(src_x, src_y), z, to_target.source_inverse);
-    int known = order > 0 && met_depth[src] > 0.0f;
-    while (known > 0 && known < order && history[known * plane + src].w != 0.0f) ++known;
-    const float8 weights = known == 1 ? polynomial.order1 : known == 2 ? polynomial.order2
-                         : known == 3 ? polynomial.order3 : known == 4 ? polynomial.order4 : polynomial.order5;
-    const float weight[5] = {weights.s0, weights.s1, weights.s2, weights.s3, weights.s4};
+    const float3 p0 = unproject(pixel_centre(src_x, src_y), z, frame->to_target.source_inverse);
+    const int order = frame->order;
+    int known = order > 0 && f.met_depth[src] > 0.0f;
+    while (known > 0 && known < order && f.history[known * plane + src].w != 0.0f) ++known;
+    const float8 weights = frame->polynomial[max(known, 1) - 1];
+    const float weight[MAX_ORDER] = {weights.s0, weights.s1, weights.s2, weights.s3, weights.s4};
     float3 predicted = p0;
     if (known > 0) {
-        const float3 p1_prev = unproject(pixel_centre(src_x, src_y) + motion[src], met_depth[src], from_previous.source_inverse);
-        predicted += weight[0] * (move_to_target(p1_prev, from_previous) - p0);
-        if (bends) predicted += bent(src_x, src_y, source_width, z, alpha, velocity, bend);
+        const float2 px_prev = pixel_centre(src_x, src_y) + f.motion[src];
+        const float3 p1_prev = unproject(px_prev, f.met_depth[src], frame->from_previous.source_inverse);
+        predicted += weight[0] * (move_to_target(p1_prev, frame->from_previous) - p0);
+        if (frame->bends) predicted += bent(src_x, src_y, frame, f, z);
     }
-    for (int k = 1; k < known; ++k) predicted += weight[k] * (history[k * plane + src].xyz - p0);
-    const float3 target_pos = move_to_target(predicted, to_target);
+    for (int k = 1; k < known; ++k) predicted += weight[k] * (f.history[k * plane + src].xyz - p0);
+    const float3 target_pos = move_to_target(predicted, frame->to_target);
     if (!(target_pos.z > 0.0f)) return nowhere;
-    return (float3)(project(target_pos, to_target.target), target_pos.z);
+    return (float3)(project(target_pos, frame->to_target.target), target_pos.z);
 }
 
-/* target_position: planes of x, y and depth. `bends`: whether velocity and bend are known, of cells. */
-WIDE __kernel void predict_positions(const int source_width, const int source_height, const int order,
-                                     const int bends, const float alpha, __global const float *depth,
-                                     __global const float2 *motion, __global const uchar *dynamic_mask,
-                                     __global const float *met_depth, __global const float4 *history,
-                                     __global const float4 *velocity, __global const uint2 *bend,
-                                     const Polynomial polynomial, const Reprojection from_previous,
-                                     const Reprojection to_target, __global float *target_position) {
+/* target_position: planes of x, y and depth. */
+WIDE __kernel void predict_positions(const Frame frame, __global const float *depth, __global const float2 *motion,
+                                     __global const uchar *dynamic_mask, __global const float *met_depth,
+                                     __global const float4 *history, __global const float4 *velocity,
+                                     __global const uint2 *bend, __global float *target_position) {
+    const Fragments fragments = {depth, motion, dynamic_mask, met_depth, history, velocity, bend};
+    const int source_width = frame.source_width, source_height = frame.source_height;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x, plane = source_width * source_height;
@@ -69,7 +69,7 @@ WIDE __kernel void predict_positions(const int source_width, const int source_he
     bool movers = false;
     if (whole) {
         const Floats z = load_floats(0, depth + src);
-        const Wide3 target = wide_reproject(row_centres(src_x), (Floats)((float)src_y + 0.5f), z, to_target);
+        const Wide3 target = wide_reproject(row_centres(src_x), (Floats)((float)src_y + 0.5f), z, frame.to_target);
         const Ints valid = (z > 0.0f) & (target.z > 0.0f);
         store_floats(valid ? target.x : (Floats)(NOWHERE), 0, target_position + src);
         store_floats(valid ? target.y : (Floats)(NOWHERE), 0, target_position + plane + src);
@@ -79,9 +79,7 @@ WIDE __kernel void predict_positions(const int source_width, const int source_he
     if (whole && !movers) return;
     for (int k = src; k < src + min(LANES, source_width - src_x); ++k) {
         if (whole && !dynamic_mask[k]) continue;
-        const float3 place = predicted_position(src_x + k - src, src_y, source_width, source_height, order, bends, alpha, depth,
-                                                motion, dynamic_mask, met_depth, history, velocity, bend, polynomial,
-                                                from_previous, to_target);
+        const float3 place = predicted_position(src_x + k - src, src_y, &frame, fragments);
         target_position[k] = place.x;
         target_position[plane + k] = place.y;
         target_position[2 * plane + k] = place.z;

@@ -12,7 +12,7 @@ import pytest
 
 from gffe_cl.cli import main
 from gffe_cl.inference import network
-from gffe_cl.opencl.device import list_devices, open_info, select
+from gffe_cl.opencl.device import best_of, list_devices, open_info, select
 
 _cache = tempfile.TemporaryDirectory(prefix="gffe-tests-")  # children of tests share it
 os.environ["GFFE_DEVICE_CACHE"] = _cache.name
@@ -24,7 +24,8 @@ os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(_helpers), os.envir
 def _usable():
     wanted = os.environ.get("GFFE_DEVICE")
     working = [info for info in list_devices() if info.works]
-    return select(working, wanted) if wanted else working
+    chosen = select(working, wanted) if wanted else working
+    return sorted(chosen, key=lambda info: info != best_of(chosen))  # the default first
 
 
 def pytest_generate_tests(metafunc):
@@ -34,6 +35,9 @@ def pytest_generate_tests(metafunc):
         names = [f"{info.platform.split()[0]}-{info.index}" for info in infos]
         metafunc.parametrize("device", infos, ids=names, indirect=True, scope="session")
 
+
+# Folders of tests whose outcome depends on the device: `make test` runs the others on the default device alone.
+_DEPENDS_ON_DEVICE = ("stages", "opencl", "selftest", "pipeline")
 
 _default_model = network.default_model
 
@@ -84,4 +88,7 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if "device" in getattr(item, "fixturenames", ()):
             item.add_marker("device")
+            on_another = item.callspec.params["device"] != _usable()[0]
+            if on_another and item.path.parent.name not in _DEPENDS_ON_DEVICE:
+                item.add_marker("long")
     items.sort(key=lambda item: item.get_closest_marker("limits") is None)

@@ -48,6 +48,7 @@ class Given:
     buffer: str | None = None
     constant: bytes | None = None
     named: Named | None = None
+    is_frame_block: bool = False
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,7 @@ class Plan:
     initial: dict[str, bytes]
     lent: set[str]
     stages: dict[str, Stage]
+    facts: Mapping[str, Any]
 
 
 class _Tape:
@@ -104,8 +106,9 @@ class _Tape:
         for argument in stage.program.arguments[kernel.name]:
             value = argument.packed(given[argument.name])
             is_buffer = isinstance(value, cl.Buffer)
-            arguments.append(Given(buffer=self._name(value)) if is_buffer else Given())
-            numbers.append(None if is_buffer else np.asarray(value).tobytes())
+            is_block = argument.type == "Frame"
+            arguments.append(Given(buffer=self._name(value)) if is_buffer else Given(is_frame_block=is_block))
+            numbers.append(None if is_buffer or is_block else np.asarray(value).tobytes())
         operation = Operation("LAUNCH", stage.name, kernel.name, arguments=tuple(arguments))
         self.raw.append(_Raw(operation, size, numbers))
 
@@ -231,7 +234,7 @@ def record(device: Device, options: Options, int64: bool) -> Plan:
         for spec in owner.buffers
     }
     lent = {f"{stage.name}.{name}" for stage, name in rehearsals[0].board.lent}
-    return Plan(operations, buffers, _initial(rehearsals[0]), lent, rehearsals[0].all)
+    return Plan(operations, buffers, _initial(rehearsals[0]), lent, rehearsals[0].all, rehearsals[0].board.facts)
 
 
 def _explained(takes: list[list[_Raw]], known: _Known, rehearsals: list[_Rehearsal]) -> list[Operation]:
@@ -309,7 +312,7 @@ def _named(raws: list[_Raw | None], operation: Operation, known: _Known, rehears
     arguments, declared = [], rehearsal.all[operation.stage].program.arguments[operation.kernel]
     for k, (argument, given) in enumerate(zip(declared, operation.arguments, strict=True)):
         numbers = [raw and raw.numbers[k] for raw in raws]
-        if given.buffer is not None:
+        if given.buffer is not None or given.is_frame_block:
             arguments.append(given)
         elif len(different := set(numbers) - {None}) == 1:
             arguments.append(Given(constant=different.pop()))

@@ -16,10 +16,9 @@ from gffe_cl.opencl.probing import DIVISION_SOURCE, INT64_SOURCE
 from gffe_cl.opencl.program import expand
 from gffe_cl.pipeline.options import Options
 from gffe_cl.stages import correction, mu_law, scene_cuts
-from gffe_cl.stages.background import MAX_LEVELS
 from gffe_cl.stages.base import Kernel, NearestStage, Stage
 from gffe_cl.stages.buffers import BLOCK, BufferSpec, aligned, texel_of
-from gffe_cl.stages.prediction import MAX_ORDER
+from gffe_cl.stages.frame_block import FRAME, MAX_LEVELS, MAX_ORDER
 
 OCCASIONS = (
     "rendered_first", "rendered", "extrapolated_first", "extrapolated", "cut", "present_first", "present", "leave_out",
@@ -91,7 +90,9 @@ def config(options: Options) -> str:
     lines = [f"#define GFFE_{name} {number!r}" for name, number in numbers.items()]
     counted = ", ".join(f"GFFE_{name.upper()}" for name in scene_cuts.COUNTED)
     lines.append(f"enum {{ {counted}, GFFE_COUNTED }}; /* of the samples of a cut */")
-    return _HEADER + "#ifndef GFFE_CONFIG_H\n#define GFFE_CONFIG_H\n\n" + "\n".join(lines) + "\n\n#endif\n"
+    lines.append(_frame_block())
+    guard = '#ifndef GFFE_CONFIG_H\n#define GFFE_CONFIG_H\n\n#include "gffe.h"\n\n'
+    return _HEADER + guard + "\n".join(lines) + "\n\n#endif\n"
 
 
 class Tables:
@@ -118,9 +119,7 @@ class Tables:
         parts.append(_table("gffe_kernel", "gffe_kernels", map(self._kernel, self.launched)))
         parts.append(f"const int gffe_kernel_count = {len(self.launched)};\n")
         plans = [self._plan(number, plan) for number, plan in enumerate(self.plans)]
-        words = np.frombuffer(bytes(self.constants), np.uint32)
-        rows = [", ".join(f"{word}u" for word in words[k : k + 8]) for k in range(0, len(words), 8)]
-        parts.append(f"const cl_uint gffe_constants[] = {{\n    {f',{chr(10)}    '.join(rows)}\n}};\n")
+        parts += [_words("gffe_constants", bytes(self.constants)), _words("gffe_facts", _facts(self.plans[0]))]
         parts += plans
         parts.append(_table("gffe_plan", "gffe_plans", self._plan_rows()))
         return "\n".join(parts)
@@ -199,6 +198,8 @@ class Tables:
     def _argument(self, given: Given, buffers: _Buffers) -> str:
         if given.buffer is not None:
             return f"GFFE_BUFFER, {buffers.reference(given.buffer)}, 0"
+        if given.is_frame_block:
+            return "GFFE_FRAME_BLOCK, 0, 0"
         if given.named is not None:
             return f"{given.named.code}, {given.named.a}, {given.named.b}"
         return f"GFFE_CONSTANT, {self._constant(given.constant)}, {len(given.constant)}"
@@ -288,6 +289,31 @@ def _lines(name: str, text: str, static: bool = False) -> str:
     kind = "static const char *const" if static else "const char *const"
     count = "" if static else f"const int {name}_count = {len(rows)};\n"
     return f"{kind} {name}[] = {{\n    {f',{chr(10)}    '.join(rows)}\n}};\n{count}"
+
+
+def _words(name: str, content: bytes) -> str:
+    words = np.frombuffer(content, np.uint32)
+    rows = [", ".join(f"{word}u" for word in words[k : k + 8]) for k in range(0, len(words), 8)]
+    return f"const cl_uint {name}[] = {{\n    {f',{chr(10)}    '.join(rows)}\n}};\n"
+
+
+def _facts(plan: Plan) -> bytes:
+    """A frame block that holds what does not change from frame to frame, nor with the size."""
+    block = np.zeros((), FRAME)
+    for name in plan.facts.keys() - {"level_starts"}:
+        block[name] = plan.facts[name]
+    return block.tobytes()
+
+
+def _frame_block() -> str:
+    """The struct of frame.h in C."""
+    lines = []
+    for name, (dtype, _) in FRAME.fields.items():
+        base, shape = (np.dtype(np.float32), (len(dtype.names), 4)) if dtype.names else dtype.subdtype or (dtype, ())
+        kind = "cl_int" if base.kind == "i" else "cl_float"
+        vector, count = str(shape[-1]) if shape else "", f"[{shape[0]}]" if len(shape) > 1 else ""
+        lines.append(f"    {kind}{vector} {name}{count};")
+    return "typedef struct gffe_frame_block {\n" + "\n".join(lines) + "\n} gffe_frame_block;"
 
 
 def _table(kind: str, name: str, rows: Iterable[str], static: bool = False) -> str:

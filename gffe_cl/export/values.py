@@ -16,16 +16,22 @@ from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import OVERLAYS
 from gffe_cl.frame.vectors import length
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.background import MAX_LEVELS
-from gffe_cl.stages.base import Step, reprojection, zoom
+from gffe_cl.stages.base import Step
 from gffe_cl.stages.buffers import Sizes, level_starts
+from gffe_cl.stages.frame_block import (
+    MAX_LEVELS,
+    MAX_ORDER,
+    mapping,
+    padded,
+    pixel_size,
+    polynomial_weights,
+    reprojection,
+    zoom,
+)
 from gffe_cl.stages.history import STRIDE
 from gffe_cl.stages.mu_law import color_law
-from gffe_cl.stages.prediction import MAX_ORDER, padded, polynomial_weights
-from gffe_cl.stages.presentation import mapping
 from gffe_cl.stages.scene_cuts import SAMPLES
 from gffe_cl.stages.shading_trend import REACH_SHARE, reach_of
-from gffe_cl.stages.upscaling import pixel_size
 
 CAMERAS = ("FRAME", "PREVIOUS", "TARGET_CAMERA", "FRAME_DISPLAY", "PREVIOUS_DISPLAY")
 GRIDS = (

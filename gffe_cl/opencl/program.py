@@ -30,6 +30,7 @@ _ENUM = re.compile(r"\benum\s*\{([\w\s,]*)\}")
 _MACRO = re.compile(r"^\s*#define\s+([A-Z]\w*)\s+((?:.*\\\n)*.*)$", re.MULTILINE)
 _ATTRIBUTE = r"(?:\s*__attribute__\s*\(\(.*?\)\)\))?"
 _KERNEL = re.compile(rf"\b__kernel\b{_ATTRIBUTE}\s+void\s+(\w+)\s*\(([^{{;]*?)\)\s*\{{", re.DOTALL)
+_STRUCT = re.compile(r"\btypedef\s+struct\s*\{([^}]*)\}\s*(\w+)\s*;")
 _QUALIFIERS = {"const", "__global", "__constant", "__local", "restrict"}
 _SCALARS = {"int": np.int32, "uint": np.uint32, "float": np.float32}
 
@@ -151,6 +152,32 @@ def parse_kernels(source: str) -> dict[str, tuple[Argument, ...]]:
         kernel: tuple(_argument(text) for text in spelt_out(arguments).split(",") if text.strip())
         for kernel, arguments in _KERNEL.findall(source)
     }
+
+
+def parse_struct(source: str, name: str) -> np.dtype:
+    """The struct `name` in the text of a kernel file, laid out as OpenCL C does: vectors are subarrays."""
+    return _layout(_COMMENT.sub(" ", source), name)[0]
+
+
+def _layout(source: str, name: str) -> tuple[np.dtype, int]:
+    """The NumPy type of an OpenCL type, and its alignment in bytes."""
+    if vector := re.fullmatch(r"(int|uint|float)(2|4|8|16)?", name):
+        count = int(vector[2] or 1)
+        dtype = np.dtype((_SCALARS[vector[1]], count)) if vector[2] else np.dtype(_SCALARS[name])
+        return dtype, dtype.itemsize
+    body = next(body for body, struct in _STRUCT.findall(source) if struct == name)
+    fields, end, widest = {}, 0, 1
+    for kind, names in re.findall(r"(\w+)\s+([^;]+);", body):
+        dtype, alignment = _layout(source, kind)
+        widest = max(widest, alignment)
+        for member, count in re.findall(r"(\w+)(?:\[(\w+)\])?\s*(?:,|$)", names):
+            size = int(parse_constants(source).get(count, count)) if count else None
+            start = -(-end // alignment) * alignment
+            fields[member] = (np.dtype((dtype.base, (size, *dtype.shape))) if count else dtype, start)
+            end = start + fields[member][0].itemsize
+    formats, offsets = zip(*fields.values(), strict=True)
+    layout = {"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": -(-end // widest) * widest}
+    return np.dtype(layout), widest
 
 
 def _argument(text: str) -> Argument:

@@ -12,9 +12,8 @@ from typing import Any
 from gffe_cl.core.errors import GffeError
 from gffe_cl.core.validation import is_number, require_choice, scalar, shown
 from gffe_cl.inference import network
-from gffe_cl.stages.background import MAX_LEVELS
+from gffe_cl.stages.frame_block import MAX_LEVELS, MAX_ORDER
 from gffe_cl.stages.holes import FILLINGS
-from gffe_cl.stages.prediction import MAX_ORDER
 
 
 @dataclass(frozen=True)

@@ -48,11 +48,12 @@ from gffe_cl.stages.buffers import RENDERED, BufferSpec, DeviceFrame, Owner, Siz
 from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.connectivity import Connectivity
 from gffe_cl.stages.correction import ShadingCorrection
+from gffe_cl.stages.frame_block import MAX_ORDER
 from gffe_cl.stages.hidden_parts import HiddenParts
 from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.holes import FILLINGS, HoleFilling
 from gffe_cl.stages.memory_budget import footprint, require_room
-from gffe_cl.stages.prediction import MAX_ORDER, PositionPrediction
+from gffe_cl.stages.prediction import PositionPrediction
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.scene_cuts import SceneCuts
 from gffe_cl.stages.shading import ShadingInputs

@@ -10,8 +10,9 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec, aligned
+from gffe_cl.stages.frame_block import reprojection
 from gffe_cl.stages.pixel_formats import TRUSTED
 
 _CELLS = f"level{constants('mover_grid.h')['MOVER_CELL'].bit_length() - 1}"

@@ -9,11 +9,11 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Step, reprojection, zoom
+from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Step
 from gffe_cl.stages.buffers import RGBA, XY, BufferSpec, Sizes, aligned, level_starts
+from gffe_cl.stages.frame_block import MAX_LEVELS, reprojection, zoom
 from gffe_cl.stages.pixel_formats import OFFSET, RGB9E5
 
-MAX_LEVELS = 4
 _CONSTANTS = constants("background.cl")
 REMEMBERED, SHOWN = _CONSTANTS["REMEMBERED"], _CONSTANTS["SHOWN"]
 STATES = (

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Step, zoom
+from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Step
 from gffe_cl.stages.buffers import BufferSpec
+from gffe_cl.stages.frame_block import zoom
 from gffe_cl.stages.silhouettes import Silhouettes
 
 _CONSTANTS = constants("backward_blocks.cl")

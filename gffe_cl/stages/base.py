@@ -20,6 +20,7 @@ from gffe_cl.frame.camera import Camera
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import Program, build
 from gffe_cl.stages.buffers import RENDERED, BufferSpec, DeviceFrame, ExtrapolatedBuffers, Owner, Sizes, aligned
+from gffe_cl.stages.frame_block import block_facts, frame_block
 
 _EXTRAPOLATE = 1000  # more than there are stages
 _EVENTS = 1024  # kept per stage for whoever asks for timings
@@ -102,6 +103,8 @@ class Step:
         Replaces what position prediction makes.
     geometry : mapping of name to array
         Depth and motion that replace the new frame's before upscaling reads them; empty: its own.
+    overlays : int
+        Those that the rendered frame brings: bits, in the order of `OVERLAYS`.
     """
 
     frame: DeviceFrame
@@ -113,6 +116,17 @@ class Step:
     exposure: float = 1.0
     target_position: np.ndarray | None = None
     geometry: Mapping[str, np.ndarray] = field(default_factory=dict)
+    overlays: int = 0
+    _block: np.ndarray | None = None
+
+    def block(self, board: Board) -> np.ndarray:
+        """The frame block of frame.h, as bytes, for the stages on `board`."""
+        if self._block is None:
+            about_target = self.camera, self.time, self.alpha, self.overlays
+            self._block = frame_block(
+                board.sizes, board.facts, self.frame, self.previous, self.times, self.exposure, *about_target
+            )
+        return self._block
 
 
 class Board:
@@ -128,6 +142,7 @@ class Board:
     def __init__(self, device: Device, sizes: Sizes, options: Any = None, int64: bool | None = None):
         self.device, self.sizes, self.options = device, sizes, options
         self.int64 = device.int64_atomics if int64 is None else int64
+        self.facts = block_facts(options, sizes)  # members of the frame block that do not change; stages add theirs
         self.stages: dict[str, Stage] = {}
         self.transient: list[tuple[Stage, BufferSpec]] = []  # of all stages so far, the fleeting ones too
         self.lent: dict[tuple[Stage, str], int] = {}  # memory, by its stage's names, and the work (`_use`) before that
@@ -285,12 +300,11 @@ class Stage(Owner):
         for name, buffer in self.before.items():
             self.before[name], self.buffer[name] = self.buffer[name], buffer
 
-    def launch(self, name: str, size: tuple[int, int] | None = None, **given: Any) -> None:
+    def launch(self, name: str, step: Step | None = None, size: tuple[int, int] | None = None, **given: Any) -> None:
         """Enqueue a kernel over its grid, or over `size` (width, height), in rows of work-items.
 
-        Arguments come by name: those given here, the buffers that the kernel declares, sizes (`source_width`,
-        `target_height`, `network_width` …; `level_width`: of the grid itself) and options. The width is rounded up to
-        whole groups: kernels guard against the padding.
+        Arguments come by name: `frame`, the frame block of `step`; those given here; the buffers that the kernel
+        declares. The width is rounded up to whole groups: kernels guard against the padding.
         """
         kernel = self._kernels[name]
         if self.launches is not None:
@@ -301,7 +315,9 @@ class Stage(Owner):
             if argument not in given:
                 values[argument] = self._buffer(access.buffer, given)
         for argument in self.program.arguments[name]:
-            if argument.name not in values:
+            if argument.name == "frame" and step is not None:
+                values["frame"] = step.block(self.board)
+            elif argument.name not in values:
                 values[argument.name] = self._scalar(argument.name)
         if self.recorder:
             self.recorder.launched(self, kernel, size, values)
@@ -425,19 +441,3 @@ def read_some_rows(device: Device, depth: cl.Buffer, size: tuple[int, int], ever
         host_pitches=(pitch, 0),
     )
     return rows
-
-
-def zoom(source: Camera, target: Camera) -> np.ndarray:
-    """(2,) float32: target pixels per source pixel of what is equally far from both cameras."""
-    return np.array([target.fx / source.fx, target.fy / source.fy], np.float32)
-
-
-def reprojection(source: Camera, target: Camera) -> np.ndarray:
-    """The `Reprojection` struct of common.h, composed in float64: source view space → target view space."""
-    matrix = source.to_view_of(target)
-    packed = np.zeros((6, 4), np.float32)
-    packed[:3] = matrix[:3]
-    packed[3] = source.intrinsics
-    packed[4] = (1 / source.fx, 1 / source.fy, source.cx, source.cy)
-    packed[5] = target.intrinsics
-    return packed

@@ -13,7 +13,7 @@ from gffe_cl.core.validation import require_array
 from gffe_cl.frame.rendered_frame import OVERLAYS, Overlays
 from gffe_cl.stages.base import Access, Board, Kernel, Stage
 from gffe_cl.stages.buffers import RGBA, XY, BufferSpec, DeviceFrame, given_buffer
-from gffe_cl.stages.presentation import mapping
+from gffe_cl.stages.frame_block import mapping
 
 
 class Composition(Stage):

@@ -12,8 +12,9 @@ import pyopencl as cl
 
 from gffe_cl.inference.network import INPUT_PLANES, OUTPUT_PLANES, Network, load_network
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import RGBA, BufferSpec
+from gffe_cl.stages.frame_block import reprojection
 from gffe_cl.stages.mu_law import color_law
 from gffe_cl.stages.shading import SEEN
 from gffe_cl.stages.shading_trend import ShadingTrend

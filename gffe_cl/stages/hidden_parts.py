@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection, zoom
+from gffe_cl.opencl.program import constants
+from gffe_cl.stages.base import Access, Kernel, Stage, Step
 
+_CONSTANTS = constants("hidden_parts.cl")
 _FILLED = {name: Access(f"frame.{name}", "hidden parts") for name in ("color", "depth", "motion", "filled_by")}
 
 
@@ -29,18 +31,14 @@ class HiddenParts(Stage):
         ),
     )
 
-    def __init__(self, board: Board):
-        self.reach = max(8, board.sizes.target[0] // 48)  # px, in which movers are looked for
-        super().__init__(board)
+    @property
+    def reach(self) -> int:
+        """Target pixels in which movers are looked for."""
+        return max(_CONSTANTS["LEAST_REACH"], self.sizes.target[0] // _CONSTANTS["REACH_SHARE"])
 
     @classmethod
     def is_wanted(cls, options) -> bool:
         return options.hidden_parts and options.motion
 
     def extrapolated(self, step: Step) -> None:
-        self.launch(
-            "fill_hidden_parts",
-            reach=self.reach,
-            zoom=zoom(step.frame.camera, step.camera),
-            to_source=reprojection(step.camera, step.frame.camera),
-        )
+        self.launch("fill_hidden_parts", step)

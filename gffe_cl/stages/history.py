@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
+from gffe_cl.stages.frame_block import reprojection
 
 # Bounds of the automatic static threshold ε, in pixels.
 THRESHOLD_LOW, THRESHOLD_HIGH = 0.25, 4.0
@@ -123,7 +124,7 @@ class HistoryTracking(Stage):
         to_previous = reprojection(step.frame.camera, before.camera)
         if self.automatic and previous is not None:
             samples = tuple(-(-n // STRIDE) for n in self.sizes.source)
-            self.launch("find_threshold", samples, to_previous=to_previous, low=THRESHOLD_LOW, high=THRESHOLD_HIGH)
+            self.launch("find_threshold", size=samples, to_previous=to_previous, low=THRESHOLD_LOW, high=THRESHOLD_HIGH)
         kept = "'" if self.positions > 2 else ""  # else it reads nothing of them
         self.launch(
             "track_history",

@@ -11,8 +11,9 @@ import numpy as np
 
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.background import Background
-from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
+from gffe_cl.stages.frame_block import reprojection
 
 _CONSTANTS = constants("holes.cl")
 _TILE, _GROUP = _CONSTANTS["TILE"], _CONSTANTS["GROUP"]
@@ -83,7 +84,7 @@ class Downsampled(HoleFilling):
 
     def fill_holes(self, to_source: np.ndarray) -> None:
         width, height = (-(-side // _TILE) for side in self.sizes.of("downsampled"))
-        self.launch("fill_from_downsampled", (width * _GROUP, height), reach=self.reach, to_source=to_source)
+        self.launch("fill_from_downsampled", size=(width * _GROUP, height), reach=self.reach, to_source=to_source)
 
 
 class FarSide(Downsampled):

@@ -23,6 +23,7 @@ from gffe_cl.frame.rendered_frame import (
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.stages.base import Board, Kernel, Stage
 from gffe_cl.stages.buffers import RGBA, XY, BufferSpec, DeviceFrame, Sizes
+from gffe_cl.stages.frame_block import mapping
 
 _ONE_AT_A_TIME = threading.Lock()  # the cached stages of `present` serve all threads
 
@@ -71,12 +72,6 @@ class Presentation(Stage):
             depth=frame.depth,
             motion=frame.motion,
         )
-
-
-def mapping(a: Camera, b: Camera) -> np.ndarray:
-    """(4,) float32: scale x, scale y, offset x, offset y from pixels of `a` to pixels of `b`; both have one pose."""
-    scale = np.array([b.fx / a.fx, b.fy / a.fy])
-    return np.concatenate([scale, (b.cx, b.cy) - scale * (a.cx, a.cy)]).astype(np.float32)
 
 
 def present(

@@ -8,8 +8,9 @@ import numpy as np
 
 from gffe_cl.frame.vectors import length
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Board, Kernel, Stage, reprojection
+from gffe_cl.stages.base import Access, Board, Kernel, Stage
 from gffe_cl.stages.buffers import BufferSpec, DeviceFrame
+from gffe_cl.stages.frame_block import reprojection
 
 _CONSTANTS = constants("scene_cuts.cl")
 SAMPLES = (_CONSTANTS["SAMPLES_X"], _CONSTANTS["SAMPLES_Y"])
@@ -71,7 +72,7 @@ class SceneCuts(Stage):
         rows = min(self.sizes.source[1], SAMPLES[1])
         self.launch(
             "compare_samples",
-            (SAMPLES[0], rows),
+            size=(SAMPLES[0], rows),
             camera_step=step,
             to_previous=reprojection(frame.camera, previous.camera),
         )

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.stages.base import Access, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.base import Access, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
+from gffe_cl.stages.frame_block import reprojection
 
 FOCUS_SMAPE = 0.5  # the paper's: errors above this are the shading correction network's business
 SMAPE_EPSILON = 0.01  # the paper's: keeps black pixels from counting fully

@@ -7,8 +7,9 @@ import numpy as np
 
 from gffe_cl.inference.network import TREND_PLANES
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
+from gffe_cl.stages.frame_block import reprojection
 from gffe_cl.stages.mu_law import color_law
 
 _CONSTANTS = constants("shading_trend.cl")

@@ -6,8 +6,9 @@ from __future__ import annotations
 import numpy as np
 
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Kernel, Stage, Step, zoom
+from gffe_cl.stages.base import Access, Kernel, Stage, Step
 from gffe_cl.stages.buffers import RGBA, BufferSpec
+from gffe_cl.stages.frame_block import zoom
 from gffe_cl.stages.pixel_formats import RGB9E5
 
 _CONSTANTS = constants("silhouettes.cl")

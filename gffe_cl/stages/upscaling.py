@@ -8,12 +8,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from gffe_cl.frame.camera import Camera
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, reprojection
+from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import RGBA, XY, BufferSpec
 from gffe_cl.stages.correction import ShadingCorrection
-from gffe_cl.stages.presentation import mapping
+from gffe_cl.stages.frame_block import mapping, pixel_size, reprojection
 
 LOCK_FRAMES = constants("upscaling.cl")["LOCK_FRAMES"]  # a greater lock is that of a thin feature
 _YCOCG = ("Y", "Co", "Cg", "A")
@@ -145,8 +144,3 @@ class Upscaling(Stage):
             self.board.frame.upload(name, values)
         to_shown = mapping(step.frame.camera, step.frame.display_camera)
         self.launch("generate", to_shown=to_shown, corrected=int(self.corrected))
-
-
-def pixel_size(display: Camera, render: Camera) -> np.ndarray:
-    """(2,) float32: width and height of a pixel of `render`, in pixels of `display`; both have one pose."""
-    return 1 / mapping(display, render)[:2]

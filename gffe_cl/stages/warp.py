@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Step, zoom
+from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Step
 from gffe_cl.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpec
+from gffe_cl.stages.frame_block import zoom
 
 _MIXED = BufferSpec(
     "mixed", np.uint8, (), "target",

@@ -11,7 +11,7 @@ from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation.table.datasets import open_subject, parse_subject
 from gffe_cl.evaluation.table.image_space import pixel_centres
 from gffe_cl.evaluation.table.methods import METHODS, chosen_methods
-from gffe_cl.stages.presentation import mapping
+from gffe_cl.stages.frame_block import mapping
 
 
 def footage_of(device, upscale):

@@ -36,8 +36,7 @@ from gffe_cl.scenes import load_scene
 from gffe_cl.scenes.renderer import SceneRenderer
 from gffe_cl.scenes.sequences import SceneFrames
 from gffe_cl.stages.buffers import Owner, spread
-from gffe_cl.stages.hidden_parts import HiddenParts
-from gffe_cl.stages.holes import Downsampled
+from gffe_cl.stages.holes import Downsampled, FarSide
 
 W, H = 83, 61
 DEFAULT = Options(shading_correction=False)
@@ -471,14 +470,11 @@ def test_what_hangs_on_the_size_of_the_image_is_not_exported(device, monkeypatch
 def test_an_argument_that_c_does_not_know_stops_the_export(device, monkeypatch):
     """A stage that is changed without the names of `values` must not be exported wrongly."""
 
-    def other(self, board):
-        self.reach = max(8, board.sizes.target[0] // 47)
-        super(HiddenParts, self).__init__(board)
+    def other(self, to_source):
+        self.launch("fill_far_side", reach=max(16, self.sizes.target[0] // 9), to_source=to_source)
 
-    monkeypatch.setattr(HiddenParts, "__init__", other)
-    with pytest.raises(
-        GffeError, match=r"kernels/hidden_parts.cl, fill_hidden_parts: argument 'reach' hangs on something"
-    ):
+    monkeypatch.setattr(FarSide, "fill_holes", other)
+    with pytest.raises(GffeError, match=r"kernels/holes.cl, fill_far_side: argument 'reach' hangs on something"):
         record(device, DEFAULT, True)
 
 

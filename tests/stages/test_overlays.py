@@ -14,7 +14,7 @@ from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels, open_se
 from gffe_cl.stages.base import Board
 from gffe_cl.stages.buffers import BY_FIXED, DeviceFrame, Sizes
 from gffe_cl.stages.composition import Composition
-from gffe_cl.stages.presentation import mapping
+from gffe_cl.stages.frame_block import mapping
 
 W, H = 96, 64
 GAE = Options(shading_correction=False)

@@ -13,7 +13,8 @@ from gffe_cl.frame.rendered_frame import require_one_pose
 from gffe_cl.frame.window import FULL, Window
 from gffe_cl.stages.base import Board
 from gffe_cl.stages.buffers import DeviceFrame, Sizes
-from gffe_cl.stages.presentation import Presentation, mapping
+from gffe_cl.stages.frame_block import mapping
+from gffe_cl.stages.presentation import Presentation
 
 W, H = 96, 64
 SCENE = Rects(

@@ -8,9 +8,10 @@ from test_twins import frames
 
 from gffe_cl.frame.rendered_frame import pack_frame
 from gffe_cl.pipeline.options import Options
-from gffe_cl.stages.base import Board, Step, reprojection
+from gffe_cl.stages.base import Board, Step
 from gffe_cl.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.stages.connectivity import Connectivity
+from gffe_cl.stages.frame_block import reprojection
 from gffe_cl.stages.history import HistoryTracking
 
 SIZES = [(1, 1), (2, 5), (8, 1), (13, 9), (16, 12), (61, 37)]

@@ -17,7 +17,7 @@ from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.pipeline.run import run_sequence
 from gffe_cl.pipeline.source import Recorded
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels, open_sequence
-from gffe_cl.stages.base import reprojection
+from gffe_cl.stages.frame_block import reprojection
 from gffe_cl.stages.scene_cuts import COUNTED, SAMPLES, is_cut
 from gffe_cl.viewer.engine.messages import Setup
 from gffe_cl.viewer.engine.seeker import Seeker

@@ -12,7 +12,7 @@ from test_twins import frames
 from gffe_cl import GffeError, Options, Pipeline
 from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.inference.network import load_network
-from gffe_cl.stages.base import reprojection
+from gffe_cl.stages.frame_block import reprojection
 
 LOOKED_AT = Options(shading_inputs=True, shading_correction=False)
 WALL = Rects([Rect((0, 0, 8), (40, 40), frequency=0.5)])

@@ -9,8 +9,8 @@ from twins import silhouettes as twins_silhouettes
 from gffe_cl.opencl.device import list_devices, open_info
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.stages.base import Output, reprojection
-from gffe_cl.stages.prediction import polynomial_weights
+from gffe_cl.stages.base import Output
+from gffe_cl.stages.frame_block import polynomial_weights, reprojection
 
 SCENE = Rects(
     [

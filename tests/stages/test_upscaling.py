@@ -17,8 +17,7 @@ from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.sequence import open_sequence
-from gffe_cl.stages.base import reprojection
-from gffe_cl.stages.presentation import mapping
+from gffe_cl.stages.frame_block import mapping, reprojection
 
 W, H = 96, 64
 JITTER = Jitter(16)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 FRAME = ("rendered.", "truth", "presentation.")
 # layers that are made anew for every generated frame

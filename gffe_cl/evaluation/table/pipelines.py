@@ -14,7 +14,7 @@ from gffe_cl.pipeline.made_frame import ExtrapolatedFrame
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.stages.correction import ShadingCorrection
-from gffe_cl.stages.presentation import mapping
+from gffe_cl.stages.frame_block import mapping
 
 
 class PipelineRunner:

@@ -169,7 +169,7 @@ static int step_of(const gffe *g, int step) {
     return step == GFFE_LANES ? g->lanes : step == GFFE_RUN ? (g->lanes > 1 ? 16 : 1) : step;
 }
 
-static cl_int launch(gffe *g, const gffe_operation *operation) {
+static cl_int launch(gffe *g, const gffe_operation *operation, const gffe_frame_block *block) {
     const gffe_kernel *kernel = &gffe_kernels[operation->kernel];
     const gffe_argument *argument = g->plan->arguments + operation->first;
     union {
@@ -189,6 +189,9 @@ static cl_int launch(gffe *g, const gffe_operation *operation) {
         } else if (argument->kind == GFFE_CONSTANT) {
             given = &gffe_constants[argument->a];
             nbytes = (size_t)argument->b;
+        } else if (argument->kind == GFFE_FRAME_BLOCK) {
+            given = block;
+            nbytes = sizeof *block;
         } else {
             nbytes = gffe_value(&g->step, argument->kind, argument->a, argument->b, &value);
         }
@@ -233,7 +236,10 @@ static gffe_status run_network(gffe *g) {
 
 gffe_status gffe_run(gffe *g, int occasion, int part) {
     const gffe_operations *operations = &g->plan->operations[occasion];
+    const int is_new = occasion == GFFE_EXTRAPOLATED || occasion == GFFE_EXTRAPOLATED_FIRST;
+    gffe_frame_block block;
     int k;
+    gffe_fill_frame_block(&g->step, is_new || occasion == GFFE_COMPOSE, &block);
     for (k = 0; k < operations->count; ++k) {
         const gffe_operation *operation = &operations->list[k];
         cl_int error = CL_SUCCESS;
@@ -242,7 +248,7 @@ gffe_status gffe_run(gffe *g, int occasion, int part) {
             const gffe_status status = run_network(g);
             if (status) return status;
         } else {
-            error = operation->kind == GFFE_LAUNCH ? launch(g, operation)
+            error = operation->kind == GFFE_LAUNCH ? launch(g, operation, &block)
                     : operation->kind == GFFE_FILL ? fill(g, operation)
                                                    : copy(g, operation);
         }

@@ -19,6 +19,7 @@ enum { GFFE_FRAME, GFFE_PREVIOUS, GFFE_TARGET_CAMERA, GFFE_FRAME_DISPLAY, GFFE_P
 enum {
     GFFE_BUFFER,         /* reference a */
     GFFE_CONSTANT,       /* words from a on, b bytes */
+    GFFE_FRAME_BLOCK,    /* sizes, cameras, times and options */
     GFFE_ALPHA,
     GFFE_INTERVAL_RATIO, /* the last interval in that before it */
     GFFE_ORDER,          /* a, or what the frames so far allow */
@@ -129,6 +130,7 @@ extern const int gffe_program_count;
 extern const gffe_kernel gffe_kernels[];
 extern const int gffe_kernel_count;
 extern const cl_uint gffe_constants[];
+extern const cl_uint gffe_facts[]; /* a frame block with what does not change from frame to frame */
 extern const gffe_plan gffe_plans[2]; /* without and with 64-bit atomics */
 extern const char *const gffe_int64_source[];
 extern const int gffe_int64_source_count;
@@ -176,6 +178,8 @@ void gffe_launch_size(const gffe_step *step, int kind, int a, int b, size_t size
 size_t gffe_aligned(size_t n);
 size_t gffe_level_start(const gffe_step *step, int level);
 size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer); /* 0: images of these sizes have none */
+/* Of the rendered frame or, if `is_new`, of the new one. */
+void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *block);
 size_t gffe_value(const gffe_step *step, int kind, int a, int b, void *made); /* returns its bytes */
 
 /* gffe_memory.c */

@@ -130,6 +130,48 @@ static void level_starts(const gffe_step *step, int levels, cl_int *made) {
     for (k = 0; k < GFFE_MAX_LEVELS; ++k) made[k] = (cl_int)gffe_level_start(step, k + 1 < levels ? k + 1 : levels);
 }
 
+static void grid_sides(const gffe_step *step, int grid, cl_int *width, cl_int *height) {
+    size_t size[2];
+    gffe_grid_size(step, grid, 0, size);
+    *width = (cl_int)size[0];
+    *height = (cl_int)size[1];
+}
+
+/* As gffe_cl/stages/frame_block.py does. */
+void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *block) {
+    const gffe_camera *source = &step->cameras[GFFE_FRAME], *previous = &step->cameras[GFFE_PREVIOUS];
+    const gffe_camera *target = &step->cameras[GFFE_TARGET_CAMERA], *display = &step->cameras[GFFE_FRAME_DISPLAY];
+    int k;
+    memcpy(block, gffe_facts, sizeof *block);
+    if (block->levels > 0) level_starts(step, block->levels, block->level_starts.s);
+    grid_sides(step, GFFE_SOURCE, &block->source_width, &block->source_height);
+    grid_sides(step, GFFE_TARGET, &block->target_width, &block->target_height);
+    grid_sides(step, GFFE_NETWORK, &block->network_width, &block->network_height);
+    grid_sides(step, GFFE_CELLS, &block->cells_width, &block->cells_height);
+    gffe_reprojection(source, previous, (float *)&block->to_previous);
+    gffe_reprojection(previous, source, (float *)&block->from_previous);
+    gffe_mapping(display, source, block->to_render.s);
+    gffe_mapping(source, display, block->to_display.s);
+    gffe_mapping(previous, &step->cameras[GFFE_PREVIOUS_DISPLAY], block->to_previous_display.s);
+    for (k = 0; k < 2; ++k) block->pixel_size.s[k] = 1 / block->to_render.s[k];
+    block->camera_step = camera_step(step);
+    block->has_previous = step->time_count > 1;
+    block->interval_ratio = 1;
+    if (step->time_count > 2)
+        block->interval_ratio = (float)((step->times[0] - step->times[1]) / (step->times[1] - step->times[2]));
+    block->exposure = (float)step->exposure;
+    color_law(step->exposure, block->color_law.s);
+    if (block->order > step->time_count - 1) block->order = step->time_count - 1;
+    for (k = 0; k < 4; ++k) block->has_overlays |= step->has[k] << k;
+    if (!is_new) return;
+    gffe_reprojection(source, target, (float *)&block->to_target);
+    gffe_reprojection(target, source, (float *)&block->to_source);
+    gffe_reprojection(target, previous, (float *)&block->target_to_previous);
+    gffe_zoom(source, target, block->zoom.s);
+    polynomial(step, GFFE_MOST_TIMES - 1, (float *)block->polynomial);
+    block->alpha = (float)step->alpha;
+}
+
 size_t gffe_value(const gffe_step *step, int kind, int a, int b, void *made) {
     float *numbers = (float *)made;
     cl_int number;

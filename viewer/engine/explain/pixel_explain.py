@@ -9,8 +9,9 @@ import numpy as np
 
 from gffe_cl.opencl.program import constants
 from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.stages.background import MAX_LEVELS, REMEMBERED
+from gffe_cl.stages.background import REMEMBERED
 from gffe_cl.stages.buffers import BY_CRACK_CLOSING, BY_HIDDEN_PART, BY_HOLE_FILLING, BY_NOTHING, BY_WARP, FILLED_BY
+from gffe_cl.stages.frame_block import MAX_LEVELS
 from gffe_cl.stages.holes import FILLINGS
 from gffe_cl.stages.sharpening import Sharpening
 from gffe_cl.stages.upscaling import LOCK_FRAMES, Upscaling

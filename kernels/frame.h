@@ -1,0 +1,46 @@
+/* The frame block: what kernels are given of a frame beside its buffers. gffe_cl/stages/frame_block.py reads this struct and
+   fills it for each rendered and each extrapolated frame; `gffe export` makes the same struct in C. The widest types
+   come first: nothing is padded. Where there is no frame before, "previous" is the rendered frame itself; what is about the
+   target is 0 while stages work on a rendered frame. */
+
+#include "common.h"
+
+#define MAX_ORDER 5   /* of prediction */
+#define MAX_LEVELS 4  /* of the background */
+
+typedef struct {
+    float8 polynomial[MAX_ORDER];     /* [order - 1], component i - 1: factor of P_i - P_0 in the polynomial of that order */
+    Reprojection to_previous;         /* source -> previous */
+    Reprojection from_previous;       /* previous -> source */
+    Reprojection to_target;           /* source -> target */
+    Reprojection to_source;           /* target -> source */
+    Reprojection target_to_previous;
+    float4 color_law;                 /* mu_law.h, at this frame's exposure */
+    float4 to_render;                 /* display -> source: scale x, y, offset x, y in pixels */
+    float4 to_display;                /* source -> display */
+    float4 to_previous_display;       /* previous -> its display */
+    int4 level_starts;                /* first texels of background levels 1, 2 and 3, and the end of all levels */
+    float2 zoom;                      /* target pixels per source pixel of what is equally far from both cameras */
+    float2 pixel_size;                /* of the source, display pixels */
+    int source_width, source_height;
+    int target_width, target_height;
+    int network_width, network_height;
+    int cells_width, cells_height;    /* of the grid on which shading trends are measured */
+    int has_previous;
+    int order;                        /* of prediction: the option, or what the frames so far allow */
+    float alpha;
+    float interval_ratio;             /* the last interval between rendered frames, in that before it */
+    float exposure;                   /* factor on color before display */
+    float camera_step;                /* world units that the camera moved since the frame before */
+    int has_overlays;                 /* that the rendered frame brings: bits, in the order of `OVERLAYS` */
+    /* Facts: options, and what stages decide when they are made. */
+    int motion;                       /* whether motion is estimated */
+    int positions;                    /* of history, that are kept */
+    int levels;                       /* of the background */
+    int blocks;                       /* whether smooth surfaces are warped backward in blocks */
+    int crack_closing;
+    int softens;                      /* whether silhouettes are made soft */
+    int bends;                        /* whether movers' acceleration goes on */
+    int collects;                     /* whether there is a background */
+    float upscale_sharpening;
+} Frame;
