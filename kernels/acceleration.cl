@@ -4,7 +4,7 @@
    as much of it counts as there was an interval before. On arcs acceleration turns: its own change goes on, too. Cells without
    a mover are skipped. */
 
-#include "common.h"
+#include "frame.h"
 #include "mover_grid.h"
 
 #define BEND_MOST 0.25f  /* an acceleration of more than this share of the velocity counts less, the more the larger it is */
@@ -82,14 +82,16 @@ inline float3 carried_on(const float3 acceleration, const float3 before) {
 /* velocity: (xyz, view depth of the mover, 0: none). acceleration: per interval squared, as found, and its trust, -1
    where it is not known. bend: what of it goes on, as it will be, and the same trust: after alpha intervals it has added
    alpha (alpha + 1) of it. `ratio`: of the last two intervals. */
-SPARSE __kernel void track_acceleration(const int source_width, const int source_height, const int level_width,
-                                        const int level_height, const float ratio,
-                                        __global const float *depth, __global const float2 *motion,
+SPARSE __kernel void track_acceleration(const Frame frame, __global const float *depth, __global const float2 *motion,
                                         __global const uchar *dynamic_mask, __global const float *met_depth,
                                         __global const float4 *velocity_prev, __global const uint2 *acceleration_prev,
-                                        const Reprojection to_previous, const Reprojection from_previous,
-                                        __global float4 *velocity, __global uint2 *acceleration,
-                                        __global uint2 *bend) {
+                                        __global float4 *velocity, __global uint2 *acceleration, __global uint2 *bend) {
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int level_width = (frame.source_width + MOVER_CELL - 1) / MOVER_CELL;
+    const int level_height = (frame.source_height + MOVER_CELL - 1) / MOVER_CELL;
+    const float ratio = frame.interval_ratio;
+    const Reprojection to_previous = frame.to_previous;
+    const Reprojection from_previous = frame.from_previous;
     const int cell_x = get_global_id(0), cell_y = get_global_id(1);
     if (cell_x >= level_width || cell_y >= level_height) return;
     const int cell = cell_y * level_width + cell_x;

@@ -7,7 +7,7 @@
    Fragments of B'_l that only meet the surface that they are of are skipped LANES at once, pixels and texels that hold nothing to
    do RUN at once. */
 
-#include "common.h"
+#include "frame.h"
 #include "simd.h"
 #include "nearest.h"
 #include "levels.h"
@@ -15,8 +15,6 @@
 #include "rgb9e5.h"
 
 #define SAME_SURFACE 0.02f   /* relative depth within which two fragments may be of the same surface */
-
-inline int level_side(const int side, const int level) { return (side + (1 << level) - 1) >> level; }
 
 #define PX_UNITS 32768.0f       /* of a stored position, per side of a texel */
 
@@ -210,13 +208,15 @@ INLINE Ints may_be_offered(const Wide3 now, const Collection to) {
 }
 
 /* Offers the fragments of B'_level. */
-WIDE __kernel void scatter_level(const int source_width, const int source_height, const int level, const int last_level,
-                                 const int pass, const Reprojection to_current, __global const float *depth,
+WIDE __kernel void scatter_level(const Frame frame, const int level, const int pass, __global const float *depth,
                                  __global const uchar *dynamic_mask, __global const uchar *links,
                                  __global const float *frame_depth, __global const float *old_depth,
-                                 __global const int *old_px, __global const uchar *old_state,
-                                 __global const uchar *taken, __global const float *level_depth, __global Key *fill_keys,
-                                 __global uint *fill_winners, __global Key *push_keys, __global uint *push_winners) {
+                                 __global const int *old_px, __global const uchar *old_state, __global const uchar *taken,
+                                 __global const float *level_depth, __global Key *fill_keys, __global uint *fill_winners,
+                                 __global Key *push_keys, __global uint *push_winners) {
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int last_level = frame.levels - 1;
+    const Reprojection to_current = frame.from_previous;
     const int texel_x = get_global_id(0) * LANES, texel_y = get_global_id(1);
     const int level_width = level_side(source_width, level), level_height = level_side(source_height, level);
     if (texel_x >= level_width || texel_y >= level_height) return;
@@ -348,13 +348,14 @@ INLINE void settle_run(const int x, const int y, const int collect, __global Key
 }
 
 /* Completes a level. */
-SCAN __kernel void settle_level(const int level, const int level_width, const int level_height, const int collect,
-                                const Reprojection to_current, __global Key *fill_keys, __global uint *fill_winners,
-                                __global const half *frame_color,
-                                __global const float *frame_depth, __global const uint *old_color,
-                                __global const float *old_depth, __global const int *old_px,
+SCAN __kernel void settle_level(const Frame frame, const int level, __global Key *fill_keys, __global uint *fill_winners,
+                                __global const half *frame_color, __global const float *frame_depth,
+                                __global const uint *old_color, __global const float *old_depth, __global const int *old_px,
                                 __global const uchar *old_state, __global uint *level_color, __global float *level_depth,
                                 __global int *level_px, __global uchar *level_state) {
+    const int level_width = level_side(frame.source_width, level), level_height = level_side(frame.source_height, level);
+    const int collect = frame.has_previous;
+    const Reprojection to_current = frame.from_previous;
     const int texel_x = get_global_id(0) * RUN, texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
     const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, level, level_width};
@@ -363,15 +364,16 @@ SCAN __kernel void settle_level(const int level, const int level_width, const in
 }
 
 /* The same, and begins the next level with what was pushed down. */
-SCAN __kernel void settle_and_push(const int level, const int level_width, const int level_height, const int collect,
-                                   const Reprojection to_current, __global Key *fill_keys, __global uint *fill_winners,
-                                   __global Key *push_keys, __global uint *push_winners,
-                                   __global const half *frame_color, __global const float *frame_depth,
-                                   __global const uint *old_color, __global const float *old_depth,
-                                   __global const int *old_px, __global const uchar *old_state,
-                                   __global uint *level_color, __global float *level_depth, __global int *level_px,
-                                   __global uchar *level_state, __global uint *next_color, __global float *next_depth,
-                                   __global int *next_px, __global uchar *next_state) {
+SCAN __kernel void settle_and_push(const Frame frame, const int level, __global Key *fill_keys, __global uint *fill_winners,
+                                   __global Key *push_keys, __global uint *push_winners, __global const half *frame_color,
+                                   __global const float *frame_depth, __global const uint *old_color,
+                                   __global const float *old_depth, __global const int *old_px,
+                                   __global const uchar *old_state, __global uint *level_color, __global float *level_depth,
+                                   __global int *level_px, __global uchar *level_state, __global uint *next_color,
+                                   __global float *next_depth, __global int *next_px, __global uchar *next_state) {
+    const int level_width = level_side(frame.source_width, level), level_height = level_side(frame.source_height, level);
+    const int collect = frame.has_previous;
+    const Reprojection to_current = frame.from_previous;
     const int texel_x = get_global_id(0) * RUN, texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
     const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, level, level_width};
@@ -416,12 +418,16 @@ inline void offer_to_pixels(const int x0, const int y0, const int x1, const int 
 }
 
 /* Offers the remembered fragments of all levels, RUN texels per work-item; what lies between two levels is EMPTY. */
-SCAN __kernel void project_levels(const int source_width, const int texels, const int4 starts, const int target_width, const int target_height,
-                                  const int pass, const float2 zoom, const Reprojection to_target,
-                                  __global const float *levels_depth, __global const int *levels_px,
-                                  __global const uchar *levels_state, __global const uchar *disoccluded,
-                                  __global const uchar *mixed, __global const float *depth, __global Key *keys,
-                                  __global uint *winners) {
+SCAN __kernel void project_levels(const Frame frame, const int pass, __global const float *levels_depth,
+                                  __global const int *levels_px, __global const uchar *levels_state,
+                                  __global const uchar *disoccluded, __global const uchar *mixed,
+                                  __global const float *depth, __global Key *keys, __global uint *winners) {
+    const int source_width = frame.source_width;
+    const int texels = frame.level_starts.w;
+    const int4 starts = frame.level_starts;
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const float2 zoom = frame.zoom;
+    const Reprojection to_target = frame.to_target;
     const int first = get_global_id(0) * RUN;
     if (first >= texels || !run_has(levels_state + first, REMEMBERED)) return;
     const int level = level_of(first, starts), start = start_of(level, starts), width = level_side(source_width, level);
@@ -533,17 +539,22 @@ INLINE bool shown_before(const float2 centre, const float z, const Before before
 /* Fills the pixels that remembered fragments won, RUN per work-item, but for movers' hidden parts. Where the frame before still
    showed the surface its colour comes from there, at full resolution. Of a makeshift and what is remembered, two estimates of
    one surface, the mean is shown. */
-SCAN __kernel void fill_from_levels(const int source_width, const int source_height, const int4 starts, const int target_width,
-                                    const int target_height, const float2 zoom, const Reprojection to_target,
-                                    const Reprojection to_source, const int has_previous, const Reprojection to_previous,
-                                    __global const half *color_prev, __global const float *depth_prev,
+SCAN __kernel void fill_from_levels(const Frame frame, __global const half *color_prev, __global const float *depth_prev,
                                     __global const uchar *state_prev, __global const half *frame_color,
                                     __global const float *frame_depth, __global const uint *levels_color,
                                     __global const float *levels_depth, __global const int *levels_px,
                                     __global const uchar *levels_state, __global const uchar *block_class,
-                                    __global const uchar *disoccluded, __global const uchar *mixed, __global const Key *keys, __global const uint *winners,
-                                    __global half *color, __global float *depth, __global float2 *motion,
-                                    __global uchar *filled_by) {
+                                    __global const uchar *disoccluded, __global const uchar *mixed, __global const Key *keys,
+                                    __global const uint *winners, __global half *color, __global float *depth,
+                                    __global float2 *motion, __global uchar *filled_by) {
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int4 starts = frame.level_starts;
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const float2 zoom = frame.zoom;
+    const Reprojection to_target = frame.to_target;
+    const Reprojection to_source = frame.to_source;
+    const int has_previous = frame.has_previous;
+    const Reprojection to_previous = frame.target_to_previous;
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
     if (run_is_backward(first_x, dst_y, target_width, block_class)) return;

@@ -4,7 +4,7 @@
    source block marks the target blocks that its fragments' footprints reach. A target block is warped backward if all that
    reach it lie side by side and are smooth: then one surface covers it, and nothing can be before it. */
 
-#include "common.h"
+#include "frame.h"
 #include "simd.h"
 #include "flow.h"
 #include "blocks.h"
@@ -153,11 +153,14 @@ inline bool is_linear(const int x0, const int y0, const int source_width, const 
 /* One work-item per source block. smooth: whether it is. reach: the target blocks x0, y0, x1, y1 that it reaches, x1 < x0 if
    none. reached_by: for each target block the extent of the source blocks that reach it, as the largest of FAR_OFF - x,
    FAR_OFF - y, x + 1, y + 1; of blocks that are not smooth, everything. */
-WIDE __kernel void find_reach(const int source_width, const int source_height, const int target_width,
-                              const int target_height, const int blocks, const int crack_closing, const float2 zoom,
-                              __global const float *depth, __global const uchar *links,
+WIDE __kernel void find_reach(const Frame frame, __global const float *depth, __global const uchar *links,
                               __global const float *target_position, __global uchar *smooth, __global short4 *reach,
                               __global int *reached_by) {
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int blocks = frame.blocks;
+    const int crack_closing = frame.crack_closing;
+    const float2 zoom = frame.zoom;
     const int bx = get_global_id(0), by = get_global_id(1);
     const int source_blocks = block_columns(source_width);
     if (bx >= source_blocks || by >= block_rows(source_height) || !(blocks && crack_closing)) return;
@@ -229,10 +232,12 @@ inline float is_affine(const float2 centre, const float8 source, const int sourc
 /* One work-item per target block: its class, and of those to be warped backward where their centre comes from. Forgets what
    reached it, for the next frame, and empties the keys of those that are splatted; no silhouette is in it yet, if
    that `softens` any. */
-SPARSE __kernel void classify_blocks(const int source_width, const int source_height, const int target_width,
-                              const int target_height, const int softens, __global const float *target_position,
-                              __global const uchar *smooth, __global int *reached_by, __global uchar *block_class,
-                              __global float8 *block_source, __global uchar *marked, __global Key *keys, __global uint *winners) {
+SPARSE __kernel void classify_blocks(const Frame frame, __global const float *target_position, __global const uchar *smooth,
+                                     __global int *reached_by, __global uchar *block_class, __global float8 *block_source,
+                                     __global uchar *marked, __global Key *keys, __global uint *winners) {
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int softens = frame.softens;
     const int bx = get_global_id(0), by = get_global_id(1);
     const int source_blocks = block_columns(source_width), target_blocks = block_columns(target_width);
     if (bx >= target_blocks || by >= block_rows(target_height)) return;

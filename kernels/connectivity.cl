@@ -2,7 +2,7 @@
    pixels cannot hold the colour of another one: those are what level 0 of the background shows (background.cl).
    Where depth changes by little, or by much between two flat surfaces, links follow from it without a division. */
 
-#include "common.h"
+#include "frame.h"
 #include "simd.h"
 #include "nearest.h"
 #include "levels.h"
@@ -182,10 +182,11 @@ INLINE void find(const Place p, const int collect, __global uchar *links, const 
     for (int k = 0; k < min(count, LANES); ++k) forget(to.fill_keys, to.fill_winners, i + k);
 }
 
-WIDE __kernel void find_links(const int source_width, const int source_height, const int collect, __global const float *depth,
-                                 __global const uchar *dynamic_mask, __global uchar *links, __global uchar *state,
-                                 __global Key *fill_keys, __global uint *fill_winners, __global Key *push_keys,
-                                 __global uint *push_winners) {
+WIDE __kernel void find_links(const Frame frame, __global const float *depth, __global const uchar *dynamic_mask,
+                              __global uchar *links, __global uchar *state, __global Key *fill_keys,
+                              __global uint *fill_winners, __global Key *push_keys, __global uint *push_winners) {
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int collect = frame.collects && frame.has_previous;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const bool inner = src_x >= MORE && src_x + LANES + MORE <= source_width && src_y >= REACH && src_y + REACH < source_height;

@@ -1,6 +1,7 @@
 /* What surrounds the shading correction network (paper: 'Shading Correction Network'): its input at half resolution, and the
    frame that its output makes of the extrapolated one. */
 
+#include "frame.h"
 #include "warped_previous.h"
 #include "mu_law.h"
 
@@ -13,8 +14,8 @@
 #define LEAST_MASK 0.03125f  /* a smaller focus mask is 0 */
 
 /* How often each bin of finite depth occurs in some of the rows. */
-WIDE __kernel void depth_histogram(const int target_width, const int target_height, __global const float *depth,
-                                   __global uint *histogram) {
+WIDE __kernel void depth_histogram(const Frame frame, __global const float *depth, __global uint *histogram) {
+    const int target_width = frame.target_width, target_height = frame.target_height;
     const int dst_x = get_global_id(0) * LANES, first = get_global_id(1) * STRIP, count = target_width - dst_x;
     if (count <= 0) return;
     int bin = -1;
@@ -88,13 +89,16 @@ inline void store_colors(const Strip a, const Strip b, const float4 law, const i
 }
 
 /* Planes of the network's input: means over 2x2 pixels, the image's border repeated. */
-WIDE __kernel void network_input(const int target_width, const int target_height, const int source_width,
-                                 const int source_height, const int network_width, const int network_height, const float4 law,
-                                 __global const half *color, __global const float *depth, __global const float2 *out_motion,
-                                 __global const uchar *is_dynamic, __global const uchar *disoccluded,
-                                 __global const float2 *motion, __global const half *color_prev,
-                                 __global const float *depth_prev, const Reprojection to_previous,
+WIDE __kernel void network_input(const Frame frame, __global const half *color, __global const float *depth,
+                                 __global const float2 *out_motion, __global const uchar *is_dynamic,
+                                 __global const uchar *disoccluded, __global const float2 *motion,
+                                 __global const half *color_prev, __global const float *depth_prev,
                                  __global const float *median_depth, __global float *planes) {
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int network_width = frame.network_width, network_height = frame.network_height;
+    const float4 law = frame.color_law;
+    const Reprojection to_previous = frame.target_to_previous;
     const int net_x = get_global_id(0) * LANES, net_y = get_global_id(1);
     if (net_x >= network_width || net_y >= network_height) return;
     const Frames frames = {1, target_width, source_width, source_height, color, color_prev, depth, depth_prev,
@@ -200,13 +204,20 @@ inline void store_where(const Ints holds, const WideRgb c, const int count, __gl
     }
 }
 
+/* Bits of `asked`: whether the image is left as it is where the mask is 0, and whether `refined` is wanted. */
+#define WITHIN_MASK 1
+#define WITH_REFINED 2
+
 /* refined: the network's image, the detail of the extrapolated one kept as it says; out_color: that within the focus mask,
    the extrapolated colour's own bits where the mask is 0. Output that is not finite counts as no mask. `refined` is made only
    for whoever asks for it: else a run of pixels without mask is a copy. */
-WIDE __kernel void correct(const int target_width, const int target_height, const int network_width, const int network_height,
-                           const float4 law, const int within_mask, const int with_refined,
-                           __global const half *color, __global const float *frames, __global const float *correction,
-                           __global half *refined, __global half *focus_mask, __global half *out_color) {
+WIDE __kernel void correct(const Frame frame, const int asked, __global const half *color,
+                           __global const float *frames, __global const float *correction, __global half *refined,
+                           __global half *focus_mask, __global half *out_color) {
+    const bool within_mask = asked & WITHIN_MASK, with_refined = asked & WITH_REFINED;
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int network_width = frame.network_width, network_height = frame.network_height;
+    const float4 law = frame.color_law;
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= target_width || y >= target_height) return;
     const int i = y * target_width + x, plane = network_width * network_height, count = target_width - x;

@@ -44,3 +44,6 @@ typedef struct {
     int collects;                     /* whether there is a background */
     float upscale_sharpening;
 } Frame;
+
+/* The side of an image of level `level`, whose texels are 2^level pixels wide and high. */
+inline int level_side(const int side, const int level) { return (side + (1 << level) - 1) >> level; }

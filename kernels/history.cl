@@ -2,11 +2,13 @@
    Positions are in the view space of the current rendered camera: P_0 is what depth gives. P_1 of what is dynamic is where its
    motion points to, at the depth met there, which is all that is stored of it for k = 2; for more, P_1 ... P_{k-1} are. */
 
-#include "common.h"
+#include "frame.h"
 #include "simd.h"
 
 #define RESIDUAL_BINS 64
 #define RESIDUAL_FIRST_BIN 214   /* bits of 2^-20 >> 22: the squared residual of the first bin, in px^2 */
+#define THRESHOLD_LOW 0.25f      /* px: the least and the greatest threshold that is found */
+#define THRESHOLD_HIGH 4.0f
 #define RESIDUAL_STRIDE 4        /* every 4th pixel of every 4th row is enough for a quantile */
 #define RESIDUAL_ROWS 4          /* ... of which a work-item takes so many */
 #define GROUP 64                 /* work-items per work-group of find_threshold */
@@ -94,9 +96,10 @@ inline float noise_threshold_squared(__local const int *histogram, const float l
    short distance; and the threshold that follows. Every work-group counts by itself and adds what it has to `pending`; the
    last one of them, told by the number of groups that are done, takes that out again, so it is zero for the next frame. */
 WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
-void find_threshold(const int source_width, const int source_height, const float low, const float high,
-                    __global const float *depth, __global const float2 *motion, const Reprojection to_previous,
-                    __global int *pending, __global int *histogram, __global float *threshold_squared) {
+void find_threshold(const Frame frame, __global const float *depth, __global const float2 *motion, __global int *pending,
+                    __global int *histogram, __global float *threshold_squared) {
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const Reprojection to_previous = frame.to_previous;
     const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
     const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE, item = get_local_id(0);
     __local int counts[HISTOGRAMS * RESIDUAL_BINS], groups_before[1];
@@ -122,7 +125,7 @@ void find_threshold(const int source_width, const int source_height, const float
     barrier(CLK_LOCAL_MEM_FENCE);
     if (item) return;
     atomic_xchg(pending + HISTOGRAMS * RESIDUAL_BINS, 0);
-    *threshold_squared = noise_threshold_squared(counts, low, high);
+    *threshold_squared = noise_threshold_squared(counts, THRESHOLD_LOW, THRESHOLD_HIGH);
 }
 
 inline bool plausible(const float z, const float z_expected, const float tolerance) {
@@ -225,12 +228,15 @@ inline void find_history(const int src_x, const int src_y, const int source_widt
 
 /* Algorithm 1. Of dynamic fragments, met_depth: 0 where none is; history, for k > 2: k-1 planes of (P_i, 1), or (P_0, 0) where
    P_i is not known. What is static takes the test and nothing more. */
-WIDE __kernel void track_history(const int source_width, const int source_height, const int positions /* k */,
-                                 const int has_previous, __global const float *depth, __global const float2 *motion,
+WIDE __kernel void track_history(const Frame frame, __global const float *depth, __global const float2 *motion,
                                  __global const float *depth_prev, __global const uchar *dynamic_prev,
-                                 __global const float4 *history_prev, const Reprojection to_previous,
-                                 const Reprojection from_previous, __global const float *threshold_squared,
+                                 __global const float4 *history_prev, __global const float *threshold_squared,
                                  __global uchar *dynamic_mask, __global float *met_depth, __global float4 *history) {
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int positions = frame.positions;
+    const int has_previous = frame.has_previous && frame.motion;
+    const Reprojection to_previous = frame.to_previous;
+    const Reprojection from_previous = frame.from_previous;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x;

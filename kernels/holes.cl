@@ -3,7 +3,7 @@
    To be filled are the pixels that are labelled so; labels and valid pixels stay as they are. RUN pixels without any are skipped
    at once, and the downsampled image is made only where a pixel asks for them. */
 
-#include "common.h"
+#include "frame.h"
 #include "simd.h"
 #include "directional_search.h"
 #include "blocks.h"
@@ -156,8 +156,9 @@ inline float weight_of_far_side(const Around a, const float3 mean, __global cons
 
 /* What the background fills, with the far side: of a surface's remembered colour, which may be out of date, and what is shown
    beside it now, the weighted mean is shown. RUN pixels per work-item. */
-SCAN __kernel void mix_far_side(const int target_width, const int target_height, __global const uchar *disoccluded,
-                                __global const uchar *filled_by, __global const float *depth, __global half *color) {
+SCAN __kernel void mix_far_side(const Frame frame, __global const uchar *disoccluded, __global const uchar *filled_by,
+                                __global const float *depth, __global half *color) {
+    const int target_width = frame.target_width, target_height = frame.target_height;
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
     const int first = dst_y * target_width + first_x;
@@ -178,9 +179,10 @@ SCAN __kernel void mix_far_side(const int target_width, const int target_height,
 /* ---- push-pull (Gortler et al., The Lumigraph, 1996) ------------------------------------------------------------ */
 
 /* Mean (colour, inverse depth) and weight, 0 or 1, of the valid pixels among the 2x2 under each texel of level 1. */
-__kernel void push_image(const int target_width, const int target_height, const int level_width, const int level_height,
-                         __global const uchar *filled_by, __global const half *color, __global const float *depth,
-                         __global float4 *mean, __global float *weight) {
+__kernel void push_image(const Frame frame, __global const uchar *filled_by, __global const half *color,
+                         __global const float *depth, __global float4 *mean, __global float *weight) {
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int level_width = level_side(frame.target_width, 1), level_height = level_side(frame.target_height, 1);
     const int texel_x = get_global_id(0), texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
     float4 sum = (float4)(0.0f);
@@ -198,9 +200,11 @@ __kernel void push_image(const int target_width, const int target_height, const 
 }
 
 /* The same from one level to the next; weights add up to at most 1. */
-__kernel void push_level(const int fine_width, const int fine_height, const int level_width, const int level_height,
-                         __global const float4 *fine_mean, __global const float *fine_weight, __global float4 *mean,
-                         __global float *weight) {
+__kernel void push_level(const Frame frame, const int level, __global const float4 *fine_mean,
+                         __global const float *fine_weight, __global float4 *mean, __global float *weight) {
+    const int fine_width = level_side(frame.target_width, level - 1);
+    const int fine_height = level_side(frame.target_height, level - 1);
+    const int level_width = level_side(frame.target_width, level), level_height = level_side(frame.target_height, level);
     const int texel_x = get_global_id(0), texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
     float4 sum = (float4)(0.0f);
@@ -231,8 +235,11 @@ inline float4 upsampled(const int x, const int y, const int level_width, const i
 }
 
 /* Completes a level, in place, where it is not full, from the coarser one. */
-__kernel void pull_level(const int level_width, const int level_height, const int coarse_width, const int coarse_height,
-                         __global const float4 *coarse_mean, __global float4 *mean, __global const float *weight) {
+__kernel void pull_level(const Frame frame, const int level, __global const float4 *coarse_mean, __global float4 *mean,
+                         __global const float *weight) {
+    const int level_width = level_side(frame.target_width, level), level_height = level_side(frame.target_height, level);
+    const int coarse_width = level_side(frame.target_width, level + 1);
+    const int coarse_height = level_side(frame.target_height, level + 1);
     const int texel_x = get_global_id(0), texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
     const int texel = texel_y * level_width + texel_x;
@@ -254,11 +261,12 @@ inline void fill_pixel(const int dst_x, const int dst_y, const int dst, const fl
 #define BEYOND_REACH -1.0f   /* depth of pixels that have no far side within reach, until they are filled */
 
 /* Fills what is still invalid from the far side; motion is that of a static point. RUN pixels per work-item. */
-SCAN __kernel void fill_far_side(const int target_width, const int target_height, const int source_width,
-                                 const int source_height, const int reach, __global const uchar *block_class,
-                                 __global const uchar *filled_by, __global const half *source_color,
-                                 const Reprojection to_source, __global half *color, __global float *depth,
-                                 __global float2 *motion) {
+SCAN __kernel void fill_far_side(const Frame frame, const int reach, __global const uchar *block_class,
+                                 __global const uchar *filled_by, __global const half *source_color, __global half *color,
+                                 __global float *depth, __global float2 *motion) {
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const Reprojection to_source = frame.to_source;
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
     if (run_is_backward(first_x, dst_y, target_width, block_class)) return;
@@ -325,12 +333,15 @@ inline bool asks(const int dst, const int reach, __global const uchar *filled_by
 
 /* Fills the rest from the image downsampled 32x, interpolated, out of screen with the image's border too if there is a `reach`. Every work-group fills what lies under TILE x TILE texels: it sums up those of
    them, and of the ring around them, that its pixels ask for. The sums are kept for who wants to look at them. */
-SPARSE __kernel void fill_from_downsampled(const int target_width, const int target_height, const int source_width,
-                                      const int source_height, const int downsampled_width, const int downsampled_height, const int reach,
-                                      const Reprojection to_source, __global const uchar *filled_by,
-                                      __global const half *source_color, __global const float *source_depth,
-                                      __global half *color, __global float *depth, __global float2 *motion,
-                                      __global float4 *downsampled_color, __global float *downsampled_inverse_depth) {
+SPARSE __kernel void fill_from_downsampled(const Frame frame, const int reach, __global const uchar *filled_by,
+                                           __global const half *source_color, __global const float *source_depth,
+                                           __global half *color, __global float *depth, __global float2 *motion,
+                                           __global float4 *downsampled_color, __global float *downsampled_inverse_depth) {
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int downsampled_width = (frame.target_width + DOWNSAMPLING - 1) / DOWNSAMPLING;
+    const int downsampled_height = (frame.target_height + DOWNSAMPLING - 1) / DOWNSAMPLING;
+    const Reprojection to_source = frame.to_source;
     __local float4 sums[RING * RING], strip_sums[GROUP];
     __local float inverse_sums[RING * RING], strip_inverse_sums[GROUP];
     __local uint asked[RING * RING], any_asks;
@@ -412,11 +423,11 @@ SPARSE __kernel void fill_from_downsampled(const int target_width, const int tar
 }
 
 /* Fills all of it, from the completed level 1 of push-pull. */
-__kernel void fill_from_pyramid(const int target_width, const int target_height, const int level_width,
-                                const int level_height,
-                                __global const uchar *filled_by, __global const float4 *level_mean,
-                                const Reprojection to_source, __global half *color, __global float *depth,
-                                __global float2 *motion) {
+__kernel void fill_from_pyramid(const Frame frame, __global const uchar *filled_by, __global const float4 *level_mean,
+                                __global half *color, __global float *depth, __global float2 *motion) {
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int level_width = level_side(frame.target_width, 1), level_height = level_side(frame.target_height, 1);
+    const Reprojection to_source = frame.to_source;
     const int dst_x = get_global_id(0), dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const int dst = dst_y * target_width + dst_x;

@@ -1,7 +1,7 @@
 /* The display part of a rendered frame (paper: 'Adaptive rendering window'; its runtime table's 'Misc').
    A mapping is (scale x, scale y, offset x, offset y) between pixel positions of two images of one pose. */
 
-#include "common.h"
+#include "frame.h"
 #include "cubic.h"
 
 #define STRIP 16  /* rows per work-item: rows filtered horizontally serve several of them */
@@ -19,9 +19,10 @@ inline float2 mapped(const float2 px, const float4 mapping) { return px * mappin
 
 /* Colour, resampled: cubic along rows, then along columns, each clamped to the two taps between; beyond the image its
    border goes on. */
-__kernel void present_color(const int target_width, const int target_height, const int source_width,
-                            const int source_height,
-                            const float4 to_render, __global const uint2 *color /* half x4 */, __global half *out_color) {
+__kernel void present_color(const Frame frame, __global const uint2 *color, __global half *out_color) {
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const float4 to_render = frame.to_render;
     const int dst_x = get_global_id(0), first = get_global_id(1) * STRIP;
     if (dst_x >= target_width) return;
     const float px_render = ((float)dst_x + 0.5f) * to_render.x + to_render.z;
@@ -52,11 +53,13 @@ __kernel void present_color(const int target_width, const int target_height, con
 
 /* Depth and motion of the nearest rendered pixel; motion from its own position on the display to where that surface was on
    the previous display. */
-__kernel void present_geometry(const int target_width, const int target_height, const int source_width,
-                               const int source_height,
-                               const float4 to_render, const float4 to_display, const float4 to_previous_display,
-                               __global const float *depth, __global const float2 *motion,
+__kernel void present_geometry(const Frame frame, __global const float *depth, __global const float2 *motion,
                                __global float *out_depth, __global float2 *out_motion) {
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const float4 to_render = frame.to_render;
+    const float4 to_display = frame.to_display;
+    const float4 to_previous_display = frame.to_previous_display;
     const int dst_x = get_global_id(0), dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const float2 px_render = mapped(pixel_centre(dst_x, dst_y), to_render);

@@ -1,17 +1,23 @@
 /* Around the shading correction network (paper: 'Shading Correction Network'): what it sees of the previous rendered frame, at
    full size for whoever looks at it, and the focus mask that it learns. */
 
+#include "frame.h"
 #include "warped_previous.h"
 #include "rgb.h"
 
+#define FOCUS_SMAPE 0.5f     /* the paper's: errors above this are the shading correction network's business */
+#define SMAPE_EPSILON 0.01f  /* the paper's: keeps black pixels from counting fully */
+
 /* warped_previous and input_mask. network_input (correction.cl) does not need them: it has the same from warped_previous.h. */
-WIDE __kernel void prepare_inputs(const int target_width, const int target_height, const int source_width,
-                                  const int source_height, const int has_previous, __global const half *color,
-                                  __global const float *depth, __global const float2 *out_motion,
-                                  __global const uchar *is_dynamic, __global const uchar *disoccluded,
-                                  __global const float2 *motion, __global const half *color_prev,
-                                  __global const float *depth_prev, const Reprojection to_previous,
+WIDE __kernel void prepare_inputs(const Frame frame, __global const half *color, __global const float *depth,
+                                  __global const float2 *out_motion, __global const uchar *is_dynamic,
+                                  __global const uchar *disoccluded, __global const float2 *motion,
+                                  __global const half *color_prev, __global const float *depth_prev,
                                   __global half *warped_previous, __global half *input_mask) {
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int has_previous = frame.has_previous;
+    const Reprojection to_previous = frame.target_to_previous;
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const Frames frames = {has_previous, target_width, source_width, source_height, color, color_prev, depth, depth_prev,
@@ -24,14 +30,14 @@ WIDE __kernel void prepare_inputs(const int target_width, const int target_heigh
     store_strip(previous, here.count, warped_previous + 4 * here.first);
 }
 
-inline float relative_error(const float a, const float b, const float epsilon) {
-    return divide(2.0f * fabs(a - b), fabs(a) + fabs(b) + epsilon);
+inline float relative_error(const float a, const float b) {
+    return divide(2.0f * fabs(a - b), fabs(a) + fabs(b) + SMAPE_EPSILON);
 }
 
-/* M_focus: 1 where the extrapolated colour is unlike the truth at this pixel and at its neighbours (SMAPE over focus_smape), and
-   is not dynamic; smape_epsilon keeps black pixels from counting fully. */
-__kernel void focus_mask(const int target_width, const int target_height, const float exposure, const float focus_smape,
-                         const float smape_epsilon, __global const uint2 *color /* half x4 */,
+/* M_focus: 1 where the extrapolated colour is unlike the truth at this pixel and at its neighbours (SMAPE over FOCUS_SMAPE), and
+   is not dynamic. */
+__kernel void focus_mask(const int target_width, const int target_height, const float exposure,
+                         __global const uint2 *color /* half x4 */,
                          __global const uint2 *truth /* half x4 */, __global const uchar *is_dynamic,
                          __global uchar *focus_truth) {
     const int dst_x = get_global_id(0), dst_y = get_global_id(1);
@@ -42,10 +48,10 @@ __kernel void focus_mask(const int target_width, const int target_height, const 
     for (int near_y = max(dst_y - 1, 0); near_y <= min(dst_y + 1, target_height - 1); ++near_y)
         for (int near_x = max(dst_x - 1, 0); near_x <= min(dst_x + 1, target_width - 1); ++near_x) {
             const Rgb t = load_rgb(truth, near_y * target_width + near_x);
-            const float sum = relative_error(exposure * c.r, exposure * t.r, smape_epsilon)
-                              + relative_error(exposure * c.g, exposure * t.g, smape_epsilon)
-                              + relative_error(exposure * c.b, exposure * t.b, smape_epsilon);
+            const float sum = relative_error(exposure * c.r, exposure * t.r)
+                              + relative_error(exposure * c.g, exposure * t.g)
+                              + relative_error(exposure * c.b, exposure * t.b);
             smallest = least(smallest, sum);
         }
-    focus_truth[dst] = smallest > 3.0f * focus_smape && !is_dynamic[dst];
+    focus_truth[dst] = smallest > 3.0f * FOCUS_SMAPE && !is_dynamic[dst];
 }

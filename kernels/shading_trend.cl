@@ -3,6 +3,7 @@
    not: the shading correction network tells them apart.
    A cell has 8x8 pixels of the rendered image; a few of them stand for all. */
 
+#include "frame.h"
 #include "mu_law.h"
 
 #define CELL 8
@@ -42,10 +43,13 @@ inline bool change_at(const int src_x, const int src_y, const int source_width, 
 }
 
 /* Planes of the summed change of encoded colour of a cell's samples, and of the share that is known, over the number of samples. */
-WIDE __kernel void measure_changes(const int source_width, const int source_height, const int cells_width, const int cells_height,
-                                   const float4 law, __global const half *color, __global const float *depth,
+WIDE __kernel void measure_changes(const Frame frame, __global const half *color, __global const float *depth,
                                    __global const uchar *dynamic_mask, __global const half *color_prev,
-                                   __global const float *depth_prev, const Reprojection to_previous, __global float *changes) {
+                                   __global const float *depth_prev, __global float *changes) {
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int cells_width = frame.cells_width, cells_height = frame.cells_height;
+    const float4 law = frame.color_law;
+    const Reprojection to_previous = frame.to_previous;
     const int first_x = get_global_id(0) * LANES, cell_y = get_global_id(1);
     if (first_x >= cells_width || cell_y >= cells_height) return;
     const int count = min(LANES, cells_width - first_x), plane = cells_width * cells_height;
@@ -72,8 +76,8 @@ WIDE __kernel void measure_changes(const int source_width, const int source_heig
 
 /* Every plane blurred along rows: a cell counts the less the farther away it is, none farther than `reach`; beyond the image
    there is nothing. */
-__kernel void blur_rows(const int cells_width, const int cells_height, const int reach, __global const float *changes,
-                        __global float *blurred) {
+__kernel void blur_rows(const Frame frame, const int reach, __global const float *changes, __global float *blurred) {
+    const int cells_width = frame.cells_width, cells_height = frame.cells_height;
     const int cell_x = get_global_id(0), cell_y = get_global_id(1);
     if (cell_x >= cells_width || cell_y >= cells_height) return;
     const int plane = cells_width * cells_height, row = cell_y * cells_width;
@@ -86,8 +90,8 @@ __kernel void blur_rows(const int cells_width, const int cells_height, const int
 }
 
 /* The same along columns, and the mean of what is known. */
-__kernel void find_trend(const int cells_width, const int cells_height, const int reach, __global const float *blurred,
-                         __global float *trend) {
+__kernel void find_trend(const Frame frame, const int reach, __global const float *blurred, __global float *trend) {
+    const int cells_width = frame.cells_width, cells_height = frame.cells_height;
     const int cell_x = get_global_id(0), cell_y = get_global_id(1);
     if (cell_x >= cells_width || cell_y >= cells_height) return;
     const int plane = cells_width * cells_height, cell = cell_y * cells_width + cell_x;
@@ -131,10 +135,14 @@ inline Floats trend_at(__global const float *plane, const Cells *c) {
 
 /* What the trends of the last two intervals come to by t + alpha, each looked up where the pixel's surface, if it is static, was
    seen then; and the share of the last one. */
-WIDE __kernel void carry_trends(const int target_width, const int target_height, const int network_width,
-                                const int network_height, const int cells_width, const int cells_height, const float alpha,
-                                __global const float *depth, const Reprojection to_source, const Reprojection to_previous,
-                                __global const float *trend, __global const float *trend_prev, __global float *trends) {
+WIDE __kernel void carry_trends(const Frame frame, __global const float *depth, __global const float *trend,
+                                __global const float *trend_prev, __global float *trends) {
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int network_width = frame.network_width, network_height = frame.network_height;
+    const int cells_width = frame.cells_width, cells_height = frame.cells_height;
+    const float alpha = frame.alpha;
+    const Reprojection to_source = frame.to_source;
+    const Reprojection to_previous = frame.target_to_previous;
     const int net_x = get_global_id(0) * LANES, net_y = get_global_id(1);
     if (net_x >= network_width || net_y >= network_height) return;
     const Ints dst_x = min(2 * (net_x + LANE_NUMBERS), (Ints)(target_width - 1));

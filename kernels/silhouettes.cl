@@ -3,7 +3,7 @@
    Where both move apart, that share is estimated and carried along with the nearer surface, over what the new frame shows behind.
    Only pixels at steps of depth whose two sides move apart are looked at; LANES of others are skipped at once. */
 
-#include "common.h"
+#include "frame.h"
 #include "stencil.h"
 #include "flow.h"
 #include "blocks.h"
@@ -154,10 +154,12 @@ inline void mark_around(const float2 px, const int width, const int height, __gl
 
 /* Which layer each pixel belongs to; where it does, the colour of the far layer, `behind`, and the near one's `share` of the pixel.
    Marks the target blocks where they go; they come unmarked. */
-WIDE __kernel void find_layers(const int source_width, const int source_height, const int target_width, const int target_height,
-                               const float2 zoom, __global const float *depth, __global const uchar *links,
+WIDE __kernel void find_layers(const Frame frame, __global const float *depth, __global const uchar *links,
                                __global const float *target_position, __global const half *color, __global uchar *layer,
                                __global uint *behind, __global uchar *share, __global uchar *marked) {
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const float2 zoom = frame.zoom;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x, count = min(source_width - src_x, LANES);
@@ -401,12 +403,14 @@ INLINE Ints may_be_mixed(const Span p, const Source s, const Layers l, const Sho
 
 /* The new colours, and `coverage`: 0 where a pixel stays as it is, else 1 + 254 times the nearer layer's share. Nothing in blocks
    that are not marked. */
-WIDE __kernel void soften(const int source_width, const int source_height, const int target_width, const int target_height,
-                          const float2 zoom, __global const uchar *marked,
-                          __global const float *target_position, __global const half *source_color, __global const uchar *layer,
-                          __global const uint *behind, __global const uchar *share, __global const half *color, __global const float *depth,
+WIDE __kernel void soften(const Frame frame, __global const uchar *marked, __global const float *target_position,
+                          __global const half *source_color, __global const uchar *layer, __global const uint *behind,
+                          __global const uchar *share, __global const half *color, __global const float *depth,
                           __global const float2 *motion, __global const uchar *filled_by, __global const uchar *mixed,
                           __global uchar *coverage, __global uint *softened) {
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const float2 zoom = frame.zoom;
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height || !marked[block_of(dst_x, dst_y, target_width)]) return;
     const int dst = dst_y * target_width + dst_x, count = min(target_width - dst_x, LANES);
@@ -440,8 +444,9 @@ WIDE __kernel void soften(const int source_width, const int source_height, const
 }
 
 /* The new colours go to the frame, RUN pixels per work-item. */
-SCAN __kernel void apply_softened(const int target_width, const int target_height, __global const uchar *marked,
-                                  __global const uchar *coverage, __global const uint *softened, __global half *color) {
+SCAN __kernel void apply_softened(const Frame frame, __global const uchar *marked, __global const uchar *coverage,
+                                  __global const uint *softened, __global half *color) {
+    const int target_width = frame.target_width, target_height = frame.target_height;
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
     const int end_x = min(first_x + RUN, target_width);

@@ -17,7 +17,7 @@
    out        rejected         display   which share of the history was not believed
               out_color        display   a generated frame, seen through the history                                       */
 
-#include "common.h"
+#include "frame.h"
 #include "stencil.h"
 #include "simd_texels.h"
 #include "sample_filter.h"
@@ -122,12 +122,15 @@ INLINE Wide4 within_range(const Wide4 c, const Floats px_x, const Floats px_y, c
 }
 
 /* Of each rendered pixel: where its surroundings were, and how far what it shows is from the history, seen there. */
-WIDE __kernel void compare(
-    const int target_width, const int target_height, const int source_width, const int source_height,
-    const Reprojection to_previous, const float4 to_previous_display, const float exposure, const int has_history,
-    __global const half *color, __global const float *depth, __global const float2 *motion,
-    __global const float *previous_depth, __global const half *history, __global half *out_compressed,
-    __global float2 *out_dilated, __global half *out_surprise) {
+WIDE __kernel void compare(const Frame frame, __global const half *color, __global const float *depth,
+                           __global const float2 *motion, __global const float *previous_depth, __global const half *history,
+                           __global half *out_compressed, __global float2 *out_dilated, __global half *out_surprise) {
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const Reprojection to_previous = frame.to_previous;
+    const float4 to_previous_display = frame.to_previous_display;
+    const float exposure = frame.exposure;
+    const int has_history = frame.has_previous;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * source_width + x, count = source_width - x;
     if (count <= 0 || y >= source_height) return;
     const Span p = {x, y, source_width, source_height,
@@ -191,8 +194,9 @@ INLINE void sums_beside(const Span p, __global const half *image, Floats *sum, F
 
 /* Colours around each rendered pixel, and how well the history foretold them: it may be darker or lighter than they are,
    which is made up for; what is left is its error. */
-WIDE __kernel void survey(const int source_width, const int source_height, __global const half *compressed,
-                          __global const half *surprise, __global half *out_mean, __global half *out_deviation) {
+WIDE __kernel void survey(const Frame frame, __global const half *compressed, __global const half *surprise,
+                          __global half *out_mean, __global half *out_deviation) {
+    const int source_width = frame.source_width, source_height = frame.source_height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * source_width + x, count = source_width - x;
     if (count <= 0 || y >= source_height) return;
     const Span p = {x, y, source_width, source_height,
@@ -242,12 +246,17 @@ INLINE Floats lock_of(const Floats before, const Ints right, const Floats seen) 
 }
 
 /* The rendered frame into the history. */
-WIDE __kernel void accumulate(
-    const int target_width, const int target_height, const int source_width, const int source_height, const float4 to_render,
-    const float2 pixel_size, const float4 to_previous_display, const float exposure, const int has_history,
-    __global const half *compressed, __global const float2 *dilated, __global const half *mean,
-    __global const half *deviation, __global const half *history, __global const uchar *lock, __global half *out_history,
-    __global uchar *out_lock, __global uchar *rejected) {
+WIDE __kernel void accumulate(const Frame frame, __global const half *compressed, __global const float2 *dilated,
+                              __global const half *mean, __global const half *deviation, __global const half *history,
+                              __global const uchar *lock, __global half *out_history, __global uchar *out_lock,
+                              __global uchar *rejected) {
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const float4 to_render = frame.to_render;
+    const float2 pixel_size = frame.pixel_size;
+    const float4 to_previous_display = frame.to_previous_display;
+    const float exposure = frame.exposure;
+    const int has_history = frame.has_previous;
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     const int dst = dst_y * target_width + dst_x, count = target_width - dst_x;
     if (count <= 0 || dst_y >= target_height) return;
@@ -314,10 +323,11 @@ WIDE __kernel void accumulate(
 
 /* A generated frame: the history where its own fragments are seen, with what shading correction changed; else its own
    colour. */
-WIDE __kernel void generate(const int target_width, const int target_height, const float4 to_shown, const int corrected,
-                            __global const float *depth, __global const float2 *motion, __global const uchar *disoccluded,
-                            __global const half *gae, __global const half *color, __global const half *history,
-                            __global half *out_color) {
+WIDE __kernel void generate(const Frame frame, const int corrected, __global const float *depth,
+                            __global const float2 *motion, __global const uchar *disoccluded, __global const half *gae,
+                            __global const half *color, __global const half *history, __global half *out_color) {
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const float4 to_shown = frame.to_display;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * target_width + x, count = target_width - x;
     if (count <= 0 || y >= target_height) return;
     const Span p = {x, y, target_width, target_height,

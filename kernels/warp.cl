@@ -3,7 +3,7 @@
    target pixel, ties go to the smallest source index. Blocks that show one smooth surface (backward_blocks.cl) are neither splatted
    nor searched: their pixels find the fragment by the inverse of the block's flow. */
 
-#include "common.h"
+#include "frame.h"
 #include "simd.h"
 #include "cubic.h"
 #include "nearest.h"
@@ -96,11 +96,14 @@ inline bool any_splatted(const int4 reached, const int target_width, __global co
 }
 
 /* LANES fragments per work-item; those that reach only blocks that are warped backward are left out. */
-WIDE __kernel void splat(const int source_width, const int source_height, const int target_width, const int target_height,
-                         const int blocks, const int crack_closing, const int pass, const float2 zoom,
-                         __global const float *depth, __global const uchar *links, __global const float *target_position,
-                         __global const short4 *reach, __global const uchar *block_class, __global Key *keys,
-                         __global uint *winners) {
+WIDE __kernel void splat(const Frame frame, const int pass, __global const float *depth, __global const uchar *links,
+                         __global const float *target_position, __global const short4 *reach,
+                         __global const uchar *block_class, __global Key *keys, __global uint *winners) {
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const int blocks = frame.blocks;
+    const int crack_closing = frame.crack_closing;
+    const float2 zoom = frame.zoom;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     if (blocks && crack_closing
@@ -434,14 +437,16 @@ inline void resolve_affine(const float8 source, const int dst_x, const int dst_y
 }
 
 /* LANES pixels per work-item. */
-WIDE __kernel void resolve(const int source_width, const int source_height, const int target_width, const int target_height,
-                           const int unfilled_label, const float2 zoom, __global const uchar *block_class,
+WIDE __kernel void resolve(const Frame frame, const int unfilled_label, __global const uchar *block_class,
                            __global const float8 *block_source, __global const uchar *source_smooth, __global Key *keys,
                            __global uint *winners, __global const half *color, __global const float *depth,
                            __global const uchar *dynamic_mask, __global const uchar *links,
                            __global const float *target_position, __global half *out_color, __global float *out_depth,
                            __global float2 *out_motion, __global uchar *out_dynamic, __global uchar *disoccluded,
                            __global uchar *filled_by, __global uchar *mixed) {
+    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int target_width = frame.target_width, target_height = frame.target_height;
+    const float2 zoom = frame.zoom;
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const int block = block_of(dst_x, dst_y, target_width);

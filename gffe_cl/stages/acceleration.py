@@ -12,7 +12,6 @@ import pyopencl as cl
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec, aligned
-from gffe_cl.stages.frame_block import reprojection
 from gffe_cl.stages.pixel_formats import TRUSTED
 
 _CELLS = f"level{constants('mover_grid.h')['MOVER_CELL'].bit_length() - 1}"
@@ -100,11 +99,4 @@ class Acceleration(Stage):
         board.lend_memory(self, "memory'", at_once=True)
 
     def rendered(self, step: Step) -> None:
-        before = step.previous or step.frame
-        intervals = -np.diff(step.times[:3])
-        self.launch(
-            "track_acceleration",
-            ratio=intervals[0] / intervals[1] if len(intervals) > 1 else 1.0,
-            to_previous=reprojection(step.frame.camera, before.camera),
-            from_previous=reprojection(before.camera, step.frame.camera),
-        )
+        self.launch("track_acceleration", step)

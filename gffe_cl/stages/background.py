@@ -11,7 +11,6 @@ import pyopencl as cl
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Step
 from gffe_cl.stages.buffers import RGBA, XY, BufferSpec, Sizes, aligned, level_starts
-from gffe_cl.stages.frame_block import MAX_LEVELS, reprojection, zoom
 from gffe_cl.stages.pixel_formats import OFFSET, RGB9E5
 
 _CONSTANTS = constants("background.cl")
@@ -186,13 +185,12 @@ class Background(NearestStage):
         if not collect:
             self.clear_keys("even_", self.sizes.source)
             self.clear_keys("odd_", self.sizes.of("level1"))
-        to_current = reprojection(step.previous.camera if collect else step.frame.camera, step.frame.camera)
         for level in range(self.levels):
             last = level + 1 == self.levels
-            given = {"level": level, "old": level, "next": level + 1, "to_current": to_current} | self.of_level(level)
+            given = {"level": level, "old": level, "next": level + 1} | self.of_level(level)
             for scatter_pass in self.passes if collect else ():
-                self.launch("scatter_level", last_level=self.levels - 1, **given, **{"pass": scatter_pass})
-            self.launch("settle_level" if last else "settle_and_push", collect=collect, **given)
+                self.launch("scatter_level", step, **given, **{"pass": scatter_pass})
+            self.launch("settle_level" if last else "settle_and_push", step, **given)
             if collect and level == 0 and self.levels > 2:
                 self.clear_keys("even_", self.sizes.of("level2"))
 
@@ -211,24 +209,9 @@ class Background(NearestStage):
 
     def extrapolated(self, step: Step) -> None:
         """Fill the pixels that the warp left invalid, nearest fragment of all levels first."""
-        source, target = step.frame.camera, step.camera
-        texels = self.starts[self.levels]
-        starts = [*self.starts[1 : self.levels], *[texels] * MAX_LEVELS][:MAX_LEVELS]
-        given = {
-            "starts": np.array(starts, np.int32),
-            "zoom": zoom(source, target),
-            "to_target": reprojection(source, target),
-        }
         for project_pass in self.passes:
-            self.launch("project_levels", levels=self.levels, texels=texels, **given, **{"pass": project_pass})
-        before = step.previous or step.frame
-        self.launch(
-            "fill_from_levels",
-            to_source=reprojection(target, source),
-            has_previous=step.previous is not None,
-            to_previous=reprojection(target, before.camera),
-            **given,
-        )
+            self.launch("project_levels", step, levels=self.levels, **{"pass": project_pass})
+        self.launch("fill_from_levels", step)
 
 
 def _level_buffers(level: int) -> tuple[BufferSpec, ...]:

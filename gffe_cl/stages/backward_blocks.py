@@ -9,7 +9,6 @@ import numpy as np
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Step
 from gffe_cl.stages.buffers import BufferSpec
-from gffe_cl.stages.frame_block import zoom
 from gffe_cl.stages.silhouettes import Silhouettes
 
 _CONSTANTS = constants("backward_blocks.cl")
@@ -78,6 +77,7 @@ class BackwardBlocks(NearestStage):
 
     def __init__(self, board: Board):
         self.softens = Silhouettes.is_wanted(board.options)
+        board.facts["softens"] = self.softens
         if not self.softens:  # it writes nothing of them
             find, classify = self.kernels
             nothing = Access("backward_blocks.block_class", planes=0)
@@ -95,5 +95,5 @@ class BackwardBlocks(NearestStage):
         return (x1 >= x0) & (y1 >= y0) & (within > 0)
 
     def extrapolated(self, step: Step) -> None:
-        self.launch("find_reach", zoom=zoom(step.frame.camera, step.camera))
-        self.launch("classify_blocks", softens=self.softens)
+        self.launch("find_reach", step)
+        self.launch("classify_blocks", step)

@@ -11,9 +11,8 @@ import pyopencl as cl
 from gffe_cl.core.errors import GffeError
 from gffe_cl.core.validation import require_array
 from gffe_cl.frame.rendered_frame import OVERLAYS, Overlays
-from gffe_cl.stages.base import Access, Board, Kernel, Stage
+from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import RGBA, XY, BufferSpec, DeviceFrame, given_buffer
-from gffe_cl.stages.frame_block import mapping
 
 
 class Composition(Stage):
@@ -92,25 +91,26 @@ class Composition(Stage):
         self.swap()
         if "fixed_mask" not in self.layers:
             return frame
-        self.launch("leave_out_fixed", depth=frame.depth, fixed_mask=self.layers["fixed_mask"])
+        self.launch("leave_out_fixed", self._step(), depth=frame.depth, fixed_mask=self.layers["fixed_mask"])
         return replace(frame, depth=self.buffer["depth"])
 
     def compose(self, color: cl.Buffer, alpha: float, rendered: bool = False) -> cl.Buffer:
         """`color` (display) with the overlays at t + α; `rendered`: it is the rendered frame's, in which what stays in
         place is in its place."""
-        given, has = self._given, {f"has_{name}": int(name in self.layers) for name in OVERLAYS}
-        has["has_fixed_mask"] &= not rendered
         self.launch(
             "compose",
-            to_render=mapping(given.display_camera, given.camera),
-            alpha=alpha,
+            self._step(alpha),
+            is_rendered=rendered,
             color=color,
-            source_color=given.color,
-            source_depth=given.depth,
-            **has,
+            source_color=self._given.color,
+            source_depth=self._given.depth,
             **{name: self.layers.get(name, self.buffer[name]) for name in OVERLAYS},
         )
         return self.buffer["color"]
+
+    def _step(self, alpha: float = 0.0) -> Step:
+        brought = sum((name in self.layers) << bit for bit, name in enumerate(OVERLAYS))
+        return Step(self._given, None, [self._given.time], alpha=alpha, overlays=brought)
 
     def _ready(self, name: str, array) -> np.ndarray | cl.Buffer:
         """As the device takes it."""

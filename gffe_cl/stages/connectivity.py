@@ -41,6 +41,7 @@ class Connectivity(NearestStage):
 
     def __init__(self, board: Board):
         self.collects = board.options is not None and Background.is_wanted(board.options)
+        board.facts["collects"] = self.collects
         if not self.collects:  # it writes nothing of them
             (find,) = self.kernels
             nothing = dict.fromkeys(_COLLECTING, Access("connectivity.links", planes=0))
@@ -48,4 +49,4 @@ class Connectivity(NearestStage):
         super().__init__(board)
 
     def rendered(self, step: Step) -> None:
-        self.launch("find_links", collect=self.collects and step.previous is not None)
+        self.launch("find_links", step)

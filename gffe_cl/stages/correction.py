@@ -14,10 +14,11 @@ from gffe_cl.inference.network import INPUT_PLANES, OUTPUT_PLANES, Network, load
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import RGBA, BufferSpec
-from gffe_cl.stages.frame_block import reprojection
-from gffe_cl.stages.mu_law import color_law
 from gffe_cl.stages.shading import SEEN
 from gffe_cl.stages.shading_trend import ShadingTrend
+
+_CONSTANTS = constants("correction.cl")
+_WITHIN_MASK, _WITH_REFINED = _CONSTANTS["WITHIN_MASK"], _CONSTANTS["WITH_REFINED"]
 
 _IMAGE_PIXELS = 4  # per pixel of the network
 _EVENTS = 1024  # of mapping that are kept until they are taken
@@ -49,7 +50,7 @@ class ShadingCorrection(Stage):
         ),
         BufferSpec(
             "histogram", np.uint32, (), "once", "of the depths' leading bits",
-            planes=constants("correction.cl")["BINS"], scratch=True,
+            planes=_CONSTANTS["BINS"], scratch=True,
         ),
         BufferSpec("median_depth", np.float32, (), "once", "of the finite depths of every eighth row, to 1/256"),
         BufferSpec(
@@ -129,7 +130,7 @@ class ShadingCorrection(Stage):
             return
         self.prepare(step)
         self.infer(step.alpha)
-        self.compose(step.exposure, self.board.options.focus_mask)
+        self.compose(step, self.board.options.focus_mask)
 
     def skip(self) -> None:
         """Nothing to go by: the final image is the extrapolated one."""
@@ -140,10 +141,9 @@ class ShadingCorrection(Stage):
     def prepare(self, step: Step) -> None:
         """Fill `frames`."""
         self.fill("histogram", 0)
-        self.launch("depth_histogram")
+        self.launch("depth_histogram", step)
         self.launch("find_median")
-        to_previous = reprojection(step.camera, step.previous.camera)
-        self.launch("network_input", law=color_law(step.exposure), to_previous=to_previous)
+        self.launch("network_input", step)
 
     def infer(self, alpha: float) -> None:
         """Fill `correction`: the network works in the mapped buffers: no copy where host and device share memory."""
@@ -164,9 +164,10 @@ class ShadingCorrection(Stage):
             for array in filter(lambda array: array is not None, (frames, trends, correction)):
                 self._mappings.append(array.base.release(self.device.queue))
 
-    def compose(self, exposure: float, within_mask: bool) -> None:
+    def compose(self, step: Step, within_mask: bool) -> None:
         """Fill `focus_mask` and `color`; without `within_mask` the whole image is the network's."""
-        self.launch("correct", law=color_law(exposure), within_mask=within_mask, with_refined=self.with_refined)
+        asked = within_mask * _WITHIN_MASK + self.with_refined * _WITH_REFINED
+        self.launch("correct", step, asked=asked)
 
     @property
     def network_size(self) -> tuple[int, int]:

@@ -57,6 +57,7 @@ def frame_block(
         "has_previous": previous is not None,
         "interval_ratio": intervals[0] / intervals[1] if len(intervals) > 1 else 1.0,
         "exposure": exposure,
+        "alpha": alpha,
         "has_overlays": overlays,
         "color_law": color_law(exposure),
         "order": min(facts.get("order", 0), len(times) - 1),
@@ -68,7 +69,6 @@ def frame_block(
             "target_to_previous": reprojection(camera, before.camera),
             "zoom": zoom(frame.camera, camera),
             "polynomial": padded(polynomial_weights(times, time, MAX_ORDER)),
-            "alpha": alpha,
         }
     block = np.zeros(1, FRAME)
     for name, value in values.items():

@@ -9,10 +9,8 @@ import numpy as np
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
-from gffe_cl.stages.frame_block import reprojection
 
 # Bounds of the automatic static threshold ε, in pixels.
-THRESHOLD_LOW, THRESHOLD_HIGH = 0.25, 4.0
 _CONSTANTS = constants("history.cl")
 STRIDE = _CONSTANTS["RESIDUAL_STRIDE"]
 _SAMPLED = STRIDE**-2
@@ -101,7 +99,7 @@ class HistoryTracking(Stage):
     )
 
     def __init__(self, board: Board):
-        self.positions = board.options.history
+        self.positions = board.facts["positions"] = board.options.history
         if self.positions > 2:  # only then are positions stored, and is anything kept of the frame before
             *others, track = self.kernels
             planes = {"dynamic_prev": 1, "history_prev": self.positions - 2}
@@ -121,18 +119,14 @@ class HistoryTracking(Stage):
         """Algorithm 1; without a previous frame, or without motion estimation, everything is static."""
         previous = step.previous if self.board.options.motion else None
         before = previous or step.frame
-        to_previous = reprojection(step.frame.camera, before.camera)
         if self.automatic and previous is not None:
             samples = tuple(-(-n // STRIDE) for n in self.sizes.source)
-            self.launch("find_threshold", size=samples, to_previous=to_previous, low=THRESHOLD_LOW, high=THRESHOLD_HIGH)
+            self.launch("find_threshold", step, size=samples)
         kept = "'" if self.positions > 2 else ""  # else it reads nothing of them
         self.launch(
             "track_history",
-            positions=self.positions,
-            has_previous=previous is not None,
+            step,
             depth_prev=before.depth,
             dynamic_prev=self.own("dynamic_mask" + kept),
             history_prev=self.own("history" + kept),
-            to_previous=to_previous,
-            from_previous=reprojection(before.camera, step.frame.camera),
         )

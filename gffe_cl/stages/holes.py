@@ -13,7 +13,6 @@ from gffe_cl.opencl.program import constants
 from gffe_cl.stages.background import Background
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
-from gffe_cl.stages.frame_block import reprojection
 
 _CONSTANTS = constants("holes.cl")
 _TILE, _GROUP = _CONSTANTS["TILE"], _CONSTANTS["GROUP"]
@@ -34,13 +33,6 @@ class HoleFilling(Stage):
 
     name = "holes"
     reach = 0  # px, in which the far side is looked for
-
-    def extrapolated(self, step: Step) -> None:
-        self.fill_holes(reprojection(step.camera, step.frame.camera))
-
-    def fill_holes(self, to_source: np.ndarray) -> None:
-        """`to_source`: from the new frame's camera to the rendered frame's."""
-        raise NotImplementedError
 
 
 class Downsampled(HoleFilling):
@@ -82,9 +74,9 @@ class Downsampled(HoleFilling):
         ),
     )
 
-    def fill_holes(self, to_source: np.ndarray) -> None:
+    def extrapolated(self, step: Step) -> None:
         width, height = (-(-side // _TILE) for side in self.sizes.of("downsampled"))
-        self.launch("fill_from_downsampled", size=(width * _GROUP, height), reach=self.reach, to_source=to_source)
+        self.launch("fill_from_downsampled", step, size=(width * _GROUP, height), reach=self.reach)
 
 
 class FarSide(Downsampled):
@@ -120,11 +112,11 @@ class FarSide(Downsampled):
         self.mixes = Background.is_wanted(board.options)
         super().__init__(board)
 
-    def fill_holes(self, to_source: np.ndarray) -> None:
+    def extrapolated(self, step: Step) -> None:
         if self.mixes:
-            self.launch("mix_far_side")
-        self.launch("fill_far_side", reach=self.reach, to_source=to_source)
-        super().fill_holes(to_source)
+            self.launch("mix_far_side", step)
+        self.launch("fill_far_side", step, reach=self.reach)
+        super().extrapolated(step)
 
 
 class PushPull(HoleFilling):
@@ -161,20 +153,13 @@ class PushPull(HoleFilling):
         self.buffers = tuple(spec for level in range(1, self.levels + 1) for spec in _level_buffers(level))
         super().__init__(board)
 
-    def fill_holes(self, to_source: np.ndarray) -> None:
-        self.launch("push_image")
-        for fine in range(1, self.levels):
-            self.launch("push_level", level=fine + 1, **self._sides(fine=fine))
+    def extrapolated(self, step: Step) -> None:
+        self.launch("push_image", step)
+        for level in range(2, self.levels + 1):
+            self.launch("push_level", step, level=level, fine=level - 1)
         for level in range(self.levels - 1, 0, -1):
-            self.launch("pull_level", level=level, **self._sides(coarse=level + 1))
-        self.launch("fill_from_pyramid", to_source=to_source, **self._sides(level=1))
-
-    def _sides(self, **levels: int) -> dict[str, int]:
-        """The levels by name, with their widths and heights."""
-        sides = {}
-        for name, level in levels.items():
-            sides[f"{name}_width"], sides[f"{name}_height"] = self.sizes.of(f"mip{level}")
-        return levels | sides
+            self.launch("pull_level", step, level=level, coarse=level + 1)
+        self.launch("fill_from_pyramid", step)
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from gffe_cl.frame.rendered_frame import (
     require_one_pose,
 )
 from gffe_cl.opencl.device import Device, open_device
-from gffe_cl.stages.base import Board, Kernel, Stage
+from gffe_cl.stages.base import Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import RGBA, XY, BufferSpec, DeviceFrame, Sizes
 from gffe_cl.stages.frame_block import mapping
 
@@ -60,18 +60,10 @@ class Presentation(Stage):
 
     def present(self, frame: DeviceFrame, previous: DeviceFrame | None, with_color: bool = True) -> None:
         """`previous`: the rendered frame before, of which the cameras count; None after a reset."""
-        before = previous or frame
-        to_render = mapping(frame.display_camera, frame.camera)
+        step = Step(frame, previous, [frame.time])
         if with_color:
-            self.launch("present_color", to_render=to_render, color=frame.color)
-        self.launch(
-            "present_geometry",
-            to_render=to_render,
-            to_display=mapping(frame.camera, frame.display_camera),
-            to_previous_display=mapping(before.camera, before.display_camera),
-            depth=frame.depth,
-            motion=frame.motion,
-        )
+            self.launch("present_color", step, color=frame.color)
+        self.launch("present_geometry", step, depth=frame.depth, motion=frame.motion)
 
 
 def present(

@@ -8,9 +8,8 @@ import numpy as np
 
 from gffe_cl.frame.vectors import length
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Board, Kernel, Stage
+from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec, DeviceFrame
-from gffe_cl.stages.frame_block import reprojection
 
 _CONSTANTS = constants("scene_cuts.cl")
 SAMPLES = (_CONSTANTS["SAMPLES_X"], _CONSTANTS["SAMPLES_Y"])
@@ -70,12 +69,7 @@ class SceneCuts(Stage):
             return False
         step = length((frame.camera.position - previous.camera.position).tolist())
         rows = min(self.sizes.source[1], SAMPLES[1])
-        self.launch(
-            "compare_samples",
-            size=(SAMPLES[0], rows),
-            camera_step=step,
-            to_previous=reprojection(frame.camera, previous.camera),
-        )
+        self.launch("compare_samples", Step(frame, previous, []), size=(SAMPLES[0], rows))
         counts = self.read("counts")[:rows].sum(0)
         jumped = before is not None and step > TELEPORT * before
         found = is_cut(dict(zip(COUNTED, counts.tolist(), strict=True)), jumped)

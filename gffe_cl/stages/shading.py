@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pyopencl as cl
 
+from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
-from gffe_cl.stages.frame_block import reprojection
 
-FOCUS_SMAPE = 0.5  # the paper's: errors above this are the shading correction network's business
-SMAPE_EPSILON = 0.01  # the paper's: keeps black pixels from counting fully
+_CONSTANTS = constants("shading.cl")
+FOCUS_SMAPE, SMAPE_EPSILON = _CONSTANTS["FOCUS_SMAPE"], _CONSTANTS["SMAPE_EPSILON"]
 
 # What kernels read to know what the previous rendered frame shows at pixels of the new one (warped_previous.h).
 SEEN = {
@@ -65,12 +65,7 @@ class ShadingInputs(Stage):
         """After a reset everything is GAE colour."""
         if not self.is_looked_at:
             return
-        before = step.previous or step.frame
-        self.launch(
-            "prepare_inputs",
-            has_previous=step.previous is not None,
-            to_previous=reprojection(step.camera, before.camera),
-        )
+        self.launch("prepare_inputs", step)
 
 
 class FocusMask(Stage):
@@ -95,5 +90,4 @@ class FocusMask(Stage):
     def make(self, truth: cl.Buffer, exposure: float) -> None:
         """Of the extrapolated frame on the board, before shading correction; `truth`: half ×4, linear RGB; `exposure`:
         the sequence's."""
-        how = {"focus_smape": FOCUS_SMAPE, "smape_epsilon": SMAPE_EPSILON}
-        self.launch("focus_mask", truth=truth, exposure=exposure, **how)
+        self.launch("focus_mask", truth=truth, exposure=exposure)

@@ -9,8 +9,6 @@ from gffe_cl.inference.network import TREND_PLANES
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
-from gffe_cl.stages.frame_block import reprojection
-from gffe_cl.stages.mu_law import color_law
 
 _CONSTANTS = constants("shading_trend.cl")
 _CHANGES = _CONSTANTS["CHANGES"]
@@ -87,20 +85,13 @@ class ShadingTrend(Stage):
         if step.previous is None:
             self.fill("trend", 0)
             return
-        to_previous = reprojection(step.frame.camera, step.previous.camera)
-        self.launch("measure_changes", law=color_law(step.exposure), to_previous=to_previous)
-        self.launch("blur_rows", reach=self.reach)
-        self.launch("find_trend", reach=self.reach)
+        self.launch("measure_changes", step)
+        self.launch("blur_rows", step, reach=self.reach)
+        self.launch("find_trend", step, reach=self.reach)
 
     def extrapolated(self, step: Step) -> None:
         """Carry both trends on to the new frame."""
-        before = step.previous or step.frame
-        self.launch(
-            "carry_trends",
-            alpha=step.alpha,
-            to_source=reprojection(step.camera, step.frame.camera),
-            to_previous=reprojection(step.camera, before.camera),
-        )
+        self.launch("carry_trends", step)
 
 
 def reach_of(height: int) -> int:

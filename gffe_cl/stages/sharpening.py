@@ -36,7 +36,7 @@ class Sharpening(Stage):
         return options.upscale > 0 and options.upscale_sharpening > 0
 
     def rendered(self, step: Step) -> None:
-        self.launch("sharpen", shown="history", sharpened="rendered")
+        self.launch("sharpen", step, shown="history", sharpened="rendered")
 
     def extrapolated(self, step: Step) -> None:
-        self.launch("sharpen", shown="color", sharpened="color")
+        self.launch("sharpen", step, shown="color", sharpened="color")

@@ -8,7 +8,6 @@ import numpy as np
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Kernel, Stage, Step
 from gffe_cl.stages.buffers import RGBA, BufferSpec
-from gffe_cl.stages.frame_block import zoom
 from gffe_cl.stages.pixel_formats import RGB9E5
 
 _CONSTANTS = constants("silhouettes.cl")
@@ -110,7 +109,5 @@ class Silhouettes(Stage):
         return options.soft_silhouettes
 
     def extrapolated(self, step: Step) -> None:
-        magnification = zoom(step.frame.camera, step.camera)
-        self.launch("find_layers", zoom=magnification)
-        self.launch("soften", zoom=magnification)
-        self.launch("apply_softened")
+        for kernel in ("find_layers", "soften", "apply_softened"):
+            self.launch(kernel, step)

@@ -12,7 +12,6 @@ from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import RGBA, XY, BufferSpec
 from gffe_cl.stages.correction import ShadingCorrection
-from gffe_cl.stages.frame_block import mapping, pixel_size, reprojection
 
 LOCK_FRAMES = constants("upscaling.cl")["LOCK_FRAMES"]  # a greater lock is that of a thin feature
 _YCOCG = ("Y", "Co", "Cg", "A")
@@ -127,20 +126,10 @@ class Upscaling(Stage):
 
     def rendered(self, step: Step) -> None:
         """Take the rendered frame into the history."""
-        frame, before = step.frame, step.previous or step.frame
-        shared = {
-            "to_previous_display": mapping(before.camera, before.display_camera),
-            "exposure": np.float32(step.exposure),
-            "has_history": int(step.previous is not None),
-        }
-        self.launch("compare", to_previous=reprojection(frame.camera, before.camera), **shared)
-        self.launch("survey")
-        to_render = mapping(frame.display_camera, frame.camera)
-        size = pixel_size(frame.display_camera, frame.camera)
-        self.launch("accumulate", to_render=to_render, pixel_size=size, **shared)
+        for kernel in ("compare", "survey", "accumulate"):
+            self.launch(kernel, step)
 
     def extrapolated(self, step: Step) -> None:
         for name, values in step.geometry.items():
             self.board.frame.upload(name, values)
-        to_shown = mapping(step.frame.camera, step.frame.display_camera)
-        self.launch("generate", to_shown=to_shown, corrected=int(self.corrected))
+        self.launch("generate", step, corrected=self.corrected)

@@ -6,7 +6,6 @@ import numpy as np
 
 from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Step
 from gffe_cl.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpec
-from gffe_cl.stages.frame_block import zoom
 
 _MIXED = BufferSpec(
     "mixed", np.uint8, (), "target",
@@ -71,8 +70,7 @@ class Warp(NearestStage):
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:
-        magnification = zoom(step.frame.camera, step.camera)
         for splat_pass in self.passes:
-            self.launch("splat", zoom=magnification, **{"pass": splat_pass})
+            self.launch("splat", step, **{"pass": splat_pass})
         fills = self.board.options.hole_filling != "none"
-        self.launch("resolve", zoom=magnification, unfilled_label=BY_HOLE_FILLING if fills else BY_NOTHING)
+        self.launch("resolve", step, unfilled_label=BY_HOLE_FILLING if fills else BY_NOTHING)

@@ -142,5 +142,5 @@ def test_wrong_declarations_are_refused(device, reads, writes, complaint):
 def test_missing_arguments_are_named(device):
     pipeline = counted(device)[0]
     stage = pipeline.stages["warp"]
-    with pytest.raises(TypeError, match=r"kernels/warp.cl.*'zoom'"):
+    with pytest.raises(TypeError, match=r"kernels/warp.cl.*'frame'"):
         stage.launch("resolve", unfilled_label=0)

@@ -455,13 +455,13 @@ def test_faults_say_what_and_what_was_expected(device, library):
 
 @pytest.mark.slow
 def test_what_hangs_on_the_size_of_the_image_is_not_exported(device, monkeypatch):
-    def twice(self, to_source):
-        fill_holes(self, to_source)
+    def twice(self, step):
+        extrapolated(self, step)
         if self.sizes.target[0] > 1000:
-            fill_holes(self, to_source)
+            extrapolated(self, step)
 
-    fill_holes = Downsampled.fill_holes
-    monkeypatch.setattr(Downsampled, "fill_holes", twice)
+    extrapolated = Downsampled.extrapolated
+    monkeypatch.setattr(Downsampled, "extrapolated", twice)
     with pytest.raises(GffeError, match=r"depends on the size of the image \(holes\)"):
         record(device, DEEP, True)
 
@@ -470,10 +470,10 @@ def test_what_hangs_on_the_size_of_the_image_is_not_exported(device, monkeypatch
 def test_an_argument_that_c_does_not_know_stops_the_export(device, monkeypatch):
     """A stage that is changed without the names of `values` must not be exported wrongly."""
 
-    def other(self, to_source):
-        self.launch("fill_far_side", reach=max(16, self.sizes.target[0] // 9), to_source=to_source)
+    def other(self, step):
+        self.launch("fill_far_side", step, reach=max(16, self.sizes.target[0] // 9))
 
-    monkeypatch.setattr(FarSide, "fill_holes", other)
+    monkeypatch.setattr(FarSide, "extrapolated", other)
     with pytest.raises(GffeError, match=r"kernels/holes.cl, fill_far_side: argument 'reach' hangs on something"):
         record(device, DEFAULT, True)
 

@@ -62,7 +62,7 @@ def shading(device):
         correction.upload("correction", said)
         for within_mask in (True, False):
             correction.with_refined = within_mask
-            correction.compose(0.5, within_mask)
+            correction.compose(step, within_mask)
         correction.skip()
         focus.make(correction.buffer["color"], 0.5)
         focus.read("focus_truth")

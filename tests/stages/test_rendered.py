@@ -11,7 +11,7 @@ from gffe_cl.pipeline.options import Options
 from gffe_cl.stages.base import Board, Step
 from gffe_cl.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.stages.connectivity import Connectivity
-from gffe_cl.stages.frame_block import reprojection
+from gffe_cl.stages.frame_block import FRAME, reprojection
 from gffe_cl.stages.history import HistoryTracking
 
 SIZES = [(1, 1), (2, 5), (8, 1), (13, 9), (16, 12), (61, 37)]
@@ -49,6 +49,8 @@ def test_surfaces(device, lanes, size):
     rng = np.random.default_rng(width)
     board = Board(device, Sizes(size, size))
     stage = Connectivity(board)
+    block = np.zeros(1, FRAME)
+    block["source_width"], block["source_height"], block["has_previous"], block["collects"] = width, height, 1, 1
     for k in range(4):
         depth = uneven_depth(rng, width, height)
         dynamic = (rng.random((height, width)) < 0.02 * (k > 1)).astype(np.uint8)
@@ -56,7 +58,8 @@ def test_surfaces(device, lanes, size):
         state, keys = np.full((height, width), 7, np.uint8), np.zeros((height, width), np.uint64)
         pushed = {name: uploaded(device, keys) for name in ("push_keys", "push_winners")}
         written = {"state": uploaded(device, state), "fill_keys": uploaded(device, keys)}
-        stage.launch("find_links", collect=True, **given, **written, fill_winners=uploaded(device, keys), **pushed)
+        given |= written | pushed | {"fill_winners": uploaded(device, keys)}
+        stage.launch("find_links", frame=block.view(np.uint8), **given)
         cl.enqueue_copy(device.queue, state, written["state"])
         cl.enqueue_copy(device.queue, keys, written["fill_keys"])
         assert np.array_equal(stage.read("links"), twins.link_surfaces(depth, dynamic)), k

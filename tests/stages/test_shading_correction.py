@@ -123,7 +123,7 @@ def test_correct_equals_its_twin(device, size, within_mask, with_refined, exposu
         said[rng.integers(5), rng.integers(said.shape[1]), rng.integers(said.shape[2])] = value
     put(correction, correction=said)
     correction.with_refined = with_refined
-    correction.compose(exposure, within_mask)
+    correction.compose(step, within_mask)
     refined, focus, final = twins.correct(color, frames, said, exposure, within_mask)
     assert correction.read("focus_mask").tobytes() == focus.tobytes()
     assert not with_refined or correction.read("refined").tobytes() == refined.tobytes()

@@ -160,6 +160,7 @@ void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *
     if (step->time_count > 2)
         block->interval_ratio = (float)((step->times[0] - step->times[1]) / (step->times[1] - step->times[2]));
     block->exposure = (float)step->exposure;
+    block->alpha = (float)step->alpha;
     color_law(step->exposure, block->color_law.s);
     if (block->order > step->time_count - 1) block->order = step->time_count - 1;
     for (k = 0; k < 4; ++k) block->has_overlays |= step->has[k] << k;
@@ -169,7 +170,6 @@ void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *
     gffe_reprojection(target, previous, (float *)&block->target_to_previous);
     gffe_zoom(source, target, block->zoom.s);
     polynomial(step, GFFE_MOST_TIMES - 1, (float *)block->polynomial);
-    block->alpha = (float)step->alpha;
 }
 
 size_t gffe_value(const gffe_step *step, int kind, int a, int b, void *made) {
