@@ -114,7 +114,7 @@ GAE: dict[str, Change] = {
     "hidden parts of movers": Change({"hidden_parts": False}),
     "holes continue their far side": Change({"hole_filling": "downsample"}),
     "what lies beyond the image has no far side": Change(
-        edits={"holes.cl": {"if (all > 0.0f) {": "if (false) {", "reach > 0 && is_out": "false && is_out"}}
+        edits={"holes.cl": {"if (all > 0.0f) {": "if (false) {", "after_far_side && is_out": "false && is_out"}}
     ),
     "silhouettes stay antialiased": Change({"soft_silhouettes": False}),
 }

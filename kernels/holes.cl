@@ -8,6 +8,8 @@
 #include "directional_search.h"
 #include "blocks.h"
 
+#define LEAST_REACH 16       /* target px, in which the far side is looked for ... */
+#define REACH_SHARE 10       /* ... or this part of the target's width */
 #define DOWNSAMPLING 32
 #define RENDERED_WEIGHT 0.0009765625f  /* of the rendered frame beside valid pixels: decides only where there are none */
 
@@ -261,11 +263,12 @@ inline void fill_pixel(const int dst_x, const int dst_y, const int dst, const fl
 #define BEYOND_REACH -1.0f   /* depth of pixels that have no far side within reach, until they are filled */
 
 /* Fills what is still invalid from the far side; motion is that of a static point. RUN pixels per work-item. */
-SCAN __kernel void fill_far_side(const Frame frame, const int reach, __global const uchar *block_class,
+SCAN __kernel void fill_far_side(const Frame frame, __global const uchar *block_class,
                                  __global const uchar *filled_by, __global const half *source_color, __global half *color,
                                  __global float *depth, __global float2 *motion) {
     const int target_width = frame.target_width, target_height = frame.target_height;
     const int source_width = frame.source_width, source_height = frame.source_height;
+    const int reach = max(LEAST_REACH, target_width / REACH_SHARE);
     const Reprojection to_source = frame.to_source;
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
@@ -326,14 +329,15 @@ inline float4 sum_strip(const int dst_x, const int first_y, const int target_wid
     return sum;
 }
 
-/* Whether a pixel is to be filled from the downsampled image: all that are invalid where `reach` is 0. */
-inline bool asks(const int dst, const int reach, __global const uchar *filled_by, __global const float *depth) {
-    return filled_by[dst] == BY_HOLE_FILLING && (reach == 0 || depth[dst] == BEYOND_REACH);
+/* Whether a pixel is to be filled from the downsampled image. `after_far_side`: only what that has left. */
+inline bool asks(const int dst, const int after_far_side, __global const uchar *filled_by, __global const float *depth) {
+    return filled_by[dst] == BY_HOLE_FILLING && (!after_far_side || depth[dst] == BEYOND_REACH);
 }
 
-/* Fills the rest from the image downsampled 32x, interpolated, out of screen with the image's border too if there is a `reach`. Every work-group fills what lies under TILE x TILE texels: it sums up those of
+/* Fills the rest from the image downsampled 32x, interpolated; `after_far_side`: out of screen with the image's border too.
+   Every work-group fills what lies under TILE x TILE texels: it sums up those of
    them, and of the ring around them, that its pixels ask for. The sums are kept for who wants to look at them. */
-SPARSE __kernel void fill_from_downsampled(const Frame frame, const int reach, __global const uchar *filled_by,
+SPARSE __kernel void fill_from_downsampled(const Frame frame, const int after_far_side, __global const uchar *filled_by,
                                            __global const half *source_color, __global const float *source_depth,
                                            __global half *color, __global float *depth, __global float2 *motion,
                                            __global float4 *downsampled_color, __global float *downsampled_inverse_depth) {
@@ -363,7 +367,7 @@ SPARSE __kernel void fill_from_downsampled(const Frame frame, const int reach, _
     for (int run_x = tile_x; run_x < end_x; run_x += RUN) {
         if (run_x + RUN <= end_x && !run_has(filled_by + dst_y * target_width + run_x, BY_HOLE_FILLING)) continue;
         for (int dst_x = run_x; dst_x < min(run_x + RUN, end_x); ++dst_x) {
-            if (!asks(dst_y * target_width + dst_x, reach, filled_by, depth)) continue;
+            if (!asks(dst_y * target_width + dst_x, after_far_side, filled_by, depth)) continue;
             const int2 first = first_texel(dst_x, dst_y, &between);
             atomic_or(&any_asks, 1u);
             for (int tap = 0; tap < 4; ++tap)
@@ -403,7 +407,7 @@ SPARSE __kernel void fill_from_downsampled(const Frame frame, const int reach, _
         if (run_x + RUN <= end_x && !run_has(filled_by + dst_y * target_width + run_x, BY_HOLE_FILLING)) continue;
         for (int dst_x = run_x; dst_x < min(run_x + RUN, end_x); ++dst_x) {
             const int dst = dst_y * target_width + dst_x;
-            if (!asks(dst, reach, filled_by, depth)) continue;
+            if (!asks(dst, after_far_side, filled_by, depth)) continue;
             const int2 first = first_texel(dst_x, dst_y, &between);
             float4 sum = (float4)(0.0f);
             float inverse_sum = 0.0f;
@@ -415,7 +419,7 @@ SPARSE __kernel void fill_from_downsampled(const Frame frame, const int reach, _
             }
             float4 mean = sum.w > 0.0f ? (float4)(mean_of(sum.xyz, sum.w), divide(inverse_sum, sum.w)) : (float4)(0.0f);
             const float3 px_source = static_source(dst_x, dst_y, mean.w, to_source);
-            if (reach > 0 && is_out_of_screen(px_source, source_width, source_height))
+            if (after_far_side && is_out_of_screen(px_source, source_width, source_height))
                 mean.xyz = continued(mean.xyz, px_source, source_width, source_height, source_color);
             fill_pixel(dst_x, dst_y, dst, mean, to_source, color, depth, motion);
         }

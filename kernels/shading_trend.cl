@@ -6,6 +6,7 @@
 #include "frame.h"
 #include "mu_law.h"
 
+#define REACH_SHARE 120  /* rows of the image per cell of reach: the neighbourhood's sigma is about a 34th of its height */
 #define CELL 8
 #define SAMPLE_STRIDE 4        /* px, from the second pixel of a cell on */
 #define SAME_SURFACE 0.03f     /* relative depth within which t-1 shows the same surface */
@@ -74,9 +75,10 @@ WIDE __kernel void measure_changes(const Frame frame, __global const half *color
     store_some_floats(load_floats(0, known) * share, count, out + 3 * plane);
 }
 
-/* Every plane blurred along rows: a cell counts the less the farther away it is, none farther than `reach`; beyond the image
+/* Every plane blurred along rows: a cell counts the less the farther away it is, none farther than the reach; beyond the image
    there is nothing. */
-__kernel void blur_rows(const Frame frame, const int reach, __global const float *changes, __global float *blurred) {
+__kernel void blur_rows(const Frame frame, __global const float *changes, __global float *blurred) {
+    const int reach = max(1, frame.source_height / REACH_SHARE);
     const int cells_width = frame.cells_width, cells_height = frame.cells_height;
     const int cell_x = get_global_id(0), cell_y = get_global_id(1);
     if (cell_x >= cells_width || cell_y >= cells_height) return;
@@ -90,7 +92,8 @@ __kernel void blur_rows(const Frame frame, const int reach, __global const float
 }
 
 /* The same along columns, and the mean of what is known. */
-__kernel void find_trend(const Frame frame, const int reach, __global const float *blurred, __global float *trend) {
+__kernel void find_trend(const Frame frame, __global const float *blurred, __global float *trend) {
+    const int reach = max(1, frame.source_height / REACH_SHARE);
     const int cells_width = frame.cells_width, cells_height = frame.cells_height;
     const int cell_x = get_global_id(0), cell_y = get_global_id(1);
     if (cell_x >= cells_width || cell_y >= cells_height) return;

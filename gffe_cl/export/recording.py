@@ -13,11 +13,10 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.core.errors import GffeError
-from gffe_cl.export.values import MOST_PIXELS, Named, Probe, launch_sizes, values
+from gffe_cl.export.values import MOST_PIXELS, Named, launch_sizes
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import OVERLAYS
 from gffe_cl.opencl.device import Device
-from gffe_cl.opencl.program import Argument
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import stages_of
 from gffe_cl.stages.base import Board, Kernel, Stage, Step
@@ -43,11 +42,10 @@ _SMALL = 4096  # bytes of a buffer that may hold something from the start
 
 @dataclass(frozen=True)
 class Given:
-    """An argument of a launch: the name of a `buffer`, or the bytes of a `constant`, or a `named` value."""
+    """An argument of a launch: the name of a `buffer`, the bytes of a `constant`, or the frame block."""
 
     buffer: str | None = None
     constant: bytes | None = None
-    named: Named | None = None
     is_frame_block: bool = False
 
 
@@ -147,8 +145,8 @@ class _Rehearsal:
         if correction := self.stages.get(ShadingCorrection.name):
             correction.infer = lambda alpha: self.tape.network(correction)
 
-    def perform(self, number: int, first: bool) -> tuple[Probe, dict[str, list[_Raw]]]:
-        """What is enqueued on each occasion, with the circumstances of a probe."""
+    def perform(self, number: int, first: bool) -> dict[str, list[_Raw]]:
+        """What is enqueued on each occasion, in one set of circumstances."""
         step, composition = self._step(number, first), self.all[Composition.name]
         shown = self.board.device.buffer(1)
         self.board.rendered, self.board.previous = step.frame, step.previous or step.frame
@@ -168,7 +166,7 @@ class _Rehearsal:
         ):
             work()
             found[occasion] = self.tape.take()
-        return Probe(self.sizes, step, _LAYERS[number]), found
+        return found
 
     def _shown(self, frame: DeviceFrame) -> DeviceFrame:
         """The frame with all of its depth, of which what stays in place is left out for other stages."""
@@ -220,12 +218,12 @@ def record(device: Device, options: Options, int64: bool) -> Plan:
     Raises GffeError where that depends on sizes or circumstances in a way that the exported C does not know.
     """
     rehearsals = [_Rehearsal(device, options, Sizes(*sizes), int64) for sizes in _SIZES]
+    known = _Known([rehearsal.sizes for rehearsal in rehearsals])
     operations = {}
     for first in (True, False):
         performed = [rehearsal.perform(number, first) for number, rehearsal in enumerate(rehearsals)]
-        known = _Known([probe for probe, _ in performed])
-        for occasion in performed[0][1]:
-            takes = [raw[occasion] for _, raw in performed]
+        for occasion in performed[0]:
+            takes = [raw[occasion] for raw in performed]
             operations[occasion + "_first" * first] = _explained(takes, known, rehearsals)
     buffers = {
         f"{owner.name}.{spec.name}": spec
@@ -263,12 +261,11 @@ def _of(stage: str, made: list[list[Operation]]) -> list[list[Operation]]:
 
 
 class _Known:
-    """What C knows: values and sizes of launches, each with what it is for every probe; `found`: what it was, None
-    where nothing was launched."""
+    """The sizes of launches that C knows, each for images of every size; `found`: what it was, None where nothing was
+    launched."""
 
-    def __init__(self, probes: list[Probe]):
-        self.values = [(named, [value(probe) for probe in probes]) for named, value in values()]
-        self.sizes = [(named, [size(probe) for probe in probes]) for named, size in launch_sizes()]
+    def __init__(self, sizes: list[Sizes]):
+        self.sizes = [(named, [size(one) for one in sizes]) for named, size in launch_sizes()]
 
     def size(self, what: str, found: list[tuple[int, int] | None]) -> Named:
         return _first(what, (named for named, sizes in self.sizes if _agree(sizes, found)))
@@ -277,26 +274,19 @@ class _Known:
         """A size by its number of texels."""
         return _first(what, (named for named, sizes in self.sizes if _agree(map(math.prod, sizes), found)))
 
-    def value(self, what: str, argument: Argument, found: list[bytes | None]) -> Named:
-        return _first(what, (named for named, is_now in self.values if _are(argument, is_now, found)))
-
 
 def _agree(known: Iterable[Any], found: Iterable[Any]) -> bool:
     return all(wanted is None or value == wanted for value, wanted in zip(known, found, strict=True))
 
 
-def _are(argument: Argument, is_now: list[Any], found: list[bytes | None]) -> bool:
-    """Whether values, as a kernel's argument, are the bytes that were found."""
-    try:
-        return _agree((np.asarray(argument.packed(value)).tobytes() for value in is_now), found)
-    except (TypeError, ValueError):  # they are no numbers of its type
-        return False
-
-
 def _first(what: str, candidates: Iterator[Named]) -> Named:
     for named in candidates:
         return named
-    raise GffeError(f"export: {what} hangs on something that exported C does not know")
+    raise _unknown(what)
+
+
+def _unknown(what: str) -> GffeError:
+    return GffeError(f"export: {what} depends on something that exported C does not know")
 
 
 def _named(raws: list[_Raw | None], operation: Operation, known: _Known, rehearsal: _Rehearsal) -> Operation:
@@ -316,8 +306,8 @@ def _named(raws: list[_Raw | None], operation: Operation, known: _Known, rehears
             arguments.append(given)
         elif len(different := set(numbers) - {None}) == 1:
             arguments.append(Given(constant=different.pop()))
-        else:
-            arguments.append(Given(named=known.value(f"{where}: argument '{argument.name}'", argument, numbers)))
+        else:  # it belongs into the frame block
+            raise _unknown(f"{where}: argument '{argument.name}'")
     size = known.size(f"{where}: its size", [raw and raw.size for raw in raws])
     return replace(operation, size=size, arguments=tuple(arguments))
 

@@ -200,8 +200,6 @@ class Tables:
             return f"GFFE_BUFFER, {buffers.reference(given.buffer)}, 0"
         if given.is_frame_block:
             return "GFFE_FRAME_BLOCK, 0, 0"
-        if given.named is not None:
-            return f"{given.named.code}, {given.named.a}, {given.named.b}"
         return f"GFFE_CONSTANT, {self._constant(given.constant)}, {len(given.constant)}"
 
     def _constant(self, content: bytes) -> int:

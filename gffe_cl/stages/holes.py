@@ -76,7 +76,7 @@ class Downsampled(HoleFilling):
 
     def extrapolated(self, step: Step) -> None:
         width, height = (-(-side // _TILE) for side in self.sizes.of("downsampled"))
-        self.launch("fill_from_downsampled", step, size=(width * _GROUP, height), reach=self.reach)
+        self.launch("fill_from_downsampled", step, size=(width * _GROUP, height), after_far_side=self.reach > 0)
 
 
 class FarSide(Downsampled):
@@ -108,14 +108,14 @@ class FarSide(Downsampled):
     )
 
     def __init__(self, board: Board):
-        self.reach = max(16, board.sizes.target[0] // 10)
+        self.reach = max(_CONSTANTS["LEAST_REACH"], board.sizes.target[0] // _CONSTANTS["REACH_SHARE"])
         self.mixes = Background.is_wanted(board.options)
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:
         if self.mixes:
             self.launch("mix_far_side", step)
-        self.launch("fill_far_side", step, reach=self.reach)
+        self.launch("fill_far_side", step)
         super().extrapolated(step)
 
 

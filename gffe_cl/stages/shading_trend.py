@@ -7,13 +7,12 @@ import numpy as np
 
 from gffe_cl.inference.network import TREND_PLANES
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
+from gffe_cl.stages.base import Access, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
 
 _CONSTANTS = constants("shading_trend.cl")
 _CHANGES = _CONSTANTS["CHANGES"]
 _SAMPLED = 1 / _CONSTANTS["SAMPLE_STRIDE"] ** 2
-REACH_SHARE = 120  # rows of the image per cell of reach: the neighbourhood's σ is about a 34th of its height
 
 
 class ShadingTrend(Stage):
@@ -72,10 +71,6 @@ class ShadingTrend(Stage):
         ),
     )  # fmt: skip
 
-    def __init__(self, board: Board):
-        super().__init__(board)
-        self.reach = reach_of(board.sizes.source[1])
-
     @classmethod
     def is_wanted(cls, options) -> bool:
         return options.corrects_shading or options.shading_inputs
@@ -86,8 +81,8 @@ class ShadingTrend(Stage):
             self.fill("trend", 0)
             return
         self.launch("measure_changes", step)
-        self.launch("blur_rows", step, reach=self.reach)
-        self.launch("find_trend", step, reach=self.reach)
+        self.launch("blur_rows", step)
+        self.launch("find_trend", step)
 
     def extrapolated(self, step: Step) -> None:
         """Carry both trends on to the new frame."""
@@ -96,4 +91,4 @@ class ShadingTrend(Stage):
 
 def reach_of(height: int) -> int:
     """Cells that count around one, of an image of so many rows: at least one."""
-    return max(1, height // REACH_SHARE)
+    return max(1, height // _CONSTANTS["REACH_SHARE"])

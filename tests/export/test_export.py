@@ -468,13 +468,14 @@ def test_what_hangs_on_the_size_of_the_image_is_not_exported(device, monkeypatch
 
 @pytest.mark.slow
 def test_an_argument_that_c_does_not_know_stops_the_export(device, monkeypatch):
-    """A stage that is changed without the names of `values` must not be exported wrongly."""
+    """Numbers that change with the image or the frame belong into the frame block, which C fills, too."""
 
     def other(self, step):
-        self.launch("fill_far_side", step, reach=max(16, self.sizes.target[0] // 9))
+        self.launch("fill_from_downsampled", step, after_far_side=self.sizes.target[0] // 9)
 
     monkeypatch.setattr(FarSide, "extrapolated", other)
-    with pytest.raises(GffeError, match=r"kernels/holes.cl, fill_far_side: argument 'reach' hangs on something"):
+    complaint = r"kernels/holes.cl, fill_from_downsampled: argument 'after_far_side' depends on something"
+    with pytest.raises(GffeError, match=complaint):
         record(device, DEFAULT, True)
 
 

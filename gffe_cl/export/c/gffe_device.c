@@ -172,16 +172,12 @@ static int step_of(const gffe *g, int step) {
 static cl_int launch(gffe *g, const gffe_operation *operation, const gffe_frame_block *block) {
     const gffe_kernel *kernel = &gffe_kernels[operation->kernel];
     const gffe_argument *argument = g->plan->arguments + operation->first;
-    union {
-        float numbers[GFFE_MOST_VALUE / sizeof(float)];
-        cl_int integers[GFFE_MOST_VALUE / sizeof(cl_int)];
-    } value;
     size_t size[2], group[2] = {1, 1};
     cl_uint count = 0, k;
     cl_int error = clGetKernelInfo(g->kernels[operation->kernel], CL_KERNEL_NUM_ARGS, sizeof count, &count, NULL);
     for (k = 0; k < count && error == CL_SUCCESS; ++k, ++argument) {
-        const void *given = &value;
-        size_t nbytes;
+        const void *given = block;
+        size_t nbytes = sizeof *block;
         if (argument->kind == GFFE_BUFFER) {
             if (!gffe_buffer_bytes(&g->step, &g->plan->buffers[argument->a / 2])) return CL_SUCCESS; /* nothing to do */
             given = &g->memory[argument->a];
@@ -189,11 +185,6 @@ static cl_int launch(gffe *g, const gffe_operation *operation, const gffe_frame_
         } else if (argument->kind == GFFE_CONSTANT) {
             given = &gffe_constants[argument->a];
             nbytes = (size_t)argument->b;
-        } else if (argument->kind == GFFE_FRAME_BLOCK) {
-            given = block;
-            nbytes = sizeof *block;
-        } else {
-            nbytes = gffe_value(&g->step, argument->kind, argument->a, argument->b, &value);
         }
         error = clSetKernelArg(g->kernels[operation->kernel], k, nbytes, given);
     }

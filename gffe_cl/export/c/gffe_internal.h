@@ -19,24 +19,7 @@ enum { GFFE_FRAME, GFFE_PREVIOUS, GFFE_TARGET_CAMERA, GFFE_FRAME_DISPLAY, GFFE_P
 enum {
     GFFE_BUFFER,         /* reference a */
     GFFE_CONSTANT,       /* words from a on, b bytes */
-    GFFE_FRAME_BLOCK,    /* sizes, cameras, times and options */
-    GFFE_ALPHA,
-    GFFE_INTERVAL_RATIO, /* the last interval in that before it */
-    GFFE_ORDER,          /* a, or what the frames so far allow */
-    GFFE_POLYNOMIAL,     /* weights of positions for orders up to a, rows of 8 */
-    GFFE_CAMERA_STEP,    /* world units since the frame before */
-    GFFE_EXPOSURE,
-    GFFE_COLOR_LAW,      /* of the network's colours */
-    GFFE_REACH,          /* pixels: at least a, else a b-th of the display's width */
-    GFFE_CELLS_REACH,    /* cells: at least one, else the a-th part of the rendered image's height */
-    GFFE_HAS,            /* whether the frame brings overlay a */
-    GFFE_LEVEL_STARTS,   /* first texels of levels 1 ... of a */
-    GFFE_WIDTH,          /* of grid a, level b */
-    GFFE_HEIGHT,
-    GFFE_REPROJECTION,   /* from camera a to camera b */
-    GFFE_ZOOM,
-    GFFE_MAPPING,
-    GFFE_PIXEL_SIZE      /* of camera b, in pixels of camera a */
+    GFFE_FRAME_BLOCK     /* sizes, cameras, times and options */
 };
 
 /* Sizes of launches, with two numbers a and b. */
@@ -65,7 +48,6 @@ enum { GFFE_KEPT = 1, GFFE_MAPPED = 2, GFFE_LATE = 4, GFFE_GIVEN = 8, GFFE_MEMOR
 enum { GFFE_RENDERED_COLOR = 0, GFFE_RENDERED_DEPTH = 2, GFFE_RENDERED_MOTION = 4, GFFE_PREVIOUS_COLOR = 6,
        GFFE_SHOWN_COLOR = 12, GFFE_SHOWN_DEPTH = 14, GFFE_FIRST_OVERLAY = 16 };
 enum { GFFE_OF_CORRECTION = 1, GFFE_AFTER_CORRECTION = 2 }; /* parts of an occasion; all else: 0 */
-enum { GFFE_MOST_VALUE = 256 }; /* bytes of an argument */
 
 typedef struct gffe_program {
     const char *name;
@@ -180,7 +162,6 @@ size_t gffe_level_start(const gffe_step *step, int level);
 size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer); /* 0: images of these sizes have none */
 /* Of the rendered frame or, if `is_new`, of the new one. */
 void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *block);
-size_t gffe_value(const gffe_step *step, int kind, int a, int b, void *made); /* returns its bytes */
 
 /* gffe_memory.c */
 gffe_status gffe_allocate(gffe *g, int late); /* 0, GFFE_LATE or GFFE_OF_OVERLAYS: those buffers */

@@ -106,23 +106,12 @@ static float camera_step(const gffe_step *step) {
     return (float)gffe_length(here);
 }
 
-static size_t color_law(double exposure, float *made) {
+static void color_law(double exposure, float *made) {
     const double gain = GFFE_MU * exposure / GFFE_HEADROOM, scale = log1p(GFFE_MU);
     made[0] = (float)gain;
     made[1] = (float)(1 / scale);
     made[2] = (float)(1 / gain);
     made[3] = (float)scale;
-    return 4 * sizeof *made;
-}
-
-static cl_int whole_number(const gffe_step *step, int kind, int a, int b) {
-    size_t size[2];
-    if (kind == GFFE_ORDER) return a < step->time_count - 1 ? a : step->time_count - 1;
-    if (kind == GFFE_HAS) return step->has[a];
-    if (kind == GFFE_CELLS_REACH) return step->source[1] / a > 1 ? step->source[1] / a : 1;
-    if (kind == GFFE_REACH) return step->target[0] / b > a ? step->target[0] / b : a;
-    gffe_grid_size(step, a, b, size);
-    return (cl_int)size[kind == GFFE_HEIGHT];
 }
 
 static void level_starts(const gffe_step *step, int levels, cl_int *made) {
@@ -170,51 +159,4 @@ void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *
     gffe_reprojection(target, previous, (float *)&block->target_to_previous);
     gffe_zoom(source, target, block->zoom.s);
     polynomial(step, GFFE_MOST_TIMES - 1, (float *)block->polynomial);
-}
-
-size_t gffe_value(const gffe_step *step, int kind, int a, int b, void *made) {
-    float *numbers = (float *)made;
-    cl_int number;
-    switch (kind) {
-    case GFFE_ALPHA:
-        *numbers = (float)step->alpha;
-        return sizeof *numbers;
-    case GFFE_INTERVAL_RATIO:
-        *numbers = 1;
-        if (step->time_count > 2)
-            *numbers = (float)((step->times[0] - step->times[1]) / (step->times[1] - step->times[2]));
-        return sizeof *numbers;
-    case GFFE_POLYNOMIAL:
-        polynomial(step, a, numbers);
-        return (size_t)a * 8 * sizeof *numbers;
-    case GFFE_CAMERA_STEP:
-        *numbers = camera_step(step);
-        return sizeof *numbers;
-    case GFFE_EXPOSURE:
-        *numbers = (float)step->exposure;
-        return sizeof *numbers;
-    case GFFE_COLOR_LAW:
-        return color_law(step->exposure, numbers);
-    case GFFE_LEVEL_STARTS:
-        level_starts(step, a, (cl_int *)made);
-        return GFFE_MAX_LEVELS * sizeof number;
-    case GFFE_REPROJECTION:
-        gffe_reprojection(&step->cameras[a], &step->cameras[b], numbers);
-        return 24 * sizeof *numbers;
-    case GFFE_ZOOM:
-        gffe_zoom(&step->cameras[a], &step->cameras[b], numbers);
-        return 2 * sizeof *numbers;
-    case GFFE_MAPPING:
-        gffe_mapping(&step->cameras[a], &step->cameras[b], numbers);
-        return 4 * sizeof *numbers;
-    case GFFE_PIXEL_SIZE:
-        gffe_mapping(&step->cameras[a], &step->cameras[b], numbers);
-        numbers[0] = 1 / numbers[0];
-        numbers[1] = 1 / numbers[1];
-        return 2 * sizeof *numbers;
-    default:
-        number = whole_number(step, kind, a, b);
-        memcpy(made, &number, sizeof number);
-        return sizeof number;
-    }
 }
