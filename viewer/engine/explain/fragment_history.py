@@ -69,7 +69,7 @@ def _bend(pipeline, layers, at, depth: float) -> float:
     if names.ACCELERATION not in layers:
         return 0.0
     cell = (layers[name] for name in (names.VELOCITY, names.ACCELERATION))
-    where = (at[0] // _CELLS["CELL"], at[1] // _CELLS["CELL"], 1, 1)
+    where = (at[0] // _CELLS["MOVER_CELL"], at[1] // _CELLS["MOVER_CELL"], 1, 1)
     values = read_blocks(pipeline, {layer.spec.name: (layer, *where) for layer in cell})
     mover_depth, trust = (float(array.flat[3]) for array in values.values())
     return max(trust, 0.0) if abs(depth - mover_depth) <= _CELLS["CELL_TOLERANCE"] * mover_depth else 0.0
