@@ -18,19 +18,23 @@ typedef struct {
     float depth, depth_prev;
 } Mover;
 
-inline bool is_known(const int src, __global const uchar *dynamic_mask, __global const float *met_depth) {
-    return dynamic_mask[src] && met_depth[src] > 0.0f;
-}
+/* The rendered frame, and what history tracking found of its fragments. */
+typedef struct {
+    __global const float *depth;
+    __global const float2 *motion;
+    __global const uchar *dynamic_mask;
+    __global const float *met_depth;
+} Tracked;
+
+inline bool is_known(const Tracked f, const int src) { return f.dynamic_mask[src] && f.met_depth[src] > 0.0f; }
 
 /* The nearest mover of a cell; depth 0 if there is none. */
-inline Mover mover_of_cell(const int cell_x, const int cell_y, const int source_width, const int source_height,
-                           __global const float *depth, __global const float2 *motion, __global const uchar *dynamic_mask,
-                           __global const float *met_depth, const Reprojection to_previous,
-                           const Reprojection from_previous) {
+inline Mover mover_of_cell(const int cell_x, const int cell_y, const Frame *frame, const Tracked f) {
+    const int source_width = frame->source_width, source_height = frame->source_height;
     const int end_x = min((cell_x + 1) * MOVER_CELL, source_width), end_y = min((cell_y + 1) * MOVER_CELL, source_height);
     Mover mover = {(float3)(0.0f), (float2)(0.0f), 0.0f, 0.0f};
     if (end_x - cell_x * MOVER_CELL == MOVER_CELL && end_y - cell_y * MOVER_CELL == MOVER_CELL) {
-        __global const uchar *row = dynamic_mask + cell_y * MOVER_CELL * source_width + cell_x * MOVER_CELL;
+        __global const uchar *row = f.dynamic_mask + cell_y * MOVER_CELL * source_width + cell_x * MOVER_CELL;
         const uchar4 any = vload4(0, row) | vload4(0, row + source_width) | vload4(0, row + 2 * source_width)
                            | vload4(0, row + 3 * source_width);
         if (as_uint(any) == 0) return mover;
@@ -39,7 +43,7 @@ inline Mover mover_of_cell(const int cell_x, const int cell_y, const int source_
     for (int src_y = cell_y * MOVER_CELL; src_y < end_y; ++src_y)
         for (int src_x = cell_x * MOVER_CELL; src_x < end_x; ++src_x) {
             const int src = src_y * source_width + src_x;
-            if (is_known(src, dynamic_mask, met_depth)) nearest = fmin(nearest, depth[src]);
+            if (is_known(f, src)) nearest = fmin(nearest, f.depth[src]);
         }
     if (isinf(nearest)) return mover;
 
@@ -47,13 +51,14 @@ inline Mover mover_of_cell(const int cell_x, const int cell_y, const int source_
     for (int src_y = cell_y * MOVER_CELL; src_y < end_y; ++src_y)
         for (int src_x = cell_x * MOVER_CELL; src_x < end_x; ++src_x) {
             const int src = src_y * source_width + src_x;
-            if (!is_known(src, dynamic_mask, met_depth) || !is_of_cell(depth[src], nearest)) continue;
-            const float2 px = pixel_centre(src_x, src_y), px_prev = px + motion[src];
-            const float3 p1_prev = unproject(px_prev, met_depth[src], from_previous.source_inverse);
-            mover.velocity += unproject(px, depth[src], to_previous.source_inverse) - move_to_target(p1_prev, from_previous);
+            if (!is_known(f, src) || !is_of_cell(f.depth[src], nearest)) continue;
+            const float2 px = pixel_centre(src_x, src_y), px_prev = px + f.motion[src];
+            const float3 p1_prev = unproject(px_prev, f.met_depth[src], frame->from_previous.source_inverse);
+            mover.velocity += unproject(px, f.depth[src], frame->to_previous.source_inverse)
+                              - move_to_target(p1_prev, frame->from_previous);
             mover.px_prev += px_prev;
-            mover.depth += depth[src];
-            mover.depth_prev += met_depth[src];
+            mover.depth += f.depth[src];
+            mover.depth_prev += f.met_depth[src];
             count += 1.0f;
         }
     mover.velocity = mean_of(mover.velocity, count);
@@ -86,17 +91,15 @@ SPARSE __kernel void track_acceleration(const Frame frame, __global const float 
                                         __global const uchar *dynamic_mask, __global const float *met_depth,
                                         __global const float4 *velocity_prev, __global const uint2 *acceleration_prev,
                                         __global float4 *velocity, __global uint2 *acceleration, __global uint2 *bend) {
-    const int source_width = frame.source_width, source_height = frame.source_height;
+    const Tracked fragments = {depth, motion, dynamic_mask, met_depth};
     const int level_width = (frame.source_width + MOVER_CELL - 1) / MOVER_CELL;
     const int level_height = (frame.source_height + MOVER_CELL - 1) / MOVER_CELL;
     const float ratio = frame.interval_ratio;
-    const Reprojection to_previous = frame.to_previous;
     const Reprojection from_previous = frame.from_previous;
     const int cell_x = get_global_id(0), cell_y = get_global_id(1);
     if (cell_x >= level_width || cell_y >= level_height) return;
     const int cell = cell_y * level_width + cell_x;
-    const Mover mover = mover_of_cell(cell_x, cell_y, source_width, source_height, depth, motion, dynamic_mask, met_depth,
-                                      to_previous, from_previous);
+    const Mover mover = mover_of_cell(cell_x, cell_y, &frame, fragments);
     velocity[cell] = (float4)(mover.velocity, mover.depth);
     acceleration[cell] = packed((float3)(0.0f), -1.0f);
     bend[cell] = packed((float3)(0.0f), 0.0f);

@@ -10,7 +10,6 @@
 #include "frame.h"
 #include "simd.h"
 #include "nearest.h"
-#include "levels.h"
 #include "blocks.h"
 #include "rgb9e5.h"
 
@@ -400,19 +399,26 @@ inline int start_of(const int level, const int4 starts) {
     return level == 0 ? 0 : level == 1 ? starts.x : level == 2 ? starts.y : starts.z;
 }
 
+/* The new frame as the warp leaves it, and whom fragments are offered to. */
+typedef struct {
+    int width, pixels, pass;
+    __global const uchar *disoccluded, *mixed;
+    __global const float *depth;
+    __global Key *keys;
+    __global uint *winners;
+} Uncovered;
+
 /* Offers a fragment to the pixels from (x0, y0) to (x1, y1) that the warp left invalid, and to those of its surface whose own
    colour is a makeshift: their fragment's colour was mixed with that of a silhouette. */
 inline void offer_to_pixels(const int x0, const int y0, const int x1, const int y1, const float z, const uint texel,
-                            const int target_width, const int pixels, const int pass,
-                            __global const uchar *disoccluded, __global const uchar *mixed, __global const float *depth,
-                            __global Key *keys, __global uint *winners) {
+                            const Uncovered to) {
     for (int dst_y = y0; dst_y <= y1; ++dst_y) {
-        const int first = dst_y * target_width + x0, last = dst_y * target_width + x1;
-        if (first + RUN <= pixels && last - first < RUN && run_is_zero(disoccluded + first) && run_is_zero(mixed + first))
+        const int first = dst_y * to.width + x0, last = dst_y * to.width + x1;
+        if (first + RUN <= to.pixels && last - first < RUN && run_is_zero(to.disoccluded + first) && run_is_zero(to.mixed + first))
             continue;
         for (int dst = first; dst <= last; ++dst) {
-            const bool alike = mixed[dst] && is_same_surface(z, depth[dst], SAME_SURFACE * depth[dst]);
-            if (disoccluded[dst] || alike) offer(pass, keys, winners, dst, z, texel);
+            const bool alike = to.mixed[dst] && is_same_surface(z, to.depth[dst], SAME_SURFACE * to.depth[dst]);
+            if (to.disoccluded[dst] || alike) offer(to.pass, to.keys, to.winners, dst, z, texel);
         }
     }
 }
@@ -426,6 +432,7 @@ SCAN __kernel void project_levels(const Frame frame, const int pass, __global co
     const int texels = frame.level_starts.w;
     const int4 starts = frame.level_starts;
     const int target_width = frame.target_width, target_height = frame.target_height;
+    const Uncovered to = {target_width, target_width * target_height, pass, disoccluded, mixed, depth, keys, winners};
     const float2 zoom = frame.zoom;
     const Reprojection to_target = frame.to_target;
     const int first = get_global_id(0) * RUN;
@@ -457,9 +464,7 @@ SCAN __kernel void project_levels(const Frame frame, const int pass, __global co
         store_ints(min(to_ints(floor(there.x + half_x - 0.5f)), target_width - 1), 0, x1);
         store_ints(min(to_ints(floor(there.y + half_y - 0.5f)), target_height - 1), 0, y1);
         for (int k = 0; k < LANES; ++k)
-            if (reaches[k])
-                offer_to_pixels(x0[k], y0[k], x1[k], y1[k], z[k], (uint)(texel + k), target_width,
-                                target_width * target_height, pass, disoccluded, mixed, depth, keys, winners);
+            if (reaches[k]) offer_to_pixels(x0[k], y0[k], x1[k], y1[k], z[k], (uint)(texel + k), to);
     }
 }
 

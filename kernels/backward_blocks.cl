@@ -27,9 +27,6 @@ typedef struct { float x0, y0, x1, y1; } Box;
 /* What LANES fragments reach, taken together. */
 typedef struct { Floats x0, y0, x1, y1; } Boxes;
 
-inline Floats larger(const Floats a, const Floats b) { return a > b ? a : b; }
-inline Floats smaller(const Floats a, const Floats b) { return a < b ? a : b; }
-
 inline Box box_of(const Boxes boxes) {
     float lanes[4][LANES];
     store_floats(boxes.x0, 0, lanes[0]);
@@ -47,18 +44,14 @@ inline Box box_of(const Boxes boxes) {
 }
 
 /* Reach of one source block pixel by pixel. */
-inline Box reach_of_pixels(const int x0, const int y0, const int source_width, const int source_height,
-                           const int target_width, const int target_height, const float2 zoom,
-                           __global const float *depth, __global const uchar *links,
-                           __global const float *target_position) {
-    const int plane = source_width * source_height;
+inline Box reach_of_pixels(const Fragments f, const int x0, const int y0) {
     Box box = NOWHERE;
-    for (int src_y = y0; src_y < min(y0 + BLOCK_HEIGHT, source_height); ++src_y)
-        for (int src_x = x0; src_x < min(x0 + BLOCK_WIDTH, source_width); ++src_x) {
-            const int src = src_y * source_width + src_x;
-            const float3 here = position_of(target_position, src, plane);
-            if (!may_land(here, target_width, target_height)) continue;
-            const float2 half_size = footprint(flow_at(src, source_width, plane, here, depth[src], links, target_position, zoom));
+    for (int src_y = y0; src_y < min(y0 + BLOCK_HEIGHT, f.height); ++src_y)
+        for (int src_x = x0; src_x < min(x0 + BLOCK_WIDTH, f.width); ++src_x) {
+            const int src = src_y * f.width + src_x;
+            const float3 here = position_of(f.target_position, src, f.plane);
+            if (!may_land(f, here)) continue;
+            const float2 half_size = footprint(flow_at(f, src));
             box.x0 = fmin(box.x0, here.x - half_size.x);
             box.y0 = fmin(box.y0, here.y - half_size.y);
             box.x1 = fmax(box.x1, here.x + half_size.x);
@@ -68,48 +61,45 @@ inline Box reach_of_pixels(const int x0, const int y0, const int source_width, c
 }
 
 /* The same of a block one pixel within the image. */
-inline Box reach_of_lanes(const int x0, const int y0, const int source_width, const int plane, const int target_width,
-                          const int target_height, const float2 zoom, __global const float *depth,
-                          __global const uchar *links, __global const float *target_position) {
+inline Box reach_of_lanes(const Fragments f, const int x0, const int y0) {
     const Floats reach = (Floats)(FOOTPRINT_REACH), far_off = (Floats)(INFINITY);
     Boxes boxes = {far_off, far_off, -far_off, -far_off};
     for (int src_y = y0; src_y < y0 + BLOCK_HEIGHT; ++src_y)
         for (int src_x = x0; src_x < x0 + BLOCK_WIDTH; src_x += LANES) {
-            const int src = src_y * source_width + src_x;
-            Around x, y, z;
-            WideFlow f;
-            look_around_run(target_position + src, source_width, &x);
-            look_around_run(target_position + plane + src, source_width, &y);
-            look_around_run(target_position + 2 * plane + src, source_width, &z);
-            wide_flow(x, y, z, to_ints(load_bytes(0, links + src)), load_floats(0, depth + src), zoom, &f);
-            const Ints lands = (z.here > 0.0f) & (x.here > -reach) & (y.here > -reach) & (x.here < (float)target_width + reach)
-                               & (y.here < (float)target_height + reach);
-            const Floats half_x = smaller(FOOTPRINT_HALF * (fabs(f.xx) + fabs(f.yx)), reach);
-            const Floats half_y = smaller(FOOTPRINT_HALF * (fabs(f.xy) + fabs(f.yy)), reach);
-            boxes.x0 = smaller(lands ? x.here - half_x : far_off, boxes.x0);
-            boxes.y0 = smaller(lands ? y.here - half_y : far_off, boxes.y0);
-            boxes.x1 = larger(lands ? x.here + half_x : -far_off, boxes.x1);
-            boxes.y1 = larger(lands ? y.here + half_y : -far_off, boxes.y1);
+            const int src = src_y * f.width + src_x;
+            Positions at;
+            WideFlow flow;
+            load_positions_of_run(f, src, &at);
+            wide_flow(at, to_ints(load_bytes(0, f.links + src)), load_floats(0, f.depth + src), f.zoom, &flow);
+            const Floats x = at.x.here, y = at.y.here;
+            const Ints lands = (at.z.here > 0.0f) & (x > -reach) & (y > -reach) & (x < (float)f.target_width + reach)
+                               & (y < (float)f.target_height + reach);
+            const Floats half_x = wide_lesser(FOOTPRINT_HALF * (fabs(flow.xx) + fabs(flow.yx)), reach);
+            const Floats half_y = wide_lesser(FOOTPRINT_HALF * (fabs(flow.xy) + fabs(flow.yy)), reach);
+            boxes.x0 = wide_lesser(lands ? x - half_x : far_off, boxes.x0);
+            boxes.y0 = wide_lesser(lands ? y - half_y : far_off, boxes.y0);
+            boxes.x1 = wide_greater(boxes.x1, lands ? x + half_x : -far_off);
+            boxes.y1 = wide_greater(boxes.y1, lands ? y + half_y : -far_off);
         }
     return box_of(boxes);
 }
 
 /* Whether the links of all pixels up to two beyond the block are complete. */
-inline bool is_one_surface(const int x0, const int y0, const int source_width, const int source_height,
-                           __global const uchar *links) {
-    if (x0 < 2 || y0 < 2 || x0 + BLOCK_WIDTH + 2 > source_width || y0 + BLOCK_HEIGHT + 2 > source_height) return false;
+inline bool is_one_surface(const Fragments f, const int x0, const int y0) {
+    if (x0 < 2 || y0 < 2 || x0 + BLOCK_WIDTH + 2 > f.width || y0 + BLOCK_HEIGHT + 2 > f.height) return false;
     uchar8 common = (uchar8)(ALL_LINKS);
 #pragma unroll
     for (int k = -2; k < BLOCK_HEIGHT + 2; ++k) {
-        __global const uchar *row = links + (y0 + k) * source_width + x0;
+        __global const uchar *row = f.links + (y0 + k) * f.width + x0;
         common &= vload8(0, row - 2) & vload8(0, row + 2);
     }
     return as_ulong(common) == as_ulong((uchar8)(ALL_LINKS));
 }
 
 /* Whether positions are linear over the block, within BEND_MOST; then *box is its reach. */
-inline bool is_linear(const int x0, const int y0, const int source_width, const int plane, const float2 zoom,
-                      __global const float *depth, __global const float *target_position, Box *box) {
+inline bool is_linear(const Fragments f, const int x0, const int y0, Box *box) {
+    const float2 zoom = f.zoom;
+    const int row = f.width;
     const Floats far_off = (Floats)(INFINITY);
     Boxes boxes = {far_off, far_off, -far_off, -far_off};
     Ints linear = (Ints)(1) == (Ints)(1);
@@ -117,14 +107,14 @@ inline bool is_linear(const int x0, const int y0, const int source_width, const 
         Floats before_x = (Floats)(0.0f), before_y = before_x;
 #pragma unroll
         for (int k = 0; k < BLOCK_HEIGHT; ++k) {
-            const int src = (y0 + k) * source_width + x;
-            __global const float *p = target_position + src;
+            const int src = (y0 + k) * row + x;
+            __global const float *p = f.target_position + src;
             const Floats here_x = load_floats(0, p), left_x = load_floats(0, p - 1), right_x = load_floats(0, p + 1);
-            const Floats up_x = load_floats(0, p - source_width), down_x = load_floats(0, p + source_width);
-            p += plane;
+            const Floats up_x = load_floats(0, p - row), down_x = load_floats(0, p + row);
+            p += f.plane;
             const Floats here_y = load_floats(0, p), left_y = load_floats(0, p - 1), right_y = load_floats(0, p + 1);
-            const Floats up_y = load_floats(0, p - source_width), down_y = load_floats(0, p + source_width);
-            const Floats z = load_floats(0, p + plane), z_source = load_floats(0, depth + src);
+            const Floats up_y = load_floats(0, p - row), down_y = load_floats(0, p + row);
+            const Floats z = load_floats(0, p + f.plane), z_source = load_floats(0, f.depth + src);
 
             linear &= (z > 0.0f) & (z_source <= STRETCH_HIGH * z) & (z <= STRETCH_HIGH * z_source);
             linear &= (fabs((right_x - here_x) - (here_x - left_x)) <= BEND_MOST)
@@ -139,10 +129,10 @@ inline bool is_linear(const int x0, const int y0, const int source_width, const 
             before_x = xx;
             before_y = xy;
             const Floats half_x = FOOTPRINT_HALF * (fabs(xx) + fabs(yx)), half_y = FOOTPRINT_HALF * (fabs(xy) + fabs(yy));
-            boxes.x0 = smaller(here_x - half_x, boxes.x0);
-            boxes.y0 = smaller(here_y - half_y, boxes.y0);
-            boxes.x1 = larger(here_x + half_x, boxes.x1);
-            boxes.y1 = larger(here_y + half_y, boxes.y1);
+            boxes.x0 = wide_lesser(here_x - half_x, boxes.x0);
+            boxes.y0 = wide_lesser(here_y - half_y, boxes.y0);
+            boxes.x1 = wide_greater(boxes.x1, here_x + half_x);
+            boxes.y1 = wide_greater(boxes.y1, here_y + half_y);
         }
         if (!ALL(linear)) return false;
     }
@@ -158,22 +148,16 @@ WIDE __kernel void find_reach(const Frame frame, __global const float *depth, __
                               __global int *reached_by) {
     const int source_width = frame.source_width, source_height = frame.source_height;
     const int target_width = frame.target_width, target_height = frame.target_height;
-    const int blocks = frame.blocks;
-    const int crack_closing = frame.crack_closing;
-    const float2 zoom = frame.zoom;
+    const Fragments fragments = {depth, target_position, links, source_width, source_height, source_width * source_height,
+                                 target_width, target_height, frame.zoom};
     const int bx = get_global_id(0), by = get_global_id(1);
     const int source_blocks = block_columns(source_width);
-    if (bx >= source_blocks || by >= block_rows(source_height) || !(blocks && crack_closing)) return;
+    if (bx >= source_blocks || by >= block_rows(source_height) || !(frame.blocks && frame.crack_closing)) return;
     const int x0 = bx * BLOCK_WIDTH, y0 = by * BLOCK_HEIGHT;
-    const int plane = source_width * source_height;
     Box box;
-    const bool is_smooth = is_one_surface(x0, y0, source_width, source_height, links)
-        && is_linear(x0, y0, source_width, plane, zoom, depth, target_position, &box);
+    const bool is_smooth = is_one_surface(fragments, x0, y0) && is_linear(fragments, x0, y0, &box);
     const bool within = x0 >= 1 && y0 >= 1 && x0 + BLOCK_WIDTH + 1 <= source_width && y0 + BLOCK_HEIGHT + 1 <= source_height;
-    if (!is_smooth)
-        box = within ? reach_of_lanes(x0, y0, source_width, plane, target_width, target_height, zoom, depth, links, target_position)
-                     : reach_of_pixels(x0, y0, source_width, source_height, target_width, target_height, zoom, depth, links,
-                                       target_position);
+    if (!is_smooth) box = within ? reach_of_lanes(fragments, x0, y0) : reach_of_pixels(fragments, x0, y0);
     smooth[by * source_blocks + bx] = is_smooth;
     const int target_blocks = block_columns(target_width);
     int4 reached = (int4)(1, 1, 0, 0);

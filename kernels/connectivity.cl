@@ -5,7 +5,6 @@
 #include "frame.h"
 #include "simd.h"
 #include "nearest.h"
-#include "levels.h"
 
 #define SURFACE_STEP 0.02f       /* relative step of inverse depth between neighbours of one surface ... */
 #define SURFACE_CURVATURE 0.005f /* ... or relative deviation from the plane through them, where they are steeper */

@@ -239,7 +239,7 @@ WIDE __kernel void correct(const Frame frame, const int asked, __global const ha
     const Floats e_g = low_g + interpolate(correction + plane, &taps) + keep * (encode(c.g, law) - low_g);
     const Floats e_b = low_b + interpolate(correction + 2 * plane, &taps) + keep * (encode(c.b, law) - low_b);
     const Ints usable = isfinite(e_r + e_g + e_b + m);
-    const Floats mask = (usable & (m >= LEAST_MASK)) ? least(m, 1.0f) : (Floats)(0.0f);
+    const Floats mask = (usable & (m >= LEAST_MASK)) ? wide_lesser(m, (Floats)(1.0f)) : (Floats)(0.0f);
     store_some_halfs(mask, count, focus_mask + i);
     const WideRgb made = {decode(e_r, law), decode(e_g, law), decode(e_b, law)};
     if (with_refined) store_where(usable, made, count, color + 4 * i, refined + 4 * i);

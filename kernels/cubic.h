@@ -34,14 +34,14 @@ inline float3 cubic(const int x0, const int y0, const float u, const float v, co
         sum.g += wy[ty] * (wx.x * a.g + wx.y * b.g + wx.z * c.g + wx.w * d.g);
         sum.b += wy[ty] * (wx.x * a.b + wx.y * b.b + wx.z * c.b + wx.w * d.b);
         if (ty == 0 || ty == 3) continue;
-        low.r = least(low.r, least(b.r, c.r));
-        low.g = least(low.g, least(b.g, c.g));
-        low.b = least(low.b, least(b.b, c.b));
-        high.r = most(high.r, most(b.r, c.r));
-        high.g = most(high.g, most(b.g, c.g));
-        high.b = most(high.b, most(b.b, c.b));
+        low.r = lesser(low.r, lesser(b.r, c.r));
+        low.g = lesser(low.g, lesser(b.g, c.g));
+        low.b = lesser(low.b, lesser(b.b, c.b));
+        high.r = greater(high.r, greater(b.r, c.r));
+        high.g = greater(high.g, greater(b.g, c.g));
+        high.b = greater(high.b, greater(b.b, c.b));
     }
-    return (float3)(least(most(sum.r, low.r), high.r), least(most(sum.g, low.g), high.g), least(most(sum.b, low.b),
+    return (float3)(lesser(greater(sum.r, low.r), high.r), lesser(greater(sum.g, low.g), high.g), lesser(greater(sum.b, low.b),
                                                                                                 high.b));
 }
 

@@ -9,22 +9,32 @@ inline float3 position_of(__global const float *target_position, const int src, 
     return (float3)(target_position[src], target_position[plane + src], target_position[2 * plane + src]);
 }
 
+/* Fragments of the rendered frame, and the image that they go to. target_position: planes of x, y and depth there. */
+typedef struct {
+    __global const float *depth, *target_position;
+    __global const uchar *links;
+    int width, height, plane;  /* of the rendered frame; plane: its pixels */
+    int target_width, target_height;
+    float2 zoom;
+} Fragments;
+
 /* Target position as a linear function of the source position around one source pixel. */
 typedef struct {
     float3 ddx, ddy;         /* change of (px, py, z) per source pixel to the right, down */
     float det;               /* of the 2x2 part: target px^2 per source px^2 */
 } Flow;
 
-inline float3 slope(const int bits, const int forward, const int backward, const float3 here, const int src, const int step,
-                    const int plane, __global const float *target_position, bool *linked) {
+/* Change of position from pixel to pixel, `step` apart, towards the linked neighbours `ahead` and `behind`. */
+inline float3 slope(const Fragments f, const int src, const int step, const bool ahead, const bool behind, bool *linked) {
+    const float3 here = position_of(f.target_position, src, f.plane);
     float3 sum = (float3)(0.0f);
     float count = 0.0f;
-    if (bits & forward) {
-        const float3 there = position_of(target_position, src + step, plane);
+    if (ahead) {
+        const float3 there = position_of(f.target_position, src + step, f.plane);
         if (there.z > 0.0f) { sum += there - here; count += 1.0f; }
     }
-    if (bits & backward) {
-        const float3 there = position_of(target_position, src - step, plane);
+    if (behind) {
+        const float3 there = position_of(f.target_position, src - step, f.plane);
         if (there.z > 0.0f) { sum += here - there; count += 1.0f; }
     }
     *linked = count > 0.0f;
@@ -33,15 +43,15 @@ inline float3 slope(const int bits, const int forward, const int backward, const
 }
 
 /* From the linked neighbours; along a direction without any, what depth alone explains. */
-inline Flow flow_at(const int src, const int source_width, const int plane, const float3 here, const float z_source,
-                    __global const uchar *links, __global const float *target_position, const float2 zoom) {
-    const int bits = links[src];
+inline Flow flow_at(const Fragments f, const int src) {
+    const float3 here = position_of(f.target_position, src, f.plane);
+    const int bits = f.links[src];
     Flow flow;
     bool linked_x, linked_y;
-    flow.ddx = slope(bits, LINK_RIGHT, LINK_LEFT, here, src, 1, plane, target_position, &linked_x);
-    flow.ddy = slope(bits, LINK_DOWN, LINK_UP, here, src, source_width, plane, target_position, &linked_y);
-    const float nearer = isinf(here.z) ? 1.0f : divide(z_source, here.z);
-    const float scale_x = zoom.x * nearer, scale_y = zoom.y * nearer;
+    flow.ddx = slope(f, src, 1, bits & LINK_RIGHT, bits & LINK_LEFT, &linked_x);
+    flow.ddy = slope(f, src, f.width, bits & LINK_DOWN, bits & LINK_UP, &linked_y);
+    const float nearer = isinf(here.z) ? 1.0f : divide(f.depth[src], here.z);
+    const float scale_x = f.zoom.x * nearer, scale_y = f.zoom.y * nearer;
     const float most = STRETCH_MOST * fmax(scale_x, scale_y);
     if (!linked_x || fabs(flow.ddx.x) > most || fabs(flow.ddx.y) > most) flow.ddx = (float3)(scale_x, 0.0f, 0.0f);
     if (!linked_y || fabs(flow.ddy.x) > most || fabs(flow.ddy.y) > most) flow.ddy = (float3)(0.0f, scale_y, 0.0f);
@@ -66,10 +76,10 @@ inline float2 footprint(const Flow flow) {
 }
 
 /* Whether anything of a fragment at `here` may land in the image. */
-inline bool may_land(const float3 here, const int target_width, const int target_height) {
+inline bool may_land(const Fragments f, const float3 here) {
     const float reach = (float)FOOTPRINT_REACH;
-    return here.z > 0.0f && here.x > -reach && here.y > -reach && here.x < (float)target_width + reach
-           && here.y < (float)target_height + reach;
+    return here.z > 0.0f && here.x > -reach && here.y > -reach && here.x < (float)f.target_width + reach
+           && here.y < (float)f.target_height + reach;
 }
 
 /* ---- LANES at once ------------------------------------------------------------------------------------------- */
@@ -102,10 +112,10 @@ inline Bytes bytes_at(__global const uchar *plane, const Places p) {
     return p.one ? load_bytes(0, plane + p.first) : gather_bytes(plane, p.at);
 }
 
-/* What LANES fragments and those beside them have in one plane. */
-typedef struct { Floats here, left, right, up, down; } Around;
+/* The values of one plane at LANES fragments and beside them. */
+typedef struct { Floats here, left, right, up, down; } Cross;
 
-inline void look_around_run(__global const float *p, const int source_width, Around *a) {
+inline void load_cross_of_run(__global const float *p, const int source_width, Cross *a) {
     a->here = load_floats(0, p);
     a->left = load_floats(0, p - 1);
     a->right = load_floats(0, p + 1);
@@ -113,13 +123,13 @@ inline void look_around_run(__global const float *p, const int source_width, Aro
     a->down = load_floats(0, p + source_width);
 }
 
-inline void look_around(__global const float *plane, const int source_width, const Places src, Around *a) {
+inline void load_cross(__global const float *plane, const int source_width, const Places src, Cross *a) {
     if (src.one) {
-        look_around_run(plane + src.first, source_width, a);
+        load_cross_of_run(plane + src.first, source_width, a);
     } else if (src.two) {
-        Around b;
-        look_around_run(plane + src.first, source_width, a);
-        look_around_run(plane + src.last, source_width, &b);
+        Cross b;
+        load_cross_of_run(plane + src.first, source_width, a);
+        load_cross_of_run(plane + src.last, source_width, &b);
         a->here = src.of_last ? b.here : a->here;
         a->left = src.of_last ? b.left : a->left;
         a->right = src.of_last ? b.right : a->right;
@@ -134,6 +144,21 @@ inline void look_around(__global const float *plane, const int source_width, con
     }
 }
 
+/* Predicted positions of LANES fragments and of those beside them. */
+typedef struct { Cross x, y, z; } Positions;
+
+inline void load_positions_of_run(const Fragments f, const int src, Positions *p) {
+    load_cross_of_run(f.target_position + src, f.width, &p->x);
+    load_cross_of_run(f.target_position + f.plane + src, f.width, &p->y);
+    load_cross_of_run(f.target_position + 2 * f.plane + src, f.width, &p->z);
+}
+
+inline void load_positions(const Fragments f, const Places src, Positions *p) {
+    load_cross(f.target_position, f.width, src, &p->x);
+    load_cross(f.target_position + f.plane, f.width, src, &p->y);
+    load_cross(f.target_position + 2 * f.plane, f.width, src, &p->z);
+}
+
 /* Flow of LANES fragments. */
 typedef struct { Floats xx, xy, xz, yx, yy, yz, det; } WideFlow;
 
@@ -144,8 +169,8 @@ inline Floats wide_slope(const Floats before, const Floats here, const Floats af
 }
 
 /* flow_at. `bits`: links. */
-inline void wide_flow(const Around x, const Around y, const Around z, const Ints bits, const Floats z_source, const float2 zoom,
-                      WideFlow *flow) {
+inline void wide_flow(const Positions at, const Ints bits, const Floats z_source, const float2 zoom, WideFlow *flow) {
+    const Cross x = at.x, y = at.y, z = at.z;
     const Ints left = ((bits & LINK_LEFT) != 0) & (z.left > 0.0f), right = ((bits & LINK_RIGHT) != 0) & (z.right > 0.0f);
     const Ints up = ((bits & LINK_UP) != 0) & (z.up > 0.0f), down = ((bits & LINK_DOWN) != 0) & (z.down > 0.0f);
     const Ints sky = isinf(z.here);

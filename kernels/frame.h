@@ -47,3 +47,8 @@ typedef struct {
 
 /* The side of an image of level `level`, whose texels are 2^level pixels wide and high. */
 inline int level_side(const int side, const int level) { return (side + (1 << level) - 1) >> level; }
+
+/* States of the texels of background levels. */
+#define EMPTY 0
+#define SHOWN 1        /* of level 0: a static fragment of the frame itself: the warp projects it */
+#define REMEMBERED 2   /* of an earlier frame */

@@ -27,15 +27,14 @@ inline float squared_distance(const float2 a, const float2 b) {
 }
 
 /* Residual x^ - x' of the static test at pixels; returns where it applies. */
-inline Ints static_residual(const Ints src_x, const int src_y, const int source_width, const int source_height,
-                            __global const float *depth, __global const float2 *motion, const Reprojection to_previous,
-                            Floats *residual_x, Floats *residual_y) {
-    const Ints there = src_x < (src_y < source_height ? source_width : 0);
-    const Ints src = there ? src_y * source_width + src_x : (Ints)(0);
+inline Ints static_residual(const Ints src_x, const int src_y, const Frame *frame, __global const float *depth,
+                            __global const float2 *motion, Floats *residual_x, Floats *residual_y) {
+    const Ints there = src_x < (src_y < frame->source_height ? frame->source_width : 0);
+    const Ints src = there ? src_y * frame->source_width + src_x : (Ints)(0);
     const Floats z = gather_floats(depth, src), px_x = to_floats(src_x) + 0.5f, px_y = (float)src_y + 0.5f;
     __global const float *mv_px = (__global const float *)motion;
     const Floats mv_x = gather_floats(mv_px, 2 * src), mv_y = gather_floats(mv_px, 2 * src + 1);
-    const Wide3 px_static = wide_reproject(px_x, px_y, z, to_previous);
+    const Wide3 px_static = wide_reproject(px_x, px_y, z, frame->to_previous);
     *residual_x = px_static.x - (px_x + mv_x);
     *residual_y = px_static.y - (px_y + mv_y);
     return there & (z > 0.0f) & !isinf(z) & isfinite(mv_x) & isfinite(mv_y) & (px_static.z > 0.0f);
@@ -98,18 +97,16 @@ inline float noise_threshold_squared(__local const int *histogram, const float l
 WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void find_threshold(const Frame frame, __global const float *depth, __global const float2 *motion, __global int *pending,
                     __global int *histogram, __global float *threshold_squared) {
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const Reprojection to_previous = frame.to_previous;
     const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
     const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE, item = get_local_id(0);
     __local int counts[HISTOGRAMS * RESIDUAL_BINS], groups_before[1];
     for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (int src_y = first; src_y < min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, source_height); src_y += RESIDUAL_STRIDE) {
+    for (int src_y = first; src_y < min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, frame.source_height); src_y += RESIDUAL_STRIDE) {
         Floats x, y, near_x, near_y;
-        const Ints use = static_residual(src_x, src_y, source_width, source_height, depth, motion, to_previous, &x, &y);
-        const Ints near_use = static_residual(src_x + SCATTER_DISTANCE, src_y + SCATTER_DISTANCE, source_width, source_height,
-                                              depth, motion, to_previous, &near_x, &near_y);
+        const Ints use = static_residual(src_x, src_y, &frame, depth, motion, &x, &y);
+        const Ints near_use = static_residual(src_x + SCATTER_DISTANCE, src_y + SCATTER_DISTANCE, &frame, depth, motion,
+                                              &near_x, &near_y);
         count_residuals(counts, use, x, y);
         count_residuals(counts + RESIDUAL_BINS, use & near_use, x - near_x, y - near_y);
     }
@@ -186,44 +183,53 @@ inline float depth_met(const float2 px_prev, const float z_expected, const float
     return high - low <= DEPTH_TOLERANCE * low ? sum : -1.0f;
 }
 
+/* The rendered frame and the one before, and what is found of dynamic fragments. */
+typedef struct {
+    __global const float *depth;
+    __global const float2 *motion;
+    __global const float *depth_prev;
+    __global const uchar *dynamic_prev;
+    __global const float4 *history_prev;
+    __global float *met_depth;
+    __global float4 *history;
+} Frames;
+
 /* What else Algorithm 1 does for a dynamic fragment: P_1 ... from the previous frame. */
-inline void find_history(const int src_x, const int src_y, const int source_width, const int source_height,
-                         const int positions, __global const float *depth, __global const float2 *motion,
-                         __global const float *depth_prev, __global const uchar *dynamic_prev,
-                         __global const float4 *history_prev, const Reprojection to_previous,
-                         const Reprojection from_previous, __global float *met_depth, __global float4 *history) {
-    const int src = src_y * source_width + src_x, plane = source_width * source_height;
-    const float z = depth[src];
-    const float2 mv_px = motion[src], px_prev = pixel_centre(src_x, src_y) + mv_px;
+inline void find_history(const int src_x, const int src_y, const Frame *frame, const Frames f) {
+    const int source_width = frame->source_width, plane = source_width * frame->source_height;
+    const int src = src_y * source_width + src_x, positions = frame->positions;
+    const Reprojection to_previous = frame->to_previous, from_previous = frame->from_previous;
+    const float z = f.depth[src];
+    const float2 mv_px = f.motion[src], px_prev = pixel_centre(src_x, src_y) + mv_px;
     const float3 px_static = reproject(pixel_centre(src_x, src_y), z, to_previous);
     int known = 0;  /* how many of P_1 ... are known */
-    met_depth[src] = 0.0f;
+    f.met_depth[src] = 0.0f;
     if (isfinite(mv_px.x) && isfinite(mv_px.y) && px_static.z > 0.0f) {
         const float sideways = (fabs(px_prev.x - px_static.x) + fabs(px_prev.y - px_static.y))
                                * from_previous.source_inverse.x * px_static.z;
         const float tolerance = DEPTH_TOLERANCE * px_static.z + DEPTH_PER_MOTION * sideways;
         int nearest = 0;
-        const float z_prev = depth_met(px_prev, px_static.z, tolerance, source_width, source_height, depth_prev, &nearest);
-        if (z_prev > 0.0f) met_depth[src] = z_prev;
+        const float z_prev = depth_met(px_prev, px_static.z, tolerance, source_width, frame->source_height, f.depth_prev, &nearest);
+        if (z_prev > 0.0f) f.met_depth[src] = z_prev;
         if (z_prev > 0.0f && positions > 2) {
             const float3 p1_prev = unproject(px_prev, z_prev, from_previous.source_inverse);
-            history[src] = (float4)(move_to_target(p1_prev, from_previous), 1.0f);
+            f.history[src] = (float4)(move_to_target(p1_prev, from_previous), 1.0f);
             known = 1;
             /* P_i[x] = P'_{i-1}[x'], carried over with the offset between x' and the pixel it is read from. */
             const float3 at_nearest = unproject(pixel_centre(nearest % source_width, nearest / source_width),
-                                                depth_prev[nearest], from_previous.source_inverse);
+                                                f.depth_prev[nearest], from_previous.source_inverse);
             const float3 offset = p1_prev - at_nearest;
             for (; known < positions - 1; ++known) {
                 float4 older = (float4)(at_nearest, 1.0f);
-                if (dynamic_prev[nearest]) older = history_prev[(known - 1) * plane + nearest];
+                if (f.dynamic_prev[nearest]) older = f.history_prev[(known - 1) * plane + nearest];
                 if (older.w == 0.0f) break;
-                history[known * plane + src] = (float4)(move_to_target(older.xyz + offset, from_previous), 1.0f);
+                f.history[known * plane + src] = (float4)(move_to_target(older.xyz + offset, from_previous), 1.0f);
             }
         }
     }
     if (positions == 2) return;
     const float3 p0 = unproject(pixel_centre(src_x, src_y), z, to_previous.source_inverse);
-    for (int k = known; k < positions - 1; ++k) history[k * plane + src] = (float4)(p0, 0.0f);
+    for (int k = known; k < positions - 1; ++k) f.history[k * plane + src] = (float4)(p0, 0.0f);
 }
 
 /* Algorithm 1. Of dynamic fragments, met_depth: 0 where none is; history, for k > 2: k-1 planes of (P_i, 1), or (P_0, 0) where
@@ -232,11 +238,10 @@ WIDE __kernel void track_history(const Frame frame, __global const float *depth,
                                  __global const float *depth_prev, __global const uchar *dynamic_prev,
                                  __global const float4 *history_prev, __global const float *threshold_squared,
                                  __global uchar *dynamic_mask, __global float *met_depth, __global float4 *history) {
+    const Frames frames = {depth, motion, depth_prev, dynamic_prev, history_prev, met_depth, history};
     const int source_width = frame.source_width, source_height = frame.source_height;
-    const int positions = frame.positions;
     const int has_previous = frame.has_previous && frame.motion;
     const Reprojection to_previous = frame.to_previous;
-    const Reprojection from_previous = frame.from_previous;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x;
@@ -256,7 +261,5 @@ WIDE __kernel void track_history(const Frame frame, __global const float *depth,
     if (!ANY(moves)) return;
     store_bytes(mask, 0, is_dynamic);
     for (int lane = 0; lane < count; ++lane)
-        if (is_dynamic[lane])
-            find_history(src_x + lane, src_y, source_width, source_height, positions, depth, motion, depth_prev, dynamic_prev,
-                         history_prev, to_previous, from_previous, met_depth, history);
+        if (is_dynamic[lane]) find_history(src_x + lane, src_y, &frame, frames);
 }

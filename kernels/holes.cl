@@ -13,6 +13,16 @@
 #define DOWNSAMPLING 32
 #define RENDERED_WEIGHT 0.0009765625f  /* of the rendered frame beside valid pixels: decides only where there are none */
 
+/* The new frame, of which holes are filled, and the rendered one. */
+typedef struct {
+    __global const uchar *filled_by;
+    __global const half *source_color;
+    __global const float *source_depth;
+    __global half *color;
+    __global float *depth;
+    __global float2 *motion;
+} Images;
+
 /* Adds a pixel to the sums; bright pixels weigh less, or one lamp would fill its whole texel. */
 inline void add(float4 *sum, float *inverse_sum, const float pixel_weight, const float3 c, const float z) {
     const float weight = divide(pixel_weight, 1.0f + fmax(fmax(c.x, fmax(c.y, c.z)), 0.0f));
@@ -41,12 +51,12 @@ inline int first_beside(const int dst, const int offset, const int steps, __glob
 typedef struct {
     int count, px[DIRECTIONS];
     float closeness[DIRECTIONS], inverse[DIRECTIONS], least_inverse;
-} Around;
+} Border;
 
-inline Around look_around(const int dst_x, const int dst_y, const int width, const int height, const int reach,
+inline Border find_border(const int dst_x, const int dst_y, const int width, const int height, const int reach,
                           __global const uchar *mask, const uchar hole, __global const float *depth) {
     const int dst = dst_y * width + dst_x;
-    Around found;
+    Border found;
     found.count = 0;
     found.least_inverse = INFINITY;
     for (int k = 0; k < DIRECTIONS; ++k) {
@@ -65,7 +75,7 @@ inline Around look_around(const int dst_x, const int dst_y, const int width, con
     return found;
 }
 
-inline bool is_far(const Around a, const int k) { return !(a.inverse[k] > a.least_inverse * FAR_SIDE); }
+inline bool is_far(const Border a, const int k) { return !(a.inverse[k] > a.least_inverse * FAR_SIDE); }
 
 /* Mean (colour, inverse depth) of pixels with weights. */
 inline float4 weighted_mean(const int count, const int *px, const float *inverse, const float *weight,
@@ -86,7 +96,8 @@ inline float3 static_source(const int dst_x, const int dst_y, const float invers
 }
 
 /* Colour of the rendered frame at `px_source`, or at the place on its border that is closest; bilinear. */
-inline float3 border_color(const float2 px_source, const int width, const int height, __global const half *source_color) {
+inline float3 border_color(const float2 px_source, const Frame *frame, __global const half *source_color) {
+    const int width = frame->source_width, height = frame->source_height;
     const float x = clamp(px_source.x - 0.5f, 0.0f, (float)(width - 1)), y = clamp(px_source.y - 0.5f, 0.0f, (float)(height - 1));
     const int x0 = (int)x, y0 = (int)y;
     float3 sum = (float3)(0.0f);
@@ -98,42 +109,39 @@ inline float3 border_color(const float2 px_source, const int width, const int he
 }
 
 /* Whether `px_source` lies outside of the rendered image. */
-inline bool is_out_of_screen(const float3 px_source, const int width, const int height) {
-    return !(px_source.z > 0.0f && px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)width
-             && px_source.y < (float)height);
+inline bool is_out_of_screen(const float3 px_source, const Frame *frame) {
+    return !(px_source.z > 0.0f && px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)frame->source_width
+             && px_source.y < (float)frame->source_height);
 }
 
 /* What lies out of screen goes on as the image's border does: the mean of what is beside the hole and of that border. */
-inline float3 continued(const float3 beside, const float3 px_source, const int source_width, const int source_height,
-                        __global const half *source_color) {
+inline float3 continued(const float3 beside, const float3 px_source, const Frame *frame, __global const half *source_color) {
     if (!(px_source.z > 0.0f)) return beside;
-    return 0.5f * (beside + border_color(px_source.xy, source_width, source_height, source_color));
+    return 0.5f * (beside + border_color(px_source.xy, frame, source_color));
 }
 
 /* Of the first valid pixels in eight directions, up to `reach` px away: a surface that, continued into the hole, lies outside
    of the rendered image was hidden by nothing. If there are such, the hole is theirs, those close by count most. Else it is a
    disocclusion, and shows the surface on its far side: the mean of those, weighted by the inverse of their distance.
    Gives (colour, inverse depth); false where no direction meets a valid pixel. */
-inline bool far_side(const int dst_x, const int dst_y, const int target_width, const int target_height, const int source_width,
-                     const int source_height, const int reach, const Reprojection to_source, __global const uchar *filled_by,
-                     __global const half *color, __global const float *depth, __global const half *source_color,
-                     float4 *mean) {
-    const Around a = look_around(dst_x, dst_y, target_width, target_height, reach, filled_by, BY_HOLE_FILLING, depth);
+inline bool far_side(const int dst_x, const int dst_y, const Frame *frame, const Images f, float4 *mean) {
+    const int width = frame->target_width, reach = max(LEAST_REACH, width / REACH_SHARE);
+    const Border a = find_border(dst_x, dst_y, width, frame->target_height, reach, f.filled_by, BY_HOLE_FILLING, f.depth);
     float weight[DIRECTIONS], all = 0.0f;
     if (a.count == 0) return false;
     for (int k = 0; k < a.count; ++k) {
-        const bool out = is_out_of_screen(static_source(dst_x, dst_y, a.inverse[k], to_source), source_width, source_height);
+        const bool out = is_out_of_screen(static_source(dst_x, dst_y, a.inverse[k], frame->to_source), frame);
         weight[k] = out ? a.closeness[k] * a.closeness[k] : 0.0f;
         all += weight[k];
     }
     if (all > 0.0f) {
-        *mean = weighted_mean(a.count, a.px, a.inverse, weight, color);
-        const float3 px_source = static_source(dst_x, dst_y, mean->w, to_source);
-        mean->xyz = continued(mean->xyz, px_source, source_width, source_height, source_color);
+        *mean = weighted_mean(a.count, a.px, a.inverse, weight, f.color);
+        const float3 px_source = static_source(dst_x, dst_y, mean->w, frame->to_source);
+        mean->xyz = continued(mean->xyz, px_source, frame, f.source_color);
         return true;
     }
     for (int k = 0; k < a.count; ++k) weight[k] = is_far(a, k) ? a.closeness[k] : 0.0f;
-    *mean = weighted_mean(a.count, a.px, a.inverse, weight, color);
+    *mean = weighted_mean(a.count, a.px, a.inverse, weight, f.color);
     return true;
 }
 
@@ -143,7 +151,7 @@ inline bool far_side(const int dst_x, const int dst_y, const int target_width, c
 inline float brightness(const float3 c) { return (c.x + c.y + c.z) * (1.0f / 3.0f); }
 
 /* How much a far side `mean` tells, beside a remembered colour: the nearer and the more uniform the more. */
-inline float weight_of_far_side(const Around a, const float3 mean, __global const half *color) {
+inline float weight_of_far_side(const Border a, const float3 mean, __global const half *color) {
     float closest = 0.0f, sum = 0.0f, weight_sum = 0.0f;
     for (int k = 0; k < a.count; ++k) {
         if (!is_far(a, k)) continue;
@@ -168,7 +176,7 @@ SCAN __kernel void mix_far_side(const Frame frame, __global const uchar *disoccl
     for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
         const int dst = dst_y * target_width + dst_x;
         if (!disoccluded[dst] || filled_by[dst] == BY_HOLE_FILLING || filled_by[dst] == BY_HIDDEN_PART) continue;
-        const Around a = look_around(dst_x, dst_y, target_width, target_height, MIXED_REACH, disoccluded, 1, depth);
+        const Border a = find_border(dst_x, dst_y, target_width, target_height, MIXED_REACH, disoccluded, 1, depth);
         if (a.count == 0) continue;
         float weight[DIRECTIONS];
         for (int k = 0; k < a.count; ++k) weight[k] = is_far(a, k) ? a.closeness[k] : 0.0f;
@@ -252,24 +260,23 @@ __kernel void pull_level(const Frame frame, const int level, __global const floa
 
 /* ---- fill ------------------------------------------------------------------------------------------------------ */
 
-inline void fill_pixel(const int dst_x, const int dst_y, const int dst, const float4 mean, const Reprojection to_source,
-                       __global half *color, __global float *depth, __global float2 *motion) {
-    const float3 px_source = static_source(dst_x, dst_y, mean.w, to_source);
-    store_color(mean.xyz, color, dst);
-    depth[dst] = mean.w > 0.0f ? divide(1.0f, mean.w) : INFINITY;
-    motion[dst] = px_source.z > 0.0f ? px_source.xy - pixel_centre(dst_x, dst_y) : (float2)(0.0f);
+/* Fills a pixel with a mean (colour, inverse depth), and with the motion of a static point. */
+inline void fill_pixel(const int dst_x, const int dst_y, const float4 mean, const Frame *frame, const Images f) {
+    const int dst = dst_y * frame->target_width + dst_x;
+    const float3 px_source = static_source(dst_x, dst_y, mean.w, frame->to_source);
+    store_color(mean.xyz, f.color, dst);
+    f.depth[dst] = mean.w > 0.0f ? divide(1.0f, mean.w) : INFINITY;
+    f.motion[dst] = px_source.z > 0.0f ? px_source.xy - pixel_centre(dst_x, dst_y) : (float2)(0.0f);
 }
 
 #define BEYOND_REACH -1.0f   /* depth of pixels that have no far side within reach, until they are filled */
 
-/* Fills what is still invalid from the far side; motion is that of a static point. RUN pixels per work-item. */
+/* Fills what is still invalid from the far side. RUN pixels per work-item. */
 SCAN __kernel void fill_far_side(const Frame frame, __global const uchar *block_class,
                                  __global const uchar *filled_by, __global const half *source_color, __global half *color,
                                  __global float *depth, __global float2 *motion) {
+    const Images images = {filled_by, source_color, 0, color, depth, motion};
     const int target_width = frame.target_width, target_height = frame.target_height;
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const int reach = max(LEAST_REACH, target_width / REACH_SHARE);
-    const Reprojection to_source = frame.to_source;
     const int first_x = get_global_id(0) * RUN, dst_y = get_global_id(1);
     if (first_x >= target_width || dst_y >= target_height) return;
     if (run_is_backward(first_x, dst_y, target_width, block_class)) return;
@@ -279,20 +286,27 @@ SCAN __kernel void fill_far_side(const Frame frame, __global const uchar *block_
         const int dst = dst_y * target_width + dst_x;
         if (filled_by[dst] != BY_HOLE_FILLING) continue;
         float4 mean;
-        if (far_side(dst_x, dst_y, target_width, target_height, source_width, source_height, reach, to_source, filled_by, color,
-                     depth, source_color, &mean))
-            fill_pixel(dst_x, dst_y, dst, mean, to_source, color, depth, motion);
-        else
-            depth[dst] = BEYOND_REACH;
+        if (far_side(dst_x, dst_y, &frame, images, &mean)) fill_pixel(dst_x, dst_y, mean, &frame, images);
+        else depth[dst] = BEYOND_REACH;
     }
 }
 
-/* ---- downsampled, as in the paper ------------------------------------------------------------------------------------------------- */
+/* ---- downsampled, as in the paper ------------------------------------------------------------------------------ */
 
 #define TILE 4               /* texels along the side of what one work-group fills: it needs those around them, too */
 #define RING (TILE + 2)
 #define GROUP 128            /* work-items of it: one per row of pixels, or DOWNSAMPLING columns of strips */
 #define STRIP 8              /* rows of a texel that one work-item sums up */
+
+/* The TILE x TILE texels that a work-group fills from, and the ring around them, whose first texel is (ring_x, ring_y). */
+typedef struct {
+    int ring_x, ring_y;
+    int width, height;       /* of the downsampled image */
+    int after_far_side;      /* only pixels are filled that the far side has left */
+    __local float4 *sums;    /* of the ring's texels: (colour, 1), weighted ... */
+    __local float *inverse_sums;  /* ... and inverse depth */
+    __local uint *asked, *any_asks;  /* whether a pixel needs them */
+} Tile;
 
 /* Where a pixel lies between the centres of four texels of the downsampled image: the first one, and how far from it. */
 inline int2 first_texel(const int dst_x, const int dst_y, float2 *between) {
@@ -302,60 +316,93 @@ inline int2 first_texel(const int dst_x, const int dst_y, float2 *between) {
     return convert_int2(first);
 }
 
-/* Index in the ring of one of the four, clamped to the image; (ring_x, ring_y): the ring's first texel. */
-inline int tap_in_ring(const int2 first, const int tap, const int ring_x, const int ring_y, const int downsampled_width,
-                       const int downsampled_height) {
-    const int texel_x = clamp(first.x + (tap & 1), 0, downsampled_width - 1);
-    const int texel_y = clamp(first.y + (tap >> 1), 0, downsampled_height - 1);
-    return (texel_y - ring_y) * RING + texel_x - ring_x;
+/* Index in the ring of one of the four, clamped to the image. */
+inline int tap_in_ring(const int2 first, const int tap, const Tile tile) {
+    const int texel_x = clamp(first.x + (tap & 1), 0, tile.width - 1);
+    const int texel_y = clamp(first.y + (tap >> 1), 0, tile.height - 1);
+    return (texel_y - tile.ring_y) * RING + texel_x - tile.ring_x;
 }
 
 /* Weighted sums, (colour, 1) and inverse depth, over STRIP rows of a column: of valid pixels, and a little of the rendered
    frame. */
-inline float4 sum_strip(const int dst_x, const int first_y, const int target_width, const int target_height,
-                        const int source_width, const int source_height, __global const uchar *filled_by,
-                        __global const half *color, __global const float *depth, __global const half *source_color,
-                        __global const float *source_depth, float *inverse_sum) {
+inline float4 sum_strip(const int dst_x, const int first_y, const Frame *frame, const Images f, float *inverse_sum) {
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const int source_width = frame->source_width, source_height = frame->source_height;
     float4 sum = (float4)(0.0f);
     *inverse_sum = 0.0f;
     if (dst_x >= target_width) return sum;
     for (int dst_y = first_y; dst_y < min(first_y + STRIP, target_height); ++dst_y) {
         const int dst = dst_y * target_width + dst_x;
-        if (filled_by[dst] != BY_HOLE_FILLING) add(&sum, inverse_sum, 1.0f, load_color(color, dst), depth[dst]);
+        if (f.filled_by[dst] != BY_HOLE_FILLING) add(&sum, inverse_sum, 1.0f, load_color(f.color, dst), f.depth[dst]);
         const int src = (dst_y * source_height / target_height) * source_width + dst_x * source_width / target_width;
-        const float z = source_depth[src];
-        if (!INVALID_DEPTH(z)) add(&sum, inverse_sum, RENDERED_WEIGHT, load_color(source_color, src), z);
+        const float z = f.source_depth[src];
+        if (!INVALID_DEPTH(z)) add(&sum, inverse_sum, RENDERED_WEIGHT, load_color(f.source_color, src), z);
     }
     return sum;
 }
 
-/* Whether a pixel is to be filled from the downsampled image. `after_far_side`: only what that has left. */
-inline bool asks(const int dst, const int after_far_side, __global const uchar *filled_by, __global const float *depth) {
-    return filled_by[dst] == BY_HOLE_FILLING && (!after_far_side || depth[dst] == BEYOND_REACH);
+/* Whether a pixel is to be filled from the downsampled image. */
+inline bool asks(const int dst, const Tile tile, const Images f) {
+    return f.filled_by[dst] == BY_HOLE_FILLING && (!tile.after_far_side || f.depth[dst] == BEYOND_REACH);
 }
 
-/* Fills the rest from the image downsampled 32x, interpolated; `after_far_side`: out of screen with the image's border too.
-   Every work-group fills what lies under TILE x TILE texels: it sums up those of
-   them, and of the ring around them, that its pixels ask for. The sums are kept for who wants to look at them. */
+/* Fills a pixel from the four texels around it; out of screen, after the far side, with the image's border too. */
+inline void fill_between_texels(const int dst_x, const int dst_y, const Tile tile, const Frame *frame, const Images f) {
+    float2 between;
+    const int2 first = first_texel(dst_x, dst_y, &between);
+    float4 sum = (float4)(0.0f);
+    float inverse_sum = 0.0f;
+    for (int tap = 0; tap < 4; ++tap) {
+        const float weight = bilinear_weight(tap, between.x, between.y);
+        const int k = tap_in_ring(first, tap, tile);
+        sum += weight * tile.sums[k];
+        inverse_sum += weight * tile.inverse_sums[k];
+    }
+    float4 mean = sum.w > 0.0f ? (float4)(mean_of(sum.xyz, sum.w), divide(inverse_sum, sum.w)) : (float4)(0.0f);
+    const float3 px_source = static_source(dst_x, dst_y, mean.w, frame->to_source);
+    if (tile.after_far_side && is_out_of_screen(px_source, frame)) mean.xyz = continued(mean.xyz, px_source, frame, f.source_color);
+    fill_pixel(dst_x, dst_y, mean, frame, f);
+}
+
+/* Does something with the pixels of a row from first_x to end_x that are to be filled: `fills` them, or asks for the texels that
+   they need. */
+inline void fill_or_ask(const bool fills, const int first_x, const int end_x, const int dst_y, const Tile tile, const Frame *frame,
+                        const Images f) {
+    for (int run_x = first_x; run_x < end_x; run_x += RUN) {
+        const int run = dst_y * frame->target_width + run_x;
+        if (run_x + RUN <= end_x && !run_has(f.filled_by + run, BY_HOLE_FILLING)) continue;
+        for (int dst_x = run_x; dst_x < min(run_x + RUN, end_x); ++dst_x) {
+            if (!asks(run + dst_x - run_x, tile, f)) continue;
+            if (fills) {
+                fill_between_texels(dst_x, dst_y, tile, frame, f);
+            } else {
+                float2 between;
+                const int2 first = first_texel(dst_x, dst_y, &between);
+                atomic_or(tile.any_asks, 1u);
+                for (int tap = 0; tap < 4; ++tap) atomic_or(tile.asked + tap_in_ring(first, tap, tile), 1u);
+            }
+        }
+    }
+}
+
+/* Fills the rest from the image downsampled 32x, interpolated. Every work-group fills what lies under TILE x TILE texels: it sums
+   up those of them, and of the ring around them, that its pixels ask for. The sums are kept for who wants to look at them. */
 SPARSE __kernel void fill_from_downsampled(const Frame frame, const int after_far_side, __global const uchar *filled_by,
                                            __global const half *source_color, __global const float *source_depth,
                                            __global half *color, __global float *depth, __global float2 *motion,
                                            __global float4 *downsampled_color, __global float *downsampled_inverse_depth) {
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const int downsampled_width = (frame.target_width + DOWNSAMPLING - 1) / DOWNSAMPLING;
-    const int downsampled_height = (frame.target_height + DOWNSAMPLING - 1) / DOWNSAMPLING;
-    const Reprojection to_source = frame.to_source;
+    const Images images = {filled_by, source_color, source_depth, color, depth, motion};
     __local float4 sums[RING * RING], strip_sums[GROUP];
     __local float inverse_sums[RING * RING], strip_inverse_sums[GROUP];
     __local uint asked[RING * RING], any_asks;
+    const Tile tile = {get_group_id(0) * TILE - 1, get_group_id(1) * TILE - 1,
+                       (frame.target_width + DOWNSAMPLING - 1) / DOWNSAMPLING, (frame.target_height + DOWNSAMPLING - 1) / DOWNSAMPLING,
+                       after_far_side, sums, inverse_sums, asked, &any_asks};
     const int lane = get_local_id(0);
-    const int tile_x = get_group_id(0) * TILE * DOWNSAMPLING, dst_y = get_group_id(1) * TILE * DOWNSAMPLING + lane;
-    const int ring_x = get_group_id(0) * TILE - 1, ring_y = get_group_id(1) * TILE - 1;
-    const int end_x = dst_y < target_height ? min(tile_x + TILE * DOWNSAMPLING, target_width) : tile_x;
-    const int own_x = ring_x + 1 + lane % TILE, own_y = ring_y + 1 + lane / TILE, own = own_y * downsampled_width + own_x;
-    const bool has_own = lane < TILE * TILE && own_x < downsampled_width && own_y < downsampled_height;
-    float2 between;
+    const int first_x = get_group_id(0) * TILE * DOWNSAMPLING, dst_y = get_group_id(1) * TILE * DOWNSAMPLING + lane;
+    const int end_x = dst_y < frame.target_height ? min(first_x + TILE * DOWNSAMPLING, frame.target_width) : first_x;
+    const int own_x = tile.ring_x + 1 + lane % TILE, own_y = tile.ring_y + 1 + lane / TILE, own = own_y * tile.width + own_x;
+    const bool has_own = lane < TILE * TILE && own_x < tile.width && own_y < tile.height;
 
     if (lane < RING * RING) asked[lane] = 0;
     if (lane == 0) any_asks = 0;
@@ -364,16 +411,7 @@ SPARSE __kernel void fill_from_downsampled(const Frame frame, const int after_fa
         downsampled_inverse_depth[own] = 0.0f;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (int run_x = tile_x; run_x < end_x; run_x += RUN) {
-        if (run_x + RUN <= end_x && !run_has(filled_by + dst_y * target_width + run_x, BY_HOLE_FILLING)) continue;
-        for (int dst_x = run_x; dst_x < min(run_x + RUN, end_x); ++dst_x) {
-            if (!asks(dst_y * target_width + dst_x, after_far_side, filled_by, depth)) continue;
-            const int2 first = first_texel(dst_x, dst_y, &between);
-            atomic_or(&any_asks, 1u);
-            for (int tap = 0; tap < 4; ++tap)
-                atomic_or(asked + tap_in_ring(first, tap, ring_x, ring_y, downsampled_width, downsampled_height), 1u);
-        }
-    }
+    fill_or_ask(false, first_x, end_x, dst_y, tile, &frame, images);
     barrier(CLK_LOCAL_MEM_FENCE);
 
     if (!any_asks) return;
@@ -381,9 +419,8 @@ SPARSE __kernel void fill_from_downsampled(const Frame frame, const int after_fa
     for (int k = 0; k < RING * RING; ++k) {
         if (!asked[k]) continue;
         float inverse_sum;
-        strip_sums[lane] = sum_strip((ring_x + k % RING) * DOWNSAMPLING + lane % DOWNSAMPLING,
-                                     (ring_y + k / RING) * DOWNSAMPLING + lane / DOWNSAMPLING * STRIP, target_width, target_height,
-                                     source_width, source_height, filled_by, color, depth, source_color, source_depth,
+        strip_sums[lane] = sum_strip((tile.ring_x + k % RING) * DOWNSAMPLING + lane % DOWNSAMPLING,
+                                     (tile.ring_y + k / RING) * DOWNSAMPLING + lane / DOWNSAMPLING * STRIP, &frame, images,
                                      &inverse_sum);
         strip_inverse_sums[lane] = inverse_sum;
         barrier(CLK_LOCAL_MEM_FENCE);
@@ -402,40 +439,16 @@ SPARSE __kernel void fill_from_downsampled(const Frame frame, const int after_fa
         downsampled_color[own] = sums[own_in_ring];
         downsampled_inverse_depth[own] = inverse_sums[own_in_ring];
     }
-
-    for (int run_x = tile_x; run_x < end_x; run_x += RUN) {
-        if (run_x + RUN <= end_x && !run_has(filled_by + dst_y * target_width + run_x, BY_HOLE_FILLING)) continue;
-        for (int dst_x = run_x; dst_x < min(run_x + RUN, end_x); ++dst_x) {
-            const int dst = dst_y * target_width + dst_x;
-            if (!asks(dst, after_far_side, filled_by, depth)) continue;
-            const int2 first = first_texel(dst_x, dst_y, &between);
-            float4 sum = (float4)(0.0f);
-            float inverse_sum = 0.0f;
-            for (int tap = 0; tap < 4; ++tap) {
-                const float weight = bilinear_weight(tap, between.x, between.y);
-                const int k = tap_in_ring(first, tap, ring_x, ring_y, downsampled_width, downsampled_height);
-                sum += weight * sums[k];
-                inverse_sum += weight * inverse_sums[k];
-            }
-            float4 mean = sum.w > 0.0f ? (float4)(mean_of(sum.xyz, sum.w), divide(inverse_sum, sum.w)) : (float4)(0.0f);
-            const float3 px_source = static_source(dst_x, dst_y, mean.w, to_source);
-            if (after_far_side && is_out_of_screen(px_source, source_width, source_height))
-                mean.xyz = continued(mean.xyz, px_source, source_width, source_height, source_color);
-            fill_pixel(dst_x, dst_y, dst, mean, to_source, color, depth, motion);
-        }
-    }
+    fill_or_ask(true, first_x, end_x, dst_y, tile, &frame, images);
 }
 
 /* Fills all of it, from the completed level 1 of push-pull. */
 __kernel void fill_from_pyramid(const Frame frame, __global const uchar *filled_by, __global const float4 *level_mean,
                                 __global half *color, __global float *depth, __global float2 *motion) {
-    const int target_width = frame.target_width, target_height = frame.target_height;
+    const Images images = {filled_by, 0, 0, color, depth, motion};
     const int level_width = level_side(frame.target_width, 1), level_height = level_side(frame.target_height, 1);
-    const Reprojection to_source = frame.to_source;
     const int dst_x = get_global_id(0), dst_y = get_global_id(1);
-    if (dst_x >= target_width || dst_y >= target_height) return;
-    const int dst = dst_y * target_width + dst_x;
-    if (filled_by[dst] != BY_HOLE_FILLING) return;
-    fill_pixel(dst_x, dst_y, dst, upsampled(dst_x, dst_y, level_width, level_height, level_mean), to_source, color,
-               depth, motion);
+    if (dst_x >= frame.target_width || dst_y >= frame.target_height) return;
+    if (filled_by[dst_y * frame.target_width + dst_x] != BY_HOLE_FILLING) return;
+    fill_pixel(dst_x, dst_y, upsampled(dst_x, dst_y, level_width, level_height, level_mean), &frame, images);
 }

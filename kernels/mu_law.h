@@ -3,10 +3,6 @@
 #include "common.h"
 #include "simd.h"
 
-/* Of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN. */
-inline Floats least(const Floats a, const float b) { return a < b ? a : (Floats)(b); }
-inline Floats most(const Floats a, const float b) { return a < b ? (Floats)(b) : a; }
-
 /* Of the power of two within sqrt(2) of x > 0. */
 inline Ints exponent_of(const Floats x) { return (floats_as_ints(x) - 0x3f3504f3) >> 23; }
 
@@ -66,5 +62,5 @@ inline Floats lifted(const Floats c, const float4 law) { return LIFTED(Floats, c
 inline Floats encode(const Floats c, const float4 law) { return log_of(lifted(c, law)) * law.y; }
 
 inline Floats decode(const Floats e, const float4 law) {
-    return least(exp_less_one(least(most(e, 0.0f) * law.w, 88.0f)) * law.z, COLOR_MAX);
+    return wide_lesser(exp_less_one(wide_lesser(wide_greater(e, (Floats)(0.0f)) * law.w, (Floats)(88.0f))) * law.z, (Floats)(COLOR_MAX));
 }

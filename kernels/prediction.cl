@@ -17,17 +17,17 @@ typedef struct {
     __global const float *met_depth;
     __global const float4 *history, *velocity;
     __global const uint2 *bend;
-} Fragments;
+} Tracked;
 
 /* What acceleration adds to the position of a fragment after alpha intervals. */
-inline float3 bent(const int src_x, const int src_y, const Frame *frame, const Fragments f, const float z) {
+inline float3 bent(const int src_x, const int src_y, const Frame *frame, const Tracked f, const float z) {
     const int cell = mover_cell_of(src_x, src_y, frame->source_width);
     if (!is_of_cell(z, f.velocity[cell].w)) return (float3)(0.0f);
     return (frame->alpha * (frame->alpha + 1.0f)) * unpacked(f.bend[cell]);
 }
 
 /* (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */
-inline float3 predicted_position(const int src_x, const int src_y, const Frame *frame, const Fragments f) {
+inline float3 predicted_position(const int src_x, const int src_y, const Frame *frame, const Tracked f) {
     const int src = src_y * frame->source_width + src_x, plane = frame->source_width * frame->source_height;
     const float z = f.depth[src];
     const float3 nowhere = (float3)(NOWHERE, NOWHERE, -1.0f);
@@ -60,7 +60,7 @@ WIDE __kernel void predict_positions(const Frame frame, __global const float *de
                                      __global const uchar *dynamic_mask, __global const float *met_depth,
                                      __global const float4 *history, __global const float4 *velocity,
                                      __global const uint2 *bend, __global float *target_position) {
-    const Fragments fragments = {depth, motion, dynamic_mask, met_depth, history, velocity, bend};
+    const Tracked fragments = {depth, motion, dynamic_mask, met_depth, history, velocity, bend};
     const int source_width = frame.source_width, source_height = frame.source_height;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;

@@ -7,7 +7,7 @@
 #define STRIP 16  /* rows per work-item: rows filtered horizontally serve several of them */
 
 inline float cubic_1d(const float4 w, const float a, const float b, const float c, const float d) {
-    return least(most(w.x * a + w.y * b + w.z * c + w.w * d, least(b, c)), most(b, c));
+    return lesser(greater(w.x * a + w.y * b + w.z * c + w.w * d, lesser(b, c)), greater(b, c));
 }
 
 inline Rgb cubic_rgb(const float4 w, const Rgb a, const Rgb b, const Rgb c, const Rgb d) {

@@ -16,5 +16,5 @@ inline Rgb load_rgb(__global const uint2 *color, const int i) {
 }
 
 /* Of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN. */
-inline float least(const float a, const float b) { return a < b ? a : b; }
-inline float most(const float a, const float b) { return a < b ? b : a; }
+inline float lesser(const float a, const float b) { return a < b ? a : b; }
+inline float greater(const float a, const float b) { return a < b ? b : a; }

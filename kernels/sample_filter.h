@@ -5,16 +5,16 @@
 /* Weights of three samples in a row, a rendered pixel apart, the middle one `off` display pixels away. */
 INLINE void near_weights(const Floats off, const float size, Floats *weights) {
     for (int k = 0; k < 3; ++k) {
-        const Floats t = (off + (float)(k - 1) * size) * (1.0f / REACH), left = greater(1.0f - t * t, (Floats)(0.0f));
+        const Floats t = (off + (float)(k - 1) * size) * (1.0f / REACH), left = wide_greater(1.0f - t * t, (Floats)(0.0f));
         weights[k] = left * left * left;
     }
 }
 
 /* The same for what interpolates between them; `off` in rendered pixels. */
 INLINE void far_weights(const Floats off, Floats *weights) {
-    const Floats within = lesser(greater(off, (Floats)(-1.0f)), (Floats)(1.0f));
+    const Floats within = wide_lesser(wide_greater(off, (Floats)(-1.0f)), (Floats)(1.0f));
     for (int k = 0; k < 3; ++k) {
-        const Floats t = within + (float)(k - 1), left = greater(1.0f - t * t, (Floats)(0.0f));
+        const Floats t = within + (float)(k - 1), left = wide_greater(1.0f - t * t, (Floats)(0.0f));
         weights[k] = left * left;
     }
 }

@@ -51,7 +51,7 @@ __kernel void focus_mask(const int target_width, const int target_height, const 
             const float sum = relative_error(exposure * c.r, exposure * t.r)
                               + relative_error(exposure * c.g, exposure * t.g)
                               + relative_error(exposure * c.b, exposure * t.b);
-            smallest = least(smallest, sum);
+            smallest = lesser(smallest, sum);
         }
     focus_truth[dst] = smallest > 3.0f * FOCUS_SMAPE && !is_dynamic[dst];
 }

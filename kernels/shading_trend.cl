@@ -14,17 +14,25 @@
 #define CHANGES 4              /* planes: of R, G, B, and the share of samples that show what is static in both frames */
 #define LEAST_SHARE 0.05f      /* of a neighbourhood: fewer samples say less */
 
+/* Rendered frames t and t-1. */
+typedef struct {
+    __global const half *color;
+    __global const float *depth;
+    __global const uchar *dynamic_mask;
+    __global const half *color_prev;
+    __global const float *depth_prev;
+} Frames;
+
 /* By which factor the colour of a pixel has changed since t-1, 1 where it is not known; returns whether it is. */
-inline bool change_at(const int src_x, const int src_y, const int source_width, const int source_height, const float4 law,
-                      __global const half *color, __global const float *depth, __global const uchar *dynamic_mask,
-                      __global const half *color_prev, __global const float *depth_prev, const Reprojection to_previous,
-                      float3 *change) {
+inline bool change_at(const int src_x, const int src_y, const Frame *frame, const Frames f, float3 *change) {
+    const int source_width = frame->source_width, source_height = frame->source_height;
+    const float4 law = frame->color_law;
     *change = (float3)(1.0f);
     if (!inside(src_x, src_y, source_width, source_height)) return false;
     const int src = src_y * source_width + src_x;
-    const float z = depth[src];
-    if (dynamic_mask[src] || INVALID_DEPTH(z)) return false;
-    const float3 before = reproject(pixel_centre(src_x, src_y), z, to_previous);
+    const float z = f.depth[src];
+    if (f.dynamic_mask[src] || INVALID_DEPTH(z)) return false;
+    const float3 before = reproject(pixel_centre(src_x, src_y), z, frame->to_previous);
     const float x = before.x - 0.5f, y = before.y - 0.5f;
     if (!(before.z > 0.0f && x >= 0.0f && y >= 0.0f && x < (float)(source_width - 1) && y < (float)(source_height - 1)))
         return false;
@@ -32,10 +40,10 @@ inline bool change_at(const int src_x, const int src_y, const int source_width, 
     float3 sum = (float3)(0.0f);
     for (int tap = 0; tap < 4; ++tap) {
         const int at = first + (tap & 1) + (tap >> 1) * source_width;
-        if (!is_same_surface(depth_prev[at], before.z, SAME_SURFACE * before.z)) return false;
-        sum += bilinear_weight(tap, x - (float)(int)x, y - (float)(int)y) * load_color(color_prev, at);
+        if (!is_same_surface(f.depth_prev[at], before.z, SAME_SURFACE * before.z)) return false;
+        sum += bilinear_weight(tap, x - (float)(int)x, y - (float)(int)y) * load_color(f.color_prev, at);
     }
-    const float3 now = load_color(color, src);
+    const float3 now = load_color(f.color, src);
     change->x = divide(LIFTED(float, now.x, law), LIFTED(float, sum.x, law));
     change->y = divide(LIFTED(float, now.y, law), LIFTED(float, sum.y, law));
     change->z = divide(LIFTED(float, now.z, law), LIFTED(float, sum.z, law));
@@ -47,10 +55,9 @@ inline bool change_at(const int src_x, const int src_y, const int source_width, 
 WIDE __kernel void measure_changes(const Frame frame, __global const half *color, __global const float *depth,
                                    __global const uchar *dynamic_mask, __global const half *color_prev,
                                    __global const float *depth_prev, __global float *changes) {
-    const int source_width = frame.source_width, source_height = frame.source_height;
+    const Frames frames = {color, depth, dynamic_mask, color_prev, depth_prev};
     const int cells_width = frame.cells_width, cells_height = frame.cells_height;
     const float4 law = frame.color_law;
-    const Reprojection to_previous = frame.to_previous;
     const int first_x = get_global_id(0) * LANES, cell_y = get_global_id(1);
     if (first_x >= cells_width || cell_y >= cells_height) return;
     const int count = min(LANES, cells_width - first_x), plane = cells_width * cells_height;
@@ -60,8 +67,7 @@ WIDE __kernel void measure_changes(const Frame frame, __global const half *color
         known[k] = 0.0f;
         for (int y = 1; y < CELL && k < count; y += SAMPLE_STRIDE)
             for (int x = 1; x < CELL; x += SAMPLE_STRIDE) {
-                if (change_at((first_x + k) * CELL + x, cell_y * CELL + y, source_width, source_height, law, color, depth,
-                              dynamic_mask, color_prev, depth_prev, to_previous, &change)) known[k] += 1.0f;
+                if (change_at((first_x + k) * CELL + x, cell_y * CELL + y, &frame, frames, &change)) known[k] += 1.0f;
                 product *= change;
             }
         factor[0][k] = product.x;

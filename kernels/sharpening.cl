@@ -33,13 +33,13 @@ WIDE __kernel void sharpen(const Frame frame, __global const half *color, __glob
         Strip c;
         texels_beside(p, color, (k == 1) - (k == 2), (k == 3) - (k == 0), &c);
         const Floats luma = luma_of(&c);
-        low = lesser(low, luma);
-        high = greater(high, luma);
+        low = wide_lesser(low, luma);
+        high = wide_greater(high, luma);
 #pragma unroll
         for (int part = 0; part < PARTS; ++part) sum.part[part] = k ? sum.part[part] + c.part[part] : c.part[part];
     }
     const Floats less = upscale_sharpening * low;
-    const Floats amount = wide_divide(less, greater(5.0f * high - 4.0f * less, (Floats)(1e-6f)));
+    const Floats amount = wide_divide(less, wide_greater(5.0f * high - 4.0f * less, (Floats)(1e-6f)));
 #pragma unroll
     for (int part = 0; part < PARTS; ++part) {
         const Texels c = own.part[part] + OF_TEXELS(amount, part) * (4.0f * own.part[part] - sum.part[part]);

@@ -366,13 +366,13 @@ inline float3 far_color(const Source s, const Layers l, const Shown f, const int
     return mean_of(sum, (float)popcount(far));
 }
 
-/* Value of `coverage` of a pixel, 0 if it stays as it is; else stores its colour. `far`: of its pair; 0: it has none. */
-inline uchar soften_pixel(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, const float2 near_px,
-                          const float near_z, const int far, __global uint *softened) {
+/* Value of `coverage` of a pixel, 0 if it stays as it is; else stores its colour. `near_place`, `far`: of its pair of layers; 0: it has none. */
+inline uchar soften_pixel(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, const float3 near_place,
+                          const int far, __global uint *softened) {
     const int dst = dst_y * f.width + dst_x;
     float4 near;
     float3 rgb;
-    if (far && near_layer(s, l, pixel_centre(dst_x, dst_y), near_px, near_z, &near)) {
+    if (far && near_layer(s, l, pixel_centre(dst_x, dst_y), near_place.xy, near_place.z, &near)) {
         softened[dst] = pack_color(near.xyz + (1.0f - near.w) * far_color(s, l, f, dst_x, dst_y, far));
         return (uchar)(1.0f + 254.0f * near.w + 0.5f);
     }
@@ -439,7 +439,7 @@ WIDE __kernel void soften(const Frame frame, __global const uchar *marked, __glo
     store_floats(pairs.near_y, 0, lane_y);
     store_floats(pairs.near_z, 0, lane_z);
     for (int k = 0; k < count; ++k)
-        coverage[dst + k] = lane_soft[k] ? soften_pixel(s, l, f, dst_x + k, dst_y, (float2)(lane_x[k], lane_y[k]), lane_z[k],
+        coverage[dst + k] = lane_soft[k] ? soften_pixel(s, l, f, dst_x + k, dst_y, (float3)(lane_x[k], lane_y[k], lane_z[k]),
                                                         lane_far[k], softened) : (uchar)0;
 }
 

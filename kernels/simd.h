@@ -98,6 +98,11 @@ inline void store_xy(const Floats x, const Floats y, __global float2 *p) { *p = 
 
 #endif
 
+/* Of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN. If one is NaN, the second of `wide_lesser` and
+   the first of `wide_greater`. */
+inline Floats wide_lesser(const Floats a, const Floats b) { return a < b ? a : b; }
+inline Floats wide_greater(const Floats a, const Floats b) { return a < b ? b : a; }
+
 /* RUN bytes at once, 16 on CPUs and 1 on GPUs, for kernels that find little to do: whether all of them are 0, whether any has a
    value. */
 #if RUN == 16

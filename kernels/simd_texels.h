@@ -3,10 +3,6 @@
 #include "simd_rgb.h"
 #include "cubic.h"
 
-/* Of numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN. */
-inline Floats lesser(const Floats a, const Floats b) { return a < b ? a : b; }
-inline Floats greater(const Floats a, const Floats b) { return a < b ? b : a; }
-
 /* Four channels of each lane. */
 typedef struct { Floats x, y, z, w; } Wide4;
 

@@ -45,9 +45,9 @@
 
 /* Tone-mapped by the largest channel, so that bright samples do not outweigh all others; as (Y, Co, Cg). */
 INLINE Wide4 compressed_of(const Floats r, const Floats g, const Floats b, const float exposure) {
-    const Floats c_r = greater(r, (Floats)(0.0f)) * exposure, c_g = greater(g, (Floats)(0.0f)) * exposure,
-                 c_b = greater(b, (Floats)(0.0f)) * exposure;
-    const Floats scale = wide_divide((Floats)(1.0f), 1.0f + greater(c_r, greater(c_g, c_b)));
+    const Floats c_r = wide_greater(r, (Floats)(0.0f)) * exposure, c_g = wide_greater(g, (Floats)(0.0f)) * exposure,
+                 c_b = wide_greater(b, (Floats)(0.0f)) * exposure;
+    const Floats scale = wide_divide((Floats)(1.0f), 1.0f + wide_greater(c_r, wide_greater(c_g, c_b)));
     const Floats green = 0.5f * c_g, others = 0.25f * (c_r + c_b);
     const Wide4 c = {(others + green) * scale, (0.5f * (c_r - c_b)) * scale, (green - others) * scale, (Floats)(0.0f)};
     return c;
@@ -55,10 +55,10 @@ INLINE Wide4 compressed_of(const Floats r, const Floats g, const Floats b, const
 
 INLINE Wide4 expanded(const Wide4 c, const float exposure) {
     const Floats none = 0.0f, rest = c.x - c.z;
-    const Floats r = greater(rest + c.y, none), g = greater(c.x + c.z, none), b = greater(rest - c.y, none);
-    const Floats most = 1.0f - greater(r, greater(g, b));
-    const Floats scale = wide_divide((Floats)(1.0f), greater(most, (Floats)(1e-4f)) * exposure), top = COLOR_MAX;
-    const Wide4 rgb = {lesser(r * scale, top), lesser(g * scale, top), lesser(b * scale, top), c.w};
+    const Floats r = wide_greater(rest + c.y, none), g = wide_greater(c.x + c.z, none), b = wide_greater(rest - c.y, none);
+    const Floats most = 1.0f - wide_greater(r, wide_greater(g, b));
+    const Floats scale = wide_divide((Floats)(1.0f), wide_greater(most, (Floats)(1e-4f)) * exposure), top = COLOR_MAX;
+    const Wide4 rgb = {wide_lesser(r * scale, top), wide_lesser(g * scale, top), wide_lesser(b * scale, top), c.w};
     return rgb;
 }
 
@@ -117,7 +117,7 @@ INLINE Wide4 within_range(const Wide4 c, const Floats px_x, const Floats px_y, c
         vstore4(most.lo < most.hi ? most.hi : most.lo, k, high);
     }
     const Wide4 l = channels_in(low), h = channels_in(high);
-    const Wide4 clamped = {lesser(greater(c.x, l.x), h.x), lesser(greater(c.y, l.y), h.y), lesser(greater(c.z, l.z), h.z), c.w};
+    const Wide4 clamped = {wide_lesser(wide_greater(c.x, l.x), h.x), wide_lesser(wide_greater(c.y, l.y), h.y), wide_lesser(wide_greater(c.z, l.z), h.z), c.w};
     return clamped;
 }
 
@@ -208,14 +208,14 @@ WIDE __kernel void survey(const Frame frame, __global const half *compressed, __
 #pragma unroll
     for (int c = 0; c < 3; ++c) {
         middle[c] *= ninth;
-        variance[c] = greater(square[c] * ninth - middle[c] * middle[c], (Floats)(0.0f));
+        variance[c] = wide_greater(square[c] * ninth - middle[c] * middle[c], (Floats)(0.0f));
     }
-    const Floats per_known = wide_divide((Floats)(1.0f), greater(off[3], (Floats)(1.0f)));
-    const Floats bias = off[0] * per_known, scatter = greater(off_square[0] * per_known - bias * bias, (Floats)(0.0f));
+    const Floats per_known = wide_divide((Floats)(1.0f), wide_greater(off[3], (Floats)(1.0f)));
+    const Floats bias = off[0] * per_known, scatter = wide_greater(off_square[0] * per_known - bias * bias, (Floats)(0.0f));
     const Floats shift = bias * wide_divide(bias * bias, bias * bias + SCATTER * scatter + 1e-8f);
-    const Floats missed = greater((off_square[0] + off_square[1] + off_square[2]) * per_known - shift * (2.0f * bias - shift), (Floats)(0.0f));
+    const Floats missed = wide_greater((off_square[0] + off_square[1] + off_square[2]) * per_known - shift * (2.0f * bias - shift), (Floats)(0.0f));
     const Floats error = sqrt(wide_divide(missed, variance[0] + variance[1] + variance[2] + NOISE * NOISE));
-    const Wide4 of_mean = {middle[0], middle[1], middle[2], lesser(error, (Floats)(MOST_ERROR))};
+    const Wide4 of_mean = {middle[0], middle[1], middle[2], wide_lesser(error, (Floats)(MOST_ERROR))};
     const Wide4 deviation = {sqrt(variance[0]), sqrt(variance[1]), sqrt(variance[2]), shift};
     store_channels(of_mean, count, out_mean + 4 * i);
     store_channels(deviation, count, out_deviation + 4 * i);
@@ -224,15 +224,15 @@ WIDE __kernel void survey(const Frame frame, __global const half *compressed, __
 /* The history that was found, in today's light, within a few deviations of the mean and `more_room`; its fourth channel. */
 INLINE Wide4 bounded(const Wide4 found, const Wide4 mean, const Wide4 around, const Floats more_room, const float exposure) {
     Wide4 before = compressed_of(found.x, found.y, found.z, exposure);
-    const Floats gain = wide_divide(greater(before.x + around.w, (Floats)(0.0f)), before.x + 1e-4f);
+    const Floats gain = wide_divide(wide_greater(before.x + around.w, (Floats)(0.0f)), before.x + 1e-4f);
     before.x *= gain;
     before.y *= gain;
     before.z *= gain;
     const Floats room = NOISE + more_room, room_x = DEVIATIONS * around.x + room, room_y = DEVIATIONS * around.y + room,
                  room_z = DEVIATIONS * around.z + room;
-    const Wide4 past = {lesser(greater(before.x, mean.x - room_x), mean.x + room_x),
-                        lesser(greater(before.y, mean.y - room_y), mean.y + room_y),
-                        lesser(greater(before.z, mean.z - room_z), mean.z + room_z), found.w};
+    const Wide4 past = {wide_lesser(wide_greater(before.x, mean.x - room_x), mean.x + room_x),
+                        wide_lesser(wide_greater(before.y, mean.y - room_y), mean.y + room_y),
+                        wide_lesser(wide_greater(before.z, mean.z - room_z), mean.z + room_z), found.w};
     return past;
 }
 
@@ -240,9 +240,42 @@ INLINE Wide4 bounded(const Wide4 found, const Wide4 mean, const Wide4 around, co
    nearer is gone, this was thin, and will be met again. */
 INLINE Floats lock_of(const Floats before, const Ints right, const Floats seen) {
     const Floats most = (float)LOCK_FRAMES, counted = before + (right ? (Floats)(1.0f) : (Floats)(-1.0f));
-    const Floats next = before > most ? before - 1.0f : lesser(greater(counted, (Floats)(0.0f)), most);
+    const Floats next = before > most ? before - 1.0f : wide_lesser(wide_greater(counted, (Floats)(0.0f)), most);
     const Ints thin = (seen < MET) & (before >= SETTLED);
     return thin ? (Floats)(THIN) : next;
+}
+
+/* The rendered frame, surveyed, and the history so far. */
+typedef struct {
+    __global const half *mean, *deviation, *history;
+    __global const uchar *lock;
+} Past;
+
+/* What the history knows of LANES pixels: their colours, how many samples these are worth, how far they are believed, 0 to 1, and
+   their locks. */
+typedef struct {
+    Wide4 color;
+    Floats held, believed, locked;
+} Recalled;
+
+/* The history at px_previous, for those that are `known` there: believed as far as it foretold the samples around `src`, within
+   their colours; less where it moved, from there to `px`. `seen`: what depth says. */
+INLINE void recall(const Frame *frame, const Past past, const Floats *px, const Ints known, const Floats *px_previous,
+                   const Ints src, const Floats seen, Recalled *r) {
+    const int width = frame->target_width, height = frame->target_height;
+    const Floats at_x = known ? px_previous[0] : (Floats)(0.0f), at_y = known ? px_previous[1] : (Floats)(0.0f);
+    const Floats motion = fabs(at_x - px[0]) + fabs(at_y - px[1]);
+    const Floats rest = wide_divide((Floats)(1.0f), 1.0f + UNREST * motion * motion);
+    const Wide4 middle = gather_channels(past.mean, src), around = gather_channels(past.deviation, src);
+    const Floats trust = wide_greater(1.0f - wide_divide(middle.w, WRONG + (WRONG_AT_REST - WRONG) * rest), (Floats)(0.0f));
+    const Floats before = to_floats(gather_bytes(past.lock, to_ints(at_y) * width + to_ints(at_x)));
+    const Ints rests = known & (motion < AT_REST);
+    r->locked = rests ? lock_of(before, trust * seen >= AGREED, seen) : (Floats)(0.0f);
+    const Ints thin = r->locked > (float)LOCK_FRAMES;
+    r->color = bounded(cubic_at(known, px_previous[0], px_previous[1], width, height, SLOPE, past.history), middle, around,
+                       thin ? (Floats)(LOCKED_ROOM) : (Floats)(0.0f), frame->exposure);
+    r->believed = known ? trust * (thin ? (Floats)(1.0f) : seen) : (Floats)(0.0f);
+    r->held = wide_lesser(r->color.w * r->believed, MOVED_WEIGHT + (MOST_WEIGHT - MOVED_WEIGHT) * rest);
 }
 
 /* The rendered frame into the history. */
@@ -250,13 +283,11 @@ WIDE __kernel void accumulate(const Frame frame, __global const half *compressed
                               __global const half *mean, __global const half *deviation, __global const half *history,
                               __global const uchar *lock, __global half *out_history, __global uchar *out_lock,
                               __global uchar *rejected) {
+    const Past past = {mean, deviation, history, lock};
     const int target_width = frame.target_width, target_height = frame.target_height;
     const int source_width = frame.source_width, source_height = frame.source_height;
-    const float4 to_render = frame.to_render;
+    const float4 to_render = frame.to_render, to_previous_display = frame.to_previous_display;
     const float2 pixel_size = frame.pixel_size;
-    const float4 to_previous_display = frame.to_previous_display;
-    const float exposure = frame.exposure;
-    const int has_history = frame.has_previous;
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     const int dst = dst_y * target_width + dst_x, count = target_width - dst_x;
     if (count <= 0 || dst_y >= target_height) return;
@@ -279,46 +310,31 @@ WIDE __kernel void accumulate(const Frame frame, __global const half *compressed
     Floats total = sum_of_weights(near);
     const Floats per_far = wide_divide((Floats)(1.0f), sum_of_weights(far));
 
-    /* History: believed as far as it foretold the samples around, within their colours; less where it moved. */
-    Floats moved_y;
-    const Floats moved_x = gather_xy(dilated, src, &moved_y);
-    const Floats px_previous_x = (px_x + moved_x) * to_previous_display.x + to_previous_display.z;
-    const Floats px_previous_y = (px_y + moved_y) * to_previous_display.y + to_previous_display.w;
-    const Ints known = within(px_previous_x, px_previous_y, target_width, target_height) & ((Ints)(has_history) != 0);
-    Wide4 past = {(Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f)};
-    Floats held = 0.0f, locked = 0.0f, believed = 0.0f;
-    if (ANY(known)) {
-        const Floats at_x = known ? px_previous_x : (Floats)(0.0f), at_y = known ? px_previous_y : (Floats)(0.0f);
-        const Floats motion = fabs(at_x - row_centres(dst_x)) + fabs(at_y - ((float)dst_y + 0.5f));
-        const Floats rest = wide_divide((Floats)(1.0f), 1.0f + UNREST * motion * motion);
-        const Wide4 middle = gather_channels(mean, src), around = gather_channels(deviation, src);
-        const Floats seen = fresh.w * per_far;
-        const Floats trust = greater(1.0f - wide_divide(middle.w, WRONG + (WRONG_AT_REST - WRONG) * rest), (Floats)(0.0f));
-        const Floats before = to_floats(gather_bytes(lock, to_ints(at_y) * target_width + to_ints(at_x)));
-        const Ints rests = known & (motion < AT_REST);
-        locked = rests ? lock_of(before, trust * seen >= AGREED, seen) : (Floats)(0.0f);
-        const Ints thin = locked > (float)LOCK_FRAMES;
-        past = bounded(cubic_at(known, px_previous_x, px_previous_y, target_width, target_height, SLOPE, history), middle, around,
-                       thin ? (Floats)(LOCKED_ROOM) : (Floats)(0.0f), exposure);
-        believed = known ? trust * (thin ? (Floats)(1.0f) : seen) : (Floats)(0.0f);
-        held = lesser(past.w * believed, MOVED_WEIGHT + (MOST_WEIGHT - MOVED_WEIGHT) * rest);
-    }
+    const Floats px[2] = {row_centres(dst_x), (Floats)((float)dst_y + 0.5f)};
+    Floats moved_y, px_previous[2];
+    const Floats moved_x = gather_xy(dilated, src, &moved_y), none = 0.0f;
+    px_previous[0] = (px_x + moved_x) * to_previous_display.x + to_previous_display.z;
+    px_previous[1] = (px_y + moved_y) * to_previous_display.y + to_previous_display.w;
+    const Ints known = within(px_previous[0], px_previous[1], target_width, target_height) & ((Ints)(frame.has_previous) != 0);
+    Recalled r = {{none, none, none, none}, none, none, none};
+    if (ANY(known)) recall(&frame, past, px, known, px_previous, src, fresh.w * per_far, &r);
+
     /* Where it is not believed the frame, interpolated, takes its place; samples beside that would be dots in a grid. */
-    const Floats kept = lesser(held * (1.0f / LEAST_WEIGHT), (Floats)(1.0f));
+    const Floats kept = wide_lesser(r.held * (1.0f / LEAST_WEIGHT), (Floats)(1.0f));
     const Floats counted = known ? kept : (Floats)(1.0f), share = known ? FRESH * (1.0f - kept) : (Floats)(1.0f);
-    past.x += (fresh.x * per_far - past.x) * share;
-    past.y += (fresh.y * per_far - past.y) * share;
-    past.z += (fresh.z * per_far - past.z) * share;
-    held = greater(held, (Floats)(LEAST_WEIGHT));
+    r.color.x += (fresh.x * per_far - r.color.x) * share;
+    r.color.y += (fresh.y * per_far - r.color.y) * share;
+    r.color.z += (fresh.z * per_far - r.color.z) * share;
+    const Floats held = wide_greater(r.held, (Floats)(LEAST_WEIGHT));
     total = counted * total + held;
     const Floats scale = wide_divide((Floats)(1.0f), total);
-    sum.x = (counted * sum.x + held * past.x) * scale;
-    sum.y = (counted * sum.y + held * past.y) * scale;
-    sum.z = (counted * sum.z + held * past.z) * scale;
-    sum.w = lesser(total, (Floats)(MOST_WEIGHT));
-    store_channels(expanded(sum, exposure), count, out_history + 4 * dst);
-    store_some_bytes(to_bytes(to_ints(locked)), count, out_lock + dst);
-    store_some_bytes(to_bytes(to_ints(255.0f * (1.0f - believed) + 0.5f)), count, rejected + dst);
+    sum.x = (counted * sum.x + held * r.color.x) * scale;
+    sum.y = (counted * sum.y + held * r.color.y) * scale;
+    sum.z = (counted * sum.z + held * r.color.z) * scale;
+    sum.w = wide_lesser(total, (Floats)(MOST_WEIGHT));
+    store_channels(expanded(sum, frame.exposure), count, out_history + 4 * dst);
+    store_some_bytes(to_bytes(to_ints(r.locked)), count, out_lock + dst);
+    store_some_bytes(to_bytes(to_ints(255.0f * (1.0f - r.believed) + 0.5f)), count, rejected + dst);
 }
 
 /* A generated frame: the history where its own fragments are seen, with what shading correction changed; else its own
@@ -359,7 +375,7 @@ WIDE __kernel void generate(const Frame frame, const int corrected, __global con
         shown.z += own.z - finite(before.z);
     }
     const Floats none = 0.0f, top = COLOR_MAX;
-    const Wide4 out = {seen ? lesser(greater(shown.x, none), top) : own.x, seen ? lesser(greater(shown.y, none), top) : own.y,
-                       seen ? lesser(greater(shown.z, none), top) : own.z, none};
+    const Wide4 out = {seen ? wide_lesser(wide_greater(shown.x, none), top) : own.x, seen ? wide_lesser(wide_greater(shown.y, none), top) : own.y,
+                       seen ? wide_lesser(wide_greater(shown.z, none), top) : own.z, none};
     store_channels(out, count, out_color + 4 * i);
 }

@@ -15,24 +15,40 @@
 #define MOVES_AWAY 1.0f          /* px: a nearer neighbour that deviates more uncovers what it was mixed with */
 #define NEARER 0.97f
 
+/* Whom fragments are offered to: nearest.h. */
+typedef struct {
+    __global Key *keys;
+    __global uint *winners;
+} Winners;
+
+/* Of the rendered frame, what fragments bring along. */
+typedef struct {
+    __global const half *color;
+    __global const uchar *dynamic_mask;
+} Rendered;
+
+/* The new frame. */
+typedef struct {
+    __global half *color;
+    __global float *depth;
+    __global float2 *motion;
+    __global uchar *dynamic_mask, *disoccluded, *filled_by, *mixed;
+} NewFrame;
+
 /* ---- splat --------------------------------------------------------------------------------------------------- */
 
-inline void splat_fragment(const int src_x, const int src_y, const int source_width, const int source_height,
-                           const int target_width, const int target_height, const int crack_closing, const int pass,
-                           const float2 zoom, __global const float *depth, __global const uchar *links,
-                           __global const float *target_position, __global Key *keys, __global uint *winners) {
-    const int src = src_y * source_width + src_x, plane = source_width * source_height;
-    const float3 here = position_of(target_position, src, plane);
-    if (!may_land(here, target_width, target_height)) return;
+inline void splat_fragment(const Fragments from, const Winners to, const int src, const int crack_closing, const int pass) {
+    const float3 here = position_of(from.target_position, src, from.plane);
+    const int width = from.target_width, height = from.target_height;
+    if (!may_land(from, here)) return;
     const int own_x = (int)floor(here.x), own_y = (int)floor(here.y);
-    if (inside(own_x, own_y, target_width, target_height))
-        offer(pass, keys, winners, own_y * target_width + own_x, here.z, (uint)src);
+    if (inside(own_x, own_y, width, height)) offer(pass, to.keys, to.winners, own_y * width + own_x, here.z, (uint)src);
     if (!crack_closing) return;
 
-    const Flow flow = flow_at(src, source_width, plane, here, depth[src], links, target_position, zoom);
+    const Flow flow = flow_at(from, src);
     const float2 half_size = footprint(flow) + 0.51f;  /* to pixel centres, and a little for rounding */
-    const int x0 = max((int)ceil(here.x - half_size.x), 0), x1 = min((int)floor(here.x + half_size.x - 1.0f), target_width - 1);
-    const int y0 = max((int)ceil(here.y - half_size.y), 0), y1 = min((int)floor(here.y + half_size.y - 1.0f), target_height - 1);
+    const int x0 = max((int)ceil(here.x - half_size.x), 0), x1 = min((int)floor(here.x + half_size.x - 1.0f), width - 1);
+    const int y0 = max((int)ceil(here.y - half_size.y), 0), y1 = min((int)floor(here.y + half_size.y - 1.0f), height - 1);
     const float limit = FOOTPRINT_HALF * flow.det;
     for (int dst_y = y0; dst_y <= y1; ++dst_y)
         for (int dst_x = x0; dst_x <= x1; ++dst_x) {
@@ -40,30 +56,26 @@ inline void splat_fragment(const int src_x, const int src_y, const int source_wi
             const float2 centre = pixel_centre(dst_x, dst_y);
             const float2 d = source_offset(flow, centre.x - here.x, centre.y - here.y);
             if (fabs(d.x) <= limit && fabs(d.y) <= limit)
-                offer(pass, keys, winners, dst_y * target_width + dst_x, here.z, (uint)src);
+                offer(pass, to.keys, to.winners, dst_y * width + dst_x, here.z, (uint)src);
         }
 }
 
 /* LANES fragments, one pixel within the image, of which most cover no more than the 3x3 pixels around their own; gives the lanes
    that are done. */
-inline Ints splat_lanes(const int src, const int source_width, const int plane, const int target_width, const int target_height,
-                        const int pass, const float2 zoom, __global const float *depth, __global const uchar *links,
-                        __global const float *target_position, __global Key *keys, __global uint *winners) {
-    Around x, y, z;
-    look_around_run(target_position + src, source_width, &x);
-    look_around_run(target_position + plane + src, source_width, &y);
-    look_around_run(target_position + 2 * plane + src, source_width, &z);
+inline Ints splat_lanes(const Fragments from, const Winners to, const int src, const int pass) {
+    Positions at;
     WideFlow f;
-    wide_flow(x, y, z, to_ints(load_bytes(0, links + src)), load_floats(0, depth + src), zoom, &f);
-    const Floats own_x = floor(x.here), own_y = floor(y.here);
-    const Ints within = (z.here > 0.0f) & (own_x >= 1.0f) & (own_y >= 1.0f) & (own_x < (float)(target_width - 1))
-                        & (own_y < (float)(target_height - 1)) & (FOOTPRINT_HALF * (fabs(f.xx) + fabs(f.yx)) < 1.49f)
+    load_positions_of_run(from, src, &at);
+    wide_flow(at, to_ints(load_bytes(0, from.links + src)), load_floats(0, from.depth + src), from.zoom, &f);
+    const Floats x = at.x.here, y = at.y.here, z = at.z.here, own_x = floor(x), own_y = floor(y);
+    const Ints within = (z > 0.0f) & (own_x >= 1.0f) & (own_y >= 1.0f) & (own_x < (float)(from.target_width - 1))
+                        & (own_y < (float)(from.target_height - 1)) & (FOOTPRINT_HALF * (fabs(f.xx) + fabs(f.yx)) < 1.49f)
                         & (FOOTPRINT_HALF * (fabs(f.xy) + fabs(f.yy)) < 1.49f);
     const Floats limit = FOOTPRINT_HALF * f.det;
     Ints covers = (Ints)(16);  /* bit 3 (dy + 1) + dx + 1; its own pixel always */
     Floats across_x[3], across_y[3], down_x[3], down_y[3];  /* of source_offset at the three columns and rows */
     for (int k = 0; k < 3; ++k) {
-        const Floats dx = (own_x + ((float)k - 0.5f)) - x.here, dy = (own_y + ((float)k - 0.5f)) - y.here;
+        const Floats dx = (own_x + ((float)k - 0.5f)) - x, dy = (own_y + ((float)k - 0.5f)) - y;
         across_x[k] = f.yy * dx;
         across_y[k] = f.xy * dx;
         down_x[k] = f.yx * dy;
@@ -77,12 +89,12 @@ inline Ints splat_lanes(const int src, const int source_width, const int plane, 
     int lane_covers[LANES], lane_dst[LANES];
     float lane_z[LANES];
     store_ints(within ? covers : (Ints)(0), 0, lane_covers);
-    store_ints(to_ints(own_y) * target_width + to_ints(own_x), 0, lane_dst);
-    store_floats(z.here, 0, lane_z);
+    store_ints(to_ints(own_y) * from.target_width + to_ints(own_x), 0, lane_dst);
+    store_floats(z, 0, lane_z);
     for (int lane = 0; lane < LANES; ++lane)
         for (int left = lane_covers[lane]; left; left &= left - 1) {
             const int k = 31 - clz(left & -left), dy = (k * 11) >> 5, dx = k - 3 * dy;
-            offer(pass, keys, winners, lane_dst[lane] + (dy - 1) * target_width + dx - 1, lane_z[lane], (uint)(src + lane));
+            offer(pass, to.keys, to.winners, lane_dst[lane] + (dy - 1) * from.target_width + dx - 1, lane_z[lane], (uint)(src + lane));
         }
     return within;
 }
@@ -99,26 +111,22 @@ inline bool any_splatted(const int4 reached, const int target_width, __global co
 WIDE __kernel void splat(const Frame frame, const int pass, __global const float *depth, __global const uchar *links,
                          __global const float *target_position, __global const short4 *reach,
                          __global const uchar *block_class, __global Key *keys, __global uint *winners) {
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const int blocks = frame.blocks;
-    const int crack_closing = frame.crack_closing;
-    const float2 zoom = frame.zoom;
-    const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
-    if (src_x >= source_width || src_y >= source_height) return;
-    if (blocks && crack_closing
-        && !any_splatted(convert_int4(reach[block_of(src_x, src_y, source_width)]), target_width, block_class)) return;
+    const int width = frame.source_width, height = frame.source_height;
+    const Fragments from = {depth, target_position, links, width, height, width * height,
+                            frame.target_width, frame.target_height, frame.zoom};
+    const Winners to = {keys, winners};
+    const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1), src = src_y * width + src_x;
+    if (src_x >= width || src_y >= height) return;
+    if (frame.blocks && frame.crack_closing
+        && !any_splatted(convert_int4(reach[block_of(src_x, src_y, width)]), frame.target_width, block_class)) return;
     Ints done = (Ints)(0);
-    if (crack_closing && src_x >= 1 && src_y >= 1 && src_x + LANES < source_width && src_y + 1 < source_height)
-        done = splat_lanes(src_y * source_width + src_x, source_width, source_width * source_height, target_width,
-                           target_height, pass, zoom, depth, links, target_position, keys, winners);
+    if (frame.crack_closing && src_x >= 1 && src_y >= 1 && src_x + LANES < width && src_y + 1 < height)
+        done = splat_lanes(from, to, src, pass);
     if (ALL(done)) return;
     int lane_done[LANES];
     store_ints(done, 0, lane_done);
-    for (int k = 0; k < min(LANES, source_width - src_x); ++k)
-        if (!lane_done[k])
-            splat_fragment(src_x + k, src_y, source_width, source_height, target_width, target_height, crack_closing, pass,
-                           zoom, depth, links, target_position, keys, winners);
+    for (int k = 0; k < min(LANES, width - src_x); ++k)
+        if (!lane_done[k]) splat_fragment(from, to, src + k, frame.crack_closing, pass);
 }
 
 /* ---- resample ------------------------------------------------------------------------------------------------ */
@@ -133,21 +141,19 @@ inline float deviation(const float3 there, const int dx, const int dy, const flo
 
 /* A pixel beside a nearer surface that moves away holds a mixture of both colours: the step, in source pixels,
    to the neighbour that does not, if that one moves along. */
-inline int2 step_off_silhouette(const int src_x, const int src_y, const int source_width, const int source_height,
-                                const float3 here, const Flow flow, __global const float *depth,
-                                __global const float *target_position) {
-    const int src = src_y * source_width + src_x, plane = source_width * source_height;
+inline int2 step_off_silhouette(const Fragments f, const int src_x, const int src_y, const float3 here, const Flow flow) {
+    const int src = src_y * f.width + src_x;
     int2 step = (int2)(0, 0);
     for (int k = 0; k < 4; ++k) {
         const int dx = k == 0 ? 1 : k == 2 ? -1 : 0, dy = k == 1 ? 1 : k == 3 ? -1 : 0;
-        if (!inside(src_x + dx, src_y + dy, source_width, source_height)) continue;
-        const int beside = src + dy * source_width + dx;
-        if (depth[beside] < depth[src] * NEARER
-            && deviation(position_of(target_position, beside, plane), dx, dy, here, flow) > MOVES_AWAY)
+        if (!inside(src_x + dx, src_y + dy, f.width, f.height)) continue;
+        const int beside = src + dy * f.width + dx;
+        if (f.depth[beside] < f.depth[src] * NEARER
+            && deviation(position_of(f.target_position, beside, f.plane), dx, dy, here, flow) > MOVES_AWAY)
             step -= (int2)(dx, dy);
     }
-    if (!inside(src_x + step.x, src_y + step.y, source_width, source_height)) return (int2)(0, 0);
-    const float3 there = position_of(target_position, src + step.y * source_width + step.x, plane);
+    if (!inside(src_x + step.x, src_y + step.y, f.width, f.height)) return (int2)(0, 0);
+    const float3 there = position_of(f.target_position, src + step.y * f.width + step.x, f.plane);
     return deviation(there, step.x, step.y, here, flow) <= SAME_MOTION ? step : (int2)(0, 0);
 }
 
@@ -169,25 +175,24 @@ inline float3 of_those_alike(const int alike, const int tap, const float u, cons
 
 /* Colour at (src_x, src_y) + d. Cubic where the neighbourhood moves alike, which its four inner taps and its corners
    tell; else bilinear over those of the four taps that move alike. */
-inline float3 resample(const int src_x, const int src_y, const float2 d, const int source_width, const int source_height,
-                       const float3 here, const Flow flow, __global const float *target_position,
+inline float3 resample(const Fragments f, const int src_x, const int src_y, const float2 d, const float3 here, const Flow flow,
                        __global const half *color) {
-    if (d.x == 0.0f && d.y == 0.0f) return load_color(color, src_y * source_width + src_x);
+    const int src = src_y * f.width + src_x;
+    if (d.x == 0.0f && d.y == 0.0f) return load_color(color, src);
     const int ox = (int)floor(d.x), oy = (int)floor(d.y);
     const float u = d.x - (float)ox, v = d.y - (float)oy;
     int alike = 0;
     for (int k = 0; k < 8; ++k) {
         const int dx = ox + (k < 4 ? (k & 1) : 3 * (k & 1) - 1), dy = oy + (k < 4 ? (k >> 1) : 3 * ((k >> 1) & 1) - 1);
-        const bool tap_alike = inside(src_x + dx, src_y + dy, source_width, source_height)
-            && deviation(position_of(target_position, (src_y + dy) * source_width + src_x + dx, source_width * source_height),
-                         dx, dy, here, flow) <= SAME_MOTION;
+        const bool tap_alike = inside(src_x + dx, src_y + dy, f.width, f.height)
+            && deviation(position_of(f.target_position, src + dy * f.width + dx, f.plane), dx, dy, here, flow) <= SAME_MOTION;
         alike |= (int)tap_alike << k;
     }
     float4 rgb;
-    const int tap = (src_y + oy) * source_width + src_x + ox;
-    if (alike != ALL_ALIKE) return of_those_alike(alike, tap, u, v, source_width, src_y * source_width + src_x, color);
-    if (cubic_of_finite(tap - source_width - 1, cubic_weights(u), cubic_weights(v), source_width, color, &rgb)) return rgb.xyz;
-    return cubic(src_x + ox - 1, src_y + oy - 1, u, v, source_width, (__global const uint2 *)color);
+    const int tap = src + oy * f.width + ox;
+    if (alike != ALL_ALIKE) return of_those_alike(alike, tap, u, v, f.width, src, color);
+    if (cubic_of_finite(tap - f.width - 1, cubic_weights(u), cubic_weights(v), f.width, color, &rgb)) return rgb.xyz;
+    return cubic(src_x + ox - 1, src_y + oy - 1, u, v, f.width, (__global const uint2 *)color);
 }
 
 /* What rounding moved, less than STILL, did not move. */
@@ -196,48 +201,43 @@ inline float2 without_rounding(const float2 d) {
 }
 
 /* One pixel from the fragment that won it. Its key is emptied if the background may fill it. */
-inline void resolve_pixel(const int dst_x, const int dst_y, const int source_width, const int source_height,
-                          const int target_width, const int unfilled_label, const float2 zoom, __global Key *keys,
-                          __global uint *winners, __global const half *color, __global const float *depth,
-                          __global const uchar *dynamic_mask, __global const uchar *links,
-                          __global const float *target_position, __global half *out_color, __global float *out_depth,
-                          __global float2 *out_motion, __global uchar *out_dynamic, __global uchar *disoccluded,
-                          __global uchar *filled_by, __global uchar *mixed) {
-    const int dst = dst_y * target_width + dst_x, plane = source_width * source_height;
-    const uint src = winner_of(keys, winners, dst);
+inline void resolve_pixel(const Fragments from, const Rendered shown, const Winners winners, const NewFrame to, const int dst_x,
+                          const int dst_y, const int unfilled_label) {
+    const int dst = dst_y * from.target_width + dst_x;
+    const uint src = winner_of(winners.keys, winners.winners, dst);
     if (src == NOBODY) {
-        store_color((float3)(0.0f), out_color, dst);
-        out_depth[dst] = INFINITY;
-        out_motion[dst] = (float2)(0.0f);
-        out_dynamic[dst] = 0;
-        disoccluded[dst] = 1;
-        mixed[dst] = 0;
-        filled_by[dst] = unfilled_label;
+        store_color((float3)(0.0f), to.color, dst);
+        to.depth[dst] = INFINITY;
+        to.motion[dst] = (float2)(0.0f);
+        to.dynamic_mask[dst] = 0;
+        to.disoccluded[dst] = 1;
+        to.mixed[dst] = 0;
+        to.filled_by[dst] = unfilled_label;
         return;
     }
-    const int src_x = src % source_width, src_y = src / source_width;
-    const float3 here = position_of(target_position, src, plane);
-    const Flow flow = flow_at(src, source_width, plane, here, depth[src], links, target_position, zoom);
+    const int src_x = src % from.width, src_y = src / from.width;
+    const float3 here = position_of(from.target_position, src, from.plane);
+    const Flow flow = flow_at(from, src);
     const float2 centre = pixel_centre(dst_x, dst_y);
     const float2 offset = source_offset(flow, centre.x - here.x, centre.y - here.y);
     const float2 exact = (float2)(divide(offset.x, flow.det), divide(offset.y, flow.det));
     const float2 d = without_rounding(clamp(exact, -1.0f, 1.0f));
-    const int2 step = step_off_silhouette(src_x, src_y, source_width, source_height, here, flow, depth, target_position);
-    store_color(resample(src_x, src_y, d + convert_float2(step), source_width, source_height, here, flow,
-                         target_position, color), out_color, dst);
+    const int2 step = step_off_silhouette(from, src_x, src_y, here, flow);
+    store_color(resample(from, src_x, src_y, d + convert_float2(step), here, flow, shown.color), to.color, dst);
     const float z = here.z + flow.ddx.z * d.x + flow.ddy.z * d.y;
     const bool is_mixed = step.x != 0 || step.y != 0;
-    out_depth[dst] = z > 0.0f ? z : here.z;
-    out_motion[dst] = pixel_centre(src_x, src_y) + d - centre;
-    out_dynamic[dst] = dynamic_mask[src];
-    disoccluded[dst] = 0;
-    mixed[dst] = is_mixed;
-    filled_by[dst] = (int)floor(here.x) == dst_x && (int)floor(here.y) == dst_y ? BY_WARP : BY_CRACK_CLOSING;
-    if (is_mixed) forget(keys, winners, dst);
+    to.depth[dst] = z > 0.0f ? z : here.z;
+    to.motion[dst] = pixel_centre(src_x, src_y) + d - centre;
+    to.dynamic_mask[dst] = shown.dynamic_mask[src];
+    to.disoccluded[dst] = 0;
+    to.mixed[dst] = is_mixed;
+    to.filled_by[dst] = (int)floor(here.x) == dst_x && (int)floor(here.y) == dst_y ? BY_WARP : BY_CRACK_CLOSING;
+    if (is_mixed) forget(winners.keys, winners.winners, dst);
 }
 
 /* Of fragments within one smooth surface: nothing to check. */
-inline void smooth_flow(const Around x, const Around y, const Around z, WideFlow *flow) {
+inline void smooth_flow(const Positions at, WideFlow *flow) {
+    const Cross x = at.x, y = at.y, z = at.z;
     WideFlow f;
     f.xx = ((x.right - x.here) + (x.here - x.left)) * 0.5f;
     f.xy = ((y.right - y.here) + (y.here - y.left)) * 0.5f;
@@ -258,7 +258,8 @@ inline Floats wide_deviation(const Floats there_x, const Floats there_y, const F
 }
 
 /* Which lanes have no neighbour from which step_off_silhouette steps off. */
-inline Ints stays(const Around x, const Around y, const Around depth, const WideFlow f) {
+inline Ints stays(const Positions at, const Cross depth, const WideFlow f) {
+    const Cross x = at.x, y = at.y;
     const Floats near = depth.here * NEARER, one = (Floats)(1.0f), none = (Floats)(0.0f);
     const Ints nearer = (depth.left < near) | (depth.right < near) | (depth.up < near) | (depth.down < near);
     if (!ANY(nearer)) return !nearer;
@@ -271,32 +272,49 @@ inline Ints stays(const Around x, const Around y, const Around depth, const Wide
 }
 
 /* Which taps around (ox, oy) from the winners move alike, in bits: see resample. */
-inline Ints taps_alike(const Ints src, const Floats ox, const Floats oy, const int source_width, const int plane,
-                       const Floats here_x, const Floats here_y, const WideFlow f, __global const float *target_position) {
+inline Ints taps_alike(const Fragments from, const Positions at, const Ints src, const Floats ox, const Floats oy, const WideFlow f) {
     Places base;
-    find_places(src + to_ints(oy) * source_width + to_ints(ox), 2 * source_width + 2, plane, &base);
+    find_places(src + to_ints(oy) * from.width + to_ints(ox), 2 * from.width + 2, from.plane, &base);
     Ints alike = (Ints)(0);
 #pragma unroll
     for (int k = 0; k < 8; ++k) {
         const int dx = k < 4 ? (k & 1) : 3 * (k & 1) - 1, dy = k < 4 ? (k >> 1) : 3 * ((k >> 1) & 1) - 1;
-        __global const float *p = target_position + dy * source_width + dx, *q = p + plane;
+        __global const float *p = from.target_position + dy * from.width + dx, *q = p + from.plane;
         const Floats there_x = floats_at(p, base), there_y = floats_at(q, base);
-        const Ints tap_alike = wide_deviation(there_x, there_y, ox + (float)dx, oy + (float)dy, here_x, here_y, f) <= SAME_MOTION;
+        const Ints tap_alike = wide_deviation(there_x, there_y, ox + (float)dx, oy + (float)dy, at.x.here, at.y.here, f)
+                               <= SAME_MOTION;
         alike |= tap_alike ? (Ints)(1 << k) : (Ints)(0);
     }
     return alike;
 }
 
-/* Colours at (u, v) from the pixels `tap`, next to the winners `src`, for the lanes in `use`. */
-inline void resample_lanes(const int dst, const Ints use, const Ints alike, const Ints src, const Ints tap, const Floats u,
-                           const Floats v, const int source_width, __global const half *color, __global half *out_color) {
+/* Where LANES pixels are resampled: at (u, v) from the pixels `tap`, next to the winners `src`. */
+typedef struct {
+    Ints src, tap, alike;
+    Floats u, v;
+} Samples;
+
+inline void samples_at(const Ints src, const Floats dx, const Floats dy, const int source_width, Samples *s) {
+    const Floats ox = floor(dx), oy = floor(dy);
+    s->src = src;
+    s->tap = src + to_ints(oy) * source_width + to_ints(ox);
+    s->alike = (Ints)(ALL_ALIKE);
+    s->u = dx - ox;
+    s->v = dy - oy;
+}
+
+/* The samples of the lanes in `use`. */
+inline void resample_lanes(const Samples s, const Ints use, const int source_width, __global const half *color, const int dst,
+                           __global half *out_color) {
+    const Ints tap = s.tap, alike = s.alike;
+    const Floats u = s.u, v = s.v;
     int lane_tap[LANES], lane_use[LANES], lane_exact[LANES], lane_alike[LANES], lane_src[LANES];
     float lane_u[LANES], lane_v[LANES], lanes_x[4][LANES], lanes_y[4][LANES];
     Floats wx[4], wy[4];
     store_ints(tap, 0, lane_tap);
     wide_cubic_weights(u, wx);
     wide_cubic_weights(v, wy);
-    const Ints exact = (tap == src) & (u == 0.0f) & (v == 0.0f);
+    const Ints exact = (tap == s.src) & (u == 0.0f) & (v == 0.0f);
 #if LANES == 8
     /* Halves whose taps lie in a row; where a tap is no finite number, and elsewhere, one lane after another. */
     const Ints whole = use & ((alike == ALL_ALIKE) | exact), in_row = tap - LANE_NUMBERS;
@@ -315,7 +333,7 @@ inline void resample_lanes(const int dst, const Ints use, const Ints alike, cons
     store_ints(rest, 0, lane_use);
     store_ints(exact, 0, lane_exact);
     store_ints(alike, 0, lane_alike);
-    store_ints(src, 0, lane_src);
+    store_ints(s.src, 0, lane_src);
     store_floats(u, 0, lane_u);
     store_floats(v, 0, lane_v);
     for (int k = 0; k < 4; ++k) {
@@ -340,53 +358,57 @@ inline void resample_lanes(const int dst, const Ints use, const Ints alike, cons
     }
 }
 
-/* LANES pixels from the fragments (src_x, src_y), which lie two pixels within the image. Gives the lanes that are done: those
-   of `use` that stay where they are at silhouettes; `smooth`: they lie in blocks without any. */
-inline Ints resolve_lanes(const bool smooth, const int dst_x, const int dst_y, const Ints src_x, const Ints src_y, const Ints use,
-                          const int source_width, const int source_height, const int target_width, const float2 zoom,
-                          __global const half *color, __global const float *depth, __global const uchar *dynamic_mask,
-                          __global const uchar *links, __global const float *target_position, __global half *out_color,
-                          __global float *out_depth, __global float2 *out_motion, __global uchar *out_dynamic,
-                          __global uchar *disoccluded, __global uchar *filled_by, __global uchar *mixed) {
-    const int dst = dst_y * target_width + dst_x, plane = source_width * source_height;
+/* The winners of LANES pixels, which lie two pixels within the image, for the lanes in `use`; `smooth`: in blocks without
+   silhouettes. */
+typedef struct {
+    Ints x, y, use;
+    bool smooth;
+} WideWinners;
+
+inline void store_labels(const NewFrame to, const int dst, const Bytes dynamic_mask, const Ints own) {
+    store_bytes(dynamic_mask, 0, to.dynamic_mask + dst);
+    store_bytes((Bytes)(0), 0, to.disoccluded + dst);
+    store_bytes((Bytes)(0), 0, to.mixed + dst);
+    store_bytes(to_bytes(own ? (Ints)(BY_WARP) : (Ints)(BY_CRACK_CLOSING)), 0, to.filled_by + dst);
+}
+
+/* LANES pixels from their winners. Gives the lanes that are done: those in use that stay where they are at silhouettes. */
+inline Ints resolve_lanes(const Fragments from, const Rendered shown, const NewFrame to, const WideWinners won, const int dst_x,
+                          const int dst_y) {
+    const int dst = dst_y * from.target_width + dst_x;
     const Floats centre_x = row_centres(dst_x);
     const float centre_y = (float)dst_y + 0.5f;
-    const Ints src = src_y * source_width + src_x;
+    const Ints src = won.y * from.width + won.x;
     Places places;
-    find_places(src, source_width + 1, plane, &places);
+    find_places(src, from.width + 1, from.plane, &places);
 
-    Around x, y, z;  /* given back by pointer: Oclgrind does not know what inlining makes of returned structs */
-    look_around(target_position, source_width, places, &x);
-    look_around(target_position + plane, source_width, places, &y);
-    look_around(target_position + 2 * plane, source_width, places, &z);
+    Positions at;  /* given back by pointer: Oclgrind does not know what inlining makes of returned structs */
+    load_positions(from, places, &at);
     WideFlow f;
-    Ints done = use;
-    if (smooth) {
-        smooth_flow(x, y, z, &f);
+    Ints done = won.use;
+    if (won.smooth) {
+        smooth_flow(at, &f);
     } else {
-        Around shown;
-        look_around(depth, source_width, places, &shown);
-        wide_flow(x, y, z, to_ints(bytes_at(links, places)), shown.here, zoom, &f);
-        done &= stays(x, y, shown, f);
+        Cross depth;
+        load_cross(from.depth, from.width, places, &depth);
+        wide_flow(at, to_ints(bytes_at(from.links, places)), depth.here, from.zoom, &f);
+        done &= stays(at, depth, f);
     }
-    const Floats ex = centre_x - x.here, ey = centre_y - y.here;
+    const Floats ex = centre_x - at.x.here, ey = centre_y - at.y.here, z = at.z.here;
     Floats dx = clamp(wide_divide(f.yy * ex - f.yx * ey, f.det), -1.0f, 1.0f);
     Floats dy = clamp(wide_divide(f.xx * ey - f.xy * ex, f.det), -1.0f, 1.0f);
     dx = fabs(dx) < STILL ? (Floats)(0.0f) : dx;
     dy = fabs(dy) < STILL ? (Floats)(0.0f) : dy;
-    const Floats ox = floor(dx), oy = floor(dy);
-    const Ints alike = smooth ? (Ints)(ALL_ALIKE) : taps_alike(src, ox, oy, source_width, plane, x.here, y.here, f, target_position);
+    Samples samples;
+    samples_at(src, dx, dy, from.width, &samples);
+    if (!won.smooth) samples.alike = taps_alike(from, at, src, floor(dx), floor(dy), f);
 
-    const Floats out_z = z.here + f.xz * dx + f.yz * dy;
-    const Ints own = (floor(x.here) == centre_x - 0.5f) & (floor(y.here) == centre_y - 0.5f);
-    store_floats(out_z > 0.0f ? out_z : z.here, 0, out_depth + dst);
-    store_xy((to_floats(src_x) + 0.5f) + dx - centre_x, (to_floats(src_y) + 0.5f) + dy - centre_y, out_motion + dst);
-    store_bytes(bytes_at(dynamic_mask, places), 0, out_dynamic + dst);
-    store_bytes((Bytes)(0), 0, disoccluded + dst);
-    store_bytes((Bytes)(0), 0, mixed + dst);
-    store_bytes(to_bytes(own ? (Ints)(BY_WARP) : (Ints)(BY_CRACK_CLOSING)), 0, filled_by + dst);
-
-    resample_lanes(dst, done, alike, src, src + to_ints(oy) * source_width + to_ints(ox), dx - ox, dy - oy, source_width, color, out_color);
+    const Floats out_z = z + f.xz * dx + f.yz * dy;
+    store_floats(out_z > 0.0f ? out_z : z, 0, to.depth + dst);
+    store_xy((to_floats(won.x) + 0.5f) + dx - centre_x, (to_floats(won.y) + 0.5f) + dy - centre_y, to.motion + dst);
+    store_labels(to, dst, bytes_at(shown.dynamic_mask, places),
+                 (floor(at.x.here) == centre_x - 0.5f) & (floor(at.y.here) == centre_y - 0.5f));
+    resample_lanes(samples, done, from.width, shown.color, dst, to.color);
     return done;
 }
 
@@ -399,41 +421,34 @@ inline Floats px_from_block(const float8 source, const int dst_x, const int dst_
 }
 
 /* LANES pixels of a block in which that is exact. */
-inline void resolve_affine(const float8 source, const int dst_x, const int dst_y, const int source_width,
-                             const int source_height, const int target_width, __global const half *color,
-                             __global const uchar *dynamic_mask, __global const float *target_position,
-                             __global half *out_color, __global float *out_depth, __global float2 *out_motion,
-                             __global uchar *out_dynamic, __global uchar *disoccluded, __global uchar *filled_by,
-                             __global uchar *mixed) {
-    const int dst = dst_y * target_width + dst_x;
+inline void resolve_affine(const Fragments from, const Rendered shown, const NewFrame to, const float8 source, const int dst_x,
+                           const int dst_y) {
+    const int dst = dst_y * from.target_width + dst_x;
     Floats px_y;
     const Floats px_x = px_from_block(source, dst_x, dst_y, &px_y);
-    const Ints src_x = clamp(to_ints(px_x), (Ints)(2), (Ints)(source_width - 3));
-    const Ints src_y = clamp(to_ints(px_y), (Ints)(2), (Ints)(source_height - 3));
+    const Ints src_x = clamp(to_ints(px_x), (Ints)(2), (Ints)(from.width - 3));
+    const Ints src_y = clamp(to_ints(px_y), (Ints)(2), (Ints)(from.height - 3));
     const Floats src_centre_x = to_floats(src_x) + 0.5f, src_centre_y = to_floats(src_y) + 0.5f;
     Floats dx = px_x - src_centre_x, dy = px_y - src_centre_y;
     dx = fabs(dx) < STILL ? (Floats)(0.0f) : dx;
     dy = fabs(dy) < STILL ? (Floats)(0.0f) : dy;
-    const Ints src = src_y * source_width + src_x;
+    const Ints src = src_y * from.width + src_x;
     Places places;
-    find_places(src, source_width + 1, source_width * source_height, &places);
+    find_places(src, from.width + 1, from.plane, &places);
 
-    Around z;
-    look_around(target_position + 2 * source_width * source_height, source_width, places, &z);
+    Cross z;
+    load_cross(from.target_position + 2 * from.plane, from.width, places, &z);
     const Ints sky = isinf(z.here);
     const Floats across = sky ? (Floats)(0.0f) : (z.right - z.left) * 0.5f, down = sky ? (Floats)(0.0f) : (z.down - z.up) * 0.5f;
     const Floats out_z = z.here + across * dx + down * dy;
-    const Ints own = (fabs(source.s5 * dx - source.s3 * dy) * source.s6 <= 0.5f)
-                     & (fabs(source.s2 * dy - source.s4 * dx) * source.s6 <= 0.5f);
-    store_floats(out_z > 0.0f ? out_z : z.here, 0, out_depth + dst);
-    store_xy(src_centre_x + dx - row_centres(dst_x), src_centre_y + dy - ((float)dst_y + 0.5f), out_motion + dst);
-    store_bytes(bytes_at(dynamic_mask, places), 0, out_dynamic + dst);
-    store_bytes((Bytes)(0), 0, disoccluded + dst);
-    store_bytes((Bytes)(0), 0, mixed + dst);
-    store_bytes(to_bytes(own ? (Ints)(BY_WARP) : (Ints)(BY_CRACK_CLOSING)), 0, filled_by + dst);
-    const Floats ox = floor(dx), oy = floor(dy);
-    resample_lanes(dst, LANE_NUMBERS >= 0, (Ints)(ALL_ALIKE), src, src + to_ints(oy) * source_width + to_ints(ox), dx - ox,
-                   dy - oy, source_width, color, out_color);
+    store_floats(out_z > 0.0f ? out_z : z.here, 0, to.depth + dst);
+    store_xy(src_centre_x + dx - row_centres(dst_x), src_centre_y + dy - ((float)dst_y + 0.5f), to.motion + dst);
+    store_labels(to, dst, bytes_at(shown.dynamic_mask, places),
+                 (fabs(source.s5 * dx - source.s3 * dy) * source.s6 <= 0.5f)
+                     & (fabs(source.s2 * dy - source.s4 * dx) * source.s6 <= 0.5f));
+    Samples samples;
+    samples_at(src, dx, dy, from.width, &samples);
+    resample_lanes(samples, LANE_NUMBERS >= 0, from.width, shown.color, dst, to.color);
 }
 
 /* LANES pixels per work-item. */
@@ -444,52 +459,47 @@ WIDE __kernel void resolve(const Frame frame, const int unfilled_label, __global
                            __global const float *target_position, __global half *out_color, __global float *out_depth,
                            __global float2 *out_motion, __global uchar *out_dynamic, __global uchar *disoccluded,
                            __global uchar *filled_by, __global uchar *mixed) {
-    const int source_width = frame.source_width, source_height = frame.source_height;
+    const int width = frame.source_width, height = frame.source_height;
     const int target_width = frame.target_width, target_height = frame.target_height;
-    const float2 zoom = frame.zoom;
+    const Fragments from = {depth, target_position, links, width, height, width * height, target_width, target_height, frame.zoom};
+    const Rendered shown = {color, dynamic_mask};
+    const Winners winning = {keys, winners};
+    const NewFrame to = {out_color, out_depth, out_motion, out_dynamic, disoccluded, filled_by, mixed};
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
     const int block = block_of(dst_x, dst_y, target_width);
     const bool backward = block_class[block] == BACKWARD;
     const float8 source = backward ? block_source[block] : (float8)(0.0f);
     if (backward && source.s7 != 0.0f) {
-        resolve_affine(source, dst_x, dst_y, source_width, source_height, target_width, color, dynamic_mask, target_position,
-                       out_color, out_depth, out_motion, out_dynamic, disoccluded, filled_by, mixed);
+        resolve_affine(from, shown, to, source, dst_x, dst_y);
         return;
     }
     Ints done = (Ints)(0);
     if (backward || dst_x + LANES <= target_width) {
-        Ints src_x, src_y, use = ALL_LANES;
-        bool smooth = backward;
+        WideWinners won = {(Ints)(0), (Ints)(0), ALL_LANES, backward};
         if (backward) {
             Floats px_y;
-            src_x = to_ints(floor(px_from_block(source, dst_x, dst_y, &px_y)));
-            src_y = to_ints(floor(px_y));
+            won.x = to_ints(floor(px_from_block(source, dst_x, dst_y, &px_y)));
+            won.y = to_ints(floor(px_y));
         } else {
             const Uints src = load_winners(keys, winners, dst_y * target_width + dst_x);
-            wide_column_and_row(to_ints(src), source_width, &src_x, &src_y);
-            use = (src != NOBODY) & (src_x >= 2) & (src_y >= 2) & (src_x < source_width - 2) & (src_y < source_height - 2);
-            smooth = ALL(use & (src == FIRST_LANE(src) + to_uints(LANE_NUMBERS)))
-                && source_smooth[block_of(FIRST_LANE(src_x), FIRST_LANE(src_y), source_width)]
-                && source_smooth[block_of(LAST_LANE(src_x), LAST_LANE(src_y), source_width)];
+            wide_column_and_row(to_ints(src), width, &won.x, &won.y);
+            won.use = (src != NOBODY) & (won.x >= 2) & (won.y >= 2) & (won.x < width - 2) & (won.y < height - 2);
+            won.smooth = ALL(won.use & (src == FIRST_LANE(src) + to_uints(LANE_NUMBERS)))
+                && source_smooth[block_of(FIRST_LANE(won.x), FIRST_LANE(won.y), width)]
+                && source_smooth[block_of(LAST_LANE(won.x), LAST_LANE(won.y), width)];
         }
-        if (smooth) {
-            resolve_lanes(true, dst_x, dst_y, src_x, src_y, use, source_width, source_height, target_width, zoom, color, depth,
-                          dynamic_mask, links, target_position, out_color, out_depth, out_motion, out_dynamic, disoccluded,
-                          filled_by, mixed);
+        if (won.smooth) {
+            resolve_lanes(from, shown, to, won, dst_x, dst_y);
             return;
         }
-        if (ANY(use))
-            done = resolve_lanes(false, dst_x, dst_y, use ? src_x : (Ints)(2), use ? src_y : (Ints)(2), use, source_width,
-                                 source_height, target_width, zoom, color, depth, dynamic_mask, links, target_position,
-                                 out_color, out_depth, out_motion, out_dynamic, disoccluded, filled_by, mixed);
+        won.x = won.use ? won.x : (Ints)(2);
+        won.y = won.use ? won.y : (Ints)(2);
+        if (ANY(won.use)) done = resolve_lanes(from, shown, to, won, dst_x, dst_y);
     }
     if (ALL(done)) return;
     int lane_done[LANES];
     store_ints(done, 0, lane_done);
     for (int k = 0; k < min(LANES, target_width - dst_x); ++k)
-        if (!lane_done[k])
-            resolve_pixel(dst_x + k, dst_y, source_width, source_height, target_width, unfilled_label, zoom, keys, winners,
-                          color, depth, dynamic_mask, links, target_position, out_color, out_depth, out_motion, out_dynamic,
-                          disoccluded, filled_by, mixed);
+        if (!lane_done[k]) resolve_pixel(from, shown, winning, to, dst_x + k, dst_y, unfilled_label);
 }
