@@ -13,10 +13,7 @@ import numpy as np
 
 from gffe_cl.inference.network import MULTIPLE
 from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.stages.background import REMEMBERED, SHOWN
-from gffe_cl.stages.backward_blocks import SPLATTED, BackwardBlocks
-from gffe_cl.stages.base import Kernel
-from gffe_cl.stages.buffers import BY_HIDDEN_PART, BY_HOLE_FILLING, BY_NOTHING
+from gffe_cl.stages.base import Kernel, Share, share_of
 
 _STILL = 1 / 64  # change of encoded colour from t − 1 to t + α
 
@@ -29,23 +26,9 @@ def still_tiles(frames: np.ndarray) -> np.ndarray:
     return change.reshape(height // MULTIPLE, MULTIPLE, width // MULTIPLE, MULTIPLE).max((1, 3)) < _STILL
 
 
-# Shares of the pixels by name, as `Access.share` has them: the buffer that tells, and which of its values count.
-SHARES: dict[str, tuple[str, Callable[[np.ndarray], np.ndarray]]] = {
-    "dynamic": ("history.dynamic_mask", lambda mask: mask != 0),
-    "disoccluded": ("frame.disoccluded", lambda mask: mask != 0),
-    "splatted": ("backward_blocks.block_class", lambda block: block == SPLATTED),
-    "hidden parts": ("frame.filled_by", lambda label: label == BY_HIDDEN_PART),
-    "mixed": ("warp.mixed", lambda mask: mask != 0),
-    "unfilled": ("frame.filled_by", lambda label: (label == BY_HOLE_FILLING) | (label == BY_NOTHING)),
-    "beyond reach": ("holes.downsampled_color", lambda sums: sums[..., 3] != 0),
-    "remembered": ("background.state_0", lambda state: state == REMEMBERED),
-    "not shown": ("background.state_0", lambda state: state != SHOWN),
-    "layers": ("silhouettes.layer", lambda layer: layer != 0),
-    "near silhouettes": ("silhouettes.marked", lambda marked: marked != 0),
-    "softened": ("silhouettes.coverage", lambda coverage: coverage != 0),
-    "focus": ("correction.focus_mask", lambda mask: mask != 0),
-    "still tiles": ("correction.frames", still_tiles),  # of the network
-}
+# Beside those by which stages declare: where the network changes the frame, and its tiles that it could leave out.
+FOCUS = share_of("focus", "correction.focus_mask")
+STILL_TILES = share_of("still tiles", "correction.frames", still_tiles)
 
 # Parts by stage.
 SCN = {
@@ -70,18 +53,11 @@ def part(stage: str, when: str, kernel: str) -> str:
 
 
 def counters(pipeline: Pipeline) -> dict[str, float]:
-    """The share of the pixels that each of `SHARES` has in the present frame, 0 where its stage is off; and "holes":
-    the disoccluded or mixed pixels, which the background may fill; "splatting": the source blocks that are splatted."""
-    counted = {}
-    for name, (buffer, counts) in SHARES.items():
-        owner, _, rest = buffer.partition(".")
-        found = pipeline.board.frame if owner == "frame" else pipeline.stages.get(owner)
-        there = found and any(spec.name == rest for spec in found.buffers)
-        counted[name] = float(counts(found.read(rest)).mean()) if there else 0.0
-    return counted | {
-        "holes": counted["disoccluded"] + counted["mixed"],
-        "splatting": float(pipeline.stages[BackwardBlocks.name].splatting().mean()),
-    }
+    """The shares of the pixels by which the stages declare what they read and write, counted in the present frame."""
+    kernels = (kernel for stage in pipeline.stages.values() for kernel in stage.kernels)
+    declared = (access.share for kernel in kernels for *_, access in kernel.accesses())
+    shares = dict.fromkeys(share for share in declared if isinstance(share, Share))
+    return {share.name: share.count(pipeline.board) for share in [*shares, FOCUS, STILL_TILES]}
 
 
 Launches = dict[str, list[tuple[Kernel, dict[str, Any]]]]  # by stage: kernels, with what was given to each launch
@@ -107,7 +83,7 @@ def bytes_per_pixel(pipeline: Pipeline, launches: Launches, shares: dict[str, fl
         by_kernel = moved.setdefault(stage, {})
         for kernel, given in launched:
             for _, _, access in kernel.accesses():
-                share = shares[access.share] if isinstance(access.share, str) else access.share
+                share = shares[access.share.name] if isinstance(access.share, Share) else access.share
                 spec = pipeline.board.spec(access.buffer.format(**given))
                 planes = spec.planes if access.planes is None else access.planes
                 nbytes = spec.bytes_per_pixel * planes * math.prod(spec.size(pipeline.sizes)) * share

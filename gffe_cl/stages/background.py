@@ -9,9 +9,11 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Step
+from gffe_cl.stages.backward_blocks import SPLATTED_PIXELS
+from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Share, Step, share_of
 from gffe_cl.stages.buffers import RGBA, XY, BufferSpec, Sizes, aligned, level_starts
 from gffe_cl.stages.pixel_formats import OFFSET, RGB9E5
+from gffe_cl.stages.warp import DISOCCLUDED, MIXED
 
 _CONSTANTS = constants("background.cl")
 REMEMBERED, SHOWN = _CONSTANTS["REMEMBERED"], _CONSTANTS["SHOWN"]
@@ -22,43 +24,52 @@ STATES = (
 )
 
 
+REMEMBERED_TEXELS = share_of("remembered", "background.state_0", lambda state: state == REMEMBERED)
+NOT_SHOWN = share_of("not shown", "background.state_0", lambda state: state != SHOWN)
+HOLES = Share("holes", lambda board: DISOCCLUDED.count(board) + MIXED.count(board))  # that the background may fill
+
 _KEY_MEMORY = ("key_memory", "winner_memory")  # of even levels
 _SPARE = 8192  # bytes of lent memory beyond what this stage needs: parts of it are aligned
 
 
-def _keys(which: str, share: str | float = 1.0) -> dict[str, Access]:
+def _keys(which: str, share: Share | float = 1.0) -> dict[str, Access]:
     """Keys and winners of what is offered to "fill" a level or to "push" to the next."""
     return {f"{which}_{name}": Access(f"background.{{{which}_by}}_{name}", share) for name in ("keys", "winners")}
 
 
-def _level(names: str, level: str = "level", share: str | float = 1.0, prefix: str = "level_", kept: str = "") -> dict:
+def _level(
+    names: str, level: str = "level", share: Share | float = 1.0, prefix: str = "level_", kept: str = ""
+) -> dict:
     """Buffers of the level that the launch gives."""
     return {f"{prefix}{name}": Access(f"background.{name}_{{{level}}}{kept}", share) for name in names.split()}
 
 
-def _levels(names: str, share: str | float = 1.0) -> dict[str, Access]:
+def _levels(names: str, share: Share | float = 1.0) -> dict[str, Access]:
     """Buffers of all levels."""
     return {f"levels_{name}": Access(f"background.{name}", share) for name in names.split()}
 
 
 def _old(names: str) -> dict[str, Access]:
-    return _level(names, "old", "remembered", "old_", "'")
+    return _level(names, "old", REMEMBERED_TEXELS, "old_", "'")
 
 
-_OFFERED = _keys("fill", "remembered") | _keys("push", "remembered")
-_SETTLED = _level("color depth px state", share="remembered") | _keys("fill", "remembered")
+_OFFERED = _keys("fill", REMEMBERED_TEXELS) | _keys("push", REMEMBERED_TEXELS)
+_SETTLED = _level("color depth px state", share=REMEMBERED_TEXELS) | _keys("fill", REMEMBERED_TEXELS)
 _SETTLING = (
-    {"frame_color": Access("previous.color", "remembered"), "frame_depth": Access("previous.depth", "remembered")}
+    {
+        "frame_color": Access("previous.color", REMEMBERED_TEXELS),
+        "frame_depth": Access("previous.depth", REMEMBERED_TEXELS),
+    }
     | _level("state")
-    | _keys("fill", "not shown")
+    | _keys("fill", NOT_SHOWN)
     | _old("color depth px state")
 )
 _PUSHED = (
-    _level("color depth px", "next", "remembered", "next_")
+    _level("color depth px", "next", REMEMBERED_TEXELS, "next_")
     | _level("state", "next", prefix="next_")
-    | _keys("push", "remembered")
+    | _keys("push", REMEMBERED_TEXELS)
 )
-_PROJECTED = {"keys": Access("warp.keys", "holes"), "winners": Access("warp.winners", "holes")}
+_PROJECTED = {"keys": Access("warp.keys", HOLES), "winners": Access("warp.winners", HOLES)}
 
 
 class Background(NearestStage):
@@ -74,14 +85,14 @@ class Background(NearestStage):
             "scatter_level",
             "level{level}",
             {
-                "depth": Access("rendered.depth", "not shown"),
-                "dynamic_mask": Access("history.dynamic_mask", "not shown"),
-                "links": Access("connectivity.links", "not shown"),
+                "depth": Access("rendered.depth", NOT_SHOWN),
+                "dynamic_mask": Access("history.dynamic_mask", NOT_SHOWN),
+                "links": Access("connectivity.links", NOT_SHOWN),
                 "frame_depth": Access("{depth_of_shown}"),
                 "taken": Access("background.state_{level}"),
                 "level_depth": Access("{depth_of_taken}"),
             }
-            | _level("depth px", share="remembered", prefix="old_", kept="'")
+            | _level("depth px", share=REMEMBERED_TEXELS, prefix="old_", kept="'")
             | _level("state", prefix="old_", kept="'")
             | _OFFERED,
             _OFFERED,
@@ -92,12 +103,12 @@ class Background(NearestStage):
         Kernel(
             "project_levels",
             "levels{levels}",
-            _levels("depth px", "remembered")
+            _levels("depth px", REMEMBERED_TEXELS)
             | _levels("state")
             | {
-                "disoccluded": Access("frame.disoccluded", "remembered"),
-                "mixed": Access("warp.mixed", "remembered"),
-                "depth": Access("frame.depth", "holes"),
+                "disoccluded": Access("frame.disoccluded", REMEMBERED_TEXELS),
+                "mixed": Access("warp.mixed", REMEMBERED_TEXELS),
+                "depth": Access("frame.depth", HOLES),
             }
             | _PROJECTED,
             _PROJECTED,
@@ -107,24 +118,24 @@ class Background(NearestStage):
             "fill_from_levels",
             "target",
             {
-                "frame_color": Access("rendered.color", "holes"),
-                "frame_depth": Access("rendered.depth", "holes"),
+                "frame_color": Access("rendered.color", HOLES),
+                "frame_depth": Access("rendered.depth", HOLES),
                 "block_class": "backward_blocks.block_class",
-                "disoccluded": Access("frame.disoccluded", "splatted"),
-                "mixed": Access("warp.mixed", "splatted"),
-                "color_prev": Access("previous.color", "holes"),
-                "depth_prev": Access("previous.depth", "holes"),
-                "state_prev": Access("background.state_0'", "holes"),
-                "color": Access("frame.color", "mixed"),
-                "filled_by": Access("frame.filled_by", "disoccluded"),
+                "disoccluded": Access("frame.disoccluded", SPLATTED_PIXELS),
+                "mixed": Access("warp.mixed", SPLATTED_PIXELS),
+                "color_prev": Access("previous.color", HOLES),
+                "depth_prev": Access("previous.depth", HOLES),
+                "state_prev": Access("background.state_0'", HOLES),
+                "color": Access("frame.color", MIXED),
+                "filled_by": Access("frame.filled_by", DISOCCLUDED),
             }
-            | _levels("color depth px state", "holes")
+            | _levels("color depth px state", HOLES)
             | _PROJECTED,
             {
-                "color": Access("frame.color", "holes"),
-                "depth": Access("frame.depth", "disoccluded"),
-                "motion": Access("frame.motion", "disoccluded"),
-                "filled_by": Access("frame.filled_by", "holes"),
+                "color": Access("frame.color", HOLES),
+                "depth": Access("frame.depth", DISOCCLUDED),
+                "motion": Access("frame.motion", DISOCCLUDED),
+                "filled_by": Access("frame.filled_by", HOLES),
             },
             step=("RUN", 1),
         ),

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Step
+from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Share, Step, share_of
 from gffe_cl.stages.buffers import BufferSpec
 from gffe_cl.stages.silhouettes import Silhouettes
 
@@ -15,6 +15,10 @@ _CONSTANTS = constants("backward_blocks.cl")
 _FIVE_PER_BLOCK = 5 / (_CONSTANTS["BLOCK_WIDTH"] * _CONSTANTS["BLOCK_HEIGHT"])  # pixels, in find_source
 SPLATTED, BACKWARD = _CONSTANTS["SPLATTED"], _CONSTANTS["BACKWARD"]
 CLASSES = ((SPLATTED, "splatted: edges, movers, disocclusions"), (BACKWARD, "one smooth surface, warped backward"))
+
+
+SPLATTED_PIXELS = share_of("splatted", "backward_blocks.block_class", lambda block: block == SPLATTED)
+SPLATTING_BLOCKS = Share("splatting", lambda board: float(board.stages["backward_blocks"].splatting().mean()))
 
 
 class BackwardBlocks(NearestStage):
@@ -69,8 +73,8 @@ class BackwardBlocks(NearestStage):
                 "block_class": "backward_blocks.block_class",
                 "block_source": "backward_blocks.block_source",
                 "marked": "silhouettes.marked",
-                "keys": Access("warp.keys", "splatted"),
-                "winners": Access("warp.winners", "splatted"),
+                "keys": Access("warp.keys", SPLATTED_PIXELS),
+                "winners": Access("warp.winners", SPLATTED_PIXELS),
             },
         ),
     )

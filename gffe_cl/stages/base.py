@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, Protocol
@@ -29,15 +29,35 @@ _ROW, _ROW_OF_LANES = 64, 128
 
 
 @dataclass(frozen=True)
+class Share:
+    """A share of the pixels: its name in tables, and how it is counted in the frame that stages work on, 0 to 1."""
+
+    name: str
+    count: Callable[[Board], float]
+
+
+def share_of(name: str, buffer: str, counts: Callable[[np.ndarray], np.ndarray] = lambda values: values != 0) -> Share:
+    """The share of a buffer's pixels for which `counts` gives True; 0 while the buffer's stage is off."""
+
+    def count(board: Board) -> float:
+        owner, _, own = buffer.partition(".")
+        found = board.frame if owner == "frame" else board.stages.get(owner)
+        there = found and any(spec.name == own for spec in found.buffers)
+        return float(counts(found.read(own)).mean()) if there else 0.0
+
+    return Share(name, count)
+
+
+@dataclass(frozen=True)
 class Access:
     """What a kernel reads or writes through one argument.
 
-    `buffer` is its name; {…} in it are given at the launch. `share` says of which share of the buffer's pixels, by a
-    counter of `evaluation.traffic.SHARES` or as a number; `planes` of how many planes, None for all.
+    `buffer` is its name; {…} in it are given at the launch. `share` says of which share of the buffer's pixels, a
+    number or counted in the frame; `planes` of how many planes, None for all.
     """
 
     buffer: str
-    share: str | float = 1.0
+    share: Share | float = 1.0
     planes: int | None = None
 
 

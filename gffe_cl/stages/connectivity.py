@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.stages.background import Background
+from gffe_cl.stages.background import NOT_SHOWN, Background
 from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Step
 from gffe_cl.stages.buffers import BufferSpec
 
 _COLLECTING = {
     "state": Access("background.state_0"),
-    "fill_keys": Access("background.even_keys", "not shown"),
-    "fill_winners": Access("background.even_winners", "not shown"),
+    "fill_keys": Access("background.even_keys", NOT_SHOWN),
+    "fill_winners": Access("background.even_winners", NOT_SHOWN),
     "push_keys": Access("background.odd_keys"),
     "push_winners": Access("background.odd_winners"),
 }

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Kernel, Stage, Step
+from gffe_cl.stages.backward_blocks import SPLATTED_PIXELS
+from gffe_cl.stages.base import Access, Kernel, Stage, Step, share_of
+from gffe_cl.stages.buffers import BY_HIDDEN_PART
+from gffe_cl.stages.warp import DISOCCLUDED
 
 _CONSTANTS = constants("hidden_parts.cl")
-_FILLED = {name: Access(f"frame.{name}", "hidden parts") for name in ("color", "depth", "motion", "filled_by")}
+HIDDEN_PARTS = share_of("hidden parts", "frame.filled_by", lambda label: label == BY_HIDDEN_PART)
+_FILLED = {name: Access(f"frame.{name}", HIDDEN_PARTS) for name in ("color", "depth", "motion", "filled_by")}
 
 
 class HiddenParts(Stage):
@@ -18,13 +22,13 @@ class HiddenParts(Stage):
             "fill_hidden_parts",
             "target",
             {
-                "source_depth": Access("rendered.depth", "hidden parts"),
+                "source_depth": Access("rendered.depth", HIDDEN_PARTS),
                 "block_class": "backward_blocks.block_class",
-                "disoccluded": Access("frame.disoccluded", "splatted"),
-                "is_dynamic": Access("frame.dynamic", "disoccluded"),
-                "color": Access("frame.color", "hidden parts"),
-                "depth": Access("frame.depth", "hidden parts"),
-                "motion": Access("frame.motion", "hidden parts"),
+                "disoccluded": Access("frame.disoccluded", SPLATTED_PIXELS),
+                "is_dynamic": Access("frame.dynamic", DISOCCLUDED),
+                "color": Access("frame.color", HIDDEN_PARTS),
+                "depth": Access("frame.depth", HIDDEN_PARTS),
+                "motion": Access("frame.motion", HIDDEN_PARTS),
             },
             _FILLED,
             step=("RUN", "LANES"),

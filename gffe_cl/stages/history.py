@@ -7,13 +7,16 @@ from dataclasses import replace
 import numpy as np
 
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
+from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, share_of
 from gffe_cl.stages.buffers import BufferSpec
 
 # Bounds of the automatic static threshold ε, in pixels.
 _CONSTANTS = constants("history.cl")
 STRIDE = _CONSTANTS["RESIDUAL_STRIDE"]
 _SAMPLED = STRIDE**-2
+
+
+DYNAMIC = share_of("dynamic", "history.dynamic_mask")
 
 
 class HistoryTracking(Stage):
@@ -84,15 +87,15 @@ class HistoryTracking(Stage):
             {
                 "depth": "rendered.depth",
                 "motion": "rendered.motion",
-                "depth_prev": Access("previous.depth", "dynamic"),
-                "dynamic_prev": Access("history.dynamic_mask'", "dynamic", planes=0),
-                "history_prev": Access("history.history'", "dynamic", planes=0),
+                "depth_prev": Access("previous.depth", DYNAMIC),
+                "dynamic_prev": Access("history.dynamic_mask'", DYNAMIC, planes=0),
+                "history_prev": Access("history.history'", DYNAMIC, planes=0),
                 "threshold_squared": "history.static_threshold_squared",
             },
             {
                 "dynamic_mask": "history.dynamic_mask",
-                "met_depth": Access("history.met_depth", "dynamic"),
-                "history": Access("history.history", "dynamic"),
+                "met_depth": Access("history.met_depth", DYNAMIC),
+                "history": Access("history.history", DYNAMIC),
             },
             step=("LANES", 1),
         ),

@@ -11,20 +11,25 @@ import numpy as np
 
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.background import Background
-from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
-from gffe_cl.stages.buffers import BufferSpec
+from gffe_cl.stages.backward_blocks import SPLATTED_PIXELS
+from gffe_cl.stages.base import Access, Board, Kernel, Share, Stage, Step, share_of
+from gffe_cl.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpec
+from gffe_cl.stages.warp import DISOCCLUDED
 
 _CONSTANTS = constants("holes.cl")
 _TILE, _GROUP = _CONSTANTS["TILE"], _CONSTANTS["GROUP"]
 _VALID = {"color": "frame.color", "depth": "frame.depth", "filled_by": "frame.filled_by"}
 
+UNFILLED = share_of("unfilled", "frame.filled_by", lambda label: (label == BY_HOLE_FILLING) | (label == BY_NOTHING))
+BEYOND_REACH = share_of("beyond reach", "holes.downsampled_color", lambda sums: sums[..., 3] != 0)
 
-def _image(share: str) -> dict[str, Access]:
+
+def _image(share: Share) -> dict[str, Access]:
     """Colour and depth of the new frame, as far as they are read around a share of the pixels."""
     return {name: Access(f"frame.{name}", share) for name in ("color", "depth")}
 
 
-def _filled(share: str) -> dict[str, Access]:
+def _filled(share: Share) -> dict[str, Access]:
     return {name: Access(f"frame.{name}", share) for name in ("color", "depth", "motion")}
 
 
@@ -61,11 +66,11 @@ class Downsampled(HoleFilling):
             "target",
             {
                 "filled_by": "frame.filled_by",
-                "source_color": Access("rendered.color", "beyond reach"),
-                "source_depth": Access("rendered.depth", "beyond reach"),
+                "source_color": Access("rendered.color", BEYOND_REACH),
+                "source_depth": Access("rendered.depth", BEYOND_REACH),
             }
-            | _image("beyond reach"),
-            _filled("beyond reach")
+            | _image(BEYOND_REACH),
+            _filled(BEYOND_REACH)
             | {
                 "downsampled_color": "holes.downsampled_color",
                 "downsampled_inverse_depth": "holes.downsampled_inverse_depth",
@@ -87,9 +92,9 @@ class FarSide(Downsampled):
         Kernel(
             "mix_far_side",
             "target",
-            {"disoccluded": "frame.disoccluded", "filled_by": Access("frame.filled_by", "disoccluded")}
-            | _image("disoccluded"),
-            {"color": Access("frame.color", "disoccluded")},
+            {"disoccluded": "frame.disoccluded", "filled_by": Access("frame.filled_by", DISOCCLUDED)}
+            | _image(DISOCCLUDED),
+            {"color": Access("frame.color", DISOCCLUDED)},
             step=("RUN", 1),
         ),
         Kernel(
@@ -97,11 +102,11 @@ class FarSide(Downsampled):
             "target",
             {
                 "block_class": "backward_blocks.block_class",
-                "filled_by": Access("frame.filled_by", "splatted"),
-                "source_color": Access("rendered.color", "unfilled"),
+                "filled_by": Access("frame.filled_by", SPLATTED_PIXELS),
+                "source_color": Access("rendered.color", UNFILLED),
             }
-            | _image("unfilled"),
-            _filled("unfilled"),
+            | _image(UNFILLED),
+            _filled(UNFILLED),
             step=("RUN", 1),
         ),
         *Downsampled.kernels,
@@ -143,8 +148,8 @@ class PushPull(HoleFilling):
         Kernel(
             "fill_from_pyramid",
             "target",
-            {"filled_by": "frame.filled_by", "level_mean": Access("holes.mean_1", "unfilled")},
-            _filled("unfilled"),
+            {"filled_by": "frame.filled_by", "level_mean": Access("holes.mean_1", UNFILLED)},
+            _filled(UNFILLED),
         ),
     )
 

@@ -10,6 +10,7 @@ from gffe_cl.opencl.program import constants
 from gffe_cl.stages.acceleration import Acceleration
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
+from gffe_cl.stages.history import DYNAMIC
 
 NOWHERE = constants("prediction.cl")["NOWHERE"]  # px
 
@@ -37,12 +38,12 @@ class PositionPrediction(Stage):
             "source",
             {
                 "depth": "rendered.depth",
-                "motion": Access("rendered.motion", "dynamic"),
+                "motion": Access("rendered.motion", DYNAMIC),
                 "dynamic_mask": "history.dynamic_mask",
-                "met_depth": Access("history.met_depth", "dynamic"),
-                "history": Access("history.history", "dynamic"),
-                "velocity": Access("acceleration.velocity", "dynamic"),
-                "bend": Access("acceleration.bend", "dynamic"),
+                "met_depth": Access("history.met_depth", DYNAMIC),
+                "history": Access("history.history", DYNAMIC),
+                "velocity": Access("acceleration.velocity", DYNAMIC),
+                "bend": Access("acceleration.bend", DYNAMIC),
             },
             {"target_position": "prediction.target_position"},
             step=("LANES", 1),

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Kernel, Stage, Step
+from gffe_cl.stages.base import Access, Kernel, Stage, Step, share_of
 from gffe_cl.stages.buffers import RGBA, BufferSpec
 from gffe_cl.stages.pixel_formats import RGB9E5
 
@@ -19,6 +19,11 @@ LAYERS = tuple(
         ("NEAR", "the near side of one"),
     )
 )
+
+
+LAYERS = share_of("layers", "silhouettes.layer")
+NEAR_SILHOUETTES = share_of("near silhouettes", "silhouettes.marked")
+SOFTENED = share_of("softened", "silhouettes.coverage")
 
 
 class Silhouettes(Stage):
@@ -57,15 +62,15 @@ class Silhouettes(Stage):
             "source",
             {
                 "links": "connectivity.links",
-                "depth": Access("rendered.depth", "layers"),
-                "target_position": Access("prediction.target_position", "layers"),
-                "color": Access("rendered.color", "layers"),
+                "depth": Access("rendered.depth", LAYERS),
+                "target_position": Access("prediction.target_position", LAYERS),
+                "color": Access("rendered.color", LAYERS),
             },
             {
                 "layer": "silhouettes.layer",
-                "behind": Access("silhouettes.behind", "layers"),
-                "share": Access("silhouettes.share", "layers"),
-                "marked": Access("silhouettes.marked", "near silhouettes"),
+                "behind": Access("silhouettes.behind", LAYERS),
+                "share": Access("silhouettes.share", LAYERS),
+                "marked": Access("silhouettes.marked", NEAR_SILHOUETTES),
             },
             step=("LANES", 1),
         ),
@@ -74,20 +79,20 @@ class Silhouettes(Stage):
             "target",
             {
                 "marked": "silhouettes.marked",
-                "depth": Access("frame.depth", "near silhouettes"),
-                "motion": Access("frame.motion", "near silhouettes"),
-                "layer": Access("silhouettes.layer", "near silhouettes"),
-                "filled_by": Access("frame.filled_by", "softened"),
-                "mixed": Access("warp.mixed", "softened"),
-                "color": Access("frame.color", "softened"),
-                "behind": Access("silhouettes.behind", "softened"),
-                "share": Access("silhouettes.share", "softened"),
-                "source_color": Access("rendered.color", "softened"),
-                "target_position": Access("prediction.target_position", "softened"),
+                "depth": Access("frame.depth", NEAR_SILHOUETTES),
+                "motion": Access("frame.motion", NEAR_SILHOUETTES),
+                "layer": Access("silhouettes.layer", NEAR_SILHOUETTES),
+                "filled_by": Access("frame.filled_by", SOFTENED),
+                "mixed": Access("warp.mixed", SOFTENED),
+                "color": Access("frame.color", SOFTENED),
+                "behind": Access("silhouettes.behind", SOFTENED),
+                "share": Access("silhouettes.share", SOFTENED),
+                "source_color": Access("rendered.color", SOFTENED),
+                "target_position": Access("prediction.target_position", SOFTENED),
             },
             {
-                "coverage": Access("silhouettes.coverage", "near silhouettes"),
-                "softened": Access("silhouettes.softened", "softened"),
+                "coverage": Access("silhouettes.coverage", NEAR_SILHOUETTES),
+                "softened": Access("silhouettes.softened", SOFTENED),
             },
             step=("LANES", 1),
         ),
@@ -96,10 +101,10 @@ class Silhouettes(Stage):
             "target",
             {
                 "marked": "silhouettes.marked",
-                "coverage": Access("silhouettes.coverage", "near silhouettes"),
-                "softened": Access("silhouettes.softened", "softened"),
+                "coverage": Access("silhouettes.coverage", NEAR_SILHOUETTES),
+                "softened": Access("silhouettes.softened", SOFTENED),
             },
-            {"color": Access("frame.color", "softened")},
+            {"color": Access("frame.color", SOFTENED)},
             step=("RUN", 1),
         ),
     )

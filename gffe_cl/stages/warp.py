@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Step
+from gffe_cl.stages.backward_blocks import SPLATTED_PIXELS, SPLATTING_BLOCKS
+from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Share, Step, share_of
 from gffe_cl.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpec
 
+DISOCCLUDED = share_of("disoccluded", "frame.disoccluded")
+MIXED = share_of("mixed", "warp.mixed")
 _MIXED = BufferSpec(
     "mixed", np.uint8, (), "target",
     "1 where the fragment's colour was mixed with a silhouette's that moves away, and its neighbour's is shown", "mask",
@@ -14,7 +17,7 @@ _MIXED = BufferSpec(
 )  # fmt: skip
 
 
-def _keys(share: str) -> dict[str, Access]:
+def _keys(share: Share) -> dict[str, Access]:
     return {name: Access(f"warp.{name}", share) for name in ("keys", "winners")}
 
 
@@ -29,12 +32,12 @@ class Warp(NearestStage):
             {
                 "reach": "backward_blocks.reach",
                 "block_class": "backward_blocks.block_class",
-                "depth": Access("rendered.depth", "splatting"),
-                "links": Access("connectivity.links", "splatting"),
-                "target_position": Access("prediction.target_position", "splatting"),
+                "depth": Access("rendered.depth", SPLATTING_BLOCKS),
+                "links": Access("connectivity.links", SPLATTING_BLOCKS),
+                "target_position": Access("prediction.target_position", SPLATTING_BLOCKS),
             }
-            | _keys("splatted"),
-            _keys("splatted"),
+            | _keys(SPLATTED_PIXELS),
+            _keys(SPLATTED_PIXELS),
             step=("LANES", 1),
         ),
         Kernel(
@@ -45,13 +48,13 @@ class Warp(NearestStage):
                 "block_source": "backward_blocks.block_source",
                 "source_smooth": "backward_blocks.smooth",
                 "color": "rendered.color",
-                "depth": Access("rendered.depth", "splatted"),
-                "links": Access("connectivity.links", "splatted"),
+                "depth": Access("rendered.depth", SPLATTED_PIXELS),
+                "links": Access("connectivity.links", SPLATTED_PIXELS),
                 "dynamic_mask": "history.dynamic_mask",
                 "target_position": "prediction.target_position",
             }
-            | _keys("splatted"),
-            _keys("mixed")
+            | _keys(SPLATTED_PIXELS),
+            _keys(MIXED)
             | {
                 "out_color": "frame.color",
                 "out_depth": "frame.depth",
