@@ -1,19 +1,20 @@
-"""What the stages launch: taken down from the stages themselves, which run with several probes, sizes, cameras and
-times, while nothing is enqueued. What agrees in all of them is a constant; what does not must be a named value of
-`values`."""
+"""What the stages launch, taken down from the stages themselves, which run while nothing is enqueued.
+
+Launches name their grids, and numbers that change from frame to frame are members of the frame block. So the same is
+launched for images of any size and in all circumstances: `record` compares several.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pyopencl as cl
 
 from gffe_cl.core.errors import GffeError
-from gffe_cl.export.values import MOST_PIXELS, Named, launch_sizes
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import OVERLAYS
 from gffe_cl.opencl.device import Device
@@ -27,16 +28,10 @@ from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.scene_cuts import SceneCuts
 from gffe_cl.stages.upscaling import Upscaling
 
-# Rendered and extrapolated images: tiny, middling and wide, all sides different, so that no size looks like another;
-# and as large as C takes them, for there are levels that others do not have.
-_SIZES = (
-    ((51, 29), (67, 39)), ((640, 50), (701, 101)), ((1203, 41), (1603, 61)),
-    ((13003, 3), (MOST_PIXELS, 5)), ((2, 14001), (3, MOST_PIXELS)),
-)  # fmt: skip
-# The overlays that frames bring.
-_LAYERS = (
-    ("fixed_mask", "ui"), ("fixed_mask", "effects", "effects_motion"), ("effects", "ui"), ("ui",), ("effects",),
-)  # fmt: skip
+MOST_PIXELS = 16384  # each way, of the images that C takes
+# Rendered and extrapolated images: tiny, and as large as C takes them, for there are levels that others do not have.
+_SIZES = ((51, 29), (67, 39)), ((13003, 3), (MOST_PIXELS, 5)), ((2, 14001), (3, MOST_PIXELS))
+_LAYERS = ("fixed_mask", "ui"), ("fixed_mask", "effects", "effects_motion"), ("effects",)  # that frames bring
 _SMALL = 4096  # bytes of a buffer that may hold something from the start
 
 
@@ -51,13 +46,13 @@ class Given:
 
 @dataclass(frozen=True)
 class Operation:
-    """What a stage enqueues: `kind` is "LAUNCH" of a `kernel` over a `size` with `arguments`, "FILL" of a buffer with a
-    `byte`, as many as `size` has of its texels, "COPY" from `source`, or "NETWORK", where the network runs."""
+    """What a stage enqueues: `kind` is "LAUNCH" of a `kernel` over a `grid` with `arguments`, "FILL" of a buffer with a
+    `byte`, as many of its texels as `grid` has, "COPY" from `source`, or "NETWORK", where the network runs."""
 
     kind: str
     stage: str
     kernel: str = ""
-    size: Named | None = None
+    grid: str = "once"
     arguments: tuple[Given, ...] = ()
     buffer: str = ""
     byte: int = 0
@@ -66,15 +61,6 @@ class Operation:
     def buffers(self) -> set[str]:
         """The names of all that it reads or writes."""
         return {name for name in (self.buffer, self.source, *(given.buffer for given in self.arguments)) if name}
-
-
-@dataclass
-class _Raw:
-    """An operation as one probe has it, `numbers` and `size` in figures."""
-
-    operation: Operation
-    size: tuple[int, int] | int = 0
-    numbers: list[bytes | None] = field(default_factory=list)
 
 
 @dataclass
@@ -93,34 +79,35 @@ class Plan:
 
 
 class _Tape:
-    """The `Recorder` of one probe's stages."""
+    """The `Recorder` of one rehearsal's stages."""
 
     def __init__(self):
-        self.raw: list[_Raw] = []
+        self.operations: list[Operation] = []
         self.names: dict[int, str] = {}
 
-    def launched(self, stage: Stage, kernel: Kernel, size: tuple[int, int], given: Mapping[str, Any]) -> None:
-        arguments, numbers = [], []
+    def launched(self, stage: Stage, kernel: Kernel, grid: str, values: Mapping[str, Any]) -> None:
+        arguments = []
         for argument in stage.program.arguments[kernel.name]:
-            value = argument.packed(given[argument.name])
-            is_buffer = isinstance(value, cl.Buffer)
-            is_block = argument.type == "Frame"
-            arguments.append(Given(buffer=self._name(value)) if is_buffer else Given(is_frame_block=is_block))
-            numbers.append(None if is_buffer or is_block else np.asarray(value).tobytes())
-        operation = Operation("LAUNCH", stage.name, kernel.name, arguments=tuple(arguments))
-        self.raw.append(_Raw(operation, size, numbers))
+            value = argument.packed(values[argument.name])
+            if isinstance(value, cl.Buffer):
+                arguments.append(Given(buffer=self._name(value)))
+            elif argument.type == "Frame":
+                arguments.append(Given(is_frame_block=True))
+            else:
+                arguments.append(Given(constant=np.asarray(value).tobytes()))
+        self.operations.append(Operation("LAUNCH", stage.name, kernel.name, grid, tuple(arguments)))
 
-    def filled(self, stage: Stage, buffer: cl.Buffer, byte: int, nbytes: int) -> None:
-        self.raw.append(_Raw(Operation("FILL", stage.name, buffer=self._name(buffer), byte=byte), nbytes))
+    def filled(self, stage: Stage, buffer: cl.Buffer, byte: int, grid: str) -> None:
+        self.operations.append(Operation("FILL", stage.name, grid=grid, buffer=self._name(buffer), byte=byte))
 
     def copied(self, stage: Stage, to: cl.Buffer, of: cl.Buffer) -> None:
-        self.raw.append(_Raw(Operation("COPY", stage.name, buffer=self._name(to), source=self._name(of))))
+        self.operations.append(Operation("COPY", stage.name, buffer=self._name(to), source=self._name(of)))
 
     def network(self, stage: Stage) -> None:
-        self.raw.append(_Raw(Operation("NETWORK", stage.name)))
+        self.operations.append(Operation("NETWORK", stage.name))
 
-    def take(self) -> list[_Raw]:
-        taken, self.raw = self.raw, []
+    def take(self) -> list[Operation]:
+        taken, self.operations = self.operations, []
         return taken
 
     def _name(self, buffer: cl.Buffer) -> str:
@@ -145,7 +132,7 @@ class _Rehearsal:
         if correction := self.stages.get(ShadingCorrection.name):
             correction.infer = lambda alpha: self.tape.network(correction)
 
-    def perform(self, number: int, first: bool) -> dict[str, list[_Raw]]:
+    def perform(self, number: int, first: bool) -> dict[str, list[Operation]]:
         """What is enqueued on each occasion, in one set of circumstances."""
         step, composition = self._step(number, first), self.all[Composition.name]
         shown = self.board.device.buffer(1)
@@ -185,7 +172,7 @@ class _Rehearsal:
         """Circumstances of which no two have a number in common."""
         rng = np.random.default_rng([number, first])
         frame, previous = (self._frame(rng) for _ in range(2))
-        times = np.cumsum(-rng.uniform(0.01, 0.1, (1, 2, 3, 6, 4, 5)[0 if first else 1 + number])).tolist()
+        times = np.cumsum(-rng.uniform(0.01, 0.1, (1, 2, 3, 6)[0 if first else 1 + number])).tolist()
         time = times[0] + rng.uniform(0.01, 0.1)
         camera, alpha, exposure = self._camera(rng), rng.uniform(0.1, 0.9), rng.uniform(0.2, 5)
         return Step(frame, None if first else previous, times, camera, time, alpha, exposure)
@@ -215,16 +202,15 @@ class _Rehearsal:
 def record(device: Device, options: Options, int64: bool) -> Plan:
     """What a pipeline of these options enqueues, `int64`: with 64-bit atomics.
 
-    Raises GffeError where that depends on sizes or circumstances in a way that the exported C does not know.
+    Raises GffeError where that depends on the size of images or changes from frame to frame.
     """
     rehearsals = [_Rehearsal(device, options, Sizes(*sizes), int64) for sizes in _SIZES]
-    known = _Known([rehearsal.sizes for rehearsal in rehearsals])
     operations = {}
     for first in (True, False):
         performed = [rehearsal.perform(number, first) for number, rehearsal in enumerate(rehearsals)]
         for occasion in performed[0]:
-            takes = [raw[occasion] for raw in performed]
-            operations[occasion + "_first" * first] = _explained(takes, known, rehearsals)
+            takes = [taken[occasion] for taken in performed]
+            operations[occasion + "_first" * first] = _agreed(takes, rehearsals)
     buffers = {
         f"{owner.name}.{spec.name}": spec
         for rehearsal in rehearsals
@@ -235,81 +221,22 @@ def record(device: Device, options: Options, int64: bool) -> Plan:
     return Plan(operations, buffers, _initial(rehearsals[0]), lent, rehearsals[0].all, rehearsals[0].board.facts)
 
 
-def _explained(takes: list[list[_Raw]], known: _Known, rehearsals: list[_Rehearsal]) -> list[Operation]:
-    """The operations that agree with what every probe enqueues: all of them, but for those on buffers that images of
-    its sizes do not have."""
-    whole = [raw.operation for raw in max(takes, key=len)]
-    has = [set(rehearsal.tape.names.values()) for rehearsal in rehearsals]
-    made = [[raw.operation for raw in take] for take in takes]
-    expected = [[operation for operation in whole if operation.buffers() <= names] for names in has]
-    if made != expected:
-        differ = [name for name in rehearsals[0].all if _of(name, made) != _of(name, expected)]
-        raise GffeError(
-            f"export: what is launched depends on the size of the image ({', '.join(differ)}), which C does not know"
-            " (expected other options)"
-        )
-    rest = [iter(take) for take in takes]
-    return [
-        _named([next(take) if operation.buffers() <= names else None for take, names in zip(rest, has, strict=True)],
-               operation, known, rehearsals[0])
-        for operation in whole
-    ]  # fmt: skip
-
-
-def _of(stage: str, made: list[list[Operation]]) -> list[list[Operation]]:
-    return [[operation for operation in one if operation.stage == stage] for one in made]
-
-
-class _Known:
-    """The sizes of launches that C knows, each for images of every size; `found`: what it was, None where nothing was
-    launched."""
-
-    def __init__(self, sizes: list[Sizes]):
-        self.sizes = [(named, [size(one) for one in sizes]) for named, size in launch_sizes()]
-
-    def size(self, what: str, found: list[tuple[int, int] | None]) -> Named:
-        return _first(what, (named for named, sizes in self.sizes if _agree(sizes, found)))
-
-    def texels(self, what: str, found: list[int | None]) -> Named:
-        """A size by its number of texels."""
-        return _first(what, (named for named, sizes in self.sizes if _agree(map(math.prod, sizes), found)))
-
-
-def _agree(known: Iterable[Any], found: Iterable[Any]) -> bool:
-    return all(wanted is None or value == wanted for value, wanted in zip(known, found, strict=True))
-
-
-def _first(what: str, candidates: Iterator[Named]) -> Named:
-    for named in candidates:
-        return named
-    raise _unknown(what)
-
-
-def _unknown(what: str) -> GffeError:
-    return GffeError(f"export: {what} depends on something that exported C does not know")
-
-
-def _named(raws: list[_Raw | None], operation: Operation, known: _Known, rehearsal: _Rehearsal) -> Operation:
-    """An operation with names in place of figures; `raws`: of every probe that has it."""
-    if operation.kind == "FILL":
-        owner, _, name = operation.buffer.partition(".")
-        spec = rehearsal.all[owner].spec(name)
-        texels = [raw and raw.size / (spec.bytes_per_pixel * spec.planes) for raw in raws]
-        return replace(operation, size=known.texels(operation.buffer, texels))
-    if operation.kind != "LAUNCH":
-        return operation
-    where = f"kernels/{operation.stage}.cl, {operation.kernel}"
-    arguments, declared = [], rehearsal.all[operation.stage].program.arguments[operation.kernel]
-    for k, (argument, given) in enumerate(zip(declared, operation.arguments, strict=True)):
-        numbers = [raw and raw.numbers[k] for raw in raws]
-        if given.buffer is not None or given.is_frame_block:
-            arguments.append(given)
-        elif len(different := set(numbers) - {None}) == 1:
-            arguments.append(Given(constant=different.pop()))
-        else:  # it belongs into the frame block
-            raise _unknown(f"{where}: argument '{argument.name}'")
-    size = known.size(f"{where}: its size", [raw and raw.size for raw in raws])
-    return replace(operation, size=size, arguments=tuple(arguments))
+def _agreed(takes: list[list[Operation]], rehearsals: list[_Rehearsal]) -> list[Operation]:
+    """The operations that every rehearsal enqueues, but for those on buffers that images of its size do not have."""
+    whole = max(takes, key=len)
+    for take, rehearsal in zip(takes, rehearsals, strict=True):
+        has = set(rehearsal.tape.names.values())
+        expected = [operation for operation in whole if operation.buffers() <= has]
+        if take != expected:
+            taken, wanted = Counter(take), Counter(expected)
+            differ = dict.fromkeys(
+                f"{o.stage}.{o.kernel or o.kind.lower()}" for o in (taken - wanted) + (wanted - taken)
+            )
+            raise GffeError(
+                f"export: what is launched depends on the image or the frame ({', '.join(differ)}), which C does not"
+                " know (expected numbers that change to be members of the frame block, kernels/frame.h)"
+            )
+    return whole
 
 
 def _initial(rehearsal: _Rehearsal) -> dict[str, bytes]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable
 
 import numpy as np
 
-from gffe_cl.export.recording import Given, Operation, Plan
-from gffe_cl.export.values import MOST_PIXELS, Named, grid_of
+from gffe_cl.core.errors import GffeError
+from gffe_cl.export.recording import MOST_PIXELS, Given, Operation, Plan
 from gffe_cl.frame import camera, camera_prediction, window
 from gffe_cl.frame.rendered_frame import BYTES_PER_PIXEL, OVERLAYS, SAME_POSE
 from gffe_cl.inference.network import MULTIPLE
@@ -17,7 +18,7 @@ from gffe_cl.opencl.program import expand
 from gffe_cl.pipeline.options import Options
 from gffe_cl.stages import correction, mu_law, scene_cuts
 from gffe_cl.stages.base import Kernel, NearestStage, Stage
-from gffe_cl.stages.buffers import BLOCK, BufferSpec, aligned, texel_of
+from gffe_cl.stages.buffers import BLOCK, CUT_SAMPLES, TILE_GROUP, BufferSpec, aligned, texel_of
 from gffe_cl.stages.frame_block import FRAME, MAX_LEVELS, MAX_ORDER
 
 OCCASIONS = (
@@ -38,6 +39,10 @@ GIVEN = {
     "overlays.effects_motion": ("SOURCE", 8),
     "overlays.ui": ("TARGET", 8),
 }
+_GRIDS = (
+    "once", "source", "target", "downsampled", "tiles", "residuals", "cut_samples", "source_blocks", "target_blocks",
+    "cells", "network",
+)  # fmt: skip
 _CHOICES = {"LANES": "GFFE_LANES", "RUN": "GFFE_RUN"}
 _FLAGS = {"LANES": "GFFE_TAKES_LANES", "RUN": "GFFE_TAKES_RUN", "EXACT_DIVISION": "GFFE_TAKES_EXACT_DIVISION"}
 _HEADER = "/* Made by `gffe export`; not to be edited. */\n"
@@ -48,6 +53,9 @@ def config(options: Options) -> str:
     numbers = {
         "MOST_PIXELS": MOST_PIXELS,
         "DOWNSAMPLING": texel_of("downsampled")[0],
+        "TILE": texel_of("tiles")[0],
+        "TILE_GROUP": TILE_GROUP,
+        "RESIDUAL_STRIDE": texel_of("residuals")[0],
         "BLOCK_WIDTH": BLOCK[0],
         "BLOCK_HEIGHT": BLOCK[1],
         "CELL": texel_of("cells")[0],
@@ -77,8 +85,8 @@ def config(options: Options) -> str:
         "CUT_DETECTION": int(options.cut_detection),
         "CORRECTS_SHADING": int(options.corrects_shading),
         "UPSCALES": int(options.upscale > 0),
-        "CUT_SAMPLES_X": scene_cuts.SAMPLES[0],
-        "CUT_SAMPLES_Y": scene_cuts.SAMPLES[1],
+        "CUT_SAMPLES_X": CUT_SAMPLES[0],
+        "CUT_SAMPLES_Y": CUT_SAMPLES[1],
         "CUT_LEAST_SAMPLES": scene_cuts.LEAST_SAMPLES,
         "CUT_LEAST_OVERLAP": scene_cuts.LEAST_OVERLAP,
         "CUT_DEPTH_SURE": scene_cuts.DEPTH_SURE,
@@ -167,7 +175,7 @@ class Tables:
                 self._operation(operation, buffers, _part(operation, occasion, plan), arguments)
                 for operation in operations
             ]
-            parts.append(_table("gffe_operation", f"{occasion}_{number}", made or ["0, 0, 0, 0, 0, 0, 0, 0, 0"], True))
+            parts.append(_table("gffe_operation", f"{occasion}_{number}", made or ["0, 0, 0, 0, 0, 0, 0, 0"], True))
         parts.insert(1, _table("gffe_argument", f"arguments_{number}", arguments, static=True))
         initial = []
         for name, content in plan.initial.items():
@@ -188,12 +196,11 @@ class Tables:
         first = len(arguments)
         arguments += [self._argument(given, buffers) for given in operation.arguments]
         kernel = self.launched.index((operation.stage, operation.kernel)) if operation.kernel else 0
-        named = operation.size or Named("GFFE_WHOLE")
-        size = f"{named.code}, {named.a}, {named.b}"
+        grid, level = _grid(operation.grid)
         target = buffers.reference(operation.buffer) if operation.buffer else "0"
         other = buffers.reference(operation.source) if operation.source else str(operation.byte)
         kind = "RUN_NETWORK" if operation.kind == "NETWORK" else operation.kind
-        return f"GFFE_{kind}, {part}, {kernel}, {size}, {first}, {target}, {other}"
+        return f"GFFE_{kind}, {part}, {kernel}, {grid}, {level}, {first}, {target}, {other}"
 
     def _argument(self, given: Given, buffers: _Buffers) -> str:
         if given.buffer is not None:
@@ -219,6 +226,15 @@ def _part(operation: Operation, occasion: str, plan: Plan) -> str:
         return "GFFE_OF_CORRECTION"
     after = occasion.startswith("extrapolated") and name in stages
     return "GFFE_AFTER_CORRECTION" if after and stages.index(operation.stage) > stages.index(name) else "0"
+
+
+def _grid(name: str) -> tuple[str, int]:
+    """The C name of a grid of `BufferSpec`, and its level or number of levels; gffe_values.c has its size."""
+    if name not in _GRIDS and (found := re.fullmatch(r"(levels|level|mip)(\d+)", name)):
+        return f"GFFE_{found[1].upper()}", int(found[2])
+    if name not in _GRIDS:
+        raise GffeError(f"export: C does not know the grid '{name}' (expected {', '.join(_GRIDS)}, level0, mip1 …)")
+    return f"GFFE_{name.upper()}", 0
 
 
 class _Buffers:
@@ -250,14 +266,14 @@ class _Buffers:
             grid, nbytes = GIVEN[name]
             return f'"{name}", GFFE_{grid}, 0, {nbytes}, 1, -1, GFFE_GIVEN, -1, -1'
         spec, whole = self.specs[name], _whole(name, self.specs[name])
-        kind, level = grid_of(spec.grid)
+        grid, level = _grid(spec.grid)
         flags = ["GFFE_KEPT"] * spec.kept + ["GFFE_MAPPED"] * spec.mapped
         late = {"presentation": ["GFFE_LATE"], "composition": ["GFFE_OF_OVERLAYS"]}
         flags += late.get(name.partition(".")[0], []) + ["GFFE_MEMORY"] * (name in self.memory)
         flags += ["GFFE_LENT"] * (name in self.plan.lent) + ["GFFE_LENT_BEFORE"] * (f"{name}'" in self.plan.lent)
         planes = 1 if name in self.memory else spec.planes
         number = self.names.index(whole) if whole else -1
-        numbers = f"GFFE_{kind}, {level}, {spec.bytes_per_pixel}, {planes}, {number}"
+        numbers = f"{grid}, {level}, {spec.bytes_per_pixel}, {planes}, {number}"
         return f'"{name}", {numbers}, {" | ".join(flags) or "0"}, {self._use(name)}'
 
     def _depth(self, name: str) -> int:

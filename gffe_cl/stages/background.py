@@ -194,8 +194,8 @@ class Background(NearestStage):
         is not known yet."""
         collect = step.previous is not None
         if not collect:
-            self.clear_keys("even_", self.sizes.source)
-            self.clear_keys("odd_", self.sizes.of("level1"))
+            self.clear_keys("even_", "source")
+            self.clear_keys("odd_", "level1")
         for level in range(self.levels):
             last = level + 1 == self.levels
             given = {"level": level, "old": level, "next": level + 1} | self.of_level(level)
@@ -203,7 +203,7 @@ class Background(NearestStage):
                 self.launch("scatter_level", step, **given, **{"pass": scatter_pass})
             self.launch("settle_level" if last else "settle_and_push", step, **given)
             if collect and level == 0 and self.levels > 2:
-                self.clear_keys("even_", self.sizes.of("level2"))
+                self.clear_keys("even_", "level2")
 
     @staticmethod
     def of_level(level: int) -> dict[str, str]:

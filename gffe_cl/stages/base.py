@@ -250,11 +250,11 @@ def _free_start(parts: Iterable[tuple[int, int, frozenset[int]]], nbytes: int, u
 class Recorder(Protocol):
     """Who takes down what stages would enqueue, while nothing is: a stage's `recorder`."""
 
-    def launched(self, stage: Stage, kernel: Kernel, size: tuple[int, int], values: Mapping[str, Any]) -> None:
-        """`kernel` over `size`; `values`: of its arguments, by name, and perhaps others."""
+    def launched(self, stage: Stage, kernel: Kernel, grid: str, values: Mapping[str, Any]) -> None:
+        """`kernel` over `grid`; `values`: of its arguments, by name, and perhaps others."""
 
-    def filled(self, stage: Stage, buffer: cl.Buffer, byte: int, nbytes: int) -> None:
-        """The first `nbytes` of a buffer set to `byte`."""
+    def filled(self, stage: Stage, buffer: cl.Buffer, byte: int, grid: str) -> None:
+        """The first texels of a buffer, as many as `grid` has, set to `byte`."""
 
     def copied(self, stage: Stage, to: cl.Buffer, of: cl.Buffer) -> None:
         """A whole buffer copied."""
@@ -320,43 +320,41 @@ class Stage(Owner):
         for name, buffer in self.before.items():
             self.before[name], self.buffer[name] = self.buffer[name], buffer
 
-    def launch(self, name: str, step: Step | None = None, size: tuple[int, int] | None = None, **given: Any) -> None:
-        """Enqueue a kernel over its grid, or over `size` (width, height), in rows of work-items.
+    def launch(self, name: str, step: Step | None = None, **given: Any) -> None:
+        """Enqueue a kernel over its grid, in rows of work-items.
 
-        Arguments come by name: `frame`, the frame block of `step`; those given here; the buffers that the kernel
-        declares. The width is rounded up to whole groups: kernels guard against the padding.
+        Arguments come by name: `frame`, the frame block of `step`; the buffers that the kernel declares; and numbers,
+        or other buffers, given here. Numbers must not change from frame to frame: those are members of the frame block.
+        The width is rounded up to whole groups: kernels guard against the padding.
         """
         kernel = self._kernels[name]
         if self.launches is not None:
             self.launches.append((kernel, given))
-        size = size or self.sizes.of(kernel.grid.format(**given))
-        values = {"level_width": size[0], "level_height": size[1]} | given
-        for _, argument, access in kernel.accesses():
-            if argument not in given:
-                values[argument] = self._buffer(access.buffer, given)
-        for argument in self.program.arguments[name]:
-            if argument.name == "frame" and step is not None:
-                values["frame"] = step.block(self.board)
-            elif argument.name not in values:
-                values[argument.name] = self._scalar(argument.name)
+        declared = ((argument, access.buffer) for _, argument, access in kernel.accesses())
+        values = given | {name: self._buffer(buffer, given) for name, buffer in declared if name not in given}
+        if step is not None:
+            values["frame"] = step.block(self.board)
+        grid = kernel.grid.format(**given)
         if self.recorder:
-            self.recorder.launched(self, kernel, size, values)
+            self.recorder.launched(self, kernel, grid, values)
             return
+        size = self.sizes.of(grid)
         width, height = (-(-n // self._number(step)) for n, step in zip(size, kernel.step, strict=True))
         row = _ROW_OF_LANES if self.device.lanes > 1 else _ROW
         group = self._number(kernel.group) if kernel.group else row
-        grid = (-(-width // group) * group, height)
-        self.events.append((name, self.program.launch(self.device.queue, name, grid, (group, 1), values)))
+        items = (-(-width // group) * group, height)
+        self.events.append((name, self.program.launch(self.device.queue, name, items, (group, 1), values)))
 
-    def fill(self, name: str, byte: int, nbytes: int | None = None) -> None:
-        """Enqueue setting the first `nbytes` bytes of a buffer of this stage, or all of them."""
-        buffer = self.buffer[name]
-        nbytes = nbytes or buffer.size
+    def fill(self, name: str, byte: int, grid: str | None = None) -> None:
+        """Enqueue setting the first texels of a buffer of this stage, as many as `grid` has, or all of them."""
+        buffer, spec = self.buffer[name], self.spec(name)
+        grid = grid or spec.grid
         if self.recorder:
-            self.recorder.filled(self, buffer, byte, nbytes)
+            self.recorder.filled(self, buffer, byte, grid)
             return
+        nbytes = math.prod(self.sizes.of(grid)) * spec.bytes_per_pixel * spec.planes
         if self.launches is not None:
-            share = nbytes / self.spec(name).nbytes(self.sizes)
+            share = nbytes / spec.nbytes(self.sizes)
             self.launches.append((Kernel("fill", "once", writes={"": Access(f"{self.name}.{name}", share)}), {}))
         event = cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint8(byte), 0, nbytes)
         self.events.append(("fill", event))
@@ -389,15 +387,6 @@ class Stage(Owner):
         name = name.format(**given) if "{" in name else name
         owner, _, rest = name.partition(".")
         return self.own(rest) if owner == self.name else self.board.buffer(name)
-
-    def _scalar(self, name: str) -> Any:
-        """The value of an argument that is a size or an option."""
-        grid, _, side = name.rpartition("_")
-        if side in ("width", "height"):
-            return self.sizes.of(grid)[side == "height"]
-        if not hasattr(self.board.options, name):
-            raise TypeError(f"kernels/{self.name}.cl: no value for argument '{name}'")
-        return getattr(self.board.options, name)
 
     def _number(self, number: int | str) -> int:
         return self.program.constants[number] if isinstance(number, str) else number
@@ -439,10 +428,10 @@ class NearestStage(Stage):
             ),
         )
 
-    def clear_keys(self, prefix: str, size: tuple[int, int]) -> None:
-        """Enqueue emptying the keys of an image of (width, height), before fragments are offered."""
+    def clear_keys(self, prefix: str, grid: str) -> None:
+        """Enqueue emptying the keys of a grid, before fragments are offered."""
         for name in (f"{prefix}keys", f"{prefix}winners")[: len(self.passes)]:
-            self.fill(name, 0xFF, math.prod(size) * self.spec(name).bytes_per_pixel)
+            self.fill(name, 0xFF, grid)
 
 
 def read_some_rows(device: Device, depth: cl.Buffer, size: tuple[int, int], every: int = 16) -> np.ndarray:

@@ -31,7 +31,11 @@ XY = ("x", "y")
 
 _LABELS = constants("common.h")
 BLOCK = tuple(constants("blocks.h")[f"BLOCK_{side}"] for side in ("WIDTH", "HEIGHT"))  # pixels
-DOWNSAMPLING = constants("holes.cl")["DOWNSAMPLING"]  # of hole filling as in the paper
+_HOLES, _CUTS = constants("holes.cl"), constants("scene_cuts.cl")
+DOWNSAMPLING = _HOLES["DOWNSAMPLING"]  # of hole filling as in the paper
+TILE, TILE_GROUP = _HOLES["TILE"], _HOLES["GROUP"]  # texels of it each way, and the work-items that fill from them
+CUT_SAMPLES = (_CUTS["SAMPLES_X"], _CUTS["SAMPLES_Y"])  # at most, of the rendered image
+STRIDE = constants("history.cl")["RESIDUAL_STRIDE"]  # pixels
 BY_HOLE_FILLING, BY_NOTHING = _LABELS["BY_HOLE_FILLING"], _LABELS["BY_NOTHING"]
 BY_WARP, BY_CRACK_CLOSING = _LABELS["BY_WARP"], _LABELS["BY_CRACK_CLOSING"]
 BY_HIDDEN_PART, BY_FIXED = _LABELS["BY_HIDDEN_PART"], _LABELS["BY_FIXED"]
@@ -59,8 +63,12 @@ class Sizes:
             return (1, 1)
         if grid.startswith("levels"):
             return level_starts(self.source, int(grid.removeprefix("levels")))[-1], 1
+        if grid == "cut_samples":
+            return CUT_SAMPLES[0], min(self.source[1], CUT_SAMPLES[1])
         image = self.source if lies_on_source(grid) else self.target
         texels = tuple(-(-n // side) for n, side in zip(image, texel_of(grid), strict=True))
+        if grid == "tiles":
+            return texels[0] * TILE_GROUP, texels[1]
         return tuple(-(-n // MULTIPLE) * MULTIPLE for n in texels) if grid == "network" else texels
 
 
@@ -70,6 +78,8 @@ def texel_of(grid: str) -> tuple[int, int]:
         return (1 << int(grid.removeprefix("level").removeprefix("mip")),) * 2
     return {
         "downsampled": (DOWNSAMPLING, DOWNSAMPLING),
+        "tiles": (TILE * DOWNSAMPLING, TILE * DOWNSAMPLING),
+        "residuals": (STRIDE, STRIDE),
         "cells": (8, 8),
         "source_blocks": BLOCK,
         "target_blocks": BLOCK,
@@ -93,7 +103,7 @@ def spread(texels: np.ndarray, grid: str, fine: str, x: int, y: int, width: int,
 
 def lies_on_source(grid: str) -> bool:
     """Whether a grid is laid over the rendered image; else over the extrapolated one."""
-    return grid in ("source", "source_blocks", "cells") or grid.startswith("level")
+    return grid in ("source", "source_blocks", "cells", "residuals") or grid.startswith("level")
 
 
 @dataclass(frozen=True)
@@ -103,7 +113,9 @@ class BufferSpec:
     `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "downsampled"
     (target / 32, rounded up), "source_blocks" and "target_blocks" (blocks of 8×4), "level0" … (source / 2^l, rounded
     up), "levels1" … (so many of these one after another), "mip1" … (target / 2^l, rounded up), "network" (target / 2,
-    rounded up to multiples of 16), "cells" (source / 8, rounded up) or "once" (no image). `components` name its
+    rounded up to multiples of 16), "cells" (source / 8, rounded up) or "once" (no image). Some kernels have grids of
+    their own: "residuals" (source / 4, rounded up), "tiles" (a work-group for each 4×4 texels of "downsampled") and
+    "cut_samples" (so many of the rendered image). `components` name its
     channels; a single one goes without.
     `view` says what it means, and so how to show it: "color" (linear RGB), "depth" (view z), "motion" (pixels, from
     here), "place" (position in pixels), "world" (position in the view space of the rendered camera), "mask" (0 or 1),

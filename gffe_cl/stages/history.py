@@ -8,11 +8,10 @@ import numpy as np
 
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, share_of
-from gffe_cl.stages.buffers import BufferSpec
+from gffe_cl.stages.buffers import STRIDE, BufferSpec
 
 # Bounds of the automatic static threshold ε, in pixels.
 _CONSTANTS = constants("history.cl")
-STRIDE = _CONSTANTS["RESIDUAL_STRIDE"]
 _SAMPLED = STRIDE**-2
 
 
@@ -67,7 +66,7 @@ class HistoryTracking(Stage):
     kernels = (
         Kernel(
             "find_threshold",
-            "source",
+            "residuals",
             {
                 "depth": Access("rendered.depth", _SAMPLED),
                 "motion": Access("rendered.motion", _SAMPLED),
@@ -123,8 +122,7 @@ class HistoryTracking(Stage):
         previous = step.previous if self.board.options.motion else None
         before = previous or step.frame
         if self.automatic and previous is not None:
-            samples = tuple(-(-n // STRIDE) for n in self.sizes.source)
-            self.launch("find_threshold", step, size=samples)
+            self.launch("find_threshold", step)
         kept = "'" if self.positions > 2 else ""  # else it reads nothing of them
         self.launch(
             "track_history",

@@ -17,7 +17,6 @@ from gffe_cl.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpec
 from gffe_cl.stages.warp import DISOCCLUDED
 
 _CONSTANTS = constants("holes.cl")
-_TILE, _GROUP = _CONSTANTS["TILE"], _CONSTANTS["GROUP"]
 _VALID = {"color": "frame.color", "depth": "frame.depth", "filled_by": "frame.filled_by"}
 
 UNFILLED = share_of("unfilled", "frame.filled_by", lambda label: (label == BY_HOLE_FILLING) | (label == BY_NOTHING))
@@ -63,7 +62,7 @@ class Downsampled(HoleFilling):
     kernels = (
         Kernel(
             "fill_from_downsampled",
-            "target",
+            "tiles",
             {
                 "filled_by": "frame.filled_by",
                 "source_color": Access("rendered.color", BEYOND_REACH),
@@ -80,8 +79,7 @@ class Downsampled(HoleFilling):
     )
 
     def extrapolated(self, step: Step) -> None:
-        width, height = (-(-side // _TILE) for side in self.sizes.of("downsampled"))
-        self.launch("fill_from_downsampled", step, size=(width * _GROUP, height), after_far_side=self.reach > 0)
+        self.launch("fill_from_downsampled", step, after_far_side=self.reach > 0)
 
 
 class FarSide(Downsampled):

@@ -9,12 +9,11 @@ import numpy as np
 from gffe_cl.frame.vectors import length
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
-from gffe_cl.stages.buffers import BufferSpec, DeviceFrame
+from gffe_cl.stages.buffers import CUT_SAMPLES, BufferSpec, DeviceFrame
 
 _CONSTANTS = constants("scene_cuts.cl")
-SAMPLES = (_CONSTANTS["SAMPLES_X"], _CONSTANTS["SAMPLES_Y"])
 COUNTED = ("valid", "inside", "compared", "depth_right", "with_contrast", "contrast_right", "passed")
-_SHARE = SAMPLES[0] * SAMPLES[1] / (1920 * 1080)  # of the pixels at 1080p: the samples are as many at any size
+_SHARE = CUT_SAMPLES[0] * CUT_SAMPLES[1] / (1920 * 1080)  # of the pixels at 1080p: the samples are as many at any size
 
 # What makes a cut; docs/cuts.md has the distances that frames and cuts keep from these.
 LEAST_SAMPLES = 64  # to say anything
@@ -34,13 +33,13 @@ class SceneCuts(Stage):
     buffers = (
         BufferSpec(
             "counts", np.int32, COUNTED, "once", "of each row of samples of the rendered frame: how many are so",
-            planes=SAMPLES[1], scratch=True,
+            planes=CUT_SAMPLES[1], scratch=True,
         ),
     )  # fmt: skip
     kernels = (
         Kernel(
             "compare_samples",
-            "once",
+            "cut_samples",
             {
                 "color": Access("rendered.color", 4 * _SHARE),
                 "depth": Access("rendered.depth", _SHARE),
@@ -68,8 +67,8 @@ class SceneCuts(Stage):
         if previous is None:
             return False
         step = length((frame.camera.position - previous.camera.position).tolist())
-        rows = min(self.sizes.source[1], SAMPLES[1])
-        self.launch("compare_samples", Step(frame, previous, []), size=(SAMPLES[0], rows))
+        self.launch("compare_samples", Step(frame, previous, []))
+        _, rows = self.sizes.of("cut_samples")
         counts = self.read("counts")[:rows].sum(0)
         jumped = before is not None and step > TELEPORT * before
         found = is_cut(dict(zip(COUNTED, counts.tolist(), strict=True)), jumped)

@@ -91,4 +91,5 @@ class FocusMask(Stage):
     def make(self, truth: cl.Buffer, exposure: float) -> None:
         """Of the extrapolated frame on the board, before shading correction; `truth`: half ×4, linear RGB; `exposure`:
         the sequence's."""
-        self.launch("focus_mask", truth=truth, exposure=exposure)
+        width, height = self.sizes.target
+        self.launch("focus_mask", truth=truth, target_width=width, target_height=height, exposure=exposure)

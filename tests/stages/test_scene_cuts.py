@@ -17,8 +17,9 @@ from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.pipeline.run import run_sequence
 from gffe_cl.pipeline.source import Recorded
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels, open_sequence
+from gffe_cl.stages.buffers import CUT_SAMPLES
 from gffe_cl.stages.frame_block import reprojection
-from gffe_cl.stages.scene_cuts import COUNTED, SAMPLES, is_cut
+from gffe_cl.stages.scene_cuts import COUNTED, is_cut
 from gffe_cl.viewer.engine.messages import Setup
 from gffe_cl.viewer.engine.seeker import Seeker
 from gffe_cl.viewer.engine.sources.recorded import RecordedSource
@@ -63,7 +64,7 @@ def test_kernel_counts_as_its_twin(device, size):
         now.color, now.depth, now.motion, past.color, past.depth, reprojection(now.camera, past.camera),
         float(np.linalg.norm(now.camera.position - past.camera.position)),
     )  # fmt: skip
-    rows = pipeline.stages["scene_cuts"].read("counts")[: min(size[1], SAMPLES[1])]
+    rows = pipeline.stages["scene_cuts"].read("counts")[: min(size[1], CUT_SAMPLES[1])]
     counted = dict(zip(COUNTED, rows.sum(0).tolist(), strict=True))
     assert all(abs(counted[name] - expected[name]) <= 2 for name in COUNTED), (counted, expected)
     assert expected["valid"] > expected["inside"] > expected["depth_right"] > 0 < expected["contrast_right"]

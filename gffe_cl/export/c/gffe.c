@@ -203,7 +203,7 @@ static gffe_status look_for_cut(gffe *g) {
     if (status) return status;
     error = clEnqueueReadBuffer(g->queue, g->memory[g->counts], CL_TRUE, 0, sizeof counts, counts, 0, NULL, NULL);
     if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "reading the samples of a cut");
-    gffe_launch_size(&g->step, GFFE_SAMPLED_ROWS, GFFE_CUT_SAMPLES_X, GFFE_CUT_SAMPLES_Y, size);
+    gffe_grid_size(&g->step, GFFE_CUT_SAMPLES, 0, size);
     for (row = 0; row < (int)size[1]; ++row)
         for (k = 0; k < GFFE_COUNTED; ++k) sums[k] += counts[row][k];
     g->is_cut = is_cut(sums, had_step && g->camera_step > GFFE_CUT_TELEPORT * before);

@@ -189,7 +189,7 @@ static cl_int launch(gffe *g, const gffe_operation *operation, const gffe_frame_
         error = clSetKernelArg(g->kernels[operation->kernel], k, nbytes, given);
     }
     if (error != CL_SUCCESS) return error;
-    gffe_launch_size(&g->step, operation->size, operation->a, operation->b, size);
+    gffe_grid_size(&g->step, operation->grid, operation->level, size);
     group[0] = (size_t)(kernel->group ? kernel->group : g->lanes > 1 ? ROW_OF_LANES : ROW);
     size[0] = (size[0] + (size_t)step_of(g, kernel->step_x) - 1) / (size_t)step_of(g, kernel->step_x);
     size[1] = (size[1] + (size_t)step_of(g, kernel->step_y) - 1) / (size_t)step_of(g, kernel->step_y);
@@ -201,7 +201,7 @@ static cl_int fill(gffe *g, const gffe_operation *operation) {
     const gffe_buffer *buffer = &g->plan->buffers[operation->buffer / 2];
     const cl_uchar byte = (cl_uchar)operation->other;
     size_t size[2];
-    gffe_launch_size(&g->step, operation->size, operation->a, operation->b, size);
+    gffe_grid_size(&g->step, operation->grid, operation->level, size);
     return clEnqueueFillBuffer(g->queue, g->memory[operation->buffer], &byte, 1, 0,
                                size[0] * size[1] * (size_t)buffer->bytes * (size_t)buffer->planes, 0, NULL, NULL);
 }

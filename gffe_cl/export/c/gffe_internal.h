@@ -10,8 +10,8 @@ extern "C" {
 #endif
 
 /* Grids of buffers and launches; a level or a number of levels goes with the last three. */
-enum { GFFE_ONCE, GFFE_SOURCE, GFFE_TARGET, GFFE_DOWNSAMPLED, GFFE_SOURCE_BLOCKS, GFFE_TARGET_BLOCKS, GFFE_CELLS,
-       GFFE_NETWORK, GFFE_MIP, GFFE_LEVEL, GFFE_LEVELS };
+enum { GFFE_ONCE, GFFE_SOURCE, GFFE_TARGET, GFFE_DOWNSAMPLED, GFFE_TILES, GFFE_RESIDUALS, GFFE_CUT_SAMPLES,
+       GFFE_SOURCE_BLOCKS, GFFE_TARGET_BLOCKS, GFFE_CELLS, GFFE_NETWORK, GFFE_MIP, GFFE_LEVEL, GFFE_LEVELS };
 
 enum { GFFE_FRAME, GFFE_PREVIOUS, GFFE_TARGET_CAMERA, GFFE_FRAME_DISPLAY, GFFE_PREVIOUS_DISPLAY, GFFE_CAMERAS };
 
@@ -20,14 +20,6 @@ enum {
     GFFE_BUFFER,         /* reference a */
     GFFE_CONSTANT,       /* words from a on, b bytes */
     GFFE_FRAME_BLOCK     /* sizes, cameras, times and options */
-};
-
-/* Sizes of launches, with two numbers a and b. */
-enum {
-    GFFE_WHOLE,          /* grid a, level b */
-    GFFE_SAMPLED_SOURCE, /* every a-th pixel of every a-th row */
-    GFFE_TILED,   /* b work-items for a x a texels of the downsampled image */
-    GFFE_SAMPLED_ROWS    /* a in each of b rows, or as many rows as there are */
 };
 
 enum { GFFE_LAUNCH, GFFE_FILL, GFFE_COPY, GFFE_RUN_NETWORK };
@@ -83,7 +75,7 @@ typedef struct gffe_argument {
 
 typedef struct gffe_operation {
     int kind, part, kernel;
-    int size, a, b;
+    int grid, level; /* of its work-items, before a kernel's step, or of the texels that are filled */
     int first;    /* of its arguments */
     int buffer;   /* reference: twice a buffer's number, and 1 for what is kept of the frame before */
     int other;    /* the reference that is copied, or the byte that fills */
@@ -156,7 +148,6 @@ struct gffe {
 
 /* gffe_values.c */
 void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]);
-void gffe_launch_size(const gffe_step *step, int kind, int a, int b, size_t size[2]);
 size_t gffe_aligned(size_t n);
 size_t gffe_level_start(const gffe_step *step, int level);
 size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer); /* 0: images of these sizes have none */

@@ -23,7 +23,8 @@ size_t gffe_level_start(const gffe_step *step, int level) {
 }
 
 void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) {
-    const int on_source = grid == GFFE_SOURCE || grid == GFFE_SOURCE_BLOCKS || grid == GFFE_CELLS || grid == GFFE_LEVEL;
+    const int on_source = grid == GFFE_SOURCE || grid == GFFE_SOURCE_BLOCKS || grid == GFFE_CELLS || grid == GFFE_RESIDUALS
+        || grid == GFFE_LEVEL;
     const int *image = on_source ? step->source : step->target;
     size_t side[2] = {1, 1};
     int k;
@@ -32,8 +33,15 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
         size[1] = 1;
         return;
     }
+    if (grid == GFFE_CUT_SAMPLES) {
+        size[0] = GFFE_CUT_SAMPLES_X;
+        size[1] = (size_t)(step->source[1] < GFFE_CUT_SAMPLES_Y ? step->source[1] : GFFE_CUT_SAMPLES_Y);
+        return;
+    }
     if (grid == GFFE_LEVEL || grid == GFFE_MIP) side[0] = side[1] = (size_t)1 << level;
     if (grid == GFFE_DOWNSAMPLED) side[0] = side[1] = GFFE_DOWNSAMPLING;
+    if (grid == GFFE_TILES) side[0] = side[1] = GFFE_TILE;
+    if (grid == GFFE_RESIDUALS) side[0] = side[1] = GFFE_RESIDUAL_STRIDE;
     if (grid == GFFE_CELLS) side[0] = side[1] = GFFE_CELL;
     if (grid == GFFE_NETWORK) side[0] = side[1] = GFFE_NETWORK_TEXEL;
     if (grid == GFFE_SOURCE_BLOCKS || grid == GFFE_TARGET_BLOCKS) {
@@ -44,26 +52,7 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
         size[k] = rounded_up((size_t)image[k], side[k]);
         if (grid == GFFE_NETWORK) size[k] = rounded_up(size[k], GFFE_NETWORK_MULTIPLE) * GFFE_NETWORK_MULTIPLE;
     }
-}
-
-void gffe_launch_size(const gffe_step *step, int kind, int a, int b, size_t size[2]) {
-    int k;
-    switch (kind) {
-    case GFFE_SAMPLED_SOURCE:
-        for (k = 0; k < 2; ++k) size[k] = rounded_up((size_t)step->source[k], (size_t)a);
-        break;
-    case GFFE_TILED:
-        gffe_grid_size(step, GFFE_DOWNSAMPLED, 0, size);
-        size[0] = rounded_up(size[0], (size_t)a) * (size_t)b;
-        size[1] = rounded_up(size[1], (size_t)a);
-        break;
-    case GFFE_SAMPLED_ROWS:
-        size[0] = (size_t)a;
-        size[1] = (size_t)(step->source[1] < b ? step->source[1] : b);
-        break;
-    default:
-        gffe_grid_size(step, a, b, size);
-    }
+    if (grid == GFFE_TILES) size[0] *= GFFE_TILE_GROUP;
 }
 
 /* Until one texel is left of the target; at least one. */
