@@ -26,10 +26,10 @@ typedef struct {
     __global const float *met_depth;
 } Tracked;
 
-inline bool is_known(const Tracked f, const int src) { return f.dynamic_mask[src] && f.met_depth[src] > 0.0f; }
+INLINE bool is_known(const Tracked f, const int src) { return f.dynamic_mask[src] && f.met_depth[src] > 0.0f; }
 
 /* The nearest mover of a cell; depth 0 if there is none. */
-inline Mover mover_of_cell(const int cell_x, const int cell_y, const Frame *frame, const Tracked f) {
+INLINE Mover mover_of_cell(const int cell_x, const int cell_y, const Frame *frame, const Tracked f) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int end_x = min((cell_x + 1) * MOVER_CELL, source_width), end_y = min((cell_y + 1) * MOVER_CELL, source_height);
     Mover mover = {(float3)(0.0f), (float2)(0.0f), 0.0f, 0.0f};

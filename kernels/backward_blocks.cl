@@ -44,7 +44,7 @@ inline Box box_of(const Boxes boxes) {
 }
 
 /* Reach of one source block pixel by pixel. */
-inline Box reach_of_pixels(const Fragments f, const int x0, const int y0) {
+INLINE Box reach_of_pixels(const Fragments f, const int x0, const int y0) {
     Box box = NOWHERE;
     for (int src_y = y0; src_y < min(y0 + BLOCK_HEIGHT, f.height); ++src_y)
         for (int src_x = x0; src_x < min(x0 + BLOCK_WIDTH, f.width); ++src_x) {
@@ -61,7 +61,7 @@ inline Box reach_of_pixels(const Fragments f, const int x0, const int y0) {
 }
 
 /* The same of a block one pixel within the image. */
-inline Box reach_of_lanes(const Fragments f, const int x0, const int y0) {
+INLINE Box reach_of_lanes(const Fragments f, const int x0, const int y0) {
     const Floats reach = (Floats)(FOOTPRINT_REACH), far_off = (Floats)(INFINITY);
     Boxes boxes = {far_off, far_off, -far_off, -far_off};
     for (int src_y = y0; src_y < y0 + BLOCK_HEIGHT; ++src_y)
@@ -85,7 +85,7 @@ inline Box reach_of_lanes(const Fragments f, const int x0, const int y0) {
 }
 
 /* Whether the links of all pixels up to two beyond the block are complete. */
-inline bool is_one_surface(const Fragments f, const int x0, const int y0) {
+INLINE bool is_one_surface(const Fragments f, const int x0, const int y0) {
     if (x0 < 2 || y0 < 2 || x0 + BLOCK_WIDTH + 2 > f.width || y0 + BLOCK_HEIGHT + 2 > f.height) return false;
     uchar8 common = (uchar8)(ALL_LINKS);
 #pragma unroll
@@ -97,7 +97,7 @@ inline bool is_one_surface(const Fragments f, const int x0, const int y0) {
 }
 
 /* Whether positions are linear over the block, within BEND_MOST; then *box is its reach. */
-inline bool is_linear(const Fragments f, const int x0, const int y0, Box *box) {
+INLINE bool is_linear(const Fragments f, const int x0, const int y0, Box *box) {
     const float2 zoom = f.zoom;
     const int row = f.width;
     const Floats far_off = (Floats)(INFINITY);

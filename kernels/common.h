@@ -7,6 +7,9 @@
    the rare path. */
 #define SPARSE __attribute__((vec_type_hint(float4)))
 
+/* Before functions that take structs: a call would copy them, and compilers for CPUs leave some calls. */
+#define INLINE inline __attribute__((always_inline))
+
 #define INVALID_DEPTH(z) (!((z) > 0.0f))  /* NaN, zero, negative */
 #define COLOR_MAX 65504.0f
 

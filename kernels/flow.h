@@ -25,7 +25,7 @@ typedef struct {
 } Flow;
 
 /* Change of position from pixel to pixel, `step` apart, towards the linked neighbours `ahead` and `behind`. */
-inline float3 slope(const Fragments f, const int src, const int step, const bool ahead, const bool behind, bool *linked) {
+INLINE float3 slope(const Fragments f, const int src, const int step, const bool ahead, const bool behind, bool *linked) {
     const float3 here = position_of(f.target_position, src, f.plane);
     float3 sum = (float3)(0.0f);
     float count = 0.0f;
@@ -43,7 +43,7 @@ inline float3 slope(const Fragments f, const int src, const int step, const bool
 }
 
 /* From the linked neighbours; along a direction without any, what depth alone explains. */
-inline Flow flow_at(const Fragments f, const int src) {
+INLINE Flow flow_at(const Fragments f, const int src) {
     const float3 here = position_of(f.target_position, src, f.plane);
     const int bits = f.links[src];
     Flow flow;
@@ -76,7 +76,7 @@ inline float2 footprint(const Flow flow) {
 }
 
 /* Whether anything of a fragment at `here` may land in the image. */
-inline bool may_land(const Fragments f, const float3 here) {
+INLINE bool may_land(const Fragments f, const float3 here) {
     const float reach = (float)FOOTPRINT_REACH;
     return here.z > 0.0f && here.x > -reach && here.y > -reach && here.x < (float)f.target_width + reach
            && here.y < (float)f.target_height + reach;
@@ -92,7 +92,7 @@ typedef struct {
 } Places;
 
 /* `margin`: how far beside them the image, of `pixels`, is looked at. */
-inline void find_places(const Ints at, const int margin, const int pixels, Places *p) {
+INLINE void find_places(const Ints at, const int margin, const int pixels, Places *p) {
     p->at = at;
     p->first = FIRST_LANE(at);
     p->last = LAST_LANE(at) - (LANES - 1);
@@ -102,20 +102,20 @@ inline void find_places(const Ints at, const int margin, const int pixels, Place
     p->two = ALL(of_first | p->of_last) && min(p->first, p->last) >= margin && max(p->first, p->last) + margin + LANES <= pixels;
 }
 
-inline Floats floats_at(__global const float *plane, const Places p) {
+INLINE Floats floats_at(__global const float *plane, const Places p) {
     if (p.one) return load_floats(0, plane + p.first);
     if (p.two) return p.of_last ? load_floats(0, plane + p.last) : load_floats(0, plane + p.first);
     return gather_floats(plane, p.at);
 }
 
-inline Bytes bytes_at(__global const uchar *plane, const Places p) {
+INLINE Bytes bytes_at(__global const uchar *plane, const Places p) {
     return p.one ? load_bytes(0, plane + p.first) : gather_bytes(plane, p.at);
 }
 
 /* The values of one plane at LANES fragments and beside them. */
 typedef struct { Floats here, left, right, up, down; } Cross;
 
-inline void load_cross_of_run(__global const float *p, const int source_width, Cross *a) {
+INLINE void load_cross_of_run(__global const float *p, const int source_width, Cross *a) {
     a->here = load_floats(0, p);
     a->left = load_floats(0, p - 1);
     a->right = load_floats(0, p + 1);
@@ -123,7 +123,7 @@ inline void load_cross_of_run(__global const float *p, const int source_width, C
     a->down = load_floats(0, p + source_width);
 }
 
-inline void load_cross(__global const float *plane, const int source_width, const Places src, Cross *a) {
+INLINE void load_cross(__global const float *plane, const int source_width, const Places src, Cross *a) {
     if (src.one) {
         load_cross_of_run(plane + src.first, source_width, a);
     } else if (src.two) {
@@ -147,13 +147,13 @@ inline void load_cross(__global const float *plane, const int source_width, cons
 /* Predicted positions of LANES fragments and of those beside them. */
 typedef struct { Cross x, y, z; } Positions;
 
-inline void load_positions_of_run(const Fragments f, const int src, Positions *p) {
+INLINE void load_positions_of_run(const Fragments f, const int src, Positions *p) {
     load_cross_of_run(f.target_position + src, f.width, &p->x);
     load_cross_of_run(f.target_position + f.plane + src, f.width, &p->y);
     load_cross_of_run(f.target_position + 2 * f.plane + src, f.width, &p->z);
 }
 
-inline void load_positions(const Fragments f, const Places src, Positions *p) {
+INLINE void load_positions(const Fragments f, const Places src, Positions *p) {
     load_cross(f.target_position, f.width, src, &p->x);
     load_cross(f.target_position + f.plane, f.width, src, &p->y);
     load_cross(f.target_position + 2 * f.plane, f.width, src, &p->z);
@@ -169,7 +169,7 @@ inline Floats wide_slope(const Floats before, const Floats here, const Floats af
 }
 
 /* flow_at. `bits`: links. */
-inline void wide_flow(const Positions at, const Ints bits, const Floats z_source, const float2 zoom, WideFlow *flow) {
+INLINE void wide_flow(const Positions at, const Ints bits, const Floats z_source, const float2 zoom, WideFlow *flow) {
     const Cross x = at.x, y = at.y, z = at.z;
     const Ints left = ((bits & LINK_LEFT) != 0) & (z.left > 0.0f), right = ((bits & LINK_RIGHT) != 0) & (z.right > 0.0f);
     const Ints up = ((bits & LINK_UP) != 0) & (z.up > 0.0f), down = ((bits & LINK_DOWN) != 0) & (z.down > 0.0f);

@@ -27,7 +27,7 @@ inline float squared_distance(const float2 a, const float2 b) {
 }
 
 /* Residual x^ - x' of the static test at pixels; returns where it applies. */
-inline Ints static_residual(const Ints src_x, const int src_y, const Frame *frame, __global const float *depth,
+INLINE Ints static_residual(const Ints src_x, const int src_y, const Frame *frame, __global const float *depth,
                             __global const float2 *motion, Floats *residual_x, Floats *residual_y) {
     const Ints there = src_x < (src_y < frame->source_height ? frame->source_width : 0);
     const Ints src = there ? src_y * frame->source_width + src_x : (Ints)(0);
@@ -195,7 +195,7 @@ typedef struct {
 } Frames;
 
 /* What else Algorithm 1 does for a dynamic fragment: P_1 ... from the previous frame. */
-inline void find_history(const int src_x, const int src_y, const Frame *frame, const Frames f) {
+INLINE void find_history(const int src_x, const int src_y, const Frame *frame, const Frames f) {
     const int source_width = frame->source_width, plane = source_width * frame->source_height;
     const int src = src_y * source_width + src_x, positions = frame->positions;
     const Reprojection to_previous = frame->to_previous, from_previous = frame->from_previous;

@@ -9,8 +9,6 @@
      function of one pixel, lane by lane.
    - RUN bytes (16 on CPUs, 1 on GPUs) are for kernels that scan masks and find little to do. */
 
-#define INLINE inline __attribute__((always_inline))  /* for what compilers for CPUs else leave as a call */
-
 #if LANES == 8
 
 #define WIDE __attribute__((vec_type_hint(float8)))  /* before a kernel: it is wide already */

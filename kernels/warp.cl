@@ -37,7 +37,7 @@ typedef struct {
 
 /* ---- splat --------------------------------------------------------------------------------------------------- */
 
-inline void splat_fragment(const Fragments from, const Winners to, const int src, const int crack_closing, const int pass) {
+INLINE void splat_fragment(const Fragments from, const Winners to, const int src, const int crack_closing, const int pass) {
     const float3 here = position_of(from.target_position, src, from.plane);
     const int width = from.target_width, height = from.target_height;
     if (!may_land(from, here)) return;
@@ -62,7 +62,7 @@ inline void splat_fragment(const Fragments from, const Winners to, const int src
 
 /* LANES fragments, one pixel within the image, of which most cover no more than the 3x3 pixels around their own; gives the lanes
    that are done. */
-inline Ints splat_lanes(const Fragments from, const Winners to, const int src, const int pass) {
+INLINE Ints splat_lanes(const Fragments from, const Winners to, const int src, const int pass) {
     Positions at;
     WideFlow f;
     load_positions_of_run(from, src, &at);
@@ -141,7 +141,7 @@ inline float deviation(const float3 there, const int dx, const int dy, const flo
 
 /* A pixel beside a nearer surface that moves away holds a mixture of both colours: the step, in source pixels,
    to the neighbour that does not, if that one moves along. */
-inline int2 step_off_silhouette(const Fragments f, const int src_x, const int src_y, const float3 here, const Flow flow) {
+INLINE int2 step_off_silhouette(const Fragments f, const int src_x, const int src_y, const float3 here, const Flow flow) {
     const int src = src_y * f.width + src_x;
     int2 step = (int2)(0, 0);
     for (int k = 0; k < 4; ++k) {
@@ -175,7 +175,7 @@ inline float3 of_those_alike(const int alike, const int tap, const float u, cons
 
 /* Colour at (src_x, src_y) + d. Cubic where the neighbourhood moves alike, which its four inner taps and its corners
    tell; else bilinear over those of the four taps that move alike. */
-inline float3 resample(const Fragments f, const int src_x, const int src_y, const float2 d, const float3 here, const Flow flow,
+INLINE float3 resample(const Fragments f, const int src_x, const int src_y, const float2 d, const float3 here, const Flow flow,
                        __global const half *color) {
     const int src = src_y * f.width + src_x;
     if (d.x == 0.0f && d.y == 0.0f) return load_color(color, src);
@@ -201,7 +201,7 @@ inline float2 without_rounding(const float2 d) {
 }
 
 /* One pixel from the fragment that won it. Its key is emptied if the background may fill it. */
-inline void resolve_pixel(const Fragments from, const Rendered shown, const Winners winners, const NewFrame to, const int dst_x,
+INLINE void resolve_pixel(const Fragments from, const Rendered shown, const Winners winners, const NewFrame to, const int dst_x,
                           const int dst_y, const int unfilled_label) {
     const int dst = dst_y * from.target_width + dst_x;
     const uint src = winner_of(winners.keys, winners.winners, dst);
@@ -236,7 +236,7 @@ inline void resolve_pixel(const Fragments from, const Rendered shown, const Winn
 }
 
 /* Of fragments within one smooth surface: nothing to check. */
-inline void smooth_flow(const Positions at, WideFlow *flow) {
+INLINE void smooth_flow(const Positions at, WideFlow *flow) {
     const Cross x = at.x, y = at.y, z = at.z;
     WideFlow f;
     f.xx = ((x.right - x.here) + (x.here - x.left)) * 0.5f;
@@ -251,14 +251,14 @@ inline void smooth_flow(const Positions at, WideFlow *flow) {
 }
 
 /* deviation of fragments at (dx, dy) from the winners; infinite or no number where they go nowhere. */
-inline Floats wide_deviation(const Floats there_x, const Floats there_y, const Floats dx, const Floats dy, const Floats here_x,
+INLINE Floats wide_deviation(const Floats there_x, const Floats there_y, const Floats dx, const Floats dy, const Floats here_x,
                              const Floats here_y, const WideFlow f) {
     const Floats ex = fabs(there_x - here_x - f.xx * dx - f.yx * dy), ey = fabs(there_y - here_y - f.xy * dx - f.yy * dy);
     return ex > ey ? ex : ey;
 }
 
 /* Which lanes have no neighbour from which step_off_silhouette steps off. */
-inline Ints stays(const Positions at, const Cross depth, const WideFlow f) {
+INLINE Ints stays(const Positions at, const Cross depth, const WideFlow f) {
     const Cross x = at.x, y = at.y;
     const Floats near = depth.here * NEARER, one = (Floats)(1.0f), none = (Floats)(0.0f);
     const Ints nearer = (depth.left < near) | (depth.right < near) | (depth.up < near) | (depth.down < near);
@@ -272,7 +272,7 @@ inline Ints stays(const Positions at, const Cross depth, const WideFlow f) {
 }
 
 /* Which taps around (ox, oy) from the winners move alike, in bits: see resample. */
-inline Ints taps_alike(const Fragments from, const Positions at, const Ints src, const Floats ox, const Floats oy, const WideFlow f) {
+INLINE Ints taps_alike(const Fragments from, const Positions at, const Ints src, const Floats ox, const Floats oy, const WideFlow f) {
     Places base;
     find_places(src + to_ints(oy) * from.width + to_ints(ox), 2 * from.width + 2, from.plane, &base);
     Ints alike = (Ints)(0);
@@ -294,7 +294,7 @@ typedef struct {
     Floats u, v;
 } Samples;
 
-inline void samples_at(const Ints src, const Floats dx, const Floats dy, const int source_width, Samples *s) {
+INLINE void samples_at(const Ints src, const Floats dx, const Floats dy, const int source_width, Samples *s) {
     const Floats ox = floor(dx), oy = floor(dy);
     s->src = src;
     s->tap = src + to_ints(oy) * source_width + to_ints(ox);
@@ -304,7 +304,7 @@ inline void samples_at(const Ints src, const Floats dx, const Floats dy, const i
 }
 
 /* The samples of the lanes in `use`. */
-inline void resample_lanes(const Samples s, const Ints use, const int source_width, __global const half *color, const int dst,
+INLINE void resample_lanes(const Samples s, const Ints use, const int source_width, __global const half *color, const int dst,
                            __global half *out_color) {
     const Ints tap = s.tap, alike = s.alike;
     const Floats u = s.u, v = s.v;
@@ -365,7 +365,7 @@ typedef struct {
     bool smooth;
 } WideWinners;
 
-inline void store_labels(const NewFrame to, const int dst, const Bytes dynamic_mask, const Ints own) {
+INLINE void store_labels(const NewFrame to, const int dst, const Bytes dynamic_mask, const Ints own) {
     store_bytes(dynamic_mask, 0, to.dynamic_mask + dst);
     store_bytes((Bytes)(0), 0, to.disoccluded + dst);
     store_bytes((Bytes)(0), 0, to.mixed + dst);
@@ -373,7 +373,7 @@ inline void store_labels(const NewFrame to, const int dst, const Bytes dynamic_m
 }
 
 /* LANES pixels from their winners. Gives the lanes that are done: those in use that stay where they are at silhouettes. */
-inline Ints resolve_lanes(const Fragments from, const Rendered shown, const NewFrame to, const WideWinners won, const int dst_x,
+INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewFrame to, const WideWinners won, const int dst_x,
                           const int dst_y) {
     const int dst = dst_y * from.target_width + dst_x;
     const Floats centre_x = row_centres(dst_x);
@@ -421,7 +421,7 @@ inline Floats px_from_block(const float8 source, const int dst_x, const int dst_
 }
 
 /* LANES pixels of a block in which that is exact. */
-inline void resolve_affine(const Fragments from, const Rendered shown, const NewFrame to, const float8 source, const int dst_x,
+INLINE void resolve_affine(const Fragments from, const Rendered shown, const NewFrame to, const float8 source, const int dst_x,
                            const int dst_y) {
     const int dst = dst_y * from.target_width + dst_x;
     Floats px_y;
