@@ -24,11 +24,6 @@ EXAMPLES = [
 ]
 
 
-@pytest.fixture(autouse=True)
-def _scripts_of_docs(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "docs"))
-
-
 @pytest.mark.parametrize(("code", "expected"), EXAMPLES)
 def test_examples_print_what_the_page_says(code, expected, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -124,7 +119,7 @@ def test_tables_are_up_to_date():
 
     for name, text in TEXTS.items():
         if name.startswith("docs/"):
-            assert with_tables(text) == text, f"{name}: run python docs/make_tables.py"
+            assert with_tables(text) == text, f"{name}: run python docs/tools/make_tables.py"
     for table in TABLES:
         assert any(f"<!-- {table}:begin -->\n|" in text for text in TEXTS.values()), table
 
@@ -133,7 +128,7 @@ def test_tables_of_performance_are_those_of_the_records():
     from make_performance import TABLES, with_tables
 
     page = TEXTS["docs/performance.md"]
-    assert with_tables(page) == page, "run python docs/make_performance.py"
+    assert with_tables(page) == page, "run python docs/tools/make_performance.py"
     assert all(f"<!-- {table}:begin -->\n" in page for table in TABLES)
 
 
@@ -141,21 +136,21 @@ def test_tables_of_the_doctor_are_those_of_its_record():
     from measure_doctor import with_tables
 
     page = TEXTS["docs/doctor.md"]
-    assert with_tables(page) == page and "<!-- confusion:begin -->\n|" in page, "python docs/measure_doctor.py --write"
+    assert with_tables(page) == page and "<!-- confusion:begin -->\n|" in page, "docs/tools/measure_doctor.py --write"
 
 
 def test_tables_of_results_are_those_of_the_record():
     from make_results import TABLES, with_tables
 
     pages = [TEXTS[name] for name in ("docs/results.md", "README.md")]
-    assert [with_tables(page) for page in pages] == pages, "run python docs/make_results.py"
+    assert [with_tables(page) for page in pages] == pages, "run python docs/tools/make_results.py"
     assert all(any(f"<!-- {table}:begin -->\n|" in page for page in pages) for table in TABLES)
 
 
 def test_reference_is_up_to_date():
     from make_reference import reference
 
-    assert reference() == TEXTS["docs/reference.md"], "run python docs/make_reference.py"
+    assert reference() == TEXTS["docs/reference.md"], "run python docs/tools/make_reference.py"
 
 
 def test_everything_public_is_described():
@@ -178,7 +173,7 @@ def test_deviations_that_are_measured_exist():
     explained = " ".join(page[: page.index("## Measured")].lower().split())
     for name in (*measured.GAE, *measured.SCN):
         assert name.strip("()… ").lower() in explained, name
-        assert f"| {name} |" in page, f"{name}: run python docs/measure_deviations.py --write"
+        assert f"| {name} |" in page, f"{name}: run python docs/tools/measure_deviations.py --write"
 
 
 def test_the_map_has_the_floors_of_the_house():
@@ -189,7 +184,8 @@ def test_the_map_has_the_floors_of_the_house():
 
 
 def test_a_drifted_table_is_found():
-    from make_tables import between_markers, with_tables
+    from make_tables import with_tables
+    from pages import between_markers
 
     page = TEXTS["docs/stages.md"].replace("| `motion` |", "| `movement` |", 1)
     assert page != TEXTS["docs/stages.md"] and with_tables(page) == TEXTS["docs/stages.md"]

@@ -26,7 +26,7 @@ from gffe_cl.stages.holes import FILLINGS
 
 ROOT = Path(__file__).parents[2]
 TABLE = ROOT / "docs" / "measured" / "traffic.json"
-RECORD = "gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json && python docs/make_performance.py"
+RECORD = "gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json && python docs/tools/make_performance.py"
 
 
 def test_bench(gffe, tmp_path):
@@ -286,7 +286,7 @@ def test_traffic_does_not_grow(lanes):
 @pytest.mark.slow
 def test_versions_are_compared(tmp_path):
     """Two processes of this very version."""
-    script = [sys.executable, str(ROOT / "docs" / "compare_speed.py"), "--old", str(ROOT), "--size", "64x48"]
+    script = [sys.executable, str(ROOT / "docs" / "tools" / "compare_speed.py"), "--old", str(ROOT), "--size", "64x48"]
     child = subprocess.run(
         [*script, "--repeats", "2", "--json", str(tmp_path / "c.json")], capture_output=True, text=True, timeout=300
     )

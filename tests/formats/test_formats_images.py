@@ -14,7 +14,6 @@ from foreign import write_exr, write_parts
 from PIL import Image
 
 from gffe_cl import GffeError
-from gffe_cl.formats import png as png_module
 from gffe_cl.formats.images import check_planes, read_planes
 
 W, H = 23, 17
@@ -25,8 +24,8 @@ def chunk(kind, data):
     return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
 
-def png(image, bits, kind, filters=(0,), interlace=0):
-    """A PNG of (H, W, C) integers, by the specification; line y has the filter `filters[y % len]`."""
+def filtered(image, bits, filters):
+    """Lines of (H, W, C) integers as PNG stores them; line y has the filter `filters[y % len]`."""
     height, width = image.shape[:2]
     lines = image.astype(">u2" if bits == 16 else ">u1").tobytes()
     step = image.shape[2] * bits // 8
@@ -43,8 +42,17 @@ def png(image, bits, kind, filters=(0,), interlace=0):
             coded.append((value - (0, a, b, (a + b) // 2, nearest)[number]) & 255)
         out += bytes([number]) + coded
         before = line
-    header = struct.pack(">IIBBBBB", width, height, bits, kind, 0, 0, interlace)
-    data = zlib.compress(out)
+    return out
+
+
+ADAM7 = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2))
+
+
+def png(image, bits, kind, filters=(0,), interlaced=False):
+    """A PNG of (H, W, C) integers, by the specification."""
+    passes = [image[y::dy, x::dx] for x, y, dx, dy in ADAM7] if interlaced else [image]
+    data = zlib.compress(b"".join(filtered(part, bits, filters) for part in passes if part.size))
+    header = struct.pack(">IIBBBBB", image.shape[1], image.shape[0], bits, kind, 0, 0, interlaced)
     return (
         b"\x89PNG\r\n\x1a\n"
         + chunk(b"IHDR", header)
@@ -155,15 +163,13 @@ def test_damage_inside_of_npz_files(tmp_path, method):
     assert len(said) > 50 and all("NPZ" in text or "NPY" in text for text in said), said
 
 
-@pytest.mark.parametrize("size", [(1, 300), (8, 20), (9, 21)])
-def test_filters_of_few_and_of_many_lines(size, monkeypatch):
-    """A line or two are undone byte by byte: diagonals would be as many as their pixels."""
-    rng = np.random.default_rng(7)
-    filters = rng.integers(0, 5, size[0]).astype(np.uint8)
-    coded = rng.integers(0, 256, (*size, 6)).astype(np.uint8)
-    made = png_module._unfiltered_bytes(filters, coded)
-    monkeypatch.setattr(png_module, "_FEW_BYTES", 0)
-    assert np.array_equal(png_module._unfiltered(filters, coded), made)
+@pytest.mark.parametrize("interlaced", [False, True])
+@pytest.mark.parametrize("size", [(1, 300), (300, 1), (8, 20), (9, 21)])
+def test_png_of_16_bits_of_any_size(tmp_path, size, interlaced):
+    for channels, kind in (("RGB", 2), ("RGBA", 6), ("YA", 4), ("Y", 0)):
+        image = RNG.integers(0, 65536, (*size, len(channels)))
+        (tmp_path / "a.png").write_bytes(png(image, 16, kind, (4, 1, 3, 0, 2), interlaced))
+        np.testing.assert_array_equal(read_planes(tmp_path / "a.png", channels, "a", size[::-1]), image)
 
 
 def test_more_pixels_than_the_header_says_are_not_inflated(tmp_path):

@@ -1,4 +1,4 @@
-"""What comes from outside, mutated: a short form of docs/fuzz.py, and the inputs that it has found."""
+"""What comes from outside, mutated: a short form of docs/tools/fuzz.py, and the inputs that it has found."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Hostile values for every parameter of every command: what tests/cli/test_cli_hostile.py and docs/fuzz.py run."""
+"""Hostile values for every parameter of every command, for tests/cli/test_cli_hostile.py and docs/tools/fuzz.py."""
 
 import functools
 import random

@@ -1,5 +1,5 @@
-"""What is fuzzed (docs/fuzz.py, test_fuzz.py): small valid inputs of everything that comes from outside, what reads
-them, and mutations. A target takes bytes and must end well or with a GffeError of one line; anything else is a fault.
+"""Targets of fuzzing (docs/tools/fuzz.py, test_fuzz.py): small valid inputs of everything that comes from outside, what
+reads them, and mutations. A target takes bytes and must end well or with a GffeError of one line, else it is a fault.
 """
 
 import copy

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from soak import ROUND, soak
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.inference import network
@@ -29,10 +30,9 @@ from gffe_cl.selftest.reference import (
     ulps,
 )
 from gffe_cl.selftest.scene import CUT, frames
-from gffe_cl.selftest.soak import ROUND, soak
 from gffe_cl.selftest.workload import CASES, SIZE, forms_of, moments
 
-STALE = "after a change that is meant: python docs/record_selftest.py"
+STALE = "after a change that is meant: python docs/tools/record_selftest.py"
 LITTLE = {"cases": ["paper"], "forms": ["own"], "until": "frame 1 + 1/3", "speed": False}
 
 

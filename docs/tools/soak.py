@@ -1,6 +1,10 @@
-"""A soak: thousands of frames of mixed content through one pipeline, while others come and go beside it.
+"""Soak: thousands of frames of mixed content through one pipeline. Memory must not grow, and results stay the same.
 
-The content is that of `scene`, in rounds that are laid out by a seed: cuts that are told and not told, pauses, frames
+    python docs/tools/soak.py --frames 20000
+
+Runs on the default device (`GFFE_DEVICE` chooses another). Exit code 1 if memory grows by 1% or results differ.
+
+The content is the self-test's, in rounds that are laid out by a seed: cuts that are told and not told, pauses, frames
 that must be refused, new frames at odd times, layers that are kept and dropped; beside it pipelines of other sizes and
 options, on devices that are opened again. Each round ends with the same frames after a reset, and what is made of them
 must be the same bits in each round, and those of a fresh pipeline.
@@ -8,8 +12,10 @@ must be the same bits in each round, and those of a fresh pipeline.
 
 from __future__ import annotations
 
+import argparse
 import gc
 import os
+import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -18,7 +24,7 @@ import numpy as np
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.rendered_frame import RenderedFrame
-from gffe_cl.opencl.device import Device, open_info
+from gffe_cl.opencl.device import Device, open_device, open_info
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.selftest.reference import digest
@@ -188,3 +194,35 @@ def _resident() -> float:
         import resource
 
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def say(told: Soak) -> None:
+    print(
+        f"{told.frames} frames: {told.memory[-1]:.1f} MiB, {told.milliseconds[-1]:.1f} ms a frame,"
+        f" longest {told.longest:.0f} ms, {len(told.ends)} different ends",
+        flush=True,
+    )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=20000)
+    parser.add_argument("--seed", type=int, default=0)
+    chosen = parser.parse_args()
+    device, start = open_device(), time.monotonic()
+    print(device)
+    told = soak(device, chosen.frames, chosen.seed, say)
+    quarter = max(len(told.milliseconds) // 4, 1)
+    print(
+        f"{told.frames} frames submitted, {told.made} made, {told.refused} refused, {told.cuts} cuts found;"
+        f" {told.pipelines} pipelines and {told.devices} devices opened beside; {time.monotonic() - start:.0f} s"
+    )
+    print(f"memory at the end: {told.memory[-1]:.1f} MiB, at most {told.growth:+.2%} from frame 1000 on")
+    print(f"results: {'equal' if told.is_equal else 'DIFFERENT'}")
+    first, last = (np.median(part) for part in (told.milliseconds[:quarter], told.milliseconds[-quarter:]))
+    print(f"milliseconds a frame: {first:.1f} in the first quarter, {last:.1f} in the last")
+    return int(told.growth >= 0.01 or not told.is_equal)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

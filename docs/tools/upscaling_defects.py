@@ -8,10 +8,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-from make_tables import table
+from pages import REPOSITORY, table
+from scipy.ndimage import binary_dilation
 
 from gffe_cl.evaluation.metrics import display_values
 from gffe_cl.frame.jitter import Jitter
@@ -20,12 +20,11 @@ from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.pipeline.source import jittered_renderer
-from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
+from gffe_cl.scenes import SCENES, SceneFrames, load_scene
 
-sys.path.insert(0, str(Path(__file__).parent.parent / "tests" / "helpers"))
+sys.path.insert(0, str(REPOSITORY / "tests" / "helpers"))
 from synthetic import Rect, Rects, camera
 
-DOCS = Path(__file__).parent
 W, H, SCALE, FPS = 192, 128, 2, 30
 SEED = 2
 JITTER = Jitter(16)
@@ -34,8 +33,6 @@ FAR, NEAR = 12, 6  # metres to the wall, and to what is before it
 GREY = Rect((0, 0, FAR), (40, 40), frequency=0, tint=(0.2,) * 3)
 AFTER = 6  # frames
 FLAT = 1e-3
-PICTURED_SIZE, CROP, ENLARGED = (480, 270), (80, 54), 4
-PICTURES = {"teeth": ("factory", 240, 90), "thin": ("gallery", 240, 90), "shadows": ("courtyard", 170, 176)}
 
 
 def pipeline_of(device: Device, size: tuple[int, int], upscale: float = SCALE) -> Pipeline:
@@ -71,7 +68,7 @@ def ghosts(device: Device) -> dict[str, list[float]]:
             pipeline.submit(frame)
             covered = np.abs(scene.color(camera(W, H), k / FPS, W, H, 3) - GREY.texture(np.zeros(2))).max(-1) > FLAT
             since = np.where(_grown(covered), 0, since + 1)
-            error = np.abs(_shown(pipeline) - display_values(GREY.texture(np.zeros((1, 1, 2))), 1.0)).max(-1)
+            error = np.abs(shown_by(pipeline) - display_values(GREY.texture(np.zeros((1, 1, 2))), 1.0)).max(-1)
             for n in range(1, AFTER + 1):
                 if (since == n).any():
                     worst[n - 1] = max(worst[n - 1], 255 * error[since == n].max())
@@ -98,7 +95,7 @@ def shimmer(device: Device) -> dict[str, list[float]]:
             for upscale, pipeline in pipelines.items():
                 pipeline.submit(frame)
                 if k >= SETTLED:
-                    seen[upscale].append(_shown(pipeline, scene.exposure))
+                    seen[upscale].append(shown_by(pipeline, scene.exposure))
         made[name] = [float(np.var(seen[upscale], 0).mean() * 255**2) for upscale in (0, SCALE)]
     return made
 
@@ -150,33 +147,9 @@ def defect_tables(found: dict) -> dict[str, str]:
     }
 
 
-def pictures(device: Device) -> None:
-    """Rendered frames of `PICTURES`: resampled, upscaled and true, side by side and enlarged."""
-    from PIL import Image
-
-    for name, (scene_name, x, y) in PICTURES.items():
-        scene = load_scene(scene_name, SEED)
-        small, jitter = jittered_renderer(device, scene, PICTURED_SIZE, SCALE)
-        truths = SceneRenderer(device, scene, *PICTURED_SIZE, 8)
-        made = SceneFrames(small, size=PICTURED_SIZE, jitter=jitter, truths=truths)
-        pipelines = [pipeline_of(device, PICTURED_SIZE, upscale) for upscale in (0, SCALE)]
-        for pipeline in pipelines:
-            pipeline.exposure = scene.exposure
-        for frame in made.sequence(11, scene.fps, 1.0):
-            for pipeline in pipelines:
-                pipeline.submit(frame)
-        truth = display_values(made.truth(frame.time).read("color")[..., :3], scene.exposure)
-        shown = [*(_shown(pipeline, scene.exposure) for pipeline in pipelines), truth]
-        crops = [image[y : y + CROP[1], x : x + CROP[0]].repeat(ENLARGED, 0).repeat(ENLARGED, 1) for image in shown]
-        image = Image.fromarray((255 * np.concatenate(crops, 1) + 0.5).astype(np.uint8))
-        image.save(DOCS / "pictures" / f"upscaling_{name}.jpg", quality=88)
-
-
 def _grown(mask: np.ndarray, by: int = 2) -> np.ndarray:
-    from scipy.ndimage import binary_dilation
-
     return binary_dilation(mask, np.ones((3, 3)), by)
 
 
-def _shown(pipeline: Pipeline, exposure: float = 1.0) -> np.ndarray:
+def shown_by(pipeline: Pipeline, exposure: float = 1.0) -> np.ndarray:
     return display_values(pipeline.present().numpy("color"), exposure)

@@ -1,8 +1,8 @@
 """Fuzzes what reads files and numbers from outside: sequences, EXR headers, foreign captures, cameras, options.
 
-    python docs/fuzz.py --minutes 10
-    python docs/fuzz.py --minutes 2 --target sequence:frame_1.exr --seed 7
-    python docs/fuzz.py --minutes 30 --arguments        # of every command, tests/helpers/fuzz_arguments.py
+    python docs/tools/fuzz.py --minutes 10
+    python docs/tools/fuzz.py --minutes 2 --target sequence:frame_1.exr --seed 7
+    python docs/tools/fuzz.py --minutes 30 --arguments        # of every command, tests/helpers/fuzz_arguments.py
 
 Each target of tests/helpers/fuzz_targets.py runs in a child process. With atheris (`pip install atheris`) mutations
 follow the code that they reach; without, they are made by chance. An input that ends neither well nor with an error of
@@ -22,8 +22,9 @@ import time
 from pathlib import Path
 
 import numpy as np
+from pages import REPOSITORY
 
-TESTS = Path(__file__).parent.parent / "tests"
+TESTS = REPOSITORY / "tests"
 CASES, WORK = TESTS / "formats" / "fuzz_cases", TESTS / ".fuzz_corpus"
 SECONDS, MEGABYTES = 20, 4096  # that one input may take
 

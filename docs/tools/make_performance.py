@@ -1,11 +1,11 @@
 """Writes the tables of docs/performance.md, from the figures in docs/measured/.
 
-    python docs/make_performance.py                              the tables, from what is recorded
-    python docs/make_performance.py --measure [--sequence DIR]   counts first what must move, on plaza, forest and a
-                                                                 sequence: the same on any machine
+    python docs/tools/make_performance.py                              the tables, from what is recorded
+    python docs/tools/make_performance.py --measure [--sequence DIR]   counts first what must move, on plaza, forest
+                                                                       and a sequence: the same on any machine
 
 The other two records: `gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json`, and
-`python docs/compare_speed.py … --json docs/measured/speed.json`, on a quiet machine.
+`python docs/tools/compare_speed.py … --json docs/measured/speed.json`, on a quiet machine.
 """
 
 from __future__ import annotations
@@ -18,10 +18,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from make_tables import between_markers, table
+from pages import DOCS, MEASURED, table, with_all
 
-FOLDER = Path(__file__).parent
-PAGE, MEASURED = FOLDER / "performance.md", FOLDER / "measured"
+PAGE = DOCS / "performance.md"
 SIZE, SCENES = (1920, 1080), ("plaza", "forest")
 
 
@@ -114,9 +113,7 @@ def recorded(name: str) -> dict[str, Any]:
 
 def with_tables(text: str) -> str:
     """The page with all its tables as the records have them now."""
-    for name, make in TABLES.items():
-        text = between_markers(text, name, make())
-    return text
+    return with_all(text, {name: make() for name, make in TABLES.items()})
 
 
 def measure(sequence: Path | None, device: str | None) -> None:
@@ -174,7 +171,6 @@ def main() -> None:
     parser.add_argument("--sequence", type=Path)
     parser.add_argument("--device")
     asked = parser.parse_args()
-    MEASURED.mkdir(exist_ok=True)
     if asked.measure:
         measure(asked.sequence, asked.device)
     PAGE.write_text(with_tables(PAGE.read_text()))

@@ -1,32 +1,36 @@
-"""Makes the pictures of what goes wrong, docs/pictures/limit_*.jpg, and of what modules beyond the paper are worth,
-docs/pictures/gain_*.jpg, from built-in scenes; and docs/pictures/situations.jpg.
+"""Make the pictures in docs/pictures, but for the contact sheet (`gffe demo`) and those of the viewer.
 
-    python docs/make_limits.py [NAME …]
+    python docs/tools/make_pictures.py [NAME …]
 
-Each of the first shows a part of a frame: rendered at t, extrapolated to t + ½, and the truth there; each of the second
-the part that gains most of frames extrapolated without the module and with it, and the truth; the last one, of every
-situation, the part of its region where the paper's way is worst.
+- `limit_*`: a part of a frame, rendered at t, extrapolated to t + ½, and the truth there.
+- `gain_*`: the part that gains most from a module beyond the paper: without it, with it, and the truth.
+- `shading`: the part that gains most from shading correction, with the network's whole image and both focus masks.
+- `situations`: of every situation, the part of its region where the paper's way is worst.
+- `upscaling_*`: a part of a rendered frame, resampled, upscaled and true, enlarged.
 """
 
 from __future__ import annotations
 
 import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 from measure_deviations import FOR_SITUATIONS, NO_NETWORK, PAPER, kernels_with
+from pages import PICTURES
+from PIL import Image
 from scipy.ndimage import uniform_filter
 from situation_regions import region_of_situation, submitted_frames
+from upscaling_defects import SCALE, SEED, pipeline_of, shown_by
 
-from gffe_cl.evaluation.metrics import display_values
+from gffe_cl.evaluation.metrics import display_values, focus_mask
 from gffe_cl.evaluation.report import contact_sheet
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import Pipeline
+from gffe_cl.pipeline.source import jittered_renderer
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 
-FOLDER = Path(__file__).parent / "pictures"
 SIZE, PART = (640, 360), (128, 72)
 FPS, ALPHA = 30.0, 0.5
 
@@ -64,9 +68,12 @@ GAINS = {
     "silhouettes": Gain("plaza", "soft_silhouettes", 0.5),
     "hidden_parts": Gain("plaza", "hidden_parts", 1.0),
     "acceleration": Gain("factory", "acceleration", 1.0),
-    "shading": Gain("courtyard", "shading_correction", 0.5),
 }
 SEARCHED = 8  # rendered frames
+SHADING = ("gallery", "courtyard")
+# Of a frame that is upscaled: its scene, and the upper left corner of the part.
+UPSCALED = {"teeth": ("factory", 240, 90), "thin": ("gallery", 240, 90), "shadows": ("courtyard", 170, 176)}
+UPSCALED_SIZE, UPSCALED_PART, ENLARGED = (480, 270), (80, 54), 4
 
 
 def gain_picture(device: Device, gain: Gain):
@@ -80,6 +87,53 @@ def gain_picture(device: Device, gain: Gain):
     k, x, y, parts = chosen_part(frames, pipelines, gain.alpha)
     label = f"{gain.scene}, frame {k}, t + {gain.alpha:g}, {SIZE[0]} x {SIZE[1]}, x = {x}, y = {y}"
     return contact_sheet([(label, list(parts.items()))], cell_width=320)
+
+
+def shading_picture(device: Device):
+    """As `picture`: a scene in a row."""
+    groups = []
+    for name in SHADING:
+        frames = SceneFrames(SceneRenderer(device, load_scene(name), *SIZE))
+        ways = {"without": Options(shading_correction=False), "with": Options(), "whole": Options(focus_mask=False)}
+        pipelines = {way: Pipeline(device, *SIZE, options, fps=FPS) for way, options in ways.items()}
+        k, x, y, _ = chosen_part(frames, {way: pipelines[way] for way in ("without", "with")}, ALPHA)
+        whole, full = pipelines["whole"], Pipeline(device, *SIZE, Options(), fps=FPS)
+        whole.exposure = full.exposure = exposure = frames.scene.exposure
+        *_, (_, _, time) = submitted_frames(frames, [full, whole], k + 1, FPS, ALPHA)
+        camera, truth = frames.display_camera(time), frames.truth(time).read("color")
+        made = full.extrapolate(camera, time)
+        color = made.numpy("gae")
+        images = {
+            "extrapolated": display_values(color, exposure),
+            "final": display_values(made.numpy("color"), exposure),
+            "the network's whole image": display_values(whole.extrapolate(camera, time).numpy("color"), exposure),
+            "truth": display_values(truth, exposure),
+            "focus mask": full.stages["correction"].read("focus_mask").astype(np.float32),
+            "true focus mask": focus_mask(color, truth, made.numpy("dynamic"), exposure).astype(np.float32),
+        }
+        part = slice(y, y + PART[1]), slice(x, x + PART[0])
+        label = f"{name}, frame {k}, t + {ALPHA:g}, {SIZE[0]} x {SIZE[1]}, x = {x}, y = {y}"
+        groups.append((label, [(caption, np.ascontiguousarray(image[part])) for caption, image in images.items()]))
+    return contact_sheet(groups, columns=6, cell_width=264)
+
+
+def upscaled_picture(device: Device, scene_name: str, x: int, y: int):
+    """As `picture`, without captions."""
+    scene = load_scene(scene_name, SEED)
+    small, jitter = jittered_renderer(device, scene, UPSCALED_SIZE, SCALE)
+    truths = SceneRenderer(device, scene, *UPSCALED_SIZE, 8)
+    frames = SceneFrames(small, size=UPSCALED_SIZE, jitter=jitter, truths=truths)
+    pipelines = [pipeline_of(device, UPSCALED_SIZE, upscale) for upscale in (0, SCALE)]
+    for pipeline in pipelines:
+        pipeline.exposure = scene.exposure
+    for frame in frames.sequence(11, scene.fps, 1.0):
+        for pipeline in pipelines:
+            pipeline.submit(frame)
+    truth = display_values(frames.truth(frame.time).read("color")[..., :3], scene.exposure)
+    shown = [*(shown_by(pipeline, scene.exposure) for pipeline in pipelines), truth]
+    rows, columns = slice(y, y + UPSCALED_PART[1]), slice(x, x + UPSCALED_PART[0])
+    parts = [image[rows, columns].repeat(ENLARGED, 0).repeat(ENLARGED, 1) for image in shown]
+    return Image.fromarray((255 * np.concatenate(parts, 1) + 0.5).astype(np.uint8))
 
 
 def situations_picture(device: Device):
@@ -152,15 +206,13 @@ def picture(device: Device, limit: Limit):
 
 def main() -> None:
     device = open_device()
-    for name in sys.argv[1:] or [*LIMITS, *GAINS, "situations"]:
-        if name in LIMITS:
-            path, made = FOLDER / f"limit_{name}.jpg", picture(device, LIMITS[name])
-        elif name == "situations":
-            path, made = FOLDER / "situations.jpg", situations_picture(device)
-        else:
-            path, made = FOLDER / f"gain_{name}.jpg", gain_picture(device, GAINS[name])
-        made.save(path, quality=88)
-        print(path)
+    makers = {f"limit_{name}": partial(picture, device, limit) for name, limit in LIMITS.items()}
+    makers |= {f"gain_{name}": partial(gain_picture, device, gain) for name, gain in GAINS.items()}
+    makers |= {"shading": partial(shading_picture, device), "situations": partial(situations_picture, device)}
+    makers |= {f"upscaling_{name}": partial(upscaled_picture, device, *place) for name, place in UPSCALED.items()}
+    for name in sys.argv[1:] or makers:
+        makers[name]().save(PICTURES / f"{name}.jpg", quality=88)
+        print(name)
 
 
 if __name__ == "__main__":

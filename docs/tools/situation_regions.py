@@ -1,5 +1,7 @@
-"""For docs/measure_deviations.py and docs/make_limits.py: frames of scenes, and the region of a situation in which what
-it holds is seen, exactly, from the renderer."""
+"""Frames of scenes, and regions of situations: where the thing that a situation holds is seen, by the renderer.
+
+`measure_deviations.py` and `make_pictures.py` use these.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """How far predicted cameras are off, and what that costs, by `--camera-order`.
 
-    python docs/measure_camera.py                  prints the table of docs/deviations.md
-    python docs/measure_camera.py --write          puts it there
-    python docs/measure_camera.py --poses-only     errors of cameras alone, without rendering
+    python docs/tools/measure_camera.py                  prints the table of docs/deviations.md
+    python docs/tools/measure_camera.py --write          puts it there
+    python docs/tools/measure_camera.py --poses-only     errors of cameras alone, without rendering
 
 A path is that of a built-in scene, steady or shaken in one of three ways, or that of a recorded sequence. What shakes
 is a mass on a damped spring, pushed at random. Errors are distances in pixels of what the predicted and the true camera
@@ -20,7 +20,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from make_tables import between_markers
+from pages import table, write_tables
 from scipy.signal import lfilter
 
 from gffe_cl.core.errors import GffeError
@@ -36,6 +36,10 @@ from gffe_cl.sequence import open_sequence
 
 ALPHAS = (0.5, 1.0)
 ORDERS = (1, 2, None)
+HEADS = (
+    *("path", "α", "px off: order 1", "order 2", "auto"),
+    *("PSNR, dB: camera known", "order 1", "order 2", "auto"),
+)
 DISTANCE = 3.0  # world units
 RATE = 960  # steps per second of what shakes
 # Springs of what shakes: hertz, damping, and root mean square in radians of each turn and in world units of each move.
@@ -155,7 +159,7 @@ def recorded_path(folder: Path) -> tuple[str, dict, dict]:
     return folder.name, pose_errors(camera, times, (sequence.width, sequence.height)), {}
 
 
-def rows(name: str, poses: dict, squared: dict) -> Iterator[str]:
+def rows(name: str, poses: dict, squared: dict) -> Iterator[tuple[str, ...]]:
     for alpha in ALPHAS:
         figures = []
         for order in ORDERS:
@@ -163,7 +167,7 @@ def rows(name: str, poses: dict, squared: dict) -> Iterator[str]:
             figures.append(f"{middle:.2f} / {most:.2f}")
         for order in ("known", *ORDERS) if squared else ():
             figures.append(f"{-10 * np.log10(np.mean(squared[order, alpha])):.2f}")
-        yield f"| {name} | {alpha:g} | {' | '.join(figures + [''] * (7 - len(figures)))} |"
+        yield name, f"{alpha:g}", *figures, *[""] * (7 - len(figures))
 
 
 def main() -> None:
@@ -179,21 +183,16 @@ def main() -> None:
     parser.add_argument("--device")
     setting = parser.parse_args()
     device = None if setting.poses_only else open_device(setting.device)
-    lines = [
-        "| path | α | px off: order 1 | order 2 | auto | PSNR, dB: camera known | order 1 | order 2 | auto |",
-        "| --- |" + " --- |" * 8,
-    ]
-    for found in scene_paths(setting, device):
-        lines += rows(*found)
+    lines = [line for found in scene_paths(setting, device) for line in rows(*found)]
     for folder in setting.sequences:
         try:
             lines += rows(*recorded_path(folder))
         except GffeError as error:
             sys.exit(str(error))
-    print("\n" + "\n".join(lines))
+    made = table(HEADS, lines)
+    print(f"\n{made}")
     if setting.write:
-        page = Path(__file__).parent / "deviations.md"
-        page.write_text(between_markers(page.read_text(), "camera", "\n".join(lines)))
+        write_tables("deviations.md", {"camera": made})
 
 
 if __name__ == "__main__":

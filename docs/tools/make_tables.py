@@ -1,8 +1,8 @@
 """Writes the tables of the documentation that repeat what the program declares.
 
-    python docs/make_tables.py
+    python docs/tools/make_tables.py
 
-In Markdown, `<!-- NAME:begin -->` and `<!-- NAME:end -->` mark where the table NAME of `TABLES` stands.
+`TABLES` names them.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ import inspect
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
+
+from pages import DOCS, table, with_all
 
 from gffe_cl.formats import FORMATS
 from gffe_cl.pipeline.options import OPTIONS, Option
@@ -24,8 +25,6 @@ from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.holes import FILLINGS, FarSide, HoleFilling
 from gffe_cl.stages.presentation import Presentation
 
-FOLDER = Path(__file__).parent
-REPOSITORY = FOLDER.parent
 # Hole filling as it is by default, and what is made where there is a window, or overlays.
 SHOWN: tuple[type[Stage], ...] = (*(FarSide if s is HoleFilling else s for s in STAGES), Presentation, Composition)
 
@@ -98,26 +97,9 @@ TABLES: dict[str, Callable[[], str]] = {
 }
 
 
-def table(heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    lines = [heads, ("---",) * len(heads), *rows]
-    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
-
-
-def between_markers(text: str, name: str, made: str) -> str:
-    """`text` with `made` between the markers of `name`; unchanged where it has none."""
-    begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
-    if begin not in text:
-        return text
-    before, _, rest = text.partition(begin)
-    _, _, after = rest.partition(end)
-    return f"{before}{begin}\n{made}\n{end}{after}"
-
-
 def with_tables(text: str) -> str:
     """A page with all its tables as the program has them now."""
-    for name, make in TABLES.items():
-        text = between_markers(text, name, make())
-    return text
+    return with_all(text, {name: make() for name, make in TABLES.items()})
 
 
 def _accessed(stage: type[Stage], kind: str) -> list[str]:
@@ -184,7 +166,7 @@ def _default(option: Option) -> str:
 
 
 def main() -> None:
-    for page in sorted(FOLDER.glob("*.md")):
+    for page in sorted(DOCS.glob("*.md")):
         old = page.read_text()
         if (new := with_tables(old)) != old:
             page.write_text(new)

@@ -1,10 +1,10 @@
 """How long two versions of gffe-cl take for the same frames, in turns on one machine.
 
-    python docs/compare_speed.py                                       61564f7 and this working tree, plaza, 1080p
-    python docs/compare_speed.py --scene plaza --scene forest --device pocl --repeats 10
-    python docs/compare_speed.py --sequence FOLDER                     a sequence, enlarged to --size
-    python docs/compare_speed.py --scn                                 with the shading correction network
-    python docs/compare_speed.py --old COMMIT --new FOLDER             a commit or the folder of a checkout on each side
+    python docs/tools/compare_speed.py                                       61564f7 and this working tree, plaza, 1080p
+    python docs/tools/compare_speed.py --scene plaza --scene forest --device pocl --repeats 10
+    python docs/tools/compare_speed.py --sequence FOLDER                     a sequence, enlarged to --size
+    python docs/tools/compare_speed.py --scn                                 with the shading correction network
+    python docs/tools/compare_speed.py --old COMMIT --new FOLDER             a commit or a checkout's folder each
 
 Each version runs in a process of its own with its own modules and kernels, driven through the public `Pipeline`; both
 see the same buffers, and take turns from frame to frame, so that whatever else the machine does meets both. Times are
@@ -27,8 +27,8 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
+from pages import REPOSITORY
 
-ROOT = Path(__file__).resolve().parent.parent
 OLD = "61564f7"
 # What stages are called on either side: by when they work, and by the name that `take_timings` has.
 PARTS = {
@@ -142,16 +142,16 @@ def checkout(version: str, folder: Path) -> Path:
     if Path(version).is_dir():
         return Path(version).resolve()
     folder.mkdir()
-    archive = subprocess.run(["git", "-C", str(ROOT), "archive", version], capture_output=True)
+    archive = subprocess.run(["git", "-C", str(REPOSITORY), "archive", version], capture_output=True)
     if archive.returncode:
-        sys.exit(f"error: {version}: neither a folder nor a commit of {ROOT}: {archive.stderr.decode().strip()}")
+        sys.exit(f"error: {version}: neither a folder nor a commit of {REPOSITORY}: {archive.stderr.decode().strip()}")
     subprocess.run(["tar", "-x", "-C", str(folder)], input=archive.stdout, check=True)
     return folder
 
 
 def called(version: str) -> str:
     """A version by its commit."""
-    folder, commit = (version, "HEAD") if Path(version).is_dir() else (str(ROOT), version)
+    folder, commit = (version, "HEAD") if Path(version).is_dir() else (str(REPOSITORY), version)
     told = subprocess.run(["git", "-C", folder, "rev-parse", "--short", commit], capture_output=True, text=True)
     return told.stdout.strip() or version
 
@@ -245,7 +245,7 @@ def show(report: dict) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--old", default=OLD, help="commit, or folder of a checkout")
-    parser.add_argument("--new", default=str(ROOT), help="the same; default: this working tree")
+    parser.add_argument("--new", default=str(REPOSITORY), help="the same; default: this working tree")
     parser.add_argument("--scene", action="append", default=[], help="a built-in scene; may be repeated")
     parser.add_argument("--sequence", action="append", default=[], help="folder of a sequence; may be repeated")
     parser.add_argument("--size", default="1920x1080")

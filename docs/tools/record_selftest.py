@@ -1,6 +1,6 @@
 """Records anew what `gffe selftest` compares with: after a change of kernels that is meant, or of the weights.
 
-    python docs/record_selftest.py
+    python docs/tools/record_selftest.py
 
 Records on the default device (`GFFE_DEVICE` chooses another), and says what has changed.
 """

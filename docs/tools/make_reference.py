@@ -1,6 +1,6 @@
 """Writes the reference of the Python interface, docs/reference.md, from the docstrings.
 
-    python docs/make_reference.py
+    python docs/tools/make_reference.py
 
 What is in it is what `gffe_cl.__all__` names.
 """
@@ -10,11 +10,12 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Iterator
-from pathlib import Path
+
+from pages import DOCS
 
 import gffe_cl
 
-PAGE = Path(__file__).parent / "reference.md"
+PAGE = DOCS / "reference.md"
 _SECTIONS = ("Parameters", "Attributes", "Returns", "Raises")
 
 
@@ -23,7 +24,7 @@ def reference() -> str:
     parts = [
         "# Reference of the Python interface",
         "",
-        "Made from the docstrings by `python docs/make_reference.py`. Everything here is imported as",
+        "Made from the docstrings by `python docs/tools/make_reference.py`. Everything here is imported as",
         "`import gffe_cl as gffe`. Conventions of images, motion and cameras: [sequences.md](sequences.md).",
         "",
         *(f"- [`{name}`](#{anchor})" for name, anchor in _anchors().items()),

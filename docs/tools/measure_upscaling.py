@@ -1,8 +1,8 @@
 """What temporal upscaling is worth on the built-in scenes: the tables of docs/upscaling.md.
 
-    python docs/measure_upscaling.py                  measures, writes docs/measured/upscaling.json and the tables
-    python docs/measure_upscaling.py --only cost …    these parts only: scenes by name, cost, defects, pictures
-    python docs/measure_upscaling.py --tables         writes the tables from the JSON that is there
+    python docs/tools/measure_upscaling.py                  measures, writes docs/measured/upscaling.json and the tables
+    python docs/tools/measure_upscaling.py --only cost …    these parts only: scenes by name, cost, defects
+    python docs/tools/measure_upscaling.py --tables         writes the tables from the JSON that is there
 
 Scenes of a seed that the pass was not tuned with, from jittered frames of half the size and one sample per pixel; truth
 is rendered at the display's size with 8 samples per pixel. Shading correction is off. What is wrong with the pictures
@@ -15,12 +15,11 @@ import argparse
 import json
 from collections import defaultdict
 from dataclasses import replace
-from pathlib import Path
 from time import process_time
 
 import numpy as np
-from make_tables import between_markers, table
-from upscaling_defects import defect_tables, defects, pictures
+from pages import MEASURED, table, write_tables
+from upscaling_defects import defect_tables, defects
 
 from gffe_cl.evaluation.metrics import display_values, psnr, ssim
 from gffe_cl.evaluation.table.flicker import Flicker
@@ -31,8 +30,7 @@ from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.pipeline.source import JITTER_LENGTH, jittered_renderer
 from gffe_cl.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
 
-DOCS = Path(__file__).parent
-JSON, PAGE = DOCS / "measured" / "upscaling.json", DOCS / "upscaling.md"
+JSON = MEASURED / "upscaling.json"
 SIZE, SCALE, SEED = (960, 540), 2, 2
 START, FRAMES, COUNTED_FROM, SSIM_EVERY = 1.0, 22, 17, 2  # counted once the jitter has gone round
 TIMED_SIZE, TIMED_FRAMES = (960, 540), 24
@@ -131,10 +129,7 @@ def cost(device: Device) -> dict[str, float]:
 def measure(only: list[str]) -> None:
     """Measure parts, and keep each as soon as it is there."""
     device = open_device(None)
-    for name in only or (*SCENES, "cost", "defects", "pictures"):
-        if name == "pictures":
-            pictures(device)
-            continue
+    for name in only or (*SCENES, "cost", "defects"):
         found = (
             cost(device) if name == "cost" else defects(device) if name == "defects" else Measured(device, name).run()
         )
@@ -179,14 +174,12 @@ def _mean(scenes: list[dict]) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--tables", action="store_true", help="from the JSON that is there")
-    parser.add_argument("--only", nargs="*", default=[], metavar="PART", help="scenes by name, cost, defects, pictures")
+    parser.add_argument("--only", nargs="*", default=[], metavar="PART", help="scenes by name, cost, defects")
     asked = parser.parse_args()
     if not asked.tables:
         measure(asked.only)
-    text = PAGE.read_text()
-    for name, made in tables(json.loads(JSON.read_text())).items():
-        text = between_markers(text, f"upscaling-{name}", made)
-    PAGE.write_text(text)
+    made = tables(json.loads(JSON.read_text()))
+    write_tables("upscaling.md", {f"upscaling-{name}": text for name, text in made.items()})
 
 
 if __name__ == "__main__":

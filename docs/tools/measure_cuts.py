@@ -1,7 +1,7 @@
 """How well cuts and teleports are told from fast motion and from light that changes.
 
-    python docs/measure_cuts.py             prints the tables of docs/cuts.md
-    python docs/measure_cuts.py --write     puts them there
+    python docs/tools/measure_cuts.py             prints the tables of docs/cuts.md
+    python docs/tools/measure_cuts.py --write     puts them there
 
 Frames of the built-in scenes, of seeds that the detection was not made with. Every one is submitted to a pipeline as a
 program would, with nothing told.
@@ -13,10 +13,9 @@ import argparse
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
-from make_tables import between_markers
+from pages import table, write_tables
 
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import RenderedFrame
@@ -239,33 +238,29 @@ def is_teleport(new: RenderedFrame, last: RenderedFrame) -> bool:
 
 
 def no_cuts_table(found: dict[str, tuple[Tally, Tally]]) -> str:
-    lines = [
-        "| motion | frames | taken for cuts | least share of right depths | under changing light: taken for cuts |"
-        " least share of right contrasts |",
-        "| --- | --- | --- | --- | --- | --- |",
-    ]
+    heads = (
+        *("motion", "frames", "taken for cuts", "least share of right depths"),
+        *("under changing light: taken for cuts", "least share of right contrasts"),
+    )
+    rows = []
     for kind, (plain, light) in found.items():
-        lines.append(
-            f"| {kind} | {plain.frames} | {plain.cuts} | {min(plain.depth):.2f} | {light.cuts} of {light.frames} |"
-            f" {min(light.contrast):.2f} |"
-        )
+        figures = str(plain.frames), str(plain.cuts), f"{min(plain.depth):.2f}"
+        rows.append((kind, *figures, f"{light.cuts} of {light.frames}", f"{min(light.contrast):.2f}"))
     plain, light = ([tallies[k] for tallies in found.values()] for k in (0, 1))
     totals = [sum(getattr(t, what) for t in part) for part in (plain, light) for what in ("frames", "cuts")]
-    lines.append(f"| all | {totals[0]} | {totals[1]} | | {totals[3]} of {totals[2]} | |")
-    return "\n".join(lines)
+    rows.append(("all", str(totals[0]), str(totals[1]), "", f"{totals[3]} of {totals[2]}", ""))
+    return table(heads, rows)
 
 
 def cuts_table(found: dict[str, Tally]) -> str:
-    lines = [
-        "| cut | how many | found | greatest share of right depths | right contrasts there |",
-        "| --- | --- | --- | --- | --- |",
-    ]
+    rows = []
     for kind, tally in sorted(found.items()):
         most = np.argmax(tally.depth) if tally.depth else None
-        figures = "no overlap | " if most is None else f"{tally.depth[most]:.2f} | {tally.contrast[most]:.2f}"
-        lines.append(f"| {kind} | {tally.frames} | {tally.cuts} | {figures} |")
-    lines.append(f"| all | {sum(t.frames for t in found.values())} | {sum(t.cuts for t in found.values())} | | |")
-    return "\n".join(lines)
+        figures = ("no overlap", "") if most is None else (f"{tally.depth[most]:.2f}", f"{tally.contrast[most]:.2f}")
+        rows.append((kind, str(tally.frames), str(tally.cuts), *figures))
+    totals = (str(sum(getattr(t, what) for t in found.values())) for what in ("frames", "cuts"))
+    rows.append(("all", *totals, "", ""))
+    return table(("cut", "how many", "found", "greatest share of right depths", "right contrasts there"), rows)
 
 
 def main() -> None:
@@ -280,12 +275,11 @@ def main() -> None:
         "cuts": lambda: cuts_table(joined(device, seeds, rng) | teleported(device, seeds, rng)),
         "no-cuts": lambda: no_cuts_table(without_cuts(device, seeds)),
     }
-    page = Path(__file__).with_name("cuts.md")
     for name in given.tables:
-        table = made[name]()
-        print(f"\n{table}", flush=True)
+        found = made[name]()
+        print(f"\n{found}", flush=True)
         if given.write:
-            page.write_text(between_markers(page.read_text(), name, table))
+            write_tables("cuts.md", {name: found})
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Breaks good sequences in every way alone and in pairs, lets the doctor mend them, and writes how often it did.
 
-    python docs/measure_doctor.py --write                     all cases: docs/doctor.md and docs/measured/doctor.json
-    python docs/measure_doctor.py --cases 20 --sequence DIR   20 cases drawn by chance, on a sequence of one's own
+    python docs/tools/measure_doctor.py --write                     all cases: doctor.md and measured/doctor.json
+    python docs/tools/measure_doctor.py --cases 20 --sequence DIR   20 cases drawn by chance, on a sequence of one's own
 
 A case is mended if the motion vectors are those of the good sequence to 0.1 px at 95% of the pixels, and depth with
 cameras carry static points to where the good ones do to 0.1 px at 95% of the pixels: sets of faults that cannot be
@@ -18,7 +18,7 @@ from itertools import combinations, zip_longest
 from pathlib import Path
 
 import numpy as np
-from make_tables import between_markers
+from pages import MEASURED, table, with_all, write_tables
 
 from gffe_cl.doctor.choosing import fixed_by, selected
 from gffe_cl.doctor.diagnose import examine
@@ -27,8 +27,7 @@ from gffe_cl.doctor.repair import Repair, static_motion
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.sequence import open_sequence
 
-PAGE = Path(__file__).parent / "doctor.md"
-RECORD = Path(__file__).parent / "measured" / "doctor.json"
+RECORD = MEASURED / "doctor.json"
 SCENES = [(name, seed) for name in ("gallery", "street", "factory", "courtyard") for seed in (5, 6)]
 SIZE, FRAMES, FPS = (240, 136), 12, 30.0
 NEAR_ENOUGH, SHARE = 0.1, 0.95  # pixels, of the pixels
@@ -147,12 +146,13 @@ def tables(done: list[dict]) -> dict[str, str]:
         "alone": [c for c in done if len(c["faults"]) == 1 and c["faults"][0] in BREAKS],
         "pairs": [c for c in done if len(c["faults"]) == 2],
     }
-    rows = ["| | cases | right |", "| --- | --- | --- |"]
+    rows = []
     for name, group in groups.items():
         right = sum(map(is_right, group))
         words = {"intact": "intact: no alarm", "alone": "one fault: mended", "pairs": "two faults: mended"}[name]
-        rows.append(f"| {words} | {len(group)} | {f'{right / len(group):.1%}' if group else '–'} |")
-    return {"summary": "\n".join(rows), "confusion": _confusion(groups["intact"] + groups["alone"], groups["pairs"])}
+        rows.append((words, str(len(group)), f"{right / len(group):.1%}" if group else "–"))
+    confusion = _confusion(groups["intact"] + groups["alone"], groups["pairs"])
+    return {"summary": table(("", "cases", "right"), rows), "confusion": confusion}
 
 
 def _confusion(single: list[dict], pairs: list[dict]) -> str:
@@ -165,19 +165,17 @@ def _confusion(single: list[dict], pairs: list[dict]) -> str:
     for case in pairs:
         for fault in case["faults"]:
             in_pairs[fault].append(case["mended"])
-    rows = ["| broken by | the doctor names | right | in pairs |", "| --- | --- | --- | --- |"]
+    rows = []
     for fault in (*HARMLESS, *BREAKS):
         if fault in named:
             words = "; ".join(f"{text} ({n})" for text, n in sorted(named[fault].items(), key=lambda item: -item[1]))
             paired = f"{sum(in_pairs[fault])} of {len(in_pairs[fault])}" if in_pairs[fault] else "–"
-            rows.append(f"| {fault} | {words} | {sum(mended[fault])} of {len(mended[fault])} | {paired} |")
-    return "\n".join(rows)
+            rows.append((fault, words, f"{sum(mended[fault])} of {len(mended[fault])}", paired))
+    return table(("broken by", "the doctor names", "right", "in pairs"), rows)
 
 
 def with_tables(page: str) -> str:
-    for name, table in tables(json.loads(RECORD.read_text())["cases"]).items():
-        page = between_markers(page, name, table)
-    return page
+    return with_all(page, tables(json.loads(RECORD.read_text())["cases"]))
 
 
 def main() -> None:
@@ -198,7 +196,7 @@ def main() -> None:
     done = run(sequences, wanted, given.cases, given.record if given.write else None)
     print(tables(done)["summary"])
     if given.write and given.record == RECORD:
-        PAGE.write_text(with_tables(PAGE.read_text()))
+        write_tables("doctor.md", tables(done))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """What each deviation from the paper is worth on the built-in scenes.
 
-    python docs/measure_deviations.py             prints the tables of docs/deviations.md
-    python docs/measure_deviations.py --write     puts them there
+    python docs/tools/measure_deviations.py             prints the tables of docs/deviations.md
+    python docs/tools/measure_deviations.py --write     puts them there
 
 Each row takes the paper's way in one point and keeps everything else: by an option of the pipeline where there is one,
 else by a change to a copy of the kernels. All frames of all scenes are pooled: PSNR of the mean squared error of
@@ -15,17 +15,16 @@ import os
 import shutil
 import sys
 import tempfile
-from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from make_tables import between_markers
+from pages import table, write_tables
 from situation_regions import region_of_situation, submitted_frames
 
-from gffe_cl.evaluation.metrics import display_values
+from gffe_cl.evaluation.metrics import METRICS, RegionErrors, display_values
 from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.opencl.program import kernel_folder
@@ -36,6 +35,7 @@ from gffe_cl.scenes import SCENES, SITUATIONS, SceneFrames, SceneRenderer, load_
 ALPHA, FPS = 0.5, 30.0
 ALPHAS = (0.25, 0.5, 0.75, 1.0)
 REGIONS = ("whole", "holes", "moving", "rest")
+PSNR = (METRICS["psnr"],)
 
 
 @dataclass(frozen=True)
@@ -156,25 +156,6 @@ THRESHOLDS = (None, 0.25, 1.0, 4.0)
 ROUNDINGS = {"exact motion": 0.0, "motion rounded to ½ px": 0.5, "motion rounded to 1 px": 1.0}
 
 
-@dataclass
-class Errors:
-    """Summed squared errors of display values and counts, by region."""
-
-    squared: dict[str, float] = field(default_factory=lambda: defaultdict(float))
-    pixels: dict[str, int] = field(default_factory=lambda: defaultdict(int))
-
-    def add(self, shown: np.ndarray, truth: np.ndarray, regions: dict[str, np.ndarray]) -> None:
-        squared = np.square(shown - truth).mean(-1)
-        for name, mask in regions.items():
-            self.squared[name] += float(squared[mask].sum(dtype=np.float64))
-            self.pixels[name] += int(mask.sum())
-
-    def psnr(self, region: str) -> float:
-        """dB, at most 100; NaN for a region without pixels."""
-        pixels = self.pixels[region]
-        return -10 * float(np.log10(max(self.squared[region] / pixels, 1e-10))) if pixels else float("nan")
-
-
 @contextmanager
 def kernels_with(change: Change) -> Iterator[None]:
     """Pipelines made here use kernels with `change`."""
@@ -196,16 +177,16 @@ def kernels_with(change: Change) -> Iterator[None]:
 
 def measure(
     device: Device, changes: dict[str, Change], options: Options, setting: argparse.Namespace, round_to: float = 0.0
-) -> dict[str, Errors]:
+) -> dict[str, RegionErrors]:
     """Errors of `options` with each of `changes`, over all scenes; the first one's holes and movers are the regions."""
-    errors = {name: Errors() for name in changes}
+    errors = {name: RegionErrors() for name in changes}
     for scene_name in setting.scenes:
         for seed in range(setting.seeds):
             for _, truth, shown, regions in shown_frames(
                 device, changes, options, setting, (scene_name, seed), (ALPHA,), round_to
             ):
                 for name, picture in shown.items():
-                    errors[name].add(picture, truth, regions)
+                    errors[name].add(picture, truth, regions, PSNR)
     return errors
 
 
@@ -265,13 +246,17 @@ class _Rounding:
         self.pipeline.submit(frame, packed)
 
 
-def gains(errors: dict[str, Errors], whose: str, rows: dict[str, str]) -> list[str]:
-    """Lines of a table: by how much the errors of `whose` are below those of each row, dB."""
-    ours, lines = errors[whose], []
-    for name, title in rows.items():
-        figures = [f"{ours.psnr(r) - errors[name].psnr(r):+.2f}".replace("-", "−") for r in REGIONS]
-        lines.append(f"| {title} | {' | '.join(figures)} |")
-    return lines
+def signed(value: float) -> str:
+    return f"{value:+.2f}".replace("-", "−")
+
+
+def gains(errors: dict[str, RegionErrors], rows: dict[str, str]) -> list[tuple[str, ...]]:
+    """Rows of a table: by how much the errors without a change are below those of each row, dB."""
+    ours = errors[""]
+    return [
+        (title, *(signed(ours.figure("psnr", r) - errors[name].figure("psnr", r)) for r in REGIONS))
+        for name, title in rows.items()
+    ]
 
 
 def gae_table(device: Device, setting: argparse.Namespace) -> str:
@@ -280,75 +265,68 @@ def gae_table(device: Device, setting: argparse.Namespace) -> str:
     rows = {name: name for name in GAE} | {"all": "**all of these together**"}
     rows |= {name: f"{name} (against: {other})" for name, (_, other) in CHOICES.items()}
     ours = errors[""]
-    shares = " | ".join(f"{ours.pixels[r] / ours.pixels['whole']:.1%}" for r in REGIONS)
-    levels = " | ".join(f"{ours.psnr(r):.2f}" for r in REGIONS)
-    about = (f"| share of the pixels | {shares} |", f"| PSNR with all of these, dB | {levels} |")
-    return "\n".join([_HEAD, *about, *gains(errors, "", rows)])
+    shares = ("share of the pixels", *(f"{ours.share(r):.1%}" for r in REGIONS))
+    levels = ("PSNR with all of these, dB", *(f"{ours.figure('psnr', r):.2f}" for r in REGIONS))
+    return table(GAIN_HEADS, [shares, levels, *gains(errors, rows)])
 
 
 def scn_table(device: Device, setting: argparse.Namespace) -> str:
     errors = measure(device, {"": Change(), **SCN}, Options(shading_correction=True), setting)
-    return "\n".join([_HEAD, *gains(errors, "", {name: name for name in SCN})])
+    return table(GAIN_HEADS, gains(errors, {name: name for name in SCN}))
 
 
 def threshold_table(device: Device, setting: argparse.Namespace) -> str:
     names = {"automatic" if t is None else f"{t:g} px": Change({"static_threshold": t}) for t in THRESHOLDS}
-    lines = [f"| PSNR, dB, with ε | {' | '.join(names)} |", "| --- |" + " --- |" * len(names)]
+    rows = []
     for title, step in ROUNDINGS.items():
         errors = measure(device, names, Options(shading_correction=False), setting, step)
-        figures = [f"{errors[name].psnr('whole'):.2f}" for name in names]
-        lines.append(f"| {title} | {' | '.join(figures)} |")
-    return "\n".join(lines)
+        rows.append((title, *(f"{errors[name].figure('psnr', 'whole'):.2f}" for name in names)))
+    return table(("PSNR, dB, with ε", *names), rows)
 
 
 def parts_table(device: Device, setting: argparse.Namespace) -> str:
     """What each part beyond the paper is worth by scene and α, PSNR of the whole frame."""
     changes = {"": Change()} | {name: GAE[name] for name in PARTS}
-    lines = [f"| gain in dB, α = {', '.join(f'{a:g}' for a in ALPHAS)} | {' | '.join(PARTS)} |"]
-    lines.append("| --- |" + " --- |" * len(PARTS))
+    rows = []
     for scene in setting.scenes:
-        by_alpha = {alpha: {name: Errors() for name in changes} for alpha in ALPHAS}
+        by_alpha = {alpha: {name: RegionErrors() for name in changes} for alpha in ALPHAS}
         for seed in range(setting.seeds):
             for alpha, truth, shown, regions in shown_frames(
                 device, changes, Options(shading_correction=False), setting, (scene, seed), ALPHAS
             ):
                 for name, picture in shown.items():
-                    by_alpha[alpha][name].add(picture, truth, regions)
-        row = []
+                    by_alpha[alpha][name].add(picture, truth, regions, PSNR)
+        row = [scene]
         for part in PARTS:
-            gained = [errors[""].psnr("whole") - errors[part].psnr("whole") for errors in by_alpha.values()]
-            row.append(", ".join(f"{gain:+.2f}".replace("-", "−") for gain in gained))
-        lines.append(f"| {scene} | {' | '.join(row)} |")
-    return "\n".join(lines)
+            of_alphas = (gains(errors, {part: part})[0][1] for errors in by_alpha.values())
+            row.append(", ".join(of_alphas))
+        rows.append(row)
+    return table((f"gain in dB, α = {', '.join(f'{a:g}' for a in ALPHAS)}", *PARTS), rows)
 
 
 def situations_table(device: Device, setting: argparse.Namespace) -> str:
     """By situation: PSNR of the paper's way, of everything, and of everything but the part that is for it."""
     ways = ("the paper's way", "all", "all but that part")
     heads = [f"{way}, α = {alpha:g}" for alpha in (0.5, 1.0) for way in ways]
-    lines = [
-        f"| PSNR, dB: frame / region | part | region | {' | '.join(heads)} |",
-        "| --- |" + " --- |" * (2 + len(heads)),
-    ]
+    rows = []
     for name, (part, without, region) in FOR_SITUATIONS.items():
         known = Change() if without.camera else PREDICTED
         changes = dict(zip(ways, (PAPER | NO_NETWORK | known, known, without), strict=True))
         changes[ways[0]].options.update(camera_order=1)
-        errors = {(alpha, way): Errors() for alpha in (0.5, 1.0) for way in ways}
+        errors = {(alpha, way): RegionErrors() for alpha in (0.5, 1.0) for way in ways}
         for seed in range(setting.seeds):
             for alpha, truth, shown, regions in shown_frames(
                 device, changes, Options(), setting, (name, seed), (0.5, 1.0), concerned=region
             ):
                 for way, picture in shown.items():
-                    errors[alpha, way].add(picture, truth, regions)
-        pixels = errors[0.5, ways[0]].pixels
-        about = f"| `{name}` | {part} | {region}, {pixels['region'] / pixels['whole']:.0%} |"
-        figures = [f"{e.psnr('whole'):.2f} / {e.psnr('region'):.2f}" for e in errors.values()]
-        lines.append(f"{about} {' | '.join(figures)} |")
-    return "\n".join(lines)
+                    errors[alpha, way].add(picture, truth, regions, PSNR)
+        share = errors[0.5, ways[0]].share("region")
+        figures = (f"{e.figure('psnr', 'whole'):.2f} / {e.figure('psnr', 'region'):.2f}" for e in errors.values())
+        rows.append((f"`{name}`", part, f"{region}, {share:.0%}", *figures))
+    return table(("PSNR, dB: frame / region", "part", "region", *heads), rows)
 
 
-_HEAD = "| gain in dB, PSNR over | whole frame | holes | movers | the rest |\n| --- | --- | --- | --- | --- |"
+GAIN_HEADS = ("gain in dB, PSNR over", "whole frame", "holes", "movers", "the rest")
 TABLES: dict[str, Callable[[Device, argparse.Namespace], str]] = {
     "gae": gae_table, "parts": parts_table, "scn": scn_table, "threshold": threshold_table,
     "situations": situations_table,
@@ -365,12 +343,12 @@ def main() -> None:
     parser.add_argument("--size", type=int, nargs=2, default=(480, 270))
     parser.add_argument("--device")
     setting = parser.parse_args()
-    device, page = open_device(setting.device), Path(__file__).parent / "deviations.md"
+    device = open_device(setting.device)
     for name in setting.tables:
         made = TABLES[name](device, setting)
         print(f"\n{made}", flush=True)
         if setting.write:
-            page.write_text(between_markers(page.read_text(), name, made))
+            write_tables("deviations.md", {name: made})
 
 
 if __name__ == "__main__":

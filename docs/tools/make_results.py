@@ -1,9 +1,11 @@
 """Writes the tables of docs/results.md and of the README from a report of `gffe eval`.
 
-gffe eval --late-warp --out report
-python docs/make_results.py report/results.json    records what the tables need in docs/measured/eval.json
-    python docs/make_results.py … --late FILE          the same, with late warps from another report
-python docs/make_results.py                        the tables, from what is recorded
+    gffe eval --late-warp --out report
+    python docs/tools/make_results.py report/results.json    records what the tables need in docs/measured/eval.json
+    python docs/tools/make_results.py … --late FILE          the same, with late warps from another report
+    python docs/tools/make_results.py                        the tables, from what is recorded
+
+`TABLES` names them.
 """
 
 from __future__ import annotations
@@ -14,13 +16,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from make_tables import between_markers, table
+from pages import DOCS, MEASURED, REPOSITORY, table, with_all
 
 from gffe_cl.evaluation.table.methods import FULL
 from gffe_cl.evaluation.table.results import COLUMNS, METRIC_COLUMNS, PAPER, VIDEO_COLUMNS
 
-FOLDER = Path(__file__).parent
-PAGE, README, RECORD = FOLDER / "results.md", FOLDER.parent / "README.md", FOLDER / "measured" / "eval.json"
+PAGE, README, RECORD = DOCS / "results.md", REPOSITORY / "README.md", MEASURED / "eval.json"
 SHOWN = ("psnr", "against", "ssim", "flip", "flicker", *(column.name for column in VIDEO_COLUMNS))
 SHORT = (
     FULL,
@@ -151,9 +152,7 @@ TABLES: dict[str, Callable[[dict], str]] = {
 def with_tables(text: str, found: dict | None = None) -> str:
     """A page with all its tables, of what is recorded."""
     found = json.loads(RECORD.read_text("utf-8")) if found is None else found
-    for name, make in TABLES.items():
-        text = between_markers(text, name, make(found))
-    return text
+    return with_all(text, {name: make(found) for name, make in TABLES.items()})
 
 
 def _method_row(found: dict, mean: dict, columns: list) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """How well `gffe calibrate` recovers the cameras of the built-in scenes, which it is not shown.
 
-    python docs/measure_calibration.py             prints the table of docs/calibration.md
-    python docs/measure_calibration.py --write     puts it there
+    python docs/tools/measure_calibration.py             prints the table of docs/calibration.md
+    python docs/tools/measure_calibration.py --write     puts it there
 
 Residuals are those of the recovered cameras against the exact motion of pixels that are static by the true cameras.
 """
@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
-from make_tables import between_markers
+from pages import table, write_tables
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.doctor.calibration.calibrate import calibrate_sequence
@@ -35,6 +35,17 @@ SIZE, FRAMES, FPS = (240, 136), 21, 30.0
 MOVING = 0.4  # of the pixels, with objects of one's own
 STATIC = 0.01  # px
 EVERY = 3  # pixels each way, of those that are judged
+HEADS = (
+    "scene",
+    "turns by",
+    "motion vectors",
+    "moving, as found",
+    "focal length off by",
+    "static, median",
+    "90th percentile",
+    "GAE, camera known, dB",
+    "GAE, camera predicted, dB",
+)
 
 Change = Callable[[np.ndarray, np.ndarray], np.ndarray]  # motion (H, W, 2), where it is static (H, W) → motion
 
@@ -144,7 +155,7 @@ def turned(sequence: Sequence) -> float:
     return float(np.degrees(np.arccos(np.clip((np.array(traces) - 1) / 2, -1, 1))).sum())
 
 
-def rows(device: Device, scenes: list[str], seed: int) -> Iterator[str]:
+def rows(device: Device, scenes: list[str], seed: int) -> Iterator[tuple[str, ...]]:
     """Of the table, one for each scene and variant."""
     for name in scenes:
         with tempfile.TemporaryDirectory() as given:
@@ -173,10 +184,8 @@ def rows(device: Device, scenes: list[str], seed: int) -> Iterator[str]:
                             quality(s, truth, device, folder / f"run {k} {n}", predicted) for n, s in enumerate(pair)
                         )
                         gae[k] = f"{a:.2f} ({signed(a - b)})"
-                yield (
-                    f"| {name} | {turned(truth):.1f}° | {variant} | {100 * (1 - found.static):.0f}% | {focal} |"
-                    f" {off[0]:.3f} | {off[1]:.3f} | {gae[0]} | {gae[1]} |"
-                )
+                turns, moving = f"{turned(truth):.1f}°", f"{100 * (1 - found.static):.0f}%"
+                yield name, turns, variant, moving, focal, f"{off[0]:.3f}", f"{off[1]:.3f}", *gae
 
 
 def main() -> None:
@@ -186,18 +195,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=5)
     parser.add_argument("--device")
     given = parser.parse_args()
-    lines = [
-        "| scene | turns by | motion vectors | moving, as found | focal length off by | static, median |"
-        " 90th percentile | GAE, camera known, dB | GAE, camera predicted, dB |",
-        "| --- " * 9 + "|",
-    ]
-    print("\n".join(lines))
-    for line in rows(open_device(given.device), given.scenes, given.seed):
-        print(line, flush=True)
-        lines.append(line)
+    made = table(HEADS, rows(open_device(given.device), given.scenes, given.seed))
+    print(made)
     if given.write:
-        page = Path(__file__).with_name("calibration.md")
-        page.write_text(between_markers(page.read_text(), "calibration", "\n".join(lines)))
+        write_tables("calibration.md", {"calibration": made})
 
 
 if __name__ == "__main__":
