@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import moderngl
 import numpy as np
+
+import gffe_cl as gffe
 from unseen.opengl import (
     Target,
     array_bytes,
@@ -15,8 +18,6 @@ from unseen.opengl import (
     repeating_texture,
 )
 from unseen.recording import Picture, noise_texture, placed, with_sky, wobble
-
-import gffe_cl as gffe
 
 _SUPERSAMPLING = 3
 _SPEED = 15.0  # of the vehicle, units per second
@@ -189,10 +190,15 @@ def _road(y):
     return 7 * np.sin(0.03 * y) + 3 * np.sin(0.071 * y)
 
 
+@functools.cache
+def _hills() -> np.ndarray:
+    return noise_texture(256, 72, 5, 0.5)
+
+
 def _ground(x, y):
     """Return the height of the terrain: hills of noise beside a road that rises and falls."""
     away = np.clip((np.abs(x - _road(y)) - 5) / 22, 0, 1)
-    hills = noise_texture(256, 72, 5, 0.5)
+    hills = _hills()
     place_x, place_y = (np.asarray(v) * 256 / 260 % 256 for v in (x, y))
     low_x, low_y = place_x.astype(int), place_y.astype(int)
     part_x, part_y = place_x - low_x, place_y - low_y
@@ -241,21 +247,36 @@ def _bodies():
         place = placed((x, 0.67, 0.955))
         bodies.append((gauge, lambda time, m=place: _vehicle(time) @ m))
         bodies.append(
-            (needle, lambda time, m=place, k=x: _vehicle(time) @ m @ placed((0, 0, 0), 2 * math.sin(3 * time + 9 * k), (0, 1, 0)))
+            (
+                needle,
+                lambda time, m=place, k=x: (
+                    _vehicle(time) @ m @ placed((0, 0, 0), 2 * math.sin(3 * time + 9 * k), (0, 1, 0))
+                ),
+            )
         )
     wheel = np.vstack(
         [_torus(0.19, 0.017), _beam((-0.19, 0, 0), (0.19, 0, 0), 0.018, (0.3, 0.3, 0.3)),
          _beam((0, 0, 0), (0, 0, -0.19), 0.018, (0.3, 0.3, 0.3))]
     )  # fmt: skip
     tilt = placed((-0.35, 0.5, 0.9), -0.4, (1, 0, 0))
-    bodies.append((wheel, lambda time: _vehicle(time) @ tilt @ placed((0, 0, 0), 1.2 * math.sin(2.2 * time), (0, 1, 0))))
+    bodies.append(
+        (wheel, lambda time: _vehicle(time) @ tilt @ placed((0, 0, 0), 1.2 * math.sin(2.2 * time), (0, 1, 0)))
+    )
     wiper = np.vstack(
-        [_beam((0, 0, 0), (0, -0.33, 0.52), 0.008, (0.1, 0.1, 0.1)), _beam((-0.05, -0.2, 0.32), (0.05, -0.5, 0.8), 0.012, (0.06, 0.06, 0.06))]
+        [
+            _beam((0, 0, 0), (0, -0.33, 0.52), 0.008, (0.1, 0.1, 0.1)),
+            _beam((-0.05, -0.2, 0.32), (0.05, -0.5, 0.8), 0.012, (0.06, 0.06, 0.06)),
+        ]
     )
     for x in (-0.7, 0.25):
         hinge = placed((x, 1.35, 0.95))
         bodies.append(
-            (wiper, lambda time, m=hinge: _vehicle(time) @ m @ placed((0, 0, 0), 0.55 + 0.9 * math.sin(5.5 * time), (0, 0.82, 0.57)))
+            (
+                wiper,
+                lambda time, m=hinge: (
+                    _vehicle(time) @ m @ placed((0, 0, 0), 0.55 + 0.9 * math.sin(5.5 * time), (0, 0.82, 0.57))
+                ),
+            )
         )
     return bodies
 
@@ -282,12 +303,17 @@ def _scenery() -> np.ndarray:
             continue
         parts.append(_beam(base - (0, 0, 0.5), base + (0, 0, 0.5 * tall), 0.16, (0.3, 0.2, 0.12)))
         green = np.array([0.14, 0.28, 0.1]) * rng.uniform(0.6, 1.5)
-        parts += [_cone(base + (0, 0, tall * low), tall * wide, tall * 0.42, green) for low, wide in ((0.2, 0.3), (0.42, 0.23), (0.62, 0.15))]
+        parts += [
+            _cone(base + (0, 0, tall * low), tall * wide, tall * 0.42, green)
+            for low, wide in ((0.2, 0.3), (0.42, 0.23), (0.62, 0.15))
+        ]
     for y in np.arange(0, 140, 2.0):
         foot = np.array([_road(y) + 5.0, y, _ground(_road(y) + 5.0, y)])
         end = np.array([_road(y + 2) + 5.0, y + 2, _ground(_road(y + 2) + 5.0, y + 2)])
         parts.append(_beam(foot, foot + (0, 0, 0.8), 0.05, (0.6, 0.6, 0.6)))
-        parts.append(_beam(foot + (0, 0, 0.72), end + (0, 0, 0.72), 0.07, (0.8, 0.15, 0.1) if int(y) % 4 else (0.85, 0.85, 0.85)))
+        parts.append(
+            _beam(foot + (0, 0, 0.72), end + (0, 0, 0.72), 0.07, (0.8, 0.15, 0.1) if int(y) % 4 else (0.85, 0.85, 0.85))
+        )
     y = rng.uniform(0, 90, 9000)
     x = _road(y) + rng.choice([-1, 1], y.size) * rng.uniform(4.7, 13, y.size)
     root = np.stack([x, y, _ground(x, y)], -1)
@@ -300,12 +326,18 @@ def _scenery() -> np.ndarray:
 def _truck() -> np.ndarray:
     """Return a truck that looks toward −y."""
     parts = [
-        _box((-1.2, 0, 0.9), (1.2, 7, 3.6), (0.75, 0.72, 0.65), 0), _box((-1.1, -2.2, 0.7), (1.1, -0.2, 2.9), (0.1, 0.25, 0.6), 0),
-        _box((-1.0, -2.23, 1.7), (1.0, -2.1, 2.6), (0.08, 0.1, 0.13), 0), _box((-1.0, -2.0, 0.4), (1.0, 6.8, 0.9), (0.1, 0.1, 0.1), 0),
+        _box((-1.2, 0, 0.9), (1.2, 7, 3.6), (0.75, 0.72, 0.65), 0),
+        _box((-1.1, -2.2, 0.7), (1.1, -0.2, 2.9), (0.1, 0.25, 0.6), 0),
+        _box((-1.0, -2.23, 1.7), (1.0, -2.1, 2.6), (0.08, 0.1, 0.13), 0),
+        _box((-1.0, -2.0, 0.4), (1.0, 6.8, 0.9), (0.1, 0.1, 0.1), 0),
     ]  # fmt: skip
     parts += [_box((x - 0.15, -2.26, 0.9), (x + 0.15, -2.1, 1.15), (2.5, 2.4, 2.0), 0) for x in (-0.8, 0.8)]
     parts += [_box((-1.21, y, 1.2), (1.21, y + 0.5, 3.2), (0.7, 0.2, 0.1), 0) for y in (0.8, 2.8, 4.8)]
-    parts += [_beam((x - 0.15, y, 0.45), (x + 0.15, y, 0.45), 0.45, (0.07, 0.07, 0.07), 12) for x in (-0.95, 0.95) for y in (-1.2, 1.2, 5, 6)]
+    parts += [
+        _beam((x - 0.15, y, 0.45), (x + 0.15, y, 0.45), 0.45, (0.07, 0.07, 0.07), 12)
+        for x in (-0.95, 0.95)
+        for y in (-1.2, 1.2, 5, 6)
+    ]
     return np.vstack(parts)
 
 

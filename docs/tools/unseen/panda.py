@@ -30,11 +30,13 @@ from panda3d.core import (
     WindowProperties,
     loadPrcFileData,
 )
-from unseen.recording import Picture, linear_from_bytes, opengl_view, with_sky
 
 import gffe_cl as gffe
+from unseen.recording import Picture, linear_from_bytes, opengl_view, with_sky
 
-loadPrcFileData("", "load-display p3headlessgl\naudio-library-name null\nnotify-level error\nnotify-level-device fatal\n")
+loadPrcFileData(
+    "", "load-display p3headlessgl\naudio-library-name null\nnotify-level error\nnotify-level-device fatal\n"
+)
 
 NEAR, FAR = 0.1, 4000.0
 _COLOR_ONLY = BitMask32.bit(3)
@@ -260,7 +262,11 @@ def texture(values: np.ndarray, mipmaps: bool = False) -> Texture:
 def mesh_node(vertices: np.ndarray, triangles: np.ndarray, shift: np.ndarray | None = None) -> GeomNode:
     """Return a node of triangles (N, 3). Vertices (M, 8): position, normal, texture coordinates; `shift` (M, 3): to
     where each of them was before."""
-    columns = [("vertex", 3, GeomEnums.C_point), ("normal", 3, GeomEnums.C_normal), ("texcoord", 2, GeomEnums.C_texcoord)]
+    columns = [
+        ("vertex", 3, GeomEnums.C_point),
+        ("normal", 3, GeomEnums.C_normal),
+        ("texcoord", 2, GeomEnums.C_texcoord),
+    ]
     if shift is not None:
         columns.append(("shift", 3, GeomEnums.C_other))
         vertices = np.hstack([vertices, shift])

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 from panda3d.core import NodePath
-from unseen.panda import PandaRenderer, box, joined, mesh_node, texture
-from unseen.recording import Picture, noise_texture, placed, wobble
 
 import gffe_cl as gffe
+from unseen.panda import PandaRenderer, box, joined, mesh_node, texture
+from unseen.recording import Picture, noise_texture, placed, wobble
 
 _PAINTS = ((0.75, 0.1, 0.08), (0.1, 0.22, 0.6), (0.85, 0.85, 0.82), (0.12, 0.13, 0.14), (0.9, 0.65, 0.1))
 _WHEEL = 0.36  # radius
@@ -116,7 +116,9 @@ class PandaCity:
             box((-0.9, -2.1, 0.3), (0.9, 2.1, 0.95), 0.5), box((-0.78, -1.4, 0.95), (0.78, 0.8, 1.05), 0.5),
             box((-0.75, -1.3, 1.42), (0.75, 0.6, 1.5), 0.5),
         ]  # fmt: skip
-        hull += [box((x - 0.05, y - 0.05, 1), (x + 0.05, y + 0.05, 1.45)) for x in (-0.7, 0.7) for y in (-1.25, -0.3, 0.55)]
+        hull += [
+            box((x - 0.05, y - 0.05, 1), (x + 0.05, y + 0.05, 1.45)) for x in (-0.7, 0.7) for y in (-1.25, -0.3, 0.55)
+        ]
         self._add(hull, _painted(paint, int(10 * start)), body)
         self._add([box((-0.7, -1.2, 1.0), (0.7, 0.5, 1.4), 0.7)], _painted((0.08, 0.1, 0.13), 5), body)
         lamps = [box((x - 0.2, y, 0.6), (x + 0.2, y + 0.06, 0.78)) for x in (-0.6, 0.6) for y in (-2.15, 2.09)]
@@ -138,7 +140,9 @@ class PandaCity:
 
         def limb(side: int, height: float, reach: float):
             def matrix(time: float) -> np.ndarray:
-                return torso(time) @ placed((side * reach, 0, height), 0.55 * side * math.sin(6 * time + seed), (1, 0, 0))
+                return torso(time) @ placed(
+                    (side * reach, 0, height), 0.55 * side * math.sin(6 * time + seed), (1, 0, 0)
+                )
 
             return matrix
 
@@ -215,7 +219,9 @@ def _paving() -> np.ndarray:
     y, x = np.mgrid[:size, :size]
     shade = np.random.default_rng(43).uniform(0.45, 0.65, (4, 4))[y // 64, x // 64]
     joint = (y % 64 < 2) | (x % 64 < 2)
-    return (np.where(joint, 0.25, shade) * (0.8 + 0.35 * noise_texture(size, 44, 7, 0.8)))[..., None] * np.array([1, 0.98, 0.93])
+    return (np.where(joint, 0.25, shade) * (0.8 + 0.35 * noise_texture(size, 44, 7, 0.8)))[..., None] * np.array(
+        [1, 0.98, 0.93]
+    )
 
 
 def _painted(color, seed: int, contrast: float = 0.25) -> np.ndarray:

@@ -7,10 +7,10 @@ import math
 import numpy as np
 from direct.actor.Actor import Actor
 from panda3d.core import GeomVertexFormat, NodePath, Thread
-from unseen.panda import PandaRenderer, mesh_node
-from unseen.recording import Picture, noise_texture, placed, wobble
 
 import gffe_cl as gffe
+from unseen.panda import PandaRenderer, mesh_node
+from unseen.recording import Picture, noise_texture, placed, wobble
 
 _PANDA_SCALE = 0.006
 _SPEED = 2.6  # of the panda, units per second
@@ -44,7 +44,8 @@ class PandaEnvironment:
         for node in self._posed:
             self._renderer.forget(node)
         self._posed = [
-            self._walking(time, earlier, offset, lane, phase) for offset, lane, phase in ((-3.2, 0.5, 0), (4.5, 6, 0.37))
+            self._walking(time, earlier, offset, lane, phase)
+            for offset, lane, phase in ((-3.2, 0.5, 0), (4.5, 6, 0.37))
         ]
         return self._renderer.picture(self._camera(time), None if previous is None else self._camera(previous))
 

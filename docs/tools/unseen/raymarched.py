@@ -6,10 +6,10 @@ import math
 
 import moderngl
 import numpy as np
-from unseen.opengl import Target, array_bytes, matrix_bytes, mean_of_blocks, offscreen_context
-from unseen.recording import Picture, placed, with_sky, wobble
 
 import gffe_cl as gffe
+from unseen.opengl import Target, array_bytes, matrix_bytes, mean_of_blocks, offscreen_context
+from unseen.recording import Picture, placed, with_sky, wobble
 
 _BALLS = 5
 _MOVERS = _BALLS + 2  # and two rings that turn
@@ -128,16 +128,19 @@ void main() {
     if (what == 0) {
         vec2 tile = floor(p.xy * 1.5);
         paint = mix(vec3(0.34, 0.26, 0.2), vec3(0.6, 0.54, 0.44), mod(tile.x + tile.y, 2.0)) * (0.5 + detail(9.0 * p));
-    } else if (what == 1) paint = mix(vec3(0.55, 0.5, 0.42), vec3(0.3, 0.36, 0.4), detail(7.0 * p)) * (0.7 + 0.5 * detail(25.0 * p));
-    else if (what == 2) paint = vec3(0.5, 0.24, 0.16) * (0.6 + 0.8 * detail(12.0 * p));
+    } else if (what == 1) {
+        paint = mix(vec3(0.55, 0.5, 0.42), vec3(0.3, 0.36, 0.4), detail(7.0 * p)) * (0.7 + 0.5 * detail(25.0 * p));
+    } else if (what == 2) paint = vec3(0.5, 0.24, 0.16) * (0.6 + 0.8 * detail(12.0 * p));
     else if (what < 3 + BALLS) {
         float stripe = step(0.5, fract(3.0 * o.z + 0.25 * sin(8.0 * atan(o.y, o.x))));
-        paint = mix(vec3(0.8, 0.72, 0.6), 0.5 + 0.45 * cos(vec3(0, 2, 4) + float(what) * 1.7), stripe) * (0.6 + 0.6 * detail(8.0 * o));
+        vec3 own = 0.5 + 0.45 * cos(vec3(0, 2, 4) + float(what) * 1.7);
+        paint = mix(vec3(0.8, 0.72, 0.6), own, stripe) * (0.6 + 0.6 * detail(8.0 * o));
     } else paint = vec3(0.7, 0.5, 0.2) * (0.5 + 0.8 * detail(14.0 * o));
     float facing = max(dot(n, sun), 0.0);
     float lit = facing > 0.0 ? facing * shadow(p + 0.003 * n) : 0.0;
     float open = clamp(field(p + 0.25 * n).x / 0.25, 0.0, 1.0);
-    vec3 shaded = paint * (lit * vec3(2.3, 1.8, 1.3) + (0.3 + 0.7 * open) * mix(vec3(0.16, 0.13, 0.1), vec3(0.3, 0.36, 0.48), 0.5 + 0.5 * n.z));
+    vec3 around = mix(vec3(0.16, 0.13, 0.1), vec3(0.3, 0.36, 0.48), 0.5 + 0.5 * n.z);
+    vec3 shaded = paint * (lit * vec3(2.3, 1.8, 1.3) + (0.3 + 0.7 * open) * around);
     shaded += (what >= 3 ? 0.6 : 0.1) * lit * pow(max(dot(n, normalize(sun - along)), 0.0), 40.0);
     color = vec4(mix(sky(vec3(along.xy, 0.05)), shaded, exp(-hit.x * 0.012)), 1);
 }
@@ -211,7 +214,9 @@ class Raymarched:
         self._context.release()
 
     def _camera(self, time: float) -> gffe.Camera:
-        position = np.array([1.9 + 0.5 * math.sin(1.3 * time), -9.5 + 3.2 * time, 1.9 + 0.25 * wobble(time, (2, 3.7), 2)])
+        position = np.array(
+            [1.9 + 0.5 * math.sin(1.3 * time), -9.5 + 3.2 * time, 1.9 + 0.25 * wobble(time, (2, 3.7), 2)]
+        )
         target = position + (-0.5 + 1.1 * time, 6, 0.35 - 0.4 * time)
         focal = 0.8 * self.width
         return gffe.Camera.look_at(
@@ -227,6 +232,12 @@ def _places(time: float) -> list[np.ndarray]:
         pivot = ((0.8, 3.1, 1.9, 0.4, 3.4)[k], (-3.6, -1.2, 1.4, 3.5, 6.0)[k], 5.4)
         axis = (math.cos(1.1 * k), math.sin(1.1 * k), 0.2)
         places.append(placed(pivot, swing, axis) @ placed((0, 0, -3.9), 3 * time + k))
-    places.append(placed((3.9, 0.6, 1.7), 1.9 * time, (0, 0, 1)) @ placed((0, 0, 0), math.pi / 2, (0, 1, 0)) @ placed((0, 0, 0), 2.4 * time))
-    places.append(placed((0.3 + 0.9 * time, -4.8 + 2.2 * time, 0.9), math.pi / 2, (1, 0, 0)) @ placed((0, 0, 0), -2 * time))
+    places.append(
+        placed((3.9, 0.6, 1.7), 1.9 * time, (0, 0, 1))
+        @ placed((0, 0, 0), math.pi / 2, (0, 1, 0))
+        @ placed((0, 0, 0), 2.4 * time)
+    )
+    places.append(
+        placed((0.3 + 0.9 * time, -4.8 + 2.2 * time, 0.9), math.pi / 2, (1, 0, 0)) @ placed((0, 0, 0), -2 * time)
+    )
     return places
