@@ -73,7 +73,7 @@ def test_commands_that_prose_names_exist():
 
 def test_options_that_prose_names_exist():
     others = {"--logdir", "--nproc-per-node", "--write", "--editable", "--all-files", "--scene"}  # of other programs
-    others |= {"--cases", "--minutes", "--arguments"}  # of scripts in docs
+    others |= {"--cases", "--minutes", "--arguments", "--measure"}  # of scripts in docs
     others |= {"--nthreads"}  # of Dask's workers
     others |= {"--from", "--no-deps"}  # of uvx and pip
     others |= {"--build", *RENAMED}  # of CMake; older names

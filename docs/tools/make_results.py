@@ -6,6 +6,7 @@
     python docs/tools/make_results.py                        the tables, from what is recorded
 
 `TABLES` names them.
+The table of unseen sequences is from docs/measured/unseen.json, which docs/tools/make_unseen.py writes.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ SHORT = (
     "guided",
     "interpolation",
 )
+UNSEEN = MEASURED / "unseen.json"
 README_ROWS = (FULL, "motion-vectors", "interpolation")
 _KEPT = ("date", "command", "versions", "machine", "sequences", "methods", "means", "gains")
 
@@ -136,6 +138,21 @@ def paper_table(found: dict) -> str:
     return table(("the paper, against its full method", "PSNR, dB", "SSIM"), rows)
 
 
+def unseen_table(found: dict) -> str:
+    """Return PSNR, SSIM and FLIP of the latest figures on unseen sequences, with the PSNR of earlier ones beside."""
+    *earlier, latest = json.loads(UNSEEN.read_text("utf-8"))
+    titles = {method["name"]: method["title"] for method in latest["methods"]}
+    columns = [COLUMNS[name] for name in ("psnr", "ssim", "flip")]
+    rows = []
+    for cell in latest["cells"]:
+        before = (_psnr_of(one, cell["sequence"], cell["method"]) for one in earlier)
+        figures = (column.text(cell[column.name]) for column in columns)
+        rows.append((f"`{cell['sequence']}`", titles[cell["method"]], *before, *figures))
+    heads = (f"PSNR {one['label']} ({one['commit']}), dB" for one in earlier)
+    made = table(("sequence", "method", *heads, *(c.title for c in columns)), rows)
+    return f"{made}\n\nMeasured at {latest['commit']} ({latest['label']}), {latest['date']}, on {latest['machine']}."
+
+
 TABLES: dict[str, Callable[[dict], str]] = {
     "eval-about": about_table,
     "eval-methods": methods_table,
@@ -146,6 +163,7 @@ TABLES: dict[str, Callable[[dict], str]] = {
     "eval-budget": budget_table,
     "eval-late": late_table,
     "eval-paper": paper_table,
+    "unseen": unseen_table,
 }
 
 
@@ -158,6 +176,11 @@ def with_tables(text: str, found: dict | None = None) -> str:
 def _method_row(found: dict, mean: dict, columns: list) -> tuple[str, ...]:
     figures = (column.text(mean.get(column.name), column.name == "against").replace("-", "−") for column in columns)
     return (_title(found, mean), *figures)
+
+
+def _psnr_of(found: dict, sequence: str, method: str) -> str:
+    values = [c["psnr"] for c in found["cells"] if (c["sequence"], c["method"]) == (sequence, method)]
+    return COLUMNS["psnr"].text(values[0] if values else None)
 
 
 def _title(found: dict, mean: dict) -> str:
