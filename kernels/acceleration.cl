@@ -26,7 +26,7 @@ typedef struct {
     __global const float *met_depth;
 } Tracked;
 
-INLINE bool is_known(const Tracked f, const int src) { return f.dynamic_mask[src] && f.met_depth[src] > 0.0f; }
+INLINE bool is_known(const Tracked f, const int src) { return f.dynamic_mask[src] == DYNAMIC && f.met_depth[src] > 0.0f; }
 
 /* The nearest mover of a cell; depth 0 if there is none. */
 INLINE Mover mover_of_cell(const int cell_x, const int cell_y, const Frame *frame, const Tracked f) {

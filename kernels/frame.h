@@ -35,6 +35,7 @@ typedef struct {
     int has_overlays;                 /* that the rendered frame brings: bits, in the order of `OVERLAYS` */
     /* Facts: options, and what stages decide when they are made. */
     int motion;                       /* whether motion is estimated */
+    int camera_fixed;                 /* whether fragments that are fixed to the camera are told from movers */
     int positions;                    /* of history, that are kept */
     int levels;                       /* of the background */
     int blocks;                       /* whether smooth surfaces are warped backward in blocks */
@@ -47,6 +48,11 @@ typedef struct {
 
 /* The side of an image of level `level`, whose texels are 2^level pixels wide and high. */
 inline int level_side(const int side, const int level) { return (side + (1 << level) - 1) >> level; }
+
+/* Values of `dynamic_mask`; all but STATIC are dynamic. */
+#define STATIC 0
+#define DYNAMIC 1
+#define FIXED_TO_CAMERA 2  /* constant in view space, as dashboards and weapons are */
 
 /* States of the texels of background levels. */
 #define EMPTY 0

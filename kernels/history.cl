@@ -19,6 +19,8 @@
 #define SEARCH_RADIUS 2          /* px around x' in which the right surface is looked for */
 #define DEPTH_TOLERANCE 0.03f    /* relative depth within which a surface is plausible for a fragment that stands ... */
 #define DEPTH_PER_MOTION 2.0f    /* ... and what is added per unit of its sideways motion */
+#define FIXED_MOST 0.0625f       /* px by which what is fixed to the camera may move in the image ... */
+#define FIXED_DEPTH 0.01f        /* ... and relative change of its depth */
 #define DEPTH_CHANGE_MOST 0.12f  /* relative change within an interval of a surface that fills the neighbourhood of x' */
 
 inline float squared_distance(const float2 a, const float2 b) {
@@ -204,12 +206,16 @@ INLINE void find_history(const int src_x, const int src_y, const Frame *frame, c
     const float3 px_static = reproject(pixel_centre(src_x, src_y), z, to_previous);
     int known = 0;  /* how many of P_1 ... are known */
     f.met_depth[src] = 0.0f;
-    if (isfinite(mv_px.x) && isfinite(mv_px.y) && px_static.z > 0.0f) {
+    if (isfinite(mv_px.x) && isfinite(mv_px.y)) {
         const float sideways = (fabs(px_prev.x - px_static.x) + fabs(px_prev.y - px_static.y))
                                * from_previous.source_inverse.x * px_static.z;
         const float tolerance = DEPTH_TOLERANCE * px_static.z + DEPTH_PER_MOTION * sideways;
         int nearest = 0;
-        const float z_prev = depth_met(px_prev, px_static.z, tolerance, source_width, frame->source_height, f.depth_prev, &nearest);
+        /* At the depth of what stands or moves sideways; else at its own, as what travels with the camera. */
+        float z_prev = px_static.z > 0.0f ? depth_met(px_prev, px_static.z, tolerance, source_width, frame->source_height,
+                                                      f.depth_prev, &nearest) : -1.0f;
+        if (frame->camera_fixed && !(z_prev > 0.0f))
+            z_prev = depth_met(px_prev, z, DEPTH_TOLERANCE * z, source_width, frame->source_height, f.depth_prev, &nearest);
         if (z_prev > 0.0f) f.met_depth[src] = z_prev;
         if (z_prev > 0.0f && positions > 2) {
             const float3 p1_prev = unproject(px_prev, z_prev, from_previous.source_inverse);
@@ -232,6 +238,26 @@ INLINE void find_history(const int src_x, const int src_y, const Frame *frame, c
     for (int k = known; k < positions - 1; ++k) f.history[k * plane + src] = (float4)(p0, 0.0f);
 }
 
+/* Which of LANES fragments may be fixed to the camera: their motion says so, and if they were static they would have moved in the
+   image (`moves`), or changed their depth. */
+INLINE Ints may_be_fixed(const Floats px_x, const float px_y, const Floats mv_x, const Floats mv_y, const Floats z,
+                         const Floats z_static, const Ints moves, const Frame *frame) {
+    const Pinhole inverse = frame->to_previous.source_inverse, before = frame->to_previous.target;
+    const Floats ex = before.x * ((px_x - inverse.z) * inverse.x) + before.z - (px_x + mv_x);
+    const Floats ey = before.y * ((px_y - inverse.w) * inverse.y) + before.w - (px_y + mv_y);
+    return (z > 0.0f) & !isinf(z) & (ex * ex + ey * ey <= FIXED_MOST * FIXED_MOST)
+           & (moves | (fabs(z_static - z) > 2.0f * FIXED_DEPTH * z));
+}
+
+/* Whether such a fragment is: the frame before shows its surface there, no nearer and no farther. */
+INLINE bool is_fixed(const int src_x, const int src_y, const Frame *frame, const Frames f) {
+    const int src = src_y * frame->source_width + src_x;
+    const float2 px_prev = pixel_centre(src_x, src_y) + f.motion[src];
+    const int x = clamp((int)floor(px_prev.x), 0, frame->source_width - 1);
+    const int y = clamp((int)floor(px_prev.y), 0, frame->source_height - 1);
+    return fabs(f.depth_prev[y * frame->source_width + x] - f.depth[src]) <= FIXED_DEPTH * f.depth[src];
+}
+
 /* Algorithm 1. Of dynamic fragments, met_depth: 0 where none is; history, for k > 2: k-1 planes of (P_i, 1), or (P_0, 0) where
    P_i is not known. What is static takes the test and nothing more. */
 WIDE __kernel void track_history(const Frame frame, __global const float *depth, __global const float2 *motion,
@@ -246,20 +272,27 @@ WIDE __kernel void track_history(const Frame frame, __global const float *depth,
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x;
     const int count = min(source_width - src_x, LANES);
-    Ints moves = 0;
+    Ints moves = 0, may_stay = 0;
     if (has_previous) {
-        const Floats px_x = row_centres(src_x), px_y = (float)src_y + 0.5f;
+        const Floats px_x = row_centres(src_x);
+        const float px_y = (float)src_y + 0.5f;
         Floats mv_y;
         const Floats z = load_some_floats(count, depth + src), mv_x = load_some_xy(count, motion + src, &mv_y);
-        const Wide3 px_static = wide_reproject(px_x, px_y, z, to_previous);
+        const Wide3 px_static = wide_reproject(px_x, (Floats)(px_y), z, to_previous);
         const Floats dx = px_static.x - (px_x + mv_x), dy = px_static.y - (px_y + mv_y);
         moves = (z > 0.0f) & !isinf(z) & ((px_static.z < 0.0f) | !(dx * dx + dy * dy <= *threshold_squared));
+        if (frame.camera_fixed) may_stay = may_be_fixed(px_x, px_y, mv_x, mv_y, z, px_static.z, moves, &frame);
     }
-    uchar is_dynamic[LANES];
-    const Bytes mask = to_bytes(moves ? (Ints)(1) : (Ints)(0));
+    const Bytes mask = to_bytes(moves ? (Ints)(DYNAMIC) : (Ints)(STATIC));
     store_some_bytes(mask, count, dynamic_mask + src);
-    if (!ANY(moves)) return;
-    store_bytes(mask, 0, is_dynamic);
-    for (int lane = 0; lane < count; ++lane)
-        if (is_dynamic[lane]) find_history(src_x + lane, src_y, &frame, frames);
+    if (!ANY(moves | may_stay)) return;
+    uchar label[LANES];
+    int lane_may_stay[LANES];
+    store_bytes(mask, 0, label);
+    store_ints(may_stay, 0, lane_may_stay);
+    for (int lane = 0; lane < count; ++lane) {
+        if (lane_may_stay[lane] && is_fixed(src_x + lane, src_y, &frame, frames))
+            dynamic_mask[src + lane] = label[lane] = FIXED_TO_CAMERA;
+        if (label[lane] != STATIC) find_history(src_x + lane, src_y, &frame, frames);
+    }
 }

@@ -1,5 +1,6 @@
 /* Position prediction (paper: 'Position estimation'): NP = P_0 + alpha (P_0 - P_1), or the polynomial of order m
-   through P_0 ... P_m at their real times. Static fragments, LANES at once, are only reprojected; P_1 is where the fragment's
+   through P_0 ... P_m at their real times. Static fragments, LANES at once, are only reprojected; what is fixed
+   to the camera keeps its place in view space; P_1 is where the fragment's
    motion points to in the frame before, at the depth met there. What acceleration.cl trusts of a mover's acceleration is added to
    the linear prediction. */
 
@@ -37,6 +38,7 @@ inline float3 predicted_position(const int src_x, const int src_y, const Frame *
         return place.z > 0.0f ? place : nowhere;
     }
     const float3 p0 = unproject(pixel_centre(src_x, src_y), z, frame->to_target.source_inverse);
+    if (f.dynamic_mask[src] == FIXED_TO_CAMERA) return (float3)(project(p0, frame->to_target.target), z);
     const int order = frame->order;
     int known = order > 0 && f.met_depth[src] > 0.0f;
     while (known > 0 && known < order && f.history[known * plane + src].w != 0.0f) ++known;

@@ -228,7 +228,7 @@ INLINE void resolve_pixel(const Fragments from, const Rendered shown, const Winn
     const bool is_mixed = step.x != 0 || step.y != 0;
     to.depth[dst] = z > 0.0f ? z : here.z;
     to.motion[dst] = pixel_centre(src_x, src_y) + d - centre;
-    to.dynamic_mask[dst] = shown.dynamic_mask[src];
+    to.dynamic_mask[dst] = shown.dynamic_mask[src] != STATIC;
     to.disoccluded[dst] = 0;
     to.mixed[dst] = is_mixed;
     to.filled_by[dst] = (int)floor(here.x) == dst_x && (int)floor(here.y) == dst_y ? BY_WARP : BY_CRACK_CLOSING;
@@ -366,7 +366,7 @@ typedef struct {
 } WideWinners;
 
 INLINE void store_labels(const NewFrame to, const int dst, const Bytes dynamic_mask, const Ints own) {
-    store_bytes(dynamic_mask, 0, to.dynamic_mask + dst);
+    store_bytes(min(dynamic_mask, (Bytes)(DYNAMIC)), 0, to.dynamic_mask + dst);
     store_bytes((Bytes)(0), 0, to.disoccluded + dst);
     store_bytes((Bytes)(0), 0, to.mixed + dst);
     store_bytes(to_bytes(own ? (Ints)(BY_WARP) : (Ints)(BY_CRACK_CLOSING)), 0, to.filled_by + dst);

@@ -10,9 +10,9 @@ from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, share_of
 from gffe_cl.stages.buffers import STRIDE, BufferSpec
 
-# Bounds of the automatic static threshold ε, in pixels.
 _CONSTANTS = constants("history.cl")
 _SAMPLED = STRIDE**-2
+STATIC, MOVES, FIXED_TO_CAMERA = (_CONSTANTS[name] for name in ("STATIC", "DYNAMIC", "FIXED_TO_CAMERA"))
 
 
 DYNAMIC = share_of("dynamic", "history.dynamic_mask")
@@ -23,7 +23,15 @@ class HistoryTracking(Stage):
 
     name = "history"
     buffers = (
-        BufferSpec("dynamic_mask", np.uint8, (), "source", "1 where the static test failed (M^dyn)", "mask"),
+        BufferSpec(
+            "dynamic_mask",
+            np.uint8,
+            (),
+            "source",
+            "where the static test failed (M^dyn), and what is fixed to the camera",
+            "label",
+            labels=((STATIC, "static"), (MOVES, "dynamic"), (FIXED_TO_CAMERA, "fixed to the camera")),
+        ),
         BufferSpec(
             "met_depth",
             np.float32,

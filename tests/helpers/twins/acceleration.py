@@ -51,7 +51,7 @@ def track_acceleration(
     cells = -(-height // side), -(-width // side)
     velocity, acceleration, bend = (np.zeros((*cells, 4), F) for _ in range(3))
     acceleration[..., 3] = -1
-    known = (dynamic > 0) & (met_depth > 0)
+    known = (dynamic == 1) & (met_depth > 0)  # not what is fixed to the camera
     px = centres(height, width)
     with np.errstate(all="ignore"):
         px_prev = px + motion

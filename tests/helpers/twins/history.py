@@ -117,6 +117,21 @@ def _depth_met(px, expected, tolerance, depth_prev):
     return (total if max(taps) - min(taps) <= HISTORY.DEPTH_TOLERANCE * min(taps) else F(-1)), nearest
 
 
+def fixed_to_camera(depth, motion, moves, z_static, to_previous, depth_prev):
+    """(H, W) bool: constant in view space, though a static fragment would not be."""
+    height, width = depth.shape
+    px, inverse, before = centres(height, width), to_previous[4], to_previous[5]
+    with np.errstate(invalid="ignore"):
+        e = before[:2] * ((px - inverse[2:]) * inverse[:2]) + before[2:] - (px + motion)
+        stays = e[..., 0] * e[..., 0] + e[..., 1] * e[..., 1] <= F(HISTORY.FIXED_MOST) * F(HISTORY.FIXED_MOST)
+        changes = np.abs(z_static - depth) > F(2) * F(HISTORY.FIXED_DEPTH) * depth
+        may_be = ~invalid(depth) & ~np.isinf(depth) & stays & (moves | changes)
+        px_prev = np.where(may_be[..., None], px + motion, F(0))
+        x, y = np.moveaxis(np.floor(px_prev).astype(int), -1, 0)
+        z_prev = depth_prev[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
+        return may_be & (np.abs(z_prev - depth) <= F(HISTORY.FIXED_DEPTH) * depth)
+
+
 def track_history(
     depth,
     motion,
@@ -127,6 +142,7 @@ def track_history(
     depth_prev,
     dynamic_prev,
     history_prev,
+    camera_fixed=True,
 ):
     """Algorithm 1; `depth_prev` None after a reset. Returns dynamic mask (H, W), the depth met (H, W) and history
     (k−1, H, W, 4), 0 where static."""
@@ -142,12 +158,19 @@ def track_history(
     usable = np.isfinite(motion).all(-1)
     dynamic[:] = ~usable | (where[..., 2] < 0) | ~(r2 <= threshold_squared)
     dynamic[invalid(depth) | np.isinf(depth)] = 0
+    if camera_fixed:
+        dynamic[fixed_to_camera(depth, motion, dynamic > 0, where[..., 2], to_previous, depth_prev)] = (
+            HISTORY.FIXED_TO_CAMERA
+        )
     history[:, dynamic > 0, :3] = p0[dynamic > 0]
-    for y, x in np.argwhere((dynamic > 0) & usable & (where[..., 2] > 0)):
+    for y, x in np.argwhere((dynamic > 0) & usable):
         px_prev, at = px[y, x] + motion[y, x], where[y, x]
         sideways = (abs(px_prev[0] - at[0]) + abs(px_prev[1] - at[1])) * from_previous[4, 0] * at[2]
         tolerance = HISTORY.DEPTH_TOLERANCE * at[2] + HISTORY.DEPTH_PER_MOTION * sideways
-        z_prev, nearest = _depth_met(px_prev, at[2], tolerance, depth_prev)
+        z_prev, nearest = _depth_met(px_prev, at[2], tolerance, depth_prev) if at[2] > 0 else (F(-1), 0)
+        if camera_fixed and not z_prev > 0:  # it may travel with the camera
+            z, own = depth[y, x], F(HISTORY.DEPTH_TOLERANCE) * depth[y, x]
+            z_prev, nearest = _depth_met(px_prev, z, own, depth_prev)
         if not z_prev > 0:
             continue
         met_depth[y, x] = z_prev

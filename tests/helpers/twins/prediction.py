@@ -30,5 +30,7 @@ def predict_positions(depth, dynamic, history, order, weights, to_target, alpha=
     target = move(predicted, to_target)
     moved = np.concatenate([project(target, to_target[5]), target[..., 2:]], -1)
     out[dynamic > 0] = moved[dynamic > 0]
+    fixed = dynamic == PREDICTION.FIXED_TO_CAMERA
+    out[fixed] = np.concatenate([project(p0, to_target[5]), depth[..., None]], -1)[fixed]
     out[invalid(depth) | ~(out[..., 2] > 0)] = (PREDICTION.NOWHERE, PREDICTION.NOWHERE, -1)
     return out

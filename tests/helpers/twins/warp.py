@@ -295,7 +295,7 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
         "color": np.concatenate([out, np.zeros((height, width, 1), F)], -1).astype(np.float16),
         "depth": np.where(z > 0, z, here[..., 2]),
         "motion": source_centre + d - centre,
-        "dynamic": dynamic[sy, sx].copy(),
+        "dynamic": (dynamic[sy, sx] > 0).astype(np.uint8),
         "disoccluded": holes.astype(np.uint8),
         "mixed": ((step_x != 0) | (step_y != 0)).astype(np.uint8),
         "filled_by": np.where(own_pixel, COMMON.BY_WARP, COMMON.BY_CRACK_CLOSING).astype(np.uint8),
