@@ -85,7 +85,7 @@ GAE: dict[str, Change] = {
     "resampling is cubic, not bilinear": Change({"blocks": False}, {"warp.cl": {"ALL_ALIKE": "0x1FF"}}),
     "no colours mixed with a silhouette that moves away": Change(constants={"warp.cl": {"MOVES_AWAY": "1e30f"}}),
     "… of these, the mean with what the background knows": Change(
-        edits={"background.cl": {"mixed[dst] && is_same_surface": "false && is_same_surface"}}
+        edits={"background.cl": {"to.mixed[dst] && is_same_surface": "false && is_same_surface"}}
     ),
     "the surface met at x' is checked": Change(
         constants={"history.cl": {"DEPTH_TOLERANCE": "1e30f", "SEARCH_RADIUS": "0"}}
@@ -114,13 +114,14 @@ GAE: dict[str, Change] = {
     "hidden parts of movers": Change({"hidden_parts": False}),
     "holes continue their far side": Change({"hole_filling": "downsample"}),
     "what lies beyond the image has no far side": Change(
-        edits={"holes.cl": {"if (all > 0.0f) {": "if (false) {", "after_far_side && is_out": "false && is_out"}}
+        edits={"holes.cl": {"if (all > 0.0f) {": "if (false) {", "tile.after_far_side && is_out": "false && is_out"}}
     ),
     "silhouettes stay antialiased": Change({"soft_silhouettes": False}),
 }
 # Beyond the paper, each a module with an option of its own.
 PARTS = ("silhouettes stay antialiased", "hidden parts of movers", "movers' acceleration goes on")
-PAPER = Change()
+CAMERA_FIXED = Change({"camera_fixed": False})  # worth something only on the situation "cab"
+PAPER = CAMERA_FIXED
 for change in GAE.values():
     PAPER |= change
 CHOICES: dict[str, tuple[Change, str]] = {
@@ -145,6 +146,7 @@ FOR_SITUATIONS: dict[str, tuple[str, Change, str]] = {
     "balls": ("acceleration", GAE["movers' acceleration goes on"], "movers"),
     "rotors": ("acceleration", GAE["movers' acceleration goes on"], "movers"),
     "handheld": ("`--camera-order auto`; 1", PREDICTED | Change({"camera_order": 1}), "all"),
+    "cab": ("fixed to the camera", CAMERA_FIXED, "movers"),
     "lamps": ("network", NO_NETWORK, "light"),
     "shadows": ("network", NO_NETWORK, "light"),
     "fan": ("network", NO_NETWORK, "light"),

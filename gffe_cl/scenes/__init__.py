@@ -42,6 +42,7 @@ SITUATIONS = {
     "balls": "Balls that fly on parabolas, bounce and roll",
     "rotors": "Arcs: a pinwheel, a wheel with spokes, a rotor, a cart on wheels",
     "handheld": "A camera that speeds up, turns and stops, in a still room",
+    "cab": "Dashboard and pillars of a cab that shakes: they are fixed to the camera",
     "lamps": "Two lamps that swing: their light, and all shadows",
     "shadows": "Shadows of things out of view, across steps, columns and walls",
     "fan": "A fan before a lamp: shadows of blades turn over walls and floor",

@@ -21,7 +21,7 @@ LAYERS = tuple(
 )
 
 
-LAYERS = share_of("layers", "silhouettes.layer")
+LAYERED = share_of("layers", "silhouettes.layer")
 NEAR_SILHOUETTES = share_of("near silhouettes", "silhouettes.marked")
 SOFTENED = share_of("softened", "silhouettes.coverage")
 
@@ -62,14 +62,14 @@ class Silhouettes(Stage):
             "source",
             {
                 "links": "connectivity.links",
-                "depth": Access("rendered.depth", LAYERS),
-                "target_position": Access("prediction.target_position", LAYERS),
-                "color": Access("rendered.color", LAYERS),
+                "depth": Access("rendered.depth", LAYERED),
+                "target_position": Access("prediction.target_position", LAYERED),
+                "color": Access("rendered.color", LAYERED),
             },
             {
                 "layer": "silhouettes.layer",
-                "behind": Access("silhouettes.behind", LAYERS),
-                "share": Access("silhouettes.share", LAYERS),
+                "behind": Access("silhouettes.behind", LAYERED),
+                "share": Access("silhouettes.share", LAYERED),
                 "marked": Access("silhouettes.marked", NEAR_SILHOUETTES),
             },
             step=("LANES", 1),

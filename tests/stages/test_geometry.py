@@ -160,6 +160,47 @@ def test_thin_bar_stays_unbroken(device, magnification):
 # ---- motion --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("camera_fixed", [True, False])
+def test_what_is_fixed_to_the_camera_stays(device, camera_fixed):
+    """A dashboard before a camera that drives on and shakes: it stays where it is in the image, to the bit."""
+    wall = Rects([Rect((0, 0, 14), frequency=0.3)])
+    cameras = [camera(W, H, position) for position in ((0, 0, 0), (0.02, -0.01, 0.4), (-0.03, 0.02, 0.8))]
+    board = np.s_[3 * H // 4 :, :]
+    pattern = half(np.random.default_rng(0).uniform(0.1, 0.9, (H, W, 3)))
+    pipeline = Pipeline(device, W, H, options=Options(camera_fixed=camera_fixed))
+    for k, now in enumerate(cameras):
+        before = (cameras[max(k - 1, 0)], max(k - 1, 0) / 30)
+        shown = wall.frame(now, k / 30, W, H, before)
+        color, depth, motion = (np.array(a) for a in (shown.color, shown.depth, shown.motion))
+        color[board], depth[board], motion[board] = pattern[board], 0.8, 0
+        pipeline.submit(RenderedFrame(color, depth, motion, now, k / 30, reset=k == 0))
+    labels = pipeline.stages["history"].read("dynamic_mask")[board]
+    out = pipeline.extrapolate(camera(W, H, (0.05, 0.03, 1.0)), 2.5 / 30)
+    color, depth, motion, dynamic = (out.numpy(name)[board][1:] for name in ("color", "depth", "motion", "dynamic"))
+    same = (color[..., :3] == pattern[board][1:]).all(-1) & (depth == np.float32(0.8))  # but for its soft upper edge
+    if camera_fixed:
+        assert (labels == 2).all() and same.all() and (dynamic == 1).all() and not motion.any()
+    else:
+        assert (labels == 1).mean() > 0.9 and same.mean() < 0.5
+
+
+def test_what_travels_with_the_camera_is_found_again(device):
+    """A near panel that is carried along, and shakes a little before the camera: its last position is known."""
+    wall = Rects([Rect((0, 0, 14), frequency=0.3)])
+    panel = np.s_[H // 2 :, W // 4 : W // 2]
+    met = {}
+    for camera_fixed in (True, False):
+        pipeline = Pipeline(device, W, H, options=Options(camera_fixed=camera_fixed))
+        for k in range(3):
+            now, before = camera(W, H, (0, 0, 0.4 * k)), camera(W, H, (0, 0, 0.4 * max(k - 1, 0)))
+            shown = wall.frame(now, k / 30, W, H, (before, max(k - 1, 0) / 30))
+            depth, motion = np.array(shown.depth), np.array(shown.motion)
+            depth[panel], motion[panel] = 0.8, (0.5, 0)
+            pipeline.submit(RenderedFrame(shown.color, depth, motion, now, k / 30, reset=k == 0))
+        met[camera_fixed] = pipeline.stages["history"].read("met_depth")[panel][4:-4, 4:-4]
+    assert (met[True] == np.float32(0.8)).all() and not met[False].all()
+
+
 def test_linear_motion_is_exact(device):
     """An object in steady motion lands within 0.02 px of where it belongs, with depth; the wall stays."""
     scene = Rects([Rect((0, 0, 14), frequency=0.3), Rect((-0.5, 0, 6), (1, 1), velocity=(3, 1, 9), frequency=1)])

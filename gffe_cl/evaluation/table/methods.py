@@ -128,6 +128,7 @@ def _window(name: str, title: str, mode: str) -> Method:
 _PAPERS_WAY = {
     "crack_closing": False,
     "blocks": False,
+    "camera_fixed": False,
     "acceleration": False,
     "hidden_parts": False,
     "hole_filling": "downsample",

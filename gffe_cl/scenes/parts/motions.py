@@ -8,9 +8,12 @@ World axes: x right, y up, z towards the viewer; metres, degrees, seconds.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+
+from gffe_cl.frame.camera import Camera
 
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
@@ -122,6 +125,18 @@ class Carry(Motion):
 
     def __call__(self, time):
         return translation(np.asarray(self.vector) * ((time / self.period + self.phase) % 1.0))
+
+
+@dataclass(frozen=True)
+class Held(Motion):
+    """Fixed to a camera at `eye` that looks at `target`, both functions of time: x right, y up, −z ahead of it."""
+
+    eye: Callable[[float], np.ndarray]
+    target: Callable[[float], np.ndarray]
+
+    def __call__(self, time):
+        view = Camera.look_at(self.eye(time), self.target(time), (0.0, 1.0, 0.0), 1.0, 1.0, 0.0, 0.0).world_to_view
+        return np.linalg.inv(view) @ np.diag((1.0, -1.0, -1.0, 1.0))
 
 
 class Path(Motion):

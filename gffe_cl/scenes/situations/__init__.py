@@ -13,6 +13,7 @@ BUILDERS = {
     "balls": movers.balls,
     "rotors": movers.rotors,
     "handheld": cameras.handheld,
+    "cab": cameras.cab,
     "lamps": shading.lamps,
     "shadows": shading.shadows,
     "fan": shading.fan,

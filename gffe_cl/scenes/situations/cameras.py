@@ -1,12 +1,13 @@
-"""Situations of how frames are made: a camera that speeds up, turns and stops; motion vectors that are rounded."""
+"""Situations of how frames are made: a camera that accelerates; a cab that shakes with it; rounded motion vectors."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from gffe_cl.scenes.parts.figures import walker
-from gffe_cl.scenes.parts.motions import Path
-from gffe_cl.scenes.scene_types import Scene, wave
+from gffe_cl.scenes.parts.furniture import bark_material, conifer, leaf_material
+from gffe_cl.scenes.parts.motions import Held, Path
+from gffe_cl.scenes.scene_types import Box, Cylinder, Group, Material, Scene, vary, wave
 from gffe_cl.scenes.situations.places import hall, lamplight, scene, sunlight, yard
 
 
@@ -17,6 +18,35 @@ def handheld(seed: int, rng: np.random.Generator) -> Scene:
     target = wave((0, 1.4, -3.0), (1.6, 0.25, 0), (period, 0.8 * period, 1), rng.random(3))
     cameras = eye, target
     return scene("handheld", "A camera that accelerates", seed, hall(rng, seed), *lamplight(rng), cameras)
+
+
+def cab(seed: int, rng: np.random.Generator) -> Scene:
+    """A cab that drives between trees and shakes: what belongs to it is fixed to the camera."""
+    ground = Material(vary(rng, (0.2, 0.26, 0.1)), (0.3, 0.26, 0.18), "cobbles", scale=0.5, contrast=0.5, seed=seed)
+    road = Material((0.16, 0.16, 0.17), (0.1, 0.1, 0.1), "cobbles", scale=0.2, contrast=0.4, roughness=0.9, seed=seed)
+    groups = [
+        Group([Box((0, -0.1, -30), (80, 0.2, 90), ground), Box((0, -0.09, -30), (5, 0.2, 90), road)], name="road")
+    ]
+    for k in range(24):
+        x, z = (-1) ** k * rng.uniform(3.4, 9.0), 2.0 - 2.2 * k
+        groups += conifer(x, z, rng, rng.uniform(3, 6), bark_material(rng), leaf_material(rng))
+    shake, slow = rng.random(3), rng.random(3)
+
+    def eye(time):
+        jolt = wave((0, 0, 0), (0.02, 0.05, 0.0), (0.23, 0.17, 1.0), shake)(time)
+        return np.array((0.4, 1.9, 4.0 - 5.0 * time)) + jolt
+
+    def target(time):
+        sway = wave((0, -1.4, -12.0), (1.4, 0.5, 0.0), (0.9, 0.31, 1.0), slow)(time)
+        return np.array((0.4, 1.9, 4.0 - 5.0 * time)) + sway
+
+    grained = Material((0.14, 0.12, 0.11), (0.06, 0.05, 0.05), "planks", scale=0.12, contrast=0.6, seed=seed)
+    dial = Material((0.62, 0.6, 0.52), (0.08, 0.08, 0.08), "stripes", scale=0.03, contrast=0.3)
+    inside = [Box((0, -0.52, -0.85), (2.2, 0.2, 0.5), grained), Box((0, -0.36, -1.06), (2.2, 0.14, 0.05), grained)]
+    inside += [Cylinder((x, -0.385, -0.75), (x, -0.375, -0.73), 0.09, dial) for x in (-0.3, 0.0, 0.3)]
+    inside += [Cylinder((s * 0.95, -0.5, -1.0), (s * 0.72, 0.9, -0.8), 0.05, grained) for s in (-1, 1)]
+    groups.append(Group(inside, Held(eye, target), name="cab"))
+    return scene("cab", "A shaking cab", seed, groups, *sunlight(rng), (eye, target))
 
 
 def quantised(seed: int, rng: np.random.Generator) -> Scene:

@@ -9,6 +9,7 @@ import numpy as np
 from gffe_cl.frame.camera import Camera
 from gffe_cl.opencl.program import constants
 from gffe_cl.pipeline.pipeline import Pipeline
+from gffe_cl.stages.history import FIXED_TO_CAMERA, STATIC
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.buffers import Shot, device_layers, moved, read_blocks
 from gffe_cl.viewer.engine.explain.pixel_explain_types import Link, Step, Story
@@ -46,7 +47,8 @@ class Fragment:
         wanted += tuple(name for name in (names.HISTORY, names.TARGET_POSITION) if name in layers)
         values = read_blocks(pipeline, {name: (layers[name], *at, 1, 1) for name in wanted})
         depth, motion, mask, met, *_ = (values[name].reshape(len(values[name]), -1) for name in wanted)
-        depth, motion, dynamic = float(depth[0, 0]), motion[0].astype(np.float64), bool(mask[0, 0])
+        depth, motion, label = float(depth[0, 0]), motion[0].astype(np.float64), int(mask[0, 0])
+        dynamic = label != STATIC
         px = np.add(at, 0.5)
         residual = _residual(shot, px, depth, motion) if pipeline.options.motion else None
         history_stage = pipeline.stages["history"]
@@ -59,7 +61,7 @@ class Fragment:
             path.append(tuple(map(float, target.flat[:2])))
         used = min(len(known), pipeline.options.order) if shot.moment.alpha else -1
         bend = _bend(pipeline, layers, at, depth) if used == 1 else 0.0
-        sentences = _fragment_sentences(pipeline, shot, depth, motion, dynamic, residual, threshold, used, bend)
+        sentences = _fragment_sentences(pipeline, shot, depth, motion, label, residual, threshold, used, bend)
         at = tuple(map(int, at))
         return cls(tuple(point for point in path if point), dynamic, residual, threshold, sentences, at)
 
@@ -81,7 +83,7 @@ def _fragment_that_landed(pipeline, layers, at, pixel, inside: bool, dynamic: bo
     wanted = (names.TARGET_POSITION, names.DYNAMIC_MASK)
     block = read_blocks(pipeline, {name: (layers[name], x0, y0, width, height) for name in wanted})
     place, mask = (block[name][0].reshape(width * height, -1) for name in wanted)
-    fits = (place[:, 2] > 0) & (mask[:, 0] == dynamic)
+    fits = (place[:, 2] > 0) & ((mask[:, 0] != STATIC) == dynamic)
     if inside:
         fits &= (np.floor(place[:, :2]) == pixel).all(1)
     distance = place[:, 2] if inside else np.hypot(*(place[:, :2] - np.add(pixel, 0.5)).T)
@@ -97,7 +99,7 @@ def _residual(shot: Shot, px, depth: float, motion) -> float | None:
     return float(np.hypot(*(was - px - motion))) if z > 0 else None
 
 
-def _fragment_sentences(pipeline, shot, depth, motion, dynamic, residual, threshold, used, bend) -> tuple[str, ...]:
+def _fragment_sentences(pipeline, shot, depth, motion, label, residual, threshold, used, bend) -> tuple[str, ...]:
     if not depth > 0:
         return (f"Its depth ({depth:g}) is invalid, so nothing of it is splatted.",)
     if depth == np.inf:
@@ -106,9 +108,16 @@ def _fragment_sentences(pipeline, shot, depth, motion, dynamic, residual, thresh
         return ("Motion estimation is off: everything counts as static.",)
     if shot.moment.previous_camera is None:
         return ("No frame before this one is known: everything counts as static.",)
+    if label == FIXED_TO_CAMERA:
+        kept = (
+            "Fixed to the camera: its motion keeps it where it is in view space, though a surface that stands still"
+            " would have moved. It keeps its place before the new camera."
+        )
+        return (Step(kept, Link("dynamic mask", names.DYNAMIC_MASK)),)
     if residual is None:
         why = "its motion is NaN or infinite" if not np.isfinite(motion).all() else "it was behind the camera before"
         return (f"Dynamic: {why}.",)
+    dynamic = label != STATIC
     kind, than = ("Dynamic", "more than") if dynamic else ("Static", "not more than")
     said: list[str] = [
         Step(
