@@ -241,11 +241,11 @@ class _Rounding:
     def __init__(self, pipeline: Pipeline, step: float):
         self.pipeline, self.step = pipeline, step
 
-    def submit(self, frame: RenderedFrame, packed) -> None:
+    def submit(self, frame: RenderedFrame) -> None:
         if self.step:
             motion = np.round(np.asarray(frame.motion) / self.step).astype(np.float32) * np.float32(self.step)
-            frame, packed = replace(frame, motion=motion), None
-        self.pipeline.submit(frame, packed)
+            frame = replace(frame, motion=motion)
+        self.pipeline.submit(frame)
 
 
 def signed(value: float) -> str:

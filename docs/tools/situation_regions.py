@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation
 
 from gffe_cl.evaluation.compare import NO_HISTORY
 from gffe_cl.evaluation.metrics import display_values
-from gffe_cl.frame.rendered_frame import RenderedFrame, pack_frame
+from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.scenes import SceneFrames
 
@@ -47,7 +47,7 @@ def submitted_frames(
     t + α to measure at, None for frames with too little history."""
     pipelines = list(pipelines)
     for k, frame in enumerate(scene_frames.sequence(frames, fps)):
-        packed = pack_frame(frame, *np.shape(frame.depth))
+        frame.pack()  # once for all of them
         for pipeline in pipelines:
-            pipeline.submit(frame, packed)
+            pipeline.submit(frame)
         yield k, frame, frame.time + alpha / fps if k >= NO_HISTORY else None

@@ -15,7 +15,7 @@ import pyopencl as cl
 from gffe_cl.core.errors import GffeError
 from gffe_cl.formats import open_capture
 from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.rendered_frame import RenderedFrame, pack_frame
+from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.opencl.device import Device
 from gffe_cl.scenes import SceneRenderer, is_scene, load_scene
 from gffe_cl.sequence import Sequence
@@ -242,7 +242,7 @@ def _enlarged_rows(stack: np.ndarray, rows, columns) -> np.ndarray:
 
 
 def _uploaded(device: Device, frame: RenderedFrame) -> RenderedFrame:
-    packed = pack_frame(frame, *np.shape(frame.depth))
+    packed = frame.pack()
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
     buffers = (cl.Buffer(device.context, flags, hostbuf=array) for array in (packed.color, packed.depth, packed.motion))
     return replace(frame, **dict(zip(("color", "depth", "motion"), buffers, strict=True)))

@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 from gffe_cl.core.errors import GffeError
 from gffe_cl.core.files import made_folder
 from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import display_camera_of
 from gffe_cl.pipeline.source import Source
 
 
@@ -24,14 +25,11 @@ def write_frames(folder: Path, source: Source, count: int, alpha: float = 0.5) -
     try:
         with made_folder(folder), TemporaryDirectory(prefix=".gffe-frames-", dir=folder) as name:
             part = Path(name)
-            for number, (_, frame, packed) in enumerate(islice(source.frames([alpha], False), count)):
+            for number, (_, frame) in enumerate(islice(source.frames([alpha], False), count)):
                 name = f"{number:04}"
                 for kind in ("color", "depth", "motion"):
-                    getattr(packed, kind).tofile(part / f"{name}.{kind}")
-                size = (source.width, source.height)
-                shown = frame.display_camera or frame.camera.scaled(
-                    *(s / r for s, r in zip(size, source.render_size, strict=True))
-                )
+                    getattr(frame.pack(), kind).tofile(part / f"{name}.{kind}")
+                shown = display_camera_of(frame, source.render_size, (source.width, source.height))
                 cameras = f"{_numbers(frame.camera)} {_numbers(shown)}"
                 lines.append(f"frame {name} {frame.time!r} {int(frame.reset)} {cameras}")
                 interval = 1 / source.fps if before is None or frame.reset else frame.time - before

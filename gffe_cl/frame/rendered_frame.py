@@ -82,7 +82,7 @@ class RenderedFrame:
     overlays : Overlays or None
         What is not to be warped with the picture.
 
-    The fields are checked where the frame is used: `Pipeline.submit`, `present` and `pack_frame` raise GffeError.
+    The fields are checked where the frame is used: `Pipeline.submit`, `present` and `pack` raise GffeError.
     """
 
     color: Any
@@ -93,6 +93,28 @@ class RenderedFrame:
     display_camera: Camera | None = None
     reset: bool = False
     overlays: Overlays | None = None
+    _packed: PackedFrame | None = field(default=None, init=False, repr=False, compare=False)  # `replace` leaves it out
+
+    def pack(self) -> PackedFrame:
+        """Convert host arrays to device layout ahead of `submit`, on any thread, and count bad pixels. Done once.
+
+        Raises GffeError for a structural fault: arrays of several sizes or of wrong types, or motion missing although
+        the frame is no reset.
+        """
+        if self._packed is None:
+            size = np.shape(self.depth)
+            if len(size) < 2:
+                raise GffeError(f"frame: depth must be an array (H, W), got {shown(self.depth)}")
+            self._packed = pack_frame(self, *size[:2])
+        return self._packed
+
+    def packed_only(self) -> RenderedFrame:
+        """This frame with the arrays of `pack` in place of its own, so that memory holds no others."""
+        packed = self.pack()
+        motion = None if self.motion is None else packed.motion
+        frame = replace(self, color=packed.color, depth=packed.depth, motion=motion)
+        frame._packed = packed
+        return frame
 
     @property
     def shown_camera(self) -> Camera:
@@ -108,9 +130,10 @@ def checked_frame(frame: RenderedFrame) -> RenderedFrame:
         require_kind(frame.display_camera, Camera, "frame: display_camera", "a Camera or None")
     if frame.overlays is not None:
         require_kind(frame.overlays, Overlays, "frame: overlays", "Overlays or None")
-    return replace(
-        frame, time=require_number(frame.time, "frame: time"), reset=require_bool(frame.reset, "frame: reset")
-    )
+    time, reset = require_number(frame.time, "frame: time"), require_bool(frame.reset, "frame: reset")
+    checked = replace(frame, time=time, reset=reset)
+    checked._packed = frame._packed
+    return checked
 
 
 def require_motion(frame: RenderedFrame) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -200,13 +201,16 @@ class Pipeline:
 
         Arrays may be NumPy arrays (copied to the device; bad pixels are added to `bad_pixels`) or device
         buffers, which are used in place: do not overwrite them before two more frames have been submitted.
-        `packed` may bring the result of `pack_frame`, done ahead on another thread. Returns at once, but with cut
-        detection waits for the device: `is_cut` says what it found.
+        `frame.pack()` converts them ahead, on another thread. Returns at once, but with cut detection waits for the
+        device: `is_cut` says what it found. `packed` is deprecated: a frame brings its own.
 
         Raises GffeError for fields that are not what `RenderedFrame` says, wrong shapes, missing motion, or a time that
         does not increase; the pipeline is then as it was before.
         """
         frame = checked_frame(frame)
+        if packed is not None:
+            warnings.warn("submit: packed is deprecated (frame.pack() does it)", DeprecationWarning, stacklevel=2)
+            frame._packed = require_kind(packed, PackedFrame, "submit: packed", "the result of pack_frame")
         if self._times and not frame.reset and frame.time <= self._times[0]:
             raise GffeError(
                 f"frame: time {frame.time:g} s must be after the previous rendered frame's ({self._times[0]:g} s)"
@@ -215,7 +219,7 @@ class Pipeline:
         if overlays and self.composition is None:
             self.composition = Composition(self.board)
         layers = self.composition.prepared(overlays) if self.composition else {}
-        self._shown = on_device = self._on_device(frame, packed)
+        self._shown = on_device = self._on_device(frame)
         if self.composition:
             on_device = self.composition.take(layers, on_device)
         self._previous = None if frame.reset else self._current
@@ -270,7 +274,7 @@ class Pipeline:
     def _shown_whole(self, frame: DeviceFrame) -> bool:
         return self.sizes.source == self.sizes.target and is_shown_whole(frame.camera, frame.display_camera)
 
-    def _on_device(self, frame: RenderedFrame, packed: PackedFrame | None) -> DeviceFrame:
+    def _on_device(self, frame: RenderedFrame) -> DeviceFrame:
         display_camera = self._display_camera(frame)
         require_one_pose(frame.camera, display_camera)
         arrays = dict(zip(("color", "depth", "motion"), (frame.color, frame.depth, frame.motion), strict=True))
@@ -286,9 +290,8 @@ class Pipeline:
                 f" got {other} as {shown(arrays[other])}"
             )
         width, height = self.sizes.source
-        if packed is None:
-            packed = pack_frame(frame, height, width)
-        require_kind(packed, PackedFrame, "submit: packed", "the result of pack_frame").require_size(width, height)
+        packed = frame._packed or pack_frame(frame, height, width)
+        packed.require_size(width, height)
         self.bad_pixels += packed.bad
         if len(self._slots) < 2:
             cameras = (frame.camera, display_camera, frame.time)

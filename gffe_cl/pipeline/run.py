@@ -96,8 +96,8 @@ def run_sequence(
     if dump_stages:
         pipeline.keep()
     with writing as writer:
-        for entry, frame, packed in frames:
-            pipeline.submit(frame, packed)
+        for entry, frame in frames:
+            pipeline.submit(frame)
             report.rendered += 1
             if pipeline.is_cut:
                 report.cuts.append(entry.file)

@@ -7,12 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.jitter import Jitter, without_jitter
-from gffe_cl.frame.rendered_frame import PackedFrame, RenderedFrame, display_camera_of, pack_frame
+from gffe_cl.frame.rendered_frame import RenderedFrame, display_camera_of
 from gffe_cl.frame.window import WindowChooser
 from gffe_cl.opencl.device import Device
 from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer
@@ -45,9 +43,9 @@ class Source(Protocol):
     exposure: float
     count: int
 
-    def frames(self, alphas: list[float], strict: bool) -> Iterator[tuple[FrameEntry, RenderedFrame, PackedFrame]]:
-        """Each rendered frame; `alphas` are the times that will be extrapolated after it, in intervals. With `strict`
-        GffeError for bad pixels."""
+    def frames(self, alphas: list[float], strict: bool) -> Iterator[tuple[FrameEntry, RenderedFrame]]:
+        """Each rendered frame, packed; `alphas` are the times that will be extrapolated after it, in intervals. With
+        `strict` GffeError for bad pixels."""
 
     def store(self, writer: SequenceWriter, entry: FrameEntry, frame: RenderedFrame) -> None:
         """Put a rendered frame into an output."""
@@ -126,10 +124,10 @@ class Recorded:
             frame = self.sequence.read(entry)
             if self._upscale:
                 frame = self._upscaled(frame)
-            packed = pack_frame(frame, *np.shape(frame.depth))
+            bad = frame.pack().bad
             if strict:
-                require_clean(entry.file, packed.bad)
-            return frame, packed
+                require_clean(entry.file, bad)
+            return frame
 
         return self._cut_frames(
             self.sequence.prefetch(self.sequence.rendered, read=read, ahead=2 + usable_cores() // 4)
@@ -137,14 +135,15 @@ class Recorded:
 
     def _cut_frames(self, whole):
         before = None
-        for entry, (frame, packed) in whole:
+        for entry, frame in whole:
             if not self._cut:
-                yield entry, frame, packed
+                yield entry, frame
                 continue
             shown = present(frame, before, size=self.render_size, device=self._device)
             before = frame
             cut = replace(entry, render_size=None, render_camera=shown.camera, display_camera=None)
-            yield cut, shown, replace(pack_frame(shown, self.height, self.width), bad=packed.bad)
+            shown.pack().bad = frame.pack().bad  # those of the whole
+            yield cut, shown
 
     def store(self, writer, entry, frame):
         own = None if self._cut else self.sequence.exr_file(entry)
@@ -200,10 +199,10 @@ class Live:
         size = self.width, self.height
         made = SceneFrames(self._renderer, WindowChooser(self._window, size, alphas), size, self._jitter)
         for k, frame in enumerate(made.sequence(self.count, self.fps)):
-            entry, packed = rendered_entry(k, frame, size), pack_frame(frame, *reversed(self.render_size))
+            entry, bad = rendered_entry(k, frame, size), frame.pack().bad
             if strict:
-                require_clean(entry.file, packed.bad)
-            yield entry, frame, packed
+                require_clean(entry.file, bad)
+            yield entry, frame
 
     def store(self, writer, entry, frame):
         writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))

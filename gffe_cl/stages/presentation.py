@@ -17,7 +17,6 @@ from gffe_cl.frame.rendered_frame import (
     checked_frame,
     display_camera_of,
     is_shown_whole,
-    pack_frame,
     require_one_pose,
 )
 from gffe_cl.opencl.device import Device, open_device
@@ -103,7 +102,7 @@ def present(
         if not isinstance(array, np.ndarray):
             raise GffeError("present: expected NumPy arrays (in a pipeline: Pipeline.present)")
     render_size = _size_of(frame)
-    packed = pack_frame(replace(frame, reset=frame.reset or previous is None), *reversed(render_size))
+    packed = replace(frame, reset=frame.reset or previous is None).pack()
     size = render_size if size is None else require_size(size, "present: size", whole=True)
     if device is not None:
         require_kind(device, Device, "present: device", "a Device or None")

@@ -112,8 +112,8 @@ def test_the_example_makes_what_python_makes_and_leaks_nothing(folder, loader, d
     live = {"--size": SIZE, "--frames": COUNT, "--fps": None, "--seed": None}
     _, source = open_source(Path("plaza"), None, device.info.index, live)
     pipeline = Pipeline(device, source.width, source.height, Options(shading_correction=False), fps=source.fps)
-    for number, (_, frame, packed) in enumerate(source.frames([0.5], False)):
-        pipeline.submit(frame, packed)
+    for number, (_, frame) in enumerate(source.frames([0.5], False)):
+        pipeline.submit(frame)
         time = frame.time + 0.5 * pipeline.interval
         made = pipeline.extrapolate(source.cameras_at([time])[0], time)
         for part in ("color", "depth", "motion", "filled_by"):

@@ -274,6 +274,6 @@ def test_strict_counts_bad_pixels_of_built_in_scenes(device, monkeypatch):
         return frame
 
     monkeypatch.setattr(SceneFrames, "rendered", spoilt)
-    assert [packed.bad.depth for *_, packed in live.frames([0.5], strict=False)] == [1, 1]
+    assert [frame.pack().bad.depth for _, frame in live.frames([0.5], strict=False)] == [1, 1]
     with pytest.raises(GffeError, match=r"frame_000000.exr: 1 × invalid depth .* \(strict\)"):
         next(live.frames([0.5], strict=True))

@@ -27,7 +27,6 @@ from gffe_cl import (
 )
 from gffe_cl.evaluation import bench as bench_module
 from gffe_cl.evaluation.metrics import METRICS, Metric, display_values, focus_mask, measurable, psnr, ssim
-from gffe_cl.frame.rendered_frame import pack_frame
 from gffe_cl.frame.window import WindowChooser
 from gffe_cl.inference import network as inference
 from gffe_cl.opencl.device import Device
@@ -105,9 +104,6 @@ class Clip(FrameSource):
         if k in self.faults:
             raise GffeError(f"frame_{k}.exr: truncated")
         return replace(frames()[k], reset=k in (0, self.reset))
-
-    def packed(self, k):
-        return pack_frame(frames()[k], H, W)
 
     def reset_before(self, k):
         return self.reset if k >= self.reset else 0
@@ -650,7 +646,7 @@ def test_a_recorded_sequence_is_shown_as_a_run_extrapolates_it(device, tmp_path,
     sequence = write(tmp_path / "s", render_size and breathing, render_size)
     setup, wanted = Setup(window=window), [(k, j) for k in range(6) for j in range(2)]
     plain = Recorded(sequence, device, window)
-    given = [frame for _, frame, _ in plain.frames([0.5], False)]
+    given = [frame for _, frame in plain.frames([0.5], False)]
 
     def camera_at(at):
         return plain.cameras_at([at / FPS])[0]
@@ -740,9 +736,7 @@ def test_a_scene_is_rendered_as_a_run_renders_it(device, kept):
 
 def test_a_scene_is_rendered_for_upscaling_as_a_run_renders_it(device):
     """Smaller and jittered; without upscaling as before."""
-    given = [
-        frame for _, frame, _ in Live(load_scene("plaza"), device, *SMALL, 3, 30.0, upscale=2.0).frames([0.5], False)
-    ]
+    given = [frame for _, frame in Live(load_scene("plaza"), device, *SMALL, 3, 30.0, upscale=2.0).frames([0.5], False)]
     layers = ("rendered.color", "rendered.motion", "truth")
     with running(device, scene_source) as engine:
         whole = ask(engine, 5, Setup(), layers)
@@ -965,9 +959,6 @@ class BarredClip(Clip):
 
     def rendered(self, k):
         return frames(barred=True)[k]
-
-    def packed(self, k):
-        return pack_frame(frames(barred=True)[k], H, W)
 
 
 def test_stories_of_hidden_parts(device):

@@ -135,7 +135,8 @@ class Seeker:
 
     def _submit(self, m: int, last: bool) -> None:
         source, before = self.source, self._frame
-        frame, packed = source.rendered(m), source.packed(m)
+        frame = source.rendered(m)
+        packed = frame.pack() if isinstance(frame.color, np.ndarray) else None  # else it is on the device
         if packed:
             if len(self._ring) < 3:
                 self._ring.append(DeviceFrame.allocate(self.device, source.render_size, None, None, 0.0))

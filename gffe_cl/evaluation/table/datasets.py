@@ -259,7 +259,7 @@ class _Folder(Footage):
         recorded = Recorded(self._sequence, self._device, "off" if is_off else None, 0.0 if is_off else self.upscale)
         truths = truths_after(self._sequence)
         before = None
-        for entry, frame, _ in recorded.frames([], strict=False):
+        for entry, frame in recorded.frames([], strict=False):
             if before is not None:
                 yield self._shot(*before, None if frame.reset else frame, truths, shown)
             before = entry, frame

@@ -179,9 +179,6 @@ class SceneSource(FrameSource):
             self._frames.windows.observe(made.rows)
         return replace(made.frame, reset=before is None)
 
-    def packed(self, k):
-        return None
-
     def truth(self, k, alpha):
         camera = self.camera(k, alpha)
         key = (k, alpha, *_bits(camera))

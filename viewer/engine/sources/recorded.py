@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.core.errors import GffeError, printable
-from gffe_cl.frame.rendered_frame import PackedFrame, RenderedFrame, pack_frame
+from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline.run import alphas_for
 from gffe_cl.pipeline.source import Recorded
@@ -84,10 +84,10 @@ class RecordedSource(Recorded, FrameSource):
         return self.resets[bisect_right(self.resets, k) - 1]
 
     def rendered(self, k):
-        return self._frame(k)[0]
-
-    def packed(self, k):
-        return self._frame(k)[1]
+        made = self._cache.get(("shown", k), lambda: self._shown(k)) if self._cut else self._as_rendered(k)
+        following = [(k + i) % self.count for i in range(1, _AHEAD + 1)]
+        self._cache.ahead("rendered", {("rendered", m): lambda m=m: self._read(m) for m in following})
+        return made
 
     def camera(self, k, alpha):
         cameras = self.cameras_at([self.time(k, new) for new in self._alphas])
@@ -115,28 +115,20 @@ class RecordedSource(Recorded, FrameSource):
     def close(self):
         self._cache.close()
 
-    def _frame(self, k: int) -> tuple[RenderedFrame, PackedFrame]:
-        made = self._cache.get(("shown", k), lambda: self._shown(k)) if self._cut else self._as_rendered(k)
-        following = [(k + i) % self.count for i in range(1, _AHEAD + 1)]
-        self._cache.ahead("rendered", {("rendered", m): lambda m=m: self._read(m) for m in following})
-        return made
-
-    def _as_rendered(self, k: int) -> tuple[RenderedFrame, PackedFrame]:
+    def _as_rendered(self, k: int) -> RenderedFrame:
         return self._cache.get(("rendered", k), lambda: self._read(k))
 
-    def _read(self, k: int) -> tuple[RenderedFrame, PackedFrame]:
-        frame = self.sequence.read(self._entries[k])
-        packed = pack_frame(frame, *np.shape(frame.depth))
-        motion = None if frame.motion is None else packed.motion
-        return replace(frame, color=packed.color, depth=packed.depth, motion=motion), packed
+    def _read(self, k: int) -> RenderedFrame:
+        return self.sequence.read(self._entries[k]).packed_only()
 
-    def _shown(self, k: int) -> tuple[RenderedFrame, PackedFrame]:
+    def _shown(self, k: int) -> RenderedFrame:
         """The display part; bad pixels are those of the whole."""
-        frame, packed = self._as_rendered(k)
+        frame = self._as_rendered(k)
         entry = self._entries[max(k - 1, 0)]
         before = replace(frame, camera=entry.render_camera, display_camera=entry.display_camera)
         shown = present(frame, before, size=self.render_size, device=self._device)
-        return shown, replace(pack_frame(shown, self.height, self.width), bad=packed.bad)
+        shown.pack().bad = frame.pack().bad
+        return shown
 
 
 class _ReadAhead:
@@ -172,7 +164,8 @@ class _ReadAhead:
         self._pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _nbytes(value: np.ndarray | tuple[RenderedFrame, PackedFrame]) -> int:
+def _nbytes(value: np.ndarray | RenderedFrame) -> int:
     if isinstance(value, np.ndarray):
         return value.nbytes
-    return sum(array.nbytes for array in (value[1].color, value[1].depth, value[1].motion))
+    packed = value.pack()
+    return sum(array.nbytes for array in (packed.color, packed.depth, packed.motion))

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.rendered_frame import PackedFrame, RenderedFrame
+from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.viewer.engine.explain.motion_trail import REMEMBERED
 
 CACHE_BYTES = 512 << 20  # of frames that a source keeps
@@ -65,9 +65,6 @@ class FrameSource(Protocol):
 
     def rendered(self, k: int) -> RenderedFrame:
         """Frame `k`, of host arrays or device buffers. Raises GffeError."""
-
-    def packed(self, k: int) -> PackedFrame | None:
-        """`pack_frame` of frame `k`; None where `rendered` gives device buffers."""
 
     def camera(self, k: int, alpha: float) -> Camera | None:
         """Display camera at `time(k, alpha)`, if it and those of the other new frames of the interval are known."""
