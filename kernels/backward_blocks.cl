@@ -51,7 +51,9 @@ INLINE Box reach_of_pixels(const Fragments f, const int x0, const int y0) {
             const int src = src_y * f.width + src_x;
             const float3 here = position_of(f.target_position, src, f.plane);
             if (!may_land(f, here)) continue;
-            const float2 half_size = footprint(flow_at(f, src));
+            Flow flow;
+            flow_at(f, src, &flow);
+            const float2 half_size = footprint(flow);
             box.x0 = fmin(box.x0, here.x - half_size.x);
             box.y0 = fmin(box.y0, here.y - half_size.y);
             box.x1 = fmax(box.x1, here.x + half_size.x);

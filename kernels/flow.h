@@ -42,26 +42,25 @@ INLINE float3 slope(const Fragments f, const int src, const int step, const bool
     return count == 2.0f ? sum * 0.5f : sum;
 }
 
-/* From the linked neighbours; along a direction without any, what depth alone explains. */
-INLINE Flow flow_at(const Fragments f, const int src) {
+/* From the linked neighbours; along a direction without any, what depth alone explains. Given back by pointer: Oclgrind does not know
+   what inlining makes of returned structs. */
+INLINE void flow_at(const Fragments f, const int src, Flow *flow) {
     const float3 here = position_of(f.target_position, src, f.plane);
     const int bits = f.links[src];
-    Flow flow;
     bool linked_x, linked_y;
-    flow.ddx = slope(f, src, 1, bits & LINK_RIGHT, bits & LINK_LEFT, &linked_x);
-    flow.ddy = slope(f, src, f.width, bits & LINK_DOWN, bits & LINK_UP, &linked_y);
+    flow->ddx = slope(f, src, 1, bits & LINK_RIGHT, bits & LINK_LEFT, &linked_x);
+    flow->ddy = slope(f, src, f.width, bits & LINK_DOWN, bits & LINK_UP, &linked_y);
     const float nearer = isinf(here.z) ? 1.0f : divide(f.depth[src], here.z);
     const float scale_x = f.zoom.x * nearer, scale_y = f.zoom.y * nearer;
     const float most = STRETCH_MOST * fmax(scale_x, scale_y);
-    if (!linked_x || fabs(flow.ddx.x) > most || fabs(flow.ddx.y) > most) flow.ddx = (float3)(scale_x, 0.0f, 0.0f);
-    if (!linked_y || fabs(flow.ddy.x) > most || fabs(flow.ddy.y) > most) flow.ddy = (float3)(0.0f, scale_y, 0.0f);
-    flow.det = flow.ddx.x * flow.ddy.y - flow.ddy.x * flow.ddx.y;
-    if (!(flow.det > 0.02f * scale_x * scale_y)) {  /* folded or edge-on: the neighbours say nothing about the footprint */
-        flow.ddx = (float3)(scale_x, 0.0f, 0.0f);
-        flow.ddy = (float3)(0.0f, scale_y, 0.0f);
-        flow.det = scale_x * scale_y;
+    if (!linked_x || fabs(flow->ddx.x) > most || fabs(flow->ddx.y) > most) flow->ddx = (float3)(scale_x, 0.0f, 0.0f);
+    if (!linked_y || fabs(flow->ddy.x) > most || fabs(flow->ddy.y) > most) flow->ddy = (float3)(0.0f, scale_y, 0.0f);
+    flow->det = flow->ddx.x * flow->ddy.y - flow->ddy.x * flow->ddx.y;
+    if (!(flow->det > 0.02f * scale_x * scale_y)) {  /* folded or edge-on: the neighbours say nothing about the footprint */
+        flow->ddx = (float3)(scale_x, 0.0f, 0.0f);
+        flow->ddy = (float3)(0.0f, scale_y, 0.0f);
+        flow->det = scale_x * scale_y;
     }
-    return flow;
 }
 
 /* Source px, times the determinant, that correspond to (x, y) target px. */

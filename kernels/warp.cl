@@ -45,7 +45,8 @@ INLINE void splat_fragment(const Fragments from, const Winners to, const int src
     if (inside(own_x, own_y, width, height)) offer(pass, to.keys, to.winners, own_y * width + own_x, here.z, (uint)src);
     if (!crack_closing) return;
 
-    const Flow flow = flow_at(from, src);
+    Flow flow;
+    flow_at(from, src, &flow);
     const float2 half_size = footprint(flow) + 0.51f;  /* to pixel centres, and a little for rounding */
     const int x0 = max((int)ceil(here.x - half_size.x), 0), x1 = min((int)floor(here.x + half_size.x - 1.0f), width - 1);
     const int y0 = max((int)ceil(here.y - half_size.y), 0), y1 = min((int)floor(here.y + half_size.y - 1.0f), height - 1);
@@ -217,7 +218,8 @@ INLINE void resolve_pixel(const Fragments from, const Rendered shown, const Winn
     }
     const int src_x = src % from.width, src_y = src / from.width;
     const float3 here = position_of(from.target_position, src, from.plane);
-    const Flow flow = flow_at(from, src);
+    Flow flow;
+    flow_at(from, src, &flow);
     const float2 centre = pixel_centre(dst_x, dst_y);
     const float2 offset = source_offset(flow, centre.x - here.x, centre.y - here.y);
     const float2 exact = (float2)(divide(offset.x, flow.det), divide(offset.y, flow.det));
@@ -382,7 +384,7 @@ INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewF
     Places places;
     find_places(src, from.width + 1, from.plane, &places);
 
-    Positions at;  /* given back by pointer: Oclgrind does not know what inlining makes of returned structs */
+    Positions at;
     load_positions(from, places, &at);
     WideFlow f;
     Ints done = won.use;
