@@ -31,7 +31,7 @@ def kernels(gui: Gui):
     gui.frames(2)
     before = gui.picture()
     end = "    return done;\n"  # of what makes most pixels
-    darken = "vstore_half4_rte(0.25f * vload_half4(dst + k, out_color), dst + k, out_color);\n"
+    darken = "vstore_half4_rte(0.25f * vload_half4(dst + k, to.color), dst + k, to.color);\n"
     assert text.count(end) == 1
     darker = text.replace(end, f"    for (int k = 0; k < LANES; ++k) {darken}{end}")
     path.write_text(darker)
