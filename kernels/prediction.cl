@@ -42,7 +42,10 @@ inline float3 predicted_position(const int src_x, const int src_y, const Frame *
     const int order = frame->order;
     int known = order > 0 && f.met_depth[src] > 0.0f;
     while (known > 0 && known < order && f.history[known * plane + src].w != 0.0f) ++known;
-    const float8 weights = frame->polynomial[max(known, 1) - 1];
+    float8 weights = frame->polynomial[0];
+#pragma unroll
+    for (int k = 1; k < MAX_ORDER; ++k)  /* not every driver finds an element by a number that it does not know */
+        if (known == k + 1) weights = frame->polynomial[k];
     const float weight[MAX_ORDER] = {weights.s0, weights.s1, weights.s2, weights.s3, weights.s4};
     float3 predicted = p0;
     if (known > 0) {
