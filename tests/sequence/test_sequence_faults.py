@@ -356,16 +356,17 @@ def test_extrapolated_frames_may_coincide(folder):
 
 
 @pytest.mark.long
-def test_many_frames(folder):
-    """Opening takes the same few steps per frame however many there are, and reads no pixel."""
+def test_many_frames(folder, monkeypatch):
+    """Opening takes the same few steps per frame however many there are: a header is parsed once."""
+    parsed, real = [], exr_header._parse
+    monkeypatch.setattr(exr_header, "_parse", lambda cursor: (parsed.append(1), real(cursor))[1])
     count = 200_000
     document = json.loads((folder / "sequence.json").read_text())
     frame = next(f for f in document["frames"] if f["file"] == "frame_1.exr")
     document["frames"] = [frame | {"time": k / 30} for k in range(count)]
     (folder / "sequence.json").write_text(json.dumps(document))
-    before = time.process_time()
     sequence = open_sequence(folder)
-    assert time.process_time() - before < 20  # 8, on cores that others share; 50 if each header is parsed
+    assert len(parsed) <= 3
     assert (
         len(sequence.rendered) == count and sequence.rendered[-1].display_camera == sequence.rendered[0].render_camera
     )
