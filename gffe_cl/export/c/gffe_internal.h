@@ -166,11 +166,13 @@ gffe_status gffe_take_overlays(gffe *g);
 gffe_status gffe_compose(gffe *g, int occasion, gffe_frame *made);
 void gffe_drop_overlays(gffe *g);
 
-/* gffe_device.c */
+/* gffe_errors.c */
 /* GFFE_INVALID unless `g` was created well and `argument`, of that name, is there. */
 gffe_status gffe_need(gffe *g, const void *argument, const char *name);
 gffe_status gffe_fail(gffe *g, gffe_status status, const char *format, ...);
 gffe_status gffe_opencl_failed(gffe *g, cl_int error, const char *doing);
+
+/* gffe_device.c */
 gffe_status gffe_open(gffe *g);
 gffe_status gffe_run(gffe *g, int occasion, int part);
 
