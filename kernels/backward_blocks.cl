@@ -52,7 +52,7 @@ INLINE Box reach_of_pixels(const Fragments f, const int x0, const int y0) {
             const float3 here = position_of(f.target_position, src, f.plane);
             if (!may_land(f, here)) continue;
             Flow flow;
-            flow_at(f, src, &flow);
+            flow_at(f, src, here, &flow);
             const float2 half_size = footprint(flow);
             box.x0 = fmin(box.x0, here.x - half_size.x);
             box.y0 = fmin(box.y0, here.y - half_size.y);

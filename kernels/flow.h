@@ -24,9 +24,9 @@ typedef struct {
     float det;               /* of the 2x2 part: target px^2 per source px^2 */
 } Flow;
 
-/* Change of position from pixel to pixel, `step` apart, towards the linked neighbours `ahead` and `behind`. */
-INLINE float3 slope(const Fragments f, const int src, const int step, const bool ahead, const bool behind, bool *linked) {
-    const float3 here = position_of(f.target_position, src, f.plane);
+/* Change of position from `here` to the linked neighbours `ahead` and `behind`, `step` apart. */
+INLINE float3 slope(const Fragments f, const int src, const float3 here, const int step, const bool ahead, const bool behind,
+                    bool *linked) {
     float3 sum = (float3)(0.0f);
     float count = 0.0f;
     if (ahead) {
@@ -44,12 +44,11 @@ INLINE float3 slope(const Fragments f, const int src, const int step, const bool
 
 /* From the linked neighbours; along a direction without any, what depth alone explains. Given back by pointer: Oclgrind does not know
    what inlining makes of returned structs. */
-INLINE void flow_at(const Fragments f, const int src, Flow *flow) {
-    const float3 here = position_of(f.target_position, src, f.plane);
+INLINE void flow_at(const Fragments f, const int src, const float3 here, Flow *flow) {
     const int bits = f.links[src];
     bool linked_x, linked_y;
-    flow->ddx = slope(f, src, 1, bits & LINK_RIGHT, bits & LINK_LEFT, &linked_x);
-    flow->ddy = slope(f, src, f.width, bits & LINK_DOWN, bits & LINK_UP, &linked_y);
+    flow->ddx = slope(f, src, here, 1, bits & LINK_RIGHT, bits & LINK_LEFT, &linked_x);
+    flow->ddy = slope(f, src, here, f.width, bits & LINK_DOWN, bits & LINK_UP, &linked_y);
     const float nearer = isinf(here.z) ? 1.0f : divide(f.depth[src], here.z);
     const float scale_x = f.zoom.x * nearer, scale_y = f.zoom.y * nearer;
     const float most = STRETCH_MOST * fmax(scale_x, scale_y);

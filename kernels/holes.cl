@@ -364,8 +364,8 @@ inline void fill_between_texels(const int dst_x, const int dst_y, const Tile til
     fill_pixel(dst_x, dst_y, mean, frame, f);
 }
 
-/* Does something with the pixels of a row from first_x to end_x that are to be filled: `fills` them, or asks for the texels that
-   they need. */
+/* The pixels of a row from first_x to end_x that are to be filled: `fills` them, else marks the texels that they need as asked
+   for. */
 inline void fill_or_ask(const bool fills, const int first_x, const int end_x, const int dst_y, const Tile tile, const Frame *frame,
                         const Images f) {
     for (int run_x = first_x; run_x < end_x; run_x += RUN) {

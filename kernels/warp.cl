@@ -15,13 +15,13 @@
 #define MOVES_AWAY 1.0f          /* px: a nearer neighbour that deviates more uncovers what it was mixed with */
 #define NEARER 0.97f
 
-/* Whom fragments are offered to: nearest.h. */
+/* The nearest fragment of each target pixel so far: nearest.h. */
 typedef struct {
     __global Key *keys;
     __global uint *winners;
 } Winners;
 
-/* Of the rendered frame, what fragments bring along. */
+/* Images of the rendered frame that its fragments bring along. */
 typedef struct {
     __global const half *color;
     __global const uchar *dynamic_mask;
@@ -46,7 +46,7 @@ INLINE void splat_fragment(const Fragments from, const Winners to, const int src
     if (!crack_closing) return;
 
     Flow flow;
-    flow_at(from, src, &flow);
+    flow_at(from, src, here, &flow);
     const float2 half_size = footprint(flow) + 0.51f;  /* to pixel centres, and a little for rounding */
     const int x0 = max((int)ceil(here.x - half_size.x), 0), x1 = min((int)floor(here.x + half_size.x - 1.0f), width - 1);
     const int y0 = max((int)ceil(here.y - half_size.y), 0), y1 = min((int)floor(here.y + half_size.y - 1.0f), height - 1);
@@ -219,7 +219,7 @@ INLINE void resolve_pixel(const Fragments from, const Rendered shown, const Winn
     const int src_x = src % from.width, src_y = src / from.width;
     const float3 here = position_of(from.target_position, src, from.plane);
     Flow flow;
-    flow_at(from, src, &flow);
+    flow_at(from, src, here, &flow);
     const float2 centre = pixel_centre(dst_x, dst_y);
     const float2 offset = source_offset(flow, centre.x - here.x, centre.y - here.y);
     const float2 exact = (float2)(divide(offset.x, flow.det), divide(offset.y, flow.det));

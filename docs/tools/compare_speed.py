@@ -158,11 +158,9 @@ def called(version: str) -> str:
 
 def store(footage, folder: Path) -> None:
     """Put footage where both versions find it."""
-    from gffe_cl.frame.rendered_frame import pack_frame
-
     folder.mkdir()
     for k, frame in enumerate(footage.frames):
-        packed = pack_frame(frame, footage.height, footage.width)
+        packed = frame.pack()
         for name in ("color", "depth", "motion"):
             np.save(folder / f"{name}_{k}.npy", getattr(packed, name))
 

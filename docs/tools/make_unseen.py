@@ -17,9 +17,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+from pages import REPOSITORY
 from unseen.recording import record
 
-ROOT = Path(__file__).resolve().parents[2]
 # Name → module and class of its generator.
 SEQUENCES = {
     "panda_environment": ("unseen.panda_environment", "PandaEnvironment"),
@@ -47,7 +47,7 @@ def measure(out: Path, path: Path, label: str) -> None:
     subprocess.run(command, check=True)
     results = json.loads((report / "results.json").read_text("utf-8"))
     commit = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, check=True, capture_output=True, text=True
+        ["git", "rev-parse", "--short", "HEAD"], cwd=REPOSITORY, check=True, capture_output=True, text=True
     )
     found = {"label": label, "commit": commit.stdout.strip()} | {
         key: results[key] for key in ("date", "machine", "methods")

@@ -37,8 +37,10 @@ _SMALL = 4096  # bytes of a buffer that may hold something from the start
 
 @dataclass(frozen=True)
 class Given:
-    """An argument of a launch: the name of a `buffer`, the bytes of a `constant`, or the frame block."""
+    """An argument of a launch, by its `name` there: the name of a `buffer`, the bytes of a `constant`, or the frame
+    block."""
 
+    name: str
     buffer: str | None = None
     constant: bytes | None = None
     is_frame_block: bool = False
@@ -90,11 +92,11 @@ class _Tape:
         for argument in stage.program.arguments[kernel.name]:
             value = argument.packed(values[argument.name])
             if isinstance(value, cl.Buffer):
-                arguments.append(Given(buffer=self._name(value)))
+                arguments.append(Given(argument.name, buffer=self._name(value)))
             elif argument.type == "Frame":
-                arguments.append(Given(is_frame_block=True))
+                arguments.append(Given(argument.name, is_frame_block=True))
             else:
-                arguments.append(Given(constant=np.asarray(value).tobytes()))
+                arguments.append(Given(argument.name, constant=np.asarray(value).tobytes()))
         self.operations.append(Operation("LAUNCH", stage.name, kernel.name, grid, tuple(arguments)))
 
     def filled(self, stage: Stage, buffer: cl.Buffer, byte: int, grid: str) -> None:
@@ -228,15 +230,23 @@ def _agreed(takes: list[list[Operation]], rehearsals: list[_Rehearsal]) -> list[
         has = set(rehearsal.tape.names.values())
         expected = [operation for operation in whole if operation.buffers() <= has]
         if take != expected:
-            taken, wanted = Counter(take), Counter(expected)
-            differ = dict.fromkeys(
-                f"{o.stage}.{o.kernel or o.kind.lower()}" for o in (taken - wanted) + (wanted - taken)
-            )
             raise GffeError(
-                f"export: what is launched depends on the image or the frame ({', '.join(differ)}), which C does not"
-                " know (expected numbers that change to be members of the frame block, kernels/frame.h)"
+                f"export: {_difference(take, expected)} depends on the image or the frame, which C does not know"
+                " (expected numbers that change to be members of the frame block, kernels/frame.h)"
             )
     return whole
+
+
+def _difference(take: list[Operation], expected: list[Operation]) -> str:
+    """Where two lists differ: operations that only one of them has; else an argument."""
+    taken, wanted = ([replace(operation, arguments=()) for operation in each] for each in (take, expected))
+    if taken != wanted:
+        taken, wanted = Counter(taken), Counter(wanted)
+        only = (taken - wanted) + (wanted - taken)
+        return ", ".join(dict.fromkeys(f"{o.stage}.{o.kernel or o.kind.lower()}" for o in only))
+    made, other = next(pair for pair in zip(take, expected, strict=True) if pair[0] != pair[1])
+    name = next(a.name for a, b in zip(made.arguments, other.arguments, strict=True) if a != b)
+    return f"kernels/{made.stage}.cl, {made.kernel}: argument '{name}'"
 
 
 def _initial(rehearsal: _Rehearsal) -> dict[str, bytes]:

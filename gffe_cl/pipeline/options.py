@@ -137,8 +137,9 @@ class Options:
         low=1, high=MAX_ORDER, flag="--order",
     )  # fmt: skip
     camera_fixed: bool = _option(
-        True, "fixed to the camera", "What stays where it is in view space, such as dashboards and weapons, moves with"
-        " the camera; off: it is predicted in world space, as in the paper.", flag="--no-camera-fixed", needs="motion",
+        True, "fixed to the camera", "Fragments that keep their place in view space, such as dashboards and weapons,"
+        " move with the camera; off: they are predicted in world space, as in the paper.", flag="--no-camera-fixed",
+        needs="motion",
     )  # fmt: skip
     acceleration: bool = _option(
         True, "acceleration", "Movers' paths bend on as they have, beside the linear prediction of order 1.",

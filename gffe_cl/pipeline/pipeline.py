@@ -209,7 +209,7 @@ class Pipeline:
         """
         frame = checked_frame(frame)
         if packed is not None:
-            warnings.warn("submit: packed is deprecated (frame.pack() does it)", DeprecationWarning, stacklevel=2)
+            warnings.warn("submit: packed is deprecated (frame.pack() does it)", DeprecationWarning, stacklevel=3)
             frame._packed = require_kind(packed, PackedFrame, "submit: packed", "the result of pack_frame")
         if self._times and not frame.reset and frame.time <= self._times[0]:
             raise GffeError(

@@ -12,7 +12,7 @@ import pyopencl as cl
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec, aligned
-from gffe_cl.stages.history import DYNAMIC
+from gffe_cl.stages.history import DYNAMIC_PIXELS
 from gffe_cl.stages.pixel_formats import TRUSTED
 
 _CELLS = f"level{constants('mover_grid.h')['MOVER_CELL'].bit_length() - 1}"
@@ -61,12 +61,12 @@ class Acceleration(Stage):
             "track_acceleration",
             _CELLS,
             {
-                "depth": Access("rendered.depth", DYNAMIC),
-                "motion": Access("rendered.motion", DYNAMIC),
+                "depth": Access("rendered.depth", DYNAMIC_PIXELS),
+                "motion": Access("rendered.motion", DYNAMIC_PIXELS),
                 "dynamic_mask": "history.dynamic_mask",
-                "met_depth": Access("history.met_depth", DYNAMIC),
-                "velocity_prev": Access("acceleration.velocity'", DYNAMIC),
-                "acceleration_prev": Access("acceleration.acceleration'", DYNAMIC),
+                "met_depth": Access("history.met_depth", DYNAMIC_PIXELS),
+                "velocity_prev": Access("acceleration.velocity'", DYNAMIC_PIXELS),
+                "acceleration_prev": Access("acceleration.acceleration'", DYNAMIC_PIXELS),
             },
             {
                 "velocity": "acceleration.velocity",

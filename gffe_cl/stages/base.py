@@ -330,8 +330,8 @@ class Stage(Owner):
         kernel = self._kernels[name]
         if self.launches is not None:
             self.launches.append((kernel, given))
-        declared = ((argument, access.buffer) for _, argument, access in kernel.accesses())
-        values = given | {name: self._buffer(buffer, given) for name, buffer in declared if name not in given}
+        declared = {argument: access.buffer for _, argument, access in kernel.accesses() if argument not in given}
+        values = given | {argument: self._buffer(buffer, given) for argument, buffer in declared.items()}
         if step is not None:
             values["frame"] = step.block(self.board)
         grid = kernel.grid.format(**given)

@@ -35,7 +35,7 @@ _HOLES, _CUTS = constants("holes.cl"), constants("scene_cuts.cl")
 DOWNSAMPLING = _HOLES["DOWNSAMPLING"]  # of hole filling as in the paper
 TILE, TILE_GROUP = _HOLES["TILE"], _HOLES["GROUP"]  # texels of it each way, and the work-items that fill from them
 CUT_SAMPLES = (_CUTS["SAMPLES_X"], _CUTS["SAMPLES_Y"])  # at most, of the rendered image
-STRIDE = constants("history.cl")["RESIDUAL_STRIDE"]  # pixels
+RESIDUAL_STRIDE = constants("history.cl")["RESIDUAL_STRIDE"]  # pixels
 BY_HOLE_FILLING, BY_NOTHING = _LABELS["BY_HOLE_FILLING"], _LABELS["BY_NOTHING"]
 BY_WARP, BY_CRACK_CLOSING = _LABELS["BY_WARP"], _LABELS["BY_CRACK_CLOSING"]
 BY_HIDDEN_PART, BY_FIXED = _LABELS["BY_HIDDEN_PART"], _LABELS["BY_FIXED"]
@@ -79,7 +79,7 @@ def texel_of(grid: str) -> tuple[int, int]:
     return {
         "downsampled": (DOWNSAMPLING, DOWNSAMPLING),
         "tiles": (TILE * DOWNSAMPLING, TILE * DOWNSAMPLING),
-        "residuals": (STRIDE, STRIDE),
+        "residuals": (RESIDUAL_STRIDE, RESIDUAL_STRIDE),
         "cells": (8, 8),
         "source_blocks": BLOCK,
         "target_blocks": BLOCK,
@@ -124,7 +124,7 @@ class BufferSpec:
     the device the channels lie one after another, each an image. `transient`: written in each `extrapolate` before it
     is read, so until the next `submit` it may lie in memory that another stage lends; `fleeting`: the same of each
     `submit`, and of no use after it. `known_where`: a buffer of the
-    same owner, perhaps on a coarser grid, and the value that it has wherever this one holds anything; elsewhere it
+    same owner, perhaps on a coarser grid, and the least value that it has where this one holds anything; elsewhere it
     reads as 0. `packing`: how it
     lies on the device, if not as `dtype` and `components` say.
     """
@@ -190,7 +190,7 @@ class BufferSpec:
         if self.packing:
             stored = self.packing.unpack(stored, x, y, texel_of(self.grid)[0])
         if self.known_where:
-            stored[..., known != self.known_where[1], :] = 0
+            stored[..., known < self.known_where[1], :] = 0
         return stored
 
     def nbytes(self, sizes: Sizes) -> int:

@@ -8,14 +8,14 @@ import numpy as np
 
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step, share_of
-from gffe_cl.stages.buffers import STRIDE, BufferSpec
+from gffe_cl.stages.buffers import RESIDUAL_STRIDE, BufferSpec
 
 _CONSTANTS = constants("history.cl")
-_SAMPLED = STRIDE**-2
-STATIC, MOVES, FIXED_TO_CAMERA = (_CONSTANTS[name] for name in ("STATIC", "DYNAMIC", "FIXED_TO_CAMERA"))
+_SAMPLED = RESIDUAL_STRIDE**-2
+STATIC, DYNAMIC, FIXED_TO_CAMERA = (_CONSTANTS[name] for name in ("STATIC", "DYNAMIC", "FIXED_TO_CAMERA"))
 
 
-DYNAMIC = share_of("dynamic", "history.dynamic_mask")
+DYNAMIC_PIXELS = share_of("dynamic", "history.dynamic_mask")
 
 
 class HistoryTracking(Stage):
@@ -30,7 +30,7 @@ class HistoryTracking(Stage):
             "source",
             "where the static test failed (M^dyn), and what is fixed to the camera",
             "label",
-            labels=((STATIC, "static"), (MOVES, "dynamic"), (FIXED_TO_CAMERA, "fixed to the camera")),
+            labels=((STATIC, "static"), (DYNAMIC, "dynamic"), (FIXED_TO_CAMERA, "fixed to the camera")),
         ),
         BufferSpec(
             "met_depth",
@@ -94,15 +94,15 @@ class HistoryTracking(Stage):
             {
                 "depth": "rendered.depth",
                 "motion": "rendered.motion",
-                "depth_prev": Access("previous.depth", DYNAMIC),
-                "dynamic_prev": Access("history.dynamic_mask'", DYNAMIC, planes=0),
-                "history_prev": Access("history.history'", DYNAMIC, planes=0),
+                "depth_prev": Access("previous.depth", DYNAMIC_PIXELS),
+                "dynamic_prev": Access("history.dynamic_mask'", DYNAMIC_PIXELS, planes=0),
+                "history_prev": Access("history.history'", DYNAMIC_PIXELS, planes=0),
                 "threshold_squared": "history.static_threshold_squared",
             },
             {
                 "dynamic_mask": "history.dynamic_mask",
-                "met_depth": Access("history.met_depth", DYNAMIC),
-                "history": Access("history.history", DYNAMIC),
+                "met_depth": Access("history.met_depth", DYNAMIC_PIXELS),
+                "history": Access("history.history", DYNAMIC_PIXELS),
             },
             step=("LANES", 1),
         ),

@@ -10,7 +10,7 @@ from gffe_cl.opencl.program import constants
 from gffe_cl.stages.acceleration import Acceleration
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
-from gffe_cl.stages.history import DYNAMIC
+from gffe_cl.stages.history import DYNAMIC_PIXELS
 
 NOWHERE = constants("prediction.cl")["NOWHERE"]  # px
 
@@ -38,12 +38,12 @@ class PositionPrediction(Stage):
             "source",
             {
                 "depth": "rendered.depth",
-                "motion": Access("rendered.motion", DYNAMIC),
+                "motion": Access("rendered.motion", DYNAMIC_PIXELS),
                 "dynamic_mask": "history.dynamic_mask",
-                "met_depth": Access("history.met_depth", DYNAMIC),
-                "history": Access("history.history", DYNAMIC),
-                "velocity": Access("acceleration.velocity", DYNAMIC),
-                "bend": Access("acceleration.bend", DYNAMIC),
+                "met_depth": Access("history.met_depth", DYNAMIC_PIXELS),
+                "history": Access("history.history", DYNAMIC_PIXELS),
+                "velocity": Access("acceleration.velocity", DYNAMIC_PIXELS),
+                "bend": Access("acceleration.bend", DYNAMIC_PIXELS),
             },
             {"target_position": "prediction.target_position"},
             step=("LANES", 1),

@@ -102,7 +102,7 @@ def present(
         if not isinstance(array, np.ndarray):
             raise GffeError("present: expected NumPy arrays (in a pipeline: Pipeline.present)")
     render_size = _size_of(frame)
-    packed = replace(frame, reset=frame.reset or previous is None).pack()
+    packed = (frame if frame.reset or previous is not None else replace(frame, reset=True)).pack()
     size = render_size if size is None else require_size(size, "present: size", whole=True)
     if device is not None:
         require_kind(device, Device, "present: device", "a Device or None")

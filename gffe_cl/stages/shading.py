@@ -8,7 +8,7 @@ import pyopencl as cl
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
-from gffe_cl.stages.history import DYNAMIC
+from gffe_cl.stages.history import DYNAMIC_PIXELS
 
 _CONSTANTS = constants("shading.cl")
 FOCUS_SMAPE, SMAPE_EPSILON = _CONSTANTS["FOCUS_SMAPE"], _CONSTANTS["SMAPE_EPSILON"]
@@ -17,10 +17,10 @@ FOCUS_SMAPE, SMAPE_EPSILON = _CONSTANTS["FOCUS_SMAPE"], _CONSTANTS["SMAPE_EPSILO
 SEEN = {
     "color": "frame.color",
     "depth": "frame.depth",
-    "out_motion": Access("frame.motion", DYNAMIC),
+    "out_motion": Access("frame.motion", DYNAMIC_PIXELS),
     "is_dynamic": "frame.dynamic",
     "disoccluded": "frame.disoccluded",
-    "motion": Access("rendered.motion", DYNAMIC),
+    "motion": Access("rendered.motion", DYNAMIC_PIXELS),
     "color_prev": "previous.color",
     "depth_prev": "previous.depth",
 }

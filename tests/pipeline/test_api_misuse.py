@@ -342,6 +342,17 @@ def bits(pipeline):
     return [made.numpy(name).tobytes() for name in ("color", "depth", "motion", "filled_by")]
 
 
+@pytest.mark.device
+def test_packed_beside_a_frame_is_deprecated(device):
+    """It still works, and the warning names the line of the caller."""
+    frame = next(frames())
+    pipeline = Pipeline(device, W, H, Options(shading_correction=False))
+    with pytest.warns(DeprecationWarning, match=r"packed is deprecated \(frame\.pack\(\) does it\)") as told:
+        pipeline.submit(frame, gffe_cl.pack_frame(frame, H, W))
+    assert told[0].filename == __file__
+    assert (pipeline.present().numpy("depth") == frame.depth).all()
+
+
 def test_misuse_leaves_a_pipeline_that_works(device):
     pipeline = Pipeline(device, W, H, Options(shading_correction=False))
     right = bits(pipeline)

@@ -174,12 +174,13 @@ def test_what_is_fixed_to_the_camera_stays(device, camera_fixed):
         color, depth, motion = (np.array(a) for a in (shown.color, shown.depth, shown.motion))
         color[board], depth[board], motion[board] = pattern[board], 0.8, 0
         pipeline.submit(RenderedFrame(color, depth, motion, now, k / 30, reset=k == 0))
-    labels = pipeline.stages["history"].read("dynamic_mask")[board]
+    labels, met = (pipeline.stages["history"].read(name)[board] for name in ("dynamic_mask", "met_depth"))
     out = pipeline.extrapolate(camera(W, H, (0.05, 0.03, 1.0)), 2.5 / 30)
     color, depth, motion, dynamic = (out.numpy(name)[board][1:] for name in ("color", "depth", "motion", "dynamic"))
     same = (color[..., :3] == pattern[board][1:]).all(-1) & (depth == np.float32(0.8))  # but for its soft upper edge
     if camera_fixed:
-        assert (labels == 2).all() and same.all() and (dynamic == 1).all() and not motion.any()
+        assert (labels == 2).all() and (met == np.float32(0.8)).all()
+        assert same.all() and (dynamic == 1).all() and not motion.any()
     else:
         assert (labels == 1).mean() > 0.9 and same.mean() < 0.5
 

@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 import gffe_cl as gffe
+from gffe_cl.evaluation.metrics import linear_values
 
 
 @dataclass
@@ -61,16 +62,7 @@ def record(generator: Generator, folder: Path, progress=lambda done: None) -> No
 
 def linear_from_bytes(display: np.ndarray) -> np.ndarray:
     """Return linear color of 8-bit sRGB values."""
-    value = np.arange(256) / 255
-    table = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    return table.astype(np.float32)[display]
-
-
-def bytes_from_linear(color: np.ndarray) -> np.ndarray:
-    """Return 8-bit sRGB values of linear color."""
-    value = np.clip(color, 0, 1)
-    value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
-    return np.round(255 * value).astype(np.uint8)
+    return linear_values(np.arange(256) / 255)[display]
 
 
 def with_sky(depth: np.ndarray, motion: np.ndarray, camera: gffe.Camera, previous: gffe.Camera | None):
