@@ -47,8 +47,8 @@ class Repair:
             reset = place == 0 or index in self._cuts or (entry.reset and index != 0)
             frame = self._geometry(index, time, reset)
             made = self._with_motion(frame, index, self._order[place - 1], None if reset else before)
-            shown = made.display_camera or made.camera
-            yield replace(entry, time=time, reset=reset, render_camera=made.camera, display_camera=shown), made
+            cameras = {"render_camera": made.camera, "display_camera": made.shown_camera}
+            yield replace(entry, time=time, reset=reset, **cameras), made
             before = made
 
     def camera(self, camera: Camera) -> Camera:

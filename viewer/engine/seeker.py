@@ -157,7 +157,7 @@ class Seeker:
         pixels = packed or frame
         self.passed.appendleft(
             Passed(
-                m, frame.camera, frame.display_camera or frame.camera, source.render_size, pixels.depth, pixels.motion,
+                m, frame.camera, frame.shown_camera, source.render_size, pixels.depth, pixels.motion,
                 self._before is None,
             )
         )  # fmt: skip
