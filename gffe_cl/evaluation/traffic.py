@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gffe_cl.inference.network import MULTIPLE
+from gffe_cl.inference.model_interface import MULTIPLE
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.stages.base import Kernel, Share, share_of
 

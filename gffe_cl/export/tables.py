@@ -12,7 +12,7 @@ from gffe_cl.core.errors import GffeError
 from gffe_cl.export.recording import MOST_PIXELS, Given, Operation, Plan
 from gffe_cl.frame import camera, camera_prediction, window
 from gffe_cl.frame.rendered_frame import BYTES_PER_PIXEL, OVERLAYS, SAME_POSE
-from gffe_cl.inference.network import MULTIPLE
+from gffe_cl.inference.model_interface import MULTIPLE
 from gffe_cl.opencl.probing import DIVISION_SOURCE, INT64_SOURCE
 from gffe_cl.opencl.program import expand
 from gffe_cl.pipeline.options import Options

@@ -6,7 +6,8 @@ import hashlib
 
 import numpy as np
 
-from gffe_cl.inference.network import OUTPUT_PLANES, NetworkError, default_model, load_network
+from gffe_cl.inference.model_interface import OUTPUT_PLANES
+from gffe_cl.inference.network import NetworkError, default_model, load_network
 from gffe_cl.inference.provider_check import verdict
 from gffe_cl.inference.providers import CPU, installed_providers
 from gffe_cl.selftest.reference import Reference, recorded

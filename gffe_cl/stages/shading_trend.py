@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.inference.network import TREND_PLANES
+from gffe_cl.inference.model_interface import TREND_PLANES
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
