@@ -28,11 +28,12 @@ def still_tiles(frames: np.ndarray) -> np.ndarray:
 
 # Beside those by which stages declare: where the network changes the frame, and its tiles that it could leave out.
 FOCUS = share_of("focus", "correction.focus_mask")
-STILL_TILES = share_of("still tiles", "correction.frames", still_tiles)
+STILL_TILES = share_of("still tiles", "network_input.frames", still_tiles)
 
 # Parts by stage.
 SCN = {
-    "shading_trend": "SCN, trend", "shading": "SCN, inputs", "correction": "SCN, kernels", "network": "SCN, network",
+    "shading_trend": "SCN, trend", "shading": "SCN, inputs", "network_input": "SCN, inputs",
+    "shading_flow": "SCN, flow", "correction": "SCN, kernels", "network": "SCN, network",
     "network copies": "SCN, copies",
 }  # fmt: skip
 UPSCALING = ("upscaling", "sharpening")
@@ -43,12 +44,10 @@ def group(stage: str) -> str:
     return "SCN" if stage in SCN else "upscaling" if stage in UPSCALING else "GAE"
 
 
-def part(stage: str, when: str, kernel: str) -> str:
+def part(stage: str, when: str) -> str:
     """What the work of a stage after `submit` ("rendered") or in `extrapolate` ("extrapolated") is called in tables."""
     if stage == "background":
         return f"background, {'collection' if when == 'rendered' else 'projection'}"
-    if stage == "correction" and kernel != "correct":
-        return SCN["shading"]
     return SCN.get(stage, stage)
 
 
