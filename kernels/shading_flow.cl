@@ -9,10 +9,10 @@
 
 #define FLOW_LEVELS 3
 #define FLOW_STEPS 2
-#define FLAT 1e-4f        /* squared gradient of encoded colour below which nothing moves */
+#define FLAT 0.0001f      /* squared gradient of encoded colour below which nothing moves */
 #define LONGEST 2.0f      /* pixels of a step */
-#define LITTLE 1e-4f      /* squared change of encoded colour */
-#define LEAST 1e-6f       /* squared difference of encoded colour */
+#define LITTLE 0.0001f    /* squared change of encoded colour */
+#define LEAST 0.000001f    /* squared difference of encoded colour */
 #define GAIN 4.0f         /* of what the network is given */
 #define THIRD 0.33333334f
 #define PRODUCTS 5
