@@ -17,6 +17,7 @@ import pyopencl as cl
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import OVERLAYS
+from gffe_cl.inference.network import default_model, load_network
 from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import stages_of
@@ -132,7 +133,9 @@ class _Rehearsal:
         for stage in self.all.values():
             stage.recorder = self.tape
         if correction := self.stages.get(ShadingCorrection.name):
-            correction.infer = lambda alpha: self.tape.network(correction)
+            correction.infer = lambda: self.tape.network(correction)
+            if options.scn_model or default_model():
+                correction.upload("head", load_network(options.scn_model).head)
 
     def perform(self, number: int, first: bool) -> dict[str, list[Operation]]:
         """What is enqueued on each occasion, in one set of circumstances."""

@@ -230,10 +230,12 @@ def _part(operation: Operation, occasion: str, plan: Plan) -> str:
 
 def _grid(name: str) -> tuple[str, int]:
     """The C name of a grid of `BufferSpec`, and its level or number of levels; gffe_values.c has its size."""
-    if name not in _GRIDS and (found := re.fullmatch(r"(levels|level|mip)(\d+)", name)):
+    if name not in _GRIDS and (found := re.fullmatch(r"(levels|level|mip|network)(\d+)", name)):
         return f"GFFE_{found[1].upper()}", int(found[2])
     if name not in _GRIDS:
-        raise GffeError(f"export: C does not know the grid '{name}' (expected {', '.join(_GRIDS)}, level0, mip1 …)")
+        raise GffeError(
+            f"export: C does not know the grid '{name}' (expected {', '.join(_GRIDS)}, level0, mip1, network1 …)"
+        )
     return f"GFFE_{name.upper()}", 0
 
 

@@ -23,7 +23,7 @@ from gffe_cl.scn.images import double, halve, warp
 from gffe_cl.stages.mu_law import HEADROOM, MU
 
 FOCUS_THRESHOLD = 1 / 32  # a smaller M is 0
-_CHANNELS = (24, 32, 48, 64)  # at 1/4 … 1/32 of the display
+_CHANNELS = (16, 32, 48, 64)  # at 1/4 … 1/32 of the display
 _SEEN = 16  # channels of what is seen of the frames themselves, at a quarter
 _JUDGED = 4  # channels of the judgement before the detail
 _DOUBT = 0.1
@@ -61,17 +61,18 @@ class Convolutions(nn.Module):
         self.encoder = nn.ModuleList([_conv(_SEEN + CANDIDATE_PLANES, _CHANNELS[0])])
         for i, o in zip(_CHANNELS[:-1], _CHANNELS[1:], strict=True):
             self.encoder.append(nn.Sequential(_conv(i, o, 2), _conv(o, o)))
-        pairs = zip(_CHANNELS[1:], _CHANNELS[:-1], strict=True)
-        self.decoder = nn.ModuleList(_conv(coarse + fine, fine) for coarse, fine in pairs)  # finest first, as above
-        self.out = nn.Conv2d(_CHANNELS[0], JUDGEMENT_PLANES, 3, 1, 1)
+        pairs = list(zip(_CHANNELS[1:], _CHANNELS[:-1], strict=True))  # finest first, as above
+        self.narrow = nn.ModuleList(_conv(coarse, fine, size=1) for coarse, fine in pairs)
+        self.decoder = nn.ModuleList(_conv(2 * fine, fine) for _, fine in pairs)
+        self.out = nn.Conv2d(_CHANNELS[0], JUDGEMENT_PLANES, 1)
 
     def forward(self, frames: Tensor, candidates: Tensor) -> Tensor:
         features = [torch.cat((self.seen(frames), candidates), 1)]
         for level in self.encoder:
             features.append(level(features[-1]))
         result = features.pop()
-        for level in reversed(self.decoder):
-            result = level(torch.cat((double(result), features.pop()), 1))
+        for narrow, level in zip(reversed(self.narrow), reversed(self.decoder), strict=True):
+            result = level(torch.cat((double(narrow(result)), features.pop()), 1))
         return self.out(result)
 
 

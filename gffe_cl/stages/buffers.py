@@ -119,13 +119,13 @@ def lies_on_source(grid: str) -> bool:
 class BufferSpec:
     """One named buffer.
 
-    `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "downsampled"
-    (target / 32, rounded up), "source_blocks" and "target_blocks" (blocks of 8×4), "level0" … (source / 2^l, rounded
-    up), "levels1" … (so many of these one after another), "mip1" … (target / 2^l, rounded up), "network" (target / 2,
-    rounded up to multiples of 16), "network1" … "network4" (that / 2^l), "cells" (source / 8, rounded up) or "once" (no image). Some kernels have grids of
-    their own: "residuals" (source / 4, rounded up), "tiles" (a work-group for each 4×4 texels of "downsampled") and
-    "cut_samples" (so many of the rendered image). `components` name its
-    channels; a single one goes without.
+    `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "downsampled" (target /
+    32, rounded up), "source_blocks" and "target_blocks" (blocks of 8×4), "level0" … (source / 2^l, rounded up),
+    "levels1" … (so many of these one after another), "mip1" … (target / 2^l, rounded up), "network" (target / 2,
+    rounded up to multiples of 16), "network1" … "network4" (that / 2^l), "cells" (source / 8, rounded up) or "once" (no
+    image). Some kernels have grids of their own: "residuals" (source / 4, rounded up), "tiles" (a work-group for each
+    4×4 texels of "downsampled") and "cut_samples" (so many of the rendered image). `components` name its channels; a
+    single one goes without.
     `view` says what it means, and so how to show it: "color" (linear RGB), "depth" (view z), "motion" (pixels, from
     here), "place" (position in pixels), "world" (position in the view space of the rendered camera), "mask" (0 or 1),
     "label" (`labels` name its values), "scalar". `mapped`: the host works in it. `kept`: that of the frame before is

@@ -225,10 +225,10 @@ def test_shading_correction(gffe, scene, tmp_path):
             assert np.array_equal(none[same], some[same]) and np.array_equal(none[same], whole[same])
     assert np.array_equal(images["none"][0]["G"], images["all"][0]["G"])  # nothing before it
     dumped = {path.name for path in (tmp_path / "some" / "stages" / "extrapolated_000002_0500").iterdir()}
-    names = ("frames", "correction", "refined", "focus_mask", "color")
-    assert dumped >= {"warp.color.exr", "shading.input_mask.exr", *(f"correction.{name}.exr" for name in names)}
+    names = ("judgement", "correction", "refined", "focus_mask", "color")
+    assert dumped >= {"warp.color.exr", "network_input.frames.exr", *(f"correction.{name}.exr" for name in names)}
 
-    broken = constant_model(tmp_path / "nan.onnx", delta=float("nan"))
+    broken = constant_model(tmp_path / "nan.onnx", judgement=[float("nan")])
     code, _, err = gffe("run", scene, tmp_path / "nan", "--scn-model", broken, "--json", tmp_path / "r.json")
     assert code == 0 and err.count("nan.onnx: the network gave NaN or infinity for about") == 1
     assert err.splitlines()[0] == "warning: " + " ".join(json.loads((tmp_path / "r.json").read_text())["warnings"])

@@ -426,7 +426,11 @@ def test_models_that_are_none(tmp_path):
         ((("frames", FLOAT, channels), candidates), None, "frames is .* 1×3×h×w"),
         ((frames, ("candidates", FLOAT, ())), None, "input candidates is"),
         (*half, r"frames is tensor.float16. 1×8×height×width .expected tensor.float. 1×8×any×any"),
-        ((frames, candidates), ((OUTPUT, FLOAT, FRAMES),), "output judgement is .* 1×8×height×width .expected .* 1×20×any×any"),
+        (
+            (frames, candidates),
+            ((OUTPUT, FLOAT, FRAMES),),
+            "output judgement is .* 1×8×height×width .expected .* 1×20×any×any",
+        ),
     ]
     for inputs, outputs, expected in cases:
         with pytest.raises(GffeError, match=rf"foreign.onnx: no shading correction network: .*{expected}") as caught:

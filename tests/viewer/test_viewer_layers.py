@@ -68,7 +68,7 @@ def test_layers_of_a_pipeline_come_in_its_order(device, tmp_path):
     )
     assert list(dict.fromkeys(spec.group for spec in layers.values())) == [*stages, "correction"]
     assert list(layers)[: len(FRAME_LAYERS)] == list(FRAME_LAYERS)
-    assert {"correction.frames", "correction.refined", "correction.focus_mask"} <= set(layers)
+    assert {"network_input.frames", "correction.refined", "correction.focus_mask"} <= set(layers)
     assert "correction.median_depth" not in layers
 
 
@@ -240,7 +240,7 @@ def test_plane_is_ranged_on_its_own():
 
 
 def test_displays_of_shading_correction():
-    mask, frames = BY_NAME["correction.focus_mask"], BY_NAME["correction.frames"]
+    mask, frames = BY_NAME["correction.focus_mask"], BY_NAME["network_input.frames"]
     assert (default_display(mask).low, default_display(mask).high) == (0, 1) == mask.limits
     assert (frames.planes, frames.grid, default_display(frames).color_map) == (8, "network", "grey")
 
@@ -268,7 +268,7 @@ def test_own_place_in_the_target_seen_through_a_window():
 @pytest.mark.parametrize("size", [(61, 37), (64, 32), (1, 5)])
 def test_texels_of_the_network_cover_two_pixels_each_way(size):
     padded = BufferSpec("", np.float32, (), "network", "").size(Sizes(size, size))
-    area = FrameInfo(size).area(BY_NAME["correction.frames"])
+    area = FrameInfo(size).area(BY_NAME["network_input.frames"])
     assert area == pytest.approx((0, 0, size[0] / 2 / padded[0], size[1] / 2 / padded[1]))
 
 
