@@ -60,7 +60,7 @@ inline void head_of(__global const float *head, const Floats *seen, Floats *said
 /* At half resolution: change of encoded colour (3), detail that is kept, focus mask. */
 WIDE __kernel void judge(const Frame frame, __global const float *frames, __global const float *trends,
                          __global const float *judgement, __global const float *chosen, __global const float *head,
-                         __global float *correction) {
+                         __global const int *changed, __global float *correction) {
     const int width = frame.network_width, height = frame.network_height, plane = width * height, quarter = plane / 4;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), at = y * width + x;
     if (x >= width || y >= height) return;
@@ -84,7 +84,7 @@ WIDE __kernel void judge(const Frame frame, __global const float *frames, __glob
     for (int c = 0; c < 3; ++c)
         store_floats(said[c] + seen[DETAIL + c] + said[5] * seen[DETAIL + 3 + c] + number, 0, correction + c * plane + at);
     store_floats(sigmoid(said[3]), 0, correction + 3 * plane + at);
-    const Floats mask = 2.0f * said[4] - DOUBT;
+    const Floats mask = *changed ? 2.0f * said[4] - DOUBT : (Floats)(0.0f);
     store_floats(mask == mask ? clamp(mask, (Floats)(0.0f), (Floats)(1.0f)) : mask, 0, correction + 4 * plane + at);
 }
 

@@ -9,26 +9,11 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
-from gffe_cl.inference.model_interface import MULTIPLE
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.stages.base import Kernel, Share, share_of
+from gffe_cl.stages.shading_flow import STILL_TILES
 
-_STILL = 1 / 64  # change of encoded colour from t − 1 to t + α
-
-
-def still_tiles(frames: np.ndarray) -> np.ndarray:
-    """(h/16, w/16) bool, from (8, h, w), what the network sees: whether nothing changes visibly within a tile from the
-    frame before on, so that it cannot hold any focus."""
-    change = np.abs(frames[:3] - frames[3:6]).max(0)
-    height, width = change.shape
-    return change.reshape(height // MULTIPLE, MULTIPLE, width // MULTIPLE, MULTIPLE).max((1, 3)) < _STILL
-
-
-# Beside those by which stages declare: where the network changes the frame, and its tiles that it could leave out.
-FOCUS = share_of("focus", "correction.focus_mask")
-STILL_TILES = share_of("still tiles", "network_input.frames", still_tiles)
+FOCUS = share_of("focus", "correction.focus_mask")  # where the network changes the frame
 
 # Parts by stage.
 SCN = {

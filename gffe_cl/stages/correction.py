@@ -90,6 +90,7 @@ class ShadingCorrection(Stage):
                 "judgement": Access("correction.judgement", planes=16),
                 "chosen": "correction.chosen",
                 "head": "correction.head",
+                "changed": "shading_flow.changed",
             },
             {"correction": "correction.correction"},
             step=("LANES", 1),
@@ -131,8 +132,8 @@ class ShadingCorrection(Stage):
         self.with_refined = names is None or "correction.refined" in names
 
     def extrapolated(self, step: Step) -> None:
-        """Make the final image of the filled frame; waits for the network."""
-        if step.previous is None:
+        """Make the final image of the filled frame; waits for the network. A still frame has nothing to correct."""
+        if step.previous is None or self.board.stages[ShadingFlow.name].is_still:
             self.skip()
             return
         self.infer()

@@ -505,7 +505,7 @@ def test_training_improves_the_loss_and_reaches_every_weight(data, tmp_path):
         assert not torch.equal(value, start[name]), name
     out = training.network.head[1].weight.grad.abs().sum((1, 2, 3))
     assert (out > 0).all(), "Δ, keep or M"
-    first = training.network.seen[0].weight.grad.abs().sum((0, 2, 3))
+    first = training.network.convolutions.seen[0].weight.grad.abs().sum((0, 2, 3))
     assert (first > 0).all(), "of the frames"
     figures = training.validate()
     assert all(math.isfinite(value) for value in figures.values())

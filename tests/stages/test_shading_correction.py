@@ -52,7 +52,7 @@ def images(size, rng):
 
 def made_stages(device, size, exposure=1.0, seed=1):
     """A board with the extrapolated frame and the stages around the network, and what they are to work on."""
-    board, rng = Board(device, Sizes(size, size)), np.random.default_rng(seed)
+    board, rng = Board(device, Sizes(size, size), Options()), np.random.default_rng(seed)
     now, before = (camera(*size, position) for position in ((0.02, 0.01, 0.005), (0, 0, 0)))
     color, depth = images(size, rng)
     motion = rng.uniform(-2, 2, (*depth.shape, 2)).astype(np.float32)
@@ -120,6 +120,37 @@ def test_median_depth(device, depth, expected):
     assert stage.read("median_depth") == twins.depth_median(depth.astype(np.float32))
 
 
+@pytest.mark.parametrize("size", SIZES)
+def test_tiles_in_which_something_changes(device, size):
+    """Any change of colour that is not minute counts, of other planes none; NaN counts."""
+    board, _, step = made_stages(device, size)
+    seen, stage, rng = board.stages["network_input"], board.stages["shading_flow"], np.random.default_rng(1)
+    frames = rng.random(seen.spec("frames").shape(board.sizes)).astype(np.float32)
+    frames[3:6] = frames[:3] + np.float32(1e-3)
+    for value in (0.1, -0.1, np.nan, 0.003)[: frames[0].size // 512]:
+        frames[rng.integers(6), rng.integers(frames.shape[1]), rng.integers(frames.shape[2])] += value
+    for given in (frames, np.concatenate([frames[:3], frames[:3], frames[6:]])):
+        seen.upload("frames", given)
+        stage.launch("find_changed_tiles", step)
+        stage.launch("find_change", step)
+        expected = twins.changed_tiles(given)
+        assert np.array_equal(stage.read("changed_tiles"), expected) and stage.read("changed") == expected.any()
+    assert np.isnan(frames).any() or not expected.any()
+
+
+def test_a_still_frame_needs_no_network(device, model):
+    """It is the extrapolated one to the bit, and the network does not run; a light that changes is another matter."""
+    scene, cam = Rects([Rect((0, 0, 8), frequency=0.5)]), camera(40, 24)
+    pipeline = Pipeline(device, 40, 24, Options(scn_model=model(delta=0.2)))
+    for k in range(4):
+        frame = scene.frame(cam, k / 30, 40, 24, (cam, 0), reset=k == 0)
+        frame.color = frame.color * np.float16(0.5 if k == 3 else 1)
+        pipeline.submit(frame)
+        made = pipeline.extrapolate()
+        assert (bits(made.numpy("color")) == bits(made.numpy("gae"))) == (k < 3)
+        assert (pipeline.take_timings()["network"] == 0) == (k < 3)
+
+
 @pytest.mark.parametrize("size", [*SIZES, (130, 70)])
 @pytest.mark.parametrize("alpha", [0.5, 1.0])
 def test_flow_and_candidates_equal_their_twin(device, size, alpha):
@@ -170,6 +201,7 @@ def test_judgement_makes_the_correction_of_its_twin(device, size):
         judgement[at] = value
     board.stages["network_input"].upload("frames", frames)
     board.stages["shading_flow"].extrapolated(step)
+    board.stages["shading_flow"].upload("changed", np.ones(1, np.int32))
     correction.upload("judgement", judgement)
     correction.launch("choose_flow", step)
     correction.launch("judge", step)
@@ -311,7 +343,9 @@ def test_after_a_reset_there_is_nothing_to_correct(device, model):
     scene, cam = Rects([Rect((0, 0, 8), frequency=0.5)]), camera(40, 24)
     pipeline = Pipeline(device, 40, 24, Options(scn_model=model(delta=0.2)))
     for k, reset in enumerate((True, False, True)):
-        pipeline.submit(scene.frame(cam, k / 30, 40, 24, (cam, 0), reset=reset))
+        frame = scene.frame(cam, k / 30, 40, 24, (cam, 0), reset=reset)
+        frame.color = frame.color * np.float16(1 - 0.2 * k)
+        pipeline.submit(frame)
         made = pipeline.extrapolate()
         assert (bits(made.numpy("color")) == bits(made.numpy("gae"))) == reset
         assert (pipeline.stages["correction"].read("focus_mask") == (0 if reset else 1)).all()

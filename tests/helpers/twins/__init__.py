@@ -18,7 +18,7 @@ from twins.network_input import decode, depth_median, encode, network_input
 from twins.prediction import predict_positions
 from twins.presentation import present
 from twins.shading import prepare_inputs
-from twins.shading_flow import find_candidates
+from twins.shading_flow import changed_tiles, find_candidates
 from twins.shading_trend import carry_trends, find_trend, measure_changes
 from twins.warp import block_classes, link_surfaces, load_color, resolve, smooth_blocks, splat, unmixed
 
@@ -30,6 +30,7 @@ __all__ = [
     "block_classes",
     "carry_trends",
     "centres",
+    "changed_tiles",
     "choose_flow",
     "collect_levels",
     "collect_shown",

@@ -7,6 +7,14 @@ from twins.common import F, kernel_constants
 SAMPLING, FLOW = kernel_constants("sampling.h"), kernel_constants("shading_flow.cl")
 
 
+def changed_tiles(frames):
+    """(h/16, w/16) uint8: 1 where a colour changes by more than 1/512, or by what is no number."""
+    tile = FLOW.TILE
+    changes = ~(np.abs(frames[:3] - frames[3:6]) <= FLOW.STILL).all(0)
+    height, width = changes.shape
+    return changes.reshape(height // tile, tile, width // tile, tile).any((1, 3)).astype(np.uint8)
+
+
 def halved(plane):
     """Means over 2×2 pixels."""
     a, b, c, d = (plane[y::2, x::2] for y in (0, 1) for x in (0, 1))
