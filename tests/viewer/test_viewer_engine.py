@@ -311,6 +311,11 @@ def test_options_change_what_they_should(device):
         assert_same(ask(engine, 13, first, before).images, before, set(before) - {"final"})  # and back
 
 
+def network_places(x, y):
+    """Texels of the network's grids over a pixel."""
+    return {f"network{level or ''}": (x // (2 << level), y // (2 << level)) for level in range(5)}
+
+
 def is_mover(images):
     return images["correction.focus_mask"] > 0
 
@@ -323,7 +328,7 @@ def test_shading_correction_changes_what_its_focus_mask_covers(device, tmp_path)
         images, mask = on.images, is_mover(on.images)
         made = ("judgement", "chosen", "correction", "refined", "focus_mask", "color")
         names = {"gae", "network_input.frames", *(f"correction.{name}" for name in made)}
-        names |= {f"shading_flow.{name}" for name in ("flow2", "differences", "candidates")}
+        names |= {f"shading_flow.{name}" for name in ("changed_tiles", "flow2", "differences", "candidates")}
         assert set(images) - set(plain) == names
         assert_same(images, {name: plain[name] for name in plain if name not in ("final", "focus_truth")})
         for name, other in (("gae", "final"), ("focus_truth", "focus_truth")):
@@ -413,7 +418,7 @@ def test_inspection_equals_the_whole_buffers(device, tmp_path):
             sx, sy = np.floor(seen.source).astype(int)
             places = {"target": (x, y), "source": (sx, sy)}
             places |= {f"level{level}": (sx >> level, sy >> level) for level in range(3)}
-            places |= {"downsampled": (x // 32, y // 32), "network": (x // 2, y // 2)}
+            places |= {"downsampled": (x // 32, y // 32), **network_places(x, y)}
             places |= {
                 "target_blocks": (x // 8, y // 4),
                 "source_blocks": (sx // 8, sy // 4),
