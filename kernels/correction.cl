@@ -15,6 +15,7 @@
 #define HIDDEN 16            /* channels of its hidden layer */
 #define SAID 6               /* outputs: change of colour (3), detail that is kept, likelihood of the focus mask, share of the trend */
 #define SLOPE 0.1f           /* of leaky rectifiers */
+#define DISOCCLUDED_BELOW 0.4f  /* mean input mask of four pixels, of which one is disoccluded and none dynamic: at most 0.375 */
 #define DOUBT 0.1f           /* the focus mask is 2 p - DOUBT */
 
 inline Floats leaky(const Floats x) { return wide_greater(x, SLOPE * x); }
@@ -57,7 +58,8 @@ inline void head_of(__global const float *head, const Floats *seen, Floats *said
     }
 }
 
-/* At half resolution: change of encoded colour (3), detail that is kept, focus mask. */
+/* At half resolution: change of encoded colour (3), detail that is kept, focus mask. In disocclusions a change of light cannot be
+   told from another surface: there nothing is changed. */
 WIDE __kernel void judge(const Frame frame, __global const float *frames, __global const float *trends,
                          __global const float *judgement, __global const float *chosen, __global const float *head,
                          __global const int *changed, __global float *correction) {
@@ -84,7 +86,8 @@ WIDE __kernel void judge(const Frame frame, __global const float *frames, __glob
     for (int c = 0; c < 3; ++c)
         store_floats(said[c] + seen[DETAIL + c] + said[5] * seen[DETAIL + 3 + c] + number, 0, correction + c * plane + at);
     store_floats(sigmoid(said[3]), 0, correction + 3 * plane + at);
-    const Floats mask = *changed ? 2.0f * said[4] - DOUBT : (Floats)(0.0f);
+    const Ints untold = load_floats(0, frames + 7 * plane + at) < DISOCCLUDED_BELOW;
+    const Floats mask = *changed ? (untold ? (Floats)(0.0f) : 2.0f * said[4] - DOUBT) : (Floats)(0.0f);
     store_floats(mask == mask ? clamp(mask, (Floats)(0.0f), (Floats)(1.0f)) : mask, 0, correction + 4 * plane + at);
 }
 

@@ -215,7 +215,7 @@ def record(device: Device, options: Options, int64: bool) -> Plan:
         performed = [rehearsal.perform(number, first) for number, rehearsal in enumerate(rehearsals)]
         for occasion in performed[0]:
             takes = [taken[occasion] for taken in performed]
-            operations[occasion + "_first" * first] = _agreed(takes, rehearsals)
+            operations[occasion + "_first" * first] = _require_agreement(takes, rehearsals)
     buffers = {
         f"{owner.name}.{spec.name}": spec
         for rehearsal in rehearsals
@@ -226,7 +226,7 @@ def record(device: Device, options: Options, int64: bool) -> Plan:
     return Plan(operations, buffers, _initial(rehearsals[0]), lent, rehearsals[0].all, rehearsals[0].board.facts)
 
 
-def _agreed(takes: list[list[Operation]], rehearsals: list[_Rehearsal]) -> list[Operation]:
+def _require_agreement(takes: list[list[Operation]], rehearsals: list[_Rehearsal]) -> list[Operation]:
     """The operations that every rehearsal enqueues, but for those on buffers that images of its size do not have."""
     whole = max(takes, key=len)
     for take, rehearsal in zip(takes, rehearsals, strict=True):

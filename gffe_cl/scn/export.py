@@ -29,7 +29,7 @@ from gffe_cl.inference.network import load_onnxruntime
 from gffe_cl.scn.channels import pad_file
 from gffe_cl.scn.network import ShadingCorrectionNetwork
 
-OPSET = 18  # of 20 and later OpenVINO does not know GridSample
+OPSET = 18
 TOLERANCE = 2e-4  # between onnxruntime and PyTorch, of values in about −1 … 1
 
 

@@ -85,7 +85,7 @@ class ShadingCorrection(Stage):
             "judge",
             "network",
             {
-                "frames": Access("network_input.frames", planes=6),
+                "frames": Access("network_input.frames", planes=7),  # all but inverse depth
                 "trends": Access("shading_trend.trends", planes=3),
                 "judgement": Access("correction.judgement", planes=16),
                 "chosen": "correction.chosen",

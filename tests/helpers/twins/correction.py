@@ -49,7 +49,9 @@ def judge(frames, trends, judgement, chosen, head):
         said = said + second[:, k, None, None] * leaky(total)
     number = (flow_x - flow_x) + (flow_y - flow_y)
     delta = said[:3] + moved + said[5] * trend + number
-    mask = np.clip(F(2) * said[4] - CORRECTION.DOUBT, F(0), F(1))
+    mask = np.where(
+        frames[7] < CORRECTION.DISOCCLUDED_BELOW, F(0), np.clip(F(2) * said[4] - CORRECTION.DOUBT, F(0), F(1))
+    )
     return np.concatenate([delta, sigmoid(said[3])[None], mask[None]])
 
 
