@@ -7,7 +7,8 @@
 #include "doubling.h"
 #include "sampling.h"
 
-#define STILL 0.001953125f  /* change of encoded colour from t-1 to t + alpha that is none */
+#define STILL 0.00390625f /* change of encoded colour from t-1 to t + alpha that is noise ... */
+#define FEW 32            /* ... and pixels of a tile that may change more, as aliased edges do */
 #define TILE 16           /* pixels of the network's frames, each way */
 #define SCANNERS 64       /* work-items of find_change */
 #define FLOW_LEVELS 3
@@ -21,21 +22,25 @@
 #define PRODUCTS 5
 #define CANDIDATES 16
 
-/* Which tiles of TILE x TILE pixels of the network's input change. */
+/* Which tiles of TILE x TILE pixels of the network's input change by more than noise. */
 WIDE __kernel void find_changed_tiles(const Frame frame, __global const float *planes, __global uchar *changed_tiles) {
     const int width = frame.network_width, plane = width * frame.network_height;
     const int tile_x = get_global_id(0), tile_y = get_global_id(1);
     if (tile_x >= width / TILE || tile_y >= frame.network_height / TILE) return;
-    Ints changes = !ALL_LANES;
-    for (int y = tile_y * TILE; y < (tile_y + 1) * TILE; ++y) {
-        for (int x = tile_x * TILE; x < (tile_x + 1) * TILE; x += LANES)
+    Ints changed = 0;  /* pixels */
+    for (int y = tile_y * TILE; y < (tile_y + 1) * TILE; ++y)
+        for (int x = tile_x * TILE; x < (tile_x + 1) * TILE; x += LANES) {
+            Ints still = ALL_LANES;
             for (int c = 0; c < 3; ++c) {
                 __global const float *now = planes + c * plane + y * width + x;
-                changes |= !(fabs(load_floats(0, now) - load_floats(0, now + 3 * plane)) <= STILL);
+                still &= fabs(load_floats(0, now) - load_floats(0, now + 3 * plane)) <= STILL;
             }
-        if (ANY(changes)) break;
-    }
-    changed_tiles[tile_y * (width / TILE) + tile_x] = ANY(changes) ? 1 : 0;
+            changed += still ? (Ints)(0) : (Ints)(1);
+        }
+    int lanes[LANES], sum = 0;
+    store_ints(changed, 0, lanes);
+    for (int k = 0; k < LANES; ++k) sum += lanes[k];
+    changed_tiles[tile_y * (width / TILE) + tile_x] = sum > FEW;
 }
 
 /* Whether any does. One work-group. */

@@ -24,14 +24,15 @@ class ShadingFlow(Stage):
     Level l of a pyramid has 1/2^l of the sides of the network's frames; level 1, the finest, is a quarter of the
     display. Sums are over some 6×6 pixels of each level. The flow of every second pixel is found.
 
-    `is_still`: whether no code changes by more than 1/512 from frame t − 1 on, so that there is nothing to correct;
-    False without a focus mask, where the whole image is to be the network's.
+    `is_still`: whether there is nothing to correct: in no tile of 32×32 pixels more than an eighth changes by more than
+    1/256 (encoded) from frame t − 1 on. False without a focus mask, where the whole image is to be the network's.
     """
 
     name = "shading_flow"
     buffers = (
         BufferSpec(
-            "changed_tiles", np.uint8, (), "network4", "1 where a tile of 32×32 pixels changes from t − 1 on", "mask"
+            "changed_tiles", np.uint8, (), "network4", "1 where a tile of 32×32 pixels changes from t − 1 on by more than noise",
+            "mask",
         ),
         BufferSpec("changed", np.int32, (), "once", "1 where the frame changes, else there is nothing to correct"),
         BufferSpec(

@@ -8,11 +8,11 @@ SAMPLING, FLOW = kernel_constants("sampling.h"), kernel_constants("shading_flow.
 
 
 def changed_tiles(frames):
-    """(h/16, w/16) uint8: 1 where a colour changes by more than 1/512, or by what is no number."""
+    """(h/16, w/16) uint8: 1 where more than 32 of 256 pixels change by more than 1/256, or by what is no number."""
     tile = FLOW.TILE
     changes = ~(np.abs(frames[:3] - frames[3:6]) <= FLOW.STILL).all(0)
     height, width = changes.shape
-    return changes.reshape(height // tile, tile, width // tile, tile).any((1, 3)).astype(np.uint8)
+    return changes.reshape(height // tile, tile, width // tile, tile).sum((1, 3)) > FLOW.FEW
 
 
 def halved(plane):
