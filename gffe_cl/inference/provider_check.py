@@ -25,7 +25,7 @@ from gffe_cl.opencl.device_cache import fingerprint
 from gffe_cl.opencl.runtimes import keep_file, kept_folder, vendors
 from gffe_cl.opencl.subprocess_runner import HANGS, run_child
 
-TOLERANCE = 1e-3  # of the network's output: encoded colour and shares of 0 … 1
+TOLERANCE = 1e-3  # of the network's output: channels of a few units
 _SIZE = (64, 96)  # height and width of the fixed input
 _TIMED_SIZE = (272, 480)  # the network's for frames of 960×540
 _TOO_SLOW = 200.0  # milliseconds for the fixed input: not timed

@@ -31,8 +31,8 @@ class ShadingFlow(Stage):
     name = "shading_flow"
     buffers = (
         BufferSpec(
-            "changed_tiles", np.uint8, (), "network4", "1 where a tile of 32×32 pixels changes from t − 1 on by more than noise",
-            "mask",
+            "changed_tiles", np.uint8, (), "network4", "1 where a tile of 32×32 pixels changes by more than noise from"
+            " t − 1 on", "mask",
         ),
         BufferSpec("changed", np.int32, (), "once", "1 where the frame changes, else there is nothing to correct"),
         BufferSpec(

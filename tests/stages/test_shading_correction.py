@@ -128,13 +128,13 @@ def test_tiles_in_which_something_changes(device, size):
     frames = rng.random(seen.spec("frames").shape(board.sizes)).astype(np.float32)
     frames[3:6] = frames[:3] + np.float32(3e-3)
     tiles = frames.reshape(8, frames.shape[1] // 16, 16, frames.shape[2] // 16, 16).transpose(1, 3, 0, 2, 4)
-    for k, (some, value) in enumerate(
-        ((33, 0.1), (32, -0.1), (33, np.nan), (256, 0.003))[: tiles.shape[0] * tiles.shape[1]]
-    ):
+    changes = (33, 0.1), (32, -0.1), (33, np.nan), (256, 0.003)
+    for k, (some, value) in enumerate(changes[: tiles.shape[0] * tiles.shape[1]]):
         tile = tiles[divmod(k, tiles.shape[1])]
         rows, columns = np.unravel_index(rng.choice(256, some, replace=False), (16, 16))
         tile[rng.integers(6), rows, columns] += value
-    for given in (frames, np.concatenate([frames[:3], frames[:3], frames[6:]])):
+    now = np.nan_to_num(frames[:3])
+    for given in (frames, np.concatenate([now, now, frames[6:]])):
         seen.upload("frames", given)
         stage.launch("find_changed_tiles", step)
         stage.launch("find_change", step)
