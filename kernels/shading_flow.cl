@@ -7,10 +7,6 @@
 #include "doubling.h"
 #include "sampling.h"
 
-#define STILL 0.00390625f /* change of encoded colour from t-1 to t + alpha that is noise ... */
-#define FEW 32            /* ... and pixels of a tile that may change more, as aliased edges do */
-#define TILE 16           /* pixels of the network's frames, each way */
-#define SCANNERS 64       /* work-items of find_change */
 #define FLOW_LEVELS 3
 #define FLOW_STEPS 2
 #define FLAT 0.0001f      /* squared gradient of encoded colour below which nothing moves */
@@ -21,40 +17,6 @@
 #define THIRD 0.33333334f
 #define PRODUCTS 5
 #define CANDIDATES 16
-
-/* Which tiles of TILE x TILE pixels of the network's input change by more than noise. */
-WIDE __kernel void find_changed_tiles(const Frame frame, __global const float *planes, __global uchar *changed_tiles) {
-    const int width = frame.network_width, plane = width * frame.network_height;
-    const int tile_x = get_global_id(0), tile_y = get_global_id(1);
-    if (tile_x >= width / TILE || tile_y >= frame.network_height / TILE) return;
-    Ints changed = 0;  /* pixels */
-    for (int y = tile_y * TILE; y < (tile_y + 1) * TILE; ++y)
-        for (int x = tile_x * TILE; x < (tile_x + 1) * TILE; x += LANES) {
-            Ints still = ALL_LANES;
-            for (int c = 0; c < 3; ++c) {
-                __global const float *now = planes + c * plane + y * width + x;
-                still &= fabs(load_floats(0, now) - load_floats(0, now + 3 * plane)) <= STILL;
-            }
-            changed += still ? (Ints)(0) : (Ints)(1);
-        }
-    int lanes[LANES], sum = 0;
-    store_ints(changed, 0, lanes);
-    for (int k = 0; k < LANES; ++k) sum += lanes[k];
-    changed_tiles[tile_y * (width / TILE) + tile_x] = sum > FEW;
-}
-
-/* Whether any does. One work-group. */
-__kernel __attribute__((reqd_work_group_size(SCANNERS, 1, 1)))
-void find_change(const Frame frame, __global const uchar *changed_tiles, __global int *changed) {
-    const int part = get_local_id(0), tiles = (frame.network_width / TILE) * (frame.network_height / TILE);
-    __local int found[SCANNERS];
-    found[part] = 0;
-    for (int tile = part; tile < tiles; tile += SCANNERS) found[part] |= changed_tiles[tile];
-    barrier(CLK_LOCAL_MEM_FENCE);
-    if (part) return;
-    for (int k = 1; k < SCANNERS; ++k) found[0] |= found[k];
-    *changed = found[0];
-}
 
 /* Level 1 of both frames: colours of the extrapolated one (3), and the brightness of both (2). */
 WIDE __kernel void halve_frames(const Frame frame, __global const float *frames, __global float *colors,

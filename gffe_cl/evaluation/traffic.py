@@ -11,7 +11,7 @@ from typing import Any
 
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.stages.base import Kernel, Share, share_of
-from gffe_cl.stages.shading_flow import STILL_TILES
+from gffe_cl.stages.network_input import STILL_TILES
 
 FOCUS = share_of("focus", "correction.focus_mask")  # where the network changes the frame
 

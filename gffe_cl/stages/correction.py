@@ -90,7 +90,7 @@ class ShadingCorrection(Stage):
                 "judgement": Access("correction.judgement", planes=16),
                 "chosen": "correction.chosen",
                 "head": "correction.head",
-                "changed": "shading_flow.changed",
+                "changed": "network_input.changed",
             },
             {"correction": "correction.correction"},
             step=("LANES", 1),
@@ -133,7 +133,7 @@ class ShadingCorrection(Stage):
 
     def extrapolated(self, step: Step) -> None:
         """Make the final image of the filled frame; waits for the network. A still frame has nothing to correct."""
-        if step.previous is None or self.board.stages[ShadingFlow.name].is_still:
+        if step.previous is None or self.board.stages[NetworkInput.name].is_still:
             self.skip()
             return
         self.infer()

@@ -5,16 +5,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.inference.model_interface import CANDIDATE_PLANES, MULTIPLE
+from gffe_cl.inference.model_interface import CANDIDATE_PLANES
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Kernel, Stage, Step, share_of
+from gffe_cl.stages.base import Access, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
+from gffe_cl.stages.network_input import NetworkInput
 
 _CONSTANTS = constants("shading_flow.cl")
 _LEVELS, _STEPS, _PRODUCTS = (_CONSTANTS[name] for name in ("FLOW_LEVELS", "FLOW_STEPS", "PRODUCTS"))
-assert (_CONSTANTS["CANDIDATES"], _CONSTANTS["TILE"]) == (CANDIDATE_PLANES, MULTIPLE)
-
-STILL_TILES = share_of("still tiles", "shading_flow.changed_tiles", lambda changed: changed == 0)
+assert _CONSTANTS["CANDIDATES"] == CANDIDATE_PLANES
 
 
 class ShadingFlow(Stage):
@@ -23,18 +22,10 @@ class ShadingFlow(Stage):
 
     Level l of a pyramid has 1/2^l of the sides of the network's frames; level 1, the finest, is a quarter of the
     display. Sums are over some 6×6 pixels of each level. The flow of every second pixel is found.
-
-    `is_still`: whether there is nothing to correct: in no tile of 32×32 pixels more than an eighth changes by more than
-    1/256 (encoded) from frame t − 1 on. False without a focus mask, where the whole image is to be the network's.
     """
 
     name = "shading_flow"
     buffers = (
-        BufferSpec(
-            "changed_tiles", np.uint8, (), "network4", "1 where a tile of 32×32 pixels changes by more than noise from"
-            " t − 1 on", "mask",
-        ),
-        BufferSpec("changed", np.int32, (), "once", "1 where the frame changes, else there is nothing to correct"),
         BufferSpec(
             "colors", np.float32, (), "network1", "encoded GAE colour at a quarter of the resolution",
             planes=3, scratch=True,
@@ -72,21 +63,7 @@ class ShadingFlow(Stage):
             planes=CANDIDATE_PLANES, mapped=True,
         ),
     )  # fmt: skip
-    is_still = False
     kernels = (
-        Kernel(
-            "find_changed_tiles",
-            "network4",
-            {"planes": Access("network_input.frames", planes=6)},
-            {"changed_tiles": "shading_flow.changed_tiles"},
-        ),
-        Kernel(
-            "find_change",
-            "once",
-            {"changed_tiles": "shading_flow.changed_tiles"},
-            {"changed": "shading_flow.changed"},
-            group="SCANNERS",
-        ),
         Kernel(
             "halve_frames",
             "network1",
@@ -163,15 +140,8 @@ class ShadingFlow(Stage):
         return options.corrects_shading
 
     def extrapolated(self, step: Step) -> None:
-        """Wait for whether anything changes; find the flow, coarsest level first, and fill `candidates`. After a reset
-        there is nothing to go by."""
-        if step.previous is None:
-            return
-        self.launch("find_changed_tiles", step)
-        self.launch("find_change", step)
-        if self.recorder is None and self.board.options.focus_mask:
-            self.is_still = not self.read("changed").item()
-        if self.is_still:
+        """Find the flow, coarsest level first, and fill `candidates`; nothing after a reset and in still frames."""
+        if step.previous is None or self.board.stages[NetworkInput.name].is_still:
             return
         self.launch("halve_frames", step)
         for level in range(2, _LEVELS + 1):

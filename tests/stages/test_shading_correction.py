@@ -124,8 +124,8 @@ def test_median_depth(device, depth, expected):
 def test_tiles_in_which_something_changes(device, size):
     """Changes of colour that are not minute count, in more than a few pixels; NaN counts, other planes do not."""
     board, _, step = made_stages(device, size)
-    seen, stage, rng = board.stages["network_input"], board.stages["shading_flow"], np.random.default_rng(1)
-    frames = rng.random(seen.spec("frames").shape(board.sizes)).astype(np.float32)
+    stage, rng = board.stages["network_input"], np.random.default_rng(1)
+    frames = rng.random(stage.spec("frames").shape(board.sizes)).astype(np.float32)
     frames[3:6] = frames[:3] + np.float32(3e-3)
     tiles = frames.reshape(8, frames.shape[1] // 16, 16, frames.shape[2] // 16, 16).transpose(1, 3, 0, 2, 4)
     changes = (33, 0.1), (32, -0.1), (33, np.nan), (256, 0.003)
@@ -135,7 +135,7 @@ def test_tiles_in_which_something_changes(device, size):
         tile[rng.integers(6), rows, columns] += value
     now = np.nan_to_num(frames[:3])
     for given in (frames, np.concatenate([now, now, frames[6:]])):
-        seen.upload("frames", given)
+        stage.upload("frames", given)
         stage.launch("find_changed_tiles", step)
         stage.launch("find_change", step)
         expected = twins.changed_tiles(given)
@@ -206,7 +206,7 @@ def test_judgement_makes_the_correction_of_its_twin(device, size):
         judgement[at] = value
     board.stages["network_input"].upload("frames", frames)
     board.stages["shading_flow"].extrapolated(step)
-    board.stages["shading_flow"].upload("changed", np.ones(1, np.int32))
+    board.stages["network_input"].upload("changed", np.ones(1, np.int32))
     correction.upload("judgement", judgement)
     correction.launch("choose_flow", step)
     correction.launch("judge", step)

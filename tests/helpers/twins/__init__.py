@@ -14,11 +14,11 @@ from twins.correction import choose_flow, correct, judge
 from twins.hidden_parts import fill_hidden_parts
 from twins.history import noise_threshold_squared, residual_histogram, track_history
 from twins.holes import asked_texels, downsample, fill_holes, mix_far_side
-from twins.network_input import decode, depth_median, encode, network_input
+from twins.network_input import changed_tiles, decode, depth_median, encode, network_input
 from twins.prediction import predict_positions
 from twins.presentation import present
 from twins.shading import prepare_inputs
-from twins.shading_flow import changed_tiles, find_candidates
+from twins.shading_flow import find_candidates
 from twins.shading_trend import carry_trends, find_trend, measure_changes
 from twins.warp import block_classes, link_surfaces, load_color, resolve, smooth_blocks, splat, unmixed
 

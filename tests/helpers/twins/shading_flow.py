@@ -7,14 +7,6 @@ from twins.common import F, kernel_constants
 SAMPLING, FLOW = kernel_constants("sampling.h"), kernel_constants("shading_flow.cl")
 
 
-def changed_tiles(frames):
-    """(h/16, w/16) uint8: 1 where more than 32 of 256 pixels change by more than 1/256, or by what is no number."""
-    tile = FLOW.TILE
-    changes = ~(np.abs(frames[:3] - frames[3:6]) <= FLOW.STILL).all(0)
-    height, width = changes.shape
-    return changes.reshape(height // tile, tile, width // tile, tile).sum((1, 3)) > FLOW.FEW
-
-
 def halved(plane):
     """Means over 2×2 pixels."""
     a, b, c, d = (plane[y::2, x::2] for y in (0, 1) for x in (0, 1))
