@@ -204,8 +204,10 @@ def test_dump_stages(gffe, scene, tmp_path):
     assert all(dumped[name] == made[name] for name in "RGB")
 
 
-def test_shading_correction(gffe, scene, tmp_path):
+def test_shading_correction(gffe, tmp_path):
     """Off without weights; with a model the colour changes and nothing else, within the focus mask or everywhere."""
+    scene = tmp_path / "in"
+    assert gffe("render", "fan", scene, "--size", "64x40", "--frames", 4, "--ground-truth")[0] == 0
     model = constant_model(tmp_path / "m.onnx", delta=0.05, mask=0.5)
     runs = {
         "none": ("--no-scn",),

@@ -118,6 +118,14 @@ class Clip(FrameSource):
         return k / FPS + alpha * (k / FPS - (k - 1) / FPS if k else 1 / FPS)
 
 
+class FlickeringClip(Clip):
+    """The same under a light that is weaker in every other frame: there is something to correct."""
+
+    def rendered(self, k):
+        frame = super().rendered(k)
+        return replace(frame, color=frame.color * np.float16(1 - 0.2 * (k % 2)))
+
+
 @contextmanager
 def running(device, source=None):
     engine = Engine(device if callable(device) else lambda: device)
@@ -322,7 +330,7 @@ def is_mover(images):
 
 def test_shading_correction_changes_what_its_focus_mask_covers(device, tmp_path):
     options = replace(ALL, scn_model=movers_model(tmp_path / "m.onnx"))
-    with running(device, Clip()) as engine:
+    with running(device, FlickeringClip()) as engine:
         plain = ask(engine, 13, Setup(replace(options, shading_correction=False)), "all").images
         on = ask(engine, 13, Setup(options), "all")
         images, mask = on.images, is_mover(on.images)
@@ -593,7 +601,7 @@ def test_kernels_of_shading_correction_are_reloaded(device, tmp_path, monkeypatc
     shutil.copytree(kernel_folder(), folder)
     monkeypatch.setenv("GFFE_KERNELS", str(folder))
     path, text = folder / "correction.cl", (folder / "correction.cl").read_text()
-    with running(lambda: Device(device.cl_device, device.info), Clip()) as engine:
+    with running(lambda: Device(device.cl_device, device.info), FlickeringClip()) as engine:
         ask(engine, 13, Setup(), ("final",))
         path.write_text(text + "nonsense\n")
         engine.reload_kernels()
@@ -979,7 +987,7 @@ def test_stories_of_hidden_parts(device):
 
 def test_stories_of_corrected_pixels(device, tmp_path):
     options = Options(scn_model=movers_model(tmp_path / "m.onnx"))
-    with running(device, Clip()) as engine:
+    with running(device, FlickeringClip()) as engine:
         for story in stories(engine, Setup(options), 13, is_mover):
             assert story.corrected and "Shading correction changed it (focus mask " in story.sentences[-1]
         images = ask(engine, 13, Setup(options), "all").images
