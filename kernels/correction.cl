@@ -66,10 +66,12 @@ WIDE __kernel void judge(const Frame frame, __global const float *frames, __glob
     const int width = frame.network_width, height = frame.network_height, plane = width * height, quarter = plane / 4;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), at = y * width + x;
     if (x >= width || y >= height) return;
-    const Taps taps = taps_of(x, y, width / 2, height / 2);
+    Taps taps;
+    taps_around(x, y, width / 2, height / 2, &taps);
     const Floats flow_x = interpolate(chosen, &taps), flow_y = interpolate(chosen + quarter, &taps);
     const Floats lasts = interpolate(chosen + 2 * quarter, &taps);
-    const Sample along = sample_at(row_indices(x) + flow_x, (float)y + flow_y, width, height);
+    Sample along;
+    find_sample(row_indices(x) + flow_x, (float)y + flow_y, width, height, &along);
     const Ints column = x + LANE_NUMBERS, detail_at = (column & 1) * quarter + (y / 2) * (width / 2) + (column >> 1);
     __global const float *detail = judgement + (JUDGED + 2 * (y & 1)) * quarter;
     Floats seen[SEEN], said[SAID];
@@ -133,7 +135,8 @@ WIDE __kernel void correct(const Frame frame, const int asked, __global const ha
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= target_width || y >= target_height) return;
     const int i = y * target_width + x, plane = network_width * network_height, count = target_width - x;
-    const Taps taps = taps_of(x, y, network_width, network_height);
+    Taps taps;
+    taps_around(x, y, network_width, network_height, &taps);
     const Floats m = interpolate(correction + 4 * plane, &taps);
     if (within_mask && !with_refined && !ANY(m >= LEAST_MASK)) {
         const WideRgb none = {0.0f, 0.0f, 0.0f};

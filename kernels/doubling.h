@@ -14,19 +14,17 @@ typedef struct {
     bool inner;
 } Taps;
 
-inline Taps taps_of(const int x, const int y, const int width, const int height) {
+inline void taps_around(const int x, const int y, const int width, const int height, Taps *t) {
     const Ints columns = x + LANE_NUMBERS, x0 = (columns - 1) >> 1;
     const int y0 = (y - 1) >> 1, first = (x >> 1) - 1;
-    Taps t;
-    t.top = max(y0, 0) * width;
-    t.bottom = min(y0 + 1, height - 1) * width;
-    t.first = first;
-    t.left = clamp(x0, (Ints)(0), (Ints)(width - 1));
-    t.right = min(x0 + 1, (Ints)(width - 1));
-    t.u = (columns & 1) == 1 ? (Floats)(0.25f) : (Floats)(0.75f);
-    t.v = (y & 1) ? 0.25f : 0.75f;
-    t.inner = first >= 0 && first + 8 <= width;
-    return t;
+    t->top = max(y0, 0) * width;
+    t->bottom = min(y0 + 1, height - 1) * width;
+    t->first = first;
+    t->left = clamp(x0, (Ints)(0), (Ints)(width - 1));
+    t->right = min(x0 + 1, (Ints)(width - 1));
+    t->u = (columns & 1) == 1 ? (Floats)(0.25f) : (Floats)(0.75f);
+    t->v = (y & 1) ? 0.25f : 0.75f;
+    t->inner = first >= 0 && first + 8 <= width;
 }
 
 /* Bilinear interpolation of a plane. */

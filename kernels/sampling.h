@@ -14,17 +14,15 @@ inline Floats row_indices(const int x) { return to_floats(x + LANE_NUMBERS); }
 /* The taps around positions in pixels, whole numbers at their centres. What is no number is the far border. */
 typedef struct { Ints tap, right, down; Floats u, v; } Sample;
 
-inline Sample sample_at(const Floats x, const Floats y, const int width, const int height) {
+inline void find_sample(const Floats x, const Floats y, const int width, const int height, Sample *s) {
     const Floats px = wide_greater(wide_lesser(x, (Floats)((float)(width - 1))), (Floats)(0.0f));
     const Floats py = wide_greater(wide_lesser(y, (Floats)((float)(height - 1))), (Floats)(0.0f));
     const Ints x0 = to_ints(px), y0 = to_ints(py);
-    Sample s;
-    s.tap = y0 * width + x0;
-    s.right = x0 < width - 1 ? (Ints)(1) : (Ints)(0);
-    s.down = y0 < height - 1 ? (Ints)(width) : (Ints)(0);
-    s.u = px - to_floats(x0);
-    s.v = py - to_floats(y0);
-    return s;
+    s->tap = y0 * width + x0;
+    s->right = x0 < width - 1 ? (Ints)(1) : (Ints)(0);
+    s->down = y0 < height - 1 ? (Ints)(width) : (Ints)(0);
+    s->u = px - to_floats(x0);
+    s->v = py - to_floats(y0);
 }
 
 INLINE Floats sampled(__global const float *plane, const Sample *s) {

@@ -49,7 +49,8 @@ WIDE __kernel void double_flow(const Frame frame, const int level, __global cons
     const int width = frame.network_width >> (level + 1), height = frame.network_height >> (level + 1);
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, plane = width * height;
     if (count <= 0 || y >= height) return;
-    const Taps taps = taps_of(x, y, width / 2, height / 2);
+    Taps taps;
+    taps_around(x, y, width / 2, height / 2, &taps);
     for (int axis = 0; axis < 2; ++axis)
         store_some_floats(2.0f * interpolate(coarse + axis * (plane / 4), &taps), count, flow + axis * plane + y * width + x);
 }
@@ -60,9 +61,11 @@ WIDE __kernel void warp_brightness(const Frame frame, const int level, __global 
     const int width = frame.network_width >> level, height = frame.network_height >> level, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
     if (count <= 0 || y >= height) return;
-    const Taps taps = taps_of(x, y, width / 2, height / 2);
+    Taps taps;
+    taps_around(x, y, width / 2, height / 2, &taps);
     const Floats flow_x = interpolate(flow, &taps), flow_y = interpolate(flow + plane / 4, &taps);
-    const Sample there = sample_at(row_indices(x) + flow_x, (float)y + flow_y, width, height);
+    Sample there;
+    find_sample(row_indices(x) + flow_x, (float)y + flow_y, width, height, &there);
     store_some_floats(sampled(brightness + plane, &there), count, warped + y * width + x);
 }
 
@@ -179,10 +182,12 @@ WIDE __kernel void find_candidates(const Frame frame, __global const float *colo
     const int width = frame.network_width / 2, height = frame.network_height / 2, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), at = y * width + x;
     if (x >= width || y >= height) return;
-    const Taps taps = taps_of(x, y, width / 2, height / 2);
+    Taps taps;
+    taps_around(x, y, width / 2, height / 2, &taps);
     const Floats found_x = interpolate(flow, &taps), found_y = interpolate(flow + plane / 4, &taps);
     const Floats still = interpolate(differences, &taps) + LEAST, along = interpolate(differences + plane / 4, &taps) + LEAST;
-    const Sample there = sample_at(row_indices(x) + frame.alpha * found_x, (float)y + frame.alpha * found_y, width, height);
+    Sample there;
+    find_sample(row_indices(x) + frame.alpha * found_x, (float)y + frame.alpha * found_y, width, height, &there);
     Floats known[6];
     know_trends(trends, frame.network_width, plane, x, y, known);
     __global float *out = candidates + at;
