@@ -1,182 +1,96 @@
-/* What surrounds the shading correction network (paper: 'Shading Correction Network'): its input at half resolution, and the
-   frame that its output makes of the extrapolated one. */
+/* What the shading correction network's judgement makes of the extrapolated frame (paper: 'Shading Correction Network'): the
+   correction at half resolution, and the final image. */
 
 #include "frame.h"
-#include "warped_previous.h"
+#include "doubling.h"
 #include "mu_law.h"
+#include "sampling.h"
+#include "simd_rgb.h"
 
-#define BIN_BITS 16       /* dropped from a depth: bins are 1/128 of a power of two wide */
-#define BINS 32768
-#define COUNTED_ROWS 8    /* depth_histogram counts every eighth row */
-#define STRIP 128         /* rows per work-item of depth_histogram: equal bins one after another cost one atomic */
-#define SCANNERS 64       /* work-items of find_median */
-#define MAX_INVERSE_DEPTH 8.0f
 #define LEAST_MASK 0.03125f  /* a smaller focus mask is 0 */
+#define FLOW_UNIT 4.0f       /* pixels of a quarter of the resolution, of the network's own flow */
+#define DETAIL 4             /* channels at half resolution, of which the network gives four pixels each */
+#define JUDGED 4             /* channels before them: own flow (2), how far the found one is followed, how long trends last */
+#define SEEN 16              /* inputs of the head: detail (4), change along the flow (3), trend (3), both frames (6) */
+#define HIDDEN 16            /* channels of its hidden layer */
+#define SAID 6               /* outputs: change of colour (3), detail that is kept, likelihood of the focus mask, share of the trend */
+#define SLOPE 0.1f           /* of leaky rectifiers */
+#define DISOCCLUDED_BELOW 0.4f  /* mean input mask of four pixels, of which one is disoccluded and none dynamic: at most 0.375 */
+#define DOUBT 0.1f           /* the focus mask is 2 p - DOUBT */
 
-/* How often each bin of finite depth occurs in some of the rows. */
-WIDE __kernel void depth_histogram(const Frame frame, __global const float *depth, __global uint *histogram) {
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const int dst_x = get_global_id(0) * LANES, first = get_global_id(1) * STRIP, count = target_width - dst_x;
-    if (count <= 0) return;
-    int bin = -1;
-    uint run = 0;
-    for (int dst_y = first; dst_y < min(first + STRIP, target_height); dst_y += COUNTED_ROWS) {
-        const Floats z = load_some_floats(count, depth + dst_y * target_width + dst_x);
-        const Ints counts = (LANE_NUMBERS < count) & (z > 0.0f) & !isinf(z);
-        const Ints bins = counts ? floats_as_ints(z) >> BIN_BITS : (Ints)(-1);
-        if (ALL(bins == bin)) {
-            if (bin >= 0) run += LANES;
-            continue;
-        }
-        int lane_bins[LANES];
-        store_ints(bins, 0, lane_bins);
-        for (int k = 0; k < LANES; ++k) {
-            if (lane_bins[k] < 0) continue;
-            if (lane_bins[k] != bin) {
-                if (run) atomic_add(histogram + bin, run);
-                bin = lane_bins[k];
-                run = 0;
-            }
-            ++run;
-        }
+inline Floats leaky(const Floats x) { return wide_greater(x, SLOPE * x); }
+
+/* 1 / (1 + exp(-x)); NaN stays NaN. */
+inline Floats sigmoid(const Floats x) {
+    const Floats of_negative = wide_divide((Floats)(1.0f), exp_less_one(wide_lesser(fabs(x), (Floats)(88.0f))) + 2.0f);
+    const Floats value = x < 0.0f ? of_negative : 1.0f - of_negative;
+    return x == x ? value : x;
+}
+
+/* At a quarter of the resolution: the flow to follow (2), in pixels of half the resolution, and how far the trend lasts. */
+WIDE __kernel void choose_flow(const Frame frame, __global const float *judgement, __global const float *candidates,
+                               __global float *chosen) {
+    const int width = frame.network_width / 2, height = frame.network_height / 2, plane = width * height;
+    const int x = get_global_id(0) * LANES, y = get_global_id(1);
+    if (x >= width || y >= height) return;
+    judgement += y * width + x;
+    candidates += y * width + x;
+    chosen += y * width + x;
+    const Floats follow = sigmoid(load_floats(0, judgement + 2 * plane));
+    for (int axis = 0; axis < 2; ++axis) {
+        const Floats own = FLOW_UNIT * load_floats(0, judgement + axis * plane);
+        const Floats found = frame.alpha * (FOUND_UNIT * load_floats(0, candidates + (FOUND + axis) * plane));
+        store_floats(2.0f * (own + follow * (found - own)), 0, chosen + axis * plane);
     }
-    if (run) atomic_add(histogram + bin, run);
+    const Floats lasts = load_floats(0, candidates + HELD * plane) + load_floats(0, judgement + 3 * plane);
+    store_floats(lasts == lasts ? clamp(lasts, (Floats)(0.0f), (Floats)(1.0f)) : lasts, 0, chosen + 2 * plane);
 }
 
-/* The middle of the bin in which half of the depths is reached; 1 if there are none. One work-group. */
-__kernel __attribute__((reqd_work_group_size(SCANNERS, 1, 1)))
-void find_median(__global const uint *histogram, __global float *median_depth) {
-    const uint part = get_local_id(0);
-    __local uint sums[SCANNERS];
-    uint sum = 0;
-    for (uint bin = part * (BINS / SCANNERS); bin < (part + 1) * (BINS / SCANNERS); ++bin) sum += histogram[bin];
-    sums[part] = sum;
-    barrier(CLK_LOCAL_MEM_FENCE);
-    if (part) return;
-    uint total = 0, below = 0, bin = 0;
-    for (int k = 0; k < SCANNERS; ++k) total += sums[k];
-    const uint half_way = (total + 1) / 2;
-    for (; bin < SCANNERS - 1 && below + sums[bin] < half_way; ++bin) below += sums[bin];
-    for (bin *= BINS / SCANNERS; bin < BINS - 1 && below + histogram[bin] < half_way; ++bin) below += histogram[bin];
-    *median_depth = total ? as_float((bin << BIN_BITS) | (1u << (BIN_BITS - 1))) : 1.0f;
-}
-
-/* Of a strip of two rows: products of lifted colours, which stay below 1e28. */
-inline Strip lifted_rows(const Strip top, const Strip bottom, const float4 law) {
-    Strip product;
-#pragma unroll
-    for (int part = 0; part < PARTS; ++part)
-        product.part[part] = LIFTED(Texels, top.part[part], law) * LIFTED(Texels, bottom.part[part], law);
-    return product;
-}
-
-#if LANES == 8
-#define CHANNEL(a, b, c) ((float8)((a).part[0].s##c, (a).part[1].s##c, (b).part[0].s##c, (b).part[1].s##c))
-#define LEFT(a, b) {CHANNEL(a, b, 08), CHANNEL(a, b, 19), CHANNEL(a, b, 2a)}
-#define RIGHT(a, b) {CHANNEL(a, b, 4c), CHANNEL(a, b, 5d), CHANNEL(a, b, 6e)}
-#else
-#define LEFT(a, b) {(a).part[0].x, (a).part[0].y, (a).part[0].z}
-#define RIGHT(a, b) {(b).part[0].x, (b).part[0].y, (b).part[0].z}
-#endif
-
-/* Means over 2x2 pixels, encoded, of what lifted_rows made of two strips side by side: three planes of the network's input. */
-inline void store_colors(const Strip a, const Strip b, const float4 law, const int plane_size, __global float *planes) {
-    const WideRgb left = LEFT(a, b), right = RIGHT(a, b);
-    const float scale = 0.25f * law.y;
-    store_floats(scale * log_of_product(left.r, right.r), 0, planes);
-    store_floats(scale * log_of_product(left.g, right.g), 0, planes + plane_size);
-    store_floats(scale * log_of_product(left.b, right.b), 0, planes + 2 * plane_size);
-}
-
-/* Planes of the network's input: means over 2x2 pixels, the image's border repeated. */
-WIDE __kernel void network_input(const Frame frame, __global const half *color, __global const float *depth,
-                                 __global const float2 *out_motion, __global const uchar *is_dynamic,
-                                 __global const uchar *disoccluded, __global const float2 *motion,
-                                 __global const half *color_prev, __global const float *depth_prev,
-                                 __global const float *median_depth, __global float *planes) {
-    const int target_width = frame.target_width, target_height = frame.target_height;
-    const int source_width = frame.source_width, source_height = frame.source_height;
-    const int network_width = frame.network_width, network_height = frame.network_height;
-    const float4 law = frame.color_law;
-    const Reprojection to_previous = frame.target_to_previous;
-    const int net_x = get_global_id(0) * LANES, net_y = get_global_id(1);
-    if (net_x >= network_width || net_y >= network_height) return;
-    const Frames frames = {1, target_width, source_width, source_height, color, color_prev, depth, depth_prev,
-                           out_motion, motion, is_dynamic, disoccluded, to_previous};
-    StripOfFrame strips[4];  /* left, right; of two rows */
-    Strip colors[4], before[4];
-#pragma unroll
-    for (int k = 0; k < 4; ++k) {
-        const int x = min(2 * net_x + (k & 1) * LANES, target_width - 1), y = min(2 * net_y + (k >> 1), target_height - 1);
-        strips[k] = strip_of_frame(&frames, x, y);
-        colors[k] = load_strip(strips[k].count, color + 4 * strips[k].first);
-        previous_of(&frames, strips + k, colors + k, before + k);
-        before[k] = as_halfs(before[k]);
+/* The head: two layers of weights for each pixel. Weights lie one row after another, each layer's biases after them. */
+inline void head_of(__global const float *head, const Floats *seen, Floats *said) {
+    __global const float *bias = head + HIDDEN * SEEN, *second = bias + HIDDEN, *last = second + SAID * HIDDEN;
+    for (int j = 0; j < SAID; ++j) said[j] = last[j];
+    for (int k = 0; k < HIDDEN; ++k) {
+        Floats sum = bias[k];
+        for (int i = 0; i < SEEN; ++i) sum += head[k * SEEN + i] * seen[i];
+        sum = leaky(sum);
+        for (int j = 0; j < SAID; ++j) said[j] += second[j * HIDDEN + k] * sum;
     }
-    Floats inverse = 0.0f, mask = 0.0f;
-#pragma unroll
-    for (int row = 0; row < 2; ++row) {
-        const StripOfFrame *a = strips + 2 * row, *b = a + 1;
-        const Pairs near = *median_depth / (Pairs)(a->depth, b->depth);
-        const Pairs nearness = near < MAX_INVERSE_DEPTH ? near : (Pairs)(MAX_INVERSE_DEPTH);
-        const Pairs masks = (Pairs)(input_mask_of(a), input_mask_of(b));
-        inverse += nearness.even + nearness.odd;
-        mask += masks.even + masks.odd;
-    }
-    const int plane_size = network_width * network_height;
-    __global float *out = planes + net_y * network_width + net_x;
-    store_colors(lifted_rows(colors[0], colors[2], law), lifted_rows(colors[1], colors[3], law), law, plane_size, out);
-    store_colors(lifted_rows(before[0], before[2], law), lifted_rows(before[1], before[3], law), law, plane_size, out + 3 * plane_size);
-    store_floats(0.25f * inverse, 0, out + 6 * plane_size);
-    store_floats(0.25f * mask, 0, out + 7 * plane_size);
 }
 
-/* The four taps, in an image at half resolution, of pixels from (x, y) on. `inner`: those to the left and to the right are
-   in 8 pixels from `first` on, else `left` and `right`. */
-typedef struct {
-    int top, bottom, first;
-    Ints left, right;
-    Floats u;
-    float v;
-    bool inner;
-} Taps;
-
-inline Taps taps_of(const int x, const int y, const int width, const int height) {
-    const Ints columns = x + LANE_NUMBERS, x0 = (columns - 1) >> 1;
-    const int y0 = (y - 1) >> 1, first = (x >> 1) - 1;
-    Taps t;
-    t.top = max(y0, 0) * width;
-    t.bottom = min(y0 + 1, height - 1) * width;
-    t.first = first;
-    t.left = max(x0, (Ints)(0));
-    t.right = min(x0 + 1, (Ints)(width - 1));
-    t.u = (columns & 1) == 1 ? (Floats)(0.25f) : (Floats)(0.75f);
-    t.v = (y & 1) ? 0.25f : 0.75f;
-    t.inner = first >= 0 && first + 8 <= width;
-    return t;
-}
-
-/* Bilinear interpolation of a plane. */
-INLINE Floats interpolate(__global const float *plane, const Taps *t) {
-    Floats a, b, c, d;
-#if LANES == 8
-    if (t->inner) {
-        const float8 top = vload8(0, plane + t->top + t->first), bottom = vload8(0, plane + t->bottom + t->first);
-        a = top.s01122334;
-        b = top.s12233445;
-        c = bottom.s01122334;
-        d = bottom.s12233445;
-    } else
-#endif
-    {
-        a = gather_floats(plane + t->top, t->left);
-        b = gather_floats(plane + t->top, t->right);
-        c = gather_floats(plane + t->bottom, t->left);
-        d = gather_floats(plane + t->bottom, t->right);
+/* At half resolution: change of encoded colour (3), detail that is kept, focus mask. In disocclusions a change of light cannot be
+   told from another surface: there nothing is changed. */
+WIDE __kernel void judge(const Frame frame, __global const float *frames, __global const float *trends,
+                         __global const float *judgement, __global const float *chosen, __global const float *head,
+                         __global const int *changed, __global float *correction) {
+    const int width = frame.network_width, height = frame.network_height, plane = width * height, quarter = plane / 4;
+    const int x = get_global_id(0) * LANES, y = get_global_id(1), at = y * width + x;
+    if (x >= width || y >= height) return;
+    Taps taps;
+    taps_around(x, y, width / 2, height / 2, &taps);
+    const Floats flow_x = interpolate(chosen, &taps), flow_y = interpolate(chosen + quarter, &taps);
+    const Floats lasts = interpolate(chosen + 2 * quarter, &taps);
+    Sample along;
+    find_sample(row_indices(x) + flow_x, (float)y + flow_y, width, height, &along);
+    const Ints column = x + LANE_NUMBERS, detail_at = (column & 1) * quarter + (y / 2) * (width / 2) + (column >> 1);
+    __global const float *detail = judgement + (JUDGED + 2 * (y & 1)) * quarter;
+    Floats seen[SEEN], said[SAID];
+    for (int c = 0; c < DETAIL; ++c) seen[c] = leaky(gather_floats(detail + 4 * c * quarter, detail_at));
+    for (int c = 0; c < 3; ++c) {
+        const Floats now = load_floats(0, frames + c * plane + at);
+        seen[DETAIL + c] = sampled(frames + c * plane, &along) - now;
+        seen[DETAIL + 3 + c] = load_floats(0, trends + c * plane + at) * lasts;
+        seen[DETAIL + 6 + c] = now;
+        seen[DETAIL + 9 + c] = load_floats(0, frames + (3 + c) * plane + at);
     }
-    const Floats u = t->u;
-    const float v = t->v;
-    return (1.0f - u) * (1.0f - v) * a + u * (1.0f - v) * b + (1.0f - u) * v * c + u * v * d;
+    head_of(head, seen, said);
+    const Floats number = (flow_x - flow_x) + (flow_y - flow_y);  /* 0; NaN where the flow is none */
+    for (int c = 0; c < 3; ++c)
+        store_floats(said[c] + seen[DETAIL + c] + said[5] * seen[DETAIL + 3 + c] + number, 0, correction + c * plane + at);
+    store_floats(sigmoid(said[3]), 0, correction + 3 * plane + at);
+    const Ints untold = load_floats(0, frames + 7 * plane + at) < DISOCCLUDED_BELOW;
+    const Floats mask = *changed ? (untold ? (Floats)(0.0f) : 2.0f * said[4] - DOUBT) : (Floats)(0.0f);
+    store_floats(mask == mask ? clamp(mask, (Floats)(0.0f), (Floats)(1.0f)) : mask, 0, correction + 4 * plane + at);
 }
 
 /* Stores the lanes of a mixture that hold, and of the others the extrapolated colour's own bits. */
@@ -221,7 +135,8 @@ WIDE __kernel void correct(const Frame frame, const int asked, __global const ha
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= target_width || y >= target_height) return;
     const int i = y * target_width + x, plane = network_width * network_height, count = target_width - x;
-    const Taps taps = taps_of(x, y, network_width, network_height);
+    Taps taps;
+    taps_around(x, y, network_width, network_height, &taps);
     const Floats m = interpolate(correction + 4 * plane, &taps);
     if (within_mask && !with_refined && !ANY(m >= LEAST_MASK)) {
         const WideRgb none = {0.0f, 0.0f, 0.0f};

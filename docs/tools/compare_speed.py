@@ -42,6 +42,8 @@ PARTS = {
     ("rendered", "shading_trend"): "SCN, trend",
     ("extrapolated", "shading_trend"): "SCN, trend",
     ("extrapolated", "shading"): "SCN, inputs",
+    ("extrapolated", "network_input"): "SCN, inputs",
+    ("extrapolated", "shading_flow"): "SCN, flow",
     ("extrapolated", "correction"): "SCN, kernels",
     ("extrapolated", "network"): "SCN, network",
     ("extrapolated", "network copies"): "SCN, network",
@@ -120,7 +122,8 @@ class Version:
         if not scn:
             parts["wall time"], parts["CPU time"] = heard["wall"], heard["cpu"] / (os.cpu_count() or 1)
         gae = sum(milliseconds for name, milliseconds in parts.items() if name not in ("wall time", "CPU time"))
-        own = {"SCN, inputs and kernels": scn.get("SCN, inputs", 0.0) + scn["SCN, kernels"]} if scn else {}
+        kernels = sum(scn.get(f"SCN, {name}", 0.0) for name in ("inputs", "flow", "kernels"))
+        own = {"SCN, inputs and kernels": kernels} if scn else {}
         return dict(parts) | {"GAE": gae} | scn | own
 
     def close(self) -> None:

@@ -47,6 +47,7 @@ PAPER = {
     "GAE": 1400,
     "SCN, trend": None,
     "SCN, inputs": None,
+    "SCN, flow": None,
     "SCN, kernels": None,
     "SCN, network": None,
     "SCN, copies": None,
@@ -210,7 +211,7 @@ def _timed_pair(pipeline: Pipeline, footage: Footage, turn: Turn, samples: _Samp
             for kernel, event in done:
                 milliseconds = (event.profile.end - event.profile.start) * 1e-6
                 kernels[f"{stage}.{kernel}"] += milliseconds
-                parts[traffic.part(stage, when, kernel)] += milliseconds
+                parts[traffic.part(stage, when)] += milliseconds
                 commands[traffic.group(stage)] += 1
     parts |= {traffic.SCN[name]: milliseconds for name, milliseconds in network.items()}
     for taken, into in ((parts, samples.parts), (kernels, samples.kernels)):
@@ -226,8 +227,7 @@ def _must_move(pipeline: Pipeline, launches: dict[str, traffic.Launches], shares
     parts: dict[str, float] = defaultdict(float)
     for when, launched in launches.items():
         for stage, kernels in traffic.bytes_per_pixel(pipeline, launched, shares).items():
-            for kernel, nbytes in kernels.items():
-                parts[traffic.part(stage, when, kernel)] += nbytes
+            parts[traffic.part(stage, when)] += math.fsum(kernels.values())
     return _with_sums(parts)
 
 

@@ -20,12 +20,16 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import numpy as np
+
 from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation import traffic
 from gffe_cl.evaluation.benchmark_input import Footage
+from gffe_cl.inference.model_interface import HEAD_WEIGHTS
 from gffe_cl.opencl.device import open_device
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import Pipeline
+from gffe_cl.stages.correction import ShadingCorrection
 
 SIZE = (1920, 1080)  # pixels, by default
 PART = (192, 108)  # of which so many are counted,
@@ -128,6 +132,20 @@ def _joined(made: dict, blocks: list[tuple[str, int, int]], pixels: int) -> dict
     }
 
 
+class _SilentNetwork:
+    """In place of the shading correction network, by whose focus mask kernels load more or less: its mask is 0."""
+
+    copying, head = 0.0, np.zeros(HEAD_WEIGHTS, np.float32)
+
+    def prepare(self, height: int, width: int) -> None:
+        """As `inference.Network.prepare`."""
+
+    def run(self, frames: np.ndarray, candidates: np.ndarray, judgement: np.ndarray) -> int:
+        """As `inference.Network.run`."""
+        judgement[:] = 0
+        return 0
+
+
 def _make(folder: Path) -> None:
     """Under Oclgrind: make the frames, and say what was launched for the last pair and what it must move."""
     footage, options = pickle.loads((folder / "asked").read_bytes())
@@ -137,6 +155,8 @@ def _make(folder: Path) -> None:
     footage = footage.on(device)
     pipeline = Pipeline(device, footage.width, footage.height, Options(**options))
     pipeline.exposure = footage.exposure
+    if correction := pipeline.stages.get(ShadingCorrection.name):
+        correction.use(_SilentNetwork())
     *before, last = (turn for turn in footage.turns(1))
     for turn in before:
         pipeline.submit(turn.frame)

@@ -9,30 +9,16 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
-from gffe_cl.inference.network import MULTIPLE
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.stages.base import Kernel, Share, share_of
+from gffe_cl.stages.network_input import STILL_TILES
 
-_STILL = 1 / 64  # change of encoded colour from t − 1 to t + α
-
-
-def still_tiles(frames: np.ndarray) -> np.ndarray:
-    """(h/16, w/16) bool, from (8, h, w), what the network sees: whether nothing changes visibly within a tile from the
-    frame before on, so that it cannot hold any focus."""
-    change = np.abs(frames[:3] - frames[3:6]).max(0)
-    height, width = change.shape
-    return change.reshape(height // MULTIPLE, MULTIPLE, width // MULTIPLE, MULTIPLE).max((1, 3)) < _STILL
-
-
-# Beside those by which stages declare: where the network changes the frame, and its tiles that it could leave out.
-FOCUS = share_of("focus", "correction.focus_mask")
-STILL_TILES = share_of("still tiles", "correction.frames", still_tiles)
+FOCUS = share_of("focus", "correction.focus_mask")  # where the network changes the frame
 
 # Parts by stage.
 SCN = {
-    "shading_trend": "SCN, trend", "shading": "SCN, inputs", "correction": "SCN, kernels", "network": "SCN, network",
+    "shading_trend": "SCN, trend", "shading": "SCN, inputs", "network_input": "SCN, inputs",
+    "shading_flow": "SCN, flow", "correction": "SCN, kernels", "network": "SCN, network",
     "network copies": "SCN, copies",
 }  # fmt: skip
 UPSCALING = ("upscaling", "sharpening")
@@ -43,12 +29,10 @@ def group(stage: str) -> str:
     return "SCN" if stage in SCN else "upscaling" if stage in UPSCALING else "GAE"
 
 
-def part(stage: str, when: str, kernel: str) -> str:
+def part(stage: str, when: str) -> str:
     """What the work of a stage after `submit` ("rendered") or in `extrapolate` ("extrapolated") is called in tables."""
     if stage == "background":
         return f"background, {'collection' if when == 'rendered' else 'projection'}"
-    if stage == "correction" and kernel != "correct":
-        return SCN["shading"]
     return SCN.get(stage, stage)
 
 

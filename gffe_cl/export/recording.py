@@ -17,6 +17,7 @@ import pyopencl as cl
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import OVERLAYS
+from gffe_cl.inference.network import default_model, load_network
 from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import stages_of
@@ -132,7 +133,9 @@ class _Rehearsal:
         for stage in self.all.values():
             stage.recorder = self.tape
         if correction := self.stages.get(ShadingCorrection.name):
-            correction.infer = lambda alpha: self.tape.network(correction)
+            correction.infer = lambda: self.tape.network(correction)
+            if options.scn_model or default_model():
+                correction.upload("head", load_network(options.scn_model).head)
 
     def perform(self, number: int, first: bool) -> dict[str, list[Operation]]:
         """What is enqueued on each occasion, in one set of circumstances."""
@@ -212,7 +215,7 @@ def record(device: Device, options: Options, int64: bool) -> Plan:
         performed = [rehearsal.perform(number, first) for number, rehearsal in enumerate(rehearsals)]
         for occasion in performed[0]:
             takes = [taken[occasion] for taken in performed]
-            operations[occasion + "_first" * first] = _agreed(takes, rehearsals)
+            operations[occasion + "_first" * first] = _require_agreement(takes, rehearsals)
     buffers = {
         f"{owner.name}.{spec.name}": spec
         for rehearsal in rehearsals
@@ -223,7 +226,7 @@ def record(device: Device, options: Options, int64: bool) -> Plan:
     return Plan(operations, buffers, _initial(rehearsals[0]), lent, rehearsals[0].all, rehearsals[0].board.facts)
 
 
-def _agreed(takes: list[list[Operation]], rehearsals: list[_Rehearsal]) -> list[Operation]:
+def _require_agreement(takes: list[list[Operation]], rehearsals: list[_Rehearsal]) -> list[Operation]:
     """The operations that every rehearsal enqueues, but for those on buffers that images of its size do not have."""
     whole = max(takes, key=len)
     for take, rehearsal in zip(takes, rehearsals, strict=True):

@@ -12,7 +12,7 @@ from gffe_cl.core.errors import GffeError
 from gffe_cl.export.recording import MOST_PIXELS, Given, Operation, Plan
 from gffe_cl.frame import camera, camera_prediction, window
 from gffe_cl.frame.rendered_frame import BYTES_PER_PIXEL, OVERLAYS, SAME_POSE
-from gffe_cl.inference.network import MULTIPLE
+from gffe_cl.inference.model_interface import MULTIPLE
 from gffe_cl.opencl.probing import DIVISION_SOURCE, INT64_SOURCE
 from gffe_cl.opencl.program import expand
 from gffe_cl.pipeline.options import Options
@@ -230,10 +230,12 @@ def _part(operation: Operation, occasion: str, plan: Plan) -> str:
 
 def _grid(name: str) -> tuple[str, int]:
     """The C name of a grid of `BufferSpec`, and its level or number of levels; gffe_values.c has its size."""
-    if name not in _GRIDS and (found := re.fullmatch(r"(levels|level|mip)(\d+)", name)):
+    if name not in _GRIDS and (found := re.fullmatch(r"(levels|level|mip|network)(\d+)", name)):
         return f"GFFE_{found[1].upper()}", int(found[2])
     if name not in _GRIDS:
-        raise GffeError(f"export: C does not know the grid '{name}' (expected {', '.join(_GRIDS)}, level0, mip1 …)")
+        raise GffeError(
+            f"export: C does not know the grid '{name}' (expected {', '.join(_GRIDS)}, level0, mip1, network1 …)"
+        )
     return f"GFFE_{name.upper()}", 0
 
 

@@ -21,7 +21,7 @@ from gffe_cl.formats.capture import (
 from gffe_cl.formats.layers import Place, holding, layers_of, owner
 from gffe_cl.sequence.description import Description, FrameEntry, reference
 from gffe_cl.sequence.exr import decoded, require_parts
-from gffe_cl.sequence.exr_header import ExrHeader, HeaderReader, read_header
+from gffe_cl.sequence.exr_layout import ExrHeader, HeaderReader, read_header
 from gffe_cl.sequence.pixel_source import COLOR, ForeignPixels, stack_color
 from gffe_cl.sequence.reader import Sequence
 

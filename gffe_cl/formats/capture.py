@@ -15,7 +15,7 @@ from gffe_cl.core.validation import require_number, require_positive, shown
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.conventions import rigid, square
 from gffe_cl.sequence.description import Description, FrameEntry, check_times, read_text
-from gffe_cl.sequence.exr_header import ExrPart
+from gffe_cl.sequence.exr_layout import ExrPart
 
 MOST_JSON = 64 << 20
 MOST_SIDE = 1 << 16

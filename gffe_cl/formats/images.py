@@ -17,7 +17,7 @@ from gffe_cl.formats.layers import Place, layers_of
 from gffe_cl.formats.png import MAGIC as PNG_MAGIC
 from gffe_cl.formats.png import read_png, read_png_header
 from gffe_cl.sequence.exr import decoded, require_parts
-from gffe_cl.sequence.exr_header import ExrHeader, read_header
+from gffe_cl.sequence.exr_layout import ExrHeader, read_header
 
 Size = tuple[int, int]
 _EXR_MAGIC, _NPY_MAGIC, _ZIP_MAGIC = b"\x76\x2f\x31\x01", b"\x93NUMPY", b"PK\x03\x04"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence as Ordered
 
-from gffe_cl.sequence.exr_header import ExrHeader
+from gffe_cl.sequence.exr_layout import ExrHeader
 
 Place = tuple[int, str]  # part, channel in it
 

@@ -20,7 +20,7 @@ from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.conventions import depth_from_distance, motion_from_unreal
 from gffe_cl.sequence.description import FrameEntry
 from gffe_cl.sequence.exr import decoded, require_parts
-from gffe_cl.sequence.exr_header import ExrHeader, HeaderReader, read_header
+from gffe_cl.sequence.exr_layout import ExrHeader, HeaderReader, read_header
 from gffe_cl.sequence.pixel_source import ForeignPixels
 from gffe_cl.sequence.reader import Sequence
 

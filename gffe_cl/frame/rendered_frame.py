@@ -26,7 +26,7 @@ from gffe_cl.core.validation import (
 from gffe_cl.frame.camera import Camera
 
 HALF_MAX = 65504.0
-_HALF_EXPONENT = 0x7C00  # its bits, all of them set in NaN and infinity
+_HALF_INFINITY, _SIGN = 0x7C00, 0x8000  # bits; NaN has more
 SAME_POSE = 1e-6
 BYTES_PER_PIXEL = (8, 4, 8)  # of colour, depth and motion on the device
 KEPT_BYTES_PER_PIXEL = 2 * (8 + 4) + 8  # of two frames: nothing reads the motion of the one before
@@ -224,7 +224,7 @@ def pack_frame(frame: RenderedFrame, height: int, width: int) -> PackedFrame:
 
     rgb = color[..., :3]
     packed = _lies_as_on_device(color)
-    if not _fits_half(rgb):
+    if not _fits_half(rgb if packed is None else packed):
         finite = np.isfinite(rgb)
         over = np.abs(rgb) > HALF_MAX
         bad.color = int((~finite).any(-1).sum())
@@ -267,7 +267,7 @@ def _lies_as_on_device(color: np.ndarray) -> np.ndarray | None:
 
 def _fits_half(values: np.ndarray) -> bool:
     """Whether all of (H, W, n) are finite and within ±65504."""
-    if values.dtype == np.float16:  # bits, one channel after another: NumPy's arithmetic of halves is slow
-        planes = (values[..., c].view(np.uint16) for c in range(values.shape[-1]))
-        return all((plane & _HALF_EXPONENT).max() < _HALF_EXPONENT for plane in planes)
+    if values.dtype == np.float16:  # NumPy's arithmetic of halves is slow, but their bits are in order, by sign
+        positive, negative = values.view(np.int16).max(), values.view(np.uint16).max()
+        return bool(positive < _HALF_INFINITY and negative < _SIGN + _HALF_INFINITY)
     return bool(max(values.max(), -values.min()) <= HALF_MAX)  # both are NaN if one value is

@@ -1,7 +1,8 @@
 """Running the shading correction network with onnxruntime.
 
-A model takes `frames` (1, 8, h, w), `alpha` (1,) and, if it wants them, `trends` (1, 7, h, w), and gives `correction`
-(1, 5, h, w), all float32, for any h and w that are multiples of 16.
+A model takes `frames` (1, 8, h, w) and `candidates` (1, 16, h/2, w/2), and gives `judgement` (1, 20, h/2, w/2), all
+float32, for any h and w that are multiples of 16. It is convolutions; the rest is done by kernels, that of its last two
+layers, the head, too, whose weights are in the model's metadata: "head", float32, base64.
 """
 
 from __future__ import annotations
@@ -13,14 +14,22 @@ from pathlib import Path
 
 import numpy as np
 
+from gffe_cl.inference.model_interface import (
+    CANDIDATE_PLANES,
+    HEAD,
+    HEAD_WEIGHTS,
+    INPUT_PLANES,
+    JUDGEMENT_PLANES,
+    OUTPUT,
+    head_weights,
+    shapes_at,
+)
 from gffe_cl.inference.provider_choice import AUTO, Choice, choose
 from gffe_cl.inference.providers import CPU, PROVIDERS, NetworkError, load_onnxruntime, one_line, open_session
 from gffe_cl.inference.sessions import FixedSession
 
 __all__ = ["AUTO", "PROVIDERS", "Network", "NetworkError", "default_model", "load_network", "load_onnxruntime"]
 
-MULTIPLE = 16  # of the network's width and height
-INPUT_PLANES, TREND_PLANES, OUTPUT_PLANES = 8, 7, 5
 _PACKAGED = Path(str(files("gffe_cl") / "scn" / "weights" / "scn.onnx"))
 _FLOAT = "tensor(float)"
 _MOST_SIZES = 4  # whose sessions are kept
@@ -71,9 +80,9 @@ def take_remarks() -> list[str]:
 class Network:
     """A network and what runs it; see `load_network`.
 
-    `session`: the CPU's, for any size. `copying`: milliseconds of the last run that went into copies to the provider
-    and back, as far as they are known apart. `takes_trends`:
-    whether the model has such an input. `remark`: what a user should know of what runs it, "" if nothing.
+    `session`: the CPU's, for any size. `head`: (374,) float32, weights of its last two layers. `copying`: milliseconds
+    of the last run that went into copies to the provider and back, as far as they are known apart. `remark`: what a
+    user should know of what runs it, "" if nothing.
     """
 
     def __init__(self, path: Path, provider: str = CPU.name):
@@ -82,12 +91,11 @@ class Network:
         self._failure = ""
         self._fixed: dict[tuple[int, int], FixedSession] = {}  # by height and width, the latest last
         self._one_at_a_time = threading.RLock()  # on a provider; the CPU's session has no state
-        inputs = {"frames": (1, INPUT_PLANES, None, None), "alpha": (1,)}
-        self.takes_trends = any(value.name == "trends" for value in self.session.get_inputs())
-        if self.takes_trends:
-            inputs["trends"] = (1, TREND_PLANES, None, None)
+        free = (None, None)
+        inputs = {"frames": (1, INPUT_PLANES, *free), "candidates": (1, CANDIDATE_PLANES, *free)}
         _require(path, "input", self.session.get_inputs(), inputs)
-        _require(path, "output", self.session.get_outputs(), {"correction": (1, OUTPUT_PLANES, None, None)})
+        _require(path, "output", self.session.get_outputs(), {OUTPUT: (1, JUDGEMENT_PLANES, *free)})
+        self.head = _head_of(path, self.session.get_modelmeta().custom_metadata_map.get(HEAD, ""))
         self.choice: Choice = choose(path, provider)
 
     @property
@@ -103,15 +111,13 @@ class Network:
         """Make what it takes to run on images of this size, which may take seconds. Raises NetworkError."""
         self._guarded(lambda: None if self.provider == CPU.ort else self._session_of(height, width))
 
-    def run(self, frames: np.ndarray, alpha: float, correction: np.ndarray, trends: np.ndarray | None = None) -> int:
-        """Read `frames` (8, h, w) and, if the model `takes_trends`, `trends` (7, h, w), write `correction` (5, h, w):
-        C-contiguous float32, used in place on the CPU. Returns for how many of its pixels the network gave NaN or
-        infinity. Raises NetworkError."""
-        inputs = {"frames": frames[None], "alpha": np.array([alpha], np.float32)}
-        if trends is not None:
-            inputs["trends"] = trends[None]
-        self._guarded(lambda: self._run(inputs, correction[None]))
-        return _pixels_not_finite(correction)
+    def run(self, frames: np.ndarray, candidates: np.ndarray, judgement: np.ndarray) -> int:
+        """Read `frames` (8, h, w) and `candidates` (16, h/2, w/2), write `judgement` (20, h/2, w/2): C-contiguous
+        float32, used in place on the CPU. Returns for how many of its pixels the network gave NaN or infinity. Raises
+        NetworkError."""
+        inputs = {"frames": frames[None], "candidates": candidates[None]}
+        self._guarded(lambda: self._run(inputs, judgement[None]))
+        return _pixels_not_finite(judgement)
 
     def _guarded(self, work: Callable[[], object]) -> None:
         """Do `work`; where it fails on a provider that was not asked for by name, once more on the CPU, for good."""
@@ -125,18 +131,18 @@ class Network:
             self._fixed.clear()
             self._guarded(work)
 
-    def _run(self, inputs: dict[str, np.ndarray], correction: np.ndarray) -> None:
+    def _run(self, inputs: dict[str, np.ndarray], judgement: np.ndarray) -> None:
         if self.provider != CPU.ort:
             with self._one_at_a_time:
-                fixed = self._session_of(*correction.shape[2:])
-                fixed.run(inputs, "correction", correction)
+                fixed = self._session_of(*inputs["frames"].shape[2:])
+                fixed.run(inputs, OUTPUT, judgement)
                 self.copying = fixed.copying
             return
         self.copying = 0.0
         binding = self.session.io_binding()
         for name, array in inputs.items():
             binding.bind_input(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
-        binding.bind_output("correction", "cpu", 0, np.float32, correction.shape, correction.ctypes.data)
+        binding.bind_output(OUTPUT, "cpu", 0, np.float32, judgement.shape, judgement.ctypes.data)
         self.session.run_with_iobinding(binding)
         binding.synchronize_outputs()
 
@@ -147,15 +153,21 @@ class Network:
             if size in self._fixed:
                 self._fixed[size] = self._fixed.pop(size)
                 return self._fixed[size]
-            images = {"frames": INPUT_PLANES, "correction": OUTPUT_PLANES}
-            if self.takes_trends:
-                images["trends"] = TREND_PLANES
-            shapes = {name: (1, planes, *size) for name, planes in images.items()} | {"alpha": (1,)}
-            made = FixedSession(self.path, self.choice.provider, shapes, self.session)
+            made = FixedSession(self.path, self.choice.provider, shapes_at(height, width), self.session)
             while len(self._fixed) >= _MOST_SIZES:
                 del self._fixed[next(iter(self._fixed))]
             self._fixed[size] = made
             return made
+
+
+def _head_of(path: Path, text: str) -> np.ndarray:
+    weights = head_weights(text)
+    if len(weights) != HEAD_WEIGHTS or not np.isfinite(weights).all():
+        raise NetworkError(
+            f"{path}: no shading correction network: metadata '{HEAD}' has {len(weights)} numbers (expected"
+            f" {HEAD_WEIGHTS} finite float32, base64, as `gffe train` writes them)"
+        )
+    return weights
 
 
 def _pixels_not_finite(planes: np.ndarray) -> int:

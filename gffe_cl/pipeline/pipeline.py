@@ -54,10 +54,12 @@ from gffe_cl.stages.hidden_parts import HiddenParts
 from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.holes import FILLINGS, HoleFilling
 from gffe_cl.stages.memory_budget import footprint, require_room
+from gffe_cl.stages.network_input import NetworkInput
 from gffe_cl.stages.prediction import PositionPrediction
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.scene_cuts import SceneCuts
 from gffe_cl.stages.shading import ShadingInputs
+from gffe_cl.stages.shading_flow import ShadingFlow
 from gffe_cl.stages.shading_trend import ShadingTrend
 from gffe_cl.stages.sharpening import Sharpening
 from gffe_cl.stages.silhouettes import Silhouettes
@@ -78,7 +80,9 @@ STAGES: tuple[type[Stage], ...] = (
     HoleFilling,
     Silhouettes,
     ShadingInputs,
+    NetworkInput,
     ShadingTrend,
+    ShadingFlow,
     ShadingCorrection,
     Upscaling,
     Sharpening,

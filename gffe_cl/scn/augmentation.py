@@ -28,7 +28,7 @@ class Augmentation:
     previous frame, at x + α v in the truth, and at x − 2 v in the frame before, of which only the trend is known.
     Trends follow as the stage `Trend` would find them.
 
-    `shading`: how often a crop gets any; a quarter of these has lights that switch. `changing`: the share of patterns
+    `shading`: how often a crop gets any; two fifths of these have lights that switch. `changing`: the share of patterns
     that do not move steadily: they jump, are somewhere else in every frame, flicker or fade. Of these only fading goes
     on.
     """
@@ -48,7 +48,7 @@ class Augmentation:
         trends = trends.gather(1, order.expand_as(trends))
         before = _changes(colors, batch.halved)
         colors = colors * torch.exp2(self._uniform((1, count, 3, 1, 1), -0.3, 0.3))
-        for change, share in ((self._reflected, 0.4), (self._switched, 0.25), (self._lit, 1.0), (self._lit, 0.4)):
+        for change, share in ((self._reflected, 0.4), (self._switched, 0.4), (self._lit, 1.0), (self._lit, 0.4)):
             some = self._some(count, share * self.shading)
             if len(some):
                 colors[:, some] = change(colors[:, some], side[some], alpha[some])

@@ -9,7 +9,9 @@ to all that it writes.
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import onnx
@@ -42,12 +44,13 @@ def pad_channels(model: onnx.ModelProto) -> int:
     return padded
 
 
-def pad_file(source: Path, target: Path) -> int:
-    """Write the network of the ONNX file `source` to `target`, padded; for how many convolutions that was done. Raises
-    GffeError."""
+def pad_file(source: Path, target: Path, metadata: Mapping[str, str] = MappingProxyType({})) -> int:
+    """Write the network of the ONNX file `source` to `target`, padded, with `metadata`; for how many convolutions that
+    was done. Raises GffeError."""
     try:
         model = onnx.load(str(source))
         padded = pad_channels(model)
+        helper.set_model_props(model, {item.key: item.value for item in model.metadata_props} | dict(metadata))
         onnx.checker.check_model(model)
     except Exception as error:  # of protobuf, onnx or the system
         reason = getattr(error, "strerror", None) or type(error).__name__

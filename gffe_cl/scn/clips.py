@@ -16,7 +16,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation.metrics import focus_mask
 from gffe_cl.frame.rendered_frame import HALF_MAX
-from gffe_cl.inference.network import TREND_PLANES
+from gffe_cl.inference.model_interface import TREND_PLANES
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.remote_workers import Cluster, device_of_worker
 from gffe_cl.pipeline.options import Options

@@ -14,39 +14,53 @@ import numpy as np
 import torch
 
 from gffe_cl.core.errors import GffeError
-from gffe_cl.inference.network import INPUT_PLANES, MULTIPLE, TREND_PLANES, load_onnxruntime
+from gffe_cl.inference.model_interface import (
+    HEAD,
+    INPUT_PLANES,
+    INPUTS,
+    MULTIPLE,
+    OUTPUT,
+    TREND_PLANES,
+    head_text,
+    head_weights,
+    shapes_at,
+)
+from gffe_cl.inference.network import load_onnxruntime
 from gffe_cl.scn.channels import pad_file
 from gffe_cl.scn.network import ShadingCorrectionNetwork
 
-OPSET = 18  # of 20 and later OpenVINO does not know GridSample
+OPSET = 18
 TOLERANCE = 2e-4  # between onnxruntime and PyTorch, of values in about −1 … 1
 
 
 def export_onnx(network: ShadingCorrectionNetwork, path: Path) -> float:
-    """Write `network` to `path` (inputs frames, alpha, trends; output correction; any height and width); returns the
-    largest difference between onnxruntime and PyTorch on random input of two sizes.
+    """Write `network` to `path`: its convolutions, for frames of any height and width, and the head's weights; returns
+    the largest difference between onnxruntime and PyTorch on random input of two sizes.
 
     Raises GffeError if they disagree, or the file cannot be written; then there is none.
     """
     network = network.eval().cpu().to(memory_format=torch.contiguous_format)
     path, part = Path(path), Path(path).with_suffix(".part.onnx")
     example = example_inputs(4 * MULTIPLE, 6 * MULTIPLE)
-    free = {2: "height", 3: "width"}
     try:
         with warnings.catch_warnings(), torch.no_grad():
             warnings.simplefilter("ignore")
             logging.getLogger("torch.onnx").setLevel(logging.ERROR)
             torch.onnx.export(
-                network,
+                network.convolutions,
                 tuple(example.values()),
                 str(part),
                 input_names=list(example),
-                output_names=["correction"],
-                dynamic_axes={"frames": free, "trends": free, "correction": free},
+                output_names=[OUTPUT],
+                dynamic_axes={
+                    "frames": {2: "height", 3: "width"},
+                    "candidates": {2: "half_height", 3: "half_width"},
+                    OUTPUT: {2: "half_height", 3: "half_width"},
+                },
                 opset_version=OPSET,
                 dynamo=False,
             )
-        pad_file(part, part)
+        pad_file(part, part, {HEAD: head_text(network.head_weights())})
         difference = largest_difference(network, part)
         if not difference <= TOLERANCE:
             raise GffeError(
@@ -62,23 +76,25 @@ def export_onnx(network: ShadingCorrectionNetwork, path: Path) -> float:
 
 
 def example_inputs(height: int, width: int) -> dict[str, torch.Tensor]:
-    """Random input of the network, in the order of its arguments; equal sizes, equal numbers."""
-    generator = torch.Generator().manual_seed(height)
-    shapes = {"frames": (1, INPUT_PLANES, height, width), "alpha": (1,), "trends": (1, TREND_PLANES, height, width)}
-    return {name: torch.rand(shape, generator=generator) for name, shape in shapes.items()}
+    """Random input of the model, in the order of its arguments; equal sizes, equal numbers."""
+    generator, shapes = torch.Generator().manual_seed(height), shapes_at(height, width)
+    return {name: torch.rand(shapes[name], generator=generator) for name in INPUTS}
 
 
-def weights_of(path: Path) -> dict[str, np.ndarray]:
-    """The weights in a network that `export_onnx` wrote, by the names of its parameters. Raises GffeError."""
+def weights_of(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """The weights in a network that `export_onnx` wrote: of the convolutions, by the names of their parameters, and of
+    the head. Raises GffeError."""
     import onnx
 
     try:
         model = onnx.load(str(path))
-        return {item.name: onnx.numpy_helper.to_array(item) for item in model.graph.initializer}
+        weights = {item.name: onnx.numpy_helper.to_array(item) for item in model.graph.initializer}
+        head = next((item.value for item in model.metadata_props if item.key == HEAD), "")
     except Exception as error:  # of protobuf, onnx or the system
         raise GffeError(
             f"{path}: not an ONNX network ({getattr(error, 'strerror', None) or type(error).__name__})"
         ) from None
+    return weights, head_weights(head)
 
 
 def largest_difference(network: ShadingCorrectionNetwork, path: Path) -> float:
@@ -89,7 +105,7 @@ def largest_difference(network: ShadingCorrectionNetwork, path: Path) -> float:
         inputs = example_inputs(height, width)
         (onnx,) = session.run(None, {name: value.numpy() for name, value in inputs.items()})
         with torch.no_grad():
-            expected = network(*inputs.values()).numpy()
+            expected = network.convolutions(*inputs.values()).numpy()
         worst = max(worst, float(np.abs(onnx - expected).max()))
     return worst
 
@@ -101,7 +117,7 @@ def count_operations(network: ShadingCorrectionNetwork, width: int, height: int)
     sides = [-(-side // (2 * MULTIPLE)) * MULTIPLE for side in (height, width)]
     shape_only = copy.deepcopy(network).to("meta").eval()
     with torch.no_grad(), torch.device("meta"), FlopCounterMode(display=False) as counter:
-        shape_only(*(torch.zeros(1, n, *sides) if n else torch.zeros(1) for n in (INPUT_PLANES, 0, TREND_PLANES)))
+        shape_only(torch.zeros(1, INPUT_PLANES, *sides), torch.zeros(1), torch.zeros(1, TREND_PLANES, *sides))
     return sum(p.numel() for p in network.parameters()), counter.get_total_flops() / 1e9
 
 

@@ -1,7 +1,7 @@
 """How shading moved between two frames, by least squares (Lucas and Kanade, 1981), coarse to fine.
 
-It is part of the shading correction network, which may follow it (`network.ShadingCorrectionNetwork`): no weights, and
-of operations that every provider of onnxruntime has.
+The shading correction network may follow it (`network.ShadingCorrectionNetwork`). For training: in the pipeline it is
+kernels/shading_flow.cl.
 """
 
 from __future__ import annotations

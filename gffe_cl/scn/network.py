@@ -17,16 +17,15 @@ import torch
 import torch.nn.functional as functional
 from torch import Tensor, nn
 
-from gffe_cl.inference.network import INPUT_PLANES
+from gffe_cl.inference.model_interface import CANDIDATE_PLANES, HEAD_LAYERS, INPUT_PLANES, JUDGEMENT_PLANES
 from gffe_cl.scn.flow import find_flow
 from gffe_cl.scn.images import double, halve, warp
 from gffe_cl.stages.mu_law import HEADROOM, MU
 
 FOCUS_THRESHOLD = 1 / 32  # a smaller M is 0
-_CHANNELS = (24, 32, 48, 64)  # at 1/4 … 1/32 of the display
+_CHANNELS = (16, 32, 48, 64)  # at 1/4 … 1/32 of the display
 _SEEN = 16  # channels of what is seen of the frames themselves, at a quarter
-_DETAIL = 4
-_HEAD = 16
+_JUDGED = 4  # channels of the judgement before the detail
 _DOUBT = 0.1
 _FLOW_UNIT = 4.0  # pixels of a quarter of the resolution
 _LITTLE = 1e-4  # squared change of encoded colour
@@ -49,6 +48,34 @@ def _conv(inputs: int, outputs: int, stride: int = 1, size: int = 3) -> nn.Seque
     return nn.Sequential(nn.Conv2d(inputs, outputs, size, stride, size // 2), nn.LeakyReLU(_SLOPE))
 
 
+class Convolutions(nn.Module):
+    """The network proper, which is what the ONNX file holds: `forward(frames, candidates)` gives the judgement,
+    (N, 20, h/2, w/2), see `ShadingCorrectionNetwork`.
+
+    Every convolution has a multiple of four input channels: WebGPU's provider computes others wrongly.
+    """
+
+    def __init__(self):
+        super().__init__()
+        self.seen = _conv(INPUT_PLANES, _SEEN, 2)
+        self.encoder = nn.ModuleList([_conv(_SEEN + CANDIDATE_PLANES, _CHANNELS[0])])
+        for i, o in zip(_CHANNELS[:-1], _CHANNELS[1:], strict=True):
+            self.encoder.append(nn.Sequential(_conv(i, o, 2), _conv(o, o)))
+        pairs = list(zip(_CHANNELS[1:], _CHANNELS[:-1], strict=True))  # finest first, as above
+        self.narrow = nn.ModuleList(_conv(coarse, fine, size=1) for coarse, fine in pairs)
+        self.decoder = nn.ModuleList(_conv(2 * fine, fine) for _, fine in pairs)
+        self.out = nn.Conv2d(_CHANNELS[0], JUDGEMENT_PLANES, 1)
+
+    def forward(self, frames: Tensor, candidates: Tensor) -> Tensor:
+        features = [torch.cat((self.seen(frames), candidates), 1)]
+        for level in self.encoder:
+            features.append(level(features[-1]))
+        result = features.pop()
+        for narrow, level in zip(reversed(self.narrow), reversed(self.decoder), strict=True):
+            result = level(torch.cat((double(narrow(result)), features.pop()), 1))
+        return self.out(result)
+
+
 class ShadingCorrectionNetwork(nn.Module):
     """`forward(frames, alpha, trends)`.
 
@@ -63,20 +90,15 @@ class ShadingCorrectionNetwork(nn.Module):
     mask is wrong it would have no gradient.
 
     Δ = (GAE frame moved along a flow − GAE frame) + g · trend, as far as it lasts, + δ; the flow is a mean of the one
-    that was found, α of it, and the network's own. Every convolution has a multiple of four input channels: WebGPU's
-    provider computes others wrongly.
+    that was found, α of it, and the network's own. In the pipeline all but `convolutions` are kernels:
+    kernels/shading_flow.cl, kernels/correction.cl.
     """
 
     def __init__(self):
         super().__init__()
-        self.seen = _conv(INPUT_PLANES, _SEEN, 2)
-        self.encoder = nn.ModuleList([_conv(_SEEN + _CANDIDATES, _CHANNELS[0])])
-        for i, o in zip(_CHANNELS[:-1], _CHANNELS[1:], strict=True):
-            self.encoder.append(nn.Sequential(_conv(i, o, 2), _conv(o, o)))
-        pairs = zip(_CHANNELS[1:], _CHANNELS[:-1], strict=True)
-        self.decoder = nn.ModuleList(_conv(coarse + fine, fine) for coarse, fine in pairs)  # finest first, as above
-        self.out = nn.Conv2d(_CHANNELS[0], 4 + 4 * _DETAIL, 3, 1, 1)
-        self.head = nn.Sequential(_conv(_DETAIL + 12, _HEAD, size=1), nn.Conv2d(_HEAD, 6, 1))
+        self.convolutions = Convolutions()
+        (hidden, seen), (said, _) = HEAD_LAYERS
+        self.head = nn.Sequential(_conv(seen, hidden, size=1), nn.Conv2d(hidden, said, 1))
         self._begin()
 
     @torch.no_grad()
@@ -86,33 +108,37 @@ class ShadingCorrectionNetwork(nn.Module):
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, _SLOPE)
                 nn.init.zeros_(module.bias)
-        self.out.weight[:4] *= 0.1
+        self.convolutions.out.weight[:_JUDGED] *= 0.1
         self.head[1].weight *= 0.1
         self.head[1].bias.copy_(torch.tensor((0.0, 0.0, 0.0, 2.0, 0.15, 0.3)))
 
+    def head_weights(self) -> np.ndarray:
+        """(374,): of each layer rows, then biases."""
+        parameters = [parameter.detach().cpu().numpy().ravel() for parameter in self.head.parameters()]
+        return np.concatenate(parameters).astype(np.float32)
+
     @torch.no_grad()
-    def take(self, weights: Mapping[str, np.ndarray]) -> None:
-        """Begin with `weights` by the parameters' names; inputs and outputs that they do not have count for nothing
-        yet. Raises ValueError for those of another network."""
-        for name, parameter in self.named_parameters():
+    def take(self, weights: Mapping[str, np.ndarray], head: np.ndarray) -> None:
+        """Begin with `weights` of the convolutions by the parameters' names, and those of the `head`; inputs and
+        outputs that they do not have count for nothing yet. Raises ValueError for those of another network."""
+        for name, parameter in self.convolutions.named_parameters():
             given = weights.get(name)
             if given is None or given.ndim != parameter.ndim or any(np.greater(given.shape, parameter.shape)):
                 raise ValueError(f"'{name}' is {'missing' if given is None else list(given.shape)}")
             parameter.zero_()
             parameter[tuple(slice(n) for n in given.shape)] = torch.from_numpy(np.array(given))
+        sizes = [parameter.numel() for parameter in self.head.parameters()]
+        if len(head) != sum(sizes):
+            raise ValueError(f"its head has {len(head)} weights")
+        for parameter, part in zip(self.head.parameters(), np.split(head, np.cumsum(sizes)[:-1]), strict=True):
+            parameter.copy_(torch.from_numpy(part).view_as(parameter))
 
     def forward(self, frames: Tensor, alpha: Tensor, trends: Tensor):
         now, before = frames[:, :3], frames[:, 3:6]
         time = alpha.view(-1, 1, 1, 1)
-        found, held, candidates = _candidates(halve(frames[:, :6]), halve(trends), time)
-        features = [torch.cat((self.seen(frames), candidates), 1)]
-        for level in self.encoder:
-            features.append(level(features[-1]))
-        result = features.pop()
-        for level in reversed(self.decoder):
-            result = level(torch.cat((double(result), features.pop()), 1))
-        out = self.out(result).float()
-        own, follow, lasts, detail = out.split((2, 1, 1, 4 * _DETAIL), 1)
+        found, held, candidates = find_candidates(halve(frames[:, :6]), halve(trends), time)
+        judgement = self.convolutions(frames, candidates).float()
+        own, follow, lasts, detail = judgement.split((2, 1, 1, JUDGEMENT_PLANES - _JUDGED), 1)
         own = _FLOW_UNIT * own
         flow = own + torch.sigmoid(follow) * (time * found - own)
         moved = warp(now, 2.0 * double(flow)) - now
@@ -125,12 +151,10 @@ class ShadingCorrectionNetwork(nn.Module):
         return (correction, likely) if self.training else correction
 
 
-_CANDIDATES = 16  # channels of the following
-
-
-def _candidates(frames: Tensor, trends: Tensor, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def find_candidates(frames: Tensor, trends: Tensor, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """At a quarter of the resolution: the flow from the GAE frame into the warped previous one (2), how far the last
-    interval's trend was that of the interval before (1), and what is known about both candidates (`_CANDIDATES`)."""
+    interval's trend was that of the interval before (1), and what is known about both candidates
+    (`CANDIDATE_PLANES`)."""
     now, before = frames[:, :3], frames[:, 3:6]
     with torch.no_grad():  # of inputs alone
         found, differences = find_flow(now.mean(1, keepdim=True), before.mean(1, keepdim=True))

@@ -336,7 +336,7 @@ class Training:
 
     def _begin_with(self, start: Path) -> None:
         try:
-            self.network.take(weights_of(start))
+            self.network.take(*weights_of(start))
         except ValueError as error:
             raise GffeError(f"{start}: not a network of this kind, {error} (expected one that gffe trained)") from None
 

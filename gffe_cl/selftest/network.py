@@ -6,13 +6,13 @@ import hashlib
 
 import numpy as np
 
-from gffe_cl.inference.network import OUTPUT_PLANES, NetworkError, default_model, load_network
+from gffe_cl.inference.model_interface import JUDGEMENT_PLANES
+from gffe_cl.inference.network import NetworkError, default_model, load_network
 from gffe_cl.inference.provider_check import verdict
 from gffe_cl.inference.providers import CPU, installed_providers
 from gffe_cl.selftest.reference import Reference, recorded
 
-ALPHA = 2 / 3
-_STEP = 2.0**-13  # of recorded values
+_STEP = 2.0**-13  # recorded values are multiples of it
 
 
 def providers() -> list[str]:
@@ -22,12 +22,11 @@ def providers() -> list[str]:
 
 
 def output_of(provider: str, reference: Reference) -> np.ndarray:
-    """(5, h, w) float32: what the network makes of the recorded input. Raises NetworkError."""
-    values = reference.values["default"]
-    frames, trends = (np.ascontiguousarray(values[name]) for name in ("correction.frames", "shading_trend.trends"))
-    made = np.empty((OUTPUT_PLANES, *frames.shape[1:]), np.float32)
-    network = load_network(None, provider)
-    network.run(frames, ALPHA, made, trends if network.takes_trends else None)
+    """(20, h, w) float32: what the network makes of the recorded input. Raises NetworkError."""
+    values, names = reference.values["default"], ("network_input.frames", "shading_flow.candidates")
+    frames, candidates = (np.ascontiguousarray(values[name]) for name in names)
+    made = np.empty((JUDGEMENT_PLANES, *candidates.shape[1:]), np.float32)
+    load_network(None, provider).run(frames, candidates, made)
     return made
 
 
@@ -40,7 +39,7 @@ def model_digest() -> str:
 def record(reference: Reference) -> None:
     """Take the CPU provider's output into the references."""
     reference.model = model_digest()
-    reference.network = np.round(output_of("cpu", reference) / _STEP).astype(np.int16)
+    reference.network = np.round(output_of("cpu", reference) / _STEP) * np.float32(_STEP)
 
 
 def compare_provider(provider: str) -> float:
@@ -49,6 +48,5 @@ def compare_provider(provider: str) -> float:
     reference = recorded()
     if reference.model != model_digest():
         raise NetworkError("the installed weights are not those that the references were recorded with")
-    expected = reference.network * np.float32(_STEP)
     found = output_of(provider, reference)
-    return float(np.abs(np.where(np.isfinite(found), found, np.inf) - expected).max())
+    return float(np.abs(np.where(np.isfinite(found), found, np.inf) - reference.network).max())

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gffe_cl.frame.camera import Camera
+from gffe_cl.inference.model_interface import HEAD_WEIGHTS
 from gffe_cl.inference.network import default_model
 from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline.options import Options
@@ -71,19 +72,21 @@ def forms_of(device: Device) -> list[Form]:
 
 
 class FixedNetwork:
-    """In place of the shading correction network, whose output differs between machines: a pattern that hangs on
+    """In place of the shading correction network, whose output differs between machines: a pattern that depends on
     nothing but its size. Kernels around it must make the same of it everywhere."""
 
-    copying, takes_trends = 0.0, True
+    copying = 0.0
+    head = ((np.arange(HEAD_WEIGHTS) * 37 % 64).astype(np.float32) - 32) / 256
 
-    def run(self, frames: np.ndarray, alpha: float, correction: np.ndarray, trends: np.ndarray) -> int:
+    def prepare(self, height: int, width: int) -> None:
+        """As `inference.Network.prepare`."""
+
+    def run(self, frames: np.ndarray, candidates: np.ndarray, judgement: np.ndarray) -> int:
         """As `inference.Network.run`."""
-        planes, height, width = correction.shape
+        planes, height, width = judgement.shape
         plane, y, x = np.ogrid[:planes, :height, :width]
-        pattern = ((x * 7 + y * 13 + plane * 29 + (x // 8) * (y // 8) * 3) % 64).astype(np.float32)
-        correction[:] = pattern / 512 - 0.0625
-        correction[3] = pattern[3] / 64
-        correction[4] = np.maximum(pattern[4] / 32 - 1, 0)
+        pattern = ((x * 7 + y * 13 + plane * 29 + (x // 4) * (y // 4) * 3) % 64).astype(np.float32)
+        judgement[:] = pattern / 64 - 0.5
         return 0
 
 
@@ -98,7 +101,7 @@ def moments(device: Device, case: Case, form: Form) -> Iterator[tuple[str, dict[
     pipeline.exposure = EXPOSURE
     pipeline.keep()
     if correction := pipeline.stages.get(ShadingCorrection.name):
-        correction.network = FixedNetwork()
+        correction.use(FixedNetwork())
     for k, frame in enumerate(frames(*SIZE, case.render_size)):
         pipeline.submit(frame)
         for j, alpha in enumerate(ALPHAS, 1):

@@ -17,7 +17,7 @@ import OpenEXR
 from gffe_cl.core.errors import GffeError
 from gffe_cl.core.files import require_moderate
 from gffe_cl.core.validation import require_choice
-from gffe_cl.sequence.exr_header import ExrHeader, read_header
+from gffe_cl.sequence.exr_layout import ExrHeader, read_header
 from gffe_cl.sequence.openexr_stderr import quietly
 
 _FLOAT_CHANNELS = ("Z", "motion.")  # always float32; any other channel keeps half if it is half

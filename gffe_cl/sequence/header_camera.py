@@ -10,7 +10,7 @@ import numpy as np
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.camera import Camera
-from gffe_cl.sequence.exr_header import ExrPart
+from gffe_cl.sequence.exr_layout import ExrPart
 
 _FLIP_Y = np.diag([1.0, -1.0, 1.0, 1.0])
 _NAMES = ("worldToCamera", "worldToNDC")

@@ -13,7 +13,7 @@ from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.rendered_frame import Overlays, color_of_planes
 from gffe_cl.sequence import exr
 from gffe_cl.sequence.description import FrameEntry
-from gffe_cl.sequence.exr_header import ExrHeader, read_header
+from gffe_cl.sequence.exr_layout import ExrHeader, read_header
 
 COLOR = ("R", "G", "B")
 MOTION = ("motion.x", "motion.y")

@@ -34,7 +34,7 @@ from gffe_cl.sequence.description import (
     read_text,
     without_collections,
 )
-from gffe_cl.sequence.exr_header import HeaderReader
+from gffe_cl.sequence.exr_layout import HeaderReader
 from gffe_cl.sequence.header_camera import has_camera, header_cameras
 from gffe_cl.sequence.matching import Timeline
 from gffe_cl.sequence.output_folder import why_unfinished

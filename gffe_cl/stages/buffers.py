@@ -21,7 +21,7 @@ from pyopencl.tools import PooledBuffer
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import BYTES_PER_PIXEL, PackedFrame
-from gffe_cl.inference.network import MULTIPLE
+from gffe_cl.inference.model_interface import MULTIPLE
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.pixel_formats import Packing
@@ -69,11 +69,21 @@ class Sizes:
         texels = tuple(-(-n // side) for n, side in zip(image, texel_of(grid), strict=True))
         if grid == "tiles":
             return texels[0] * TILE_GROUP, texels[1]
-        return tuple(-(-n // MULTIPLE) * MULTIPLE for n in texels) if grid == "network" else texels
+        if grid.startswith("network"):
+            multiple = MULTIPLE >> network_level(grid)
+            return tuple(-(-n // multiple) * multiple for n in texels)
+        return texels
+
+
+def network_level(grid: str) -> int:
+    """How often the sides of "network" are halved in one of its grids."""
+    return int(grid.removeprefix("network") or 0)
 
 
 def texel_of(grid: str) -> tuple[int, int]:
     """Width and height in pixels that a texel of a grid covers, of the image that the grid is laid over."""
+    if grid.startswith("network"):
+        return (2 << network_level(grid),) * 2
     if grid.startswith(("level", "mip")):
         return (1 << int(grid.removeprefix("level").removeprefix("mip")),) * 2
     return {
@@ -83,7 +93,6 @@ def texel_of(grid: str) -> tuple[int, int]:
         "cells": (8, 8),
         "source_blocks": BLOCK,
         "target_blocks": BLOCK,
-        "network": (2, 2),
     }.get(grid, (1, 1))
 
 
@@ -110,13 +119,13 @@ def lies_on_source(grid: str) -> bool:
 class BufferSpec:
     """One named buffer.
 
-    `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "downsampled"
-    (target / 32, rounded up), "source_blocks" and "target_blocks" (blocks of 8×4), "level0" … (source / 2^l, rounded
-    up), "levels1" … (so many of these one after another), "mip1" … (target / 2^l, rounded up), "network" (target / 2,
-    rounded up to multiples of 16), "cells" (source / 8, rounded up) or "once" (no image). Some kernels have grids of
-    their own: "residuals" (source / 4, rounded up), "tiles" (a work-group for each 4×4 texels of "downsampled") and
-    "cut_samples" (so many of the rendered image). `components` name its
-    channels; a single one goes without.
+    `grid` says whose pixels it has: "source" (rendered frame), "target" (extrapolated frame), "downsampled" (target /
+    32, rounded up), "source_blocks" and "target_blocks" (blocks of 8×4), "level0" … (source / 2^l, rounded up),
+    "levels1" … (so many of these one after another), "mip1" … (target / 2^l, rounded up), "network" (target / 2,
+    rounded up to multiples of 16), "network1" … "network4" (that / 2^l), "cells" (source / 8, rounded up) or "once" (no
+    image). Some kernels have grids of their own: "residuals" (source / 4, rounded up), "tiles" (a work-group for each
+    4×4 texels of "downsampled") and "cut_samples" (so many of the rendered image). `components` name its channels; a
+    single one goes without.
     `view` says what it means, and so how to show it: "color" (linear RGB), "depth" (view z), "motion" (pixels, from
     here), "place" (position in pixels), "world" (position in the view space of the rendered camera), "mask" (0 or 1),
     "label" (`labels` name its values), "scalar". `mapped`: the host works in it. `kept`: that of the frame before is

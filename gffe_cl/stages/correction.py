@@ -10,26 +10,32 @@ from typing import ClassVar
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.inference.network import INPUT_PLANES, OUTPUT_PLANES, Network, load_network
+from gffe_cl.inference.model_interface import HEAD_LAYERS, HEAD_WEIGHTS, JUDGEMENT_PLANES
+from gffe_cl.inference.network import Network, load_network
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import RGBA, BufferSpec
-from gffe_cl.stages.shading import SEEN
-from gffe_cl.stages.shading_trend import ShadingTrend
+from gffe_cl.stages.network_input import NetworkInput
+from gffe_cl.stages.shading_flow import ShadingFlow
 
 _CONSTANTS = constants("correction.cl")
 _WITHIN_MASK, _WITH_REFINED = _CONSTANTS["WITHIN_MASK"], _CONSTANTS["WITH_REFINED"]
 
-_IMAGE_PIXELS = 4  # per pixel of the network
+_SEEN, _HIDDEN, _SAID = (_CONSTANTS[name] for name in ("SEEN", "HIDDEN", "SAID"))
+assert ((_HIDDEN, _SEEN), (_SAID, _HIDDEN)) == HEAD_LAYERS
+
+_IMAGE_PIXELS = 16  # per pixel of its judgement
 _EVENTS = 1024  # of mapping that are kept until they are taken
 
 
 class ShadingCorrection(Stage):
     """Corrects shading that moves otherwise than its surface: shadows, reflections.
 
-    Colour goes into the network as e(c) = ln(1 + μ x) / ln(1 + μ), x = exposure · c / 8, and comes back by the inverse.
-    With U for bilinear interpolation from half resolution, L for the encoded GAE colour there and g for it at full:
-    refined = e⁻¹(U(L) + U(Δ) + U(keep) · (g − U(L))), final = GAE · (1 − U(M)) + refined · U(M) in linear colour.
+    The network's convolutions judge candidates at a quarter of the resolution (`judgement`); kernels make the change of
+    encoded colour of it, Δ = (GAE frame moved along a flow − GAE frame) + g · trend + δ (`judge`). With e for the code
+    of colour (`NetworkInput`), U for bilinear interpolation from half resolution, L for the encoded GAE colour there
+    and g for it at full: refined = e⁻¹(U(L) + U(Δ) + U(keep) · (g − U(L))), final = GAE · (1 − U(M)) + refined · U(M)
+    in linear colour.
 
     `unusable_pixels`: of all frames so far, where the network gave NaN or infinity; they keep the GAE colour.
     `with_refined`: whether `refined` is made too, from the next frame on.
@@ -39,20 +45,23 @@ class ShadingCorrection(Stage):
     pictures: ClassVar[Mapping[str, str]] = {"extrapolated": "color"}
     buffers = (
         BufferSpec(
-            "frames", np.float32, (), "network", "what the network sees: encoded GAE colour (1–3), encoded warped"
-            " previous frame (4–6), inverse depth (7), input mask (8); half resolution",
-            planes=INPUT_PLANES, mapped=True,
+            "judgement", np.float32, (), "network1", "what the network says, at a quarter of the resolution: a flow of"
+            " its own / 4 (1, 2), whether the found one is followed (3) and how much longer trends last (4), before"
+            " sigmoid and clamping; four pixels of each of four channels of detail (5–20)",
+            planes=JUDGEMENT_PLANES, mapped=True,
         ),
         BufferSpec(
-            "correction", np.float32, (), "network", "what the network says: change of encoded colour (1–3), share of"
-            " detail that stays (4), focus mask (5); half resolution",
-            planes=OUTPUT_PLANES, mapped=True,
+            "head", np.float32, (), "once", "weights of the network's last two layers, for each pixel of `correction`",
+            planes=HEAD_WEIGHTS, scratch=True,
         ),
         BufferSpec(
-            "histogram", np.uint32, (), "once", "of the depths' leading bits",
-            planes=_CONSTANTS["BINS"], scratch=True,
+            "chosen", np.float32, (), "network1", "the flow that is followed until t + α, x (1) and y (2), in pixels of"
+            " half the resolution, and how far the trend lasts (3)", planes=3,
         ),
-        BufferSpec("median_depth", np.float32, (), "once", "of the finite depths of every eighth row, to 1/256"),
+        BufferSpec(
+            "correction", np.float32, (), "network", "change of encoded colour (1–3), share of detail that stays (4),"
+            " focus mask (5); half resolution", planes=5,
+        ),
         BufferSpec(
             "refined", np.float16, RGBA, "target", "the network's image, without focus mask; made where somebody looks"
             " at it", "color",
@@ -63,27 +72,27 @@ class ShadingCorrection(Stage):
 
     kernels = (
         Kernel(
-            "depth_histogram",
-            "target",
-            {"depth": Access("frame.depth", 1 / 8), "histogram": "correction.histogram"},
-            {"histogram": "correction.histogram"},
-            step=("LANES", "STRIP"),
+            "choose_flow",
+            "network1",
+            {
+                "judgement": Access("correction.judgement", planes=4),
+                "candidates": Access("shading_flow.candidates", planes=3),
+            },
+            {"chosen": "correction.chosen"},
+            step=("LANES", 1),
         ),
         Kernel(
-            "find_median",
-            "once",
-            {"histogram": "correction.histogram"},
-            {"median_depth": "correction.median_depth"},
-            group="SCANNERS",
-        ),
-        Kernel(
-            "network_input",
+            "judge",
             "network",
             {
-                **SEEN,
-                "median_depth": "correction.median_depth",
+                "frames": Access("network_input.frames", planes=7),  # all but inverse depth
+                "trends": Access("shading_trend.trends", planes=3),
+                "judgement": Access("correction.judgement", planes=16),
+                "chosen": "correction.chosen",
+                "head": "correction.head",
+                "changed": "network_input.changed",
             },
-            {"planes": "correction.frames"},
+            {"correction": "correction.correction"},
             step=("LANES", 1),
         ),
         Kernel(
@@ -91,7 +100,7 @@ class ShadingCorrection(Stage):
             "target",
             {
                 "color": "frame.color",
-                "frames": Access("correction.frames", planes=3),
+                "frames": Access("network_input.frames", planes=3),
                 "correction": "correction.correction",
             },
             {
@@ -108,8 +117,7 @@ class ShadingCorrection(Stage):
         super().__init__(board)
         self.network: Network | None = None
         if load:
-            self.network = load_network(board.options.scn_model, board.options.scn_provider)
-            self.network.prepare(*reversed(self.network_size))
+            self.use(load_network(board.options.scn_model, board.options.scn_provider))
         self._network_milliseconds = 0.0
         self._copying_milliseconds = 0.0
         self._mappings: deque[cl.Event] = deque(maxlen=_EVENTS)
@@ -124,13 +132,20 @@ class ShadingCorrection(Stage):
         self.with_refined = names is None or "correction.refined" in names
 
     def extrapolated(self, step: Step) -> None:
-        """Make the final image of the filled frame; waits for the network."""
-        if step.previous is None:
+        """Make the final image of the filled frame; waits for the network. A still frame has nothing to correct."""
+        if step.previous is None or self.board.stages[NetworkInput.name].is_still:
             self.skip()
             return
-        self.prepare(step)
-        self.infer(step.alpha)
+        self.infer()
+        self.launch("choose_flow", step)
+        self.launch("judge", step)
         self.compose(step, self.board.options.focus_mask)
+
+    def use(self, network: Network) -> None:
+        """Take what runs the network from now on."""
+        network.prepare(*reversed(self.sizes.of("network")))
+        self.network = network
+        self.upload("head", network.head)
 
     def skip(self) -> None:
         """Nothing to go by: the final image is the extrapolated one."""
@@ -138,41 +153,26 @@ class ShadingCorrection(Stage):
             self.copy(f"correction.{name}", "frame.color")
         self.fill("focus_mask", 0)
 
-    def prepare(self, step: Step) -> None:
-        """Fill `frames`."""
-        self.fill("histogram", 0)
-        self.launch("depth_histogram", step)
-        self.launch("find_median")
-        self.launch("network_input", step)
-
-    def infer(self, alpha: float) -> None:
-        """Fill `correction`: the network works in the mapped buffers: no copy where host and device share memory."""
-        frames = self.map(self, "frames", cl.map_flags.READ)
-        trends = (
-            self.map(self.board.stages[ShadingTrend.name], "trends", cl.map_flags.READ)
-            if self.network.takes_trends
-            else None
-        )
-        correction = self.map(self, "correction", cl.map_flags.WRITE_INVALIDATE_REGION)
+    def infer(self) -> None:
+        """Fill `judgement`: the network works in the mapped buffers: no copy where host and device share memory."""
+        stages = self.board.stages
+        frames = self.map(stages[NetworkInput.name], "frames", cl.map_flags.READ)
+        candidates = self.map(stages[ShadingFlow.name], "candidates", cl.map_flags.READ)
+        judgement = self.map(self, "judgement", cl.map_flags.WRITE_INVALIDATE_REGION)
         try:
             start = time.perf_counter()
-            self.unusable_pixels += _IMAGE_PIXELS * self.network.run(frames, alpha, correction, trends)
+            self.unusable_pixels += _IMAGE_PIXELS * self.network.run(frames, candidates, judgement)
             copying = self.network.copying
             self._network_milliseconds += (time.perf_counter() - start) * 1e3 - copying
             self._copying_milliseconds += copying
         finally:
-            for array in filter(lambda array: array is not None, (frames, trends, correction)):
+            for array in (frames, candidates, judgement):
                 self._mappings.append(array.base.release(self.device.queue))
 
     def compose(self, step: Step, within_mask: bool) -> None:
         """Fill `focus_mask` and `color`; without `within_mask` the whole image is the network's."""
         asked = within_mask * _WITHIN_MASK + self.with_refined * _WITH_REFINED
         self.launch("correct", step, asked=asked)
-
-    @property
-    def network_size(self) -> tuple[int, int]:
-        """Width and height of the network's images."""
-        return self.sizes.of("network")
 
     def map(self, stage: Stage, name: str, flags: int) -> np.ndarray:
         """The memory of a mapped buffer of a stage, once the kernels before are done; to be released on the queue."""

@@ -71,12 +71,12 @@ class SceneCuts(Stage):
         _, rows = self.sizes.of("cut_samples")
         counts = self.read("counts")[:rows].sum(0)
         jumped = before is not None and step > TELEPORT * before
-        found = is_cut(dict(zip(COUNTED, counts.tolist(), strict=True)), jumped)
+        found = counts_say_cut(dict(zip(COUNTED, counts.tolist(), strict=True)), jumped)
         self._step = None if found else step
         return found
 
 
-def is_cut(counts: dict[str, int], jumped: bool = False) -> bool:
+def counts_say_cut(counts: dict[str, int], jumped: bool = False) -> bool:
     """What the counts of `COUNTED` say; `jumped`: whether the camera's step is `TELEPORT` times the one before."""
     valid, inside, compared = counts["valid"], counts["inside"], counts["compared"]
     if valid < LEAST_SAMPLES:

@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.inference.network import TREND_PLANES
+from gffe_cl.inference.model_interface import TREND_PLANES
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
+from gffe_cl.stages.network_input import NetworkInput
 
 _CONSTANTS = constants("shading_trend.cl")
 _CHANGES = _CONSTANTS["CHANGES"]
@@ -85,7 +86,10 @@ class ShadingTrend(Stage):
         self.launch("find_trend", step)
 
     def extrapolated(self, step: Step) -> None:
-        """Carry both trends on to the new frame."""
+        """Carry both trends on to the new frame, unless there is nothing to correct."""
+        seen = self.board.stages.get(NetworkInput.name)
+        if seen and seen.is_still:
+            return
         self.launch("carry_trends", step)
 
 

@@ -204,8 +204,10 @@ def test_dump_stages(gffe, scene, tmp_path):
     assert all(dumped[name] == made[name] for name in "RGB")
 
 
-def test_shading_correction(gffe, scene, tmp_path):
+def test_shading_correction(gffe, tmp_path):
     """Off without weights; with a model the colour changes and nothing else, within the focus mask or everywhere."""
+    scene = tmp_path / "in"
+    assert gffe("render", "fan", scene, "--size", "64x40", "--frames", 4, "--ground-truth")[0] == 0
     model = constant_model(tmp_path / "m.onnx", delta=0.05, mask=0.5)
     runs = {
         "none": ("--no-scn",),
@@ -225,10 +227,10 @@ def test_shading_correction(gffe, scene, tmp_path):
             assert np.array_equal(none[same], some[same]) and np.array_equal(none[same], whole[same])
     assert np.array_equal(images["none"][0]["G"], images["all"][0]["G"])  # nothing before it
     dumped = {path.name for path in (tmp_path / "some" / "stages" / "extrapolated_000002_0500").iterdir()}
-    names = ("frames", "correction", "refined", "focus_mask", "color")
-    assert dumped >= {"warp.color.exr", "shading.input_mask.exr", *(f"correction.{name}.exr" for name in names)}
+    names = ("judgement", "correction", "refined", "focus_mask", "color")
+    assert dumped >= {"warp.color.exr", "network_input.frames.exr", *(f"correction.{name}.exr" for name in names)}
 
-    broken = constant_model(tmp_path / "nan.onnx", delta=float("nan"))
+    broken = constant_model(tmp_path / "nan.onnx", judgement=[float("nan")])
     code, _, err = gffe("run", scene, tmp_path / "nan", "--scn-model", broken, "--json", tmp_path / "r.json")
     assert code == 0 and err.count("nan.onnx: the network gave NaN or infinity for about") == 1
     assert err.splitlines()[0] == "warning: " + " ".join(json.loads((tmp_path / "r.json").read_text())["warnings"])

@@ -64,8 +64,8 @@ def test_bench_of_shading_correction(gffe, tmp_path):
     assert code == 0 and "SCN, network" in text
     for one in json.loads((tmp_path / "b.json").read_text())["devices"]:
         parts = one["sizes"][0]["milliseconds"]
-        scn = [parts[f"SCN, {name}"] for name in ("trend", "inputs", "kernels", "network", "copies")]
-        assert min(scn[:4]) > 0 and scn[4] >= 0 and parts["SCN"] == pytest.approx(sum(scn))
+        scn = [parts[f"SCN, {name}"] for name in ("trend", "inputs", "flow", "kernels", "network", "copies")]
+        assert min(scn[:5]) > 0 and scn[5] >= 0 and parts["SCN"] == pytest.approx(sum(scn))
         others = sum(ms for name, ms in parts.items() if name != "GAE" and not name.startswith("SCN"))
         assert parts["GAE"] == pytest.approx(others)
 

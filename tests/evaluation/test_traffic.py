@@ -1,6 +1,5 @@
 """Bytes per pixel that must move, from the declarations of the stages."""
 
-import numpy as np
 import pytest
 from test_twins import frames
 
@@ -54,15 +53,6 @@ def test_levels_and_shares_count(device):
     block = -(-W // 8) * -(-H // 4) / (W * H)
     shown = shares["splatted"] + block
     assert fill == pytest.approx(shown + shares["unfilled"] * ((8 + 4) * 2 + 8 + 8), rel=0.02)
-
-
-def test_tiles_in_which_nothing_changes():
-    """Any change of colour counts, of other planes none."""
-    planes = np.random.default_rng(0).random((8, 32, 48)).astype(np.float32)
-    planes[3:6] = planes[:3]
-    planes[4, 20, 40] += 0.1
-    planes[0, 3, 20] += 0.001
-    assert traffic.still_tiles(planes).tolist() == [[True] * 3, [True, True, False]]
 
 
 def test_memory_is_what_was_allocated(device):

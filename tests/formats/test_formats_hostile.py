@@ -14,7 +14,7 @@ from foreign import H, W, edit_json, shots, write_blender, write_exr
 from gffe_cl import GffeError, open_capture
 from gffe_cl.cli import commands
 from gffe_cl.sequence.exr import decoded
-from gffe_cl.sequence.exr_header import ExrHeader, ExrPart
+from gffe_cl.sequence.exr_layout import ExrHeader, ExrPart
 
 SECONDS, BYTES = 2, 100e6
 

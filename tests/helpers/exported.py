@@ -28,7 +28,7 @@ class CCamera(ct.Structure):
         return Camera(np.array(self.world_to_view).reshape(4, 4), self.fx, self.fy, self.cx, self.cy)
 
 
-NETWORK = ct.CFUNCTYPE(ct.c_int, *(ct.c_void_p,) * 5, ct.c_size_t, ct.c_size_t, ct.c_float)
+NETWORK = ct.CFUNCTYPE(ct.c_int, *(ct.c_void_p,) * 5, ct.c_size_t, ct.c_size_t)
 
 
 class COptions(ct.Structure):

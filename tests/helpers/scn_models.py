@@ -4,61 +4,54 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
+from gffe_cl.inference.model_interface import HEAD, HEAD_LAYERS, JUDGEMENT_PLANES, OUTPUT, head_text
+
 FLOAT = TensorProto.FLOAT
-FRAMES, ALPHA = (1, 8, "h", "w"), (1,)
+FRAMES, CANDIDATES = (1, 8, "height", "width"), (1, 16, "h", "w")
+INPUTS = (("frames", FLOAT, FRAMES), ("candidates", FLOAT, CANDIDATES))
+OUTPUTS = ((OUTPUT, FLOAT, (1, JUDGEMENT_PLANES, "h", "w")),)
+ALPHA_PLANE = 15  # of the candidates
+IN_PLACE, NOT_AT_ALL, FOR_GOOD = (0.0, 0.0, -80.0), -1.0, 1.0  # flow that is followed, how long trends last
 
 
-def constant_model(path, delta=0.0, keep=1.0, mask=1.0):
-    """Says the same for every pixel; `delta` may be three numbers, `mask` too depends on α where it is "alpha"."""
+def head(delta=0.0, keep=1.0, mask=1.0, trend=0.0, of_detail=0.0):
+    """Weights that say the same for every pixel, but for `of_detail` × the first channel of detail in the mask."""
+    (hidden, seen), (said, _) = HEAD_LAYERS
+    first, second = np.zeros((hidden, seen)), np.zeros((said, hidden))
+    first[0, 0], second[4, 0] = 1, of_detail / 2
+    last = [*np.broadcast_to(delta, 3), 80 if keep else -80, (mask + 0.1) / 2, trend]
+    return np.concatenate([first.ravel(), np.zeros(hidden), second.ravel(), last]).astype(np.float32)
+
+
+def constant_model(path, delta=0.0, keep=1.0, mask=1.0, judgement=(), trend=0.0):
+    """Says the same for every pixel; `delta` may be three numbers, `mask` depends on α where it is "alpha";
+    `judgement`: its first numbers, else no flow is followed and no trend lasts."""
     by_alpha = mask == "alpha"
-    planes = np.array([*np.broadcast_to(delta, 3), keep, 0 if by_alpha else mask], np.float32).reshape(1, 5, 1, 1)
+    planes = np.zeros(JUDGEMENT_PLANES, np.float32)
+    planes[:4] = *IN_PLACE, NOT_AT_ALL
+    planes[: len(judgement)] = judgement
+    choice = np.zeros(JUDGEMENT_PLANES, np.float32)
+    choice[4:8] = by_alpha
     nodes = [
-        helper.make_node("Slice", ["frames", "zero", "one", "channel"], ["plane"]),
-        helper.make_node("Sub", ["plane", "plane"], ["nothing"]),
-        helper.make_node("Mul", ["alpha", "choice"], ["by_alpha"]),
-        helper.make_node("Add", ["planes", "by_alpha"], ["all"]),
-        helper.make_node("Add", ["nothing", "all"], ["correction"]),
-    ]
-    choice = np.array([0, 0, 0, 0, by_alpha], np.float32).reshape(1, 5, 1, 1)
-    constants = {
-        "planes": planes,
-        "choice": choice,
-        "zero": np.array([0]),
-        "one": np.array([1]),
-        "channel": np.array([1]),
-    }
-    return save(path, nodes, constants)
-
-
-def look_model(path, channels=(0, 1, 2, 3, 4)):
-    """Gives planes of its input back."""
-    return save(
-        path, [helper.make_node("Gather", ["frames", "which"], ["correction"], axis=1)], {"which": np.array(channels)}
-    )
-
-
-def trend_model(path, which=0):
-    """Says what a plane of its trends is, in the first of its own; the focus mask is 1."""
-    nodes = [
-        helper.make_node("Gather", ["trends", "which"], ["plane"], axis=1),
-        helper.make_node("Sub", ["plane", "plane"], ["nothing"]),
-        helper.make_node("Add", ["nothing", "alpha"], ["something"]),
-        helper.make_node("Mul", ["something", "zero"], ["none"]),
-        helper.make_node("Slice", ["frames", "first", "second", "channel"], ["unused"]),
-        helper.make_node("Sub", ["unused", "unused"], ["empty"]),
-        helper.make_node("Add", ["none", "one"], ["full"]),
-        helper.make_node("Concat", ["plane", "empty", "empty", "full", "full"], ["correction"], axis=1),
+        helper.make_node("Gather", ["candidates", "which"], ["alpha"], axis=1),
+        helper.make_node("Mul", ["alpha", "choice"], ["chosen"]),
+        helper.make_node("Add", ["chosen", "planes"], [OUTPUT]),
     ]
     constants = {
-        "which": np.array([which]),
-        "zero": np.zeros(1, np.float32),
-        "one": np.ones(1, np.float32),
-        "first": np.array([0]),
-        "second": np.array([1]),
-        "channel": np.array([1]),
+        "which": np.array([ALPHA_PLANE]),
+        "choice": choice.reshape(1, -1, 1, 1),
+        "planes": planes.reshape(1, -1, 1, 1),
     }
-    inputs = (("frames", FLOAT, FRAMES), ("alpha", FLOAT, ALPHA), ("trends", FLOAT, (1, 7, "h", "w")))
-    return save(path, nodes, constants, inputs)
+    return save(path, nodes, constants, weights=head(delta, keep, 0 if by_alpha else mask, trend, float(by_alpha)))
+
+
+def look_model(path):
+    """Gives its candidates back, the first of them twice."""
+    nodes = [
+        helper.make_node("Gather", ["candidates", "which"], ["again"], axis=1),
+        helper.make_node("Concat", ["candidates", "again"], [OUTPUT], axis=1),
+    ]
+    return save(path, nodes, {"which": np.arange(JUDGEMENT_PLANES - 16)})
 
 
 def movers_model(path, delta=0.1):
@@ -67,25 +60,31 @@ def movers_model(path, delta=0.1):
         helper.make_node("Gather", ["frames", "last"], ["mask"], axis=1),
         helper.make_node("Greater", ["mask", "limit"], ["moving"]),
         helper.make_node("Cast", ["moving"], ["focus"], to=FLOAT),
-        helper.make_node("Mul", ["focus", "choice"], ["chosen"]),
-        helper.make_node("Add", ["chosen", "constant"], ["correction"]),
+        helper.make_node("SpaceToDepth", ["focus"], ["detail"], blocksize=2),
+        helper.make_node("Mul", ["detail", "none"], ["nothing"]),
+        helper.make_node("Add", ["nothing", "still"], ["judged"]),
+        helper.make_node("Concat", ["judged", "detail", "nothing", "nothing", "nothing"], [OUTPUT], axis=1),
     ]
     constants = {
         "last": np.array([7]),
         "limit": np.array([0.9], np.float32),
-        "choice": np.array([0, 0, 0, 0, 1], np.float32).reshape(1, 5, 1, 1),
-        "constant": np.array([delta, delta, delta, 1, 0], np.float32).reshape(1, 5, 1, 1),
+        "none": np.zeros(1, np.float32),
+        "still": np.array([*IN_PLACE, NOT_AT_ALL], np.float32).reshape(1, 4, 1, 1),
     }
-    return save(path, nodes, constants)
+    return save(path, nodes, constants, weights=head(delta, mask=0.0, of_detail=1.0))
 
 
-def save(
-    path,
-    nodes,
-    constants,
-    inputs=(("frames", FLOAT, FRAMES), ("alpha", FLOAT, ALPHA)),
-    outputs=(("correction", FLOAT, (1, 5, "h", "w")),),
-):
+def pooling_model(path):
+    """Gives a quarter of the pixels that it should."""
+    nodes = [
+        helper.make_node("Gather", ["candidates", "which"], ["some"], axis=1),
+        helper.make_node("MaxPool", ["some"], [OUTPUT], kernel_shape=[2, 2], strides=[2, 2]),
+    ]
+    outputs = ((OUTPUT, FLOAT, (1, JUDGEMENT_PLANES, "a", "b")),)
+    return save(path, nodes, {"which": np.arange(JUDGEMENT_PLANES) % 16}, outputs=outputs)
+
+
+def save(path, nodes, constants, inputs=INPUTS, outputs=OUTPUTS, weights=None):
     graph = helper.make_graph(
         nodes, "test",
         [helper.make_tensor_value_info(*value) for value in inputs],
@@ -94,5 +93,6 @@ def save(
     )  # fmt: skip
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 16)], ir_version=8)
     onnx.checker.check_model(model)
+    helper.set_model_props(model, {HEAD: head_text(head() if weights is None else weights)})
     onnx.save(model, path)
     return str(path)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scn_models import constant_model
 
+from gffe_cl.inference.model_interface import shapes_at
 from gffe_cl.inference.network import load_network
 
 LOADS = "from gffe_cl.inference.network import load_network; load_network({!r}).session.get_inputs()"
@@ -30,7 +31,8 @@ def test_onnxruntime_writes_nothing_about_the_device(tmp_path):
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_output_that_is_not_finite_is_counted(tmp_path, bad):
-    frames, correction = np.zeros((8, 16, 32), np.float32), np.empty((5, 16, 32), np.float32)
-    model = load_network(constant_model(tmp_path / "m.onnx", delta=(0.0, bad, bad)))
-    assert model.run(frames, 0.5, correction) == 16 * 32
-    assert load_network(constant_model(tmp_path / "n.onnx", delta=3e38)).run(frames, 0.5, correction) == 0
+    frames, candidates, judgement = (np.zeros(shape[1:], np.float32) for shape in shapes_at(16, 32).values())
+    model = load_network(constant_model(tmp_path / "m.onnx", judgement=[0, bad, bad]))
+    assert model.run(frames, candidates, judgement) == 8 * 16
+    sound = load_network(constant_model(tmp_path / "n.onnx", judgement=[3e38] * 20))
+    assert sound.run(frames, candidates, judgement) == 0

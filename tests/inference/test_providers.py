@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 import tiny_sequence
 from onnx import helper
-from scn_models import look_model, save
+from scn_models import constant_model, look_model, pooling_model, save
 
 from gffe_cl import GffeError
 from gffe_cl.inference import network as inference
 from gffe_cl.inference import provider_check, provider_choice
 from gffe_cl.inference import providers as runtime
+from gffe_cl.inference.model_interface import shapes_at
 from gffe_cl.inference.network import Network, NetworkError, load_network
 from gffe_cl.inference.provider_check import Verdict, verdict
 from gffe_cl.inference.provider_choice import Choice, choose
@@ -33,14 +34,13 @@ def conv_model(path, channels=6):
     rng = np.random.default_rng(1)
     constants = {
         "first": rng.normal(0, 0.1, (16, channels, 3, 3)).astype(np.float32),
-        "second": rng.normal(0, 0.1, (5, 16, 1, 1)).astype(np.float32),
+        "second": rng.normal(0, 0.1, (20, 16, 1, 1)).astype(np.float32),
         "which": np.arange(channels),
     }
     nodes = [
-        helper.make_node("Gather", ["frames", "which"], ["some"], axis=1),
+        helper.make_node("Gather", ["candidates", "which"], ["some"], axis=1),
         helper.make_node("Conv", ["some", "first"], ["middle"], pads=[1, 1, 1, 1]),
-        helper.make_node("Conv", ["middle", "second"], ["small"]),
-        helper.make_node("Mul", ["small", "alpha"], ["correction"]),
+        helper.make_node("Conv", ["middle", "second"], ["judgement"]),
     ]
     return Path(save(path, nodes, constants))
 
@@ -109,7 +109,7 @@ def test_verdicts_are_kept(cache, tmp_path, monkeypatch):
     assert verdict(path, WEBGPU) == verdict(path, WEBGPU) == answer and len(calls) == 1
     verdict(path, PROVIDERS["cuda"])
     verdict(path, WEBGPU, refresh=True)
-    look_model(path, (4, 3, 2, 1, 0))
+    constant_model(path)
     verdict(path, WEBGPU)
     monkeypatch.setenv("VK_DRIVER_FILES", "/another.json")
     verdict(path, WEBGPU)
@@ -192,17 +192,17 @@ def test_a_driver_that_fails_while_it_runs(tmp_path, monkeypatch, named):
     monkeypatch.setattr(inference, "FixedSession", Failing)
     monkeypatch.setattr(inference, "choose", lambda *_: Choice(WEBGPU, may_fall_back=not named))
     network = Network(Path(look_model(tmp_path / "m.onnx")), "auto")
-    frames, correction = np.full((8, 16, 32), 3, np.float32), np.empty((5, 16, 32), np.float32)
+    *inputs, judgement = (np.full(shape[1:], 3, np.float32) for shape in shapes_at(16, 32).values())
     network.prepare(16, 32)
-    network.run(frames, 0.5, correction)
-    assert (correction == 7).all() and network.provider == WEBGPU.ort and not network.remark
+    network.run(*inputs, judgement)
+    assert (judgement == 7).all() and network.provider == WEBGPU.ort and not network.remark
     if named:
         with pytest.raises(NetworkError, match=r"m.onnx: the network failed on WebGpu\w+: device lost"):
-            network.run(frames, 0.5, correction)
+            network.run(*inputs, judgement)
         return
     for _ in range(3):
-        network.run(frames, 0.5, correction)
-        assert (correction == 3).all() and network.provider == CPU.ort and network.copying == 0
+        network.run(*inputs, judgement)
+        assert (judgement == 3).all() and network.provider == CPU.ort and network.copying == 0
     assert network.remark.count("device lost") == 1 and "went on on the CPU" in network.remark
 
 
@@ -210,16 +210,12 @@ def test_a_network_that_fails_on_the_cpu_too(tmp_path, monkeypatch):
     """... is an error, whatever was chosen how."""
     monkeypatch.setattr(inference, "FixedSession", Failing)
     monkeypatch.setattr(inference, "choose", lambda *_: Choice(WEBGPU, may_fall_back=True))
-    nodes = [
-        helper.make_node("Gather", ["frames", "which"], ["five"], axis=1),
-        helper.make_node("MaxPool", ["five"], ["correction"], kernel_shape=[2, 2], strides=[2, 2]),
-    ]
-    network = Network(Path(save(tmp_path / "m.onnx", nodes, {"which": np.arange(5)})), "auto")
-    frames, correction = np.full((8, 16, 32), 3, np.float32), np.empty((5, 16, 32), np.float32)
-    network.run(frames, 0.5, correction)
+    network = Network(Path(pooling_model(tmp_path / "m.onnx")), "auto")
+    *inputs, judgement = (np.full(shape[1:], 3, np.float32) for shape in shapes_at(16, 32).values())
+    network.run(*inputs, judgement)
     for _ in range(2):
         with pytest.raises(NetworkError, match=r"m.onnx: the network failed on CPUExecutionProvider"):
-            network.run(frames, 0.5, correction)
+            network.run(*inputs, judgement)
 
 
 def test_a_driver_that_fails_as_a_session_is_made(device, tmp_path, monkeypatch):
@@ -338,6 +334,7 @@ ASSIGNED = """
 import sys, collections
 from pathlib import Path
 from gffe_cl.inference import providers as runtime
+from gffe_cl.inference.model_interface import shapes_at
 from gffe_cl.inference.sessions import FixedSession
 onnxruntime = runtime.load_onnxruntime()
 made = onnxruntime.SessionOptions
@@ -347,8 +344,7 @@ def recording():
     return options
 onnxruntime.SessionOptions = recording
 path = Path(sys.argv[1])
-shapes = {"frames": (1, 8, 48, 80), "alpha": (1,), "trends": (1, 7, 48, 80), "correction": (1, 5, 48, 80)}
-session = FixedSession(path, runtime.PROVIDERS["webgpu"], shapes, runtime.open_session(path)).session
+session = FixedSession(path, runtime.PROVIDERS["webgpu"], shapes_at(48, 80), runtime.open_session(path)).session
 print(*sorted({part.ep_name for part in session.get_provider_graph_assignment_info()}))
 """
 

@@ -11,6 +11,7 @@ from onnx import helper, numpy_helper
 from scn_models import save
 
 from gffe_cl import GffeError
+from gffe_cl.inference.model_interface import shapes_at
 from gffe_cl.inference.network import load_network
 from gffe_cl.scn.channels import pad_channels, pad_file
 
@@ -32,15 +33,16 @@ def convolved(image, weights, stride=1):
 def model(path, channels=6, group=1):
     """Convolves the first `channels` planes twice with the same weights, and adds the two."""
     weights = RNG.normal(0, 0.2, (5 * group, channels // group, 3, 3)).astype(np.float32)
-    constants = {"weights": weights, "which": np.arange(channels), "first": np.arange(5)}
+    constants = {"weights": weights, "which": np.arange(channels), "first": np.arange(20) % 5}
+    constants["quarter"] = np.full(1, 0.25, np.float32)
     nodes = [
-        helper.make_node("Gather", ["frames", "which"], ["some"], axis=1),
+        helper.make_node("Gather", ["candidates", "which"], ["some"], axis=1),
         helper.make_node("Neg", ["some"], ["less"]),
         helper.make_node("Conv", ["some", "weights"], ["a"], pads=[1, 1, 1, 1], group=group),
         helper.make_node("Conv", ["less", "weights"], ["b"], pads=[1, 1, 1, 1], group=group),
-        helper.make_node("Mul", ["b", "alpha"], ["c"]),
+        helper.make_node("Mul", ["b", "quarter"], ["c"]),
         helper.make_node("Add", ["a", "c"], ["all"]),
-        helper.make_node("Gather", ["all", "first"], ["correction"], axis=1),
+        helper.make_node("Gather", ["all", "first"], ["judgement"], axis=1),
     ]
     return Path(save(path, nodes, constants)), weights
 
@@ -55,10 +57,10 @@ def channels_of(path):
 def test_padded_convolutions_say_the_same(tmp_path, channels):
     path, weights = model(tmp_path / "m.onnx", channels)
     assert pad_file(path, tmp_path / "p.onnx") == 2 and channels_of(tmp_path / "p.onnx") == [8, 8]
-    frames, correction = RNG.random((8, 16, 32), np.float32), np.empty((5, 16, 32), np.float32)
-    load_network(tmp_path / "p.onnx").run(frames, 0.25, correction)
-    expected = 0.75 * convolved(frames[:channels], weights)
-    np.testing.assert_allclose(correction, expected, atol=1e-5)  # sums of 63 products of about 0.2, in float32
+    frames, candidates, judgement = (RNG.random(shape[1:], np.float32) for shape in shapes_at(16, 32).values())
+    load_network(tmp_path / "p.onnx").run(frames, candidates, judgement)
+    expected = 0.75 * convolved(candidates[:channels], weights)
+    np.testing.assert_allclose(judgement[:5], expected, atol=1e-5)  # sums of 63 products of about 0.2, in float32
     assert channels_of(path) == [channels, channels]  # as it was
 
 

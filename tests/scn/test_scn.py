@@ -140,7 +140,7 @@ def test_trend_counts_as_far_as_it_has_lasted():
     net = network.ShadingCorrectionNetwork().eval()
     frames, trends = random(1, 8, 1, 1).expand(1, 8, 32, 32), random(1, 7, 1, 1).repeat(1, 1, 32, 32) - 0.5
     with torch.no_grad():
-        net.out.weight.zero_()
+        net.convolutions.out.weight.zero_()
         net.head[1].weight.zero_()
         net.head[1].bias[5] = 1.0
         for share, counts in ((1.0, 1.0), (2.0, 1.0), (0.5, 0.5), (0.0, 0.0), (-1.0, 0.0)):
@@ -160,10 +160,10 @@ def test_correction_follows_the_flow_that_was_found():
     frames = torch.cat((now, before, torch.full((1, 2, 64, 96), 0.5)), 1)
     net = network.ShadingCorrectionNetwork().eval()
     with torch.no_grad():
-        net.out.weight.zero_()
+        net.convolutions.out.weight.zero_()
         net.head[1].weight.zero_()
         for follow, share in ((20.0, 1.0), (-20.0, 0.0)):
-            net.out.bias[2] = follow
+            net.convolutions.out.bias[2] = follow
             delta = net(frames, torch.tensor([0.5]), torch.zeros(1, 7, 64, 96))[:, :3]
             expected = share * (bright(2.0) - now)
             assert (delta - expected)[..., 12:-12, 12:-12].abs().max() < 0.02
@@ -173,19 +173,22 @@ def test_training_begins_with_another_network_s_weights():
     """Also with those of one that has fewer inputs; what it does not have counts for nothing."""
     torch.manual_seed(1)
     one, other = network.ShadingCorrectionNetwork().eval(), network.ShadingCorrectionNetwork().eval()
-    weights = {name: value.detach().numpy() for name, value in one.named_parameters()}
+    weights = {name: value.detach().numpy() for name, value in one.convolutions.named_parameters()}
+    head = one.head_weights()
     inputs = random(1, 8, 32, 32), torch.tensor([0.5]), random(1, 7, 32, 32)
-    other.take(weights)
+    other.take(weights, head)
     with torch.no_grad():
         assert torch.equal(one(*inputs), other(*inputs))
         first = "seen.0.weight"
-        other.take(weights | {first: weights[first][:, :6]})
-        one.get_parameter(first)[:, 6:] = 0
+        other.take(weights | {first: weights[first][:, :6]}, head)
+        one.convolutions.get_parameter(first)[:, 6:] = 0
         assert torch.allclose(one(*inputs), other(*inputs), atol=1e-6)
     with pytest.raises(ValueError, match=r"'out\.bias' is missing"):
-        other.take({name: value for name, value in weights.items() if name != "out.bias"})
+        other.take({name: value for name, value in weights.items() if name != "out.bias"}, head)
     with pytest.raises(ValueError, match=r"'out.weight' is \[99, 24, 3, 3\]"):
-        other.take(weights | {"out.weight": np.zeros((99, 24, 3, 3), np.float32)})
+        other.take(weights | {"out.weight": np.zeros((99, 24, 3, 3), np.float32)}, head)
+    with pytest.raises(ValueError, match="its head has 3 weights"):
+        other.take(weights, head[:3])
 
 
 # ---- losses --------------------------------------------------------------------------------------------
@@ -502,7 +505,7 @@ def test_training_improves_the_loss_and_reaches_every_weight(data, tmp_path):
         assert not torch.equal(value, start[name]), name
     out = training.network.head[1].weight.grad.abs().sum((1, 2, 3))
     assert (out > 0).all(), "Δ, keep or M"
-    first = training.network.seen[0].weight.grad.abs().sum((0, 2, 3))
+    first = training.network.convolutions.seen[0].weight.grad.abs().sum((0, 2, 3))
     assert (first > 0).all(), "of the frames"
     figures = training.validate()
     assert all(math.isfinite(value) for value in figures.values())
@@ -767,20 +770,32 @@ def test_convolutions_have_a_multiple_of_four_input_channels(tmp_path):
     graph = onnx.load(tmp_path / "scn.onnx").graph
     shapes = {value.name: tuple(value.dims) for value in graph.initializer}
     convolutions = [shapes[node.input[1]] for node in graph.node if node.op_type == "Conv"]
-    assert len(convolutions) == 14
+    assert len(convolutions) == 15
     assert all(inputs % 4 == 0 for _, inputs, *_ in convolutions), convolutions
 
 
-def test_the_pipeline_gives_the_exported_network_its_trends(opened, tmp_path):
+def test_the_pipeline_makes_what_the_trained_network_does(opened, tmp_path):
+    """Flow search, convolutions and head in kernels and onnxruntime, against PyTorch's forward."""
     from gffe_cl import Options, Pipeline
+    from gffe_cl.opencl.program import constants
     from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 
-    model = tmp_path / "scn.onnx"
-    export_onnx(network.ShadingCorrectionNetwork(), model)
-    assert inference.load_network(model).takes_trends
+    torch.manual_seed(5)
+    net, model = network.ShadingCorrectionNetwork(), tmp_path / "scn.onnx"
+    net.convolutions.out.weight.data *= 5
+    export_onnx(net, model)
     frames = SceneFrames(SceneRenderer(opened, load_scene("corridor", 0), 96, 64))
     pipeline = Pipeline(opened, 96, 64, Options(scn_model=str(model)))
     for frame in frames.sequence(3, 30, 0):
         pipeline.submit(frame)
-    assert np.isfinite(pipeline.extrapolate().numpy("color")).all()
-    assert pipeline.stages["shading_trend"].read("trends").any() and not pipeline.stages["correction"].unusable_pixels
+    made = pipeline.extrapolate()
+    assert np.isfinite(made.numpy("color")).all() and not pipeline.stages["correction"].unusable_pixels
+    seen, trends = (
+        torch.from_numpy(pipeline.stages[stage].read(name))[None]
+        for stage, name in (("network_input", "frames"), ("shading_trend", "trends"))
+    )
+    with torch.no_grad():
+        expected = net.eval()(seen, torch.tensor([made.alpha], dtype=torch.float32), trends)[0].numpy()
+    assert trends.any() and np.abs(expected[:3]).max() > 0.01
+    expected[4, seen[0, 7].numpy() < constants("correction.cl")["DISOCCLUDED_BELOW"]] = 0  # as kernels do
+    np.testing.assert_allclose(pipeline.stages["correction"].read("correction"), expected, atol=1e-4)

@@ -23,7 +23,7 @@ from gffe_cl.sequence import (
     require_clean,
 )
 from gffe_cl.sequence.checks import zero_motion_warning
-from gffe_cl.sequence.exr_header import ExrPart
+from gffe_cl.sequence.exr_layout import ExrPart
 from gffe_cl.sequence.header_camera import camera_attributes, header_cameras
 from gffe_cl.sequence.read_ahead import read_ahead
 

@@ -20,8 +20,8 @@ from tiny_sequence import H, W, contiguous, edit, pixels, write
 from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation.metrics import display_values, focus_mask, smape
 from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.sequence import SequenceWriter, exr_header, named_channels, open_sequence, openexr_stderr
-from gffe_cl.sequence.exr_header import _Cursor, _parse
+from gffe_cl.sequence import SequenceWriter, exr_layout, named_channels, open_sequence, openexr_stderr
+from gffe_cl.sequence.exr_layout import _Cursor, _parse
 from gffe_cl.sequence.header_camera import header_cameras
 
 
@@ -358,8 +358,8 @@ def test_extrapolated_frames_may_coincide(folder):
 @pytest.mark.long
 def test_many_frames(folder, monkeypatch):
     """Opening takes the same few steps per frame however many there are: a header is parsed once."""
-    parsed, real = [], exr_header._parse
-    monkeypatch.setattr(exr_header, "_parse", lambda cursor: (parsed.append(1), real(cursor))[1])
+    parsed, real = [], exr_layout._parse
+    monkeypatch.setattr(exr_layout, "_parse", lambda cursor: (parsed.append(1), real(cursor))[1])
     count = 200_000
     document = json.loads((folder / "sequence.json").read_text())
     frame = next(f for f in document["frames"] if f["file"] == "frame_1.exr")
@@ -375,15 +375,15 @@ def test_many_frames(folder, monkeypatch):
 def test_headers_that_are_alike_are_parsed_once(tmp_path, monkeypatch):
     folder = write(tmp_path / "sequence", 40)
     parsed = []
-    real = exr_header._parse
-    monkeypatch.setattr(exr_header, "_parse", lambda cursor: (parsed.append(1), real(cursor))[1])
+    real = exr_layout._parse
+    monkeypatch.setattr(exr_layout, "_parse", lambda cursor: (parsed.append(1), real(cursor))[1])
     sequence = open_sequence(folder)
     assert len(parsed) == 3  # the first frame, without motion; rendered; truth
     for entry in sequence.frames[1:]:  # and yet each has its own camera
-        header = exr_header.read_header(sequence.path / entry.file, "")
+        header = exr_layout.read_header(sequence.path / entry.file, "")
         camera = entry.render_camera or entry.display_camera
         np.testing.assert_allclose(header_cameras(header.parts[0])[1].position, camera.position, atol=1e-4)
-    reader = exr_header.HeaderReader()
+    reader = exr_layout.HeaderReader()
     for entry in sequence.frames[1:]:
         shown = header_cameras(reader.read(sequence.path / entry.file, "").parts[0])[1]
         camera = entry.render_camera or entry.display_camera

@@ -28,7 +28,7 @@ from gffe_cl.sequence import (
 )
 from gffe_cl.sequence import exr as exr_module
 from gffe_cl.sequence import writer as writer_module
-from gffe_cl.sequence.exr_header import read_header
+from gffe_cl.sequence.exr_layout import read_header
 from gffe_cl.sequence.output_folder import OutputFolder
 
 

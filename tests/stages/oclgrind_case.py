@@ -53,13 +53,15 @@ def overlays():
 def shading(device):
     """What surrounds the shading correction network, on images of odd sizes, with output made up."""
     for size in ((37, 21), (1, 1)):
-        _, inputs, correction, step = made_stages(device, size, 0.5)
+        board, correction, step = made_stages(device, size, 0.5)
         focus = FocusMask(correction.board)
-        shape = correction.spec("correction").shape(correction.sizes)
-        said = np.random.default_rng(0).normal(0, 1, shape).astype(np.float32)
-        inputs.extrapolated(step)
-        correction.prepare(step)
-        correction.upload("correction", said)
+        shape = correction.spec("judgement").shape(correction.sizes)
+        judgement = np.random.default_rng(0).normal(0, 1, shape).astype(np.float32)
+        for name in ("shading", "network_input", "shading_flow"):
+            board.stages[name].extrapolated(step)
+        correction.upload("judgement", judgement)
+        correction.launch("choose_flow", step)
+        correction.launch("judge", step)
         for within_mask in (True, False):
             correction.with_refined = within_mask
             correction.compose(step, within_mask)

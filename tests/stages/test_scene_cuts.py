@@ -19,7 +19,7 @@ from gffe_cl.pipeline.source import Recorded
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels, open_sequence
 from gffe_cl.stages.buffers import CUT_SAMPLES
 from gffe_cl.stages.frame_block import reprojection
-from gffe_cl.stages.scene_cuts import COUNTED, is_cut
+from gffe_cl.stages.scene_cuts import COUNTED, counts_say_cut
 from gffe_cl.viewer.engine.messages import Setup
 from gffe_cl.viewer.engine.seeker import Seeker
 from gffe_cl.viewer.engine.sources.recorded import RecordedSource
@@ -203,15 +203,15 @@ def counts(**changed):
 
 def test_what_counts_mean():
     """Each rule alone, on either side of it."""
-    assert not is_cut(counts())
-    assert is_cut(counts(inside=40)) and not is_cut(counts(inside=60))
-    assert is_cut(counts(depth_right=390)) and not is_cut(counts(depth_right=410))
-    assert is_cut(counts(depth_right=790, contrast_right=240))
-    assert not is_cut(counts(depth_right=790, contrast_right=260))
-    assert not is_cut(counts(depth_right=810, contrast_right=0))
-    assert not is_cut(counts(compared=3, depth_right=0)), "all sky"
-    assert is_cut(counts(depth_right=590, with_contrast=0, contrast_right=0))
-    assert not is_cut(counts(depth_right=610, with_contrast=0, contrast_right=0))
-    assert is_cut(counts(passed=600), jumped=True)
-    assert not is_cut(counts(passed=600)) and not is_cut(counts(), jumped=True)
-    assert not is_cut({name: 50 * (name == "valid") for name in COUNTED}), "too few to say"
+    assert not counts_say_cut(counts())
+    assert counts_say_cut(counts(inside=40)) and not counts_say_cut(counts(inside=60))
+    assert counts_say_cut(counts(depth_right=390)) and not counts_say_cut(counts(depth_right=410))
+    assert counts_say_cut(counts(depth_right=790, contrast_right=240))
+    assert not counts_say_cut(counts(depth_right=790, contrast_right=260))
+    assert not counts_say_cut(counts(depth_right=810, contrast_right=0))
+    assert not counts_say_cut(counts(compared=3, depth_right=0)), "all sky"
+    assert counts_say_cut(counts(depth_right=590, with_contrast=0, contrast_right=0))
+    assert not counts_say_cut(counts(depth_right=610, with_contrast=0, contrast_right=0))
+    assert counts_say_cut(counts(passed=600), jumped=True)
+    assert not counts_say_cut(counts(passed=600)) and not counts_say_cut(counts(), jumped=True)
+    assert not counts_say_cut({name: 50 * (name == "valid") for name in COUNTED}), "too few to say"

@@ -6,19 +6,23 @@ import numpy as np
 import pyopencl as cl
 import pytest
 import twins
-from scn_models import ALPHA, FLOAT, FRAMES, constant_model, look_model, movers_model, save
+from scn_models import CANDIDATES, FLOAT, FRAMES, constant_model, look_model, movers_model, pooling_model, save
 from synthetic import Rect, Rects, camera
 from test_twins import run
 
 from gffe_cl import GffeError, Options, Pipeline
 from gffe_cl.frame.rendered_frame import BadPixels, PackedFrame
 from gffe_cl.inference import network as inference
+from gffe_cl.inference.model_interface import HEAD_WEIGHTS, OUTPUT, shapes_at
 from gffe_cl.inference.network import load_network
 from gffe_cl.opencl.device import quiet_builds
 from gffe_cl.stages.base import Board, Step
 from gffe_cl.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.stages.correction import ShadingCorrection
+from gffe_cl.stages.network_input import NetworkInput
 from gffe_cl.stages.shading import ShadingInputs
+from gffe_cl.stages.shading_flow import ShadingFlow
+from gffe_cl.stages.shading_trend import ShadingTrend
 
 SIZES = [(61, 37), (64, 48), (1, 5), (7, 1), (1, 1), (33, 66)]
 
@@ -47,8 +51,8 @@ def images(size, rng):
 
 
 def made_stages(device, size, exposure=1.0, seed=1):
-    """The extrapolated frame, both stages around the network, and what they are to work on."""
-    board, rng = Board(device, Sizes(size, size)), np.random.default_rng(seed)
+    """A board with the extrapolated frame and the stages around the network, and what they are to work on."""
+    board, rng = Board(device, Sizes(size, size), Options()), np.random.default_rng(seed)
     now, before = (camera(*size, position) for position in ((0.02, 0.01, 0.005), (0, 0, 0)))
     color, depth = images(size, rng)
     motion = rng.uniform(-2, 2, (*depth.shape, 2)).astype(np.float32)
@@ -62,7 +66,13 @@ def made_stages(device, size, exposure=1.0, seed=1):
     put(frame, color=color, depth=depth, motion=motion[::-1])
     put(frame, dynamic=some[0].astype(np.uint8), disoccluded=some[1].astype(np.uint8))
     step = Step(board.rendered, board.previous, [1.0, 0.0], now, 1.5, 0.5, exposure)
-    return frame, ShadingInputs(board), ShadingCorrection(board, load=False), step
+    for stage in (ShadingInputs, ShadingTrend, NetworkInput, ShadingFlow):
+        stage(board)
+    correction = ShadingCorrection(board, load=False)
+    trends = board.stages["shading_trend"]
+    put(trends, trends=rng.normal(0, 0.05, trends.spec("trends").shape(board.sizes)).astype(np.float32))
+    put(correction, head=rng.normal(0, 0.3, HEAD_WEIGHTS).astype(np.float32))
+    return board, correction, step
 
 
 # ---- kernels -------------------------------------------------------------------------------------------
@@ -72,18 +82,19 @@ def made_stages(device, size, exposure=1.0, seed=1):
 @pytest.mark.parametrize("exposure", [1.0, 0.05])
 def test_network_input_equals_its_twin(device, size, exposure):
     """To the bit, but for the device's division; from the same colours of t−1 as are shown to those who look."""
-    frame, shading, correction, step = made_stages(device, size, exposure)
+    board, _, step = made_stages(device, size, exposure)
+    frame, shading, seen = board.frame, board.stages["shading"], board.stages["network_input"]
     for _ in range(2):  # nothing is left over
-        correction.prepare(step)
+        seen.extrapolated(step)
     shading.extrapolated(step)
     color, depth = frame.read("color"), frame.read("depth")
     previous, mask = shading.read("warped_previous"), shading.read("input_mask")
     if min(size) > 30:
         assert 0.3 < previous[..., 3].mean() < 0.9 and set(np.unique(mask)) == {0, 0.5, 1}
-    assert correction.read("median_depth") == twins.depth_median(depth)
-    got = correction.read("frames")
+    assert seen.read("median_depth") == twins.depth_median(depth)
+    got = seen.read("frames")
     assert got.shape[2] % 16 == got.shape[1] % 16 == 0 and got.shape[2] >= size[0] / 2
-    expected = twins.network_input(color, previous, depth, mask, exposure, correction.network_size)
+    expected = twins.network_input(color, previous, depth, mask, exposure, seen.sizes.of("network"))
     np.testing.assert_allclose(got[6], expected[6], rtol=1e-6)
     assert np.array_equal(np.delete(got, 6, 0), np.delete(expected, 6, 0))
 
@@ -100,12 +111,114 @@ def test_network_input_equals_its_twin(device, size, exposure):
     ],
 )
 def test_median_depth(device, depth, expected):
-    frame, _, correction, step = made_stages(device, (50, 320))
+    board, _, step = made_stages(device, (50, 320))
+    stage = board.stages["network_input"]
     depth = np.stack([depth, *[np.full_like(depth, 7.0)] * 7], 1).reshape(320, 50)  # every eighth row counts
-    put(frame, depth=depth.astype(np.float32))
-    correction.prepare(step)
-    assert correction.read("median_depth") == pytest.approx(expected, rel=1 / 200, abs=1e-40)
-    assert correction.read("median_depth") == twins.depth_median(depth.astype(np.float32))
+    put(board.frame, depth=depth.astype(np.float32))
+    stage.extrapolated(step)
+    assert stage.read("median_depth") == pytest.approx(expected, rel=1 / 200, abs=1e-40)
+    assert stage.read("median_depth") == twins.depth_median(depth.astype(np.float32))
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_tiles_in_which_something_changes(device, size):
+    """Changes of colour that are not minute count, in more than a few pixels; NaN counts, other planes do not."""
+    board, _, step = made_stages(device, size)
+    stage, rng = board.stages["network_input"], np.random.default_rng(1)
+    frames = rng.random(stage.spec("frames").shape(board.sizes)).astype(np.float32)
+    frames[3:6] = frames[:3] + np.float32(3e-3)
+    tiles = frames.reshape(8, frames.shape[1] // 16, 16, frames.shape[2] // 16, 16).transpose(1, 3, 0, 2, 4)
+    changes = (33, 0.1), (32, -0.1), (33, np.nan), (256, 0.003)
+    for k, (some, value) in enumerate(changes[: tiles.shape[0] * tiles.shape[1]]):
+        tile = tiles[divmod(k, tiles.shape[1])]
+        rows, columns = np.unravel_index(rng.choice(256, some, replace=False), (16, 16))
+        tile[rng.integers(6), rows, columns] += value
+    now = np.nan_to_num(frames[:3])
+    for given in (frames, np.concatenate([now, now, frames[6:]])):
+        stage.upload("frames", given)
+        stage.launch("find_changed_tiles", step)
+        stage.launch("find_change", step)
+        expected = twins.changed_tiles(given)
+        assert np.array_equal(stage.read("changed_tiles"), expected) and stage.read("changed") == expected.any()
+    assert not expected.any()
+
+
+def test_a_still_frame_needs_no_network(device, model):
+    """It is the extrapolated one to the bit, and the network does not run; a light that changes is another matter."""
+    scene, cam = Rects([Rect((0, 0, 8), frequency=0.5)]), camera(40, 24)
+    pipeline = Pipeline(device, 40, 24, Options(scn_model=model(delta=0.2)))
+    for k in range(4):
+        frame = scene.frame(cam, k / 30, 40, 24, (cam, 0), reset=k == 0)
+        frame.color = frame.color * np.float16(0.5 if k == 3 else 1)
+        pipeline.submit(frame)
+        made = pipeline.extrapolate()
+        assert (bits(made.numpy("color")) == bits(made.numpy("gae"))) == (k < 3)
+        assert (pipeline.take_timings()["network"] == 0) == (k < 3)
+
+
+@pytest.mark.parametrize("size", [*SIZES, (130, 70)])
+@pytest.mark.parametrize("alpha", [0.5, 1.0])
+def test_flow_and_candidates_equal_their_twin(device, size, alpha):
+    """Where the brightness moves smoothly, and where it is noise."""
+    board, _, step = made_stages(device, size)
+    step.alpha = alpha
+    stage, rng = board.stages["shading_flow"], np.random.default_rng(7)
+    frames = moving_frames(board.sizes.of("network"), rng)
+    board.stages["network_input"].upload("frames", frames)
+    stage.extrapolated(step)
+    flow, differences, candidates = twins.find_candidates(frames, board.stages["shading_trend"].read("trends"), alpha)
+    assert np.isfinite(candidates).all() and np.abs(flow).max() > 0.01
+    assert stage.read("flow2").tobytes() == flow.tobytes()
+    assert stage.read("differences").tobytes() == differences.tobytes()
+    assert stage.read("candidates").tobytes() == candidates.tobytes()
+
+
+def moving_frames(size, rng):
+    """(8, h, w): a smooth pattern that moved by (3, −1.6) pixels from the previous frame on, with noise below."""
+    (width, height), shift = size, (3.0, -1.6)
+    y, x = np.mgrid[:height, :width].astype(np.float32)
+    frames = rng.random((8, height, width)).astype(np.float32)
+    for k, (dx, dy) in ((0, (0, 0)), (3, shift)):
+        for c in range(3):
+            frames[k + c] = 0.5 + 0.1 * (np.sin((x - dx) / 5) + np.cos((y - dy) / 6) + np.sin((x - dx + y - dy) / 8))
+    frames[:6, height // 2 :] += rng.normal(0, 0.02, (6, height - height // 2, width)).astype(np.float32)
+    return frames
+
+
+def test_the_flow_of_a_moved_pattern_is_found(device):
+    """In pixels of a quarter of the resolution."""
+    board, _, step = made_stages(device, (256, 192))
+    frames = moving_frames(board.sizes.of("network"), np.random.default_rng(0))
+    board.stages["network_input"].upload("frames", frames)
+    board.stages["shading_flow"].extrapolated(step)
+    flow = board.stages["shading_flow"].read("flow2")[:, 3:9, 4:-4]  # of the half without noise
+    assert np.abs(flow - np.array([1.5, -0.8], np.float32)[:, None, None]).mean() < 0.1
+
+
+@pytest.mark.parametrize("size", [*SIZES, (130, 70)])
+def test_judgement_makes_the_correction_of_its_twin(device, size):
+    board, correction, step = made_stages(device, size)
+    rng = np.random.default_rng(3)
+    frames = moving_frames(board.sizes.of("network"), rng)
+    judgement = rng.normal(0, 0.7, correction.spec("judgement").shape(board.sizes)).astype(np.float32)
+    for value in (np.nan, np.inf, -np.inf, 1e38):
+        at = rng.integers(20), rng.integers(judgement.shape[1]), rng.integers(judgement.shape[2])
+        judgement[at] = value
+    board.stages["network_input"].upload("frames", frames)
+    board.stages["shading_flow"].extrapolated(step)
+    board.stages["network_input"].upload("changed", np.ones(1, np.int32))
+    correction.upload("judgement", judgement)
+    correction.launch("choose_flow", step)
+    correction.launch("judge", step)
+    candidates, trends = board.stages["shading_flow"].read("candidates"), board.stages["shading_trend"].read("trends")
+    with np.errstate(all="ignore"):
+        chosen = twins.choose_flow(judgement, candidates, step.alpha)
+        assert np.array_equal(correction.read("chosen"), chosen, equal_nan=True)
+        expected = twins.judge(frames, trends, judgement, chosen, correction.read("head").ravel())
+    got = correction.read("correction")
+    sound = np.isfinite(expected).all(0)
+    assert np.array_equal(sound, np.isfinite(got).all(0)) and np.array_equal(got[:, sound], expected[:, sound])
+    assert sound.mean() > 0.3 or min(size) < 30
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -113,9 +226,9 @@ def test_median_depth(device, depth, expected):
 @pytest.mark.parametrize("exposure", [1.0, 0.05])
 def test_correct_equals_its_twin(device, size, within_mask, with_refined, exposure):
     rng = np.random.default_rng(3)
-    frame, _, correction, step = made_stages(device, size, exposure, seed=2)
-    correction.prepare(step)
-    color, frames = frame.read("color"), correction.read("frames")
+    board, correction, step = made_stages(device, size, exposure, seed=2)
+    board.stages["network_input"].extrapolated(step)
+    color, frames = board.frame.read("color"), board.stages["network_input"].read("frames")
     said = rng.normal(0, 0.3, correction.spec("correction").shape(correction.sizes)).astype(np.float32)
     said[3] = rng.uniform(-0.5, 1.5, said[3].shape)
     said[4] = np.where(rng.random(said[4].shape) < 0.6, 0, rng.uniform(-0.1, 2, said[4].shape))
@@ -202,20 +315,23 @@ def test_a_change_counts_within_the_mask_only(device, tmp_path):
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("focus_mask", [True, False])
 def test_bad_output_counts_as_no_mask(device, model, bad, focus_mask):
-    for values in ({"delta": bad}, {"keep": bad}, {"mask": bad}):
-        _, made = corrected(device, model(**values), focus_mask=focus_mask)
-        assert bits(made.numpy("color")) == bits(made.numpy("gae")), values
+    judgements = [[bad], [0, bad], [0, 0, 0, 0, *[bad] * 16]]
+    for judgement in judgements + [[0, 0, bad], [0, 0, 0, bad]] * bool(np.isnan(bad)):  # infinities have limits there
+        _, made = corrected(device, model(judgement=judgement), focus_mask=focus_mask)
+        assert bits(made.numpy("color")) == bits(made.numpy("gae")), judgement
 
 
 def test_alpha_reaches_the_network(device, model):
+    """And to disocclusions nothing does."""
     pipeline, made = corrected(device, model(mask="alpha"))
     assert made.alpha == pytest.approx(0.6)
-    assert (pipeline.stages["correction"].read("focus_mask") == np.float16(np.float32(made.alpha))).all()
+    mask, hidden = pipeline.stages["correction"].read("focus_mask"), made.numpy("disoccluded") > 0
+    assert (mask[hidden] < made.alpha).mean() > 0.8 and 0.5 < (mask == np.float16(np.float32(made.alpha))).mean() < 1
 
 
 def test_exposure_reaches_the_network(device, tmp_path):
     """Half the exposure on twice the colour is the same to the network."""
-    path, seen = look_model(tmp_path / "m.onnx", (0, 1, 2, 3, 4)), []
+    path, seen = look_model(tmp_path / "m.onnx"), []
     scene = Rects([Rect((0, 0, 8), frequency=0.5)])
     for scale in (1.0, 4.0):
         pipeline = Pipeline(device, 40, 24, Options(scn_model=path))
@@ -225,7 +341,7 @@ def test_exposure_reaches_the_network(device, tmp_path):
             frame.color = frame.color * np.float16(scale)
             pipeline.submit(frame)
         pipeline.extrapolate()
-        seen.append(pipeline.stages["correction"].read("frames"))
+        seen.append(pipeline.stages["network_input"].read("frames"))
     np.testing.assert_allclose(seen[0], seen[1], rtol=1e-5)
     assert seen[0][:3].std() > 0.01
 
@@ -234,7 +350,9 @@ def test_after_a_reset_there_is_nothing_to_correct(device, model):
     scene, cam = Rects([Rect((0, 0, 8), frequency=0.5)]), camera(40, 24)
     pipeline = Pipeline(device, 40, 24, Options(scn_model=model(delta=0.2)))
     for k, reset in enumerate((True, False, True)):
-        pipeline.submit(scene.frame(cam, k / 30, 40, 24, (cam, 0), reset=reset))
+        frame = scene.frame(cam, k / 30, 40, 24, (cam, 0), reset=reset)
+        frame.color = frame.color * np.float16(1 - 0.2 * k)
+        pipeline.submit(frame)
         made = pipeline.extrapolate()
         assert (bits(made.numpy("color")) == bits(made.numpy("gae"))) == reset
         assert (pipeline.stages["correction"].read("focus_mask") == (0 if reset else 1)).all()
@@ -257,7 +375,7 @@ def test_five_runs_of_a_corrected_frame_give_the_same_bits(device, model):
     path, first = model(delta=0.1, mask=0.5), None
     for _ in range(5):
         pipeline, made = corrected(device, path)
-        now = bits(made.numpy("color")), bits(pipeline.stages["correction"].read("frames"))
+        now = bits(made.numpy("color")), bits(pipeline.stages["network_input"].read("frames"))
         first = first or now
         assert now == first
 
@@ -274,37 +392,38 @@ def test_nothing_is_copied_on_cpu_devices(device, model):
     network = stage.network
 
     class Spy:
-        copying, takes_trends = 0.0, network.takes_trends
+        copying = 0.0
 
-        def run(self, frames, alpha, correction, trends):
-            seen.append((frames.ctypes.data, correction.ctypes.data))
-            return network.run(frames, alpha, correction, trends)
+        def run(self, *arrays):
+            seen.append([array.ctypes.data for array in arrays])
+            return network.run(*arrays)
 
     stage.network = Spy()
     for _ in range(3):
-        stage.infer(0.5)
-    assert len(set(seen)) == 1
+        stage.infer()
+    assert seen[0] == seen[1] == seen[2]
     if not device.cl_device.type & cl.device_type.CPU:
         pytest.skip("only CPU devices share memory with the host")
     with quiet_builds():
         where = cl.Program(device.context, WRITES_ADDRESS).build().where
-    for name, mapped in zip(("frames", "correction"), seen[0], strict=True):
-        where(device.queue, (1,), None, stage.buffer[name])
+    names = "network_input.frames", "shading_flow.candidates", "correction.judgement"
+    for name, mapped in zip(names, seen[0], strict=True):
+        where(device.queue, (1,), None, stage.board.buffer(name))
         address = np.empty(1, np.uint64)
-        cl.enqueue_copy(device.queue, address, stage.buffer[name])
+        cl.enqueue_copy(device.queue, address, stage.board.buffer(name))
         assert address[0] == mapped, name
 
 
 def test_onnxruntime_works_in_the_memory_it_is_given(tmp_path):
     """What is written to the bound input after binding is seen, and the output is where it was bound."""
     session = load_network(look_model(tmp_path / "m.onnx")).session
-    frames, alpha = np.zeros((1, 8, 16, 16), np.float32), np.zeros(1, np.float32)
-    out = np.empty((1, 5, 16, 16), np.float32)
+    arrays = {name: np.zeros(shape, np.float32) for name, shape in shapes_at(16, 16).items()}
+    out = arrays.pop(OUTPUT)
     binding = session.io_binding()
-    for name, array in (("frames", frames), ("alpha", alpha)):
+    for name, array in arrays.items():
         binding.bind_input(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
-    binding.bind_output("correction", "cpu", 0, np.float32, out.shape, out.ctypes.data)
-    frames[:] = 3
+    binding.bind_output(OUTPUT, "cpu", 0, np.float32, out.shape, out.ctypes.data)
+    arrays["frames"][:], arrays["candidates"][:] = 1, 3
     session.run_with_iobinding(binding)
     assert (out == 3).all() and binding.get_outputs()[0].data_ptr() == out.ctypes.data
 
@@ -320,36 +439,46 @@ def test_one_session_per_model_and_provider(model):
     assert load_network(path) is not first
 
 
-def _foreign(tmp_path, inputs=(("frames", FLOAT, FRAMES), ("alpha", FLOAT, ALPHA)), outputs=None):
+JUDGEMENT = (1, 20, "h", "w")
+
+
+def _foreign(tmp_path, inputs, outputs=None, head=True):
     from onnx import helper
 
-    outputs = outputs or (("correction", FLOAT, (1, 5, "h", "w")),)
+    outputs = outputs or ((OUTPUT, FLOAT, JUDGEMENT),)
     node = helper.make_node("Identity", [inputs[0][0]], [outputs[0][0]])
-    return save(tmp_path / "foreign.onnx", [node], {}, inputs, outputs)
+    return save(tmp_path / "foreign.onnx", [node], {}, inputs, outputs, np.zeros(HEAD_WEIGHTS * head, np.float32))
 
 
 def test_models_that_are_none(tmp_path):
     """One line each: what, where, what was expected."""
     from onnx import TensorProto
 
-    alpha, frames = ("alpha", FLOAT, ALPHA), ("frames", FLOAT, FRAMES)
-    other = (("x", FLOAT, FRAMES), alpha), None, "inputs alpha, x .expected alpha, frames"
-    half = (("frames", TensorProto.FLOAT16, FRAMES), alpha), (("correction", TensorProto.FLOAT16, (1, 5, "h", "w")),)
+    frames, candidates = ("frames", FLOAT, FRAMES), ("candidates", FLOAT, CANDIDATES)
+    half = (("frames", TensorProto.FLOAT16, FRAMES), candidates), ((OUTPUT, TensorProto.FLOAT16, JUDGEMENT),)
     fixed, channels = (1, 8, 64, 64), (1, 3, "h", "w")
+    of_old = (frames, ("alpha", FLOAT, (1,)), ("trends", FLOAT, (1, 7, "h", "w"))), (("correction", FLOAT, FRAMES),)
     cases = [
-        other,
-        ((frames,), None, "inputs frames .expected alpha, frames"),
-        ((frames, alpha), (("out", FLOAT, FRAMES),), "outputs out .expected correction"),
-        ((("frames", FLOAT, fixed), alpha), (("correction", FLOAT, fixed),), "frames is .* 1×8×64×64 .*1×8×any×any"),
-        ((("frames", FLOAT, channels), alpha), (("correction", FLOAT, channels),), "frames is .* 1×3×h×w"),
-        ((frames, ("alpha", FLOAT, ())), None, "input alpha is"),
-        (*half, r"frames is tensor.float16. 1×8×h×w .expected tensor.float. 1×8×any×any"),
-        ((frames, alpha), (("correction", FLOAT, FRAMES),), "output correction is .* 1×8×h×w .expected .* 1×5×any×any"),
+        (*of_old, "inputs alpha, frames, trends .expected candidates, frames"),
+        ((("x", FLOAT, FRAMES), candidates), None, "inputs candidates, x .expected candidates, frames"),
+        ((frames,), None, "inputs frames .expected candidates, frames"),
+        ((frames, candidates), (("out", FLOAT, FRAMES),), "outputs out .expected judgement"),
+        ((("frames", FLOAT, fixed), candidates), None, "frames is .* 1×8×64×64 .*1×8×any×any"),
+        ((("frames", FLOAT, channels), candidates), None, "frames is .* 1×3×h×w"),
+        ((frames, ("candidates", FLOAT, ())), None, "input candidates is"),
+        (*half, r"frames is tensor.float16. 1×8×height×width .expected tensor.float. 1×8×any×any"),
+        (
+            (frames, candidates),
+            ((OUTPUT, FLOAT, FRAMES),),
+            "output judgement is .* 1×8×height×width .expected .* 1×20×any×any",
+        ),
     ]
     for inputs, outputs, expected in cases:
         with pytest.raises(GffeError, match=rf"foreign.onnx: no shading correction network: .*{expected}") as caught:
             load_network(_foreign(tmp_path, inputs, outputs))
         assert "\n" not in str(caught.value)
+    with pytest.raises(GffeError, match=r"metadata 'head' has 0 numbers .expected 374"):
+        load_network(_foreign(tmp_path, (frames, candidates), head=False))
     for content in (b"", b"no model at all", b"\x00" * 4000):
         (tmp_path / "junk.onnx").write_bytes(content)
         with pytest.raises(GffeError, match=r"junk.onnx: .*expected an? .*ONNX") as caught:
@@ -362,13 +491,7 @@ def test_models_that_are_none(tmp_path):
 
 def test_a_model_that_fails_says_so(device, tmp_path):
     """A model that gives another size than asked for."""
-    from onnx import helper
-
-    nodes = [
-        helper.make_node("Gather", ["frames", "which"], ["five"], axis=1),
-        helper.make_node("MaxPool", ["five"], ["correction"], kernel_shape=[2, 2], strides=[2, 2]),
-    ]
-    path = save(tmp_path / "m.onnx", nodes, {"which": np.arange(5)}, outputs=(("correction", FLOAT, (1, 5, "a", "b")),))
+    path = pooling_model(tmp_path / "m.onnx")
     with pytest.raises(GffeError, match=r"m.onnx: the network failed on CPUExecutionProvider") as caught:
         corrected(device, path)
     assert "\n" not in str(caught.value)

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import twins
-from scn_models import constant_model, trend_model
+from scn_models import FOR_GOOD, IN_PLACE, constant_model
 from synthetic import Rect, Rects, camera
 from test_twins import frames
 
-from gffe_cl import GffeError, Options, Pipeline
+from gffe_cl import Options, Pipeline
 from gffe_cl.frame.rendered_frame import RenderedFrame
-from gffe_cl.inference.network import load_network
 from gffe_cl.stages.frame_block import reprojection
 
 LOOKED_AT = Options(shading_inputs=True, shading_correction=False)
 WALL = Rects([Rect((0, 0, 8), (40, 40), frequency=0.5)])
 SIZE = (136, 104)
+LASTING = [*IN_PLACE, FOR_GOOD]
 
 
 def lit_frames(levels, size=SIZE):
@@ -126,28 +126,21 @@ def test_colours_that_make_no_sense_change_nothing_else(device):
 # ---- networks --------------------------------------------------------------------------------------------
 
 
-def test_a_network_gets_its_trends(device, tmp_path):
-    """One that asks for them."""
-    model = trend_model(tmp_path / "trend.onnx", which=1)
-    assert load_network(model).takes_trends
-    pipeline = Pipeline(device, *SIZE, Options(scn_model=model))
+def test_a_network_gets_trends_and_they_last_as_it_says(device, tmp_path):
+    """Means of them are among its candidates; with a judgement that they go on for good the frame takes all of them."""
+    pipeline = Pipeline(
+        device, *SIZE, Options(scn_model=constant_model(tmp_path / "m.onnx", judgement=LASTING, trend=1))
+    )
     for frame in lit_frames([1.0, 0.9, 0.81]):
         pipeline.submit(frame)
     made = pipeline.extrapolate()
-    stage, correction = pipeline.stages["shading_trend"], pipeline.stages["correction"]
-    assert np.array_equal(correction.read("correction")[0], stage.read("trends")[1])
+    trends, candidates = (
+        pipeline.stages[stage].read(name)
+        for stage, name in (("shading_trend", "trends"), ("shading_flow", "candidates"))
+    )
+    width, height = trends.shape[2] // 2, trends.shape[1] // 2
+    means = trends[:3].reshape(3, height, 2, width, 2).mean((2, 4))
+    np.testing.assert_allclose(candidates[8:11], 4 * means, atol=1e-6)
+    np.testing.assert_allclose(pipeline.stages["correction"].read("correction")[:3], trends[:3], atol=1e-6)
     gae, final = made.numpy("gae").astype(np.float32), made.numpy("color").astype(np.float32)
     assert (final[20:-20, 20:-20, 0] < gae[20:-20, 20:-20, 0]).mean() > 0.99
-
-    assert not load_network(constant_model(tmp_path / "other.onnx")).takes_trends
-
-
-def test_trends_of_another_shape_are_refused(tmp_path):
-    from onnx import helper
-    from scn_models import ALPHA, FLOAT, FRAMES, save
-
-    nodes = [helper.make_node("Gather", ["frames", "which"], ["correction"], axis=1)]
-    inputs = (("frames", FLOAT, FRAMES), ("alpha", FLOAT, ALPHA), ("trends", FLOAT, (1, 6, "h", "w")))
-    path = save(tmp_path / "six.onnx", nodes, {"which": np.arange(5)}, inputs)
-    with pytest.raises(GffeError, match=r"trends is .* \(expected .*7"):
-        load_network(path)

@@ -129,10 +129,10 @@ def test_screenshot(gffe, screen, tmp_path):
 def test_screenshot_with_shading_correction(gffe, screen, tmp_path):
     constant_model(tmp_path / "m.onnx")
     shot = ("in", "--screenshot", "a.png", "--frame", "3")
-    assert gffe(*shot, "--scn-model", "m.onnx", "--layer", "correction.frames") == (0, "", "")
+    assert gffe(*shot, "--scn-model", "m.onnx", "--layer", "network_input.frames") == (0, "", "")
     (tmp_path / "a.png").unlink()
-    told = refused(gffe, *shot, "--no-scn", "--layer", "correction.frames")
-    assert "no layer is called 'correction.frames'" in told and not (tmp_path / "a.png").exists()
+    told = refused(gffe, *shot, "--no-scn", "--layer", "network_input.frames")
+    assert "no layer is called 'network_input.frames'" in told and not (tmp_path / "a.png").exists()
 
 
 def test_asking_for_shading_correction_without_weights(tmp_path):

@@ -118,6 +118,14 @@ class Clip(FrameSource):
         return k / FPS + alpha * (k / FPS - (k - 1) / FPS if k else 1 / FPS)
 
 
+class FlickeringClip(Clip):
+    """The same under a light that is weaker in every other frame: there is something to correct."""
+
+    def rendered(self, k):
+        frame = super().rendered(k)
+        return replace(frame, color=frame.color * np.float16(1 - 0.2 * (k % 2)))
+
+
 @contextmanager
 def running(device, source=None):
     engine = Engine(device if callable(device) else lambda: device)
@@ -311,18 +319,25 @@ def test_options_change_what_they_should(device):
         assert_same(ask(engine, 13, first, before).images, before, set(before) - {"final"})  # and back
 
 
+def network_places(x, y):
+    """Texels of the network's grids over a pixel."""
+    return {f"network{level or ''}": (x // (2 << level), y // (2 << level)) for level in range(5)}
+
+
 def is_mover(images):
     return images["correction.focus_mask"] > 0
 
 
 def test_shading_correction_changes_what_its_focus_mask_covers(device, tmp_path):
     options = replace(ALL, scn_model=movers_model(tmp_path / "m.onnx"))
-    with running(device, Clip()) as engine:
+    with running(device, FlickeringClip()) as engine:
         plain = ask(engine, 13, Setup(replace(options, shading_correction=False)), "all").images
         on = ask(engine, 13, Setup(options), "all")
         images, mask = on.images, is_mover(on.images)
-        names = {"gae", "correction.frames", "correction.correction", "correction.refined", "correction.focus_mask"}
-        assert set(images) - set(plain) == names | {"correction.color"}
+        made = ("judgement", "chosen", "correction", "refined", "focus_mask", "color")
+        names = {"gae", "network_input.frames", "network_input.changed_tiles", *(f"correction.{name}" for name in made)}
+        names |= {f"shading_flow.{name}" for name in ("flow2", "differences", "candidates")}
+        assert set(images) - set(plain) == names
         assert_same(images, {name: plain[name] for name in plain if name not in ("final", "focus_truth")})
         for name, other in (("gae", "final"), ("focus_truth", "focus_truth")):
             assert images[name].tobytes() == plain[other].tobytes()
@@ -411,7 +426,7 @@ def test_inspection_equals_the_whole_buffers(device, tmp_path):
             sx, sy = np.floor(seen.source).astype(int)
             places = {"target": (x, y), "source": (sx, sy)}
             places |= {f"level{level}": (sx >> level, sy >> level) for level in range(3)}
-            places |= {"downsampled": (x // 32, y // 32), "network": (x // 2, y // 2)}
+            places |= {"downsampled": (x // 32, y // 32), **network_places(x, y)}
             places |= {
                 "target_blocks": (x // 8, y // 4),
                 "source_blocks": (sx // 8, sy // 4),
@@ -586,7 +601,7 @@ def test_kernels_of_shading_correction_are_reloaded(device, tmp_path, monkeypatc
     shutil.copytree(kernel_folder(), folder)
     monkeypatch.setenv("GFFE_KERNELS", str(folder))
     path, text = folder / "correction.cl", (folder / "correction.cl").read_text()
-    with running(lambda: Device(device.cl_device, device.info), Clip()) as engine:
+    with running(lambda: Device(device.cl_device, device.info), FlickeringClip()) as engine:
         ask(engine, 13, Setup(), ("final",))
         path.write_text(text + "nonsense\n")
         engine.reload_kernels()
@@ -972,7 +987,7 @@ def test_stories_of_hidden_parts(device):
 
 def test_stories_of_corrected_pixels(device, tmp_path):
     options = Options(scn_model=movers_model(tmp_path / "m.onnx"))
-    with running(device, Clip()) as engine:
+    with running(device, FlickeringClip()) as engine:
         for story in stories(engine, Setup(options), 13, is_mover):
             assert story.corrected and "Shading correction changed it (focus mask " in story.sentences[-1]
         images = ask(engine, 13, Setup(options), "all").images

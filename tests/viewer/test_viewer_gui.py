@@ -164,8 +164,8 @@ def test_shading_correction(values):
     assert values["disabled with a model"] == []
     assert 0.001 < values["corrected"] < 0.9 and values["only within the mask"] and values["elsewhere as before"]
     assert "Shading correction changed it (focus mask " in values["story"] and values["inspected"]
-    for name, fewest in (("frames", 30), ("correction", 2), ("focus_mask", 2)):
-        assert values[f"seen of correction.{name}"] >= fewest
+    for name, fewest in (("network_input.frames", 30), ("correction.correction", 2), ("correction.focus_mask", 2)):
+        assert values[f"seen of {name}"] >= fewest
     assert values["whole image"] and values["focus mask back"] == []
     off, on = values["switched off"], values["switched on"]
     assert off["changed"] == off["gone"] == on["changed"] == on["gone"] == []

@@ -17,9 +17,11 @@ from gffe_cl.stages.connectivity import Connectivity
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.history import HistoryTracking
 from gffe_cl.stages.holes import Downsampled
+from gffe_cl.stages.network_input import NetworkInput
 from gffe_cl.stages.prediction import PositionPrediction
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import ShadingInputs
+from gffe_cl.stages.shading_flow import ShadingFlow
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS, VIEWS, LayerSpec, layer_of, layers_of
 from gffe_cl.viewer.picture.colors import COLOR_MAPS, LABEL_COLORS, SKY, color_table, wheel_color
 from gffe_cl.viewer.picture.displays import TONE_MAPS, Display, FrameInfo, area_of, default_display, fitted, shown_as
@@ -33,6 +35,8 @@ STAGES: tuple[type[Stage], ...] = (
     Presentation,
     Downsampled,
     ShadingInputs,
+    NetworkInput,
+    ShadingFlow,
     ShadingCorrection,
 )
 SPECS = [layer_of(stage.name, spec) for stage in STAGES for spec in stage.buffers if spec.grid != "once"]
@@ -66,10 +70,11 @@ def test_layers_of_a_pipeline_come_in_its_order(device, tmp_path):
     layers = layers_of(
         Pipeline(device, 64, 48, Options(shading_inputs=True, scn_model=constant_model(tmp_path / "m.onnx")))
     )
-    assert list(dict.fromkeys(spec.group for spec in layers.values())) == [*stages, "correction"]
+    stages[-1:] = ["network_input", "shading_trend", "shading_flow", "correction"]
+    assert list(dict.fromkeys(spec.group for spec in layers.values())) == stages
     assert list(layers)[: len(FRAME_LAYERS)] == list(FRAME_LAYERS)
-    assert {"correction.frames", "correction.refined", "correction.focus_mask"} <= set(layers)
-    assert "correction.median_depth" not in layers
+    assert {"network_input.frames", "correction.refined", "correction.focus_mask"} <= set(layers)
+    assert not {"network_input.median_depth", "shading_flow.products"} & set(layers)
 
 
 def test_layers_do_not_depend_on_what_is_kept(device):
@@ -240,7 +245,7 @@ def test_plane_is_ranged_on_its_own():
 
 
 def test_displays_of_shading_correction():
-    mask, frames = BY_NAME["correction.focus_mask"], BY_NAME["correction.frames"]
+    mask, frames = BY_NAME["correction.focus_mask"], BY_NAME["network_input.frames"]
     assert (default_display(mask).low, default_display(mask).high) == (0, 1) == mask.limits
     assert (frames.planes, frames.grid, default_display(frames).color_map) == (8, "network", "grey")
 
@@ -268,8 +273,9 @@ def test_own_place_in_the_target_seen_through_a_window():
 @pytest.mark.parametrize("size", [(61, 37), (64, 32), (1, 5)])
 def test_texels_of_the_network_cover_two_pixels_each_way(size):
     padded = BufferSpec("", np.float32, (), "network", "").size(Sizes(size, size))
-    area = FrameInfo(size).area(BY_NAME["correction.frames"])
+    area = FrameInfo(size).area(BY_NAME["network_input.frames"])
     assert area == pytest.approx((0, 0, size[0] / 2 / padded[0], size[1] / 2 / padded[1]))
+    assert FrameInfo(size).area(BY_NAME["shading_flow.candidates"]) == pytest.approx(area)
 
 
 # ---- colours, legends, texts ---------------------------------------------------------------------------

@@ -177,11 +177,11 @@ def shading_correction(gui: Gui):
         gui.ctx.mouse_click(0)
         gui.settle()
         values["story"] = model.pointing.story.sentences[-1]
-        seen = model.pointing.inspection.values["correction.frames"].ravel()
-        values["inspected"] = bool((seen == on["correction.frames"][:, y // 2, x // 2]).all())
+        seen = model.pointing.inspection.values["network_input.frames"].ravel()
+        values["inspected"] = bool((seen == on["network_input.frames"][:, y // 2, x // 2]).all())
         gui.shot("shading correction, story")
         model.pointing.pick(None)
-        for name, plane in (("correction.frames", 1), ("correction.correction", 5), ("correction.focus_mask", 1)):
+        for name, plane in (("network_input.frames", 1), ("correction.correction", 5), ("correction.focus_mask", 1)):
             model.show_layer(name)
             gui.settle()
             if plane > 1:

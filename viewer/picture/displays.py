@@ -107,7 +107,7 @@ class FrameInfo:
 
     def area(self, spec: LayerSpec) -> tuple[float, float, float, float]:
         area = self.source_area if lies_on_source(spec.grid) else self.target_area
-        if spec.grid not in ("network", "downsampled", "source_blocks", "target_blocks"):
+        if not spec.grid.startswith(("network", "downsampled", "source_blocks", "target_blocks")):
             return area
         image = (self.render_size if lies_on_source(spec.grid) else self.target_size) or self.display_size
         texels = Sizes(image, image).of(spec.grid)
@@ -142,7 +142,7 @@ def default_display(spec: LayerSpec) -> Display:
     display = Display(channel=spec.channels[0])
     if spec.view == "depth":
         display = replace(display, color_map="turbo", low=1.0, high=100.0)
-    if spec.grid == "network":
+    if spec.grid.startswith("network"):
         display = replace(display, color_map="grey")
     if spec.limits:
         display = replace(display, low=spec.limits[0], high=spec.limits[1])

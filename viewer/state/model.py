@@ -34,7 +34,7 @@ from gffe_cl.viewer.state.navigation import Flight, Flyer, Walk
 from gffe_cl.viewer.state.parameters import Parameters
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.presets import KeptSettings, command_line
-from gffe_cl.viewer.state.requests import Asking, Filling, Needed
+from gffe_cl.viewer.state.requests import Asking, Needed, Prefetch
 from gffe_cl.viewer.state.saving import Subject, Work
 from gffe_cl.viewer.state.settings import Settings
 from gffe_cl.viewer.state.survey import Survey
@@ -63,7 +63,7 @@ class Model:
         self._loop = Loop(self)
         self.contents = Contents()
         self.playback = Playback(n=n)
-        self.filling = Filling(self.engine, self.playback)
+        self.filling = Prefetch(self.engine, self.playback)
         self.parameters = Parameters(options, self.playback, window)
         self.view = View(names.FINAL, Display())
         self.framing = Framing(self.view)

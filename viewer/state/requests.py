@@ -53,7 +53,7 @@ _STILL = 0.3  # seconds that a still picture must have stood
 _PLANNED = 16  # slots that the engine is told of at once
 
 
-class Filling:
+class Prefetch:
     """Plans what the engine computes beside.
 
     Attributes
@@ -125,7 +125,7 @@ class Asking:
     """
 
     def __init__(
-        self, engine: Engine, contents: Contents, filling: Filling, second: Second,
+        self, engine: Engine, contents: Contents, filling: Prefetch, second: Second,
         show: Callable[[Result, Result | None], None],
     ):  # fmt: skip
         self._engine, self._contents, self._filling, self._second, self._show = engine, contents, filling, second, show

@@ -14,7 +14,7 @@ from gffe_cl.doctor.calibration.focal import find_focal, lens_of_view, view_of_l
 from gffe_cl.doctor.calibration.pose import Lens, Movement, fit, reach_of, residuals
 from gffe_cl.frame.camera import Camera
 from gffe_cl.sequence import FrameEntry, Sequence, SequenceWriter, named_channels, refuse_same_folder
-from gffe_cl.sequence.exr_header import read_header
+from gffe_cl.sequence.exr_layout import read_header
 from gffe_cl.sequence.reader import MOTION
 
 LEAST_TURN = 5.0  # degrees in all: from then on the focal length is taken from the motion

@@ -36,10 +36,11 @@ typedef enum gffe_status {
     GFFE_NETWORK_FAILED = 4 /* the network's callback said so; the frame was not made */
 } gffe_status;
 
-/* Runs the shading correction network: reads `frames` (8 planes of width x height floats) and `trends` (7 planes),
-   writes `correction` (5 planes), all on the device, in or after what is enqueued on `queue`. 0: done. See gffe_onnx.c for one. */
-typedef int (*gffe_network)(void *user, cl_command_queue queue, cl_mem frames, cl_mem trends,
-                            cl_mem correction, size_t width, size_t height, float alpha);
+/* Runs the shading correction network: reads `frames` (8 planes of width x height floats) and `candidates` (16 planes
+   of half the width and height), writes `judgement` (20 planes like these), all on the device, in or after what is enqueued on
+   `queue`. 0: done. See gffe_onnx.c for one. */
+typedef int (*gffe_network)(void *user, cl_command_queue queue, cl_mem frames, cl_mem candidates, cl_mem judgement,
+                            size_t width, size_t height);
 
 typedef struct gffe_options {
     int width, height;               /* of the display, and so of extrapolated frames, pixels */

@@ -213,14 +213,13 @@ static cl_int copy(gffe *g, const gffe_operation *operation) {
 }
 
 static gffe_status run_network(gffe *g) {
-    const cl_mem frames = g->memory[gffe_reference(g, "correction.frames")];
-    const cl_mem trends = g->memory[gffe_reference(g, "shading_trend.trends")];
-    const cl_mem correction = g->memory[gffe_reference(g, "correction.correction")];
+    const cl_mem frames = g->memory[gffe_reference(g, "network_input.frames")];
+    const cl_mem candidates = g->memory[gffe_reference(g, "shading_flow.candidates")];
+    const cl_mem judgement = g->memory[gffe_reference(g, "correction.judgement")];
     size_t size[2];
     int failed;
     gffe_grid_size(&g->step, GFFE_NETWORK, 0, size);
-    failed = g->options.network(g->options.network_user, g->queue, frames, trends, correction, size[0], size[1],
-                                (float)g->step.alpha);
+    failed = g->options.network(g->options.network_user, g->queue, frames, candidates, judgement, size[0], size[1]);
     if (failed) return gffe_fail(g, GFFE_NETWORK_FAILED, "the network's callback returned %d (expected 0)", failed);
     return GFFE_OK;
 }

@@ -17,8 +17,8 @@ gffe_onnx *gffe_onnx_open(const char *path);
 void gffe_onnx_close(gffe_onnx *network);
 
 /* For gffe_options: options.network = gffe_onnx_run; options.network_user = network. */
-int gffe_onnx_run(void *network, cl_command_queue queue, cl_mem frames, cl_mem trends, cl_mem correction, size_t width,
-                  size_t height, float alpha);
+int gffe_onnx_run(void *network, cl_command_queue queue, cl_mem frames, cl_mem candidates, cl_mem judgement,
+                  size_t width, size_t height);
 
 #ifdef __cplusplus
 }

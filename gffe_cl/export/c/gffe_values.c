@@ -43,14 +43,17 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
     if (grid == GFFE_TILES) side[0] = side[1] = GFFE_TILE;
     if (grid == GFFE_RESIDUALS) side[0] = side[1] = GFFE_RESIDUAL_STRIDE;
     if (grid == GFFE_CELLS) side[0] = side[1] = GFFE_CELL;
-    if (grid == GFFE_NETWORK) side[0] = side[1] = GFFE_NETWORK_TEXEL;
+    if (grid == GFFE_NETWORK) side[0] = side[1] = (size_t)GFFE_NETWORK_TEXEL << level;
     if (grid == GFFE_SOURCE_BLOCKS || grid == GFFE_TARGET_BLOCKS) {
         side[0] = GFFE_BLOCK_WIDTH;
         side[1] = GFFE_BLOCK_HEIGHT;
     }
     for (k = 0; k < 2; ++k) {
         size[k] = rounded_up((size_t)image[k], side[k]);
-        if (grid == GFFE_NETWORK) size[k] = rounded_up(size[k], GFFE_NETWORK_MULTIPLE) * GFFE_NETWORK_MULTIPLE;
+        if (grid == GFFE_NETWORK) {
+            const size_t multiple = (size_t)GFFE_NETWORK_MULTIPLE >> level;
+            size[k] = rounded_up(size[k], multiple) * multiple;
+        }
     }
     if (grid == GFFE_TILES) size[0] *= GFFE_TILE_GROUP;
 }

@@ -10,13 +10,15 @@ from twins.acceleration import track_acceleration
 from twins.background import REMEMBERED, SHOWN, collect_levels, collect_shown, project_background
 from twins.common import COMMON, centres
 from twins.composition import compose
-from twins.correction import correct, decode, depth_median, encode, network_input
+from twins.correction import choose_flow, correct, judge
 from twins.hidden_parts import fill_hidden_parts
 from twins.history import noise_threshold_squared, residual_histogram, track_history
 from twins.holes import asked_texels, downsample, fill_holes, mix_far_side
+from twins.network_input import changed_tiles, decode, depth_median, encode, network_input
 from twins.prediction import predict_positions
 from twins.presentation import present
 from twins.shading import prepare_inputs
+from twins.shading_flow import find_candidates
 from twins.shading_trend import carry_trends, find_trend, measure_changes
 from twins.warp import block_classes, link_surfaces, load_color, resolve, smooth_blocks, splat, unmixed
 
@@ -28,6 +30,8 @@ __all__ = [
     "block_classes",
     "carry_trends",
     "centres",
+    "changed_tiles",
+    "choose_flow",
     "collect_levels",
     "collect_shown",
     "compose",
@@ -38,7 +42,9 @@ __all__ = [
     "encode",
     "fill_hidden_parts",
     "fill_holes",
+    "find_candidates",
     "find_trend",
+    "judge",
     "link_surfaces",
     "load_color",
     "measure_changes",

@@ -2,87 +2,57 @@
 
 import numpy as np
 
-from twins.common import COLOR_MAX, F, kernel_constants
+from twins.common import F, kernel_constants
+from twins.network_input import decode, encode, exp_less_one
+from twins.shading_flow import SAMPLING, doubled, sampled
 from twins.warp import load_color
 
 CORRECTION = kernel_constants("correction.cl")
 
 
-def encode(color, exposure):
-    """μ-law: ln(1 + μ · exposure · c / 8) / ln(1 + μ) for μ = 5000; negative colour is black."""
-    return _log(F(1) + F(5000 * exposure / 8) * np.maximum(color, F(0))) * F(1 / np.log1p(5000))
+def leaky(x):
+    return np.where(x < CORRECTION.SLOPE * x, CORRECTION.SLOPE * x, x)
 
 
-def _parts(x):
-    """Mantissa and exponent: of the power of two within sqrt(2)."""
-    bits = x.view(np.int32)
-    exponent = (bits - 0x3F3504F3) >> 23
-    return (bits - (exponent << 23)).view(F), exponent
+def sigmoid(x):
+    of_negative = F(1) / (exp_less_one(np.fmin(np.abs(x), F(88))) + F(2))
+    return np.where(np.isnan(x), x, np.where(x < 0, of_negative, F(1) - of_negative))
 
 
-def _log(x):
-    return _log_of_parts(*_parts(x))
+def choose_flow(judgement, candidates, alpha):
+    """(3, h, w) of a quarter of the resolution: the flow that is followed, how far the trend lasts."""
+    found = F(alpha) * (SAMPLING.FOUND_UNIT * candidates[SAMPLING.FOUND : SAMPLING.FOUND + 2])
+    own = CORRECTION.FLOW_UNIT * judgement[:2]
+    lasts = np.clip(candidates[SAMPLING.HELD] + judgement[3], F(0), F(1))
+    return np.concatenate([F(2) * (own + sigmoid(judgement[2]) * (found - own)), lasts[None]])
 
 
-def _log_of_product(a, b):
-    (mantissa_a, of_a), (mantissa_b, of_b) = _parts(a), _parts(b)
-    mantissa, more = _parts(mantissa_a * mantissa_b)
-    return _log_of_parts(mantissa, of_a + of_b + more)
-
-
-def _log_of_parts(mantissa, exponent):
-    e, m = exponent.astype(F), mantissa - F(1)
-    y = F(7.0376836292e-2)
-    for c in (-1.1514610310e-1, 1.1676998740e-1, -1.2420140846e-1, 1.4249322787e-1, -1.6668057665e-1, 2.0000714765e-1):
-        y = y * m + F(c)
-    y = (y * m + F(-2.4999993993e-1)) * m + F(3.3333331174e-1)
-    z = m * m
-    y = y * m * z - F(2.12194440e-4) * e - F(0.5) * z
-    return m + y + F(0.693359375) * e
-
-
-def decode(encoded, exposure):
-    x = np.minimum(np.maximum(encoded, F(0)) * F(np.log1p(5000)), F(88))
-    n = np.floor(x * F(1.44269504088896341) + F(0.5))
-    r = x - n * F(0.693359375) + n * F(2.12194440e-4)
-    y = F(1.9875691500e-4)
-    for c in (1.3981999507e-3, 8.3334519073e-3, 4.1665795894e-2, 1.6666665459e-1, 5.0000001201e-1):
-        y = y * r + F(c)
-    power = ((np.nan_to_num(n).astype(np.int32) + 127) << 23).view(F)
-    return np.minimum(((y * r * r + r) * power + (power - F(1))) * F(8 / (5000 * exposure)), COLOR_MAX)
-
-
-def depth_median(depth):
-    """Middle of the bin, 1/128 of a power of two wide, that holds the median of the finite depths in every eighth row;
-    1 without."""
-    depth = depth[:: CORRECTION.COUNTED_ROWS]
-    bits = np.sort(depth[np.isfinite(depth) & (depth > 0)].view(np.uint32))
-    if not len(bits):
-        return F(1)
-    dropped = CORRECTION.BIN_BITS
-    bin_ = bits[(len(bits) + 1) // 2 - 1] >> dropped
-    return np.array([bin_ << dropped | 1 << (dropped - 1)], np.uint32).view(F)[0]
-
-
-def network_input(color, previous, depth, mask, exposure, network_size):
-    """(8, h, w) float32 from the GAE frame, the warped previous frame (H, W, 4) and the input mask (H, W)."""
-    inverse = np.minimum(depth_median(depth) / depth, CORRECTION.MAX_INVERSE_DEPTH)
-    planes = np.concatenate([inverse[..., None], mask.astype(F)[..., None]], -1)
-    (height, width), (w, h) = depth.shape, network_size
-    j, i = np.mgrid[:h, :w]
-
-    def taps(image):
-        return [
-            image[np.minimum(2 * j + (tap >> 1), height - 1), np.minimum(2 * i + (tap & 1), width - 1)]
-            for tap in range(4)
-        ]
-
-    lifted = [taps(F(1) + F(5000 * exposure / 8) * np.maximum(load_color(c), F(0))) for c in (color, previous)]
-    colors = [_log_of_product(a * c, b * d) * (F(0.25) * F(1 / np.log1p(5000))) for a, b, c, d in lifted]
-    total = np.zeros((h, w, 2), F)
-    for tap in taps(planes):
-        total = total + tap
-    return np.moveaxis(np.concatenate([*colors, F(0.25) * total], -1), -1, 0)
+def judge(frames, trends, judgement, chosen, head):
+    """(5, h, w): the correction at half resolution."""
+    seen_count, hidden, said_count = CORRECTION.SEEN, CORRECTION.HIDDEN, CORRECTION.SAID
+    parts = np.split(head, np.cumsum([hidden * seen_count, hidden, said_count * hidden]))
+    first, bias, second, last = parts[0].reshape(hidden, -1), parts[1], parts[2].reshape(said_count, -1), parts[3]
+    _, height, width = frames.shape
+    flow_x, flow_y, lasts = (doubled(plane) for plane in chosen)
+    y, x = np.mgrid[:height, :width]
+    detail = judgement[CORRECTION.JUDGED :].reshape(CORRECTION.DETAIL, 2, 2, height // 2, width // 2)
+    detail = leaky(detail.transpose(0, 3, 1, 4, 2).reshape(CORRECTION.DETAIL, height, width))
+    now = frames[:3]
+    moved = np.stack([sampled(plane, x.astype(F) + flow_x, y.astype(F) + flow_y) - plane for plane in now])
+    trend = trends[:3] * lasts
+    seen = np.concatenate([detail, moved, trend, now, frames[3:6]])
+    said = np.repeat(last, height * width).reshape(said_count, height, width)
+    for k in range(hidden):
+        total = np.full((height, width), bias[k])
+        for i in range(seen_count):
+            total = total + first[k, i] * seen[i]
+        said = said + second[:, k, None, None] * leaky(total)
+    number = (flow_x - flow_x) + (flow_y - flow_y)
+    delta = said[:3] + moved + said[5] * trend + number
+    mask = np.where(
+        frames[7] < CORRECTION.DISOCCLUDED_BELOW, F(0), np.clip(F(2) * said[4] - CORRECTION.DOUBT, F(0), F(1))
+    )
+    return np.concatenate([delta, sigmoid(said[3])[None], mask[None]])
 
 
 def correct(color, frames, correction, exposure, within_mask=True):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from twins.common import COLOR_MAX, F, centres, kernel_constants, reproject
-from twins.correction import _log
+from twins.network_input import log
 from twins.warp import load_color
 
 TREND = kernel_constants("shading_trend.cl")
@@ -44,7 +44,7 @@ def measure_changes(frame, before, dynamic, exposure, to_previous):
                 product[cy, cx] *= np.clip(now / then, F(1) / most, most)
                 known[cy, cx] += F(1)
     share = F(stride**2 / cell**2)
-    changes = _log(product) * (F(1 / np.log1p(5000)) * share)
+    changes = log(product) * (F(1 / np.log1p(5000)) * share)
     return np.moveaxis(np.concatenate([changes, (known * share)[..., None]], -1), -1, 0)
 
 

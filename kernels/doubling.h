@@ -1,0 +1,65 @@
+/* Between an image and one of half its size, LANES pixels at once: bilinear interpolation up, means over 2x2 pixels down. Pixel
+   centres of both lie on one plane; borders are repeated. */
+
+#include "common.h"
+#include "simd.h"
+
+/* The four taps, in an image of `width` by `height` pixels, of pixels from (x, y) on of one of twice the size; x is a multiple
+   of LANES. `inner`: those to the left and to the right are in 8 pixels from `first` on, else `left` and `right`. */
+typedef struct {
+    int top, bottom, first;
+    Ints left, right;
+    Floats u;
+    float v;
+    bool inner;
+} Taps;
+
+inline void taps_around(const int x, const int y, const int width, const int height, Taps *t) {
+    const Ints columns = x + LANE_NUMBERS, x0 = (columns - 1) >> 1;
+    const int y0 = (y - 1) >> 1, first = (x >> 1) - 1;
+    t->top = max(y0, 0) * width;
+    t->bottom = min(y0 + 1, height - 1) * width;
+    t->first = first;
+    t->left = clamp(x0, (Ints)(0), (Ints)(width - 1));
+    t->right = min(x0 + 1, (Ints)(width - 1));
+    t->u = (columns & 1) == 1 ? (Floats)(0.25f) : (Floats)(0.75f);
+    t->v = (y & 1) ? 0.25f : 0.75f;
+    t->inner = first >= 0 && first + 8 <= width;
+}
+
+/* Bilinear interpolation of a plane. */
+INLINE Floats interpolate(__global const float *plane, const Taps *t) {
+    Floats a, b, c, d;
+#if LANES == 8
+    if (t->inner) {
+        const float8 top = vload8(0, plane + t->top + t->first), bottom = vload8(0, plane + t->bottom + t->first);
+        a = top.s01122334;
+        b = top.s12233445;
+        c = bottom.s01122334;
+        d = bottom.s12233445;
+    } else
+#endif
+    {
+        a = gather_floats(plane + t->top, t->left);
+        b = gather_floats(plane + t->top, t->right);
+        c = gather_floats(plane + t->bottom, t->left);
+        d = gather_floats(plane + t->bottom, t->right);
+    }
+    const Floats u = t->u;
+    const float v = t->v;
+    return (1.0f - u) * (1.0f - v) * a + u * (1.0f - v) * b + (1.0f - u) * v * c + u * v * d;
+}
+
+/* Means over 2x2 pixels of a plane `width` pixels wide, for LANES pixels of a row from (x, y) on, of which the image of half the
+   size has `count`. */
+INLINE Floats halved(__global const float *plane, const int width, const int x, const int y, const int count) {
+    __global const float *top = plane + 2 * y * width + 2 * x, *bottom = top + width;
+#if LANES == 8
+    if (count >= LANES) {
+        const float16 a = vload16(0, top), b = vload16(0, bottom);
+        return 0.25f * ((a.even + a.odd) + (b.even + b.odd));
+    }
+#endif
+    const Ints i = 2 * min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
+    return 0.25f * ((gather_floats(top, i) + gather_floats(top, i + 1)) + (gather_floats(bottom, i) + gather_floats(bottom, i + 1)));
+}

@@ -1,0 +1,33 @@
+/* Sampling planes anywhere, LANES pixels at once: bilinear, borders repeated. Channels of the candidates that the shading
+   correction network is given (shading_flow.cl) and that its judgement is applied to (correction.cl). */
+
+#include "common.h"
+#include "simd.h"
+
+#define FOUND 0          /* first of two channels: the flow from the extrapolated frame into the warped previous one, in ... */
+#define FOUND_UNIT 4.0f  /* ... pixels of a quarter of the resolution */
+#define HELD 13          /* channel: how far the last interval's trend was that of the interval before */
+
+/* Column of each lane's pixel. */
+inline Floats row_indices(const int x) { return to_floats(x + LANE_NUMBERS); }
+
+/* The taps around positions in pixels, whole numbers at their centres. What is no number is the far border. */
+typedef struct { Ints tap, right, down; Floats u, v; } Sample;
+
+inline void find_sample(const Floats x, const Floats y, const int width, const int height, Sample *s) {
+    const Floats px = wide_greater(wide_lesser(x, (Floats)((float)(width - 1))), (Floats)(0.0f));
+    const Floats py = wide_greater(wide_lesser(y, (Floats)((float)(height - 1))), (Floats)(0.0f));
+    const Ints x0 = to_ints(px), y0 = to_ints(py);
+    s->tap = y0 * width + x0;
+    s->right = x0 < width - 1 ? (Ints)(1) : (Ints)(0);
+    s->down = y0 < height - 1 ? (Ints)(width) : (Ints)(0);
+    s->u = px - to_floats(x0);
+    s->v = py - to_floats(y0);
+}
+
+INLINE Floats sampled(__global const float *plane, const Sample *s) {
+    const Floats a = gather_floats(plane, s->tap), b = gather_floats(plane, s->tap + s->right);
+    const Ints below = s->tap + s->down;
+    const Floats c = gather_floats(plane, below), d = gather_floats(plane, below + s->right);
+    return (1.0f - s->v) * ((1.0f - s->u) * a + s->u * b) + s->v * ((1.0f - s->u) * c + s->u * d);
+}

@@ -1,0 +1,209 @@
+/* How shading moved: the flow from the extrapolated frame into the warped previous one, by least squares (Lucas and Kanade,
+   1981), coarse to fine; and what is known of it and of the trend, which the shading correction network judges. Images of level l
+   have 1 / 2^l of the sides of the network's frames: 1, a quarter of the display's, is the finest. The flow of every second
+   pixel is found. */
+
+#include "frame.h"
+#include "doubling.h"
+#include "sampling.h"
+
+#define FLOW_LEVELS 3
+#define FLOW_STEPS 2
+#define FLAT 0.0001f      /* squared gradient of encoded colour below which nothing moves */
+#define LONGEST 2.0f      /* pixels of a step */
+#define LITTLE 0.0001f    /* squared change of encoded colour */
+#define LEAST 0.000001f    /* squared difference of encoded colour */
+#define GAIN 4.0f         /* of what the network is given */
+#define THIRD 0.33333334f
+#define PRODUCTS 5
+#define CANDIDATES 16
+
+/* Level 1 of both frames: colours of the extrapolated one (3), and the brightness of both (2). */
+WIDE __kernel void halve_frames(const Frame frame, __global const float *frames, __global float *colors,
+                                __global float *brightness) {
+    const int fine = frame.network_width, width = fine / 2, height = frame.network_height / 2, plane = width * height;
+    const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, at = y * width + x;
+    if (count <= 0 || y >= height) return;
+    for (int which = 0; which < 2; ++which) {
+        Floats sum = 0.0f;
+        for (int c = 0; c < 3; ++c) {
+            const Floats color = halved(frames + 4 * (3 * which + c) * plane, fine, x, y, count);
+            if (which == 0) store_some_floats(color, count, colors + c * plane + at);
+            sum += color;
+        }
+        store_some_floats(THIRD * sum, count, brightness + which * plane + at);
+    }
+}
+
+/* Both frames' brightness at `level`, from the level above. */
+WIDE __kernel void halve_brightness(const Frame frame, const int level, __global const float *fine, __global float *brightness) {
+    const int width = frame.network_width >> level, height = frame.network_height >> level, plane = width * height;
+    const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
+    if (count <= 0 || y >= height) return;
+    for (int which = 0; which < 2; ++which)
+        store_some_floats(halved(fine + 4 * which * plane, 2 * width, x, y, count), count, brightness + which * plane + y * width + x);
+}
+
+/* The flow at `level` to begin with, from that of the level below. */
+WIDE __kernel void double_flow(const Frame frame, const int level, __global const float *coarse, __global float *flow) {
+    const int width = frame.network_width >> (level + 1), height = frame.network_height >> (level + 1);
+    const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, plane = width * height;
+    if (count <= 0 || y >= height) return;
+    Taps taps;
+    taps_around(x, y, width / 2, height / 2, &taps);
+    for (int axis = 0; axis < 2; ++axis)
+        store_some_floats(2.0f * interpolate(coarse + axis * (plane / 4), &taps), count, flow + axis * plane + y * width + x);
+}
+
+/* The previous frame's brightness at `level`, moved along the flow. */
+WIDE __kernel void warp_brightness(const Frame frame, const int level, __global const float *brightness,
+                                   __global const float *flow, __global float *warped) {
+    const int width = frame.network_width >> level, height = frame.network_height >> level, plane = width * height;
+    const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
+    if (count <= 0 || y >= height) return;
+    Taps taps;
+    taps_around(x, y, width / 2, height / 2, &taps);
+    const Floats flow_x = interpolate(flow, &taps), flow_y = interpolate(flow + plane / 4, &taps);
+    Sample there;
+    find_sample(row_indices(x) + flow_x, (float)y + flow_y, width, height, &there);
+    store_some_floats(sampled(brightness + plane, &there), count, warped + y * width + x);
+}
+
+/* Sum of both images of which the flow is sought, at columns of a row. */
+inline Floats both_at(__global const float *now, __global const float *warped, const int width, const Ints column, const int row) {
+    const Ints i = row * width + clamp(column, (Ints)(0), (Ints)(width - 1));
+    return gather_floats(now, i) + gather_floats(warped, i);
+}
+
+/* Of gradients and differences, means over 2x2 pixels of their products: xx, xy, yy, xr, yr. */
+WIDE __kernel void sum_products(const Frame frame, const int level, __global const float *brightness,
+                                __global const float *warped, __global float *products) {
+    const int width = frame.network_width >> level, height = frame.network_height >> level;
+    const int cell_x = get_global_id(0) * LANES, cell_y = get_global_id(1), cells_width = width / 2, count = cells_width - cell_x;
+    if (count <= 0 || cell_y >= height / 2) return;
+    Floats sums[PRODUCTS];
+    for (int k = 0; k < PRODUCTS; ++k) sums[k] = 0.0f;
+    for (int part = 0; part < 4; ++part) {
+        const Ints column = min(2 * (cell_x + LANE_NUMBERS) + (part & 1), (Ints)(width - 1));
+        const int row = 2 * cell_y + (part >> 1), above = max(row - 1, 0), below = min(row + 1, height - 1);
+        const Floats x = both_at(brightness, warped, width, column + 1, row) - both_at(brightness, warped, width, column - 1, row);
+        const Floats y = both_at(brightness, warped, width, column, below) - both_at(brightness, warped, width, column, above);
+        const Ints i = row * width + column;
+        const Floats rest = 4.0f * (gather_floats(warped, i) - gather_floats(brightness, i));
+        sums[0] += x * x;
+        sums[1] += x * y;
+        sums[2] += y * y;
+        sums[3] += x * rest;
+        sums[4] += y * rest;
+    }
+    for (int k = 0; k < PRODUCTS; ++k)
+        store_some_floats(0.25f * sums[k], count, products + k * (cells_width * (height / 2)) + cell_y * cells_width + cell_x);
+}
+
+/* Mean over the 3x3 pixels around, or those of them that there are. */
+inline Floats mean_around(__global const float *plane, const int width, const int height, const int x, const int y) {
+    const int top = max(y - 1, 0), bottom = min(y + 1, height - 1);
+    Floats sum = 0.0f, columns = 0.0f;
+    for (int dx = -1; dx <= 1; ++dx) {
+        const Ints column = x + LANE_NUMBERS + dx, clamped = clamp(column, (Ints)(0), (Ints)(width - 1));
+        Floats of_column = 0.0f;
+        for (int row = top; row <= bottom; ++row) of_column += gather_floats(plane, row * width + clamped);
+        sum += column == clamped ? of_column : (Floats)(0.0f);
+        columns += column == clamped ? (Floats)(1.0f) : (Floats)(0.0f);
+    }
+    return wide_divide(sum, columns * (float)(bottom + 1 - top));
+}
+
+/* One step of the flow at `level`, by least squares. */
+WIDE __kernel void step_flow(const Frame frame, const int level, __global const float *products, __global float *flow) {
+    const int width = frame.network_width >> (level + 1), height = frame.network_height >> (level + 1), plane = width * height;
+    const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, at = y * width + x;
+    if (count <= 0 || y >= height) return;
+    Floats mean[PRODUCTS];
+    for (int k = 0; k < PRODUCTS; ++k) mean[k] = mean_around(products + k * plane, width, height, x, y);
+    const Floats xx = mean[0] + FLAT, xy = mean[1], yy = mean[2] + FLAT, xr = mean[3], yr = mean[4];
+    const Floats determinant = xx * yy - xy * xy;
+    const Floats step_x = wide_divide(xy * yr - yy * xr, determinant), step_y = wide_divide(xy * xr - xx * yr, determinant);
+    const Floats longer = wide_greater(fabs(step_x), fabs(step_y)), excess = wide_greater((1.0f / LONGEST) * longer, (Floats)(1.0f));
+    store_some_floats(load_some_floats(count, flow + at) + wide_divide(step_x, excess), count, flow + at);
+    store_some_floats(load_some_floats(count, flow + plane + at) + wide_divide(step_y, excess), count, flow + plane + at);
+}
+
+/* Mean squared differences over 2x2 pixels of level 1 from the previous frame, as it is and along the flow. */
+WIDE __kernel void sum_differences(const Frame frame, __global const float *brightness, __global const float *warped,
+                                   __global float *products) {
+    const int fine = frame.network_width / 2, width = fine / 2, height = frame.network_height / 4, plane = width * height;
+    const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
+    if (count <= 0 || y >= height) return;
+    Floats still = 0.0f, along = 0.0f;
+    for (int part = 0; part < 4; ++part) {
+        const Ints i = (2 * y + (part >> 1)) * fine + min(2 * (x + LANE_NUMBERS) + (part & 1), (Ints)(fine - 1));
+        const Floats now = gather_floats(brightness, i);
+        const Floats before = gather_floats(brightness + 4 * plane, i) - now, moved = gather_floats(warped, i) - now;
+        still += before * before;
+        along += moved * moved;
+    }
+    store_some_floats(0.25f * still, count, products + y * width + x);
+    store_some_floats(0.25f * along, count, products + plane + y * width + x);
+}
+
+/* Their means around. */
+WIDE __kernel void blur_differences(const Frame frame, __global const float *products, __global float *differences) {
+    const int width = frame.network_width / 4, height = frame.network_height / 4, plane = width * height;
+    const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
+    if (count <= 0 || y >= height) return;
+    for (int k = 0; k < 2; ++k)
+        store_some_floats(mean_around(products + k * plane, width, height, x, y), count, differences + k * plane + y * width + x);
+}
+
+/* What is known of trends, means over 2x2 pixels: 4 x that of the last interval (3), 4 x the mean of that of the interval before,
+   how far the one was the other, and the share of the surroundings that tells. */
+inline void know_trends(__global const float *trends, const int fine, const int plane, const int x, const int y, Floats *known) {
+    Floats product = 0.0f, square = 0.0f, sum = 0.0f;
+    for (int c = 0; c < 3; ++c) {
+        const Floats last = halved(trends + 4 * c * plane, fine, x, y, LANES);
+        const Floats earlier = halved(trends + 4 * (3 + c) * plane, fine, x, y, LANES);
+        known[c] = GAIN * last;
+        product += last * earlier;
+        square += last * last;
+        sum += earlier;
+    }
+    known[3] = GAIN * (THIRD * sum);
+    known[4] = clamp(wide_divide(product, square + LITTLE), (Floats)(0.0f), (Floats)(1.0f));
+    known[5] = halved(trends + 24 * plane, fine, x, y, LANES);
+}
+
+/* Planes of the network's input at a quarter of the resolution: the flow (2); the root of the mean squared difference as it is
+   and along the flow, and their ratio; change of colour along the flow until t + alpha (3); trends (3) and the mean of the earlier
+   one; difference of brightness; how far the trend held; the share that tells of it; alpha. */
+WIDE __kernel void find_candidates(const Frame frame, __global const float *colors, __global const float *brightness,
+                                   __global const float *flow, __global const float *differences,
+                                   __global const float *trends, __global float *candidates) {
+    const int width = frame.network_width / 2, height = frame.network_height / 2, plane = width * height;
+    const int x = get_global_id(0) * LANES, y = get_global_id(1), at = y * width + x;
+    if (x >= width || y >= height) return;
+    Taps taps;
+    taps_around(x, y, width / 2, height / 2, &taps);
+    const Floats found_x = interpolate(flow, &taps), found_y = interpolate(flow + plane / 4, &taps);
+    const Floats still = interpolate(differences, &taps) + LEAST, along = interpolate(differences + plane / 4, &taps) + LEAST;
+    Sample there;
+    find_sample(row_indices(x) + frame.alpha * found_x, (float)y + frame.alpha * found_y, width, height, &there);
+    Floats known[6];
+    know_trends(trends, frame.network_width, plane, x, y, known);
+    __global float *out = candidates + at;
+    store_floats((1.0f / FOUND_UNIT) * found_x, 0, out + FOUND * plane);
+    store_floats((1.0f / FOUND_UNIT) * found_y, 0, out + (FOUND + 1) * plane);
+    store_floats(GAIN * sqrt(still), 0, out + 2 * plane);
+    store_floats(GAIN * sqrt(along), 0, out + 3 * plane);
+    store_floats(wide_divide(along, still), 0, out + 4 * plane);
+    for (int c = 0; c < 3; ++c) {
+        const Floats change = sampled(colors + c * plane, &there) - load_floats(0, colors + c * plane + at);
+        store_floats(GAIN * change, 0, out + (5 + c) * plane);
+        store_floats(known[c], 0, out + (8 + c) * plane);
+    }
+    store_floats(known[3], 0, out + 11 * plane);
+    store_floats(GAIN * (load_floats(0, brightness + at) - load_floats(0, brightness + plane + at)), 0, out + 12 * plane);
+    store_floats(known[4], 0, out + HELD * plane);
+    store_floats(known[5], 0, out + 14 * plane);
+    store_floats((Floats)(frame.alpha), 0, out + 15 * plane);
+}

@@ -1,0 +1,122 @@
+"""Twin of shading_flow.cl, doubling.h and sampling.h."""
+
+import numpy as np
+
+from twins.common import F, kernel_constants
+
+SAMPLING, FLOW = kernel_constants("sampling.h"), kernel_constants("shading_flow.cl")
+
+
+def halved(plane):
+    """Means over 2×2 pixels."""
+    a, b, c, d = (plane[y::2, x::2] for y in (0, 1) for x in (0, 1))
+    return F(0.25) * ((a + b) + (c + d))
+
+
+def doubled(plane):
+    """Bilinear interpolation to twice the size, pixel centres on one plane, borders repeated."""
+    height, width = plane.shape
+    y, x = np.mgrid[: 2 * height, : 2 * width]
+    left, top = np.clip((x - 1) >> 1, 0, width - 1), np.clip((y - 1) >> 1, 0, height - 1)
+    right, bottom = np.clip(((x - 1) >> 1) + 1, 0, width - 1), np.clip(((y - 1) >> 1) + 1, 0, height - 1)
+    u, v = np.where(x & 1, F(0.25), F(0.75)), np.where(y & 1, F(0.25), F(0.75))
+    a, b, c, d = plane[top, left], plane[top, right], plane[bottom, left], plane[bottom, right]
+    return (F(1) - u) * (F(1) - v) * a + u * (F(1) - v) * b + (F(1) - u) * v * c + u * v * d
+
+
+def sampled(plane, x, y):
+    """Bilinear at positions in pixels, whole numbers at centres, borders repeated; NaN is the far border."""
+    height, width = plane.shape
+    x, y = (np.maximum(np.where(p < last, p, F(last)), F(0)) for p, last in ((x, width - 1), (y, height - 1)))
+    x0, y0 = x.astype(int), y.astype(int)
+    u, v = x - x0.astype(F), y - y0.astype(F)
+    x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
+    top = (F(1) - u) * plane[y0, x0] + u * plane[y0, x1]
+    return (F(1) - v) * top + v * ((F(1) - u) * plane[y1, x0] + u * plane[y1, x1])
+
+
+def mean_around(plane):
+    """Over 3×3 pixels, or those of them that there are."""
+    height, width = plane.shape
+    total, columns = np.zeros_like(plane), np.zeros_like(plane)
+    rows = np.minimum(np.arange(height) + 1, height - 1) - np.maximum(np.arange(height) - 1, 0) + 1
+    for dx in (-1, 0, 1):
+        column = np.arange(width) + dx
+        there = (column >= 0) & (column < width)
+        of_column = np.zeros_like(plane)
+        for dy in (-1, 0, 1):
+            row = np.arange(height) + dy
+            inside = (row >= 0) & (row < height)
+            taken = plane[np.ix_(np.clip(row, 0, height - 1), np.clip(column, 0, width - 1))]
+            of_column = np.where(inside[:, None], of_column + taken, of_column)
+        total = total + np.where(there, of_column, F(0))
+        columns = columns + there.astype(F)
+    return total / (columns * rows[:, None].astype(F))
+
+
+def find_flow(now, before):
+    """(2, h/2, w/2): the flow of every second pixel, in pixels; now and before (h, w)."""
+    images = [(now, before)]
+    while len(images) < FLOW.FLOW_LEVELS:
+        images.append(tuple(halved(image) for image in images[-1]))
+    flow = None
+    for a, b in reversed(images):
+        shape = 2, a.shape[0] // 2, a.shape[1] // 2
+        flow = np.zeros(shape, F) if flow is None else F(2) * np.stack([doubled(plane) for plane in flow])
+        for _ in range(FLOW.FLOW_STEPS):
+            flow = flow + _step(a, warped(b, flow))
+    return flow
+
+
+def warped(image, flow):
+    height, width = image.shape
+    y, x = np.mgrid[:height, :width].astype(F)
+    return sampled(image, x + doubled(flow[0]), y + doubled(flow[1]))
+
+
+def _step(a, b):
+    both = np.pad(a + b, 1, mode="edge")
+    x, y = both[1:-1, 2:] - both[1:-1, :-2], both[2:, 1:-1] - both[:-2, 1:-1]
+    rest = F(4) * (b - a)
+    products = [_summed(p) for p in (x * x, x * y, y * y, x * rest, y * rest)]
+    xx, xy, yy, xr, yr = (mean_around(F(0.25) * p) for p in products)
+    xx, yy = xx + FLOW.FLAT, yy + FLOW.FLAT
+    determinant = xx * yy - xy * xy
+    step = np.stack([(xy * yr - yy * xr) / determinant, (xy * xr - xx * yr) / determinant])
+    longer = np.maximum(np.abs(step[0]), np.abs(step[1]))
+    return step / np.maximum((F(1) / FLOW.LONGEST) * longer, F(1))
+
+
+def _summed(plane):
+    """Over 2×2 pixels, in the kernels' order."""
+    a, b, c, d = (plane[y::2, x::2] for y in (0, 1) for x in (0, 1))
+    return ((a + b) + c) + d
+
+
+def find_candidates(frames, trends, alpha):
+    """(flow (2, h/4, w/4), differences (2, h/4, w/4), candidates (16, h/2, w/2)) from frames (8, h, w)."""
+    halves = np.stack([halved(plane) for plane in frames[:6]])
+    now, before = (FLOW.THIRD * ((c[0] + c[1]) + c[2]) for c in (halves[:3], halves[3:]))
+    flow = find_flow(now, before)
+    squares = [(image - now) ** 2 for image in (before, warped(before, flow))]
+    differences = np.stack([mean_around(F(0.25) * _summed(square)) for square in squares])
+    found = np.stack([doubled(plane) for plane in flow])
+    still, along = (doubled(plane) + FLOW.LEAST for plane in differences)
+    height, width = now.shape
+    y, x = np.mgrid[:height, :width].astype(F)
+    alpha = F(alpha)
+    moved = np.stack([sampled(c, x + alpha * found[0], y + alpha * found[1]) - c for c in halves[:3]])
+    last, earlier, share = np.split(np.stack([halved(plane) for plane in trends]), (3, 6))
+    product, square, total = (_in_order(last * earlier), _in_order(last * last), _in_order(earlier))
+    held = np.clip(product / (square + FLOW.LITTLE), F(0), F(1))
+    gain = FLOW.GAIN
+    known = [
+        (F(1) / SAMPLING.FOUND_UNIT) * found, gain * np.sqrt(still)[None], gain * np.sqrt(along)[None],
+        (along / still)[None], gain * moved, gain * last, gain * (FLOW.THIRD * total)[None],
+        (gain * (now - before))[None], held[None], share, np.full_like(share, alpha),
+    ]  # fmt: skip
+    return flow, differences, np.concatenate(known)
+
+
+def _in_order(planes):
+    return (planes[0] + planes[1]) + planes[2]
