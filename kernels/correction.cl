@@ -2,6 +2,7 @@
    correction at half resolution, and the final image. */
 
 #include "frame.h"
+#include "candidates.h"
 #include "doubling.h"
 #include "mu_law.h"
 #include "sampling.h"

@@ -1,12 +1,7 @@
-/* Sampling planes anywhere, LANES pixels at once: bilinear, borders repeated. Channels of the candidates that the shading
-   correction network is given (shading_flow.cl) and that its judgement is applied to (correction.cl). */
+/* Sampling planes anywhere, LANES pixels at once: bilinear, borders repeated. */
 
 #include "common.h"
 #include "simd.h"
-
-#define FOUND 0          /* first of two channels: the flow from the extrapolated frame into the warped previous one, in ... */
-#define FOUND_UNIT 4.0f  /* ... pixels of a quarter of the resolution */
-#define HELD 13          /* channel: how far the last interval's trend was that of the interval before */
 
 /* Column of each lane's pixel. */
 inline Floats row_indices(const int x) { return to_floats(x + LANE_NUMBERS); }

@@ -4,6 +4,7 @@
    pixel is found. */
 
 #include "frame.h"
+#include "candidates.h"
 #include "doubling.h"
 #include "sampling.h"
 
@@ -12,7 +13,7 @@
 #define FLAT 0.0001f      /* squared gradient of encoded colour below which nothing moves */
 #define LONGEST 2.0f      /* pixels of a step */
 #define LITTLE 0.0001f    /* squared change of encoded colour */
-#define LEAST 0.000001f    /* squared difference of encoded colour */
+#define LEAST 0.000001f   /* squared difference of encoded colour */
 #define GAIN 4.0f         /* of what the network is given */
 #define THIRD 0.33333334f
 #define PRODUCTS 5

@@ -7,7 +7,7 @@ import base64
 import numpy as np
 
 MULTIPLE = 16  # of the width and height of its frames
-INPUT_PLANES, TREND_PLANES, CANDIDATE_PLANES, JUDGEMENT_PLANES = 8, 7, 16, 20
+INPUT_PLANES, CANDIDATE_PLANES, JUDGEMENT_PLANES = 8, 16, 20
 HEAD = "head"  # key of the metadata
 HEAD_LAYERS = ((16, 16), (6, 16))  # outputs and inputs of each
 HEAD_WEIGHTS = sum(outputs * (inputs + 1) for outputs, inputs in HEAD_LAYERS)

@@ -50,7 +50,8 @@ def pad_file(source: Path, target: Path, metadata: Mapping[str, str] = MappingPr
     try:
         model = onnx.load(str(source))
         padded = pad_channels(model)
-        helper.set_model_props(model, {item.key: item.value for item in model.metadata_props} | dict(metadata))
+        for key, value in metadata.items():
+            model.metadata_props.add(key=key, value=value)
         onnx.checker.check_model(model)
     except Exception as error:  # of protobuf, onnx or the system
         reason = getattr(error, "strerror", None) or type(error).__name__

@@ -16,7 +16,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation.metrics import focus_mask
 from gffe_cl.frame.rendered_frame import HALF_MAX
-from gffe_cl.inference.model_interface import TREND_PLANES
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.remote_workers import Cluster, device_of_worker
 from gffe_cl.pipeline.options import Options
@@ -24,6 +23,7 @@ from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.scn import images, network
 from gffe_cl.scn.domain_randomization import vary_scene
+from gffe_cl.stages.shading_trend import TREND_PLANES
 
 TRAINING_SCENES = ("corridor", "plaza", "room", "forest")
 CHANNELS = 11  # exposed linear GAE (3), warped previous (3), ground truth (3), inverse depth, input mask

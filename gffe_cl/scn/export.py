@@ -20,7 +20,6 @@ from gffe_cl.inference.model_interface import (
     INPUTS,
     MULTIPLE,
     OUTPUT,
-    TREND_PLANES,
     head_text,
     head_weights,
     shapes_at,
@@ -28,6 +27,7 @@ from gffe_cl.inference.model_interface import (
 from gffe_cl.inference.network import load_onnxruntime
 from gffe_cl.scn.channels import pad_file
 from gffe_cl.scn.network import ShadingCorrectionNetwork
+from gffe_cl.stages.shading_trend import TREND_PLANES
 
 OPSET = 18
 TOLERANCE = 2e-4  # between onnxruntime and PyTorch, of values in about −1 … 1

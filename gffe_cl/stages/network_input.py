@@ -92,6 +92,7 @@ class NetworkInput(Stage):
 
     def extrapolated(self, step: Step) -> None:
         """Fill `frames` and wait for whether anything changes; after a reset there is nothing to go by."""
+        self.is_still = False
         if step.previous is None:
             return
         self.fill("histogram", 0)

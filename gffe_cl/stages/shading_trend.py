@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.inference.model_interface import TREND_PLANES
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
@@ -13,6 +12,7 @@ from gffe_cl.stages.network_input import NetworkInput
 
 _CONSTANTS = constants("shading_trend.cl")
 _CHANGES = _CONSTANTS["CHANGES"]
+TREND_PLANES = 7  # of `ShadingTrend`'s `trends`
 _SAMPLED = 1 / _CONSTANTS["SAMPLE_STRIDE"] ** 2
 
 

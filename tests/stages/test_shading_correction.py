@@ -1,5 +1,6 @@
 """The shading correction network in the pipeline, with small models in place of the trained one."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -154,6 +155,10 @@ def test_a_still_frame_needs_no_network(device, model):
         made = pipeline.extrapolate()
         assert (bits(made.numpy("color")) == bits(made.numpy("gae"))) == (k < 3)
         assert (pipeline.take_timings()["network"] == 0) == (k < 3)
+    pipeline.stages["network_input"].is_still = True
+    pipeline.submit(replace(frame, time=1.0, reset=True))
+    pipeline.extrapolate()
+    assert not pipeline.stages["network_input"].is_still  # a reset forgets it
 
 
 @pytest.mark.parametrize("size", [*SIZES, (130, 70)])

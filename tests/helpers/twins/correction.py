@@ -4,7 +4,7 @@ import numpy as np
 
 from twins.common import F, kernel_constants
 from twins.network_input import decode, encode, exp_less_one
-from twins.shading_flow import SAMPLING, doubled, sampled
+from twins.shading_flow import CANDIDATES, doubled, sampled
 from twins.warp import load_color
 
 CORRECTION = kernel_constants("correction.cl")
@@ -21,9 +21,9 @@ def sigmoid(x):
 
 def choose_flow(judgement, candidates, alpha):
     """(3, h, w) of a quarter of the resolution: the flow that is followed, how far the trend lasts."""
-    found = F(alpha) * (SAMPLING.FOUND_UNIT * candidates[SAMPLING.FOUND : SAMPLING.FOUND + 2])
+    found = F(alpha) * (CANDIDATES.FOUND_UNIT * candidates[CANDIDATES.FOUND : CANDIDATES.FOUND + 2])
     own = CORRECTION.FLOW_UNIT * judgement[:2]
-    lasts = np.clip(candidates[SAMPLING.HELD] + judgement[3], F(0), F(1))
+    lasts = np.clip(candidates[CANDIDATES.HELD] + judgement[3], F(0), F(1))
     return np.concatenate([F(2) * (own + sigmoid(judgement[2]) * (found - own)), lasts[None]])
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from twins.common import F, kernel_constants
 
-SAMPLING, FLOW = kernel_constants("sampling.h"), kernel_constants("shading_flow.cl")
+CANDIDATES, FLOW = kernel_constants("candidates.h"), kernel_constants("shading_flow.cl")
 
 
 def halved(plane):
@@ -111,7 +111,7 @@ def find_candidates(frames, trends, alpha):
     held = np.clip(product / (square + FLOW.LITTLE), F(0), F(1))
     gain = FLOW.GAIN
     known = [
-        (F(1) / SAMPLING.FOUND_UNIT) * found, gain * np.sqrt(still)[None], gain * np.sqrt(along)[None],
+        (F(1) / CANDIDATES.FOUND_UNIT) * found, gain * np.sqrt(still)[None], gain * np.sqrt(along)[None],
         (along / still)[None], gain * moved, gain * last, gain * (FLOW.THIRD * total)[None],
         (gain * (now - before))[None], held[None], share, np.full_like(share, alpha),
     ]  # fmt: skip
