@@ -12,6 +12,7 @@
 #include "nearest.h"
 #include "blocks.h"
 #include "rgb9e5.h"
+#include "color_code.h"
 
 #define SAME_SURFACE 0.02f   /* relative depth within which two fragments may be of the same surface */
 
@@ -55,8 +56,9 @@ inline float2 px_of(const Texels t, const int texel, const int x, const int y) {
     return centre + (float2)((float)((packed << 16) >> 16), (float)(packed >> 16)) * ((float)(1 << t.level) / PX_UNITS);
 }
 
-inline float3 color_of(const Texels t, const int texel) {
-    return t.state[texel] == SHOWN ? load_color(t.frame_color, texel) : unpack_color(t.color[texel]);
+inline float3 code_of(const Texels t, const int texel, const float code_offset) {
+    const float3 c = t.state[texel] == SHOWN ? load_color(t.frame_color, texel) : unpack_color(t.color[texel]);
+    return encode_color(c, code_offset);
 }
 
 /* ---- collection --------------------------------------------------------------------------------------------- */
@@ -468,10 +470,10 @@ SCAN __kernel void project_levels(const Frame frame, const int pass, __global co
     }
 }
 
-/* Colour of the texels around a winner, weighted by their distance in the target image from `centre`, of the winner's surface
+/* Code of the colour of the texels around a winner, weighted by their distance in the target image from `centre`, of the winner's surface
    only: within one texel's side; within two where that catches too little, as in the gaps between irregular fragments. */
 INLINE float3 color_around(const int winner, const int texel_x, const int texel_y, const int level_height, const float z_winner,
-                           const float2 side, const float2 centre, const Reprojection to_target, const Texels texels) {
+                           const float2 side, const float2 centre, const Frame *frame, const Texels texels) {
     const int level_width = texels.width;
     float3 sum;
     float weight_sum;
@@ -499,19 +501,19 @@ INLINE float3 color_around(const int winner, const int texel_x, const int texel_
                 z[k] = z_tap;
             }
             const Floats z_taps = load_floats(0, z);
-            const Wide3 there = wide_reproject(load_floats(0, x), load_floats(0, y), z_taps, to_target);
+            const Wide3 there = wide_reproject(load_floats(0, x), load_floats(0, y), z_taps, frame->to_target);
             const Floats wx = 1.0f - fabs(there.x - centre.x) * inverse_x, wy = 1.0f - fabs(there.y - centre.y) * inverse_y;
             const Ints counts = (z_taps > 0.0f) & (there.z > 0.0f) & (wx > 0.0f) & (wy > 0.0f);
             store_floats(counts ? wx * wy : (Floats)(0.0f), 0, weight);
             for (int k = 0; k < LANES; ++k) {
                 if (!(weight[k] > 0.0f)) continue;
-                sum += weight[k] * color_of(texels, tap[k]);
+                sum += weight[k] * code_of(texels, tap[k], frame->code_offset);
                 weight_sum += weight[k];
             }
         }
         if (weight_sum >= ENOUGH_WEIGHT) break;
     }
-    return weight_sum > 0.01f ? mean_of(sum, weight_sum) : color_of(texels, winner);
+    return weight_sum > 0.01f ? mean_of(sum, weight_sum) : code_of(texels, winner, frame->code_offset);
 }
 
 /* The frame before: of its pixels those that are SHOWN hold their own surface's colour only. */
@@ -521,10 +523,11 @@ typedef struct {
     __global const float *depth;
     __global const uchar *state;
     Reprojection to_previous;
+    float code_offset;
 } Before;
 
-/* Colour of a static point in the frame before; false where that did not show its surface all around. */
-INLINE bool shown_before(const float2 centre, const float z, const Before before, float3 *rgb) {
+/* Code of the colour of a static point in the frame before; false where that did not show its surface all around. */
+INLINE bool shown_before(const float2 centre, const float z, const Before before, float3 *code) {
     const float3 px_prev = reproject(centre, z, before.to_previous);
     if (!(px_prev.z > 0.0f && px_prev.x >= 0.5f && px_prev.y >= 0.5f && px_prev.x < (float)before.width - 0.5f
           && px_prev.y < (float)before.height - 0.5f)
@@ -535,9 +538,9 @@ INLINE bool shown_before(const float2 centre, const float z, const Before before
     for (int tap = 0; tap < 4; ++tap) {
         const int i = (y0 + (tap >> 1)) * before.width + x0 + (tap & 1);
         if (!is_same_surface(before.depth[i], px_prev.z, 2.0f * SAME_SURFACE * px_prev.z)) return false;
-        sum += bilinear_weight(tap, u, v) * load_color(before.color, i);
+        sum += bilinear_weight(tap, u, v) * load_code(before.color, i, before.code_offset);
     }
-    *rgb = sum;
+    *code = sum;
     return true;
 }
 
@@ -565,7 +568,7 @@ SCAN __kernel void fill_from_levels(const Frame frame, __global const half *colo
     if (run_is_backward(first_x, dst_y, target_width, block_class)) return;
     const int first = dst_y * target_width + first_x;
     if (first_x + RUN <= target_width && run_is_zero(disoccluded + first) && run_is_zero(mixed + first)) return;
-    const Before before = {source_width, source_height, color_prev, depth_prev, state_prev, to_previous};
+    const Before before = {source_width, source_height, color_prev, depth_prev, state_prev, to_previous, frame.code_offset};
     for (int dst_x = first_x; dst_x < min(first_x + RUN, target_width); ++dst_x) {
         const int dst = dst_y * target_width + dst_x;
         if (!(disoccluded[dst] | mixed[dst])) continue;
@@ -585,8 +588,9 @@ SCAN __kernel void fill_from_levels(const Frame frame, __global const half *colo
         float3 remembered;
         if (!has_previous || !shown_before(centre, nearest_z, before, &remembered))
             remembered = color_around(winner, texel_x, texel_y, level_side(source_height, level), z_winner, side, centre,
-                                      to_target, texels);
-        store_color(disoccluded[dst] ? remembered : 0.5f * (remembered + load_color(color, dst)), color, dst);
+                                      &frame, texels);
+        if (!disoccluded[dst]) remembered = 0.5f * (remembered + load_code(color, dst, frame.code_offset));
+        store_code(remembered, color, dst, frame.code_offset);
         filled_by[dst] = (uchar)(1 + level);
         if (!disoccluded[dst]) continue;
         depth[dst] = nearest_z;

@@ -31,6 +31,7 @@ typedef struct {
     float alpha;
     float interval_ratio;             /* the last interval between rendered frames, in that before it */
     float exposure;                   /* factor on color before display */
+    float code_offset;                /* color_code.h, at this frame's exposure */
     float camera_step;                /* world units that the camera moved since the frame before */
     int has_overlays;                 /* that the rendered frame brings: bits, in the order of `OVERLAYS` */
     /* Facts: options, and what stages decide when they are made. */

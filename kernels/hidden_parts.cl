@@ -6,6 +6,7 @@
 
 #include "frame.h"
 #include "simd.h"
+#include "color_code.h"
 #include "directional_search.h"
 #include "blocks.h"
 
@@ -106,12 +107,12 @@ inline void fill_hidden_part(const int dst_x, const int dst_y, const Frame *fram
         const int2 d = direction(k);
         const int x = dst_x + t[k] * d.x, y = dst_y + t[k] * d.y;
         const float weight = divide(1.0f, (float)t[k] * step_length(d));
-        sum += weight * load_color(f.color, y * width + x);
+        sum += weight * load_code(f.color, y * width + x, frame->code_offset);
         px_sum += weight * moves_along(x, y, -t[k] * d, frame, f);
         z_sum += weight * z[k];
         weight_sum += weight;
     }
-    store_color(mean_of(sum, weight_sum), f.color, dst);
+    store_code(mean_of(sum, weight_sum), f.color, dst, frame->code_offset);
     f.depth[dst] = divide(z_sum, weight_sum);
     f.motion[dst] = (float2)(divide(px_sum.x, weight_sum), divide(px_sum.y, weight_sum)) - pixel_centre(dst_x, dst_y);
     f.filled_by[dst] = BY_HIDDEN_PART;

@@ -5,6 +5,7 @@
 
 #include "frame.h"
 #include "simd.h"
+#include "color_code.h"
 #include "directional_search.h"
 #include "blocks.h"
 
@@ -79,15 +80,15 @@ inline bool is_far(const Border a, const int k) { return !(a.inverse[k] > a.leas
 
 /* Mean (colour, inverse depth) of pixels with weights. */
 inline float4 weighted_mean(const int count, const int *px, const float *inverse, const float *weight,
-                            __global const half *color) {
+                            const float code_offset, __global const half *color) {
     float4 sum = (float4)(0.0f);
     float weight_sum = 0.0f;
     for (int k = 0; k < count; ++k) {
         if (!(weight[k] > 0.0f)) continue;
-        sum += weight[k] * (float4)(load_color(color, px[k]), inverse[k]);
+        sum += weight[k] * (float4)(load_code(color, px[k], code_offset), inverse[k]);
         weight_sum += weight[k];
     }
-    return (float4)(mean_of(sum.xyz, weight_sum), divide(sum.w, weight_sum));
+    return (float4)(decode_color(mean_of(sum.xyz, weight_sum), code_offset), divide(sum.w, weight_sum));
 }
 
 /* Where a static pixel is in the rendered image, and its depth there; z <= 0: behind the camera. */
@@ -95,15 +96,15 @@ inline float3 static_source(const int dst_x, const int dst_y, const float invers
     return reproject(pixel_centre(dst_x, dst_y), inverse_depth > 0.0f ? divide(1.0f, inverse_depth) : INFINITY, to_source);
 }
 
-/* Colour of the rendered frame at `px_source`, or at the place on its border that is closest; bilinear. */
-inline float3 border_color(const float2 px_source, const Frame *frame, __global const half *source_color) {
+/* Code of the rendered frame's colour at `px_source`, or at the place on its border that is closest; bilinear. */
+inline float3 border_code(const float2 px_source, const Frame *frame, __global const half *source_color) {
     const int width = frame->source_width, height = frame->source_height;
     const float x = clamp(px_source.x - 0.5f, 0.0f, (float)(width - 1)), y = clamp(px_source.y - 0.5f, 0.0f, (float)(height - 1));
     const int x0 = (int)x, y0 = (int)y;
     float3 sum = (float3)(0.0f);
     for (int tap = 0; tap < 4; ++tap) {
         const int src = min(y0 + (tap >> 1), height - 1) * width + min(x0 + (tap & 1), width - 1);
-        sum += bilinear_weight(tap, x - (float)x0, y - (float)y0) * load_color(source_color, src);
+        sum += bilinear_weight(tap, x - (float)x0, y - (float)y0) * load_code(source_color, src, frame->code_offset);
     }
     return sum;
 }
@@ -117,7 +118,8 @@ inline bool is_out_of_screen(const float3 px_source, const Frame *frame) {
 /* What lies out of screen goes on as the image's border does: the mean of what is beside the hole and of that border. */
 inline float3 continued(const float3 beside, const float3 px_source, const Frame *frame, __global const half *source_color) {
     if (!(px_source.z > 0.0f)) return beside;
-    return 0.5f * (beside + border_color(px_source.xy, frame, source_color));
+    const float3 border = border_code(px_source.xy, frame, source_color);
+    return decode_color(0.5f * (encode_color(beside, frame->code_offset) + border), frame->code_offset);
 }
 
 /* Of the first valid pixels in eight directions, up to `reach` px away: a surface that, continued into the hole, lies outside
@@ -135,13 +137,13 @@ inline bool far_side(const int dst_x, const int dst_y, const Frame *frame, const
         all += weight[k];
     }
     if (all > 0.0f) {
-        *mean = weighted_mean(a.count, a.px, a.inverse, weight, f.color);
+        *mean = weighted_mean(a.count, a.px, a.inverse, weight, frame->code_offset, f.color);
         const float3 px_source = static_source(dst_x, dst_y, mean->w, frame->to_source);
         mean->xyz = continued(mean->xyz, px_source, frame, f.source_color);
         return true;
     }
     for (int k = 0; k < a.count; ++k) weight[k] = is_far(a, k) ? a.closeness[k] : 0.0f;
-    *mean = weighted_mean(a.count, a.px, a.inverse, weight, f.color);
+    *mean = weighted_mean(a.count, a.px, a.inverse, weight, frame->code_offset, f.color);
     return true;
 }
 
@@ -180,9 +182,10 @@ SCAN __kernel void mix_far_side(const Frame frame, __global const uchar *disoccl
         if (a.count == 0) continue;
         float weight[DIRECTIONS];
         for (int k = 0; k < a.count; ++k) weight[k] = is_far(a, k) ? a.closeness[k] : 0.0f;
-        const float3 mean = weighted_mean(a.count, a.px, a.inverse, weight, color).xyz;
+        const float3 mean = weighted_mean(a.count, a.px, a.inverse, weight, frame.code_offset, color).xyz;
         const float counts = weight_of_far_side(a, mean, color);
-        store_color(mean_of(load_color(color, dst) + counts * mean, 1.0f + counts), color, dst);
+        const float3 sum = load_code(color, dst, frame.code_offset) + counts * encode_color(mean, frame.code_offset);
+        store_code(mean_of(sum, 1.0f + counts), color, dst, frame.code_offset);
     }
 }
 

@@ -1,6 +1,7 @@
 /* Silhouettes: edges of what moves over something else, as soft as the rendered frame has them.
    A rendered frame is antialiased: a pixel at a silhouette holds a share of the nearer surface, its coverage, and what it covers.
    Where both move apart, that share is estimated and carried along with the nearer surface, over what the new frame shows behind.
+   Colours are mixed by their codes (color_code.h).
    Only pixels at steps of depth whose two sides move apart are looked at; LANES of others are skipped at once. */
 
 #include "frame.h"
@@ -8,6 +9,7 @@
 #include "flow.h"
 #include "blocks.h"
 #include "rgb9e5.h"
+#include "color_code.h"
 
 #define STEP 0.05f           /* relative step of inverse depth between two layers */
 #define MOVES_APART 0.5f     /* px: layers that deviate less are resampled together */
@@ -41,7 +43,7 @@ typedef struct {
     int width, height;
     float2 zoom;
     __global const float *target_position;
-    __global const half *color;
+    __global const half *codes;
 } Source;
 
 /* Depths of the 3x3 pixels around each of them, 0 where there is none, and what lies halfway between the sides if these are
@@ -89,7 +91,7 @@ INLINE Ints layers_part(const Span p, const Source s, __global const float *dept
 
 /* The nearer layer's share of pixels, and the colour of what it covers: where a pixel's colour lies between the mean colours of
    both layers around, as far as these differ; else from the pixels that each layer has. */
-INLINE void unmix(const Span p, const Depths *d, __global const half *color, __global const uchar *links, Floats *behind,
+INLINE void unmix(const Span p, const Depths *d, __global const half *codes, __global const uchar *links, Floats *behind,
                   Floats *share) {
     Strip near_sum, far_sum;
     Floats near_area = 0.0f, area = 0.0f;
@@ -103,7 +105,7 @@ INLINE void unmix(const Span p, const Depths *d, __global const half *color, __g
         const Floats certain = bytes_beside(p, links, dx, dy) == ALL_LINKS ? weight : AT_EDGE * weight;
         const Floats near_weight = is_near ? certain : (Floats)(0.0f), far_weight = is_near ? (Floats)(0.0f) : certain;
         Strip c;
-        colors_beside(p, color, dx, dy, &c);
+        colors_beside(p, codes, dx, dy, &c);
 #pragma unroll
         for (int part = 0; part < PARTS; ++part) {
             near_sum.part[part] += OF_TEXELS(near_weight, part) * c.part[part];
@@ -114,7 +116,7 @@ INLINE void unmix(const Span p, const Depths *d, __global const half *color, __g
     }
     const Ints is_near = d->z[4] < d->middle;
     Strip own_strip;
-    colors_beside(p, color, 0, 0, &own_strip);
+    colors_beside(p, codes, 0, 0, &own_strip);
     Floats near[4], far[4], own[4];
     channels_of(&near_sum, near);
     channels_of(&far_sum, far);
@@ -155,7 +157,7 @@ inline void mark_around(const float2 px, const int width, const int height, __gl
 /* Which layer each pixel belongs to; where it does, the colour of the far layer, `behind`, and the near one's `share` of the pixel.
    Marks the target blocks where they go; they come unmarked. */
 WIDE __kernel void find_layers(const Frame frame, __global const float *depth, __global const uchar *links,
-                               __global const float *target_position, __global const half *color, __global uchar *layer,
+                               __global const float *target_position, __global const half *codes, __global uchar *layer,
                                __global uint *behind, __global uchar *share, __global uchar *marked) {
     const int source_width = frame.source_width, source_height = frame.source_height;
     const int target_width = frame.target_width, target_height = frame.target_height;
@@ -163,7 +165,7 @@ WIDE __kernel void find_layers(const Frame frame, __global const float *depth, _
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x, count = min(source_width - src_x, LANES);
-    const Source s = {source_width, source_height, zoom, target_position, color};
+    const Source s = {source_width, source_height, zoom, target_position, codes};
     Span p = {src_x, src_y, source_width, source_height, false};
     Depths d;
     Ints part = to_ints(load_some_bytes(count, links + src)) != ALL_LINKS;
@@ -173,10 +175,10 @@ WIDE __kernel void find_layers(const Frame frame, __global const float *depth, _
         if (src_x >= 1 && src_y >= 1 && src_x + LANES < source_width && src_y + 1 < source_height) {
             p.inner = true;
             part &= layers_part(p, s, depth, &d);
-            if (ANY(part)) unmix(p, &d, color, links, colors, &shares);
+            if (ANY(part)) unmix(p, &d, codes, links, colors, &shares);
         } else {
             part &= layers_part(p, s, depth, &d);
-            if (ANY(part)) unmix(p, &d, color, links, colors, &shares);
+            if (ANY(part)) unmix(p, &d, codes, links, colors, &shares);
         }
     }
     if (!ANY(part)) {
@@ -202,6 +204,7 @@ WIDE __kernel void find_layers(const Frame frame, __global const float *depth, _
 /* The new frame, whose every pixel shows what lies in the rendered frame where its motion points to. */
 typedef struct {
     int width, height;
+    float code_offset;
     __global const half *color;
     __global const float *depth;
     __global const float2 *motion;
@@ -237,7 +240,7 @@ inline bool is_mixed_with_near(const Source s, const Layers l, const int x0, con
 /* Colour of a pixel without that of a nearer layer that was mixed into it. Gives whether it is another one. */
 INLINE bool without_near(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, float3 *rgb) {
     const int dst = dst_y * f.width + dst_x;
-    *rgb = load_color(f.color, dst);
+    *rgb = load_code(f.color, dst, f.code_offset);
     if (!is_warped(f.filled_by[dst]) || f.mixed[dst]) return false;
     const float2 px = pixel_centre(dst_x, dst_y), px_source = px + f.motion[dst];
     const int x0 = (int)floor(px_source.x - 0.5f), y0 = (int)floor(px_source.y - 0.5f);
@@ -251,7 +254,7 @@ INLINE bool without_near(const Source s, const Layers l, const Shown f, const in
         const float3 there = position_of(s.target_position, src, s.width * s.height);
         if (!goes_along(s, x, y, there, px, px_source, f.depth[dst], ALIKE)) continue;
         const float weight = bilinear_weight(k, u, v);
-        sum += weight * (l.layer[src] == FAR ? unpack_color(l.behind[src]) : load_color(s.color, src));
+        sum += weight * (l.layer[src] == FAR ? unpack_color(l.behind[src]) : load_color(s.codes, src));
         weight_sum += weight;
     }
     if (weight_sum > 0.05f) *rgb = mean_of(sum, weight_sum);
@@ -275,10 +278,10 @@ INLINE bool near_layer(const Source s, const Layers l, const float2 px, const fl
         const float weight = bilinear_weight(k, u, v);
         weight_sum += weight;
         if (along && layer != NEAR) {
-            sum += weight * (float4)(layer == FAR ? unpack_color(l.behind[src]) : not_negative(load_color(s.color, src)), 1.0f);
+            sum += weight * (float4)(layer == FAR ? unpack_color(l.behind[src]) : not_negative(load_color(s.codes, src)), 1.0f);
         } else if (along || layer == FAR) {
             const float share = (float)l.share[src] * (1.0f / SHARES);
-            const float3 own = not_negative(load_color(s.color, src));
+            const float3 own = not_negative(load_color(s.codes, src));
             sum += weight * (float4)(not_negative(own - (1.0f - share) * unpack_color(l.behind[src])), share);
         }
     }
@@ -404,7 +407,7 @@ INLINE Ints may_be_mixed(const Span p, const Source s, const Layers l, const Sho
 /* The new colours, and `coverage`: 0 where a pixel stays as it is, else 1 + 254 times the nearer layer's share. Nothing in blocks
    that are not marked. */
 WIDE __kernel void soften(const Frame frame, __global const uchar *marked, __global const float *target_position,
-                          __global const half *source_color, __global const uchar *layer, __global const uint *behind,
+                          __global const half *codes, __global const uchar *layer, __global const uint *behind,
                           __global const uchar *share, __global const half *color, __global const float *depth,
                           __global const float2 *motion, __global const uchar *filled_by, __global const uchar *mixed,
                           __global uchar *coverage, __global uint *softened) {
@@ -414,9 +417,9 @@ WIDE __kernel void soften(const Frame frame, __global const uchar *marked, __glo
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height || !marked[block_of(dst_x, dst_y, target_width)]) return;
     const int dst = dst_y * target_width + dst_x, count = min(target_width - dst_x, LANES);
-    const Source s = {source_width, source_height, zoom, target_position, source_color};
+    const Source s = {source_width, source_height, zoom, target_position, codes};
     const Layers l = {layer, behind, share};
-    const Shown f = {target_width, target_height, color, depth, motion, filled_by, mixed};
+    const Shown f = {target_width, target_height, frame.code_offset, color, depth, motion, filled_by, mixed};
     Span p = {dst_x, dst_y, target_width, target_height, false};
     Ints paired, soft;
     LayerPairs pairs = {0.0f, 0.0f, 0.0f, (Ints)(0)};
@@ -454,7 +457,7 @@ SCAN __kernel void apply_softened(const Frame frame, __global const uchar *marke
         if (!marked[block_of(block_x, dst_y, target_width)]) continue;
         for (int dst_x = block_x; dst_x < min(block_x + BLOCK_WIDTH, end_x); ++dst_x) {
             const int dst = dst_y * target_width + dst_x;
-            if (coverage[dst]) store_color(unpack_color(softened[dst]), color, dst);
+            if (coverage[dst]) store_code(unpack_color(softened[dst]), color, dst, frame.code_offset);
         }
     }
 }

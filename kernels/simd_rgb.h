@@ -97,6 +97,12 @@ typedef float4 Texels;
 
 typedef struct { Texels part[PARTS]; } Strip;
 
+/* As `finite`. */
+inline Texels finite_texels(const Texels c) {
+    const Texels number = c == c ? c : (Texels)(0.0f), low = number < -COLOR_MAX ? (Texels)(-COLOR_MAX) : number;
+    return low < COLOR_MAX ? low : (Texels)(COLOR_MAX);
+}
+
 /* Its four channels. */
 inline void channels_of(const Strip *s, Floats *channels) {
 #if LANES == 8

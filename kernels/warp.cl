@@ -4,7 +4,8 @@
    nor searched: their pixels find the fragment by the inverse of the block's flow. */
 
 #include "frame.h"
-#include "simd.h"
+#include "simd_rgb.h"
+#include "color_code.h"
 #include "cubic.h"
 #include "nearest.h"
 #include "flow.h"
@@ -23,8 +24,9 @@ typedef struct {
 
 /* Images of the rendered frame that its fragments bring along. */
 typedef struct {
-    __global const half *color;
+    __global const half *color, *codes;
     __global const uchar *dynamic_mask;
+    float code_offset;
 } Rendered;
 
 /* The new frame. */
@@ -34,6 +36,29 @@ typedef struct {
     __global float2 *motion;
     __global uchar *dynamic_mask, *disoccluded, *filled_by, *mixed;
 } NewFrame;
+
+/* ---- encode -------------------------------------------------------------------------------------------------- */
+
+/* encode_color and decode_color of pixels of a strip. */
+inline Texels encode_texels(const Texels c, const float offset) {
+    const Texels size = fabs(c);
+    return offset > 0.0f ? copysign(0.5f * size + offset * sqrt(size), c) : c;
+}
+
+inline Texels decode_texels(const Texels code, const float offset) {
+    const Texels root = sqrt(2.0f * fabs(code) + offset * offset) - offset;
+    return offset > 0.0f ? copysign(root * root, code) : code;
+}
+
+/* Codes of the rendered frame's colours; NaN counts as 0, infinities are clamped. */
+WIDE __kernel void encode_colors(const Frame frame, __global const half *color, __global half *codes) {
+    const int width = frame.source_width, src_x = get_global_id(0) * LANES, src_y = get_global_id(1), count = width - src_x;
+    if (count <= 0 || src_y >= frame.source_height) return;
+    const int src = src_y * width + src_x;
+    Strip s = load_strip(count, color + 4 * src);
+    for (int part = 0; part < PARTS; ++part) s.part[part] = encode_texels(finite_texels(s.part[part]), frame.code_offset);
+    store_strip(s, count, codes + 4 * src);
+}
 
 /* ---- splat --------------------------------------------------------------------------------------------------- */
 
@@ -162,24 +187,24 @@ INLINE int2 step_off_silhouette(const Fragments f, const int src_x, const int sr
 
 /* Colour at (u, v) from pixel `tap`, bilinear, of those of the four taps that move alike; else that of the winner. */
 inline float3 of_those_alike(const int alike, const int tap, const float u, const float v, const int source_width,
-                             const int winner, __global const half *color) {
+                             const int winner, const Rendered shown) {
     float3 sum = (float3)(0.0f);
     float weight_sum = 0.0f;
     for (int k = 0; k < 4; ++k) {
         if (!((alike >> k) & 1)) continue;
         const float weight = bilinear_weight(k, u, v);
-        sum += weight * load_color(color, tap + (k >> 1) * source_width + (k & 1));
+        sum += weight * load_color(shown.codes, tap + (k >> 1) * source_width + (k & 1));
         weight_sum += weight;
     }
-    return weight_sum > 0.01f ? mean_of(sum, weight_sum) : load_color(color, winner);
+    return weight_sum > 0.01f ? decode_color(mean_of(sum, weight_sum), shown.code_offset) : load_color(shown.color, winner);
 }
 
 /* Colour at (src_x, src_y) + d. Cubic where the neighbourhood moves alike, which its four inner taps and its corners
    tell; else bilinear over those of the four taps that move alike. */
 INLINE float3 resample(const Fragments f, const int src_x, const int src_y, const float2 d, const float3 here, const Flow flow,
-                       __global const half *color) {
+                       const Rendered shown) {
     const int src = src_y * f.width + src_x;
-    if (d.x == 0.0f && d.y == 0.0f) return load_color(color, src);
+    if (d.x == 0.0f && d.y == 0.0f) return load_color(shown.color, src);
     const int ox = (int)floor(d.x), oy = (int)floor(d.y);
     const float u = d.x - (float)ox, v = d.y - (float)oy;
     int alike = 0;
@@ -189,11 +214,9 @@ INLINE float3 resample(const Fragments f, const int src_x, const int src_y, cons
             && deviation(position_of(f.target_position, src + dy * f.width + dx, f.plane), dx, dy, here, flow) <= SAME_MOTION;
         alike |= (int)tap_alike << k;
     }
-    float4 rgb;
     const int tap = src + oy * f.width + ox;
-    if (alike != ALL_ALIKE) return of_those_alike(alike, tap, u, v, f.width, src, color);
-    if (cubic_of_finite(tap - f.width - 1, cubic_weights(u), cubic_weights(v), f.width, color, &rgb)) return rgb.xyz;
-    return cubic(src_x + ox - 1, src_y + oy - 1, u, v, f.width, (__global const uint2 *)color);
+    if (alike != ALL_ALIKE) return of_those_alike(alike, tap, u, v, f.width, src, shown);
+    return decode_color(cubic(tap - f.width - 1, cubic_weights(u), cubic_weights(v), f.width, shown.codes), shown.code_offset);
 }
 
 /* What rounding moved, less than STILL, did not move. */
@@ -225,7 +248,7 @@ INLINE void resolve_pixel(const Fragments from, const Rendered shown, const Winn
     const float2 exact = (float2)(divide(offset.x, flow.det), divide(offset.y, flow.det));
     const float2 d = without_rounding(clamp(exact, -1.0f, 1.0f));
     const int2 step = step_off_silhouette(from, src_x, src_y, here, flow);
-    store_color(resample(from, src_x, src_y, d + convert_float2(step), here, flow, shown.color), to.color, dst);
+    store_color(resample(from, src_x, src_y, d + convert_float2(step), here, flow, shown), to.color, dst);
     const float z = here.z + flow.ddx.z * d.x + flow.ddy.z * d.y;
     const bool is_mixed = step.x != 0 || step.y != 0;
     to.depth[dst] = z > 0.0f ? z : here.z;
@@ -305,8 +328,21 @@ INLINE void samples_at(const Ints src, const Floats dx, const Floats dy, const i
     s->v = dy - oy;
 }
 
+#if LANES == 8
+/* Four pixels in a row whose taps lie in a row from `tap` on; those that are a pixel of the rendered frame, `exact`, keep its bits. False where
+   they are to be made one by one. */
+INLINE bool resample_four(const int tap, const int4 exact, const float4 *wx, const float4 *wy, const int source_width,
+                          const Rendered shown, __global half *out_color) {
+    if (any(exact) && !all(exact)) return false;
+    const Texels c = all(exact) ? finite_texels(vload_half16(0, shown.color + 4 * tap))
+                                : decode_texels(cubic_of_run(tap - source_width - 1, wx, wy, source_width, shown.codes), shown.code_offset);
+    vstore_half16_rte(WITHOUT_ALPHA(c), 0, out_color);
+    return true;
+}
+#endif
+
 /* The samples of the lanes in `use`. */
-INLINE void resample_lanes(const Samples s, const Ints use, const int source_width, __global const half *color, const int dst,
+INLINE void resample_lanes(const Samples s, const Ints use, const int source_width, const Rendered shown, const int dst,
                            __global half *out_color) {
     const Ints tap = s.tap, alike = s.alike;
     const Floats u = s.u, v = s.v;
@@ -318,15 +354,14 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
     wide_cubic_weights(v, wy);
     const Ints exact = (tap == s.src) & (u == 0.0f) & (v == 0.0f);
 #if LANES == 8
-    /* Halves whose taps lie in a row; where a tap is no finite number, and elsewhere, one lane after another. */
+    /* Halves whose taps lie in a row; elsewhere one lane after another. */
     const Ints whole = use & ((alike == ALL_ALIKE) | exact), in_row = tap - LANE_NUMBERS;
     const float4 left_x[4] = {wx[0].lo, wx[1].lo, wx[2].lo, wx[3].lo}, left_y[4] = {wy[0].lo, wy[1].lo, wy[2].lo, wy[3].lo};
     const float4 right_x[4] = {wx[0].hi, wx[1].hi, wx[2].hi, wx[3].hi}, right_y[4] = {wy[0].hi, wy[1].hi, wy[2].hi, wy[3].hi};
-    const int above = source_width + 1;
     const bool left = all(whole.lo & (in_row.lo == lane_tap[0]))
-        && cubic_of_four(lane_tap[0] - above, left_x, left_y, source_width, color, dst, out_color);
+        && resample_four(lane_tap[0], exact.lo, left_x, left_y, source_width, shown, out_color + 4 * dst);
     const bool right = all(whole.hi & (in_row.hi == lane_tap[4] - 4))
-        && cubic_of_four(lane_tap[4] - above, right_x, right_y, source_width, color, dst + 4, out_color);
+        && resample_four(lane_tap[4], exact.hi, right_x, right_y, source_width, shown, out_color + 4 * (dst + 4));
     if (left && right) return;
     const Ints rest = use & (Ints)((int4)(left ? 0 : -1), (int4)(right ? 0 : -1));
 #else
@@ -344,19 +379,17 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
     }
     for (int k = 0; k < LANES; ++k) {
         if (!lane_use[k]) continue;
-        float4 rgb;
+        float3 rgb;
         if (lane_exact[k]) {
-            rgb.xyz = load_color(color, lane_tap[k]);
+            rgb = load_color(shown.color, lane_tap[k]);
         } else if (lane_alike[k] != ALL_ALIKE) {
-            rgb.xyz = of_those_alike(lane_alike[k], lane_tap[k], lane_u[k], lane_v[k], source_width, lane_src[k], color);
+            rgb = of_those_alike(lane_alike[k], lane_tap[k], lane_u[k], lane_v[k], source_width, lane_src[k], shown);
         } else {
             const float4 lane_x = (float4)(lanes_x[0][k], lanes_x[1][k], lanes_x[2][k], lanes_x[3][k]);
             const float4 lane_y = (float4)(lanes_y[0][k], lanes_y[1][k], lanes_y[2][k], lanes_y[3][k]);
-            const int tap_y = lane_tap[k] / source_width, tap_x = lane_tap[k] - tap_y * source_width;
-            if (!cubic_of_finite(lane_tap[k] - source_width - 1, lane_x, lane_y, source_width, color, &rgb))
-                rgb.xyz = cubic(tap_x - 1, tap_y - 1, lane_u[k], lane_v[k], source_width, (__global const uint2 *)color);
+            rgb = decode_color(cubic(lane_tap[k] - source_width - 1, lane_x, lane_y, source_width, shown.codes), shown.code_offset);
         }
-        store_color(rgb.xyz, out_color, dst + k);
+        store_color(rgb, out_color, dst + k);
     }
 }
 
@@ -410,7 +443,7 @@ INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewF
     store_xy((to_floats(won.x) + 0.5f) + dx - centre_x, (to_floats(won.y) + 0.5f) + dy - centre_y, to.motion + dst);
     store_labels(to, dst, bytes_at(shown.dynamic_mask, places),
                  (floor(at.x.here) == centre_x - 0.5f) & (floor(at.y.here) == centre_y - 0.5f));
-    resample_lanes(samples, done, from.width, shown.color, dst, to.color);
+    resample_lanes(samples, done, from.width, shown, dst, to.color);
     return done;
 }
 
@@ -450,21 +483,21 @@ INLINE void resolve_affine(const Fragments from, const Rendered shown, const New
                      & (fabs(source.s2 * dy - source.s4 * dx) * source.s6 <= 0.5f));
     Samples samples;
     samples_at(src, dx, dy, from.width, &samples);
-    resample_lanes(samples, LANE_NUMBERS >= 0, from.width, shown.color, dst, to.color);
+    resample_lanes(samples, LANE_NUMBERS >= 0, from.width, shown, dst, to.color);
 }
 
 /* LANES pixels per work-item. */
 WIDE __kernel void resolve(const Frame frame, const int unfilled_label, __global const uchar *block_class,
                            __global const float8 *block_source, __global const uchar *source_smooth, __global Key *keys,
-                           __global uint *winners, __global const half *color, __global const float *depth,
-                           __global const uchar *dynamic_mask, __global const uchar *links,
+                           __global uint *winners, __global const half *color, __global const half *codes,
+                           __global const float *depth, __global const uchar *dynamic_mask, __global const uchar *links,
                            __global const float *target_position, __global half *out_color, __global float *out_depth,
                            __global float2 *out_motion, __global uchar *out_dynamic, __global uchar *disoccluded,
                            __global uchar *filled_by, __global uchar *mixed) {
     const int width = frame.source_width, height = frame.source_height;
     const int target_width = frame.target_width, target_height = frame.target_height;
     const Fragments from = {depth, target_position, links, width, height, width * height, target_width, target_height, frame.zoom};
-    const Rendered shown = {color, dynamic_mask};
+    const Rendered shown = {color, codes, dynamic_mask, frame.code_offset};
     const Winners winning = {keys, winners};
     const NewFrame to = {out_color, out_depth, out_motion, out_dynamic, disoccluded, filled_by, mixed};
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);

@@ -155,6 +155,12 @@ class Options:
         " as in the paper; 2 bends on; auto bends on and learns how the camera shakes.", kind=int, low=1, high=2,
         automatic="auto", flag="--camera-order",
     )  # fmt: skip
+    resampling: str = _option(
+        "perceptual", "resampling", "Which values of colors are interpolated and mixed.",
+        choices={"perceptual": "Those that the eye tells apart: linear where it is bright, like a square root where it is dark",
+                 "linear": "Linear light, as in the paper"},
+        flag="--resampling",
+    )  # fmt: skip
     crack_closing: bool = _option(
         True, "crack closing", "A fragment covers what its pixel maps to; off: single pixels, as in the paper.",
         flag="--no-crack-closing",

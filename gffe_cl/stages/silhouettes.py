@@ -64,7 +64,7 @@ class Silhouettes(Stage):
                 "links": "connectivity.links",
                 "depth": Access("rendered.depth", LAYERED),
                 "target_position": Access("prediction.target_position", LAYERED),
-                "color": Access("rendered.color", LAYERED),
+                "codes": Access("warp.codes", LAYERED),
             },
             {
                 "layer": "silhouettes.layer",
@@ -87,7 +87,7 @@ class Silhouettes(Stage):
                 "color": Access("frame.color", SOFTENED),
                 "behind": Access("silhouettes.behind", SOFTENED),
                 "share": Access("silhouettes.share", SOFTENED),
-                "source_color": Access("rendered.color", SOFTENED),
+                "codes": Access("warp.codes", SOFTENED),
                 "target_position": Access("prediction.target_position", SOFTENED),
             },
             {

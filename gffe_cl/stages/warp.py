@@ -6,7 +6,7 @@ import numpy as np
 
 from gffe_cl.stages.backward_blocks import SPLATTED_PIXELS, SPLATTING_BLOCKS
 from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Share, Step, share_of
-from gffe_cl.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpec
+from gffe_cl.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, RGBA, BufferSpec
 
 DISOCCLUDED = share_of("disoccluded", "frame.disoccluded")
 MIXED = share_of("mixed", "warp.mixed")
@@ -14,6 +14,11 @@ _MIXED = BufferSpec(
     "mixed", np.uint8, (), "target",
     "1 where the fragment's colour was mixed with a silhouette's that moves away, and its neighbour's is shown", "mask",
     transient=True,
+)  # fmt: skip
+
+
+CODES = BufferSpec(
+    "codes", np.float16, RGBA, "source", "colors as they are interpolated and mixed", scratch=True
 )  # fmt: skip
 
 
@@ -26,6 +31,7 @@ class Warp(NearestStage):
 
     name = "warp"
     kernels = (
+        Kernel("encode_colors", "source", {"color": "rendered.color"}, {"codes": "warp.codes"}, step=("LANES", 1)),
         Kernel(
             "splat",
             "source",
@@ -47,7 +53,8 @@ class Warp(NearestStage):
                 "block_class": "backward_blocks.block_class",
                 "block_source": "backward_blocks.block_source",
                 "source_smooth": "backward_blocks.smooth",
-                "color": "rendered.color",
+                "color": Access("rendered.color", 0.0),  # where nothing moves
+                "codes": "warp.codes",
                 "depth": Access("rendered.depth", SPLATTED_PIXELS),
                 "links": Access("connectivity.links", SPLATTED_PIXELS),
                 "dynamic_mask": "history.dynamic_mask",
@@ -69,8 +76,12 @@ class Warp(NearestStage):
     )
 
     def __init__(self, board: Board):
-        self.buffers = (_MIXED, *self.keys(board, "", "target", transient=True))
+        self.buffers = (CODES, _MIXED, *self.keys(board, "", "target", transient=True))
+        board.facts["perceptual"] = board.options.resampling == "perceptual"
         super().__init__(board)
+
+    def rendered(self, step: Step) -> None:
+        self.launch("encode_colors", step)
 
     def extrapolated(self, step: Step) -> None:
         for splat_pass in self.passes:
