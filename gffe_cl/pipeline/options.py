@@ -157,7 +157,7 @@ class Options:
     )  # fmt: skip
     resampling: str = _option(
         "perceptual", "resampling", "Which values of colors are interpolated and mixed.",
-        choices={"perceptual": "Those that the eye tells apart: linear where it is bright, like a square root where it is dark",
+        choices={"perceptual": "As the eye sees them: like a square root where it is dark",
                  "linear": "Linear light, as in the paper"},
         flag="--resampling",
     )  # fmt: skip

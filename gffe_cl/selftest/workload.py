@@ -46,7 +46,7 @@ CASES = {
         "as in the paper: single pixels, no hidden parts, hole filling from the downsampled image",
         Options(
             acceleration=False, camera_order=1, crack_closing=False, hidden_parts=False, hole_filling="downsample",
-            soft_silhouettes=False, levels=4,
+            soft_silhouettes=False, levels=4, resampling="linear",
         ),
         None,
     ),

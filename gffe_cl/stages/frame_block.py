@@ -60,7 +60,7 @@ def frame_block(
         "alpha": alpha,
         "has_overlays": overlays,
         "color_law": color_law(exposure),
-        "code_offset": 0.5 / math.sqrt(exposure) if values.pop("perceptual", True) else 0.0,
+        "code_offset": facts.get("code_offset", 0.0) / math.sqrt(exposure),
         "order": min(facts.get("order", 0), len(times) - 1),
     }
     if camera is not None:

@@ -77,7 +77,7 @@ class Warp(NearestStage):
 
     def __init__(self, board: Board):
         self.buffers = (CODES, _MIXED, *self.keys(board, "", "target", transient=True))
-        board.facts["perceptual"] = board.options.resampling == "perceptual"
+        board.facts["code_offset"] = 0.5 if board.options.resampling == "perceptual" else 0.0  # at exposure 1
         super().__init__(board)
 
     def rendered(self, step: Step) -> None:

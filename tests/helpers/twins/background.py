@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from twins.common import COMMON, INF, F, centres, invalid, kernel_constants, reproject
+from twins.common import COMMON, INF, F, centres, decode, invalid, kernel_constants, reproject
 from twins.holes import is_outside, static_motion
-from twins.warp import _STEPS, _shifted, load_color, unmixed
+from twins.warp import _STEPS, _shifted, load_code, load_color, unmixed
 
 BACKGROUND = kernel_constants("background.cl")
 EMPTY_TEXEL, SHOWN, REMEMBERED = BACKGROUND.EMPTY, BACKGROUND.SHOWN, BACKGROUND.REMEMBERED
@@ -120,7 +120,7 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
 
 
 def shown_before(px, z, color_prev, depth_prev, unmixed_prev, to_previous):
-    """Colour of a static point in the frame before, or None."""
+    """Code of the color of a static point in the frame before, or None."""
     height, width = depth_prev.shape
     x, y, z_prev = reproject(px[None], np.array([z], F), to_previous)[0]
     if not (z_prev > 0 and 0.5 <= x < width - 0.5 and 0.5 <= y < height - 0.5) or not unmixed_prev[int(y), int(x)]:
@@ -134,7 +134,7 @@ def shown_before(px, z, color_prev, depth_prev, unmixed_prev, to_previous):
         if not (np.isinf(d) if np.isinf(z_prev) else abs(d - z_prev) <= F(2) * BACKGROUND.SAME_SURFACE * z_prev):
             return None
         weight = (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
-        found = found + weight * load_color(color_prev[at])
+        found = found + weight * load_code(color_prev[at])
     return found
 
 
@@ -191,14 +191,15 @@ def project_background(warped, levels, zoom, to_target, to_source, before):
                         continue
                     wx, wy = (F(1) - abs(at[k] - px[y, x, k]) * (F(1) / (sides[k] * F(reach))) for k in range(2))
                     if wx > 0 and wy > 0:
-                        total = total + wx * wy * load_color(level["color"][ny, nx])
+                        total = total + wx * wy * load_code(level["color"][ny, nx])
                         weights = weights + wx * wy
             if weights >= BACKGROUND.ENOUGH_WEIGHT:
                 break
-        found = total / weights if weights > F(0.01) else load_color(level["color"][ty, tx])
+        found = total / weights if weights > F(0.01) else load_code(level["color"][ty, tx])
         sharp = shown_before(px[y, x], z, *before)
         found = found if sharp is None else sharp
-        out["color"][y, x, :3] = found if holes[y, x] else F(0.5) * (found + load_color(warped["color"][y, x]))
+        found = found if holes[y, x] else F(0.5) * (found + load_code(warped["color"][y, x]))
+        out["color"][y, x, :3] = decode(found)
         out["filled_by"][y, x] = 1 + number
         if holes[y, x]:
             out["depth"][y, x] = z

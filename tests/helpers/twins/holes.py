@@ -4,8 +4,8 @@ import itertools
 
 import numpy as np
 
-from twins.common import COMMON, INF, F, centres, invalid, kernel_constants, reproject
-from twins.warp import load_color
+from twins.common import COMMON, INF, F, centres, decode, encode, invalid, kernel_constants, reproject
+from twins.warp import load_code, load_color
 
 HOLES = kernel_constants("holes.cl")
 
@@ -99,8 +99,9 @@ def continued(beside, at, source_color):
     height, width = source_color.shape[:2]
     x, y = np.clip(at[0] - F(0.5), 0, F(width - 1)), np.clip(at[1] - F(0.5), 0, F(height - 1))
     xs, ys = [int(x), min(int(x) + 1, width - 1)], [int(y), min(int(y) + 1, height - 1)]
-    across = [source_color[j, xs[0]] * (1 - x % 1) + source_color[j, xs[1]] * (x % 1) for j in ys]
-    return (beside + across[0] * (1 - y % 1) + across[1] * (y % 1)) / 2
+    codes = encode(source_color)
+    across = [codes[j, xs[0]] * (1 - x % 1) + codes[j, xs[1]] * (x % 1) for j in ys]
+    return decode((encode(beside) + across[0] * (1 - y % 1) + across[1] * (y % 1)) / 2)
 
 
 def source_of(y, x, inverse, to_source):
@@ -122,13 +123,14 @@ def far_side(warped, y, x, reach, to_source, source_color):
             if warped["filled_by"][q] != COMMON.BY_NOTHING:
                 z = warped["depth"][q]
                 inverse = F(0) if np.isinf(z) else F(1) / z
-                met.append((inverse, F(1) / distance, np.append(load_color(warped["color"][q]), inverse)))
+                met.append((inverse, F(1) / distance, np.append(load_code(warped["color"][q]), inverse)))
                 break
     if not met:
         return None
 
     def mean(weighted):
-        return sum(w * values for w, values in weighted) / sum(w for w, _ in weighted)
+        found = sum(w * values for w, values in weighted) / sum(w for w, _ in weighted)
+        return np.append(decode(found[:3]), found[3])
 
     ways = [source_of(y, x, inverse, to_source) for inverse, _, _ in met]
     outside = [(w * w, values) for at, (_, w, values) in zip(ways, met, strict=True) if is_outside(at, source_color)]
@@ -157,11 +159,11 @@ def mix_far_side(warped):
             continue
         weights = np.array([closeness for closeness, _ in far], F)
         colors = np.array([shown[q] for _, q in far])
-        mean = np.average(colors, axis=0, weights=weights)
+        mean = decode(np.average(encode(colors), axis=0, weights=weights))
         spread = np.average((colors.mean(1) - mean.mean()) ** 2, weights=weights)
         typical = (HOLES.CONTRAST * mean.mean()) ** 2
         counts = weights.max() * (typical / (typical + spread) if spread > 0 else 1)
-        color[y, x, :3] = (shown[y, x] + counts * mean) / (1 + counts)
+        color[y, x, :3] = decode((encode(shown[y, x]) + counts * encode(mean)) / (1 + counts))
     return color
 
 

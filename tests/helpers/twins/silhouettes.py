@@ -5,7 +5,8 @@ import numpy as np
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.buffers import BLOCK
 from twins.background import as_rgb9e5
-from twins.common import COMMON
+from twins.common import COMMON, decode, encode
+from twins.warp import codes_of
 
 F = np.float32
 CONSTANTS = constants("silhouettes.cl")
@@ -23,7 +24,7 @@ def tent(dx, dy):
 
 
 def color_of(color):
-    """What load_color gives, nothing negative."""
+    """What load_color gives, or codes of it, nothing negative."""
     rgb = np.nan_to_num(color[..., :3].astype(F), nan=0, posinf=COMMON.COLOR_MAX, neginf=0)
     return np.clip(rgb, 0, COMMON.COLOR_MAX)
 
@@ -38,9 +39,9 @@ def halfway(depths):
 
 
 def find_layers(color, depth, links, target_position, zoom):
-    """layer (H, W) uint8, behind (H, W, 4) float32."""
+    """layer (H, W) uint8, behind (H, W, 4) float32: a code and a share."""
     height, width = depth.shape
-    color, layer = color_of(color), np.zeros((height, width), np.uint8)
+    color, layer = color_of(codes_of(color)), np.zeros((height, width), np.uint8)
     behind = np.zeros((height, width, 4), F)
     for y, x in np.argwhere(links != 15):
         near_by = [(x + dx, y + dy, dx, dy) for dx, dy in AROUND if 0 <= x + dx < width and 0 <= y + dy < height]
@@ -91,8 +92,8 @@ def unmixed(color, depth, links, x, y, near_by, middle):
     return np.append(far if is_near else np.maximum(own - coverage * contrast, 0), coverage)
 
 
-def stored(rgb):
-    return as_rgb9e5(np.asarray(rgb, F))[:3]
+def stored(code):
+    return decode(as_rgb9e5(np.asarray(code, F))[:3])
 
 
 class Softening:
@@ -100,7 +101,7 @@ class Softening:
 
     def __init__(self, shown, color, target_position, layers, zoom):
         self.shown, self.target_position, self.zoom = shown, target_position, zoom
-        self.source, (self.layer, self.behind) = color, layers
+        self.source, (self.layer, self.behind) = codes_of(color), layers
         self.warped = np.isin(shown["filled_by"], (COMMON.BY_WARP, COMMON.BY_CRACK_CLOSING))
         self.filled = shown["filled_by"] != COMMON.BY_NOTHING
 
@@ -136,7 +137,7 @@ class Softening:
                 yield i, j, (u if k & 1 else F(1) - u) * (v if k >> 1 else F(1) - v), along, there[2]
 
     def without_near(self, x, y):
-        rgb = np.nan_to_num(self.shown["color"][y, x, :3].astype(F), nan=0)
+        rgb = encode(np.nan_to_num(self.shown["color"][y, x, :3].astype(F), nan=0))
         if not self.warped[y, x] or self.shown["mixed"][y, x]:
             return rgb, False
         px_source = np.array([x, y], F) + F(0.5) + self.shown["motion"][y, x]
@@ -173,7 +174,7 @@ class Softening:
         return np.append(total[:3] * (coverage / total[3] if coverage > 0 else F(0)), coverage)
 
     def pair(self, x, y):
-        """(place of the near layer, its depth, colour of the far one)."""
+        """(place of the near layer, its depth, code of the far one)."""
         height, width = self.warped.shape
         groups = [
             [(x + dx, y + dy, dx, dy) for dx, dy in group if 0 <= x + dx < width and 0 <= y + dy < height]

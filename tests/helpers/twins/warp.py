@@ -2,7 +2,19 @@
 
 import numpy as np
 
-from twins.common import COLOR_MAX, COMMON, INF, NOBODY, WARP, F, centres, invalid, kernel_constants
+from twins.common import (
+    COLOR_MAX,
+    COMMON,
+    INF,
+    NOBODY,
+    WARP,
+    F,
+    centres,
+    decode,
+    encode,
+    invalid,
+    kernel_constants,
+)
 
 SURFACES = kernel_constants("connectivity.cl")
 BLOCKS = kernel_constants("backward_blocks.cl")
@@ -199,6 +211,16 @@ def load_color(color):
     return np.clip(c, -COLOR_MAX, COLOR_MAX)
 
 
+def load_code(color):
+    """Codes of an image's colors."""
+    return encode(load_color(color))
+
+
+def codes_of(color):
+    """The same in half storage."""
+    return encode(load_color(color)).astype(np.float16)
+
+
 def _cubic_weights(t):
     t2, t3 = t * t, t * t * t
     t3 = t2 * t
@@ -257,13 +279,13 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
     p = d + np.stack([step_x, step_y], -1).astype(F)
     o = np.floor(p).astype(int)
     u, v = (p - o.astype(F))[..., 0], (p - o.astype(F))[..., 1]
-    rgb = load_color(color)
+    rgb, codes = load_color(color), codes_of(color).astype(F)
     alike, taps = {}, {}
     for ty in range(4):
         for tx in range(4):
             inside, e = deviation(o[..., 0] + tx - 1, o[..., 1] + ty - 1)
             _, y, x = at(o[..., 0] + tx - 1, o[..., 1] + ty - 1)
-            alike[ty, tx], taps[ty, tx] = inside & (e <= WARP.SAME_MOTION), rgb[y, x]
+            alike[ty, tx], taps[ty, tx] = inside & (e <= WARP.SAME_MOTION), codes[y, x]
     told_by = [(ty, tx) for ty in range(4) for tx in range(4) if (ty in (1, 2)) == (tx in (1, 2))]
     everywhere = np.all([alike[tap] for tap in told_by], axis=0)
     wx, wy = _cubic_weights(u), _cubic_weights(v)
@@ -283,8 +305,9 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
         linear = linear + weight[..., None] * taps[ty + 1, tx + 1]
         weights = weights + weight
     with np.errstate(all="ignore"):
-        linear = np.where((weights > F(0.01))[..., None], linear / weights[..., None], rgb[sy, sx])
-    out = np.where(everywhere[..., None], cubic, linear)
+        linear = decode(linear / weights[..., None])
+        linear = np.where((weights > F(0.01))[..., None], linear, rgb[sy, sx])
+    out = np.where(everywhere[..., None], decode(cubic), linear)
     out = np.where(((p == 0).all(-1))[..., None], rgb[sy, sx], out)
     out = np.clip(out, -COLOR_MAX, COLOR_MAX)
 
