@@ -17,8 +17,9 @@ _MIXED = BufferSpec(
 )  # fmt: skip
 
 
-CODES = BufferSpec(
-    "codes", np.float16, RGBA, "source", "colors as they are interpolated and mixed", scratch=True
+_CODES = BufferSpec(
+    "codes", np.float16, RGBA, "source", "colors as they are interpolated and mixed; NaN is 0, infinities are clamped",
+    "color",
 )  # fmt: skip
 
 
@@ -76,7 +77,7 @@ class Warp(NearestStage):
     )
 
     def __init__(self, board: Board):
-        self.buffers = (CODES, _MIXED, *self.keys(board, "", "target", transient=True))
+        self.buffers = (_CODES, _MIXED, *self.keys(board, "", "target", transient=True))
         board.facts["code_offset"] = 0.5 if board.options.resampling == "perceptual" else 0.0  # at exposure 1
         super().__init__(board)
 

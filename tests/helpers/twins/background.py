@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twins.common import COMMON, INF, F, centres, decode, invalid, kernel_constants, reproject
+from twins.common import COMMON, INF, F, centres, decode_color, invalid, kernel_constants, reproject
 from twins.holes import is_outside, static_motion
 from twins.warp import _STEPS, _shifted, load_code, load_color, unmixed
 
@@ -199,7 +199,7 @@ def project_background(warped, levels, zoom, to_target, to_source, before):
         sharp = shown_before(px[y, x], z, *before)
         found = found if sharp is None else sharp
         found = found if holes[y, x] else F(0.5) * (found + load_code(warped["color"][y, x]))
-        out["color"][y, x, :3] = decode(found)
+        out["color"][y, x, :3] = decode_color(found)
         out["filled_by"][y, x] = 1 + number
         if holes[y, x]:
             out["depth"][y, x] = z

@@ -24,13 +24,13 @@ COLOR_MAX = F(COMMON.COLOR_MAX)
 CODE_OFFSET = F(0.5)  # of color_code.h, at exposure 1; tests set it to 0 for linear light
 
 
-def encode(c):
+def encode_color(c):
     """Codes of colors."""
     c = np.asarray(c, F)
     return np.copysign(F(0.5) * np.abs(c) + CODE_OFFSET * np.sqrt(np.abs(c)), c) if CODE_OFFSET else c
 
 
-def decode(code):
+def decode_color(code):
     """Colors of codes."""
     code = np.asarray(code, F)
     root = np.sqrt(F(2) * np.abs(code) + CODE_OFFSET * CODE_OFFSET) - CODE_OFFSET

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twins.common import COMMON, F, decode, kernel_constants, reproject
+from twins.common import COMMON, F, decode_color, kernel_constants, reproject
 from twins.holes import _DIRECTIONS, march
 from twins.warp import load_code
 
@@ -54,7 +54,7 @@ def fill_hidden_parts(warped, source_depth, zoom, to_source, reach):
         z = depth[of]
         alike = [(F(1) / d, q) for d, q in found if abs(depth[q] - z) <= HIDDEN.ONE_OBJECT * z]
         total = sum(w for w, _ in alike)
-        out["color"][y, x, :3] = decode(sum(w * load_code(warped["color"][q]) for w, q in alike) / total)
+        out["color"][y, x, :3] = decode_color(sum(w * load_code(warped["color"][q]) for w, q in alike) / total)
         out["depth"][y, x] = sum(w * depth[q] for w, q in alike) / total
         px = sum(w * moves_along(q, y, x) for w, q in alike) / total
         out["motion"][y, x] = px - np.array([x + 0.5, y + 0.5], F)

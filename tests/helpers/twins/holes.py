@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 
-from twins.common import COMMON, INF, F, centres, decode, encode, invalid, kernel_constants, reproject
+from twins.common import COMMON, INF, F, centres, decode_color, encode_color, invalid, kernel_constants, reproject
 from twins.warp import load_code, load_color
 
 HOLES = kernel_constants("holes.cl")
@@ -99,9 +99,9 @@ def continued(beside, at, source_color):
     height, width = source_color.shape[:2]
     x, y = np.clip(at[0] - F(0.5), 0, F(width - 1)), np.clip(at[1] - F(0.5), 0, F(height - 1))
     xs, ys = [int(x), min(int(x) + 1, width - 1)], [int(y), min(int(y) + 1, height - 1)]
-    codes = encode(source_color)
+    codes = encode_color(source_color)
     across = [codes[j, xs[0]] * (1 - x % 1) + codes[j, xs[1]] * (x % 1) for j in ys]
-    return decode((encode(beside) + across[0] * (1 - y % 1) + across[1] * (y % 1)) / 2)
+    return decode_color((encode_color(beside) + across[0] * (1 - y % 1) + across[1] * (y % 1)) / 2)
 
 
 def source_of(y, x, inverse, to_source):
@@ -130,7 +130,7 @@ def far_side(warped, y, x, reach, to_source, source_color):
 
     def mean(weighted):
         found = sum(w * values for w, values in weighted) / sum(w for w, _ in weighted)
-        return np.append(decode(found[:3]), found[3])
+        return np.append(decode_color(found[:3]), found[3])
 
     ways = [source_of(y, x, inverse, to_source) for inverse, _, _ in met]
     outside = [(w * w, values) for at, (_, w, values) in zip(ways, met, strict=True) if is_outside(at, source_color)]
@@ -159,11 +159,11 @@ def mix_far_side(warped):
             continue
         weights = np.array([closeness for closeness, _ in far], F)
         colors = np.array([shown[q] for _, q in far])
-        mean = decode(np.average(encode(colors), axis=0, weights=weights))
+        mean = decode_color(np.average(encode_color(colors), axis=0, weights=weights))
         spread = np.average((colors.mean(1) - mean.mean()) ** 2, weights=weights)
         typical = (HOLES.CONTRAST * mean.mean()) ** 2
         counts = weights.max() * (typical / (typical + spread) if spread > 0 else 1)
-        color[y, x, :3] = decode((encode(shown[y, x]) + counts * encode(mean)) / (1 + counts))
+        color[y, x, :3] = decode_color((encode_color(shown[y, x]) + counts * encode_color(mean)) / (1 + counts))
     return color
 
 

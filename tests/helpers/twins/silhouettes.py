@@ -5,7 +5,7 @@ import numpy as np
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.buffers import BLOCK
 from twins.background import as_rgb9e5
-from twins.common import COMMON, decode, encode
+from twins.common import COMMON, decode_color, encode_color
 from twins.warp import codes_of
 
 F = np.float32
@@ -93,7 +93,7 @@ def unmixed(color, depth, links, x, y, near_by, middle):
 
 
 def stored(code):
-    return decode(as_rgb9e5(np.asarray(code, F))[:3])
+    return decode_color(as_rgb9e5(np.asarray(code, F))[:3])
 
 
 class Softening:
@@ -137,7 +137,7 @@ class Softening:
                 yield i, j, (u if k & 1 else F(1) - u) * (v if k >> 1 else F(1) - v), along, there[2]
 
     def without_near(self, x, y):
-        rgb = encode(np.nan_to_num(self.shown["color"][y, x, :3].astype(F), nan=0))
+        rgb = encode_color(np.nan_to_num(self.shown["color"][y, x, :3].astype(F), nan=0))
         if not self.warped[y, x] or self.shown["mixed"][y, x]:
             return rgb, False
         px_source = np.array([x, y], F) + F(0.5) + self.shown["motion"][y, x]

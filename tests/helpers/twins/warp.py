@@ -10,8 +10,8 @@ from twins.common import (
     WARP,
     F,
     centres,
-    decode,
-    encode,
+    decode_color,
+    encode_color,
     invalid,
     kernel_constants,
 )
@@ -213,12 +213,12 @@ def load_color(color):
 
 def load_code(color):
     """Codes of an image's colors."""
-    return encode(load_color(color))
+    return encode_color(load_color(color))
 
 
 def codes_of(color):
     """The same in half storage."""
-    return encode(load_color(color)).astype(np.float16)
+    return encode_color(load_color(color)).astype(np.float16)
 
 
 def _cubic_weights(t):
@@ -305,9 +305,9 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
         linear = linear + weight[..., None] * taps[ty + 1, tx + 1]
         weights = weights + weight
     with np.errstate(all="ignore"):
-        linear = decode(linear / weights[..., None])
+        linear = decode_color(linear / weights[..., None])
         linear = np.where((weights > F(0.01))[..., None], linear, rgb[sy, sx])
-    out = np.where(everywhere[..., None], decode(cubic), linear)
+    out = np.where(everywhere[..., None], decode_color(cubic), linear)
     out = np.where(((p == 0).all(-1))[..., None], rgb[sy, sx], out)
     out = np.clip(out, -COLOR_MAX, COLOR_MAX)
 
