@@ -72,7 +72,7 @@ def test_all_forms_of_kernels_give_the_recorded_bits(device):
 
 def test_references_are_of_these_frames_and_weights(default_model, weights):
     reference = recorded()
-    assert reference_path().stat().st_size < 460_000
+    assert reference_path().stat().st_size < 480_000
     assert set(reference.hashes) == set(reference.values) == set(CASES)
     assert {name: inputs_digest(frames(*SIZE, case.render_size)) for name, case in CASES.items()} == reference.inputs
     assert model_digest() == reference.model, STALE
