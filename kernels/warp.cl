@@ -37,29 +37,6 @@ typedef struct {
     __global uchar *dynamic_mask, *disoccluded, *filled_by, *mixed;
 } NewFrame;
 
-/* ---- encode -------------------------------------------------------------------------------------------------- */
-
-/* encode_color and decode_color of pixels of a strip. */
-inline Texels encode_texels(const Texels c, const float offset) {
-    const Texels size = fabs(c);
-    return offset > 0.0f ? copysign(0.5f * size + offset * sqrt(size), c) : c;
-}
-
-inline Texels decode_texels(const Texels code, const float offset) {
-    const Texels root = sqrt(2.0f * fabs(code) + offset * offset) - offset;
-    return offset > 0.0f ? copysign(root * root, code) : code;
-}
-
-/* Codes of the rendered frame's colours; NaN counts as 0, infinities are clamped. */
-WIDE __kernel void encode_colors(const Frame frame, __global const half *color, __global half *codes) {
-    const int width = frame.source_width, src_x = get_global_id(0) * LANES, src_y = get_global_id(1), count = width - src_x;
-    if (count <= 0 || src_y >= frame.source_height) return;
-    const int src = src_y * width + src_x;
-    Strip s = load_strip(count, color + 4 * src);
-    for (int part = 0; part < PARTS; ++part) s.part[part] = encode_texels(finite_texels(s.part[part]), frame.code_offset);
-    store_strip(s, count, codes + 4 * src);
-}
-
 /* ---- splat --------------------------------------------------------------------------------------------------- */
 
 INLINE void splat_fragment(const Fragments from, const Winners to, const int src, const int crack_closing, const int pass) {
@@ -329,6 +306,12 @@ INLINE void samples_at(const Ints src, const Floats dx, const Floats dy, const i
 }
 
 #if LANES == 8
+/* decode_color of four pixels. */
+inline Texels decode_texels(const Texels code, const float offset) {
+    const Texels root = sqrt(2.0f * fabs(code) + offset * offset) - offset;
+    return offset > 0.0f ? copysign(root * root, code) : code;
+}
+
 /* Four pixels in a row whose taps lie in a row from `tap` on; those that are a pixel of the rendered frame, `exact`, keep its bits. False where
    they are to be made one by one. */
 INLINE bool resample_four(const int tap, const int4 exact, const float4 *wx, const float4 *wy, const int source_width,

@@ -35,6 +35,7 @@ PAPER = {
     "history": 337,
     "acceleration": None,
     "connectivity": None,
+    "color_code": None,
     "background, collection": 366,
     "prediction": 71,
     "backward_blocks": None,

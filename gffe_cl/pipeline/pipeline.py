@@ -46,6 +46,7 @@ from gffe_cl.stages.background import Background
 from gffe_cl.stages.backward_blocks import BackwardBlocks
 from gffe_cl.stages.base import Board, Output, Stage, Step
 from gffe_cl.stages.buffers import RENDERED, BufferSpec, DeviceFrame, Owner, Sizes, given_buffer
+from gffe_cl.stages.color_code import ColorCode
 from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.connectivity import Connectivity
 from gffe_cl.stages.correction import ShadingCorrection
@@ -72,6 +73,7 @@ STAGES: tuple[type[Stage], ...] = (
     HistoryTracking,
     Acceleration,
     Connectivity,
+    ColorCode,
     PositionPrediction,
     BackwardBlocks,
     Warp,

@@ -64,7 +64,7 @@ class Silhouettes(Stage):
                 "links": "connectivity.links",
                 "depth": Access("rendered.depth", LAYERED),
                 "target_position": Access("prediction.target_position", LAYERED),
-                "codes": Access("warp.codes", LAYERED),
+                "codes": Access("color_code.codes", LAYERED),
             },
             {
                 "layer": "silhouettes.layer",
@@ -87,7 +87,7 @@ class Silhouettes(Stage):
                 "color": Access("frame.color", SOFTENED),
                 "behind": Access("silhouettes.behind", SOFTENED),
                 "share": Access("silhouettes.share", SOFTENED),
-                "codes": Access("warp.codes", SOFTENED),
+                "codes": Access("color_code.codes", SOFTENED),
                 "target_position": Access("prediction.target_position", SOFTENED),
             },
             {

@@ -6,7 +6,7 @@ import numpy as np
 
 from gffe_cl.stages.backward_blocks import SPLATTED_PIXELS, SPLATTING_BLOCKS
 from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Share, Step, share_of
-from gffe_cl.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, RGBA, BufferSpec
+from gffe_cl.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpec
 
 DISOCCLUDED = share_of("disoccluded", "frame.disoccluded")
 MIXED = share_of("mixed", "warp.mixed")
@@ -14,12 +14,6 @@ _MIXED = BufferSpec(
     "mixed", np.uint8, (), "target",
     "1 where the fragment's colour was mixed with a silhouette's that moves away, and its neighbour's is shown", "mask",
     transient=True,
-)  # fmt: skip
-
-
-_CODES = BufferSpec(
-    "codes", np.float16, RGBA, "source", "colors as they are interpolated and mixed; NaN is 0, infinities are clamped",
-    "color",
 )  # fmt: skip
 
 
@@ -32,7 +26,6 @@ class Warp(NearestStage):
 
     name = "warp"
     kernels = (
-        Kernel("encode_colors", "source", {"color": "rendered.color"}, {"codes": "warp.codes"}, step=("LANES", 1)),
         Kernel(
             "splat",
             "source",
@@ -55,7 +48,7 @@ class Warp(NearestStage):
                 "block_source": "backward_blocks.block_source",
                 "source_smooth": "backward_blocks.smooth",
                 "color": Access("rendered.color", 0.0),  # where nothing moves
-                "codes": "warp.codes",
+                "codes": "color_code.codes",
                 "depth": Access("rendered.depth", SPLATTED_PIXELS),
                 "links": Access("connectivity.links", SPLATTED_PIXELS),
                 "dynamic_mask": "history.dynamic_mask",
@@ -77,12 +70,8 @@ class Warp(NearestStage):
     )
 
     def __init__(self, board: Board):
-        self.buffers = (_CODES, _MIXED, *self.keys(board, "", "target", transient=True))
-        board.facts["code_offset"] = 0.5 if board.options.resampling == "perceptual" else 0.0  # at exposure 1
+        self.buffers = (_MIXED, *self.keys(board, "", "target", transient=True))
         super().__init__(board)
-
-    def rendered(self, step: Step) -> None:
-        self.launch("encode_colors", step)
 
     def extrapolated(self, step: Step) -> None:
         for splat_pass in self.passes:
