@@ -10,6 +10,7 @@ import numpy as np
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import RenderedFrame
+from gffe_cl.frame.transfer_function import display_values
 from gffe_cl.sequence import FrameEntry, Sequence
 from gffe_cl.sequence.description import check_times
 
@@ -204,8 +205,7 @@ def _two_swapped(frames):
 
 
 def _tone_mapped(frame):
-    c = np.clip(np.asarray(frame.color, np.float32), 0, 1)
-    return {"color": np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055).astype(np.float16)}
+    return {"color": display_values(frame.color).astype(np.float16)}
 
 
 def _bottom_up(*buffers: str) -> Callable:

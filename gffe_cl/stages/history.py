@@ -54,11 +54,19 @@ class HistoryTracking(Stage):
         ),
         BufferSpec("static_threshold_squared", np.float32, (), "once", "ε², px²"),
         BufferSpec(
+            "quantization_error",
+            np.float32,
+            ("x", "negative_x", "y", "negative_y"),
+            "once",
+            "largest error of quantized motion vectors by component and sign, px; ε holds beside it; 0: not quantized",
+        ),
+        BufferSpec(
             "residual_histogram",
             np.int32,
             tuple(f"bin{b}" for b in range(_CONSTANTS["RESIDUAL_BINS"])),
             "once",
-            "squared static residual, and its squared change over 8 px; two bins per octave",
+            "squared static residual, and its squared change over 8 px, two bins per octave; steps of motion by"
+            " component and sign, eight bins per octave",
             planes=_CONSTANTS["HISTOGRAMS"],
         ),
         BufferSpec(
@@ -84,6 +92,25 @@ class HistoryTracking(Stage):
                 "pending": "history.pending",
                 "histogram": "history.residual_histogram",
                 "threshold_squared": "history.static_threshold_squared",
+                "quantization_error": "history.quantization_error",
+            },
+            step=("LANES", "RESIDUAL_ROWS"),
+            group="GROUP",
+        ),
+        Kernel(
+            "refine_threshold",
+            "residuals",
+            {
+                "depth": Access("rendered.depth", _SAMPLED),
+                "motion": Access("rendered.motion", _SAMPLED),
+                "pending": "history.pending",
+                "threshold_squared": "history.static_threshold_squared",
+                "quantization_error": "history.quantization_error",
+            },
+            {
+                "pending": "history.pending",
+                "threshold_squared": "history.static_threshold_squared",
+                "quantization_error": "history.quantization_error",
             },
             step=("LANES", "RESIDUAL_ROWS"),
             group="GROUP",
@@ -98,6 +125,7 @@ class HistoryTracking(Stage):
                 "dynamic_prev": Access("history.dynamic_mask'", DYNAMIC_PIXELS, planes=0),
                 "history_prev": Access("history.history'", DYNAMIC_PIXELS, planes=0),
                 "threshold_squared": "history.static_threshold_squared",
+                "quantization_error": "history.quantization_error",
             },
             {
                 "dynamic_mask": "history.dynamic_mask",
@@ -131,6 +159,7 @@ class HistoryTracking(Stage):
         before = previous or step.frame
         if self.automatic and previous is not None:
             self.launch("find_threshold", step)
+            self.launch("refine_threshold", step)
         kept = "'" if self.positions > 2 else ""  # else it reads nothing of them
         self.launch(
             "track_history",
