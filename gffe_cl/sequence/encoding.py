@@ -3,12 +3,13 @@
     encoding = Encoding.parse("half-uv,two-lookups,half-depth")
     stored = encoding.frame(frame, exposure, half_motions)
 
-An encoding is a function on finished frames, so one rendering serves all of them.
+An encoding is a function on finished frames, so one rendering serves all of them (`gffe render --encode`, `gffe import
+--encode`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,7 +44,7 @@ MOTION_CODES: dict[str, tuple[str, Code]] = {
 }
 TWO_LOOKUPS, HALF_DEPTH, COLOR_8BIT, NOISY_CAMERA = "two-lookups", "half-depth", "8bit-color", "noisy-camera"
 PARTS: dict[str, str] = {name: sentence for name, (sentence, _) in MOTION_CODES.items()} | {
-    TWO_LOOKUPS: "motion is the sum of two vectors over half the interval, the second one of the nearest pixel",
+    TWO_LOOKUPS: "motion is the sum of vectors over half the interval, the second one that of the nearest pixel",
     HALF_DEPTH: "depth as half floats",
     COLOR_8BIT: "display values of 8 bits",
     NOISY_CAMERA: f"cameras turned by {CAMERA_NOISE:g} px (standard deviation) about each axis",
@@ -89,30 +90,32 @@ class Encoding:
         self,
         frame: RenderedFrame,
         exposure: float = 1.0,
-        half_motions: tuple[np.ndarray, np.ndarray] | None = None,
+        half_motions: Iterable[np.ndarray] | None = None,
     ) -> RenderedFrame:
-        """`frame`, of host arrays, as it is after being stored. `half_motions`: see `two_lookups`; None: its motion is
+        """`frame`, of host arrays, as it is after being stored. `half_motions`: see `looked_up`; None: its motion is
         looked up once."""
         motion = frame.motion
         if motion is not None:
-            motion = self.two_lookups(*half_motions) if half_motions else self.motion(np.asarray(motion))
+            motion = self.looked_up(half_motions or [np.asarray(motion)])
         depth = np.asarray(frame.depth)
         if HALF_DEPTH in self.parts:
             with np.errstate(over="ignore"):
                 depth = depth.astype(np.float16).astype(np.float32)
-        shown = frame.display_camera and self.camera(frame.display_camera, frame.time)
-        color, camera = self.color(frame.color, exposure), self.camera(frame.camera, frame.time)
+        camera, shown = self.cameras(frame.time, frame.camera, frame.display_camera)
+        color = self.color(frame.color, exposure)
         return replace(frame, color=color, depth=depth, motion=motion, camera=camera, display_camera=shown)
 
-    def two_lookups(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Motion (H, W, 2) over an interval: `first` leads half way, and there `second`, of the nearest pixel, goes on;
-        both (H, W, 2) pixels, each stored for itself."""
+    def looked_up(self, motions: Iterable[np.ndarray]) -> np.ndarray:
+        """Motion (H, W, 2) over as many intervals as there are `motions` (H, W, 2), in pixels, each stored for itself:
+        the first one leads one interval back, and there the second one, of the nearest pixel, goes on."""
+        first, *others = motions
         height, width = first.shape[:2]
-        first, second = self.motion(first), self.motion(second)
         y, x = np.mgrid[:height, :width] + 0.5
-        to = np.nan_to_num(np.stack([x, y], -1) + first)
-        at = np.clip(np.floor(to), 0, (width - 1, height - 1)).astype(int)
-        return (first + second[at[..., 1], at[..., 0]]).astype(np.float32)
+        total = self.motion(first)
+        for motion in others:
+            at = np.clip(np.nan_to_num(np.stack([x, y], -1) + total), 0, (width - 1, height - 1)).astype(int)
+            total = (total + self.motion(motion)[at[..., 1], at[..., 0]]).astype(np.float32)
+        return total
 
     def color(self, color: np.ndarray, exposure: float = 1.0) -> np.ndarray:
         """Linear color (H, W, 3) as it is after being stored."""
@@ -120,18 +123,22 @@ class Encoding:
             return color
         return linear_values(np.round(display_values(color, exposure) * 255) / 255, exposure).astype(np.float16)
 
-    def camera(self, camera: Camera, time: float) -> Camera:
-        """The camera of the frame at `time` (seconds) as a fit finds it."""
-        if NOISY_CAMERA not in self.parts:
-            return camera
+    def cameras(self, time: float, camera: Camera | None, *others: Camera | None) -> tuple[Camera | None, ...]:
+        """Cameras of the frame at `time` (seconds) as a fit finds them: all of them turn alike, by pixels of the
+        first one. None stays None."""
+        if NOISY_CAMERA not in self.parts or camera is None:
+            return camera, *others
         rng = np.random.default_rng(np.float64(time).view(np.uint64))
-        x, y, z = rng.normal(0, CAMERA_NOISE, 3) / (camera.fy, camera.fx, max(camera.cx, camera.cy))
-        matrix = np.array(camera.world_to_view)
-        matrix[:3] = _turn(x, y, z) @ matrix[:3]
-        return replace(camera, world_to_view=matrix)
+        turn = _turn(*rng.normal(0, CAMERA_NOISE, 3) / (camera.fy, camera.fx, max(abs(camera.cx), abs(camera.cy), 1)))
+        return tuple(one and replace(one, world_to_view=turn @ one.world_to_view) for one in (camera, *others))
 
 
 def _turn(x: float, y: float, z: float) -> np.ndarray:
-    """(3, 3) rotation by small angles about the view axes, radians: the nearest rotation to 1 + [v]ₓ."""
+    """(4, 4) rotation by small angles about the view axes, radians: the nearest rotation to 1 + [v]ₓ."""
+    turn = np.eye(4)
     u, _, v = np.linalg.svd(np.eye(3) + np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]))
-    return u @ v
+    turn[:3, :3] = u @ v
+    return turn
+
+
+EXACT = Encoding()
