@@ -63,13 +63,17 @@ inline void count_residuals(__local int *histogram, const Ints counts, const Flo
     count_bins(histogram, counts ? clamp(bin, (Ints)(0), (Ints)(RESIDUAL_BINS - 1)) : (Ints)(-1));
 }
 
-/* Adds 1 to the bins of differences of a component of motion where both vectors have one sign: bin 0 none, 1 less than
-   the least step, then eight per octave; of negative components in the next histogram. */
-inline void count_steps(__local int *histogram, const Ints counts, const Floats a, const Floats b) {
-    const Floats step = fabs(a - b);
+/* Adds 1 to the bins of differences of a component of motion, mv, between two places where what stands still would move into one
+   direction, and the vectors do: bin 0 none, 1 less than the least step, then eight per octave; of negative motion in the next
+   histogram. */
+inline void count_steps(__local int *histogram, const Ints counts, const Floats mv, const Floats still, const Floats near_mv,
+                        const Floats near_still) {
+    const Floats step = fabs(mv - near_mv);
     const Ints bin = clamp(((floats_as_ints(step) + (1 << 19)) >> 20) - STEP_FIRST + 2, (Ints)(1), (Ints)(RESIDUAL_BINS - 1));
-    const Ints negative = a < 0.0f, found = step < STEP_NONE ? (Ints)(0) : bin;
-    count_bins(histogram, counts & ((b < 0.0f) == negative) ? (negative ? found + RESIDUAL_BINS : found) : (Ints)(-1));
+    const Ints found = step < STEP_NONE ? (Ints)(0) : bin;
+    const Ints positive = counts & (still >= 0.0f) & (near_still >= 0.0f) & (mv >= 0.0f) & (near_mv >= 0.0f);
+    const Ints negative = counts & (still < 0.0f) & (near_still < 0.0f) & (mv <= 0.0f) & (near_mv <= 0.0f);
+    count_bins(histogram, positive ? found : (negative ? found + RESIDUAL_BINS : (Ints)(-1)));
 }
 
 inline int sum_of(__local const int *histogram, const int first) {
@@ -125,8 +129,8 @@ inline float step_of(__local const int *histogram) {
     return 0.0f;
 }
 
-/* To `error`: half the step of motion by class, px, or 0, where it is not quantized. A class of which no step is known has that of
-   the other sign, twice that where it is not negative (half floats of 0.5 uv + 0.5), or else twice that of the other component.
+/* To `error`: half the step of motion by class, px, or 0, where it is not quantized. A class of which no step is known has twice
+   that of the other sign (half floats of 0.5 uv + 0.5 have twice the step above 0.5), or else twice that of the other component.
    Nothing is quantized if the camera explains motion more exactly: layers that move past each other differ by whole steps, too. */
 inline void find_quantization(__local const int *histogram, const float threshold_squared, __global float *error) {
     float least = INFINITY, steps[STEP_CLASSES];
@@ -135,17 +139,16 @@ inline void find_quantization(__local const int *histogram, const float threshol
         if (steps[c] > 0.0f) least = fmin(least, steps[c]);
     }
     const int explained = threshold_squared <= fmax(THRESHOLD_LOW * THRESHOLD_LOW, 0.140625f * least * least);  /* 3/4 of a half */
-    for (int c = 0; c < STEP_CLASSES; c += 2) {
-        const float known = steps[c + 1] < 0.0f ? fmax(steps[c ^ 2], steps[c ^ 3]) : steps[c + 1];
-        const float positive = fmax(steps[c] < 0.0f ? 2.0f * known : steps[c], 0.0f);
-        error[c] = explained ? 0.0f : 0.5f * positive;
-        error[c + 1] = explained ? 0.0f : 0.5f * (steps[c + 1] < 0.0f ? positive : steps[c + 1]);
+    for (int c = 0; c < STEP_CLASSES; ++c) {
+        const float other = steps[c ^ 1] < 0.0f ? fmax(steps[c ^ 2], steps[c ^ 3]) : steps[c ^ 1];
+        error[c] = explained ? 0.0f : 0.5f * fmax(steps[c] < 0.0f ? 2.0f * other : steps[c], 0.0f);
     }
 }
 
-/* By how much residuals exceed `times` the errors of quantization, px: 0 where they do not; NaN stays. */
+/* By how much residuals exceed `times` the errors of quantization, px: 0 where they do not; NaN stays. Which way vectors were
+   rounded to 0 tells the motion of what stands still, mv + residual. */
 INLINE Floats beyond(const Floats residual, const Floats mv, const float times, __global const float *error) {
-    const Floats excess = fabs(residual) - times * (mv < 0.0f ? (Floats)(error[1]) : (Floats)(error[0]));
+    const Floats excess = fabs(residual) - times * (mv + residual < 0.0f ? (Floats)(error[1]) : (Floats)(error[0]));
     return excess < 0.0f ? (Floats)(0.0f) : excess;
 }
 
@@ -185,8 +188,8 @@ void find_threshold(const Frame frame, __global const float *depth, __global con
         count_residuals(counts, use, x, y);
         count_residuals(counts + RESIDUAL_BINS, use & near_use, x - near_x, y - near_y);
         if (src_y != first) continue;
-        count_steps(counts + 2 * RESIDUAL_BINS, use & near_use, mv_x, near_mv_x);
-        count_steps(counts + 4 * RESIDUAL_BINS, use & near_use, mv_y, near_mv_y);
+        count_steps(counts + 2 * RESIDUAL_BINS, use & near_use, mv_x, mv_x + x, near_mv_x, near_mv_x + near_x);
+        count_steps(counts + 4 * RESIDUAL_BINS, use & near_use, mv_y, mv_y + y, near_mv_y, near_mv_y + near_y);
     }
     if (!is_last_to_add(counts, HISTOGRAMS * RESIDUAL_BINS, pending, groups_before)) return;
     for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) histogram[b] = counts[b];
@@ -200,7 +203,7 @@ inline float excess_threshold_squared(__local const int *histogram) {
     int below, last = quantile_bin(histogram, 0.1f, &below);
     while (last + 1 < RESIDUAL_BINS && bin_start(last + 1) <= QUANTIZED_LOW * QUANTIZED_LOW) below += histogram[++last];
     const int low = last;
-    for (; last + 2 < RESIDUAL_BINS && (float)(histogram[last + 1] + histogram[last + 2]) > 0.01f * (float)below; ++last)
+    for (; last + 2 < RESIDUAL_BINS && (float)(histogram[last + 1] + histogram[last + 2]) > 0.005f * (float)below; ++last)
         below += histogram[last + 1];
     return last == low ? QUANTIZED_LOW * QUANTIZED_LOW : fmin(bin_start(last + 1), CAMERA_ERROR * CAMERA_ERROR);
 }

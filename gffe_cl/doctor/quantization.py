@@ -16,8 +16,9 @@ _RARE = 1 / 500  # of the samples: values that may be those of another encoding
 _OFF_GRID = 0.06  # of a step, and the share of samples that may be
 _SIZES = ((1920, 1080), (1280, 720), (2560, 1440), (3840, 2160))
 _CODES = {  # steps where not negative and where negative, in units of the image's sides
-    "half floats of 0.5 · uv + 0.5": (2.0**-10, 2.0**-11),
-    "16 bits of 0.5 · uv + 0.5": (2 / 65535, 2 / 65535),
+    "half floats of 0.5 + 0.5 · uv": (2.0**-10, 2.0**-11),
+    "half floats of 0.5 − 0.5 · uv": (2.0**-11, 2.0**-10),
+    "16 bits of 0.5 + 0.5 · uv": (2 / 65535, 2 / 65535),
 }
 _CODE_SLACK = 0.02
 _MOST_ONCE = 0.2  # share of errors between half a step and a whole one, of vectors that were rounded once
@@ -33,12 +34,11 @@ def motion_steps(looks: list[Look]) -> np.ndarray:
 
 
 def largest_step(steps: np.ndarray) -> float:
-    """Pixels; 0 where nothing is quantized. Where motion is not negative, half floats have twice the step: that is
-    assumed where nothing is known."""
-    of_axes = steps.reshape(2, 2)
-    positive = np.where(np.isfinite(of_axes[:, 0]), of_axes[:, 0], 2 * of_axes[:, 1])
-    missing = 2 * np.nanmax(positive, initial=0.0) if np.isnan(positive).any() else 0.0
-    return float(np.nanmax([*positive, missing, *steps], initial=0.0))
+    """Pixels; 0 where nothing is quantized. Where nothing is known of a sign, twice the other's step is assumed, which
+    half floats may have, else twice that of the other component."""
+    pairs = steps.reshape(2, 2)
+    known = np.where(np.isfinite(pairs), pairs, 2 * pairs[:, ::-1])
+    return float(np.nanmax(np.where(np.isfinite(known), known, 2 * known[::-1]), initial=0.0))
 
 
 def _motion(looks: list[Look]) -> np.ndarray:

@@ -113,19 +113,19 @@ def test_history(device, lanes, size, positions):
     assert dynamic.any() or width * height < 200
 
 
-@pytest.mark.parametrize("lookups", [1, 2])
-def test_threshold_beside_quantization(device, lanes, lookups):
-    """Half floats of UV: the steps of each component and sign are found, and how many of them were added; the static
-    world stays static, and a mover of 3 px is dynamic."""
+@pytest.mark.parametrize(("lookups", "sign"), [(1, 1), (2, 1), (1, -1)])
+def test_threshold_beside_quantization(device, lanes, lookups, sign):
+    """Half floats of UV, counted either way: the steps of each component and sign are found, and how many of them were
+    added; the static world stays static, and a mover of 3 px is dynamic."""
     width, height, encoding = 320, 180, Encoding.parse("half-uv")
     world = Rects([Rect((0, 0, 14), (40, 30)), Rect((0, 0, 6), (1.2, 1.2), velocity=(4, 0, 0))])
     board = Board(device, Sizes((width, height), (width, height)), Options())
     stage, past = HistoryTracking(board), None
     for k in range(2):
-        view = camera(width, height, (0.1 * k, 0.1 * k, 0.4 * k), roll=0.03 * k)
+        view = camera(width, height, (0.02 * k, 0.02 * k, 0.4 * k), roll=0.03 * k)
         frame = world.frame(view, k / 30, width, height, past and (past.camera, past.time), reset=k == 0)
         mover = frame.depth < 10
-        frame.motion = sum(encoding.motion(frame.motion / lookups) for _ in range(lookups))
+        frame.motion = sum(sign * encoding.motion(sign * frame.motion / lookups) for _ in range(lookups))
         board.previous = board.rendered
         board.rendered = DeviceFrame.allocate(device, (width, height), view, view, frame.time)
         board.rendered.upload(device, pack_frame(frame, height, width))
@@ -136,7 +136,7 @@ def test_threshold_beside_quantization(device, lanes, lookups):
     threshold, error = twins.static_threshold(frame.depth, frame.motion, reprojection(frame.camera, past.camera))
     assert stage.read("static_threshold_squared") == threshold and threshold <= 0.25**2
     assert np.array_equal(stage.read("quantization_error").ravel(), error)
-    steps = np.array((1920 / 1024, 1920 / 2048, 1080 / 1024, 1080 / 2048))
+    steps = np.array(((1920 / 1024, 1920 / 2048)[::sign], (1080 / 1024, 1080 / 2048)[::sign])).ravel()
     assert np.allclose(error, lookups * steps / 2, rtol=0.07)
     dynamic = stage.read("dynamic_mask") > 0
     assert dynamic[mover].mean() > 0.9 and dynamic[~mover].mean() < 0.02, (

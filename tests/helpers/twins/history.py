@@ -55,15 +55,17 @@ def residual_histogram(depth, motion, to_previous):
     with np.errstate(over="ignore", invalid="ignore"):
         counts = [_counts(residual[sampled & use]), _counts((residual - near)[pairs])]
     pairs[np.arange(len(pairs)) % (HISTORY.RESIDUAL_ROWS * HISTORY.RESIDUAL_STRIDE) > 0] = False
-    here, there = motion[pairs], _shifted(motion, apart, apart, F(np.nan))[pairs]
-    with np.errstate(over="ignore"):
-        step = np.abs(here - there)
+    near_motion = _shifted(motion, apart, apart, F(np.nan))
+    with np.errstate(over="ignore", invalid="ignore"):
+        still = np.stack([motion + residual, near_motion + near])[:, pairs]
+        vectors = np.stack([motion, near_motion])[:, pairs]
+        step = np.abs(vectors[0] - vectors[1])
     which = ((step.view(np.uint32).astype(int) + (1 << 19)) >> 20) - HISTORY.STEP_FIRST + 2
     which = np.where(step < F(HISTORY.STEP_NONE), 0, np.clip(which, 1, bins - 1))
+    positive, negative = ((still >= 0) & (vectors >= 0)).all(0), ((still < 0) & (vectors <= 0)).all(0)
     for component in (0, 1):
-        for negative in (False, True):
-            of_class = ((here < 0) == negative) & ((there < 0) == negative)
-            counts.append(np.bincount(which[:, component][of_class[:, component]], minlength=bins))
+        for of_class in (positive[:, component], negative[:, component]):
+            counts.append(np.bincount(which[:, component][of_class], minlength=bins))
     return np.stack(counts).astype(np.int32)
 
 
@@ -114,18 +116,16 @@ def quantization(histogram, threshold_squared):
     ):
         return np.zeros(4, F)
     halves = []
-    for c in (0, 2):
-        positive, negative = steps[c : c + 2]
-        other = max(steps[2 - c], steps[3 - c]) if negative < 0 else negative
-        positive = max(F(2) * other if positive < 0 else positive, F(0))
-        halves += [F(0.5) * positive, F(0.5) * (positive if negative < 0 else negative)]
+    for c, step in enumerate(steps):
+        other = max(steps[c ^ 2], steps[c ^ 3]) if steps[c ^ 1] < 0 else steps[c ^ 1]
+        halves.append(F(0.5) * max(F(2) * other if step < 0 else step, F(0)))
     return np.array(halves, F)
 
 
 def beyond(residual, motion, error):
     """By how much residuals (…, 2) exceed `error` (4,), see `quantization`; float32, NaN stays."""
     with np.errstate(invalid="ignore"):
-        excess = np.abs(residual) - np.where(motion < 0, error[1::2], error[::2])
+        excess = np.abs(residual) - np.where(motion + residual < 0, error[1::2], error[::2])
         return np.where(excess < 0, F(0), excess)
 
 
