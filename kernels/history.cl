@@ -119,20 +119,21 @@ inline float noise_threshold_squared(__local const int *histogram, const float l
 }
 
 /* The step of a class of quantized motion, px (its bin's upper bound): in a grid of steps, neighbours differ by none or by whole
-   ones. 0: not quantized. -1: too few vectors, or all alike. */
+   ones. 0: not quantized. -1: too few vectors, or all alike, or hardly any. */
 inline float step_of(__local const int *histogram) {
     const int pairs = sum_of(histogram, 0), steps = sum_of(histogram, 2);
     if (pairs < STEP_SAMPLES || histogram[0] == pairs) return -1.0f;
-    if (20 * histogram[1] > pairs || 10 * histogram[0] < pairs) return 0.0f;
+    if (20 * histogram[1] > pairs) return 0.0f;
+    if (10 * histogram[0] < pairs) return -1.0f;
     for (int b = 2; b < RESIDUAL_BINS; ++b)
         if (50 * histogram[b] > steps) return as_float((uint)(2 * (b - 2 + STEP_FIRST) + 1) << 19);
     return 0.0f;
 }
 
-/* To `error`: half the step of motion by class, px, or 0, where it is not quantized. A class of which no step is known has twice
+/* Steps of motion by class, px, or 0, where it is not quantized. A class of which no step is known has twice
    that of the other sign (half floats of 0.5 uv + 0.5 have twice the step above 0.5), or else twice that of the other component.
    Nothing is quantized if the camera explains motion more exactly: layers that move past each other differ by whole steps, too. */
-inline void find_quantization(__local const int *histogram, const float threshold_squared, __global float *error) {
+inline void find_steps(__local const int *histogram, const float threshold_squared, __global float *motion_steps) {
     float least = INFINITY, steps[STEP_CLASSES];
     for (int c = 0; c < STEP_CLASSES; ++c) {
         steps[c] = step_of(histogram + c * RESIDUAL_BINS);
@@ -141,14 +142,15 @@ inline void find_quantization(__local const int *histogram, const float threshol
     const int explained = threshold_squared <= fmax(THRESHOLD_LOW * THRESHOLD_LOW, 0.140625f * least * least);  /* 3/4 of a half */
     for (int c = 0; c < STEP_CLASSES; ++c) {
         const float other = steps[c ^ 1] < 0.0f ? fmax(steps[c ^ 2], steps[c ^ 3]) : steps[c ^ 1];
-        error[c] = explained ? 0.0f : 0.5f * fmax(steps[c] < 0.0f ? 2.0f * other : steps[c], 0.0f);
+        motion_steps[c] = explained ? 0.0f : fmax(steps[c] < 0.0f ? 2.0f * other : steps[c], 0.0f);
     }
 }
 
-/* By how much residuals exceed `times` the errors of quantization, px: 0 where they do not; NaN stays. Which way vectors were
-   rounded to 0 tells the motion of what stands still, mv + residual. */
-INLINE Floats beyond(const Floats residual, const Floats mv, const float times, __global const float *error) {
-    const Floats excess = fabs(residual) - times * (mv + residual < 0.0f ? (Floats)(error[1]) : (Floats)(error[0]));
+/* By how much residuals exceed errors of quantization, `times` those of two classes, px: 0 where they do not; NaN stays. Which way
+   vectors were rounded to 0 tells the motion of what stands still, mv + residual. */
+INLINE Floats beyond(const Floats residual, const Floats mv, const float times, __global const float *of_classes) {
+    const Floats error = times * (mv + residual < 0.0f ? (Floats)(of_classes[1]) : (Floats)(of_classes[0]));
+    const Floats excess = fabs(residual) - error;
     return excess < 0.0f ? (Floats)(0.0f) : excess;
 }
 
@@ -170,11 +172,11 @@ inline bool is_last_to_add(__local int *counts, const int count, __global int *p
 }
 
 /* Histograms over a subset of the pixels: of the squared residual, two bins per octave, of its squared change over a short
-   distance, and, of every fourth of these pixels, of the steps of motion over that distance. The threshold follows, and half the
+   distance, and, of every fourth of these pixels, of the steps of motion over that distance. The threshold follows, and the
    steps of quantized motion. Every work-group counts by itself; the last one adds up. */
 WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void find_threshold(const Frame frame, __global const float *depth, __global const float2 *motion, __global int *pending,
-                    __global int *histogram, __global float *threshold_squared, __global float *quantization_error) {
+                    __global int *histogram, __global float *threshold_squared, __global float *motion_steps) {
     const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
     const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE, item = get_local_id(0);
     __local int counts[HISTOGRAMS * RESIDUAL_BINS], groups_before[1];
@@ -195,10 +197,11 @@ void find_threshold(const Frame frame, __global const float *depth, __global con
     for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) histogram[b] = counts[b];
     if (item) return;
     *threshold_squared = noise_threshold_squared(counts, THRESHOLD_LOW, THRESHOLD_HIGH);
-    find_quantization(counts + 2 * RESIDUAL_BINS, *threshold_squared, quantization_error);
+    find_steps(counts + 2 * RESIDUAL_BINS, *threshold_squared, motion_steps);
 }
 
-/* epsilon beside errors of quantization: where what exceeds them ends, as in noise_threshold_squared. */
+/* epsilon beside errors of quantization: where what exceeds them ends, as in noise_threshold_squared; of these errors few are
+   near the largest, so 0.5% is enough. */
 inline float excess_threshold_squared(__local const int *histogram) {
     int below, last = quantile_bin(histogram, 0.1f, &below);
     while (last + 1 < RESIDUAL_BINS && bin_start(last + 1) <= QUANTIZED_LOW * QUANTIZED_LOW) below += histogram[++last];
@@ -208,24 +211,28 @@ inline float excess_threshold_squared(__local const int *histogram) {
     return last == low ? QUANTIZED_LOW * QUANTIZED_LOW : fmin(bin_start(last + 1), CAMERA_ERROR * CAMERA_ERROR);
 }
 
-/* Where motion is quantized: how often errors of quantization were added up, to `quantization_error`, and the threshold beside
-   them. They were added up if that brings more than a fortieth of the pixels within the errors. */
+/* Errors of quantization by class, px; and where there are any, the threshold beside them. They are those of two vectors if that
+   brings more than a fortieth of the pixels within the errors. */
 WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void refine_threshold(const Frame frame, __global const float *depth, __global const float2 *motion, __global int *pending,
-                      __global float *threshold_squared, __global float *quantization_error) {
+                      __global const float *motion_steps, __global float *threshold_squared,
+                      __global float *quantization_error) {
     const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
     const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE, item = get_local_id(0);
     __local int counts[LOOKUPS * RESIDUAL_BINS], groups_before[1];
-    __global float *error = quantization_error;
-    if (!(error[0] + error[1] + error[2] + error[3] > 0.0f)) return;
+    if (motion_steps[0] + motion_steps[1] + motion_steps[2] + motion_steps[3] == 0.0f) {
+        if (get_global_id(0) + get_global_id(1) == 0)
+            for (int c = 0; c < STEP_CLASSES; ++c) quantization_error[c] = 0.0f;
+        return;
+    }
     for (int b = item; b < LOOKUPS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int src_y = first; src_y < min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, frame.source_height); src_y += RESIDUAL_STRIDE) {
         Floats x, y, mv_x, mv_y;
         const Ints use = static_residual(src_x, src_y, &frame, depth, motion, &x, &y, &mv_x, &mv_y);
         for (int k = 1; k <= LOOKUPS; ++k)
-            count_residuals(counts + (k - 1) * RESIDUAL_BINS, use, beyond(x, mv_x, (float)k, error),
-                            beyond(y, mv_y, (float)k, error + 2));
+            count_residuals(counts + (k - 1) * RESIDUAL_BINS, use, beyond(x, mv_x, 0.5f * (float)k, motion_steps),
+                            beyond(y, mv_y, 0.5f * (float)k, motion_steps + 2));
     }
     if (!is_last_to_add(counts, LOOKUPS * RESIDUAL_BINS, pending, groups_before) || item) return;
     int low = 0, lookups = 1;
@@ -234,7 +241,7 @@ void refine_threshold(const Frame frame, __global const float *depth, __global c
                                       - sum_of(counts + lookups * RESIDUAL_BINS, low)) > sum_of(counts, 0))
         ++lookups;
     *threshold_squared = excess_threshold_squared(counts + (lookups - 1) * RESIDUAL_BINS);
-    for (int c = 0; c < STEP_CLASSES; ++c) error[c] *= (float)lookups;
+    for (int c = 0; c < STEP_CLASSES; ++c) quantization_error[c] = 0.5f * (float)lookups * motion_steps[c];
 }
 
 inline bool plausible(const float z, const float z_expected, const float tolerance) {

@@ -1,12 +1,12 @@
-"""How well the automatic static threshold does with motion vectors, depths and cameras as engines and captures keep them.
+"""How well the automatic static threshold does with buffers as engines and captures keep them.
 
-    python docs/tools/measure_encodings.py                       prints the table of docs/deviations.md; a minute a seed
-    python docs/tools/measure_encodings.py --write               puts it there, and all figures into measured/encodings.json
-    python docs/tools/measure_encodings.py --seeds 2 --grid      also a line for each scene
+    python docs/tools/measure_encodings.py                    prints the table of docs/deviations.md; two minutes a seed
+    python docs/tools/measure_encodings.py --write            puts it there, and all figures into measured/
+    python docs/tools/measure_encodings.py --seeds 2 --grid   also a line for each scene
 
-Each built-in scene is rendered once at 480×270; then it is stored by every encoding of `gffe render --encode`, whose steps are
-those of a 1920×1080 image. For each of these the new frames at t + ½ are made with the automatic threshold and with fixed
-ones, without the network: PSNR of display values over all frames of a scene, and the share of dynamic pixels.
+Each built-in scene is rendered once at 480×270. Then it is stored by every encoding of `gffe render --encode`, with the
+steps of a 1920×1080 image. New frames at t + ½ are made with the automatic threshold and with fixed ones, without the
+network. Measured are PSNR of display values over all frames of a scene, and the share of dynamic pixels.
 """
 
 from __future__ import annotations

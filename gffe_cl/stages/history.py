@@ -12,6 +12,7 @@ from gffe_cl.stages.buffers import RESIDUAL_STRIDE, BufferSpec
 
 _CONSTANTS = constants("history.cl")
 _SAMPLED = RESIDUAL_STRIDE**-2
+_CLASSES = ("x", "negative_x", "y", "negative_y")
 STATIC, DYNAMIC, FIXED_TO_CAMERA = (_CONSTANTS[name] for name in ("STATIC", "DYNAMIC", "FIXED_TO_CAMERA"))
 
 
@@ -54,9 +55,16 @@ class HistoryTracking(Stage):
         ),
         BufferSpec("static_threshold_squared", np.float32, (), "once", "ε², px²"),
         BufferSpec(
+            "motion_steps",
+            np.float32,
+            _CLASSES,
+            "once",
+            "steps of quantized motion vectors by component and sign, px; 0: not quantized",
+        ),
+        BufferSpec(
             "quantization_error",
             np.float32,
-            ("x", "negative_x", "y", "negative_y"),
+            _CLASSES,
             "once",
             "largest error of quantized motion vectors by component and sign, px; ε holds beside it; 0: not quantized",
         ),
@@ -92,7 +100,7 @@ class HistoryTracking(Stage):
                 "pending": "history.pending",
                 "histogram": "history.residual_histogram",
                 "threshold_squared": "history.static_threshold_squared",
-                "quantization_error": "history.quantization_error",
+                "motion_steps": "history.motion_steps",
             },
             step=("LANES", "RESIDUAL_ROWS"),
             group="GROUP",
@@ -104,8 +112,7 @@ class HistoryTracking(Stage):
                 "depth": Access("rendered.depth", _SAMPLED),
                 "motion": Access("rendered.motion", _SAMPLED),
                 "pending": "history.pending",
-                "threshold_squared": "history.static_threshold_squared",
-                "quantization_error": "history.quantization_error",
+                "motion_steps": "history.motion_steps",
             },
             {
                 "pending": "history.pending",

@@ -122,7 +122,7 @@ def test_threshold_beside_quantization(device, lanes, lookups, sign):
     board = Board(device, Sizes((width, height), (width, height)), Options())
     stage, past = HistoryTracking(board), None
     for k in range(2):
-        view = camera(width, height, (0.02 * k, 0.02 * k, 0.4 * k), roll=0.03 * k)
+        view = camera(width, height, (0.02 * k, 0.02 * k, 0.6 * k))
         frame = world.frame(view, k / 30, width, height, past and (past.camera, past.time), reset=k == 0)
         mover = frame.depth < 10
         frame.motion = sum(sign * encoding.motion(sign * frame.motion / lookups) for _ in range(lookups))

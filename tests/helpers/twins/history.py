@@ -10,7 +10,7 @@ EXACT = np.zeros(4, F)  # errors of quantization
 
 
 def static_residual_squared(depth, motion, to_previous, error=EXACT):
-    """r² of the static test, beyond `error` (see `quantization`), NaN where it does not apply; and where the fragment
+    """r² of the static test, beyond `error` of quantization, NaN where it does not apply; and where the fragment
     is if static."""
     px = centres(*depth.shape)
     where = reproject(px, depth, to_previous)
@@ -73,9 +73,9 @@ def _quantile_bin(counts, share):
     return int(np.argmax(np.cumsum(counts) >= F(share) * F(counts.sum())))
 
 
-def _end(counts, last, below):
+def _end(counts, last, below, share=0.01):
     """The last bin of a population that holds `below` up to `last`."""
-    while last + 2 < len(counts) and counts[last + 1 : last + 3].sum() > F(0.01) * F(below):
+    while last + 2 < len(counts) and counts[last + 1 : last + 3].sum() > F(share) * F(below):
         last += 1
         below += counts[last]
     return last
@@ -99,61 +99,60 @@ def _step(counts):
     pairs, steps = counts.sum(), counts[2:].sum()
     if pairs < HISTORY.STEP_SAMPLES or counts[0] == pairs:
         return F(-1)
-    if 20 * counts[1] > pairs or 10 * counts[0] < pairs or not steps:
+    if 20 * counts[1] > pairs or not steps:
         return F(0)
+    if 10 * counts[0] < pairs:
+        return F(-1)
     b = 2 + int(np.argmax(50 * counts[2:] > steps))
     return np.array([(2 * (b - 2 + HISTORY.STEP_FIRST) + 1) << 19], np.uint32).view(F)[0]
 
 
-def quantization(histogram, threshold_squared):
-    """(4,) float32: half the step of motion in x, of negative motion in x, in y, of negative motion in y; px, or 0."""
+def motion_steps(histogram, threshold_squared):
+    """(4,) float32: steps of motion in x, of negative motion in x, in y, of negative motion in y; px, or 0."""
     steps = [_step(counts) for counts in histogram[2:]]
     known = [step for step in steps if step > 0]
-    if (
-        not known
-        or threshold_squared <= F(HISTORY.THRESHOLD_LOW) ** 2
-        or threshold_squared < F(0.140625) * min(known) ** 2
-    ):
+    if not known or threshold_squared <= max(F(HISTORY.THRESHOLD_LOW) ** 2, F(0.140625) * min(known) * min(known)):
         return np.zeros(4, F)
-    halves = []
+    found = []
     for c, step in enumerate(steps):
         other = max(steps[c ^ 2], steps[c ^ 3]) if steps[c ^ 1] < 0 else steps[c ^ 1]
-        halves.append(F(0.5) * max(F(2) * other if step < 0 else step, F(0)))
-    return np.array(halves, F)
+        found.append(max(F(2) * other if step < 0 else step, F(0)))
+    return np.array(found, F)
 
 
 def beyond(residual, motion, error):
-    """By how much residuals (…, 2) exceed `error` (4,), see `quantization`; float32, NaN stays."""
+    """By how much residuals (…, 2) exceed `error` (4,), by component and sign; float32, NaN stays."""
     with np.errstate(invalid="ignore"):
         excess = np.abs(residual) - np.where(motion + residual < 0, error[1::2], error[::2])
         return np.where(excess < 0, F(0), excess)
 
 
-def refined_threshold(depth, motion, to_previous, error):
+def refined_threshold(depth, motion, to_previous, steps):
     """ε² beside errors of quantization, and these errors (4,), of as many vectors as were added."""
     residual, use, sampled = _residuals(depth, motion, to_previous)
     residual, motion = residual[use & sampled], motion[use & sampled]
     least = F(HISTORY.QUANTIZED_LOW) ** 2
     low = next(b for b in range(HISTORY.RESIDUAL_BINS) if _start(b) >= least)
-    counts = [_counts(beyond(residual, motion, F(k) * error)) for k in range(1, HISTORY.LOOKUPS + 1)]
-    lookups = 1
-    while lookups < len(counts) and 40 * (counts[lookups - 1] - counts[lookups])[low:].sum() > len(residual):
-        lookups += 1
-    counts = counts[lookups - 1]
+    errors = [F(0.5) * F(k) * steps for k in range(1, HISTORY.LOOKUPS + 1)]
+    counts = [_counts(beyond(residual, motion, error)) for error in errors]
+    added = 0
+    while added + 1 < len(counts) and 40 * (counts[added] - counts[added + 1])[low:].sum() > len(residual):
+        added += 1
+    counts = counts[added]
     first = _quantile_bin(counts, 0.1)
     while first + 1 < len(counts) and _start(first + 1) <= least:
         first += 1
-    last = _end(counts, first, counts[: first + 1].sum())
+    last = _end(counts, first, counts[: first + 1].sum(), 0.005)
     epsilon = least if last == first else min(_start(last + 1), F(HISTORY.CAMERA_ERROR) ** 2)
-    return F(epsilon), F(lookups) * error
+    return F(epsilon), errors[added]
 
 
 def static_threshold(depth, motion, to_previous):
     """The automatic threshold: ε², px², and (4,) errors of quantization beside it, px."""
     histogram = residual_histogram(depth, motion, to_previous)
     threshold = noise_threshold_squared(histogram)
-    error = quantization(histogram, threshold)
-    return refined_threshold(depth, motion, to_previous, error) if error.any() else (threshold, error)
+    steps = motion_steps(histogram, threshold)
+    return refined_threshold(depth, motion, to_previous, steps) if steps.any() else (threshold, EXACT)
 
 
 def _depth_met(px, expected, tolerance, depth_prev):
