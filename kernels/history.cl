@@ -397,9 +397,13 @@ WIDE __kernel void track_history(const Frame frame, __global const float *depth,
         Floats mv_y;
         const Floats z = load_some_floats(count, depth + src), mv_x = load_some_xy(count, motion + src, &mv_y);
         const Wide3 px_static = wide_reproject(px_x, (Floats)(px_y), z, to_previous);
-        const Floats dx = beyond(px_static.x - (px_x + mv_x), mv_x, 1.0f, quantization_error);
-        const Floats dy = beyond(px_static.y - (px_y + mv_y), mv_y, 1.0f, quantization_error + 2);
+        Floats dx = px_static.x - (px_x + mv_x), dy = px_static.y - (px_y + mv_y);
         moves = (z > 0.0f) & !isinf(z) & ((px_static.z < 0.0f) | !(dx * dx + dy * dy <= *threshold_squared));
+        if (ANY(moves)) {  /* else nothing exceeds errors of quantization */
+            dx = beyond(dx, mv_x, 1.0f, quantization_error);
+            dy = beyond(dy, mv_y, 1.0f, quantization_error + 2);
+            moves &= (px_static.z < 0.0f) | !(dx * dx + dy * dy <= *threshold_squared);
+        }
         if (frame.camera_fixed) may_stay = may_be_fixed(px_x, px_y, mv_x, mv_y, z, px_static.z, moves, &frame);
     }
     const Bytes mask = to_bytes(moves ? (Ints)(DYNAMIC) : (Ints)(STATIC));

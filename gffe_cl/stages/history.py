@@ -17,6 +17,7 @@ STATIC, DYNAMIC, FIXED_TO_CAMERA = (_CONSTANTS[name] for name in ("STATIC", "DYN
 
 
 DYNAMIC_PIXELS = share_of("dynamic", "history.dynamic_mask")
+QUANTIZED_SAMPLES = share_of("quantized", "history.motion_steps", lambda steps: np.any(steps) * _SAMPLED)
 
 
 class HistoryTracking(Stage):
@@ -109,8 +110,8 @@ class HistoryTracking(Stage):
             "refine_threshold",
             "residuals",
             {
-                "depth": Access("rendered.depth", _SAMPLED),
-                "motion": Access("rendered.motion", _SAMPLED),
+                "depth": Access("rendered.depth", QUANTIZED_SAMPLES),
+                "motion": Access("rendered.motion", QUANTIZED_SAMPLES),
                 "pending": "history.pending",
                 "motion_steps": "history.motion_steps",
             },
