@@ -13,8 +13,14 @@
 #define RESIDUAL_ROWS 4          /* ... of which a work-item takes so many */
 #define GROUP 64                 /* work-items per work-group of find_threshold */
 #define SCATTER_DISTANCE 8       /* px, diagonally: near enough for one surface */
-#define HISTOGRAMS 2
 #define CAMERA_ERROR 0.75f       /* px: static points are off by less where the camera is a fit */
+#define HISTOGRAMS 6             /* of residuals, of their changes, and of steps by STEP_CLASSES */
+#define STEP_CLASSES 4           /* steps of motion in x where it is not negative, and where it is; of y likewise */
+#define STEP_FIRST 0x3e8         /* bits of 0.25 >> 20: the least step in px that counts; less is finer than any threshold */
+#define STEP_NONE 0.0009765625f  /* px: less is no step at all, but rounding */
+#define STEP_SAMPLES 32          /* fewest pairs of vectors that tell a step */
+#define QUANTIZED_LOW 0.125f     /* px: the least threshold beside errors of quantization; CAMERA_ERROR is the greatest */
+#define LOOKUPS 2                /* at most so many quantized vectors are added to one */
 
 #define SEARCH_RADIUS 2          /* px around x' in which the right surface is looked for */
 #define DEPTH_TOLERANCE 0.03f    /* relative depth within which a surface is plausible for a fragment that stands ... */
@@ -30,25 +36,44 @@ inline float squared_distance(const float2 a, const float2 b) {
 
 /* Residual x^ - x' of the static test at pixels; returns where it applies. */
 INLINE Ints static_residual(const Ints src_x, const int src_y, const Frame *frame, __global const float *depth,
-                            __global const float2 *motion, Floats *residual_x, Floats *residual_y) {
+                            __global const float2 *motion, Floats *residual_x, Floats *residual_y, Floats *mv_x, Floats *mv_y) {
     const Ints there = src_x < (src_y < frame->source_height ? frame->source_width : 0);
     const Ints src = there ? src_y * frame->source_width + src_x : (Ints)(0);
     const Floats z = gather_floats(depth, src), px_x = to_floats(src_x) + 0.5f, px_y = (float)src_y + 0.5f;
     __global const float *mv_px = (__global const float *)motion;
-    const Floats mv_x = gather_floats(mv_px, 2 * src), mv_y = gather_floats(mv_px, 2 * src + 1);
+    *mv_x = gather_floats(mv_px, 2 * src);
+    *mv_y = gather_floats(mv_px, 2 * src + 1);
     const Wide3 px_static = wide_reproject(px_x, px_y, z, frame->to_previous);
-    *residual_x = px_static.x - (px_x + mv_x);
-    *residual_y = px_static.y - (px_y + mv_y);
-    return there & (z > 0.0f) & !isinf(z) & isfinite(mv_x) & isfinite(mv_y) & (px_static.z > 0.0f);
+    *residual_x = px_static.x - (px_x + *mv_x);
+    *residual_y = px_static.y - (px_y + *mv_y);
+    return there & (z > 0.0f) & !isinf(z) & isfinite(*mv_x) & isfinite(*mv_y) & (px_static.z > 0.0f);
+}
+
+/* Adds 1 to those bins that are not negative. */
+inline void count_bins(__local int *histogram, const Ints bin) {
+    int bins[LANES];
+    store_ints(bin, 0, bins);
+    for (int k = 0; k < LANES; ++k)
+        if (bins[k] >= 0) atomic_inc(histogram + bins[k]);
 }
 
 /* Adds 1 to the bins of squared residuals. */
 inline void count_residuals(__local int *histogram, const Ints counts, const Floats x, const Floats y) {
     const Ints bin = ((floats_as_ints(x * x + y * y) >> 22) & 0x3ff) - RESIDUAL_FIRST_BIN;
-    int bins[LANES];
-    store_ints(counts ? clamp(bin, (Ints)(0), (Ints)(RESIDUAL_BINS - 1)) : (Ints)(-1), 0, bins);
-    for (int k = 0; k < LANES; ++k)
-        if (bins[k] >= 0) atomic_inc(histogram + bins[k]);
+    count_bins(histogram, counts ? clamp(bin, (Ints)(0), (Ints)(RESIDUAL_BINS - 1)) : (Ints)(-1));
+}
+
+/* Adds 1 to the bins of differences of a component of motion, mv, between two places where what stands still would move into one
+   direction, and the vectors do: bin 0 none, 1 less than the least step, then eight per octave; of negative motion in the next
+   histogram. */
+inline void count_steps(__local int *histogram, const Ints counts, const Floats mv, const Floats still, const Floats near_mv,
+                        const Floats near_still) {
+    const Floats step = fabs(mv - near_mv);
+    const Ints bin = clamp(((floats_as_ints(step) + (1 << 19)) >> 20) - STEP_FIRST + 2, (Ints)(1), (Ints)(RESIDUAL_BINS - 1));
+    const Ints found = step < STEP_NONE ? (Ints)(0) : bin;
+    const Ints positive = counts & (still >= 0.0f) & (near_still >= 0.0f) & (mv >= 0.0f) & (near_mv >= 0.0f);
+    const Ints negative = counts & (still < 0.0f) & (near_still < 0.0f) & (mv <= 0.0f) & (near_mv <= 0.0f);
+    count_bins(histogram, positive ? found : (negative ? found + RESIDUAL_BINS : (Ints)(-1)));
 }
 
 inline int sum_of(__local const int *histogram, const int first) {
@@ -93,38 +118,130 @@ inline float noise_threshold_squared(__local const int *histogram, const float l
     return clamp(noise, low * low, high * high);
 }
 
-/* Histograms over a subset of the pixels, two bins per octave: of the squared residual, and of its squared change over a
-   short distance; and the threshold that follows. Every work-group counts by itself and adds what it has to `pending`; the
-   last one of them, told by the number of groups that are done, takes that out again, so it is zero for the next frame. */
+/* The step of a class of quantized motion, px (its bin's upper bound): in a grid of steps, neighbours differ by none or by whole
+   ones. 0: not quantized. -1: too few vectors, or all alike, or hardly any. */
+inline float step_of(__local const int *histogram) {
+    const int pairs = sum_of(histogram, 0), steps = sum_of(histogram, 2);
+    if (pairs < STEP_SAMPLES || histogram[0] == pairs) return -1.0f;
+    if (20 * histogram[1] > pairs) return 0.0f;
+    if (10 * histogram[0] < pairs) return -1.0f;
+    for (int b = 2; b < RESIDUAL_BINS; ++b)
+        if (50 * histogram[b] > steps) return as_float((uint)(2 * (b - 2 + STEP_FIRST) + 1) << 19);
+    return 0.0f;
+}
+
+/* Steps of motion by class, px, or 0, where it is not quantized. A class of which no step is known has twice
+   that of the other sign (half floats of 0.5 uv + 0.5 have twice the step above 0.5), or else twice that of the other component.
+   Nothing is quantized if the camera explains motion more exactly: layers that move past each other differ by whole steps, too. */
+inline void find_steps(__local const int *histogram, const float threshold_squared, __global float *motion_steps) {
+    float least = INFINITY, steps[STEP_CLASSES];
+    for (int c = 0; c < STEP_CLASSES; ++c) {
+        steps[c] = step_of(histogram + c * RESIDUAL_BINS);
+        if (steps[c] > 0.0f) least = fmin(least, steps[c]);
+    }
+    const int explained = threshold_squared <= fmax(THRESHOLD_LOW * THRESHOLD_LOW, 0.140625f * least * least);  /* 3/4 of a half */
+    for (int c = 0; c < STEP_CLASSES; ++c) {
+        const float other = steps[c ^ 1] < 0.0f ? fmax(steps[c ^ 2], steps[c ^ 3]) : steps[c ^ 1];
+        motion_steps[c] = explained ? 0.0f : fmax(steps[c] < 0.0f ? 2.0f * other : steps[c], 0.0f);
+    }
+}
+
+/* By how much residuals exceed errors of quantization, `times` those of two classes, px: 0 where they do not; NaN stays. Which way
+   vectors were rounded to 0 tells the motion of what stands still, mv + residual. */
+INLINE Floats beyond(const Floats residual, const Floats mv, const float times, __global const float *of_classes) {
+    const Floats error = times * (mv + residual < 0.0f ? (Floats)(of_classes[1]) : (Floats)(of_classes[0]));
+    const Floats excess = fabs(residual) - error;
+    return excess < 0.0f ? (Floats)(0.0f) : excess;
+}
+
+/* Adds a work-group's counts to `pending`. Of the last group that does, counts become those of all groups, `pending` is zero
+   again, and every work-item returns true. */
+inline bool is_last_to_add(__local int *counts, const int count, __global int *pending, __local int *groups_before) {
+    const int item = get_local_id(0);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (int b = item; b < count; b += GROUP)
+        if (counts[b]) atomic_add(pending + b, counts[b]);
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
+    if (item == 0) *groups_before = atomic_inc(pending + HISTOGRAMS * RESIDUAL_BINS);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (*groups_before + 1 < (int)(get_num_groups(0) * get_num_groups(1))) return false;
+    for (int b = item; b < count; b += GROUP) counts[b] = atomic_xchg(pending + b, 0);
+    if (item == 0) atomic_xchg(pending + HISTOGRAMS * RESIDUAL_BINS, 0);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    return true;
+}
+
+/* Histograms over a subset of the pixels: of the squared residual, two bins per octave, of its squared change over a short
+   distance, and, of every fourth of these pixels, of the steps of motion over that distance. The threshold follows, and the
+   steps of quantized motion. Every work-group counts by itself; the last one adds up. */
 WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void find_threshold(const Frame frame, __global const float *depth, __global const float2 *motion, __global int *pending,
-                    __global int *histogram, __global float *threshold_squared) {
+                    __global int *histogram, __global float *threshold_squared, __global float *motion_steps) {
     const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
     const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE, item = get_local_id(0);
     __local int counts[HISTOGRAMS * RESIDUAL_BINS], groups_before[1];
     for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int src_y = first; src_y < min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, frame.source_height); src_y += RESIDUAL_STRIDE) {
-        Floats x, y, near_x, near_y;
-        const Ints use = static_residual(src_x, src_y, &frame, depth, motion, &x, &y);
+        Floats x, y, near_x, near_y, mv_x, mv_y, near_mv_x, near_mv_y;
+        const Ints use = static_residual(src_x, src_y, &frame, depth, motion, &x, &y, &mv_x, &mv_y);
         const Ints near_use = static_residual(src_x + SCATTER_DISTANCE, src_y + SCATTER_DISTANCE, &frame, depth, motion,
-                                              &near_x, &near_y);
+                                              &near_x, &near_y, &near_mv_x, &near_mv_y);
         count_residuals(counts, use, x, y);
         count_residuals(counts + RESIDUAL_BINS, use & near_use, x - near_x, y - near_y);
+        if (src_y != first) continue;
+        count_steps(counts + 2 * RESIDUAL_BINS, use & near_use, mv_x, mv_x + x, near_mv_x, near_mv_x + near_x);
+        count_steps(counts + 4 * RESIDUAL_BINS, use & near_use, mv_y, mv_y + y, near_mv_y, near_mv_y + near_y);
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
-    for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP)
-        if (counts[b]) atomic_add(pending + b, counts[b]);
-    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
-    if (item == 0) groups_before[0] = atomic_inc(pending + HISTOGRAMS * RESIDUAL_BINS);
-    barrier(CLK_LOCAL_MEM_FENCE);
-    if (groups_before[0] + 1 < (int)(get_num_groups(0) * get_num_groups(1))) return;
-
-    for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) histogram[b] = counts[b] = atomic_xchg(pending + b, 0);
-    barrier(CLK_LOCAL_MEM_FENCE);
+    if (!is_last_to_add(counts, HISTOGRAMS * RESIDUAL_BINS, pending, groups_before)) return;
+    for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += GROUP) histogram[b] = counts[b];
     if (item) return;
-    atomic_xchg(pending + HISTOGRAMS * RESIDUAL_BINS, 0);
     *threshold_squared = noise_threshold_squared(counts, THRESHOLD_LOW, THRESHOLD_HIGH);
+    find_steps(counts + 2 * RESIDUAL_BINS, *threshold_squared, motion_steps);
+}
+
+/* epsilon beside errors of quantization: where what exceeds them ends, as in noise_threshold_squared; of these errors few are
+   near the largest, so 0.5% is enough. */
+inline float excess_threshold_squared(__local const int *histogram) {
+    int below, last = quantile_bin(histogram, 0.1f, &below);
+    while (last + 1 < RESIDUAL_BINS && bin_start(last + 1) <= QUANTIZED_LOW * QUANTIZED_LOW) below += histogram[++last];
+    const int low = last;
+    for (; last + 2 < RESIDUAL_BINS && (float)(histogram[last + 1] + histogram[last + 2]) > 0.005f * (float)below; ++last)
+        below += histogram[last + 1];
+    return last == low ? QUANTIZED_LOW * QUANTIZED_LOW : fmin(bin_start(last + 1), CAMERA_ERROR * CAMERA_ERROR);
+}
+
+/* Errors of quantization by class, px; and where there are any, the threshold beside them. They are those of two vectors if that
+   brings more than a fortieth of the pixels within the errors. */
+WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
+void refine_threshold(const Frame frame, __global const float *depth, __global const float2 *motion, __global int *pending,
+                      __global const float *motion_steps, __global float *threshold_squared,
+                      __global float *quantization_error) {
+    const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
+    const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE, item = get_local_id(0);
+    __local int counts[LOOKUPS * RESIDUAL_BINS], groups_before[1];
+    if (motion_steps[0] + motion_steps[1] + motion_steps[2] + motion_steps[3] == 0.0f) {
+        if (get_global_id(0) + get_global_id(1) == 0)
+            for (int c = 0; c < STEP_CLASSES; ++c) quantization_error[c] = 0.0f;
+        return;
+    }
+    for (int b = item; b < LOOKUPS * RESIDUAL_BINS; b += GROUP) counts[b] = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (int src_y = first; src_y < min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, frame.source_height); src_y += RESIDUAL_STRIDE) {
+        Floats x, y, mv_x, mv_y;
+        const Ints use = static_residual(src_x, src_y, &frame, depth, motion, &x, &y, &mv_x, &mv_y);
+        for (int k = 1; k <= LOOKUPS; ++k)
+            count_residuals(counts + (k - 1) * RESIDUAL_BINS, use, beyond(x, mv_x, 0.5f * (float)k, motion_steps),
+                            beyond(y, mv_y, 0.5f * (float)k, motion_steps + 2));
+    }
+    if (!is_last_to_add(counts, LOOKUPS * RESIDUAL_BINS, pending, groups_before) || item) return;
+    int low = 0, lookups = 1;
+    while (bin_start(low) < QUANTIZED_LOW * QUANTIZED_LOW) ++low;
+    while (lookups < LOOKUPS && 40 * (sum_of(counts + (lookups - 1) * RESIDUAL_BINS, low)
+                                      - sum_of(counts + lookups * RESIDUAL_BINS, low)) > sum_of(counts, 0))
+        ++lookups;
+    *threshold_squared = excess_threshold_squared(counts + (lookups - 1) * RESIDUAL_BINS);
+    for (int c = 0; c < STEP_CLASSES; ++c) quantization_error[c] = 0.5f * (float)lookups * motion_steps[c];
 }
 
 inline bool plausible(const float z, const float z_expected, const float tolerance) {
@@ -263,7 +380,8 @@ INLINE bool is_fixed(const int src_x, const int src_y, const Frame *frame, const
 WIDE __kernel void track_history(const Frame frame, __global const float *depth, __global const float2 *motion,
                                  __global const float *depth_prev, __global const uchar *dynamic_prev,
                                  __global const float4 *history_prev, __global const float *threshold_squared,
-                                 __global uchar *dynamic_mask, __global float *met_depth, __global float4 *history) {
+                                 __global const float *quantization_error, __global uchar *dynamic_mask,
+                                 __global float *met_depth, __global float4 *history) {
     const Frames frames = {depth, motion, depth_prev, dynamic_prev, history_prev, met_depth, history};
     const int source_width = frame.source_width, source_height = frame.source_height;
     const int has_previous = frame.has_previous && frame.motion;
@@ -279,8 +397,13 @@ WIDE __kernel void track_history(const Frame frame, __global const float *depth,
         Floats mv_y;
         const Floats z = load_some_floats(count, depth + src), mv_x = load_some_xy(count, motion + src, &mv_y);
         const Wide3 px_static = wide_reproject(px_x, (Floats)(px_y), z, to_previous);
-        const Floats dx = px_static.x - (px_x + mv_x), dy = px_static.y - (px_y + mv_y);
+        Floats dx = px_static.x - (px_x + mv_x), dy = px_static.y - (px_y + mv_y);
         moves = (z > 0.0f) & !isinf(z) & ((px_static.z < 0.0f) | !(dx * dx + dy * dy <= *threshold_squared));
+        if (ANY(moves)) {  /* else nothing exceeds errors of quantization */
+            dx = beyond(dx, mv_x, 1.0f, quantization_error);
+            dy = beyond(dy, mv_y, 1.0f, quantization_error + 2);
+            moves &= (px_static.z < 0.0f) | !(dx * dx + dy * dy <= *threshold_squared);
+        }
         if (frame.camera_fixed) may_stay = may_be_fixed(px_x, px_y, mv_x, mv_y, z, px_static.z, moves, &frame);
     }
     const Bytes mask = to_bytes(moves ? (Ints)(DYNAMIC) : (Ints)(STATIC));

@@ -25,7 +25,6 @@ from pages import table, write_tables
 from situation_regions import region_of_situation, submitted_frames
 
 from gffe_cl.evaluation.metrics import METRICS, RegionErrors, display_values
-from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.opencl.program import kernel_folder
 from gffe_cl.pipeline.options import Options
@@ -154,9 +153,6 @@ FOR_SITUATIONS: dict[str, tuple[str, Change, str]] = {
     "screen": ("network", NO_NETWORK, "light"),
     "quantised": ("ε from the data; ¼ px", Change({"static_threshold": 0.25}), "still"),
 }
-# Static threshold: automatic, or so many pixels; on motion vectors as they are, and rounded.
-THRESHOLDS = (None, 0.25, 1.0, 4.0)
-ROUNDINGS = {"exact motion": 0.0, "motion rounded to ½ px": 0.5, "motion rounded to 1 px": 1.0}
 
 
 @contextmanager
@@ -179,14 +175,14 @@ def kernels_with(change: Change) -> Iterator[None]:
 
 
 def measure(
-    device: Device, changes: dict[str, Change], options: Options, setting: argparse.Namespace, round_to: float = 0.0
+    device: Device, changes: dict[str, Change], options: Options, setting: argparse.Namespace
 ) -> dict[str, RegionErrors]:
     """Errors of `options` with each of `changes`, over all scenes; the first one's holes and movers are the regions."""
     errors = {name: RegionErrors() for name in changes}
     for scene_name in setting.scenes:
         for seed in range(setting.seeds):
             for _, truth, shown, regions in shown_frames(
-                device, changes, options, setting, (scene_name, seed), (ALPHA,), round_to
+                device, changes, options, setting, (scene_name, seed), (ALPHA,)
             ):
                 for name, picture in shown.items():
                     errors[name].add(picture, truth, regions, PSNR)
@@ -200,7 +196,6 @@ def shown_frames(
     setting: argparse.Namespace,
     scene_and_seed: tuple[str, int],
     alphas: tuple[float, ...],
-    round_to: float = 0.0,
     concerned: str | None = None,
 ) -> Iterator[tuple[float, np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]]:
     """Of each new frame of a scene: α, the truth and what `options` with each of `changes` make, as display values, and
@@ -213,8 +208,7 @@ def shown_frames(
         with kernels_with(change):
             pipelines[name] = Pipeline(device, *setting.size, replace(options, **change.options), fps=FPS)
         pipelines[name].exposure = scene.exposure
-    takers = [_Rounding(pipeline, round_to) for pipeline in pipelines.values()]
-    for _, frame, measured in submitted_frames(frames, takers, setting.frames, FPS, ALPHA):
+    for _, frame, measured in submitted_frames(frames, pipelines.values(), setting.frames, FPS, ALPHA):
         for alpha in alphas if measured is not None else ():
             time = frame.time + alpha / FPS
             camera = frames.display_camera(time)
@@ -234,19 +228,6 @@ def _regions(made) -> dict[str, np.ndarray]:
     holes, moving = made.numpy("disoccluded") > 0, made.numpy("dynamic") > 0
     parts = (np.ones_like(holes), holes, moving & ~holes, ~moving & ~holes)
     return dict(zip(REGIONS, parts, strict=True))
-
-
-class _Rounding:
-    """Submits frames with motion rounded to multiples of a step in pixels, 0 as it is."""
-
-    def __init__(self, pipeline: Pipeline, step: float):
-        self.pipeline, self.step = pipeline, step
-
-    def submit(self, frame: RenderedFrame) -> None:
-        if self.step:
-            motion = np.round(np.asarray(frame.motion) / self.step).astype(np.float32) * np.float32(self.step)
-            frame = replace(frame, motion=motion)
-        self.pipeline.submit(frame)
 
 
 def signed(value: float) -> str:
@@ -276,15 +257,6 @@ def gae_table(device: Device, setting: argparse.Namespace) -> str:
 def scn_table(device: Device, setting: argparse.Namespace) -> str:
     errors = measure(device, {"": Change(), **SCN}, Options(shading_correction=True), setting)
     return table(GAIN_HEADS, gains(errors, {name: name for name in SCN}))
-
-
-def threshold_table(device: Device, setting: argparse.Namespace) -> str:
-    names = {"automatic" if t is None else f"{t:g} px": Change({"static_threshold": t}) for t in THRESHOLDS}
-    rows = []
-    for title, step in ROUNDINGS.items():
-        errors = measure(device, names, Options(shading_correction=False), setting, step)
-        rows.append((title, *(f"{errors[name].figure('psnr', 'whole'):.2f}" for name in names)))
-    return table(("PSNR, dB, with ε", *names), rows)
 
 
 def parts_table(device: Device, setting: argparse.Namespace) -> str:
@@ -331,8 +303,7 @@ def situations_table(device: Device, setting: argparse.Namespace) -> str:
 
 GAIN_HEADS = ("gain in dB, PSNR over", "whole frame", "holes", "movers", "the rest")
 TABLES: dict[str, Callable[[Device, argparse.Namespace], str]] = {
-    "gae": gae_table, "parts": parts_table, "scn": scn_table, "threshold": threshold_table,
-    "situations": situations_table,
+    "gae": gae_table, "parts": parts_table, "scn": scn_table, "situations": situations_table,
 }  # fmt: skip
 
 

@@ -23,6 +23,7 @@ from gffe_cl.core.validation import is_number
 
 if TYPE_CHECKING:
     from gffe_cl.opencl.remote_workers import Cluster
+    from gffe_cl.sequence.encoding import Encoding
 
 app = typer.Typer(
     help="G-buffer free frame extrapolation: makes the frames after the ones your renderer has finished.",
@@ -96,6 +97,16 @@ CompressionOption = Annotated[
         help="Of new EXRs: none, rle, zips, zip, piz, htj2k256; dwaa and dwab approximate the colours.",
     ),
 ]
+EncodeOption = Annotated[
+    str | None,
+    typer.Option(
+        "--encode",
+        metavar="PART,…[:WxH]",
+        help="Store rendered frames less exactly, as engines and captures do. Motion: half-uv, unorm8, unorm16 or"
+        " rounded; also two-lookups, half-depth, 8bit-color, noisy-camera; engine: all that an engine's capture has."
+        " Motion is stored in units of a 1920x1080 image, or of that of a size after a colon.",
+    ),
+]
 WindowOption = Annotated[
     str, typer.Option("--window", help="Rendering window: adaptive, fixed:1.2 (times the display) or off.")
 ]
@@ -110,6 +121,16 @@ def parse_size(text: str) -> tuple[int, int]:
     if not (1 <= width <= 16384 and 1 <= height <= 16384):
         raise GffeError(f"size must be 1 to 16384 pixels each way, got '{text}'")
     return width, height
+
+
+def parse_encoding(text: str | None) -> Encoding:
+    """Of --encode; the exact one if it is not given."""
+    from gffe_cl.sequence.encoding import CODE_SIZE, EXACT, Encoding
+
+    if text is None:
+        return EXACT
+    parts, colon, size = text.partition(":")
+    return Encoding.parse(parts, parse_size(size) if colon else CODE_SIZE)
 
 
 def parse_numbers(text: str, option: str) -> list[float]:

@@ -10,10 +10,12 @@ from rich.table import Table
 
 from gffe_cl.cli.common import (
     CompressionOption,
+    EncodeOption,
     FollowLinksOption,
     JsonOption,
     app,
     out,
+    parse_encoding,
     plain,
     progress_bars,
     steps,
@@ -47,6 +49,7 @@ def import_(
             help="Of so many rendered frames one stays rendered, the others become truth; motion reaches over them."
         ),
     ] = 1,
+    encode: EncodeOption = None,
     compression: CompressionOption = "zip",
     follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
@@ -55,11 +58,16 @@ def import_(
     from gffe_cl.formats import open_capture
     from gffe_cl.formats.importing import import_capture
 
-    opened = open_capture(sequence)
+    encoding, opened = parse_encoding(encode), open_capture(sequence)
     total = len(opened.rendered) + len(opened.ground_truth)
     with progress_bars() as progress:
         report = import_capture(
-            opened, output, every, compression=compression, on_frame=steps(progress)("Importing", total)
+            opened,
+            output,
+            every,
+            encoding=encoding,
+            compression=compression,
+            on_frame=steps(progress)("Importing", total),
         )
     for warning in report.warnings:
         warn(warning)

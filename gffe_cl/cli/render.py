@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from gffe_cl.cli.common import (
     CompressionOption,
     DeviceOption,
+    EncodeOption,
     SchedulerOption,
     app,
     cluster_at,
     out,
+    parse_encoding,
     parse_size,
     plain,
     progress_bars,
     steps,
 )
-
-if TYPE_CHECKING:
-    pass
 
 
 @app.command()
@@ -57,6 +56,7 @@ def render(
     scale: Annotated[
         float, typer.Option(help="Rendered frames are so many times smaller than --size, each way; truth is not.")
     ] = 1.0,
+    encode: EncodeOption = None,
     compression: CompressionOption = "zip",
     scheduler: SchedulerOption = None,
     device: DeviceOption = None,
@@ -68,14 +68,14 @@ def render(
     from gffe_cl.scenes.render import render_sequence
 
     width, height = parse_size(size)
-    built, jittered = load_scene(scene, seed), Jitter.parse(jitter)
+    built, jittered, encoding = load_scene(scene, seed), Jitter.parse(jitter), parse_encoding(encode)
     with cluster_at(scheduler) as workers, progress_bars() as progress:
         opened = None if workers else open_device(device)
         total = frames * (1 + per_frame * ground_truth)
         count = render_sequence(
             built, output, opened, width, height, frames, fps,
             ground_truth=ground_truth, per_frame=per_frame, samples=samples, window=window, jitter=jittered,
-            scale=scale, compression=compression, cluster=workers,
+            scale=scale, encoding=encoding, compression=compression, cluster=workers,
             on_frame=steps(progress)(f"Rendering '{scene}'", total),
         )  # fmt: skip
     out.print(f"{count} frames in {plain(output)}")

@@ -17,6 +17,7 @@ from gffe_cl.doctor.hypotheses.row_order import search_rows
 from gffe_cl.doctor.hypotheses.sampling import PREVIOUS, Clip, Look, take_looks, with_rows
 from gffe_cl.doctor.hypotheses.search import Reading, Search, Verdict
 from gffe_cl.doctor.hypotheses.transfer_function import display_curve_votes
+from gffe_cl.doctor.quantization import are_sums, largest_step, motion_finding, motion_steps, precision_notes
 from gffe_cl.frame.rendered_frame import BadPixels
 
 _DEEP = 5  # frames that are looked at closely, with those before and after them
@@ -24,7 +25,6 @@ _SAMPLES = 2500  # of each frame
 _MOST_READ, _MOST_PIXELS = 40, 80_000_000  # frames and pixels that are read, whichever is more
 _DOUBTFUL = 0.5  # agreements below that make one look for another order of frames
 _MARGIN = 0.06  # of the sum of scores, by which another reading must be better than what is given
-_STEPS = (1.0, 0.5, 0.25, 0.125, 0.0625, 0.03125)  # of quantised vectors, pixels
 _VISIBLE = 0.3  # pixels, of what the camera's rotation and its translation move
 _UNEXPLAINED = 0.35  # share of samples that must agree roughly, or something is wrong that nobody has named
 _TELLING = 0.02  # of agreements: by less they do not decide
@@ -85,11 +85,15 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
             Finding(UNKNOWN, "frames", "single frames", "no rendered frame of 8 pixels or more has one before it")
         )
         return found
-    step = _quantised(found.looks)
+    steps = motion_steps(found.looks)
+    step, added = largest_step(steps), False
     if step:
-        words = f"1/{round(1 / step)}" if step < 1 else "whole"
-        sentence = f"vectors are quantised to {words} px: what moves slowly shakes a little"
-        found.findings.append(Finding(NOTE, "motion", "quantised", sentence, figures={"step": step}))
+        given = Search(found.looks, step)
+        motion, static = given.motions(Reading(), given.full)
+        added = are_sums(motion[given.full.solid], static[given.full.solid], steps)
+        step *= 1 + added
+        found.findings.append(motion_finding(steps, found.looks, added))
+    found.findings += precision_notes(found.looks, exposure)
 
     edges = edge_agreement(found.looks)
 
@@ -221,19 +225,6 @@ def _note_bad_pixels(found: Diagnosis, looks: dict[int, Look]) -> None:
     if total:
         sentence = f"{total}; first: " + "; ".join(f"{name} in {place}" for name, place in where.items())
         found.findings.append(Finding(NOTE, "frames", "bad pixels", sentence, figures=dict(vars(total))))
-
-
-def _quantised(looks: list[Look]) -> float:
-    """The step of quantised motion vectors in pixels; 0 if they are not."""
-    stored = np.concatenate([look.motion.ravel() for look in looks if look.motion is not None] or [np.zeros(0)])
-    stored = stored[np.isfinite(stored)]
-    if not len(stored) or (np.abs(stored) >= _STEPS[-1]).mean() < 0.02:
-        return 0.0
-    for step in _STEPS:
-        multiples = stored / step
-        if (np.abs(multiples - np.round(multiples)) < 1e-3).mean() > 0.98:
-            return step
-    return 0.0
 
 
 def _note_sky(found: Diagnosis, search: Search) -> None:

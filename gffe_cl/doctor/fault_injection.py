@@ -10,13 +10,16 @@ import numpy as np
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import RenderedFrame
+from gffe_cl.frame.transfer_function import display_values
 from gffe_cl.sequence import FrameEntry, Sequence
 from gffe_cl.sequence.description import check_times
+from gffe_cl.sequence.encoding import Encoding
 
 NEAR, FAR = 0.1, 1000.0  # world units, of device depths
 _FOCAL_ERROR = 1.08
 _GRAIN = 0.03  # of linear colors
 _JITTER = 8  # positions of the Halton sequence
+_CAPTURE = Encoding.parse("half-uv,half-depth,8bit-color,noisy-camera")
 
 
 class Kept:
@@ -204,8 +207,7 @@ def _two_swapped(frames):
 
 
 def _tone_mapped(frame):
-    c = np.clip(np.asarray(frame.color, np.float32), 0, 1)
-    return {"color": np.where(c <= 0.0031308, 12.92 * c, 1.055 * c ** (1 / 2.4) - 0.055).astype(np.float16)}
+    return {"color": display_values(frame.color).astype(np.float16)}
 
 
 def _bottom_up(*buffers: str) -> Callable:
@@ -262,6 +264,7 @@ HARMLESS: dict[str, Callable] = {
     "letterboxed": _each(_letterboxed),
     "film grain": _grainy,
     "exposure fades in": _fading_in,
+    "as in an engine's capture": _each(lambda frame: vars(_CAPTURE.frame(frame))),
 }
 
 

@@ -10,12 +10,13 @@ from gffe_cl.doctor.hypotheses.edges import edge_agreement
 from gffe_cl.doctor.hypotheses.sampling import BUFFERS, PREVIOUS, Clip, Look, take_looks, with_rows
 from gffe_cl.doctor.hypotheses.scoring import Bench, moving, trimmed
 from gffe_cl.doctor.hypotheses.search import Reading, Search
+from gffe_cl.doctor.quantization import largest_step, motion_steps
 
 _FRAMES = 3
 _SAMPLES = 800  # of each frame
 _FITS = 0.45  # share of samples that agree: movers may be the rest
 _AGREES = 0.1  # of the motion's length
-_LEAST = 0.75  # pixels: residuals that do no harm, those of vectors in whole pixels among them
+_LEAST = 0.75  # pixels: residuals that do no harm
 _COLORS = 0.1  # of color scores, by which no motion at all must fit better
 _TURNED = 0.15  # of the share of samples and the color score, by which buffers must fit better upside down
 _FEWEST = 64  # samples whose colors tell
@@ -76,7 +77,8 @@ def _fit(looks: dict[int, Look], edges: float) -> _Fit | None:
     off = np.nan_to_num(np.linalg.norm(motion - static, axis=-1)[use], nan=np.inf)
     if len(off) < 16:
         return None
-    near = max(_AGREES * float(np.median(np.linalg.norm(motion[use], axis=-1))), _LEAST)
+    length, step = float(np.median(np.linalg.norm(motion[use], axis=-1))), largest_step(motion_steps(pairs))
+    near = max(_AGREES * length, _LEAST, step)
     scores = bench.color_scores(np.stack([motion, np.zeros_like(motion)]), PREVIOUS)
     telling = np.isfinite(scores).all(0) & moving(motion) & (np.linalg.norm(np.nan_to_num(motion), axis=-1) > 1)
     along = still = float("nan")

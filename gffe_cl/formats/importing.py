@@ -12,6 +12,7 @@ from gffe_cl.core.errors import GffeError
 from gffe_cl.formats.motion_conversion import composed
 from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.sequence import FrameEntry, Sequence, SequenceWriter, named_channels, refuse_same_folder
+from gffe_cl.sequence.encoding import EXACT, Encoding
 from gffe_cl.sequence.exr import DEFAULT_COMPRESSION
 
 _MOST_EVERY = 16
@@ -31,6 +32,7 @@ def import_capture(
     output: Path,
     every: int = 1,
     *,
+    encoding: Encoding = EXACT,
     compression: str = DEFAULT_COMPRESSION,
     on_frame: Callable[[], None] = lambda: None,
 ) -> ImportReport:
@@ -38,12 +40,15 @@ def import_capture(
 
     Of the rendered frames after a reset every `every`-th one stays rendered, the others become ground truth; motion
     then reaches over the frames in between, m₂(x) = m(x) + m′(x + m(x)), and `fps` is that of the frames that stay.
+    Those are stored by `encoding`; if that looks up twice, each frame's motion is, and x + m(x) is the nearest pixel.
     `compression` is that of the EXRs (see `SequenceWriter`). `on_frame` is called after every frame.
 
     Raises GffeError for structural faults; then `output` is as it was before.
     """
     if not 1 <= every <= _MOST_EVERY:
         raise GffeError(f"--every must be 1 to {_MOST_EVERY}, got {every}")
+    if encoding.looks_up_twice and every == 1:
+        raise GffeError("--encode: two-lookups adds the vectors of several frames (expected --every 2 or more)")
     refuse_same_folder(output, sequence.path)
     if every > 1:
         _require_unwindowed(sequence)
@@ -53,7 +58,8 @@ def import_capture(
     fps, size = sequence.fps / every, (sequence.width, sequence.height)
     writing = SequenceWriter(output, *size, fps, sequence.exposure, generator="gffe-cl import", compression=compression)
     with writing as writer:
-        for entry, frame, stays in _thinned(sequence, every):
+        for entry, frame, stays in _thinned(sequence, every, encoding):
+            entry = _fitted(entry, encoding)
             if stays:
                 writer.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
             else:
@@ -62,7 +68,7 @@ def import_capture(
             report.ground_truth += not stays
             on_frame()
         for entry, color in sequence.prefetch(sequence.ground_truth, sequence.read_color):
-            _add_truth(writer, entry, color)
+            _add_truth(writer, _fitted(entry, encoding), color)
             report.ground_truth += 1
             on_frame()
     report.warnings = sequence.warnings()
@@ -71,8 +77,8 @@ def import_capture(
     return report
 
 
-def _thinned(sequence: Sequence, every: int) -> Iterator[tuple[FrameEntry, RenderedFrame, bool]]:
-    """Each rendered frame, with motion to the one before that stays, and whether it stays itself."""
+def _thinned(sequence: Sequence, every: int, encoding: Encoding) -> Iterator[tuple[FrameEntry, RenderedFrame, bool]]:
+    """Each rendered frame, and whether it stays; then it is stored, with motion to the one before that stays."""
     since: list[RenderedFrame] = []  # the last one that stays, and those after it
     for entry, frame in sequence.prefetch(sequence.rendered):
         if entry.reset:
@@ -82,10 +88,12 @@ def _thinned(sequence: Sequence, every: int) -> Iterator[tuple[FrameEntry, Rende
             since.append(frame)
             yield entry, frame, False
             continue
-        if since:
-            frame = replace(frame, motion=_over(frame, since))
+        motions = None
+        if since and encoding.looks_up_twice:
+            motions = [one.motion for one in (frame, *since[:0:-1])]
+        stored = replace(frame, motion=_over(frame, since)) if since and not motions else frame
         since = [frame]
-        yield entry, frame, True
+        yield entry, encoding.frame(stored, sequence.exposure, motions), True
 
 
 def _over(frame: RenderedFrame, since: list[RenderedFrame]) -> np.ndarray | None:
@@ -97,6 +105,12 @@ def _over(frame: RenderedFrame, since: list[RenderedFrame]) -> np.ndarray | None
             motion, frame.depth, frame.camera, between.motion, between.depth, between.camera, before.camera, steps
         )
     return motion
+
+
+def _fitted(entry: FrameEntry, encoding: Encoding) -> FrameEntry:
+    """`entry` with cameras as `encoding` has them."""
+    render, display = encoding.cameras(entry.time, entry.render_camera or entry.display_camera, entry.display_camera)
+    return replace(entry, render_camera=entry.render_camera and render, display_camera=display)
 
 
 def _add_truth(writer: SequenceWriter, entry: FrameEntry, color: np.ndarray) -> None:

@@ -146,9 +146,9 @@ class Options:
         flag="--no-acceleration", needs="motion",
     )  # fmt: skip
     static_threshold: float | None = _option(
-        None, "static threshold", "ε: pixels of motion from which a fragment is dynamic; auto follows the noise of the"
-        " motion vectors.", kind=float, low=0.0, high=1e6, usual_high=8.0, unit="pixels", automatic="auto",
-        flag="--static-threshold",
+        None, "static threshold", "ε: pixels of motion from which a fragment is dynamic; auto follows the noise and"
+        " the quantization of the motion vectors.", kind=float, low=0.0, high=1e6, usual_high=8.0, unit="pixels",
+        automatic="auto", flag="--static-threshold",
     )  # fmt: skip
     camera_order: int | None = _option(
         None, "camera prediction's order", "Path of the predicted camera where the new camera is not known: 1 straight,"

@@ -16,6 +16,7 @@ from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer
 from gffe_cl.scenes.sequences import smaller_renderer
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
 from gffe_cl.sequence.description import rendered_entry
+from gffe_cl.sequence.encoding import EXACT, Encoding
 from gffe_cl.sequence.exr import DEFAULT_COMPRESSION
 
 _MOST_SCALE = 4
@@ -36,6 +37,7 @@ def render_sequence(
     window: str = "off",
     jitter: Jitter | None = None,
     scale: float = 1.0,
+    encoding: Encoding = EXACT,
     compression: str = DEFAULT_COMPRESSION,
     cluster: Cluster | None = None,
     on_frame: Callable[[], None] = lambda: None,
@@ -45,7 +47,8 @@ def render_sequence(
     With `ground_truth`, also `per_frame` frames after each, with their own depth and motion (to the rendered frame
     before), for measuring. `window` is "off", "fixed:FACTOR" or "adaptive": covering the frames in between. `width` and
     `height` are the display's; rendered frames are `scale` times smaller each way, with textures as fine as the
-    display. `samples` per pixel: 8 if None, 1 of jittered frames. `compression` is that of the EXRs (see
+    display. `samples` per pixel: 8 if None, 1 of jittered frames. Rendered frames are stored by `encoding`; truth is
+    exact but for its camera. `compression` is that of the EXRs (see
     `SequenceWriter`). With a `cluster` its workers render what is written here, each on the device that GFFE_DEVICE
     chooses there; `device` may be None, and windows not adaptive, because these follow from frame to frame. `on_frame`
     is called after every frame. Raises GffeError.
@@ -64,7 +67,7 @@ def render_sequence(
     WindowChooser(window, (width, height), alphas)
     jitter = jitter or Jitter()
     samples = samples or (1 if jitter.length > 1 else 8)
-    job = _Job(scene, (width, height), fps, tuple(alphas), ground_truth, samples, window, jitter, scale)
+    job = _Job(scene, (width, height), fps, tuple(alphas), ground_truth, samples, window, jitter, scale, encoding)
     writing = SequenceWriter(
         output, width, height, fps, scene.exposure, generator="gffe-cl render", compression=compression
     )
@@ -86,6 +89,7 @@ class _Job:
     window: str
     jitter: Jitter
     scale: float
+    encoding: Encoding
 
     def frames(self, device: Device) -> SceneFrames:
         renderer = smaller_renderer(device, self.scene, self.size, self.scale, self.samples)
@@ -95,9 +99,10 @@ class _Job:
 
 
 def _here(job: _Job, count: int, device: Device) -> Iterator[tuple[FrameEntry, dict]]:
-    made = job.frames(device)
+    made, before = job.frames(device), None
     for k, frame in enumerate(made.sequence(count, job.fps)):
-        yield from _written(job, made, k, frame)
+        yield from _written(job, made, k, frame, before)
+        before = frame
 
 
 def _on_workers(job: _Job, count: int, cluster: Cluster) -> Iterator[tuple[FrameEntry, dict]]:
@@ -108,15 +113,20 @@ def _on_workers(job: _Job, count: int, cluster: Cluster) -> Iterator[tuple[Frame
 def _frame_on_worker(job: _Job, k: int) -> list[tuple[FrameEntry, dict]]:
     made = job.frames(device_of_worker(None))
     before = made.unrendered((k - 1) * (1.0 / job.fps), k - 1) if k else None
-    return list(_written(job, made, k, made.rendered(k * (1.0 / job.fps), before, k)))
+    return list(_written(job, made, k, made.rendered(k * (1.0 / job.fps), before, k), before))
 
 
-def _written(job: _Job, made: SceneFrames, k: int, frame: RenderedFrame) -> Iterator[tuple[FrameEntry, dict]]:
-    """What is written of frame `k`: itself, and the truth after it."""
-    yield rendered_entry(k, frame, job.size), named_channels(frame.color, frame.depth, frame.motion)
+def _written(
+    job: _Job, made: SceneFrames, k: int, frame: RenderedFrame, before: RenderedFrame | None
+) -> Iterator[tuple[FrameEntry, dict]]:
+    """What is written of frame `k`, rendered after `before`: itself, and the truth after it."""
+    halves = made.half_motions(frame, before) if before and job.encoding.looks_up_twice else None
+    stored = job.encoding.frame(frame, job.scene.exposure, halves)
+    yield rendered_entry(k, stored, job.size), named_channels(stored.color, stored.depth, stored.motion)
     for alpha in job.alphas if job.ground_truth else ():
         time = (k + alpha) * (1.0 / job.fps)
         image = made.truth(time, frame).numpy()
         file = f"truth_{k:06d}_{round(alpha * 1000):04d}.exr"
-        entry = FrameEntry(file, time, "ground_truth", display_camera=made.display_camera(time))
+        (camera,) = job.encoding.cameras(time, made.display_camera(time))
+        entry = FrameEntry(file, time, "ground_truth", display_camera=camera)
         yield entry, named_channels(image.color, image.depth, image.motion)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.jitter import Jitter
@@ -86,6 +88,15 @@ class SceneFrames:
         windows, which follow from what was rendered before."""
         shown = self.display_camera(time)
         return RenderedFrame(None, None, None, self.render_camera(shown, None, number), time, shown)
+
+    def half_motions(self, frame: RenderedFrame, before: RenderedFrame) -> tuple[np.ndarray, np.ndarray]:
+        """Motion (H, W, 2) from `frame` half way to the rendered frame `before`, and of what is seen there to `before`:
+        what an engine has that renders twice as many frames."""
+        time = (frame.time + before.time) / 2
+        camera = self.render_camera(self.display_camera(time), None)
+        halves = (frame.time, frame.camera, time, camera), (time, camera, before.time, before.camera)
+        first, second = (self.renderer.render(*half).read("motion") for half in halves)
+        return first, second
 
     def truth(self, time: float, before: RenderedFrame | None = None) -> SceneImage:
         """What is shown at `time`, wherever rendered frames are; motion into what was rendered of `before`."""

@@ -9,7 +9,7 @@ import torch.nn.functional as functional
 from torch import Tensor, nn
 
 from gffe_cl.core.errors import GffeError
-from gffe_cl.evaluation.metrics import SRGB_TOE
+from gffe_cl.frame.transfer_function import SRGB_TOE
 from gffe_cl.scn.network import encode
 
 VERSION = 4  # of what the terms mean: a run goes on only with its own

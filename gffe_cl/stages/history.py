@@ -12,10 +12,12 @@ from gffe_cl.stages.buffers import RESIDUAL_STRIDE, BufferSpec
 
 _CONSTANTS = constants("history.cl")
 _SAMPLED = RESIDUAL_STRIDE**-2
+_CLASSES = ("x", "negative_x", "y", "negative_y")
 STATIC, DYNAMIC, FIXED_TO_CAMERA = (_CONSTANTS[name] for name in ("STATIC", "DYNAMIC", "FIXED_TO_CAMERA"))
 
 
 DYNAMIC_PIXELS = share_of("dynamic", "history.dynamic_mask")
+QUANTIZED_SAMPLES = share_of("quantized", "history.motion_steps", lambda steps: np.any(steps) * _SAMPLED)
 
 
 class HistoryTracking(Stage):
@@ -54,11 +56,26 @@ class HistoryTracking(Stage):
         ),
         BufferSpec("static_threshold_squared", np.float32, (), "once", "ε², px²"),
         BufferSpec(
+            "motion_steps",
+            np.float32,
+            _CLASSES,
+            "once",
+            "steps of quantized motion vectors by component and sign, px; 0: not quantized",
+        ),
+        BufferSpec(
+            "quantization_error",
+            np.float32,
+            _CLASSES,
+            "once",
+            "largest error of quantized motion vectors by component and sign, px; ε holds beside it; 0: not quantized",
+        ),
+        BufferSpec(
             "residual_histogram",
             np.int32,
             tuple(f"bin{b}" for b in range(_CONSTANTS["RESIDUAL_BINS"])),
             "once",
-            "squared static residual, and its squared change over 8 px; two bins per octave",
+            "squared static residual, and its squared change over 8 px, two bins per octave; steps of motion by"
+            " component and sign, eight bins per octave",
             planes=_CONSTANTS["HISTOGRAMS"],
         ),
         BufferSpec(
@@ -84,6 +101,24 @@ class HistoryTracking(Stage):
                 "pending": "history.pending",
                 "histogram": "history.residual_histogram",
                 "threshold_squared": "history.static_threshold_squared",
+                "motion_steps": "history.motion_steps",
+            },
+            step=("LANES", "RESIDUAL_ROWS"),
+            group="GROUP",
+        ),
+        Kernel(
+            "refine_threshold",
+            "residuals",
+            {
+                "depth": Access("rendered.depth", QUANTIZED_SAMPLES),
+                "motion": Access("rendered.motion", QUANTIZED_SAMPLES),
+                "pending": "history.pending",
+                "motion_steps": "history.motion_steps",
+            },
+            {
+                "pending": "history.pending",
+                "threshold_squared": "history.static_threshold_squared",
+                "quantization_error": "history.quantization_error",
             },
             step=("LANES", "RESIDUAL_ROWS"),
             group="GROUP",
@@ -98,6 +133,7 @@ class HistoryTracking(Stage):
                 "dynamic_prev": Access("history.dynamic_mask'", DYNAMIC_PIXELS, planes=0),
                 "history_prev": Access("history.history'", DYNAMIC_PIXELS, planes=0),
                 "threshold_squared": "history.static_threshold_squared",
+                "quantization_error": "history.quantization_error",
             },
             {
                 "dynamic_mask": "history.dynamic_mask",
@@ -131,6 +167,7 @@ class HistoryTracking(Stage):
         before = previous or step.frame
         if self.automatic and previous is not None:
             self.launch("find_threshold", step)
+            self.launch("refine_threshold", step)
         kept = "'" if self.positions > 2 else ""  # else it reads nothing of them
         self.launch(
             "track_history",

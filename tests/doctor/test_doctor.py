@@ -14,6 +14,7 @@ from gffe_cl.doctor.fault_injection import BREAKS, HARMLESS, Kept, broken
 from gffe_cl.doctor.hypotheses.sampling import grid
 from gffe_cl.doctor.hypotheses.transfer_function import Votes, srgb_to_linear
 from gffe_cl.sequence import SequenceWriter, named_channels, open_sequence
+from gffe_cl.sequence.encoding import Encoding
 
 W, H, COUNT = 120, 68, 9
 NEAR_ENOUGH = 0.1  # pixels
@@ -81,6 +82,41 @@ def assert_restored(frames):
 def test_good_sequences_raise_no_alarm(change):
     bad = broken(clip(), [change])
     assert names(examine(bad)) == [] and quick_warning(bad) is None
+
+
+def encoded(text):
+    encoding, frames = Encoding.parse(text), clip().images
+    return Kept([encoding.frame(frame) for frame in frames])
+
+
+CODES = {
+    "half-uv": ((1.875, 0.9375, 1.0547, 0.5273), "half floats of 0.5 + 0.5 · uv at 1920×1080"),
+    "unorm16": ((0.0586, 0.0586, 0.0330, 0.0330), "16 bits of 0.5 + 0.5 · uv at 1920×1080"),
+    "rounded": ((1, 1, 1, 1), ""),
+}
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_it_names_how_motion_was_quantized(code):
+    steps, name = CODES[code]
+    (note,) = examine(encoded(code)).of_kind("note")
+    found = [note.figures.get(key, np.nan) for key in ("x", "negative x", "y", "negative y")]
+    known = np.isfinite(found)
+    assert known.any() and np.allclose(np.array(found)[known], np.array(steps)[known], rtol=0.01)
+    assert note.id == "motion-quantised" and note.figures["code"] == name and not note.figures["added"]
+
+
+def test_it_names_sums_of_quantized_motion():
+    encoding, frames = Encoding.parse("rounded"), clip().images
+    sums = [replace(frame, motion=encoding.looked_up([frame.motion / 2] * 2)) for frame in frames]
+    (note,) = examine(Kept(sums)).of_kind("note")
+    assert note.id == "motion-quantised" and note.figures["added"] and "sums of two" in note.sentence
+
+
+@pytest.mark.parametrize(("part", "found"), [("half-depth", "depth-half-floats"), ("8bit-color", "color-8-bits")])
+def test_it_names_other_encodings(part, found):
+    assert [finding.id for finding in examine(encoded(part)).findings] == [found]
+    assert examine(clip()).findings == []
 
 
 def test_movers_decide_nothing_where_the_exposure_changes():

@@ -9,7 +9,7 @@ import pytest
 from frame_models import network
 
 from gffe_cl.core.errors import GffeError
-from gffe_cl.evaluation.metrics import METRICS, RegionErrors, display_values, linear_values
+from gffe_cl.evaluation.metrics import METRICS, RegionErrors
 from gffe_cl.evaluation.table import baselines, image_space, results, videos
 from gffe_cl.evaluation.table.datasets import Guide, Moment, Shot, turned
 from gffe_cl.evaluation.table.flicker import Flicker
@@ -18,6 +18,7 @@ from gffe_cl.evaluation.table.network import OnnxModel, OnnxRunner
 from gffe_cl.evaluation.table.regions import REGIONS, exact_parts, labels_of, masks
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import RenderedFrame
+from gffe_cl.frame.transfer_function import display_values, linear_values
 
 W, H = 48, 32
 CAMERA = Camera(np.eye(4), 40, 40, W / 2, H / 2)

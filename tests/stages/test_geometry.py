@@ -8,6 +8,7 @@ import pytest
 from synthetic import Rect, Rects, camera, psnr
 
 from gffe_cl import GffeError, Options, Pipeline, RenderedFrame
+from gffe_cl.sequence.encoding import Encoding
 
 W, H = 96, 64
 WALL = Rect((0, 0, 10), frequency=0.35)
@@ -316,12 +317,6 @@ def test_threshold_follows_quantised_motion(device, pace):
         assert moving > 0.95 and static < 0.02, fractions
 
 
-def as_half_uv(motion):
-    """Motion in pixels after a buffer of 0.5 · uv + 0.5 as half floats, of an image of 1920×1080."""
-    stored = (0.5 * motion / (1920, 1080) + 0.5).astype(np.float16)
-    return (2 * (stored.astype(np.float32) - 0.5) * (1920, 1080)).astype(np.float32)
-
-
 @pytest.mark.parametrize("kind", ["looked up twice", "camera off"])
 def test_threshold_follows_other_errors(device, kind):
     """Vectors over two intervals are the sum of two lookups, so their errors add up; a camera that is a fit is off by
@@ -332,10 +327,9 @@ def test_threshold_follows_other_errors(device, kind):
         cam, half_ago = (camera(W, H, (0.25 * t, 0, 0)) for t in (k, k - 0.5))
         frame = scene.frame(cam, k / 30, W, H, previous, reset=k == 0)
         if kind == "looked up twice" and previous:
-            first = as_half_uv(scene.frame(cam, k / 30, W, H, (half_ago, (k - 0.5) / 30)).motion)
-            second = as_half_uv(scene.frame(half_ago, (k - 0.5) / 30, W, H, previous).motion)
-            place = (np.indices((H, W))[::-1].transpose(1, 2, 0) + 0.5 + first).astype(int).clip(0, (W - 1, H - 1))
-            frame.motion = first + second[place[..., 1], place[..., 0]]
+            first = scene.frame(cam, k / 30, W, H, (half_ago, (k - 0.5) / 30)).motion
+            second = scene.frame(half_ago, (k - 0.5) / 30, W, H, previous).motion
+            frame.motion = Encoding.parse("half-uv").looked_up([first, second])
         elif kind == "camera off":
             frame.camera = replace(cam, cx=cam.cx + (0.4, -0.3, 0.2)[k], cy=cam.cy - (0.2, 0.3, -0.2)[k])
         pipeline.submit(frame)

@@ -4,10 +4,12 @@ import numpy as np
 import pyopencl as cl
 import pytest
 import twins
+from synthetic import Rect, Rects, camera
 from test_twins import frames
 
 from gffe_cl.frame.rendered_frame import pack_frame
 from gffe_cl.pipeline.options import Options
+from gffe_cl.sequence.encoding import Encoding
 from gffe_cl.stages.base import Board, Step
 from gffe_cl.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.stages.connectivity import Connectivity
@@ -94,11 +96,13 @@ def test_history(device, lanes, size, positions):
             to_previous = reprojection(frame.camera, past.camera)
             histogram = twins.residual_histogram(frame.depth, frame.motion, to_previous)
             assert np.array_equal(stage.read("residual_histogram"), histogram)
-            threshold = twins.noise_threshold_squared(histogram)
+            threshold, error = twins.static_threshold(frame.depth, frame.motion, to_previous)
             assert stage.read("static_threshold_squared") == threshold
             turned = to_previous, reprojection(past.camera, frame.camera)
             before = past.depth, dynamic, history
-            expected = twins.track_history(frame.depth, frame.motion, positions, threshold, *turned, *before)
+            expected = twins.track_history(
+                frame.depth, frame.motion, positions, threshold, *turned, *before, error=error
+            )
         dynamic, met, history = (stage.read(name) for name in ("dynamic_mask", "met_depth", "history"))
         assert np.array_equal(dynamic, expected[0])
         assert np.array_equal(met > 0, expected[1] > 0) and np.allclose(met, expected[1], rtol=1e-5)
@@ -107,3 +111,35 @@ def test_history(device, lanes, size, positions):
             assert np.allclose(history[:, dynamic > 0], expected[2][:, dynamic > 0], rtol=1e-5, atol=1e-5)
         past = frame
     assert dynamic.any() or width * height < 200
+
+
+@pytest.mark.parametrize(("lookups", "sign"), [(1, 1), (2, 1), (1, -1)])
+def test_threshold_beside_quantization(device, lanes, lookups, sign):
+    """Half floats of UV, counted either way: the steps of each component and sign are found, and how many of them were
+    added; the static world stays static, and a mover of 3 px is dynamic."""
+    width, height, encoding = 320, 180, Encoding.parse("half-uv")
+    world = Rects([Rect((0, 0, 14), (40, 30)), Rect((0, 0, 6), (1.2, 1.2), velocity=(4, 0, 0))])
+    board = Board(device, Sizes((width, height), (width, height)), Options())
+    stage, past = HistoryTracking(board), None
+    for k in range(2):
+        view = camera(width, height, (0.02 * k, 0.02 * k, 0.6 * k))
+        frame = world.frame(view, k / 30, width, height, past and (past.camera, past.time), reset=k == 0)
+        mover = frame.depth < 10
+        frame.motion = sum(sign * encoding.motion(sign * frame.motion / lookups) for _ in range(lookups))
+        board.previous = board.rendered
+        board.rendered = DeviceFrame.allocate(device, (width, height), view, view, frame.time)
+        board.rendered.upload(device, pack_frame(frame, height, width))
+        stage.swap()
+        stage.rendered(Step(board.rendered, board.previous, []))
+        if past is None:
+            past = frame
+    threshold, error = twins.static_threshold(frame.depth, frame.motion, reprojection(frame.camera, past.camera))
+    assert stage.read("static_threshold_squared") == threshold and threshold <= 0.25**2
+    assert np.array_equal(stage.read("quantization_error").ravel(), error)
+    steps = np.array(((1920 / 1024, 1920 / 2048)[::sign], (1080 / 1024, 1080 / 2048)[::sign])).ravel()
+    assert np.allclose(error, lookups * steps / 2, rtol=0.07)
+    dynamic = stage.read("dynamic_mask") > 0
+    assert dynamic[mover].mean() > 0.9 and dynamic[~mover].mean() < 0.02, (
+        dynamic[mover].mean(),
+        dynamic[~mover].mean(),
+    )

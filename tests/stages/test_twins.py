@@ -110,11 +110,11 @@ def test_stages_equal_their_twins(device, options, size, target, monkeypatch):
     color, depth, motion = now.color.copy(), now.depth, now.motion
     to_previous = reprojection(now.camera, past.camera)
 
-    threshold = np.float32((options.static_threshold or 0) ** 2)
+    threshold, error = np.float32((options.static_threshold or 0) ** 2), twins.EXACT
     if options.static_threshold is None:
         histogram = twins.residual_histogram(depth, motion, to_previous)
         assert np.array_equal(pipeline.stages["history"].read("residual_histogram"), histogram)
-        threshold = twins.noise_threshold_squared(histogram)
+        threshold, error = twins.static_threshold(depth, motion, to_previous)
     assert pipeline.stages["history"].read("static_threshold_squared") == threshold
 
     dynamic_before, history_before, levels_before, movers_before = before
@@ -128,6 +128,7 @@ def test_stages_equal_their_twins(device, options, size, target, monkeypatch):
         past.depth,
         dynamic_before,
         history_before,
+        error=error,
     )
     assert np.array_equal(pipeline.stages["history"].read("dynamic_mask"), dynamic)
     assert 0.02 < dynamic.mean() < 0.6

@@ -13,6 +13,7 @@ import numpy as np
 
 from gffe_cl.doctor.hypotheses.edges import lines_of, silhouettes
 from gffe_cl.doctor.hypotheses.sampling import Look
+from gffe_cl.frame.transfer_function import linear_values
 
 _CONTRAST = 0.08  # least difference of the two sides in a channel
 _FLAT = 0.15  # largest difference along one side, of the contrast
@@ -26,8 +27,7 @@ _SURE, _DOUBTFUL = 0.75, 0.5  # shares of them that speak for a curve
 
 def srgb_to_linear(color: np.ndarray) -> np.ndarray:
     """Display values 0 … 1 → linear; float32."""
-    c = np.clip(np.asarray(color, np.float32), 0, 1)
-    return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return linear_values(np.clip(np.asarray(color, np.float32), 0, 1))
 
 
 class Votes(NamedTuple):

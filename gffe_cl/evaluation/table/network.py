@@ -18,8 +18,8 @@ import numpy as np
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.core.files import model_source
-from gffe_cl.evaluation.metrics import display_values, linear_values
 from gffe_cl.evaluation.table.datasets import Moment, Shot
+from gffe_cl.frame.transfer_function import display_values, linear_values
 from gffe_cl.inference.network import load_onnxruntime
 
 _MULTIPLE = 32

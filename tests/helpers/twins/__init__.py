@@ -12,7 +12,7 @@ from twins.common import COMMON, centres
 from twins.composition import compose
 from twins.correction import choose_flow, correct, judge
 from twins.hidden_parts import fill_hidden_parts
-from twins.history import noise_threshold_squared, residual_histogram, track_history
+from twins.history import EXACT, residual_histogram, static_threshold, track_history
 from twins.holes import asked_texels, downsample, fill_holes, mix_far_side
 from twins.network_input import changed_tiles, decode, depth_median, encode, network_input
 from twins.prediction import predict_positions
@@ -24,6 +24,7 @@ from twins.warp import block_classes, link_surfaces, load_color, resolve, smooth
 
 __all__ = [
     "COMMON",
+    "EXACT",
     "REMEMBERED",
     "SHOWN",
     "asked_texels",
@@ -50,7 +51,6 @@ __all__ = [
     "measure_changes",
     "mix_far_side",
     "network_input",
-    "noise_threshold_squared",
     "predict_positions",
     "prepare_inputs",
     "present",
@@ -59,6 +59,7 @@ __all__ = [
     "resolve",
     "smooth_blocks",
     "splat",
+    "static_threshold",
     "track_acceleration",
     "track_history",
     "unmixed",

@@ -6,63 +6,153 @@ from twins.common import INF, F, centres, invalid, kernel_constants, move, repro
 from twins.warp import _shifted
 
 HISTORY = kernel_constants("history.cl")
+EXACT = np.zeros(4, F)  # errors of quantization
 
 
-def static_residual_squared(depth, motion, to_previous):
-    """r² of the static test, NaN where it does not apply; and where the fragment is if static."""
+def static_residual_squared(depth, motion, to_previous, error=EXACT):
+    """r² of the static test, beyond `error` of quantization, NaN where it does not apply; and where the fragment
+    is if static."""
     px = centres(*depth.shape)
     where = reproject(px, depth, to_previous)
     with np.errstate(invalid="ignore"):
-        d = where[..., :2] - (px + motion)
+        d = beyond(where[..., :2] - (px + motion), motion, error)
         r2 = d[..., 0] * d[..., 0] + d[..., 1] * d[..., 1]
     return r2, where
 
 
-def residual_histogram(depth, motion, to_previous):
-    """(2, 64) int32: of the squared residual, and of its squared change over 8 px diagonally."""
-    height, width = depth.shape
-    px = centres(height, width)
+def _start(b):
+    """Squared residual at which bin b begins, px²."""
+    return np.array([(b + HISTORY.RESIDUAL_FIRST_BIN) << 22], np.uint32).view(F)[0]
+
+
+def _counts(vectors):
+    """(64,) histogram of the squared lengths of (N, 2)."""
+    r2 = vectors[:, 0] * vectors[:, 0] + vectors[:, 1] * vectors[:, 1]
+    bins = HISTORY.RESIDUAL_BINS
+    which = np.clip((r2.view(np.uint32) >> 22).astype(int) - HISTORY.RESIDUAL_FIRST_BIN, 0, bins - 1)
+    return np.bincount(which, minlength=bins)
+
+
+def _residuals(depth, motion, to_previous):
+    """Residual (H, W, 2) of the static test, where it applies, and where it is sampled, both (H, W) bool."""
+    px = centres(*depth.shape)
     where = reproject(px, depth, to_previous)
     with np.errstate(invalid="ignore", over="ignore"):
         residual = where[..., :2] - (px + motion)
     use = ~invalid(depth) & ~np.isinf(depth) & np.isfinite(motion).all(-1) & (where[..., 2] > 0)
-
-    bins, stride, apart = HISTORY.RESIDUAL_BINS, HISTORY.RESIDUAL_STRIDE, HISTORY.SCATTER_DISTANCE
-
-    def histogram(vectors):
-        r2 = vectors[:, 0] * vectors[:, 0] + vectors[:, 1] * vectors[:, 1]
-        which = np.clip((r2.view(np.uint32) >> 22).astype(int) - HISTORY.RESIDUAL_FIRST_BIN, 0, bins - 1)
-        return np.bincount(which, minlength=bins)
-
     sampled = np.zeros_like(use)
-    sampled[::stride, ::stride] = True
+    sampled[:: HISTORY.RESIDUAL_STRIDE, :: HISTORY.RESIDUAL_STRIDE] = True
+    return residual, use, sampled
+
+
+def residual_histogram(depth, motion, to_previous):
+    """(6, 64) int32: of the squared residual, of its squared change over 8 px diagonally, and of the steps of motion
+    over that distance, by component and sign."""
+    residual, use, sampled = _residuals(depth, motion, to_previous)
+    bins, apart = HISTORY.RESIDUAL_BINS, HISTORY.SCATTER_DISTANCE
     near, near_use = _shifted(residual, apart, apart, np.nan), _shifted(use, apart, apart, False)
+    pairs = sampled & use & near_use
     with np.errstate(over="ignore", invalid="ignore"):
-        counts = histogram(residual[sampled & use]), histogram((residual - near)[sampled & use & near_use])
+        counts = [_counts(residual[sampled & use]), _counts((residual - near)[pairs])]
+    pairs[np.arange(len(pairs)) % (HISTORY.RESIDUAL_ROWS * HISTORY.RESIDUAL_STRIDE) > 0] = False
+    near_motion = _shifted(motion, apart, apart, F(np.nan))
+    with np.errstate(over="ignore", invalid="ignore"):
+        still = np.stack([motion + residual, near_motion + near])[:, pairs]
+        vectors = np.stack([motion, near_motion])[:, pairs]
+        step = np.abs(vectors[0] - vectors[1])
+    which = ((step.view(np.uint32).astype(int) + (1 << 19)) >> 20) - HISTORY.STEP_FIRST + 2
+    which = np.where(step < F(HISTORY.STEP_NONE), 0, np.clip(which, 1, bins - 1))
+    positive, negative = ((still >= 0) & (vectors >= 0)).all(0), ((still < 0) & (vectors <= 0)).all(0)
+    for component in (0, 1):
+        for of_class in (positive[:, component], negative[:, component]):
+            counts.append(np.bincount(which[:, component][of_class], minlength=bins))
     return np.stack(counts).astype(np.int32)
 
 
+def _quantile_bin(counts, share):
+    return int(np.argmax(np.cumsum(counts) >= F(share) * F(counts.sum())))
+
+
+def _end(counts, last, below, share=0.01):
+    """The last bin of a population that holds `below` up to `last`."""
+    while last + 2 < len(counts) and counts[last + 1 : last + 3].sum() > F(share) * F(below):
+        last += 1
+        below += counts[last]
+    return last
+
+
 def noise_threshold_squared(histogram, low=0.25, high=4.0):
-    residuals, changes = histogram
-
-    def start(b):
-        return np.array([(b + HISTORY.RESIDUAL_FIRST_BIN) << 22], np.uint32).view(F)[0]
-
-    def quantile_bin(counts, share):
-        return int(np.argmax(np.cumsum(counts) >= F(share) * F(counts.sum())))
-
+    residuals, changes = histogram[:2]
     if residuals.sum() == 0:
         return F(low * low)
-    first = last = quantile_bin(residuals, 0.1)
-    below = residuals[: first + 1].sum()
-    while last + 2 < len(residuals) and residuals[last + 1 : last + 3].sum() > F(0.01) * F(below):
-        last += 1
-        below += residuals[last]
-    noise = min(start(last + 1), F(64) * start(quantile_bin(residuals, 0.25) + 1))
-    if start(first) > F(HISTORY.CAMERA_ERROR) ** 2 and changes.sum():
-        change = F(16) * start(quantile_bin(changes, 0.97) + 1)
-        noise = change if change < start(first) else noise
+    first = _quantile_bin(residuals, 0.1)
+    last = _end(residuals, first, residuals[: first + 1].sum())
+    noise = min(_start(last + 1), F(64) * _start(_quantile_bin(residuals, 0.25) + 1))
+    if _start(first) > F(HISTORY.CAMERA_ERROR) ** 2 and changes.sum():
+        change = F(16) * _start(_quantile_bin(changes, 0.97) + 1)
+        noise = change if change < _start(first) else noise
     return np.clip(noise, F(low * low), F(high * high))
+
+
+def _step(counts):
+    """Of a class of quantized motion, px; 0: not quantized, −1: not known."""
+    pairs, steps = counts.sum(), counts[2:].sum()
+    if pairs < HISTORY.STEP_SAMPLES or counts[0] == pairs:
+        return F(-1)
+    if 20 * counts[1] > pairs or not steps:
+        return F(0)
+    if 10 * counts[0] < pairs:
+        return F(-1)
+    b = 2 + int(np.argmax(50 * counts[2:] > steps))
+    return np.array([(2 * (b - 2 + HISTORY.STEP_FIRST) + 1) << 19], np.uint32).view(F)[0]
+
+
+def motion_steps(histogram, threshold_squared):
+    """(4,) float32: steps of motion in x, of negative motion in x, in y, of negative motion in y; px, or 0."""
+    steps = [_step(counts) for counts in histogram[2:]]
+    known = [step for step in steps if step > 0]
+    if not known or threshold_squared <= max(F(HISTORY.THRESHOLD_LOW) ** 2, F(0.140625) * min(known) * min(known)):
+        return np.zeros(4, F)
+    found = []
+    for c, step in enumerate(steps):
+        other = max(steps[c ^ 2], steps[c ^ 3]) if steps[c ^ 1] < 0 else steps[c ^ 1]
+        found.append(max(F(2) * other if step < 0 else step, F(0)))
+    return np.array(found, F)
+
+
+def beyond(residual, motion, error):
+    """By how much residuals (…, 2) exceed `error` (4,), by component and sign; float32, NaN stays."""
+    with np.errstate(invalid="ignore"):
+        excess = np.abs(residual) - np.where(motion + residual < 0, error[1::2], error[::2])
+        return np.where(excess < 0, F(0), excess)
+
+
+def refined_threshold(depth, motion, to_previous, steps):
+    """ε² beside errors of quantization, and these errors (4,), of as many vectors as were added."""
+    residual, use, sampled = _residuals(depth, motion, to_previous)
+    residual, motion = residual[use & sampled], motion[use & sampled]
+    least = F(HISTORY.QUANTIZED_LOW) ** 2
+    low = next(b for b in range(HISTORY.RESIDUAL_BINS) if _start(b) >= least)
+    errors = [F(0.5) * F(k) * steps for k in range(1, HISTORY.LOOKUPS + 1)]
+    counts = [_counts(beyond(residual, motion, error)) for error in errors]
+    added = 0
+    while added + 1 < len(counts) and 40 * (counts[added] - counts[added + 1])[low:].sum() > len(residual):
+        added += 1
+    counts = counts[added]
+    first = _quantile_bin(counts, 0.1)
+    while first + 1 < len(counts) and _start(first + 1) <= least:
+        first += 1
+    last = _end(counts, first, counts[: first + 1].sum(), 0.005)
+    epsilon = least if last == first else min(_start(last + 1), F(HISTORY.CAMERA_ERROR) ** 2)
+    return F(epsilon), errors[added]
+
+
+def static_threshold(depth, motion, to_previous):
+    """The automatic threshold: ε², px², and (4,) errors of quantization beside it, px."""
+    histogram = residual_histogram(depth, motion, to_previous)
+    threshold = noise_threshold_squared(histogram)
+    steps = motion_steps(histogram, threshold)
+    return refined_threshold(depth, motion, to_previous, steps) if steps.any() else (threshold, EXACT)
 
 
 def _depth_met(px, expected, tolerance, depth_prev):
@@ -143,9 +233,10 @@ def track_history(
     dynamic_prev,
     history_prev,
     camera_fixed=True,
+    error=EXACT,
 ):
-    """Algorithm 1; `depth_prev` None after a reset. Returns dynamic mask (H, W), the depth met (H, W) and history
-    (k−1, H, W, 4), 0 where static."""
+    """Algorithm 1; `depth_prev` None after a reset; `error`: of quantization. Returns dynamic mask (H, W), the depth
+    met (H, W) and history (k−1, H, W, 4), 0 where static."""
     height, width = depth.shape
     px = centres(height, width)
     p0 = unproject(px, depth, to_previous[4])
@@ -154,7 +245,7 @@ def track_history(
     history = np.zeros((positions - 1, height, width, 4), F)
     if depth_prev is None:
         return dynamic, met_depth, history
-    r2, where = static_residual_squared(depth, motion, to_previous)
+    r2, where = static_residual_squared(depth, motion, to_previous, error)
     usable = np.isfinite(motion).all(-1)
     dynamic[:] = ~usable | (where[..., 2] < 0) | ~(r2 <= threshold_squared)
     dynamic[invalid(depth) | np.isinf(depth)] = 0

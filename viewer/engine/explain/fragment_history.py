@@ -50,8 +50,9 @@ class Fragment:
         depth, motion, label = float(depth[0, 0]), motion[0].astype(np.float64), int(mask[0, 0])
         dynamic = label != STATIC
         px = np.add(at, 0.5)
-        residual = _residual(shot, px, depth, motion) if pipeline.options.motion else None
         history_stage = pipeline.stages["history"]
+        error = history_stage.read("quantization_error").ravel()
+        residual = _residual(shot, px, depth, motion, error) if pipeline.options.motion else None
         threshold = None if residual is None else float(np.sqrt(history_stage.read("static_threshold_squared")[0]))
         known = _known_places(shot, px + motion, float(met[0, 0]), values.get(names.HISTORY)) if dynamic else []
 
@@ -91,12 +92,14 @@ def _fragment_that_landed(pipeline, layers, at, pixel, inside: bool, dynamic: bo
     return at if best is None else (x0 + best % width, y0 + best // width)
 
 
-def _residual(shot: Shot, px, depth: float, motion) -> float | None:
-    """Pixels between where its motion says that the fragment was and where it was if static; None if not tested."""
+def _residual(shot: Shot, px, depth: float, motion, error) -> float | None:
+    """Pixels between where its motion says that the fragment was and where it was if static, beyond errors of
+    quantization, `error` (4,); None if not tested."""
     if shot.moment.previous_camera is None or not (0 < depth < np.inf) or not np.isfinite(motion).all():
         return None
     was, z = shot.moment.previous_camera.project(shot.moment.render_camera.unproject(px, depth))
-    return float(np.hypot(*(was - px - motion))) if z > 0 else None
+    off = np.abs(was - px - motion) - np.where(was < px, error[1::2], error[::2])
+    return float(np.hypot(*np.maximum(off, 0))) if z > 0 else None
 
 
 def _fragment_sentences(pipeline, shot, depth, motion, label, residual, threshold, used, bend) -> tuple[str, ...]:
