@@ -90,7 +90,7 @@ def model_table() -> str:
 def speed_table() -> str:
     rows = []
     for one in recorded("speed")["of"]:
-        old, new, ratio = (one["least"][side] for side in ("old", "new", "ratio"))
+        old, new, ratio = (one[side] for side in ("old", "new", "ratio"))
         for part in ("GAE", "SCN, inputs and kernels"):
             if part in ratio:
                 where = f"`{one['of']}`, {one['width']}×{one['height']}, {_runtime(one['device'])}"
