@@ -14,14 +14,15 @@ from gffe_cl.evaluation.table.datasets import Moment, Shot
 from gffe_cl.evaluation.table.image_space import pixel_centres
 
 FLOWS = ("ultrafast", "fast", "medium", "farneback")  # the first three: presets of DIS
-_NEARER = 8  # power of the inverse depth by which a surface outweighs one behind it
-_COVERED = 1e-20  # sum of weights from which a pixel is covered
+_FAR = 1e30  # depth of the sky
+_SAME_LAYER = 0.05  # of the depth
+_LEAST = 1e-6  # share that is divided by
 
 
 class Remapped:
     """Motion vectors of t, by cv2.remap, with cubic or bilinear interpolation."""
 
-    def __init__(self, cubic: bool = True):
+    def __init__(self, cubic: bool = False):
         import cv2
 
         kind = cv2.INTER_CUBIC if cubic else cv2.INTER_LINEAR
@@ -39,8 +40,8 @@ class Remapped:
 
 
 class RemappedFlow(Remapped):
-    """Optical flow from t to t−1, one of `FLOWS`, on 8-bit gray (square root of the exposed luma), then a cubic remap.
-    It needs pictures only."""
+    """Optical flow from t to t−1, one of `FLOWS`, on 8-bit gray (square root of the exposed luma), then a bilinear
+    remap. It needs pictures only."""
 
     def __init__(self, flow: str, exposure: float):
         import cv2
@@ -65,9 +66,9 @@ class RemappedFlow(Remapped):
 
 
 class TorchSplat:
-    """Forward splat by motion vectors, in the manner of softmax splatting (Niklaus and Liu, CVPR 2020): each pixel adds
-    to the four around its new place, weighted by its share and by the 8th power of its inverse depth. Pixels that
-    nothing reaches keep the color of t."""
+    """Forward splat by motion vectors. Pixels claim the depth of the pixel nearest to their new place, the nearest
+    surface wins, and what lies within 5% of it is mixed by its share of the pixel. Pixels that nothing reaches keep
+    the color of t."""
 
     def __init__(self):
         import torch
@@ -77,29 +78,36 @@ class TorchSplat:
     def submit(self, shot: Shot) -> None:
         torch, height, width = self._torch, *shot.frame.depth.shape
         self._color = torch.from_numpy(_float32(shot.shown)).reshape(-1, 3)
+        self._carried = torch.cat([self._color, torch.ones(height * width, 1)], 1)
         self._motion = torch.from_numpy(_motion(shot)).reshape(-1, 2).nan_to_num(0, 0, 0)
-        nearness = (1 / torch.from_numpy(_float32(shot.frame.depth)).reshape(-1, 1)).nan_to_num(0, 0, 0).clamp(min=0)
-        weight = (nearness / nearness.max().clamp(min=1e-30)).clamp(min=1e-2) ** _NEARER
-        self._carried = torch.cat([self._color * weight, weight], 1)
+        self._depth = torch.from_numpy(_float32(shot.frame.depth)).reshape(-1).nan_to_num(_FAR, _FAR, _FAR)
         y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
         self._size, self._here = (height, width), torch.stack([x, y], -1).reshape(-1, 2)
 
     def make(self, moment: Moment) -> np.ndarray:
-        height, width = self._size
+        torch = self._torch
         place = self._here - moment.alpha * self._motion
+        index, inside = self._pixels((place + 0.5).floor().long())
+        front = torch.full_like(self._depth, _FAR)
+        front.scatter_reduce_(0, index[inside], self._depth[inside], "amin")
         low = place.floor()
-        part, low = place - low, low.long()
-        total = self._torch.zeros_like(self._carried)
+        part, total = place - low, torch.zeros_like(self._carried)
         for tap in range(4):
             dx, dy = tap & 1, tap >> 1
-            x, y = low[:, 0] + dx, low[:, 1] + dy
             share = (part[:, 0] if dx else 1 - part[:, 0]) * (part[:, 1] if dy else 1 - part[:, 1])
-            inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-            index = y.clamp(0, height - 1) * width + x.clamp(0, width - 1)
-            total.index_add_(0, index, self._carried * (share * inside)[:, None])
+            index, inside = self._pixels(low.long() + torch.tensor((dx, dy)))
+            reached = front[index]
+            share = share * (inside & ((self._depth - reached).abs() <= _SAME_LAYER * reached))
+            total.index_add_(0, index, self._carried * share[:, None])
         weight = total[:, 3:]
-        made = self._torch.where(weight > _COVERED, total[:, :3] / weight.clamp(min=_COVERED), self._color)
-        return made.reshape(height, width, 3).numpy()
+        made = torch.where(weight > 0, total[:, :3] / weight.clamp(min=_LEAST), self._color)
+        return made.reshape(*self._size, 3).numpy()
+
+    def _pixels(self, place):
+        """Indices of the pixels at `place` (N, 2), x and y, at the border if outside; and whether they are inside."""
+        (height, width), (x, y) = self._size, place.unbind(1)
+        clamped = y.clamp(0, height - 1) * width + x.clamp(0, width - 1)
+        return clamped, (x >= 0) & (x < width) & (y >= 0) & (y < height)
 
 
 def _float32(array: np.ndarray) -> np.ndarray:

@@ -129,7 +129,7 @@ def _library(name: str, title: str, package: str, extra: str, make: Callable[[Fo
 
 def _flow(flow: str) -> Method:
     name, title = ("farneback", "Farneback") if flow == "farneback" else (f"dis-{flow}", f"DIS {flow}")
-    title = f"optical flow ({title}), extrapolated by a cubic remap"
+    title = f"optical flow ({title}), extrapolated by a bilinear remap"
     return _library(name, title, "cv2", "opencv", lambda footage: libraries.RemappedFlow(flow, footage.exposure))
 
 
@@ -241,7 +241,7 @@ _ALL = (
     _remap("remap-bilinear", cubic=False),
     _remap("remap-cubic", cubic=True),
     *map(_flow, libraries.FLOWS),
-    _library("torch-splat", "motion vectors, softmax splat", "torch", "train", lambda footage: libraries.TorchSplat()),
+    _library("torch-splat", "motion vectors, forward splat", "torch", "train", lambda footage: libraries.TorchSplat()),
 )
 METHODS: dict[str, Method] = {method.name: method for method in _ALL}
 GROUPS = tuple(dict.fromkeys(method.group for method in _ALL))
