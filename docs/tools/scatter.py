@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from html import escape
 
 WIDTH, HEIGHT = 760, 400
-_LEFT, _RIGHT, _TOP, _BOTTOM = 52, 20, 16, 44  # margins
-_FONT, _LETTER = 12, 6.4  # size of the font, and the mean width of a letter
+_LEFT, _RIGHT, _TOP, _BOTTOM = 40, 20, 30, 44  # margins
+_FONT, _LETTER = 12, 7.0  # size of the font, and the mean width of a letter
 _SIDES = ((9, 4, "start"), (-9, 4, "end"), (0, -10, "middle"), (0, 19, "middle"), (9, 16, "start"), (9, -8, "start"))
 
 
@@ -30,7 +30,7 @@ def scatter(points: list[Point], x_title: str, y_title: str) -> str:
         return _LEFT + across * (WIDTH - _LEFT - _RIGHT), HEIGHT - _BOTTOM - up * (HEIGHT - _TOP - _BOTTOM)
 
     body = [*_axes(place, most, low, high), _text(WIDTH - _RIGHT, HEIGHT - 8, x_title, "end")]
-    body.append(_text(6, _TOP - 3, y_title, "start"))
+    body.append(_text(6, 14, y_title, "start"))
     taken = [(x - 5, y - 5, x + 5, y + 5) for x, y in (place(p.x, p.y) for p in points)]
     for point in points:
         x, y = place(point.x, point.y)
@@ -52,8 +52,8 @@ def _axes(place, most: float, low: int, high: int) -> list[str]:
     found = []
     for exponent in range(round(math.log10(most)) + 1):
         x, bottom = place(10**exponent, low)
-        found += [_line(x, _TOP, x, bottom), _text(x, bottom + 16, str(10**exponent), "middle")]
-    for y_value in range(low, high + 1, max(1, (high - low) // 8)):
+        found += [_line(x, _TOP, x, bottom), _text(x, bottom + 16, str(10**exponent) if exponent else "≤ 1", "middle")]
+    for y_value in range(low, high + 1, max(1, (high - low) // 6)):
         x, y = place(1, y_value)
         found += [_line(x, y, WIDTH - _RIGHT, y), _text(x - 8, y + 4, str(y_value), "end")]
     return found
