@@ -6,10 +6,13 @@
     python docs/tools/compare_speed.py --scn                                 with the shading correction network
     python docs/tools/compare_speed.py --old COMMIT --new FOLDER             a commit or a checkout's folder each
 
-Each version runs in a process of its own with its own modules and kernels, driven through the public `Pipeline`; both
-see the same buffers, and take turns from frame to frame, so that whatever else the machine does meets both. Times are
-sums of kernel event times: for each frame of the footage the least (and the median) of the repeats, then the mean over
-the frames. "CPU time" is the whole process's, per core: where other programs take the cores, it says more.
+Each version runs in a process of its own with its own modules and kernels, driven through the public `Pipeline`. Both
+see the same buffers and take turns from frame to frame, so that other programs on the machine slow both. The wall time
+runs from submitting a rendered frame to having the extrapolated one; stages are sums of kernel event times. Times are
+medians. A ratio is the median of the ratios within a turn: a quotient of two least times favors the faster version on
+a busy machine, since a short frame fits between the bursts of other programs and a long one does not. "CPU time" is the
+whole process's, per core: where it is far below the wall time, the machine was busy.
+compare_clocks.py compares it with the wall time of `gffe bench` and of a plain loop.
 """
 
 from __future__ import annotations
@@ -25,37 +28,32 @@ import tempfile
 import time
 from collections import defaultdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pages import REPOSITORY
 
+if TYPE_CHECKING:
+    from gffe_cl.evaluation.benchmark_input import Footage, Turn
+
 OLD = "61564f7"
-# What stages are called on either side: by when they work, and by the name that `take_timings` has.
+# Parts by the names that `take_timings` has, or had in older versions, where they differ.
 PARTS = {
-    ("rendered", "history"): "history",
-    ("rendered", "warp"): "connectivity",
-    ("rendered", "background"): "background, collection",
-    ("extrapolated", "prediction"): "prediction",
-    ("extrapolated", "warp"): "warp",
-    ("extrapolated", "background"): "background, projection",
-    ("extrapolated", "holes"): "holes",
-    ("rendered", "shading_trend"): "SCN, trend",
-    ("extrapolated", "shading_trend"): "SCN, trend",
-    ("extrapolated", "shading"): "SCN, inputs",
-    ("extrapolated", "network_input"): "SCN, inputs",
-    ("extrapolated", "shading_flow"): "SCN, flow",
-    ("extrapolated", "correction"): "SCN, kernels",
-    ("extrapolated", "network"): "SCN, network",
-    ("extrapolated", "network copies"): "SCN, network",
-}
-# Stages of older versions, and what they are called now.
-RENAMED = {
     "surfaces": "connectivity",
     "blocks": "backward_blocks",
     "hidden": "hidden_parts",
-    "trend": "shading_trend",
     "cuts": "scene_cuts",
+    "trend": "SCN, trend",
+    "shading_trend": "SCN, trend",
+    "shading": "SCN, inputs",
+    "network_input": "SCN, inputs",
+    "shading_flow": "SCN, flow",
+    "correction": "SCN, kernels",
+    "network": "SCN, network",
+    "network copies": "SCN, network",
 }
+CLOCKS = ("wall time", "CPU time")
+BUSY = 1.15  # wall time : CPU time from which a warning is printed
 
 
 # ---- one version, in a process of its own ------------------------------------------------------------------
@@ -90,11 +88,10 @@ def serve(footage: Path, device: str, scn: bool) -> None:
         frame = gffe.RenderedFrame(*frames[asked["index"]], camera, asked["time"], reset=asked["reset"])
         wall, cpu = time.perf_counter(), time.process_time()
         pipeline.submit(frame)
-        rendered = pipeline.take_timings()
         pipeline.extrapolate(target and gffe.Camera(**target), asked["until"])
-        extrapolated = pipeline.take_timings()
+        opened.queue.finish()
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-        say({"rendered": rendered, "extrapolated": extrapolated, "wall": wall * 1e3, "cpu": cpu * 1e3})
+        say({"stages": pipeline.take_timings(), "wall": wall * 1e3, "cpu": cpu * 1e3})
 
 
 class Version:
@@ -108,23 +105,19 @@ class Version:
         )
         self.device = self._heard()["device"]
 
-    def timed(self, asked: dict) -> dict[str, float]:
-        """Milliseconds by part, "GAE" and "SCN" among them, "wall time" and "CPU time"."""
+    def timed(self, turn: Turn, footage: Footage) -> dict[str, float]:
+        """Milliseconds by part, "GAE" and `CLOCKS` among them."""
+        until = turn.time(footage.interval)
+        asked = {"index": turn.index, "time": turn.frame.time, "reset": turn.frame.reset, "until": until}
         print(json.dumps(asked), file=self.process.stdin, flush=True)
         heard = self._heard()
         parts: dict[str, float] = defaultdict(float)
-        for when in ("rendered", "extrapolated"):
-            for stage, milliseconds in heard[when].items():
-                stage = RENAMED.get(stage, stage)
-                if milliseconds or (when, stage) in PARTS:
-                    parts[PARTS.get((when, stage), stage)] += milliseconds
+        for stage, milliseconds in heard["stages"].items():
+            parts[PARTS.get(stage, stage)] += milliseconds
         scn = {name: parts.pop(name) for name in list(parts) if name.startswith("SCN")}
-        if not scn:
-            parts["wall time"], parts["CPU time"] = heard["wall"], heard["cpu"] / (os.cpu_count() or 1)
-        gae = sum(milliseconds for name, milliseconds in parts.items() if name not in ("wall time", "CPU time"))
-        kernels = sum(scn.get(f"SCN, {name}", 0.0) for name in ("inputs", "flow", "kernels"))
-        own = {"SCN, inputs and kernels": kernels} if scn else {}
-        return dict(parts) | {"GAE": gae} | scn | own
+        own = {"SCN, inputs and kernels": sum(scn.get(f"SCN, {name}", 0.0) for name in ("inputs", "flow", "kernels"))}
+        clocks = dict(zip(CLOCKS, (heard["wall"], heard["cpu"] / (os.cpu_count() or 1)), strict=True))
+        return parts | {"GAE": sum(parts.values())} | (scn | own if scn else {}) | clocks
 
     def close(self) -> None:
         self.process.stdin.close()
@@ -159,7 +152,7 @@ def called(version: str) -> str:
     return told.stdout.strip() or version
 
 
-def store(footage, folder: Path) -> None:
+def store(footage: Footage, folder: Path) -> None:
     """Put footage where both versions find it."""
     folder.mkdir()
     for k, frame in enumerate(footage.frames):
@@ -184,8 +177,8 @@ def store(footage, folder: Path) -> None:
     (folder / "about.json").write_text(json.dumps(about))
 
 
-def compare(footage, folder: Path, trees: list[Path], device: str, repeats: int, scn: bool) -> dict:
-    """Milliseconds of both versions by part: the least, the median, and the ratios old : new of either."""
+def compare(footage: Footage, folder: Path, trees: list[Path], device: str, repeats: int, scn: bool) -> dict:
+    """Milliseconds of both versions by part, and the ratios old : new."""
     store(footage, folder)
     arguments = [str(folder), "--device", device, *(["--scn"] if scn else [])]
     versions = [Version(tree, *arguments) for tree in trees]
@@ -193,35 +186,20 @@ def compare(footage, folder: Path, trees: list[Path], device: str, repeats: int,
         sys.exit(
             f"error: the versions chose different devices: {versions[0].device}, {versions[1].device}; say --device"
         )
-    samples: list[dict[tuple[str, int], list[float]]] = [defaultdict(list), defaultdict(list)]
+    turns: list[tuple[dict[str, float], dict[str, float]]] = []
     for k, turn in enumerate(footage.turns(repeats)):
-        asked = {
-            "index": turn.index,
-            "time": turn.frame.time,
-            "reset": turn.frame.reset,
-            "until": turn.time(footage.interval),
-        }
-        for side in (0, 1) if k % 2 else (1, 0):
-            timed = versions[side].timed(asked)
-            if turn.counts:
-                for part, milliseconds in timed.items():
-                    samples[side][part, turn.index].append(milliseconds)
+        timed = {side: versions[side].timed(turn, footage) for side in ((0, 1) if k % 2 else (1, 0))}
+        if turn.counts:
+            turns.append((timed[0], timed[1]))
     for version in versions:
         version.close()
-    report = {"of": footage.name, "width": footage.width, "height": footage.height, "device": versions[1].device}
-    parts = list(dict.fromkeys(part for sample in samples[::-1] for part, _ in sample))
-    for name, of in (("least", min), ("median", statistics.median)):
-        old, new = (
-            {
-                part: statistics.fmean(of(values) for (p, _), values in sample.items() if p == part)
-                for part in parts
-                if any(p == part for p, _ in sample)
-            }
-            for sample in samples
-        )
-        ratio = {part: old[part] / new[part] for part in parts if old.get(part) and new.get(part)}
-        report[name] = {"old": old, "new": new, "ratio": ratio}
-    return report
+    old, new = (
+        {part: statistics.median(turn[side][part] for turn in turns) for part in turns[0][side]} for side in (0, 1)
+    )
+    shared = [part for part in old if old[part] and new.get(part)]
+    ratio = {part: statistics.median(a[part] / max(b[part], 1e-6) for a, b in turns) for part in shared}
+    named = {"of": footage.name, "width": footage.width, "height": footage.height, "device": versions[1].device}
+    return named | {"old": old, "new": new, "ratio": ratio}
 
 
 def rounded(value):
@@ -234,13 +212,15 @@ def rounded(value):
 
 
 def show(report: dict) -> None:
-    least, median = report["least"], report["median"]
+    old, new, ratio = (report[key] for key in ("old", "new", "ratio"))
     print(f"\n{report['of']}, {report['width']}×{report['height']}, {report['device']}")
-    print(f"{'ms':26}{'old':>10}{'new':>10}{'ratio':>8}   of medians")
-    for part in dict.fromkeys((*least["new"], *least["old"])):
-        old, new = (f"{side[part]:.2f}" if part in side else "" for side in (least["old"], least["new"]))
-        ratios = (f"{side['ratio'][part]:.2f}" if part in side["ratio"] else "" for side in (least, median))
-        print("{:26}{:>10}{:>10}{:>8}{:>8}".format(part, old, new, *ratios), flush=True)
+    print(f"{'ms':26}{'old':>10}{'new':>10}{'ratio':>8}")
+    for part in dict.fromkeys((*new, *old)):
+        figures = (f"{side[part]:.2f}" if part in side else "" for side in (old, new, ratio))
+        print("{:26}{:>10}{:>10}{:>8}".format(part, *figures), flush=True)
+    wall, cpu = (new[clock] for clock in CLOCKS)
+    if "SCN, network" not in new and wall > BUSY * cpu:
+        print(f"warning: the machine was busy: wall time {wall:.1f} ms, CPU time {cpu:.1f} ms per core")
 
 
 def main() -> None:

@@ -1,11 +1,12 @@
-"""Writes the tables of docs/performance.md, from the figures in docs/measured/.
+"""Writes the tables of docs/performance.md and the plot of methods, from the figures in docs/measured/.
 
     python docs/tools/make_performance.py                              the tables, from what is recorded
     python docs/tools/make_performance.py --measure [--sequence DIR]   counts first what must move, on plaza, forest
                                                                        and a sequence: the same on any machine
 
-The other two records: `gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json`, and
-`python docs/tools/compare_speed.py … --json docs/measured/speed.json`, on a quiet machine.
+The other records: `gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json`, and on a quiet machine
+`gffe bench --methods --json docs/measured/methods.json` and
+`python docs/tools/compare_speed.py … --json docs/measured/speed.json`.
 """
 
 from __future__ import annotations
@@ -13,14 +14,18 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import textwrap
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pages import DOCS, MEASURED, table, with_all
+from pages import DOCS, MEASURED, PICTURES, table, with_all
+from scatter import Point, scatter
 
 PAGE = DOCS / "performance.md"
+LINE = 120  # characters of a line of text
+REMAP = "remap-bilinear"  # the simplest method that uses motion vectors
 SIZE, SCENES = (1920, 1080), ("plaza", "forest")
 
 
@@ -90,7 +95,7 @@ def model_table() -> str:
 def speed_table() -> str:
     rows = []
     for one in recorded("speed")["of"]:
-        old, new, ratio = (one["least"][side] for side in ("old", "new", "ratio"))
+        old, new, ratio = (one[side] for side in ("old", "new", "ratio"))
         for part in ("GAE", "SCN, inputs and kernels"):
             if part in ratio:
                 where = f"`{one['of']}`, {one['width']}×{one['height']}, {_runtime(one['device'])}"
@@ -98,11 +103,69 @@ def speed_table() -> str:
     return table(("", "", "61564f7, ms", "now, ms", "times as fast"), rows)
 
 
+def methods_table() -> str:
+    rows = []
+    for row in _methods():
+        times = _milliseconds(row["milliseconds"]), f"{row['ratio']:.2f}", f"{row['psnr']:.2f}"
+        rows.append((f"`{row['method']}`", row["title"], _where(row), *times))
+    return table(("method", "what it is", "on", "ms", "× `gffe`", "PSNR, dB"), rows)
+
+
+def regions_table() -> str:
+    """What the methods are worth by region: where the error of a remap is, and what GFFE makes of it."""
+    remap, flow, gae, full = (_method(name) for name in (REMAP, "dis-medium", "no-scn", "gffe"))
+    heads = (f"`{row['method']}`, {_milliseconds(row['milliseconds'])} ms" for row in (remap, flow, gae, full))
+    rows = []
+    for region, share in _shares().items():
+        psnr = (f"{row['regions'][region]:.2f}" for row in (remap, flow, gae, full))
+        rows.append((region, f"{share:.2%}", f"{_share_of_error(remap, region):.0%}", *psnr))
+    rows.append(("all", "100%", "100%", *(f"{row['psnr']:.2f}" for row in (remap, flow, gae, full))))
+    return table(("PSNR, dB", "pixels", f"error of `{REMAP}`", *heads), rows)
+
+
+def methods_text() -> str:
+    """What the other milliseconds buy, step by step and by region, and where they buy nothing."""
+    record, shares = recorded("methods")["sizes"][0], _shares()
+    remap, gae, full = (_method(name) for name in (REMAP, "no-scn", "gffe"))
+    removed, ahead = [], []
+    for region in sorted(shares, key=lambda region: -_share_of_error(remap, region))[:3]:
+        left = 10 ** ((remap["regions"][region] - gae["regions"][region]) / 10)
+        removed.append(
+            f"{_share_of_error(remap, region):.0%} lies in *{region}* ({shares[region]:.1%} of the pixels), where GFFE"
+            f" without the network has {left:.0%} of that error"
+        )
+    for region in shares:
+        best = max(_methods(), key=lambda row: row["regions"][region])
+        if best["device"] is None:
+            figures = f"{best['regions'][region]:.2f} dB, GFFE {full['regions'][region]:.2f} dB"
+            ahead.append(f"in *{region}* `{best['method']}` reaches {figures}")
+    text = (
+        f"On `{record['of'].partition(':')[0]}`, {record['width']}×{record['height']}, `{REMAP}` takes"
+        f" {_milliseconds(remap['milliseconds'])} ms and reaches {remap['psnr']:.2f} dB. GFFE without the network takes"
+        f" {_milliseconds(gae['milliseconds'])} ms on {_where(gae)} and reaches {gae['psnr']:.2f} dB. The network adds"
+        f" {_milliseconds(full['milliseconds'] - gae['milliseconds'])} ms and {full['psnr'] - gae['psnr']:.2f} dB."
+        f" Of the squared error of `{REMAP}`, {'; '.join(removed)}."
+    )
+    text += f" GFFE is not ahead everywhere: {'; '.join(ahead)}." if ahead else ""
+    return "\n".join(textwrap.wrap(text, LINE, break_on_hyphens=False))
+
+
+def methods_plot() -> str:
+    points = [
+        Point(row["milliseconds"], row["psnr"], _label(row), "#2f6fde" if row["device"] else "#d98b1f")
+        for row in _methods()
+    ]
+    return scatter(points, "ms for one new frame", "PSNR, dB")
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "must_move": must_move_table,
     "traffic_size": size_of_traffic,
     "traffic": traffic_table,
     "model": model_table,
+    "methods_text": methods_text,
+    "methods": methods_table,
+    "methods_regions": regions_table,
     "speed": speed_table,
 }
 
@@ -146,6 +209,36 @@ def counted(device, subjects: list[str]) -> Iterator[tuple[str, dict]]:
         )
 
 
+def _methods() -> list[dict]:
+    return recorded("methods")["sizes"][0]["methods"]
+
+
+def _method(name: str) -> dict:
+    """On the first device it ran on."""
+    return next(row for row in _methods() if row["method"] == name)
+
+
+def _shares() -> dict[str, float]:
+    return {region: share for region, share in recorded("methods")["sizes"][0]["share"].items() if share}
+
+
+def _share_of_error(row: dict, region: str) -> float:
+    """Of the squared error of all pixels."""
+    return _shares()[region] * 10 ** ((row["psnr"] - row["regions"][region]) / 10)
+
+
+def _where(row: dict) -> str:
+    return _runtime(f"{row['device']} ({row['platform']})") if row["device"] else "host"
+
+
+def _label(row: dict) -> str:
+    return f"{row['method']}, {_where(row)}" if row["device"] else row["method"]
+
+
+def _milliseconds(value: float) -> str:
+    return f"{value:.1f}" if value < 10 else f"{value:.0f}"
+
+
 def _number(value: float | None, digits: int = 0, bold: bool = False) -> str:
     text = "" if value is None or math.isnan(value) else f"{value:.{digits}f}"
     return f"**{text}**" if bold else text
@@ -174,6 +267,7 @@ def main() -> None:
     if asked.measure:
         measure(asked.sequence, asked.device)
     PAGE.write_text(with_tables(PAGE.read_text()))
+    (PICTURES / "methods.svg").write_text(methods_plot())
 
 
 if __name__ == "__main__":

@@ -62,6 +62,14 @@ def bench(
             " images of one size [dim](default: 1920x1080)[/].",
         ),
     ] = False,
+    methods: Annotated[
+        bool,
+        typer.Option(
+            "--methods",
+            help="Instead of timing stages, compare time and PSNR with methods of OpenCV and PyTorch, in turns on the"
+            " same frames [dim](default size: 1920x1080; sequences at their own, with ground truth)[/].",
+        ),
+    ] = False,
     lanes: Annotated[
         str, typer.Option(help="With --traffic: pixels per work-item, 1 as on GPUs, 8 as on CPUs; or both: 1,8.")
     ] = "1",
@@ -86,6 +94,9 @@ def bench(
         opened = [open_info(info) for info in list_devices() if info.works] or [open_device()]
     else:
         opened = [open_device(device)]
+    if methods:
+        _bench_methods(opened, subject, parsed, frame, repeats, options, json_path)
+        return
     _bench_times(opened, subject, parsed, frame, repeats, kernels, options, json_path)
 
 
@@ -122,6 +133,31 @@ def _bench_times(
         figures = {"of": footage.name, "growth": growth(results), "sizes": [asdict(r) for r in results]}
         report.append(named | figures)
     write_json(json_path, {"devices": report, "paper": PAPER})
+
+
+def _bench_methods(
+    devices: list[Device],
+    subject: str | None,
+    sizes: list[tuple[int, int]] | None,
+    frame: int | None,
+    repeats: int,
+    options: Options,
+    json_path: Path | None,
+) -> None:
+    from gffe_cl.evaluation.benchmark_input import is_sequence
+    from gffe_cl.evaluation.counting import SIZE
+    from gffe_cl.evaluation.method_times import measure_methods, subject_of
+    from gffe_cl.opencl.device import open_device
+
+    default = open_device().info.index
+    devices = sorted(devices, key=lambda device: device.info.index != default)
+    reports = []
+    for size in sizes or [None if is_sequence(subject) else SIZE]:
+        chosen = subject_of(subject, size, frame)
+        with progress_bars() as progress:
+            reports.append(measure_methods(chosen, devices, options, repeats, steps(progress)))
+        _print_methods(reports[-1])
+    write_json(json_path, {"sizes": reports})
 
 
 def _bench_traffic(
@@ -173,6 +209,11 @@ def _print_bench(info: DeviceInfo, name: str, results: list[SizeBench]) -> None:
     if last.provider:
         table.add_row("the network ran on", *(r.provider.removesuffix("ExecutionProvider") for r in results), "", "")
     out.print(table)
+    if "misc" in last.milliseconds:
+        out.print(
+            "misc: choosing the adaptive window on the host and presenting. Here it is part of neither GAE nor the wall"
+            " time; the paper's GAE contains it, 1400 bytes per pixel in all."
+        )
     if (power := growth(results)) is not None:
         out.print(f"GAE grows as pixels^{power:.2f}.")
     shares = ", ".join(f"{share} {value:.2%}" for share, value in last.shares.items())
@@ -186,6 +227,28 @@ def _print_kernels(results: list[SizeBench]) -> None:
     for name in results[0].kernels:
         table.add_row(name, *(f"{r.kernels.get(name, 0):.2f}" for r in results))
     out.print(table)
+
+
+def _print_methods(report: dict) -> None:
+    first, regions = report["methods"][0], [name for name, share in report["share"].items() if share]
+    title = plain(f"{report['of']}, {report['width']}×{report['height']}, {report['turns']} turns")
+    heads = "method", "on", "ms", f"× {first['method']}", "PSNR, dB"
+    times = Table(*heads, title=title, box=None, header_style="bold")
+    psnrs = Table("PSNR, dB, by region", *regions, box=None, header_style="bold")
+    for row in report["methods"]:
+        figures = f"{row['milliseconds']:.1f}", f"{row['ratio']:.2f}", f"{row['psnr']:.2f}"
+        times.add_row(row["method"], plain(row["platform"] or "host"), *figures)
+        if row["platform"] in (None, first["platform"]):
+            psnrs.add_row(row["method"], *(f"{row['regions'][region]:.2f}" for region in regions))
+    psnrs.add_row("share of the pixels", *(f"{report['share'][region]:.2%}" for region in regions))
+    out.print(times)
+    out.print(
+        "ms: from the buffers of a rendered frame to the color of the new one, median."
+        " ×: ratio to the first row in the same turn, median."
+    )
+    out.print(psnrs)
+    for name, reason in report["skipped"].items():
+        out.print(plain(f"{name}: {reason}"))
 
 
 def _print_traffic(footage: Footage, lanes: int, kernels: dict[str, KernelTraffic]) -> None:

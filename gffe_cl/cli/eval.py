@@ -59,7 +59,7 @@ def evaluate(
         str | None,
         typer.Option(
             help="Methods or groups of them, separated by commas: gffe, ablation, deviation, baseline, filling,"
-            " window, upscaling, … [dim](default: all but the last three groups)[/]."
+            " window, upscaling, library, … [dim](default: all but the last four groups)[/]."
         ),
     ] = None,
     onnx: Annotated[

@@ -106,7 +106,7 @@ class Footage:
 
     def on(self, device: Device) -> Footage:
         """The same in buffers of `device`."""
-        return replace(self, frames=tuple(_uploaded(device, frame) for frame in self.frames))
+        return replace(self, frames=tuple(uploaded(device, frame) for frame in self.frames))
 
 
 def is_sequence(subject: str | None) -> bool:
@@ -241,7 +241,7 @@ def _enlarged_rows(stack: np.ndarray, rows, columns) -> np.ndarray:
     return np.where(one_surface[..., None], mixed, nearest)
 
 
-def _uploaded(device: Device, frame: RenderedFrame) -> RenderedFrame:
+def uploaded(device: Device, frame: RenderedFrame) -> RenderedFrame:
     packed = frame.pack()
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
     buffers = (cl.Buffer(device.context, flags, hostbuf=array) for array in (packed.color, packed.depth, packed.motion))

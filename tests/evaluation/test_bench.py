@@ -16,6 +16,8 @@ from scn_models import constant_model
 from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation import bench as bench_module
 from gffe_cl.evaluation import benchmark_input, counting
+from gffe_cl.evaluation.table import methods
+from gffe_cl.evaluation.table.methods import LIBRARY, METHODS
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.opencl.device import open_device
@@ -52,7 +54,7 @@ def test_bench(gffe, tmp_path):
                 "misc",
             }
             assert parts | {"GAE"} == set(size["milliseconds"]) and size["bandwidth"] > 0 and size["memory"] > 0
-            total = sum(ms for name, ms in size["milliseconds"].items() if name != "GAE")
+            total = sum(ms for name, ms in size["milliseconds"].items() if name not in ("GAE", "misc"))
             assert size["milliseconds"]["GAE"] == pytest.approx(total)
             per_pixel = size["bytes_per_pixel"]["warp"] * size["width"] * size["height"]
             assert per_pixel == pytest.approx(size["milliseconds"]["warp"] * 1e6 * size["bandwidth"])
@@ -67,7 +69,7 @@ def test_bench_of_shading_correction(gffe, tmp_path):
         parts = one["sizes"][0]["milliseconds"]
         scn = [parts[f"SCN, {name}"] for name in ("trend", "inputs", "flow", "kernels", "network", "copies")]
         assert min(scn[:5]) > 0 and scn[5] >= 0 and parts["SCN"] == pytest.approx(sum(scn))
-        others = sum(ms for name, ms in parts.items() if name != "GAE" and not name.startswith("SCN"))
+        others = sum(ms for name, ms in parts.items() if name not in ("GAE", "misc") and not name.startswith("SCN"))
         assert parts["GAE"] == pytest.approx(others)
 
 
@@ -100,9 +102,45 @@ def test_bench_of_a_sequence(gffe, tmp_path, small_copies):
         assert 0 < size["memory_gae"] == size["memory"] == sum(size["memory_by_stage"].values()) + (2 * 12 + 8) * 13 * 9
 
 
+def test_bench_of_methods(gffe, tmp_path):
+    """On the same frames: gffe on every device, the rest on the host, all with figures; the first is the reference."""
+    options = ("--sizes", "64x48", "--repeats", 7, "--scn-model", constant_model(tmp_path / "m.onnx"))
+    code, text, _ = gffe("bench", "--methods", *options, "--json", tmp_path / "m.json")
+    assert code == 0 and "PSNR, dB, by region" in text
+    (report,) = json.loads((tmp_path / "m.json").read_text())["sizes"]
+    rows = {(row["method"], row["platform"]): row for row in report["methods"]}
+    assert (report["width"], report["height"], report["turns"]) == (64, 48, 12)  # whole rounds of the six new frames
+    assert len(rows) == len(report["methods"]) and sum(report["share"].values()) == pytest.approx(1, abs=1e-3)
+    first, repeat = report["methods"][0], rows["repeat", None]
+    assert first["method"] == "gffe" and first["ratio"] == 1 and repeat["milliseconds"] < first["milliseconds"]
+    assert {row["method"] for row in report["methods"]} | set(report["skipped"]) == {
+        *("gffe", "no-scn", "repeat"), *(name for name, method in METHODS.items() if method.group == LIBRARY)
+    }  # fmt: skip
+    for row in report["methods"]:
+        assert row["milliseconds"] >= 0 and (row["platform"] is None) == (row["method"] not in ("gffe", "no-scn"))
+        total = sum(share * 10 ** (-row["regions"][name] / 10) for name, share in report["share"].items() if share)
+        assert total == pytest.approx(10 ** (-row["psnr"] / 10), rel=0.01)  # regions are parts of the whole
+    same = [row["psnr"] for row in report["methods"] if row["method"] == "no-scn"]
+    assert np.ptp(same) < 0.01 and same[0] > repeat["psnr"]
+
+
+def test_bench_of_methods_on_a_sequence(gffe, tmp_path, monkeypatch):
+    """The same without the network, and without packages."""
+    monkeypatch.setattr(methods.importlib.util, "find_spec", lambda name: None)
+    assert gffe("render", "plaza", tmp_path / "in", "--size", "64x36", "--frames", 5, "--ground-truth")[0] == 0
+    options = ("--repeats", 1, "--no-scn", "--device", "cpu", "--json", tmp_path / "m.json")
+    code, text, _ = gffe("bench", tmp_path / "in", "--methods", *options)
+    assert code == 0 and "needs torch: pip install" in text
+    (report,) = json.loads((tmp_path / "m.json").read_text())["sizes"]
+    assert [row["method"] for row in report["methods"]] == ["gffe", "repeat"] and report["of"] == "in"
+
+
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
+        (("--methods", "--frame", 1), "--frame must be at least 2 with --methods"),
+        (("--methods", "--upscale", 2), "takes frames of the display's size"),
+        ((".", "--methods", "--sizes", "64x48"), "leave out --frame and --sizes"),
         (("nosuch",), "nosuch: no such folder"),
         (("--frame", 0), "--frame must be at least 1"),
         (("--traffic", "--lanes", 3), "--lanes must be 1, 8 or 1,8"),
@@ -293,4 +331,8 @@ def test_versions_are_compared(tmp_path):
     )
     assert child.returncode == 0 and "GAE" in child.stdout, child.stderr[-2000:]
     (one,) = json.loads((tmp_path / "c.json").read_text())["of"]
-    assert one["least"]["ratio"]["GAE"] > 0 and set(one["least"]["old"]) == set(one["least"]["new"])
+    assert one["ratio"]["GAE"] > 0 and set(one["old"]) == set(one["new"]) >= {"GAE", "wall time", "CPU time"}
+    script = [sys.executable, str(ROOT / "docs" / "tools" / "compare_clocks.py"), "--size", "64x48"]
+    child = subprocess.run([*script, "--turns", "1", "--pairs", "2"], capture_output=True, text=True, timeout=300)
+    names = [line.split("  ")[0] for line in child.stdout.splitlines()[2:]]
+    assert names == ["plain loop", "gffe bench", "compare_speed.py"], child.stderr[-2000:]

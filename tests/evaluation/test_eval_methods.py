@@ -11,9 +11,9 @@ from frame_models import network
 from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation.metrics import METRICS, RegionErrors
 from gffe_cl.evaluation.table import baselines, image_space, results, videos
-from gffe_cl.evaluation.table.datasets import Guide, Moment, Shot, turned
+from gffe_cl.evaluation.table.datasets import Footage, Guide, Moment, Shot, turned
 from gffe_cl.evaluation.table.flicker import Flicker
-from gffe_cl.evaluation.table.methods import chosen_methods
+from gffe_cl.evaluation.table.methods import METHODS, chosen_methods
 from gffe_cl.evaluation.table.network import OnnxModel, OnnxRunner
 from gffe_cl.evaluation.table.regions import REGIONS, exact_parts, labels_of, masks
 from gffe_cl.frame.camera import Camera
@@ -68,6 +68,35 @@ def test_motion_vectors_go_on_in_image_space():
     for k in range(3):
         linear.submit(shot(k, 2.0, 1.5))
     assert inner_error(linear.make(moment(0.5)), 2.5, 2.0, 1.5) > 0.02
+
+
+@pytest.mark.parametrize("name", [name for name, method in METHODS.items() if method.group == "library"])
+def test_library_methods_carry_the_motion_on(name):
+    """They beat repeating, which is off by a whole pixel; those that are given the motion by far."""
+    method = METHODS[name]
+    pytest.importorskip(method.package[0])
+    runner = method.make(Footage("waves", W, H, 30.0, 1.0))
+    for k in range(2):
+        runner.submit(shot(k, 2.0))
+    given = name.startswith(("remap", "torch"))
+    assert inner_error(runner.make(moment(0.5)), 1.5, 2.0) < (0.01 if given else 0.06)
+    assert inner_error(shot(1, 2.0).shown, 1.5, 2.0) > 0.08
+    assert runner.make(moment(0.5)).shape == (H, W, 3)
+
+
+def test_splat_keeps_what_is_nearer():
+    """The near half moves onto the far one; what it leaves keeps its color."""
+    torch_splat = METHODS["torch-splat"]
+    pytest.importorskip(torch_splat.package[0])
+    near = CENTRES[..., 0] < W / 2
+    color = np.where(near[..., None], np.float32((1, 0, 0)), np.float32((0, 1, 0)))
+    motion = np.where(near[..., None], np.float32((-8, 0)), np.float32(0))
+    frame = RenderedFrame(color, np.where(near, 1, 10).astype(np.float32), motion, CAMERA, 0.0, reset=True)
+    runner = torch_splat.make(Footage("halves", W, H, 30.0, 1.0))
+    runner.submit(Shot(frame, color, ()))
+    made = runner.make(moment(0.5))
+    assert np.allclose(made[:, : W // 2 + 4], (1, 0, 0), atol=1e-5)
+    assert np.allclose(made[:, W // 2 + 4 :], (0, 1, 0), atol=1e-5)
 
 
 def test_optical_flow_finds_the_motion():

@@ -35,7 +35,7 @@ class SceneSubject:
     """A built-in scene. `frames` rendered ones are followed by moments at `alphas` (intervals); or, with `turns`, by
     views at their own time from a camera that has turned by so many degrees (late warp). With `upscale` frames are
     rendered so many times smaller, each way, with jitter and one sample per pixel. With `turn_rate` the camera turns to
-    the right, by so many degrees per second, and back after half of the frames."""
+    the right, by so many degrees per second, and back after half of the frames. The first frame is number `start`."""
 
     scene: str
     seed: int
@@ -47,6 +47,7 @@ class SceneSubject:
     turns: tuple[float, ...] = ()
     upscale: float = 0.0
     turn_rate: float = 0.0
+    start: int = 0
     exact: ClassVar[bool] = True  # as of `Footage`
     windows: ClassVar[bool] = True
 
@@ -203,7 +204,7 @@ class _Scene(Footage):
             frames = SceneFrames(renderer, chooser_of(window, size, self._subject.alphas), size)
         reference = self._reference(window)
         before = None
-        for frame in frames.sequence(self._subject.frames + 1, self.fps):
+        for frame in frames.sequence(self._subject.frames + 1, self.fps, self._subject.start / self.fps):
             if before is not None:
                 shown, moments, moving = next(reference)
                 yield Shot(before, shown, moments, frame, moving)
@@ -214,12 +215,12 @@ class _Scene(Footage):
         if "off" in self._kept:
             yield from ((shot.shown, shot.moments, shot.moving) for shot in self._kept["off"])
             return
-        before = None
-        for k in range(self._subject.frames):
+        before, start = None, self._subject.start
+        for k in range(start, start + self._subject.frames):
             now = k / self.fps, self._scene.camera(k / self.fps, self.width, self.height)
             image = self._renderer.render(*now, *(before or now)).numpy()
             moving = moving_pixels(image.motion, image.depth, now[1], (before or now)[1])
-            times = self._times(k) if k >= NO_HISTORY else []
+            times = self._times(k) if k >= start + NO_HISTORY else []
             yield image.color, tuple(self._moment(*now, *at) for at in times), moving
             before = now
 

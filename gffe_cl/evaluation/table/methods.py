@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from gffe_cl.core.errors import GffeError, how_to_install
-from gffe_cl.evaluation.table import baselines
+from gffe_cl.evaluation.table import baselines, libraries
 from gffe_cl.evaluation.table.datasets import Footage, Moment, Shot, Subject
 from gffe_cl.evaluation.table.network import OnnxModel, OnnxRunner
 from gffe_cl.evaluation.table.pipelines import (
@@ -28,6 +28,7 @@ from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline.options import Options
 
 FULL = "gffe"
+LIBRARY = "library"
 GIVEN = "given"  # rendered frames as the sequence has them
 
 
@@ -49,7 +50,8 @@ class Method:
     ----------
     name, title : on the command line and in JSON; for people
     group : "gffe", "ablation", "deviation" (a deviation from the paper, switched to the paper's way), "filling"
-        (of holes, with more or fewer levels of background), "window", "upscaling" (done otherwise) or "baseline"
+        (of holes, with more or fewer levels of background), "window", "upscaling" (done otherwise), "baseline" or
+        "library" (a few calls of OpenCV or PyTorch)
     options : of the pipeline, if it is one
     window : what rendered frames it sees, as of `Footage.shots`
     camera : False: the pipeline predicts the camera of the new frame
@@ -119,6 +121,21 @@ def _filling(hole_filling: str, levels: int) -> Method:
     title = f"{hole_filling} holes, {levels} level{'s' * (levels != 1)} of background"
     options = {"hole_filling": hole_filling, "levels": levels, "shading_correction": False}
     return _gffe(f"{hole_filling}-{levels}", title, "filling", **options)
+
+
+def _library(name: str, title: str, package: str, extra: str, make: Callable[[Footage], Runner]) -> Method:
+    return Method(name, title, LIBRARY, package=(package, extra), make=make)
+
+
+def _flow(flow: str) -> Method:
+    name, title = ("farneback", "Farneback") if flow == "farneback" else (f"dis-{flow}", f"DIS {flow}")
+    title = f"optical flow ({title}), extrapolated by a bilinear remap"
+    return _library(name, title, "cv2", "opencv", lambda footage: libraries.RemappedFlow(flow, footage.exposure))
+
+
+def _remap(name: str, cubic: bool) -> Method:
+    title = f"motion vectors, {'cubic' if cubic else 'bilinear'} remap"
+    return _library(name, title, "cv2", "opencv", lambda footage: libraries.Remapped(cubic))
 
 
 def _window(name: str, title: str, mode: str) -> Method:
@@ -222,10 +239,14 @@ _ALL = (
         needs=frozenset({"following"}),
         make=lambda footage: baselines.Interpolation(),
     ),
+    _remap("remap-bilinear", cubic=False),
+    _remap("remap-cubic", cubic=True),
+    *map(_flow, libraries.FLOWS),
+    _library("torch-splat", "motion vectors, forward splat", "torch", "train", lambda footage: libraries.TorchSplat()),
 )
 METHODS: dict[str, Method] = {method.name: method for method in _ALL}
 GROUPS = tuple(dict.fromkeys(method.group for method in _ALL))
-_ON_REQUEST = ("filling", "window", "upscaling")  # groups: in the table only if they are named
+_ON_REQUEST = ("filling", "window", "upscaling", LIBRARY)  # groups: in the table only if they are named
 LATE_WARP = (FULL, "static-reprojection", "repeat")
 
 

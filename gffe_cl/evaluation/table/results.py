@@ -20,7 +20,16 @@ from gffe_cl.evaluation.table.regions import REGIONS
 from gffe_cl.evaluation.table.runner import Filled
 from gffe_cl.evaluation.table.videos import VIDEO_METRICS
 
-_PACKAGES = ("gffe-cl", "numpy", "pyopencl", "onnxruntime", "scikit-image", "flip-evaluator", "opencv-python-headless")
+_PACKAGES = (
+    "gffe-cl",
+    "numpy",
+    "pyopencl",
+    "onnxruntime",
+    "scikit-image",
+    "flip-evaluator",
+    "opencv-python-headless",
+    "torch",
+)
 
 # The paper's averages over its eight scenes: its tables 'Quantitative' and 'Ablation study'.
 PAPER = {
