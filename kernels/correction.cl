@@ -17,6 +17,7 @@
 #define SAID 6               /* outputs: change of colour (3), detail that is kept, likelihood of the focus mask, share of the trend */
 #define SLOPE 0.1f           /* of leaky rectifiers */
 #define DISOCCLUDED_BELOW 0.4f  /* mean input mask of four pixels, of which one is disoccluded and none dynamic: at most 0.375 */
+#define MARGIN 2.0f          /* how much farther than it changed light may go on */
 #define DOUBT 0.1f           /* the focus mask is 2 p - DOUBT */
 
 inline Floats leaky(const Floats x) { return wide_greater(x, SLOPE * x); }
@@ -59,6 +60,17 @@ inline void head_of(__global const float *head, const Floats *seen, Floats *said
     }
 }
 
+/* How `now`, moved from a place along the flow, differs from what is here, within MARGIN times what changed from the previous frame
+   to it here and there: texture is in both frames, so none of it moves along where light stays. */
+inline Floats moved_light(__global const float *frame_now, __global const float *frame_before, const Floats now,
+                          const Floats before, const Sample *along) {
+    const Floats there = sampled(frame_now, along), moved = there - now;
+    const Floats changed = MARGIN * (now - before), changed_there = MARGIN * (there - sampled(frame_before, along));
+    const Floats least = wide_lesser(wide_lesser(changed, changed_there), (Floats)(0.0f));
+    const Floats most = wide_greater(wide_greater(changed, changed_there), (Floats)(0.0f));
+    return wide_lesser(wide_greater(moved, least), most);
+}
+
 /* At half resolution: change of encoded colour (3), detail that is kept, focus mask. In disocclusions a change of light cannot be
    told from another surface: there nothing is changed. */
 WIDE __kernel void judge(const Frame frame, __global const float *frames, __global const float *trends,
@@ -78,11 +90,11 @@ WIDE __kernel void judge(const Frame frame, __global const float *frames, __glob
     Floats seen[SEEN], said[SAID];
     for (int c = 0; c < DETAIL; ++c) seen[c] = leaky(gather_floats(detail + 4 * c * quarter, detail_at));
     for (int c = 0; c < 3; ++c) {
-        const Floats now = load_floats(0, frames + c * plane + at);
-        seen[DETAIL + c] = sampled(frames + c * plane, &along) - now;
+        const Floats now = load_floats(0, frames + c * plane + at), before = load_floats(0, frames + (3 + c) * plane + at);
+        seen[DETAIL + c] = moved_light(frames + c * plane, frames + (3 + c) * plane, now, before, &along);
         seen[DETAIL + 3 + c] = load_floats(0, trends + c * plane + at) * lasts;
         seen[DETAIL + 6 + c] = now;
-        seen[DETAIL + 9 + c] = load_floats(0, frames + (3 + c) * plane + at);
+        seen[DETAIL + 9 + c] = before;
     }
     head_of(head, seen, said);
     const Floats number = (flow_x - flow_x) + (flow_y - flow_y);  /* 0; NaN where the flow is none */

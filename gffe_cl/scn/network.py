@@ -27,6 +27,7 @@ _CHANNELS = (16, 32, 48, 64)  # at 1/4 … 1/32 of the display
 _SEEN = 16  # channels of what is seen of the frames themselves, at a quarter
 _JUDGED = 4  # channels of the judgement before the detail
 _DOUBT = 0.1
+_MARGIN = 2.0  # how much farther than it changed light may go on
 _FLOW_UNIT = 4.0  # pixels of a quarter of the resolution
 _LITTLE = 1e-4  # squared change of encoded colour
 _SLOPE = 0.1  # of leaky rectifiers
@@ -89,9 +90,9 @@ class ShadingCorrectionNetwork(nn.Module):
     M = 2 p − 0.1 clamped to 0 … 1: nothing is touched where there is little to gain. There is no sigmoid: where the
     mask is wrong it would have no gradient.
 
-    Δ = (GAE frame moved along a flow − GAE frame) + g · trend, as far as it lasts, + δ; the flow is a mean of the one
-    that was found, α of it, and the network's own. In the pipeline all but `convolutions` are kernels:
-    kernels/shading_flow.cl, kernels/correction.cl.
+    Δ = `moved_light` + g · trend, as far as it lasts, + δ; the flow is a mean of the one that was found, α of it, and
+    the network's own. In the pipeline all but `convolutions` are kernels: kernels/shading_flow.cl,
+    kernels/correction.cl.
     """
 
     def __init__(self):
@@ -141,7 +142,7 @@ class ShadingCorrectionNetwork(nn.Module):
         own, follow, lasts, detail = judgement.split((2, 1, 1, JUDGEMENT_PLANES - _JUDGED), 1)
         own = _FLOW_UNIT * own
         flow = own + torch.sigmoid(follow) * (time * found - own)
-        moved = warp(now, 2.0 * double(flow)) - now
+        moved = moved_light(now, before, 2.0 * double(flow))
         trend = trends[:, :3] * double((held + lasts).clamp(0, 1))
         detail = functional.leaky_relu(functional.pixel_shuffle(detail, 2), _SLOPE)
         said = self.head(torch.cat((detail, moved, trend, now, before), 1)).float()
@@ -149,6 +150,18 @@ class ShadingCorrectionNetwork(nn.Module):
         keep, likely = torch.sigmoid(said[:, 3:4]), said[:, 4:5]
         correction = torch.cat((delta, keep, (2 * likely - _DOUBT).clamp(0, 1)), 1)
         return (correction, likely) if self.training else correction
+
+
+def moved_light(now: Tensor, before: Tensor, flow: Tensor) -> Tensor:
+    """(N, 3, h, w): how `now`, moved along `flow` (N, 2, h, w; pixels), differs from `now` itself, within twice what
+    changed from `before` to `now` here and where the flow leads: texture is in both frames, so none of it moves along
+    where light stays."""
+    there, before_there = warp(torch.cat((now, before), 1), flow).split(3, 1)
+    moved, changed, changed_there = there - now, _MARGIN * (now - before), _MARGIN * (there - before_there)
+    none = torch.zeros_like(moved)
+    least = torch.minimum(torch.minimum(changed, changed_there), none)
+    most = torch.maximum(torch.maximum(changed, changed_there), none)
+    return torch.minimum(torch.maximum(moved, least), most)
 
 
 def find_candidates(frames: Tensor, trends: Tensor, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:

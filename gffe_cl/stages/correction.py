@@ -32,7 +32,8 @@ class ShadingCorrection(Stage):
     """Corrects shading that moves otherwise than its surface: shadows, reflections.
 
     The network's convolutions judge candidates at a quarter of the resolution (`judgement`); kernels make the change of
-    encoded colour of it, Δ = (GAE frame moved along a flow − GAE frame) + g · trend + δ (`judge`). With e for the code
+    encoded colour of it, Δ = (GAE frame moved along a flow − GAE frame) + g · trend + δ (`judge`), the first of them
+    within twice what changed since t − 1. With e for the code
     of colour (`NetworkInput`), U for bilinear interpolation from half resolution, L for the encoded GAE colour there
     and g for it at full: refined = e⁻¹(U(L) + U(Δ) + U(keep) · (g − U(L))), final = GAE · (1 − U(M)) + refined · U(M)
     in linear colour.

@@ -169,6 +169,22 @@ def test_correction_follows_the_flow_that_was_found():
             assert (delta - expected)[..., 12:-12, 12:-12].abs().max() < 0.02
 
 
+def test_texture_does_not_move_along_a_flow():
+    """Only light does: a shadow's edge that moves over checkers; where no light changes, nothing does."""
+    ys, xs = torch.meshgrid(torch.arange(32.0), torch.arange(48.0), indexing="ij")
+    texture = (0.3 + 0.3 * ((xs // 3 + ys // 3) % 2)).expand(1, 3, 32, 48)
+
+    def lit(edge):
+        return texture + 0.2 * (xs > edge)
+
+    flow = torch.tensor([-4.0, 0.0]).view(1, 2, 1, 1).expand(1, 2, 32, 48)  # half of the way until t + 1
+    assert network.moved_light(texture, texture, flow).abs().max() == 0
+    moved = network.moved_light(lit(20.5), lit(12.5), flow)
+    assert moved[..., 25:].abs().max() == 0 and moved.max() == 0  # it becomes darker, if anything
+    assert (images.warp(texture, flow) - texture).abs().max() > 0.29  # which it would not without
+    assert moved.min() >= -0.4
+
+
 def test_training_begins_with_another_network_s_weights():
     """Also with those of one that has fewer inputs; what it does not have counts for nothing."""
     torch.manual_seed(1)

@@ -37,10 +37,12 @@ def judge(frames, trends, judgement, chosen, head):
     y, x = np.mgrid[:height, :width]
     detail = judgement[CORRECTION.JUDGED :].reshape(CORRECTION.DETAIL, 2, 2, height // 2, width // 2)
     detail = leaky(detail.transpose(0, 3, 1, 4, 2).reshape(CORRECTION.DETAIL, height, width))
-    now = frames[:3]
-    moved = np.stack([sampled(plane, x.astype(F) + flow_x, y.astype(F) + flow_y) - plane for plane in now])
+    now, before = frames[:3], frames[3:6]
+    there = np.stack([sampled(plane, x.astype(F) + flow_x, y.astype(F) + flow_y) for plane in frames[:6]])
+    changes = CORRECTION.MARGIN * np.stack([now - before, there[:3] - there[3:], np.zeros_like(now)])
+    moved = np.clip(there[:3] - now, changes.min(0), changes.max(0))
     trend = trends[:3] * lasts
-    seen = np.concatenate([detail, moved, trend, now, frames[3:6]])
+    seen = np.concatenate([detail, moved, trend, now, before])
     said = np.repeat(last, height * width).reshape(said_count, height, width)
     for k in range(hidden):
         total = np.full((height, width), bias[k])
