@@ -1,7 +1,8 @@
 /* Hierarchical background collection and projection (paper: 'Hierarchical Background Collection').
    Level l has ceil(W / 2^l) x ceil(H / 2^l) texels over the rendered image. A texel holds one fragment: its colour, its view
-   depth and its pixel position (not the texel's centre) in the camera of the frame for which the level was collected. SHOWN
-   texels are not stored: they are that frame's own pixels.
+   depth and its pixel position (not the texel's centre) in the camera of the frame for which the level was collected. What is
+   SHOWN is not stored: it is that frame's own pixel. So texels of level 0 have room for a second fragment: with a single level
+   they hold, at full resolution, what a static surface hides there, too. With more, as in the paper, the next level holds that.
    Stored positions are two 16-bit offsets from the texel's centre, x in the lower half, in PX_UNITS of the texel's side: that
    holds what TOUCHES it. Stored colours are RGB9E5.
    Fragments of B'_l that only meet the surface that they are of are skipped LANES at once, pixels and texels that hold nothing to
@@ -14,6 +15,7 @@
 #include "rgb9e5.h"
 #include "color_code.h"
 
+#define FROM_MEMORY 0x80000000u  /* of a texel's index: its REMEMBERED fragment is meant, not the SHOWN one */
 #define SAME_SURFACE 0.02f   /* relative depth within which two fragments may be of the same surface */
 
 #define PX_UNITS 32768.0f       /* of a stored position, per side of a texel */
@@ -44,20 +46,21 @@ typedef struct {
     int level, width;  /* of that level, or of the one that is read now */
 } Texels;
 
-inline float depth_of(const Texels t, const int texel) {
-    return t.state[texel] == SHOWN ? t.frame_depth[texel] : t.depth[texel];
+/* Of the SHOWN fragment of a texel, or of the REMEMBERED one. */
+inline float depth_of(const Texels t, const int texel, const bool shown) {
+    return shown ? t.frame_depth[texel] : t.depth[texel];
 }
 
 /* `texel` is at (x, y) of its level. */
-inline float2 px_of(const Texels t, const int texel, const int x, const int y) {
+inline float2 px_of(const Texels t, const int texel, const int x, const int y, const bool shown) {
     const float2 centre = pixel_centre(x, y) * (float)(1 << t.level);
-    if (t.state[texel] == SHOWN) return centre;
+    if (shown) return centre;
     const int packed = t.px[texel];
     return centre + (float2)((float)((packed << 16) >> 16), (float)(packed >> 16)) * ((float)(1 << t.level) / PX_UNITS);
 }
 
-inline float3 code_of(const Texels t, const int texel, const float code_offset) {
-    const float3 c = t.state[texel] == SHOWN ? load_color(t.frame_color, texel) : unpack_color(t.color[texel]);
+inline float3 code_of(const Texels t, const int texel, const bool shown, const float code_offset) {
+    const float3 c = shown ? load_color(t.frame_color, texel) : unpack_color(t.color[texel]);
     return encode_color(c, code_offset);
 }
 
@@ -109,12 +112,14 @@ inline bool lands(const float3 now, const int width, const int height) {
 }
 
 /* Offers a fragment of B'_level, where it lies now, to B_level if its texel is still empty (case 1: fill_keys), or to the next
-   level if it lies behind what B_level holds (case 2: push_keys). And to the empty texels that it touches, where every fragment
-   of their own goes before: without that, fragments that move by less than half a pixel per frame would never get past the
-   border of what the current frame shows, and fragments that met in one texel would leave a gap beside it. */
+   level if it lies behind what B_level holds (case 2: push_keys); of a single level its texel has room for that itself. And to
+   the texels with room that it touches, where every fragment of their own goes before: without that, fragments that move by less
+   than half a pixel per frame would never get past the border of what the current frame shows, and fragments that met in one
+   texel would leave a gap beside it. */
 INLINE void offer_fragment(const float3 now, const uint texel, const Collection to) {
     if (!lands(now, to.width, to.height)) return;
     const int level = to.level, level_width = level_side(to.width, level);
+    const bool single = to.last_level == 0;
     const float z = now.z;
     const int src_x = (int)now.x, src_y = (int)now.y;
     const int own = (src_y >> level) * level_width + (src_x >> level);
@@ -123,7 +128,7 @@ INLINE void offer_fragment(const float3 now, const uint texel, const Collection 
     int filled = -1;
     if (may_be_at(src_y * to.width + src_x, z, to.width, to.depth, to.dynamic_mask, to.links, &margin, &behind)
         && (level == 0 || behind)) {  /* else it is seen again: B_0 has it fresh */
-        if (to.taken[own] == EMPTY) {
+        if (to.taken[own] == EMPTY || (single && behind)) {
             offer(to.pass, to.fill_keys, to.fill_winners, own, z, texel);
             filled = own;
         } else if (level < to.last_level) {
@@ -141,10 +146,10 @@ INLINE void offer_fragment(const float3 now, const uint texel, const Collection 
         if (px_x < 0.0f || px_y < 0.0f || corner_x >= to.width || corner_y >= to.height) continue;
         const int cell = (corner_y >> level) * level_width + (corner_x >> level);
         const uint bits = as_uint(z) | GIVES_WAY;
-        if (cell == filled || (level == 0 && cell == own) || to.taken[cell] != EMPTY
+        if (cell == filled || (level == 0 && cell == own) || (to.taken[cell] != EMPTY && !single)
             || !may_win(to.pass, to.fill_keys, cell, bits)) continue;
         if (may_be_at(corner_y * to.width + corner_x, z, to.width, to.depth, to.dynamic_mask, to.links, &margin, &behind)
-            && (level == 0 || behind))
+            && (behind || (level == 0 && to.taken[cell] == EMPTY)))
             offer_bits(to.pass, to.fill_keys, to.fill_winners, cell, bits, texel);
     }
 }
@@ -224,40 +229,47 @@ WIDE __kernel void scatter_level(const Frame frame, const int level, const int p
     const int texel = texel_y * level_width + texel_x;
     const Collection to = {source_width, source_height, level, last_level, pass, depth, dynamic_mask, links, taken,
                            level_depth, fill_keys, push_keys, fill_winners, push_winners};
-    if (texel_x + LANES > level_width) {
+    const int count = min(LANES, level_width - texel_x);
+    if (count < LANES) {
         const Texels old = {0, 0, old_depth, frame_depth, old_px, old_state, level, level_width};
-        for (int k = 0; k < level_width - texel_x; ++k) {
-            if (old_state[texel + k] == EMPTY) continue;
-            const float2 px = px_of(old, texel + k, texel_x + k, texel_y);
-            offer_fragment(reproject(px, depth_of(old, texel + k), to_current), texel + k, to);
+        for (int k = 0; k < 2 * count; ++k) {
+            const int x = texel_x + k / 2, i = texel + k / 2;
+            const bool shown = !(k & 1);
+            if (!(old_state[i] & (shown ? SHOWN : REMEMBERED))) continue;
+            const float3 now = reproject(px_of(old, i, x, texel_y, shown), depth_of(old, i, shown), to_current);
+            offer_fragment(now, (uint)i | (shown ? 0u : FROM_MEMORY), to);
         }
         return;
     }
-    const Ints state = to_ints(load_bytes(0, old_state + texel)), remembered = state == REMEMBERED;
-    if (!ANY(state != EMPTY)) return;
+    const Ints state = to_ints(load_bytes(0, old_state + texel));
     const float side = (float)(1 << level);
-    Floats px_x = row_centres(texel_x) * side, px_y = (Floats)(((float)texel_y + 0.5f) * side);
-    Floats z = load_floats(0, frame_depth + texel);
-    if (ANY(remembered)) {
-        const Ints packed = remembered ? load_ints(0, old_px + texel) : (Ints)(0);
-        px_x += unpack_x(packed, level);
-        px_y += unpack_y(packed, level);
-        z = remembered ? load_floats(0, old_depth + texel) : z;
-    }
+    const Floats frame_z = load_floats(0, frame_depth + texel);
+    for (int which = SHOWN; which <= REMEMBERED; ++which) {
+        const Ints held = (state & which) != 0;
+        if (!ANY(held)) continue;
+        Floats px_x = row_centres(texel_x) * side, px_y = (Floats)(((float)texel_y + 0.5f) * side), z = frame_z;
+        if (which == REMEMBERED) {
+            const Ints packed = held ? load_ints(0, old_px + texel) : (Ints)(0);
+            px_x += unpack_x(packed, level);
+            px_y += unpack_y(packed, level);
+            z = held ? load_floats(0, old_depth + texel) : frame_z;
+        }
 #if LANES > 1
-    if (only_meet_surfaces(wide_reproject_roughly(px_x, px_y, z, to_current), to)) return;
+        if (only_meet_surfaces(wide_reproject_roughly(px_x, px_y, z, to_current), to)) continue;
 #endif
-    const Wide3 now = wide_reproject(px_x, px_y, z, to_current);
-    const Ints wanted = (state != EMPTY) & may_be_offered(now, to);
-    if (!ANY(wanted)) return;
-    float now_x[LANES], now_y[LANES], now_z[LANES];
-    int is_wanted[LANES];
-    store_floats(now.x, 0, now_x);
-    store_floats(now.y, 0, now_y);
-    store_floats(now.z, 0, now_z);
-    store_ints(wanted, 0, is_wanted);
-    for (int k = 0; k < LANES; ++k)
-        if (is_wanted[k]) offer_fragment((float3)(now_x[k], now_y[k], now_z[k]), texel + k, to);
+        const Wide3 now = wide_reproject(px_x, px_y, z, to_current);
+        const Ints wanted = held & may_be_offered(now, to);
+        if (!ANY(wanted)) continue;
+        float now_x[LANES], now_y[LANES], now_z[LANES];
+        int is_wanted[LANES];
+        store_floats(now.x, 0, now_x);
+        store_floats(now.y, 0, now_y);
+        store_floats(now.z, 0, now_z);
+        store_ints(wanted, 0, is_wanted);
+        const uint memory = which == REMEMBERED ? FROM_MEMORY : 0u;
+        for (int k = 0; k < LANES; ++k)
+            if (is_wanted[k]) offer_fragment((float3)(now_x[k], now_y[k], now_z[k]), (uint)(texel + k) | memory, to);
+    }
 }
 
 /* Texels to write. */
@@ -267,7 +279,11 @@ typedef struct {
     __global int *px;
     __global uchar *state;
     int level, width;
+    int single;  /* the only level: what is SHOWN leaves room */
 } Level;
+
+/* Whether texels have room for a remembered fragment. */
+inline bool has_room(const uchar state, const int single) { return state == EMPTY || (single && state == SHOWN); }
 
 /* Whether nobody was offered to any of LANES texels. */
 inline bool nobody_came(__global const Key *keys, __global const uint *winners, const int first) {
@@ -285,22 +301,25 @@ inline bool nobody_came(__global const Key *keys, __global const uint *winners, 
 }
 
 /* Puts the winners of `count` texels, at most LANES, from (x, y) on into them, fragments of an old level, and empties their
-   keys. Of a level that is `begun` what is not EMPTY stays; of others nothing. */
+   keys. Of a level that is `begun` what leaves no room stays; of others nothing. */
 INLINE void settle(const int first_x, const int texel_y, const int count, const bool begun, __global Key *keys,
                    __global uint *winners, const Texels old, const Reprojection to_current, const Level level) {
     const int first = texel_y * level.width + first_x;
-    if (begun && count == LANES && !ANY(to_ints(load_bytes(0, level.state + first)) == EMPTY)) return;
+    if (begun && !level.single && count == LANES && !ANY(to_ints(load_bytes(0, level.state + first)) == EMPTY)) return;
     if (count == LANES && nobody_came(keys, winners, first)) {
         if (!begun) store_bytes((Bytes)(EMPTY), 0, level.state + first);
         return;
     }
     uint winner[LANES];
-    int packed[LANES], color[LANES], is_shown[LANES], any_shown = 0;
+    int packed[LANES], color[LANES], is_won[LANES], is_shown[LANES], any_shown = 0;
     float z[LANES], r[LANES], g[LANES], b[LANES];
     for (int k = 0; k < count; ++k) {  /* loads before stores: those of lanes would wait for them */
-        winner[k] = begun && level.state[first + k] != EMPTY ? NOBODY : winner_of(keys, winners, first + k);
-        if (winner[k] == NOBODY) continue;
-        is_shown[k] = old.state[winner[k]] == SHOWN;
+        const bool open = !begun || has_room(level.state[first + k], level.single);
+        winner[k] = open ? winner_of(keys, winners, first + k) : NOBODY;
+        is_won[k] = winner[k] != NOBODY;
+        if (!is_won[k]) continue;
+        is_shown[k] = !(winner[k] & FROM_MEMORY);
+        winner[k] &= ~FROM_MEMORY;
         if (is_shown[k]) {
             const float3 shown = load_color(old.frame_color, winner[k]);
             r[k] = shown.x;
@@ -330,8 +349,9 @@ INLINE void settle(const int first_x, const int texel_y, const int count, const 
     }
     for (int k = 0; k < count; ++k) {
         const int texel = first + k;
-        if (winner[k] != NOBODY || !begun) level.state[texel] = winner[k] != NOBODY ? REMEMBERED : EMPTY;
-        if (winner[k] == NOBODY) continue;
+        const int before = begun ? level.state[texel] : EMPTY;
+        level.state[texel] = (uchar)(is_won[k] ? before | REMEMBERED : before);
+        if (!is_won[k]) continue;
         forget(keys, winners, texel);
         level.color[texel] = (uint)color[k];
         level.depth[texel] = z[k];
@@ -343,7 +363,7 @@ INLINE void settle(const int first_x, const int texel_y, const int count, const 
 INLINE void settle_run(const int x, const int y, const int collect, __global Key *keys, __global uint *winners,
                        const Texels old, const Reprojection to_current, const Level level) {
     const int width = level.width;
-    if (collect && x + RUN <= width && !run_has(level.state + y * width + x, EMPTY)) return;
+    if (collect && !level.single && x + RUN <= width && !run_has(level.state + y * width + x, EMPTY)) return;
     for (int k = 0; k < min(RUN, width - x); k += LANES)
         settle(x + k, y, min(LANES, width - x - k), collect != 0, keys, winners, old, to_current, level);
 }
@@ -360,7 +380,7 @@ SCAN __kernel void settle_level(const Frame frame, const int level, __global Key
     const int texel_x = get_global_id(0) * RUN, texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
     const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, level, level_width};
-    const Level own = {level_color, level_depth, level_px, level_state, level, level_width};
+    const Level own = {level_color, level_depth, level_px, level_state, level, level_width, frame.levels == 1};
     settle_run(texel_x, texel_y, collect, fill_keys, fill_winners, old, to_current, own);
 }
 
@@ -378,11 +398,11 @@ SCAN __kernel void settle_and_push(const Frame frame, const int level, __global 
     const int texel_x = get_global_id(0) * RUN, texel_y = get_global_id(1);
     if (texel_x >= level_width || texel_y >= level_height) return;
     const Texels old = {old_color, frame_color, old_depth, frame_depth, old_px, old_state, level, level_width};
-    const Level own = {level_color, level_depth, level_px, level_state, level, level_width};
+    const Level own = {level_color, level_depth, level_px, level_state, level, level_width, 0};
     settle_run(texel_x, texel_y, collect, fill_keys, fill_winners, old, to_current, own);
     if ((texel_x | texel_y) & 1) return;
     const int next_width = (level_width + 1) / 2, next_x = texel_x / 2;
-    const Level next = {next_color, next_depth, next_px, next_state, level + 1, next_width};
+    const Level next = {next_color, next_depth, next_px, next_state, level + 1, next_width, 0};
     settle(next_x, texel_y / 2, min(LANES, next_width - next_x), false, push_keys, push_winners, old, to_current, next);
 }
 
@@ -438,11 +458,11 @@ SCAN __kernel void project_levels(const Frame frame, const int pass, __global co
     const float2 zoom = frame.zoom;
     const Reprojection to_target = frame.to_target;
     const int first = get_global_id(0) * RUN;
-    if (first >= texels || !run_has(levels_state + first, REMEMBERED)) return;
+    if (first >= texels || !(run_has(levels_state + first, REMEMBERED) || run_has(levels_state + first, HIDES))) return;
     const int level = level_of(first, starts), start = start_of(level, starts), width = level_side(source_width, level);
     const float texel_size = (float)(1 << level);
     for (int texel = first; texel < first + RUN; texel += LANES) {
-        const Ints remembered = to_ints(load_bytes(0, levels_state + texel)) == REMEMBERED;
+        const Ints remembered = (to_ints(load_bytes(0, levels_state + texel)) & REMEMBERED) != 0;
         if (!ANY(remembered)) continue;
         Ints texel_x, texel_y;
         wide_column_and_row(LANE_NUMBERS + (texel - start), width, &texel_x, &texel_y);
@@ -484,6 +504,7 @@ INLINE float3 color_around(const int winner, const int texel_x, const int texel_
         const int taps_side = 2 * reach + 1, taps = taps_side * taps_side;
         for (int first = 0; first < taps; first += LANES) {
             int tap[LANES];
+            bool shown[LANES];
             float x[LANES], y[LANES], z[LANES], weight[LANES];
             for (int k = 0; k < LANES; ++k) {
                 const int dx = (first + k) % taps_side - reach, dy = (first + k) / taps_side - reach;
@@ -492,10 +513,12 @@ INLINE float3 color_around(const int winner, const int texel_x, const int texel_
                 x[k] = y[k] = 0.0f;
                 if (first + k >= taps || !inside(texel_x + dx, texel_y + dy, level_width, level_height)) continue;
                 const uchar state = texels.state[tap[k]];
-                if (state == EMPTY) continue;
-                const float z_tap = state == SHOWN ? texels.frame_depth[tap[k]] : texels.depth[tap[k]];
-                if (!is_same_surface(z_tap, z_winner, 2.0f * SAME_SURFACE * z_winner)) continue;
-                const float2 px = px_of(texels, tap[k], texel_x + dx, texel_y + dy);
+                const float margin = 2.0f * SAME_SURFACE * z_winner;
+                shown[k] = (state & SHOWN) && is_same_surface(texels.frame_depth[tap[k]], z_winner, margin);
+                if (!shown[k] && !(state & REMEMBERED)) continue;
+                const float z_tap = depth_of(texels, tap[k], shown[k]);
+                if (!is_same_surface(z_tap, z_winner, margin)) continue;
+                const float2 px = px_of(texels, tap[k], texel_x + dx, texel_y + dy, shown[k]);
                 x[k] = px.x;
                 y[k] = px.y;
                 z[k] = z_tap;
@@ -507,13 +530,13 @@ INLINE float3 color_around(const int winner, const int texel_x, const int texel_
             store_floats(counts ? wx * wy : (Floats)(0.0f), 0, weight);
             for (int k = 0; k < LANES; ++k) {
                 if (!(weight[k] > 0.0f)) continue;
-                sum += weight[k] * code_of(texels, tap[k], frame->code_offset);
+                sum += weight[k] * code_of(texels, tap[k], shown[k], frame->code_offset);
                 weight_sum += weight[k];
             }
         }
         if (weight_sum >= ENOUGH_WEIGHT) break;
     }
-    return weight_sum > 0.01f ? mean_of(sum, weight_sum) : code_of(texels, winner, frame->code_offset);
+    return weight_sum > 0.01f ? mean_of(sum, weight_sum) : code_of(texels, winner, false, frame->code_offset);
 }
 
 /* The frame before: of its pixels those that are SHOWN hold their own surface's colour only. */
@@ -531,7 +554,7 @@ INLINE bool shown_before(const float2 centre, const float z, const Before before
     const float3 px_prev = reproject(centre, z, before.to_previous);
     if (!(px_prev.z > 0.0f && px_prev.x >= 0.5f && px_prev.y >= 0.5f && px_prev.x < (float)before.width - 0.5f
           && px_prev.y < (float)before.height - 0.5f)
-        || before.state[(int)px_prev.y * before.width + (int)px_prev.x] != SHOWN) return false;
+        || !(before.state[(int)px_prev.y * before.width + (int)px_prev.x] & SHOWN)) return false;
     const int x0 = (int)(px_prev.x - 0.5f), y0 = (int)(px_prev.y - 0.5f);
     const float u = px_prev.x - 0.5f - (float)x0, v = px_prev.y - 0.5f - (float)y0;
     float3 sum = (float3)(0.0f);
@@ -580,7 +603,7 @@ SCAN __kernel void fill_from_levels(const Frame frame, __global const half *colo
         const Texels texels = {levels_color, frame_color, levels_depth, frame_depth, levels_px, levels_state, level, width};
         const float z_winner = levels_depth[winner];
         const float2 centre = pixel_centre(dst_x, dst_y);
-        const float nearest_z = reproject(px_of(texels, winner, texel_x, texel_y), z_winner, to_target).z;
+        const float nearest_z = reproject(px_of(texels, winner, texel_x, texel_y, false), z_winner, to_target).z;
         const float3 px_source = reproject(centre, nearest_z, to_source);
         if (!lands(px_source, source_width, source_height)) continue;  /* out of screen: only the footprint reaches there */
         const float nearer = isinf(nearest_z) ? 1.0f : divide(z_winner, nearest_z);

@@ -159,8 +159,8 @@ typedef struct {
 
 /* links: which of the four neighbours belong to the same surface and are equally static or dynamic. To `collect`: texels are
    SHOWN where depth is valid and no pixel within GROW is dynamic or nearer; the others are EMPTY, and nobody is offered to them,
-   nor to level 1. */
-INLINE void find(const Place p, const int collect, __global uchar *links, const Collecting to) {
+   nor to level 1; of a `single` level to none. */
+INLINE void find(const Place p, const int collect, const bool single, __global uchar *links, const Collecting to) {
     const Floats z = depth_beside(p, 0, 0);
     Floats nearest;
     const bool still = look_around(p, &nearest);
@@ -173,11 +173,11 @@ INLINE void find(const Place p, const int collect, __global uchar *links, const 
     store_some_bytes(to_bytes(linked), count, links + i);
     if (!collect) return;
     store_some_bytes(to_bytes(clean ? (Ints)(SHOWN) : (Ints)(EMPTY)), count, to.state + i);
-    if (!((p.x | p.y) & 1)) {
+    if (!single && !((p.x | p.y) & 1)) {
         const int level_width = (p.width + 1) / 2, first = p.y / 2 * level_width + p.x / 2;
         for (int k = 0; k < (min(count, LANES) + 1) / 2; ++k) forget(to.push_keys, to.push_winners, first + k);
     }
-    if (ALL(clean)) return;
+    if (!single && ALL(clean)) return;
     for (int k = 0; k < min(count, LANES); ++k) forget(to.fill_keys, to.fill_winners, i + k);
 }
 
@@ -193,9 +193,9 @@ WIDE __kernel void find_links(const Frame frame, __global const float *depth, __
     const Collecting to = {state, fill_keys, fill_winners, push_keys, push_winners};
     if (inner) {
         p.inner = true;
-        find(p, collect, links, to);
+        find(p, collect, frame.levels == 1, links, to);
     } else {
         p.inner = false;
-        find(p, collect, links, to);
+        find(p, collect, frame.levels == 1, links, to);
     }
 }

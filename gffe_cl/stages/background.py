@@ -16,16 +16,17 @@ from gffe_cl.stages.pixel_formats import OFFSET, RGB9E5
 from gffe_cl.stages.warp import DISOCCLUDED, MIXED
 
 _CONSTANTS = constants("background.cl")
-REMEMBERED, SHOWN = _CONSTANTS["REMEMBERED"], _CONSTANTS["SHOWN"]
+REMEMBERED, SHOWN, HIDES = (_CONSTANTS[name] for name in ("REMEMBERED", "SHOWN", "HIDES"))
 STATES = (
     (_CONSTANTS["EMPTY"], "empty"),
     (SHOWN, "shown by the current frame"),
     (REMEMBERED, "remembered"),
+    (HIDES, "shown by the current frame, and remembered behind that"),
 )
 
 
-REMEMBERED_TEXELS = share_of("remembered", "background.state_0", lambda state: state == REMEMBERED)
-NOT_SHOWN = share_of("not shown", "background.state_0", lambda state: state != SHOWN)
+REMEMBERED_TEXELS = share_of("remembered", "background.state_0", lambda state: state & REMEMBERED != 0)
+NOT_SHOWN = share_of("not shown", "background.state_0", lambda state: state & SHOWN == 0)
 HOLES = Share("holes", lambda board: DISOCCLUDED.count(board) + MIXED.count(board))  # that the background may fill
 
 _KEY_MEMORY = ("key_memory", "winner_memory")  # of even levels
