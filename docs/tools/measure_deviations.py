@@ -94,7 +94,7 @@ GAE: dict[str, Change] = {
     "nothing is collected after a reset": Change(
         edits={
             "connectivity.cl": {"if (!collect) return;": ""},
-            "background.cl": {"if (collect && x + RUN": "if (x + RUN", "collect != 0, keys": "true, keys"},
+            "background.cl": {"if (collect && !level.single": "if (!level.single", "collect != 0, keys": "true, keys"},
         }
     ),
     "nothing is collected beside movers and nearer surfaces": Change(constants={"connectivity.cl": {"GROW": "0"}}),
@@ -107,6 +107,7 @@ GAE: dict[str, Change] = {
             }
         },
     ),
+    "a single level of background, at full resolution": Change({"levels": 2}),
     "background texels cover what they map to": Change(constants={"background.cl": {"FOOTPRINT_HALF": "0.0f"}}),
     "what the frame before showed is taken from there": Change(
         edits={"background.cl": {"!has_previous || !shown_before": "true || !shown_before"}}
@@ -125,7 +126,6 @@ PAPER = CAMERA_FIXED
 for change in GAE.values():
     PAPER |= change
 CHOICES: dict[str, tuple[Change, str]] = {
-    "background of two levels": (Change({"levels": 1}), "one level"),
     "linear prediction": (Change({"history": 3, "order": 2}), "quadratic prediction"),
     "camera of the frame known": (Change(camera=False), "camera predicted"),
 }

@@ -174,8 +174,8 @@ class Options:
         " are the background's.", flag="--no-hidden-parts", needs="motion",
     )  # fmt: skip
     levels: int = _option(
-        1, "background levels", "L: a single level holds what anything hides, at full resolution. Of several, as in the paper,"
-        " level 0 holds what moving objects hide, deeper ones, each at half the resolution, what static surfaces do.",
+        1, "background levels", "L: a single level holds what anything hides, at full resolution. Of several, as in the"
+        " paper, level 0 holds what moving objects hide, others, at half the resolution each, what static ones do.",
         low=0, high=MAX_LEVELS, off=0, off_label="background collection",
         off_sentence="Static surfaces that are hidden now, remembered in levels.", flag="--background-levels",
         off_flag="--no-background",

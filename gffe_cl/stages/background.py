@@ -27,6 +27,8 @@ STATES = (
 
 REMEMBERED_TEXELS = share_of("remembered", "background.state_0", lambda state: state & REMEMBERED != 0)
 NOT_SHOWN = share_of("not shown", "background.state_0", lambda state: state & SHOWN == 0)
+OPEN = Share("open", lambda board: 1.0 if board.options.levels == 1 else NOT_SHOWN.count(board))  # to be offered to
+PUSHED = Share("pushed", lambda board: float(board.options.levels > 1))  # whether there is a next level
 HOLES = Share("holes", lambda board: DISOCCLUDED.count(board) + MIXED.count(board))  # that the background may fill
 
 _KEY_MEMORY = ("key_memory", "winner_memory")  # of even levels
@@ -62,7 +64,7 @@ _SETTLING = (
         "frame_depth": Access("previous.depth", REMEMBERED_TEXELS),
     }
     | _level("state")
-    | _keys("fill", NOT_SHOWN)
+    | _keys("fill", OPEN)
     | _old("color depth px state")
 )
 _PUSHED = (
@@ -145,6 +147,8 @@ class Background(NearestStage):
     def __init__(self, board: Board):
         self.levels = board.options.levels
         self.starts = level_starts(board.sizes.source, self.levels)
+        if self.levels == 1:  # nothing is pushed
+            self.kernels = tuple(kernel for kernel in self.kernels if kernel.name != "settle_and_push")
         all_levels = [_all_levels(spec, self.levels) for spec in _level_buffers(0)]
         state = all_levels.pop()  # must last: what lies between two levels is EMPTY
         even = self.keys(board, "even_", "source")

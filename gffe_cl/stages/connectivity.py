@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.stages.background import NOT_SHOWN, Background
+from gffe_cl.stages.background import OPEN, PUSHED, Background
 from gffe_cl.stages.base import Access, Board, Kernel, NearestStage, Step
 from gffe_cl.stages.buffers import BufferSpec
 
 _COLLECTING = {
     "state": Access("background.state_0"),
-    "fill_keys": Access("background.even_keys", NOT_SHOWN),
-    "fill_winners": Access("background.even_winners", NOT_SHOWN),
-    "push_keys": Access("background.odd_keys"),
-    "push_winners": Access("background.odd_winners"),
+    "fill_keys": Access("background.even_keys", OPEN),
+    "fill_winners": Access("background.even_winners", OPEN),
+    "push_keys": Access("background.odd_keys", PUSHED),
+    "push_winners": Access("background.odd_winners", PUSHED),
 }
 
 

@@ -92,7 +92,7 @@ def _levels(pipeline, frame):
     of_frame = twins.collect_shown(frame.color, frame.depth, np.zeros_like(shown), True)
     for name in ("color", "depth", "px"):
         levels[0][name][shown] = of_frame[name][shown]
-    return levels
+    return [levels[0] | {"shown": of_frame}, *levels[1:]]
 
 
 CASES = [((61, 37), None), ((48, 33), (64, 48)), ((64, 48), (40, 31))]
@@ -185,6 +185,7 @@ def test_stages_equal_their_twins(device, options, size, target, monkeypatch):
             for name in ("color", "depth", "px"):
                 assert_close(got_level[name][kept], expected[name][kept])
         assert (levels[0]["state"] == twins.REMEMBERED).any()
+        assert (levels[0]["state"] == twins.HIDES).any() == (options.levels == 1)
         before = (past.color, past.depth, twins.unmixed(past.depth, dynamic_before), reprojection(to, past.camera))
         warped |= twins.project_background(warped, _levels(pipeline, now), zoom, to_target, to_source, before)
         assert np.isin(warped["filled_by"], range(1, options.levels + 1)).any()
@@ -195,7 +196,7 @@ def test_stages_equal_their_twins(device, options, size, target, monkeypatch):
     if options.levels and options.hole_filling == "far-side":
         mixed = twins.mix_far_side(warped)
         changed = np.abs(twins.load_color(mixed) - twins.load_color(warped["color"])).max()
-        assert changed > 1e-3 or size == CASES[0][0]  # there the background fills only pixels of mixed colour
+        assert changed > 5e-4 or size == CASES[0][0]  # there the background fills only pixels of mixed colour
         warped |= {"color": mixed}
     sums = (None, None)
     if options.hole_filling != "push-pull":

@@ -7,7 +7,7 @@ One module per stage.
 """
 
 from twins.acceleration import track_acceleration
-from twins.background import REMEMBERED, SHOWN, collect_levels, collect_shown, project_background
+from twins.background import HIDES, REMEMBERED, SHOWN, collect_levels, collect_shown, project_background
 from twins.common import COMMON, centres
 from twins.composition import compose
 from twins.correction import choose_flow, correct, judge
@@ -25,6 +25,7 @@ from twins.warp import block_classes, link_surfaces, load_color, resolve, smooth
 __all__ = [
     "COMMON",
     "EXACT",
+    "HIDES",
     "REMEMBERED",
     "SHOWN",
     "asked_texels",

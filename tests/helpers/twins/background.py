@@ -7,7 +7,7 @@ from twins.holes import is_outside, static_motion
 from twins.warp import _STEPS, _shifted, load_code, load_color, unmixed
 
 BACKGROUND = kernel_constants("background.cl")
-EMPTY_TEXEL, SHOWN, REMEMBERED = BACKGROUND.EMPTY, BACKGROUND.SHOWN, BACKGROUND.REMEMBERED
+EMPTY_TEXEL, SHOWN, REMEMBERED, HIDES = BACKGROUND.EMPTY, BACKGROUND.SHOWN, BACKGROUND.REMEMBERED, BACKGROUND.HIDES
 
 
 def collect_shown(color, depth, dynamic, collect):
@@ -52,11 +52,22 @@ def _slopes(depth, links):
     return np.where(np.isinf(depth), F(0), most)
 
 
+def _fragments(level):
+    """px, depth, color and presence of all that a level holds, flat: what is shown first."""
+    shown = level.get("shown", level)
+    present = [(level["state"] & bit).reshape(-1) > 0 for bit in (SHOWN, REMEMBERED)]
+    return [
+        np.concatenate([part[name].reshape(present[0].size, -1) for part in (shown, level)])
+        for name in ("px", "depth", "color")
+    ] + [np.concatenate(present)]
+
+
 def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
-    """All levels of a rendered frame from those of the frame before (lists of dicts) and `level0`, its
-    `collect_shown`. Ties and order as in the kernels."""
+    """All levels of a rendered frame from those of the frame before (lists of dicts; "shown" of level 0 is its
+    `collect_shown`) and `level0`, its `collect_shown`. Ties and order as in the kernels."""
     height, width = depth.shape
     count = len(levels_before)
+    single = count == 1
     slopes = _slopes(depth, links)
 
     def may_be_at(sy, sx, z):
@@ -72,19 +83,20 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
     def offer(best, cell, z, i):
         best[cell] = min(best.get(cell, (INF, 1 << 40)), (z, i))
 
-    def settle(best, level, before, now):
+    def settle(best, level, color, now):
         into = levels[level]
         for cell, (z, i) in best.items():
-            into["state"][cell], into["depth"][cell] = REMEMBERED, z
+            into["state"][cell], into["depth"][cell] = into["state"][cell] | REMEMBERED, z
             into["px"][cell] = as_offset(now[i, :2], cell, level)
-            into["color"][cell] = as_rgb9e5(before["color"].reshape(-1, 4)[i])
+            into["color"][cell] = as_rgb9e5(color[i])
 
     levels = [{name: array.copy() for name, array in level0.items()}]
     for level, before in enumerate(levels_before):
-        now = reproject(before["px"].reshape(-1, 2), before["depth"].reshape(-1), to_current)
+        px, depth_before, color, present = _fragments(before)
+        now = reproject(px, depth_before[:, 0], to_current)
         x, y, z = now.T
         inside = (z > 0) & (x >= 0) & (x < width) & (y >= 0) & (y < height)
-        fragments = np.flatnonzero((before["state"].reshape(-1) != EMPTY_TEXEL) & inside)
+        fragments = np.flatnonzero(present & inside)
         if level + 1 < count:
             levels.append({name: np.zeros_like(a) for name, a in levels_before[level + 1].items()})
         current = levels[level]
@@ -95,27 +107,30 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
             if not allowed or (level > 0 and not behind):
                 continue
             cell = (sy >> level, sx >> level)
-            if current["state"][cell] == EMPTY_TEXEL:
+            if current["state"][cell] == EMPTY_TEXEL or (single and behind):
                 offer(fill, cell, z[i], i)
             elif level + 1 < count:
                 base = current["depth"][cell]
                 level_margin = margin if level == 0 else F(2) * BACKGROUND.SAME_SURFACE * base
                 if not np.isinf(base) if np.isinf(z[i]) else z[i] > base + level_margin:
                     offer(push, (sy >> (level + 1), sx >> (level + 1)), z[i], i)
-        settle(fill, level, before, now)
+        settle(fill, level, color, now)
         if push:
-            settle(push, level + 1, before, now)
+            settle(push, level + 1, color, now)
         reach = F(0.499) * F(1 << level)
         for i in fragments:
             for dx, dy in ((-reach, -reach), (reach, -reach), (-reach, reach), (reach, reach)):
                 sx, sy = int(np.floor(x[i] + dx)), int(np.floor(y[i] + dy))
                 cell = (sy >> level, sx >> level)
-                if not (0 <= sx < width and 0 <= sy < height) or current["state"][cell] != EMPTY_TEXEL:
+                if not (0 <= sx < width and 0 <= sy < height):
+                    continue
+                empty = current["state"][cell] == EMPTY_TEXEL
+                if not empty and not (single and current["state"][cell] == SHOWN):
                     continue
                 allowed, _, behind = may_be_at(sy, sx, z[i])
-                if allowed and (level == 0 or behind):
+                if allowed and (behind or (level == 0 and empty)):
                     offer(touched, cell, z[i], i)
-        settle(touched, level, before, now)
+        settle(touched, level, color, now)
     return levels
 
 
@@ -139,16 +154,18 @@ def shown_before(px, z, color_prev, depth_prev, unmixed_prev, to_previous):
 
 
 def project_background(warped, levels, zoom, to_target, to_source, before):
-    """color, depth, motion and filled_by of the warped frame after background projection; `before`: the arguments of
-    `shown_before` from color_prev on."""
+    """color, depth, motion and filled_by of the warped frame after background projection; levels as for
+    `collect_levels`; `before`: the arguments of `shown_before` from color_prev on."""
     out = {name: warped[name].copy() for name in ("color", "depth", "motion", "filled_by")}
     height, width = warped["depth"].shape
     holes = warped["disoccluded"] > 0
     best: dict = {}
     there = [reproject(level["px"], level["depth"], to_target) for level in levels]
+    current = levels[0]["shown"]
+    there_shown = reproject(current["px"], current["depth"], to_target)
     for number, level in enumerate(levels):
         wide = level["depth"].shape[1]
-        for ty, tx in np.argwhere(level["state"] == REMEMBERED):
+        for ty, tx in np.argwhere(level["state"] & REMEMBERED):
             x, y, z = there[number][ty, tx]
             reach = BACKGROUND.REACH
             if not (z > 0 and -reach < x < width + reach and -reach < y < height + reach):
@@ -166,6 +183,9 @@ def project_background(warped, levels, zoom, to_target, to_source, before):
                     best[cell] = min(best.get(cell, (INF, 99, 0)), key)
     px = centres(height, width)
 
+    def of_one_surface(d, winner):
+        return np.isinf(d) if np.isinf(winner) else abs(d - winner) <= F(2) * BACKGROUND.SAME_SURFACE * winner
+
     for (y, x), (z, number, i) in best.items():
         if warped["filled_by"][y, x] == COMMON.BY_HIDDEN_PART:
             continue
@@ -182,16 +202,18 @@ def project_background(warped, levels, zoom, to_target, to_source, before):
             total, weights = np.zeros(3, F), F(0)
             for ny in range(max(ty - reach, 0), min(ty + reach + 1, level_height)):
                 for nx in range(max(tx - reach, 0), min(tx + reach + 1, level_width)):
-                    d = level["depth"][ny, nx]
-                    alike = (
-                        np.isinf(d) if np.isinf(winner) else abs(d - winner) <= F(2) * BACKGROUND.SAME_SURFACE * winner
-                    )
-                    at = there[number][ny, nx]
-                    if level["state"][ny, nx] == EMPTY_TEXEL or not alike or not at[2] > 0:
+                    state = level["state"][ny, nx]
+                    if state & SHOWN and of_one_surface(current["depth"][ny, nx], winner):
+                        at, tap = there_shown[ny, nx], current["color"][ny, nx]
+                    elif state & REMEMBERED and of_one_surface(level["depth"][ny, nx], winner):
+                        at, tap = there[number][ny, nx], level["color"][ny, nx]
+                    else:
+                        continue
+                    if not at[2] > 0:
                         continue
                     wx, wy = (F(1) - abs(at[k] - px[y, x, k]) * (F(1) / (sides[k] * F(reach))) for k in range(2))
                     if wx > 0 and wy > 0:
-                        total = total + wx * wy * load_code(level["color"][ny, nx])
+                        total = total + wx * wy * load_code(tap)
                         weights = weights + wx * wy
             if weights >= BACKGROUND.ENOUGH_WEIGHT:
                 break
