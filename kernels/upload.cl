@@ -1,22 +1,35 @@
-/* Colors from the host as other kernels take them, and counts of bad pixels. A work-item has LANES columns of ROWS rows, and counts
-   in each column. */
+/* Frames from the host as other kernels take them, and counts of bad pixels. The host's arrays begin at value `start` of the given
+   buffers. A work-item has a run of RUN_PIXELS * LANES pixels of a row: on CPUs consecutive ones, on GPUs those that lie as far apart
+   as there are runs, so that neighbors load neighbors. */
 
 #include "frame.h"
 #include "simd_rgb.h"
 
-#define ROWS 64  /* a byte holds the count of a column */
+#define RUN_PIXELS 31  /* for each lane: a byte holds the count of 8 lanes */
 
-/* The columns of a work-item: their first pixel, the row after their last, how many there are, and where their counts are. */
-typedef struct { int x, y, end, count, place, plane; } Columns;
+/* How many runs a row of `width` pixels has, for a single lane. */
+inline int runs_of(const int width) { return (width + RUN_PIXELS - 1) / RUN_PIXELS; }
 
-inline void find_columns(const Frame frame, Columns *c) {
-    const int width = frame.source_width, height = frame.source_height;
-    c->x = get_global_id(0) * LANES;
-    c->y = get_global_id(1) * ROWS;
-    c->end = min(c->y + ROWS, height);
-    c->count = c->y < height ? width - c->x : 0;
-    c->place = (int)get_global_id(1) * width + c->x;
-    c->plane = width * ((height + ROWS - 1) / ROWS);
+/* Pixel k * LANES of the run of this work-item, in its row. */
+inline int run_x(const int width, const int k) {
+    const int run = get_global_id(0);
+    return LANES > 1 ? (run * RUN_PIXELS + k) * LANES : run + k * runs_of(width);
+}
+
+/* Of the first `count` lanes, those for which a condition holds. */
+inline int lanes_where(const Ints condition, const int count) {
+    int number = 0;
+    uchar lanes[LANES];
+    store_bytes(to_bytes(condition ? (Ints)(1) : (Ints)(0)), 0, lanes);
+    for (int k = 0; k < min(count, LANES); ++k) number += lanes[k];
+    return number;
+}
+
+/* Counts of this work-item, into two planes of a texel for each run. */
+inline void store_counts(const int width, const int height, const int first, const int second, __global uchar *counts) {
+    const int runs = runs_of(width), place = get_global_id(1) * runs + get_global_id(0) * LANES;
+    counts[place] = first;
+    counts[runs * height + place] = second;
 }
 
 /* Values of the host's array, which holds halves or floats. */
@@ -25,8 +38,14 @@ INLINE float given_value(__global const float *given, const bool halves, const i
 }
 
 #if LANES == 8
-INLINE float8 given_8(__global const float *given, const bool halves, const int i) {
-    return halves ? vload_half8(0, (__global const half *)given + i) : vload8(0, given + i);
+INLINE float4 given_4(__global const float *given, const bool halves, const int i) {
+    return halves ? vload_half4(0, (__global const half *)given + i) : vload4(0, given + i);
+}
+
+/* Four texels with 0 in their fourth channels. */
+INLINE float16 rgb_of(const float16 texels) {
+    const int4 rgb = (int4)(-1, -1, -1, 0);
+    return as_float16(as_int16(texels) & (int16)(rgb, rgb, rgb, rgb));
 }
 
 INLINE float16 given_16(__global const float *given, const bool halves, const int i) {
@@ -38,17 +57,16 @@ INLINE float16 given_16(__global const float *given, const bool halves, const in
 INLINE void load_given(__global const float *given, const bool halves, const int channels, const int i, const int count, Strip *s) {
 #if LANES == 8
     if (count >= LANES && channels == 4) {
-        for (int part = 0; part < PARTS; ++part) {
-            s->part[part] = given_16(given, halves, 4 * i + 16 * part);
-            s->part[part].s37bf = 0.0f;
-        }
+        s->part[0] = rgb_of(given_16(given, halves, 4 * i));
+        s->part[1] = rgb_of(given_16(given, halves, 4 * i + 16));
         return;
     }
-    if (count >= LANES) {
-        const float16 a = given_16(given, halves, 3 * i);
-        const float8 b = given_8(given, halves, 3 * i + 16);
-        s->part[0] = (float16)(a.s012, 0.0f, a.s345, 0.0f, a.s678, 0.0f, a.s9ab, 0.0f);
-        s->part[1] = (float16)(a.scde, 0.0f, a.sf, b.s01, 0.0f, b.s234, 0.0f, b.s567, 0.0f);
+    if (count >= LANES) {  /* with the first value of the next pixel, but for the last one */
+        const float4 a = given_4(given, halves, 3 * i), b = given_4(given, halves, 3 * i + 3), c = given_4(given, halves, 3 * i + 6),
+                     d = given_4(given, halves, 3 * i + 9), e = given_4(given, halves, 3 * i + 12), f = given_4(given, halves, 3 * i + 15),
+                     g = given_4(given, halves, 3 * i + 18), h = given_4(given, halves, 3 * i + 20).yzww;
+        s->part[0] = rgb_of((float16)(a, b, c, d));
+        s->part[1] = rgb_of((float16)(e, f, g, h));
         return;
     }
 #endif
@@ -64,15 +82,14 @@ INLINE void load_given(__global const float *given, const bool halves, const int
 /* NaN counts as 0; infinities and what half does not hold are clamped. */
 INLINE void take(const Frame frame, __global const float *given, const bool halves, const int channels, __global half *color,
                  __global uchar *bad_pixels) {
-    Columns columns;
-    find_columns(frame, &columns);
-    if (columns.count <= 0) return;
-    const Ints none = 0, one = 1;
-    Ints infinite = none, clamped = none;
-    for (int y = columns.y; y < columns.end; ++y) {
-        const int i = y * frame.source_width + columns.x;
+    const int width = frame.source_width, height = frame.source_height, y = get_global_id(1);
+    if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
+    int infinite = 0, clamped = 0;
+    for (int k = 0; k < RUN_PIXELS; ++k) {
+        const int x = run_x(width, k), count = width - x, i = y * width + x;
+        if (count <= 0) break;
         Strip s;
-        load_given(given, halves, channels, i, columns.count, &s);
+        load_given(given, halves, channels, i, count, &s);
         bool good = true;
         for (int part = 0; part < PARTS; ++part) good &= ALL_TEXELS(fabs(s.part[part]) <= COLOR_MAX);
         if (!good) {
@@ -80,41 +97,43 @@ INLINE void take(const Frame frame, __global const float *given, const bool halv
             channels_of(&s, rgba);
             const Ints r = isfinite(rgba[0]), g = isfinite(rgba[1]), b = isfinite(rgba[2]);
             const Ints over = (r & (fabs(rgba[0]) > COLOR_MAX)) | (g & (fabs(rgba[1]) > COLOR_MAX)) | (b & (fabs(rgba[2]) > COLOR_MAX));
-            infinite += (r & g & b) ? none : one;
-            clamped += over ? one : none;
+            infinite += min(count, LANES) - lanes_where(r & g & b, count);
+            clamped += lanes_where(over, count);
             for (int part = 0; part < PARTS; ++part) s.part[part] = finite_texels(s.part[part]);
         }
-        store_strip(s, columns.count, color + 4 * i);
+        store_strip(s, count, color + 4 * i);
     }
-    store_some_bytes(to_bytes(infinite), columns.count, bad_pixels + columns.place);
-    store_some_bytes(to_bytes(clamped), columns.count, bad_pixels + columns.plane + columns.place);
+    store_counts(width, height, infinite, clamped, bad_pixels);
 }
 
-WIDE __kernel void take_floats(const Frame frame, __global const float *given, const int channels, __global half *color,
-                               __global uchar *bad_pixels) {
-    take(frame, given, false, channels, color, bad_pixels);
+WIDE __kernel void take_floats(const Frame frame, __global const float *given, const int start, const int channels,
+                               __global half *color, __global uchar *bad_pixels) {
+    take(frame, given + start, false, channels, color, bad_pixels);
 }
 
-WIDE __kernel void take_halves(const Frame frame, __global const half *given, const int channels, __global half *color,
-                               __global uchar *bad_pixels) {
-    take(frame, (__global const float *)given, true, channels, color, bad_pixels);
+WIDE __kernel void take_halves(const Frame frame, __global const half *given, const int start, const int channels,
+                               __global half *color, __global uchar *bad_pixels) {
+    take(frame, (__global const float *)(given + start), true, channels, color, bad_pixels);
 }
 
-/* Depth that is NaN or not positive, motion that is NaN or infinite. */
-WIDE __kernel void count_geometry(const Frame frame, __global const float *depth, __global const float2 *motion,
-                                  __global uchar *bad_pixels) {
-    Columns columns;
-    find_columns(frame, &columns);
-    if (columns.count <= 0) return;
-    const Ints none = 0, one = 1;
-    Ints bad_depth = none, bad_motion = none;
-    for (int y = columns.y; y < columns.end; ++y) {
-        const int i = y * frame.source_width + columns.x;
+/* Bad are depth that is NaN or not positive, and motion that is NaN or infinite. What is given may be what is written. */
+WIDE __kernel void take_geometry(const Frame frame, __global const float *given_depth, const int depth_start,
+                                 __global const float *given_motion, const int motion_start, __global float *depth,
+                                 __global float2 *motion, __global uchar *bad_pixels) {
+    const int width = frame.source_width, height = frame.source_height, y = get_global_id(1);
+    if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
+    int bad_depth = 0, bad_motion = 0;
+    for (int k = 0; k < RUN_PIXELS; ++k) {
+        const int x = run_x(width, k), count = width - x, i = y * width + x;
+        if (count <= 0) break;
         Floats motion_y;
-        const Floats z = load_some_floats(columns.count, depth + i), motion_x = load_some_xy(columns.count, motion + i, &motion_y);
-        bad_depth += z > 0.0f ? none : one;
-        bad_motion += (isfinite(motion_x) & isfinite(motion_y)) ? none : one;
+        const Floats z = load_some_floats(count, given_depth + depth_start + i);
+        const Floats motion_x = load_some_xy(count, (__global const float2 *)(given_motion + motion_start) + i, &motion_y);
+        const Ints good_depth = z > 0.0f, good_motion = isfinite(motion_x) & isfinite(motion_y);
+        if (!ALL(good_depth)) bad_depth += min(count, LANES) - lanes_where(good_depth, count);
+        if (!ALL(good_motion)) bad_motion += min(count, LANES) - lanes_where(good_motion, count);
+        store_some_floats(z, count, depth + i);
+        store_some_xy(motion_x, motion_y, count, motion + i);
     }
-    store_some_bytes(to_bytes(bad_depth), columns.count, bad_pixels + 2 * columns.plane + columns.place);
-    store_some_bytes(to_bytes(bad_motion), columns.count, bad_pixels + 3 * columns.plane + columns.place);
+    store_counts(width, height, bad_depth, bad_motion, bad_pixels + 2 * runs_of(width) * height);
 }

@@ -175,7 +175,7 @@ class BadPixels:
 
 @dataclass(frozen=True)
 class HostArrays:
-    """A rendered frame's NumPy arrays, C-contiguous, as `Upload` takes them.
+    """A rendered frame's NumPy arrays, C-contiguous and aligned, as `Upload` takes them.
 
     color (H, W, 3 or 4) float16 or float32, linear RGB, of which a fourth channel is not used; depth (H, W) float32,
     world units; motion (H, W, 2) float32, pixels, or None. `known_bad`: their bad pixels, where these are known.
@@ -234,7 +234,8 @@ def host_arrays(frame: RenderedFrame, height: int | None = None, width: int | No
     motion = require_motion(frame)
     if motion is not None:
         motion = as_float32(require_array(motion, "frame: motion", height, width, 2, kinds="f"))
-    return HostArrays(_uploadable(color), depth, motion, frame._known_bad)
+        motion = np.require(motion, requirements="A")
+    return HostArrays(_uploadable(color), np.require(depth, requirements="A"), motion, frame._known_bad)
 
 
 def color_of_planes(planes: Iterable[np.ndarray]) -> np.ndarray:
@@ -257,8 +258,8 @@ def _uploadable(color: np.ndarray) -> np.ndarray:
     if isinstance(whole, np.ndarray) and whole.shape == (*color.shape[:2], 4) and whole.flags.c_contiguous:
         same_texels = color.dtype == whole.dtype and color.strides == whole.strides
         if same_texels and color.ctypes.data == whole.ctypes.data:
-            return whole
-    return np.ascontiguousarray(color)
+            return np.require(whole, requirements="A")
+    return np.require(color, requirements="CA")
 
 
 def _rounded_to_odd(values: np.ndarray) -> np.ndarray:
