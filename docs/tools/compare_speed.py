@@ -154,6 +154,8 @@ def called(version: str) -> str:
 
 def store(footage: Footage, folder: Path) -> None:
     """Put footage where both versions find it."""
+    from gffe_cl.frame.rendered_frame import host_arrays
+
     folder.mkdir()
     for k, frame in enumerate(footage.frames):
         host = host_arrays(frame).in_device_layout()

@@ -29,14 +29,17 @@ class Upload(Stage):
             scratch=True,
         ),
     )  # fmt: skip
-    _takes = {
-        "reads": {"given": "upload.given"},
-        "writes": {"color": "rendered.color", "bad_pixels": Access("upload.bad_pixels", planes=2)},
-        "step": ("LANES", 1),
-    }
     kernels = (
-        Kernel("take_floats", "runs", **_takes),
-        Kernel("take_halves", "runs", **_takes),
+        *(
+            Kernel(
+                name,
+                "runs",
+                {"given": "upload.given"},
+                {"color": "rendered.color", "bad_pixels": Access("upload.bad_pixels", planes=2)},
+                step=("LANES", 1),
+            )
+            for name in ("take_floats", "take_halves")
+        ),
         Kernel(
             "take_geometry",
             "runs",

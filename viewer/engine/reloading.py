@@ -18,8 +18,8 @@ from gffe_cl.stages.buffers import Sizes
 from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import Presentation
-from gffe_cl.stages.upload import Upload
 from gffe_cl.stages.shading import FocusMask
+from gffe_cl.stages.upload import Upload
 
 WATCH_SECONDS = 0.5  # between looks at the kernels' files
 
