@@ -119,8 +119,6 @@ class Pipeline:
     exposure : float
         Factor on colour before display, 1e-6 to 1e6, for the shading correction network; may change from frame to
         frame.
-    bad_pixels : BadPixels
-        Met so far in NumPy arrays. Reading it waits for the device.
     is_cut : bool
         Whether the last submitted frame was found to be a cut, of which nobody told: it was treated as a reset.
 
@@ -204,6 +202,7 @@ class Pipeline:
     @property
     @telling_device_faults
     def bad_pixels(self) -> BadPixels:
+        """Bad pixels of all NumPy arrays submitted so far. Waits for the device, which counts them."""
         return self._bad_pixels + self._upload.bad_pixels() if self._upload else self._bad_pixels
 
     # ---- rendered frames -------------------------------------------------------------------------------
