@@ -154,11 +154,13 @@ def called(version: str) -> str:
 
 def store(footage: Footage, folder: Path) -> None:
     """Put footage where both versions find it."""
+    from gffe_cl.frame.rendered_frame import host_arrays
+
     folder.mkdir()
     for k, frame in enumerate(footage.frames):
-        packed = frame.pack()
+        host = host_arrays(frame).in_device_layout()
         for name in ("color", "depth", "motion"):
-            np.save(folder / f"{name}_{k}.npy", getattr(packed, name))
+            np.save(folder / f"{name}_{k}.npy", getattr(host, name))
 
     def described(camera):
         if camera is None:

@@ -5,7 +5,7 @@
                                                                        and a sequence: the same on any machine
 
 The other records: `gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json`, and on a quiet machine
-`gffe bench --methods --json docs/measured/methods.json` and
+`gffe bench --methods --json docs/measured/methods.json`, `gffe bench --io --json docs/measured/io.json` and
 `python docs/tools/compare_speed.py … --json docs/measured/speed.json`.
 """
 
@@ -92,6 +92,16 @@ def model_table() -> str:
     return table(("model, ms", "GB/s", *heads), rows)
 
 
+def io_table() -> str:
+    rows = []
+    for device in recorded("io")["devices"]:
+        for one in device["frames"]:
+            times = (f"{one[part]:.1f}" for part in ("upload", "copy_in", "download", "copy_out"))
+            where = _runtime(f"{device['device']} ({device['platform']})")
+            rows.append((where, one["color"], *times, f"**{one['ratio']:.2f}**"))
+    return table(("on", "color", "upload, ms", "copies in, ms", "download, ms", "copy out, ms", "ratio"), rows)
+
+
 def speed_table() -> str:
     rows = []
     for one in recorded("speed")["of"]:
@@ -163,6 +173,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "traffic_size": size_of_traffic,
     "traffic": traffic_table,
     "model": model_table,
+    "io": io_table,
     "methods_text": methods_text,
     "methods": methods_table,
     "methods_regions": regions_table,

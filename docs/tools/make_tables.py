@@ -24,9 +24,11 @@ from gffe_cl.stages.buffers import EXTRAPOLATED, FILLED_BY, RENDERED, BufferSpec
 from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.holes import FILLINGS, FarSide, HoleFilling
 from gffe_cl.stages.presentation import Presentation
+from gffe_cl.stages.upload import Upload
 
-# Hole filling as it is by default, and what is made where there is a window, or overlays.
-SHOWN: tuple[type[Stage], ...] = (*(FarSide if s is HoleFilling else s for s in STAGES), Presentation, Composition)
+# Hole filling as it is by default, and what is made where there are NumPy arrays, a window, or overlays.
+_USUAL = (FarSide if stage is HoleFilling else stage for stage in STAGES)
+SHOWN: tuple[type[Stage], ...] = (Upload, *_USUAL, Presentation, Composition)
 
 
 def options_table() -> str:

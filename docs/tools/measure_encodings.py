@@ -149,7 +149,6 @@ def measured(device: Device, name: str, seed: int, encodings: tuple[str, ...]) -
             halves = moment.half_motions if encoding.looks_up_twice else None
             frame = encoding.frame(moment.frame, exposure, halves)
             (camera,) = encoding.cameras(moment.time, moment.camera)
-            frame.pack()  # once for all thresholds
             stored.append(Moment(frame, None, moment.time, camera, moment.truth))
         psnr = {f"{pixels:g}": shown(device, exposure, stored, pixels)[0] for pixels in FIXED}
         psnr["automatic"], dynamic = shown(device, exposure, stored, None)

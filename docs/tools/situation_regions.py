@@ -47,7 +47,6 @@ def submitted_frames(
     t + α to measure at, None for frames with too little history."""
     pipelines = list(pipelines)
     for k, frame in enumerate(scene_frames.sequence(frames, fps)):
-        frame.pack()  # once for all of them
         for pipeline in pipelines:
             pipeline.submit(frame)
         yield k, frame, frame.time + alpha / fps if k >= NO_HISTORY else None

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from gffe_cl.evaluation.bench import SizeBench
     from gffe_cl.evaluation.benchmark_input import Footage
     from gffe_cl.evaluation.counting import KernelTraffic
+    from gffe_cl.evaluation.io_times import IoTimes
     from gffe_cl.opencl.device import Device, DeviceInfo
     from gffe_cl.pipeline.options import Options
 
@@ -70,6 +71,14 @@ def bench(
             " same frames [dim](default size: 1920x1080; sequences at their own, with ground truth)[/].",
         ),
     ] = False,
+    io: Annotated[
+        bool,
+        typer.Option(
+            "--io",
+            help="Instead of timing stages, time NumPy arrays in and color out, beside plain copies of the same bytes"
+            " [dim](default size: 1920x1080)[/].",
+        ),
+    ] = False,
     lanes: Annotated[
         str, typer.Option(help="With --traffic: pixels per work-item, 1 as on GPUs, 8 as on CPUs; or both: 1,8.")
     ] = "1",
@@ -94,6 +103,9 @@ def bench(
         opened = [open_info(info) for info in list_devices() if info.works] or [open_device()]
     else:
         opened = [open_device(device)]
+    if io:
+        _bench_io(opened, subject, parsed, frame, repeats, json_path)
+        return
     if methods:
         _bench_methods(opened, subject, parsed, frame, repeats, options, json_path)
         return
@@ -158,6 +170,34 @@ def _bench_methods(
             reports.append(measure_methods(chosen, devices, options, repeats, steps(progress)))
         _print_methods(reports[-1])
     write_json(json_path, {"sizes": reports})
+
+
+def _bench_io(
+    devices: list[Device],
+    subject: str | None,
+    sizes: list[tuple[int, int]] | None,
+    frame: int | None,
+    repeats: int,
+    json_path: Path | None,
+) -> None:
+    from dataclasses import asdict
+
+    from gffe_cl.evaluation.benchmark_input import footage_of, is_sequence
+    from gffe_cl.evaluation.counting import SIZE
+    from gffe_cl.evaluation.io_times import FORMS, measure_io
+
+    report = []
+    for device in devices:
+        results = []
+        for size in sizes or [None if is_sequence(subject) else SIZE]:
+            footage = footage_of(device, subject, size, frame)
+            with progress_bars() as progress:
+                advance = steps(progress)(f"{device.info.name} ({device.info.platform})", len(FORMS) * repeats)
+                results += measure_io(device, footage.frames[-1], repeats, advance)
+        _print_io(device.info, footage.name, results)
+        named = {"device": device.info.name, "platform": device.info.platform, "of": footage.name}
+        report.append(named | {"repeats": repeats, "frames": [asdict(result) for result in results]})
+    write_json(json_path, {"devices": report})
 
 
 def _bench_traffic(
@@ -249,6 +289,20 @@ def _print_methods(report: dict) -> None:
     out.print(psnrs)
     for name, reason in report["skipped"].items():
         out.print(plain(f"{name}: {reason}"))
+
+
+def _print_io(info: DeviceInfo, name: str, results: list[IoTimes]) -> None:
+    title = plain(f"{name}, {info.name} ({info.platform})")
+    heads = "size", "upload", "copies in", "download", "copy out", "ratio"
+    table = Table("color, ms", *heads, title=title, box=None, header_style="bold")
+    for one in results:
+        times = (f"{ms:.2f}" for ms in (one.upload, one.copy_in, one.download, one.copy_out))
+        table.add_row(one.color, f"{one.width}×{one.height}", *times, f"{one.ratio:.2f}")
+    out.print(table)
+    out.print(
+        "Upload: color, depth and motion, converted and checked for bad pixels. Download: color. Ratio: both, to plain"
+        " copies of the same bytes in the same turn, median."
+    )
 
 
 def _print_traffic(footage: Footage, lanes: int, kernels: dict[str, KernelTraffic]) -> None:

@@ -15,7 +15,7 @@ import pyopencl as cl
 from gffe_cl.core.errors import GffeError
 from gffe_cl.formats import open_capture
 from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.rendered_frame import RenderedFrame
+from gffe_cl.frame.rendered_frame import RenderedFrame, host_arrays
 from gffe_cl.opencl.device import Device
 from gffe_cl.scenes import SceneRenderer, is_scene, load_scene
 from gffe_cl.sequence import Sequence
@@ -242,7 +242,7 @@ def _enlarged_rows(stack: np.ndarray, rows, columns) -> np.ndarray:
 
 
 def uploaded(device: Device, frame: RenderedFrame) -> RenderedFrame:
-    packed = frame.pack()
+    host = host_arrays(frame).in_device_layout()
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-    buffers = (cl.Buffer(device.context, flags, hostbuf=array) for array in (packed.color, packed.depth, packed.motion))
+    buffers = (cl.Buffer(device.context, flags, hostbuf=array) for array in (host.color, host.depth, host.motion))
     return replace(frame, **dict(zip(("color", "depth", "motion"), buffers, strict=True)))

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 from gffe_cl.core.errors import GffeError
 from gffe_cl.core.files import made_folder
 from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.rendered_frame import display_camera_of
+from gffe_cl.frame.rendered_frame import display_camera_of, host_arrays
 from gffe_cl.pipeline.source import Source
 
 
@@ -27,8 +27,9 @@ def write_frames(folder: Path, source: Source, count: int, alpha: float = 0.5) -
             part = Path(name)
             for number, (_, frame) in enumerate(islice(source.frames([alpha], False), count)):
                 name = f"{number:04}"
+                arrays = host_arrays(frame).in_device_layout()
                 for kind in ("color", "depth", "motion"):
-                    getattr(frame.pack(), kind).tofile(part / f"{name}.{kind}")
+                    getattr(arrays, kind).tofile(part / f"{name}.{kind}")
                 shown = display_camera_of(frame, source.render_size, (source.width, source.height))
                 cameras = f"{_numbers(frame.camera)} {_numbers(shown)}"
                 lines.append(f"frame {name} {frame.time!r} {int(frame.reset)} {cameras}")

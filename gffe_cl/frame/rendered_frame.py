@@ -7,6 +7,7 @@ motion float ×2, row-major.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
@@ -21,12 +22,10 @@ from gffe_cl.core.validation import (
     require_kind,
     require_number,
     require_size,
-    shown,
 )
 from gffe_cl.frame.camera import Camera
 
 HALF_MAX = 65504.0
-_HALF_INFINITY, _SIGN = 0x7C00, 0x8000  # bits; NaN has more
 SAME_POSE = 1e-6
 BYTES_PER_PIXEL = (8, 4, 8)  # of colour, depth and motion on the device
 KEPT_BYTES_PER_PIXEL = 2 * (8 + 4) + 8  # of two frames: nothing reads the motion of the one before
@@ -82,7 +81,7 @@ class RenderedFrame:
     overlays : Overlays or None
         What is not to be warped with the picture.
 
-    The fields are checked where the frame is used: `Pipeline.submit`, `present` and `pack` raise GffeError.
+    The fields are checked where the frame is used: `Pipeline.submit` and `present` raise GffeError.
     """
 
     color: Any
@@ -93,28 +92,13 @@ class RenderedFrame:
     display_camera: Camera | None = None
     reset: bool = False
     overlays: Overlays | None = None
-    _packed: PackedFrame | None = field(default=None, init=False, repr=False, compare=False)  # `replace` leaves it out
+    # Of the frame of which this one is the display part; None: of its own arrays. `replace` leaves it out.
+    _known_bad: BadPixels | None = field(default=None, init=False, repr=False, compare=False)
 
-    def pack(self) -> PackedFrame:
-        """Convert host arrays to device layout ahead of `submit`, on any thread, and count bad pixels. Done once.
-
-        Raises GffeError for a structural fault: arrays of several sizes or of wrong types, or motion missing although
-        the frame is no reset.
-        """
-        if self._packed is None:
-            size = np.shape(self.depth)
-            if len(size) < 2:
-                raise GffeError(f"frame: depth must be an array (H, W), got {shown(self.depth)}")
-            self._packed = pack_frame(self, *size[:2])
-        return self._packed
-
-    def packed_only(self) -> RenderedFrame:
-        """This frame with the arrays of `pack` in place of its own, so that memory holds no others."""
-        packed = self.pack()
-        motion = None if self.motion is None else packed.motion
-        frame = replace(self, color=packed.color, depth=packed.depth, motion=motion)
-        frame._packed = packed
-        return frame
+    def pack(self) -> HostArrays:
+        """Deprecated: `Pipeline.submit` converts arrays itself. Returns what `pack_frame` does."""
+        warnings.warn("RenderedFrame.pack is deprecated (submit converts arrays)", DeprecationWarning, stacklevel=2)
+        return host_arrays(self).packed()
 
     @property
     def shown_camera(self) -> Camera:
@@ -132,7 +116,7 @@ def checked_frame(frame: RenderedFrame) -> RenderedFrame:
         require_kind(frame.overlays, Overlays, "frame: overlays", "Overlays or None")
     time, reset = require_number(frame.time, "frame: time"), require_bool(frame.reset, "frame: reset")
     checked = replace(frame, time=time, reset=reset)
-    checked._packed = frame._packed
+    checked._known_bad = frame._known_bad
     return checked
 
 
@@ -189,66 +173,74 @@ class BadPixels:
         return ", ".join(f"{getattr(self, n)} × {text}" for n, text in words.items() if getattr(self, n))
 
 
-@dataclass
-class PackedFrame:
-    """A frame's arrays as the device wants them: color (H, W, 4) float16, depth (H, W) float32,
-    motion (H, W, 2) float32; and the count of bad pixels met on the way."""
+@dataclass(frozen=True)
+class HostArrays:
+    """A rendered frame's NumPy arrays, C-contiguous and aligned, as `Upload` takes them.
+
+    color (H, W, 3 or 4) float16 or float32, linear RGB, of which a fourth channel is not used; depth (H, W) float32,
+    world units; motion (H, W, 2) float32, pixels, or None. `known_bad`: their bad pixels, where these are known.
+    """
 
     color: np.ndarray
     depth: np.ndarray
-    motion: np.ndarray
-    bad: BadPixels = field(default_factory=BadPixels)
+    motion: np.ndarray | None
+    known_bad: BadPixels | None = None
 
-    def require_size(self, width: int, height: int) -> None:
-        """GffeError unless the arrays are those of images of this size."""
-        for name, channels, kind in (
-            ("color", (4,), np.float16),
-            ("depth", (), np.float32),
-            ("motion", (2,), np.float32),
-        ):
-            array, shape = getattr(self, name), (height, width, *channels)
-            if not (isinstance(array, np.ndarray) and array.shape == shape and array.dtype == kind):
-                raise GffeError(f"packed frame: {name} must be {np.dtype(kind)} of shape {shape}, got {shown(array)}")
+    @property
+    def bad(self) -> BadPixels:
+        """The count of bad pixels. The host counts unless they are known: `Upload` is faster."""
+        if self.known_bad is not None:
+            return self.known_bad
+        rgb = self.color[..., :3]
+        finite = np.isfinite(rgb)
+        wrong = {"color": (~finite).any(-1), "clamped": (finite & (np.abs(rgb) > HALF_MAX)).any(-1)}
+        wrong["depth"] = ~(self.depth > 0)
+        wrong["motion"] = np.zeros(1, bool) if self.motion is None else ~np.isfinite(self.motion).all(-1)
+        return BadPixels(**{kind: int(np.count_nonzero(pixels)) for kind, pixels in wrong.items()})
+
+    def in_device_layout(self) -> HostArrays:
+        """The arrays as they lie on the device: color (H, W, 4) float16 with 0 in the fourth channel, motion 0 where
+        there is none."""
+        rgb = np.clip(np.nan_to_num(self.color[..., :3], posinf=HALF_MAX, neginf=-HALF_MAX), -HALF_MAX, HALF_MAX)
+        color = color_of_planes(rgb[..., c] for c in range(3)).base
+        motion = np.zeros((*self.depth.shape, 2), np.float32) if self.motion is None else self.motion
+        return replace(self, color=color, motion=motion)
+
+    def packed(self) -> HostArrays:
+        """What `pack_frame` returns."""
+        return replace(self.in_device_layout(), known_bad=self.bad)
 
 
-def pack_frame(frame: RenderedFrame, height: int, width: int) -> PackedFrame:
-    """Check shapes and convert a host frame to device layout, counting bad pixels.
+def pack_frame(frame: RenderedFrame, height: int, width: int) -> HostArrays:
+    """Deprecated: `Pipeline.submit` converts arrays itself. Returns them in device layout, with a count of bad pixels.
+
+    Raises GffeError for a structural fault: a wrong shape or type, or motion missing although the frame is no reset.
+    """
+    warnings.warn("pack_frame is deprecated (submit converts arrays)", DeprecationWarning, stacklevel=2)
+    return host_arrays(frame, height, width).packed()
+
+
+def host_arrays(frame: RenderedFrame, height: int | None = None, width: int | None = None) -> HostArrays:
+    """Check a frame's NumPy arrays, by default for the size of its depth. Arrays that `Upload` can take are not copied.
 
     Raises GffeError for a structural fault: a wrong shape or type, or motion missing although the frame is no reset.
     """
     require_kind(frame, RenderedFrame, "frame")
+    if height is None:
+        height, width = require_array(frame.depth, "frame: depth", None, None, kinds="f").shape
     width, height = require_size((width, height), "frame: size", whole=True)
     color = require_array(frame.color, "frame: color", height, width, (3, 4), kinds="f")
-    depth = require_array(frame.depth, "frame: depth", height, width, kinds="f")
-    bad = BadPixels()
-
-    rgb = color[..., :3]
-    packed = _lies_as_on_device(color)
-    if not _fits_half(rgb if packed is None else packed):
-        finite = np.isfinite(rgb)
-        over = np.abs(rgb) > HALF_MAX
-        bad.color = int((~finite).any(-1).sum())
-        bad.clamped = int((over & finite).any(-1).sum())
-        rgb = np.clip(np.nan_to_num(rgb, nan=0.0, posinf=HALF_MAX, neginf=-HALF_MAX), -HALF_MAX, HALF_MAX)
-        packed = None
-    if packed is None:
-        packed = color_of_planes(rgb[..., c] for c in range(3)).base
-
-    depth = as_float32(depth)
-    bad.depth = depth.size - int(np.count_nonzero(depth > 0))
-
-    if require_motion(frame) is None:
-        motion = np.zeros((height, width, 2), np.float32)
-    else:
-        motion = as_float32(require_array(frame.motion, "frame: motion", height, width, 2, kinds="f"))
-        finite = np.isfinite(motion)
-        bad.motion = 0 if finite.all() else int((~finite).any(-1).sum())
-    return PackedFrame(packed, depth, motion, bad)
+    depth = as_float32(require_array(frame.depth, "frame: depth", height, width, kinds="f"))
+    motion = require_motion(frame)
+    if motion is not None:
+        motion = as_float32(require_array(motion, "frame: motion", height, width, 2, kinds="f"))
+        motion = np.require(motion, requirements="A")
+    return HostArrays(_uploadable(color), np.require(depth, requirements="A"), motion, frame._known_bad)
 
 
 def color_of_planes(planes: Iterable[np.ndarray]) -> np.ndarray:
     """(H, W, 3) float16 from three images (H, W), as the device wants them: a fourth channel, which is not seen, is 0.
-    `pack_frame` takes it without a copy."""
+    `host_arrays` takes it without a copy."""
     first, *others = planes
     color = np.zeros((*first.shape, 4), np.float16)
     for c, plane in enumerate((first, *others)):  # several times as fast as all at once
@@ -256,18 +248,27 @@ def color_of_planes(planes: Iterable[np.ndarray]) -> np.ndarray:
     return color[..., :3]
 
 
-def _lies_as_on_device(color: np.ndarray) -> np.ndarray | None:
-    """The (H, W, 4) array of what `color_of_planes` made; None for any other array."""
+def _uploadable(color: np.ndarray) -> np.ndarray:
+    """`color` as native float16 or float32, C-contiguous. Where it is the first three channels of such an array, that
+    array, of which nothing is copied."""
+    if color.dtype.itemsize > 4:
+        color = _rounded_to_odd(color)
+    color = color.astype(color.dtype.newbyteorder("="), copy=False)
     whole = color.base
-    if not isinstance(whole, np.ndarray) or whole.dtype != np.float16 or whole.shape != (*color.shape[:2], 4):
-        return None
-    same = color.dtype == whole.dtype and color.strides == whole.strides and color.ctypes.data == whole.ctypes.data
-    return whole if same and whole.flags.c_contiguous and not whole[..., 3].view(np.uint16).any() else None
+    if isinstance(whole, np.ndarray) and whole.shape == (*color.shape[:2], 4) and whole.flags.c_contiguous:
+        same_texels = color.dtype == whole.dtype and color.strides == whole.strides
+        if same_texels and color.ctypes.data == whole.ctypes.data:
+            return np.require(whole, requirements="A")
+    return np.require(color, requirements="CA")
 
 
-def _fits_half(values: np.ndarray) -> bool:
-    """Whether all of (H, W, n) are finite and within ±65504."""
-    if values.dtype == np.float16:  # NumPy's arithmetic of halves is slow, but their bits are in order, by sign
-        positive, negative = values.view(np.int16).max(), values.view(np.uint16).max()
-        return bool(positive < _HALF_INFINITY and negative < _SIGN + _HALF_INFINITY)
-    return bool(max(values.max(), -values.min()) <= HALF_MAX)  # both are NaN if one value is
+def _rounded_to_odd(values: np.ndarray) -> np.ndarray:
+    """float32 that rounds to the same float16 as `values`, which have more bits: toward 0, and to an odd last bit
+    unless it is exact. What is finite remains so."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        rounded = values.astype(np.float32)
+        too_large, inexact = np.abs(rounded) > np.abs(values), rounded != values
+    bits = rounded.view(np.uint32)
+    bits -= too_large
+    bits |= inexact
+    return rounded

@@ -28,12 +28,12 @@ from gffe_cl.frame.camera_prediction import POSES, predict_camera_at
 from gffe_cl.frame.jitter import without_jitter
 from gffe_cl.frame.rendered_frame import (
     BadPixels,
-    PackedFrame,
+    HostArrays,
     RenderedFrame,
     checked_frame,
     display_camera_of,
+    host_arrays,
     is_shown_whole,
-    pack_frame,
     require_motion,
     require_one_pose,
 )
@@ -64,6 +64,7 @@ from gffe_cl.stages.shading_flow import ShadingFlow
 from gffe_cl.stages.shading_trend import ShadingTrend
 from gffe_cl.stages.sharpening import Sharpening
 from gffe_cl.stages.silhouettes import Silhouettes
+from gffe_cl.stages.upload import Upload
 from gffe_cl.stages.upscaling import Upscaling
 from gffe_cl.stages.warp import Warp
 
@@ -118,8 +119,6 @@ class Pipeline:
     exposure : float
         Factor on colour before display, 1e-6 to 1e6, for the shading correction network; may change from frame to
         frame.
-    bad_pixels : BadPixels
-        Met so far.
     is_cut : bool
         Whether the last submitted frame was found to be a cut, of which nobody told: it was treated as a reset.
 
@@ -151,12 +150,13 @@ class Pipeline:
         if int64_atomics is not None:
             int64_atomics = require_bool(int64_atomics, "pipeline: int64_atomics")
         self._exposure = 1.0
-        self.bad_pixels = BadPixels()
+        self._bad_pixels = BadPixels()  # without those of the last upload
         self.is_cut = False
         require_room(device, self.sizes, lambda sizes: self._allocate(sizes, int64_atomics)[1])
         self.board, self._nbytes = self._allocate(self.sizes, int64_atomics)
         self.stages: dict[str, Stage] = dict(self.board.stages)
         self.presentation: Presentation | None = None  # made with the first windowed frame
+        self._upload: Upload | None = None  # made with the first NumPy arrays
         self.composition: Composition | None = None  # made with the first frame that brings overlays
         self._outputs: dict[str, Output] = {}  # what is kept of each stage's
         self._slots: list[DeviceFrame] = []
@@ -199,24 +199,32 @@ class Pipeline:
     def exposure(self, value: float) -> None:
         self._exposure = require_exposure(value, "pipeline: exposure")
 
+    @property
+    @telling_device_faults
+    def bad_pixels(self) -> BadPixels:
+        """Bad pixels of all NumPy arrays submitted so far. Waits for the device, which counts them."""
+        return self._bad_pixels + self._upload.bad_pixels() if self._upload else self._bad_pixels
+
     # ---- rendered frames -------------------------------------------------------------------------------
 
     @telling_device_faults
-    def submit(self, frame: RenderedFrame, packed: PackedFrame | None = None) -> None:
+    def submit(self, frame: RenderedFrame, packed: HostArrays | None = None) -> None:
         """Take a rendered frame; frames must come in order of time.
 
         Arrays may be NumPy arrays (copied to the device; bad pixels are added to `bad_pixels`) or device
         buffers, which are used in place: do not overwrite them before two more frames have been submitted.
-        `frame.pack()` converts them ahead, on another thread. Returns at once, but with cut detection waits for the
-        device: `is_cut` says what it found. `packed` is deprecated: a frame brings its own.
+        Returns at once, but with cut detection waits for the device: `is_cut` says what it found. `packed`, the result
+        of `pack_frame`, is deprecated: its arrays replace the frame's.
 
         Raises GffeError for fields that are not what `RenderedFrame` says, wrong shapes, missing motion, or a time that
         does not increase; the pipeline is then as it was before.
         """
         frame = checked_frame(frame)
         if packed is not None:
-            warnings.warn("submit: packed is deprecated (frame.pack() does it)", DeprecationWarning, stacklevel=3)
-            frame._packed = require_kind(packed, PackedFrame, "submit: packed", "the result of pack_frame")
+            warnings.warn("submit: packed is deprecated (submit converts arrays)", DeprecationWarning, stacklevel=3)
+            require_kind(packed, HostArrays, "submit: packed", "the result of pack_frame")
+            frame = replace(frame, color=packed.color, depth=packed.depth, motion=packed.motion)
+            frame._known_bad = packed.known_bad
         if self._times and not frame.reset and frame.time <= self._times[0]:
             raise GffeError(
                 f"frame: time {frame.time:g} s must be after the previous rendered frame's ({self._times[0]:g} s)"
@@ -296,18 +304,19 @@ class Pipeline:
                 f" got {other} as {shown(arrays[other])}"
             )
         width, height = self.sizes.source
-        packed = frame._packed or pack_frame(frame, height, width)
-        packed.require_size(width, height)
-        self.bad_pixels += packed.bad
+        host = host_arrays(frame, height, width)
+        if self._upload is None:
+            self._upload = Upload(self.board)
+        self._bad_pixels = self.bad_pixels  # copies wait for the device, too
         if len(self._slots) < 2:
             cameras = (frame.camera, display_camera, frame.time)
             motion = self._slots[0].motion if self._slots else None  # nothing reads that of the frame before
             self._slots.append(DeviceFrame.allocate(self.device, self.sizes.source, *cameras, motion))
         else:
             self._slots.append(self._slots.pop(0))
-        slot = self._slots[-1]
-        slot.upload(self.device, packed)
-        return DeviceFrame(*slot.buffers, frame.camera, display_camera, frame.time)
+        taken = DeviceFrame(*self._slots[-1].buffers, frame.camera, display_camera, frame.time)
+        self._upload.take(host, taken)
+        return taken
 
     def _zero_motion(self) -> cl.Buffer:
         if self._no_motion is None:

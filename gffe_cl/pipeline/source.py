@@ -10,7 +10,7 @@ from typing import Protocol
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.jitter import Jitter, without_jitter
-from gffe_cl.frame.rendered_frame import RenderedFrame, display_camera_of
+from gffe_cl.frame.rendered_frame import RenderedFrame, display_camera_of, host_arrays
 from gffe_cl.frame.window import WindowChooser
 from gffe_cl.opencl.device import Device
 from gffe_cl.scenes import Scene, SceneFrames, SceneRenderer
@@ -44,7 +44,7 @@ class Source(Protocol):
     count: int
 
     def frames(self, alphas: list[float], strict: bool) -> Iterator[tuple[FrameEntry, RenderedFrame]]:
-        """Each rendered frame, packed; `alphas` are the times that will be extrapolated after it, in intervals. With
+        """Each rendered frame; `alphas` are the times that will be extrapolated after it, in intervals. With
         `strict` GffeError for bad pixels."""
 
     def store(self, writer: SequenceWriter, entry: FrameEntry, frame: RenderedFrame) -> None:
@@ -124,9 +124,8 @@ class Recorded:
             frame = self.sequence.read(entry)
             if self._upscale:
                 frame = self._upscaled(frame)
-            bad = frame.pack().bad
             if strict:
-                require_clean(entry.file, bad)
+                require_clean(entry.file, host_arrays(frame).bad)
             return frame
 
         return self._cut_frames(
@@ -142,7 +141,6 @@ class Recorded:
             shown = present(frame, before, size=self.render_size, device=self._device)
             before = frame
             cut = replace(entry, render_size=None, render_camera=shown.camera, display_camera=None)
-            shown.pack().bad = frame.pack().bad  # those of the whole
             yield cut, shown
 
     def store(self, writer, entry, frame):
@@ -199,9 +197,9 @@ class Live:
         size = self.width, self.height
         made = SceneFrames(self._renderer, WindowChooser(self._window, size, alphas), size, self._jitter)
         for k, frame in enumerate(made.sequence(self.count, self.fps)):
-            entry, bad = rendered_entry(k, frame, size), frame.pack().bad
+            entry = rendered_entry(k, frame, size)
             if strict:
-                require_clean(entry.file, bad)
+                require_clean(entry.file, host_arrays(frame).bad)
             yield entry, frame
 
     def store(self, writer, entry, frame):

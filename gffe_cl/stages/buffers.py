@@ -20,7 +20,7 @@ from pyopencl.tools import PooledBuffer
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.rendered_frame import BYTES_PER_PIXEL, PackedFrame
+from gffe_cl.frame.rendered_frame import BYTES_PER_PIXEL
 from gffe_cl.inference.model_interface import MULTIPLE
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.program import constants
@@ -35,6 +35,7 @@ _HOLES, _CUTS = constants("holes.cl"), constants("scene_cuts.cl")
 DOWNSAMPLING = _HOLES["DOWNSAMPLING"]  # of hole filling as in the paper
 TILE, TILE_GROUP = _HOLES["TILE"], _HOLES["GROUP"]  # texels of it each way, and the work-items that fill from them
 CUT_SAMPLES = (_CUTS["SAMPLES_X"], _CUTS["SAMPLES_Y"])  # at most, of the rendered image
+RUN_PIXELS = constants("upload.cl")["RUN_PIXELS"]
 RESIDUAL_STRIDE = constants("history.cl")["RESIDUAL_STRIDE"]  # pixels
 BY_HOLE_FILLING, BY_NOTHING = _LABELS["BY_HOLE_FILLING"], _LABELS["BY_NOTHING"]
 BY_WARP, BY_CRACK_CLOSING = _LABELS["BY_WARP"], _LABELS["BY_CRACK_CLOSING"]
@@ -90,6 +91,7 @@ def texel_of(grid: str) -> tuple[int, int]:
         "downsampled": (DOWNSAMPLING, DOWNSAMPLING),
         "tiles": (TILE * DOWNSAMPLING, TILE * DOWNSAMPLING),
         "residuals": (RESIDUAL_STRIDE, RESIDUAL_STRIDE),
+        "runs": (RUN_PIXELS, 1),
         "cells": (8, 8),
         "source_blocks": BLOCK,
         "target_blocks": BLOCK,
@@ -112,7 +114,7 @@ def spread(texels: np.ndarray, grid: str, fine: str, x: int, y: int, width: int,
 
 def lies_on_source(grid: str) -> bool:
     """Whether a grid is laid over the rendered image; else over the extrapolated one."""
-    return grid in ("source", "source_blocks", "cells", "residuals") or grid.startswith("level")
+    return grid in ("source", "source_blocks", "cells", "residuals", "runs") or grid.startswith("level")
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,8 @@ class BufferSpec:
     32, rounded up), "source_blocks" and "target_blocks" (blocks of 8×4), "level0" … (source / 2^l, rounded up),
     "levels1" … (so many of these one after another), "mip1" … (target / 2^l, rounded up), "network" (target / 2,
     rounded up to multiples of 16), "network1" … "network4" (that / 2^l), "cells" (source / 8, rounded up) or "once" (no
-    image). Some kernels have grids of their own: "residuals" (source / 4, rounded up), "tiles" (a work-group for each
+    image). Some kernels have grids of their own: "residuals" (source / 4, rounded up), "runs" (31 pixels in a row
+    of "source" each), "tiles" (a work-group for each
     4×4 texels of "downsampled") and "cut_samples" (so many of the rendered image). `components` name its channels; a
     single one goes without.
     `view` says what it means, and so how to show it: "color" (linear RGB), "depth" (view z), "motion" (pixels, from
@@ -292,11 +295,6 @@ class DeviceFrame:
         *others, moved = (size[0] * size[1] * n for n in BYTES_PER_PIXEL)
         buffers = (*map(device.buffer, others), motion or device.buffer(moved))
         return cls(*buffers, camera, display_camera, time)
-
-    def upload(self, device: Device, packed: PackedFrame) -> None:
-        """Copy host arrays in."""
-        for buffer, array in zip(self.buffers, (packed.color, packed.depth, packed.motion), strict=True):
-            cl.enqueue_copy(device.queue, buffer, array)
 
     @property
     def buffers(self) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer]:

@@ -16,6 +16,7 @@ from gffe_cl.frame.rendered_frame import (
     RenderedFrame,
     checked_frame,
     display_camera_of,
+    host_arrays,
     is_shown_whole,
     require_one_pose,
 )
@@ -23,6 +24,7 @@ from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.stages.base import Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import RGBA, XY, BufferSpec, DeviceFrame, Sizes
 from gffe_cl.stages.frame_block import mapping
+from gffe_cl.stages.upload import Upload
 
 _ONE_AT_A_TIME = threading.Lock()  # the cached stages of `present` serve all threads
 
@@ -102,7 +104,7 @@ def present(
         if not isinstance(array, np.ndarray):
             raise GffeError("present: expected NumPy arrays (in a pipeline: Pipeline.present)")
     render_size = _size_of(frame)
-    packed = (frame if frame.reset or previous is not None else replace(frame, reset=True)).pack()
+    host = host_arrays(frame if frame.reset or previous is not None else replace(frame, reset=True))
     size = render_size if size is None else require_size(size, "present: size", whole=True)
     if device is not None:
         require_kind(device, Device, "present: device", "a Device or None")
@@ -111,19 +113,22 @@ def present(
     before = None if frame.reset else previous and _cameras_of(previous, size)
     color = np.asarray(frame.color)[..., :3]
     color = color.astype(np.float32 if color.dtype.itemsize > 2 else np.float16, copy=False)
-    depth, motion, overlays = packed.depth, packed.motion, frame.overlays
+    depth, motion, overlays, bad = host.depth, host.motion, frame.overlays, None
     if size != render_size or not is_shown_whole(frame.camera, display) or (before and not is_shown_whole(*before)):
-        stage = _stage(device or _default_device(), Sizes(render_size, size))
+        stage, upload = _stages(device or _default_device(), Sizes(render_size, size))
         on_device = DeviceFrame.allocate(stage.device, render_size, frame.camera, display, frame.time)
         with _ONE_AT_A_TIME:
-            on_device.upload(stage.device, packed)
+            upload.take(host, on_device)
             stage.present(on_device, before and replace(on_device, camera=before[0], display_camera=before[1]))
             shown, depth, motion = (stage.read(name) for name in ("color", "depth", "motion"))
+            bad = upload.bad_pixels()
         color = shown[..., :3].astype(color.dtype)
         overlays = overlays and _shown_overlays(overlays, mapping(display, frame.camera), render_size, size)
-    return RenderedFrame(
+    made = RenderedFrame(
         color, depth, motion if before else None, display, frame.time, reset=frame.reset, overlays=overlays
     )
+    made._known_bad = bad
+    return made
 
 
 def _shown_overlays(overlays: Overlays, to_render: np.ndarray, render_size, size) -> Overlays:
@@ -161,5 +166,6 @@ def _default_device() -> Device:
 
 
 @lru_cache(maxsize=2)
-def _stage(device: Device, sizes: Sizes) -> Presentation:
-    return Presentation(Board(device, sizes))
+def _stages(device: Device, sizes: Sizes) -> tuple[Presentation, Upload]:
+    board = Board(device, sizes)
+    return Presentation(board), Upload(board)

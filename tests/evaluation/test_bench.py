@@ -15,7 +15,7 @@ from scn_models import constant_model
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation import bench as bench_module
-from gffe_cl.evaluation import benchmark_input, counting
+from gffe_cl.evaluation import benchmark_input, counting, io_times
 from gffe_cl.evaluation.table import methods
 from gffe_cl.evaluation.table.methods import LIBRARY, METHODS
 from gffe_cl.frame.camera import Camera
@@ -122,6 +122,32 @@ def test_bench_of_methods(gffe, tmp_path):
         assert total == pytest.approx(10 ** (-row["psnr"] / 10), rel=0.01)  # regions are parts of the whole
     same = [row["psnr"] for row in report["methods"] if row["method"] == "no-scn"]
     assert np.ptp(same) < 0.01 and same[0] > repeat["psnr"]
+
+
+def test_bench_of_arrays(gffe, tmp_path):
+    """Every form of colors on every device: times of all parts, and a ratio that fits them."""
+    code, text, _ = gffe("bench", "--io", "--sizes", "64x48,13x9", "--repeats", 3, "--json", tmp_path / "io.json")
+    assert code == 0 and "float16 RGBA" in text and "13×9" in text
+    for device in json.loads((tmp_path / "io.json").read_text())["devices"]:
+        assert (device["of"], device["repeats"]) == ("plaza", 3)
+        rows = {(row["width"], row["height"], row["color"]): row for row in device["frames"]}
+        forms = "float32 RGB", "float32 RGBA", "float16 RGB", "float16 RGBA"
+        assert set(rows) == {(*size, form) for size in ((64, 48), (13, 9)) for form in forms}
+        for row in rows.values():
+            assert min(row[part] for part in ("upload", "copy_in", "download", "copy_out", "ratio")) > 0
+
+
+def test_time_of_arrays_is_that_of_each_part(device, monkeypatch):
+    """By a clock that each part moves on by what it is said to take."""
+    frame = benchmark_input.footage_of(device, "plaza", (16, 12)).frames[-1]
+    now, took = [0.0], {"_upload_frame": 6.0, "_copy_in": 3.0, "_download": 2.0, "_copy_out": 1.0}
+    monkeypatch.setattr(io_times.time, "perf_counter", lambda: now[0])
+    for part, seconds in took.items():
+        monkeypatch.setattr(io_times._Turn, part, lambda self, seconds=seconds: now.__setitem__(0, now[0] + seconds))
+    counted = []
+    for row in io_times.measure_io(device, frame, 2, lambda: counted.append(1)):
+        assert (row.upload, row.copy_in, row.download, row.copy_out, row.ratio) == (6000, 3000, 2000, 1000, 2)
+    assert len(counted) == 2 * len(io_times.FORMS)
 
 
 def test_bench_of_methods_on_a_sequence(gffe, tmp_path, monkeypatch):

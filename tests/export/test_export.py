@@ -27,7 +27,7 @@ from gffe_cl.export.writing import export
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.camera_prediction import predict_camera_at, rotation_matrix
 from gffe_cl.frame.jitter import Jitter
-from gffe_cl.frame.rendered_frame import Overlays, RenderedFrame, pack_frame
+from gffe_cl.frame.rendered_frame import Overlays, RenderedFrame, host_arrays
 from gffe_cl.frame.window import WindowChooser, adaptive_window, nearest_depth
 from gffe_cl.inference import network as inference
 from gffe_cl.inference.model_interface import shapes_at
@@ -72,9 +72,9 @@ def library(device, request, tmp_path_factory):
 
 def on_device(device, frame: RenderedFrame, size):
     """The frame with device buffers, which both pipelines take."""
-    packed = pack_frame(frame, size[1], size[0])
+    host = host_arrays(frame, size[1], size[0]).in_device_layout()
     flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-    buffers = [cl.Buffer(device.context, flags, hostbuf=a) for a in (packed.color, packed.depth, packed.motion)]
+    buffers = [cl.Buffer(device.context, flags, hostbuf=a) for a in (host.color, host.depth, host.motion)]
     return replace(frame, color=buffers[0], depth=buffers[1], motion=buffers[2])
 
 

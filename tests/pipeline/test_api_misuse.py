@@ -25,6 +25,7 @@ from gffe_cl import (
     Window,
     open_sequence,
 )
+from gffe_cl.frame.rendered_frame import host_arrays
 from gffe_cl.pipeline.options import OPTIONS
 from gffe_cl.sequence.description import checked_entry
 
@@ -214,7 +215,7 @@ def file_calls(folder):
 def device_calls(pipeline, frame):
     """Of what needs a device, by name."""
     device = pipeline.device
-    packed = gffe_cl.pack_frame(frame, H, W)
+    packed = host_arrays(frame, H, W).packed()
     nbytes = {"color": 8 * W * H, "depth": 4 * W * H, "motion": 8 * W * H}
     layers = {
         "fixed_mask": DEPTH > 5,
@@ -344,13 +345,19 @@ def bits(pipeline):
 
 @pytest.mark.device
 def test_packed_beside_a_frame_is_deprecated(device):
-    """It still works, and the warning names the line of the caller."""
+    """It still works, and so do both ways to it; bad pixels count. The warnings name the lines of the caller."""
     frame = next(frames())
+    frame.color[3, 4] = np.nan
     pipeline = Pipeline(device, W, H, Options(shading_correction=False))
-    with pytest.warns(DeprecationWarning, match=r"packed is deprecated \(frame\.pack\(\) does it\)") as told:
-        pipeline.submit(frame, gffe_cl.pack_frame(frame, H, W))
-    assert told[0].filename == __file__
-    assert (pipeline.present().numpy("depth") == frame.depth).all()
+    with pytest.warns(DeprecationWarning, match=r"pack_frame is deprecated") as told:
+        packed = gffe_cl.pack_frame(frame, H, W)
+    with pytest.warns(DeprecationWarning, match=r"RenderedFrame\.pack is deprecated") as told_too:
+        assert frame.pack().color.tobytes() == packed.color.tobytes() and frame.pack().bad == packed.bad
+    with pytest.warns(DeprecationWarning, match=r"packed is deprecated \(submit converts arrays\)") as told_of_submit:
+        pipeline.submit(replace(frame, color=np.zeros_like(frame.color)), packed)
+    assert {warning[0].filename for warning in (told, told_too, told_of_submit)} == {__file__}
+    assert (pipeline.present().numpy("depth") == frame.depth).all() and pipeline.bad_pixels.color == 1
+    assert pipeline.present().numpy("color").tobytes() == packed.color[..., :3].tobytes()
 
 
 def test_misuse_leaves_a_pipeline_that_works(device):

@@ -6,6 +6,7 @@ from scene_oracle import cast, clearances, followed
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import host_arrays
 from gffe_cl.frame.window import WindowChooser
 from gffe_cl.opencl.device import list_devices, open_info
 from gffe_cl.pipeline.source import Live
@@ -274,6 +275,6 @@ def test_strict_counts_bad_pixels_of_built_in_scenes(device, monkeypatch):
         return frame
 
     monkeypatch.setattr(SceneFrames, "rendered", spoilt)
-    assert [frame.pack().bad.depth for _, frame in live.frames([0.5], strict=False)] == [1, 1]
+    assert [host_arrays(frame).bad.depth for _, frame in live.frames([0.5], strict=False)] == [1, 1]
     with pytest.raises(GffeError, match=r"frame_000000.exr: 1 × invalid depth .* \(strict\)"):
         next(live.frames([0.5], strict=True))

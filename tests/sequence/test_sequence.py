@@ -14,7 +14,7 @@ from tiny_sequence import H, W, camera, contiguous, edit, pixels, write
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.rendered_frame import BadPixels, RenderedFrame, pack_frame
+from gffe_cl.frame.rendered_frame import BadPixels, RenderedFrame, host_arrays
 from gffe_cl.sequence import (
     FrameEntry,
     SequenceWriter,
@@ -229,7 +229,7 @@ def test_prefetch_order_and_packing(folder):
     sequence = open_sequence(folder)
 
     def read(entry):
-        return pack_frame(sequence.read(entry), H, W), threading.current_thread()
+        return host_arrays(sequence.read(entry), H, W), threading.current_thread()
 
     seen = list(sequence.prefetch(sequence.rendered * 4, read, ahead=3))
     assert [entry.file for entry, _ in seen] == [entry.file for entry in sequence.rendered * 4]
@@ -273,7 +273,7 @@ def test_bad_pixels_of_every_type(dtype):
                 color[1 + k, 2, k % 3] = value
                 expected[1 + k, 2, k % 3] = np.clip(np.nan_to_num(value), -most, most)
             frame = RenderedFrame(color, np.ones((5, 7), np.float32), np.zeros((5, 7, 2), np.float32), None, 0.0)
-            packed = pack_frame(frame, 5, 7)
+            packed = host_arrays(frame, 5, 7).packed()
             clamped = sum(map(np.isfinite, bad))
             assert packed.bad == BadPixels(color=len(bad) - clamped, clamped=clamped)
             assert np.array_equal(packed.color[..., :3], expected.astype(np.float16)) and not packed.color[..., 3].any()
@@ -284,18 +284,18 @@ def test_bad_depth_and_motion_are_counted():
     depth[0, :4] = np.nan, 0, -1, np.inf  # the last one is sky
     motion[2, 0], motion[2, 1, 1], motion[2, 2, 0] = np.nan, np.inf, -np.inf
     frame = RenderedFrame(np.zeros((5, 7, 3), np.float16), depth, motion, None, 0.0)
-    assert pack_frame(frame, 5, 7).bad == BadPixels(depth=3, motion=3)
+    assert host_arrays(frame, 5, 7).bad == BadPixels(depth=3, motion=3)
 
 
-def test_halves_that_were_read_are_packed_already(tmp_path):
-    """... unless a pixel is bad: what is read stays as it is."""
+def test_halves_that_were_read_are_not_copied(tmp_path):
+    """What is read stays as it is, also where a pixel is bad."""
     sequence = open_sequence(write(tmp_path))
     frame = sequence.read(sequence.rendered[0])
     assert frame.color.dtype == np.float16 and frame.color.shape == (H, W, 3)
-    packed = pack_frame(frame, H, W)
-    assert np.shares_memory(packed.color, frame.color) and not packed.color[..., 3].any()
+    host = host_arrays(frame, H, W)
+    assert np.shares_memory(host.color, frame.color) and not host.color[..., 3].any()
     frame.color[1, 2, 0] = np.nan
-    packed = pack_frame(frame, H, W)
+    packed = host.packed()
     assert packed.bad.color == 1 and packed.color[1, 2, 0] == 0 and np.isnan(frame.color[1, 2, 0])
 
 

@@ -4,18 +4,23 @@ import os
 import sys
 import tempfile
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from shutil import copytree
 
 import numpy as np
+from synthetic import camera
 from test_shading_correction import made_stages
 from test_twins import run
 
-from gffe_cl.frame.rendered_frame import Overlays
+from gffe_cl.frame.rendered_frame import BadPixels, HostArrays, Overlays
 from gffe_cl.opencl.device import open_device
 from gffe_cl.opencl.program import kernel_folder
 from gffe_cl.pipeline.options import Options
+from gffe_cl.stages.base import Board
+from gffe_cl.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.stages.shading import FocusMask
+from gffe_cl.stages.upload import Upload
 
 WIDTH, HEIGHT = 64, 48
 
@@ -70,6 +75,21 @@ def shading(device):
         focus.read("focus_truth")
 
 
+def upload(device):
+    """Frames from the host, in each form that kernels take, in images with rows that end within a strip."""
+    for lanes, size in product((1, 8), ((37, 3), (250, 2))):
+        device.__dict__["lanes"] = lanes
+        board, view = Board(device, Sizes(size, size)), camera(*size)
+        frame = DeviceFrame.allocate(device, size, view, view, 0.0)
+        for in_place, dtype, channels in product((True, False), (np.float16, np.float32), (3, 4)):
+            stage = Upload(board)
+            stage._in_place = in_place
+            color = np.full((*size[::-1], channels), np.nan, dtype)
+            depth, motion = np.zeros(size[::-1], np.float32), np.ones((*size[::-1], 2), np.float32)
+            stage.take(HostArrays(color, depth, motion), frame)
+            assert stage.bad_pixels() == BadPixels(color=depth.size, depth=depth.size)
+
+
 def scene(device):
     from gffe_cl.scenes import SCENES, SceneRenderer, load_scene
 
@@ -86,8 +106,8 @@ if __name__ == "__main__":
     case = sys.argv[1]
     with tempfile.TemporaryDirectory() as folder:
         without_looks(folder)
-        if case in ("scene", "shading"):
-            {"scene": scene, "shading": shading}[case](opened)
+        if case in ("scene", "shading", "upload"):
+            {"scene": scene, "shading": shading, "upload": upload}[case](opened)
         else:
             stages(opened, case == "int64")
     print("finished", case)

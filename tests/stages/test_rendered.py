@@ -4,10 +4,11 @@ import numpy as np
 import pyopencl as cl
 import pytest
 import twins
+from device_arrays import copy_to
 from synthetic import Rect, Rects, camera
 from test_twins import frames
 
-from gffe_cl.frame.rendered_frame import pack_frame
+from gffe_cl.frame.rendered_frame import host_arrays
 from gffe_cl.pipeline.options import Options
 from gffe_cl.sequence.encoding import Encoding
 from gffe_cl.stages.base import Board, Step
@@ -84,10 +85,10 @@ def test_history(device, lanes, size, positions):
     stage = HistoryTracking(board)
     past = dynamic = history = None
     for frame in frames(width, height, 5):
-        packed = pack_frame(frame, height, width)
+        host = host_arrays(frame).in_device_layout()
         board.previous = board.rendered
         board.rendered = DeviceFrame.allocate(device, size, frame.camera, frame.camera, frame.time)
-        board.rendered.upload(device, packed)
+        copy_to(device, board.rendered, host)
         stage.swap()
         stage.rendered(Step(board.rendered, board.previous, []))
         if past is None:
@@ -128,7 +129,7 @@ def test_threshold_beside_quantization(device, lanes, lookups, sign):
         frame.motion = sum(sign * encoding.motion(sign * frame.motion / lookups) for _ in range(lookups))
         board.previous = board.rendered
         board.rendered = DeviceFrame.allocate(device, (width, height), view, view, frame.time)
-        board.rendered.upload(device, pack_frame(frame, height, width))
+        copy_to(device, board.rendered, host_arrays(frame).in_device_layout())
         stage.swap()
         stage.rendered(Step(board.rendered, board.previous, []))
         if past is None:

@@ -11,7 +11,7 @@ from test_twins import frames
 from twins import scene_cuts as twins_cuts
 
 from gffe_cl.evaluation.compare import compare
-from gffe_cl.frame.rendered_frame import pack_frame
+from gffe_cl.frame.rendered_frame import host_arrays
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.pipeline.run import run_sequence
@@ -85,9 +85,9 @@ def test_cuts_are_found_in_device_buffers(device):
     given = [*shot(FIRST, 3), *list(shot(SECOND, 4, start=6))[1:3]]
     pipeline, cuts = Pipeline(device, WIDTH, HEIGHT, fps=FPS), []
     for k, frame in enumerate(given):
-        packed = pack_frame(frame, HEIGHT, WIDTH)
-        buffers = [device.buffer(array.nbytes) for array in (packed.color, packed.depth, packed.motion)]
-        for buffer, array in zip(buffers, (packed.color, packed.depth, packed.motion), strict=True):
+        host = host_arrays(frame).in_device_layout()
+        buffers = [device.buffer(array.nbytes) for array in (host.color, host.depth, host.motion)]
+        for buffer, array in zip(buffers, (host.color, host.depth, host.motion), strict=True):
             cl.enqueue_copy(device.queue, buffer, array)
         color, depth, motion = buffers
         pipeline.submit(

@@ -7,12 +7,13 @@ import numpy as np
 import pyopencl as cl
 import pytest
 import twins
+from device_arrays import copy_to
 from scn_models import CANDIDATES, FLOAT, FRAMES, constant_model, look_model, movers_model, pooling_model, save
 from synthetic import Rect, Rects, camera
 from test_twins import run
 
 from gffe_cl import GffeError, Options, Pipeline
-from gffe_cl.frame.rendered_frame import BadPixels, PackedFrame
+from gffe_cl.frame.rendered_frame import HostArrays
 from gffe_cl.inference import network as inference
 from gffe_cl.inference.model_interface import HEAD_WEIGHTS, OUTPUT, shapes_at
 from gffe_cl.inference.network import load_network
@@ -60,7 +61,7 @@ def made_stages(device, size, exposure=1.0, seed=1):
     color[rng.random(depth.shape) < 0.01] = np.nan
     motion[rng.random(depth.shape) < 0.1] = np.inf
     board.previous = DeviceFrame.allocate(device, size, before, before, 0.0)
-    board.previous.upload(device, PackedFrame(color, depth, motion, BadPixels()))
+    copy_to(device, board.previous, HostArrays(color, depth, motion))
     board.rendered = board.previous
     frame, some = board.frame, rng.random((2, *depth.shape)) < 0.1
     color, depth = images(size, rng)

@@ -19,6 +19,7 @@ from gffe_cl.stages.composition import Composition
 from gffe_cl.stages.correction import ShadingCorrection
 from gffe_cl.stages.presentation import Presentation
 from gffe_cl.stages.shading import FocusMask
+from gffe_cl.stages.upload import Upload
 
 WATCH_SECONDS = 0.5  # between looks at the kernels' files
 
@@ -64,6 +65,7 @@ class Kernels(dict):
             )
             board = Board(self._device, Sizes((1, 1), (1, 1)))
             Presentation(board)
+            Upload(board)
             Composition(board)
             FocusMask(board)
             if network.default_model() or any(key[0] == ShadingCorrection.name for key in self):

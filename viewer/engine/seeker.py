@@ -12,12 +12,14 @@ import pyopencl as cl
 from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation import traffic
 from gffe_cl.frame.camera import Camera
-from gffe_cl.frame.rendered_frame import BadPixels, RenderedFrame
+from gffe_cl.frame.rendered_frame import BadPixels, RenderedFrame, host_arrays
 from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import Pipeline
-from gffe_cl.stages.buffers import DeviceFrame
+from gffe_cl.stages.base import Board
+from gffe_cl.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.stages.shading import FocusMask
+from gffe_cl.stages.upload import Upload
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.buffers import Moment, Shot
 from gffe_cl.viewer.engine.explain.motion_trail import Passed
@@ -131,19 +133,20 @@ class Seeker:
         )
         if not self._ring or self._ring[0].color.size != 8 * source.render_size[0] * source.render_size[1]:
             self._ring = []
+            self._upload = Upload(Board(self.device, Sizes(source.render_size, source.render_size)))
         source.restart()
 
     def _submit(self, m: int, last: bool) -> None:
         source, before = self.source, self._frame
         frame = source.rendered(m)
-        packed = frame.pack() if isinstance(frame.color, np.ndarray) else None  # else it is on the device
-        if packed:
+        host = host_arrays(frame) if isinstance(frame.color, np.ndarray) else None  # else it is on the device
+        if host:
             if len(self._ring) < 3:
                 self._ring.append(DeviceFrame.allocate(self.device, source.render_size, None, None, 0.0))
             else:
                 self._ring.append(self._ring.pop(0))
-            self._ring[-1].upload(self.device, packed)
             color, depth, motion = self._ring[-1].buffers
+            self._upload.take(host, DeviceFrame(color, depth, motion, frame.camera, frame.shown_camera, frame.time))
             frame = replace(frame, color=color, depth=depth, motion=motion)
         if last:
             self.pipeline.take_timings()  # of the warm-up: not this slot's
@@ -154,11 +157,13 @@ class Seeker:
         if self.pipeline.is_cut:
             self.cuts.add(m)
         self._before = before.camera if before and not (frame.reset or self.pipeline.is_cut) else None
-        pixels = packed or frame
+        pixels = host or frame
+        if pixels.motion is None:
+            pixels = host.in_device_layout()
         self.passed.appendleft(
             Passed(
                 m, frame.camera, frame.shown_camera, source.render_size, pixels.depth, pixels.motion,
                 self._before is None,
             )
         )  # fmt: skip
-        self.bad_pixels = packed.bad if packed else BadPixels()
+        self.bad_pixels = self._upload.bad_pixels() if host else BadPixels()

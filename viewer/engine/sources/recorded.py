@@ -119,16 +119,14 @@ class RecordedSource(Recorded, FrameSource):
         return self._cache.get(("rendered", k), lambda: self._read(k))
 
     def _read(self, k: int) -> RenderedFrame:
-        return self.sequence.read(self._entries[k]).packed_only()
+        return self.sequence.read(self._entries[k])
 
     def _shown(self, k: int) -> RenderedFrame:
         """The display part; bad pixels are those of the whole."""
         frame = self._as_rendered(k)
         entry = self._entries[max(k - 1, 0)]
         before = replace(frame, camera=entry.render_camera, display_camera=entry.display_camera)
-        shown = present(frame, before, size=self.render_size, device=self._device)
-        shown.pack().bad = frame.pack().bad
-        return shown
+        return present(frame, before, size=self.render_size, device=self._device)
 
 
 class _ReadAhead:
@@ -167,5 +165,4 @@ class _ReadAhead:
 def _nbytes(value: np.ndarray | RenderedFrame) -> int:
     if isinstance(value, np.ndarray):
         return value.nbytes
-    packed = value.pack()
-    return sum(array.nbytes for array in (packed.color, packed.depth, packed.motion))
+    return sum(array.nbytes for array in (value.color, value.depth, value.motion) if array is not None)

@@ -1,0 +1,94 @@
+"""Time of NumPy arrays on their way to a device and back, beside plain copies of the same bytes (`gffe bench --io`)."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.frame.rendered_frame import RenderedFrame, host_arrays
+from gffe_cl.opencl.device import Device
+from gffe_cl.pipeline.made_frame import PresentedFrame
+from gffe_cl.stages.base import Board
+from gffe_cl.stages.buffers import DeviceFrame, Sizes
+from gffe_cl.stages.upload import Upload
+
+FORMS = (("float32", 3), ("float32", 4), ("float16", 3), ("float16", 4))  # of colors
+WARM_UP = 2  # turns that do not count
+
+
+@dataclass
+class IoTimes:
+    """Median milliseconds of one frame. `upload`: color, depth and motion checked, copied and converted, and bad pixels
+    counted; `download`: color as a new array; `copy_in`, `copy_out`: plain copies of the same bytes between existing
+    arrays and buffers. `ratio`: of the sums, the median of the ratios within a turn."""
+
+    width: int
+    height: int
+    color: str
+    upload: float
+    copy_in: float
+    download: float
+    copy_out: float
+    ratio: float
+
+
+def measure_io(device: Device, frame: RenderedFrame, turns: int, on_turn: Callable[[], None]) -> list[IoTimes]:
+    """Time each form of colors in `turns` turns, on the arrays of `frame`."""
+    height, width = np.shape(frame.depth)
+    rgba = host_arrays(frame).in_device_layout().color
+    found = []
+    for dtype, channels in FORMS:
+        timed = _Turn(device, replace(frame, color=np.ascontiguousarray(rgba[..., :channels], dtype)))
+        times = []
+        for turn in range(WARM_UP + turns):
+            taken = timed(backward=turn % 2 == 1)  # what comes second finds the arrays in caches
+            if turn >= WARM_UP:
+                times.append(taken)
+                on_turn()
+        medians = (statistics.median(part) * 1e3 for part in zip(*times, strict=True))
+        ratio = statistics.median((up + down) / (copy_in + copy_out) for up, copy_in, down, copy_out in times)
+        found.append(IoTimes(width, height, f"{dtype} {'RGBA'[:channels]}", *medians, ratio))
+    return found
+
+
+class _Turn:
+    """Each part once, in either order: seconds of upload, plain copies in, download, plain copy out."""
+
+    def __init__(self, device: Device, frame: RenderedFrame):
+        height, width = np.shape(frame.depth)
+        self._device, self._frame = device, frame
+        self._upload = Upload(Board(device, Sizes((width, height), (width, height))))
+        self._taken = DeviceFrame.allocate(device, (width, height), frame.camera, frame.shown_camera, frame.time)
+        self._shown = PresentedFrame(frame.camera, frame.time, *self._taken.buffers, device, (width, height))
+        arrays = (frame.color, frame.depth, frame.motion)
+        self._copies = [(device.buffer(array.nbytes), array) for array in arrays]
+        self._out = np.empty((height, width, 4), np.float16)
+
+    def __call__(self, backward: bool) -> list[float]:
+        parts = [self._upload_frame, self._copy_in, self._download, self._copy_out]
+        return [self._seconds(part) for part in reversed(parts)][::-1] if backward else [*map(self._seconds, parts)]
+
+    def _seconds(self, part: Callable[[], object]) -> float:
+        start = time.perf_counter()
+        part()
+        self._device.queue.finish()
+        return time.perf_counter() - start
+
+    def _upload_frame(self) -> None:
+        self._upload.take(host_arrays(self._frame), self._taken)
+        self._upload.bad_pixels()
+
+    def _copy_in(self) -> None:
+        for buffer, array in self._copies:
+            cl.enqueue_copy(self._device.queue, buffer, array)
+
+    def _download(self) -> None:
+        self._shown.numpy("color")
+
+    def _copy_out(self) -> None:
+        cl.enqueue_copy(self._device.queue, self._out, self._taken.color)

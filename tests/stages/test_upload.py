@@ -1,0 +1,132 @@
+"""NumPy arrays on their way to the device: the bits of the twin, and its counts of bad pixels."""
+
+import numpy as np
+import pyopencl as cl
+import pytest
+import twins
+from synthetic import camera
+
+from gffe_cl import Options, Pipeline, RenderedFrame
+from gffe_cl.frame.rendered_frame import BadPixels, host_arrays
+from gffe_cl.stages.base import Board
+from gffe_cl.stages.buffers import DeviceFrame, Sizes
+from gffe_cl.stages.upload import Upload
+
+SIZES = [(1, 1), (3, 70), (37, 21), (64, 4), (249, 5)]  # one more than eight lanes have in a run
+
+
+@pytest.fixture(params=[8, 1])
+def lanes(request, device, monkeypatch):
+    monkeypatch.setitem(device.__dict__, "lanes", request.param)
+
+
+@pytest.fixture(params=[True, False], ids=["in place", "copied"])
+def stage_of(request, device, lanes):
+    """Makes the stage for a size."""
+
+    def made(size):
+        stage = Upload(Board(device, Sizes(size, size)))
+        stage._in_place = request.param and device.info.kind == "cpu"
+        return stage
+
+    return made
+
+
+def colors(rng, size, channels, dtype):
+    """Of all magnitudes and signs, with values that half does not hold."""
+    shape = (size[1], size[0], channels)
+    values = rng.normal(0, 1, shape) * 10.0 ** rng.uniform(-9, 5.5, shape)
+    share = rng.random(shape)
+    for k, value in enumerate((np.nan, np.inf, -np.inf, -0.0, 65504, 65510, 65519.99, -65520)):
+        values[(share > 0.01 * k) & (share < 0.01 * k + 0.01)] = value
+    with np.errstate(over="ignore"):
+        return values.astype(dtype)
+
+
+def geometry(rng, size):
+    depth = rng.choice([1, 1, 1e-40, -1, 0, np.nan, np.inf, -np.inf], size[::-1]).astype(np.float32)
+    return depth, rng.choice([1, 5, 7, 1e30, np.nan, np.inf, -np.inf], (*size[::-1], 2)).astype(np.float32)
+
+
+def taken(stage, frame):
+    """What lies on the device then."""
+    on_device = DeviceFrame.allocate(stage.device, stage.sizes.source, frame.camera, frame.camera, frame.time)
+    stage.take(host_arrays(frame), on_device)
+    shapes = ((4,), np.float16), ((), np.float32), ((2,), np.float32)
+    arrays = [np.empty((*np.shape(frame.depth), *channels), dtype) for channels, dtype in shapes]
+    for array, buffer in zip(arrays, on_device.buffers, strict=True):
+        cl.enqueue_copy(stage.device.queue, array, buffer)
+    return arrays
+
+
+@pytest.mark.parametrize("size", SIZES, ids=str)
+@pytest.mark.parametrize("dtype", [np.float16, np.float32])
+def test_upload_equals_its_twin(device, stage_of, size, dtype):
+    """All forms of arrays that are taken as they are, one after another in the same stage."""
+    stage, rng, view = stage_of(size), np.random.default_rng(size), camera(*size)
+    for channels in (3, 4):
+        for shown in (channels, 3):  # the first three of four channels are taken without a copy, too
+            color = colors(rng, size, channels, dtype)[..., :shown]
+            depth, motion = geometry(rng, size)
+            frame = RenderedFrame(color, depth, motion, view, 0.0)
+            expected, infinite, clamped = twins.convert_color(color)
+            found = taken(stage, frame)
+            for array, like in zip(found, (expected, depth, motion), strict=True):
+                assert array.tobytes() == like.tobytes()
+            bad = BadPixels(infinite, clamped, *twins.count_geometry(depth, motion))
+            assert stage.bad_pixels() == bad == host_arrays(frame).bad
+
+
+@pytest.mark.parametrize("dtype", [np.float64, ">f4", ">f2"])
+def test_other_types_are_rounded_once(device, stage_of, dtype):
+    size, rng = (61, 33), np.random.default_rng(3)
+    depth, motion = geometry(rng, size)
+    color = colors(rng, size, 3, dtype)
+    halves = np.clip(rng.normal(0, 1e4, color.shape), -65000, 65000).astype(np.float16).astype(np.float64)
+    with np.errstate(over="ignore", invalid="ignore"):
+        spacing = np.spacing(halves.astype(np.float16)).astype(np.float64)
+    if np.dtype(dtype).itemsize > 4:  # a little beside the middle of two halves, which float32 does not tell from it
+        color[::2] = (halves + spacing / 2 + np.copysign(1e-9, rng.normal(0, 1, color.shape)) * np.abs(spacing))[::2]
+    frame = RenderedFrame(color, depth.astype(">f4"), motion.astype(np.float64), camera(*size), 0.0)
+    found = taken(stage_of(size), frame)
+    rgb = np.clip(np.nan_to_num(color, posinf=65504, neginf=-65504), -65504, 65504).astype(np.float16)
+    assert found[0][..., :3].tobytes() == rgb.tobytes() and not found[0][..., 3].any()
+    assert found[1].tobytes() == depth.tobytes() and found[2].tobytes() == motion.tobytes()
+
+
+def test_layouts_that_must_be_copied(device, stage_of):
+    """Reversed rows, columns of larger images, memory that is not aligned, frames that nobody may write."""
+    size, rng = (31, 20), np.random.default_rng(5)
+    stage, view = stage_of(size), camera(*size)
+    color = colors(rng, (62, 20), 3, np.float32)[::-1, ::2]
+    depth, motion = geometry(rng, size)
+    unaligned = np.frombuffer(b"-" + depth.tobytes(), np.float32, offset=1).reshape(depth.shape)
+    motion.flags.writeable = False
+    found = taken(stage, RenderedFrame(color, unaligned, motion, view, 0.0))
+    for array, like in zip(found, (twins.convert_color(color)[0], depth, motion), strict=True):
+        assert array.tobytes() == like.tobytes()
+
+
+def test_reset_without_motion(device, stage_of):
+    """Zeros take the place of what was there before."""
+    size, rng = (31, 20), np.random.default_rng(6)
+    stage, (depth, _) = stage_of(size), geometry(rng, size)
+    color = colors(rng, size, 3, np.float32)
+    *_, motion = taken(stage, RenderedFrame(color, depth, None, camera(*size), 0.0, reset=True))
+    assert not motion.any() and stage.bad_pixels().motion == 0
+
+
+def test_arrays_may_be_changed_after_submit(device):
+    """... and bad pixels of a frame are counted once, whenever somebody asks."""
+    rng, size = np.random.default_rng(7), (64, 48)
+    pipeline = Pipeline(device, *size, Options(shading_correction=False))
+    color, depth, motion = colors(rng, size, 3, np.float32), *geometry(rng, size)
+    expected = twins.convert_color(color)[0]
+    total = host_arrays(frame := RenderedFrame(color, depth, motion, camera(*size), 0.0, reset=True)).bad
+    pipeline.submit(frame)
+    color[:], motion[:] = 1, 0
+    assert pipeline.present().numpy("color").tobytes() == expected[..., :3].tobytes()
+    assert pipeline.bad_pixels == pipeline.bad_pixels == total
+    depth[:] = -1
+    pipeline.submit(RenderedFrame(color, depth, motion, camera(*size), 0.1))
+    assert pipeline.bad_pixels == total + BadPixels(depth=depth.size)
