@@ -458,7 +458,7 @@ SCAN __kernel void project_levels(const Frame frame, const int pass, __global co
     const float2 zoom = frame.zoom;
     const Reprojection to_target = frame.to_target;
     const int first = get_global_id(0) * RUN;
-    if (first >= texels || !(run_has(levels_state + first, REMEMBERED) || run_has(levels_state + first, HIDES))) return;
+    if (first >= texels || !(run_has(levels_state + first, REMEMBERED) || run_has(levels_state + first, BOTH))) return;
     const int level = level_of(first, starts), start = start_of(level, starts), width = level_side(source_width, level);
     const float texel_size = (float)(1 << level);
     for (int texel = first; texel < first + RUN; texel += LANES) {

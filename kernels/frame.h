@@ -59,4 +59,4 @@ inline int level_side(const int side, const int level) { return (side + (1 << le
 #define EMPTY 0
 #define SHOWN 1        /* of level 0: a static fragment of the frame itself: the warp projects it */
 #define REMEMBERED 2   /* of an earlier frame */
-#define HIDES 3        /* of a single level: SHOWN, and what that hides is REMEMBERED */
+#define BOTH 3         /* of a single level: SHOWN, and what that hides is REMEMBERED */

@@ -16,12 +16,12 @@ from gffe_cl.stages.pixel_formats import OFFSET, RGB9E5
 from gffe_cl.stages.warp import DISOCCLUDED, MIXED
 
 _CONSTANTS = constants("background.cl")
-REMEMBERED, SHOWN, HIDES = (_CONSTANTS[name] for name in ("REMEMBERED", "SHOWN", "HIDES"))
+REMEMBERED, SHOWN, BOTH = (_CONSTANTS[name] for name in ("REMEMBERED", "SHOWN", "BOTH"))
 STATES = (
     (_CONSTANTS["EMPTY"], "empty"),
     (SHOWN, "shown by the current frame"),
     (REMEMBERED, "remembered"),
-    (HIDES, "shown by the current frame, and remembered behind that"),
+    (BOTH, "shown by the current frame, and remembered behind that"),
 )
 
 

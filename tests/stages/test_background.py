@@ -6,7 +6,7 @@ import pytest
 from synthetic import Rect, Rects, camera
 
 from gffe_cl import Options, Pipeline
-from gffe_cl.stages.background import HIDES, REMEMBERED
+from gffe_cl.stages.background import BOTH, REMEMBERED
 from gffe_cl.stages.buffers import BY_HIDDEN_PART
 from gffe_cl.stages.pixel_formats import OFFSET, RGB9E5
 
@@ -127,7 +127,7 @@ def test_depth_noise_does_not_push_the_surface_down(device, levels):
         pipeline.submit(RenderedFrame(color, noisy, motion, cam, k / 30, reset=k == 0))
         previous = cam
     state = pipeline.stages["background"].read(f"state_{levels - 1}")
-    fill = (state == (HIDES if levels == 1 else REMEMBERED)).mean()
+    fill = (state == (BOTH if levels == 1 else REMEMBERED)).mean()
     assert fill < 0.01, fill
 
 

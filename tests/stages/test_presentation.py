@@ -12,7 +12,7 @@ from test_twins import assert_close
 from gffe_cl import Camera, GffeError, Options, Overlays, Pipeline, RenderedFrame, fixed_window, present
 from gffe_cl.frame.rendered_frame import HostArrays, require_one_pose
 from gffe_cl.frame.window import FULL, Window
-from gffe_cl.stages.background import HIDES
+from gffe_cl.stages.background import BOTH
 from gffe_cl.stages.base import Board
 from gffe_cl.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.stages.frame_block import mapping
@@ -186,7 +186,7 @@ def test_static_stays_static_through_windows(device):
         through = WINDOWS[k % len(WINDOWS)].camera(turning(k), (W, H))
         which, _, _ = MOVING._hit(through, k / 30, twins.centres(H, W).astype(np.float64))
         assert (dynamic == (which == 1)).mean() > 0.99
-        assert (pipeline.stages["background"].read("state_0") == HIDES).mean() < 0.15
+        assert (pipeline.stages["background"].read("state_0") == BOTH).mean() < 0.15
         motion = made.numpy("motion")
         assert np.isfinite(motion).all()
 

@@ -185,7 +185,7 @@ def test_stages_equal_their_twins(device, options, size, target, monkeypatch):
             for name in ("color", "depth", "px"):
                 assert_close(got_level[name][kept], expected[name][kept])
         assert (levels[0]["state"] == twins.REMEMBERED).any()
-        assert (levels[0]["state"] == twins.HIDES).any() == (options.levels == 1)
+        assert (levels[0]["state"] == twins.BOTH).any() == (options.levels == 1)
         before = (past.color, past.depth, twins.unmixed(past.depth, dynamic_before), reprojection(to, past.camera))
         warped |= twins.project_background(warped, _levels(pipeline, now), zoom, to_target, to_source, before)
         assert np.isin(warped["filled_by"], range(1, options.levels + 1)).any()

@@ -7,7 +7,7 @@ One module per stage.
 """
 
 from twins.acceleration import track_acceleration
-from twins.background import HIDES, REMEMBERED, SHOWN, collect_levels, collect_shown, project_background
+from twins.background import BOTH, REMEMBERED, SHOWN, collect_levels, collect_shown, project_background
 from twins.common import COMMON, centres
 from twins.composition import compose
 from twins.correction import choose_flow, correct, judge
@@ -24,9 +24,9 @@ from twins.upload import convert_color, count_geometry
 from twins.warp import block_classes, link_surfaces, load_color, resolve, smooth_blocks, splat, unmixed
 
 __all__ = [
+    "BOTH",
     "COMMON",
     "EXACT",
-    "HIDES",
     "REMEMBERED",
     "SHOWN",
     "asked_texels",

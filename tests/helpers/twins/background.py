@@ -7,7 +7,7 @@ from twins.holes import is_outside, static_motion
 from twins.warp import _STEPS, _shifted, load_code, load_color, unmixed
 
 BACKGROUND = kernel_constants("background.cl")
-EMPTY_TEXEL, SHOWN, REMEMBERED, HIDES = BACKGROUND.EMPTY, BACKGROUND.SHOWN, BACKGROUND.REMEMBERED, BACKGROUND.HIDES
+EMPTY_TEXEL, SHOWN, REMEMBERED, BOTH = BACKGROUND.EMPTY, BACKGROUND.SHOWN, BACKGROUND.REMEMBERED, BACKGROUND.BOTH
 
 
 def collect_shown(color, depth, dynamic, collect):
