@@ -18,6 +18,8 @@
 #define SLOPE 0.1f           /* of leaky rectifiers */
 #define DISOCCLUDED_BELOW 0.4f  /* mean input mask of four pixels, of which one is disoccluded and none dynamic: at most 0.375 */
 #define MARGIN 2.0f          /* how much farther than it changed light may go on */
+#define TRUSTED 3.0f         /* of the focus mask: all while the last change differs by 2/3 of its square from the one before, ... */
+#define DISTRUST 3.0f        /* ... nothing where it differs as if there had been none */
 #define DOUBT 0.1f           /* the focus mask is 2 p - DOUBT */
 
 inline Floats leaky(const Floats x) { return wide_greater(x, SLOPE * x); }
@@ -29,9 +31,19 @@ inline Floats sigmoid(const Floats x) {
     return x == x ? value : x;
 }
 
-/* At a quarter of the resolution: the flow to follow (2), in pixels of half the resolution, and how far the trend lasts. */
+/* How far the focus mask may be trusted: not where light flickers, so that the last interval's change of brightness is no
+   longer that of the interval before, neither as it is nor along the flow. */
+inline Floats trust(__global const float *differences, const int plane, const Taps *taps) {
+    const Floats changed = interpolate(differences, taps), again = interpolate(differences + 2 * plane, taps);
+    const Floats again_along = interpolate(differences + 3 * plane, taps);
+    const Floats ratio = wide_divide(wide_lesser(again, again_along) + LEAST, changed + LEAST);
+    return clamp(TRUSTED - DISTRUST * ratio, (Floats)(0.0f), (Floats)(1.0f));
+}
+
+/* At a quarter of the resolution: the flow to follow (2), in pixels of half the resolution, how far the trend lasts, and how far
+   the focus mask is trusted. */
 WIDE __kernel void choose_flow(const Frame frame, __global const float *judgement, __global const float *candidates,
-                               __global float *chosen) {
+                               __global const float *differences, __global float *chosen) {
     const int width = frame.network_width / 2, height = frame.network_height / 2, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= width || y >= height) return;
@@ -46,6 +58,9 @@ WIDE __kernel void choose_flow(const Frame frame, __global const float *judgemen
     }
     const Floats lasts = load_floats(0, candidates + HELD * plane) + load_floats(0, judgement + 3 * plane);
     store_floats(lasts == lasts ? clamp(lasts, (Floats)(0.0f), (Floats)(1.0f)) : lasts, 0, chosen + 2 * plane);
+    Taps taps;
+    taps_around(x, y, width / 2, height / 2, &taps);
+    store_floats(trust(differences, plane / 4, &taps), 0, chosen + 3 * plane);
 }
 
 /* The head: two layers of weights for each pixel. Weights lie one row after another, each layer's biases after them. */
@@ -103,7 +118,8 @@ WIDE __kernel void judge(const Frame frame, __global const float *frames, __glob
     store_floats(sigmoid(said[3]), 0, correction + 3 * plane + at);
     const Ints untold = load_floats(0, frames + 7 * plane + at) < DISOCCLUDED_BELOW;
     const Floats mask = *changed ? (untold ? (Floats)(0.0f) : 2.0f * said[4] - DOUBT) : (Floats)(0.0f);
-    store_floats(mask == mask ? clamp(mask, (Floats)(0.0f), (Floats)(1.0f)) : mask, 0, correction + 4 * plane + at);
+    const Floats trusted = interpolate(chosen + 3 * quarter, &taps);
+    store_floats(mask == mask ? clamp(mask, (Floats)(0.0f), (Floats)(1.0f)) * trusted : mask, 0, correction + 4 * plane + at);
 }
 
 /* Stores the lanes of a mixture that hold, and of the others the extrapolated colour's own bits. */

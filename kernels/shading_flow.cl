@@ -13,15 +13,17 @@
 #define FLAT 0.0001f      /* squared gradient of encoded colour below which nothing moves */
 #define LONGEST 2.0f      /* pixels of a step */
 #define LITTLE 0.0001f    /* squared change of encoded colour */
-#define LEAST 0.000001f   /* squared difference of encoded colour */
 #define GAIN 4.0f         /* of what the network is given */
 #define THIRD 0.33333334f
 #define PRODUCTS 5
+#define BRIGHTNESSES 3    /* of the extrapolated frame, the previous one, and by how much the interval before changed it */
+#define REPEATED 7        /* plane of trends: change of brightness in the interval before */
+#define DIFFERENCES 4
 #define CANDIDATES 16
 
-/* Level 1 of both frames: colours of the extrapolated one (3), and the brightness of both (2). */
-WIDE __kernel void halve_frames(const Frame frame, __global const float *frames, __global float *colors,
-                                __global float *brightness) {
+/* Level 1 of both frames: colours of the extrapolated one (3), the brightness of both, and its change in the interval before. */
+WIDE __kernel void halve_frames(const Frame frame, __global const float *frames, __global const float *trends,
+                                __global float *colors, __global float *brightness) {
     const int fine = frame.network_width, width = fine / 2, height = frame.network_height / 2, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, at = y * width + x;
     if (count <= 0 || y >= height) return;
@@ -34,14 +36,15 @@ WIDE __kernel void halve_frames(const Frame frame, __global const float *frames,
         }
         store_some_floats(THIRD * sum, count, brightness + which * plane + at);
     }
+    store_some_floats(halved(trends + 4 * REPEATED * plane, fine, x, y, count), count, brightness + 2 * plane + at);
 }
 
-/* Both frames' brightness at `level`, from the level above. */
+/* Brightness and its change at `level`, from the level above. */
 WIDE __kernel void halve_brightness(const Frame frame, const int level, __global const float *fine, __global float *brightness) {
     const int width = frame.network_width >> level, height = frame.network_height >> level, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
     if (count <= 0 || y >= height) return;
-    for (int which = 0; which < 2; ++which)
+    for (int which = 0; which < BRIGHTNESSES; ++which)
         store_some_floats(halved(fine + 4 * which * plane, 2 * width, x, y, count), count, brightness + which * plane + y * width + x);
 }
 
@@ -130,11 +133,12 @@ WIDE __kernel void step_flow(const Frame frame, const int level, __global const 
     store_some_floats(load_some_floats(count, flow + plane + at) + wide_divide(step_y, excess), count, flow + plane + at);
 }
 
-/* Mean squared differences over 2x2 pixels of level 1 from the previous frame, as it is and along the flow. */
+/* At level 2, squared differences: means over 2x2 pixels of level 1 of the brightness of both frames, as it is and along the
+   flow; of its change from that of the interval before, as it is and along the flow. */
 WIDE __kernel void sum_differences(const Frame frame, __global const float *brightness, __global const float *warped,
-                                   __global float *products) {
+                                   __global const float *coarser, __global const float *flow, __global float *products) {
     const int fine = frame.network_width / 2, width = fine / 2, height = frame.network_height / 4, plane = width * height;
-    const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
+    const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, at = y * width + x;
     if (count <= 0 || y >= height) return;
     Floats still = 0.0f, along = 0.0f;
     for (int part = 0; part < 4; ++part) {
@@ -144,8 +148,16 @@ WIDE __kernel void sum_differences(const Frame frame, __global const float *brig
         still += before * before;
         along += moved * moved;
     }
-    store_some_floats(0.25f * still, count, products + y * width + x);
-    store_some_floats(0.25f * along, count, products + plane + y * width + x);
+    const Floats changed = load_some_floats(count, coarser + at) - load_some_floats(count, coarser + plane + at);
+    const Floats flow_x = load_some_floats(count, flow + at), flow_y = load_some_floats(count, flow + plane + at);
+    Sample there;
+    find_sample(row_indices(x) + 0.5f * flow_x, (float)y + 0.5f * flow_y, width, height, &there);
+    const Floats again = changed - load_some_floats(count, coarser + 2 * plane + at);
+    const Floats again_along = changed - sampled(coarser + 2 * plane, &there);
+    store_some_floats(0.25f * still, count, products + at);
+    store_some_floats(0.25f * along, count, products + plane + at);
+    store_some_floats(again * again, count, products + 2 * plane + at);
+    store_some_floats(again_along * again_along, count, products + 3 * plane + at);
 }
 
 /* Their means around. */
@@ -153,7 +165,7 @@ WIDE __kernel void blur_differences(const Frame frame, __global const float *pro
     const int width = frame.network_width / 4, height = frame.network_height / 4, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
     if (count <= 0 || y >= height) return;
-    for (int k = 0; k < 2; ++k)
+    for (int k = 0; k < DIFFERENCES; ++k)
         store_some_floats(mean_around(products + k * plane, width, height, x, y), count, differences + k * plane + y * width + x);
 }
 

@@ -12,6 +12,7 @@
 #define SAME_SURFACE 0.03f     /* relative depth within which t-1 shows the same surface */
 #define MOST_CHANGE 1048576.0f /* factor of one pixel's colour: products over a cell stay within floats */
 #define CHANGES 4              /* planes: of R, G, B, and the share of samples that show what is static in both frames */
+#define THIRD 0.33333334f
 #define LEAST_SHARE 0.05f      /* of a neighbourhood: fewer samples say less */
 
 /* Rendered frames t and t-1. */
@@ -143,9 +144,10 @@ inline Floats trend_at(__global const float *plane, const Cells *c) {
 }
 
 /* What the trends of the last two intervals come to by t + alpha, each looked up where the pixel's surface, if it is static, was
-   seen then; and the share of the last one. */
+   seen then, and the share of the last one; and how brightness changed close by in the interval before. */
 WIDE __kernel void carry_trends(const Frame frame, __global const float *depth, __global const float *trend,
-                                __global const float *trend_prev, __global float *trends) {
+                                __global const float *trend_prev, __global const float *changes_prev,
+                                __global float *trends) {
     const int target_width = frame.target_width, target_height = frame.target_height;
     const int network_width = frame.network_width, network_height = frame.network_height;
     const int cells_width = frame.cells_width, cells_height = frame.cells_height;
@@ -167,4 +169,8 @@ WIDE __kernel void carry_trends(const Frame frame, __global const float *depth, 
         store_floats(alpha * trend_at(trend_prev + c * plane, &before), 0, out + (3 + c) * size);
     }
     store_floats(trend_at(trend + 3 * plane, &now), 0, out + 6 * size);
+    const Floats share = trend_at(changes_prev + 3 * plane, &before), least = wide_greater(share, (Floats)(LEAST_SHARE));
+    Floats change = 0.0f;
+    for (int c = 0; c < 3; ++c) change += trend_at(changes_prev + c * plane, &before);
+    store_floats(wide_divide(THIRD * change, least), 0, out + 7 * size);
 }

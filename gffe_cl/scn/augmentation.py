@@ -11,7 +11,7 @@ from gffe_cl.scn.clips import CROP
 from gffe_cl.scn.crops import DYNAMIC, Batch
 from gffe_cl.scn.images import halve
 from gffe_cl.scn.network import decode, encode
-from gffe_cl.stages.shading_trend import reach_of
+from gffe_cl.stages.shading_trend import TREND_PLANES, reach_of
 
 _CONSTANTS = constants("shading_trend.cl")
 _CELL, _LEAST_SHARE = _CONSTANTS["CELL"], _CONSTANTS["LEAST_SHARE"]
@@ -44,7 +44,8 @@ class Augmentation:
         count = colors.shape[1]
         hue = torch.stack([torch.randperm(3, generator=self.generator) for _ in range(count)])
         colors = colors.gather(2, hue.view(1, count, 3, 1, 1).expand_as(colors))
-        order = torch.cat((hue, 3 + hue, torch.full((count, 1), 6)), 1).view(count, 7, 1, 1)
+        rest = torch.arange(6, TREND_PLANES).expand(count, -1)
+        order = torch.cat((hue, 3 + hue, rest), 1).view(count, TREND_PLANES, 1, 1)
         trends = trends.gather(1, order.expand_as(trends))
         before = _changes(colors, batch.halved)
         colors = colors * torch.exp2(self._uniform((1, count, 3, 1, 1), -0.3, 0.3))
@@ -55,9 +56,12 @@ class Augmentation:
         colors = (colors * torch.exp2(self._uniform((1, count, 1, 1, 1), -1.5, 1.0))).clamp_(0, 60000)
         changed = _changes(colors, batch.halved) - before
         static = side[:, 1:] if batch.halved else halve(side[:, 1:])
-        blurred = low_pass(changed, ((static - 0.5).abs() < _KNOWN).float(), batch.heights)
-        trends[:, :6] += alpha.view(-1, 1, 1, 1) * blurred
-        trends[self._some(count, _UNKNOWN_BEFORE), 3:6] = 0
+        known = ((static - 0.5).abs() < _KNOWN).float()
+        trends[:, :6] += alpha.view(-1, 1, 1, 1) * low_pass(changed, known, batch.heights)
+        trends[:, 7:8] += low_pass(changed[:, 3:].mean(1, keepdim=True), known)
+        some = self._some(count, _UNKNOWN_BEFORE)
+        trends[some, 3:6] = 0
+        trends[some, 7:] = 0
         some = self._some(count, self.noise)
         if len(some):
             colors[:2, some] = self._grainy(colors[:2, some])
@@ -188,11 +192,11 @@ class Augmentation:
 
 
 def _earlier(batch: Batch) -> Tensor:
-    """The frame before the warped previous one, as far as its trend tells: linear colour, at the batch's resolution."""
-    trend = batch.trends[:, 3:6] / batch.alpha.view(-1, 1, 1, 1)
+    """The frame before the warped previous one, as far as is known: linear colour, at the batch's resolution."""
+    change = batch.trends[:, 7:8]
     if not batch.halved:
-        trend = functional.interpolate(trend, batch.gae.shape[-2:], mode="bilinear", align_corners=False)
-    return decode(encode(batch.previous) - trend)
+        change = functional.interpolate(change, batch.gae.shape[-2:], mode="bilinear", align_corners=False)
+    return decode(encode(batch.previous) - change)
 
 
 def _changes(colors: Tensor, halved: bool) -> Tensor:
@@ -202,15 +206,16 @@ def _changes(colors: Tensor, halved: bool) -> Tensor:
     return changes if halved else halve(changes)
 
 
-def low_pass(changes: Tensor, known: Tensor, heights: Tensor) -> Tensor:
-    """Means of `changes` (N, C, h, w; half resolution) around, over pixels that are `known` (N, 1, h, w): as
-    kernels/shading_trend.cl has them, over cells of 8×8 pixels of frames of these heights (N,)."""
+def low_pass(changes: Tensor, known: Tensor, heights: Tensor | None = None) -> Tensor:
+    """Means of `changes` (N, C, h, w; half resolution) over cells of 8×8 pixels of the frame, of pixels that are
+    `known` (N, 1, h, w); around, too, in frames of these `heights` (N,): as kernels/shading_trend.cl has them."""
     size = changes.shape[-2:]
     cells = functional.avg_pool2d(torch.cat((changes * known, known), 1), _CELL // 2, ceil_mode=True)
-    reach = torch.tensor([reach_of(int(height)) + 1.0 for height in heights]).view(-1, 1, 1, 1)
-    across, along = (torch.arange(side, dtype=changes.dtype) for side in cells.shape[-2:])
-    weights = [(1 - (x[:, None] - x[None]).abs() / reach).clamp(min=0) / reach for x in (across, along)]
-    blurred = weights[0] @ cells @ weights[1]
-    mean = blurred[:, :-1] / blurred[:, -1:].clamp(min=_LEAST_SHARE)
+    if heights is not None:
+        reach = torch.tensor([reach_of(int(height)) + 1.0 for height in heights]).view(-1, 1, 1, 1)
+        across, along = (torch.arange(side, dtype=changes.dtype) for side in cells.shape[-2:])
+        weights = [(1 - (x[:, None] - x[None]).abs() / reach).clamp(min=0) / reach for x in (across, along)]
+        cells = weights[0] @ cells @ weights[1]
+    mean = cells[:, :-1] / cells[:, -1:].clamp(min=_LEAST_SHARE)
     scaled = functional.interpolate(mean, scale_factor=_CELL // 2, mode="bilinear", align_corners=False)
     return scaled[..., : size[0], : size[1]]

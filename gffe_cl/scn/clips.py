@@ -30,7 +30,7 @@ CHANNELS = 11  # exposed linear GAE (3), warped previous (3), ground truth (3), 
 PLANES = {"gae": slice(0, 3), "previous": slice(3, 6), "truth": slice(6, 9), "side": slice(9, 11)}
 HALVED_CHANNELS = CHANNELS + TREND_PLANES  # at half resolution the trends of shading come after
 CROP = 256
-VERSION = 5
+VERSION = 6
 _SIZES = ((480, 270), (640, 360), (800, 450), (960, 540))
 _SIZE_SHARES = (0.5, 0.35, 0.1, 0.05)
 _ALPHAS = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 1.0)
@@ -74,7 +74,7 @@ class ClipPlan:
 
 
 def make_clip(device: Device, plan: ClipPlan) -> tuple[np.ndarray, np.ndarray, list[float]]:
-    """Render and extrapolate a clip: (S, 11, H, W) float16 samples (`PLANES`), their trends (S, 7, H/2, W/2) and α."""
+    """Render and extrapolate a clip: (S, 11, H, W) float16 samples (`PLANES`), their trends (S, 8, H/2, W/2) and α."""
     scene = plan.make_scene()
     scene_frames = SceneFrames(SceneRenderer(device, scene, plan.width, plan.height, samples=5))
     options = Options(shading_inputs=True, shading_correction=False)

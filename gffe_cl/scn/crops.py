@@ -42,7 +42,7 @@ class Crop:
 @dataclass
 class Batch:
     """Exposed linear colour (N, 3, H, W) of the GAE frame, the warped previous frame and the truth;
-    `side` (N, 2, H, W): inverse depth and input mask; `trends` (N, 7, h, w) of shading, always at the network's
+    `side` (N, 2, H, W): inverse depth and input mask; `trends` (N, 8, h, w) of shading, always at the network's
     resolution; alpha (N,); `heights` (N,) of the frames that the crops are of, in pixels. `halved`: all at half
     resolution."""
 

@@ -18,11 +18,12 @@ _FLAT = 1e-4  # squared gradient of encoded colour below which nothing moves
 _LONGEST = 2.0  # pixels of a step
 
 
-def find_flow(now: Tensor, before: Tensor) -> tuple[Tensor, Tensor]:
+def find_flow(now: Tensor, before: Tensor, repeated: Tensor) -> tuple[Tensor, Tensor]:
     """What is at x in `now` is at x + flow[x] in `before`, both (N, 1, h, w), sides multiples of 8.
 
-    Returns the flow, (N, 2, h, w) in pixels, and (N, 2, h, w) the mean squared difference around from `before` as it
-    is, and along the flow. Sums are over some 6×6 pixels of each level; the flow of every second pixel is found.
+    Returns the flow, (N, 2, h, w) in pixels, and (N, 4, h, w) mean squared differences around: of `now` from `before`
+    as it is and along the flow, and of that change from the one of the interval before, `repeated` (N, 1, h, w), as it
+    is and along the flow. Sums are over some 6×6 pixels of each level; the flow of every second pixel is found.
     """
     images = [(now, before)]
     while len(images) < _LEVELS:
@@ -33,9 +34,11 @@ def find_flow(now: Tensor, before: Tensor) -> tuple[Tensor, Tensor]:
         flow = a.new_zeros(a.shape[0], 2, height, width) if flow is None else 2.0 * double(flow)
         for _ in range(_STEPS):
             flow = flow + _step(a, warp(b, double(flow)))
-    flow = double(flow)
-    differences = torch.cat(((before - now).square(), (warp(before, flow) - now).square()), 1)
-    return flow, double(_mean_around(differences))
+    finest = double(flow)
+    squares = halve(torch.cat((before - now, warp(before, finest) - now), 1).square())
+    changed, repeated = halve(now - before), halve(repeated)
+    again = torch.cat((changed - repeated, changed - warp(repeated, 0.5 * flow)), 1).square()
+    return finest, double(_means(torch.cat((squares, again), 1)))
 
 
 def _step(a: Tensor, b: Tensor) -> Tensor:
@@ -56,4 +59,9 @@ def _gradient(image: Tensor) -> tuple[Tensor, Tensor]:
 
 def _mean_around(image: Tensor) -> Tensor:
     """At half the resolution: of 3×3 of its pixels."""
-    return functional.avg_pool2d(halve(image), 3, 1, 1, count_include_pad=False)
+    return _means(halve(image))
+
+
+def _means(image: Tensor) -> Tensor:
+    """Of the 3×3 pixels around each, or those of them that there are."""
+    return functional.avg_pool2d(image, 3, 1, 1, count_include_pad=False)

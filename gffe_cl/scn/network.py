@@ -27,7 +27,9 @@ _CHANNELS = (16, 32, 48, 64)  # at 1/4 … 1/32 of the display
 _SEEN = 16  # channels of what is seen of the frames themselves, at a quarter
 _JUDGED = 4  # channels of the judgement before the detail
 _DOUBT = 0.1
+_DISOCCLUDED_BELOW = 0.4  # mean input mask of four pixels
 _MARGIN = 2.0  # how much farther than it changed light may go on
+_TRUSTED, _DISTRUST = 3.0, 3.0  # the focus mask: by the squared difference of two intervals' changes to that of one
 _FLOW_UNIT = 4.0  # pixels of a quarter of the resolution
 _LITTLE = 1e-4  # squared change of encoded colour
 _SLOPE = 0.1  # of leaky rectifiers
@@ -83,8 +85,8 @@ class ShadingCorrectionNetwork(nn.Module):
     frames : (N, 8, h, w): encoded GAE colour (3), encoded warped previous frame (3), inverse depth, input mask; half
         resolution, h and w multiples of `MULTIPLE`
     alpha : (N,) or (1,)
-    trends : (N, 7, h, w): change of encoded colour until t + α as the last interval has it (3), as the interval before
-        has it (3), share of the surroundings that tells
+    trends : (N, 8, h, w): change of encoded colour until t + α as the last interval has it (3), as the interval before
+        has it (3), share of the surroundings that tells; change of brightness close by in the interval before
 
     Returns (N, 5, h, w): Δ (3; encoded colour), keep, focus mask M. While training also p, (N, 1, h, w), of which
     M = 2 p − 0.1 clamped to 0 … 1: nothing is touched where there is little to gain. There is no sigmoid: where the
@@ -137,7 +139,7 @@ class ShadingCorrectionNetwork(nn.Module):
     def forward(self, frames: Tensor, alpha: Tensor, trends: Tensor):
         now, before = frames[:, :3], frames[:, 3:6]
         time = alpha.view(-1, 1, 1, 1)
-        found, held, candidates = find_candidates(halve(frames[:, :6]), halve(trends), time)
+        found, held, trusted, candidates = find_candidates(halve(frames[:, :6]), halve(trends), time)
         judgement = self.convolutions(frames, candidates).float()
         own, follow, lasts, detail = judgement.split((2, 1, 1, JUDGEMENT_PLANES - _JUDGED), 1)
         own = _FLOW_UNIT * own
@@ -148,7 +150,9 @@ class ShadingCorrectionNetwork(nn.Module):
         said = self.head(torch.cat((detail, moved, trend, now, before), 1)).float()
         delta = said[:, :3] + moved + said[:, 5:6] * trend
         keep, likely = torch.sigmoid(said[:, 3:4]), said[:, 4:5]
-        correction = torch.cat((delta, keep, (2 * likely - _DOUBT).clamp(0, 1)), 1)
+        shown = frames[:, 7:8] >= _DISOCCLUDED_BELOW
+        mask = (2 * likely - _DOUBT).clamp(0, 1) * shown * double(trusted)
+        correction = torch.cat((delta, keep, mask), 1)
         return (correction, likely) if self.training else correction
 
 
@@ -164,22 +168,27 @@ def moved_light(now: Tensor, before: Tensor, flow: Tensor) -> Tensor:
     return torch.minimum(torch.maximum(moved, least), most)
 
 
-def find_candidates(frames: Tensor, trends: Tensor, time: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def find_candidates(frames: Tensor, trends: Tensor, time: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """At a quarter of the resolution: the flow from the GAE frame into the warped previous one (2), how far the last
-    interval's trend was that of the interval before (1), and what is known about both candidates
-    (`CANDIDATE_PLANES`)."""
+    interval's trend was that of the interval before (1), how far the focus mask may be trusted (1), and what is known
+    about both candidates (`CANDIDATE_PLANES`).
+
+    Trusted is not light that flickers, so that the last interval's change of brightness is no longer that of the
+    interval before, neither as it is nor along the flow.
+    """
     now, before = frames[:, :3], frames[:, 3:6]
     with torch.no_grad():  # of inputs alone
-        found, differences = find_flow(now.mean(1, keepdim=True), before.mean(1, keepdim=True))
-        still, along = (differences + 1e-6).split(1, 1)
+        trend, earlier, share, repeated = trends.split((3, 3, 1, 1), 1)
+        found, differences = find_flow(now.mean(1, keepdim=True), before.mean(1, keepdim=True), repeated)
+        still, along, again, again_along = (differences + 1e-6).split(1, 1)
         moved = warp(now, time * found)
-        trend, earlier, share = trends.split((3, 3, 1), 1)
         held = (trend * earlier).sum(1, keepdim=True) / ((trend * trend).sum(1, keepdim=True) + _LITTLE)
         held = held.clamp(0, 1)
         known = (found / 4, 4 * still.sqrt(), 4 * along.sqrt(), along / still, 4 * (moved - now), 4 * trend,
                  4 * earlier.mean(1, keepdim=True), 4 * (now - before).mean(1, keepdim=True), held, share,
                  torch.zeros_like(share) + time)  # fmt: skip
-    return found, held, torch.cat(known, 1)
+        trusted = (_TRUSTED - _DISTRUST * torch.minimum(again, again_along) / still).clamp(0, 1)
+    return found, held, trusted, torch.cat(known, 1)
 
 
 def compose(color: Tensor, correction: Tensor, focus_mask: bool = True) -> tuple[Tensor, Tensor, Tensor]:

@@ -36,7 +36,8 @@ class ShadingCorrection(Stage):
     within twice what changed since t − 1. With e for the code
     of colour (`NetworkInput`), U for bilinear interpolation from half resolution, L for the encoded GAE colour there
     and g for it at full: refined = e⁻¹(U(L) + U(Δ) + U(keep) · (g − U(L))), final = GAE · (1 − U(M)) + refined · U(M)
-    in linear colour.
+    in linear colour. M is less, down to 0, where the last interval's change of brightness is not that of the interval
+    before.
 
     `unusable_pixels`: of all frames so far, where the network gave NaN or infinity; they keep the GAE colour.
     `with_refined`: whether `refined` is made too, from the next frame on.
@@ -57,7 +58,7 @@ class ShadingCorrection(Stage):
         ),
         BufferSpec(
             "chosen", np.float32, (), "network1", "the flow that is followed until t + α, x (1) and y (2), in pixels of"
-            " half the resolution, and how far the trend lasts (3)", planes=3,
+            " half the resolution, how far the trend lasts (3), and how far the focus mask is trusted (4)", planes=4,
         ),
         BufferSpec(
             "correction", np.float32, (), "network", "change of encoded colour (1–3), share of detail that stays (4),"
@@ -78,6 +79,7 @@ class ShadingCorrection(Stage):
             {
                 "judgement": Access("correction.judgement", planes=4),
                 "candidates": Access("shading_flow.candidates", planes=3),
+                "differences": Access("shading_flow.differences", planes=3),
             },
             {"chosen": "correction.chosen"},
             step=("LANES", 1),

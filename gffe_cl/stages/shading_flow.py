@@ -13,6 +13,7 @@ from gffe_cl.stages.network_input import NetworkInput
 
 _CONSTANTS = constants("shading_flow.cl")
 _LEVELS, _STEPS, _PRODUCTS = (_CONSTANTS[name] for name in ("FLOW_LEVELS", "FLOW_STEPS", "PRODUCTS"))
+_BRIGHTNESSES, _DIFFERENCES = _CONSTANTS["BRIGHTNESSES"], _CONSTANTS["DIFFERENCES"]
 assert _CONSTANTS["CANDIDATES"] == CANDIDATE_PLANES
 
 
@@ -33,7 +34,8 @@ class ShadingFlow(Stage):
         *(
             BufferSpec(
                 f"brightness{level}", np.float32, (), f"network{level}", "mean code of the GAE frame (1) and of the"
-                f" warped previous one (2), level {level}", planes=2, scratch=True,
+                f" warped previous one (2), its change in the interval before (3), level {level}",
+                planes=_BRIGHTNESSES, scratch=True,
             )
             for level in range(1, _LEVELS + 1)
         ),
@@ -54,7 +56,8 @@ class ShadingFlow(Stage):
         ),
         BufferSpec(
             "differences", np.float32, (), "network2", "mean squared difference of brightness around: as it is (1), and"
-            " along the flow (2)", planes=2,
+            " along the flow (2); of its change from that of the interval before: as it is (3), and along the flow (4)",
+            planes=_DIFFERENCES,
         ),
         BufferSpec(
             "candidates", np.float32, (), "network1", "inputs of the network beside its frames: flow / 4 (1, 2), 4 ×"
@@ -68,7 +71,10 @@ class ShadingFlow(Stage):
         Kernel(
             "halve_frames",
             "network1",
-            {"frames": Access("network_input.frames", planes=6)},
+            {
+                "frames": Access("network_input.frames", planes=6),
+                "trends": Access("shading_trend.trends", planes=1),
+            },
             {"colors": "shading_flow.colors", "brightness": "shading_flow.brightness1"},
             step=("LANES", 1),
         ),
@@ -89,7 +95,10 @@ class ShadingFlow(Stage):
         Kernel(
             "warp_brightness",
             "network{level}",
-            {"brightness": "shading_flow.brightness{level}", "flow": "shading_flow.flow{coarser}"},
+            {
+                "brightness": Access("shading_flow.brightness{level}", planes=2),
+                "flow": "shading_flow.flow{coarser}",
+            },
             {"warped": "shading_flow.warped"},
             step=("LANES", 1),
         ),
@@ -110,14 +119,19 @@ class ShadingFlow(Stage):
         Kernel(
             "sum_differences",
             "network2",
-            {"brightness": "shading_flow.brightness1", "warped": "shading_flow.warped"},
-            {"products": Access("shading_flow.products", planes=2)},
+            {
+                "brightness": Access("shading_flow.brightness1", planes=2),
+                "warped": "shading_flow.warped",
+                "coarser": "shading_flow.brightness2",
+                "flow": "shading_flow.flow2",
+            },
+            {"products": Access("shading_flow.products", planes=_DIFFERENCES)},
             step=("LANES", 1),
         ),
         Kernel(
             "blur_differences",
             "network2",
-            {"products": Access("shading_flow.products", planes=2)},
+            {"products": Access("shading_flow.products", planes=_DIFFERENCES)},
             {"differences": "shading_flow.differences"},
             step=("LANES", 1),
         ),

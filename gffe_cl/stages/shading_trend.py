@@ -12,7 +12,7 @@ from gffe_cl.stages.network_input import NetworkInput
 
 _CONSTANTS = constants("shading_trend.cl")
 _CHANGES = _CONSTANTS["CHANGES"]
-TREND_PLANES = 7  # of `ShadingTrend`'s `trends`
+TREND_PLANES = 8  # of `ShadingTrend`'s `trends`
 _SAMPLED = 1 / _CONSTANTS["SAMPLE_STRIDE"] ** 2
 
 
@@ -48,6 +48,7 @@ class ShadingTrend(Stage):
                 "depth": Access("frame.depth", 1 / 4),
                 "trend": "shading_trend.trend",
                 "trend_prev": "shading_trend.trend'",
+                "changes_prev": "shading_trend.changes'",
             },
             {"trends": "shading_trend.trends"},
             step=("LANES", 1),
@@ -56,7 +57,7 @@ class ShadingTrend(Stage):
     buffers = (
         BufferSpec(
             "changes", np.float32, (), "cells", "change of encoded colour since t − 1 (1–3), and share of samples"
-            " that tell (4)", planes=_CHANGES, scratch=True,
+            " that tell (4)", planes=_CHANGES, kept=True,
         ),
         BufferSpec(
             "blurred", np.float32, (), "cells", "the same, blurred along rows", planes=_CHANGES, scratch=True
@@ -68,7 +69,8 @@ class ShadingTrend(Stage):
         BufferSpec(
             "trends", np.float32, (), "network", "change of encoded colour until t + α as the last interval has it"
             " (1–3), as the interval before has it (4–6), and share of the surroundings that tells of the last (7);"
-            " half resolution", planes=TREND_PLANES, mapped=True,
+            " change of brightness close by in the interval before (8); half"
+            " resolution", planes=TREND_PLANES, mapped=True,
         ),
     )  # fmt: skip
 
@@ -80,6 +82,7 @@ class ShadingTrend(Stage):
         """Find the trend; after a reset there is none."""
         if step.previous is None:
             self.fill("trend", 0)
+            self.fill("changes", 0)
             return
         self.launch("measure_changes", step)
         self.launch("blur_rows", step)

@@ -146,20 +146,33 @@ def test_tiles_in_which_something_changes(device, size):
 
 
 def test_a_still_frame_needs_no_network(device, model):
-    """It is the extrapolated one to the bit, and the network does not run; a light that changes is another matter."""
+    """It is the extrapolated one to the bit, and the network does not run. A light that changes for the first time is
+    looked at, one that goes on is corrected."""
     scene, cam = Rects([Rect((0, 0, 8), frequency=0.5)]), camera(40, 24)
     pipeline = Pipeline(device, 40, 24, Options(scn_model=model(delta=0.2)))
     for k in range(4):
         frame = scene.frame(cam, k / 30, 40, 24, (cam, 0), reset=k == 0)
-        frame.color = frame.color * np.float16(0.5 if k == 3 else 1)
+        frame.color = frame.color * np.float16((1, 1, 0.6, 0.36)[k])
         pipeline.submit(frame)
         made = pipeline.extrapolate()
         assert (bits(made.numpy("color")) == bits(made.numpy("gae"))) == (k < 3)
-        assert (pipeline.take_timings()["network"] == 0) == (k < 3)
+        assert (pipeline.take_timings()["network"] == 0) == (k < 2)
     pipeline.stages["network_input"].is_still = True
     pipeline.submit(replace(frame, time=1.0, reset=True))
     pipeline.extrapolate()
     assert not pipeline.stages["network_input"].is_still  # a reset forgets it
+
+
+def test_light_that_flickers_is_left_alone(device, model):
+    scene, cam = Rects([Rect((0, 0, 8), frequency=0.5)]), camera(40, 24)
+    pipeline = Pipeline(device, 40, 24, Options(scn_model=model(delta=0.2)))
+    for k in range(6):
+        frame = scene.frame(cam, k / 30, 40, 24, (cam, 0), reset=k == 0)
+        frame.color = frame.color * np.float16(0.6 if k % 2 else 1)
+        pipeline.submit(frame)
+        made = pipeline.extrapolate()
+        assert bits(made.numpy("color")) == bits(made.numpy("gae"))
+    assert pipeline.take_timings()["network"] > 0
 
 
 @pytest.mark.parametrize("size", [*SIZES, (130, 70)])
@@ -216,9 +229,10 @@ def test_judgement_makes_the_correction_of_its_twin(device, size):
     correction.upload("judgement", judgement)
     correction.launch("choose_flow", step)
     correction.launch("judge", step)
-    candidates, trends = board.stages["shading_flow"].read("candidates"), board.stages["shading_trend"].read("trends")
+    candidates, differences = (board.stages["shading_flow"].read(name) for name in ("candidates", "differences"))
+    trends = board.stages["shading_trend"].read("trends")
     with np.errstate(all="ignore"):
-        chosen = twins.choose_flow(judgement, candidates, step.alpha)
+        chosen = twins.choose_flow(judgement, candidates, differences, step.alpha)
         assert np.array_equal(correction.read("chosen"), chosen, equal_nan=True)
         expected = twins.judge(frames, trends, judgement, chosen, correction.read("head").ravel())
     got = correction.read("correction")
@@ -355,13 +369,13 @@ def test_exposure_reaches_the_network(device, tmp_path):
 def test_after_a_reset_there_is_nothing_to_correct(device, model):
     scene, cam = Rects([Rect((0, 0, 8), frequency=0.5)]), camera(40, 24)
     pipeline = Pipeline(device, 40, 24, Options(scn_model=model(delta=0.2)))
-    for k, reset in enumerate((True, False, True)):
+    for k, reset in enumerate((True, False, False, True)):
         frame = scene.frame(cam, k / 30, 40, 24, (cam, 0), reset=reset)
         frame.color = frame.color * np.float16(1 - 0.2 * k)
         pipeline.submit(frame)
         made = pipeline.extrapolate()
-        assert (bits(made.numpy("color")) == bits(made.numpy("gae"))) == reset
-        assert (pipeline.stages["correction"].read("focus_mask") == (0 if reset else 1)).all()
+        assert (bits(made.numpy("color")) == bits(made.numpy("gae"))) == (k != 2)  # k = 1 knows of one change only
+        assert (pipeline.stages["correction"].read("focus_mask") == (k == 2)).all()
         assert (pipeline.take_timings()["network"] == 0) == reset
 
 

@@ -49,7 +49,7 @@ def test_kernels_equal_their_twins(device, size, reach, exposure):
     pipeline.exposure = exposure
     stage, seen = pipeline.stages["shading_trend"], []
     for frame in frames(*size):
-        before = stage.read("trend") if seen else None
+        before = [stage.read(name) for name in ("trend", "changes")] if seen else None
         pipeline.submit(frame)
         seen.append(frame)
     now, last = seen[-1], seen[-2]
@@ -68,7 +68,7 @@ def test_kernels_equal_their_twins(device, size, reach, exposure):
     made = pipeline.extrapolate(to, now.time + 0.02)
     transforms = (reprojection(to, f.camera) for f in (now, last))
     network = pipeline.sizes.of("network")
-    expected = twins.carry_trends(made.numpy("depth"), stage.read("trend"), before, 0.6, *transforms, network)
+    expected = twins.carry_trends(made.numpy("depth"), stage.read("trend"), *before, 0.6, *transforms, network)
     np.testing.assert_allclose(stage.read("trends"), expected, rtol=2e-4, atol=1e-6)
 
 

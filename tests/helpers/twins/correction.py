@@ -19,12 +19,16 @@ def sigmoid(x):
     return np.where(np.isnan(x), x, np.where(x < 0, of_negative, F(1) - of_negative))
 
 
-def choose_flow(judgement, candidates, alpha):
-    """(3, h, w) of a quarter of the resolution: the flow that is followed, how far the trend lasts."""
+def choose_flow(judgement, candidates, differences, alpha):
+    """(4, h, w) of a quarter of the resolution: the flow that is followed, how far the trend lasts, and how far the
+    focus mask is trusted."""
     found = F(alpha) * (CANDIDATES.FOUND_UNIT * candidates[CANDIDATES.FOUND : CANDIDATES.FOUND + 2])
     own = CORRECTION.FLOW_UNIT * judgement[:2]
     lasts = np.clip(candidates[CANDIDATES.HELD] + judgement[3], F(0), F(1))
-    return np.concatenate([F(2) * (own + sigmoid(judgement[2]) * (found - own)), lasts[None]])
+    changed, _, again, again_along = (doubled(plane) for plane in differences)
+    ratio = (np.minimum(again, again_along) + CANDIDATES.LEAST) / (changed + CANDIDATES.LEAST)
+    trusted = np.clip(CORRECTION.TRUSTED - CORRECTION.DISTRUST * ratio, F(0), F(1))
+    return np.concatenate([F(2) * (own + sigmoid(judgement[2]) * (found - own)), lasts[None], trusted[None]])
 
 
 def judge(frames, trends, judgement, chosen, head):
@@ -33,7 +37,7 @@ def judge(frames, trends, judgement, chosen, head):
     parts = np.split(head, np.cumsum([hidden * seen_count, hidden, said_count * hidden]))
     first, bias, second, last = parts[0].reshape(hidden, -1), parts[1], parts[2].reshape(said_count, -1), parts[3]
     _, height, width = frames.shape
-    flow_x, flow_y, lasts = (doubled(plane) for plane in chosen)
+    flow_x, flow_y, lasts, trusted = (doubled(plane) for plane in chosen)
     y, x = np.mgrid[:height, :width]
     detail = judgement[CORRECTION.JUDGED :].reshape(CORRECTION.DETAIL, 2, 2, height // 2, width // 2)
     detail = leaky(detail.transpose(0, 3, 1, 4, 2).reshape(CORRECTION.DETAIL, height, width))
@@ -54,7 +58,7 @@ def judge(frames, trends, judgement, chosen, head):
     mask = np.where(
         frames[7] < CORRECTION.DISOCCLUDED_BELOW, F(0), np.clip(F(2) * said[4] - CORRECTION.DOUBT, F(0), F(1))
     )
-    return np.concatenate([delta, sigmoid(said[3])[None], mask[None]])
+    return np.concatenate([delta, sigmoid(said[3])[None], (mask * trusted)[None]])
 
 
 def correct(color, frames, correction, exposure, within_mask=True):

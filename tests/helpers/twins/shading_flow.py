@@ -94,19 +94,23 @@ def _summed(plane):
 
 
 def find_candidates(frames, trends, alpha):
-    """(flow (2, h/4, w/4), differences (2, h/4, w/4), candidates (16, h/2, w/2)) from frames (8, h, w)."""
+    """(flow (2, h/4, w/4), differences (4, h/4, w/4), candidates (16, h/2, w/2)) from frames (8, h, w)."""
     halves = np.stack([halved(plane) for plane in frames[:6]])
     now, before = (FLOW.THIRD * ((c[0] + c[1]) + c[2]) for c in (halves[:3], halves[3:]))
     flow = find_flow(now, before)
     squares = [(image - now) ** 2 for image in (before, warped(before, flow))]
-    differences = np.stack([mean_around(F(0.25) * _summed(square)) for square in squares])
+    last, earlier, share, repeated = np.split(np.stack([halved(p) for p in trends]), (3, 6, 7))
+    changed, again = halved(now) - halved(before), halved(repeated[0])
+    y, x = np.mgrid[: again.shape[0], : again.shape[1]].astype(F)
+    along = sampled(again, x + F(0.5) * flow[0], y + F(0.5) * flow[1])
+    squares = [F(0.25) * _summed(square) for square in squares] + [(changed - a) ** 2 for a in (again, along)]
+    differences = np.stack([mean_around(square) for square in squares])
     found = np.stack([doubled(plane) for plane in flow])
-    still, along = (doubled(plane) + FLOW.LEAST for plane in differences)
+    still, along = (doubled(plane) + CANDIDATES.LEAST for plane in differences[:2])
     height, width = now.shape
     y, x = np.mgrid[:height, :width].astype(F)
     alpha = F(alpha)
     moved = np.stack([sampled(c, x + alpha * found[0], y + alpha * found[1]) - c for c in halves[:3]])
-    last, earlier, share = np.split(np.stack([halved(plane) for plane in trends]), (3, 6))
     product, square, total = (_in_order(last * earlier), _in_order(last * last), _in_order(earlier))
     held = np.clip(product / (square + FLOW.LITTLE), F(0), F(1))
     gain = FLOW.GAIN

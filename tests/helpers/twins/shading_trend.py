@@ -63,8 +63,8 @@ def find_trend(changes, reach):
     return np.concatenate([changes[:3] / share, changes[3:]])
 
 
-def carry_trends(depth, trend, trend_prev, alpha, to_source, to_previous, network_size):
-    """(7, h, w) of the network."""
+def carry_trends(depth, trend, trend_prev, changes_prev, alpha, to_source, to_previous, network_size):
+    """(8, h, w) of the network."""
     height, width = depth.shape
     w, h = network_size
     j, i = np.minimum(2 * np.arange(h), height - 1), np.minimum(2 * np.arange(w), width - 1)
@@ -83,4 +83,6 @@ def carry_trends(depth, trend, trend_prev, alpha, to_source, to_previous, networ
         return (top + bottom) * (place[..., 2] > 0)
 
     now, before = look_up(trend, to_source), look_up(trend_prev, to_previous)
-    return np.concatenate([F(alpha) * now[:3], F(alpha) * before[:3], now[3:]]).astype(F)
+    again = look_up(changes_prev, to_previous)
+    brightness = TREND.THIRD * again[:3].sum(0) / np.maximum(again[3], TREND.LEAST_SHARE)
+    return np.concatenate([F(alpha) * now[:3], F(alpha) * before[:3], now[3:], brightness[None]]).astype(F)
