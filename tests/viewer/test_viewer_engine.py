@@ -118,12 +118,12 @@ class Clip(FrameSource):
         return k / FPS + alpha * (k / FPS - (k - 1) / FPS if k else 1 / FPS)
 
 
-class FlickeringClip(Clip):
-    """The same under a light that is weaker in every other frame: there is something to correct."""
+class FadingClip(Clip):
+    """The same under a light that fades: there is something to correct."""
 
     def rendered(self, k):
         frame = super().rendered(k)
-        return replace(frame, color=frame.color * np.float16(1 - 0.2 * (k % 2)))
+        return replace(frame, color=frame.color * np.float16(0.85**k))
 
 
 @contextmanager
@@ -314,7 +314,8 @@ def test_options_change_what_they_should(device):
         assert {"holes.mean_1"} == seen["hole_filling"] & {"holes.mean_1", "holes.downsampled_color"}
         assert seen["levels"] - set(before) == {f"background.{n}_1" for n in ("color", "depth", "px", "state")}
         assert set(before) - seen["shading_inputs"] == {
-            *("shading.warped_previous", "shading.input_mask", "shading_trend.trend", "shading_trend.trends")
+            *("shading.warped_previous", "shading.input_mask"),
+            *("shading_trend.changes", "shading_trend.trend", "shading_trend.trends"),
         }
         assert_same(ask(engine, 13, first, before).images, before, set(before) - {"final"})  # and back
 
@@ -330,7 +331,7 @@ def is_mover(images):
 
 def test_shading_correction_changes_what_its_focus_mask_covers(device, tmp_path):
     options = replace(ALL, scn_model=movers_model(tmp_path / "m.onnx"))
-    with running(device, FlickeringClip()) as engine:
+    with running(device, FadingClip()) as engine:
         plain = ask(engine, 13, Setup(replace(options, shading_correction=False)), "all").images
         on = ask(engine, 13, Setup(options), "all")
         images, mask = on.images, is_mover(on.images)
@@ -601,7 +602,7 @@ def test_kernels_of_shading_correction_are_reloaded(device, tmp_path, monkeypatc
     shutil.copytree(kernel_folder(), folder)
     monkeypatch.setenv("GFFE_KERNELS", str(folder))
     path, text = folder / "correction.cl", (folder / "correction.cl").read_text()
-    with running(lambda: Device(device.cl_device, device.info), FlickeringClip()) as engine:
+    with running(lambda: Device(device.cl_device, device.info), FadingClip()) as engine:
         ask(engine, 13, Setup(), ("final",))
         path.write_text(text + "nonsense\n")
         engine.reload_kernels()
@@ -987,7 +988,7 @@ def test_stories_of_hidden_parts(device):
 
 def test_stories_of_corrected_pixels(device, tmp_path):
     options = Options(scn_model=movers_model(tmp_path / "m.onnx"))
-    with running(device, FlickeringClip()) as engine:
+    with running(device, FadingClip()) as engine:
         for story in stories(engine, Setup(options), 13, is_mover):
             assert story.corrected and "Shading correction changed it (focus mask " in story.sentences[-1]
         images = ask(engine, 13, Setup(options), "all").images
