@@ -107,7 +107,7 @@ WIDE __kernel void judge(const Frame frame, __global const float *frames, __glob
     for (int c = 0; c < 3; ++c) {
         const Floats now = load_floats(0, frames + c * plane + at), before = load_floats(0, frames + (3 + c) * plane + at);
         seen[DETAIL + c] = moved_light(frames + c * plane, frames + (3 + c) * plane, now, before, &along);
-        seen[DETAIL + 3 + c] = load_floats(0, trends + c * plane + at) * lasts;
+        seen[DETAIL + 3 + c] = interpolate(trends + c * quarter, &taps) * lasts;
         seen[DETAIL + 6 + c] = now;
         seen[DETAIL + 9 + c] = before;
     }

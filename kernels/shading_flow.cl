@@ -16,14 +16,13 @@
 #define GAIN 4.0f         /* of what the network is given */
 #define THIRD 0.33333334f
 #define PRODUCTS 5
-#define BRIGHTNESSES 3    /* of the extrapolated frame, the previous one, and by how much the interval before changed it */
 #define REPEATED 7        /* plane of trends: change of brightness in the interval before */
 #define DIFFERENCES 4
 #define CANDIDATES 16
 
-/* Level 1 of both frames: colours of the extrapolated one (3), the brightness of both, and its change in the interval before. */
-WIDE __kernel void halve_frames(const Frame frame, __global const float *frames, __global const float *trends,
-                                __global float *colors, __global float *brightness) {
+/* Level 1 of both frames: colours of the extrapolated one (3), and the brightness of both (2). */
+WIDE __kernel void halve_frames(const Frame frame, __global const float *frames, __global float *colors,
+                                __global float *brightness) {
     const int fine = frame.network_width, width = fine / 2, height = frame.network_height / 2, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, at = y * width + x;
     if (count <= 0 || y >= height) return;
@@ -36,15 +35,14 @@ WIDE __kernel void halve_frames(const Frame frame, __global const float *frames,
         }
         store_some_floats(THIRD * sum, count, brightness + which * plane + at);
     }
-    store_some_floats(halved(trends + 4 * REPEATED * plane, fine, x, y, count), count, brightness + 2 * plane + at);
 }
 
-/* Brightness and its change at `level`, from the level above. */
+/* Both frames' brightness at `level`, from the level above. */
 WIDE __kernel void halve_brightness(const Frame frame, const int level, __global const float *fine, __global float *brightness) {
     const int width = frame.network_width >> level, height = frame.network_height >> level, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
     if (count <= 0 || y >= height) return;
-    for (int which = 0; which < BRIGHTNESSES; ++which)
+    for (int which = 0; which < 2; ++which)
         store_some_floats(halved(fine + 4 * which * plane, 2 * width, x, y, count), count, brightness + which * plane + y * width + x);
 }
 
@@ -136,7 +134,8 @@ WIDE __kernel void step_flow(const Frame frame, const int level, __global const 
 /* At level 2, squared differences: means over 2x2 pixels of level 1 of the brightness of both frames, as it is and along the
    flow; of its change from that of the interval before, as it is and along the flow. */
 WIDE __kernel void sum_differences(const Frame frame, __global const float *brightness, __global const float *warped,
-                                   __global const float *coarser, __global const float *flow, __global float *products) {
+                                   __global const float *coarser, __global const float *flow, __global const float *trends,
+                                   __global float *products) {
     const int fine = frame.network_width / 2, width = fine / 2, height = frame.network_height / 4, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, at = y * width + x;
     if (count <= 0 || y >= height) return;
@@ -150,10 +149,10 @@ WIDE __kernel void sum_differences(const Frame frame, __global const float *brig
     }
     const Floats changed = load_some_floats(count, coarser + at) - load_some_floats(count, coarser + plane + at);
     const Floats flow_x = load_some_floats(count, flow + at), flow_y = load_some_floats(count, flow + plane + at);
+    __global const float *repeated = trends + 4 * REPEATED * plane;
     Sample there;
-    find_sample(row_indices(x) + 0.5f * flow_x, (float)y + 0.5f * flow_y, width, height, &there);
-    const Floats again = changed - load_some_floats(count, coarser + 2 * plane + at);
-    const Floats again_along = changed - sampled(coarser + 2 * plane, &there);
+    find_sample(2.0f * row_indices(x) + 0.5f + flow_x, 2.0f * (float)y + 0.5f + flow_y, fine, 2 * height, &there);
+    const Floats again = changed - halved(repeated, fine, x, y, count), again_along = changed - sampled(repeated, &there);
     store_some_floats(0.25f * still, count, products + at);
     store_some_floats(0.25f * along, count, products + plane + at);
     store_some_floats(again * again, count, products + 2 * plane + at);
@@ -169,13 +168,12 @@ WIDE __kernel void blur_differences(const Frame frame, __global const float *pro
         store_some_floats(mean_around(products + k * plane, width, height, x, y), count, differences + k * plane + y * width + x);
 }
 
-/* What is known of trends, means over 2x2 pixels: 4 x that of the last interval (3), 4 x the mean of that of the interval before,
+/* What is known of trends: 4 x that of the last interval (3), 4 x the mean of that of the interval before,
    how far the one was the other, and the share of the surroundings that tells. */
-inline void know_trends(__global const float *trends, const int fine, const int plane, const int x, const int y, Floats *known) {
+inline void know_trends(__global const float *trends, const int plane, Floats *known) {
     Floats product = 0.0f, square = 0.0f, sum = 0.0f;
     for (int c = 0; c < 3; ++c) {
-        const Floats last = halved(trends + 4 * c * plane, fine, x, y, LANES);
-        const Floats earlier = halved(trends + 4 * (3 + c) * plane, fine, x, y, LANES);
+        const Floats last = load_floats(0, trends + c * plane), earlier = load_floats(0, trends + (3 + c) * plane);
         known[c] = GAIN * last;
         product += last * earlier;
         square += last * last;
@@ -183,7 +181,7 @@ inline void know_trends(__global const float *trends, const int fine, const int 
     }
     known[3] = GAIN * (THIRD * sum);
     known[4] = clamp(wide_divide(product, square + LITTLE), (Floats)(0.0f), (Floats)(1.0f));
-    known[5] = halved(trends + 24 * plane, fine, x, y, LANES);
+    known[5] = load_floats(0, trends + 6 * plane);
 }
 
 /* Planes of the network's input at a quarter of the resolution: the flow (2); the root of the mean squared difference as it is
@@ -202,7 +200,7 @@ WIDE __kernel void find_candidates(const Frame frame, __global const float *colo
     Sample there;
     find_sample(row_indices(x) + frame.alpha * found_x, (float)y + frame.alpha * found_y, width, height, &there);
     Floats known[6];
-    know_trends(trends, frame.network_width, plane, x, y, known);
+    know_trends(trends + at, plane, known);
     __global float *out = candidates + at;
     store_floats((1.0f / FOUND_UNIT) * found_x, 0, out + FOUND * plane);
     store_floats((1.0f / FOUND_UNIT) * found_y, 0, out + (FOUND + 1) * plane);

@@ -149,21 +149,21 @@ WIDE __kernel void carry_trends(const Frame frame, __global const float *depth, 
                                 __global const float *trend_prev, __global const float *changes_prev,
                                 __global float *trends) {
     const int target_width = frame.target_width, target_height = frame.target_height;
-    const int network_width = frame.network_width, network_height = frame.network_height;
+    const int width = frame.network_width / 2, height = frame.network_height / 2;
     const int cells_width = frame.cells_width, cells_height = frame.cells_height;
     const float alpha = frame.alpha;
     const Reprojection to_source = frame.to_source;
     const Reprojection to_previous = frame.target_to_previous;
-    const int net_x = get_global_id(0) * LANES, net_y = get_global_id(1);
-    if (net_x >= network_width || net_y >= network_height) return;
-    const Ints dst_x = min(2 * (net_x + LANE_NUMBERS), (Ints)(target_width - 1));
-    const int dst_y = min(2 * net_y, target_height - 1);
+    const int x = get_global_id(0) * LANES, y = get_global_id(1);
+    if (x >= width || y >= height) return;
+    const Ints dst_x = min(4 * (x + LANE_NUMBERS) + 2, (Ints)(target_width - 1));
+    const int dst_y = min(4 * y + 2, target_height - 1);
     const Floats z = gather_floats(depth, dst_y * target_width + dst_x);
     const Floats px_x = to_floats(dst_x) + 0.5f, px_y = (float)dst_y + 0.5f;
     const Cells now = cells_at(wide_reproject(px_x, px_y, z, to_source), cells_width, cells_height);
     const Cells before = cells_at(wide_reproject(px_x, px_y, z, to_previous), cells_width, cells_height);
-    const int plane = cells_width * cells_height, size = network_width * network_height;
-    __global float *out = trends + net_y * network_width + net_x;
+    const int plane = cells_width * cells_height, size = width * height;
+    __global float *out = trends + y * width + x;
     for (int c = 0; c < 3; ++c) {
         store_floats(alpha * trend_at(trend + c * plane, &now), 0, out + c * size);
         store_floats(alpha * trend_at(trend_prev + c * plane, &before), 0, out + (3 + c) * size);

@@ -193,9 +193,7 @@ class Augmentation:
 
 def _earlier(batch: Batch) -> Tensor:
     """The frame before the warped previous one, as far as is known: linear colour, at the batch's resolution."""
-    change = batch.trends[:, 7:8]
-    if not batch.halved:
-        change = functional.interpolate(change, batch.gae.shape[-2:], mode="bilinear", align_corners=False)
+    change = functional.interpolate(batch.trends[:, 7:8], batch.gae.shape[-2:], mode="bilinear", align_corners=False)
     return decode(encode(batch.previous) - change)
 
 
@@ -208,8 +206,9 @@ def _changes(colors: Tensor, halved: bool) -> Tensor:
 
 def low_pass(changes: Tensor, known: Tensor, heights: Tensor | None = None) -> Tensor:
     """Means of `changes` (N, C, h, w; half resolution) over cells of 8×8 pixels of the frame, of pixels that are
-    `known` (N, 1, h, w); around, too, in frames of these `heights` (N,): as kernels/shading_trend.cl has them."""
-    size = changes.shape[-2:]
+    `known` (N, 1, h, w); around, too, in frames of these `heights` (N,): as kernels/shading_trend.cl has them, at a
+    quarter of the resolution."""
+    size = [-(-side // 2) for side in changes.shape[-2:]]
     cells = functional.avg_pool2d(torch.cat((changes * known, known), 1), _CELL // 2, ceil_mode=True)
     if heights is not None:
         reach = torch.tensor([reach_of(int(height)) + 1.0 for height in heights]).view(-1, 1, 1, 1)
@@ -217,5 +216,5 @@ def low_pass(changes: Tensor, known: Tensor, heights: Tensor | None = None) -> T
         weights = [(1 - (x[:, None] - x[None]).abs() / reach).clamp(min=0) / reach for x in (across, along)]
         cells = weights[0] @ cells @ weights[1]
     mean = cells[:, :-1] / cells[:, -1:].clamp(min=_LEAST_SHARE)
-    scaled = functional.interpolate(mean, scale_factor=_CELL // 2, mode="bilinear", align_corners=False)
+    scaled = functional.interpolate(mean, scale_factor=_CELL // 4, mode="bilinear", align_corners=False)
     return scaled[..., : size[0], : size[1]]

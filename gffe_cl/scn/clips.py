@@ -74,7 +74,8 @@ class ClipPlan:
 
 
 def make_clip(device: Device, plan: ClipPlan) -> tuple[np.ndarray, np.ndarray, list[float]]:
-    """Render and extrapolate a clip: (S, 11, H, W) float16 samples (`PLANES`), their trends (S, 8, H/2, W/2) and α."""
+    """Render and extrapolate a clip: (S, 11, H, W) float16 samples (`PLANES`), their trends (S, 8, H/2, W/2),
+    of which the pipeline has every second row and column, and α."""
     scene = plan.make_scene()
     scene_frames = SceneFrames(SceneRenderer(device, scene, plan.width, plan.height, samples=5))
     options = Options(shading_inputs=True, shading_correction=False)
@@ -91,8 +92,8 @@ def make_clip(device: Device, plan: ClipPlan) -> tuple[np.ndarray, np.ndarray, l
             mask = pipeline.stages["shading"].read("input_mask")
             truth = scene_frames.truth(time).read("color")
             samples.append(_sample(gae, previous, truth, depth, mask, scene.exposure))
-            carried = pipeline.stages["shading_trend"].read("trends")[:, : plan.height // 2, : plan.width // 2]
-            trends.append(carried.astype(np.float16))
+            carried = pipeline.stages["shading_trend"].read("trends").repeat(2, -1).repeat(2, -2)
+            trends.append(carried[:, : plan.height // 2, : plan.width // 2].astype(np.float16))
             alphas.append(alpha)
     return np.stack(samples), np.stack(trends), alphas
 

@@ -42,8 +42,8 @@ class Crop:
 @dataclass
 class Batch:
     """Exposed linear colour (N, 3, H, W) of the GAE frame, the warped previous frame and the truth;
-    `side` (N, 2, H, W): inverse depth and input mask; `trends` (N, 8, h, w) of shading, always at the network's
-    resolution; alpha (N,); `heights` (N,) of the frames that the crops are of, in pixels. `halved`: all at half
+    `side` (N, 2, H, W): inverse depth and input mask; `trends` (N, 8, h, w) of shading, always at a quarter of the
+    frames' resolution; alpha (N,); `heights` (N,) of the frames that the crops are of, in pixels. `halved`: all at half
     resolution."""
 
     gae: Tensor
@@ -130,7 +130,7 @@ def load_batch(crops: list[Crop], halved: bool = False) -> Batch:
     """Read crops from disk. Raises GffeError for a file that is missing, truncated or of another shape."""
     half = np.stack([_read(crop, halved_path(crop.path), HALVED_CHANNELS, 2) for crop in crops])
     planes = half if halved else np.stack([_read(crop, crop.path, CHANNELS, 1) for crop in crops])
-    planes, trends = (torch.from_numpy(x).float() for x in (planes, half[:, CHANNELS:]))
+    planes, trends = (torch.from_numpy(x).float() for x in (planes, half[:, CHANNELS:, ::2, ::2]))
     alpha = torch.tensor([crop.alpha for crop in crops])
     heights = torch.tensor([float(crop.height) for crop in crops])
     return Batch(*(planes[:, part] for part in PLANES.values()), trends, alpha, heights, halved)

@@ -117,7 +117,8 @@ def count_operations(network: ShadingCorrectionNetwork, width: int, height: int)
     sides = [-(-side // (2 * MULTIPLE)) * MULTIPLE for side in (height, width)]
     shape_only = copy.deepcopy(network).to("meta").eval()
     with torch.no_grad(), torch.device("meta"), FlopCounterMode(display=False) as counter:
-        shape_only(torch.zeros(1, INPUT_PLANES, *sides), torch.zeros(1), torch.zeros(1, TREND_PLANES, *sides))
+        trends = torch.zeros(1, TREND_PLANES, *(side // 2 for side in sides))
+        shape_only(torch.zeros(1, INPUT_PLANES, *sides), torch.zeros(1), trends)
     return sum(p.numel() for p in network.parameters()), counter.get_total_flops() / 1e9
 
 

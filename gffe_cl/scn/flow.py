@@ -36,8 +36,8 @@ def find_flow(now: Tensor, before: Tensor, repeated: Tensor) -> tuple[Tensor, Te
             flow = flow + _step(a, warp(b, double(flow)))
     finest = double(flow)
     squares = halve(torch.cat((before - now, warp(before, finest) - now), 1).square())
-    changed, repeated = halve(now - before), halve(repeated)
-    again = torch.cat((changed - repeated, changed - warp(repeated, 0.5 * flow)), 1).square()
+    changed = halve(now - before)
+    again = torch.cat((changed - halve(repeated), changed - warp(repeated, flow)), 1).square()
     return finest, double(_means(torch.cat((squares, again), 1)))
 
 

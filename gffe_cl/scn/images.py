@@ -18,12 +18,13 @@ def double(image: Tensor) -> Tensor:
 
 
 def warp(image: Tensor, flow: Tensor) -> Tensor:
-    """(N, C, h, w) sampled at x + flow[x], (N, 2, h, w) in pixels; bilinear, borders repeated."""
+    """(N, C, H, W) sampled at x + flow[x], (N, 2, h, w) in pixels of the image; bilinear, borders repeated. The
+    flow may have a lower resolution: pixel centres of both lie on one plane."""
     image, flow = image.float(), flow.float()
-    height, width = image.shape[-2:]
+    height, width = flow.shape[-2:]
     ys = torch.arange(height, dtype=flow.dtype, device=flow.device).view(1, height, 1)
     xs = torch.arange(width, dtype=flow.dtype, device=flow.device).view(1, 1, width)
-    grid_x = (flow[:, 0] + (xs + 0.5)) * (2.0 / width) - 1.0
-    grid_y = (flow[:, 1] + (ys + 0.5)) * (2.0 / height) - 1.0
+    grid_x = flow[:, 0] * (2.0 / image.shape[-1]) + (xs + 0.5) * (2.0 / width) - 1.0
+    grid_y = flow[:, 1] * (2.0 / image.shape[-2]) + (ys + 0.5) * (2.0 / height) - 1.0
     grid = torch.stack((grid_x, grid_y), -1)
     return functional.grid_sample(image, grid, mode="bilinear", padding_mode="border", align_corners=False)

@@ -85,8 +85,8 @@ class ShadingCorrectionNetwork(nn.Module):
     frames : (N, 8, h, w): encoded GAE colour (3), encoded warped previous frame (3), inverse depth, input mask; half
         resolution, h and w multiples of `MULTIPLE`
     alpha : (N,) or (1,)
-    trends : (N, 8, h, w): change of encoded colour until t + α as the last interval has it (3), as the interval before
-        has it (3), share of the surroundings that tells; change of brightness close by in the interval before
+    trends : (N, 8, h/2, w/2): change of encoded colour until t + α as the last interval has it (3), as the interval
+        before has it (3), share of the surroundings that tells; change of brightness close by in the interval before
 
     Returns (N, 5, h, w): Δ (3; encoded colour), keep, focus mask M. While training also p, (N, 1, h, w), of which
     M = 2 p − 0.1 clamped to 0 … 1: nothing is touched where there is little to gain. There is no sigmoid: where the
@@ -139,13 +139,13 @@ class ShadingCorrectionNetwork(nn.Module):
     def forward(self, frames: Tensor, alpha: Tensor, trends: Tensor):
         now, before = frames[:, :3], frames[:, 3:6]
         time = alpha.view(-1, 1, 1, 1)
-        found, held, trusted, candidates = find_candidates(halve(frames[:, :6]), halve(trends), time)
+        found, held, trusted, candidates = find_candidates(halve(frames[:, :6]), trends, time)
         judgement = self.convolutions(frames, candidates).float()
         own, follow, lasts, detail = judgement.split((2, 1, 1, JUDGEMENT_PLANES - _JUDGED), 1)
         own = _FLOW_UNIT * own
         flow = own + torch.sigmoid(follow) * (time * found - own)
         moved = moved_light(now, before, 2.0 * double(flow))
-        trend = trends[:, :3] * double((held + lasts).clamp(0, 1))
+        trend = double(trends[:, :3]) * double((held + lasts).clamp(0, 1))
         detail = functional.leaky_relu(functional.pixel_shuffle(detail, 2), _SLOPE)
         said = self.head(torch.cat((detail, moved, trend, now, before), 1)).float()
         delta = said[:, :3] + moved + said[:, 5:6] * trend

@@ -13,7 +13,7 @@ from gffe_cl.stages.network_input import NetworkInput
 
 _CONSTANTS = constants("shading_flow.cl")
 _LEVELS, _STEPS, _PRODUCTS = (_CONSTANTS[name] for name in ("FLOW_LEVELS", "FLOW_STEPS", "PRODUCTS"))
-_BRIGHTNESSES, _DIFFERENCES = _CONSTANTS["BRIGHTNESSES"], _CONSTANTS["DIFFERENCES"]
+_DIFFERENCES = _CONSTANTS["DIFFERENCES"]
 assert _CONSTANTS["CANDIDATES"] == CANDIDATE_PLANES
 
 
@@ -34,8 +34,7 @@ class ShadingFlow(Stage):
         *(
             BufferSpec(
                 f"brightness{level}", np.float32, (), f"network{level}", "mean code of the GAE frame (1) and of the"
-                f" warped previous one (2), its change in the interval before (3), level {level}",
-                planes=_BRIGHTNESSES, scratch=True,
+                f" warped previous one (2), level {level}", planes=2, scratch=True,
             )
             for level in range(1, _LEVELS + 1)
         ),
@@ -71,10 +70,7 @@ class ShadingFlow(Stage):
         Kernel(
             "halve_frames",
             "network1",
-            {
-                "frames": Access("network_input.frames", planes=6),
-                "trends": Access("shading_trend.trends", planes=1),
-            },
+            {"frames": Access("network_input.frames", planes=6)},
             {"colors": "shading_flow.colors", "brightness": "shading_flow.brightness1"},
             step=("LANES", 1),
         ),
@@ -95,10 +91,7 @@ class ShadingFlow(Stage):
         Kernel(
             "warp_brightness",
             "network{level}",
-            {
-                "brightness": Access("shading_flow.brightness{level}", planes=2),
-                "flow": "shading_flow.flow{coarser}",
-            },
+            {"brightness": "shading_flow.brightness{level}", "flow": "shading_flow.flow{coarser}"},
             {"warped": "shading_flow.warped"},
             step=("LANES", 1),
         ),
@@ -120,10 +113,11 @@ class ShadingFlow(Stage):
             "sum_differences",
             "network2",
             {
-                "brightness": Access("shading_flow.brightness1", planes=2),
+                "brightness": "shading_flow.brightness1",
                 "warped": "shading_flow.warped",
                 "coarser": "shading_flow.brightness2",
                 "flow": "shading_flow.flow2",
+                "trends": Access("shading_trend.trends", planes=1),
             },
             {"products": Access("shading_flow.products", planes=_DIFFERENCES)},
             step=("LANES", 1),

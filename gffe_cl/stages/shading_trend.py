@@ -43,9 +43,9 @@ class ShadingTrend(Stage):
         Kernel("find_trend", "cells", {"blurred": "shading_trend.blurred"}, {"trend": "shading_trend.trend"}),
         Kernel(
             "carry_trends",
-            "network",
+            "network1",
             {
-                "depth": Access("frame.depth", 1 / 4),
+                "depth": Access("frame.depth", 1 / 16),
                 "trend": "shading_trend.trend",
                 "trend_prev": "shading_trend.trend'",
                 "changes_prev": "shading_trend.changes'",
@@ -67,10 +67,10 @@ class ShadingTrend(Stage):
             " share of the surroundings that tells (4)", planes=_CHANGES, kept=True,
         ),
         BufferSpec(
-            "trends", np.float32, (), "network", "change of encoded colour until t + α as the last interval has it"
+            "trends", np.float32, (), "network1", "change of encoded colour until t + α as the last interval has it"
             " (1–3), as the interval before has it (4–6), and share of the surroundings that tells of the last (7);"
-            " change of brightness close by in the interval before (8); half"
-            " resolution", planes=TREND_PLANES, mapped=True,
+            " change of brightness close by in the interval before (8); at a quarter of the resolution",
+            planes=TREND_PLANES,
         ),
     )  # fmt: skip
 

@@ -116,7 +116,7 @@ def test_codes_of_any_size_are_finite_colours():
 
 def test_a_new_network_changes_little():
     torch.manual_seed(0)
-    frames, trends = random(2, 8, 1, 1).expand(2, 8, 32, 32), torch.zeros(2, TREND_PLANES, 32, 32)
+    frames, trends = random(2, 8, 1, 1).expand(2, 8, 32, 32), torch.zeros(2, TREND_PLANES, 16, 16)
     net = network.ShadingCorrectionNetwork()
     correction, likely = net(frames, torch.tensor([0.25, 0.75]), trends)
     assert correction.shape == (2, 5, 32, 32) and correction[:, :3].abs().mean() < 0.15
@@ -127,7 +127,7 @@ def test_a_new_network_changes_little():
 def test_alpha_and_trends_matter():
     torch.manual_seed(0)
     net, frames = network.ShadingCorrectionNetwork().eval(), random(1, 8, 32, 32)
-    trends = random(1, TREND_PLANES, 32, 32)
+    trends = random(1, TREND_PLANES, 16, 16)
     with torch.no_grad():
         said = net(frames, torch.tensor([0.25]), trends)
         assert not torch.equal(said, net(frames, torch.tensor([0.75]), trends))
@@ -140,7 +140,7 @@ def test_alpha_and_trends_matter():
 def test_trend_counts_as_far_as_it_has_lasted():
     """Without flow, and with a gate that is open, the correction is the trend: of what went on as before."""
     net = network.ShadingCorrectionNetwork().eval()
-    frames, trends = random(1, 8, 1, 1).expand(1, 8, 32, 32), random(1, TREND_PLANES, 1, 1).repeat(1, 1, 32, 32) - 0.5
+    frames, trends = random(1, 8, 1, 1).expand(1, 8, 32, 32), random(1, TREND_PLANES, 1, 1).repeat(1, 1, 16, 16) - 0.5
     with torch.no_grad():
         net.convolutions.out.weight.zero_()
         net.head[1].weight.zero_()
@@ -148,7 +148,7 @@ def test_trend_counts_as_far_as_it_has_lasted():
         for share, counts in ((1.0, 1.0), (2.0, 1.0), (0.5, 0.5), (0.0, 0.0), (-1.0, 0.0)):
             trends[:, 3:6] = share * trends[:, :3]
             delta = net(frames, torch.tensor([0.5]), trends)[:, :3]
-            assert torch.allclose(delta, counts * trends[:, :3], atol=2e-3), share
+            assert torch.allclose(delta, counts * trends[:, :3, :1, :1], atol=2e-3), share
 
 
 def test_correction_follows_the_flow_that_was_found():
@@ -166,7 +166,7 @@ def test_correction_follows_the_flow_that_was_found():
         net.head[1].weight.zero_()
         for follow, share in ((20.0, 1.0), (-20.0, 0.0)):
             net.convolutions.out.bias[2] = follow
-            delta = net(frames, torch.tensor([0.5]), torch.zeros(1, TREND_PLANES, 64, 96))[:, :3]
+            delta = net(frames, torch.tensor([0.5]), torch.zeros(1, TREND_PLANES, 32, 48))[:, :3]
             expected = share * (bright(2.0) - now)
             assert (delta - expected)[..., 12:-12, 12:-12].abs().max() < 0.02
 
@@ -193,7 +193,7 @@ def test_training_begins_with_another_network_s_weights():
     one, other = network.ShadingCorrectionNetwork().eval(), network.ShadingCorrectionNetwork().eval()
     weights = {name: value.detach().numpy() for name, value in one.convolutions.named_parameters()}
     head = one.head_weights()
-    inputs = random(1, 8, 32, 32), torch.tensor([0.5]), random(1, TREND_PLANES, 32, 32)
+    inputs = random(1, 8, 32, 32), torch.tensor([0.5]), random(1, TREND_PLANES, 16, 16)
     other.take(weights, head)
     with torch.no_grad():
         assert torch.equal(one(*inputs), other(*inputs))
@@ -322,7 +322,7 @@ def batch_of(count=3, size=64, alpha=0.5):
     colors = [random(count, 3, size, size, seed=k) for k in range(3)]
     side = torch.full((count, 2, size, size), 0.5)
     side[:, 1, :, : size // 4] = 1.0  # dynamic
-    trends = random(count, TREND_PLANES, size // 2, size // 2, seed=4, scale=0.02) - 0.01
+    trends = random(count, TREND_PLANES, size // 4, size // 4, seed=4, scale=0.02) - 0.01
     return Batch(*colors, side, trends, torch.full((count,), alpha), torch.full((count,), 270.0))
 
 
@@ -347,9 +347,8 @@ def test_half_resolution_forgives_one_pixel_of_the_whole_frame_too():
     ramp[..., 16:] = 1.0
     side = torch.full((1, 2, 16, 32), 0.5)
     for shift, wrong in ((0, False), (1, False), (-1, False), (4, True), (-4, True)):
-        moved = Batch(
-            ramp, ramp, torch.roll(ramp, shift, -1), side, torch.zeros(1, TREND_PLANES, 8, 16), *torch.ones(2, 1)
-        )
+        trends = torch.zeros(1, TREND_PLANES, 4, 8)
+        moved = Batch(ramp, ramp, torch.roll(ramp, shift, -1), side, trends, *torch.ones(2, 1))
         inner = [part.focus()[..., 4:-4].any().item() for part in (moved, halved(moved))]
         assert inner == [wrong, wrong], shift
 
@@ -357,7 +356,7 @@ def test_half_resolution_forgives_one_pixel_of_the_whole_frame_too():
 def test_augmentation_follows_its_generator():
     made = [Augmentation(torch.Generator().manual_seed(s))(batch_of()) for s in (1, 1, 2)]
     assert torch.equal(made[0].truth, made[1].truth) and torch.equal(made[0].gae, made[1].gae)
-    assert torch.equal(made[0].trends, made[1].trends) and made[0].trends.shape == (3, TREND_PLANES, 32, 32)
+    assert torch.equal(made[0].trends, made[1].trends) and made[0].trends.shape == (3, TREND_PLANES, 16, 16)
     assert not torch.equal(made[0].truth, made[2].truth)
     small = Augmentation(torch.Generator().manual_seed(1))(halved(batch_of()))
     assert small.halved and small.gae.shape[-1] == 32
@@ -405,8 +404,8 @@ def test_trends_are_what_the_stage_finds():
     expected = twins.find_trend(torch.cat((changes, known), 1)[0].numpy(), reach_of(height))[:3]
     spread = [torch.repeat_interleave(torch.repeat_interleave(x, 4, -1), 4, -2) for x in (changes, known)]
     found = low_pass(*spread, torch.tensor([float(height)]))
-    assert found.shape == (1, 3, 4 * cells, 4 * cells)
-    middle = torch.nn.functional.avg_pool2d(found, 4)[0].numpy()  # doubled bilinearly, nearly the cells again
+    assert found.shape == (1, 3, 2 * cells, 2 * cells)
+    middle = torch.nn.functional.avg_pool2d(found, 2)[0].numpy()  # doubled bilinearly, nearly the cells again
     np.testing.assert_allclose(middle, expected, atol=0.1 * np.abs(expected).max())
 
 
@@ -505,12 +504,8 @@ def test_crops_at_half_resolution_are_what_the_network_sees(data):
     whole, half = load_batch(crops), load_batch(crops, halved=True)
     assert half.halved and half.gae.shape == (2, 3, clips.CROP // 2, clips.CROP // 2)
     assert torch.allclose(half.frames(), whole.frames(), atol=2e-3)
-    assert torch.equal(half.trends, whole.trends) and half.trends.shape == (
-        2,
-        TREND_PLANES,
-        clips.CROP // 2,
-        clips.CROP // 2,
-    )
+    assert torch.equal(half.trends, whole.trends)
+    assert half.trends.shape == (2, TREND_PLANES, clips.CROP // 4, clips.CROP // 4)
     assert half.heights.tolist() == [264, 264]
 
 

@@ -8,6 +8,7 @@ import twins
 from scn_models import FOR_GOOD, IN_PLACE, constant_model
 from synthetic import Rect, Rects, camera
 from test_twins import frames
+from twins.shading_flow import doubled
 
 from gffe_cl import Options, Pipeline
 from gffe_cl.frame.rendered_frame import RenderedFrame
@@ -31,13 +32,13 @@ def lit_frames(levels, size=SIZE):
 
 
 def trends_of(device, levels, alpha=0.5, exposure=1.0):
-    """(7, h, w) after the last of these frames."""
+    """(8, h, w) after the last of these frames."""
     pipeline = Pipeline(device, *SIZE, LOOKED_AT)
     pipeline.exposure = exposure
     for frame in lit_frames(levels):
         pipeline.submit(frame)
     pipeline.extrapolate(time=frame.time + alpha / 30)
-    width, height = SIZE[0] // 2, SIZE[1] // 2
+    width, height = SIZE[0] // 4, SIZE[1] // 4
     return pipeline.stages["shading_trend"].read("trends")[:, :height, :width]
 
 
@@ -77,7 +78,7 @@ def test_a_light_that_fades_goes_on(device):
     levels = [1.0, 0.9, 0.81, 0.729]
     for exposure in (1.0, 0.1):
         for alpha in (0.25, 1.0):
-            said = trends_of(device, levels, alpha, exposure)[:, 8:-8, 8:-8]
+            said = trends_of(device, levels, alpha, exposure)[:, 4:-4, 4:-4]
             assert said[6].min() > 0.9
             slope = np.log(0.9) / np.log1p(5000)
             most = 0.15 if exposure == 1 else 0.45  # dark colour is encoded less than logarithmically
@@ -87,13 +88,13 @@ def test_a_light_that_fades_goes_on(device):
 
 def test_trends_tell_a_flicker_from_a_fade(device):
     """What comes and goes has the opposite sign in the interval before; what stays as it is has none."""
-    flicker = trends_of(device, [1.0, 0.7, 1.0, 0.7])[:, 8:-8, 8:-8]
+    flicker = trends_of(device, [1.0, 0.7, 1.0, 0.7])[:, 4:-4, 4:-4]
     assert flicker[:3].max() < -0.005 and flicker[3:6].min() > 0.005
     assert np.abs(trends_of(device, [1.0, 1.0, 1.0, 1.0])[:6]).max() < 2e-3
 
 
 def test_without_an_interval_before_there_is_no_trend_of_it(device):
-    said = trends_of(device, [1.0, 0.8])[:, 8:-8, 8:-8]
+    said = trends_of(device, [1.0, 0.8])[:, 4:-4, 4:-4]
     assert said[:3].max() < -0.001 and not said[3:6].any()
     assert not trends_of(device, [1.0])[:3].any()
 
@@ -127,7 +128,7 @@ def test_colours_that_make_no_sense_change_nothing_else(device):
 
 
 def test_a_network_gets_trends_and_they_last_as_it_says(device, tmp_path):
-    """Means of them are among its candidates; with a judgement that they go on for good the frame takes all of them."""
+    """They are among its candidates; with a judgement that they go on for good the frame takes all of them."""
     pipeline = Pipeline(
         device, *SIZE, Options(scn_model=constant_model(tmp_path / "m.onnx", judgement=LASTING, trend=1))
     )
@@ -138,9 +139,8 @@ def test_a_network_gets_trends_and_they_last_as_it_says(device, tmp_path):
         pipeline.stages[stage].read(name)
         for stage, name in (("shading_trend", "trends"), ("shading_flow", "candidates"))
     )
-    width, height = trends.shape[2] // 2, trends.shape[1] // 2
-    means = trends[:3].reshape(3, height, 2, width, 2).mean((2, 4))
-    np.testing.assert_allclose(candidates[8:11], 4 * means, atol=1e-6)
-    np.testing.assert_allclose(pipeline.stages["correction"].read("correction")[:3], trends[:3], atol=1e-6)
+    assert np.array_equal(candidates[8:11], 4 * trends[:3])
+    shown = np.stack([doubled(plane) for plane in trends[:3]])
+    np.testing.assert_allclose(pipeline.stages["correction"].read("correction")[:3], shown, atol=1e-6)
     gae, final = made.numpy("gae").astype(np.float32), made.numpy("color").astype(np.float32)
     assert (final[20:-20, 20:-20, 0] < gae[20:-20, 20:-20, 0]).mean() > 0.99

@@ -45,7 +45,7 @@ def judge(frames, trends, judgement, chosen, head):
     there = np.stack([sampled(plane, x.astype(F) + flow_x, y.astype(F) + flow_y) for plane in frames[:6]])
     changes = CORRECTION.MARGIN * np.stack([now - before, there[:3] - there[3:], np.zeros_like(now)])
     moved = np.clip(there[:3] - now, changes.min(0), changes.max(0))
-    trend = trends[:3] * lasts
+    trend = np.stack([doubled(plane) for plane in trends[:3]]) * lasts
     seen = np.concatenate([detail, moved, trend, now, before])
     said = np.repeat(last, height * width).reshape(said_count, height, width)
     for k in range(hidden):

@@ -99,10 +99,10 @@ def find_candidates(frames, trends, alpha):
     now, before = (FLOW.THIRD * ((c[0] + c[1]) + c[2]) for c in (halves[:3], halves[3:]))
     flow = find_flow(now, before)
     squares = [(image - now) ** 2 for image in (before, warped(before, flow))]
-    last, earlier, share, repeated = np.split(np.stack([halved(p) for p in trends]), (3, 6, 7))
+    last, earlier, share, repeated = np.split(trends, (3, 6, 7))
     changed, again = halved(now) - halved(before), halved(repeated[0])
     y, x = np.mgrid[: again.shape[0], : again.shape[1]].astype(F)
-    along = sampled(again, x + F(0.5) * flow[0], y + F(0.5) * flow[1])
+    along = sampled(repeated[0], F(2) * x + F(0.5) + flow[0], F(2) * y + F(0.5) + flow[1])
     squares = [F(0.25) * _summed(square) for square in squares] + [(changed - a) ** 2 for a in (again, along)]
     differences = np.stack([mean_around(square) for square in squares])
     found = np.stack([doubled(plane) for plane in flow])

@@ -64,10 +64,10 @@ def find_trend(changes, reach):
 
 
 def carry_trends(depth, trend, trend_prev, changes_prev, alpha, to_source, to_previous, network_size):
-    """(8, h, w) of the network."""
+    """(8, h/2, w/2) of the network."""
     height, width = depth.shape
-    w, h = network_size
-    j, i = np.minimum(2 * np.arange(h), height - 1), np.minimum(2 * np.arange(w), width - 1)
+    w, h = (side // 2 for side in network_size)
+    j, i = np.minimum(4 * np.arange(h) + 2, height - 1), np.minimum(4 * np.arange(w) + 2, width - 1)
     px = centres(height, width)[j[:, None], i]
 
     def look_up(trend, r):
