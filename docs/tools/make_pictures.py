@@ -1,7 +1,8 @@
-"""Make the pictures in docs/pictures, but for the contact sheet (`gffe demo`) and those of the viewer.
+"""Make the pictures in docs/pictures, but for those of the viewer.
 
     python docs/tools/make_pictures.py [NAME …]
 
+- `demo`: a film of the scene of `gffe demo`, rendered frames beside rendered and extrapolated ones, slowed.
 - `limit_*`: a part of a frame, rendered at t, extrapolated to t + ½, and the truth there.
 - `gain_*`: the part that gains most from a module beyond the paper: without it, with it, and the truth.
 - `shading`: the part that gains most from shading correction, with the network's whole image and both focus masks.
@@ -24,7 +25,7 @@ from situation_regions import region_of_situation, submitted_frames
 from upscaling_defects import SCALE, SEED, pipeline_of, shown_by
 
 from gffe_cl.evaluation.metrics import display_values, focus_mask
-from gffe_cl.evaluation.report import contact_sheet
+from gffe_cl.evaluation.report import contact_sheet, side_by_side
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import Pipeline
@@ -33,6 +34,7 @@ from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 
 SIZE, PART = (640, 360), (128, 72)
 FPS, ALPHA = 30.0, 0.5
+FILMED, FILM_FRAMES, SLOWDOWN = (448, 252), 75, 4
 
 
 @dataclass(frozen=True)
@@ -204,14 +206,37 @@ def picture(device: Device, limit: Limit):
     raise ValueError(f"{limit.scene}: no frame {limit.frame} with enough history")
 
 
+def film(device: Device) -> list[Image.Image]:
+    frames = SceneFrames(SceneRenderer(device, load_scene("corridor"), *FILMED))
+    pipeline = Pipeline(device, *FILMED, Options(), fps=FPS)
+    pipeline.exposure = frames.scene.exposure
+
+    def pairs():
+        for frame in frames.sequence(FILM_FRAMES, FPS):
+            pipeline.submit(frame)
+            rendered = display_values(frame.color, pipeline.exposure)
+            time = frame.time + ALPHA / FPS
+            made = pipeline.extrapolate(frames.display_camera(time), time).numpy("color")
+            yield rendered, rendered
+            yield rendered, display_values(made, pipeline.exposure)
+
+    labels = f"rendered, 30 Hz, 1/{SLOWDOWN} speed", "with extrapolated frames, 60 Hz"
+    return [Image.fromarray(image) for image in side_by_side(pairs(), labels)]
+
+
 def main() -> None:
     device = open_device()
     makers = {f"limit_{name}": partial(picture, device, limit) for name, limit in LIMITS.items()}
     makers |= {f"gain_{name}": partial(gain_picture, device, gain) for name, gain in GAINS.items()}
     makers |= {"shading": partial(shading_picture, device), "situations": partial(situations_picture, device)}
     makers |= {f"upscaling_{name}": partial(upscaled_picture, device, *place) for name, place in UPSCALED.items()}
-    for name in sys.argv[1:] or makers:
-        makers[name]().save(PICTURES / f"{name}.jpg", quality=88)
+    for name in sys.argv[1:] or ["demo", *makers]:
+        if name == "demo":
+            first, *others = film(device)
+            pace = round(1000 * SLOWDOWN * ALPHA / FPS)  # ms
+            first.save(PICTURES / "demo.webp", save_all=True, append_images=others, duration=pace, loop=0, quality=50)
+        else:
+            makers[name]().save(PICTURES / f"{name}.jpg", quality=88)
         print(name)
 
 

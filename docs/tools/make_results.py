@@ -36,7 +36,16 @@ SHORT = (
     "interpolation",
 )
 UNSEEN = MEASURED / "unseen.json"
-README_ROWS = (FULL, "motion-vectors", "interpolation")
+README_ROWS = {  # and their titles there, where others than in the results
+    "repeat": "",
+    "motion-vectors": "motion vectors, in image space",
+    "flow": "",
+    "papers-way": "GFFE by the paper alone, with our network",
+    "no-scn": "GFFE without its network",
+    FULL: "",
+    "interpolation": "",
+}
+TRAINED = ("corridor", "plaza", "room", "forest")  # scenes of which the network's training has variations
 _KEPT = ("date", "command", "versions", "machine", "sequences", "methods", "means", "gains")
 
 
@@ -71,10 +80,17 @@ def methods_table(found: dict) -> str:
 
 
 def short_table(found: dict) -> str:
-    present = [COLUMNS[name] for name in ("psnr", "ssim", "flip", "flicker")]
-    means = {mean["method"]: mean for mean in found["means"]}
-    rows = [_method_row(found, means[name], present) for name in README_ROWS if name in means]
-    return table(("mean over the scenes", *(c.title for c in present)), rows)
+    """Mean PSNR of the scenes that the network was not trained on, and of those that it was."""
+    values = {(cell["sequence"], cell["method"]): cell["psnr"] for cell in found["cells"]}
+    names = [s["name"] for s in found["sequences"]]
+    parts = [[n for n in names if (n.split(":")[0] in TRAINED) == trained] for trained in (False, True)]
+    titles, rows = {m["name"]: m["title"] for m in found["methods"]}, []
+    for method, title in README_ROWS.items():
+        means = (sum(values[name, method] for name in part) / len(part) for part in parts)
+        title = f"**{titles[method]}**" if method == FULL else title or titles[method]
+        rows.append((title, *map(COLUMNS["psnr"].text, means)))
+    heads = (", ".join(f"`{name.split(':')[0]}`" for name in part) for part in parts)
+    return table(("mean PSNR, dB", *heads), rows)
 
 
 def regions_table(found: dict) -> str:
