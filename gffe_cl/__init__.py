@@ -9,26 +9,7 @@ frame.color                 # device buffer
 frame.numpy("color")        # NumPy array
 """
 
-import sys
 from importlib import import_module
-
-
-class _BeforePyopencl:
-    """The list of OpenCL runtimes must be complete before pyopencl reads it, and making it takes a while: it is made
-    when pyopencl is imported, by whom ever."""
-
-    @classmethod
-    def find_spec(cls, name, path=None, target=None):
-        if name == "pyopencl":
-            sys.meta_path.remove(cls)
-            from gffe_cl.opencl.runtimes import expose_installed_runtimes, redirect_unwritable_caches
-
-            redirect_unwritable_caches()
-            expose_installed_runtimes()
-
-
-if "pyopencl" not in sys.modules:
-    sys.meta_path.insert(0, _BeforePyopencl)
 
 __version__ = "0.1.0"
 
@@ -46,6 +27,7 @@ _HOME = {
     "DeviceInfo": "opencl.device",
     "list_devices": "opencl.device",
     "open_device": "opencl.device",
+    "prepare_runtimes": "opencl.runtimes",
     "GffeError": "core.errors",
     "BadPixels": "frame.rendered_frame",
     "Overlays": "frame.rendered_frame",

@@ -16,7 +16,7 @@ from gffe_cl.core.errors import GffeError, how_to_install
 from gffe_cl.core.validation import require_bool, require_kind, require_whole
 from gffe_cl.opencl import device_cache
 from gffe_cl.opencl.probing import DeviceInfo, probe, quiet_builds, try_int64_atomics
-from gffe_cl.opencl.runtimes import hide_vendors
+from gffe_cl.opencl.runtimes import hide_vendors, prepare_runtimes
 
 __all__ = [
     "HOW_TO_GET_ONE",
@@ -32,6 +32,10 @@ __all__ = [
 HOW_TO_GET_ONE = (
     f"install one with {how_to_install('intel')} (x86-64 CPU, no root), "
     "`apt install pocl-opencl-icd` (any CPU), or your GPU vendor's driver"
+)
+WHERE_IT_IS = (
+    "see `gffe devices --refresh`; where a program uses pyopencl before gffe_cl,"
+    " call gffe_cl.prepare_runtimes() first of all"
 )
 _ABOUT_AS_FAST = 1.5  # times slower: which of such devices is the default must not hang on noise
 _crashing: dict[str, DeviceInfo] = {}  # vendors that are hidden, by the name of their `.icd` file
@@ -142,6 +146,7 @@ def list_devices(refresh: bool = False) -> list[DeviceInfo]:
 
 def _list_devices(refresh: bool) -> tuple[list[DeviceInfo], bool]:
     """The devices, and whether they were known without probing."""
+    prepare_runtimes()
     key = device_cache.fingerprint()
     known = None if refresh else device_cache.recall(key)
     probed = known or probe()
@@ -202,11 +207,13 @@ def open_info(info: DeviceInfo) -> Device:
         found = cl.get_platforms()[platform].get_devices()[device]
         told = found.name.strip(), found.platform.version.strip(), found.driver_version.strip()
         if told != (info.name, info.version, info.driver):
-            raise GffeError(f"device {info.index} is {told[0]}, not {info.name} (see `gffe devices --refresh`)")
+            raise GffeError(f"device {info.index} is {told[0]}, not {info.name} ({WHERE_IT_IS})")
         made = Device(found, info, _opened.get(info.index))
         _opened[info.index] = made.opened
         return made
-    except (cl.Error, IndexError) as error:
+    except IndexError:
+        raise GffeError(f"{info.name} ({info.platform}): there is no device {info.index} ({WHERE_IT_IS})") from None
+    except cl.Error as error:
         raise GffeError(f"{info.name} ({info.platform}): cannot be opened: {error}") from None
 
 

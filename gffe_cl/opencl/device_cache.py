@@ -20,7 +20,7 @@ import pyopencl as cl
 
 from gffe_cl.opencl import probing
 from gffe_cl.opencl.probing import DeviceInfo, Probed
-from gffe_cl.opencl.runtimes import HIDE_INSTALLED, installed_runtimes_are_exposed, keep_file, kept_folder, vendors
+from gffe_cl.opencl.runtimes import keep_file, kept_folder, vendors
 
 _NAME = "devices-{}.json"
 _MOST_FILES = 16
@@ -28,7 +28,7 @@ _HOUR = 3600.0
 # What drivers are told by the environment, and where their libraries come from.
 TOLD = (
     "CL_", "CUDA_", "GPU_", "HIP_", "HSA_", "MESA_", "NEO", "NVIDIA_", "OCL_", "OCLGRIND_", "ONEAPI_", "OPENCL_",
-    "POCL_", "ROCR_", "RUSTICL_", "SYCL_", "ZE_", "LD_PRELOAD", "LD_LIBRARY_PATH", HIDE_INSTALLED,
+    "POCL_", "ROCR_", "RUSTICL_", "SYCL_", "ZE_", "LD_PRELOAD", "LD_LIBRARY_PATH",
 )  # fmt: skip
 _NODES = ("/dev/dri/*", "/dev/nvidia*", "/dev/kfd", "/dev/dxg", "/dev/mali*")
 _KERNEL_DRIVERS = ("/proc/driver/nvidia/version", "/sys/module/amdgpu/version", "/sys/module/i915/srcversion")
@@ -40,7 +40,6 @@ def fingerprint() -> str:
     facts = [
         hashlib.sha256(Path(probing.__file__).read_bytes()).hexdigest(),
         cl.VERSION_TEXT,
-        installed_runtimes_are_exposed(),
         [(icd.name, _text(icd), _stamps(_text(icd))) for icd in vendors()],
         sorted((name, value) for name, value in os.environ.items() if name.startswith(TOLD)),
         (platform.node(), platform.release(), platform.machine(), os.cpu_count(), _processor()),

@@ -1,8 +1,7 @@
-"""Making OpenCL runtimes visible before pyopencl loads.
+"""Making OpenCL runtimes visible before the ICD loader lists them.
 
-The ICD loader reads its list of vendors once, so this must run before the first `import pyopencl`:
-importing `gffe_cl` does it. Where pyopencl came first, only the system's runtimes are seen.
-Runtimes that pip installed into the environment (Intel's CPU runtime) are not in the system's vendor
+The loader reads its list of vendors once in a process, when OpenCL is first asked for platforms: `prepare_runtimes`
+must run before. Runtimes that pip installed into the environment (Intel's CPU runtime) are not in the system's vendor
 folder; they are added to a folder of our own that repeats the system's entries. A driver that crashes while it
 is listed is left out in the same way (`hide_vendors`).
 """
@@ -88,24 +87,24 @@ def _temporary_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="gffe-cl-"))
 
 
-HIDE_INSTALLED = "GFFE_HIDE_INSTALLED_RUNTIMES"  # set for children of a process that does not see them either
-_exposed = False
+def prepare_runtimes() -> None:
+    """Make OpenCL runtimes of this Python environment known, as Intel's for CPUs, and let drivers keep their caches
+    where they can write.
 
-
-def installed_runtimes_are_exposed() -> bool:
-    """Whether this process, and so a child that imports `gffe_cl`, sees runtimes installed by pip."""
-    return _exposed or VENDORS in os.environ
+    `open_device`, `list_devices` and the command line call it. Call it yourself, first of all, in a program that uses
+    pyopencl before them: when OpenCL has been asked for platforms, it is too late. Sets environment variables, none
+    that the user has set; a second call does nothing.
+    """
+    redirect_unwritable_caches()
+    expose_installed_runtimes()
 
 
 def expose_installed_runtimes() -> None:
     """Add OpenCL runtimes of this Python environment to those the ICD loader will list.
 
-    Does nothing if `OCL_ICD_VENDORS` is set (the user has chosen), if pyopencl is already loaded, or if
-    there is no such runtime.
+    Does nothing if `OCL_ICD_VENDORS` is set (the user has chosen), or if there is no such runtime.
     """
-    global _exposed
-    chosen = VENDORS in os.environ or HIDE_INSTALLED in os.environ
-    if chosen or "pyopencl" in sys.modules or not sys.platform.startswith("linux"):
+    if VENDORS in os.environ or not sys.platform.startswith("linux"):
         return
     library = Path(sys.prefix) / "lib" / "libintelocl.so"
     if not library.exists():
@@ -126,7 +125,6 @@ def expose_installed_runtimes() -> None:
         return
     entries = {icd.name: icd.read_text() for icd in vendors()} | {"gffe-intel.icd": f"{library}\n"}
     os.environ[VENDORS] = str(_vendor_folder(entries))
-    _exposed = True
 
 
 def vendors() -> list[Path]:

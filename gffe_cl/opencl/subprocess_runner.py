@@ -7,8 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-from gffe_cl.opencl.runtimes import HIDE_INSTALLED, installed_runtimes_are_exposed
-
 HANGS = "driver hangs"  # how a failure begins where time was up
 
 
@@ -21,8 +19,7 @@ def run_child(
     run = f"runpy.run_module({module!r}, None, '__main__', True)"
     start = f"import runpy, sys; sys.path.append({str(Path(__file__).parents[2])!r}); {run}"
     command = [sys.executable, "-P", "-c", start, *arguments]
-    hidden = {} if installed_runtimes_are_exposed() else {HIDE_INSTALLED: "1"}
-    environment = os.environ | hidden | (variables or {})
+    environment = os.environ | (variables or {})
     try:
         child = subprocess.run(
             command, capture_output=True, text=True, errors="replace", timeout=seconds, env=environment

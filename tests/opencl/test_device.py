@@ -296,8 +296,23 @@ def test_order_of_imports_does_not_matter(first):
         f"import {first}; import gffe_cl; from gffe_cl.opencl.device import list_devices, open_info;"
         "[open_info(i) for i in list_devices() if i.works]; print(gffe_cl.open_device().info.name)"
     )
-    environment = {k: v for k, v in os.environ.items() if k not in ("OCL_ICD_VENDORS", "GFFE_DEVICE")}
-    child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
-    if first == "pyopencl" and "no OpenCL" in child.stderr:
-        pytest.skip("no runtime but the installed one, which pyopencl cannot see")
+    child = in_fresh_process(code)
     assert child.returncode == 0, child.stderr
+
+
+def test_platforms_that_were_listed_before(tmp_path):
+    """Without the installed runtime's, which then comes too late: one line names what to call before."""
+    if not (Path(sys.prefix) / "lib" / "libintelocl.so").exists():
+        pytest.skip("Intel's runtime is not installed in this environment")
+    listed = "import pyopencl as cl, contextlib\nwith contextlib.suppress(cl.Error): cl.get_platforms()\n"
+    opened = "import gffe_cl; print(gffe_cl.open_device('intel').info.platform)"
+    child = in_fresh_process(listed + opened)
+    assert child.returncode == 1 and "gffe_cl.prepare_runtimes()" in child.stderr.splitlines()[-1]
+    child = in_fresh_process(f"import gffe_cl; gffe_cl.prepare_runtimes()\n{listed}{opened}")
+    assert child.returncode == 0 and "Intel" in child.stdout, child.stderr
+
+
+def in_fresh_process(code):
+    """Run it where nothing is chosen."""
+    environment = {k: v for k, v in os.environ.items() if k not in ("OCL_ICD_VENDORS", "GFFE_DEVICE")}
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
