@@ -24,7 +24,7 @@ from scipy.ndimage import uniform_filter
 from situation_regions import region_of_situation, submitted_frames
 from upscaling_defects import SCALE, SEED, pipeline_of, shown_by
 
-from gffe_cl.evaluation.metrics import display_values, focus_mask
+from gffe_cl.evaluation.metrics import focus_mask, to_display
 from gffe_cl.evaluation.report import contact_sheet, side_by_side
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.pipeline.options import Options
@@ -106,10 +106,10 @@ def shading_picture(device: Device):
         made = full.extrapolate(camera, time)
         color = made.numpy("gae")
         images = {
-            "extrapolated": display_values(color, exposure),
-            "final": display_values(made.numpy("color"), exposure),
-            "the network's whole image": display_values(whole.extrapolate(camera, time).numpy("color"), exposure),
-            "truth": display_values(truth, exposure),
+            "extrapolated": to_display(color, exposure),
+            "final": to_display(made.numpy("color"), exposure),
+            "the network's whole image": to_display(whole.extrapolate(camera, time).numpy("color"), exposure),
+            "truth": to_display(truth, exposure),
             "focus mask": full.stages["correction"].read("focus_mask").astype(np.float32),
             "true focus mask": focus_mask(color, truth, made.numpy("dynamic"), exposure).astype(np.float32),
         }
@@ -131,7 +131,7 @@ def upscaled_picture(device: Device, scene_name: str, x: int, y: int):
     for frame in frames.sequence(11, scene.fps, 1.0):
         for pipeline in pipelines:
             pipeline.submit(frame)
-    truth = display_values(frames.truth(frame.time).read("color")[..., :3], scene.exposure)
+    truth = to_display(frames.truth(frame.time).read("color")[..., :3], scene.exposure)
     shown = [*(shown_by(pipeline, scene.exposure) for pipeline in pipelines), truth]
     rows, columns = slice(y, y + UPSCALED_PART[1]), slice(x, x + UPSCALED_PART[0])
     parts = [image[rows, columns].repeat(ENLARGED, 0).repeat(ENLARGED, 1) for image in shown]
@@ -170,10 +170,10 @@ def chosen_part(
             continue
         camera = frames.display_camera(time) if camera_known else None
         shown = {
-            name: display_values(p.extrapolate(camera, time).numpy("color"), scene.exposure)
+            name: to_display(p.extrapolate(camera, time).numpy("color"), scene.exposure)
             for name, p in pipelines.items()
         }
-        shown["truth"] = display_values(frames.truth(time).read("color"), scene.exposure)
+        shown["truth"] = to_display(frames.truth(time).read("color"), scene.exposure)
         errors = [np.square(shown[name] - shown["truth"]).mean(-1) for name in pipelines]
         score = errors[0] - errors[1]
         if region:
@@ -200,7 +200,7 @@ def picture(device: Device, limit: Limit):
             camera = frames.display_camera(time)
             made, truth = pipeline.extrapolate(camera, time).numpy("color"), frames.truth(time).read("color")
             images = {"rendered (t)": frame.color, "extrapolated (t + 1/2)": made, "truth (t + 1/2)": truth}
-            shown = {name: display_values(color, scene.exposure)[rows, columns] for name, color in images.items()}
+            shown = {name: to_display(color, scene.exposure)[rows, columns] for name, color in images.items()}
             label = f"{limit.scene}, frame {limit.frame}, {SIZE[0]} x {SIZE[1]}, x = {limit.x}, y = {limit.y}"
             return contact_sheet([(label, [(n, np.ascontiguousarray(p)) for n, p in shown.items()])], cell_width=320)
     raise ValueError(f"{limit.scene}: no frame {limit.frame} with enough history")
@@ -214,11 +214,11 @@ def film(device: Device) -> list[Image.Image]:
     def pairs():
         for frame in frames.sequence(FILM_FRAMES, FPS):
             pipeline.submit(frame)
-            rendered = display_values(frame.color, pipeline.exposure)
+            rendered = to_display(frame.color, pipeline.exposure)
             time = frame.time + ALPHA / FPS
             made = pipeline.extrapolate(frames.display_camera(time), time).numpy("color")
             yield rendered, rendered
-            yield rendered, display_values(made, pipeline.exposure)
+            yield rendered, to_display(made, pipeline.exposure)
 
     labels = f"rendered, 30 Hz, 1/{SLOWDOWN} speed", "with extrapolated frames, 60 Hz"
     return [Image.fromarray(image) for image in side_by_side(pairs(), labels)]

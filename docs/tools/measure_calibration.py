@@ -19,7 +19,7 @@ from pages import table, write_tables
 from gffe_cl.core.errors import GffeError
 from gffe_cl.doctor.calibration.calibrate import calibrate_sequence
 from gffe_cl.evaluation.compare import NO_HISTORY
-from gffe_cl.evaluation.metrics import METRICS, display_values
+from gffe_cl.evaluation.metrics import METRICS, to_display
 from gffe_cl.frame.camera import Camera
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.pipeline.options import Options
@@ -128,7 +128,7 @@ def quality(sequence: Sequence, truth: Sequence, device: Device, folder: Path, p
     run_sequence(Recorded(sequence, device), folder, device, options, [0.5], predicted_camera=predicted)
     made, psnr = open_sequence(folder), METRICS["psnr"]
     scores = [
-        psnr.measure(*(display_values(s.read_color(e), truth.exposure) for s, e in ((made, a), (truth, b))), None)
+        psnr.measure(*(to_display(s.read_color(e), truth.exposure) for s, e in ((made, a), (truth, b))), None)
         for a, b in zip(made.extrapolated[NO_HISTORY:], truth.ground_truth[NO_HISTORY:], strict=True)
     ]
     return float(np.mean(scores))

@@ -25,7 +25,7 @@ from scipy.signal import lfilter
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation.compare import NO_HISTORY
-from gffe_cl.evaluation.metrics import display_values
+from gffe_cl.evaluation.metrics import to_display
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.camera_prediction import POSES, predict_camera_at, rotation_matrix
 from gffe_cl.opencl.device import Device, open_device
@@ -113,13 +113,13 @@ def rendered_errors(device: Device, frames: SceneFrames, times: list[float], siz
         known = slice(max(k + 1 - POSES, 0), k + 1)
         for alpha in ALPHAS if k >= NO_HISTORY else ():
             then = time + alpha * (times[k + 1] - time)
-            truth = display_values(frames.truth(then).read("color"), exposure)
+            truth = to_display(frames.truth(then).read("color"), exposure)
             for order in ("known", *ORDERS):
                 if order == "known":
                     camera = frames.display_camera(then)
                 else:
                     camera = predict_camera_at(then, path[known][::-1], times[known][::-1], order)
-                shown = display_values(pipeline.extrapolate(camera, then).numpy("color"), exposure)
+                shown = to_display(pipeline.extrapolate(camera, then).numpy("color"), exposure)
                 found[order, alpha].append(float(np.square(shown - truth).mean(dtype=np.float64)))
     return found
 

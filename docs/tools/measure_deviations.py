@@ -24,7 +24,7 @@ import numpy as np
 from pages import table, write_tables
 from situation_regions import region_of_situation, submitted_frames
 
-from gffe_cl.evaluation.metrics import METRICS, RegionErrors, display_values
+from gffe_cl.evaluation.metrics import METRICS, RegionErrors, to_display
 from gffe_cl.opencl.device import Device, open_device
 from gffe_cl.opencl.program import kernel_folder
 from gffe_cl.pipeline.options import Options
@@ -212,12 +212,12 @@ def shown_frames(
         for alpha in alphas if measured is not None else ():
             time = frame.time + alpha / FPS
             camera = frames.display_camera(time)
-            truth = display_values(frames.truth(time).read("color"), scene.exposure)
+            truth = to_display(frames.truth(time).read("color"), scene.exposure)
             shown, regions = {}, {}
             for name, pipeline in pipelines.items():
                 made = pipeline.extrapolate(camera if changes[name].camera else None, time)
                 regions = regions or (_regions(made) if concerned is None else {})
-                shown[name] = display_values(made.numpy("color"), scene.exposure)
+                shown[name] = to_display(made.numpy("color"), scene.exposure)
             if concerned:
                 region = region_of_situation(concerned, frames, (frame.time, frame.time - 1 / FPS), time)
                 regions = {"whole": np.ones_like(region), "region": region}

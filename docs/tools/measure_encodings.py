@@ -21,7 +21,7 @@ import numpy as np
 from pages import MEASURED, table, write_tables
 
 from gffe_cl.evaluation.compare import NO_HISTORY
-from gffe_cl.evaluation.metrics import decibels, display_values, squared_error
+from gffe_cl.evaluation.metrics import decibels, squared_error, to_display
 from gffe_cl.formats.motion_conversion import static_motion
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import RenderedFrame
@@ -91,7 +91,7 @@ def render(device: Device, name: str, seed: int) -> tuple[float, list[Moment]]:
     for frame in frames.sequence(FRAMES, FPS):
         time = frame.time + ALPHA / FPS
         halves = frames.half_motions(frame, before) if before else None
-        truth = display_values(frames.truth(time).read("color"), scene.exposure)
+        truth = to_display(frames.truth(time).read("color"), scene.exposure)
         moments.append(Moment(frame, halves, time, frames.display_camera(time), truth))
         before = frame
     return scene.exposure, moments
@@ -108,7 +108,7 @@ def shown(device: Device, exposure: float, moments: list[Moment], threshold: flo
         if k < NO_HISTORY:
             continue
         made = pipeline.extrapolate(moment.camera, moment.time)
-        errors.append(squared_error(display_values(made.numpy("color"), exposure), moment.truth).mean())
+        errors.append(squared_error(to_display(made.numpy("color"), exposure), moment.truth).mean())
         shares.append((pipeline.stages["history"].read("dynamic_mask") > 0).mean())
     return decibels(float(np.mean(errors))), float(np.mean(shares))
 

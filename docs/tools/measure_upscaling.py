@@ -21,7 +21,7 @@ import numpy as np
 from pages import MEASURED, table, write_tables
 from upscaling_defects import defect_tables, defects
 
-from gffe_cl.evaluation.metrics import display_values, psnr, ssim
+from gffe_cl.evaluation.metrics import psnr, ssim, to_display
 from gffe_cl.evaluation.table.flicker import Flicker
 from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.opencl.device import Device, open_device
@@ -90,7 +90,7 @@ class Measured:
                 self.flicker[name].add(*shown[picture])
 
     def _shown(self, color: np.ndarray) -> np.ndarray:
-        return display_values(color[..., :3], self.scene.exposure)
+        return to_display(color[..., :3], self.scene.exposure)
 
 
 def cost(device: Device) -> dict[str, float]:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from gffe_cl.evaluation.compare import NO_HISTORY
-from gffe_cl.evaluation.metrics import display_values
+from gffe_cl.evaluation.metrics import to_display
 from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.scenes import SceneFrames
@@ -32,10 +32,10 @@ def region_of_situation(kind: str, frames: SceneFrames, known: tuple[float, ...]
     movers = binary_dilation(moves[object_id], iterations=BESIDE)
     if kind in ("movers", "still"):
         return movers if kind == "movers" else ~movers
-    found, now = np.zeros_like(movers), display_values(color, frames.scene.exposure)
+    found, now = np.zeros_like(movers), to_display(color, frames.scene.exposure)
     for moment in known:
         was = frames.renderer.render(moment, frames.display_camera(time))
-        change = np.abs(display_values(was.read("color"), frames.scene.exposure) - now).mean(-1)
+        change = np.abs(to_display(was.read("color"), frames.scene.exposure) - now).mean(-1)
         found |= (change > CHANGED) & ~binary_dilation(moves[was.read("object_id")], iterations=BESIDE)
     return found & ~movers
 

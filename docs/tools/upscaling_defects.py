@@ -13,7 +13,7 @@ import numpy as np
 from pages import REPOSITORY, table
 from scipy.ndimage import binary_dilation
 
-from gffe_cl.evaluation.metrics import display_values
+from gffe_cl.evaluation.metrics import to_display
 from gffe_cl.frame.jitter import Jitter
 from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.opencl.device import Device
@@ -68,7 +68,7 @@ def ghosts(device: Device) -> dict[str, list[float]]:
             pipeline.submit(frame)
             covered = np.abs(scene.color(camera(W, H), k / FPS, W, H, 3) - GREY.texture(np.zeros(2))).max(-1) > FLAT
             since = np.where(_grown(covered), 0, since + 1)
-            error = np.abs(shown_by(pipeline) - display_values(GREY.texture(np.zeros((1, 1, 2))), 1.0)).max(-1)
+            error = np.abs(shown_by(pipeline) - to_display(GREY.texture(np.zeros((1, 1, 2))), 1.0)).max(-1)
             for n in range(1, AFTER + 1):
                 if (since == n).any():
                     worst[n - 1] = max(worst[n - 1], 255 * error[since == n].max())
@@ -152,4 +152,4 @@ def _grown(mask: np.ndarray, by: int = 2) -> np.ndarray:
 
 
 def shown_by(pipeline: Pipeline, exposure: float = 1.0) -> np.ndarray:
-    return display_values(pipeline.present().numpy("color"), exposure)
+    return to_display(pipeline.present().numpy("color"), exposure)

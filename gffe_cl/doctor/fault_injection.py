@@ -10,7 +10,7 @@ import numpy as np
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import RenderedFrame
-from gffe_cl.frame.transfer_function import display_values
+from gffe_cl.frame.transfer_function import to_display
 from gffe_cl.sequence import FrameEntry, Sequence
 from gffe_cl.sequence.description import check_times
 from gffe_cl.sequence.encoding import Encoding
@@ -207,7 +207,7 @@ def _two_swapped(frames):
 
 
 def _tone_mapped(frame):
-    return {"color": display_values(frame.color).astype(np.float16)}
+    return {"color": to_display(frame.color).astype(np.float16)}
 
 
 def _bottom_up(*buffers: str) -> Callable:

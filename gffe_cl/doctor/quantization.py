@@ -6,7 +6,7 @@ import numpy as np
 
 from gffe_cl.doctor.findings import NOTE, Finding
 from gffe_cl.doctor.hypotheses.sampling import Look
-from gffe_cl.frame.transfer_function import display_values
+from gffe_cl.frame.transfer_function import to_display
 
 _FINEST, _COARSEST = 1 / 64, 64.0  # pixels: steps that are looked for
 _SAME_VALUE = 1 / 1024  # pixels
@@ -117,7 +117,7 @@ def precision_notes(looks: list[Look], exposure: float) -> list[Finding]:
         sentence = "depth went through half floats: it is off by up to 1/2048 of itself"
         found.append(Finding(NOTE, "depth", "half floats", sentence))
     colors = np.concatenate([look.image[::4, ::4].reshape(-1) for look in looks if look.image is not None] or [[]])
-    codes = 255 * display_values(colors, exposure)
+    codes = 255 * to_display(colors, exposure)
     codes = codes[(codes > 0.5) & (codes < 254.5)]
     off = np.abs(codes - np.round(codes))
     if len(codes) and len(np.unique(np.round(codes))) >= 16 and (off < 0.1).mean() > 0.99:

@@ -6,11 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gffe_cl.core.validation import require_exposure, require_list
 from gffe_cl.doctor.hypotheses.edges import edge_agreement
 from gffe_cl.doctor.hypotheses.sampling import BUFFERS, PREVIOUS, Clip, Look, take_looks, with_rows
 from gffe_cl.doctor.hypotheses.scoring import Bench, moving, trimmed
 from gffe_cl.doctor.hypotheses.search import Reading, Search
 from gffe_cl.doctor.quantization import largest_step, motion_steps
+from gffe_cl.frame.rendered_frame import RenderedFrame, host_arrays
+from gffe_cl.sequence import FrameEntry
 
 _FRAMES = 3
 _SAMPLES = 800  # of each frame
@@ -39,6 +42,33 @@ class _Fit:
     @property
     def score(self) -> float:
         return self.share + float(np.nan_to_num(self.along)) + self.edges
+
+
+def check(frames: list[RenderedFrame], exposure: float = 1.0) -> str | None:
+    """A sentence if rendered frames in memory do not fit, else None: motion vectors and depth with cameras, motion
+    vectors and colors, or a buffer that is upside down. It is the quick form of `gffe check`: the first three frames
+    count.
+
+        assert gffe.check([first, second, third]) is None
+
+    `frames`: in order of time, with NumPy arrays; `exposure`: factor on colors before display. GffeError for what is no
+    such frame.
+    """
+    frames = require_list(frames, RenderedFrame, "check: frames", "a list of RenderedFrame")
+    return quick_warning(_InMemory(frames[:_FRAMES]), require_exposure(exposure))
+
+
+class _InMemory:
+    """A clip of frames in memory."""
+
+    def __init__(self, frames: list[RenderedFrame]):
+        for frame in frames:
+            host_arrays(frame)
+        self._frames = {f"frame {k}": frame for k, frame in enumerate(frames)}
+        self.rendered = [FrameEntry(name, frame.time, reset=frame.reset) for name, frame in self._frames.items()]
+
+    def read(self, entry: FrameEntry) -> RenderedFrame:
+        return self._frames[entry.file]
 
 
 def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:

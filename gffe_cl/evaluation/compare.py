@@ -13,10 +13,10 @@ from gffe_cl.evaluation.metrics import (
     FOCUS,
     METRICS,
     RegionErrors,
-    display_values,
     focus_mask,
     measurable,
     shading_regions,
+    to_display,
 )
 from gffe_cl.frame.rendered_frame import is_shown_whole
 from gffe_cl.opencl.device import Device
@@ -198,9 +198,9 @@ def _score(pairs, a, b, mask, progress, device=None, gae=None, notes=()) -> Comp
         notes.append(f"focus pixels are those of {a.path} itself: give the sequence without shading correction")
 
     def score(pair):
-        shown = display_values(shown_color(a, pair.entry, device), b.exposure)
+        shown = to_display(shown_color(a, pair.entry, device), b.exposure)
         true_color = b.read_color(pair.truth)
-        truth = display_values(true_color, b.exposure)
+        truth = to_display(true_color, b.exposure)
         if shown.shape != truth.shape:
             raise GffeError(
                 f"{pair.entry.file}: {shown.shape[1]}×{shown.shape[0]} pixels,"
@@ -216,7 +216,7 @@ def _score(pairs, a, b, mask, progress, device=None, gae=None, notes=()) -> Comp
         errors, before = RegionErrors(), RegionErrors()
         errors.add(shown, truth, regions, metrics)
         if gae:
-            before.add(display_values(without, b.exposure), truth, regions, metrics)
+            before.add(to_display(without, b.exposure), truth, regions, metrics)
         return {metric.name: errors.figure(metric.name, FOCUS) for metric in metrics}, errors, before
 
     frames, regions, of_gae = [], [], []

@@ -11,7 +11,7 @@ import numpy as np
 
 from gffe_cl.core.files import replacing
 from gffe_cl.evaluation.compare import baseline_repeat, compare, shown_color
-from gffe_cl.evaluation.metrics import display_values, psnr
+from gffe_cl.evaluation.metrics import psnr, to_display
 from gffe_cl.evaluation.report import contact_sheet, error_image, side_by_side, write_video
 from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline.options import Options
@@ -82,7 +82,7 @@ def _contact_sheet(source: Sequence, made: Sequence, device: Device):
     for index in np.linspace(_FRAMES // 4, _FRAMES - 1, 3).astype(int):
         now, new, truth = source.rendered[index], made.extrapolated[index], source.ground_truth[index]
         repeated, predicted, wanted = (
-            display_values(shown_color(s, e, device), source.exposure)
+            to_display(shown_color(s, e, device), source.exposure)
             for s, e in ((source, now), (made, new), (source, truth))
         )
         other = made.read_channels(new, ["Z", "mask.dynamic", "mask.disoccluded"])
@@ -106,8 +106,8 @@ def _video_frames(source: Sequence, made: Sequence, device: Device, on_frame) ->
 
     def pairs():
         for now, new in zip(source.rendered, made.extrapolated, strict=True):
-            rendered = display_values(shown_color(source, now, device), source.exposure)
-            extrapolated = display_values(made.read_color(new), source.exposure)
+            rendered = to_display(shown_color(source, now, device), source.exposure)
+            extrapolated = to_display(made.read_color(new), source.exposure)
             yield rendered, rendered
             yield rendered, extrapolated
             on_frame()

@@ -21,7 +21,7 @@ from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation.benchmark_input import SCENE, SCENE_FPS, SCENE_FRAME, is_sequence, uploaded
 from gffe_cl.evaluation.compare import NO_HISTORY
 from gffe_cl.evaluation.counting import SIZE
-from gffe_cl.evaluation.metrics import METRICS, RegionErrors, display_values
+from gffe_cl.evaluation.metrics import METRICS, RegionErrors, to_display
 from gffe_cl.evaluation.table.datasets import Footage, Moment, Shot, Subject, open_subject, parse_subject
 from gffe_cl.evaluation.table.methods import FULL, LIBRARY, METHODS, Method, chosen_methods
 from gffe_cl.evaluation.table.pipelines import PipelineRunner
@@ -132,7 +132,7 @@ def _play(clip: Clip, contestants: list[Contestant], rounds: int, advance: Calla
             if shot.moments and playing:
                 one.milliseconds.append(milliseconds)
             elif shot.moments:
-                shown, truth = (display_values(c, clip.exposure) for c in (one.color(made), shot.moments[0].truth))
+                shown, truth = (to_display(c, clip.exposure) for c in (one.color(made), shot.moments[0].truth))
                 moment = sum(len(before.moments) for before in islice(clip.shots(), number))
                 one.errors.add(shown, truth, masks(clip.labels[moment]), [METRICS["psnr"]])
             advance()

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gffe_cl.core.validation import require_exposure
-from gffe_cl.frame.transfer_function import display_values as display_values  # what metrics are taken on
+from gffe_cl.core.validation import require_array, require_exposure
+from gffe_cl.frame.transfer_function import to_display as to_display  # what metrics are taken on
 from gffe_cl.stages.shading import FOCUS_SMAPE, SMAPE_EPSILON
 
 PSNR_CAP = 100.0  # dB
@@ -154,14 +154,26 @@ METRICS = {
 def psnr(a, b, mask=None) -> float:
     """Peak signal-to-noise ratio in dB for peak 1, over all pixels and channels, at most 100.
 
-    `mask` (H, W) restricts it to the pixels where it is not 0; NaN if there are none.
+    `a`, `b` (H, W, 3): display values (`to_display`). `mask` (H, W) restricts it to the pixels where it is not 0; NaN
+    if there are none. GffeError for arrays of other shapes.
     """
-    return METRICS["psnr"].measure(a, b, mask)
+    return METRICS["psnr"].measure(*_pair(a, b, mask))
 
 
 def ssim(a, b, mask=None) -> float:
-    """Structural similarity (`similarity`), mean over pixels; `mask` as of `psnr`. NaN for images smaller than 7×7."""
-    return METRICS["ssim"].measure(a, b, mask)
+    """Structural similarity, mean over pixels: Wang et al., Image Quality Assessment, TIP 2004, over 7×7 pixels.
+
+    `a`, `b` and `mask` as of `psnr`. NaN for images smaller than 7×7. GffeError for arrays of other shapes.
+    """
+    return METRICS["ssim"].measure(*_pair(a, b, mask))
+
+
+def _pair(a, b, mask) -> tuple:
+    """The three of them, checked."""
+    height, width, _ = require_array(a, "metric: a", None, None, 3).shape
+    b = require_array(b, "metric: b", height, width, 3)
+    mask = None if mask is None else require_array(mask, "metric: mask", height, width)
+    return np.asarray(a, np.float32), np.asarray(b, np.float32), mask
 
 
 # ---- where -----------------------------------------------------------------------------------------------

@@ -33,7 +33,7 @@ def shown_loss(a: Tensor, b: Tensor) -> Tensor:
 
 
 def display(color: Tensor) -> Tensor:
-    """sRGB of exposed linear colour, clipped to 0 … 1: as `gffe_cl.evaluation.metrics.display_values`."""
+    """sRGB of exposed linear colour, clipped to 0 … 1: as `gffe_cl.evaluation.metrics.to_display`."""
     linear = color.clamp(0, 1)
     curve = 1.055 * linear.clamp(min=_TOE) ** (1 / 2.4) - 0.055
     return torch.where(linear <= _TOE, 12.92 * linear, curve)

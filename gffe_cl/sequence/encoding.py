@@ -17,7 +17,7 @@ import numpy as np
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import RenderedFrame
-from gffe_cl.frame.transfer_function import display_values, linear_values
+from gffe_cl.frame.transfer_function import linear_values, to_display
 
 CODE_SIZE = (1920, 1080)
 CAMERA_NOISE = 0.1  # pixels, standard deviation
@@ -121,7 +121,7 @@ class Encoding:
         """Linear color (H, W, 3) as it is after being stored."""
         if COLOR_8BIT not in self.parts:
             return color
-        return linear_values(np.round(display_values(color, exposure) * 255) / 255, exposure).astype(np.float16)
+        return linear_values(np.round(to_display(color, exposure) * 255) / 255, exposure).astype(np.float16)
 
     def cameras(self, time: float, camera: Camera | None, *others: Camera | None) -> tuple[Camera | None, ...]:
         """Cameras of the frame at `time` (seconds) as a fit finds them: all of them turn alike, by pixels of the

@@ -78,6 +78,14 @@ class Sequence:
         self._previous = dict(zip([e.file for e in self.rendered[1:]], self.rendered, strict=False))
         self._suspicions: dict[str, str] = {}  # sentence → file where it was met first
 
+    def __iter__(self) -> Iterator[RenderedFrame]:
+        """The rendered frames in order, the next ones read meanwhile on threads:
+
+        for frame in gffe.open_sequence(folder):
+            pipeline.submit(frame)
+        """
+        return (frame for _, frame in self.prefetch(self.rendered))
+
     def __repr__(self):
         return f"<Sequence {self.path}: {len(self.frames)} frames, {self.width}×{self.height}>"
 

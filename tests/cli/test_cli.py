@@ -400,14 +400,14 @@ def test_options_of_scenes_are_refused_for_sequences(gffe, scene, tmp_path):
 
 def test_baseline_of_a_windowed_sequence_is_its_display_part(gffe, tmp_path):
     from gffe_cl.evaluation.compare import baseline_repeat, shown_color
-    from gffe_cl.evaluation.metrics import display_values, psnr
+    from gffe_cl.evaluation.metrics import psnr, to_display
 
     options = ("--size", "96x54", "--frames", 4, "--ground-truth", "--window", "fixed:1.3")
     assert gffe("render", "room", tmp_path / "in", *options)[0] == 0
     wide = open_sequence(tmp_path / "in")
-    truth = display_values(wide.read_color(wide.ground_truth[3]), wide.exposure)
-    whole = psnr(display_values(wide.read_color(wide.rendered[3]), wide.exposure), truth)
-    shown = psnr(display_values(shown_color(wide, wide.rendered[3]), wide.exposure), truth)
+    truth = to_display(wide.read_color(wide.ground_truth[3]), wide.exposure)
+    whole = psnr(to_display(wide.read_color(wide.rendered[3]), wide.exposure), truth)
+    shown = psnr(to_display(shown_color(wide, wide.rendered[3]), wide.exposure), truth)
     assert shown > whole + 5
     assert baseline_repeat(wide).frames[3].values["psnr"] == pytest.approx(shown)
 

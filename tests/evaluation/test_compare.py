@@ -7,7 +7,7 @@ import pytest
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation.compare import baseline_repeat, compare
-from gffe_cl.evaluation.metrics import METRICS, display_values, psnr, ssim
+from gffe_cl.evaluation.metrics import METRICS, psnr, ssim, to_display
 from gffe_cl.frame.camera import Camera
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels, open_sequence
 
@@ -51,7 +51,7 @@ def truth(tmp_path):
 
 
 def level_psnr(a, b, exposure=0.8):
-    a, b = display_values(color(a), exposure), display_values(color(b), exposure)
+    a, b = to_display(color(a), exposure), to_display(color(b), exposure)
     return psnr(a, b)
 
 
@@ -66,7 +66,7 @@ def test_definition(tmp_path, truth):
     np.testing.assert_allclose([frame.values["psnr"] for frame in result.frames], expected, atol=1e-3)
     assert result.mean["psnr"] == pytest.approx(np.mean(expected[2:]), abs=1e-3)
     similarity = [
-        ssim(display_values(color(x), 0.8), display_values(color(y), 0.8)) for x, y in zip(levels, TRUTH, strict=True)
+        ssim(to_display(color(x), 0.8), to_display(color(y), 0.8)) for x, y in zip(levels, TRUTH, strict=True)
     ]
     assert result.mean["ssim"] == pytest.approx(np.mean(similarity[2:]), abs=1e-6)
     document = json.loads(json.dumps(result.to_json()))
@@ -192,8 +192,7 @@ def test_focus(tmp_path, truth):
     focus = np.zeros((H, W), bool)
     focus[2:, 5:9] = True
     images = [
-        display_values(s.read_color(e), 0.8)
-        for s, e in ((better, better.extrapolated[3]), (truth, truth.ground_truth[3]))
+        to_display(s.read_color(e), 0.8) for s, e in ((better, better.extrapolated[3]), (truth, truth.ground_truth[3]))
     ]
     assert document["frames"][3]["ssim"] == pytest.approx(ssim(*images, focus), abs=1e-6)
     few = write(tmp_path / "few", "extrapolated", HALVES[:1], TRUTH[:1])

@@ -18,7 +18,7 @@ from gffe_cl.evaluation.table.network import OnnxModel, OnnxRunner
 from gffe_cl.evaluation.table.regions import REGIONS, exact_parts, labels_of, masks
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import RenderedFrame
-from gffe_cl.frame.transfer_function import display_values, linear_values
+from gffe_cl.frame.transfer_function import linear_values, to_display
 
 W, H = 48, 32
 CAMERA = Camera(np.eye(4), 40, 40, W / 2, H / 2)
@@ -174,14 +174,14 @@ def test_networks_get_what_the_contract_says(tmp_path):
     runner = OnnxRunner(OnnxModel(network(tmp_path / "mix.onnx")), exposure=0.7)
     runner.submit(Shot(of(0), images[0], ()))
     runner.submit(Shot(of(1), images[1], (), of(2)))
-    made = display_values(runner.make(moment(0.25)), 0.7)
-    shown = [display_values(image, 0.7) for image in images]
+    made = to_display(runner.make(moment(0.25)), 0.7)
+    shown = [to_display(image, 0.7) for image in images]
     np.testing.assert_allclose(made, 0.75 * shown[1] + 0.25 * shown[2], atol=2e-6)
 
     oldest = OnnxRunner(OnnxModel(network(tmp_path / "old.onnx", following=False)), exposure=0.7)
     for k, expected in ((0, 0), (1, 0), (2, 1)):  # of two: after a reset the first stands for what is before it
         oldest.submit(Shot(of(k), images[k], ()))
-        np.testing.assert_allclose(display_values(oldest.make(moment(0.5)), 0.7), shown[expected], atol=2e-6)
+        np.testing.assert_allclose(to_display(oldest.make(moment(0.5)), 0.7), shown[expected], atol=2e-6)
 
 
 def test_networks_of_another_contract_are_refused(tmp_path):
@@ -199,7 +199,7 @@ def test_networks_of_another_contract_are_refused(tmp_path):
 
 def test_linear_values_undo_display_values():
     shown = np.linspace(0, 1, 300, dtype=np.float32).reshape(10, 10, 3)
-    np.testing.assert_allclose(display_values(linear_values(shown, 2.5), 2.5), shown, atol=1e-6)
+    np.testing.assert_allclose(to_display(linear_values(shown, 2.5), 2.5), shown, atol=1e-6)
 
 
 # ---- regions, flicker, budget ----------------------------------------------------------------------------------
@@ -287,7 +287,7 @@ def test_figures_are_those_of_the_reference_packages():
     from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
     rng = np.random.default_rng(5)
-    truth = display_values(texture(CENTRES))
+    truth = to_display(texture(CENTRES))
     shown = np.clip(truth + rng.normal(0, 0.05, truth.shape), 0, 1).astype(np.float32)
     of = {name: metric.measure(shown, truth) for name, metric in METRICS.items()}
     assert of["psnr"] == pytest.approx(peak_signal_noise_ratio(truth, shown, data_range=1), abs=5e-5)

@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 
 from gffe_cl.evaluation import metrics
-from gffe_cl.evaluation.metrics import METRICS, RegionErrors, display_values, psnr, shading_regions, smape, ssim
+from gffe_cl.evaluation.metrics import METRICS, RegionErrors, psnr, shading_regions, smape, ssim, to_display
 
 
 def test_display_values():
     color = np.array([[[0.0, 1.0, 0.5], [np.nan, 7.0, -3.0], [np.inf, -np.inf, 0.002]]], np.float16)
-    shown = display_values(color)
+    shown = to_display(color)
     assert shown.dtype == np.float32
     expected = [[[0, 1, 0.7353569], [0, 1, 0], [1, 0, 12.92 * np.float32(color[0, 2, 2])]]]
     np.testing.assert_allclose(shown, expected, atol=1e-6)
-    np.testing.assert_allclose(display_values([[[0.25, 0, 0]]], exposure=2.0)[0, 0, 0], 0.7353569, atol=1e-6)
+    np.testing.assert_allclose(to_display([[[0.25, 0, 0]]], exposure=2.0)[0, 0, 0], 0.7353569, atol=1e-6)
     assert np.isnan(color[0, 1, 0])  # the input is left as it was
 
 
 def test_display_values_does_not_overflow_half():
-    assert display_values(np.full((1, 1, 3), 60000, np.float16), exposure=4).max() == pytest.approx(1, abs=1e-6)
+    assert to_display(np.full((1, 1, 3), 60000, np.float16), exposure=4).max() == pytest.approx(1, abs=1e-6)
 
 
 def test_psnr():

@@ -4,7 +4,7 @@ gain on scenes that they were not trained on."""
 import numpy as np
 import pytest
 
-from gffe_cl.evaluation.metrics import display_values, focus_mask
+from gffe_cl.evaluation.metrics import focus_mask, to_display
 from gffe_cl.evaluation.table.datasets import SceneSubject, open_subject
 from gffe_cl.inference import network
 from gffe_cl.pipeline.options import Options
@@ -25,8 +25,8 @@ def extrapolated(device, name, seed, options):
         for moment in shot.moments:
             made = pipeline.extrapolate(moment.camera, moment.time)
             focus = focus_mask(made.numpy("gae"), moment.truth, made.numpy("dynamic"), footage.exposure)
-            gae, final = (display_values(made.numpy(buffer), footage.exposure) for buffer in ("gae", "color"))
-            yield gae, final, display_values(moment.truth, footage.exposure), focus
+            gae, final = (to_display(made.numpy(buffer), footage.exposure) for buffer in ("gae", "color"))
+            yield gae, final, to_display(moment.truth, footage.exposure), focus
 
 
 def psnr(pairs):

@@ -113,6 +113,11 @@ def host_calls():
         "Camera.to_view_of": Call(CAMERA.to_view_of, {"other": CAMERA}),
         "Camera.scaled": Call(CAMERA.scaled, {"scale_x": 2.0, "scale_y": 2.0}),
         "Camera.moved": Call(CAMERA.moved, {"offset": np.ones(3)}),
+        "prepare_runtimes": Call(gffe_cl.prepare_runtimes, {}),
+        "to_display": Call(gffe_cl.to_display, {"color": COLOR, "exposure": 1.0}),
+        "psnr": Call(gffe_cl.psnr, {"a": COLOR, "b": COLOR, "mask": DEPTH}),
+        "ssim": Call(gffe_cl.ssim, {"a": COLOR, "b": COLOR, "mask": DEPTH}),
+        "check": Call(gffe_cl.check, {"frames": [FRAME, FRAME], "exposure": 1.0}),
         "predict_camera": Call(gffe_cl.predict_camera, {"previous": TURNED, "current": CAMERA, "alpha": 0.5}),
         "predict_camera_at": Call(
             gffe_cl.predict_camera_at,

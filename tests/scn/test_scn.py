@@ -15,7 +15,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from gffe_cl.core.errors import GffeError  # noqa: E402
-from gffe_cl.evaluation.metrics import display_values, focus_mask, shading_regions  # noqa: E402
+from gffe_cl.evaluation.metrics import focus_mask, shading_regions, to_display  # noqa: E402
 from gffe_cl.inference import network as inference  # noqa: E402
 from gffe_cl.scn import clips, images, losses, network  # noqa: E402
 from gffe_cl.scn import training as training_module  # noqa: E402
@@ -224,7 +224,7 @@ def test_losses_are_zero_for_equals_and_have_gradients(loss):
 def test_display_values_agree():
     colors = torch.tensor([0.0, 1e-4, 0.003, 0.0032, 0.2, 1.0, 7.0]).view(-1, 1).repeat(1, 3).requires_grad_()
     shown = losses.display(colors)
-    assert np.allclose(shown.detach().numpy(), display_values(colors.detach().numpy()), atol=1e-6)
+    assert np.allclose(shown.detach().numpy(), to_display(colors.detach().numpy()), atol=1e-6)
     shown.sum().backward()
     assert torch.isfinite(colors.grad).all()
 

@@ -6,7 +6,7 @@ from synthetic import camera
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.rendered_frame import RenderedFrame
-from gffe_cl.frame.transfer_function import display_values
+from gffe_cl.frame.transfer_function import to_display
 from gffe_cl.sequence.encoding import EXACT, PARTS, Encoding
 
 W, H = 64, 48
@@ -65,9 +65,9 @@ def test_depth_color_and_cameras():
     finite = np.isfinite(depth)
     off = np.abs(stored.depth[finite] / depth[finite] - 1)
     assert stored.depth[0, 0] == np.inf and 2**-13 < off.max() <= 2**-11
-    codes = 255 * display_values(stored.color, 2.0)
+    codes = 255 * to_display(stored.color, 2.0)
     assert np.abs(codes - np.round(codes)).max() < 0.2 and len(np.unique(np.round(codes))) > 50
-    assert np.abs(codes - 255 * display_values(frame.color, 2.0)).max() < 0.7
+    assert np.abs(codes - 255 * to_display(frame.color, 2.0)).max() < 0.7
     assert np.array_equal(stored.motion, frame.motion) and stored.camera == stored.display_camera != view
     assert np.array_equal(stored.camera.position, view.position) or np.allclose(stored.camera.position, view.position)
 

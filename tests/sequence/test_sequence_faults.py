@@ -18,7 +18,7 @@ import pytest
 from tiny_sequence import H, W, contiguous, edit, pixels, write
 
 from gffe_cl.core.errors import GffeError
-from gffe_cl.evaluation.metrics import display_values, focus_mask, smape
+from gffe_cl.evaluation.metrics import focus_mask, smape, to_display
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.sequence import SequenceWriter, exr_layout, named_channels, open_sequence, openexr_stderr
 from gffe_cl.sequence.exr_layout import _Cursor, _parse
@@ -292,7 +292,7 @@ def test_exposures_are_checked_wherever_one_is_taken(tmp_path, exposure):
     image = np.zeros((H, W, 3), np.float32)
     takers = [
         lambda: SequenceWriter(tmp_path / "out", W, H, 30, exposure),
-        lambda: display_values(image, exposure),
+        lambda: to_display(image, exposure),
         lambda: smape(image, image, exposure),
         lambda: focus_mask(image, image, image[..., 0], exposure),
         lambda: Pipeline.exposure.fset(object.__new__(Pipeline), exposure),

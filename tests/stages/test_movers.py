@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gffe_cl.evaluation.metrics import display_values
+from gffe_cl.evaluation.metrics import to_display
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.scenes import SceneFrames, SceneRenderer
@@ -68,9 +68,9 @@ def test_acceleration_is_worth_it(device, name):
             continue
         for alpha in (0.5, 1.0):
             time = frame.time + alpha / 30
-            truth = display_values(frames.truth(time).read("color")[..., :3], scene.exposure)
+            truth = to_display(frames.truth(time).read("color")[..., :3], scene.exposure)
             made = [p.extrapolate(frames.display_camera(time), time).numpy("color") for p in pipelines]
-            errors = [np.square(display_values(color, scene.exposure) - truth).mean() for color in made]
+            errors = [np.square(to_display(color, scene.exposure) - truth).mean() for color in made]
             gains.append(10 * np.log10(errors[0] / errors[1]))
     half, whole = np.reshape(gains, (-1, 2)).mean(0)
     assert half >= least[0] and whole >= least[1], (half, whole)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scn_models import constant_model
 
 from gffe_cl import Camera, Options, Pipeline
-from gffe_cl.evaluation.metrics import display_values
+from gffe_cl.evaluation.metrics import to_display
 from gffe_cl.evaluation.report import error_image
 from gffe_cl.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.viewer.engine.layers import FRAME_LAYERS, LayerSpec, layers_of
@@ -180,7 +180,7 @@ def test_part_of_the_rendered_image(canvas):
 def test_exposure_and_srgb(canvas, dtype, channels):
     image = RNG.uniform(-0.1, 2, (13, 17, channels)).astype(dtype)
     canvas.frame = FrameInfo((17, 13), exposure=1.7)
-    close(shown(canvas, COLOR, image, Display(exposure=-1.5)), display_values(image[..., :3], 1.7 * 2**-1.5))
+    close(shown(canvas, COLOR, image, Display(exposure=-1.5)), to_display(image[..., :3], 1.7 * 2**-1.5))
 
 
 @pytest.mark.parametrize("tone_map", ["Reinhard", "ACES", "linear"])
@@ -188,8 +188,8 @@ def test_tone_maps(canvas, tone_map):
     image = RNG.uniform(-0.1, 6, (9, 10, 3)).astype(np.float32)
     c = np.maximum(image, 0)
     expected = {
-        "Reinhard": display_values(c / (1 + c)),
-        "ACES": display_values((c * (2.51 * c + 0.03)) / (c * (2.43 * c + 0.59) + 0.14)),
+        "Reinhard": to_display(c / (1 + c)),
+        "ACES": to_display((c * (2.51 * c + 0.03)) / (c * (2.43 * c + 0.59) + 0.14)),
         "linear": np.minimum(c, 1),
     }[tone_map]
     close(shown(canvas, COLOR, image, Display(tone_map=tone_map)), expected)
@@ -198,11 +198,11 @@ def test_tone_maps(canvas, tone_map):
 def test_channels_of_color(canvas):
     image = RNG.uniform(0, 1, (5, 7, 4)).astype(np.float32)
     for index, channel in enumerate("RGB"):
-        expected = display_values(image[..., index : index + 1], 2.0)
+        expected = to_display(image[..., index : index + 1], 2.0)
         close(shown(canvas, COLOR, image, Display(channel=channel, exposure=1)), expected)
     alpha = shown(canvas, COLOR, image, Display(channel="A", low=0.2, high=0.6))
     close(alpha, mapped((image[..., 3] - 0.2) / 0.4, "viridis"))
-    close(shown(canvas, COLOR, image, Display(channel="nonsense")), display_values(image[..., :3]))
+    close(shown(canvas, COLOR, image, Display(channel="nonsense")), to_display(image[..., :3]))
 
 
 def test_weighted_sums_show_their_mean(canvas):
@@ -210,7 +210,7 @@ def test_weighted_sums_show_their_mean(canvas):
     sums = np.zeros((2, 8, 4), np.float32)
     sums[0] = (10, 20, 30, 40)
     made = shown(canvas, spec, sums)
-    close(made[0], display_values(np.array([0.25, 0.5, 0.75])))
+    close(made[0], to_display(np.array([0.25, 0.5, 0.75])))
     assert set(np.round(made[1] * 255).astype(int).ravel()) <= {30, 31, 76, 77}  # hatched: no weight
 
 
@@ -221,7 +221,7 @@ def test_bad_color_is_seen(canvas, bad):
     made = shown(canvas, COLOR, image)
     magenta = (made == (1, 0, 1)).all(-1)
     assert magenta[4:12, 4:12].sum() == 32 and magenta.sum() == 32
-    close(made[0], display_values(np.full(3, 0.5)))
+    close(made[0], to_display(np.full(3, 0.5)))
 
 
 def test_color_is_averaged_when_small_and_masks_are_not(canvas):
@@ -230,7 +230,7 @@ def test_color_is_averaged_when_small_and_masks_are_not(canvas):
     canvas.upload("c", noise, replace(COLOR, name="c"))
     canvas.upload("m", (noise[..., 0] > 0.5).astype(np.uint8), MASK)
     view = View("c", Display(), zoom=0.25, centre=(32, 32))
-    close(drawn(canvas, view, (16, 16)), display_values(noise.reshape(16, 4, 16, 4, 3).mean((1, 3))), 2)
+    close(drawn(canvas, view, (16, 16)), to_display(noise.reshape(16, 4, 16, 4, 3).mean((1, 3))), 2)
     made = drawn(canvas, replace(view, a="m", zoom=0.3), (16, 16))
     assert len(np.unique(made[..., 0])) == 2
     canvas.upload("c", np.ones((64, 64, 3), np.float32), replace(COLOR, name="c"))
@@ -368,7 +368,7 @@ def pair(canvas):
     canvas.upload("a", a, replace(COLOR, name="a"))
     canvas.upload("b", b, replace(COLOR, name="b"))
     view = View("a", Display(), "b", Display(), centre=(12, 9))
-    return view, display_values(a, 1.3), display_values(b, 1.3)
+    return view, to_display(a, 1.3), to_display(b, 1.3)
 
 
 @pytest.mark.parametrize("split", [0.0, 0.27, 0.5, 1.0])
@@ -644,7 +644,7 @@ def test_upload_and_draw_speed(canvas, context):
         times.append((middle - start, time.perf_counter() - middle))
     upload, draw = (min(t) * 1e3 for t in zip(*times, strict=True))
     print(f"\n{context.info['GL_RENDERER']}: 1280×720 half ×4 uploads in {upload:.1f} ms, draws in {draw:.1f} ms")
-    close(read(canvas.draw(view, (1280, 720)))[::90, ::160, :3] / 255, display_values(image[::90, ::160, :3]))
+    close(read(canvas.draw(view, (1280, 720)))[::90, ::160, :3] / 255, to_display(image[::90, ::160, :3]))
 
 
 # ---- a real pipeline -----------------------------------------------------------------------------------
@@ -687,4 +687,4 @@ def test_layers_of_a_pipeline(canvas, device, tmp_path):
         part = made[tile.y : tile.y + tile.height, tile.x : tile.x + tile.width]
         assert (part != (255, 0, 255)).any(-1).all(), tile.name
     full = View("frame.color", displays["frame.color"], centre=(48, 27))
-    close(drawn(canvas, full, size), display_values(images["frame.color"][..., :3], scene.exposure))
+    close(drawn(canvas, full, size), to_display(images["frame.color"][..., :3], scene.exposure))

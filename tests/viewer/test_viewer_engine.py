@@ -26,7 +26,7 @@ from gffe_cl import (
     open_sequence,
 )
 from gffe_cl.evaluation import bench as bench_module
-from gffe_cl.evaluation.metrics import METRICS, Metric, display_values, focus_mask, measurable, psnr, ssim
+from gffe_cl.evaluation.metrics import METRICS, Metric, focus_mask, measurable, psnr, ssim, to_display
 from gffe_cl.frame.window import WindowChooser
 from gffe_cl.inference import network as inference
 from gffe_cl.opencl.device import Device
@@ -460,7 +460,7 @@ def test_metrics_come_later_and_are_remembered(device):
         told = [wait_for(engine.poll_metrics)]
         while len(told[-1].values) < len(measurable()):
             told.append(wait_for(engine.poll_metrics))
-        shown, true = (display_values(result.images[name][..., :3], 1.0) for name in ("final", "truth"))
+        shown, true = (to_display(result.images[name][..., :3], 1.0) for name in ("final", "truth"))
         assert list(told[0].values) == ["psnr"] and (told[-1].slot, told[-1].setup) == (13, Setup())
         assert told[-1].values["psnr"] == pytest.approx(psnr(shown, true), abs=1e-3)
         assert told[-1].values["ssim"] == pytest.approx(ssim(shown, true), abs=1e-4)

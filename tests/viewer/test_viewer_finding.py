@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gffe_cl import Options
-from gffe_cl.evaluation.metrics import display_values, psnr, squared_error
+from gffe_cl.evaluation.metrics import psnr, squared_error, to_display
 from gffe_cl.evaluation.table.flicker import Flicker
 from gffe_cl.evaluation.table.regions import REGIONS as TABLE
 from gffe_cl.evaluation.table.regions import find_labels
@@ -65,7 +65,7 @@ def made(slot=1, n=1, error=0.1, seed=0, **changes):
 
 
 def shown(result):
-    return [display_values(result.images[name][..., :3], 1.0) for name in (names.FINAL, names.TRUTH)]
+    return [to_display(result.images[name][..., :3], 1.0) for name in (names.FINAL, names.TRUTH)]
 
 
 def test_regions_and_their_shares():

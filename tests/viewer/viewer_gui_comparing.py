@@ -107,10 +107,10 @@ def flip_error(gui: Gui):
         values["drawn"] = int(picture.max())
         from flip_evaluator import evaluate
 
-        from gffe_cl.evaluation.metrics import display_values
+        from gffe_cl.evaluation.metrics import to_display
 
         images = [model.contents.result.images[name][..., :3] for name in ("truth", "final")]
-        true, shown = (display_values(image, model.source.exposure) for image in images)
+        true, shown = (to_display(image, model.source.exposure) for image in images)
         wanted = evaluate(true, shown, "LDR", applyMagma=False)[0][..., 0]
         xs, ys = (10, 100, 150, 170), (20, 50, 90, 100)
         values["faults"] = []
@@ -128,7 +128,7 @@ def flip_error(gui: Gui):
 
 @case
 def measuring(gui: Gui):
-    from gffe_cl.evaluation.metrics import display_values, psnr, ssim
+    from gffe_cl.evaluation.metrics import psnr, ssim, to_display
 
     model, values = gui.model, gui.values
     gui.ctx.window_focus("//Compare")
@@ -139,8 +139,7 @@ def measuring(gui: Gui):
     model.comparison.set("flip")
     gui.settle()
     shown, true = (
-        display_values(model.contents.result.images[name][..., :3], model.source.exposure)
-        for name in ("final", "truth")
+        to_display(model.contents.result.images[name][..., :3], model.source.exposure) for name in ("final", "truth")
     )
     score = model.metrics[13].values
     values |= {"psnr": score["psnr"], "ssim": score["ssim"], "by hand": (psnr(shown, true), ssim(shown, true))}

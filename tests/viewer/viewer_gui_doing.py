@@ -15,7 +15,7 @@ from imgui_bundle import glfw_utils, imgui
 from PIL import Image
 from viewer_gui_driver import CTRL, KEY, Gui, collector
 
-from gffe_cl.evaluation.metrics import display_values
+from gffe_cl.evaluation.metrics import to_display
 from gffe_cl.viewer.engine.sources.opening import ScenePlan
 from gffe_cl.viewer.picture.canvas import read
 
@@ -215,7 +215,7 @@ def saving(gui: Gui):
     gui.settle()
     (png,) = _made(before)
     saved = np.asarray(Image.open(png).convert("RGB")).astype(int)
-    shown = display_values(model.contents.result.images["final"][..., :3], model.source.exposure)
+    shown = to_display(model.contents.result.images["final"][..., :3], model.source.exposure)
     values["png"] = {"size": saved.shape, "fault": float(np.abs(saved - shown * 255).max())}
     before = set(Path.cwd().iterdir())
     gui.key(KEY.e, CTRL)

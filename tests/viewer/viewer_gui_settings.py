@@ -75,7 +75,7 @@ def settings_a_and_b(gui: Gui):
 @case
 def finding_frames(gui: Gui):
     """Every generated frame is measured; the worst, the next worse and the largest difference are found."""
-    from gffe_cl.evaluation.metrics import display_values, psnr
+    from gffe_cl.evaluation.metrics import psnr, to_display
 
     model, values = gui.model, gui.values
     survey = model.survey
@@ -106,7 +106,7 @@ def finding_frames(gui: Gui):
     model.comparison.set("flip")
     gui.settle()
     images = model.contents.result.images
-    shown, true = (display_values(images[name][..., :3], model.source.exposure) for name in ("final", "truth"))
+    shown, true = (to_display(images[name][..., :3], model.source.exposure) for name in ("final", "truth"))
     values["by hand"], values["in the plot"] = psnr(shown, true), curve[model.slot]
     model.comparison.set("off")
     model.comparison.with_settings()
@@ -212,7 +212,7 @@ def walking_along_a_story(gui: Gui):
 @case
 def rectangle(gui: Gui):
     """Drawn with Shift: what filled its pixels, their errors, their motion."""
-    from gffe_cl.evaluation.metrics import display_values, psnr
+    from gffe_cl.evaluation.metrics import psnr, to_display
 
     model, values = gui.model, gui.values
     gui.settle()
@@ -228,7 +228,7 @@ def rectangle(gui: Gui):
     gui.shot("rectangle of pixels")
     found = model.selection.statistics
     images = {name: image[40:100, 140:190] for name, image in model.contents.result.images.items() if image.ndim > 1}
-    shown, true = (display_values(images[name][..., :3], model.source.exposure) for name in ("final", "truth"))
+    shown, true = (to_display(images[name][..., :3], model.source.exposure) for name in ("final", "truth"))
     error = np.abs(shown - true).mean(-1)
     y, x = np.unravel_index(error.argmax(), error.shape)
     values["psnr"] = [found.psnr, psnr(shown, true)]

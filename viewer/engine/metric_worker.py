@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.evaluation.metrics import METRICS, display_values, measurable
+from gffe_cl.evaluation.metrics import METRICS, measurable, to_display
 from gffe_cl.viewer.engine.buffers import Moment
 from gffe_cl.viewer.engine.messages import Metrics
 from gffe_cl.viewer.engine.worker import Worker
@@ -76,7 +76,7 @@ class Scorer:
             self._busy_with = None
 
     def _measure(self, key: tuple, known: Metrics, final: np.ndarray, truth: np.ndarray, exposure: float) -> None:
-        shown, true = (display_values(color[..., :3], exposure) for color in (final, truth))
+        shown, true = (to_display(color[..., :3], exposure) for color in (final, truth))
         for metric in sorted(self._measured, key=lambda metric: metric.slow):
             if metric.name in known.values:
                 continue

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gffe_cl.evaluation.metrics import METRICS, display_values, focus_mask, squared_error
+from gffe_cl.evaluation.metrics import METRICS, focus_mask, squared_error, to_display
 from gffe_cl.evaluation.table.flicker import Flicker
 from gffe_cl.evaluation.table.regions import REGIONS as _TABLE
 from gffe_cl.evaluation.table.regions import shows, steps, world_positions
@@ -112,7 +112,7 @@ class Measurer:
 
 def displayed(result: Result, exposure: float) -> tuple[np.ndarray, np.ndarray]:
     """Display values (H, W, 3) as shown and as they should be."""
-    return tuple(display_values(result.images[name][..., :3], exposure) for name in (names.FINAL, names.TRUTH))
+    return tuple(to_display(result.images[name][..., :3], exposure) for name in (names.FINAL, names.TRUTH))
 
 
 def out_of_screen(result: Result, holes: np.ndarray) -> np.ndarray:

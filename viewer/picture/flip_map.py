@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.evaluation.metrics import display_values, flip_error
+from gffe_cl.evaluation.metrics import flip_error, to_display
 from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.picture.latest import Latest
 
@@ -31,4 +31,4 @@ class FlipMaps:
 
 
 def _flip(a: np.ndarray, b: np.ndarray, exposure: float) -> np.ndarray:
-    return flip_error(*(display_values(color[..., :3], exposure) for color in (a, b)))
+    return flip_error(*(to_display(color[..., :3], exposure) for color in (a, b)))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gffe_cl.evaluation.metrics import display_values, squared_error
+from gffe_cl.evaluation.metrics import squared_error, to_display
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.engine.messages import Result
@@ -34,9 +34,9 @@ class RegionMap:
 def region_map(result: Result, b: np.ndarray | None, exposure: float) -> RegionMap:
     """Of a generated slot of A with the layers `figures.NEEDED`, and B's final colours (H, W, 4) of the same slot."""
     labels = region_labels(result, exposure)
-    true = display_values(result.images[names.TRUTH][..., :3], exposure)
+    true = to_display(result.images[names.TRUTH][..., :3], exposure)
     parts = [
-        None if color is None else parts_of(labels, squared_error(display_values(color[..., :3], exposure), true))
+        None if color is None else parts_of(labels, squared_error(to_display(color[..., :3], exposure), true))
         for color in (result.images[names.FINAL], b)
     ]
     return RegionMap(labels, *parts)

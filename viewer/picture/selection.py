@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gffe_cl.evaluation.metrics import METRICS, display_values, squared_error
+from gffe_cl.evaluation.metrics import METRICS, squared_error, to_display
 from gffe_cl.stages.buffers import FILLED_BY
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.messages import Result
@@ -68,7 +68,7 @@ def statistics(result: Result, rectangle: Rectangle, exposure: float) -> Statist
 
 
 def _errors(final, truth, exposure: float, corner: tuple[int, int]):
-    shown, true = (display_values(image[..., :3], exposure) for image in (final, truth))
+    shown, true = (to_display(image[..., :3], exposure) for image in (final, truth))
     error = np.abs(shown - true).mean(-1)
     y, x = np.unravel_index(int(error.argmax()), error.shape)
     psnr = METRICS["psnr"].of_mean(float(squared_error(shown, true).mean()))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from gffe_cl.core.errors import GffeError
-from gffe_cl.evaluation.metrics import display_values
+from gffe_cl.evaluation.metrics import to_display
 from gffe_cl.evaluation.table.datasets import Moment, Shot
 from gffe_cl.evaluation.table.flicker import LUMA
 from gffe_cl.evaluation.table.image_space import filled, pixel_centres, sample, sample_sharp, splat, taps
@@ -71,7 +71,7 @@ class OpticalFlow:
 
     def submit(self, shot: Shot) -> None:
         self._color = shot.shown.astype(np.float32)
-        grey = (255 * (display_values(shot.shown, self._exposure) @ LUMA)).astype(np.uint8)
+        grey = (255 * (to_display(shot.shown, self._exposure) @ LUMA)).astype(np.uint8)
         before = grey if self._grey is None or shot.frame.reset else self._grey
         self._flow, self._grey = self._find.calc(grey, before, None), grey
 

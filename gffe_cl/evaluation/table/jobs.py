@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from gffe_cl.evaluation.bench import Copier
-from gffe_cl.evaluation.metrics import RegionErrors, display_values, measurable, psnr, ssim
+from gffe_cl.evaluation.metrics import RegionErrors, measurable, psnr, ssim, to_display
 from gffe_cl.evaluation.report import error_image, to_image
 from gffe_cl.evaluation.table.datasets import Footage, Moment, Shot, Subject, open_subject
 from gffe_cl.evaluation.table.flicker import Flicker
@@ -95,8 +95,8 @@ def _describe(footage: Footage) -> Cell:
     number = picture_of(footage)
     shot, moment = _moment_number(footage, number)
     images = {
-        "truth": display_values(moment.truth, footage.exposure),
-        "rendered": display_values(shot.shown, footage.exposure),
+        "truth": to_display(moment.truth, footage.exposure),
+        "rendered": to_display(shot.shown, footage.exposure),
         "regions": _REGION_COLORS[footage.labels[number]] / 255,
     }
     shares = dict(zip(REGIONS, (counts / max(counts.sum(), 1)).tolist(), strict=True))
@@ -144,7 +144,7 @@ def _measure(
             _finish(runner)
             with clock.making():
                 color = runner.make(moment)
-            shown, truth = (display_values(c, footage.exposure) for c in (color, moment.truth))
+            shown, truth = (to_display(c, footage.exposure) for c in (color, moment.truth))
             one = RegionErrors()
             one.add(shown, truth, masks(footage.labels[number]), metrics)
             errors.append(one)
@@ -172,9 +172,9 @@ def _measure(
 
 def _rendered_pair(footage: Footage, runner, shot: Shot) -> tuple[np.ndarray, np.ndarray]:
     """Display values of a rendered frame as the method shows it, and as it is."""
-    truth = display_values(shot.shown, footage.exposure)
+    truth = to_display(shot.shown, footage.exposure)
     present = getattr(runner, "present", None)
-    return (display_values(present(), footage.exposure) if present else truth), truth
+    return (to_display(present(), footage.exposure) if present else truth), truth
 
 
 def _videos(names: Iterable[str], frames: list[tuple], footage: Footage) -> tuple[dict, dict]:

@@ -19,7 +19,7 @@ import numpy as np
 from gffe_cl.core.errors import GffeError
 from gffe_cl.core.files import model_source
 from gffe_cl.evaluation.table.datasets import Moment, Shot
-from gffe_cl.frame.transfer_function import display_values, linear_values
+from gffe_cl.frame.transfer_function import linear_values, to_display
 from gffe_cl.inference.network import load_onnxruntime
 
 _MULTIPLE = 32
@@ -97,7 +97,7 @@ class OnnxRunner:
         self._model, self._exposure, self._frames = model, exposure, []
 
     def submit(self, shot: Shot) -> None:
-        shown = display_values(shot.shown, self._exposure)
+        shown = to_display(shot.shown, self._exposure)
         kept = [] if shot.frame.reset else self._frames
         self._frames = [*kept, shown][-self._model.frames :]
         self._following = shot.following
@@ -108,7 +108,7 @@ class OnnxRunner:
         if self._model.interpolates:
             if self._following is None:
                 raise GffeError("interpolation: the rendered frame after this one is missing")
-            after = display_values(self._following.color[..., :3], self._exposure)
+            after = to_display(self._following.color[..., :3], self._exposure)
         made = self._model.run([self._frames[0]] * missing + self._frames, after, moment.alpha)
         return linear_values(made, self._exposure)
 
