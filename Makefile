@@ -34,7 +34,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt Makefile
 
 $(VENV)/.installed-for-tests: $(VENV)/.installed
 	@echo "packages of the tests, PyTorch among them: 950 MB on disk, 1 to 4 minutes"
-	@$(PIP) --editable '.[test,train,opencv,dask,webgpu,spring]' $(QUIETLY)
+	@$(PIP) --editable '.[test,train,opencv,cluster,webgpu,spring]' $(QUIETLY)
 	@touch $@
 
 # An OpenCL runtime on which a kernel really runs: a GPU's driver if there is one; else Intel's CPU runtime from PyPI

@@ -35,7 +35,7 @@ class Cluster:
         try:
             from distributed import Client
         except ModuleNotFoundError:
-            raise GffeError(f"--scheduler needs dask and distributed: {how_to_install('dask')}") from None
+            raise GffeError(f"--scheduler needs dask and distributed: {how_to_install('cluster')}") from None
         if not _ADDRESS.fullmatch(address):
             raise GffeError(f"--scheduler {address}: is no address (expected tcp://HOST:8786)")
         try:
