@@ -45,6 +45,7 @@ _HOME = {
     "named_channels": "sequence",
     "open_sequence": "sequence",
     "present": "stages.presentation",
+    "Pacer": "pipeline.pacing",
     "check": "doctor.quick",
     "psnr": "evaluation.metrics",
     "ssim": "evaluation.metrics",

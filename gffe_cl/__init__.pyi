@@ -32,6 +32,7 @@ from gffe_cl.pipeline.made_frame import ExtrapolatedFrame as ExtrapolatedFrame
 from gffe_cl.pipeline.made_frame import PresentedFrame as PresentedFrame
 from gffe_cl.pipeline.options import OPTIONS as OPTIONS
 from gffe_cl.pipeline.options import Options as Options
+from gffe_cl.pipeline.pacing import Pacer as Pacer
 from gffe_cl.pipeline.pipeline import Pipeline as Pipeline
 from gffe_cl.sequence import FrameEntry as FrameEntry
 from gffe_cl.sequence import Sequence as Sequence

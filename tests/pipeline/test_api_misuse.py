@@ -85,6 +85,14 @@ def alike(value):
     return []
 
 
+def paced(planned=False):
+    pacer = gffe_cl.Pacer(60)
+    pacer.rendered(0.0)
+    if planned:
+        pacer.plan(0.1)
+    return pacer
+
+
 def host_calls():
     """Of what needs neither a device nor files, by name."""
     lens = {"fx": 20.0, "fy": 20.0, "cx": 12.0, "cy": 8.0}
@@ -118,6 +126,10 @@ def host_calls():
         "psnr": Call(gffe_cl.psnr, {"a": COLOR, "b": COLOR, "mask": DEPTH}),
         "ssim": Call(gffe_cl.ssim, {"a": COLOR, "b": COLOR, "mask": DEPTH}),
         "check": Call(gffe_cl.check, {"frames": [FRAME, FRAME], "exposure": 1.0}),
+        "Pacer": Call(gffe_cl.Pacer, {"display_rate": 60.0, "most_alpha": 2.0}),
+        "Pacer.rendered": Call(lambda time: gffe_cl.Pacer(60).rendered(time), {"time": 0.0}),
+        "Pacer.plan": Call(lambda now: paced().plan(now), {"now": 0.2}),
+        "Pacer.ready": Call(lambda now: paced(planned=True).ready(now), {"now": 0.2}),
         "predict_camera": Call(gffe_cl.predict_camera, {"previous": TURNED, "current": CAMERA, "alpha": 0.5}),
         "predict_camera_at": Call(
             gffe_cl.predict_camera_at,
