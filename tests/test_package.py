@@ -36,6 +36,8 @@ def test_metrics_of_what_is_shown():
     assert gffe_cl.psnr(*shown) == pytest.approx(-10 * np.log10(error), abs=1e-3)
     assert gffe_cl.psnr(shown[0], shown[0]) == 100 and gffe_cl.ssim(shown[0], shown[0]) == pytest.approx(1)
     assert 0.3 < gffe_cl.ssim(*shown) < 0.99
+    same = np.abs(shown[0] - shown[1]).max(-1) == 0
+    assert np.isnan(gffe_cl.psnr(*shown, mask=same)) or gffe_cl.psnr(*shown, mask=same) == 100
     values = gffe_cl.to_display([0, 0.0031308, 0.5, 1, 9, np.nan])
     assert np.allclose(values, [0, 0.04045, 0.735, 1, 1, 0], atol=1e-3)
 

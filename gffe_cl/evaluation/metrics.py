@@ -172,7 +172,7 @@ def _pair(a, b, mask) -> tuple:
     """The three of them, checked."""
     height, width, _ = require_array(a, "metric: a", None, None, 3).shape
     b = require_array(b, "metric: b", height, width, 3)
-    mask = None if mask is None else require_array(mask, "metric: mask", height, width)
+    mask = None if mask is None else require_array(mask, "metric: mask", height, width, kinds="biuf")
     return np.asarray(a, np.float32), np.asarray(b, np.float32), mask
 
 
