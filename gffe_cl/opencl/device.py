@@ -33,7 +33,7 @@ HOW_TO_GET_ONE = (
     f"install one with {how_to_install('intel')} (x86-64 CPU, no root), "
     "`apt install pocl-opencl-icd` (any CPU), or your GPU vendor's driver"
 )
-WHERE_IT_IS = (
+_WHERE_IT_IS = (
     "see `gffe devices --refresh`; where a program uses pyopencl before gffe_cl,"
     " call gffe_cl.prepare_runtimes() first of all"
 )
@@ -207,14 +207,14 @@ def open_info(info: DeviceInfo) -> Device:
         found = cl.get_platforms()[platform].get_devices()[device]
         told = found.name.strip(), found.platform.version.strip(), found.driver_version.strip()
         if told != (info.name, info.version, info.driver):
-            raise GffeError(f"device {info.index} is {told[0]}, not {info.name} ({WHERE_IT_IS})")
+            raise GffeError(f"device {info.index} is {told[0]}, not {info.name} ({_WHERE_IT_IS})")
         made = Device(found, info, _opened.get(info.index))
         _opened[info.index] = made.opened
         return made
     except IndexError:
-        raise GffeError(f"{info.name} ({info.platform}): there is no device {info.index} ({WHERE_IT_IS})") from None
+        raise GffeError(f"{info.name} ({info.platform}): there is no device {info.index} ({_WHERE_IT_IS})") from None
     except cl.Error as error:
-        raise GffeError(f"{info.name} ({info.platform}): cannot be opened: {error}") from None
+        raise GffeError(f"{info.name} ({info.platform}): cannot be opened: {error} ({_WHERE_IT_IS})") from None
 
 
 def forget_opened(device: Device) -> None:

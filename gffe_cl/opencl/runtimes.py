@@ -92,8 +92,9 @@ def prepare_runtimes() -> None:
     where they can write.
 
     `open_device`, `list_devices` and the command line call it. Call it yourself, first of all, in a program that uses
-    pyopencl before them: when OpenCL has been asked for platforms, it is too late. Sets environment variables, none
-    that the user has set; a second call does nothing.
+    pyopencl before them: when OpenCL has been asked for platforms, it is too late. Sets
+    the environment variable OCL_ICD_VENDORS, unless the user has, and XDG_CACHE_HOME where caches cannot be written.
+    A second call does nothing.
     """
     redirect_unwritable_caches()
     expose_installed_runtimes()
@@ -202,14 +203,13 @@ def _has_space(path: Path) -> bool:
 def redirect_unwritable_caches() -> None:
     """Let PoCL and pyopencl keep their caches where they can be written, for homes that cannot.
 
-    Both fail to build anything otherwise. Does nothing for a variable that the user has set.
+    Both fail to build anything otherwise. Both look for the folder when they first need it.
     """
     home = platformdirs.user_cache_path()
     while not os.path.lexists(home) and home != home.parent:
         home = home.parent
     if not home.is_dir() or not os.access(home, os.W_OK) or str(home).startswith("/proc"):
-        os.environ.setdefault("POCL_CACHE_DIR", str(cache_folder() / "pocl"))
-        os.environ.setdefault("PYOPENCL_NO_CACHE", "1")
+        os.environ["XDG_CACHE_HOME"] = str(cache_folder())
 
 
 def _vendor_folder(entries: dict[str, str]) -> Path:

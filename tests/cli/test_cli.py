@@ -797,6 +797,11 @@ def test_unwritable_home(tmp_path):
         text=True,
     )
     assert child.returncode == 0 and "no:" not in child.stdout, child.stdout + child.stderr
+    build = "import gffe_cl; gffe_cl.Pipeline(gffe_cl.open_device(), 32, 32)"  # in the process itself
+    child = subprocess.run(
+        [sys.executable, "-c", build], env=environment | {"HOME": "/proc"}, capture_output=True, text=True
+    )
+    assert child.returncode == 0 and not child.stderr, child.stderr
 
 
 def test_no_arguments_show_help(gffe):
