@@ -17,6 +17,7 @@ from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import RGBA, BufferSpec
 from gffe_cl.stages.network_input import NetworkInput
 from gffe_cl.stages.shading_flow import ShadingFlow
+from gffe_cl.stages.shading_trend import ShadingTrend
 
 _CONSTANTS = constants("correction.cl")
 _WITHIN_MASK, _WITH_REFINED = _CONSTANTS["WITHIN_MASK"], _CONSTANTS["WITH_REFINED"]
@@ -93,7 +94,7 @@ class ShadingCorrection(Stage):
                 "judgement": Access("correction.judgement", planes=16),
                 "chosen": "correction.chosen",
                 "head": "correction.head",
-                "changed": "network_input.changed",
+                "changed": "shading_trend.changed",
             },
             {"correction": "correction.correction"},
             step=("LANES", 1),
@@ -136,7 +137,7 @@ class ShadingCorrection(Stage):
 
     def extrapolated(self, step: Step) -> None:
         """Make the final image of the filled frame; waits for the network. A still frame has nothing to correct."""
-        if step.previous is None or self.board.stages[NetworkInput.name].is_still:
+        if step.previous is None or self.board.stages[ShadingTrend.name].is_still:
             self.skip()
             return
         self.infer()
