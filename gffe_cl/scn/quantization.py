@@ -197,6 +197,9 @@ def store_integers(path: Path) -> None:
     graph = model.graph
     numbers = {tensor.name: numpy_helper.to_array(tensor) for tensor in graph.initializer}
     numbers |= {n.output[0]: numpy_helper.to_array(n.attribute[0].t) for n in graph.node if n.op_type == "Constant"}
+    for node in graph.node:
+        if node.op_type == "Identity" and node.input[0] in numbers:  # of equal tensors the exporter stores one
+            numbers[node.output[0]] = numbers[node.input[0]]
     makers = {output: node for node in graph.node for output in node.output}
     nodes = []
 
