@@ -48,7 +48,7 @@ def invoke(arguments: list[str]) -> int:
     return 0
 
 
-def _command():
+def _command() -> Any:
     """The command line library's command, whose parameters take neither empty texts nor numbers that are not finite:
     an empty path would be the working folder."""
     group = typer.main.get_command(app)

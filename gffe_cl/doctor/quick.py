@@ -86,7 +86,7 @@ def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
         rows: _fit(with_rows(looks, rows), edges if len(rows) > 1 or "motion" in rows else -edges).score
         for rows in _UPSIDE_DOWN
     }
-    best = max(turned, key=turned.get)
+    best = max(turned, key=turned.__getitem__)
     if turned[best] > given.score + _TURNED:
         return _UPSIDE_DOWN[best]
     if given.share < _FITS:

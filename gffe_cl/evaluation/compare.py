@@ -138,6 +138,7 @@ def compare(
             missed.append(f"{entry.file} is left out (times rounded?): {text}")
     if not pairs:
         near = b.nearest("ground_truth", a.extrapolated[0].time)
+        assert near is not None  # there is ground truth
         raise GffeError(
             f"{a.path}: no extrapolated frame has ground truth in {b.path} (expected times within 1/50 of an interval:"
             f" {a.extrapolated[0].file} is at {a.extrapolated[0].time:.6g} s, the nearest is at {near.time:.6g} s)"

@@ -109,7 +109,8 @@ def _moved(times: int, instruction: str) -> tuple[int, int]:
         nbytes = times * int(vector[2] or 1) * _BYTES[vector[3]]
         return (nbytes, 0) if vector[1] == "load" else (0, nbytes)
     if atomic := _ATOMIC.match(instruction):
-        return (times * _BYTES[atomic[1]],) * 2
+        nbytes = times * _BYTES[atomic[1]]
+        return nbytes, nbytes
     if "AS1" in instruction or re.search(r"llvm\.mem\w+\.[\w.]*p1", instruction):
         raise GffeError(f"oclgrind: how many bytes does '{instruction}' move?")
     return 0, 0

@@ -119,7 +119,7 @@ def similarity(a, b) -> np.ndarray:
     a, b = np.asarray(a), np.asarray(b)
     out, edge = np.full(a.shape[:2], np.nan), _SSIM_WINDOW // 2
     if min(a.shape[:2]) >= _SSIM_WINDOW:
-        _, whole = structural_similarity(a, b, data_range=1, channel_axis=-1, full=True)
+        whole = structural_similarity(a, b, data_range=1, channel_axis=-1, full=True)[1]
         inner = (slice(edge, -edge),) * 2
         out[inner] = whole[inner].mean(-1, dtype=np.float64)
     return out
@@ -129,8 +129,8 @@ def flip_error(shown, truth) -> np.ndarray:
     """NVIDIA's FLIP per pixel, 0 … 1: (H, W) float32. ImportError where flip-evaluator is not installed."""
     from flip_evaluator import evaluate
 
-    images = (np.ascontiguousarray(image, np.float32) for image in (truth, shown))
-    return evaluate(*images, "LDR", applyMagma=False)[0][..., 0]
+    truth, shown = (np.ascontiguousarray(image, np.float32) for image in (truth, shown))
+    return evaluate(truth, shown, "LDR", applyMagma=False)[0][..., 0]
 
 
 METRICS = {

@@ -77,7 +77,7 @@ class Plan:
     buffers: dict[str, BufferSpec]
     initial: dict[str, bytes]
     lent: set[str]
-    stages: dict[str, Stage]
+    stages: dict[str, Any]
     facts: Mapping[str, Any]
 
 

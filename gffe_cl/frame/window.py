@@ -71,10 +71,10 @@ class Window(NamedTuple):
         u0, v0, u1, v1 = require_vector(self[:4], "window: u0, v0, u1, v1", 4).tolist()
         if not (u0 < u1 and v0 < v1):
             raise GffeError(f"window: expected u0 < u1 and v0 < v1, got {u0:g}, {v0:g}, {u1:g}, {v1:g}")
-        size = require_size(size)
-        render_size = size if render_size is None else require_size(render_size)
+        shown = require_size(size)
+        rendered = shown if render_size is None else require_size(render_size)
         enlargement = Window(u0, v0, u1, v1).enlargement
-        scale_x, scale_y = (r / (s * e) for r, s, e in zip(render_size, size, enlargement, strict=True))
+        scale_x, scale_y = (r / (s * e) for r, s, e in zip(rendered, shown, enlargement, strict=True))
         left, top = (u0 + 1) / 2 * size[0], (v0 + 1) / 2 * size[1]
         return replace(
             display,
@@ -153,7 +153,7 @@ def adaptive_window(
     bounds = [_limited(-1 - low[k], high[k] - 1, 2 * (max_enlargement - 1)) for k in range(2)]
     (left, right, cut_u), (above, below, cut_v) = bounds
     edges = (float(edge) for edge in (-1 - left, -1 - above, 1 + right, 1 + below))
-    return Window(*edges, bool(clamped or cut_u or cut_v))
+    return Window(*edges, clamped=bool(clamped or cut_u or cut_v))
 
 
 def nearest_depth(depth: np.ndarray) -> float:

@@ -6,6 +6,7 @@ import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -154,7 +155,7 @@ class Pipeline:
         self.is_cut = False
         require_room(device, self.sizes, lambda sizes: self._allocate(sizes, int64_atomics)[1])
         self.board, self._nbytes = self._allocate(self.sizes, int64_atomics)
-        self.stages: dict[str, Stage] = dict(self.board.stages)
+        self.stages: dict[str, Any] = dict(self.board.stages)
         self.presentation: Presentation | None = None  # made with the first windowed frame
         self._upload: Upload | None = None  # made with the first NumPy arrays
         self.composition: Composition | None = None  # made with the first frame that brings overlays
@@ -321,7 +322,7 @@ class Pipeline:
     def _zero_motion(self) -> cl.Buffer:
         if self._no_motion is None:
             self._no_motion = self.device.buffer(RENDERED[2].nbytes(self.sizes))
-            cl.enqueue_fill_buffer(self.device.queue, self._no_motion, np.uint8(0), 0, self._no_motion.size)
+            cl.enqueue_fill_buffer(self.device.queue, self._no_motion, b"\0", 0, self._no_motion.size)
         return self._no_motion
 
     def _display_camera(self, frame: RenderedFrame) -> Camera:

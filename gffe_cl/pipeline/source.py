@@ -46,6 +46,7 @@ class Source(Protocol):
     def frames(self, alphas: list[float], strict: bool) -> Iterator[tuple[FrameEntry, RenderedFrame]]:
         """Each rendered frame; `alphas` are the times that will be extrapolated after it, in intervals. With
         `strict` GffeError for bad pixels."""
+        ...
 
     def store(self, writer: SequenceWriter, entry: FrameEntry, frame: RenderedFrame) -> None:
         """Put a rendered frame into an output."""
@@ -53,15 +54,18 @@ class Source(Protocol):
     def cameras_at(self, times: list[float]) -> list[Camera] | None:
         """The display cameras of the new frames of one interval, at `times` (seconds); None unless each of them is
         known: predicted and known cameras do not mix within an interval."""
+        ...
 
     def number_of(self, entry: FrameEntry) -> str:
         """What tells the rendered frame's file from others."""
+        ...
 
     def refuse(self, output: Path) -> None:
         """GffeError if `output` must not be written to."""
 
     def warnings(self) -> list[str]:
         """Legal but suspicious things met so far."""
+        ...
 
 
 class Recorded:
@@ -152,7 +156,7 @@ class Recorded:
 
     def cameras_at(self, times):
         cameras = [self.sequence.camera_at(time) for time in times]
-        if all(cameras):
+        if None not in cameras:
             return [self._shown(camera) for camera in cameras] if self._upscale else cameras
         for time in times:
             self._missed = self._missed or self.sequence.near_miss("ground_truth", time) or ""

@@ -110,6 +110,7 @@ class ShadingCorrectionNetwork(nn.Module):
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, _SLOPE)
+                assert module.bias is not None
                 nn.init.zeros_(module.bias)
         self.convolutions.out.weight[:_JUDGED] *= 0.1
         self.head[1].weight *= 0.1

@@ -198,7 +198,7 @@ class OutputFolder:
         if json_path.exists():
             try:
                 with open_regular(json_path) as file:
-                    document = json.loads(file.readall())
+                    document = json.loads(file.read())
                 ours = document["generator"] == self.generator
                 names += [frame["file"] for frame in document["frames"]]
             except (OSError, ValueError, KeyError, TypeError, RecursionError):

@@ -150,7 +150,7 @@ class Sequence:
         """Whether all that is shown was rendered, to half a pixel of the display; and of the frame, for jitter."""
         width, height = self.size_of(entry)
         display, render = entry.display_camera, entry.render_camera
-        if render is None:
+        if render is None or display is None:
             return True
         corners = np.array([(0.5, 0.5), (self.width - 0.5, self.height - 0.5)])
         scale = np.array([render.fx / display.fx, render.fy / display.fy])
@@ -203,8 +203,8 @@ class Sequence:
         stops the threads.
         """
         entries = require_list(entries, FrameEntry, "sequence: entries", "a list of FrameEntry")
-        read = self.read if read is None else require_kind(read, Callable, "sequence: read", "a function or None")
-        return read_ahead(entries, read, require_whole(ahead, "sequence: ahead", 0, _MOST_AHEAD))
+        reading = self.read if read is None else require_kind(read, Callable, "sequence: read", "a function or None")
+        return read_ahead(entries, reading, require_whole(ahead, "sequence: ahead", 0, _MOST_AHEAD))
 
 
 def _entry(entry: FrameEntry) -> FrameEntry:

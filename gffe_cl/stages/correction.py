@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pyopencl as cl
@@ -171,14 +171,15 @@ class ShadingCorrection(Stage):
             self._copying_milliseconds += copying
         finally:
             for array in (frames, candidates, judgement):
-                self._mappings.append(array.base.release(self.device.queue))
+                mapped: Any = array.base
+                self._mappings.append(mapped.release(self.device.queue))
 
     def compose(self, step: Step, within_mask: bool) -> None:
         """Fill `focus_mask` and `color`; without `within_mask` the whole image is the network's."""
         asked = within_mask * _WITHIN_MASK + self.with_refined * _WITH_REFINED
         self.launch("correct", step, asked=asked)
 
-    def map(self, stage: Stage, name: str, flags: int) -> np.ndarray:
+    def map(self, stage: Stage, name: str, flags: cl.map_flags) -> np.ndarray:
         """The memory of a mapped buffer of a stage, once the kernels before are done; to be released on the queue."""
         spec = stage.spec(name)
         array, event = cl.enqueue_map_buffer(

@@ -69,7 +69,7 @@ class Upload(Stage):
         self.launch(kernel, step, given=given, start=start, channels=color.shape[2], color=frame.color)
         given_depth, depth_start = self._given(arrays.depth, frame.depth)
         if motion is None:
-            cl.enqueue_fill_buffer(queue, frame.motion, np.uint8(0), 0, frame.motion.size)
+            cl.enqueue_fill_buffer(queue, frame.motion, b"\0", 0, frame.motion.size)
         given_motion, motion_start = (frame.motion, 0) if motion is None else self._given(motion, frame.motion)
         self.launch(
             "take_geometry", step,

@@ -205,6 +205,7 @@ def _bad_pixels(frame: RenderedFrame) -> tuple[BadPixels, dict[str, tuple[int, i
 def sampled(look: Look, px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Encoded colour (…, 3) of a look's image at pixel positions (…, 2), bilinear, and whether each is inside."""
     image = look.image
+    assert image is not None  # kept of the looks that are asked for
     height, width = image.shape[:2]
     x, y = px[..., 0] - 0.5, px[..., 1] - 0.5
     with np.errstate(invalid="ignore"):

@@ -285,7 +285,7 @@ _MOVES = 0.5  # pixels from which a surface counts as moving by itself
 
 def open_subject(subject: Subject, device: Device) -> Footage:
     """Its footage; nothing is rendered or decoded before it is asked for."""
-    return (_Scene if isinstance(subject, SceneSubject) else _Folder)(subject, device)
+    return _Scene(subject, device) if isinstance(subject, SceneSubject) else _Folder(subject, device)
 
 
 def parse_subject(

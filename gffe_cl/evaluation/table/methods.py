@@ -37,9 +37,11 @@ class Runner(Protocol):
 
     def submit(self, shot: Shot) -> None:
         """Take the next rendered frame."""
+        ...
 
     def make(self, moment: Moment) -> np.ndarray:
         """The picture of a moment after it: (H, W, 3) linear."""
+        ...
 
 
 @dataclass(frozen=True)

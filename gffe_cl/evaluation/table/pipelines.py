@@ -93,7 +93,7 @@ class UpscaledFirst(PipelineRunner):
         super().submit(shot)
         shown = self.pipeline.present()
         buffers = (shown.numpy(name) for name in ("color", "depth", "motion"))
-        self._shown.submit(RenderedFrame(*buffers, shown.camera, shown.time, reset=shot.frame.reset))
+        self._shown.submit(RenderedFrame(*buffers, camera=shown.camera, time=shown.time, reset=shot.frame.reset))
 
     def extrapolated(self, moment):
         return self._shown.extrapolate(self.camera_of(moment), moment.time)
@@ -118,6 +118,7 @@ class TrueGeometry(PipelineRunner):
 
     def extrapolated(self, moment):
         guide = moment.guide
+        assert guide is not None  # see Method.needs
         here = pixel_centres(*guide.depth.shape)
         place = (here + np.nan_to_num(guide.motion)) * self._to_render[:2] + self._to_render[2:]
         geometry = guide.depth, (place - here).astype(np.float32)
