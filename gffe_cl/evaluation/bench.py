@@ -247,6 +247,7 @@ def _windowing(device: Device, presentation: Presentation, turn: Turn) -> float:
     depth read back) and presenting its display part."""
     size = presentation.sizes.target
     windows = WindowChooser("adaptive", size, [0.5])
+    assert turn.before is not None
     start = time.perf_counter()
     windows.observe(read_some_rows(device, turn.frame.depth, size))
     windows.choose(turn.frame.camera, turn.before.camera)

@@ -46,7 +46,7 @@ class _Frame:
 
     number: int
     entry: FrameEntry
-    camera: FoundCamera | None
+    camera: Any  # a FoundCamera; None where none is needed
     before: _Frame | None  # the rendered one before it, unless it is a reset
 
 

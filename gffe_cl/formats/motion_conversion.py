@@ -43,8 +43,8 @@ def inverted_flow(
     """
     still, expected = static_motion(depth, camera, camera_before)
     motion = _splatted(flow, _depth_seen(depth_before, camera_before, camera, flow), depth)
-    known = np.isfinite(motion).all(-1, keepdims=True)
-    motion = np.where(known, motion, still)
+    known = np.asarray(np.isfinite(motion).all(-1))
+    motion = np.where(known[..., None], motion, still)
     for _ in range(_STEPS):
         found, fits = sampled(-flow, depth_before, motion, expected)
         motion = np.where(fits[..., None], found, motion)

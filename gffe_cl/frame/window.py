@@ -141,14 +141,14 @@ def adaptive_window(
     distance = require_positive(distance, "window: distance", infinite=True)
     margin = require_within(margin, "window: margin", 0, _MOST)
     least = require_within(least, "window: least", 0, 1)
-    size = np.array(require_size((2 * current.cx, 2 * current.cy) if size is None else size))
+    sides = np.array(require_size((2 * current.cx, 2 * current.cy) if size is None else size))
     low, high, clamped = -np.ones(2), np.ones(2), False
     for camera in predicted:
-        points, clipped = _edges_on_plane(current, camera, size, distance)
+        points, clipped = _edges_on_plane(current, camera, sides, distance)
         uv = 2 * points / size - 1
         low, high = np.minimum(low, uv.min(0)), np.maximum(high, uv.max(0))
         clamped |= clipped
-    more, rest = 2 * margin / size, 2 * np.maximum(AT_REST / size, least)
+    more, rest = 2 * margin / sides, 2 * np.maximum(AT_REST / sides, least)
     low, high = np.where(low < -1 - rest, low - more, -1.0), np.where(high > 1 + rest, high + more, 1.0)
     bounds = [_limited(-1 - low[k], high[k] - 1, 2 * (max_enlargement - 1)) for k in range(2)]
     (left, right, cut_u), (above, below, cut_v) = bounds

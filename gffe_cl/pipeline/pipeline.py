@@ -263,14 +263,16 @@ class Pipeline:
         frame before was and motion must be converted. Returns at once. Raises GffeError before the first `submit`."""
         self._need_frame()
         frame, picture = self._shown, self._picture("rendered")
+        assert frame is not None  # as there is a current one
         if self._needs_presentation:
+            assert self.presentation is not None  # `submit` has made it
             self.presentation.present(frame, self._previous, with_color=picture is None)
             color, depth, motion = (self.presentation.buffer[name] for name in ("color", "depth", "motion"))
         else:
             color, depth, motion = frame.buffers
         color = picture or color
-        if self._has_overlays:
-            color = self.composition.compose(color, 0.0, rendered=True)
+        if composition := self._overlaid:
+            color = composition.compose(color, 0.0, rendered=True)
         return PresentedFrame(frame.display_camera, frame.time, color, depth, motion, self.device, self.sizes.target)
 
     @property
@@ -279,8 +281,8 @@ class Pipeline:
         return self._need_frame().display_camera
 
     @property
-    def _has_overlays(self) -> bool:
-        return bool(self.composition and self.composition.active)
+    def _overlaid(self) -> Composition | None:
+        return self.composition if self.composition and self.composition.active else None
 
     @property
     def _needs_presentation(self) -> bool:
@@ -292,8 +294,8 @@ class Pipeline:
     def _on_device(self, frame: RenderedFrame) -> DeviceFrame:
         display_camera = self._display_camera(frame)
         require_one_pose(frame.camera, display_camera)
-        arrays = dict(zip(("color", "depth", "motion"), (frame.color, frame.depth, frame.motion), strict=True))
-        given = {s.name: given_buffer(arrays[s.name], s, self.sizes, self.device) for s in RENDERED}
+        arrays: dict[str, Any] = {"color": frame.color, "depth": frame.depth, "motion": frame.motion}
+        given: dict[str, Any] = {s.name: given_buffer(arrays[s.name], s, self.sizes, self.device) for s in RENDERED}
         if given["color"] and given["depth"] and require_motion(frame) is None:
             given["motion"] = self._zero_motion()
         if all(given.values()):
@@ -320,10 +322,11 @@ class Pipeline:
         return taken
 
     def _zero_motion(self) -> cl.Buffer:
-        if self._no_motion is None:
-            self._no_motion = self.device.buffer(RENDERED[2].nbytes(self.sizes))
-            cl.enqueue_fill_buffer(self.device.queue, self._no_motion, b"\0", 0, self._no_motion.size)
-        return self._no_motion
+        zeros = self._no_motion
+        if zeros is None:
+            self._no_motion = zeros = self.device.buffer(RENDERED[2].nbytes(self.sizes))
+            cl.enqueue_fill_buffer(self.device.queue, zeros, b"\0", 0, zeros.size)
+        return zeros
 
     def _display_camera(self, frame: RenderedFrame) -> Camera:
         if self.options.upscale and frame.display_camera is None:
@@ -392,8 +395,8 @@ class Pipeline:
                 self._outputs[stage.name].keep(self.board.frame.buffer)
         made = self.board.frame.buffer
         color = self._picture("extrapolated") or made["color"]
-        if self._has_overlays:
-            color = self.composition.compose(color, alpha)
+        if composition := self._overlaid:
+            color = composition.compose(color, alpha)
         return ExtrapolatedFrame(
             camera,
             time,
@@ -447,8 +450,8 @@ class Pipeline:
                 yield from ((output, output.spec(name)) for name in output.buffer)
         if self.presentation and self._needs_presentation:
             yield from ((self.presentation, spec) for spec in self.presentation.buffers)
-        if self._has_overlays:
-            yield from ((self.composition, spec) for spec in self.composition.held())
+        if composition := self._overlaid:
+            yield from ((composition, spec) for spec in composition.held())
 
     def outputs(self) -> Iterator[tuple[str, BufferSpec]]:
         """What `keep` can keep: the stages' names, and the buffers of the extrapolated frame that each of them writes

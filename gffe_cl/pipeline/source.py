@@ -78,7 +78,7 @@ class Recorded:
     frames have several sizes.
     """
 
-    def __init__(self, sequence: Sequence, device: Device, window: str | None = None, upscale: float = 0.0):
+    def __init__(self, sequence: Sequence, device: Device | None, window: str | None = None, upscale: float = 0.0):
         if window not in (None, "off"):
             raise GffeError(
                 f"--window {window}: only built-in scenes are rendered through a chosen window, {sequence.path} is a"
@@ -155,8 +155,9 @@ class Recorded:
             writer.link(entry, own)
 
     def cameras_at(self, times):
-        cameras = [self.sequence.camera_at(time) for time in times]
-        if None not in cameras:
+        found = [self.sequence.camera_at(time) for time in times]
+        cameras = [camera for camera in found if camera is not None]
+        if len(cameras) == len(times):
             return [self._shown(camera) for camera in cameras] if self._upscale else cameras
         for time in times:
             self._missed = self._missed or self.sequence.near_miss("ground_truth", time) or ""

@@ -99,6 +99,7 @@ class _Job:
 
 
 def _here(job: _Job, count: int, device: Device | None) -> Iterator[tuple[FrameEntry, dict]]:
+    assert device is not None  # without a cluster
     made, before = job.frames(device), None
     for k, frame in enumerate(made.sequence(count, job.fps)):
         yield from _written(job, made, k, frame, before)

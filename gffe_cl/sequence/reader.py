@@ -165,7 +165,7 @@ class Sequence:
             raise GffeError(f"{entry.file}: kind is {entry.kind} (expected a rendered frame)")
         size = self.size_of(entry)
         color, depth, motion, overlays = self._pixels.read(entry, size)
-        camera = entry.render_camera
+        camera: Any = entry.render_camera  # None where `open_sequence` was told that no cameras are needed
         previous = self._previous.get(entry.file)
         if previous and not entry.reset and camera and previous.render_camera:
             text = zero_motion_warning(motion, depth, camera, previous.render_camera)
@@ -216,7 +216,11 @@ def _moment(kind: str, time: float) -> tuple[str, float]:
 
 
 def open_sequence(
-    path, *, cameras: str = "needed", mend: Callable[[str], str] | None = None, follow_links: bool | None = None
+    path: str | os.PathLike[str],
+    *,
+    cameras: str = "needed",
+    mend: Callable[[str], str] | None = None,
+    follow_links: bool | None = None,
 ) -> Sequence:
     """Open the sequence in the folder `path` (or whose `sequence.json` is `path`).
 

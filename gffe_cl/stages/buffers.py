@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 import pyopencl.array
+from pyopencl.array import Array
 from pyopencl.tools import PooledBuffer
 
 from gffe_cl.core.errors import GffeError
@@ -205,6 +206,7 @@ class BufferSpec:
         if self.packing:
             stored = self.packing.unpack(stored, x, y, texel_of(self.grid)[0])
         if self.known_where:
+            assert known is not None
             stored[..., known < self.known_where[1], :] = 0
         return stored
 
@@ -295,9 +297,9 @@ class DeviceFrame:
     @classmethod
     def allocate(cls, device: Device, size: tuple[int, int], camera, display_camera, time, motion=None) -> DeviceFrame:
         """New buffers for images of `size` (width, height); `motion`: the buffer to use for that."""
-        *others, moved = (size[0] * size[1] * n for n in BYTES_PER_PIXEL)
-        buffers = (*map(device.buffer, others), motion or device.buffer(moved))
-        return cls(*buffers, camera=camera, display_camera=display_camera, time=time)
+        color, depth, moved = (size[0] * size[1] * n for n in BYTES_PER_PIXEL)
+        buffers = device.buffer(color), device.buffer(depth), motion or device.buffer(moved)
+        return cls(*buffers, camera, display_camera, time)
 
     @property
     def buffers(self) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer]:
@@ -310,11 +312,11 @@ def halved(size: tuple[int, int], times: int) -> tuple[int, int]:
     return width, height
 
 
-def given_buffer(array: Any, spec: BufferSpec, sizes: Sizes, device: Device) -> cl.Buffer | None:
+def given_buffer(array: Any, spec: BufferSpec, sizes: Sizes, device: Device) -> cl.Buffer | PooledBuffer | None:
     """The device buffer that `array`, for what `spec` describes, is; None for others. GffeError for one that `device`
     cannot use in place."""
     what = f"frame: {spec.name}"
-    if isinstance(array, cl.array.Array):
+    if isinstance(array, Array):
         if array.offset or not array.flags.c_contiguous:
             raise GffeError(f"{what}: device arrays must be C-contiguous and start at offset 0 of their buffer")
         component = next(iter(array.dtype.fields.values()))[0] if array.dtype.fields else array.dtype

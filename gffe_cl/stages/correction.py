@@ -119,7 +119,7 @@ class ShadingCorrection(Stage):
     def __init__(self, board: Board, load: bool = True):
         """Without `load` there are the kernels alone, no network."""
         super().__init__(board)
-        self.network: Network | None = None
+        self.network: Any = None  # a Network, or what stands in for one
         if load:
             self.use(load_network(board.options.scn_model, board.options.scn_provider))
         self._network_milliseconds = 0.0
@@ -183,7 +183,7 @@ class ShadingCorrection(Stage):
         """The memory of a mapped buffer of a stage, once the kernels before are done; to be released on the queue."""
         spec = stage.spec(name)
         array, event = cl.enqueue_map_buffer(
-            self.device.queue, stage.buffer[name], flags, 0, spec.shape(self.sizes), spec.dtype
+            self.device.queue, stage.buffer[name], flags, 0, spec.shape(self.sizes), np.dtype(spec.dtype)
         )
         self._mappings.append(event)
         return array

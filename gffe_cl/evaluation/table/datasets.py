@@ -196,6 +196,7 @@ class _Scene(Footage):
     def _make(self, window):
         size = (self.width, self.height)
         if window == "given":
+            assert self._small is not None  # else no window is given
             frames = SceneFrames(self._small[0], size=size, jitter=self._small[1])
         else:
             renderer = self._renderer

@@ -27,7 +27,8 @@ class Remapped:
         import cv2
 
         kind = cv2.INTER_CUBIC if cubic else cv2.INTER_LINEAR
-        self._remap: Any = partial(cv2.remap, map2=None, interpolation=kind, borderMode=cv2.BORDER_REPLICATE)
+        remap: Any = cv2.remap
+        self._remap = partial(remap, map2=None, interpolation=kind, borderMode=cv2.BORDER_REPLICATE)
         self._scale_add = cv2.scaleAdd
         self._here = np.zeros((0, 0, 2), np.float32)
 

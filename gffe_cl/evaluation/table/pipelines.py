@@ -47,6 +47,7 @@ class PipelineRunner:
 
     def make(self, moment: Moment) -> np.ndarray:
         color = self.color_of(self.extrapolated(moment))
+        assert self._submitted is not None  # `finish` was called
         self.milliseconds.append(self._submitted + self._taken())
         return color
 
@@ -106,6 +107,7 @@ class TrueMotion(PipelineRunner):
     """Position prediction is given the true position of every fragment: what is missing then, nothing could predict."""
 
     def extrapolated(self, moment):
+        assert moment.true_positions is not None  # see Method.needs
         return self.pipeline.extrapolate(self.camera_of(moment), moment.time, target_position=moment.true_positions())
 
 

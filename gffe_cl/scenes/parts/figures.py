@@ -46,7 +46,7 @@ class _Body(Motion):
     """The path, with the bob and sway of the gait."""
 
     path: Path
-    gait: object
+    gait: Callable
     bob: float
     height: float
 
