@@ -125,7 +125,7 @@ def footage_of(
         footage = footage_of(device, subject, smaller, number)
         return footage.shown_larger(*(size or (round(n * upscale) for n in (footage.width, footage.height))))
     if is_sequence(subject):
-        return sequence_footage(device, open_capture(subject), size, number)
+        return sequence_footage(device, open_capture(str(subject)), size, number)
     assert size is not None  # of scenes it is always given
     return scene_footage(device, subject or SCENE, *size, number=number)
 
