@@ -1,5 +1,6 @@
 """The shading correction network in the pipeline, with small models in place of the trained one."""
 
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -139,6 +140,54 @@ def test_a_still_frame_needs_no_network(device, model):
     assert pipeline.stages["shading_trend"].is_still
     pipeline.submit(replace(frame, time=2.0, reset=True))
     assert not pipeline.stages["shading_trend"].is_still  # a reset forgets it
+
+
+def test_the_next_frame_is_taken_while_the_network_works(device, model, monkeypatch):
+    """Where both have processors of their own; the final images are the same to the bit."""
+    scene, size = Rects([Rect((0, 0, 8), frequency=0.5)]), (40, 24)
+    views = [camera(*size, (0.05 * k, 0, 0)) for k in range(5)]
+    frames = [scene.frame(v, k / 30, *size, (views[max(k - 1, 0)], 0), reset=k == 0) for k, v in enumerate(views)]
+    for k, frame in enumerate(frames):
+        frame.color = frame.color * np.float16(0.7**k)
+    options = Options(scn_model=model(delta=0.2))
+
+    def images(pipeline, before_color):
+        for frame, following in zip(frames, [*frames[1:], None], strict=True):
+            if frame.reset:
+                pipeline.submit(frame)
+            made = pipeline.extrapolate()
+            before_color(pipeline, following)
+            yield bits(made.numpy("color")), bits(made.numpy("gae"))
+            if following and pipeline._current.time < following.time:
+                pipeline.submit(following)
+
+    expected = list(images(Pipeline(device, *size, options), lambda *_: None))
+    assert any(final != gae for final, gae in expected)
+    monkeypatch.setattr(ShadingCorrection, "works_beside", True)
+    overlapping, may_end, runs = Pipeline(device, *size, options), threading.Event(), []
+    correction = overlapping.stages["correction"]
+
+    class Waiting:
+        copying, head, provider = 0.0, correction.network.head, correction.network.provider
+
+        def run(self, *arrays, network=correction.network):
+            runs.append(may_end.wait(20))
+            may_end.clear()
+            return network.run(*arrays)
+
+    correction.network = Waiting()
+
+    def take_the_next(pipeline, following):
+        if following:
+            pipeline.submit(following)
+        device.queue.finish()  # the frame was taken, and the network has not ended
+        if correction._begun:
+            assert not correction._begun[2].done()
+            may_end.set()
+
+    assert list(images(overlapping, take_the_next)) == expected
+    assert len(runs) >= 3 and all(runs)
+    assert overlapping.take_timings()["network"] > 0
 
 
 def test_light_that_flickers_is_left_alone(device, model):
