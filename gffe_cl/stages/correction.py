@@ -131,7 +131,7 @@ class ShadingCorrection(Stage):
         self.unusable_pixels = 0
         self.with_refined = False
         self._true = board.device.buffer(4)
-        cl.enqueue_fill_buffer(board.device.queue, self._true, np.int32(1), 0, 4)
+        cl.enqueue_fill_buffer(board.device.queue, self._true, np.ones(1, np.int32), 0, 4)
         self._worker: ThreadPoolExecutor | None = None
         self._begun: tuple[Step, _Mapped, Future] | None = None
 
@@ -215,7 +215,8 @@ class ShadingCorrection(Stage):
     def _map(self, stage: Stage, name: str, flags: cl.map_flags, wait: bool) -> tuple[np.ndarray, cl.Event]:
         spec = stage.spec(name)
         shape = spec.shape(self.sizes)
-        return cl.enqueue_map_buffer(
+        map_buffer: Any = cl.enqueue_map_buffer  # its stub leaves the event out
+        return map_buffer(
             self.device.queue, stage.buffer[name], flags, 0, shape, np.dtype(spec.dtype), is_blocking=wait
         )
 
