@@ -41,7 +41,7 @@ class RoundedActivation(nn.Module):
         self.register_buffer("zero", torch.tensor(round(-least / scale), dtype=torch.int32))
 
     def forward(self, x: Tensor) -> Tensor:
-        return torch.fake_quantize_per_tensor_affine(x, self.scale, self.zero, 0, _LEVELS)
+        return torch.fake_quantize_per_tensor_affine(x, self.get_buffer("scale"), self.get_buffer("zero"), 0, _LEVELS)
 
 
 def unit_of(weight: Tensor) -> Tensor:
@@ -64,7 +64,7 @@ class Gain(nn.Module):
         self.register_buffer("gain", gain.view(1, -1, 1, 1))
 
     def forward(self, candidates: Tensor) -> Tensor:
-        return candidates * self.gain
+        return candidates * self.get_buffer("gain")
 
 
 def quantize(network: Convolutions, inputs: Iterable[Inputs]) -> None:
