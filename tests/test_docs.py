@@ -3,17 +3,21 @@
 import contextlib
 import inspect
 import io
+import json
 import re
 import shlex
 import tomllib
 from pathlib import Path
 from types import FunctionType
 
+import numpy as np
 import pytest
+from make_tables import SHOWN
 from typer.main import get_command
 
 import gffe_cl
 from gffe_cl.cli.commands import RENAMED, app
+from gffe_cl.sequence.description import Description, FrameEntry, describe
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")] + sorted(
@@ -211,6 +215,22 @@ def test_pages_that_code_names_exist():
             )
             named.add(name)
     assert {"docs/formats.md", "docs/guide.md", "docs/blender/export_gffe.py", "comparing.md"} <= named
+
+
+def test_the_specification_of_sequences_has_every_key():
+    camera = gffe_cl.Camera(np.eye(4), 4, 4, 2, 2)
+    entry = FrameEntry("a.exr", 0.0, "rendered", True, (8, 8), camera, camera.scaled(2, 2), "b.exr", 0.5)
+    written = json.loads(describe(Description(4, 4, 30.0, 1.0, [entry], unfinished=True), "test"))
+    frame = written["frames"][0]
+    page = TEXTS["docs/sequences.md"]
+    for key in {*written, *frame, *frame["render_camera"]}:
+        assert re.search(rf"^\| [^|]*`{key}`", page, re.M), key
+    assert {"unfinished", "alpha", "render_size", "display_camera", "cx"} <= {*written, *frame, *frame["render_camera"]}
+
+
+def test_how_it_works_has_every_stage():
+    page = TEXTS["docs/how_it_works.md"]
+    assert [stage.name for stage in SHOWN if f"`{stage.name}`" not in page] == []
 
 
 def test_deviations_that_are_measured_exist():
