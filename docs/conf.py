@@ -57,6 +57,7 @@ nitpick_ignore = [
 # Links into the repository to Markdown that is a page of the site, too.
 _PAGES_ELSEWHERE = {
     "../README.md#limits": "limits.md",
+    "../README.md#help": "help.md",
     "../gffe_cl/scn/weights/MODEL_CARD.md": "model_card.md",
     "../gffe_cl/export/c/README.md": "c_interface.md",
 }
