@@ -25,7 +25,7 @@ test-all: test
 
 # Every warning is an error, links inside the site and names in signatures included; nothing is fetched.
 docs: $(VENV)/.installed-for-docs
-	$(VENV)/bin/python -m sphinx -q -W --keep-going -n docs out/docs
+	$(VENV)/bin/python -m sphinx -q -E -W --keep-going -n docs out/docs
 	@echo "documentation: out/docs/index.html"
 
 $(VENV)/.installed: pyproject.toml constraints.txt Makefile
