@@ -73,6 +73,7 @@ class ExtrapolatedFrame(MadeFrame):
 
     @property
     def color(self) -> cl.Buffer:
+        """The final image, half ×4, with shading correction and overlays; waits for the network where that still works."""
         if self._finish:
             self._finish()
         return self._color
