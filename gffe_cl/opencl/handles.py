@@ -40,8 +40,12 @@ def adopted_events(values: Any, context: cl.Context, what: str) -> list[cl.Event
         raise GffeError(f"{what} must be a list of OpenCL events, got {shown(values)}") from None
     events = [adopted(value, cl.Event, f"{what}[{number}]") for number, value in enumerate(listed)]
     for number, event in enumerate(events):
-        if event.context != context:
+        try:
+            its_context, status = event.context, event.command_execution_status
+        except cl.Error as error:  # some drivers do not keep the context of an event
+            raise GffeError(f"{what}[{number}]: the driver does not know it: {str(error)[:120]}") from None
+        if its_context != context:
             raise GffeError(f"{what}[{number}] belongs to another OpenCL context than the pipeline's device")
-        if event.command_execution_status < 0:
-            raise GffeError(f"{what}[{number}] has failed (OpenCL error {event.command_execution_status})")
+        if status < 0:
+            raise GffeError(f"{what}[{number}] has failed (OpenCL error {status})")
     return events

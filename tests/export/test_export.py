@@ -335,7 +335,8 @@ def test_work_begins_after_events_and_ends_in_one(device, library):
         assert_same_frame(engine, shown, pipeline.present())
         assert_same_frame(engine, made, pipeline.extrapolate(None, time))
 
-    foreign = cl.UserEvent(cl.Context([device.cl_device]))
+    other = cl.Context([device.cl_device])
+    foreign = cl.UserEvent(other)
     for events, text in (([foreign], "event 0 is of another context"), ([taken, None], "event 1 is NULL")):
         for call in (engine.present, lambda **given: engine.extrapolate(time, **given)):
             with pytest.raises(Failed, match=text) as failure:
