@@ -98,6 +98,10 @@ class Device:
         Works in order. It has profiling, unless it came from an engine without.
     profiles : bool
         Whether the queue has profiling; without there are no timings of kernels.
+    alignment : int
+        Bytes: kernels can use host memory in place that begins at a multiple of it.
+    works_in_host_memory : bool
+        Whether kernels can use NumPy arrays where they are: on CPUs.
     allocated : int
         Bytes of the buffers made by `buffer` so far.
     opened : Opened

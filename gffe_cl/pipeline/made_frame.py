@@ -81,7 +81,9 @@ class ExtrapolatedFrame(MadeFrame):
     """An extrapolated frame at t + α.
 
     `motion` is t + α → t, into the rendered image of t; `dynamic`, `disoccluded`, `filled_by` (uchar). `gae` is the
-    colour before shading correction and overlays, the same buffer as `color` where these are off.
+    colour before shading correction and overlays, the same buffer as `color` where these are off. `numpy(name)` copies
+    one of them to the host, `mapped(name)` reads it in place in a `with` block; `event` is complete when they hold the
+    frame.
     """
 
     alpha: float

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -130,8 +131,8 @@ class Pipeline:
     says what must be. Do not submit a released buffer: nothing tells that it is one, and drivers crash on it.
 
     `wait_for` of `submit`, `present` and `extrapolate` are events, pyopencl's or integer handles (`cl_event`), of the
-    device's context: what the call enqueues begins when they are complete. What they return on other queues can wait
-    for: the event of `submit`, and `event` of the frames made. The queue has been flushed then.
+    device's context: what the call enqueues begins when they are complete. Other queues can wait for the event that
+    `submit` returns and for `event` of the frames made: the device's queue has been flushed by then.
 
     Raises GffeError for arguments that are not what is expected here, and for images that find no room on the device.
     """
@@ -167,6 +168,8 @@ class Pipeline:
         self.composition: Composition | None = None  # made with the first frame that brings overlays
         self._outputs: dict[str, Output] = {}  # what is kept of each stage's
         self._slots: list[DeviceFrame] = []
+        self._leaving: list[tuple[cl.Event, Any]] = []  # frames that the device may still read until an event
+        self._reads_arrays = False  # whether NumPy arrays were used in place
         self._current: DeviceFrame | None = None
         self._previous: DeviceFrame | None = None
         self._shown: DeviceFrame | None = None  # the current one with all of its depth
@@ -190,6 +193,9 @@ class Pipeline:
         return board, self.device.allocated - before
 
     def __del__(self):
+        if getattr(self, "_reads_arrays", False):
+            with suppress(cl.Error):
+                self.device.queue.finish()  # the memory of arrays must not go before
         if board := getattr(self, "board", None):
             board.let_go()
 
@@ -233,8 +239,8 @@ class Pipeline:
         """Take a rendered frame; frames must come in order of time.
 
         Arrays may be NumPy arrays (copied to the device; bad pixels are added to `bad_pixels`) or device
-        buffers, which are used in place: do not overwrite them before two more frames have been submitted and the event
-        of the last frame made before that is complete.
+        buffers, which are used in place: do not overwrite them before two more frames have been submitted and, from
+        another queue or from the host, before the event of the second `submit` is complete.
         Returns at once, but with cut detection waits for the device: `is_cut` says what it found. On CPUs it also waits
         where it copies NumPy arrays. `packed`, the result of `pack_frame`, is deprecated: its arrays replace the
         frame's.
@@ -261,6 +267,7 @@ class Pipeline:
                 f"frame: time {frame.time:g} s must be after the previous rendered frame's ({self._times[0]:g} s)"
             )
         self._wait(events)
+        before = self._previous, self._current
         overlays = frame.overlays if self.options.overlays else None
         if overlays and self.composition is None:
             self.composition = Composition(self.board)
@@ -287,7 +294,11 @@ class Pipeline:
             stage.rendered(step)
         if self.presentation is None and not self._shown_whole(on_device):
             self.presentation = Presentation(self.board)
-        return self._done()
+        done = self._done()
+        complete = cl.command_execution_status.COMPLETE
+        self._leaving = [one for one in self._leaving if one[0].command_execution_status > complete]
+        self._leaving.append((done, before))
+        return done
 
     @telling_device_faults
     def present(self, *, wait_for: Iterable[cl.Event | int] = ()) -> PresentedFrame:
@@ -357,6 +368,7 @@ class Pipeline:
         self._bad_pixels = self.bad_pixels  # copies wait for the device, too
         self._count_conversions(arrays, host)
         shared = self._upload.shared(host) if zero_copy else {}
+        self._reads_arrays |= bool(shared)
         buffers = dict(shared) if len(shared) == len(RENDERED) else self._slot(frame, display_camera) | shared
         taken = DeviceFrame(**buffers, camera=frame.camera, display_camera=display_camera, time=frame.time)
         self._upload.take(host, taken, shared)

@@ -66,7 +66,7 @@ class Upload(Stage):
         """Enqueue all of it, into the buffers of `frame`, but for those that are `shared`. The other arrays may be
         changed afterwards; only in them bad pixels are counted."""
         copied = [spec.name for spec in RENDERED if spec.name not in shared]
-        if len(copied) < len(RENDERED):
+        if 0 < len(copied) < len(RENDERED):
             self.fill("bad_pixels", 0)
         if "color" in copied:
             self._take_color(arrays.color, frame)

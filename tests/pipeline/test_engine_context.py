@@ -1,6 +1,7 @@
 """In an engine's own OpenCL context: its queue, its buffers by handle, events that order the work, arrays in place."""
 
 import time
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -305,6 +306,26 @@ def test_kernels_read_arrays_in_place_when_they_run(device):
     go.set_status(cl.command_execution_status.COMPLETE)
     depth = made.numpy("depth")
     assert (depth[made.numpy("filled_by") == 0] == 7).all()
+
+
+def test_arrays_in_place_live_until_the_device_has_done_with_them(device):
+    if not device.works_in_host_memory:
+        pytest.skip("not a CPU")
+    pipeline, go = Pipeline(device, W, H, NO_WAIT), cl.UserEvent(device.context)
+    memory = []
+    for frame in frames(4):
+        frame = in_place(device, frame)
+        memory.append(weakref.ref(frame.depth.base))
+        done = pipeline.submit(frame, zero_copy=True, wait_for=[go])
+        pipeline.extrapolate()
+    del frame
+    assert all(array() is not None for array in memory)
+    go.set_status(cl.command_execution_status.COMPLETE)
+    done.wait()
+    pipeline.submit(replace(next(frames(1)), time=1.0), zero_copy=True)
+    assert memory[0]() is None and memory[1]() is None
+    del pipeline
+    assert all(array() is None for array in memory)
 
 
 @pytest.mark.parametrize(
