@@ -1,5 +1,7 @@
 """In an engine's own OpenCL context: its queue, its buffers by handle, events that order the work, arrays in place."""
 
+import ctypes as ct
+import ctypes.util
 import time
 import weakref
 from dataclasses import replace
@@ -78,6 +80,37 @@ def test_an_engines_context_and_buffers_give_the_same_bits(device, context):
         pipeline.submit(by_handle(frame, kept[-1]))
     assert bits(pipeline.extrapolate()) == expected_bits(device)
     assert pipeline.take_timings() == {} and pipeline.copied_bytes == 0
+
+
+def test_handles_of_another_loader(device):
+    """An engine has a libOpenCL of its own, not that of pyopencl's wheel."""
+    found = ctypes.util.find_library("OpenCL")
+    if found is None:
+        pytest.skip("no OpenCL loader of the system's")
+    loader, pointer, error = ct.CDLL(found), ct.c_void_p, ct.c_int()
+    for name in ("clCreateContext", "clCreateCommandQueue"):
+        getattr(loader, name).restype = pointer
+    loader.clCreateCommandQueue.argtypes = [pointer, pointer, ct.c_uint64, pointer]
+    platforms, wanted, name = (pointer * 16)(), device.cl_device.platform.name, ct.create_string_buffer(256)
+    count = ct.c_uint()
+    assert loader.clGetPlatformIDs(16, platforms, ct.byref(count)) == 0
+    for platform in platforms[: count.value]:
+        assert loader.clGetPlatformInfo(pointer(platform), 0x0902, len(name), name, None) == 0
+        if name.value.decode() == wanted:
+            break
+    else:
+        pytest.skip(f"the system's loader does not list {wanted}")
+    own = (pointer * 1)()
+    assert loader.clGetDeviceIDs(pointer(platform), ct.c_uint64(0xFFFFFFFF), 1, own, None) == 0
+    context = loader.clCreateContext(None, 1, own, None, None, ct.byref(error))
+    queue = loader.clCreateCommandQueue(context, own[0], 0, ct.byref(error))
+    assert context and queue and error.value == 0
+    pipeline = Pipeline(Device.from_context(context, queue), W, H, PLAIN)
+    for frame in frames():
+        pipeline.submit(frame)
+    assert bits(pipeline.extrapolate()) == expected_bits(device)
+    del pipeline
+    assert loader.clReleaseCommandQueue(pointer(queue)) == loader.clReleaseContext(pointer(context)) == 0
 
 
 def test_a_queue_with_profiling_gives_timings(context):
@@ -279,7 +312,9 @@ def in_place(device, frame):
     return replace(frame, **arrays)
 
 
-def test_arrays_in_place_are_not_copied(device):
+@pytest.mark.parametrize("on_cpu", [True, False], ids=["in host memory", "of its own memory"])
+def test_arrays_in_place_are_not_copied(device, on_cpu, monkeypatch):
+    monkeypatch.setitem(device.__dict__, "works_in_host_memory", on_cpu and device.info.kind == "cpu")
     pipeline, copying = (Pipeline(device, W, H, PLAIN) for _ in range(2))
     kept = [in_place(device, frame) for frame in frames()]
     for frame in kept:
