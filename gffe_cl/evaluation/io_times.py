@@ -74,7 +74,7 @@ class _Turn:
         self._taken = DeviceFrame.allocate(device, (width, height), frame.camera, frame.shown_camera, frame.time)
         ready = cl.enqueue_marker(device.queue)
         where = device, (width, height)
-        self._shown = PresentedFrame(frame.camera, frame.time, *self._taken.buffers, *where, event=ready)
+        self._shown = PresentedFrame(frame.camera, frame.time, *self._taken.buffers, *where, _event=ready)
         arrays = (frame.color, frame.depth, frame.motion)
         color, depth, motion = (_aligned(device, array) for array in arrays)
         self._aligned_frame = replace(frame, color=color, depth=depth, motion=motion)

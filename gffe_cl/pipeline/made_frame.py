@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 import pyopencl as cl
@@ -30,12 +30,20 @@ class MadeFrame:
 
     camera: Camera
     time: float
-    color: cl.Buffer
+    _color: cl.Buffer
     depth: cl.Buffer
     motion: cl.Buffer
     _device: Device
     _size: tuple[int, int]
-    event: cl.Event = field(kw_only=True)
+    _event: cl.Event = field(kw_only=True)
+
+    @property
+    def color(self) -> cl.Buffer:
+        return self._color
+
+    @property
+    def event(self) -> cl.Event:
+        return self._event
 
     def numpy(self, name: str) -> np.ndarray:
         """Copy to the host by the attribute's name: colours (H, W, 3) float16, "depth" (H, W) float32, "motion"
@@ -64,7 +72,7 @@ class MadeFrame:
             memory.release(self._device.queue)
 
     def _spec(self, name: str) -> BufferSpec:
-        names = [n for n in (*_SPECS, *_LIKE) if hasattr(self, n)]
+        names = [n for n in (*_SPECS, *_LIKE) if n == "color" or n in {field.name for field in fields(self)}]
         return _SPECS[_LIKE.get(require_choice(name, names, "frame: name"), name)]
 
     def _shape(self, spec: BufferSpec) -> tuple[int, ...]:
@@ -83,7 +91,7 @@ class ExtrapolatedFrame(MadeFrame):
     `motion` is t + α → t, into the rendered image of t; `dynamic`, `disoccluded`, `filled_by` (uchar). `gae` is the
     colour before shading correction and overlays, the same buffer as `color` where these are off. `numpy(name)` copies
     one of them to the host, `mapped(name)` reads it in place in a `with` block; `event` is complete when they hold the
-    frame.
+    frame. Where the network works beside the device, asking for `color` or `event` waits for it.
     """
 
     alpha: float
@@ -92,3 +100,19 @@ class ExtrapolatedFrame(MadeFrame):
     disoccluded: cl.Buffer
     filled_by: cl.Buffer
     gae: cl.Buffer
+    _finish: Callable[[], None] | None  # None: nothing waits
+
+    @property
+    def color(self) -> cl.Buffer:
+        if self._finish:
+            self._finish()
+        return self._color
+
+    @property
+    def event(self) -> cl.Event:
+        if self._finish is None:
+            return self._event
+        self._finish()
+        event = cl.enqueue_marker(self._device.queue)
+        self._device.queue.flush()
+        return event

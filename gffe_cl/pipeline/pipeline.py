@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -317,7 +317,7 @@ class Pipeline:
         if self._has_overlays:
             color = self.composition.compose(color, 0.0, rendered=True)
         where = self.device, self.sizes.target
-        return PresentedFrame(frame.display_camera, frame.time, color, depth, motion, *where, event=self._done())
+        return PresentedFrame(frame.display_camera, frame.time, color, depth, motion, *where, _event=self._done())
 
     def _wait(self, events: list[cl.Event]) -> None:
         """Let what is enqueued from now on begin when `events` are complete."""
@@ -432,9 +432,10 @@ class Pipeline:
         seen_through: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> ExtrapolatedFrame:
         """Make the frame at `time` (seconds; default: half an interval ahead) seen by `camera` (default:
-        the predicted camera). Returns at once, unless it waits for the shading correction network; reading a buffer
-        waits. With the time of the rendered frame itself and a newer camera it is a late warp (α = 0). It overwrites
-        the last frame made: `wait_for` what still reads that on other queues.
+        the predicted camera). Returns at once, unless the shading correction network works on the device's own
+        processor, which it waits for; else the frame's `color` and `event` wait, and the next `submit` works meanwhile.
+        Reading a buffer waits. With the time of the rendered frame itself and a newer camera it is a late warp (α = 0).
+        It overwrites the last frame made: `wait_for` what still reads that on other queues.
 
         `target_position` (H, W, 4) float32 replaces position prediction, for experiments: x, y in target
         pixels, view depth there (−1: nothing), 0, for every pixel of the rendered frame. `seen_through`, depth (H, W)
@@ -460,8 +461,9 @@ class Pipeline:
             shape = (*reversed(self.sizes.source), 4)
             target_position = as_float32(require_array(target_position, "extrapolate: target_position", *shape))
         replaced = {"target_position": target_position, "geometry": self._geometry(seen_through)}
-        self._wait(events)
         step = Step(source, self._previous, self._recent_times, camera, time, alpha, self.exposure, **replaced)
+        self._finish()
+        self._wait(events)
         for stage in self.stages.values():
             stage.extrapolated(step)
             if stage.name in self._outputs:
@@ -469,6 +471,7 @@ class Pipeline:
         made = self.board.frame.buffer
         color = self._picture("extrapolated") or made["color"]
         if self._has_overlays:
+            self._finish()
             color = self.composition.compose(color, alpha)
         return ExtrapolatedFrame(
             camera,
@@ -482,8 +485,19 @@ class Pipeline:
             source.time,
             **{name: made[name] for name in ("dynamic", "disoccluded", "filled_by")},
             gae=made["color"],
-            event=self._done(),
+            _finish=self._unfinished,
+            _event=self._done(),
         )
+
+    @property
+    def _unfinished(self) -> Callable[[], None] | None:
+        """What makes the final image of the last frame, if that still waits for the network."""
+        correction = self.stages.get(ShadingCorrection.name)
+        return correction.finish if correction and correction.is_begun else None
+
+    def _finish(self) -> None:
+        if finish := self._unfinished:
+            finish()
 
     def _picture(self, occasion: str) -> cl.Buffer | None:
         """What the last stage that makes a picture then has made."""
@@ -512,11 +526,12 @@ class Pipeline:
 
     def named_buffers(self) -> Iterator[tuple[Owner, BufferSpec]]:
         """Every named buffer that holds the present frame, with its owner; read one with `owner.read(spec.name)`. It is
-        called "<owner.name>.<spec.name>".
+        called "<owner.name>.<spec.name>". Waits for the network.
 
         What a stage left in the buffers of the extrapolated frame ("warp.color": before the background filled anything)
         is among them once `keep` asked for it.
         """
+        self._finish()
         yield from ((self.board.frame, spec) for spec in self.board.frame.buffers)
         for stage in self.stages.values():
             yield from ((stage, spec) for spec in stage.buffers if not spec.scratch)
@@ -542,6 +557,7 @@ class Pipeline:
         what only lookers want ("correction.refined", "shading.…") only if it is among them. Names of other buffers are
         ignored. Raises GffeError for what is no collection of texts."""
         wanted = None if names is None else set(require_list(names, str, "keep: names", "a list of texts"))
+        self._finish()
         for stage in self.stages.values():
             stage.look_at(wanted)
         found: dict[str, list[BufferSpec]] = {}
@@ -560,6 +576,7 @@ class Pipeline:
 
     def take_kernel_timings(self) -> dict[str, dict[str, float]]:
         """As `take_timings`, by stage and kernel."""
+        self._finish()
         self.device.queue.finish()
         stages = [*self.stages.values(), *filter(None, (self.presentation, self.composition))]
         stages = stages if self.device.profiles else []

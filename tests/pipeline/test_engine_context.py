@@ -14,6 +14,7 @@ from synthetic import Rect, Rects, camera
 
 from gffe_cl import Device, GffeError, Options, Overlays, Pipeline
 from gffe_cl.frame.rendered_frame import host_arrays
+from gffe_cl.stages.correction import ShadingCorrection
 
 W, H = 64, 48
 PLAIN = Options(shading_correction=False)
@@ -260,15 +261,22 @@ def test_work_begins_when_events_are_complete_and_tells_when_it_is_done(device, 
     assert bits(made) == expected_bits(device)
 
 
-def test_the_event_comes_after_the_network(engine, tmp_path):
-    """Which the CPU runs: `extrapolate` waits for it, and the event is that of the kernels after it."""
+@pytest.mark.parametrize("beside", [False, True], ids=["here", "beside"])
+def test_the_event_comes_after_the_network(engine, tmp_path, monkeypatch, beside):
+    """`extrapolate` waits for it, or what asks for the event; that is of the kernels after it."""
+    monkeypatch.setattr(ShadingCorrection, "works_beside", beside)
     options = replace(PLAIN, shading_correction=True, scn_model=str(scn_models.look_model(tmp_path / "scn.onnx")))
     pipeline = Pipeline(engine, W, H, options)
     for frame in frames():
         pipeline.submit(frame)
-    made = pipeline.extrapolate()
-    made.event.wait()
-    assert status(made.event) == cl.command_execution_status.COMPLETE
+    made, correction = pipeline.extrapolate(), pipeline.stages["correction"]
+    assert correction.is_begun == beside
+    event = made.event
+    assert not correction.is_begun
+    event.wait()
+    out = np.empty((H, W, 4), np.float16)
+    cl.enqueue_copy(cl.CommandQueue(engine.context), out, made.color)
+    assert out[..., :3].tobytes() == made.numpy("color").tobytes()
     assert made.numpy("color").tobytes() != made.numpy("gae").tobytes()
     assert set(pipeline.take_timings()) == {"network"}
 
