@@ -39,10 +39,12 @@ class MadeFrame:
 
     @property
     def color(self) -> cl.Buffer:
+        """The final picture, half ×4."""
         return self._color
 
     @property
     def event(self) -> cl.Event:
+        """Complete when the buffers hold the frame."""
         return self._event
 
     def numpy(self, name: str) -> np.ndarray:
@@ -104,12 +106,14 @@ class ExtrapolatedFrame(MadeFrame):
 
     @property
     def color(self) -> cl.Buffer:
+        """The final picture, half ×4; waits for the network where that works beside the device."""
         if self._finish:
             self._finish()
         return self._color
 
     @property
     def event(self) -> cl.Event:
+        """Complete when the buffers hold the frame; waits likewise before there is one."""
         if self._finish is None:
             return self._event
         self._finish()
