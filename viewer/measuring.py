@@ -36,6 +36,7 @@ def measure(
     App(model, on_frame=stopwatch).run(size or _SIZE, test=lambda app: None)
     if stopwatch.problem:
         raise GffeError(stopwatch.problem)
+    assert stopwatch.first is not None  # it ran to its end
     cached = stopwatch.cached.figures() if stopwatch.cached else {}
     return {"first_picture": stopwatch.pictures, "first_pass": stopwatch.first.figures(), "cached": cached}
 
@@ -90,6 +91,7 @@ class _Stopwatch:
 
     def _show(self, model) -> None:
         look, self._look = self._look, None
+        assert look is not None
         try:
             look.take(model)
         except GffeError as error:

@@ -58,8 +58,8 @@ def measure_io(device: Device, frame: RenderedFrame, turns: int, on_turn: Callab
                 on_turn()
         medians = (statistics.median(part) * 1e3 for part in zip(*times, strict=True))
         ratio = statistics.median((up + down) / (copy_in + copy_out) for up, copy_in, down, copy_out, *_ in times)
-        name = f"{dtype} {'RGBA'[:channels]}"
-        found.append(IoTimes(width, height, name, *medians, ratio, timed.copied, timed.zero_copied))
+        name, copied = f"{dtype} {'RGBA'[:channels]}", {"copied": timed.copied, "zero_copied": timed.zero_copied}
+        found.append(IoTimes(width, height, name, *medians, ratio=ratio, **copied))
     return found
 
 

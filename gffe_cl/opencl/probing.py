@@ -19,7 +19,7 @@ from pathlib import Path
 
 import pyopencl as cl
 
-from gffe_cl.opencl.runtimes import VENDORS, hide_vendors, only_vendors, vendors
+from gffe_cl.opencl.runtimes import NO_CACHE, VENDORS, hide_vendors, only_vendors, vendors
 from gffe_cl.opencl.subprocess_runner import run_child
 
 _SECONDS = 20.0  # for all drivers together, the broken ones too
@@ -211,7 +211,7 @@ def _run_probe_kernel(context, queue) -> float:
 
 
 def _built(queue: cl.CommandQueue, source: str) -> cl.Program:
-    return cl.Program(queue.context, source).build(options=["-w"], devices=[queue.device], cache_dir=False)
+    return cl.Program(queue.context, source).build(options=["-w"], devices=[queue.device], cache_dir=NO_CACHE)
 
 
 @contextmanager

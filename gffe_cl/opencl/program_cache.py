@@ -12,11 +12,12 @@ import os
 import platform
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pyopencl as cl
 from pyopencl.characterize import has_src_build_cache
 
-from gffe_cl.opencl.runtimes import keep_file, kept_folder
+from gffe_cl.opencl.runtimes import NO_CACHE, keep_file, kept_folder
 
 _FOLDER = "kernels"
 _MOST_FILES = 256
@@ -33,13 +34,13 @@ def built_program(context: cl.Context, device: cl.Device, source: str, options: 
     program = _built(cl.Program(context, source), device, options)
     if path is not None:
         with suppress(OSError, cl.Error):
-            binary = program.get_info(cl.program_info.BINARIES)[context.devices.index(device)]
-            keep_file(path, binary, "*.bin", _MOST_FILES)
+            binaries: Any = program.get_info(cl.program_info.BINARIES)
+            keep_file(path, binaries[context.devices.index(device)], "*.bin", _MOST_FILES)
     return program
 
 
 def _built(program: cl.Program, device: cl.Device, options: tuple[str, ...]) -> cl.Program:
-    return program.build(options=list(options), devices=[device], cache_dir=False)
+    return program.build(options=list(options), devices=[device], cache_dir=NO_CACHE)
 
 
 def _path(device: cl.Device, source: str, options: tuple[str, ...]) -> Path | None:

@@ -162,7 +162,7 @@ class Pipeline:
         self.is_cut = False
         require_room(device, self.sizes, lambda sizes: self._allocate(sizes, int64_atomics)[1])
         self.board, self._nbytes = self._allocate(self.sizes, int64_atomics)
-        self.stages: dict[str, Stage] = dict(self.board.stages)
+        self.stages: dict[str, Any] = dict(self.board.stages)
         self.presentation: Presentation | None = None  # made with the first windowed frame
         self._upload: Upload | None = None  # made with the first NumPy arrays
         self.composition: Composition | None = None  # made with the first frame that brings overlays
@@ -308,14 +308,16 @@ class Pipeline:
         self._need_frame()
         self._wait(adopted_events(wait_for, self.device.context, "present: wait_for"))
         frame, picture = self._shown, self._picture("rendered")
+        assert frame is not None  # as there is a current one
         if self._needs_presentation:
+            assert self.presentation is not None  # `submit` has made it
             self.presentation.present(frame, self._previous, with_color=picture is None)
             color, depth, motion = (self.presentation.buffer[name] for name in ("color", "depth", "motion"))
         else:
             color, depth, motion = frame.buffers
         color = picture or color
-        if self._has_overlays:
-            color = self.composition.compose(color, 0.0, rendered=True)
+        if composition := self._overlaid:
+            color = composition.compose(color, 0.0, rendered=True)
         where = self.device, self.sizes.target
         return PresentedFrame(frame.display_camera, frame.time, color, depth, motion, *where, _event=self._done())
 
@@ -336,8 +338,8 @@ class Pipeline:
         return self._need_frame().display_camera
 
     @property
-    def _has_overlays(self) -> bool:
-        return bool(self.composition and self.composition.active)
+    def _overlaid(self) -> Composition | None:
+        return self.composition if self.composition and self.composition.active else None
 
     @property
     def _needs_presentation(self) -> bool:
@@ -349,8 +351,8 @@ class Pipeline:
     def _on_device(self, frame: RenderedFrame, zero_copy: bool) -> DeviceFrame:
         display_camera = self._display_camera(frame)
         require_one_pose(frame.camera, display_camera)
-        arrays = dict(zip(("color", "depth", "motion"), (frame.color, frame.depth, frame.motion), strict=True))
-        given = {s.name: given_buffer(arrays[s.name], s, self.sizes, self.device) for s in RENDERED}
+        arrays: dict[str, Any] = {"color": frame.color, "depth": frame.depth, "motion": frame.motion}
+        given: dict[str, Any] = {s.name: given_buffer(arrays[s.name], s, self.sizes, self.device) for s in RENDERED}
         if given["color"] and given["depth"] and require_motion(frame) is None:
             given["motion"] = self._zero_motion()
         if all(given.values()):
@@ -392,10 +394,11 @@ class Pipeline:
                 self._copied_bytes += made.nbytes
 
     def _zero_motion(self) -> cl.Buffer:
-        if self._no_motion is None:
-            self._no_motion = self.device.buffer(RENDERED[2].nbytes(self.sizes))
-            cl.enqueue_fill_buffer(self.device.queue, self._no_motion, np.uint8(0), 0, self._no_motion.size)
-        return self._no_motion
+        zeros = self._no_motion
+        if zeros is None:
+            self._no_motion = zeros = self.device.buffer(RENDERED[2].nbytes(self.sizes))
+            cl.enqueue_fill_buffer(self.device.queue, zeros, b"\0", 0, zeros.size)
+        return zeros
 
     def _display_camera(self, frame: RenderedFrame) -> Camera:
         if self.options.upscale and frame.display_camera is None:
@@ -470,9 +473,9 @@ class Pipeline:
                 self._outputs[stage.name].keep(self.board.frame.buffer)
         made = self.board.frame.buffer
         color = self._picture("extrapolated") or made["color"]
-        if self._has_overlays:
+        if composition := self._overlaid:
             self._finish()
-            color = self.composition.compose(color, alpha)
+            color = composition.compose(color, alpha)
         return ExtrapolatedFrame(
             camera,
             time,
@@ -539,8 +542,8 @@ class Pipeline:
                 yield from ((output, output.spec(name)) for name in output.buffer)
         if self.presentation and self._needs_presentation:
             yield from ((self.presentation, spec) for spec in self.presentation.buffers)
-        if self._has_overlays:
-            yield from ((self.composition, spec) for spec in self.composition.held())
+        if composition := self._overlaid:
+            yield from ((composition, spec) for spec in composition.held())
 
     def outputs(self) -> Iterator[tuple[str, BufferSpec]]:
         """What `keep` can keep: the stages' names, and the buffers of the extrapolated frame that each of them writes

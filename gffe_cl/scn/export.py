@@ -9,6 +9,7 @@ import subprocess
 import warnings
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -42,7 +43,8 @@ def export_onnx(network: ShadingCorrectionNetwork, path: Path, integers: bool = 
 
     Raises GffeError if they disagree, or the file cannot be written; then there is none.
     """
-    network = network.eval().cpu().to(memory_format=torch.contiguous_format)
+    convert: Any = network.eval().cpu().to  # the stub lacks this form of it
+    network = convert(memory_format=torch.contiguous_format)
     convolutions = rounded_weights(network.convolutions) if integers else network.convolutions
     path, part = Path(path), Path(path).with_suffix(".part.onnx")
     example = example_inputs(4 * MULTIPLE, 6 * MULTIPLE)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import torch
@@ -135,10 +136,12 @@ class ShadingCorrectionNetwork(nn.Module):
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, _SLOPE)
+                assert module.bias is not None
                 nn.init.zeros_(module.bias)
         self.convolutions.out.weight[:_JUDGED] *= 0.1
-        self.head[1].weight *= 0.1
-        self.head[1].bias.copy_(torch.tensor((0.0, 0.0, 0.0, 2.0, 0.15, 0.3)))
+        last: Any = self.head[1]
+        last.weight *= 0.1
+        last.bias.copy_(torch.tensor((0.0, 0.0, 0.0, 2.0, 0.15, 0.3)))
 
     def head_weights(self) -> np.ndarray:
         """(374,): of each layer rows, then biases."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -40,7 +41,7 @@ class RoundedActivation(nn.Module):
         self.register_buffer("zero", torch.tensor(round(-least / scale), dtype=torch.int32))
 
     def forward(self, x: Tensor) -> Tensor:
-        return torch.fake_quantize_per_tensor_affine(x, self.scale, self.zero, 0, _LEVELS)
+        return torch.fake_quantize_per_tensor_affine(x, self.get_buffer("scale"), self.get_buffer("zero"), 0, _LEVELS)
 
 
 def unit_of(weight: Tensor) -> Tensor:
@@ -63,7 +64,7 @@ class Gain(nn.Module):
         self.register_buffer("gain", gain.view(1, -1, 1, 1))
 
     def forward(self, candidates: Tensor) -> Tensor:
-        return candidates * self.gain
+        return candidates * self.get_buffer("gain")
 
 
 def quantize(network: Convolutions, inputs: Iterable[Inputs]) -> None:
@@ -71,7 +72,7 @@ def quantize(network: Convolutions, inputs: Iterable[Inputs]) -> None:
     inputs = list(inputs)
     equalize(network, inputs)
     for name, values in _activations(network, inputs, _rounded(network)).items():
-        module = network.get_submodule(name)
+        module: Any = network.get_submodule(name)
         module.rounding = RoundedActivation(*map(float, np.quantile(values, (_KEPT, 1 - _KEPT))))
         module.register_forward_hook(_round)
     for convolution in _in_integers(network):
@@ -87,11 +88,11 @@ def rounded_weights(network: Convolutions) -> Convolutions:
     return network
 
 
-def in_floats(network: Convolutions) -> Convolutions:
+def in_floats(network: Any) -> Convolutions:
     """A copy of a network that was quantized, without rounding and gains."""
     network = copy.deepcopy(network)
     for name in _rounded(network):
-        module = network.get_submodule(name)
+        module: Any = network.get_submodule(name)
         module._forward_hooks.clear()
         del module.rounding
     for convolution in _in_integers(network):
@@ -104,7 +105,7 @@ def in_floats(network: Convolutions) -> Convolutions:
 
 
 @torch.no_grad()
-def equalize(network: Convolutions, inputs: list[Inputs]) -> None:
+def equalize(network: Any, inputs: list[Inputs]) -> None:
     """Scale channels so that none is lost in the range of its tensor, and the weights that read them the other way: the
     network says the same."""
     readers = _readers(network)
@@ -121,12 +122,13 @@ def equalize(network: Convolutions, inputs: list[Inputs]) -> None:
         if name == "given":
             network.given = Gain(1 / scale)
         else:
-            convolution = network.get_submodule(name)[0]
+            block: Any = network.get_submodule(name)
+            convolution = block[0]
             convolution.weight /= scale.view(-1, 1, 1, 1)
             convolution.bias /= scale
 
 
-def _readers(network: Convolutions) -> dict[str, list[tuple[nn.Conv2d, int]]]:
+def _readers(network: Any) -> dict[str, list[tuple[nn.Conv2d, int]]]:
     """Of the modules that make channels: the convolutions that read these, and from which input channel on."""
     encoder, narrow, decoder = network.encoder, network.narrow, network.decoder
     last = len(decoder)
@@ -147,7 +149,7 @@ def _readers(network: Convolutions) -> dict[str, list[tuple[nn.Conv2d, int]]]:
     return readers
 
 
-def _in_integers(network: Convolutions) -> Iterator[nn.Conv2d]:
+def _in_integers(network: Any) -> Iterator[Any]:
     for module in network.modules():
         if isinstance(module, nn.Conv2d) and module not in (network.seen[0], network.out):
             yield module
@@ -162,7 +164,7 @@ def _rounded(network: Convolutions) -> list[str]:
     return names + [f"{kind}.{k}" for kind in ("doubled", "joined") for k in range(len(getattr(network, kind)))]
 
 
-def _round(module: nn.Module, _, x: Tensor) -> Tensor:
+def _round(module: Any, _, x: Tensor) -> Tensor:
     return module.rounding(x)
 
 
@@ -174,7 +176,7 @@ def _activations(
     found: dict[str, list[Tensor]] = {name: [] for name in names}
     generator = torch.Generator().manual_seed(0)
 
-    def keep(parts: list[Tensor], x: Tensor) -> None:
+    def keep(parts: list[Tensor], x: Any) -> None:
         rows = x.float().movedim(1, 0).flatten(1)
         some = torch.randint(rows.shape[1], (_MOST_VALUES // len(inputs) // len(rows) + 1,), generator=generator)
         parts.append(rows[:, some])

@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -199,7 +200,8 @@ class Training:
             self._begin_with(start)
         if recipe.integers:
             quantize(self.network.convolutions, self._seen_by_convolutions())
-        self.network = self.network.to(self.device, memory_format=torch.channels_last)
+        convert: Any = self.network.to  # the stub lacks this form of it
+        self.network = convert(self.device, memory_format=torch.channels_last)
         self.parallel = processes.wrap(self.network)
         self.optimizer = torch.optim.Adam(self.network.parameters(), recipe.learning_rate)
         self.perceptual = losses.perceptual_loss(vgg).to(self.device)
@@ -274,7 +276,7 @@ class Training:
             correction, likely = self.parallel(*self._inputs(batch))
         terms = loss_terms(correction.float(), likely, batch, batch.focus().float(), self.perceptual)
         factors = weights(recipe)
-        loss = sum(factors[name] * value for name, value in terms.items())
+        loss: Any = sum(factors[name] * value for name, value in terms.items())
         self.optimizer.zero_grad()
         loss.backward()
         length = nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)

@@ -122,7 +122,7 @@ class ShadingCorrection(Stage):
     def __init__(self, board: Board, load: bool = True):
         """Without `load` there are the kernels alone, no network."""
         super().__init__(board)
-        self.network: Network | None = None
+        self.network: Any = None  # a Network, or what stands in for one
         if load:
             self.use(load_network(board.options.scn_model, board.options.scn_provider))
         self._network_milliseconds = 0.0
@@ -131,7 +131,7 @@ class ShadingCorrection(Stage):
         self.unusable_pixels = 0
         self.with_refined = False
         self._true = board.device.buffer(4)
-        cl.enqueue_fill_buffer(board.device.queue, self._true, np.int32(1), 0, 4)
+        cl.enqueue_fill_buffer(board.device.queue, self._true, np.ones(1, np.int32), 0, 4)
         self._worker: ThreadPoolExecutor | None = None
         self._begun: tuple[Step, _Mapped, Future] | None = None
 
@@ -212,11 +212,12 @@ class ShadingCorrection(Stage):
             self._map(self, "judgement", cl.map_flags.WRITE_INVALIDATE_REGION, wait),
         ]
 
-    def _map(self, stage: Stage, name: str, flags: int, wait: bool) -> tuple[np.ndarray, cl.Event]:
+    def _map(self, stage: Stage, name: str, flags: cl.map_flags, wait: bool) -> tuple[np.ndarray, cl.Event]:
         spec = stage.spec(name)
         shape = spec.shape(self.sizes)
-        return cl.enqueue_map_buffer(
-            self.device.queue, stage.buffer[name], flags, 0, shape, spec.dtype, is_blocking=wait
+        map_buffer: Any = cl.enqueue_map_buffer  # its stub leaves the event out
+        return map_buffer(
+            self.device.queue, stage.buffer[name], flags, 0, shape, np.dtype(spec.dtype), is_blocking=wait
         )
 
     def _run(self, mapped: _Mapped) -> None:
@@ -230,8 +231,9 @@ class ShadingCorrection(Stage):
 
     def _unmap(self, mapped: _Mapped) -> None:
         for array, event in mapped:
+            memory: Any = array.base
             self._record_mapping(event)
-            self._record_mapping(array.base.release(self.device.queue))
+            self._record_mapping(memory.release(self.device.queue))
 
     def compose(self, step: Step, within_mask: bool) -> None:
         """Fill `focus_mask` and `color`; without `within_mask` the whole image is the network's."""
