@@ -146,11 +146,15 @@ class Device:
             All work is enqueued there. None: a new queue with profiling, in a context of one device; then order the
             work by events (`wait_for` of `Pipeline.submit`, `event` of the frames made).
 
-        The device is not probed in a child process, as the engine uses it already.
+        Raises
+        ------
+        GffeError
+            For a queue that works out of order or belongs to another context, for a context of several devices without
+            a queue, and where the driver fails. A number that is no handle cannot be recognized: drivers crash on it.
 
-        Raises GffeError for a queue that works out of order or belongs to another context, for a context of several
-        devices without a queue, and where the driver fails. A number that is no handle cannot be recognized: drivers
-        crash on it.
+        Notes
+        -----
+        The device is not probed in a child process, as the engine uses it already.
         """
         context = adopted(context, cl.Context, "from_context: context")
         try:

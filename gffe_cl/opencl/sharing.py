@@ -110,7 +110,10 @@ class GlSharing(_Sharing):
     device : Device
         Made by `GlSharing.open_device`, or by `Device.from_context` in a context that shares with OpenGL.
 
-    Raises GffeError where the driver does not offer it.
+    Raises
+    ------
+    GffeError
+        Where the driver does not offer it.
     """
 
     _commands = ("clEnqueueAcquireGLObjects", "clEnqueueReleaseGLObjects")
@@ -131,7 +134,10 @@ class GlSharing(_Sharing):
         window_system : str
             "glx", "egl" or "wgl".
 
-        Raises GffeError for other values, and if no driver shares with this context.
+        Raises
+        ------
+        GffeError
+            For other values, and if no driver shares with this context.
         """
         system = require_choice(window_system, _DISPLAYS, "GlSharing: window_system")
         context = require_whole(gl_context, "GlSharing: gl_context", 1, _MOST_HANDLE)
@@ -166,7 +172,10 @@ class MemorySharing(_Sharing):
     device : Device
         On the same GPU as the other API's device.
 
-    Raises GffeError where the driver does not offer it.
+    Raises
+    ------
+    GffeError
+        Where the driver does not offer it.
     """
 
     _commands = ("clEnqueueAcquireExternalMemObjectsKHR", "clEnqueueReleaseExternalMemObjectsKHR")
