@@ -18,23 +18,25 @@ WIDTH, HEIGHT, RATE, SHOWN = 640, 360, 15, 60
 VERTEX = """#version 330
 uniform mat4 clip_from_world, old_clip_from_world, world_from_model, old_world_from_model;
 in vec3 position, normal;
-out vec3 world, up;
+out vec3 place, world, up;
 out vec4 clip, old_clip;
 void main() {
+    mat3 axes = mat3(world_from_model);
+    place = position * vec3(length(axes[0]), length(axes[1]), length(axes[2]));  // the pattern moves with its box
     world = (world_from_model * vec4(position, 1)).xyz;
-    up = mat3(world_from_model) * normal;
+    up = axes * normal;
     clip = gl_Position = clip_from_world * vec4(world, 1);
     old_clip = old_clip_from_world * old_world_from_model * vec4(position, 1);
 }"""
 FRAGMENT = """#version 330
 uniform vec3 lamp, tint;
 uniform vec2 size;
-in vec3 world, up;
+in vec3 place, world, up;
 in vec4 clip, old_clip;
 layout(location = 0) out vec4 color;     // linear
 layout(location = 1) out vec4 geometry;  // depth along the view, motion in pixels with y down
 void main() {
-    vec3 to_lamp = lamp - world, cell = floor(world * 2 + 1e-3);
+    vec3 to_lamp = lamp - world, cell = floor(place * 2 + 1e-3);
     float light = 0.2 + 8 * max(dot(normalize(up), normalize(to_lamp)), 0) / (3 + dot(to_lamp, to_lamp));
     color = vec4(tint * light * (0.6 + 0.4 * mod(cell.x + cell.y + cell.z, 2)), 1);
     vec2 motion = (old_clip.xy / old_clip.w - clip.xy / clip.w) * 0.5 * size * vec2(1, -1);
@@ -87,7 +89,7 @@ class Renderer:
         )
         self.target.use()
         self.context.enable(moderngl.DEPTH_TEST)
-        self.target.clear()
+        self.target.clear(0.1, 0.2, 0.4, 0)
         self.program["lamp"] = 3 * math.cos(2 * now), 3, 3 * math.sin(2 * now)
         self.program["size"] = WIDTH, HEIGHT
         for (model, tint), (old_model, _) in zip(models(now), models(now if before is None else before), strict=True):
