@@ -23,7 +23,8 @@ from panda3d_live import Game
 
 SIZE, RATE = (480, 270), 15
 FIRST, FRAMES = 66, 6  # of the stretch that mistakes are made on
-CROP = (100, 60, 400, 240)
+CROP = (120, 90, 300, 225)
+AHEAD = 0.9  # intervals after the last rendered frame
 FILM_SIZE, FILM_FRAMES = (320, 180), 40
 NEAR, FAR = 0.2, 3000  # of the example's lens
 
@@ -88,7 +89,7 @@ def generated(frames: list[gffe.RenderedFrame], camera: gffe.Camera, time: float
 
 def mistakes(game: Game) -> None:
     """Write the picture and the table."""
-    time = (FIRST + FRAMES - 0.5) / RATE
+    time = (FIRST + FRAMES - 1 + AHEAD) / RATE
     right = stretch(game)
     camera = game.look(time)
     truth = gffe.to_display(game.draw(time, camera)[0])
@@ -111,14 +112,16 @@ def mistakes(game: Game) -> None:
 
 
 def sheet(tiles: list[tuple[str, np.ndarray]]) -> Image.Image:
-    """Return labeled parts of images, three in a row."""
+    """Return labeled parts of images, three in a row, each beside four times its error against the first."""
     left, top, right, bottom = CROP
-    width, height = right - left, bottom - top
+    width, height = 2 * (right - left), bottom - top
+    truth = tiles[0][1]
     made = Image.new("RGB", (3 * width, -(-len(tiles) // 3) * (height + 14)), "white")
     for k, (label, image) in enumerate(tiles):
         x, y = k % 3 * width, k // 3 * (height + 14)
         ImageDraw.Draw(made).text((x + 3, y + 1), label, fill="black")
-        made.paste(Image.fromarray((255 * image[top:bottom, left:right] + 0.5).astype(np.uint8)), (x, y + 14))
+        pair = np.hstack([part[top:bottom, left:right] for part in (image, 4 * np.abs(image - truth))])
+        made.paste(Image.fromarray((255 * np.clip(pair, 0, 1) + 0.5).astype(np.uint8)), (x, y + 14))
     return made
 
 
