@@ -168,7 +168,7 @@ class Game:
             rendered = window.camera(camera, self.size)
         color, depth, motion = self.draw(now, rendered)
         frame = gffe.RenderedFrame(color, depth, motion, rendered, now, display_camera=camera, reset=self.cut)
-        if self.lose:
+        if self.lose and not self.cut:
             self.lose = False
             return None  # what was kept stays: motion of the next frame leads to the last one that arrived
         self.kept, self.cut, self.shown, self.nearest = self.latest, False, camera, gffe.nearest_depth(depth)
@@ -193,7 +193,7 @@ def play(game, rate, shown, frames):
     count = 0
     while count != frames:
         now = time.perf_counter() - begin
-        if now >= due:
+        if now >= due or game.cut:
             due = max(due + 1 / rate, now)
             if frame := game.render(now):
                 game.pipeline.submit(frame)

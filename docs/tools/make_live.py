@@ -1,4 +1,4 @@
-"""Make the film and the picture of mistakes in docs/live.md, and the table of mistakes there, of the live Panda3D example.
+"""Make the film, the picture of mistakes and the table of mistakes in docs/live.md, of the live Panda3D example.
 
     python docs/tools/make_live.py                 all of them; needs the extra `examples`
 
@@ -68,9 +68,8 @@ class Jittered(Game):
     count = 0
 
     def draw(self, now, camera):
-        jitter = gffe.Jitter(16).offset(self.count)
         self.count += 1
-        return super().draw(now, replace(camera, cx=camera.cx + jitter[0], cy=camera.cy + jitter[1]))
+        return super().draw(now, gffe.Jitter(16).camera(camera, self.count))
 
 
 def stretch(game: Game) -> list[gffe.RenderedFrame]:

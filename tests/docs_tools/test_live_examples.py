@@ -1,11 +1,14 @@
 """Live examples: an engine's frames, generated frames, a resized window, a cut, a lost frame."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from gffe_cl.cli.commands import invoke
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 
@@ -66,6 +69,11 @@ for game.layer in range(1 + len(list(game.pipeline.named_buffers()))):
 for name in ("generate", "network"):
     game.switch(name)
 assert game.cut  # the new pipeline begins anew
+later = game.base.taskMgr.doMethodLater
+later(0.3, lambda task: game.switch("network"), "network")
+later(0.6, lambda task: [game.switch("lose"), game.resize((160, 90))] and None, "resize")
+panda3d_live.play(game, 15, 30, 45)
+assert game.pipeline.sizes.target == (160, 90)
 """
 
 
@@ -75,3 +83,47 @@ def test_panda3d_survives_what_happens_in_games():
     command = [sys.executable, "-c", _EVENTS, str(EXAMPLES)]
     found = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert found.returncode == 0, found.stderr
+
+
+_RECORD = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import gffe_cl as gffe
+import panda3d_live
+
+game = panda3d_live.Game((320, 180), offscreen=True)
+with gffe.SequenceWriter(sys.argv[2], 320, 180, 15) as writer:
+    for k in range(6):
+        frame = game.render(k / 15)
+        entry = gffe.FrameEntry(f"frame_{k:06d}.exr", time=frame.time, reset=k == 0, render_camera=frame.camera)
+        color = frame.color.astype("float16")
+        writer.add(entry, gffe.named_channels(color, frame.depth, None if frame.reset else frame.motion))
+"""
+
+
+@pytest.mark.long
+def test_doctor_finds_nothing_wrong_with_panda3d(tmp_path):
+    pytest.importorskip("panda3d")
+    command = [sys.executable, "-c", _RECORD, str(EXAMPLES), str(tmp_path / "recorded")]
+    found = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert found.returncode == 0, found.stderr
+    assert invoke(["check", str(tmp_path / "recorded")]) in (None, 0)
+
+
+@pytest.mark.long
+def test_renderer_of_ones_own_gains_over_repeating():
+    found = _run("moderngl_live.py", "--frames", "5")
+    assert found.returncode == 0, found.stderr
+    _, repeated, _, made = found.stdout.split()
+    assert float(made) > float(repeated) + 2
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="no Xvfb")
+@pytest.mark.parametrize("name", ["panda3d_live.py", "moderngl_live.py"])
+def test_a_window_opens(name):
+    if name.startswith("panda3d"):
+        pytest.importorskip("panda3d")
+    command = ["xvfb-run", "-a", sys.executable, str(EXAMPLES / name), "--frames", "30"]
+    found = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert found.returncode == 0 and "extrapolated=" in found.stdout, found.stderr
