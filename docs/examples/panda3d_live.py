@@ -5,7 +5,7 @@
     python docs/examples/panda3d_live.py --offscreen --measure --frames 12 --json figures.json
 
 Keys: W S walk, A D turn, O the camera's own path again; G generation, N network, V adaptive window on and off;
-L next layer; C cut; X lose the next rendered frame; Escape quit. docs/live.md explains each part.
+L next layer; C cut; X lose the next rendered frame; Escape quit. docs/tutorial_live.md explains each part.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""Make the film, the picture of mistakes and the table of mistakes in docs/live.md, of the live Panda3D example.
+"""Make the film, the picture of mistakes and the table of mistakes in docs/tutorial_live.md, of the live Panda3D example.
 
     python docs/tools/make_live.py                 all of them; needs the extra `examples`
 
@@ -106,7 +106,7 @@ def mistakes(game: Game) -> None:
         found = gffe.check(frames[1:4]) or "nothing"
         tiles.append((f"mistake: {mistake.name}", image))
         rows.append((mistake.name, f"{gffe.psnr(image, truth):.2f}", found))
-    write_tables("live.md", {"mistakes": table(("mistake", "PSNR, dB", "`gffe.check` finds"), rows)})
+    write_tables("tutorial_live.md", {"mistakes": table(("mistake", "PSNR, dB", "`gffe.check` finds"), rows)})
     sheet(tiles).save(PICTURES / "live_mistakes.jpg", quality=88)
 
 

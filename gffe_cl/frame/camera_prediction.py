@@ -53,16 +53,22 @@ def predict_camera_at(
     order : 1, 2 or None
         1 is the paper's.
 
-    Raises GffeError for other orders, no camera, other numbers of times than of cameras, and times that do not
-    decrease. Source: paper, 'Adaptive rendering window'; beyond it for order 2 and None.
+    Raises
+    ------
+    GffeError
+        For other orders, no camera, other numbers of times than of cameras, and times that do not decrease.
+
+    Notes
+    -----
+    Source: paper, 'Adaptive rendering window'; beyond it for order 2 and None.
     """
     time = require_number(time, "camera: time")
     order = None if order is None else require_whole(order, "camera: order", 1, 2)
     known = POSES if order is None else 4
     cameras = require_list(cameras, Camera, "camera: cameras", "a list of cameras")[:known]
-    times = require_array(times, "camera: times", None)[:known].astype(np.float64)
-    if not cameras or len(cameras) != len(times) or not np.isfinite(times).all() or (np.diff(times) >= 0).any():
-        raise GffeError(f"camera: needs one decreasing time per camera, got {len(cameras)} and {times.tolist()}")
+    given = require_array(times, "camera: times", None)[:known].astype(np.float64)
+    if not cameras or len(cameras) != len(given) or not np.isfinite(given).all() or (np.diff(given) >= 0).any():
+        raise GffeError(f"camera: needs one decreasing time per camera, got {len(cameras)} and {given.tolist()}")
     if len(cameras) == 1:
         return cameras[0]
     steps = (-np.diff(times)).tolist()

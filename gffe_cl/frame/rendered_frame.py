@@ -81,6 +81,8 @@ class RenderedFrame:
     overlays : Overlays or None
         What is not to be warped with the picture.
 
+    Notes
+    -----
     The fields are checked where the frame is used: `Pipeline.submit` and `present` raise GffeError.
     """
 
@@ -102,7 +104,7 @@ class RenderedFrame:
 
     @property
     def shown_camera(self) -> Camera:
-        """What is shown: the display camera, else the render camera."""
+        """The display camera where there is one, else the render camera."""
         return self.display_camera or self.camera
 
 
@@ -259,7 +261,7 @@ def _uploadable(color: np.ndarray) -> np.ndarray:
         same_texels = color.dtype == whole.dtype and color.strides == whole.strides
         if same_texels and color.ctypes.data == whole.ctypes.data:
             return np.require(whole, requirements="A")
-    return np.require(color, requirements="CA")
+    return np.require(color, requirements=["C", "A"])
 
 
 def _rounded_to_odd(values: np.ndarray) -> np.ndarray:

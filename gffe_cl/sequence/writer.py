@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.core.validation import (
@@ -65,6 +66,8 @@ class SequenceWriter:
     compression : str
         Of the EXRs: none, rle, zips, zip, piz, htj2k256, dwaa or dwab. All but the last two keep every bit.
 
+    Notes
+    -----
     Frames are written into a folder of their own and come to `path`, with `sequence.json`, when the context is left:
     until then an earlier output stays as it was. Left by KeyboardInterrupt, `sequence.json` lists the frames that were
     finished and says that it is unfinished; where there was an earlier output that stays, and the new frames are in
@@ -76,7 +79,7 @@ class SequenceWriter:
 
     def __init__(
         self,
-        path,
+        path: str | os.PathLike[str],
         width: int,
         height: int,
         fps: float,
@@ -132,7 +135,7 @@ class SequenceWriter:
 
         self._submit(entry, write, nbytes)
 
-    def link(self, entry: FrameEntry, source_path) -> None:
+    def link(self, entry: FrameEntry, source_path: str | os.PathLike[str]) -> None:
         """Let the frame `entry` be the existing EXR file `source_path`: a hard link, or else a copy."""
         source = Path(os.path.realpath(require_path(source_path, "writer: source_path")))
         self._submit(checked_entry(entry), lambda path: _link_or_copy(source, path))
@@ -152,7 +155,7 @@ class SequenceWriter:
         finally:
             if isinstance(error, KeyboardInterrupt) and self._kept:
                 error.add_note(self._kept)
-            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._end_threads()
 
     def _end(self, failed: bool, interrupted: bool) -> None:
         try:
@@ -187,8 +190,12 @@ class SequenceWriter:
         stays = "" if folder == self.path else f", {self.path} stays as it was"
         self._kept = finished + stays
 
+    def _end_threads(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+
     def _stop(self) -> None:
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        self._end_threads()
         self._pending.clear()
 
     def _submit(self, entry: FrameEntry, write: Callable[[Path], None], nbytes: int = 0) -> None:
@@ -239,7 +246,12 @@ class SequenceWriter:
         return camera_attributes(render, *stored)
 
 
-def named_channels(color, depth=None, motion=None, overlays: Overlays | None = None) -> dict[str, np.ndarray]:
+def named_channels(
+    color: ArrayLike,
+    depth: ArrayLike | None = None,
+    motion: ArrayLike | None = None,
+    overlays: Overlays | None = None,
+) -> dict[str, np.ndarray]:
     """Channels for `SequenceWriter.add` from color (H, W, 3 or 4), depth (H, W), motion (H, W, 2), and overlays. Raises
     GffeError for other shapes."""
     color = require_array(color, "color", None, None, (3, 4))
