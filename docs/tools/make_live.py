@@ -1,4 +1,4 @@
-"""Make the film, the picture of mistakes and the table of mistakes in docs/tutorial_live.md, of the live Panda3D example.
+"""Make the film, the picture and the table of mistakes in docs/tutorial_live.md, of the live Panda3D example.
 
     python docs/tools/make_live.py                 all of them; needs the extra `examples`
 
