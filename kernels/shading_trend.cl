@@ -38,27 +38,26 @@ inline Floats factor_of(const Floats now, const Floats before, const Ints known,
 }
 
 /* Of the pixels (x, y). */
-INLINE Change change_at(const Ints x, const int y, const Frame *frame, const Frames f) {
+INLINE void change_at(const Ints x, const int y, const Frame *frame, const Frames f, Change *c) {
     const int width = frame->source_width, height = frame->source_height;
     const float4 law = frame->color_law;
     const Ints in_image = (x < width) & (y < height ? ALL_LANES : (Ints)(0));
     const Ints src = min(y, height - 1) * width + min(x, (Ints)(width - 1));
     const Floats z = gather_floats(f.depth, src);
-    Change c;
-    c.moves = in_image & (to_ints(gather_bytes(f.dynamic_mask, src)) != STATIC);
+    c->moves = in_image & (to_ints(gather_bytes(f.dynamic_mask, src)) != STATIC);
     const Wide3 before = wide_reproject(to_floats(x) + 0.5f, (float)y + 0.5f, z, frame->to_previous);
     const Floats px_x = before.x - 0.5f, px_y = before.y - 0.5f;
-    c.known = in_image & !c.moves & (z > 0.0f) & (before.z > 0.0f) & (px_x >= 0.0f) & (px_y >= 0.0f)
+    c->known = in_image & !c->moves & (z > 0.0f) & (before.z > 0.0f) & (px_x >= 0.0f) & (px_y >= 0.0f)
               & (px_x < (float)(width - 1)) & (px_y < (float)(height - 1));
-    const Ints x0 = to_ints(c.known ? px_x : (Floats)(0.0f)), y0 = to_ints(c.known ? px_y : (Floats)(0.0f)), first = y0 * width + x0;
+    const Ints x0 = to_ints(c->known ? px_x : (Floats)(0.0f)), y0 = to_ints(c->known ? px_y : (Floats)(0.0f)), first = y0 * width + x0;
     const Floats u = px_x - to_floats(x0), v = px_y - to_floats(y0);
     const Floats tolerance = isinf(before.z) ? (Floats)(0.0f) : SAME_SURFACE * before.z;
     WideRgb sum = {0.0f, 0.0f, 0.0f};
     for (int tap = 0; tap < 4; ++tap) {
         const int dx = tap & 1, dy = tap >> 1;
-        const Ints at = c.known ? first + (dy * width + dx) : (Ints)(0);
+        const Ints at = c->known ? first + (dy * width + dx) : (Ints)(0);
         const Floats z_prev = gather_floats(f.depth_prev, at);
-        c.known &= (z_prev == before.z) | (fabs(z_prev - before.z) <= tolerance);
+        c->known &= (z_prev == before.z) | (fabs(z_prev - before.z) <= tolerance);
         const Floats weight = (dx ? u : 1.0f - u) * (dy ? v : 1.0f - v);
         const WideRgb rgb = finite_rgb(gather_rgb(f.color_prev, at));
         sum.r += weight * rgb.r;
@@ -66,10 +65,9 @@ INLINE Change change_at(const Ints x, const int y, const Frame *frame, const Fra
         sum.b += weight * rgb.b;
     }
     const WideRgb now = finite_rgb(gather_rgb(f.color, src));
-    c.factor.r = factor_of(now.r, sum.r, c.known, law);
-    c.factor.g = factor_of(now.g, sum.g, c.known, law);
-    c.factor.b = factor_of(now.b, sum.b, c.known, law);
-    return c;
+    c->factor.r = factor_of(now.r, sum.r, c->known, law);
+    c->factor.g = factor_of(now.g, sum.g, c->known, law);
+    c->factor.b = factor_of(now.b, sum.b, c->known, law);
 }
 
 inline Ints is_more_than_noise(const Floats factor) { return (factor > NOISE) | (factor * NOISE < 1.0f); }
@@ -89,13 +87,14 @@ WIDE __kernel void measure_changes(const Frame frame, __global const half *color
     Ints changed = 0;
     for (int y = 1; y < CELL; y += SAMPLE_STRIDE)
         for (int x = 1; x < CELL; x += SAMPLE_STRIDE) {
-            const Change c = change_at((first_x + LANE_NUMBERS) * CELL + x, cell_y * CELL + y, &frame, frames);
+            Change c;
+            change_at((first_x + LANE_NUMBERS) * CELL + x, cell_y * CELL + y, &frame, frames, &c);
             factor[0] *= c.factor.r;
             factor[1] *= c.factor.g;
             factor[2] *= c.factor.b;
             known += c.known ? (Floats)(1.0f) : (Floats)(0.0f);
-            const Ints changes = c.moves | is_more_than_noise(c.factor.r) | is_more_than_noise(c.factor.g) | is_more_than_noise(c.factor.b);
-            changed += changes ? (Ints)(1) : (Ints)(0);
+            const Ints differs = c.moves | is_more_than_noise(c.factor.r) | is_more_than_noise(c.factor.g) | is_more_than_noise(c.factor.b);
+            changed += differs ? (Ints)(1) : (Ints)(0);
         }
     const float share = (float)(SAMPLE_STRIDE * SAMPLE_STRIDE) / (float)(CELL * CELL);
     const int cell = cell_y * cells_width + first_x;

@@ -75,7 +75,7 @@ class Window(NamedTuple):
         rendered = shown if render_size is None else require_size(render_size)
         enlargement = Window(u0, v0, u1, v1).enlargement
         scale_x, scale_y = (r / (s * e) for r, s, e in zip(rendered, shown, enlargement, strict=True))
-        left, top = (u0 + 1) / 2 * size[0], (v0 + 1) / 2 * size[1]
+        left, top = (u0 + 1) / 2 * shown[0], (v0 + 1) / 2 * shown[1]
         return replace(
             display,
             fx=display.fx * scale_x,
@@ -151,7 +151,7 @@ def adaptive_window(
     low, high, clamped = -np.ones(2), np.ones(2), False
     for camera in predicted:
         points, clipped = _edges_on_plane(current, camera, sides, distance)
-        uv = 2 * points / size - 1
+        uv = 2 * points / sides - 1
         low, high = np.minimum(low, uv.min(0)), np.maximum(high, uv.max(0))
         clamped |= clipped
     more, rest = 2 * margin / sides, 2 * np.maximum(AT_REST / sides, least)
