@@ -41,7 +41,7 @@ inline Floats factor_of(const Floats now, const Floats before, const Ints known,
 INLINE void change_at(const Ints x, const int y, const Frame *frame, const Frames f, Change *c) {
     const int width = frame->source_width, height = frame->source_height;
     const float4 law = frame->color_law;
-    const Ints in_image = (x < width) & (y < height ? ALL_LANES : (Ints)(0));
+    const Ints in_image = (x < width) & ((Ints)(y) < height);
     const Ints src = min(y, height - 1) * width + min(x, (Ints)(width - 1));
     const Floats z = gather_floats(f.depth, src);
     c->moves = in_image & (to_ints(gather_bytes(f.dynamic_mask, src)) != STATIC);

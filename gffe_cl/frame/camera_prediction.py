@@ -71,8 +71,8 @@ def predict_camera_at(
         raise GffeError(f"camera: needs one decreasing time per camera, got {len(cameras)} and {given.tolist()}")
     if len(cameras) == 1:
         return cameras[0]
-    steps = (-np.diff(times)).tolist()
-    ahead = time - float(times[0])
+    steps = (-np.diff(given)).tolist()
+    ahead = time - float(given[0])
     predicted = predict_camera(cameras[1], cameras[0], ahead / steps[0])
     if order == 1 or len(cameras) == 2:
         return predicted
