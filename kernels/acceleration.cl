@@ -143,20 +143,24 @@ SPARSE __kernel void track_acceleration(const Frame frame, __global const float 
         before_weight_sum += weight;
     }
     if (!(weight_sum > 0.0f)) return;
-    const float3 was = rotate_to_target(mean_of(velocity_sum, weight_sum), from_previous);
+    float3 now = mover.velocity, was = ratio * rotate_to_target(mean_of(velocity_sum, weight_sum), from_previous);
+    bool carried = false;
     if (frame.camera_fixed) {
         const float3 seen = ratio * mean_of(view_velocity_sum, weight_sum);
-        const float change = squared_length(mover.view_velocity - seen), least = was_carried ? STILL_IN_VIEW : IN_VIEW;
-        if (change < least * squared_length(mover.velocity - ratio * was)) {
-            view_velocity[cell] = packed(mover.view_velocity, 1.0f);
-            return;
+        const float change = squared_length(mover.view_velocity - seen), most = was_carried ? STILL_IN_VIEW : IN_VIEW;
+        carried = change < most * squared_length(now - was);
+        if (carried) {
+            now = mover.view_velocity;
+            was = seen;
+            view_velocity[cell] = packed(now, 1.0f);
         }
     }
-    const float3 found = (mover.velocity - ratio * was) * divide(ratio, 1.0f + ratio);
+    const float3 found = (now - was) * divide(ratio, 1.0f + ratio);
     acceleration[cell] = packed(found, 0.0f);
-    if (!(before_weight_sum > 0.0f)) return;
-    const float3 before = ratio * ratio * rotate_to_target(mean_of(before_sum, before_weight_sum), from_previous);
-    const float trusted = trust(mover.velocity, found, before);
+    if (!(before_weight_sum > 0.0f) || carried != was_carried) return;
+    const float3 found_before = ratio * ratio * mean_of(before_sum, before_weight_sum);
+    const float3 before = carried ? found_before : rotate_to_target(found_before, from_previous);
+    const float trusted = trust(now, found, before);
     acceleration[cell] = packed(found, trusted);
     bend[cell] = packed(trusted * carried_on(found, before), trusted);
 }

@@ -52,7 +52,7 @@ inline float3 predicted_position(const int src_x, const int src_y, const Frame *
         const int cell = mover_cell_of(src_x, src_y, frame->source_width);
         const bool of_cell = frame->bends && is_of_cell(z, f.velocity[cell].w);
         if (of_cell && is_trusted(f.view_velocity[cell])) {  /* the camera carries it */
-            predicted += weight[0] * (p1_prev - p0);
+            predicted += weight[0] * (p1_prev - p0) + bent(cell, frame, f);
             if (!(predicted.z > 0.0f)) return nowhere;
             return (float3)(project(predicted, frame->to_target.target), predicted.z);
         }
