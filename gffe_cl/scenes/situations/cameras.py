@@ -41,7 +41,9 @@ def wipers(seed: int, rng: np.random.Generator) -> Scene:
     sleeve = Material(vary(rng, (0.16, 0.22, 0.3)), (0.4, 0.4, 0.38), "stripes", scale=0.04, contrast=0.3)
     reach = held @ Place(0.62, -0.7, -0.55) @ Swing("y", 14, rng.uniform(0.9, 1.4), rng.random())
     hand = [Capsule((0, 0, 0), (-0.16, 0.2, -0.25), 0.05, sleeve), Sphere((-0.2, 0.26, -0.31), 0.06, skin)]
-    hand += [Capsule((-0.2 + 0.03 * k, 0.28, -0.32), (-0.23 + 0.03 * k, 0.36, -0.36), 0.016, skin) for k in range(-1, 2)]
+    hand += [
+        Capsule((-0.2 + 0.03 * k, 0.28, -0.32), (-0.23 + 0.03 * k, 0.36, -0.36), 0.016, skin) for k in range(-1, 2)
+    ]
     groups.append(Group(hand, reach, name="hand"))
     return scene("wipers", "Wipers and a hand in a shaking cab", seed, groups, *sunlight(rng), cameras)
 
