@@ -3,22 +3,23 @@
    to, is its acceleration. What noise and bad vectors feign does not last, nor what a mover does that bounces or stops: only
    as much of it counts as there was an interval before. On arcs acceleration turns: its own change goes on, too. Cells without
    a mover are skipped.
-   Some movers are carried by the camera, as wipers and hands are: where velocity in view space has changed less than that in the
-   world since the frame before, that is what goes on. */
+   Some movers are carried by the camera, as wipers and hands are: where velocity in view space has changed less since the frame
+   before than that in the world, velocity and acceleration go on in view space. */
 
 #include "frame.h"
 #include "mover_grid.h"
 
 #define BEND_MOST 0.25f  /* an acceleration of more than this share of the velocity counts less, the more the larger it is */
 #define TURN 0.8333333f  /* the third difference's share beside the second's, (alpha + 2) / 3, at alpha = 1/2 */
-#define IN_VIEW 0.25f    /* a mover is carried by the camera if its squared change of velocity in view space is below this share of that in the world ... */
-#define STILL_IN_VIEW 1.0f  /* ... and below this one if it was before */
+#define IN_VIEW 0.25f    /* the camera carries a mover whose squared change of velocity in view space is below this share of
+                            that in the world ... */
+#define STILL_IN_VIEW 1.0f  /* ... or below this one if it did before */
 #define TURN_MOST 0.25f  /* a change of more than this share of the acceleration counts less, the more the larger it is */
 
 /* What a cell's fragments of one mover have in common. */
 typedef struct {
-    float3 velocity;  /* view space, world units per interval */
-    float3 view_velocity;  /* the same, as the camera sees it */
+    float3 velocity;  /* in the world, along the axes of view space; world units per interval */
+    float3 view_velocity;  /* in view space */
     float2 px_prev;   /* where they were */
     float depth, depth_prev;
 } Mover;
@@ -98,8 +99,8 @@ inline float3 carried_on(const float3 acceleration, const float3 before) {
 
 /* velocity: (xyz, view depth of the mover, 0: none). acceleration: per interval squared, as found, and its trust, -1
    where it is not known. bend: what of it goes on, as it will be, and the same trust: after alpha intervals it has added
-   alpha (alpha + 1) of it. view_velocity: in view space, and 1 where the mover is carried by the camera: nothing else of it
-   counts. `ratio`: of the last two intervals. */
+   alpha (alpha + 1) of it. view_velocity: in view space, and 1 where the camera carries the mover: acceleration and bend are
+   of view space there. `ratio`: of the last two intervals. */
 SPARSE __kernel void track_acceleration(const Frame frame, __global const float *depth, __global const float2 *motion,
                                         __global const uchar *dynamic_mask, __global const float *met_depth,
                                         __global const float4 *velocity_prev, __global const uint2 *acceleration_prev,
