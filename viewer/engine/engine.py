@@ -169,7 +169,7 @@ class Engine(Exchange):
         self._notify()
 
     def _do_watch(self, _) -> None:
-        if self._kernels.have_changed():
+        if self._kernels is not None and self._kernels.have_changed():
             self._do_kernels(None)
         if self.source is None:
             return
@@ -183,6 +183,7 @@ class Engine(Exchange):
     def _do_kernels(self, _) -> None:
         self._need_device()
         self.activity = "building kernels"
+        assert self._kernels is not None
         changed = self._kernels.reload()
         self.build_log, self.build_error = self._kernels.log, self._kernels.error
         self.builds += changed
@@ -279,6 +280,7 @@ class Engine(Exchange):
 
     def _maker(self, role: str) -> SlotMaker:
         if role not in self._makers:
+            assert self.source is not None and self._device is not None and self._kernels is not None
             source = self.source if role == "a" else self.source.sibling()
             check = self._check_beside if role == "ahead" else self._check
             self._makers[role] = SlotMaker(self._device, source, self._kernels, self._scorer, check)
