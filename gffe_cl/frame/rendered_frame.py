@@ -81,6 +81,8 @@ class RenderedFrame:
     overlays : Overlays or None
         What is not to be warped with the picture.
 
+    Notes
+    -----
     The fields are checked where the frame is used: `Pipeline.submit` and `present` raise GffeError.
     """
 
@@ -102,7 +104,7 @@ class RenderedFrame:
 
     @property
     def shown_camera(self) -> Camera:
-        """What is shown: the display camera, else the render camera."""
+        """The display camera where there is one, else the render camera."""
         return self.display_camera or self.camera
 
 

@@ -84,6 +84,8 @@ class Device:
     opened : Opened
         What it has in common with others; a context of its own if it is made without.
 
+    Notes
+    -----
     Made by `open_device`.
     """
 

@@ -73,6 +73,7 @@ class ExtrapolatedFrame(MadeFrame):
 
     @property
     def color(self) -> cl.Buffer:
+        """The final image, half ×4, shading correction and overlays included. Waits for the network."""
         if self._finish:
             self._finish()
         return self._color

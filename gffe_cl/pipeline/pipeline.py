@@ -123,12 +123,17 @@ class Pipeline:
     is_cut : bool
         Whether the last submitted frame was found to be a cut, of which nobody told: it was treated as a reset.
 
+    Raises
+    ------
+    GffeError
+        For arguments that are not what is expected here, and for images that find no room on the device.
+
+    Notes
+    -----
     Nothing is allocated on the device or compiled after construction, but for the first uploads of host arrays and
     with the first frame that is rendered through a window, brings overlays, or lacks motion beside device buffers.
     Device buffers must have been written on `device.queue`, or be finished, before they are submitted. Do not submit a
     released buffer: nothing tells that it is one, and drivers crash on it.
-
-    Raises GffeError for arguments that are not what is expected here, and for images that find no room on the device.
     """
 
     def __init__(
@@ -192,8 +197,8 @@ class Pipeline:
 
     @property
     def exposure(self) -> float:
-        """Factor on colour before display, 1e-6 to 1e6; GffeError for others. To be set before `submit`: what
-        changed between rendered frames is measured there (`stages.trend`)."""
+        """Factor on color before display, 1e-6 to 1e6; GffeError for others. Set it before `submit`, which measures
+        how shading changed between rendered frames."""
         return self._exposure
 
     @exposure.setter
