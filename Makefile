@@ -20,7 +20,7 @@ demo: $(VENV)/.installed
 test: $(VENV)/.installed-for-tests
 	$(VENV)/bin/python -m pytest -m "not long"
 
-test-all: test
+test-all: test $(VENV)/.installed-for-examples
 	$(VENV)/bin/python -m pytest -m long
 
 # Every warning is an error, links inside the site and names in signatures included; nothing is fetched.
@@ -41,6 +41,11 @@ $(VENV)/.installed: pyproject.toml constraints.txt Makefile
 $(VENV)/.installed-for-tests: $(VENV)/.installed
 	@echo "packages of the tests, PyTorch among them: 950 MB on disk, 1 to 4 minutes"
 	@$(PIP) --editable '.[test,train,opencv,cluster,webgpu,spring]' $(QUIETLY)
+	@touch $@
+
+$(VENV)/.installed-for-examples: $(VENV)/.installed-for-tests
+	@echo "Panda3D, for the live example: 114 MB on disk"
+	@$(PIP) --editable '.[examples]' $(QUIETLY)
 	@touch $@
 
 $(VENV)/.installed-for-docs: $(VENV)/.installed

@@ -19,7 +19,7 @@ version = release = gffe_cl.__version__
 html_title = f"gffe-cl {version}"
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "sphinx_copybutton"]
-exclude_patterns = ["tools", "measured", "blender"]
+exclude_patterns = ["examples", "tools", "measured", "blender"]
 html_theme = "furo"
 html_static_path = ["site.css"]
 html_css_files = ["site.css"]

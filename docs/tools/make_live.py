@@ -1,0 +1,147 @@
+"""Make the film, the picture and the table of mistakes in docs/tutorial_live.md, of the live Panda3D example.
+
+    python docs/tools/make_live.py                 all of them; needs the extra `examples`
+
+A mistake is made on the way from the renderer to gffe-cl; the picture shows what comes out, the table what `gffe.check`
+finds and how far PSNR falls. Nothing may be tuned on this: it shows that conventions matter, not how good anything is.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pages import DOCS, PICTURES, table, write_tables
+from PIL import Image, ImageDraw
+
+import gffe_cl as gffe
+
+sys.path.insert(0, str(DOCS / "examples"))
+from panda3d_live import Game
+
+SIZE, RATE = (480, 270), 15
+FIRST, FRAMES = 66, 6  # of the stretch that mistakes are made on
+CROP = (120, 90, 300, 225)
+AHEAD = 0.9  # intervals after the last rendered frame
+FILM_SIZE, FILM_FRAMES = (320, 180), 40
+NEAR, FAR = 0.2, 3000  # of the example's lens
+
+
+@dataclass
+class Mistake:
+    """What is done wrong to a rendered frame, given the one before (None at first)."""
+
+    name: str
+    make: Callable[[gffe.RenderedFrame, gffe.RenderedFrame | None], gffe.RenderedFrame]
+
+
+def _motion(factor) -> Callable:
+    return lambda frame, _: replace(frame, motion=frame.motion * np.float32(factor))
+
+
+def _device_depth(frame, _) -> gffe.RenderedFrame:
+    z = FAR / (FAR - NEAR) * (1 - NEAR / frame.depth)
+    return replace(frame, depth=z.astype(np.float32))
+
+
+def _late_camera(frame, before) -> gffe.RenderedFrame:
+    return frame if before is None else replace(frame, camera=before.camera, display_camera=before.camera)
+
+
+MISTAKES = (
+    Mistake("none", lambda frame, _: frame),
+    Mistake("vectors lead to the next frame", _motion(-1)),
+    Mistake("y of vectors goes up", _motion((1, -1))),
+    Mistake("vectors half as long", _motion(0.5)),
+    Mistake("depth of the depth buffer", _device_depth),
+    Mistake("camera of the frame before", _late_camera),
+    Mistake("skin without its old vertices", lambda frame, _: frame),
+    Mistake("jitter not in cx, cy", lambda frame, _: frame),
+)
+
+
+class Jittered(Game):
+    """The example with a camera that is jittered, while gffe-cl is given the one without jitter."""
+
+    count = 0
+
+    def draw(self, now, camera):
+        self.count += 1
+        return super().draw(now, gffe.Jitter(16).camera(camera, self.count))
+
+
+def stretch(game: Game) -> list[gffe.RenderedFrame]:
+    """Return rendered frames that follow each other."""
+    game.cut = True
+    return [game.render(k / RATE) for k in range(FIRST, FIRST + FRAMES)]
+
+
+def generated(frames: list[gffe.RenderedFrame], camera: gffe.Camera, time: float) -> np.ndarray:
+    """Return the display values of the frame at `time`."""
+    pipeline = gffe.Pipeline(gffe.open_device(), *SIZE)
+    for frame in frames:
+        pipeline.submit(frame)
+    return gffe.to_display(pipeline.extrapolate(camera, time).numpy("color"))
+
+
+def mistakes(game: Game) -> None:
+    """Write the picture and the table."""
+    time = (FIRST + FRAMES - 1 + AHEAD) / RATE
+    right = stretch(game)
+    camera = game.look(time)
+    truth = gffe.to_display(game.draw(time, camera)[0])
+    game.panda.setShaderInput("skinned", 0.0)
+    rigid = stretch(game)
+    game.panda.setShaderInput("skinned", 1.0)
+    game.__class__ = Jittered
+    jittered = stretch(game)
+    game.__class__ = Game
+    tiles, rows = [("really rendered", truth)], []
+    for mistake in MISTAKES:
+        source = {"skin without its old vertices": rigid, "jitter not in cx, cy": jittered}.get(mistake.name, right)
+        frames = [mistake.make(frame, before) for frame, before in zip(source, [None, *source], strict=False)]
+        image = generated(frames, camera, time)
+        found = gffe.check(frames[1:4]) or "nothing"
+        tiles.append((f"mistake: {mistake.name}", image))
+        rows.append((mistake.name, f"{gffe.psnr(image, truth):.2f}", found))
+    write_tables("tutorial_live.md", {"mistakes": table(("mistake", "PSNR, dB", "`gffe.check` finds"), rows)})
+    sheet(tiles).save(PICTURES / "live_mistakes.jpg", quality=88)
+
+
+def sheet(tiles: list[tuple[str, np.ndarray]]) -> Image.Image:
+    """Return labeled parts of images, three in a row, each beside four times its error against the first."""
+    left, top, right, bottom = CROP
+    width, height = 2 * (right - left), bottom - top
+    truth = tiles[0][1]
+    made = Image.new("RGB", (3 * width, -(-len(tiles) // 3) * (height + 14)), "white")
+    for k, (label, image) in enumerate(tiles):
+        x, y = k % 3 * width, k // 3 * (height + 14)
+        ImageDraw.Draw(made).text((x + 3, y + 1), label, fill="black")
+        pair = np.hstack([part[top:bottom, left:right] for part in (image, 4 * np.abs(image - truth))])
+        made.paste(Image.fromarray((255 * np.clip(pair, 0, 1) + 0.5).astype(np.uint8)), (x, y + 14))
+    return made
+
+
+def film(game: Game) -> None:
+    """Write the film: left rendered frames at 15 Hz, right generated frames between them, 30 Hz."""
+    game.resize(FILM_SIZE)
+    shown = []
+    for k in range(FILM_FRAMES):
+        frame = game.render(k / RATE)
+        game.pipeline.submit(frame)
+        moment = (k + 0.5) / RATE
+        for color in (frame.color, game.pipeline.extrapolate(game.look(moment), moment).numpy("color")):
+            pair = np.hstack([gffe.to_display(frame.color), gffe.to_display(color)])
+            shown.append(Image.fromarray((255 * pair + 0.5).astype(np.uint8)))
+    first, *others = shown
+    path = PICTURES / "live.webp"
+    first.save(path, save_all=True, append_images=others, duration=500 / RATE, loop=0, quality=40)
+    print(f"{path.name}: {path.stat().st_size / 1e6:.2f} MB")
+
+
+if __name__ == "__main__":
+    game = Game(SIZE, offscreen=True)
+    mistakes(game)
+    film(game)

@@ -1,0 +1,129 @@
+"""Live examples: an engine's frames, generated frames, a resized window, a cut, a lost frame."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gffe_cl.cli.commands import invoke
+
+EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
+
+
+def _run(name, *words):
+    command = [sys.executable, str(EXAMPLES / name), "--offscreen", *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300)
+
+
+@pytest.mark.long
+def test_panda3d_gains_over_repeating(tmp_path):
+    pytest.importorskip("panda3d")
+    found = _run("panda3d_live.py", "--measure", "--frames", "5", "--json", str(tmp_path / "figures.json"))
+    assert found.returncode == 0, found.stderr
+    figures = json.loads((tmp_path / "figures.json").read_text())
+    assert figures["gffe"] > figures["repeat"] + 2 and figures["gffe_network"] > figures["repeat"] + 2
+
+
+@pytest.mark.long
+def test_panda3d_plays():
+    pytest.importorskip("panda3d")
+    found = _run("panda3d_live.py", "--frames", "30")
+    assert found.returncode == 0, found.stderr
+    assert "render " in found.stdout and "extrapolated=" in found.stdout
+
+
+_EVENTS = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import gffe_cl as gffe
+import panda3d_live
+
+game = panda3d_live.Game((160, 90), offscreen=True)
+
+
+def frames(*moments):
+    return [frame for moment in moments if (frame := game.render(moment / 15))]
+
+
+assert gffe.check(frames(0, 1, 2)) is None
+game.switch("lose")
+assert frames(3) == []
+assert gffe.check(frames(4, 5, 6)) is None  # the first of them leads to frame 2
+game.switch("cut")
+after = frames(7, 8, 9)
+assert [frame.reset for frame in after] == [True, False, False] and gffe.check(after) is None
+game.switch("window")
+wide = frames(10, 11, 12)
+assert wide[2].camera.fx < wide[2].display_camera.fx and gffe.check(wide) is None
+game.resize((200, 100))
+resized = frames(13, 14)
+assert resized[0].reset and resized[1].color.shape == (100, 200, 3)
+for frame in resized:
+    game.pipeline.submit(frame)
+image = game.pipeline.extrapolate(game.look(14.5 / 15), 14.5 / 15).numpy("color")
+for game.layer in range(1 + len(list(game.pipeline.named_buffers()))):
+    game.show(image)
+for name in ("generate", "network"):
+    game.switch(name)
+assert game.cut  # the new pipeline begins anew
+later = game.base.taskMgr.doMethodLater
+later(0.3, lambda task: game.switch("network"), "network")
+later(0.6, lambda task: [game.switch("lose"), game.resize((160, 90))] and None, "resize")
+panda3d_live.play(game, 15, 30, 45)
+assert game.pipeline.sizes.target == (160, 90)
+"""
+
+
+@pytest.mark.long
+def test_panda3d_survives_what_happens_in_games():
+    pytest.importorskip("panda3d")
+    command = [sys.executable, "-c", _EVENTS, str(EXAMPLES)]
+    found = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert found.returncode == 0, found.stderr
+
+
+_RECORD = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import gffe_cl as gffe
+import panda3d_live
+
+game = panda3d_live.Game((320, 180), offscreen=True)
+with gffe.SequenceWriter(sys.argv[2], 320, 180, 15) as writer:
+    for k in range(6):
+        frame = game.render(k / 15)
+        entry = gffe.FrameEntry(f"frame_{k:06d}.exr", time=frame.time, reset=k == 0, render_camera=frame.camera)
+        color = frame.color.astype("float16")
+        writer.add(entry, gffe.named_channels(color, frame.depth, None if frame.reset else frame.motion))
+"""
+
+
+@pytest.mark.long
+def test_doctor_finds_nothing_wrong_with_panda3d(tmp_path):
+    pytest.importorskip("panda3d")
+    command = [sys.executable, "-c", _RECORD, str(EXAMPLES), str(tmp_path / "recorded")]
+    found = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert found.returncode == 0, found.stderr
+    assert invoke(["check", str(tmp_path / "recorded")]) in (None, 0)
+
+
+@pytest.mark.long
+def test_renderer_of_ones_own_gains_over_repeating():
+    found = _run("moderngl_live.py", "--frames", "5")
+    assert found.returncode == 0, found.stderr
+    _, repeated, _, made = found.stdout.split()
+    assert float(made) > float(repeated) + 2
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="no Xvfb")
+@pytest.mark.parametrize("name", ["panda3d_live.py", "moderngl_live.py"])
+def test_a_window_opens(name):
+    if name.startswith("panda3d"):
+        pytest.importorskip("panda3d")
+    command = ["xvfb-run", "-a", sys.executable, str(EXAMPLES / name), "--frames", "30"]
+    found = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert found.returncode == 0 and "extrapolated=" in found.stdout, found.stderr
