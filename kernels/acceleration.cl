@@ -2,18 +2,24 @@
    The nearest mover of each cell has a mean velocity; its change since the frame before, met where the mover's motion points
    to, is its acceleration. What noise and bad vectors feign does not last, nor what a mover does that bounces or stops: only
    as much of it counts as there was an interval before. On arcs acceleration turns: its own change goes on, too. Cells without
-   a mover are skipped. */
+   a mover are skipped.
+   Some movers are carried by the camera, as wipers and hands are: where velocity in view space has changed less since the frame
+   before than that in the world, velocity and acceleration go on in view space. */
 
 #include "frame.h"
 #include "mover_grid.h"
 
 #define BEND_MOST 0.25f  /* an acceleration of more than this share of the velocity counts less, the more the larger it is */
 #define TURN 0.8333333f  /* the third difference's share beside the second's, (alpha + 2) / 3, at alpha = 1/2 */
+#define IN_VIEW 0.25f    /* the camera carries a mover whose squared change of velocity in view space is below this share of
+                            that in the world ... */
+#define STILL_IN_VIEW 1.0f  /* ... or below this one if it did before */
 #define TURN_MOST 0.25f  /* a change of more than this share of the acceleration counts less, the more the larger it is */
 
 /* What a cell's fragments of one mover have in common. */
 typedef struct {
-    float3 velocity;  /* view space, world units per interval */
+    float3 velocity;  /* in the world, along the axes of view space; world units per interval */
+    float3 view_velocity;  /* in view space */
     float2 px_prev;   /* where they were */
     float depth, depth_prev;
 } Mover;
@@ -32,7 +38,7 @@ INLINE bool is_known(const Tracked f, const int src) { return f.dynamic_mask[src
 INLINE Mover mover_of_cell(const int cell_x, const int cell_y, const Frame *frame, const Tracked f) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int end_x = min((cell_x + 1) * MOVER_CELL, source_width), end_y = min((cell_y + 1) * MOVER_CELL, source_height);
-    Mover mover = {(float3)(0.0f), (float2)(0.0f), 0.0f, 0.0f};
+    Mover mover = {(float3)(0.0f), (float3)(0.0f), (float2)(0.0f), 0.0f, 0.0f};
     if (end_x - cell_x * MOVER_CELL == MOVER_CELL && end_y - cell_y * MOVER_CELL == MOVER_CELL) {
         __global const uchar *row = f.dynamic_mask + cell_y * MOVER_CELL * source_width + cell_x * MOVER_CELL;
         const uchar4 any = vload4(0, row) | vload4(0, row + source_width) | vload4(0, row + 2 * source_width)
@@ -54,18 +60,25 @@ INLINE Mover mover_of_cell(const int cell_x, const int cell_y, const Frame *fram
             if (!is_known(f, src) || !is_of_cell(f.depth[src], nearest)) continue;
             const float2 px = pixel_centre(src_x, src_y), px_prev = px + f.motion[src];
             const float3 p1_prev = unproject(px_prev, f.met_depth[src], frame->from_previous.source_inverse);
-            mover.velocity += unproject(px, f.depth[src], frame->to_previous.source_inverse)
-                              - move_to_target(p1_prev, frame->from_previous);
+            const float3 p0 = unproject(px, f.depth[src], frame->to_previous.source_inverse);
+            mover.velocity += p0 - move_to_target(p1_prev, frame->from_previous);
+            mover.view_velocity += p0 - p1_prev;
             mover.px_prev += px_prev;
             mover.depth += f.depth[src];
             mover.depth_prev += f.met_depth[src];
             count += 1.0f;
         }
     mover.velocity = mean_of(mover.velocity, count);
+    mover.view_velocity = mean_of(mover.view_velocity, count);
     mover.px_prev = (float2)(divide(mover.px_prev.x, count), divide(mover.px_prev.y, count));
     mover.depth = divide(mover.depth, count);
     mover.depth_prev = divide(mover.depth_prev, count);
     return mover;
+}
+
+inline float squared_length(const float3 v) {
+    const float3 squares = v * v;
+    return squares.x + squares.y + squares.z;
 }
 
 /* How much of an acceleration counts, 0 to 1: what of it there was an interval before, and that it bends the path gently. */
@@ -86,11 +99,13 @@ inline float3 carried_on(const float3 acceleration, const float3 before) {
 
 /* velocity: (xyz, view depth of the mover, 0: none). acceleration: per interval squared, as found, and its trust, -1
    where it is not known. bend: what of it goes on, as it will be, and the same trust: after alpha intervals it has added
-   alpha (alpha + 1) of it. `ratio`: of the last two intervals. */
+   alpha (alpha + 1) of it. view_velocity: in view space, and 1 where the camera carries the mover: acceleration and bend are
+   of view space there. `ratio`: of the last two intervals. */
 SPARSE __kernel void track_acceleration(const Frame frame, __global const float *depth, __global const float2 *motion,
                                         __global const uchar *dynamic_mask, __global const float *met_depth,
                                         __global const float4 *velocity_prev, __global const uint2 *acceleration_prev,
-                                        __global float4 *velocity, __global uint2 *acceleration, __global uint2 *bend) {
+                                        __global const uint2 *view_velocity_prev, __global float4 *velocity,
+                                        __global uint2 *acceleration, __global uint2 *bend, __global uint2 *view_velocity) {
     const Tracked fragments = {depth, motion, dynamic_mask, met_depth};
     const int level_width = (frame.source_width + MOVER_CELL - 1) / MOVER_CELL;
     const int level_height = (frame.source_height + MOVER_CELL - 1) / MOVER_CELL;
@@ -103,13 +118,15 @@ SPARSE __kernel void track_acceleration(const Frame frame, __global const float 
     velocity[cell] = (float4)(mover.velocity, mover.depth);
     acceleration[cell] = packed((float3)(0.0f), -1.0f);
     bend[cell] = packed((float3)(0.0f), 0.0f);
+    view_velocity[cell] = packed(mover.view_velocity, 0.0f);
     if (!(mover.depth > 0.0f)) return;
 
     const float per_px = 1.0f / (float)MOVER_CELL;
     const float fx = mover.px_prev.x * per_px - 0.5f, fy = mover.px_prev.y * per_px - 0.5f;
     const int x0 = (int)floor(fx), y0 = (int)floor(fy);
-    float3 velocity_sum = (float3)(0.0f), before_sum = (float3)(0.0f);
+    float3 velocity_sum = (float3)(0.0f), before_sum = (float3)(0.0f), view_velocity_sum = (float3)(0.0f);
     float weight_sum = 0.0f, before_weight_sum = 0.0f;
+    bool was_carried = false;
     for (int tap = 0; tap < 4; ++tap) {
         const int tap_x = x0 + (tap & 1), tap_y = y0 + (tap >> 1);
         if (!inside(tap_x, tap_y, level_width, level_height)) continue;
@@ -117,6 +134,9 @@ SPARSE __kernel void track_acceleration(const Frame frame, __global const float 
         if (!(v.w > 0.0f) || !is_of_cell(v.w, mover.depth_prev)) continue;
         const float weight = bilinear_weight(tap, fx - (float)x0, fy - (float)y0);
         velocity_sum += weight * v.xyz;
+        const uint2 seen = view_velocity_prev[tap_y * level_width + tap_x];
+        view_velocity_sum += weight * unpacked(seen);
+        was_carried |= is_trusted(seen);
         weight_sum += weight;
         const uint2 a = acceleration_prev[tap_y * level_width + tap_x];
         if (!is_trust_known(a)) continue;
@@ -124,12 +144,24 @@ SPARSE __kernel void track_acceleration(const Frame frame, __global const float 
         before_weight_sum += weight;
     }
     if (!(weight_sum > 0.0f)) return;
-    const float3 was = rotate_to_target(mean_of(velocity_sum, weight_sum), from_previous);
-    const float3 found = (mover.velocity - ratio * was) * divide(ratio, 1.0f + ratio);
+    float3 now = mover.velocity, was = ratio * rotate_to_target(mean_of(velocity_sum, weight_sum), from_previous);
+    bool carried = false;
+    if (frame.camera_fixed) {
+        const float3 seen = ratio * mean_of(view_velocity_sum, weight_sum);
+        const float change = squared_length(mover.view_velocity - seen), most = was_carried ? STILL_IN_VIEW : IN_VIEW;
+        carried = change < most * squared_length(now - was);
+        if (carried) {
+            now = mover.view_velocity;
+            was = seen;
+            view_velocity[cell] = packed(now, 1.0f);
+        }
+    }
+    const float3 found = (now - was) * divide(ratio, 1.0f + ratio);
     acceleration[cell] = packed(found, 0.0f);
-    if (!(before_weight_sum > 0.0f)) return;
-    const float3 before = ratio * ratio * rotate_to_target(mean_of(before_sum, before_weight_sum), from_previous);
-    const float trusted = trust(mover.velocity, found, before);
+    if (!(before_weight_sum > 0.0f) || carried != was_carried) return;
+    const float3 found_before = ratio * ratio * mean_of(before_sum, before_weight_sum);
+    const float3 before = carried ? found_before : rotate_to_target(found_before, from_previous);
+    const float trusted = trust(now, found, before);
     acceleration[cell] = packed(found, trusted);
     bend[cell] = packed(trusted * carried_on(found, before), trusted);
 }

@@ -22,6 +22,8 @@ inline uint2 packed(const float3 a, const float trust) {
 
 inline bool is_trust_known(const uint2 p) { return p.y >> 26 != UNKNOWN_TRUST; }
 
+inline bool is_trusted(const uint2 p) { return is_trust_known(p) && p.y >> 26; }
+
 inline float3 unpacked(const uint2 p) {
     return (float3)(as_float(p.x << 13), as_float((p.x >> 19 | (p.y & 127u) << 12) << 13), as_float((p.y >> 7 & 0x7ffffu) << 13));
 }

@@ -1,6 +1,6 @@
 /* Position prediction (paper: 'Position estimation'): NP = P_0 + alpha (P_0 - P_1), or the polynomial of order m
    through P_0 ... P_m at their real times. Static fragments, LANES at once, are only reprojected; what is fixed
-   to the camera keeps its place in view space; P_1 is where the fragment's
+   to the camera keeps its place in view space, what it carries moves on there; P_1 is where the fragment's
    motion points to in the frame before, at the depth met there. What acceleration.cl trusts of a mover's acceleration is added to
    the linear prediction. */
 
@@ -17,13 +17,11 @@ typedef struct {
     __global const uchar *dynamic_mask;
     __global const float *met_depth;
     __global const float4 *history, *velocity;
-    __global const uint2 *bend;
+    __global const uint2 *bend, *view_velocity;
 } Tracked;
 
 /* What acceleration adds to the position of a fragment after alpha intervals. */
-inline float3 bent(const int src_x, const int src_y, const Frame *frame, const Tracked f, const float z) {
-    const int cell = mover_cell_of(src_x, src_y, frame->source_width);
-    if (!is_of_cell(z, f.velocity[cell].w)) return (float3)(0.0f);
+inline float3 bent(const int cell, const Frame *frame, const Tracked f) {
     return (frame->alpha * (frame->alpha + 1.0f)) * unpacked(f.bend[cell]);
 }
 
@@ -51,8 +49,15 @@ inline float3 predicted_position(const int src_x, const int src_y, const Frame *
     if (known > 0) {
         const float2 px_prev = pixel_centre(src_x, src_y) + f.motion[src];
         const float3 p1_prev = unproject(px_prev, f.met_depth[src], frame->from_previous.source_inverse);
+        const int cell = mover_cell_of(src_x, src_y, frame->source_width);
+        const bool of_cell = frame->bends && is_of_cell(z, f.velocity[cell].w);
+        if (of_cell && is_trusted(f.view_velocity[cell])) {  /* the camera carries it */
+            predicted += weight[0] * (p1_prev - p0) + bent(cell, frame, f);
+            if (!(predicted.z > 0.0f)) return nowhere;
+            return (float3)(project(predicted, frame->to_target.target), predicted.z);
+        }
         predicted += weight[0] * (move_to_target(p1_prev, frame->from_previous) - p0);
-        if (frame->bends) predicted += bent(src_x, src_y, frame, f, z);
+        if (of_cell) predicted += bent(cell, frame, f);
     }
     for (int k = 1; k < known; ++k) predicted += weight[k] * (f.history[k * plane + src].xyz - p0);
     const float3 target_pos = move_to_target(predicted, frame->to_target);
@@ -64,8 +69,9 @@ inline float3 predicted_position(const int src_x, const int src_y, const Frame *
 WIDE __kernel void predict_positions(const Frame frame, __global const float *depth, __global const float2 *motion,
                                      __global const uchar *dynamic_mask, __global const float *met_depth,
                                      __global const float4 *history, __global const float4 *velocity,
-                                     __global const uint2 *bend, __global float *target_position) {
-    const Tracked fragments = {depth, motion, dynamic_mask, met_depth, history, velocity, bend};
+                                     __global const uint2 *bend, __global const uint2 *view_velocity,
+                                     __global float *target_position) {
+    const Tracked fragments = {depth, motion, dynamic_mask, met_depth, history, velocity, bend, view_velocity};
     const int source_width = frame.source_width, source_height = frame.source_height;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;

@@ -121,7 +121,8 @@ GAE: dict[str, Change] = {
 }
 # Beyond the paper, each a module with an option of its own.
 PARTS = ("silhouettes stay antialiased", "hidden parts of movers", "movers' acceleration goes on")
-CAMERA_FIXED = Change({"camera_fixed": False})  # worth something only on the situation "cab"
+CARRIED = Change(constants={"acceleration.cl": {"IN_VIEW": "0.0f", "STILL_IN_VIEW": "0.0f"}})
+CAMERA_FIXED = Change({"camera_fixed": False})  # worth something only on "cab" and "wipers"
 PAPER = CAMERA_FIXED
 for change in GAE.values():
     PAPER |= change
@@ -147,6 +148,7 @@ FOR_SITUATIONS: dict[str, tuple[str, Change, str]] = {
     "rotors": ("acceleration", GAE["movers' acceleration goes on"], "movers"),
     "handheld": ("`--camera-order auto`; 1", PREDICTED | Change({"camera_order": 1}), "all"),
     "cab": ("fixed to the camera", CAMERA_FIXED, "movers"),
+    "wipers": ("what the camera carries", CARRIED, "movers"),
     "lamps": ("network", NO_NETWORK, "light"),
     "shadows": ("network", NO_NETWORK, "light"),
     "fan": ("network", NO_NETWORK, "light"),

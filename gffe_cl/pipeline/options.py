@@ -138,7 +138,8 @@ class Options:
     )  # fmt: skip
     camera_fixed: bool = _option(
         True, "fixed to the camera", "Fragments that keep their place in view space, such as dashboards and weapons,"
-        " move with the camera; off: fragments fixed to the camera are predicted in world space, as in the paper.",
+        " move with the camera, and with acceleration so does what moves evenly there, such as wipers and hands; off:"
+        " both are predicted in world space, as in the paper.",
         flag="--no-camera-fixed", needs="motion",
     )  # fmt: skip
     acceleration: bool = _option(

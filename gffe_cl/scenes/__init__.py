@@ -43,6 +43,7 @@ SITUATIONS = {
     "rotors": "Arcs: a pinwheel, a wheel with spokes, a rotor, a cart on wheels",
     "handheld": "A camera that speeds up, turns and stops, in a still room",
     "cab": "Dashboard and pillars of a cab that shakes: they are fixed to the camera",
+    "wipers": "Wipers and a hand that move in a shaking cab: relative to the camera",
     "lamps": "Two lamps that swing: their light, and all shadows",
     "shadows": "Shadows of things out of view, across steps, columns and walls",
     "fan": "A fan before a lamp: shadows of blades turn over walls and floor",

@@ -55,6 +55,17 @@ class Acceleration(Stage):
             kept=True,
             packing=TRUSTED,
         ),
+        BufferSpec(
+            "view_velocity",
+            np.float32,
+            ("x", "y", "z", "trust"),
+            _CELLS,
+            "mean velocity of that mover in view space, world units per interval; trust 1: the camera carries it, and"
+            " it moves on there, not in the world",
+            "world",
+            kept=True,
+            packing=TRUSTED,
+        ),
     )
     kernels = (
         Kernel(
@@ -67,11 +78,13 @@ class Acceleration(Stage):
                 "met_depth": Access("history.met_depth", DYNAMIC_PIXELS),
                 "velocity_prev": Access("acceleration.velocity'", DYNAMIC_PIXELS),
                 "acceleration_prev": Access("acceleration.acceleration'", DYNAMIC_PIXELS),
+                "view_velocity_prev": Access("acceleration.view_velocity'", DYNAMIC_PIXELS),
             },
             {
                 "velocity": "acceleration.velocity",
                 "acceleration": "acceleration.acceleration",
                 "bend": "acceleration.bend",
+                "view_velocity": "acceleration.view_velocity",
             },
         ),
     )

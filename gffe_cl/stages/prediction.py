@@ -44,6 +44,7 @@ class PositionPrediction(Stage):
                 "history": Access("history.history", DYNAMIC_PIXELS),
                 "velocity": Access("acceleration.velocity", DYNAMIC_PIXELS),
                 "bend": Access("acceleration.bend", DYNAMIC_PIXELS),
+                "view_velocity": Access("acceleration.view_velocity", DYNAMIC_PIXELS),
             },
             {"target_position": "prediction.target_position"},
             step=("LANES", 1),
@@ -54,7 +55,7 @@ class PositionPrediction(Stage):
         board.facts["bends"] = Acceleration.name in board.stages
         if not board.facts["bends"]:  # it reads nothing of them
             (predict,) = self.kernels
-            nothing = dict.fromkeys(("velocity", "bend"), Access("history.history", planes=0))
+            nothing = dict.fromkeys(("velocity", "bend", "view_velocity"), Access("history.history", planes=0))
             self.kernels = (replace(predict, reads={**predict.reads, **nothing}),)
         super().__init__(board)
 

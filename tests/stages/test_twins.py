@@ -75,9 +75,9 @@ def _state(pipeline, frame):
 
 
 def _movers(pipeline):
-    """Velocity, acceleration and what goes on of it, of cells, None where that is off."""
+    """Velocity, acceleration, what goes on of it, and velocity in view space, of cells, None where that is off."""
     stage = pipeline.stages.get("acceleration")
-    return stage and tuple(stage.read(name) for name in ("velocity", "acceleration", "bend"))
+    return stage and tuple(stage.read(name) for name in ("velocity", "acceleration", "bend", "view_velocity"))
 
 
 def _levels(pipeline, frame):
@@ -145,15 +145,20 @@ def test_stages_equal_their_twins(device, options, size, target, monkeypatch):
         ratio = np.float32((times[0] - times[1]) / (times[1] - times[2]))
         turned = to_previous, reprojection(past.camera, now.camera)
         met = pipeline.stages["history"].read("met_depth")
-        expected = twins.track_acceleration(depth, motion, dynamic, met, *movers_before[:2], ratio, *turned)
+        expected = twins.track_acceleration(
+            depth, motion, dynamic, met, *np.delete(movers_before, 2, 0), ratio, *turned
+        )
         assert np.array_equal(movers[0][..., 3] > 0, expected[0][..., 3] > 0)
         assert np.array_equal(movers[1][..., 3] < 0, expected[1][..., 3] < 0)
         assert (movers[1][..., 3] > 0).mean() > 0.01
         for got, wanted in zip(movers, expected, strict=True):
             np.testing.assert_allclose(got[..., :3], wanted[..., :3], atol=2e-5, rtol=2e-3)  # ten bits
         np.testing.assert_allclose(movers[1][..., 3], expected[1][..., 3], atol=0.02)  # of small accelerations
+        assert np.array_equal(movers[3][..., 3], expected[3][..., 3])
+    px_prev = twins.centres(*depth.shape) + motion
+    in_previous = twins.unproject(px_prev, met_depth, reprojection(past.camera, now.camera)[4])
     predicted = twins.predict_positions(
-        depth, dynamic, history, options.order, weights, to_target, extrapolated.alpha, movers
+        depth, dynamic, history, options.order, weights, to_target, extrapolated.alpha, movers, in_previous
     )
     got = pipeline.stages["prediction"].read("target_position")
     assert np.array_equal(got[..., 2] > 0, predicted[..., 2] > 0)

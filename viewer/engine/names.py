@@ -14,6 +14,7 @@ DISOCCLUDED, FILLED_BY, MIXED = "frame.disoccluded", "frame.filled_by", "warp.mi
 # of stages
 HISTORY, MET_DEPTH, DYNAMIC_MASK = "history.history", "history.met_depth", "history.dynamic_mask"
 VELOCITY, ACCELERATION = "acceleration.velocity", "acceleration.acceleration"
+VIEW_VELOCITY = "acceleration.view_velocity"
 TARGET_POSITION = "prediction.target_position"
 COVERAGE = "silhouettes.coverage"
 FOCUS_MASK = "correction.focus_mask"

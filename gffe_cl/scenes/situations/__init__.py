@@ -14,6 +14,7 @@ BUILDERS = {
     "rotors": movers.rotors,
     "handheld": cameras.handheld,
     "cab": cameras.cab,
+    "wipers": cameras.wipers,
     "lamps": shading.lamps,
     "shadows": shading.shadows,
     "fan": shading.fan,

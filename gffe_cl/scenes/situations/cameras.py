@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from gffe_cl.scenes.parts.figures import walker
 from gffe_cl.scenes.parts.furniture import bark_material, conifer, leaf_material
-from gffe_cl.scenes.parts.motions import Held, Path
-from gffe_cl.scenes.scene_types import Box, Cylinder, Group, Material, Scene, vary, wave
+from gffe_cl.scenes.parts.motions import Held, Path, Place, Swing
+from gffe_cl.scenes.scene_types import Box, Capsule, Cylinder, Group, Material, Scene, Sphere, vary, wave
 from gffe_cl.scenes.situations.places import hall, lamplight, scene, sunlight, yard
 
 
@@ -22,6 +24,32 @@ def handheld(seed: int, rng: np.random.Generator) -> Scene:
 
 def cab(seed: int, rng: np.random.Generator) -> Scene:
     """A cab that drives between trees and shakes: what belongs to it is fixed to the camera."""
+    groups, cameras, _ = _cab(seed, rng)
+    return scene("cab", "A shaking cab", seed, groups, *sunlight(rng), cameras)
+
+
+def wipers(seed: int, rng: np.random.Generator) -> Scene:
+    """The same cab, whose wipers and a hand on a lever move in it: they shake with the camera, too."""
+    groups, cameras, held = _cab(seed, rng)
+    rubber = Material((0.03, 0.03, 0.03), roughness=0.8)
+    period = rng.uniform(0.9, 1.3)
+    for x in (-0.42, 0.3):
+        arm = held @ Place(x, -0.34, -1.1) @ Swing("z", 42, period, rng.uniform(0, 0.05), rest=-5)
+        blade = [Capsule((0, 0, 0), (0, 0.3, 0), 0.009, rubber), Box((0.012, 0.36, 0), (0.014, 0.42, 0.012), rubber)]
+        groups.append(Group(blade, arm, name="wiper"))
+    skin = Material(vary(rng, (0.5, 0.32, 0.22)), scale=0.2, contrast=0.1, roughness=0.6)
+    sleeve = Material(vary(rng, (0.16, 0.22, 0.3)), (0.4, 0.4, 0.38), "stripes", scale=0.04, contrast=0.3)
+    reach = held @ Place(0.62, -0.7, -0.55) @ Swing("y", 14, rng.uniform(0.9, 1.4), rng.random())
+    hand = [Capsule((0, 0, 0), (-0.16, 0.2, -0.25), 0.05, sleeve), Sphere((-0.2, 0.26, -0.31), 0.06, skin)]
+    hand += [
+        Capsule((-0.2 + 0.03 * k, 0.28, -0.32), (-0.23 + 0.03 * k, 0.36, -0.36), 0.016, skin) for k in range(-1, 2)
+    ]
+    groups.append(Group(hand, reach, name="hand"))
+    return scene("wipers", "Wipers and a hand in a shaking cab", seed, groups, *sunlight(rng), cameras)
+
+
+def _cab(seed: int, rng: np.random.Generator) -> tuple[list[Group], tuple[Callable, Callable], Held]:
+    """Groups of a cab between trees, paths of eye and target, and the motion of what is fixed to the camera."""
     ground = Material(vary(rng, (0.2, 0.26, 0.1)), (0.3, 0.26, 0.18), "cobbles", scale=0.5, contrast=0.5, seed=seed)
     road = Material((0.16, 0.16, 0.17), (0.1, 0.1, 0.1), "cobbles", scale=0.2, contrast=0.4, roughness=0.9, seed=seed)
     groups = [
@@ -45,8 +73,9 @@ def cab(seed: int, rng: np.random.Generator) -> Scene:
     inside = [Box((0, -0.52, -0.85), (2.2, 0.2, 0.5), grained), Box((0, -0.36, -1.06), (2.2, 0.14, 0.05), grained)]
     inside += [Cylinder((x, -0.385, -0.75), (x, -0.375, -0.73), 0.09, dial) for x in (-0.3, 0.0, 0.3)]
     inside += [Cylinder((s * 0.95, -0.5, -1.0), (s * 0.72, 0.9, -0.8), 0.05, grained) for s in (-1, 1)]
-    groups.append(Group(inside, Held(eye, target), name="cab"))
-    return scene("cab", "A shaking cab", seed, groups, *sunlight(rng), (eye, target))
+    held = Held(eye, target)
+    groups.append(Group(inside, held, name="cab"))
+    return groups, (eye, target), held
 
 
 def quantised(seed: int, rng: np.random.Generator) -> Scene:

@@ -8,7 +8,7 @@ One module per stage.
 
 from twins.acceleration import track_acceleration
 from twins.background import BOTH, REMEMBERED, SHOWN, collect_levels, collect_shown, project_background
-from twins.common import COMMON, centres
+from twins.common import COMMON, centres, move, unproject
 from twins.composition import compose
 from twins.correction import choose_flow, correct, judge
 from twins.hidden_parts import fill_hidden_parts
@@ -54,6 +54,7 @@ __all__ = [
     "load_color",
     "measure_changes",
     "mix_far_side",
+    "move",
     "network_input",
     "predict_positions",
     "prepare_inputs",
@@ -67,4 +68,5 @@ __all__ = [
     "track_acceleration",
     "track_history",
     "unmixed",
+    "unproject",
 ]

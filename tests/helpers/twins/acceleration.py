@@ -11,14 +11,15 @@ def _is_of_cell(z, cell_depth):
     return abs(z - cell_depth) <= ACCELERATION.CELL_TOLERANCE * cell_depth
 
 
-def _mover_of_cell(inside, p0, p1, px_prev, depth, met_depth):
-    """Mean velocity, position and depths of the nearest mover among pixels `inside`; None if there is none."""
+def _mover_of_cell(inside, p0, p1, p1_prev, px_prev, depth, met_depth):
+    """Mean velocity in the world and in view space, position and depths of the nearest mover among pixels `inside`;
+    None if there is none."""
     nearest = min((depth[at] for at in inside), default=INF)
     of_it = [at for at in inside if _is_of_cell(depth[at], nearest)]
     if not of_it:
         return None
     count = F(len(of_it))
-    return [sum((a[at] for at in of_it), F(0)) / count for a in (p0 - p1, px_prev, depth, met_depth)]
+    return [sum((a[at] for at in of_it), F(0)) / count for a in (p0 - p1, p0 - p1_prev, px_prev, depth, met_depth)]
 
 
 def _trust(velocity, found, before):
@@ -44,30 +45,44 @@ def _as_packed(acceleration):
 
 
 def track_acceleration(
-    depth, motion, dynamic, met_depth, velocity_prev, acceleration_prev, ratio, to_previous, from_previous
+    depth,
+    motion,
+    dynamic,
+    met_depth,
+    velocity_prev,
+    acceleration_prev,
+    view_velocity_prev,
+    ratio,
+    to_previous,
+    from_previous,
+    camera_fixed=True,
 ):
-    """Velocity and depth, acceleration and trust, what goes on of it, of cells, (⌈H/4⌉, ⌈W/4⌉, 4) each."""
+    """Velocity and depth, acceleration and trust, what goes on of it, velocity in view space and whether the camera
+    carries the mover, of cells, (⌈H/4⌉, ⌈W/4⌉, 4) each."""
     side, (height, width) = ACCELERATION.MOVER_CELL, depth.shape
     cells = -(-height // side), -(-width // side)
-    velocity, acceleration, bend = (np.zeros((*cells, 4), F) for _ in range(3))
+    velocity, acceleration, bend, view_velocity = (np.zeros((*cells, 4), F) for _ in range(4))
     acceleration[..., 3] = -1
     known = (dynamic == 1) & (met_depth > 0)  # not what is fixed to the camera
     px = centres(height, width)
     with np.errstate(all="ignore"):
         px_prev = px + motion
         p0 = unproject(px, depth, to_previous[4])
-        p1 = move(unproject(px_prev, met_depth, from_previous[4]), from_previous)
+        p1_prev = unproject(px_prev, met_depth, from_previous[4])
+        p1 = move(p1_prev, from_previous)
     for y, x in np.ndindex(cells):
         rows, columns = range(side * y, min(side * y + side, height)), range(side * x, min(side * x + side, width))
         inside = [(j, i) for j in rows for i in columns if known[j, i]]
-        mover = _mover_of_cell(inside, p0, p1, px_prev, depth, met_depth)
+        mover = _mover_of_cell(inside, p0, p1, p1_prev, px_prev, depth, met_depth)
         if mover is None:
             continue
-        v, at, z, z_prev = mover
+        v, v_seen, at, z, z_prev = mover
         velocity[y, x] = (*v, z)
+        view_velocity[y, x, :3] = v_seen
         at = at / F(side) - F(0.5)
         x0, y0 = map(int, np.floor(at))
-        was, before, weights, before_weights = np.zeros(3, F), np.zeros(3, F), F(0), F(0)
+        was, seen, before, weights, before_weights = np.zeros(3, F), np.zeros(3, F), np.zeros(3, F), F(0), F(0)
+        was_carried = carried = False
         for tap in range(4):
             i, j = x0 + (tap & 1), y0 + (tap >> 1)
             if not (0 <= i < cells[1] and 0 <= j < cells[0]):
@@ -78,15 +93,25 @@ def track_acceleration(
             u, w = at - (x0, y0)
             weight = F(u if tap & 1 else 1 - u) * F(w if tap >> 1 else 1 - w)
             was, weights = was + weight * v_prev[:3], weights + weight
+            seen = seen + weight * view_velocity_prev[j, i, :3]
+            was_carried |= view_velocity_prev[j, i, 3] > 0
             if a_prev[3] >= 0:
                 before, before_weights = before + weight * a_prev[:3], before_weights + weight
         if not weights > 0:
             continue
-        found = (v - ratio * rotate(was / weights, from_previous)) * (ratio / (1 + ratio))
+        was, seen = ratio * rotate(was / weights, from_previous), ratio * (seen / weights)
+        if camera_fixed:
+            most = ACCELERATION.STILL_IN_VIEW if was_carried else ACCELERATION.IN_VIEW
+            carried = ((v_seen - seen) ** 2).sum() < F(most) * ((v - was) ** 2).sum()
+        if carried:
+            v, was = v_seen, seen
+            view_velocity[y, x, 3] = 1
+        found = (v - was) * (ratio / (1 + ratio))
         acceleration[y, x] = (*found, 0)
-        if before_weights > 0:
-            before = ratio * ratio * rotate(before / before_weights, from_previous)
+        if before_weights > 0 and carried == was_carried:
+            before = ratio * ratio * (before / before_weights)
+            before = before if carried else rotate(before, from_previous)
             acceleration[y, x, 3] = _trust(v, found, before)
             bend[y, x, :3] = acceleration[y, x, 3] * _carried_on(found, before)
     bend[..., 3] = np.maximum(acceleration[..., 3], F(0))
-    return velocity, _as_packed(acceleration), _as_packed(bend)
+    return velocity, _as_packed(acceleration), _as_packed(bend), _as_packed(view_velocity)

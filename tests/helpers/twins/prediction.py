@@ -7,9 +7,10 @@ from twins.common import F, centres, invalid, kernel_constants, move, project, r
 PREDICTION = kernel_constants("prediction.cl")
 
 
-def predict_positions(depth, dynamic, history, order, weights, to_target, alpha=0, movers=None):
-    """(H, W, 3) float32: px in the target image, view depth (−1: nothing). `movers`: velocity, acceleration and
-    what goes on of it, of cells, where acceleration is used."""
+def predict_positions(depth, dynamic, history, order, weights, to_target, alpha=0, movers=None, in_previous=None):
+    """(H, W, 3) float32: px in the target image, view depth (−1: nothing). `movers`: velocity, acceleration,
+    what goes on of it, and velocity in view space, of cells, where acceleration is used; `in_previous`, with them: P_1
+    in the view space of the frame before."""
     px = centres(*depth.shape)
     out = reproject(px, depth, to_target)
     p0 = unproject(px, depth, to_target[4])
@@ -22,12 +23,15 @@ def predict_positions(depth, dynamic, history, order, weights, to_target, alpha=
     if movers:
         height, width = depth.shape
         side = PREDICTION.MOVER_CELL
-        velocity, _, bend = (a.repeat(side, 0).repeat(side, 1)[:height, :width] for a in movers)
+        velocity, _, bend, seen = (a.repeat(side, 0).repeat(side, 1)[:height, :width] for a in movers)
         with np.errstate(invalid="ignore"):
             near = np.abs(depth - velocity[..., 3]) <= PREDICTION.CELL_TOLERANCE * velocity[..., 3]
         step = F(alpha) * (F(alpha) + F(1)) * bend[..., :3]
         predicted = np.where(((known > 0) & near)[..., None], predicted + step, predicted)
     target = move(predicted, to_target)
+    if movers:
+        carried = (known > 0) & near & (seen[..., 3] > 0)
+        target = np.where(carried[..., None], p0 + (weights[0, 0] * (in_previous - p0) + step), target)
     moved = np.concatenate([project(target, to_target[5]), target[..., 2:]], -1)
     out[dynamic > 0] = moved[dynamic > 0]
     fixed = dynamic == PREDICTION.FIXED_TO_CAMERA

@@ -61,21 +61,25 @@ class Fragment:
         if (target := values.get(names.TARGET_POSITION)) is not None and target.flat[2] > 0:
             path.append((float(target.flat[0]), float(target.flat[1])))
         used = min(len(known), pipeline.options.order) if shot.moment.alpha else -1
-        bend = _bend(pipeline, layers, at, depth) if used == 1 else 0.0
-        sentences = _fragment_sentences(pipeline, shot, depth, motion, label, residual, threshold, used, bend)
+        bend, carried = _of_mover(pipeline, layers, at, depth) if used == 1 else (0.0, False)
+        mover = (used, bend, carried)
+        sentences = _fragment_sentences(pipeline, shot, depth, motion, label, residual, threshold, mover)
         at = int(at[0]), int(at[1])
         return cls(tuple(point for point in path if point), dynamic, residual, threshold, sentences, at)
 
 
-def _bend(pipeline, layers, at, depth: float) -> float:
-    """How much of its mover's acceleration counts for the fragment at source pixel `at`, 0 to 1."""
+def _of_mover(pipeline, layers, at, depth: float) -> tuple[float, bool]:
+    """How much of its mover's acceleration counts for the fragment at source pixel `at`, 0 to 1, and whether the camera
+    carries that mover."""
     if names.ACCELERATION not in layers:
-        return 0.0
-    cell = (layers[name] for name in (names.VELOCITY, names.ACCELERATION))
+        return 0.0, False
+    cell = (layers[name] for name in (names.VELOCITY, names.ACCELERATION, names.VIEW_VELOCITY))
     where = (at[0] // _CELLS["MOVER_CELL"], at[1] // _CELLS["MOVER_CELL"], 1, 1)
     values = read_blocks(pipeline, {layer.spec.name: (layer, *where) for layer in cell})
-    mover_depth, trust = (float(array.flat[3]) for array in values.values())
-    return max(trust, 0.0) if abs(depth - mover_depth) <= _CELLS["CELL_TOLERANCE"] * mover_depth else 0.0
+    mover_depth, trust, carried = (float(array.flat[3]) for array in values.values())
+    if abs(depth - mover_depth) > _CELLS["CELL_TOLERANCE"] * mover_depth:
+        return 0.0, False
+    return max(trust, 0.0), carried > 0
 
 
 def _fragment_that_landed(pipeline, layers, at, pixel, inside: bool, dynamic: bool) -> tuple[int, int]:
@@ -102,7 +106,8 @@ def _residual(shot: Shot, px, depth: float, motion, error) -> float | None:
     return float(np.hypot(*np.maximum(off, 0))) if z > 0 else None
 
 
-def _fragment_sentences(pipeline, shot, depth, motion, label, residual, threshold, used, bend) -> tuple[str, ...]:
+def _fragment_sentences(pipeline, shot, depth, motion, label, residual, threshold, mover) -> tuple[str, ...]:
+    used, bend, carried = mover
     if not depth > 0:
         return (f"Its depth ({depth:g}) is invalid, so nothing of it is splatted.",)
     if depth == np.inf:
@@ -136,6 +141,12 @@ def _fragment_sentences(pipeline, shot, depth, motion, label, residual, threshol
         how = "linearly" if used == 1 else f"by a polynomial of order {used}"
         predicted = f"Predicted {how} from its last {used + 1} positions."
         said.append(Step(predicted, Link("target position", names.TARGET_POSITION)))
+        if carried:
+            moves_on = (
+                "The camera carries it: in view space its velocity has changed less than in the world. So it moves on"
+                " there, before the new camera."
+            )
+            said.append(Step(moves_on, Link("velocity in view space", names.VIEW_VELOCITY)))
         if bend > 0:
             bent = f"{bend:.0%} of its acceleration counts too: so much of that there was before."
             said.append(Step(bent, Link("acceleration", names.ACCELERATION)))
