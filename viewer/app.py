@@ -211,7 +211,7 @@ class App:
             self.docks.show("Inspector")
         self._told = told
         at_work = model.playback.playing or model.flying or model.engine.busy or not model.comparison.ready
-        at_work |= model.survey.busy or not model.regions.ready
+        at_work |= model.survey.busy or not model.regions.ready or model.follows
         self._params.fps_idling.enable_idling = not (at_work or self._params.use_imgui_test_engine)
 
     def _before_exit(self) -> None:

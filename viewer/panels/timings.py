@@ -20,8 +20,9 @@ def draw(app) -> None:
         imgui.text_disabled("nothing computed yet")
         return
     imgui.text_wrapped(
-        f"interface {imgui.get_io().framerate:.0f} frames/s   frame {model.timings.wall():.1f} ms"
-        f"   reading back {model.timings.readback():.1f} ms   upload {model.screen.upload_ms:.1f} ms"
+        f"interface {imgui.get_io().framerate:.0f} frames/s   {'since its last frame' if model.follows else 'frame'}"
+        f" {model.timings.wall():.1f} ms   {'looking' if model.follows else 'reading back'}"
+        f" {model.timings.readback():.1f} ms   upload {model.screen.upload_ms:.1f} ms"
     )
     bandwidth, longest = model.engine.bandwidth, max(means.values())
     if imgui.begin_table("###timings", len(_COLUMNS), imgui.TableFlags_.row_bg.value):

@@ -1,0 +1,351 @@
+"""The side of the program whose pipeline is looked into: `gffe_cl.attach`."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import threading
+import time
+import weakref
+from collections import deque
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from gffe_cl.core.errors import GffeError
+from gffe_cl.core.validation import require_kind
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import RenderedFrame
+from gffe_cl.pipeline.made_frame import ExtrapolatedFrame
+from gffe_cl.pipeline.pacing import Pacer
+from gffe_cl.pipeline.pipeline import Pipeline
+from gffe_cl.stages.base import Stage
+from gffe_cl.stages.buffers import DeviceFrame
+from gffe_cl.stages.correction import ShadingCorrection
+from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.attached.channel import Channel, Listener
+from gffe_cl.viewer.engine.attached.shared_memory import Recorder, RecordingPlan, SharedBlock, placed
+from gffe_cl.viewer.engine.attached.wire import Ask, Greeting, Look, Program, Recording, Refused, Seen, Use, own_version
+from gffe_cl.viewer.engine.buffers import Moment, Shot, device_layers, pixel_values, read_layers
+from gffe_cl.viewer.engine.explain.motion_trail import Passed
+from gffe_cl.viewer.engine.explain.pixel_explain import pixel_story
+from gffe_cl.viewer.engine.layers import LayerSpec, layers_of
+from gffe_cl.viewer.engine.messages import Inspection
+
+_GREETING_SECONDS = 2.0
+_LEAST_SECONDS = 1 / 60  # between two frames that are looked at
+_MOST_RECORDED = 256
+
+
+def attach(pipeline: Pipeline, name: str | None = None, *, pacer: Pacer | None = None) -> Attachment:
+    """Let the viewer look into `pipeline` while this program runs: `gffe view --attach NAME` in another process.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+        Frames are looked at when it submits and extrapolates them, on the thread that does.
+    name : str or None
+        What the viewer finds this program by: letters, digits, ".", "_", "-". Default: the name of the script, with a
+        number if that is taken.
+    pacer : Pacer or None
+        Its statistics are shown beside the timings.
+
+    Returns an `Attachment`: close it, use it as a context manager, or leave it until the program ends.
+
+    One viewer at a time, of the same user on the same machine; Linux only. Without a viewer it costs nothing that can
+    be measured (`gffe bench --io`). The program goes on undisturbed when the viewer ends or is killed.
+
+    Raises GffeError on other systems, for a name that is taken or has other characters, for a pipeline that is attached
+    already, and where the folder of the sockets (in XDG_RUNTIME_DIR, else in /tmp) cannot be used.
+    """
+    require_kind(pipeline, Pipeline, "attach: pipeline", "a Pipeline")
+    if pacer is not None:
+        require_kind(pacer, Pacer, "attach: pacer", "a Pacer or None")
+    if pipeline.watcher is not None:
+        raise GffeError("attach: this pipeline is attached already (expected close() before)")
+    attachment = Attachment(pipeline, name, pacer)
+    pipeline.watcher = attachment._watcher
+    return attachment
+
+
+class Attachment:
+    """What `attach` returns; a context manager.
+
+    Attributes
+    ----------
+    name : str
+        For `gffe view --attach`.
+    """
+
+    def __init__(self, pipeline: Pipeline, name: str | None, pacer: Pacer | None):
+        stem = re.sub(r"[^\w.-]", "_", Path(sys.argv[0]).stem, flags=re.ASCII)[:48] or "python"
+        listener = Listener(name, stem)
+        self.name = listener.name
+        self._pipeline = weakref.ref(pipeline)
+        self._watcher = _Watcher(pacer)
+        self._end = weakref.finalize(pipeline, _end, self._watcher, listener)  # at the program's end, too
+        thread = threading.Thread(
+            target=_serve, args=(self._watcher, listener, self._pipeline), name="gffe-attached", daemon=True
+        )
+        thread.start()
+
+    @property
+    def watched(self) -> bool:
+        """Whether a viewer is looking."""
+        return self._watcher.viewer is not None
+
+    def close(self) -> None:
+        """Send the viewer away, and let no other one come. Again it does nothing."""
+        pipeline = self._pipeline()
+        if self._end.alive and pipeline is not None:
+            pipeline.watcher = None
+        self._end()
+
+    def __enter__(self) -> Attachment:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.close()
+
+
+def _end(watcher: _Watcher, listener: Listener) -> None:
+    listener.close()
+    watcher.leave(watcher.viewer)
+
+
+def _serve(watcher: _Watcher, listener: Listener, pipeline: weakref.ref) -> None:
+    """Take one viewer after the other, until the listener is closed."""
+    while True:
+        try:
+            channel = listener.accept()
+        except OSError:
+            return
+        viewer = _welcomed(channel, pipeline)
+        if viewer is None:
+            channel.close()
+            continue
+        watcher.viewer = viewer
+        with suppress(EOFError, OSError):
+            while True:
+                viewer.take(channel.receive()[0])
+        watcher.leave(viewer)
+
+
+def _welcomed(channel: Channel, pipeline: weakref.ref) -> _Viewer | None:
+    """The viewer, if it is one of this version."""
+    try:
+        greeting = channel.receive(_GREETING_SECONDS)[0]
+        own, looked_into = own_version(), pipeline()
+        if looked_into is None or not isinstance(greeting, Greeting):
+            return None
+        if greeting.version != own:
+            channel.send(Program(own, refused=f"it runs gffe-cl {own}, this viewer is of {greeting.version}"))
+            return None
+        sizes, fps = looked_into.sizes, looked_into.fps
+        about = Program(
+            own, os.getpid(), sizes.target, sizes.source, fps, looked_into.device.info.name, looked_into.options
+        )
+        channel.send(about)
+        count = min(greeting.frames, _MOST_RECORDED)
+        recorder = Recorder(RecordingPlan.of(count, sizes.source, sizes.target, fps)) if count else None
+        if recorder:
+            channel.send(Recording(recorder.plan), (recorder.block.descriptor,))
+        return _Viewer(channel, recorder)
+    except (OSError, EOFError, AttributeError, ValueError):
+        return None
+
+
+class _Viewer:
+    """A viewer that looks: its wishes, which come on a thread of their own, and what it was given."""
+
+    def __init__(self, channel: Channel, recorder: Recorder | None):
+        self.channel, self.recorder = channel, recorder
+        self.looks: deque[Look] = deque(maxlen=1)
+        self.asks: deque[Ask] = deque(maxlen=1)
+        self.uses: deque[Use] = deque(maxlen=1)
+        self.block: SharedBlock | None = None
+        self.specs: dict[str, LayerSpec] | None = None
+
+    def take(self, message) -> None:
+        wishes = {Look: self.looks, Ask: self.asks, Use: self.uses}
+        wishes[type(message)].append(message)
+
+
+class _Watcher:
+    """What the pipeline calls. All that goes wrong here sends the viewer away, and nothing else."""
+
+    def __init__(self, pacer: Pacer | None):
+        self.viewer: _Viewer | None = None
+        self._pacer = pacer
+        self._number = -1  # of the rendered frame
+        self._camera: Camera | None = None  # what it, and the one before, was rendered through
+        self._before: Camera | None = None
+        self._frame: DeviceFrame | None = None
+        self._passed: deque[Passed] = deque(maxlen=2)  # whose buffers are not overwritten yet
+        self._marks: dict[str, object] = {}  # the last event of each stage before this frame
+        self._kept: frozenset[str] = frozenset()  # what the pipeline was asked to keep
+        self._seen_at = self._ended = 0.0
+        self._frame_ms = 0.0
+
+    def leave(self, viewer: _Viewer | None) -> None:
+        """This viewer does not look any more."""
+        if viewer is not None:
+            if self.viewer is viewer:
+                self.viewer = None
+            viewer.channel.close()
+
+    # ---- called by the pipeline ----------------------------------------------------------------------------
+
+    def before(self, pipeline: Pipeline, rendered: bool = False) -> None:
+        self._carefully(self._before_frame, pipeline, rendered)
+        if self.viewer is None and self._kept:
+            self._keep(pipeline, frozenset())
+
+    def submitted(self, pipeline: Pipeline, frame: RenderedFrame, on_device: DeviceFrame) -> None:
+        begins = frame.reset or pipeline.is_cut or self._camera is None
+        self._number += 1
+        self._before, self._camera = None if begins else self._camera, frame.camera
+        self._frame = on_device
+        self._passed.appendleft(
+            Passed(
+                self._number, on_device.camera, on_device.display_camera, pipeline.sizes.source, on_device.depth,
+                on_device.motion, begins,
+            )
+        )  # fmt: skip
+        self._carefully(self._after_submit, pipeline, frame)
+
+    def extrapolated(self, pipeline: Pipeline, frame: ExtrapolatedFrame) -> None:
+        self._carefully(self._after_extrapolate, pipeline, frame)
+
+    def _carefully(self, work, pipeline: Pipeline, *arguments) -> None:
+        viewer = self.viewer
+        if viewer is None:
+            return
+        try:
+            work(viewer, pipeline, *arguments)
+        except Exception:  # whatever it is, this program must go on
+            self.leave(viewer)
+
+    def _keep(self, pipeline: Pipeline, layers: frozenset[str]) -> None:
+        if layers != self._kept:
+            self._kept = layers
+            pipeline.keep(layers)
+
+    # ---- while somebody looks ------------------------------------------------------------------------------
+
+    def _before_frame(self, viewer: _Viewer, pipeline: Pipeline, rendered: bool) -> None:
+        if rendered:
+            if viewer.recorder:
+                viewer.recorder.finish()
+            if viewer.uses:
+                self._use(viewer, pipeline, viewer.uses.popleft())
+        if viewer.looks:
+            self._keep(pipeline, viewer.looks[0].layers)
+        self._marks = {name: stage.events[-1] if stage.events else None for name, stage in pipeline.stages.items()}
+
+    def _use(self, viewer: _Viewer, pipeline: Pipeline, use: Use) -> None:
+        try:
+            pipeline.change_options(use.options)
+        except GffeError as error:
+            viewer.channel.send(Refused(str(error), pipeline.options))
+        else:
+            self._kept, self._camera = frozenset(), None
+            self._passed.clear()
+
+    def _after_submit(self, viewer: _Viewer, pipeline: Pipeline, frame: RenderedFrame) -> None:
+        if viewer.recorder:
+            begins = frame.reset or pipeline.is_cut
+            viewer.recorder.take(self._number, frame, self._frame, pipeline.device.queue, begins, pipeline.exposure)
+        self._show(viewer, pipeline, None)
+
+    def _after_extrapolate(self, viewer: _Viewer, pipeline: Pipeline, frame: ExtrapolatedFrame) -> None:
+        if viewer.recorder:
+            viewer.recorder.made(frame.time, frame.camera)
+        self._show(viewer, pipeline, frame)
+
+    def _show(self, viewer: _Viewer, pipeline: Pipeline, made: ExtrapolatedFrame | None) -> None:
+        start = time.perf_counter()
+        self._frame_ms = (start - self._ended) * 1e3 if self._ended else 0.0
+        self._ended = start
+        generated = made is not None or not (viewer.looks and viewer.looks[0].generated)
+        due = viewer.looks and generated and start - self._seen_at >= _LEAST_SECONDS
+        if not due and not viewer.asks:
+            return
+        shot = self._shot(pipeline, made)
+        if due:
+            self._seen_at = start
+            self._answer(viewer, pipeline, shot, viewer.looks.popleft(), start)
+        if viewer.asks:
+            self._inspect(viewer, pipeline, shot, viewer.asks.popleft())
+        self._ended = time.perf_counter()
+
+    def _shot(self, pipeline: Pipeline, made: ExtrapolatedFrame | None) -> Shot:
+        frame = self._frame
+        buffers = {
+            names.RENDERED_COLOR: frame.color,
+            names.RENDERED_DEPTH: frame.depth,
+            names.RENDERED_MOTION: frame.motion,
+        }
+        if made is None:
+            shown = pipeline.present()
+            cameras = frame.camera, shown.camera, self._before
+            return Shot(Moment(self._number, 0.0, frame.time, shown.camera, *cameras), {
+                **buffers, names.FINAL: shown.color
+            })  # fmt: skip
+        cameras = frame.camera, pipeline.shown_camera, self._before
+        buffers[names.FINAL] = made.color
+        if ShadingCorrection.name in pipeline.stages:
+            buffers[names.GAE] = made.gae
+        return Shot(Moment(self._number, made.alpha, made.time, made.camera, *cameras), buffers)
+
+    def _answer(self, viewer: _Viewer, pipeline: Pipeline, shot: Shot, look: Look, start: float) -> None:
+        specs = {
+            name: spec
+            for name, spec in layers_of(pipeline).items()
+            if name not in (names.TRUTH, names.FOCUS_TRUTH)  # nobody renders it
+        }
+        images = read_layers(pipeline, device_layers(pipeline, shot), look.layers & specs.keys())
+        kernels = self._kernel_milliseconds(pipeline)
+        places, nbytes = placed(images)
+        fds = ()
+        if viewer.block is None or viewer.block.nbytes < nbytes:
+            viewer.block = SharedBlock(nbytes)
+            fds = (viewer.block.descriptor,)
+        for name, place in places.items():
+            np.copyto(place.array(viewer.block.memory), images[name])
+        known, viewer.specs = viewer.specs, specs
+        viewer.channel.send(
+            Seen(
+                shot.moment, places, None if specs == known else specs, kernels, self._frame_ms,
+                (time.perf_counter() - start) * 1e3, pipeline.bad_pixels, pipeline.is_cut, pipeline.exposure,
+                pipeline.options, self._pacer.statistics if self._pacer else None,
+            ),
+            fds,
+        )  # fmt: skip
+
+    def _inspect(self, viewer: _Viewer, pipeline: Pipeline, shot: Shot, ask: Ask) -> None:
+        values = pixel_values(pipeline, shot, ask.x, ask.y)
+        story = pixel_story(pipeline, shot, ask.x, ask.y, values, self._passed)
+        if ask.layers is not None:
+            values = {name: value for name, value in values.items() if name in ask.layers}
+        viewer.channel.send(Inspection((ask.x, ask.y), 0, story.source, values, story))
+
+    def _kernel_milliseconds(self, pipeline: Pipeline) -> dict[str, dict[str, float]]:
+        """Of this frame, by stage and kernel; the program's own `take_timings` stay as they are, but for the
+        network's."""
+        pipeline.device.queue.finish()
+        taken = {name: self._since_mark(stage) for name, stage in pipeline.stages.items()}
+        correction = pipeline.stages.get(ShadingCorrection.name)
+        network = correction.take_network_milliseconds() if correction else {}
+        return taken | {name: {name: milliseconds} for name, milliseconds in network.items()}
+
+    def _since_mark(self, stage: Stage) -> dict[str, float]:
+        taken: dict[str, float] = {}
+        for launched in reversed(stage.events):
+            if launched is self._marks.get(stage.name):
+                break
+            name, event = launched
+            taken[name] = taken.get(name, 0.0) + (event.profile.end - event.profile.start) * 1e-6
+        return taken
