@@ -9,6 +9,7 @@ from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.viewer.panels import widgets
+from gffe_cl.viewer.state.captions import frame_text
 
 RENDERED = (0.36, 0.62, 0.95, 1.0)
 GENERATED = (0.96, 0.66, 0.28, 1.0)
@@ -49,9 +50,7 @@ def _following(app) -> None:
         if result is None:
             imgui.text(f"waiting for a frame of '{model.source.name}'")
         else:
-            moment = result.moment
-            kind = f"generated {moment.k} + {moment.alpha:.2f}" if moment.alpha else f"rendered {moment.k}"
-            imgui.text(f"live: {kind}   t = {moment.time:.3f} s")
+            imgui.text(f"live: {frame_text(result.moment)}   t = {result.moment.time:.3f} s")
 
 
 def _transport(app) -> None:

@@ -249,7 +249,8 @@ class Model:
     def settled(self) -> bool:
         """Whether what is shown is what was asked for."""
         if self.follows:  # there is always another frame to come
-            return self.asking.shows_wanted and not (self.pointing.picked and self.pointing.story is None)
+            shown = self.asking.shows_wanted and self.screen.ready
+            return shown and not (self.pointing.picked and self.pointing.story is None)
         return (
             self.asking.answered
             and not self.engine.busy

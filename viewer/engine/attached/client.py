@@ -37,6 +37,7 @@ from gffe_cl.viewer.engine.messages import Inspection
 _GREETING_SECONDS = 2.0
 _LEAST_SECONDS = 1 / 60  # between two frames that are looked at
 _MOST_RECORDED = 256
+_GENERATES = 3  # rendered frames that follow each other in a program that generates others now and then
 
 
 def attach(pipeline: Pipeline, name: str | None = None, *, pacer: Pacer | None = None) -> Attachment:
@@ -188,6 +189,7 @@ class _Watcher:
         self._kept: frozenset[str] = frozenset()  # what the pipeline was asked to keep
         self._seen_at = self._ended = 0.0
         self._frame_ms = 0.0
+        self._generates = 0  # rendered frames from which on none is thought to be generated any more
 
     def leave(self, viewer: _Viewer | None) -> None:
         """This viewer does not look any more."""
@@ -269,15 +271,18 @@ class _Watcher:
         start = time.perf_counter()
         self._frame_ms = (start - self._ended) * 1e3 if self._ended else 0.0
         self._ended = start
-        generated = made is not None or not (viewer.looks and viewer.looks[0].generated)
-        due = viewer.looks and generated and start - self._seen_at >= _LEAST_SECONDS
-        if not due and not viewer.asks:
+        preferred = self._generates <= 0 or made is not None
+        fits = viewer.looks and (preferred or not viewer.looks[0].generated)
+        due = fits and start - self._seen_at >= _LEAST_SECONDS
+        self._generates = _GENERATES if made is not None else self._generates - 1
+        asked = preferred and viewer.asks
+        if not due and not asked:
             return
         shot = self._shot(pipeline, made)
         if due:
             self._seen_at = start
             self._answer(viewer, pipeline, shot, viewer.looks.popleft(), start)
-        if viewer.asks:
+        if asked:
             self._inspect(viewer, pipeline, shot, viewer.asks.popleft())
         self._ended = time.perf_counter()
 
@@ -319,7 +324,7 @@ class _Watcher:
         viewer.channel.send(
             Seen(
                 shot.moment, places, None if specs == known else specs, kernels, self._frame_ms,
-                (time.perf_counter() - start) * 1e3, pipeline.bad_pixels, pipeline.is_cut, pipeline.exposure,
+                (time.perf_counter() - start) * 1e3, pipeline.bad_pixels, pipeline.exposure,
                 pipeline.options, self._pacer.statistics if self._pacer else None,
             ),
             fds,

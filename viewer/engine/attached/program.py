@@ -16,6 +16,7 @@ from gffe_cl.sequence import Sequence
 from gffe_cl.viewer.engine.attached.channel import connect
 from gffe_cl.viewer.engine.attached.shared_memory import RecordingPlan, mapped, recorded
 from gffe_cl.viewer.engine.attached.wire import Ask, Greeting, Look, Program, Recording, Refused, Seen, Use, own_version
+from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.engine.messages import Inspection
 
 FRAMES = 24  # rendered frames that are recorded unless asked otherwise
@@ -33,6 +34,8 @@ class RunningProgram:
     about : Program
     options : Options
         That its pipeline has.
+    specs : dict of LayerSpec
+        Layers that can be seen, by their names.
     ended : bool
         Whether it has closed, or died. What it recorded last can still be read.
     pacing : deque of PacingStatistics
@@ -44,6 +47,7 @@ class RunningProgram:
     def __init__(self, name: str, frames: int = FRAMES):
         self.name, self.ended = name, False
         self.pacing: deque[PacingStatistics] = deque(maxlen=_PACINGS)
+        self.specs: dict[str, LayerSpec] = {}
         self._channel = connect(name)
         self._news = threading.Condition()
         self._seen: Seen | None = None
@@ -135,7 +139,7 @@ class RunningProgram:
             elif isinstance(message, Seen):
                 if fds:
                     self._block = mapped(fds[0])
-                self.options = message.options
+                self.options, self.specs = message.options, message.specs or self.specs
                 if message.pacing is not None:
                     self.pacing.append(message.pacing)
                 self._seen = message

@@ -34,7 +34,8 @@ class Greeting:
 
 @dataclass(frozen=True)
 class Look:
-    """A wish for the next frame with these layers; `generated`: not for a rendered one. There is one answer, `Seen`,
+    """A wish for the next frame with these layers; `generated`: not for a rendered one, where the
+    program makes others. There is one answer, `Seen`,
     and nothing more until the next wish."""
 
     layers: frozenset[str]
@@ -94,7 +95,6 @@ class Seen:
     frame_ms: float
     look_ms: float
     bad_pixels: BadPixels
-    is_cut: bool
     exposure: float
     options: Options
     pacing: PacingStatistics | None = None

@@ -9,7 +9,6 @@ from gffe_cl.frame.rendered_frame import BadPixels
 from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline.options import Options
 from gffe_cl.viewer.engine.attached.program import RunningProgram
-from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.engine.messages import Inspection, Request, Result
 from gffe_cl.viewer.engine.sources.recorded import RecordedSource
 from gffe_cl.viewer.engine.sources.source import FrameSource
@@ -58,9 +57,8 @@ class RemoteSlots:
     def __init__(self, source: AttachedSource, check: Callable[[], None]):
         self.source, self._program, self._check = source, source.program, check
         self.last: Request | None = None
-        self._specs: dict[str, LayerSpec] = {}
         self._chosen: Options | None = None  # by the user, as last asked for
-        self._cuts: set[int] = set()
+        self._inspected = False  # a pixel of a frame: what is told of generated ones is what is looked for
 
     def drop(self) -> None:
         """Nothing is kept here."""
@@ -83,17 +81,16 @@ class RemoteSlots:
         return made
 
     def _next(self, request: Request) -> Result:
-        wanted = [self._specs[name] for name in request.layers if name in self._specs]
-        seen, images = self._program.see(request.layers, any(spec.of_generated for spec in wanted), self._check)
-        self._specs = seen.specs or self._specs
+        specs = self._program.specs
+        generated = self._inspected or any(name in specs and specs[name].of_generated for name in request.layers)
+        self._inspected = False
+        seen, images = self._program.see(request.layers, generated, self._check)
         self.source.exposure, self.source.options = seen.exposure, seen.options
-        if seen.is_cut:
-            self._cuts.add(seen.moment.k)
         return Result(
             request,
             seen.moment,
             images=images,
-            specs=self._specs,
+            specs=self._program.specs,
             kernels=seen.kernels,
             wall_ms=seen.frame_ms,
             readback_ms=seen.look_ms,
@@ -109,6 +106,7 @@ class RemoteSlots:
         """What the program's next frame holds at display pixel (x, y); None outside."""
         if not (0 <= x < self.source.width and 0 <= y < self.source.height):
             return None
+        self._inspected = True
         return self._program.inspect(x, y, layers, self._check)
 
 
