@@ -9,10 +9,13 @@ import threading
 import time
 import weakref
 from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pyopencl as cl
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.core.validation import require_kind
@@ -28,7 +31,7 @@ from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.engine.attached.channel import Channel, Listener
 from gffe_cl.viewer.engine.attached.shared_memory import Recorder, RecordingPlan, SharedBlock, placed
 from gffe_cl.viewer.engine.attached.wire import Ask, Greeting, Look, Program, Recording, Refused, Seen, Use, own_version
-from gffe_cl.viewer.engine.buffers import Moment, Shot, device_layers, pixel_values, read_layers
+from gffe_cl.viewer.engine.buffers import Moment, Shot, device_layers, pixel_values, start_reading
 from gffe_cl.viewer.engine.explain.motion_trail import Passed
 from gffe_cl.viewer.engine.explain.pixel_explain import pixel_story
 from gffe_cl.viewer.engine.layers import LayerSpec, layers_of
@@ -168,6 +171,7 @@ class _Viewer:
         self.uses: deque[Use] = deque(maxlen=1)
         self.block: SharedBlock | None = None
         self.specs: dict[str, LayerSpec] | None = None
+        self.pending: _Pending | None = None  # what it will be shown
 
     def take(self, message) -> None:
         wishes = {Look: self.looks, Ask: self.asks, Use: self.uses}
@@ -186,6 +190,8 @@ class _Watcher:
         self._frame: DeviceFrame | None = None
         self._passed: deque[Passed] = deque(maxlen=2)  # whose buffers are not overwritten yet
         self._marks: dict[str, object] = {}  # the last event of each stage before this frame
+        self._specs: dict[str, LayerSpec] = {}  # of all layers
+        self._specs_of: tuple | None = None  # what they were made of
         self._kept: frozenset[str] = frozenset()  # what the pipeline was asked to keep
         self._seen_at = self._ended = 0.0
         self._frame_ms = 0.0
@@ -238,6 +244,8 @@ class _Watcher:
     # ---- while somebody looks ------------------------------------------------------------------------------
 
     def _before_frame(self, viewer: _Viewer, pipeline: Pipeline, rendered: bool) -> None:
+        if viewer.pending is not None and (rendered or viewer.pending.moment.alpha):
+            self._finish(viewer, pipeline)
         if rendered:
             if viewer.recorder:
                 viewer.recorder.finish()
@@ -245,6 +253,9 @@ class _Watcher:
                 self._use(viewer, pipeline, viewer.uses.popleft())
         if viewer.looks:
             self._keep(pipeline, viewer.looks[0].layers)
+            if ShadingCorrection.name in pipeline.stages:
+                with suppress(cl.Error):  # while the device is at work, they are not to be had
+                    pipeline.stages[ShadingCorrection.name].take_network_milliseconds()  # of frames nobody saw
         self._marks = {name: stage.events[-1] if stage.events else None for name, stage in pipeline.stages.items()}
 
     def _use(self, viewer: _Viewer, pipeline: Pipeline, use: Use) -> None:
@@ -265,6 +276,8 @@ class _Watcher:
     def _after_extrapolate(self, viewer: _Viewer, pipeline: Pipeline, frame: ExtrapolatedFrame) -> None:
         if viewer.recorder:
             viewer.recorder.made(frame.time, frame.camera)
+        if viewer.pending is not None and viewer.pending.is_there:
+            self._finish(viewer, pipeline)
         self._show(viewer, pipeline, frame)
 
     def _show(self, viewer: _Viewer, pipeline: Pipeline, made: ExtrapolatedFrame | None) -> None:
@@ -281,7 +294,7 @@ class _Watcher:
         shot = self._shot(pipeline, made)
         if due:
             self._seen_at = start
-            self._answer(viewer, pipeline, shot, viewer.looks.popleft(), start)
+            self._start(viewer, pipeline, shot, viewer.looks.popleft(), start)
         if asked:
             self._inspect(viewer, pipeline, shot, viewer.asks.popleft())
         self._ended = time.perf_counter()
@@ -305,14 +318,29 @@ class _Watcher:
             buffers[names.GAE] = made.gae
         return Shot(Moment(self._number, made.alpha, made.time, made.camera, *cameras), buffers)
 
-    def _answer(self, viewer: _Viewer, pipeline: Pipeline, shot: Shot, look: Look, start: float) -> None:
-        specs = {
-            name: spec
-            for name, spec in layers_of(pipeline).items()
-            if name not in (names.TRUTH, names.FOCUS_TRUTH)  # nobody renders it
-        }
-        images = read_layers(pipeline, device_layers(pipeline, shot), look.layers & specs.keys())
-        kernels = self._kernel_milliseconds(pipeline)
+    def _start(self, viewer: _Viewer, pipeline: Pipeline, shot: Shot, look: Look, start: float) -> None:
+        """Have the layers read beside what the program does next."""
+        board, before = (pipeline.board, bool(pipeline.presentation), bool(pipeline.composition)), self._specs_of
+        if before is None or before[0] is not board[0] or before[1:] != board[1:]:
+            self._specs_of = board
+            self._specs = {
+                name: spec
+                for name, spec in layers_of(pipeline).items()
+                if name not in (names.TRUTH, names.FOCUS_TRUTH)  # nobody renders it
+            }
+        wanted = look.layers & self._specs.keys()
+        events, images = start_reading(pipeline, device_layers(pipeline, shot), wanted)
+        pipeline.device.queue.flush()
+        launched = {name: self._since_mark(stage) for name, stage in pipeline.stages.items()}
+        milliseconds = (time.perf_counter() - start) * 1e3
+        viewer.pending = _Pending(shot.moment, events, images, launched, self._frame_ms, milliseconds)
+
+    def _finish(self, viewer: _Viewer, pipeline: Pipeline) -> None:
+        """Wait for what is read, and send it."""
+        start, pending, viewer.pending = time.perf_counter(), viewer.pending, None
+        if pending.events:
+            cl.wait_for_events(pending.events)
+        images = pending.images()
         places, nbytes = placed(images)
         fds = ()
         if viewer.block is None or viewer.block.nbytes < nbytes:
@@ -320,12 +348,16 @@ class _Watcher:
             fds = (viewer.block.descriptor,)
         for name, place in places.items():
             np.copyto(place.array(viewer.block.memory), images[name])
-        known, viewer.specs = viewer.specs, specs
+        specs = None if viewer.specs is self._specs else self._specs
+        viewer.specs = self._specs
+        correction = pipeline.stages.get(ShadingCorrection.name)
+        network = correction.take_network_milliseconds() if correction and pending.moment.alpha else {}
+        kernels = pending.kernels() | {name: {name: milliseconds} for name, milliseconds in network.items()}
+        look_ms = pending.look_ms + (time.perf_counter() - start) * 1e3
         viewer.channel.send(
             Seen(
-                shot.moment, places, None if specs == known else specs, kernels, self._frame_ms,
-                (time.perf_counter() - start) * 1e3, pipeline.bad_pixels, pipeline.exposure,
-                pipeline.options, self._pacer.statistics if self._pacer else None,
+                pending.moment, places, specs, kernels, pending.frame_ms, look_ms, pipeline.bad_pixels,
+                pipeline.exposure, pipeline.options, self._pacer.statistics if self._pacer else None,
             ),
             fds,
         )  # fmt: skip
@@ -337,20 +369,36 @@ class _Watcher:
             values = {name: value for name, value in values.items() if name in ask.layers}
         viewer.channel.send(Inspection((ask.x, ask.y), 0, story.source, values, story))
 
-    def _kernel_milliseconds(self, pipeline: Pipeline) -> dict[str, dict[str, float]]:
-        """Of this frame, by stage and kernel; the program's own `take_timings` stay as they are, but for the
-        network's."""
-        pipeline.device.queue.finish()
-        taken = {name: self._since_mark(stage) for name, stage in pipeline.stages.items()}
-        correction = pipeline.stages.get(ShadingCorrection.name)
-        network = correction.take_network_milliseconds() if correction else {}
-        return taken | {name: {name: milliseconds} for name, milliseconds in network.items()}
-
-    def _since_mark(self, stage: Stage) -> dict[str, float]:
-        taken: dict[str, float] = {}
+    def _since_mark(self, stage: Stage) -> list[tuple[str, cl.Event]]:
+        """What the stage launched for this frame; the program's own `take_timings` find it, too."""
+        found = []
         for launched in reversed(stage.events):
             if launched is self._marks.get(stage.name):
                 break
-            name, event = launched
-            taken[name] = taken.get(name, 0.0) + (event.profile.end - event.profile.start) * 1e-6
-        return taken
+            found.append(launched)
+        return found
+
+
+@dataclass
+class _Pending:
+    """A frame that is being read: `images` gives its layers, and `kernels` milliseconds by stage and kernel, after the
+    `events`."""
+
+    moment: Moment
+    events: list[cl.Event]
+    images: Callable[[], dict[str, np.ndarray]]
+    launched: dict[str, list[tuple[str, cl.Event]]]
+    frame_ms: float
+    look_ms: float
+
+    @property
+    def is_there(self) -> bool:
+        return all(event.command_execution_status == cl.command_execution_status.COMPLETE for event in self.events)
+
+    def kernels(self) -> dict[str, dict[str, float]]:
+        found: dict[str, dict[str, float]] = {}
+        for stage, launched in self.launched.items():
+            taken = found.setdefault(stage, {})
+            for name, event in launched:
+                taken[name] = taken.get(name, 0.0) + (event.profile.end - event.profile.start) * 1e-6
+        return found

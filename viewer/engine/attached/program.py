@@ -51,6 +51,7 @@ class RunningProgram:
         self._channel = connect(name)
         self._news = threading.Condition()
         self._seen: Seen | None = None
+        self._owed = False  # an answer to `see`
         self._inspection: Inspection | None = None
         self._refused: Refused | None = None
         self._block: mmap.mmap | None = None  # images of what was seen
@@ -79,9 +80,12 @@ class RunningProgram:
     def see(self, layers: frozenset[str], generated: bool, check: Callable[[], None]) -> tuple[Seen, dict]:
         """The next frame and its images, copied. Waits for it; `check` is called meanwhile and may raise. Raises
         GffeError if the program has ended, and if it refused options."""
-        if self._seen is None:  # else one comes that was asked for and not waited for
-            self._send(Look(layers, generated))
+        if self._owed:  # whoever asked did not wait for it, and may have asked for other layers
+            self._wait("_seen", check)
+        self._owed = True
+        self._send(Look(layers, generated))
         seen = self._wait("_seen", check)
+        self._owed = False
         return seen, {name: np.array(place.array(self._block)) for name, place in seen.images.items()}
 
     def inspect(self, x: int, y: int, layers: frozenset[str] | None, check: Callable[[], None]) -> Inspection:

@@ -37,7 +37,8 @@ class SharedBlock:
         try:
             os.posix_fallocate(self.descriptor, 0, self.nbytes)  # what cannot be had is told now, not by a signal later
             fcntl.fcntl(self.descriptor, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW)
-            self.memory = mmap.mmap(self.descriptor, self.nbytes)
+            flags = mmap.MAP_SHARED | mmap.MAP_POPULATE  # page faults would come while a frame is made
+            self.memory = mmap.mmap(self.descriptor, self.nbytes, flags)
         except BaseException:
             os.close(self.descriptor)
             raise
