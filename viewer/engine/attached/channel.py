@@ -173,7 +173,7 @@ def _folder_to_oneself() -> Iterator[Path]:
 
 def _living(folder: Path) -> Iterator[str]:
     """Names of programs that are attached; what dead ones have left is removed."""
-    for path in sorted(folder.glob("*.socket")):
+    for path in sorted(folder.glob("*.socket"), key=lambda path: path.stem):
         connected = _connected(path)
         if connected is not None:
             connected.close()

@@ -40,6 +40,7 @@ from gffe_cl.viewer.engine.messages import Inspection
 _GREETING_SECONDS = 2.0
 _LEAST_SECONDS = 1 / 60  # between two frames that are looked at
 _MOST_RECORDED = 256
+_MOST_SKIPPED = 8  # frames that wait for one of the other kind
 _GENERATES = 3  # rendered frames that follow each other in a program that generates others now and then
 
 
@@ -195,6 +196,7 @@ class _Watcher:
         self._kept: frozenset[str] = frozenset()  # what the pipeline was asked to keep
         self._seen_at = self._ended = 0.0
         self._frame_ms = 0.0
+        self._seen_generated, self._skipped = False, 0  # rendered and generated frames take turns
         self._generates = 0  # rendered frames from which on none is thought to be generated any more
 
     def leave(self, viewer: _Viewer | None) -> None:
@@ -285,15 +287,18 @@ class _Watcher:
         self._frame_ms = (start - self._ended) * 1e3 if self._ended else 0.0
         self._ended = start
         preferred = self._generates <= 0 or made is not None
-        fits = viewer.looks and (preferred or not viewer.looks[0].generated)
-        due = fits and start - self._seen_at >= _LEAST_SECONDS
+        due = viewer.looks and start - self._seen_at >= _LEAST_SECONDS
+        if due:
+            turn = (made is not None) != self._seen_generated or self._skipped >= _MOST_SKIPPED
+            due = preferred if viewer.looks[0].generated else turn or (made is None and preferred)
+            self._skipped = 0 if due else self._skipped + 1
         self._generates = _GENERATES if made is not None else self._generates - 1
         asked = preferred and viewer.asks
         if not due and not asked:
             return
         shot = self._shot(pipeline, made)
         if due:
-            self._seen_at = start
+            self._seen_at, self._seen_generated = start, made is not None
             self._start(viewer, pipeline, shot, viewer.looks.popleft(), start)
         if asked:
             self._inspect(viewer, pipeline, shot, viewer.asks.popleft())
