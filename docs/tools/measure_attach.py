@@ -2,8 +2,8 @@
 
     python docs/tools/measure_attach.py [--size 960x540] [--turns 30] [--device intel] [--network] [--json F]
 
-A frame is what a program does: submit NumPy arrays, extrapolate one frame, read its color. The cases take turns of a few
-frames in one run; shares are medians of the ratios within a turn, of milliseconds and of the processor time of the
+A frame is what a program does: submit NumPy arrays, extrapolate one frame, read its color. The cases take turns of a
+few frames in one run; shares are medians of the ratios within a turn, of milliseconds and of the processor time of the
 program with its device, which other work on the machine disturbs less. "One layer" is looked at by a process of its
 own that asks for one frame after the other, as the viewer does, but draws nothing: that would compete for the same
 cores.

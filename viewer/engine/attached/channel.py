@@ -42,13 +42,14 @@ def require_name(name: str) -> str:
 def socket_folder() -> Path:
     """Where the sockets are: made if it is missing. GffeError unless it belongs to this user alone."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
-    folder = Path(runtime) / "gffe-cl" if runtime else Path(tempfile.gettempdir()) / f"gffe-cl-sockets-{os.getuid()}"
+    there = runtime and os.path.isdir(runtime)  # some containers name one that there is not
+    folder = Path(runtime) / "gffe-cl" if there else Path(tempfile.gettempdir()) / f"gffe-cl-sockets-{os.getuid()}"
     try:
         with suppress(FileExistsError):
             folder.mkdir(mode=0o700)
         state = folder.lstat()
     except OSError as error:
-        raise GffeError(f"attach: {folder}: {error.strerror} (XDG_RUNTIME_DIR names the folder above it)") from None
+        raise GffeError(f"attach: {folder}: {error.strerror} (expected a folder that can be written to)") from None
     if not stat.S_ISDIR(state.st_mode) or state.st_uid != os.getuid() or state.st_mode & 0o077:
         raise GffeError(f"attach: {folder} must be a folder of your own that nobody else can enter (chmod 700)")
     return folder

@@ -39,6 +39,7 @@ from gffe_cl.viewer.engine.messages import Inspection
 
 _GREETING_SECONDS = 2.0
 _LEAST_SECONDS = 1 / 60  # between two frames that are looked at
+_MOST_SHARE = 0.1  # of the program's time that looking may take
 _MOST_RECORDED = 256
 _MOST_SKIPPED = 8  # frames that wait for one of the other kind
 _GENERATES = 3  # rendered frames that follow each other in a program that generates others now and then
@@ -59,8 +60,9 @@ def attach(pipeline: Pipeline, name: str | None = None, *, pacer: Pacer | None =
 
     Returns an `Attachment`: close it, use it as a context manager, or leave it until the program ends.
 
-    One viewer at a time, of the same user on the same machine; Linux only. Without a viewer it costs nothing that can
-    be measured (`gffe bench --io`). The program goes on undisturbed when the viewer ends or is killed.
+    One viewer at a time, of the same user on the same machine; Linux only. While nobody looks, frames take as long as
+    without it. While somebody does, `Pipeline.keep` is the viewer's, and so are `Pipeline.options` as soon as a module
+    is switched there. The program goes on when the viewer ends or is killed.
 
     Raises GffeError on other systems, for a name that is taken or has other characters, for a pipeline that is attached
     already, and where the folder of the sockets (in XDG_RUNTIME_DIR, else in /tmp) cannot be used.
@@ -194,7 +196,7 @@ class _Watcher:
         self._specs: dict[str, LayerSpec] = {}  # of all layers
         self._specs_of: tuple | None = None  # what they were made of
         self._kept: frozenset[str] = frozenset()  # what the pipeline was asked to keep
-        self._seen_at = self._ended = 0.0
+        self._rested = self._ended = 0.0  # from when on a frame may be looked at; when the last one was shown
         self._frame_ms = 0.0
         self._seen_generated, self._skipped = False, 0  # rendered and generated frames take turns
         self._generates = 0  # rendered frames from which on none is thought to be generated any more
@@ -287,7 +289,7 @@ class _Watcher:
         self._frame_ms = (start - self._ended) * 1e3 if self._ended else 0.0
         self._ended = start
         preferred = self._generates <= 0 or made is not None
-        due = viewer.looks and start - self._seen_at >= _LEAST_SECONDS
+        due = viewer.looks and start >= self._rested
         if due:
             turn = (made is not None) != self._seen_generated or self._skipped >= _MOST_SKIPPED
             due = preferred if viewer.looks[0].generated else turn or (made is None and preferred)
@@ -298,7 +300,7 @@ class _Watcher:
             return
         shot = self._shot(pipeline, made)
         if due:
-            self._seen_at, self._seen_generated = start, made is not None
+            self._rested, self._seen_generated = start + _LEAST_SECONDS, made is not None
             self._start(viewer, pipeline, shot, viewer.looks.popleft(), start)
         if asked:
             self._inspect(viewer, pipeline, shot, viewer.asks.popleft())
@@ -358,7 +360,9 @@ class _Watcher:
         correction = pipeline.stages.get(ShadingCorrection.name)
         network = correction.take_network_milliseconds() if correction and pending.moment.alpha else {}
         kernels = pending.kernels() | {name: {name: milliseconds} for name, milliseconds in network.items()}
-        look_ms = pending.look_ms + (time.perf_counter() - start) * 1e3
+        now = time.perf_counter()
+        look_ms = pending.look_ms + (now - start) * 1e3
+        self._rested = max(self._rested, now + look_ms * 1e-3 / _MOST_SHARE)
         viewer.channel.send(
             Seen(
                 pending.moment, places, specs, kernels, pending.frame_ms, look_ms, pipeline.bad_pixels,

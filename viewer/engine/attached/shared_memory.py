@@ -148,13 +148,14 @@ class _About:
 
 
 class Recorder:
-    """Keeps the last rendered frames in shared memory: the program's side. The device copies them there beside what
-    comes next; a frame counts once that has ended."""
+    """Keeps the last rendered frames in shared memory: the program's side. The device copies them there on a queue of
+    its own, beside what comes next; a frame counts once that has ended."""
 
     def __init__(self, plan: RecordingPlan):
         self.plan, self.block = plan, SharedBlock(plan.nbytes)
         self._about: _About | None = None
         self._slot, self._copies = 0, []
+        self._queue: cl.CommandQueue | None = None
 
     def take(self, number: int, frame: RenderedFrame, on_device: DeviceFrame, queue: cl.CommandQueue, reset: bool,
              exposure: float) -> None:  # fmt: skip
@@ -163,11 +164,14 @@ class Recorder:
         self._slot = number % self.plan.count
         self._head[0] += 1
         images = self.plan.images(self.block.memory, self._slot)
+        self._queue = self._queue or cl.CommandQueue(queue.context, queue.device)
+        there = [cl.enqueue_marker(queue)]
+        queue.flush()
         self._copies = [
-            cl.enqueue_copy(queue, image, buffer, is_blocking=False)
+            cl.enqueue_copy(self._queue, image, buffer, is_blocking=False, wait_for=there)
             for image, buffer in zip(images, on_device.buffers, strict=True)
         ]
-        queue.flush()
+        self._queue.flush()
         cameras = on_device.camera, on_device.display_camera
         self._about = _About(number, frame.time, *cameras, reset, exposure, {})
         self._say()
