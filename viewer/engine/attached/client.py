@@ -58,14 +58,15 @@ def attach(pipeline: Pipeline, name: str | None = None, *, pacer: Pacer | None =
     pacer : Pacer or None
         Its statistics are shown beside the timings.
 
-    Returns an `Attachment`: close it, use it as a context manager, or leave it until the program ends.
+    Returns an `Attachment` with `name`, `watched` (whether a viewer looks) and `close()`; it is a context manager, and
+    ends with the pipeline or the program.
 
     One viewer at a time, of the same user on the same machine; Linux only. While nobody looks, frames take as long as
     without it. While somebody does, `Pipeline.keep` is the viewer's, and so are `Pipeline.options` as soon as a module
     is switched there. The program goes on when the viewer ends or is killed.
 
     Raises GffeError on other systems, for a name that is taken or has other characters, for a pipeline that is attached
-    already, and where the folder of the sockets (in XDG_RUNTIME_DIR, else in /tmp) cannot be used.
+    already, and where the folder of the sockets (in XDG_RUNTIME_DIR, else among temporary files) cannot be used.
     """
     require_kind(pipeline, Pipeline, "attach: pipeline", "a Pipeline")
     if pacer is not None:
