@@ -11,7 +11,7 @@ frame.numpy("color")        # NumPy array
 
 from importlib import import_module
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Loaded on first use: importing the package must not load a driver.
 _HOME = {

@@ -9,11 +9,8 @@
 #define BINS 32768
 #define COUNTED_ROWS 8    /* depth_histogram counts every eighth row */
 #define STRIP 128         /* rows per work-item of depth_histogram: equal bins one after another cost one atomic */
-#define SCANNERS 64       /* work-items of find_median and find_change */
+#define SCANNERS 64       /* work-items of find_median */
 #define MAX_INVERSE_DEPTH 8.0f
-#define STILL 0.00390625f /* change of encoded colour from t-1 to t + alpha that is noise ... */
-#define FEW 32            /* ... and pixels of a tile that may change more, as aliased edges do */
-#define TILE 16           /* pixels of the network's frames, each way */
 
 /* How often each bin of finite depth occurs in some of the rows. */
 WIDE __kernel void depth_histogram(const Frame frame, __global const float *depth, __global uint *histogram) {
@@ -131,38 +128,4 @@ WIDE __kernel void network_input(const Frame frame, __global const half *color, 
     store_colors(lifted_rows(before[0], before[2], law), lifted_rows(before[1], before[3], law), law, plane_size, out + 3 * plane_size);
     store_floats(0.25f * inverse, 0, out + 6 * plane_size);
     store_floats(0.25f * mask, 0, out + 7 * plane_size);
-}
-
-/* Which tiles of TILE x TILE pixels of the network's input change by more than noise. One work-item per work-group, so that there
-   is none beyond the image: beside kernels with atomics Intel's compiler (2026.22) loses stores that only some work-items do. */
-WIDE __kernel void find_changed_tiles(const Frame frame, __global const float *planes, __global uchar *changed_tiles) {
-    const int width = frame.network_width, plane = width * frame.network_height;
-    const int tile_x = get_global_id(0), tile_y = get_global_id(1);
-    Ints changed = 0;  /* pixels */
-    for (int y = tile_y * TILE; y < (tile_y + 1) * TILE; ++y)
-        for (int x = tile_x * TILE; x < (tile_x + 1) * TILE; x += LANES) {
-            Ints still = ALL_LANES;
-            for (int c = 0; c < 3; ++c) {
-                __global const float *now = planes + c * plane + y * width + x;
-                still &= fabs(load_floats(0, now) - load_floats(0, now + 3 * plane)) <= STILL;
-            }
-            changed += still ? (Ints)(0) : (Ints)(1);
-        }
-    int lanes[LANES], sum = 0;
-    store_ints(changed, 0, lanes);
-    for (int k = 0; k < LANES; ++k) sum += lanes[k];
-    changed_tiles[tile_y * (width / TILE) + tile_x] = sum > FEW;
-}
-
-/* Whether any does. One work-group. */
-__kernel __attribute__((reqd_work_group_size(SCANNERS, 1, 1)))
-void find_change(const Frame frame, __global const uchar *changed_tiles, __global int *changed) {
-    const int part = get_local_id(0), tiles = (frame.network_width / TILE) * (frame.network_height / TILE);
-    __local int found[SCANNERS];
-    found[part] = 0;
-    for (int tile = part; tile < tiles; tile += SCANNERS) found[part] |= changed_tiles[tile];
-    barrier(CLK_LOCAL_MEM_FENCE);
-    if (part) return;
-    for (int k = 1; k < SCANNERS; ++k) found[0] |= found[k];
-    *changed = found[0];
 }

@@ -5,6 +5,7 @@
 
 #include "frame.h"
 #include "mu_law.h"
+#include "simd_rgb.h"
 
 #define REACH_SHARE 120  /* rows of the image per cell of reach: the neighbourhood's sigma is about a 34th of its height */
 #define CELL 8
@@ -14,6 +15,10 @@
 #define CHANGES 4              /* planes: of R, G, B, and the share of samples that show what is static in both frames */
 #define THIRD 0.33333334f
 #define LEAST_SHARE 0.05f      /* of a neighbourhood: fewer samples say less */
+#define NOISE 1.033831f        /* factor of lifted colour, 1/256 of encoded colour, up to which nothing changed, ... */
+#define FEW 8                  /* ... and samples of a tile that may change more, as aliased edges do */
+#define TILE 4                 /* cells, each way, for which that is decided */
+#define SCANNERS 64            /* work-items of find_change */
 
 /* Rendered frames t and t-1. */
 typedef struct {
@@ -24,62 +29,99 @@ typedef struct {
     __global const float *depth_prev;
 } Frames;
 
-/* By which factor the colour of a pixel has changed since t-1, 1 where it is not known; returns whether it is. */
-inline bool change_at(const int src_x, const int src_y, const Frame *frame, const Frames f, float3 *change) {
-    const int source_width = frame->source_width, source_height = frame->source_height;
-    const float4 law = frame->color_law;
-    *change = (float3)(1.0f);
-    if (!inside(src_x, src_y, source_width, source_height)) return false;
-    const int src = src_y * source_width + src_x;
-    const float z = f.depth[src];
-    if (f.dynamic_mask[src] || INVALID_DEPTH(z)) return false;
-    const float3 before = reproject(pixel_centre(src_x, src_y), z, frame->to_previous);
-    const float x = before.x - 0.5f, y = before.y - 0.5f;
-    if (!(before.z > 0.0f && x >= 0.0f && y >= 0.0f && x < (float)(source_width - 1) && y < (float)(source_height - 1)))
-        return false;
-    const int first = (int)y * source_width + (int)x;
-    float3 sum = (float3)(0.0f);
-    for (int tap = 0; tap < 4; ++tap) {
-        const int at = first + (tap & 1) + (tap >> 1) * source_width;
-        if (!is_same_surface(f.depth_prev[at], before.z, SAME_SURFACE * before.z)) return false;
-        sum += bilinear_weight(tap, x - (float)(int)x, y - (float)(int)y) * load_color(f.color_prev, at);
-    }
-    const float3 now = load_color(f.color, src);
-    change->x = divide(LIFTED(float, now.x, law), LIFTED(float, sum.x, law));
-    change->y = divide(LIFTED(float, now.y, law), LIFTED(float, sum.y, law));
-    change->z = divide(LIFTED(float, now.z, law), LIFTED(float, sum.z, law));
-    *change = clamp(*change, 1.0f / MOST_CHANGE, MOST_CHANGE);
-    return true;
+/* By which factor lifted colours have changed since t-1, 1 where it is not known. */
+typedef struct { WideRgb factor; Ints known, moves; } Change;
+
+inline Floats factor_of(const Floats now, const Floats before, const Ints known, const float4 law) {
+    const Floats factor = wide_divide(lifted(now, law), lifted(before, law));
+    return known ? clamp(factor, (Floats)(1.0f / MOST_CHANGE), (Floats)(MOST_CHANGE)) : (Floats)(1.0f);
 }
 
-/* Planes of the summed change of encoded colour of a cell's samples, and of the share that is known, over the number of samples. */
+/* Of the pixels (x, y). */
+INLINE Change change_at(const Ints x, const int y, const Frame *frame, const Frames f) {
+    const int width = frame->source_width, height = frame->source_height;
+    const float4 law = frame->color_law;
+    const Ints in_image = (x < width) & (y < height ? ALL_LANES : (Ints)(0));
+    const Ints src = min(y, height - 1) * width + min(x, (Ints)(width - 1));
+    const Floats z = gather_floats(f.depth, src);
+    Change c;
+    c.moves = in_image & (to_ints(gather_bytes(f.dynamic_mask, src)) != STATIC);
+    const Wide3 before = wide_reproject(to_floats(x) + 0.5f, (float)y + 0.5f, z, frame->to_previous);
+    const Floats px_x = before.x - 0.5f, px_y = before.y - 0.5f;
+    c.known = in_image & !c.moves & (z > 0.0f) & (before.z > 0.0f) & (px_x >= 0.0f) & (px_y >= 0.0f)
+              & (px_x < (float)(width - 1)) & (px_y < (float)(height - 1));
+    const Ints x0 = to_ints(c.known ? px_x : (Floats)(0.0f)), y0 = to_ints(c.known ? px_y : (Floats)(0.0f)), first = y0 * width + x0;
+    const Floats u = px_x - to_floats(x0), v = px_y - to_floats(y0);
+    const Floats tolerance = isinf(before.z) ? (Floats)(0.0f) : SAME_SURFACE * before.z;
+    WideRgb sum = {0.0f, 0.0f, 0.0f};
+    for (int tap = 0; tap < 4; ++tap) {
+        const int dx = tap & 1, dy = tap >> 1;
+        const Ints at = c.known ? first + (dy * width + dx) : (Ints)(0);
+        const Floats z_prev = gather_floats(f.depth_prev, at);
+        c.known &= (z_prev == before.z) | (fabs(z_prev - before.z) <= tolerance);
+        const Floats weight = (dx ? u : 1.0f - u) * (dy ? v : 1.0f - v);
+        const WideRgb rgb = finite_rgb(gather_rgb(f.color_prev, at));
+        sum.r += weight * rgb.r;
+        sum.g += weight * rgb.g;
+        sum.b += weight * rgb.b;
+    }
+    const WideRgb now = finite_rgb(gather_rgb(f.color, src));
+    c.factor.r = factor_of(now.r, sum.r, c.known, law);
+    c.factor.g = factor_of(now.g, sum.g, c.known, law);
+    c.factor.b = factor_of(now.b, sum.b, c.known, law);
+    return c;
+}
+
+inline Ints is_more_than_noise(const Floats factor) { return (factor > NOISE) | (factor * NOISE < 1.0f); }
+
+/* Planes of the summed change of encoded colour of a cell's samples, and of the share that is known, over the number of samples;
+   and how many samples move or change by more than noise. */
 WIDE __kernel void measure_changes(const Frame frame, __global const half *color, __global const float *depth,
                                    __global const uchar *dynamic_mask, __global const half *color_prev,
-                                   __global const float *depth_prev, __global float *changes) {
+                                   __global const float *depth_prev, __global float *changes, __global uchar *changed_samples) {
     const Frames frames = {color, depth, dynamic_mask, color_prev, depth_prev};
     const int cells_width = frame.cells_width, cells_height = frame.cells_height;
     const float4 law = frame.color_law;
     const int first_x = get_global_id(0) * LANES, cell_y = get_global_id(1);
     if (first_x >= cells_width || cell_y >= cells_height) return;
     const int count = min(LANES, cells_width - first_x), plane = cells_width * cells_height;
-    float factor[3][LANES], known[LANES];
-    for (int k = 0; k < LANES; ++k) {
-        float3 product = (float3)(1.0f), change;
-        known[k] = 0.0f;
-        for (int y = 1; y < CELL && k < count; y += SAMPLE_STRIDE)
-            for (int x = 1; x < CELL; x += SAMPLE_STRIDE) {
-                if (change_at((first_x + k) * CELL + x, cell_y * CELL + y, &frame, frames, &change)) known[k] += 1.0f;
-                product *= change;
-            }
-        factor[0][k] = product.x;
-        factor[1][k] = product.y;
-        factor[2][k] = product.z;
-    }
+    Floats factor[3] = {1.0f, 1.0f, 1.0f}, known = 0.0f;
+    Ints changed = 0;
+    for (int y = 1; y < CELL; y += SAMPLE_STRIDE)
+        for (int x = 1; x < CELL; x += SAMPLE_STRIDE) {
+            const Change c = change_at((first_x + LANE_NUMBERS) * CELL + x, cell_y * CELL + y, &frame, frames);
+            factor[0] *= c.factor.r;
+            factor[1] *= c.factor.g;
+            factor[2] *= c.factor.b;
+            known += c.known ? (Floats)(1.0f) : (Floats)(0.0f);
+            const Ints changes = c.moves | is_more_than_noise(c.factor.r) | is_more_than_noise(c.factor.g) | is_more_than_noise(c.factor.b);
+            changed += changes ? (Ints)(1) : (Ints)(0);
+        }
     const float share = (float)(SAMPLE_STRIDE * SAMPLE_STRIDE) / (float)(CELL * CELL);
-    __global float *out = changes + cell_y * cells_width + first_x;
-    for (int c = 0; c < 3; ++c)
-        store_some_floats(log_of(load_floats(0, factor[c])) * (law.y * share), count, out + c * plane);
-    store_some_floats(load_floats(0, known) * share, count, out + 3 * plane);
+    const int cell = cell_y * cells_width + first_x;
+    for (int c = 0; c < 3; ++c) store_some_floats(log_of(factor[c]) * (law.y * share), count, changes + c * plane + cell);
+    store_some_floats(known * share, count, changes + 3 * plane + cell);
+    store_some_bytes(to_bytes(changed), count, changed_samples + cell);
+}
+
+/* Whether more than a FEW samples change in any tile of TILE x TILE cells. One work-group. */
+__kernel __attribute__((reqd_work_group_size(SCANNERS, 1, 1)))
+void find_change(const Frame frame, __global const uchar *changed_samples, __global int *changed) {
+    const int part = get_local_id(0), cells_width = frame.cells_width, cells_height = frame.cells_height;
+    const int columns = (cells_width + TILE - 1) / TILE, rows = (cells_height + TILE - 1) / TILE;
+    __local int found[SCANNERS];
+    found[part] = 0;
+    for (int tile = part; tile < columns * rows; tile += SCANNERS) {
+        const int x0 = tile % columns * TILE, y0 = tile / columns * TILE;
+        int sum = 0;
+        for (int y = y0; y < min(y0 + TILE, cells_height); ++y)
+            for (int x = x0; x < min(x0 + TILE, cells_width); ++x) sum += changed_samples[y * cells_width + x];
+        found[part] |= sum > FEW;
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (part) return;
+    for (int k = 1; k < SCANNERS; ++k) found[0] |= found[k];
+    *changed = found[0];
 }
 
 /* Every plane blurred along rows: a cell counts the less the farther away it is, none farther than the reach; beyond the image

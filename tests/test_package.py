@@ -1,5 +1,6 @@
 """What a program sees of the package: its names, their types, and the functions that serve any image."""
 
+import inspect
 import re
 from pathlib import Path
 
@@ -20,6 +21,31 @@ def test_the_stub_has_all_names_and_their_modules():
     assert {name: module for module, name in names} == gffe_cl._HOME
     assert set(re.findall(r"^(\w+):", stub, re.M)) == {"__version__", "__all__"}
     assert (PACKAGE / "py.typed").exists()
+
+
+def test_everything_public_is_annotated():
+    """Parameters and what is returned, of functions and of public methods of classes."""
+    missing = []
+    for name in gffe_cl.__all__:
+        value = getattr(gffe_cl, name)
+        functions = {name: value} if inspect.isfunction(value) else _methods(value) if inspect.isclass(value) else {}
+        for called, function in functions.items():
+            signature = inspect.signature(inspect.unwrap(function))
+            parameters = [p for p in signature.parameters.values() if p.name not in ("self", "cls")]
+            missing += [f"{name}: {called}({p.name})" for p in parameters if p.annotation is p.empty]
+            if called != "__init__" and signature.return_annotation is signature.empty:
+                missing.append(f"{name}: {called}() -> …")
+    assert not missing
+
+
+def _methods(kind: type) -> dict:
+    """Of its own: those that a program calls."""
+    found = {}
+    for name, member in vars(kind).items():
+        member = member.fget if isinstance(member, property) else getattr(member, "__func__", member)
+        if name == "__init__" or not name.startswith("_"):
+            found |= {name: member} if inspect.isfunction(member) else {}
+    return found
 
 
 def test_version_is_said_once():

@@ -6,6 +6,7 @@ import shutil
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from imgui_bundle import hello_imgui, imgui, immapp, implot  # before glfw
@@ -68,7 +69,7 @@ class App:
     def __init__(self, model: Model, on_frame=None):
         self.model = model
         self.on_frame = on_frame
-        self.canvas = None  # made when there is a GL context
+        self.canvas: Any = None  # a Canvas, made when there is a GL context
         self._themed: tuple[str, float] | None = None  # theme and scale that are applied
         self.clock = time.perf_counter  # what playback goes by
         self.steering = None  # of a script, instead of keys and mouse
@@ -185,8 +186,9 @@ class App:
         from gffe_cl.viewer.picture.canvas import Canvas
 
         self.canvas = Canvas(moderngl.create_context())
-        window = glfw_utils.glfw_window_hello_imgui()
-        glfw.set_drop_callback(window, lambda _window, paths: self.drop(paths))
+        window: Any = glfw_utils.glfw_window_hello_imgui()
+        dropped: Any = lambda _window, paths: self.drop(paths)  # noqa: E731
+        glfw.set_drop_callback(window, dropped)
         implot.get_style().use_local_time = False
 
     def _before_frame(self) -> None:
@@ -212,6 +214,7 @@ class App:
         self._told = told
         at_work = model.playback.playing or model.flying or model.engine.busy or not model.comparison.ready
         at_work |= model.survey.busy or not model.regions.ready or model.follows
+        assert self._params is not None and self._params.fps_idling is not None  # it runs
         self._params.fps_idling.enable_idling = not (at_work or self._params.use_imgui_test_engine)
 
     def _before_exit(self) -> None:
@@ -219,7 +222,8 @@ class App:
         from imgui_bundle import glfw_utils
 
         self.model.settings.panels = self.docks.remembered
-        self.model.remember(glfw.get_window_size(glfw_utils.glfw_window_hello_imgui()))
+        window: Any = glfw_utils.glfw_window_hello_imgui()
+        self.model.remember(glfw.get_window_size(window))
         self.model.close()
 
     def drawn(self, view, size: tuple[int, int]):

@@ -95,8 +95,13 @@ class Docks:
 
     # ---- which are open ----------------------------------------------------------------------------------
 
+    @property
+    def _running(self) -> hello_imgui.RunnerParams:
+        assert self._runner is not None  # the window is open
+        return self._runner
+
     def panel(self, name: str) -> hello_imgui.DockableWindow:
-        return next(window for window in self._runner.docking_params.dockable_windows if window.label == name)
+        return next(window for window in self._running.docking_params.dockable_windows if window.label == name)
 
     def toggle(self, name: str) -> None:
         window = self.panel(name)
@@ -123,7 +128,7 @@ class Docks:
         for name in self._panels:
             self.panel(name).is_visible = name not in _BY_HAND
         self.hidden = False
-        self._runner.docking_params.layout_reset = True
+        self._running.docking_params.layout_reset = True
 
     @property
     def remembered(self) -> dict[str, bool]:
@@ -160,13 +165,14 @@ class Docks:
 
     def _bring_to_front(self) -> None:
         """Once it is there: its tab before the others, the keyboard stays where it is unless it is at one of them."""
-        nodes = _nodes(self._to_front) if self._to_front else []
-        if not nodes or nodes[0].tab_bar is None:
+        front = self._to_front
+        nodes = _nodes(front) if front else []
+        if front is None or not nodes or nodes[0].tab_bar is None:
             return
         at = imgui.get_current_context().nav_window
         if at is not None and at.root_window.dock_node is not None and at.root_window.dock_node.id_ == nodes[0].id_:
-            imgui.set_window_focus(self._to_front)
-        nodes[0].tab_bar.next_selected_tab_id = imgui.internal.find_window_by_name(self._to_front).tab_id
+            imgui.set_window_focus(front)
+        nodes[0].tab_bar.next_selected_tab_id = imgui.internal.find_window_by_name(front).tab_id
         self._to_front = None
 
     def _make_room_for_plot(self) -> None:

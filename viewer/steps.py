@@ -108,7 +108,9 @@ def _changes_options(app, step: Step) -> bool:
 def perform(app, command: str, value: Any) -> None:
     """Do one step, but "wait" and "shot", in the running application. Raises GffeError if it cannot be done."""
     COMMANDS[command].fits(app, value)
-    COMMANDS[command].do(app, value)
+    do = COMMANDS[command].do
+    assert do is not None  # of all but "wait" and "shot"
+    do(app, value)
 
 
 # ---- where and what ------------------------------------------------------------------------------------------
@@ -284,6 +286,7 @@ def _action_fits(app, wanted: str) -> None:
 
 def _run(app, wanted: str) -> None:
     action = _action(app.actions, wanted)
+    assert action is not None  # `_action_fits` was asked
     if not app.actions.run(action.id):
         raise GffeError(f"{action.label}: {app.actions.last_refusal}")
 
@@ -310,7 +313,7 @@ def _flight(text: str, _app) -> Flight | None:
     parts = numbers(text)
     if len(parts) != 5 or any(abs(part) > 1 for part in parts[:3]):
         raise GffeError(f"expected {COMMANDS['steer'].usage}, got '{text}'")
-    return Flight(tuple(parts[:3]), 1.0, 0.0, 0.0, tuple(parts[3:]))
+    return Flight((parts[0], parts[1], parts[2]), 1.0, 0.0, 0.0, (parts[3], parts[4]))
 
 
 def _steer(app, flight: Flight | None) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -127,15 +128,16 @@ def _bench_times(
     from gffe_cl.evaluation.bench import PAPER, Copier, bench_size, growth
     from gffe_cl.evaluation.benchmark_input import footage_of, is_sequence
 
-    if sizes is None:
-        sizes = [None] if is_sequence(subject) else [parse_size(text) for text in _SIZES.split(",")]
+    asked: Sequence[tuple[int, int] | None] | None = sizes
+    if asked is None:
+        asked = [None] if is_sequence(subject) else [parse_size(text) for text in _SIZES.split(",")]
     report = []
     for device in devices:
         results = []
         with progress_bars() as progress:
-            advance = steps(progress)(f"{device.info.name} ({device.info.platform})", len(sizes) * repeats)
+            advance = steps(progress)(f"{device.info.name} ({device.info.platform})", len(asked) * repeats)
             copier = Copier(device)
-            for size in sizes:
+            for size in asked:
                 footage = footage_of(device, subject, size, frame, options.upscale)
                 results.append(bench_size(device, copier, footage, options, repeats, advance))
         _print_bench(device.info, footage.name, results)

@@ -48,10 +48,10 @@ def invoke(arguments: list[str]) -> int:
     return 0
 
 
-def _command():
+def _command() -> Any:
     """The command line library's command, whose parameters take neither empty texts nor numbers that are not finite:
     an empty path would be the working folder."""
-    group = typer.main.get_command(app)
+    group: Any = typer.main.get_command(app)
     for command in group.commands.values():
         for parameter in command.params:
             parameter.process_value = partial(_checked, parameter, parameter.process_value)

@@ -33,8 +33,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for _stream in (sys.stdout, sys.stderr):
-    if hasattr(_stream, "reconfigure"):
-        _stream.reconfigure(errors="backslashreplace")  # whatever the terminal cannot show
+    if _reconfigure := getattr(_stream, "reconfigure", None):
+        _reconfigure(errors="backslashreplace")  # whatever the terminal cannot show
 out = Console(highlight=False, width=None if sys.stdout.isatty() else 120)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
 

@@ -66,5 +66,6 @@ def _provider_verdicts(refresh: bool) -> list[Verdict]:
     from gffe_cl.inference.providers import CPU, installed_providers
 
     model = default_model()
-    others = [provider for provider in installed_providers() if provider != CPU] if model else []
-    return [verdict(model, provider, refresh) for provider in others]
+    if model is None:
+        return []
+    return [verdict(model, provider, refresh) for provider in installed_providers() if provider != CPU]

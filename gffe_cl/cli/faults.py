@@ -26,8 +26,8 @@ def explain(error: BaseException, interrupts: Interrupts) -> int:
             _drop_unwritable_output()
     elif isinstance(error, SystemExit):  # the console's, which has dropped its output then
         message = "system: Broken pipe"
-    elif hasattr(error, "format_message"):  # usage errors of the command line library
-        message = f"{error.format_message()} (see `gffe --help`)"
+    elif format_message := getattr(error, "format_message", None):  # usage errors of the command line library
+        message = f"{format_message()} (see `gffe --help`)"
     else:
         raise error
     say(f"[bold red]error:[/] {plain(shortened(message))}")
@@ -37,11 +37,12 @@ def explain(error: BaseException, interrupts: Interrupts) -> int:
 def _notes(error: BaseException) -> list[str]:
     """What those through whose hands an interrupt went have to say about what is kept."""
     seen, notes = set(), []
-    while error is not None and id(error) not in seen:
-        seen.add(id(error))
-        if isinstance(error, KeyboardInterrupt):
-            notes += [*map(str, error.args), *getattr(error, "__notes__", ())]
-        error = error.__cause__ or error.__context__
+    link: BaseException | None = error
+    while link is not None and id(link) not in seen:
+        seen.add(id(link))
+        if isinstance(link, KeyboardInterrupt):
+            notes += [*map(str, link.args), *getattr(link, "__notes__", ())]
+        link = link.__cause__ or link.__context__
     return list(dict.fromkeys(notes))
 
 

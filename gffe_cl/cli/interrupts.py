@@ -71,7 +71,9 @@ class Interrupts:
 def _interrupt(kind) -> None:
     """As if the signal had come from outside: a call that waits ends, too."""
     if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(threading.main_thread().ident, kind)
+        main = threading.main_thread().ident
+        assert main is not None  # it runs
+        signal.pthread_kill(main, kind)
     else:
         _thread.interrupt_main(kind)
 

@@ -54,6 +54,7 @@ def _with(name: str, hint: Any, command: Callable) -> Callable:
 
 def _parameters(option: Option) -> list[inspect.Parameter]:
     """Of typer: one, and a second for the short way to switch a module off."""
+    assert option.flag is not None  # of the options that have one
     made = [_parameter(option.name, *_kind(option), option.flag, _help(option))]
     if option.off_flag:
         made.append(

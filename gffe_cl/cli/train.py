@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import shlex
 import sys
 import time
@@ -47,6 +48,9 @@ def train(
     bfloat16: Annotated[
         bool, typer.Option("--bfloat16", help="Mixed precision: quicker where there is AMX or a GPU.")
     ] = False,
+    integers: Annotated[
+        bool, typer.Option("--integers", help="For convolutions in 8-bit integers, as CPUs run them; with --start.")
+    ] = False,
     seed: Annotated[int, typer.Option(help="Of data, order, augmentation and first weights.")] = 0,
     minutes: Annotated[
         float | None,
@@ -79,7 +83,9 @@ def train(
         raise GffeError(f"--minutes must be positive, got {minutes:g}")
     if clips < 2:
         raise GffeError(f"--clips must be at least 2, got {clips}")
-    recipe = Recipe(seed, steps, batch, learning_rate, final_learning_rate, shading, blend_weight, full_every, bfloat16)
+    recipe = Recipe(
+        seed, steps, batch, learning_rate, final_learning_rate, shading, blend_weight, full_every, bfloat16, integers
+    )
     data = data or folder / "data"
     begun = None if data_only else clips_of_run(folder)
     if begun is not None and clips < begun:
@@ -195,11 +201,16 @@ def _duration(seconds: float) -> str:
 def _export(training, folder: Path, data: Path, clips: int, done: bool, torch_version: str, json_path) -> None:
     from gffe_cl.scn import losses
     from gffe_cl.scn.export import count_operations, export_onnx, model_card
+    from gffe_cl.scn.quantization import in_floats
 
     figures = training.validate()
-    difference = export_onnx(training.network, folder / "scn.onnx")
-    parameters, operations = count_operations(training.network, 1920, 1080)
-    recipe = training.recipe
+    recipe, network = training.recipe, training.network
+    if recipe.integers:
+        rounded = export_onnx(network, folder / "scn-int8.onnx", integers=True)
+        network = copy.deepcopy(network)
+        network.convolutions = in_floats(network.convolutions)
+    difference = export_onnx(network, folder / "scn.onnx")
+    parameters, operations = count_operations(network, 1920, 1080)
     facts = {
         "parameters": f"{parameters:,}",
         "operations at 1920×1080": f"{operations:.1f} GFLOP",
@@ -210,6 +221,8 @@ def _export(training, folder: Path, data: Path, clips: int, done: bool, torch_ve
         "onnxruntime against PyTorch": f"largest difference {difference:.1g}",
         "source": f"commit {', then '.join(training.sources)}",
     }
+    if recipe.integers:
+        facts["the same, integers"] = f"root of the mean square {rounded:.1g}"
     if training.processes.count > 1:
         facts["processes"] = str(training.processes.count)
     command = shlex.join(("gffe", *sys.argv[1:]))

@@ -8,7 +8,7 @@ import math
 import os
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, overload
 
 import numpy as np
 
@@ -80,6 +80,10 @@ def require_whole(value: Any, what: str, low: float = -math.inf, high: float = m
     raise GffeError(f"{what} must be a whole number{bounds}, got {shown(value)}")
 
 
+@overload
+def require_size(value: Any, what: str = "size", *, whole: Literal[True]) -> tuple[int, int]: ...
+@overload
+def require_size(value: Any, what: str = "size", *, whole: Literal[False] = False) -> tuple[float, float]: ...
 def require_size(value: Any, what: str = "size", *, whole: bool = False) -> tuple[float, float]:
     """Width and height of an image in pixels; GffeError unless they are two positive numbers, or `whole` ones, up to
     65536."""
@@ -114,7 +118,7 @@ def require_choice(value: Any, choices: Iterable[str], what: str) -> str:
     raise GffeError(f"{what} must be one of {', '.join(choices)}, got {shown(value)}")
 
 
-def require_kind(value: Any, kind: type, what: str, expected: str = "") -> Any:
+def require_kind(value: Any, kind: Any, what: str, expected: str = "") -> Any:
     """`value`; GffeError unless it is a `kind`, in words what is `expected`."""
     if isinstance(value, kind):
         return value

@@ -157,6 +157,7 @@ def _judge(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> 
     bench, mirrored = search_of(()).full, None
     found.best = without_camera(search_of(()))
     if found.best is None:
+        assert found.given is not None  # judged before
         ways = search_rows(search_of)
         found.best = _convincing(ways.verdicts, found.given)
         found.others = [v for v in ways.verdicts if v.reading != found.best.reading]
@@ -204,6 +205,7 @@ def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Sea
 
 def _judge_order(found: Diagnosis, looks: dict[int, Look]) -> None:
     order = found.order
+    assert order is not None  # examined before
     if order.order is not None:
         moved = [str(k) for k, at in enumerate(order.order) if k != at]
         sentence = f"frames are out of order: {', '.join(moved[:12])}{' …' if len(moved) > 12 else ''}"

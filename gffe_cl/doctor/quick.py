@@ -82,11 +82,12 @@ def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
     given = _fit(looks, edges)
     if given is None:
         return None
-    turned = {
-        rows: _fit(with_rows(looks, rows), edges if len(rows) > 1 or "motion" in rows else -edges).score
-        for rows in _UPSIDE_DOWN
-    }
-    best = max(turned, key=turned.get)
+    turned = {}
+    for rows in _UPSIDE_DOWN:
+        fit = _fit(with_rows(looks, rows), edges if len(rows) > 1 or "motion" in rows else -edges)
+        assert fit is not None  # as there is one of the same frames as given
+        turned[rows] = fit.score
+    best = max(turned, key=turned.__getitem__)
     if turned[best] > given.score + _TURNED:
         return _UPSIDE_DOWN[best]
     if given.share < _FITS:

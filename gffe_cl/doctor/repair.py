@@ -166,9 +166,9 @@ def _turned_round(forward, own, depth_before, depth, static) -> np.ndarray:
     hit[to_y, to_x] = True
     padded, padded_hit = np.pad(made, ((1, 1), (1, 1), (0, 0))), np.pad(hit, 1).astype(float)
     shifts = [(dy, dx) for dy in range(3) for dx in range(3) if (dy, dx) != (1, 1)]
-    count = sum(padded_hit[dy : dy + height, dx : dx + width] for dy, dx in shifts)
+    count = sum((padded_hit[dy : dy + height, dx : dx + width] for dy, dx in shifts), np.zeros(hit.shape))
     weighted = padded * padded_hit[..., None]
-    total = sum(weighted[dy : dy + height, dx : dx + width] for dy, dx in shifts)
+    total = sum((weighted[dy : dy + height, dx : dx + width] for dy, dx in shifts), np.zeros(made.shape))
     gap = ~hit & (count >= 5)
     made[gap] = total[gap] / count[gap][:, None]
     return made

@@ -65,8 +65,9 @@ def _example(chosen: Diagnosis, look: Look) -> list[str]:
     length = np.full(len(look.px), -1.0) if motion is None else np.nan_to_num(np.linalg.norm(motion, axis=-1))
     k = int(np.where(look.solid & (inverse > 0), length, -2).argmax())
     x, y = look.px[k]
-    if motion is not None and reading.motion.parts:
-        lines.append(f"motion vector {_numbers(reading.motion.stored(look)[k])} → {_numbers(motion[k])} px")
+    stored = reading.motion.stored(look)
+    if motion is not None and stored is not None and reading.motion.parts:
+        lines.append(f"motion vector {_numbers(stored[k])} → {_numbers(motion[k])} px")
     if reading.depth != AS_GIVEN:
         lines.append(f"depth {look.depth[k]:.4g} → {1 / inverse[k]:.4g}")
     if reading.camera != CAMERA_AS_GIVEN:

@@ -92,7 +92,7 @@ class Copier:
         program = build(device, "copy")
         queue = device.queue
         a, b = (cl.Buffer(device.context, cl.mem_flags.READ_WRITE, _COPY_BYTES) for _ in range(2))
-        cl.enqueue_fill_buffer(queue, a, np.uint8(1), 0, _COPY_BYTES)
+        cl.enqueue_fill_buffer(queue, a, b"\1", 0, _COPY_BYTES)
         floats = _COPY_BYTES // 4
         buffers = {"from": a, "to": b, "run": _COPY_RUN}
         self._ways = {
@@ -102,7 +102,7 @@ class Copier:
             "run kernel": lambda: program.launch(queue, "copy_run", (floats // 16 // _COPY_RUN,), None, buffers),
         }
         speeds = {name: max(self._gigabytes(name) for _ in range(3)) for name in self._ways}
-        self.way = max(speeds, key=speeds.get)
+        self.way = max(speeds, key=speeds.__getitem__)
 
     def bandwidth(self) -> float:
         """GB/s (read and written) of one copy now."""
@@ -247,6 +247,7 @@ def _windowing(device: Device, presentation: Presentation, turn: Turn) -> float:
     depth read back) and presenting its display part."""
     size = presentation.sizes.target
     windows = WindowChooser("adaptive", size, [0.5])
+    assert turn.before is not None
     start = time.perf_counter()
     windows.observe(read_some_rows(device, turn.frame.depth, size))
     windows.choose(turn.frame.camera, turn.before.camera)

@@ -121,11 +121,13 @@ def footage_of(
     sequence's own. With `upscale` rendered frames are so many times smaller than `size`; None: the display is larger
     than the sequence."""
     if upscale:
-        footage = footage_of(device, subject, size and tuple(max(1, round(n / upscale)) for n in size), number)
+        smaller = None if size is None else (max(1, round(size[0] / upscale)), max(1, round(size[1] / upscale)))
+        footage = footage_of(device, subject, smaller, number)
         return footage.shown_larger(*(size or (round(n * upscale) for n in (footage.width, footage.height))))
     if is_sequence(subject):
-        return sequence_footage(device, open_capture(subject), size, number)
-    return scene_footage(device, subject or SCENE, *size, number)
+        return sequence_footage(device, open_capture(str(subject)), size, number)
+    assert size is not None  # of scenes it is always given
+    return scene_footage(device, subject or SCENE, *size, number=number)
 
 
 def scene_footage(device: Device, name: str, width: int, height: int, number: int | None = None) -> Footage:
@@ -142,7 +144,7 @@ def scene_footage(device: Device, name: str, width: int, height: int, number: in
     for k in range(2):
         image = renderer.render(times[k], seen[k], times[1 - k], seen[1 - k])
         arrays = (image.read(buffer) for buffer in ("color", "depth", "motion"))
-        frames.append(RenderedFrame(*arrays, seen[k], times[k]))
+        frames.append(RenderedFrame(*arrays, camera=seen[k], time=times[k]))
     between = scene.camera(sum(times) / 2, width, height)
     return Footage(name, width, height, scene.exposure, 1 / SCENE_FPS, tuple(frames), (between,) * 2, forward=False)
 

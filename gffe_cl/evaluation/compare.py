@@ -138,6 +138,7 @@ def compare(
             missed.append(f"{entry.file} is left out (times rounded?): {text}")
     if not pairs:
         near = b.nearest("ground_truth", a.extrapolated[0].time)
+        assert near is not None  # there is ground truth
         raise GffeError(
             f"{a.path}: no extrapolated frame has ground truth in {b.path} (expected times within 1/50 of an interval:"
             f" {a.extrapolated[0].file} is at {a.extrapolated[0].time:.6g} s, the nearest is at {near.time:.6g} s)"
@@ -174,12 +175,15 @@ def baseline_repeat(
     return _score(pairs, sequence, sequence, None, progress, device)
 
 
+def _is_shown_whole(entry: FrameEntry) -> bool:
+    assert entry.render_camera is not None and entry.display_camera is not None  # a rendered frame has both
+    return is_shown_whole(entry.render_camera, entry.display_camera)
+
+
 def shown_color(sequence: Sequence, entry: FrameEntry, device: Device | None = None) -> np.ndarray:
     """Linear RGB (H, W, 3) of a frame as displayed: the display part of a frame rendered through a window."""
     size = (sequence.width, sequence.height)
-    if entry.kind != "rendered" or (
-        sequence.size_of(entry) == size and is_shown_whole(entry.render_camera, entry.display_camera)
-    ):
+    if entry.kind != "rendered" or (sequence.size_of(entry) == size and _is_shown_whole(entry)):
         return sequence.read_color(entry)
     return present(sequence.read(entry), size=size, device=device).color
 

@@ -109,7 +109,8 @@ def _moved(times: int, instruction: str) -> tuple[int, int]:
         nbytes = times * int(vector[2] or 1) * _BYTES[vector[3]]
         return (nbytes, 0) if vector[1] == "load" else (0, nbytes)
     if atomic := _ATOMIC.match(instruction):
-        return (times * _BYTES[atomic[1]],) * 2
+        nbytes = times * _BYTES[atomic[1]]
+        return nbytes, nbytes
     if "AS1" in instruction or re.search(r"llvm\.mem\w+\.[\w.]*p1", instruction):
         raise GffeError(f"oclgrind: how many bytes does '{instruction}' move?")
     return 0, 0
@@ -201,15 +202,16 @@ def grown(recorded: dict, now: dict) -> list[str]:
     found = []
     for lanes, kernels in now["lanes"].items():
         for name, moved in kernels.items():
-            new, old = _counted(moved), _counted(recorded["lanes"].get(lanes, {}).get(name))
+            new, was_there = _counted(moved), recorded["lanes"].get(lanes, {}).get(name)
+            old = _counted(was_there) if was_there is not None else None
             if old is None or new > old * (1 + TOLERANCE) + _SLACK:
                 was = "is not in the table" if old is None else f"{old:.1f} are in the table"
                 found.append(f"{name}, LANES={lanes}: {new:.1f} bytes per pixel loaded and stored, {was}")
     return found
 
 
-def _counted(moved: dict[str, float] | None) -> float | None:
-    return None if moved is None else moved["loaded"] + moved["stored"]
+def _counted(moved: dict[str, float]) -> float:
+    return moved["loaded"] + moved["stored"]
 
 
 if __name__ == "__main__":

@@ -52,7 +52,7 @@ def measure_io(device: Device, frame: RenderedFrame, turns: int, on_turn: Callab
                 on_turn()
         medians = (statistics.median(part) * 1e3 for part in zip(*times, strict=True))
         ratio = statistics.median((up + down) / (copy_in + copy_out) for up, copy_in, down, copy_out in times)
-        found.append(IoTimes(width, height, f"{dtype} {'RGBA'[:channels]}", *medians, ratio))
+        found.append(IoTimes(width, height, f"{dtype} {'RGBA'[:channels]}", *medians, ratio=ratio))
     return found
 
 

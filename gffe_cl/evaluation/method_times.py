@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import islice, product
+from typing import Any
 
 import numpy as np
 
@@ -64,7 +65,7 @@ def subject_of(text: str | None, size: tuple[int, int] | None, frame: int | None
     if is_sequence(text):
         if size or frame is not None:
             raise GffeError("--methods takes a sequence from its start, at its own size: leave out --frame and --sizes")
-        return parse_subject(text, SIZE, MOMENTS, SCENE_FPS, (0.5,))
+        return parse_subject(str(text), SIZE, MOMENTS, SCENE_FPS, (0.5,))
     frame = SCENE_FRAME if frame is None else frame
     if frame < NO_HISTORY:
         raise GffeError(f"--frame must be at least {NO_HISTORY} with --methods, got {frame}")
@@ -79,7 +80,7 @@ class Contestant:
 
     method: Method
     device: Device | None
-    runner: object
+    runner: Any  # a PipelineRunner on a device, else a Runner
     frames: list
     milliseconds: list[float] = field(default_factory=list)
     errors: RegionErrors = field(default_factory=RegionErrors)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gffe_cl.core.validation import require_array, require_exposure
 from gffe_cl.frame.transfer_function import to_display as to_display  # what metrics are taken on
@@ -119,7 +120,7 @@ def similarity(a, b) -> np.ndarray:
     a, b = np.asarray(a), np.asarray(b)
     out, edge = np.full(a.shape[:2], np.nan), _SSIM_WINDOW // 2
     if min(a.shape[:2]) >= _SSIM_WINDOW:
-        _, whole = structural_similarity(a, b, data_range=1, channel_axis=-1, full=True)
+        whole = structural_similarity(a, b, data_range=1, channel_axis=-1, full=True)[1]
         inner = (slice(edge, -edge),) * 2
         out[inner] = whole[inner].mean(-1, dtype=np.float64)
     return out
@@ -129,8 +130,8 @@ def flip_error(shown, truth) -> np.ndarray:
     """NVIDIA's FLIP per pixel, 0 … 1: (H, W) float32. ImportError where flip-evaluator is not installed."""
     from flip_evaluator import evaluate
 
-    images = (np.ascontiguousarray(image, np.float32) for image in (truth, shown))
-    return evaluate(*images, "LDR", applyMagma=False)[0][..., 0]
+    truth, shown = (np.ascontiguousarray(image, np.float32) for image in (truth, shown))
+    return evaluate(truth, shown, "LDR", applyMagma=False)[0][..., 0]
 
 
 METRICS = {
@@ -151,7 +152,7 @@ METRICS = {
 }
 
 
-def psnr(a, b, mask=None) -> float:
+def psnr(a: ArrayLike, b: ArrayLike, mask: ArrayLike | None = None) -> float:
     """Peak signal-to-noise ratio in dB for peak 1, over all pixels and channels, at most 100.
 
     `a`, `b` (H, W, 3): display values (`to_display`). `mask` (H, W) restricts it to the pixels where it is not 0; NaN
@@ -160,7 +161,7 @@ def psnr(a, b, mask=None) -> float:
     return METRICS["psnr"].measure(*_pair(a, b, mask))
 
 
-def ssim(a, b, mask=None) -> float:
+def ssim(a: ArrayLike, b: ArrayLike, mask: ArrayLike | None = None) -> float:
     """Structural similarity, mean over pixels: Wang et al., Image Quality Assessment, TIP 2004, over 7×7 pixels.
 
     `a`, `b` and `mask` as of `psnr`. NaN for images smaller than 7×7. GffeError for arrays of other shapes.
@@ -186,8 +187,8 @@ def relative_error(a, b):
 
 def smape(a, b, exposure: float = 1.0) -> np.ndarray:
     """Symmetric mean absolute percentage error of linear colour: (H, W) float32 in [0, 2). NaN counts as 0."""
-    exposure = np.float32(require_exposure(exposure))
-    a, b = (np.nan_to_num(np.asarray(x).astype(np.float32) * exposure, nan=0.0) for x in (a, b))
+    factor = np.float32(require_exposure(exposure))
+    a, b = (np.nan_to_num(np.asarray(x).astype(np.float32) * factor, nan=0.0) for x in (a, b))
     return relative_error(a, b).mean(-1)
 
 
@@ -196,8 +197,8 @@ def focus_mask(color, truth, dynamic, exposure: float = 1.0) -> np.ndarray:
 
     `color` and `truth` are linear (H, W, 3); what kernels/shading.cl computes on devices.
     """
-    exposure = np.float32(require_exposure(exposure))
-    shown, true = (_finite(image) * exposure for image in (color, truth))
+    factor = np.float32(require_exposure(exposure))
+    shown, true = (_finite(image) * factor for image in (color, truth))
     height, width = shown.shape[:2]
     padded = np.pad(true, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)  # beyond the image nothing is alike
     least = np.full((height, width), np.inf, np.float32)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -80,7 +81,7 @@ def write_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
         writer = imageio_ffmpeg.write_frames(
             str(path),
             (first.shape[1], first.shape[0]),
-            fps=fps,
+            fps=cast(int, fps),  # its stub takes no fractions, ffmpeg does
             codec="libx264",
             macro_block_size=1,
             ffmpeg_log_level="error",

@@ -11,7 +11,6 @@ from typing import Any
 
 from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.stages.base import Kernel, Share, share_of
-from gffe_cl.stages.network_input import STILL_TILES
 
 FOCUS = share_of("focus", "correction.focus_mask")  # where the network changes the frame
 
@@ -41,7 +40,7 @@ def counters(pipeline: Pipeline) -> dict[str, float]:
     kernels = (kernel for stage in pipeline.stages.values() for kernel in stage.kernels)
     declared = (access.share for kernel in kernels for *_, access in kernel.accesses())
     shares = dict.fromkeys(share for share in declared if isinstance(share, Share))
-    return {share.name: share.count(pipeline.board) for share in [*shares, FOCUS, STILL_TILES]}
+    return {share.name: share.count(pipeline.board) for share in [*shares, FOCUS]}
 
 
 Launches = dict[str, list[tuple[Kernel, dict[str, Any]]]]  # by stage: kernels, with what was given to each launch

@@ -77,7 +77,7 @@ class Plan:
     buffers: dict[str, BufferSpec]
     initial: dict[str, bytes]
     lent: set[str]
-    stages: dict[str, Stage]
+    stages: dict[str, Any]
     facts: Mapping[str, Any]
 
 
@@ -124,12 +124,13 @@ class _Rehearsal:
         self.sizes, self.tape = sizes, _Tape()
         self.board = Board(device, sizes, options, int64)
         chosen = {stage.name: stage for stage in stages_of(options)}
-        self.stages = {
+        self.stages: dict[str, Any] = {
             name: stage(self.board, load=False) if stage is ShadingCorrection else stage(self.board)
             for name, stage in chosen.items()
         }
         self.board.lend()
-        self.all = self.stages | {stage.name: stage(self.board) for stage in (Presentation, Composition)}
+        others: dict[str, Any] = {stage.name: stage(self.board) for stage in (Presentation, Composition)}
+        self.all = self.stages | others
         for stage in self.all.values():
             stage.recorder = self.tape
         if correction := self.stages.get(ShadingCorrection.name):

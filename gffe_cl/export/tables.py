@@ -207,6 +207,7 @@ class Tables:
             return f"GFFE_BUFFER, {buffers.reference(given.buffer)}, 0"
         if given.is_frame_block:
             return "GFFE_FRAME_BLOCK, 0, 0"
+        assert given.constant is not None  # what is neither a buffer nor the frame block
         return f"GFFE_CONSTANT, {self._constant(given.constant)}, {len(given.constant)}"
 
     def _constant(self, content: bytes) -> int:
@@ -324,7 +325,8 @@ def _facts(plan: Plan) -> bytes:
 def _frame_block() -> str:
     """The struct of frame.h in C."""
     lines = []
-    for name, (dtype, _) in FRAME.fields.items():
+    for name in FRAME.names or ():
+        dtype = FRAME[name]
         base, shape = (np.dtype(np.float32), (len(dtype.names), 4)) if dtype.names else dtype.subdtype or (dtype, ())
         kind = "cl_int" if base.kind == "i" else "cl_float"
         vector, count = str(shape[-1]) if shape else "", f"[{shape[0]}]" if len(shape) > 1 else ""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -94,7 +94,7 @@ class BlenderPixels(ForeignPixels):
         path = self._folder / entry.place
         header = read_header(path, entry.file)
         passes = _passes(header, entry)
-        places = [*passes.color, *passes.depth, *(passes.vector or [])]
+        places = [*passes.color, *(passes.depth or []), *(passes.vector or [])]
         require_parts(header, {part for part, _ in places}, size, entry.file)
         arrays = decoded(path, header, places, entry.file)
         return arrays[:4], arrays[4:]
@@ -127,7 +127,8 @@ def _frame(one, index: int, size) -> FrameEntry:
     label = f"{FILE_NAME}, frame {index}"
     if not isinstance(one, dict):
         raise GffeError(f"{label}: must be an object, got {shown(one)}")
-    kind, file, elsewhere = one.get("kind"), one.get("file"), None
+    kind, elsewhere = one.get("kind"), None
+    file: Any = one.get("file")
     if kind not in KINDS:
         raise GffeError(f"{label}: kind must be one of {', '.join(KINDS)}, got {shown(kind)}")
     if kind == "camera_only":
@@ -139,7 +140,9 @@ def _frame(one, index: int, size) -> FrameEntry:
         label = f"{label} ({file})"
     time = require_number(one.get("time"), f"{label}: time")
     camera = camera_of(one, "world_to_camera", size, label)
-    entry = FrameEntry(file, time, kind, reset=one.get("reset") is True, display_camera=camera, elsewhere=elsewhere)
+    entry = FrameEntry(
+        str(file), time, kind, reset=one.get("reset") is True, display_camera=camera, elsewhere=elsewhere
+    )
     if kind == "rendered":
         entry.render_camera = camera
     return entry

@@ -119,7 +119,7 @@ def _from_focal(view: np.ndarray, focal: dict[str, float | None], rules: CameraR
             length = size[axis] / 2 / np.tan(np.radians(angle) / 2)
             fx, fy = (length, fy) if axis == 0 else (fx, length)
     fx, fy = fx or fy, fy or fx
-    if fx is None:
+    if fx is None or fy is None:
         raise GffeError("no projection (expected a matrix, fx and fy, or fov_x or fov_y in degrees)")
     cx = size[0] / 2 if focal["cx"] is None else focal["cx"]
     cy = size[1] / 2 if focal["cy"] is None else focal["cy"]

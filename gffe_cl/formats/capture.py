@@ -96,6 +96,7 @@ def through_window(entry: FrameEntry, part: ExrPart, size: tuple[int, int], labe
     entry.render_size = part.size
     if entry.kind == "rendered":
         camera = entry.display_camera
+        assert camera is not None  # the caller has set it
         entry.render_camera = replace(camera, cx=camera.cx - left, cy=camera.cy - top)
 
 

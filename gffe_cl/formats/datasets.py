@@ -59,8 +59,10 @@ class DatasetPixels(ForeignPixels):
         frame, before = self._frames[entry.file], self._before.get(entry.file)
         depth, motion = frame.depth(), None
         if not entry.reset and frame.backward:
+            assert frame.flow is not None  # only resets lack it
             motion = frame.flow().astype(np.float32)
         elif not entry.reset:
+            assert before is not None and before.flow is not None  # else it were a reset
             motion = inverted_flow(before.flow(), before.depth(), before.camera, depth, frame.camera)
         return self.color(entry, size), depth, motion
 
@@ -124,6 +126,7 @@ def is_sintel(folder: Path) -> bool:
 def open_sintel(folder: Path) -> Sequence:
     """Open the scene whose colours are in `folder`, .../final/SCENE or .../clean/SCENE. Raises GffeError."""
     parts = _sintel_folders(folder)
+    assert parts is not None  # `is_sintel` was asked
     images = _images(folder, "frame_*.png")
     size, frames = _size(images[0]), []
     for path in images:
@@ -144,8 +147,8 @@ def _sintel_folders(folder: Path) -> tuple[Path, Path, Path] | None:
     """Flow, depth and cameras of the scene."""
     folder = folder.absolute()
     root = folder.parent.parent
-    parts = tuple(root / name / folder.name for name in ("flow", "depth", "camdata_left"))
-    return parts if all(part.is_dir() for part in parts) else None
+    flow, depth, cameras = (root / name / folder.name for name in ("flow", "depth", "camdata_left"))
+    return (flow, depth, cameras) if flow.is_dir() and depth.is_dir() and cameras.is_dir() else None
 
 
 def _sintel_header(path: Path, channels: int, size: Size) -> None:
@@ -181,7 +184,7 @@ def _sintel_camera(path: Path) -> Camera:
     if len(data) < 172 or not data.startswith(_TAG):
         raise GffeError(f"{path.name}: not a camera of MPI Sintel")
     numbers = np.frombuffer(data, "<f8", 21, 4)
-    return _camera(np.vstack([numbers[9:].reshape(3, 4), (0, 0, 0, 1)]), *numbers[[0, 4, 2, 5]], path.name)
+    return _camera(np.vstack([numbers[9:].reshape(3, 4), (0, 0, 0, 1)]), *numbers[[0, 4, 2, 5]], label=path.name)
 
 
 def _camera(matrix, fx, fy, cx, cy, label) -> Camera:
@@ -210,13 +213,14 @@ def open_tartanair(folder: Path) -> Sequence:
         depth = folder / "depth_left" / f"{number}_left_depth.npy"
         check_planes(depth, "0", depth.name, size)
         flow = folder / "flow" / f"{number}_{_number(images[k + 1])}_flow.npy" if k + 1 < len(images) else None
-        has_flow = flow is not None and flow.exists()
-        if has_flow:
+        if flow is not None and not flow.exists():
+            flow = None
+        if flow is not None:
             check_planes(flow, "01", flow.name, size)
-        camera = _camera(_from_ned(pose), *[_TARTANAIR_FOCAL] * 2, size[0] / 2, size[1] / 2, "pose_left.txt")
-        read_flow = (lambda flow=flow: read_planes(flow, "01", flow.name, size)) if has_flow else None
+        camera = _camera(_from_ned(pose), _TARTANAIR_FOCAL, _TARTANAIR_FOCAL, size[0] / 2, size[1] / 2, "pose_left.txt")
+        read_flow = None if flow is None else (lambda flow=flow: read_planes(flow, "01", flow.name, size))
         read_depth = lambda depth=depth: _within(read_planes(depth, "0", depth.name, size)[..., 0])  # noqa: E731
-        frames.append(_Frame(path, read_depth, read_flow, camera, (depth, *([flow] if has_flow else []))))
+        frames.append(_Frame(path, read_depth, read_flow, camera, (depth,) if flow is None else (depth, flow)))
     note = "TartanAir's flow is the camera's: what moves by itself has wrong motion; 30 frames per second are assumed"
     return _opened(folder, frames, size, 30.0, notes=(note,))
 
@@ -241,7 +245,7 @@ def _table(path: Path, columns: int, rows: int) -> np.ndarray:
             [line.split() for line in read_text(path, _MOST_TEXT).splitlines() if line.strip()], np.float64
         )
     except ValueError:
-        table = np.zeros(0)
+        table = np.zeros((0, 0))
     if table.ndim != 2 or table.shape[1] != columns or len(table) < rows or not np.isfinite(table).all():
         raise GffeError(f"{path.name}: expected {columns} finite numbers for each of {rows} frames")
     return table[:rows]

@@ -46,7 +46,7 @@ class _Frame:
 
     number: int
     entry: FrameEntry
-    camera: FoundCamera | None
+    camera: Any  # a FoundCamera; None where none is needed
     before: _Frame | None  # the rendered one before it, unless it is a reset
 
 
@@ -117,6 +117,7 @@ class FolderPixels(ForeignPixels):
 
     def _motion(self, frame: _Frame, depth: np.ndarray) -> np.ndarray:
         said, before = self.settings.motion, frame.before
+        assert before is not None  # only resets have none
         if said.to_next:
             flow = said.read(self._folder, before.number, self.settings.size)
             motion = inverted_flow(flow, self._depth(before), before.camera.camera, depth, frame.camera.camera)

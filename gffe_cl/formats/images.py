@@ -7,7 +7,7 @@ import math
 import zipfile
 from collections.abc import Sequence as Ordered
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO, Any
 
 import numpy as np
 
@@ -39,7 +39,7 @@ def check_planes(path: Path, names: Ordered[str], label: str, size: Size, array:
     _read(path, names, label, size, array, decode=False)
 
 
-def _read(path, names, label, size, array, decode) -> np.ndarray | None:
+def _read(path, names, label, size, array, decode) -> Any:
     try:
         with open_regular(path) as file:
             start = file.read(8)
@@ -117,7 +117,7 @@ def _npz(path, names, label, size, array, decode):
         raise GffeError(f"{label}: damaged NPZ file ({reason})") from None
 
 
-def _array(file: BinaryIO, names, label, size, decode):
+def _array(file: IO[bytes], names, label, size, decode):
     """What an NPY stream holds; not more is read of it than an image of `size` has."""
     shape, fortran, dtype = _array_header(file, label)
     if len(shape) not in (2, 3) or dtype.kind not in "fiub" or dtype.itemsize > 8:
@@ -139,7 +139,7 @@ def _array(file: BinaryIO, names, label, size, decode):
     return array[..., order]
 
 
-def _array_header(file: BinaryIO, label) -> tuple[tuple[int, ...], bool, np.dtype]:
+def _array_header(file: IO[bytes], label) -> tuple[tuple[int, ...], bool, np.dtype]:
     try:
         version = np.lib.format.read_magic(file)
         if version not in ((1, 0), (2, 0)):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, overload
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.core.validation import require_number, shown
@@ -21,6 +21,10 @@ class Keys:
         value = self._left.pop(key, None)
         return default if value is None else value
 
+    @overload
+    def number(self, key: str) -> float | None: ...
+    @overload
+    def number(self, key: str, default: float) -> float: ...
     def number(self, key: str, default: float | None = None) -> float | None:
         value = self.take(key)
         return default if value is None else require_number(value, f"{self.label}, {key}")

@@ -43,7 +43,7 @@ def inverted_flow(
     """
     still, expected = static_motion(depth, camera, camera_before)
     motion = _splatted(flow, _depth_seen(depth_before, camera_before, camera, flow), depth)
-    known = np.isfinite(motion).all(-1)
+    known = np.asarray(np.isfinite(motion).all(-1))
     motion = np.where(known[..., None], motion, still)
     for _ in range(_STEPS):
         found, fits = sampled(-flow, depth_before, motion, expected)

@@ -67,6 +67,5 @@ def _decoded(path: Path, mode: str | None = None, raw: str | None = None) -> np.
     """Decode the file, converted to Pillow's `mode`, or with `raw` in place of the raw mode by which it unpacks."""
     with open_regular(path) as file, Image.open(file, formats=["PNG"]) as image:
         if raw:
-            codec, extents, offset, _ = image.tile[0]
-            image.tile = [(codec, extents, offset, raw)]
+            image.tile = [image.tile[0]._replace(args=raw)]
         return np.asarray(image.convert(mode) if mode else image)

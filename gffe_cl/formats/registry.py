@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,7 +87,9 @@ FORMATS = {
 }
 
 
-def open_capture(path, *, cameras: str = "needed", follow_links: bool | None = None) -> Sequence:
+def open_capture(
+    path: str | os.PathLike[str], *, cameras: str = "needed", follow_links: bool | None = None
+) -> Sequence:
     """Open the capture in the folder `path` (or whose JSON file is `path`), of any form in `gffe formats`:
     which one it is, its files tell.
 

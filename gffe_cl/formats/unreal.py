@@ -73,6 +73,7 @@ def open_unreal(folder: Path) -> Sequence:
         through_window(entry, part, size, file)
         entries.append(entry)
         before = number
+    assert size is not None  # of the first frame
     pixels = UnrealPixels(folder)
     if fps is None:
         pixels.notes.append(f"{folder}: no frame rate in the headers, {_FPS:g} frames per second are assumed")
@@ -102,6 +103,7 @@ class UnrealPixels(ForeignPixels):
         for before, entry in list(zip(entries, entries[1:], strict=False))[:_TRIED]:
             if entry.reset:
                 continue
+            assert entry.render_camera is not None and before.render_camera is not None  # read from the headers
             _, raw_depth, raw_motion, _ = self._raw(entry, entry.render_size or size)
             residuals, moved = {}, 0.0
             for along_rays in (False, True):
@@ -112,7 +114,7 @@ class UnrealPixels(ForeignPixels):
                     given = motion_from_unreal(raw_motion, entry.render_size or size, scale)[::_GRID, ::_GRID]
                     residuals[_Meaning(scale, along_rays)] = _median_length(given - still)
             if moved >= _MOVED:
-                self._meaning = min(residuals, key=residuals.get)
+                self._meaning = min(residuals, key=residuals.__getitem__)
                 if self._meaning != _USUAL:
                     self.notes.append(_said(entry.file, self._meaning, residuals))
                 return

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gffe_cl.core import validation
 from gffe_cl.core.errors import GffeError
@@ -89,11 +90,13 @@ class Camera:
             and self.intrinsics == other.intrinsics
         )
 
-    __hash__ = None
+    __hash__ = None  # pyright: ignore[reportAssignmentType]  # how Python says that it has none
 
     @classmethod
     @_QUIETLY
-    def look_at(cls, position, target, up, fx, fy, cx, cy) -> Camera:
+    def look_at(
+        cls, position: ArrayLike, target: ArrayLike, up: ArrayLike, fx: float, fy: float, cx: float, cy: float
+    ) -> Camera:
         """Camera at `position` looking at `target` (world units); `up` is a world direction. Raises GffeError if there
         is no such camera."""
         position = validation.require_vector(position, "camera: position")
@@ -103,21 +106,25 @@ class Camera:
 
     @classmethod
     @_QUIETLY
-    def from_pose(cls, position, direction, up, fx, fy, cx, cy) -> Camera:
+    def from_pose(
+        cls, position: ArrayLike, direction: ArrayLike, up: ArrayLike, fx: float, fy: float, cx: float, cy: float
+    ) -> Camera:
         """Camera from the paper's pose vectors (v_pos, v_dir, v_up), re-orthonormalised. Raises GffeError
         unless each is three finite numbers, and for `up` parallel to `direction`."""
-        position = validation.require_vector(position, "camera: position").tolist()
+        place = validation.require_vector(position, "camera: position").tolist()
         forward = _normalised(validation.require_vector(direction, "camera: direction"), "direction")
         right = vectors.cross(forward, validation.require_vector(up, "camera: up").tolist())
         right = _normalised(right, "up (parallel to the direction)")
         down = vectors.cross(forward, right)
         matrix = np.eye(4)
         matrix[:3, :3] = (right, down, forward)
-        matrix[:3, 3] = [-x for x in vectors.times((right, down, forward), position)]
+        matrix[:3, 3] = [-x for x in vectors.times((right, down, forward), place)]
         return cls(matrix, fx, fy, cx, cy)
 
     @classmethod
-    def from_opengl(cls, view, projection, size, layout: str = "auto") -> Camera:
+    def from_opengl(
+        cls, view: ArrayLike, projection: ArrayLike, size: tuple[float, float], layout: str = "auto"
+    ) -> Camera:
         """Camera from OpenGL's matrices; off-centre projections, jitter, reversed and infinitely far planes included.
 
         Parameters
@@ -140,7 +147,9 @@ class Camera:
         return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True))
 
     @classmethod
-    def from_direct3d(cls, view, projection, size, layout: str = "auto") -> Camera:
+    def from_direct3d(
+        cls, view: ArrayLike, projection: ArrayLike, size: tuple[float, float], layout: str = "auto"
+    ) -> Camera:
         """Camera from Direct3D's matrices, left- or right-handed; parameters and formula of `from_opengl`.
 
         DirectXMath's row-vector matrices are "column-major". It is also for Vulkan with a viewport of negative height.
@@ -148,7 +157,9 @@ class Camera:
         return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True))
 
     @classmethod
-    def from_vulkan(cls, view, projection, size, layout: str = "auto") -> Camera:
+    def from_vulkan(
+        cls, view: ArrayLike, projection: ArrayLike, size: tuple[float, float], layout: str = "auto"
+    ) -> Camera:
         """Camera from Vulkan's matrices, whose normalised device coordinates go down; parameters of `from_opengl`.
 
         cy = (1 + P₁₂/P₃₂) H/2, the rest as there. OpenGL-like views with `projection[1][1] *= -1` are right, too.
@@ -156,7 +167,9 @@ class Camera:
         return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=False))
 
     @classmethod
-    def from_unity(cls, view, projection, size, layout: str = "auto") -> Camera:
+    def from_unity(
+        cls, view: ArrayLike, projection: ArrayLike, size: tuple[float, float], layout: str = "auto"
+    ) -> Camera:
         """Camera from Unity's `camera.worldToCameraMatrix` and `camera.projectionMatrix`; parameters of `from_opengl`.
 
         `GL.GetGPUProjectionMatrix(…)` is as good: that it may be upside down, for textures, is seen. `m.GetRow(0)`
@@ -166,7 +179,9 @@ class Camera:
         return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True, view_up=True))
 
     @classmethod
-    def from_unreal(cls, view, projection, size, layout: str = "auto") -> Camera:
+    def from_unreal(
+        cls, view: ArrayLike, projection: ArrayLike, size: tuple[float, float], layout: str = "auto"
+    ) -> Camera:
         """Camera from Unreal's `FViewMatrices`, view and projection (jittered or not); parameters of `from_opengl`.
 
         An `FMatrix` is for row vectors, so `M[0]` first is "column-major". World units stay centimetres: take depth in
@@ -176,7 +191,9 @@ class Camera:
 
     @classmethod
     @_QUIETLY
-    def from_unreal_pose(cls, location, rotation, fov: float, size) -> Camera:
+    def from_unreal_pose(
+        cls, location: ArrayLike, rotation: ArrayLike, fov: float, size: tuple[float, float]
+    ) -> Camera:
         """Camera from an Unreal `FVector` location (3,), an `FRotator` (pitch, yaw, roll) and the horizontal field of
         view, degrees, on an image of `size` = (width, height) pixels: fx = fy = W/2 / tan(fov/2). The unit stays.
 
@@ -218,7 +235,7 @@ class Camera:
         return matrix
 
     @_QUIETLY
-    def project(self, world_pos) -> tuple[np.ndarray, np.ndarray]:
+    def project(self, world_pos: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """World positions (..., 3) → pixel positions (..., 2) and view depths (...). Raises GffeError for another
         shape."""
         world_pos = validation.require_array(world_pos, "camera: world_pos", ..., 3).astype(np.float64)
@@ -229,7 +246,7 @@ class Camera:
         return np.stack([x, y], -1), depth
 
     @_QUIETLY
-    def unproject(self, px, depth) -> np.ndarray:
+    def unproject(self, px: ArrayLike, depth: ArrayLike) -> np.ndarray:
         """Pixel positions (..., 2) and view depths (...) → world positions (..., 3). Raises GffeError for other
         shapes."""
         px = validation.require_array(px, "camera: px", ..., 2).astype(np.float64)
@@ -304,7 +321,7 @@ class Camera:
         )
         return replace(self, fx=self.fx * scale_x, fy=self.fy * scale_y, cx=self.cx * scale_x, cy=self.cy * scale_y)
 
-    def moved(self, offset) -> Camera:
+    def moved(self, offset: ArrayLike) -> Camera:
         """The same camera after the whole world has moved by `offset` (3,) world units."""
         matrix = self.world_to_view.copy()
         matrix[:3, 3] -= matrix[:3, :3] @ validation.require_vector(offset, "camera: offset")

@@ -60,9 +60,9 @@ def predict_camera_at(
     order = None if order is None else require_whole(order, "camera: order", 1, 2)
     known = POSES if order is None else 4
     cameras = require_list(cameras, Camera, "camera: cameras", "a list of cameras")[:known]
-    times = require_array(times, "camera: times", None)[:known].astype(np.float64)
-    if not cameras or len(cameras) != len(times) or not np.isfinite(times).all() or (np.diff(times) >= 0).any():
-        raise GffeError(f"camera: needs one decreasing time per camera, got {len(cameras)} and {times.tolist()}")
+    given = require_array(times, "camera: times", None)[:known].astype(np.float64)
+    if not cameras or len(cameras) != len(given) or not np.isfinite(given).all() or (np.diff(given) >= 0).any():
+        raise GffeError(f"camera: needs one decreasing time per camera, got {len(cameras)} and {given.tolist()}")
     if len(cameras) == 1:
         return cameras[0]
     steps = (-np.diff(times)).tolist()

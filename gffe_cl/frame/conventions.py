@@ -76,7 +76,8 @@ def matrices(view: Any, projection: Any, layout: str = "auto") -> tuple[np.ndarr
         raise GffeError("camera: view is no view matrix (expected a row or column 0 0 0 1)")
     if chosen is None:
         _refuse_projection([b for a, b in turned if _is_view(a)])
-    return tuple(m.copy() for m in turned[chosen])
+    first, second = turned[chosen]
+    return first.copy(), second.copy()
 
 
 def _chosen_layout(layout: str, fits: list[bool], symmetric: bool, what: str) -> int | None:

@@ -47,7 +47,8 @@ class Jitter:
         number = require_whole(number, "jitter: number")
         if self.length == 1:
             return 0.0, 0.0
-        return tuple(_radical_inverse(number % self.length + 1, base) - 0.5 for base in _BASES)
+        x, y = (_radical_inverse(number % self.length + 1, base) - 0.5 for base in _BASES)
+        return x, y
 
     def camera(self, camera: Camera, number: int) -> Camera:
         """What frame `number` is rendered through, where `camera` (render pixels) is what it would be without."""

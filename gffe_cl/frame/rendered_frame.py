@@ -259,7 +259,7 @@ def _uploadable(color: np.ndarray) -> np.ndarray:
         same_texels = color.dtype == whole.dtype and color.strides == whole.strides
         if same_texels and color.ctypes.data == whole.ctypes.data:
             return np.require(whole, requirements="A")
-    return np.require(color, requirements="CA")
+    return np.require(color, requirements=["C", "A"])
 
 
 def _rounded_to_odd(values: np.ndarray) -> np.ndarray:

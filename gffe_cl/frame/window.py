@@ -71,10 +71,10 @@ class Window(NamedTuple):
         u0, v0, u1, v1 = require_vector(self[:4], "window: u0, v0, u1, v1", 4).tolist()
         if not (u0 < u1 and v0 < v1):
             raise GffeError(f"window: expected u0 < u1 and v0 < v1, got {u0:g}, {v0:g}, {u1:g}, {v1:g}")
-        size = require_size(size)
-        render_size = size if render_size is None else require_size(render_size)
+        shown = require_size(size)
+        rendered = shown if render_size is None else require_size(render_size)
         enlargement = Window(u0, v0, u1, v1).enlargement
-        scale_x, scale_y = (r / (s * e) for r, s, e in zip(render_size, size, enlargement, strict=True))
+        scale_x, scale_y = (r / (s * e) for r, s, e in zip(rendered, shown, enlargement, strict=True))
         left, top = (u0 + 1) / 2 * size[0], (v0 + 1) / 2 * size[1]
         return replace(
             display,
@@ -141,19 +141,19 @@ def adaptive_window(
     distance = require_positive(distance, "window: distance", infinite=True)
     margin = require_within(margin, "window: margin", 0, _MOST)
     least = require_within(least, "window: least", 0, 1)
-    size = np.array(require_size((2 * current.cx, 2 * current.cy) if size is None else size))
+    sides = np.array(require_size((2 * current.cx, 2 * current.cy) if size is None else size))
     low, high, clamped = -np.ones(2), np.ones(2), False
     for camera in predicted:
-        points, clipped = _edges_on_plane(current, camera, size, distance)
+        points, clipped = _edges_on_plane(current, camera, sides, distance)
         uv = 2 * points / size - 1
         low, high = np.minimum(low, uv.min(0)), np.maximum(high, uv.max(0))
         clamped |= clipped
-    more, rest = 2 * margin / size, 2 * np.maximum(AT_REST / size, least)
+    more, rest = 2 * margin / sides, 2 * np.maximum(AT_REST / sides, least)
     low, high = np.where(low < -1 - rest, low - more, -1.0), np.where(high > 1 + rest, high + more, 1.0)
     bounds = [_limited(-1 - low[k], high[k] - 1, 2 * (max_enlargement - 1)) for k in range(2)]
     (left, right, cut_u), (above, below, cut_v) = bounds
     edges = (float(edge) for edge in (-1 - left, -1 - above, 1 + right, 1 + below))
-    return Window(*edges, bool(clamped or cut_u or cut_v))
+    return Window(*edges, clamped=bool(clamped or cut_u or cut_v))
 
 
 def nearest_depth(depth: np.ndarray) -> float:

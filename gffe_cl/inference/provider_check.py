@@ -192,7 +192,7 @@ def _kept(path: Path, provider: Provider) -> Path | None:
     folder = kept_folder()
     if folder is None:
         return None
-    code = [Path(module.__file__).read_bytes() for module in (providers, sessions)] + [Path(__file__).read_bytes()]
+    code = [Path(str(module.__file__)).read_bytes() for module in (providers, sessions)] + [Path(__file__).read_bytes()]
     facts = [
         fingerprint(),
         sorted((name, value) for name, value in os.environ.items() if name.startswith(_TOLD)),

@@ -36,5 +36,5 @@ def choose(path: Path, wanted: str) -> Choice:
         if each.passes and each.milliseconds < each.cpu_milliseconds
     }
     if faster:
-        return Choice(min(faster, key=faster.get), may_fall_back=True, remark=remark)
+        return Choice(min(faster, key=faster.__getitem__), may_fall_back=True, remark=remark)
     return Choice(CPU, remark=remark)

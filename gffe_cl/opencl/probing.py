@@ -19,7 +19,7 @@ from pathlib import Path
 
 import pyopencl as cl
 
-from gffe_cl.opencl.runtimes import VENDORS, hide_vendors, only_vendors, vendors
+from gffe_cl.opencl.runtimes import NO_CACHE, VENDORS, hide_vendors, only_vendors, vendors
 from gffe_cl.opencl.subprocess_runner import run_child
 
 _SECONDS = 20.0  # for all drivers together, the broken ones too
@@ -195,7 +195,7 @@ def _run_probe_kernel(context, queue) -> float:
     a = cl.Buffer(context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=host)
     b = cl.Buffer(context, flags.WRITE_ONLY, 2 * n)
     with quiet_builds():
-        kernel = cl.Kernel(cl.Program(context, _PROBE_SOURCE).build(options=["-w"], cache_dir=False), "probe")
+        kernel = cl.Kernel(cl.Program(context, _PROBE_SOURCE).build(options=["-w"], cache_dir=NO_CACHE), "probe")
     times, end = [], time.perf_counter() + _RANKING_SECONDS
     while len(times) < 3 or (len(times) < 20 and time.perf_counter() < end):
         event = kernel(queue, (n,), None, a, b, np.int32(n))
@@ -223,7 +223,7 @@ def try_int64_atomics(context: cl.Context, queue: cl.CommandQueue) -> bool:
 
     try:
         with quiet_builds():
-            kernel = cl.Kernel(cl.Program(context, INT64_SOURCE).build(options=["-w"], cache_dir=False), "least")
+            kernel = cl.Kernel(cl.Program(context, INT64_SOURCE).build(options=["-w"], cache_dir=NO_CACHE), "least")
         out = np.full(2, np.iinfo(np.uint64).max, np.uint64)
         buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR, hostbuf=out)
         kernel(queue, (64,), None, buffer)
@@ -253,7 +253,7 @@ def try_exact_division(context: cl.Context, queue: cl.CommandQueue) -> bool:
     flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
     try:
         with quiet_builds():
-            kernel = cl.Kernel(cl.Program(context, DIVISION_SOURCE).build(options=["-w"], cache_dir=False), "divide")
+            kernel = cl.Kernel(cl.Program(context, DIVISION_SOURCE).build(options=["-w"], cache_dir=NO_CACHE), "divide")
         one, eight = (cl.Buffer(context, cl.mem_flags.WRITE_ONLY, 4 * 8 * n) for _ in range(2))
         kernel(queue, (n,), None, *(cl.Buffer(context, flags, hostbuf=x) for x in (a, b)), one, eight)
         found = np.empty_like(a), np.empty_like(a)

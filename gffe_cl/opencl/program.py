@@ -68,7 +68,7 @@ class Program:
             what, log = f"kernels/{name}.cl does not build on {device.info.name}", _log(error)
             raise BuildError(f"{what}: {first_error(log)}", f"{what}:\n{log}") from None
         # Not `all_kernels`: pyopencl (2026.1) retains those once too often, and the context is never released.
-        names = built.get_info(cl.program_info.KERNEL_NAMES).split(";")
+        names = str(built.get_info(cl.program_info.KERNEL_NAMES)).split(";")
         self.kernels = {kernel: cl.Kernel(built, kernel) for kernel in names}
         self._launching = Lock()  # arguments are set one by one: pipelines on several threads share the kernels
         self.arguments = parse_kernels(source)
@@ -120,15 +120,15 @@ def kernel_folder() -> Path:
     return Path(os.environ.get("GFFE_KERNELS") or str(files("gffe_cl.kernels")))
 
 
-def constants(name: str) -> dict[str, int | float]:
+def constants(name: str) -> dict[str, Any]:
     """The numbers that `kernels/<name>` and its headers define: {"BINS": 32768, …}."""
     return parse_constants(expand(name))
 
 
-def parse_constants(source: str) -> dict[str, int | float]:
+def parse_constants(source: str) -> dict[str, Any]:
     """The numbers that are defined in the text of a kernel file, and the members of its enums: integers, and floats as
     float32 has them."""
-    found: dict[str, int | float] = {}
+    found: dict[str, Any] = {}
     for name, text in _DEFINE.findall(_COMMENT.sub(" ", source)):
         text = text.strip()
         if re.fullmatch(r"(0[xX][0-9a-fA-F]+|\d+)[uU]?", text):
@@ -171,12 +171,17 @@ def _layout(source: str, name: str) -> tuple[np.dtype, int]:
         dtype, alignment = _layout(source, kind)
         widest = max(widest, alignment)
         for member, count in re.findall(r"(\w+)(?:\[(\w+)\])?\s*(?:,|$)", names):
-            size = int(parse_constants(source).get(count, count)) if count else None
+            size = int(parse_constants(source).get(count, count)) if count else 0
             start = -(-end // alignment) * alignment
             fields[member] = (np.dtype((dtype.base, (size, *dtype.shape))) if count else dtype, start)
             end = start + fields[member][0].itemsize
     formats, offsets = zip(*fields.values(), strict=True)
-    layout = {"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": -(-end // widest) * widest}
+    layout: Any = {
+        "names": list(fields),
+        "formats": formats,
+        "offsets": offsets,
+        "itemsize": -(-end // widest) * widest,
+    }
     return np.dtype(layout), widest
 
 
@@ -189,7 +194,7 @@ def _argument(text: str) -> Argument:
 def _told_names(kernel: cl.Kernel) -> list[str] | None:
     """The names of a kernel's arguments, where the runtime tells them."""
     try:
-        return [kernel.get_arg_info(k, cl.kernel_arg_info.NAME) for k in range(kernel.num_args)]
+        return [str(kernel.get_arg_info(k, cl.kernel_arg_info.NAME)) for k in range(kernel.num_args)]
     except cl.Error:
         return None
 

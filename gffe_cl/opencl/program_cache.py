@@ -12,11 +12,12 @@ import os
 import platform
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pyopencl as cl
 from pyopencl.characterize import has_src_build_cache
 
-from gffe_cl.opencl.runtimes import keep_file, kept_folder
+from gffe_cl.opencl.runtimes import NO_CACHE, keep_file, kept_folder
 
 _FOLDER = "kernels"
 _MOST_FILES = 256
@@ -34,12 +35,13 @@ def built_program(context: cl.Context, source: str, options: tuple[str, ...] = (
     program = _built(cl.Program(context, source), options)
     if path is not None:
         with suppress(OSError, cl.Error):
-            keep_file(path, program.get_info(cl.program_info.BINARIES)[0], "*.bin", _MOST_FILES)
+            binaries: Any = program.get_info(cl.program_info.BINARIES)
+            keep_file(path, binaries[0], "*.bin", _MOST_FILES)
     return program
 
 
 def _built(program: cl.Program, options: tuple[str, ...]) -> cl.Program:
-    return program.build(options=list(options), cache_dir=False)
+    return program.build(options=list(options), cache_dir=NO_CACHE)
 
 
 def _path(device: cl.Device, source: str, options: tuple[str, ...]) -> Path | None:

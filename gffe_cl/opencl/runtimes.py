@@ -19,11 +19,13 @@ import warnings
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import platformdirs
 
 _KEPT = "GFFE_DEVICE_CACHE"
 VENDORS = "OCL_ICD_VENDORS"  # the ICD loader's variable: a folder of `.icd` files, or one such file
+NO_CACHE: Any = False  # for pyopencl's `cache_dir`, whose stub knows folders only
 _SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
 # What libintelocl.so finds only when these are already loaded, in this order.
 _INTEL_NEEDS = ("libintlc.so.5", "libimf.so", "libsvml.so", "libirng.so", "libtbb.so.12")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 
 import numpy as np
 import pyopencl as cl
@@ -27,16 +28,20 @@ class MadeFrame:
 
     camera: Camera
     time: float
-    color: cl.Buffer
+    _color: cl.Buffer
     depth: cl.Buffer
     motion: cl.Buffer
     _device: Device
     _size: tuple[int, int]
 
+    @property
+    def color(self) -> cl.Buffer:
+        return self._color
+
     def numpy(self, name: str) -> np.ndarray:
         """Copy to the host by the attribute's name: colours (H, W, 3) float16, "depth" (H, W) float32, "motion"
         (H, W, 2) float32, all others (H, W) uint8. Raises GffeError for other names, and where the device fails."""
-        names = [n for n in (*_SPECS, *_LIKE) if hasattr(self, n)]
+        names = [n for n in (*_SPECS, *_LIKE) if n == "color" or n in {field.name for field in fields(self)}]
         spec = _SPECS[_LIKE.get(require_choice(name, names, "frame: name"), name)]
         out = np.empty(spec.shape(Sizes(self._size, self._size)), spec.dtype)
         with device_faults(self._device, f'reading "{name}"', lambda: f"{self._size[0]}×{self._size[1]}"):
@@ -54,7 +59,8 @@ class ExtrapolatedFrame(MadeFrame):
     """An extrapolated frame at t + α.
 
     `motion` is t + α → t, into the rendered image of t; `dynamic`, `disoccluded`, `filled_by` (uchar). `gae` is the
-    colour before shading correction and overlays, the same buffer as `color` where these are off.
+    colour before shading correction and overlays, the same buffer as `color` where these are off. Where the network
+    works beside the device, asking for `color` waits for it.
     """
 
     alpha: float
@@ -63,3 +69,10 @@ class ExtrapolatedFrame(MadeFrame):
     disoccluded: cl.Buffer
     filled_by: cl.Buffer
     gae: cl.Buffer
+    _finish: Callable[[], None] | None  # None: nothing waits
+
+    @property
+    def color(self) -> cl.Buffer:
+        if self._finish:
+            self._finish()
+        return self._color

@@ -115,9 +115,9 @@ class Pacer:
         if time - self._newest < _SAME * self._period:
             time = self._newest
         last = self._last
-        held = last is not None and time <= last.time + _SAME * self._period
-        if held:
-            time = last.time
+        held = False
+        if last is not None and time <= last.time + _SAME * self._period:
+            time, held = last.time, True
         alpha = (time - self._newest) / self._interval if self._interval else 0.0
         if last is not None:
             self._steps.append((time - last.time) - (refresh - last.refresh))

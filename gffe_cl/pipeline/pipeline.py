@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -165,7 +166,7 @@ class Pipeline:
         require_room(self.device, self.sizes, lambda sizes: self._allocate(sizes, options)[1])
         self.board, self._nbytes = self._allocate(self.sizes, options)
         self.options = options
-        self.stages: dict[str, Stage] = dict(self.board.stages)
+        self.stages: dict[str, Any] = dict(self.board.stages)
         self.presentation: Presentation | None = None  # made with the first windowed frame
         self._upload: Upload | None = None  # made with the first NumPy arrays
         self.composition: Composition | None = None  # made with the first frame that brings overlays
@@ -206,6 +207,7 @@ class Pipeline:
         pipeline is then as it was before.
         """
         require_kind(options, Options, "change_options: options", "Options")
+        self._finish()
         before, bad = self.board, self.bad_pixels
         self._begin(options)
         self._bad_pixels, self.is_cut = bad, False
@@ -291,14 +293,16 @@ class Pipeline:
         frame before was and motion must be converted. Returns at once. Raises GffeError before the first `submit`."""
         self._need_frame()
         frame, picture = self._shown, self._picture("rendered")
+        assert frame is not None  # as there is a current one
         if self._needs_presentation:
+            assert self.presentation is not None  # `submit` has made it
             self.presentation.present(frame, self._previous, with_color=picture is None)
             color, depth, motion = (self.presentation.buffer[name] for name in ("color", "depth", "motion"))
         else:
             color, depth, motion = frame.buffers
         color = picture or color
-        if self._has_overlays:
-            color = self.composition.compose(color, 0.0, rendered=True)
+        if composition := self._overlaid:
+            color = composition.compose(color, 0.0, rendered=True)
         return PresentedFrame(frame.display_camera, frame.time, color, depth, motion, self.device, self.sizes.target)
 
     @property
@@ -307,8 +311,8 @@ class Pipeline:
         return self._need_frame().display_camera
 
     @property
-    def _has_overlays(self) -> bool:
-        return bool(self.composition and self.composition.active)
+    def _overlaid(self) -> Composition | None:
+        return self.composition if self.composition and self.composition.active else None
 
     @property
     def _needs_presentation(self) -> bool:
@@ -320,8 +324,8 @@ class Pipeline:
     def _on_device(self, frame: RenderedFrame) -> DeviceFrame:
         display_camera = self._display_camera(frame)
         require_one_pose(frame.camera, display_camera)
-        arrays = dict(zip(("color", "depth", "motion"), (frame.color, frame.depth, frame.motion), strict=True))
-        given = {s.name: given_buffer(arrays[s.name], s, self.sizes, self.device) for s in RENDERED}
+        arrays: dict[str, Any] = {"color": frame.color, "depth": frame.depth, "motion": frame.motion}
+        given: dict[str, Any] = {s.name: given_buffer(arrays[s.name], s, self.sizes, self.device) for s in RENDERED}
         if given["color"] and given["depth"] and require_motion(frame) is None:
             given["motion"] = self._zero_motion()
         if all(given.values()):
@@ -348,10 +352,11 @@ class Pipeline:
         return taken
 
     def _zero_motion(self) -> cl.Buffer:
-        if self._no_motion is None:
-            self._no_motion = self.device.buffer(RENDERED[2].nbytes(self.sizes))
-            cl.enqueue_fill_buffer(self.device.queue, self._no_motion, np.uint8(0), 0, self._no_motion.size)
-        return self._no_motion
+        zeros = self._no_motion
+        if zeros is None:
+            self._no_motion = zeros = self.device.buffer(RENDERED[2].nbytes(self.sizes))
+            cl.enqueue_fill_buffer(self.device.queue, zeros, b"\0", 0, zeros.size)
+        return zeros
 
     def _display_camera(self, frame: RenderedFrame) -> Camera:
         if self.options.upscale and frame.display_camera is None:
@@ -387,8 +392,9 @@ class Pipeline:
         seen_through: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> ExtrapolatedFrame:
         """Make the frame at `time` (seconds; default: half an interval ahead) seen by `camera` (default:
-        the predicted camera). Returns at once, unless it waits for the shading correction network; reading a buffer
-        waits. With the time of the rendered frame itself and a newer camera it is a late warp (α = 0).
+        the predicted camera). Returns at once, unless the shading correction network works on the device's own
+        processor, which it waits for; else the frame's `color` waits, and the next `submit` works meanwhile. Reading a
+        buffer waits. With the time of the rendered frame itself and a newer camera it is a late warp (α = 0).
 
         `target_position` (H, W, 4) float32 replaces position prediction, for experiments: x, y in target
         pixels, view depth there (−1: nothing), 0, for every pixel of the rendered frame. `seen_through`, depth (H, W)
@@ -416,14 +422,16 @@ class Pipeline:
         if self.watcher:
             self.watcher.before(self)
         step = Step(source, self._previous, self._recent_times, camera, time, alpha, self.exposure, **replaced)
+        self._finish()
         for stage in self.stages.values():
             stage.extrapolated(step)
             if stage.name in self._outputs:
                 self._outputs[stage.name].keep(self.board.frame.buffer)
         made = self.board.frame.buffer
         color = self._picture("extrapolated") or made["color"]
-        if self._has_overlays:
-            color = self.composition.compose(color, alpha)
+        if composition := self._overlaid:
+            self._finish()
+            color = composition.compose(color, alpha)
         frame = ExtrapolatedFrame(
             camera,
             time,
@@ -436,10 +444,21 @@ class Pipeline:
             source.time,
             **{name: made[name] for name in ("dynamic", "disoccluded", "filled_by")},
             gae=made["color"],
+            _finish=self._unfinished,
         )
         if self.watcher:
             self.watcher.extrapolated(self, frame)
         return frame
+
+    @property
+    def _unfinished(self) -> Callable[[], None] | None:
+        """What makes the final image of the last frame, if that still waits for the network."""
+        correction = self.stages.get(ShadingCorrection.name)
+        return correction.finish if correction and correction.is_begun else None
+
+    def _finish(self) -> None:
+        if finish := self._unfinished:
+            finish()
 
     def _picture(self, occasion: str) -> cl.Buffer | None:
         """What the last stage that makes a picture then has made."""
@@ -468,11 +487,12 @@ class Pipeline:
 
     def named_buffers(self) -> Iterator[tuple[Owner, BufferSpec]]:
         """Every named buffer that holds the present frame, with its owner; read one with `owner.read(spec.name)`. It is
-        called "<owner.name>.<spec.name>".
+        called "<owner.name>.<spec.name>". Waits for the network.
 
         What a stage left in the buffers of the extrapolated frame ("warp.color": before the background filled anything)
         is among them once `keep` asked for it.
         """
+        self._finish()
         yield from ((self.board.frame, spec) for spec in self.board.frame.buffers)
         for stage in self.stages.values():
             yield from ((stage, spec) for spec in stage.buffers if not spec.scratch)
@@ -480,8 +500,8 @@ class Pipeline:
                 yield from ((output, output.spec(name)) for name in output.buffer)
         if self.presentation and self._needs_presentation:
             yield from ((self.presentation, spec) for spec in self.presentation.buffers)
-        if self._has_overlays:
-            yield from ((self.composition, spec) for spec in self.composition.held())
+        if composition := self._overlaid:
+            yield from ((composition, spec) for spec in composition.held())
 
     def outputs(self) -> Iterator[tuple[str, BufferSpec]]:
         """What `keep` can keep: the stages' names, and the buffers of the extrapolated frame that each of them writes
@@ -498,6 +518,7 @@ class Pipeline:
         what only lookers want ("correction.refined", "shading.…") only if it is among them. Names of other buffers are
         ignored. Raises GffeError for what is no collection of texts."""
         wanted = None if names is None else set(require_list(names, str, "keep: names", "a list of texts"))
+        self._finish()
         for stage in self.stages.values():
             stage.look_at(wanted)
         found: dict[str, list[BufferSpec]] = {}
@@ -515,6 +536,7 @@ class Pipeline:
 
     def take_kernel_timings(self) -> dict[str, dict[str, float]]:
         """As `take_timings`, by stage and kernel."""
+        self._finish()
         self.device.queue.finish()
         stages = [*self.stages.values(), *filter(None, (self.presentation, self.composition))]
         timings = {stage.name: stage.take_kernel_milliseconds() for stage in stages}

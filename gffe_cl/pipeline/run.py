@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,6 @@ from gffe_cl.pipeline.pipeline import Pipeline
 from gffe_cl.pipeline.source import Source
 from gffe_cl.sequence import FrameEntry, SequenceWriter, named_channels
 from gffe_cl.sequence.exr import DEFAULT_COMPRESSION, codec_seconds, write_channels
-from gffe_cl.stages.buffers import BufferSpec
 
 _MOST_ALPHA = 100
 _MOTION_STEPS = np.float32(1024)  # per pixel, of motion in files
@@ -214,7 +214,7 @@ def dump_buffers(pipeline: Pipeline, folder: Path) -> None:
         raise GffeError(f"{folder}: cannot write the stage dump: {error.strerror or error}") from None
 
 
-def _dump_channels(spec: BufferSpec, array: np.ndarray) -> dict[str, np.ndarray]:
+def _dump_channels(spec: Any, array: np.ndarray) -> dict[str, np.ndarray]:
     """Channels of a dumped buffer: its components ("Y" for a single one), numbered "1.x" … per plane."""
     channels = {}
     for k, plane in enumerate(array if spec.planes > 1 else array[None]):

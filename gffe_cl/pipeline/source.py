@@ -46,6 +46,7 @@ class Source(Protocol):
     def frames(self, alphas: list[float], strict: bool) -> Iterator[tuple[FrameEntry, RenderedFrame]]:
         """Each rendered frame; `alphas` are the times that will be extrapolated after it, in intervals. With
         `strict` GffeError for bad pixels."""
+        ...
 
     def store(self, writer: SequenceWriter, entry: FrameEntry, frame: RenderedFrame) -> None:
         """Put a rendered frame into an output."""
@@ -53,15 +54,18 @@ class Source(Protocol):
     def cameras_at(self, times: list[float]) -> list[Camera] | None:
         """The display cameras of the new frames of one interval, at `times` (seconds); None unless each of them is
         known: predicted and known cameras do not mix within an interval."""
+        ...
 
     def number_of(self, entry: FrameEntry) -> str:
         """What tells the rendered frame's file from others."""
+        ...
 
     def refuse(self, output: Path) -> None:
         """GffeError if `output` must not be written to."""
 
     def warnings(self) -> list[str]:
         """Legal but suspicious things met so far."""
+        ...
 
 
 class Recorded:
@@ -74,7 +78,7 @@ class Recorded:
     frames have several sizes.
     """
 
-    def __init__(self, sequence: Sequence, device: Device, window: str | None = None, upscale: float = 0.0):
+    def __init__(self, sequence: Sequence, device: Device | None, window: str | None = None, upscale: float = 0.0):
         if window not in (None, "off"):
             raise GffeError(
                 f"--window {window}: only built-in scenes are rendered through a chosen window, {sequence.path} is a"
@@ -151,8 +155,9 @@ class Recorded:
             writer.link(entry, own)
 
     def cameras_at(self, times):
-        cameras = [self.sequence.camera_at(time) for time in times]
-        if all(cameras):
+        found = [self.sequence.camera_at(time) for time in times]
+        cameras = [camera for camera in found if camera is not None]
+        if len(cameras) == len(times):
             return [self._shown(camera) for camera in cameras] if self._upscale else cameras
         for time in times:
             self._missed = self._missed or self.sequence.near_miss("ground_truth", time) or ""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from gffe_cl.frame.camera import Camera
@@ -148,7 +150,7 @@ def _split(members: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.n
     """Two parts at the cheapest place along any axis by the surface area heuristic; the larger part first."""
     low, high = low[members], high[members]
     centre = low + high
-    best = (np.inf, None)
+    best: tuple[float, Any] = (np.inf, None)
     for axis in range(3):
         rank = np.argsort(centre[:, axis], kind="stable")
         left = _areas(low[rank], high[rank])

@@ -98,7 +98,8 @@ class _Job:
         return SceneFrames(renderer, WindowChooser(self.window, self.size, self.alphas), self.size, self.jitter, truths)
 
 
-def _here(job: _Job, count: int, device: Device) -> Iterator[tuple[FrameEntry, dict]]:
+def _here(job: _Job, count: int, device: Device | None) -> Iterator[tuple[FrameEntry, dict]]:
+    assert device is not None  # without a cluster
     made, before = job.frames(device), None
     for k, frame in enumerate(made.sequence(count, job.fps)):
         yield from _written(job, made, k, frame, before)

@@ -116,9 +116,9 @@ class SceneRenderer:
         self._keys = device.buffer(pixels * 4)
         self.image = SceneImage(
             *(device.buffer(pixels * size) for size in (8, 4, 8, 16, 4)),
-            self.width,
-            self.height,
-            device.queue,
+            width=self.width,
+            height=self.height,
+            queue=device.queue,
         )
 
     def render(

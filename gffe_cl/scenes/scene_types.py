@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gffe_cl.frame.camera import Camera
 from gffe_cl.opencl.program import constants
@@ -202,7 +204,7 @@ class Scene:
         return Camera.look_at(self.eye(time), self.target(time), (0.0, 1.0, 0.0), focal, focal, width / 2, height / 2)
 
 
-def wave(centre, amplitude, period, phase=0.0) -> Callable[[float], np.ndarray]:
+def wave(centre, amplitude, period, phase: ArrayLike = 0.0) -> Callable[[float], np.ndarray]:
     """Smooth wandering: centre + amplitude · sin(2π (time / period + phase)), per coordinate."""
     centre, amplitude = np.asarray(centre, np.float64), np.asarray(amplitude, np.float64)
     period, phase = np.broadcast_to(period, 3), np.broadcast_to(phase, 3)
@@ -224,6 +226,6 @@ def vary(rng: np.random.Generator, color, amount=0.15) -> tuple:
     return tuple(float(c) for c in np.clip(np.asarray(color) * scale, 0.0, None))
 
 
-def pick(rng: np.random.Generator, *choices):
+def pick(rng: np.random.Generator, *choices) -> Any:
     """One of `choices`."""
     return choices[int(rng.integers(len(choices)))]

@@ -24,8 +24,8 @@ def require_frames(count: int, fps: float) -> None:
 
 def smaller_renderer(device: Device, scene: Scene, size: tuple[int, int], scale: float, samples: int) -> SceneRenderer:
     """What renders `scene` `scale` times smaller, each way, than a display of `size`, with textures as fine as that."""
-    small = (max(round(n / scale), 1) for n in size)
-    return SceneRenderer(device, scene, *small, samples, 1 / scale)
+    width, height = (max(round(n / scale), 1) for n in size)
+    return SceneRenderer(device, scene, width, height, samples, 1 / scale)
 
 
 class SceneFrames:

@@ -65,7 +65,8 @@ class Augmentation:
         some = self._some(count, self.noise)
         if len(some):
             colors[:2, some] = self._grainy(colors[:2, some])
-        return Batch(*colors[:3], side, trends, alpha, batch.heights, batch.halved)
+        gae, previous, truth = colors[:3]
+        return Batch(gae, previous, truth, side, trends, alpha, batch.heights, batch.halved)
 
     def _turned(self, colors: Tensor, *others: Tensor) -> list[Tensor]:
         """All of them mirrored either way, and transposed."""

@@ -59,10 +59,8 @@ class Batch:
         return [self.gae, self.previous, self.truth, self.side]
 
     def to(self, device) -> Batch:
-        images = (image.to(device) for image in self.images())
-        return Batch(
-            *images, self.trends.to(device), self.alpha.to(device), self.heights.to(device), halved=self.halved
-        )
+        images = (image.to(device) for image in (*self.images(), self.trends, self.alpha, self.heights))
+        return Batch(*images, halved=self.halved)
 
     def frames(self) -> Tensor:
         """The network's input, its trends apart."""
@@ -91,6 +89,7 @@ def focus_truth(gae: Tensor, truth: Tensor, dynamic: Tensor, reach: float = 1.0)
                 other = torch.lerp(truth, other, reach)
             error = relative_error(gae, other).sum(1, keepdim=True)
             least = error if least is None else torch.minimum(least, error)
+    assert least is not None
     return (least > 3 * FOCUS_SMAPE) & ~dynamic
 
 
@@ -133,7 +132,8 @@ def load_batch(crops: list[Crop], halved: bool = False) -> Batch:
     planes, trends = (torch.from_numpy(x).float() for x in (planes, half[:, CHANNELS:, ::2, ::2]))
     alpha = torch.tensor([crop.alpha for crop in crops])
     heights = torch.tensor([float(crop.height) for crop in crops])
-    return Batch(*(planes[:, part] for part in PLANES.values()), trends, alpha, heights, halved)
+    images = (planes[:, part] for part in PLANES.values())
+    return Batch(*images, trends=trends, alpha=alpha, heights=heights, halved=halved)
 
 
 def _read(crop: Crop, path: Path, channels: int, scale: int) -> np.ndarray:

@@ -9,6 +9,7 @@ import subprocess
 import warnings
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -27,19 +28,24 @@ from gffe_cl.inference.model_interface import (
 from gffe_cl.inference.network import load_onnxruntime
 from gffe_cl.scn.channels import pad_file
 from gffe_cl.scn.network import ShadingCorrectionNetwork
+from gffe_cl.scn.quantization import rounded_weights, store_integers
 from gffe_cl.stages.shading_trend import TREND_PLANES
 
 OPSET = 18
 TOLERANCE = 2e-4  # between onnxruntime and PyTorch, of values in about −1 … 1
+INTEGER_TOLERANCE = 0.2  # of integers, the root of the mean square of values in about −10 … 10
 
 
-def export_onnx(network: ShadingCorrectionNetwork, path: Path) -> float:
+def export_onnx(network: ShadingCorrectionNetwork, path: Path, integers: bool = False) -> float:
     """Write `network` to `path`: its convolutions, for frames of any height and width, and the head's weights; returns
-    the largest difference between onnxruntime and PyTorch on random input of two sizes.
+    the largest difference between onnxruntime and PyTorch on random input of two sizes. `integers`: the network was
+    quantized; returns the root of the mean squared difference, for integers may be off by one.
 
     Raises GffeError if they disagree, or the file cannot be written; then there is none.
     """
-    network = network.eval().cpu().to(memory_format=torch.contiguous_format)
+    convert: Any = network.eval().cpu().to  # the stub lacks this form of it
+    network = convert(memory_format=torch.contiguous_format)
+    convolutions = rounded_weights(network.convolutions) if integers else network.convolutions
     path, part = Path(path), Path(path).with_suffix(".part.onnx")
     example = example_inputs(4 * MULTIPLE, 6 * MULTIPLE)
     try:
@@ -47,7 +53,7 @@ def export_onnx(network: ShadingCorrectionNetwork, path: Path) -> float:
             warnings.simplefilter("ignore")
             logging.getLogger("torch.onnx").setLevel(logging.ERROR)
             torch.onnx.export(
-                network.convolutions,
+                convolutions,
                 tuple(example.values()),
                 str(part),
                 input_names=list(example),
@@ -60,12 +66,13 @@ def export_onnx(network: ShadingCorrectionNetwork, path: Path) -> float:
                 opset_version=OPSET,
                 dynamo=False,
             )
+        if integers:
+            store_integers(part)
         pad_file(part, part, {HEAD: head_text(network.head_weights())})
-        difference = largest_difference(network, part)
-        if not difference <= TOLERANCE:
-            raise GffeError(
-                f"{path}: onnxruntime and PyTorch differ by {difference:.2g} (expected at most {TOLERANCE:g})"
-            )
+        largest, mean = differences(network, part)
+        difference, most = (mean, INTEGER_TOLERANCE) if integers else (largest, TOLERANCE)
+        if not difference <= most:
+            raise GffeError(f"{path}: onnxruntime and PyTorch differ by {difference:.2g} (expected at most {most:g})")
         os.replace(part, path)
     except OSError as error:
         raise GffeError(f"{path}: cannot write the model: {error.strerror or error}") from None
@@ -97,17 +104,17 @@ def weights_of(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
     return weights, head_weights(head)
 
 
-def largest_difference(network: ShadingCorrectionNetwork, path: Path) -> float:
-    """Between the outputs of onnxruntime and PyTorch."""
+def differences(network: ShadingCorrectionNetwork, path: Path) -> tuple[float, float]:
+    """Between the outputs of onnxruntime and PyTorch: the largest, and the root of the mean square."""
     session = load_onnxruntime().InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    worst = 0.0
+    found = []
     for height, width in ((2 * MULTIPLE, 3 * MULTIPLE), (5 * MULTIPLE, MULTIPLE)):
         inputs = example_inputs(height, width)
         (onnx,) = session.run(None, {name: value.numpy() for name, value in inputs.items()})
         with torch.no_grad():
-            expected = network.convolutions(*inputs.values()).numpy()
-        worst = max(worst, float(np.abs(onnx - expected).max()))
-    return worst
+            found.append((onnx - network.convolutions(*inputs.values()).numpy()).ravel())
+    difference = np.concatenate(found)
+    return float(np.abs(difference).max()), float(np.sqrt((difference**2).mean()))
 
 
 def count_operations(network: ShadingCorrectionNetwork, width: int, height: int) -> tuple[int, float]:

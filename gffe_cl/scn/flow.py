@@ -27,13 +27,15 @@ def find_flow(now: Tensor, before: Tensor, repeated: Tensor) -> tuple[Tensor, Te
     """
     images = [(now, before)]
     while len(images) < _LEVELS:
-        images.append(tuple(halve(image) for image in images[-1]))
+        a, b = images[-1]
+        images.append((halve(a), halve(b)))
     flow = None
     for a, b in reversed(images):
         height, width = a.shape[-2] // 2, a.shape[-1] // 2
         flow = a.new_zeros(a.shape[0], 2, height, width) if flow is None else 2.0 * double(flow)
         for _ in range(_STEPS):
             flow = flow + _step(a, warp(b, double(flow)))
+    assert flow is not None
     finest = double(flow)
     squares = halve(torch.cat((before - now, warp(before, finest) - now), 1).square())
     changed = halve(now - before)

@@ -98,7 +98,7 @@ class VggLoss(nn.Module):
         self.register_buffer("deviation", torch.tensor((0.229, 0.224, 0.225)).view(1, 3, 1, 1))
 
     def forward(self, a: Tensor, b: Tensor) -> Tensor:
-        both = (torch.cat((a, b), 0).clamp(0, 1) - self.mean) / self.deviation
+        both = (torch.cat((a, b), 0).clamp(0, 1) - self.get_buffer("mean")) / self.get_buffer("deviation")
         total = both.new_zeros(())
         for index, layer in enumerate(self.layers):
             both = layer(both)

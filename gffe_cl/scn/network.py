@@ -10,7 +10,8 @@ does.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import torch
@@ -47,8 +48,30 @@ def decode(encoded: Tensor) -> Tensor:
     return torch.expm1(encoded.clamp(0, _MOST) * _LOG) * (HEADROOM / MU)
 
 
+class _Convolution(nn.Conv2d):
+    """`weight_rounding`, if there is one, makes of the weights those that are used."""
+
+    weight_rounding: Callable[[Tensor], Tensor] | None = None
+
+    def forward(self, image: Tensor) -> Tensor:
+        weight = self.weight_rounding(self.weight) if self.weight_rounding else self.weight
+        return functional.conv2d(image, weight, self.bias, self.stride, self.padding)
+
+
 def _conv(inputs: int, outputs: int, stride: int = 1, size: int = 3) -> nn.Sequential:
-    return nn.Sequential(nn.Conv2d(inputs, outputs, size, stride, size // 2), nn.LeakyReLU(_SLOPE))
+    return nn.Sequential(_Convolution(inputs, outputs, size, stride, size // 2), nn.LeakyReLU(_SLOPE))
+
+
+class _Joined(nn.Module):
+    """Channels of several images of one size. A module, as the next: what they give can be rounded."""
+
+    def forward(self, *images: Tensor) -> Tensor:
+        return torch.cat(images, 1)
+
+
+class _Doubled(nn.Module):
+    def forward(self, image: Tensor) -> Tensor:
+        return double(image)
 
 
 class Convolutions(nn.Module):
@@ -60,22 +83,25 @@ class Convolutions(nn.Module):
 
     def __init__(self):
         super().__init__()
-        self.seen = _conv(INPUT_PLANES, _SEEN, 2)
+        self.seen, self.given = _conv(INPUT_PLANES, _SEEN, 2), nn.Identity()
         self.encoder = nn.ModuleList([_conv(_SEEN + CANDIDATE_PLANES, _CHANNELS[0])])
         for i, o in zip(_CHANNELS[:-1], _CHANNELS[1:], strict=True):
             self.encoder.append(nn.Sequential(_conv(i, o, 2), _conv(o, o)))
         pairs = list(zip(_CHANNELS[1:], _CHANNELS[:-1], strict=True))  # finest first, as above
         self.narrow = nn.ModuleList(_conv(coarse, fine, size=1) for coarse, fine in pairs)
         self.decoder = nn.ModuleList(_conv(2 * fine, fine) for _, fine in pairs)
+        self.doubled = nn.ModuleList(_Doubled() for _ in pairs)
+        self.joined = nn.ModuleList(_Joined() for _ in range(1 + len(pairs)))  # the last: before the encoder
         self.out = nn.Conv2d(_CHANNELS[0], JUDGEMENT_PLANES, 1)
 
     def forward(self, frames: Tensor, candidates: Tensor) -> Tensor:
-        features = [torch.cat((self.seen(frames), candidates), 1)]
+        features = [self.joined[-1](self.seen(frames), self.given(candidates))]
         for level in self.encoder:
             features.append(level(features[-1]))
         result = features.pop()
-        for narrow, level in zip(reversed(self.narrow), reversed(self.decoder), strict=True):
-            result = level(torch.cat((double(narrow(result)), features.pop()), 1))
+        for k in reversed(range(len(self.decoder))):
+            coarse = self.doubled[k](self.narrow[k](result))
+            result = self.decoder[k](self.joined[k](coarse, features.pop()))
         return self.out(result)
 
 
@@ -110,10 +136,12 @@ class ShadingCorrectionNetwork(nn.Module):
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, _SLOPE)
+                assert module.bias is not None
                 nn.init.zeros_(module.bias)
         self.convolutions.out.weight[:_JUDGED] *= 0.1
-        self.head[1].weight *= 0.1
-        self.head[1].bias.copy_(torch.tensor((0.0, 0.0, 0.0, 2.0, 0.15, 0.3)))
+        last: Any = self.head[1]
+        last.weight *= 0.1
+        last.bias.copy_(torch.tensor((0.0, 0.0, 0.0, 2.0, 0.15, 0.3)))
 
     def head_weights(self) -> np.ndarray:
         """(374,): of each layer rows, then biases."""

@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -29,12 +30,14 @@ from gffe_cl.scn.crops import Batch, Crop, keep_crops, load_batch
 from gffe_cl.scn.export import commit, weights_of
 from gffe_cl.scn.images import double
 from gffe_cl.scn.network import ShadingCorrectionNetwork, compose, encode
+from gffe_cl.scn.quantization import quantize
 
 CHECKPOINT = "checkpoint.pt"
 _FORMAT = 4
 _CHECKPOINT_SECONDS = 120
 _VALIDATION_SHARE = 0.06  # of the clips
 _VALIDATION_CROPS = 96
+_CALIBRATION_STEPS = 24
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,8 @@ class Recipe:
     `shading` is how often crops get moving shading (`Augmentation`). `blend_weight` counts the error of the frame as it
     is shown, which the paper's reconstruction loss, with the ground truth in place of the GAE frame, does not see. Full
     resolution, where the network's output is composed, is needed for its `keep` only, and takes more than half of a
-    step's time: all but every `full_every`-th step do with half.
+    step's time: all but every `full_every`-th step do with half. `integers`: for convolutions in 8-bit integers
+    (`quantization`).
     """
 
     seed: int = 0
@@ -57,8 +61,11 @@ class Recipe:
     blend_weight: float = 1.0
     full_every: int = 4
     bfloat16: bool = False
+    integers: bool = False
 
     def __post_init__(self):
+        if self.bfloat16 and self.integers:
+            raise GffeError("training: expected bfloat16 or integers, got both")
         for name in ("steps", "batch", "full_every"):
             if getattr(self, name) < 1:
                 raise GffeError(f"training: {name} must be at least 1, got {getattr(self, name)}")
@@ -191,7 +198,10 @@ class Training:
         self.network = ShadingCorrectionNetwork()
         if start:
             self._begin_with(start)
-        self.network = self.network.to(self.device, memory_format=torch.channels_last)
+        if recipe.integers:
+            quantize(self.network.convolutions, self._seen_by_convolutions())
+        convert: Any = self.network.to  # the stub lacks this form of it
+        self.network = convert(self.device, memory_format=torch.channels_last)
         self.parallel = processes.wrap(self.network)
         self.optimizer = torch.optim.Adam(self.network.parameters(), recipe.learning_rate)
         self.perceptual = losses.perceptual_loss(vgg).to(self.device)
@@ -257,10 +267,8 @@ class Training:
     def _train_step(self) -> tuple[bool, dict[str, float]]:
         """Whether it was at half resolution, and the terms of its loss."""
         recipe, processes = self.recipe, self.processes
-        generator = torch.Generator().manual_seed(_mixed(recipe.seed, self.step, processes.rank))
         halved = (self.step + 1) % recipe.full_every != 0
-        batch = load_batch(self._chosen(), halved)
-        batch = Augmentation(generator, recipe.shading)(batch).to(self.device)
+        batch = self._batch(self.step, halved).to(self.device)
         for group in self.optimizer.param_groups:
             group["lr"] = recipe.learning_rate_at(self.step)
         self.parallel.train()
@@ -268,7 +276,7 @@ class Training:
             correction, likely = self.parallel(*self._inputs(batch))
         terms = loss_terms(correction.float(), likely, batch, batch.focus().float(), self.perceptual)
         factors = weights(recipe)
-        loss = sum(factors[name] * value for name, value in terms.items())
+        loss: Any = sum(factors[name] * value for name, value in terms.items())
         self.optimizer.zero_grad()
         loss.backward()
         length = nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
@@ -280,16 +288,21 @@ class Training:
         self.optimizer.step()
         return halved, {name: float(value.detach()) for name, value in (terms | {"loss": loss}).items()}
 
+    def _batch(self, step: int, halved: bool) -> Batch:
+        """Augmented crops of a step."""
+        generator = torch.Generator().manual_seed(_mixed(self.recipe.seed, step, self.processes.rank))
+        return Augmentation(generator, self.recipe.shading)(load_batch(self._chosen(step), halved))
+
     def _inputs(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
         """The network's arguments."""
         frames, trends = (x.contiguous(memory_format=torch.channels_last) for x in (batch.frames(), batch.trends))
         return frames, batch.alpha, trends
 
-    def _chosen(self) -> list[Crop]:
-        """This process's share of the crops of the present step: every crop once per epoch, in an order of its own."""
+    def _chosen(self, step: int) -> list[Crop]:
+        """This process's share of the crops of a step: every crop once per epoch, in an order of its own."""
         recipe, count = self.recipe, len(self.crops)
         share = recipe.batch // self.processes.count
-        first = self.step * recipe.batch + self.processes.rank * share
+        first = step * recipe.batch + self.processes.rank * share
         orders: dict[int, np.ndarray] = {}
         chosen = []
         for k in range(first, first + share):
@@ -333,6 +346,16 @@ class Training:
             "recall": sums["hit"] / focus,
             "precision": sums["hit"] / max(sums["mask"], 1e-6),
         }
+
+    @torch.no_grad()
+    def _seen_by_convolutions(self) -> list[tuple[Tensor, Tensor]]:
+        """Inputs of the convolutions in some steps, for their ranges."""
+        seen: list[tuple[Tensor, Tensor]] = []
+        hook = self.network.convolutions.register_forward_pre_hook(lambda _, inputs: seen.append(inputs))
+        for step in range(_CALIBRATION_STEPS):
+            self.network(*self._inputs(self._batch(step, halved=True)))
+        hook.remove()
+        return seen
 
     def _begin_with(self, start: Path) -> None:
         try:

@@ -105,7 +105,7 @@ class Difference:
     examples: list[list] = field(default_factory=list)
 
     def __str__(self) -> str:
-        if self.ulp is None:
+        if self.ulp is None or self.share is None:
             return f"differs at {len(self.moments)} moments"
         return f"{self.ulp} ulp, {self.pixels} px ({100 * self.share:.2g}%)"
 

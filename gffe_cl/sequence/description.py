@@ -242,7 +242,7 @@ def read_text(path: Path, most: int = _MAX_BYTES) -> str:
             size = os.fstat(file.fileno()).st_size
             if size > most:
                 raise GffeError(f"{path}: {size} bytes (expected a {path.name} of at most {most})")
-            return file.readall().decode("utf-8")
+            return file.read().decode("utf-8")
     except FileNotFoundError:
         raise GffeError(f"{path.parent}: no {path.name} in this folder") from None
     except OSError as error:

@@ -84,7 +84,7 @@ class Encoding:
             return motion
         if "rounded" in self.parts:
             return np.round(motion)
-        return (code(motion / np.float64(self.size)) * self.size).astype(np.float32)
+        return (code(motion / np.array(self.size, np.float64)) * self.size).astype(np.float32)
 
     def frame(
         self,

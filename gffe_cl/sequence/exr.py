@@ -75,11 +75,13 @@ def decoded(path: Path, header: ExrHeader, places: list[tuple[int, str]], label:
 
 def require_channels(header: ExrHeader, names, label: str) -> list[tuple[int, str]]:
     """(part, channel) for each of `names`; GffeError for the first that is not there."""
-    places = [header.find(name) for name in names]
-    for name, place in zip(names, places, strict=True):
+    places = []
+    for name in names:
+        place = header.find(name)
         if place is None:
             held = _one_line(", ".join(header.channels[:12])) + (", …" if len(header.channels) > 12 else "")
             raise GffeError(f"{label}: no channel '{name}' (expected {', '.join(names)}; the file holds {held})")
+        places.append(place)
     return places
 
 

@@ -127,7 +127,7 @@ class HeaderReader:
     def __init__(self):
         self._known: list[_Known] = []
 
-    def read(self, path: Path, label: str, matrices: bool = True) -> ExrHeader:
+    def read(self, path: str | Path, label: str, matrices: bool = True) -> ExrHeader:
         """Header of the EXR file at `path`, checked to be complete; `label` names the file in errors. Without
         `matrices` those may be another file's.
 

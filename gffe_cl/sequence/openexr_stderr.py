@@ -93,7 +93,8 @@ class _Stdout:
     """Standard output of Python, without what is printed on threads that have entered."""
 
     def __init__(self):
-        self._lock, self._threads, self._real = threading.Lock(), {}, None
+        self._lock, self._threads = threading.Lock(), {}
+        self._real: Any = None  # while it stands in
 
     def enter(self, printed: list[str]) -> None:
         with self._lock:

@@ -130,8 +130,7 @@ class OutputFolder:
         moves = [path for path in self._staged() if path not in (Path(_JOURNAL), Path(FILE_NAME))]
         for name in moves:
             (self.path / name).parent.mkdir(parents=True, exist_ok=True)
-        self._note(sorted({*self._own, *files}))
-        os.fsync(self._journal.fileno())
+        os.fsync(self._note(sorted({*self._own, *files})).fileno())
         self._moving = True
         (self.path / FILE_NAME).unlink(missing_ok=True)
         for name in moves:
@@ -182,23 +181,30 @@ class OutputFolder:
             self._journal.close()
             self._journal = None
 
-    def _note(self, values: list) -> None:
-        self._journal.writelines(json.dumps(value) + "\n" for value in values)
-        self._journal.flush()
+    def _note(self, values: list) -> TextIO:
+        journal = self._open_journal()
+        journal.writelines(json.dumps(value) + "\n" for value in values)
+        journal.flush()
+        return journal
+
+    def _open_journal(self) -> TextIO:
+        assert self._journal is not None  # from `__init__` to the end of the output
+        return self._journal
 
     # ---- files -----------------------------------------------------------------------------------------
 
     def _earlier_output(self) -> set[str]:
-        self._journal.seek(0)
+        journal = self._open_journal()
+        journal.seek(0)
         names: list = []
         with contextlib.suppress(ValueError):  # the process ended within a line
-            for line in self._journal.read().splitlines()[1:]:
+            for line in journal.read().splitlines()[1:]:
                 names.append(json.loads(line))
         json_path = self.path / FILE_NAME
         if json_path.exists():
             try:
                 with open_regular(json_path) as file:
-                    document = json.loads(file.readall())
+                    document = json.loads(file.read())
                 ours = document["generator"] == self.generator
                 names += [frame["file"] for frame in document["frames"]]
             except (OSError, ValueError, KeyError, TypeError, RecursionError):

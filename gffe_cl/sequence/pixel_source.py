@@ -41,12 +41,15 @@ class Pixels(Protocol):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, Overlays | None]:
         """Of a rendered frame: color (H, W, 3) float16 or float32, depth (H, W) float32, motion (H, W, 2) float32 or
         None, in our conventions; and what lies over it, if it brings anything."""
+        ...
 
     def color(self, entry: FrameEntry, size: tuple[int, int]) -> np.ndarray:
         """Linear RGB (H, W, 3), float16 or float32, of any frame."""
+        ...
 
     def channels(self, entry: FrameEntry, names: Iterable[str], size: tuple[int, int]) -> dict[str, np.ndarray]:
         """Channels of our own form by name, (H, W) each."""
+        ...
 
     def exr_file(self, entry: FrameEntry) -> Path | None:
         """The EXR file of our own form that holds the frame, if there is one: others link it."""
@@ -96,6 +99,10 @@ class ForeignPixels:
 
     def rendered(self, entry, size) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
         """color, depth and motion as `read` gives them."""
+        raise NotImplementedError
+
+    def color(self, entry, size) -> np.ndarray:
+        """As of `Pixels`."""
         raise NotImplementedError
 
     def channels(self, entry, names, size):

@@ -150,7 +150,7 @@ class Sequence:
         """Whether all that is shown was rendered, to half a pixel of the display; and of the frame, for jitter."""
         width, height = self.size_of(entry)
         display, render = entry.display_camera, entry.render_camera
-        if render is None:
+        if render is None or display is None:
             return True
         corners = np.array([(0.5, 0.5), (self.width - 0.5, self.height - 0.5)])
         scale = np.array([render.fx / display.fx, render.fy / display.fy])
@@ -165,7 +165,7 @@ class Sequence:
             raise GffeError(f"{entry.file}: kind is {entry.kind} (expected a rendered frame)")
         size = self.size_of(entry)
         color, depth, motion, overlays = self._pixels.read(entry, size)
-        camera = entry.render_camera
+        camera: Any = entry.render_camera  # None where `open_sequence` was told that no cameras are needed
         previous = self._previous.get(entry.file)
         if previous and not entry.reset and camera and previous.render_camera:
             text = zero_motion_warning(motion, depth, camera, previous.render_camera)
@@ -203,8 +203,8 @@ class Sequence:
         stops the threads.
         """
         entries = require_list(entries, FrameEntry, "sequence: entries", "a list of FrameEntry")
-        read = self.read if read is None else require_kind(read, Callable, "sequence: read", "a function or None")
-        return read_ahead(entries, read, require_whole(ahead, "sequence: ahead", 0, _MOST_AHEAD))
+        reading = self.read if read is None else require_kind(read, Callable, "sequence: read", "a function or None")
+        return read_ahead(entries, reading, require_whole(ahead, "sequence: ahead", 0, _MOST_AHEAD))
 
 
 def _entry(entry: FrameEntry) -> FrameEntry:
@@ -216,7 +216,11 @@ def _moment(kind: str, time: float) -> tuple[str, float]:
 
 
 def open_sequence(
-    path, *, cameras: str = "needed", mend: Callable[[str], str] | None = None, follow_links: bool | None = None
+    path: str | os.PathLike[str],
+    *,
+    cameras: str = "needed",
+    mend: Callable[[str], str] | None = None,
+    follow_links: bool | None = None,
 ) -> Sequence:
     """Open the sequence in the folder `path` (or whose `sequence.json` is `path`).
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.core.validation import (
@@ -76,7 +77,7 @@ class SequenceWriter:
 
     def __init__(
         self,
-        path,
+        path: str | os.PathLike[str],
         width: int,
         height: int,
         fps: float,
@@ -132,7 +133,7 @@ class SequenceWriter:
 
         self._submit(entry, write, nbytes)
 
-    def link(self, entry: FrameEntry, source_path) -> None:
+    def link(self, entry: FrameEntry, source_path: str | os.PathLike[str]) -> None:
         """Let the frame `entry` be the existing EXR file `source_path`: a hard link, or else a copy."""
         source = Path(os.path.realpath(require_path(source_path, "writer: source_path")))
         self._submit(checked_entry(entry), lambda path: _link_or_copy(source, path))
@@ -152,7 +153,7 @@ class SequenceWriter:
         finally:
             if isinstance(error, KeyboardInterrupt) and self._kept:
                 error.add_note(self._kept)
-            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._end_threads()
 
     def _end(self, failed: bool, interrupted: bool) -> None:
         try:
@@ -187,8 +188,12 @@ class SequenceWriter:
         stays = "" if folder == self.path else f", {self.path} stays as it was"
         self._kept = finished + stays
 
+    def _end_threads(self) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+
     def _stop(self) -> None:
-        self._pool.shutdown(wait=True, cancel_futures=True)
+        self._end_threads()
         self._pending.clear()
 
     def _submit(self, entry: FrameEntry, write: Callable[[Path], None], nbytes: int = 0) -> None:
@@ -239,7 +244,12 @@ class SequenceWriter:
         return camera_attributes(render, *stored)
 
 
-def named_channels(color, depth=None, motion=None, overlays: Overlays | None = None) -> dict[str, np.ndarray]:
+def named_channels(
+    color: ArrayLike,
+    depth: ArrayLike | None = None,
+    motion: ArrayLike | None = None,
+    overlays: Overlays | None = None,
+) -> dict[str, np.ndarray]:
     """Channels for `SequenceWriter.add` from color (H, W, 3 or 4), depth (H, W), motion (H, W, 2), and overlays. Raises
     GffeError for other shapes."""
     color = require_array(color, "color", None, None, (3, 4))

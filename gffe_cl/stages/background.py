@@ -154,7 +154,7 @@ class Background(NearestStage):
         even = self.keys(board, "even_", "source")
         self._places = _side_by_side(all_levels, board.sizes)
         self._places |= {replace(spec, part_of=whole): 0 for spec, whole in zip(even, _KEY_MEMORY, strict=True)}
-        nbytes = dict.fromkeys(("memory", *_KEY_MEMORY), 0)
+        nbytes: dict[str, int] = dict.fromkeys(("memory", *_KEY_MEMORY), 0)
         for spec, start in self._places.items():
             nbytes[spec.part_of] = max(nbytes[spec.part_of], start + spec.nbytes(board.sizes) + _SPARE)
         for spec, whole in zip(self.keys(board, "", "target"), _KEY_MEMORY, strict=True):  # the warp's fit in, too

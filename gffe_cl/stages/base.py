@@ -36,12 +36,12 @@ class Share:
     count: Callable[[Board], float]
 
 
-def share_of(name: str, buffer: str, counts: Callable[[np.ndarray], np.ndarray] = lambda values: values != 0) -> Share:
+def share_of(name: str, buffer: str, counts: Callable[[np.ndarray], Any] = lambda values: values != 0) -> Share:
     """The share of a buffer's pixels for which `counts` gives True; 0 while the buffer's stage is off."""
 
     def count(board: Board) -> float:
         owner, _, own = buffer.partition(".")
-        found = board.frame if owner == "frame" else board.stages.get(owner)
+        found: Any = board.frame if owner == "frame" else board.stages.get(owner)
         there = found and any(spec.name == own for spec in found.buffers)
         return float(counts(found.read(own)).mean()) if there else 0.0
 
@@ -163,7 +163,7 @@ class Board:
         self.device, self.sizes, self.options = device, sizes, options
         self.int64 = device.int64_atomics if int64 is None else int64
         self.facts = block_facts(options, sizes)  # members of the frame block that do not change; stages add theirs
-        self.stages: dict[str, Stage] = {}
+        self.stages: dict[str, Any] = {}  # by name, each of its own class
         self.transient: list[tuple[Stage, BufferSpec]] = []  # of all stages so far, the fleeting ones too
         self.lent: dict[tuple[Stage, str], int] = {}  # memory, by its stage's names, and the work (`_use`) before that
         self.rendered: DeviceFrame | None = None
@@ -356,16 +356,16 @@ class Stage(Owner):
         if self.launches is not None:
             share = nbytes / spec.nbytes(self.sizes)
             self.launches.append((Kernel("fill", "once", writes={"": Access(f"{self.name}.{name}", share)}), {}))
-        event = cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint8(byte), 0, nbytes)
+        event = cl.enqueue_fill_buffer(self.device.queue, buffer, bytes([byte]), 0, nbytes)
         self.events.append(("fill", event))
 
     def copy(self, to: str, of: str) -> None:
         """Enqueue a copy between buffers of one size, by their names."""
-        to, of = self._buffer(to, {}), self._buffer(of, {})
+        target, source = self._buffer(to, {}), self._buffer(of, {})
         if self.recorder:
-            self.recorder.copied(self, to, of)
+            self.recorder.copied(self, target, source)
             return
-        self.events.append(("copy", cl.enqueue_copy(self.device.queue, to, of)))
+        self.events.append(("copy", cl.enqueue_copy(self.device.queue, target, source)))
 
     def take_milliseconds(self) -> float:
         """Kernel time since events were last taken; the device must have finished."""
@@ -439,7 +439,8 @@ def read_some_rows(device: Device, depth: cl.Buffer, size: tuple[int, int], ever
     width, height = size
     rows = np.empty((-(-height // every), width), np.float32)
     pitch = width * rows.itemsize
-    cl.enqueue_copy(
+    copy: Any = cl.enqueue_copy  # no overload of the stub takes rectangles
+    copy(
         device.queue,
         rows,
         depth,

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 import pyopencl.array
+from pyopencl.array import Array
 from pyopencl.tools import PooledBuffer
 
 from gffe_cl.core.errors import GffeError
@@ -67,12 +68,13 @@ class Sizes:
         if grid == "cut_samples":
             return CUT_SAMPLES[0], min(self.source[1], CUT_SAMPLES[1])
         image = self.source if lies_on_source(grid) else self.target
-        texels = tuple(-(-n // side) for n, side in zip(image, texel_of(grid), strict=True))
+        side_x, side_y = texel_of(grid)
+        texels = -(-image[0] // side_x), -(-image[1] // side_y)
         if grid == "tiles":
             return texels[0] * TILE_GROUP, texels[1]
         if grid.startswith("network"):
             multiple = MULTIPLE >> network_level(grid)
-            return tuple(-(-n // multiple) * multiple for n in texels)
+            return -(-texels[0] // multiple) * multiple, -(-texels[1] // multiple) * multiple
         return texels
 
 
@@ -84,9 +86,11 @@ def network_level(grid: str) -> int:
 def texel_of(grid: str) -> tuple[int, int]:
     """Width and height in pixels that a texel of a grid covers, of the image that the grid is laid over."""
     if grid.startswith("network"):
-        return (2 << network_level(grid),) * 2
+        side = 2 << network_level(grid)
+        return side, side
     if grid.startswith(("level", "mip")):
-        return (1 << int(grid.removeprefix("level").removeprefix("mip")),) * 2
+        side = 1 << int(grid.removeprefix("level").removeprefix("mip"))
+        return side, side
     return {
         "downsampled": (DOWNSAMPLING, DOWNSAMPLING),
         "tiles": (TILE * DOWNSAMPLING, TILE * DOWNSAMPLING),
@@ -202,6 +206,7 @@ class BufferSpec:
         if self.packing:
             stored = self.packing.unpack(stored, x, y, texel_of(self.grid)[0])
         if self.known_where:
+            assert known is not None
             stored[..., known < self.known_where[1], :] = 0
         return stored
 
@@ -241,7 +246,7 @@ class Owner:
         """New device buffers by name, all bits zero."""
         made = {spec.name: self.device.buffer(spec.nbytes(self.sizes), spec.mapped) for spec in specs}
         for buffer in made.values():
-            cl.enqueue_fill_buffer(self.device.queue, buffer, np.uint8(0), 0, buffer.size)
+            cl.enqueue_fill_buffer(self.device.queue, buffer, b"\0", 0, buffer.size)
             self.nbytes += buffer.size
         return made
 
@@ -292,8 +297,8 @@ class DeviceFrame:
     @classmethod
     def allocate(cls, device: Device, size: tuple[int, int], camera, display_camera, time, motion=None) -> DeviceFrame:
         """New buffers for images of `size` (width, height); `motion`: the buffer to use for that."""
-        *others, moved = (size[0] * size[1] * n for n in BYTES_PER_PIXEL)
-        buffers = (*map(device.buffer, others), motion or device.buffer(moved))
+        color, depth, moved = (size[0] * size[1] * n for n in BYTES_PER_PIXEL)
+        buffers = device.buffer(color), device.buffer(depth), motion or device.buffer(moved)
         return cls(*buffers, camera, display_camera, time)
 
     @property
@@ -303,14 +308,15 @@ class DeviceFrame:
 
 def halved(size: tuple[int, int], times: int) -> tuple[int, int]:
     """(ceil(W / 2^times), ceil(H / 2^times))."""
-    return tuple(-(-n // (1 << times)) for n in size)
+    width, height = (-(-n // (1 << times)) for n in size)
+    return width, height
 
 
-def given_buffer(array: Any, spec: BufferSpec, sizes: Sizes, device: Device) -> cl.Buffer | None:
+def given_buffer(array: Any, spec: BufferSpec, sizes: Sizes, device: Device) -> cl.Buffer | PooledBuffer | None:
     """The device buffer that `array`, for what `spec` describes, is; None for others. GffeError for one that `device`
     cannot use in place."""
     what = f"frame: {spec.name}"
-    if isinstance(array, cl.array.Array):
+    if isinstance(array, Array):
         if array.offset or not array.flags.c_contiguous:
             raise GffeError(f"{what}: device arrays must be C-contiguous and start at offset 0 of their buffer")
         component = next(iter(array.dtype.fields.values()))[0] if array.dtype.fields else array.dtype

@@ -4,6 +4,7 @@ frame generation SDKs' masks and UI layers)."""
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -62,7 +63,7 @@ class Composition(Stage):
     def __init__(self, board: Board):
         super().__init__(board)
         self.layers: dict[str, cl.Buffer] = {}  # of the last frame, by the fields of Overlays
-        self._given: DeviceFrame | None = None
+        self._given: Any = None  # the frame that brought the layers
 
     @property
     def active(self) -> bool:
@@ -112,7 +113,7 @@ class Composition(Stage):
         brought = sum((name in self.layers) << bit for bit, name in enumerate(OVERLAYS))
         return Step(self._given, None, [self._given.time], alpha=alpha, overlays=brought)
 
-    def _ready(self, name: str, array) -> np.ndarray | cl.Buffer:
+    def _ready(self, name: str, array) -> Any:
         """As the device takes it."""
         spec = self.spec(name)
         if buffer := given_buffer(array, spec, self.sizes, self.device):

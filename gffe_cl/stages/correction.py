@@ -5,18 +5,21 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Mapping
-from typing import ClassVar
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, ClassVar
 
 import numpy as np
 import pyopencl as cl
 
 from gffe_cl.inference.model_interface import HEAD_LAYERS, HEAD_WEIGHTS, JUDGEMENT_PLANES
 from gffe_cl.inference.network import Network, load_network
+from gffe_cl.inference.providers import CPU
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import RGBA, BufferSpec
 from gffe_cl.stages.network_input import NetworkInput
 from gffe_cl.stages.shading_flow import ShadingFlow
+from gffe_cl.stages.shading_trend import ShadingTrend
 
 _CONSTANTS = constants("correction.cl")
 _WITHIN_MASK, _WITH_REFINED = _CONSTANTS["WITHIN_MASK"], _CONSTANTS["WITH_REFINED"]
@@ -26,6 +29,7 @@ assert ((_HIDDEN, _SEEN), (_SAID, _HIDDEN)) == HEAD_LAYERS
 
 _IMAGE_PIXELS = 16  # per pixel of its judgement
 _EVENTS = 1024  # of mapping that are kept until they are taken
+_Mapped = list[tuple[np.ndarray, cl.Event]]  # buffers of the network, and when they are mapped
 
 
 class ShadingCorrection(Stage):
@@ -93,7 +97,7 @@ class ShadingCorrection(Stage):
                 "judgement": Access("correction.judgement", planes=16),
                 "chosen": "correction.chosen",
                 "head": "correction.head",
-                "changed": "network_input.changed",
+                "changed": "shading_trend.changed",
             },
             {"correction": "correction.correction"},
             step=("LANES", 1),
@@ -118,7 +122,7 @@ class ShadingCorrection(Stage):
     def __init__(self, board: Board, load: bool = True):
         """Without `load` there are the kernels alone, no network."""
         super().__init__(board)
-        self.network: Network | None = None
+        self.network: Any = None  # a Network, or what stands in for one
         if load:
             self.use(load_network(board.options.scn_model, board.options.scn_provider))
         self._network_milliseconds = 0.0
@@ -126,22 +130,58 @@ class ShadingCorrection(Stage):
         self._mappings: deque[cl.Event] = deque(maxlen=_EVENTS)
         self.unusable_pixels = 0
         self.with_refined = False
+        self._true = board.device.buffer(4)
+        cl.enqueue_fill_buffer(board.device.queue, self._true, np.ones(1, np.int32), 0, 4)
+        self._worker: ThreadPoolExecutor | None = None
+        self._begun: tuple[Step, _Mapped, Future] | None = None
 
     @classmethod
     def is_wanted(cls, options) -> bool:
         return options.corrects_shading
 
+    @property
+    def works_beside(self) -> bool:
+        """Whether the network works in a thread of its own while the device goes on, until `finish`: where they are not
+        the same processor, and no other stage needs the final image."""
+        same = self.device.info.kind == "cpu" and self.network is not None and self.network.provider == CPU.ort
+        return not same and next(reversed(self.board.stages.values())) is self
+
     def look_at(self, names: set[str] | None) -> None:
         self.with_refined = names is None or "correction.refined" in names
 
     def extrapolated(self, step: Step) -> None:
-        """Make the final image of the filled frame; waits for the network. A still frame has nothing to correct."""
-        if step.previous is None or self.board.stages[NetworkInput.name].is_still:
+        """Make the final image of the filled frame; waits for the network, or leaves the rest to `finish`. A still
+        frame has nothing to correct."""
+        if step.previous is None or self.board.stages[ShadingTrend.name].is_still:
             self.skip()
+        elif self.works_beside:
+            mapped = self._map_all(wait=False)
+            self.device.queue.flush()
+            self._worker = self._worker or ThreadPoolExecutor(1, "gffe network")
+            self._begun = step, mapped, self._worker.submit(self._run, mapped)
+        else:
+            self.infer()
+            self._correct(step)
+
+    @property
+    def is_begun(self) -> bool:
+        """Whether there is something to `finish`."""
+        return self._begun is not None
+
+    def finish(self) -> None:
+        """Wait for the network and make the final image, if that is still to be done."""
+        if self._begun is None:
             return
-        self.infer()
+        (step, mapped, job), self._begun = self._begun, None
+        try:
+            job.result()
+        finally:
+            self._unmap(mapped)
+        self._correct(step, changed=self._true)  # the stage that found it may have seen the next frame
+
+    def _correct(self, step: Step, **given: Any) -> None:
         self.launch("choose_flow", step)
-        self.launch("judge", step)
+        self.launch("judge", step, **given)
         self.compose(step, self.board.options.focus_mask)
 
     def use(self, network: Network) -> None:
@@ -158,33 +198,46 @@ class ShadingCorrection(Stage):
 
     def infer(self) -> None:
         """Fill `judgement`: the network works in the mapped buffers: no copy where host and device share memory."""
-        stages = self.board.stages
-        frames = self.map(stages[NetworkInput.name], "frames", cl.map_flags.READ)
-        candidates = self.map(stages[ShadingFlow.name], "candidates", cl.map_flags.READ)
-        judgement = self.map(self, "judgement", cl.map_flags.WRITE_INVALIDATE_REGION)
+        mapped = self._map_all(wait=True)
         try:
-            start = time.perf_counter()
-            self.unusable_pixels += _IMAGE_PIXELS * self.network.run(frames, candidates, judgement)
-            copying = self.network.copying
-            self._network_milliseconds += (time.perf_counter() - start) * 1e3 - copying
-            self._copying_milliseconds += copying
+            self._run(mapped)
         finally:
-            for array in (frames, candidates, judgement):
-                self._mappings.append(array.base.release(self.device.queue))
+            self._unmap(mapped)
+
+    def _map_all(self, wait: bool) -> _Mapped:
+        stages = self.board.stages
+        return [
+            self._map(stages[NetworkInput.name], "frames", cl.map_flags.READ, wait),
+            self._map(stages[ShadingFlow.name], "candidates", cl.map_flags.READ, wait),
+            self._map(self, "judgement", cl.map_flags.WRITE_INVALIDATE_REGION, wait),
+        ]
+
+    def _map(self, stage: Stage, name: str, flags: cl.map_flags, wait: bool) -> tuple[np.ndarray, cl.Event]:
+        spec = stage.spec(name)
+        shape = spec.shape(self.sizes)
+        map_buffer: Any = cl.enqueue_map_buffer  # its stub leaves the event out
+        return map_buffer(
+            self.device.queue, stage.buffer[name], flags, 0, shape, np.dtype(spec.dtype), is_blocking=wait
+        )
+
+    def _run(self, mapped: _Mapped) -> None:
+        for _, event in mapped:
+            event.wait()
+        start = time.perf_counter()
+        self.unusable_pixels += _IMAGE_PIXELS * self.network.run(*(array for array, _ in mapped))
+        copying = self.network.copying
+        self._network_milliseconds += (time.perf_counter() - start) * 1e3 - copying
+        self._copying_milliseconds += copying
+
+    def _unmap(self, mapped: _Mapped) -> None:
+        for array, event in mapped:
+            memory: Any = array.base
+            self._mappings += [event, memory.release(self.device.queue)]
 
     def compose(self, step: Step, within_mask: bool) -> None:
         """Fill `focus_mask` and `color`; without `within_mask` the whole image is the network's."""
         asked = within_mask * _WITHIN_MASK + self.with_refined * _WITH_REFINED
         self.launch("correct", step, asked=asked)
-
-    def map(self, stage: Stage, name: str, flags: int) -> np.ndarray:
-        """The memory of a mapped buffer of a stage, once the kernels before are done; to be released on the queue."""
-        spec = stage.spec(name)
-        array, event = cl.enqueue_map_buffer(
-            self.device.queue, stage.buffer[name], flags, 0, spec.shape(self.sizes), spec.dtype
-        )
-        self._mappings.append(event)
-        return array
 
     def take_network_milliseconds(self) -> dict[str, float]:
         """Since last taken, apart from the kernels'; the device must have finished. "network": time in the network;

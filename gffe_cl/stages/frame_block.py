@@ -79,7 +79,7 @@ def frame_block(
 
 def block_facts(options: Any, sizes: Sizes) -> dict[str, Any]:
     """The members of the frame block that are options, and where the background's levels start."""
-    facts = {name: getattr(options, name) for name in FRAME.names if hasattr(options, name)}
+    facts = {name: getattr(options, name) for name in FRAME.names or () if hasattr(options, name)}
     if levels := facts.get("levels", 0):
         starts = level_starts(sizes.source, levels)
         facts["level_starts"] = [*starts[1:levels], *[starts[levels]] * MAX_LEVELS][:MAX_LEVELS]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -149,7 +150,8 @@ class HistoryTracking(Stage):
         if self.positions > 2:  # only then are positions stored, and is anything kept of the frame before
             *others, track = self.kernels
             planes = {"dynamic_prev": 1, "history_prev": self.positions - 2}
-            reads = {name: replace(track.reads[name], planes=count) for name, count in planes.items()}
+            declared: Any = track.reads  # these two are no plain names
+            reads = {name: replace(declared[name], planes=count) for name, count in planes.items()}
             self.kernels = (*others, replace(track, reads={**track.reads, **reads}))
             changes = {"dynamic_mask": {"kept": True}, "history": {"kept": True, "planes": self.positions - 1}}
         else:

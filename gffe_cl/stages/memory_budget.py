@@ -47,7 +47,8 @@ def _pixels(sizes: Sizes) -> int:
 
 
 def _scaled(size: tuple[int, int], factor: float) -> tuple[int, int]:
-    return tuple(max(int(side * factor), 1) for side in size)
+    width, height = (max(int(side * factor), 1) for side in size)
+    return width, height
 
 
 def _size(nbytes: float) -> str:

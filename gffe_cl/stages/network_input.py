@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.inference.model_interface import INPUT_PLANES, MULTIPLE
+from gffe_cl.inference.model_interface import INPUT_PLANES
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Kernel, Stage, Step, share_of
+from gffe_cl.stages.base import Access, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
 from gffe_cl.stages.shading import SEEN
+from gffe_cl.stages.shading_trend import ShadingTrend
 
 _CONSTANTS = constants("network_input.cl")
-assert _CONSTANTS["TILE"] == MULTIPLE
-
-STILL_TILES = share_of("still tiles", "network_input.changed_tiles", lambda changed: changed == 0)
 
 
 class NetworkInput(Stage):
     """The extrapolated frame and the warped previous one at half resolution, encoded, with inverse depth and input
     mask.
 
-    The code of colour c is e(c) = ln(1 + μ x) / ln(1 + μ), x = exposure · c / 8.
-
-    `is_still`: whether there is nothing to correct: in no tile of 32×32 pixels more than an eighth changes by more than
-    1/256 (encoded) from frame t − 1 on. False without a focus mask, where the whole image is to be the network's.
+    The code of colour c is e(c) = ln(1 + μ x) / ln(1 + μ), x = exposure · c / 8. Nothing is made of a still frame
+    unless somebody looks at it.
     """
 
     name = "network_input"
@@ -38,13 +34,7 @@ class NetworkInput(Stage):
             planes=_CONSTANTS["BINS"], scratch=True,
         ),
         BufferSpec("median_depth", np.float32, (), "once", "of the finite depths of every eighth row, to 1/256"),
-        BufferSpec(
-            "changed_tiles", np.uint8, (), "network4", "1 where a tile of 32×32 pixels changes by more than noise from"
-            " t − 1 on", "mask",
-        ),
-        BufferSpec("changed", np.int32, (), "once", "1 where the frame changes, else there is nothing to correct"),
     )  # fmt: skip
-    is_still = False
     kernels = (
         Kernel(
             "depth_histogram",
@@ -70,36 +60,22 @@ class NetworkInput(Stage):
             {"planes": "network_input.frames"},
             step=("LANES", 1),
         ),
-        Kernel(
-            "find_changed_tiles",
-            "network4",
-            {"planes": Access("network_input.frames", planes=6)},
-            {"changed_tiles": "network_input.changed_tiles"},
-            group=1,
-        ),
-        Kernel(
-            "find_change",
-            "once",
-            {"changed_tiles": "network_input.changed_tiles"},
-            {"changed": "network_input.changed"},
-            group="SCANNERS",
-        ),
     )
+
+    _looked_at = False
 
     @classmethod
     def is_wanted(cls, options) -> bool:
         return options.corrects_shading
 
+    def look_at(self, names: set[str] | None) -> None:
+        self._looked_at = names is None or any(name.startswith(f"{self.name}.") for name in names)
+
     def extrapolated(self, step: Step) -> None:
-        """Fill `frames` and wait for whether anything changes; after a reset there is nothing to go by."""
-        self.is_still = False
-        if step.previous is None:
+        """Fill `frames`; after a reset there is nothing to go by."""
+        if step.previous is None or (self.board.stages[ShadingTrend.name].is_still and not self._looked_at):
             return
         self.fill("histogram", 0)
         self.launch("depth_histogram", step)
         self.launch("find_median")
         self.launch("network_input", step)
-        self.launch("find_changed_tiles", step)
-        self.launch("find_change", step)
-        if self.recorder is None and self.board.options.focus_mask:
-            self.is_still = not self.read("changed").item()

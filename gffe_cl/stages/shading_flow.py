@@ -9,7 +9,7 @@ from gffe_cl.inference.model_interface import CANDIDATE_PLANES
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.base import Access, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
-from gffe_cl.stages.network_input import NetworkInput
+from gffe_cl.stages.shading_trend import ShadingTrend
 
 _CONSTANTS = constants("shading_flow.cl")
 _LEVELS, _STEPS, _PRODUCTS = (_CONSTANTS[name] for name in ("FLOW_LEVELS", "FLOW_STEPS", "PRODUCTS"))
@@ -150,7 +150,7 @@ class ShadingFlow(Stage):
 
     def extrapolated(self, step: Step) -> None:
         """Find the flow, coarsest level first, and fill `candidates`; nothing after a reset and in still frames."""
-        if step.previous is None or self.board.stages[NetworkInput.name].is_still:
+        if step.previous is None or self.board.stages[ShadingTrend.name].is_still:
             return
         self.launch("halve_frames", step)
         for level in range(2, _LEVELS + 1):

@@ -4,11 +4,11 @@ candidate that the shading correction network may choose."""
 from __future__ import annotations
 
 import numpy as np
+import pyopencl as cl
 
 from gffe_cl.opencl.program import constants
-from gffe_cl.stages.base import Access, Kernel, Stage, Step
+from gffe_cl.stages.base import Access, Board, Kernel, Stage, Step
 from gffe_cl.stages.buffers import BufferSpec
-from gffe_cl.stages.network_input import NetworkInput
 
 _CONSTANTS = constants("shading_trend.cl")
 _CHANGES = _CONSTANTS["CHANGES"]
@@ -22,6 +22,10 @@ class ShadingTrend(Stage):
 
     Changes are of encoded colour (see `ShadingCorrection`) between a pixel and where its surface was, static and shown,
     in the frame before; cells around count the less the farther away they are, none farther than `reach_of`.
+
+    `is_still`: whether there is nothing for the network to correct: of the samples of no tile of 32×32 pixels more than
+    an eighth move or change by more than 1/256 (encoded). False after a reset, and without a focus mask, where the
+    whole image is to be the network's.
     """
 
     name = "shading_trend"
@@ -36,8 +40,15 @@ class ShadingTrend(Stage):
                 "color_prev": Access("previous.color", 4 * _SAMPLED),
                 "depth_prev": Access("previous.depth", 4 * _SAMPLED),
             },
-            {"changes": "shading_trend.changes"},
+            {"changes": "shading_trend.changes", "changed_samples": "shading_trend.changed_samples"},
             step=("LANES", 1),
+        ),
+        Kernel(
+            "find_change",
+            "once",
+            {"changed_samples": "shading_trend.changed_samples"},
+            {"changed": "shading_trend.changed"},
+            group="SCANNERS",
         ),
         Kernel("blur_rows", "cells", {"changes": "shading_trend.changes"}, {"blurred": "shading_trend.blurred"}),
         Kernel("find_trend", "cells", {"blurred": "shading_trend.blurred"}, {"trend": "shading_trend.trend"}),
@@ -60,6 +71,11 @@ class ShadingTrend(Stage):
             " that tell (4)", planes=_CHANGES, kept=True,
         ),
         BufferSpec(
+            "changed_samples", np.uint8, (), "cells", "samples, of four in 8×8 pixels, that move or change by more than"
+            " noise from t − 1 on",
+        ),
+        BufferSpec("changed", np.int32, (), "once", "1 where enough do, else there is nothing to correct"),
+        BufferSpec(
             "blurred", np.float32, (), "cells", "the same, blurred along rows", planes=_CHANGES, scratch=True
         ),
         BufferSpec(
@@ -78,22 +94,38 @@ class ShadingTrend(Stage):
     def is_wanted(cls, options) -> bool:
         return options.corrects_shading or options.shading_inputs
 
+    def __init__(self, board: Board):
+        super().__init__(board)
+        self._changed = np.ones(1, np.int32)
+        self._known: cl.Event | None = None  # of `_changed`
+
+    @property
+    def is_still(self) -> bool:
+        """Waits until the device has looked at the rendered frame."""
+        if self._known:
+            self._known.wait()
+        return self._known is not None and not self._changed[0]
+
     def rendered(self, step: Step) -> None:
-        """Find the trend; after a reset there is none."""
+        """Find the trend, and whether anything changes; after a reset there is none."""
+        self._known = None
         if step.previous is None:
             self.fill("trend", 0)
             self.fill("changes", 0)
             return
         self.launch("measure_changes", step)
+        self.launch("find_change", step)
+        options = self.board.options
+        if options.corrects_shading and options.focus_mask and self.recorder is None:
+            queue, buffer = self.device.queue, self.buffer["changed"]
+            self._known = cl.enqueue_copy(queue, self._changed, buffer, is_blocking=False)
         self.launch("blur_rows", step)
         self.launch("find_trend", step)
 
     def extrapolated(self, step: Step) -> None:
         """Carry both trends on to the new frame, unless there is nothing to correct."""
-        seen = self.board.stages.get(NetworkInput.name)
-        if seen and seen.is_still:
-            return
-        self.launch("carry_trends", step)
+        if not self.is_still:
+            self.launch("carry_trends", step)
 
 
 def reach_of(height: int) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import mmap
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -69,7 +70,7 @@ class Upload(Stage):
         self.launch(kernel, step, given=given, start=start, channels=color.shape[2], color=frame.color)
         given_depth, depth_start = self._given(arrays.depth, frame.depth)
         if motion is None:
-            cl.enqueue_fill_buffer(queue, frame.motion, np.uint8(0), 0, frame.motion.size)
+            cl.enqueue_fill_buffer(queue, frame.motion, b"\0", 0, frame.motion.size)
         given_motion, motion_start = (frame.motion, 0) if motion is None else self._given(motion, frame.motion)
         self.launch(
             "take_geometry", step,
@@ -86,7 +87,7 @@ class Upload(Stage):
             self._counted = BadPixels(*self.read("bad_pixels").reshape(4, -1).sum(1, dtype=np.int64).tolist())
         return self._counted
 
-    def _given(self, array: np.ndarray, buffer: cl.Buffer) -> tuple[cl.Buffer, int]:
+    def _given(self, array: np.ndarray, buffer: Any) -> tuple[cl.Buffer, int]:
         """The array for kernels to read, and at which of its values it begins: copied into `buffer`, or where it is.
 
         Runtimes copy what does not begin at an aligned address. So it begins at the last one before the array, which is

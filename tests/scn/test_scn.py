@@ -21,7 +21,7 @@ from gffe_cl.scn import clips, images, losses, network  # noqa: E402
 from gffe_cl.scn import training as training_module  # noqa: E402
 from gffe_cl.scn.augmentation import Augmentation, low_pass  # noqa: E402
 from gffe_cl.scn.crops import Batch, Crop, focus_truth, keep_crops, list_crops, load_batch  # noqa: E402
-from gffe_cl.scn.export import count_operations, export_onnx, largest_difference  # noqa: E402
+from gffe_cl.scn.export import count_operations, differences, export_onnx  # noqa: E402
 from gffe_cl.scn.flow import find_flow  # noqa: E402
 from gffe_cl.scn.training import CHECKPOINT, Processes, Recipe, Training, split_crops, weights  # noqa: E402
 from gffe_cl.stages.shading_trend import TREND_PLANES, reach_of  # noqa: E402
@@ -776,7 +776,7 @@ def test_export(tmp_path):
     net = network.ShadingCorrectionNetwork()
     assert export_onnx(net, tmp_path / "scn.onnx") < 2e-4
     other = network.ShadingCorrectionNetwork()
-    assert largest_difference(other.eval(), tmp_path / "scn.onnx") > 1e-3
+    assert differences(other.eval(), tmp_path / "scn.onnx")[0] > 1e-3
     assert [path.name for path in tmp_path.iterdir()] == ["scn.onnx"]
     with pytest.raises(GffeError, match="cannot write the model"):
         export_onnx(net, tmp_path / "no" / "scn.onnx")

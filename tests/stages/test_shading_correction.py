@@ -1,5 +1,6 @@
 """The shading correction network in the pipeline, with small models in place of the trained one."""
 
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -122,29 +123,6 @@ def test_median_depth(device, depth, expected):
     assert stage.read("median_depth") == twins.depth_median(depth.astype(np.float32))
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_tiles_in_which_something_changes(device, size):
-    """Changes of colour that are not minute count, in more than a few pixels; NaN counts, other planes do not."""
-    board, _, step = made_stages(device, size)
-    stage, rng = board.stages["network_input"], np.random.default_rng(1)
-    frames = rng.random(stage.spec("frames").shape(board.sizes)).astype(np.float32)
-    frames[3:6] = frames[:3] + np.float32(3e-3)
-    tiles = frames.reshape(8, frames.shape[1] // 16, 16, frames.shape[2] // 16, 16).transpose(1, 3, 0, 2, 4)
-    changes = (33, 0.1), (32, -0.1), (33, np.nan), (256, 0.003)
-    for k, (some, value) in enumerate(changes[: tiles.shape[0] * tiles.shape[1]]):
-        tile = tiles[divmod(k, tiles.shape[1])]
-        rows, columns = np.unravel_index(rng.choice(256, some, replace=False), (16, 16))
-        tile[rng.integers(6), rows, columns] += value
-    now = np.nan_to_num(frames[:3])
-    for given in (frames, np.concatenate([now, now, frames[6:]])):
-        stage.upload("frames", given)
-        stage.launch("find_changed_tiles", step)
-        stage.launch("find_change", step)
-        expected = twins.changed_tiles(given)
-        assert np.array_equal(stage.read("changed_tiles"), expected) and stage.read("changed") == expected.any()
-    assert not expected.any()
-
-
 def test_a_still_frame_needs_no_network(device, model):
     """It is the extrapolated one to the bit, and the network does not run. A light that changes for the first time is
     looked at, one that goes on is corrected."""
@@ -157,10 +135,59 @@ def test_a_still_frame_needs_no_network(device, model):
         made = pipeline.extrapolate()
         assert (bits(made.numpy("color")) == bits(made.numpy("gae"))) == (k < 3)
         assert (pipeline.take_timings()["network"] == 0) == (k < 2)
-    pipeline.stages["network_input"].is_still = True
-    pipeline.submit(replace(frame, time=1.0, reset=True))
-    pipeline.extrapolate()
-    assert not pipeline.stages["network_input"].is_still  # a reset forgets it
+    assert not pipeline.stages["shading_trend"].is_still
+    pipeline.submit(replace(frame, time=1.0))
+    assert pipeline.stages["shading_trend"].is_still
+    pipeline.submit(replace(frame, time=2.0, reset=True))
+    assert not pipeline.stages["shading_trend"].is_still  # a reset forgets it
+
+
+def test_the_next_frame_is_taken_while_the_network_works(device, model, monkeypatch):
+    """Where both have processors of their own; the final images are the same to the bit."""
+    scene, size = Rects([Rect((0, 0, 8), frequency=0.5)]), (40, 24)
+    views = [camera(*size, (0.05 * k, 0, 0)) for k in range(5)]
+    frames = [scene.frame(v, k / 30, *size, (views[max(k - 1, 0)], 0), reset=k == 0) for k, v in enumerate(views)]
+    for k, frame in enumerate(frames):
+        frame.color = frame.color * np.float16(0.7**k)
+    options = Options(scn_model=model(delta=0.2))
+
+    def images(pipeline, before_color):
+        for frame, following in zip(frames, [*frames[1:], None], strict=True):
+            if frame.reset:
+                pipeline.submit(frame)
+            made = pipeline.extrapolate()
+            before_color(pipeline, following)
+            yield bits(made.numpy("color")), bits(made.numpy("gae"))
+            if following and pipeline._current.time < following.time:
+                pipeline.submit(following)
+
+    expected = list(images(Pipeline(device, *size, options), lambda *_: None))
+    assert any(final != gae for final, gae in expected)
+    monkeypatch.setattr(ShadingCorrection, "works_beside", True)
+    overlapping, may_end, runs = Pipeline(device, *size, options), threading.Event(), []
+    correction = overlapping.stages["correction"]
+
+    class Waiting:
+        copying, head, provider = 0.0, correction.network.head, correction.network.provider
+
+        def run(self, *arrays, network=correction.network):
+            runs.append(may_end.wait(20))
+            may_end.clear()
+            return network.run(*arrays)
+
+    correction.network = Waiting()
+
+    def take_the_next(pipeline, following):
+        if following:
+            pipeline.submit(following)
+        device.queue.finish()  # the frame was taken, and the network has not ended
+        if correction._begun:
+            assert not correction._begun[2].done()
+            may_end.set()
+
+    assert list(images(overlapping, take_the_next)) == expected
+    assert len(runs) >= 3 and all(runs)
+    assert overlapping.take_timings()["network"] > 0
 
 
 def test_light_that_flickers_is_left_alone(device, model):
@@ -225,7 +252,7 @@ def test_judgement_makes_the_correction_of_its_twin(device, size):
         judgement[at] = value
     board.stages["network_input"].upload("frames", frames)
     board.stages["shading_flow"].extrapolated(step)
-    board.stages["network_input"].upload("changed", np.ones(1, np.int32))
+    board.stages["shading_trend"].upload("changed", np.ones(1, np.int32))
     correction.upload("judgement", judgement)
     correction.launch("choose_flow", step)
     correction.launch("judge", step)
@@ -355,6 +382,7 @@ def test_exposure_reaches_the_network(device, tmp_path):
     scene = Rects([Rect((0, 0, 8), frequency=0.5)])
     for scale in (1.0, 4.0):
         pipeline = Pipeline(device, 40, 24, Options(scn_model=path))
+        pipeline.keep(["network_input.frames"])  # of a still frame, too
         pipeline.exposure = 1 / scale
         for k in range(2):
             frame = scene.frame(camera(40, 24), k / 30, 40, 24, (camera(40, 24), 0), reset=k == 0)

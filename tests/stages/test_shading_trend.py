@@ -12,6 +12,7 @@ from twins.shading_flow import doubled
 
 from gffe_cl import Options, Pipeline
 from gffe_cl.frame.rendered_frame import RenderedFrame
+from gffe_cl.stages.base import Step
 from gffe_cl.stages.frame_block import reprojection
 
 LOOKED_AT = Options(shading_inputs=True, shading_correction=False)
@@ -56,8 +57,10 @@ def test_kernels_equal_their_twins(device, size, reach, exposure):
     now, last = seen[-1], seen[-2]
     buffers = [(np.dstack([f.color, f.color[..., :1]]), np.asarray(f.depth)) for f in (now, last)]
     dynamic = pipeline.stages["history"].read("dynamic_mask")
-    expected = twins.measure_changes(*buffers, dynamic, exposure, reprojection(now.camera, last.camera))
+    expected, changed = twins.measure_changes(*buffers, dynamic, exposure, reprojection(now.camera, last.camera))
     got = stage.read("changes")
+    assert np.array_equal(stage.read("changed_samples"), changed)
+    assert stage.read("changed") == twins.find_change(changed) and (min(size) < 30 or changed.any())
     assert np.array_equal(got[3], expected[3])
     np.testing.assert_allclose(got[:3], expected[:3], rtol=1e-5, atol=1e-7)
     assert min(size) < 30 or ((got[3] > 0).mean() > 0.2 and np.abs(got[:3]).max() > 5e-4)
@@ -71,6 +74,23 @@ def test_kernels_equal_their_twins(device, size, reach, exposure):
     network = pipeline.sizes.of("network")
     expected = twins.carry_trends(made.numpy("depth"), stage.read("trend"), *before, 0.6, *transforms, network)
     np.testing.assert_allclose(stage.read("trends"), expected, rtol=2e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [(136, 104), (61, 37), (9, 70), (1, 1)])
+def test_a_few_samples_that_change_are_noise(device, size):
+    """More than eight in one tile of 4×4 cells are not; tiles at the border have fewer cells."""
+    pipeline = Pipeline(device, *size, LOOKED_AT)
+    pipeline.submit(next(lit_frames([1.0], size)))
+    stage, step = pipeline.stages["shading_trend"], Step(pipeline._current, None, [0.0])
+    height, width = shape = stage.read("changed_samples").shape
+    for corner in {(0, 0), (height - 1, width - 1), (min(3, height - 1), min(4, width - 1))}:
+        samples = np.zeros(shape, np.uint8)
+        samples[:: max(4, height // 2), :: max(4, width // 2)] = 4  # one cell of a tile at most
+        for many in (4, 9):
+            samples[corner] = many
+            stage.upload("changed_samples", samples)
+            stage.launch("find_change", step)
+            assert stage.read("changed") == twins.find_change(samples) == (many == 9)
 
 
 def test_a_light_that_fades_goes_on(device):

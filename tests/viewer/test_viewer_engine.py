@@ -336,7 +336,12 @@ def test_shading_correction_changes_what_its_focus_mask_covers(device, tmp_path)
         on = ask(engine, 13, Setup(options), "all")
         images, mask = on.images, is_mover(on.images)
         made = ("judgement", "chosen", "correction", "refined", "focus_mask", "color")
-        names = {"gae", "network_input.frames", "network_input.changed_tiles", *(f"correction.{name}" for name in made)}
+        names = {
+            "gae",
+            "network_input.frames",
+            "shading_trend.changed_samples",
+            *(f"correction.{name}" for name in made),
+        }
         names |= {f"shading_flow.{name}" for name in ("flow2", "differences", "candidates")}
         assert set(images) - set(plain) == names
         assert_same(images, {name: plain[name] for name in plain if name not in ("final", "focus_truth")})

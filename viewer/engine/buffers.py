@@ -99,7 +99,7 @@ class DeviceLayer:
         if lies_on_source(self.spec.grid):
             if source_px is None:
                 return None
-            px = tuple(int(np.floor(c)) for c in source_px)
+            px = int(np.floor(source_px[0])), int(np.floor(source_px[1]))
         x, y = (c // side for c, side in zip(px, texel_of(self.spec.grid), strict=True))
         return (x, y) if 0 <= x < self.size[0] and 0 <= y < self.size[1] else None
 
@@ -157,7 +157,7 @@ def source_position(pipeline: Pipeline, shot: Shot, x: int, y: int) -> tuple[flo
         return moved((x + 0.5, y + 0.5), shot.moment.display_camera, shot.moment.render_camera)
     motion = read_blocks(pipeline, {"motion": (device_layers(pipeline, shot)[names.MOTION], x, y, 1, 1)})["motion"]
     at = motion.reshape(2) + (x + 0.5, y + 0.5)
-    return tuple(map(float, at)) if np.isfinite(at).all() else None
+    return (float(at[0]), float(at[1])) if np.isfinite(at).all() else None
 
 
 def pixel_values(pipeline: Pipeline, shot: Shot, x: int, y: int) -> dict[str, np.ndarray]:

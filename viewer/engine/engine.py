@@ -33,7 +33,7 @@ from gffe_cl.viewer.engine.messages import (
 from gffe_cl.viewer.engine.metric_worker import Scorer
 from gffe_cl.viewer.engine.reloading import Kernels
 from gffe_cl.viewer.engine.slot_renderer import SlotMaker, weights_of
-from gffe_cl.viewer.engine.sources.attached import RemoteSlots
+from gffe_cl.viewer.engine.sources.attached import AttachedSource, RemoteSlots
 from gffe_cl.viewer.engine.sources.opening import open_viewer_device
 
 _CLOSE_SECONDS = 2.0
@@ -172,7 +172,7 @@ class Engine(Exchange):
         self._notify()
 
     def _do_watch(self, _) -> None:
-        if self._kernels.have_changed():
+        if self._kernels is not None and self._kernels.have_changed():
             self._do_kernels(None)
         if self.source is None:
             return
@@ -186,6 +186,7 @@ class Engine(Exchange):
     def _do_kernels(self, _) -> None:
         self._need_device()
         self.activity = "building kernels"
+        assert self._kernels is not None
         changed = self._kernels.reload()
         self.build_log, self.build_error = self._kernels.log, self._kernels.error
         self.builds += changed
@@ -281,9 +282,11 @@ class Engine(Exchange):
         return result
 
     def _maker(self, role: str) -> SlotMaker | RemoteSlots:
-        if role not in self._makers and self.source.follows:
+        assert self.source is not None
+        if role not in self._makers and isinstance(self.source, AttachedSource):
             self._makers[role] = RemoteSlots(self.source, self._check_while_waiting)
         elif role not in self._makers:
+            assert self._device is not None and self._kernels is not None
             source = self.source if role == "a" else self.source.sibling()
             check = self._check_beside if role == "ahead" else self._check
             self._makers[role] = SlotMaker(self._device, source, self._kernels, self._scorer, check)

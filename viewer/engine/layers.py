@@ -121,5 +121,6 @@ def layers_of(pipeline: Pipeline) -> dict[str, LayerSpec]:
 
 def _only_for_generated(owner: Owner) -> bool:
     """Whether nothing of its buffers changes with a rendered frame."""
-    at_work = isinstance(owner, Stage) and not isinstance(owner, Presentation)
-    return isinstance(owner, ExtrapolatedBuffers) or (at_work and type(owner).rendered is Stage.rendered)
+    if isinstance(owner, Stage) and not isinstance(owner, Presentation):
+        return type(owner).rendered is Stage.rendered
+    return isinstance(owner, ExtrapolatedBuffers)

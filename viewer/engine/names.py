@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeGuard
+
 FINAL, GAE, TRUTH, FOCUS_TRUTH = "final", "gae", "truth", "focus_truth"
 RENDERED_COLOR, RENDERED_DEPTH, RENDERED_MOTION = "rendered.color", "rendered.depth", "rendered.motion"
 
@@ -31,7 +33,7 @@ def of_second(name: str) -> str:
     return name if name.startswith(_SECOND) else _SECOND + name
 
 
-def is_second(name: str | None) -> bool:
+def is_second(name: str | None) -> TypeGuard[str]:
     return name is not None and name.startswith(_SECOND)
 
 

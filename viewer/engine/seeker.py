@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -55,6 +56,11 @@ class Seeker:
         self._focus: FocusMask | None = None  # made when it is asked for
         self.launched: traffic.Launches = {}  # by the last slot, without warm-up
 
+    @property
+    def _running(self) -> Pipeline:
+        assert self.pipeline is not None  # `go_to` made it
+        return self.pipeline
+
     def prepare(self, setup: Setup) -> None:
         others = (setup.options, setup.kernels) != (self._options, self._kernels)
         if self.source.configure(setup.window, setup.n, setup.options.upscale) or others:
@@ -82,12 +88,13 @@ class Seeker:
                 notes.append(f"rendered frame {m} is left out: {error}")
                 self._restart()
         if frames:
-            self._presented = self.pipeline.present()
+            self._presented = self._running.present()
         return notes
 
     def shoot(self, k: int, alpha: float) -> Shot:
         """Make the slot of rendered frame `k`, submitted last, and `alpha`."""
-        frame, shown, self.truth = self._frame, self._presented, None
+        pipeline, frame, shown, self.truth = self._running, self._frame, self._presented, None
+        assert frame is not None and shown is not None  # `go_to` came first
         buffers = {
             names.RENDERED_COLOR: frame.color,
             names.RENDERED_DEPTH: frame.depth,
@@ -95,9 +102,9 @@ class Seeker:
         }
         cameras = (frame.camera, shown.camera, self._before)
         if alpha:
-            made = self.pipeline.extrapolate(self.source.camera(k, alpha), self.source.time(k, alpha))
+            made = pipeline.extrapolate(self.source.camera(k, alpha), self.source.time(k, alpha))
             buffers[names.FINAL] = made.color
-            if "correction" in self.pipeline.stages:
+            if "correction" in pipeline.stages:
                 buffers[names.GAE] = made.gae
             self.shot = Shot(Moment(k, alpha, made.time, made.camera, *cameras), buffers)
         else:
@@ -110,7 +117,7 @@ class Seeker:
 
     def _count_launches(self) -> traffic.Launches:
         """What was launched since this was called last."""
-        stages = self.pipeline.stages
+        stages = self._running.stages
         launched = {name: stage.launches or [] for name, stage in stages.items()}
         for stage in stages.values():
             stage.launches = []
@@ -119,10 +126,11 @@ class Seeker:
     def find_focus(self, truth: np.ndarray) -> None:
         """Add "focus_truth" to the shot, an extrapolated one; `truth`: (H, W, 4) float16."""
         if self._focus is None:
-            self._focus = FocusMask(self.pipeline.board)
+            self._focus = FocusMask(self._running.board)
             self._true_color = self.device.buffer(truth.nbytes)
         cl.enqueue_copy(self.device.queue, self._true_color, truth)
         self._focus.make(self._true_color, self.source.exposure)
+        assert self.shot is not None
         self.shot.buffers[names.FOCUS_TRUTH] = self._focus.buffer["focus_truth"]
 
     def _restart(self) -> None:
@@ -148,17 +156,18 @@ class Seeker:
             color, depth, motion = self._ring[-1].buffers
             self._upload.take(host, DeviceFrame(color, depth, motion, frame.camera, frame.shown_camera, frame.time))
             frame = replace(frame, color=color, depth=depth, motion=motion)
+        pipeline = self._running
         if last:
-            self.pipeline.take_timings()  # of the warm-up: not this slot's
+            pipeline.take_timings()  # of the warm-up: not this slot's
             self._count_launches()
-        self.pipeline.exposure = self.source.exposure
-        self.pipeline.submit(frame)
+        pipeline.exposure = self.source.exposure
+        pipeline.submit(frame)
         self._at, self._frame = m, frame
-        if self.pipeline.is_cut:
+        if pipeline.is_cut:
             self.cuts.add(m)
-        self._before = before.camera if before and not (frame.reset or self.pipeline.is_cut) else None
-        pixels = host or frame
-        if pixels.motion is None:
+        self._before = before.camera if before and not (frame.reset or pipeline.is_cut) else None
+        pixels: Any = host or frame
+        if host is not None and host.motion is None:
             pixels = host.in_device_layout()
         self.passed.appendleft(
             Passed(

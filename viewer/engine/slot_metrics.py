@@ -112,7 +112,8 @@ class Measurer:
 
 def displayed(result: Result, exposure: float) -> tuple[np.ndarray, np.ndarray]:
     """Display values (H, W, 3) as shown and as they should be."""
-    return tuple(to_display(result.images[name][..., :3], exposure) for name in (names.FINAL, names.TRUTH))
+    shown, true = (to_display(result.images[name][..., :3], exposure) for name in (names.FINAL, names.TRUTH))
+    return shown, true
 
 
 def out_of_screen(result: Result, holes: np.ndarray) -> np.ndarray:

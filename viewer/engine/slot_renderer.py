@@ -50,8 +50,9 @@ class SlotMaker:
     def holds(self, request: Request) -> bool:
         """Whether the pipeline's buffers are those of this slot."""
         last = self.last
-        there = self._seeker.shot is not None and last is not None
-        return there and (last.slot, last.setup, self._flight) == (request.slot, request.setup, self.source.flight)
+        if self._seeker.shot is None or last is None:
+            return False
+        return (last.slot, last.setup, self._flight) == (request.slot, request.setup, self.source.flight)
 
     def make(self, request: Request, to_inspect: bool = False) -> Result:
         """`to_inspect`: the pipeline's buffers are to hold all layers, whatever the request is for. Raises GffeError;
@@ -75,9 +76,10 @@ class SlotMaker:
         seeker, source = self._seeker, self.source
         seeker.prepare(request.setup)
         notes = seeker.go_to(k, alpha)
-        seeker.pipeline.keep(None if to_inspect else request.layers)
-        shot = seeker.shoot(k, alpha)
         pipeline = seeker.pipeline
+        assert pipeline is not None  # `go_to` made it
+        pipeline.keep(None if to_inspect else request.layers)
+        shot = seeker.shoot(k, alpha)
         specs = layers_of(pipeline)
         if not source.has_truth:
             del specs[names.TRUTH], specs[names.FOCUS_TRUTH]
@@ -133,6 +135,7 @@ class SlotMaker:
         if not (seeker.shot and 0 <= x < self.source.width and 0 <= y < self.source.height):
             return None
         pipeline, shot = seeker.pipeline, seeker.shot
+        assert pipeline is not None and self.last is not None  # as there is a shot
         values = pixel_values(pipeline, shot, x, y)
         story = pixel_story(pipeline, shot, x, y, values, seeker.passed)
         if seeker.truth is not None:

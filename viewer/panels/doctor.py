@@ -33,7 +33,7 @@ def draw(app) -> None:
         widgets.heading("Frames in the wrong place")
         with widgets.in_rows() as row:
             for frame, reason in model.marks.items():
-                row(f"{frame}")
+                row(imgui.calc_text_size(f"{frame}").x)
                 if imgui.text_link(f"{frame}###mark {frame}"):
                     model.playback.seek(frame * (model.n + 1))
                 widgets.tooltip(f"rendered frame {frame} {reason}")

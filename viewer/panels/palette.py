@@ -67,7 +67,7 @@ class Palette:
         self._refocus = False
         imgui.set_next_item_width(-1)
         enter = imgui.InputTextFlags_.enter_returns_true.value
-        entered, text = imgui.input_text_with_hint("###command", hint, self.text, enter)
+        entered, text = imgui.input_text_with_hint("###command", hint, self.text or "", enter)
         self.at = 0 if text != self.text else self.at
         self.text = text
         return entered
@@ -91,15 +91,17 @@ class Palette:
 
     def _number(self, parameters: Parameters) -> str | None:
         """ "" when a value was taken."""
-        option, value = ALL[self.asked], parameters.value(self.asked)
+        name = self.asked
+        assert name is not None  # it is open
+        option, value = ALL[name], parameters.value(name)
         now = option.automatic if value is None else f"{value:g} {option.unit}".rstrip()
         entered = self._typed(f"{option.label}: {option.expected}")
         step = -_arrows()
         if step:
-            parameters.set(self.asked, stepped(option, value, step))
+            parameters.set(name, stepped(option, value, step))
         if entered:
             try:
-                parameters.set(self.asked, parsed(option, self.text))
+                parameters.set(name, parsed(option, self.text or ""))
             except GffeError as error:
                 self._problem, self._refocus, self.text = str(error), True, ""
             else:

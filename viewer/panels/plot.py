@@ -37,8 +37,8 @@ def draw(app) -> None:
 def _curves(survey) -> list[tuple]:
     """(side, slots, values, weight), A last: over B both are seen."""
     sides = ("B", survey.b, 3.5), ("A", survey.a, 1.5)
-    curves = [(name, *survey.curve(side), weight) for name, side, weight in sides]
-    return [curve for curve in curves if curve[1].size]
+    curves = [(name, survey.curve(side), weight) for name, side, weight in sides]
+    return [(name, slots, values, weight) for name, (slots, values), weight in curves if slots.size]
 
 
 def _why_empty(model) -> str:

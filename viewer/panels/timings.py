@@ -79,10 +79,10 @@ def _cost(model, milliseconds: float, longest: float | None, color, must: float 
     those that `must` move and are a darker part of the bar."""
     bandwidth, pixels = model.engine.bandwidth, math.prod(model.contents.size)
     moved = milliseconds * 1e6 * bandwidth / pixels if bandwidth else None
-    known = moved is not None and must is not None
+    part = None if moved is None or must is None else must / max(moved, 1e-9)
     imgui.table_next_column()
     if longest is not None:
-        _bar(milliseconds / max(longest, 1e-9), must / max(moved, 1e-9) if known else None, color)
+        _bar(milliseconds / max(longest, 1e-9), part, color)
     imgui.table_next_column()
     imgui.text(f"{milliseconds:.2f}")
     imgui.table_next_column()

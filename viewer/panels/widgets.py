@@ -203,8 +203,10 @@ def show_legend(shown: Legend) -> None:
         middle = ImVec2(origin.x + radius, origin.y + radius)
         for part in range(parts):
             start, end = (2 * math.pi * (part + side) / parts for side in (-0.5, 0.55))
-            rim = [ImVec2(middle.x + radius * math.cos(a), middle.y + radius * math.sin(a)) for a in (start, end)]
-            draw.add_triangle_filled(middle, *rim, imgui.get_color_u32((*wheel_color(part / parts, 1.0), 1.0)))
+            first, last = (
+                ImVec2(middle.x + radius * math.cos(a), middle.y + radius * math.sin(a)) for a in (start, end)
+            )
+            draw.add_triangle_filled(middle, first, last, imgui.get_color_u32((*wheel_color(part / parts, 1.0), 1.0)))
         imgui.dummy(ImVec2(2 * radius, 2 * radius))
         imgui.same_line()
     if shown.unit:

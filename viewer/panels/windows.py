@@ -32,7 +32,8 @@ class Help:
     def draw(self, app) -> bool:
         imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing.value, (0.5, 0.5))
         widgets.floating()
-        _, self.is_open = imgui.begin("Keys###help", True, _ALONE)
+        _, stays = imgui.begin("Keys###help", True, _ALONE)
+        self.is_open = bool(stays)
         imgui.push_style_var(imgui.StyleVar_.cell_padding, (hello_imgui.em_size(0.8), 0.0))
         if imgui.begin_table("###keys", _HELP_COLUMNS, imgui.TableFlags_.sizing_fixed_fit.value):
             for column in _columns(app.actions.shortcut_table()):
@@ -94,7 +95,7 @@ class OpenPath:
             imgui.set_keyboard_focus_here()
         imgui.set_next_item_width(hello_imgui.em_size(34))
         enter = imgui.InputTextFlags_.enter_returns_true.value
-        chosen, self.text = imgui.input_text_with_hint("###path", printable(str(Path.cwd())), self.text, enter)
+        chosen, self.text = imgui.input_text_with_hint("###path", printable(str(Path.cwd())), self.text or "", enter)
         imgui.same_line()
         chosen |= imgui.button("open###open_this")
         imgui.text_disabled(f"The folder of a sequence, or a built-in scene: {scene_names()}")

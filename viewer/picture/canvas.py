@@ -73,7 +73,7 @@ class _Program:
 
     def set(self, prefix: str, values: Mapping[str, Any]) -> None:
         for name, value in values.items():
-            uniform = self._uniforms.get(prefix + name)
+            uniform: Any = self._uniforms.get(prefix + name)
             if uniform is not None:  # this variant may do without
                 uniform.value = value
 
@@ -126,7 +126,7 @@ class Canvas:
     @property
     def layers(self) -> dict[str, LayerSpec]:
         """What has been uploaded."""
-        return {name: layer.spec for name, layer in self._layers.items()}
+        return {name: layer.spec for name, layer in self._layers.items() if layer.spec is not None}
 
     @property
     def pixel_buffers(self) -> list[int]:
@@ -161,7 +161,7 @@ class Canvas:
         with self.ctx.scope(framebuffer, moderngl.NOTHING):
             framebuffer.clear(*view.background, 1.0)
             self._draw(view, (0, 0), framebuffer)
-        return framebuffer.color_attachments[0]
+        return self._texture(framebuffer)
 
     def overview(
         self,
@@ -187,10 +187,16 @@ class Canvas:
                 framebuffer.viewport = (tile.x, tile.y, tile.width, tile.height)
                 self._draw(view, (tile.x, tile.y), framebuffer)
             framebuffer.viewport = (0, 0, *framebuffer.size)
-        return framebuffer.color_attachments[0], placed
+        return self._texture(framebuffer), placed
+
+    @staticmethod
+    def _texture(framebuffer: moderngl.Framebuffer) -> moderngl.Texture:
+        texture = framebuffer.color_attachments[0]
+        assert isinstance(texture, moderngl.Texture)  # as `_target` makes it
+        return texture
 
     def _target(self, name: str, size: Size) -> moderngl.Framebuffer:
-        size = tuple(max(int(n), 1) for n in size)
+        size = max(int(size[0]), 1), max(int(size[1]), 1)
         old = self._targets.get(name)
         if old is not None and old.size == size:
             return old
@@ -261,7 +267,8 @@ class Canvas:
         program.set("", values)
         framebuffer.scissor = corner[0] + left, corner[1] + top, right - left, bottom - top
         program.triangle.render(moderngl.TRIANGLES, vertices=3)
-        framebuffer.scissor = None
+        whole: Any = None  # which the stub leaves out
+        framebuffer.scissor = whole
 
     def _grid_contrast(self, view: View, shown: _Shown) -> float:
         """Of the lines between pixels; 0: there are none."""
@@ -300,8 +307,8 @@ class Canvas:
 
     def _shown(self, name: str | None, display: Display | None, zoom: float) -> _Shown:
         """Layer a or b at this zoom."""
-        layer = self._layers.get(name)
-        if layer is None or display is None:
+        layer = self._layers.get(name) if name is not None else None
+        if layer is None or layer.spec is None or display is None:
             return self._nothing
         spec, frame = layer.spec, layer.frame or self.frame
         view, channel = shown_as(spec, display)

@@ -19,7 +19,7 @@ _LABEL_COLORS = (
     "29292e 3880de 29b880 f5db40 a043b8 85d1f5 9ee659 fab3c2 8c572e 006e73 7d851f 00f0f0 751442 ccb8ff fa7a10 e62442"
 )
 LABEL_COLORS: tuple[Rgb, ...] = tuple(  # of value & 15: 0 is the usual case; 14 and 15 are 254 and 255 of `filled_by`
-    tuple(byte / 255 for byte in bytes.fromhex(text)) for text in _LABEL_COLORS.split()
+    (red / 255, green / 255, blue / 255) for red, green, blue in map(bytes.fromhex, _LABEL_COLORS.split())
 )
 
 
@@ -61,4 +61,5 @@ def wheel_color(direction: float, length: float) -> Rgb:
     """Display colour of a motion: `direction` in turns from x (right) towards y (down), `length` in motion scales."""
     hue = [min(max(abs((direction * 6 + shift) % 6 - 3) - 1, 0), 1) for shift in (0, 4, 2)]
     share = math.sqrt(min(max(length, 0), 1))
-    return tuple(WHEEL_CENTRE + (value - WHEEL_CENTRE) * share for value in hue)
+    red, green, blue = (WHEEL_CENTRE + (value - WHEEL_CENTRE) * share for value in hue)
+    return red, green, blue

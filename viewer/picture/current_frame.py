@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from gffe_cl.viewer.engine import names
@@ -28,7 +30,7 @@ class Contents:
     """
 
     def __init__(self):
-        self.source: FrameSource | None = None
+        self.source: Any = None  # a FrameSource, once something is open
         self.result: Result | None = None
         self.second: Result | None = None
         self.layers: list[LayerSpec] = []
@@ -69,7 +71,7 @@ class Contents:
     def image(self, name: str | None) -> np.ndarray | None:
         if names.is_second(name):
             return None if self.second is None else self.second.images.get(names.plain(name))
-        return None if self.result is None else self.result.images.get(name)
+        return None if self.result is None or name is None else self.result.images.get(name)
 
     def find(self, text: str) -> str | None:
         """Full name of a layer given by it or by the buffer's name alone."""
@@ -91,6 +93,7 @@ class Contents:
     def frame_info(self, result: Result | None = None) -> FrameInfo:
         """What the layers of the result refer to, for displaying them; by default of A's."""
         result = result or self.result
+        assert result is not None
         source, moment, rendered = self.source, result.moment, result.render_size
         area = area_of(moment.render_camera, rendered, moment.display_camera, self.size)
         cameras = moment.render_camera, moment.previous_camera

@@ -19,6 +19,8 @@ TONE_MAPS = ("sRGB", "Reinhard", "ACES", "linear")
 _SAMPLES = 65536
 _FEW = 8  # different values: a code, such as the input mask, whose rare values are as good as the others
 
+Area = tuple[float, float, float, float]  # x0, y0, x1, y1
+
 
 @dataclass
 class Display:
@@ -102,8 +104,8 @@ class FrameInfo:
     exposure: float = 1.0
     source: Camera | None = None
     previous: Camera | None = None
-    source_area: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
-    target_area: tuple[float, float, float, float] = (0.0, 0.0, 1.0, 1.0)
+    source_area: Area = (0.0, 0.0, 1.0, 1.0)
+    target_area: Area = (0.0, 0.0, 1.0, 1.0)
 
     def area(self, spec: LayerSpec) -> tuple[float, float, float, float]:
         area = self.source_area if lies_on_source(spec.grid) else self.target_area
@@ -118,7 +120,8 @@ class FrameInfo:
         """(scale x, scale y, offset x, offset y): a texel's own position in the image that its place lies in is
         scale · (position in fractions of the layer) + offset."""
         if spec.places_in != "target":
-            return (*map(float, self.render_size or self.display_size), 0.0, 0.0)
+            width, height = self.render_size or self.display_size
+            return float(width), float(height), 0.0, 0.0
         size = self.target_size or self.display_size
         layer, target = self.area(spec), self.target_area
         scale = [(target[i + 2] - target[i]) / (layer[i + 2] - layer[i]) for i in (0, 1)]
@@ -126,7 +129,7 @@ class FrameInfo:
         return (scale[0] * size[0], scale[1] * size[1], offset[0] * size[0], offset[1] * size[1])
 
 
-def area_of(image: Camera, image_size: tuple[int, int], seen: Camera, seen_size: tuple[int, int]) -> tuple[float, ...]:
+def area_of(image: Camera, image_size: tuple[int, int], seen: Camera, seen_size: tuple[int, int]) -> Area:
     """The part of an image (camera `image`, `image_size` in pixels) that a camera of the same pose `seen` sees:
     (x0, y0, x1, y1) in fractions of the image's sides."""
 
@@ -195,7 +198,7 @@ def fitted(spec: LayerSpec, image, display: Display, frame: FrameInfo | None = N
             return replace(display, motion_scale=max(float(scale), 0.01))
     values = values[:, max(channel, 0)]
     values = values[np.isfinite(values) & ((values > 0) | (view != "depth"))]
-    codes = np.unique(values) if view == "scalar" else ()
+    codes = np.unique(values) if view == "scalar" else np.empty(0)
     if 0 < len(codes) <= _FEW:
         low, high = min(float(codes[0]), 0.0), max(float(codes[-1]), 0.0)
         return replace(display, low=low, high=max(high, low + 1e-6))

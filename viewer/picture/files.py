@@ -10,7 +10,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -131,14 +131,14 @@ class _Feed:
         try:
             if self.done:
                 self.on_progress(self.done, self.total)
-            frame = None if self.is_cancelled() else next(self.frames, None)
+            frame: Any = None if self.is_cancelled() else next(self.frames, None)
             if frame is None:  # perhaps because it was cancelled while the frame was awaited
                 self.cancelled = self.is_cancelled()
                 return None
             _require_image(self.path, frame, (3,))
-            self.shape = self.shape or frame.shape
-            if frame.shape != self.shape:
-                raise GffeError(f"{self.path}: frame {self.done} is {_size(frame.shape)}, not {_size(self.shape)}")
+            self.shape = first = self.shape or frame.shape
+            if frame.shape != first:
+                raise GffeError(f"{self.path}: frame {self.done} is {_size(frame.shape)}, not {_size(first)}")
         except OSError as error:  # not a fault of the file that is being written
             self.fault = GffeError(f"{self.path}: cannot make frame {self.done}: {error.strerror or error}")
             return None

@@ -62,9 +62,9 @@ def value_text(spec: LayerSpec, values) -> str:
     values = [float(value) for value in np.ravel(values)]
     if spec.view == "color":
         return "  ".join(f"{n} {_text(v)}" for n, v in zip(spec.components, values, strict=False) if n != "A")
-    first = values[0]
+    first, labels = values[0], dict[float, str](spec.labels)
     if spec.view == "label":
-        return f"{first:g}: {dict(spec.labels)[first]}" if first in dict(spec.labels) else f"{first:g}"
+        return f"{first:g}: {labels[first]}" if first in labels else f"{first:g}"
     if spec.view == "mask":
         return "yes" if first else "no"
     if spec.view == "depth":

@@ -35,11 +35,11 @@ def region_map(result: Result, b: np.ndarray | None, exposure: float) -> RegionM
     """Of a generated slot of A with the layers `figures.NEEDED`, and B's final colours (H, W, 4) of the same slot."""
     labels = region_labels(result, exposure)
     true = to_display(result.images[names.TRUTH][..., :3], exposure)
-    parts = [
-        None if color is None else parts_of(labels, squared_error(to_display(color[..., :3], exposure), true))
-        for color in (result.images[names.FINAL], b)
-    ]
-    return RegionMap(labels, *parts)
+
+    def parts(color: np.ndarray) -> dict[str, Part]:
+        return parts_of(labels, squared_error(to_display(color[..., :3], exposure), true))
+
+    return RegionMap(labels, parts(result.images[names.FINAL]), None if b is None else parts(b))
 
 
 OVERLAY = "regions"

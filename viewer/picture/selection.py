@@ -75,7 +75,7 @@ def _errors(final, truth, exposure: float, corner: tuple[int, int]):
     return psnr, float(error.mean()), float(error.max()), (corner[0] + int(x), corner[1] + int(y))
 
 
-def _motion(motion: np.ndarray | None):
+def _motion(motion: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, tuple[float, float] | None]:
     flat = np.zeros((0, 2)) if motion is None else motion[..., :2].reshape(-1, 2)
     flat = flat[np.isfinite(flat).all(-1)]
     if not len(flat):
@@ -83,7 +83,8 @@ def _motion(motion: np.ndarray | None):
     lengths = np.hypot(*flat.T)
     high = max(float(lengths.max()), 1e-3)
     counts, edges = np.histogram(lengths, BINS, (0.0, high))
-    return counts.astype(np.float64), edges, tuple(map(float, np.median(flat, 0)))
+    x, y = np.median(flat, 0)
+    return counts.astype(np.float64), edges, (float(x), float(y))
 
 
 class Selection:

@@ -51,11 +51,13 @@ class View:
 
     def display_at(self, size: Size, x: float, y: float) -> tuple[float, float]:
         """Display pixel under the screen position (x, y) of a canvas of `size`."""
-        return tuple(c + (p - s / 2) / self.zoom for c, p, s in zip(self.centre, (x, y), size, strict=True))
+        right, down = (c + (p - s / 2) / self.zoom for c, p, s in zip(self.centre, (x, y), size, strict=True))
+        return right, down
 
     def screen_at(self, size: Size, x: float, y: float) -> tuple[float, float]:
         """Screen position of the display pixel position (x, y) on a canvas of `size`."""
-        return tuple(s / 2 + (p - c) * self.zoom for c, p, s in zip(self.centre, (x, y), size, strict=True))
+        right, down = (s / 2 + (p - c) * self.zoom for c, p, s in zip(self.centre, (x, y), size, strict=True))
+        return right, down
 
     def fit(self, size: Size, display_size: Size) -> None:
         """Zoom and centre so that the whole display fits a canvas of `size`."""

@@ -72,7 +72,7 @@ def entries_of(view: View, contents: Contents, looks: Looks, comparison: Compari
 
 def _layer(name: str | None, contents: Contents, looks: Looks, prefix: str = "") -> list[Entry]:
     spec = contents.spec(name)
-    if spec is None:
+    if name is None or spec is None:
         return []
     display = looks.of(name)
     shown = legend(spec, display)

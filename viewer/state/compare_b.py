@@ -57,6 +57,7 @@ class Second:
 
     def request(self, first: Request, layers: frozenset[str]) -> Request:
         """What is asked of B where `first` is asked of A."""
+        assert self.kept is not None  # there is a B
         return replace(first, setup=self.kept.setup(first.setup.n), layers=layers, role="b")
 
     def ask(self, request: Request, source) -> None:
@@ -86,7 +87,7 @@ class Second:
     def take(self) -> tuple[Result, Result | None] | None:
         """A's and B's results when both are there; B's is None if it failed."""
         made = self._engine.poll("b")
-        if made is not None and made.request == self.asked:
+        if isinstance(made, Result) and made.request == self.asked:
             self._made = made
         if self._first is None or (self._made is None and not self.fault):
             return None

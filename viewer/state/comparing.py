@@ -135,7 +135,7 @@ class Comparison:
         view = replace(self._view, a_display=looks.of(self._view.a))
         if view.b:
             view.b_display = looks.of(view.b)
-        if self.flipped and view.b:
+        if self.flipped and view.b and view.b_display:
             view.a, view.a_display, view.compare = view.b, view.b_display, "off"
         elif view.compare == "flip error":
             view.a, view.a_display, view.compare = flip_map.NAME, self.error_display, "off"
@@ -222,7 +222,7 @@ class Comparison:
             if saved.get(name) in choices:
                 setattr(view, name, saved[name])
         for name, (low, high) in _NUMBERS.items():
-            value = saved.get(name)
+            value: Any = saved.get(name)
             if type(value) in (int, float) and math.isfinite(value):
                 setattr(view, name, min(max(float(value), low), high))
         if isinstance(saved.get("b"), str):

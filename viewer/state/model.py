@@ -108,8 +108,8 @@ class Model:
     # ---- opening -----------------------------------------------------------------------------------------
 
     @property
-    def source(self) -> FrameSource | None:
-        """What is open."""
+    def source(self) -> Any:
+        """What is open, a FrameSource; None if nothing is."""
         return self.contents.source
 
     def open(self, target: str) -> None:
@@ -210,7 +210,8 @@ class Model:
     def _inspect(self, x: int, y: int) -> None:
         """Ask about a pixel of what is shown; what comes from the cache is not made for that while it plays."""
         if self.inspects:
-            request = self.contents.result.request if self.from_cache else None
+            result = self.contents.result
+            request = result.request if result is not None and self.from_cache else None
             self.engine.inspect(x, y, request=request)
 
     # ---- what is asked for -----------------------------------------------------------------------------------
@@ -270,6 +271,7 @@ class Model:
     def take_second(self) -> None:
         """Go on with B's settings as A."""
         kept = self.kept.b
+        assert kept is not None  # there is a B
         self.parameters.take(kept.options, kept.window)
         self.say(f"A has B's settings now: {kept.name}" + (", with the newest kernels" if kept.kernels else ""))
 
@@ -312,7 +314,7 @@ class Model:
         return self.flyer is not None and self.flyer.active
 
     def toggle_flying(self) -> None:
-        if self.flying:
+        if self.flyer is not None and self.flyer.active:
             self.flyer.active = False
         elif self.contents.result is not None:
             self.flyer = Flyer(self.contents.result.moment.camera)
@@ -338,7 +340,7 @@ class Model:
 
         return Subject(self.contents, self.playback, self.view, self.comparison.shown, legends, lambda: self.settled)
 
-    def save(self, work: type[Work]) -> None:
+    def save(self, work: Callable[[Subject], Work]) -> None:
         """Start saving beside the interface."""
         self.export = work(self._subject)
 
@@ -352,10 +354,12 @@ class Model:
         self.export = RecordingWork(self._subject, sequence)
 
     def advance_export(self, canvas) -> None:
-        self.export.advance(canvas)
-        if self.export.finished:
-            if self.export.outcome:
-                self.say(self.export.outcome, self.export.failed)
+        export = self.export
+        assert export is not None  # asked for only while there is one
+        export.advance(canvas)
+        if export.finished:
+            if export.outcome:
+                self.say(export.outcome, export.failed)
             self.export = None
 
     # ---- telling -------------------------------------------------------------------------------------------
@@ -380,9 +384,12 @@ class Model:
 
     def lately(self, now: float, seconds: dict[str, float]) -> list[Message]:
         """Messages that were shown first at most so many seconds ago, by their kind."""
+        found = []
         for message in self.messages:
             message.since = now if message.since is None else message.since
-        return [message for message in self.messages if now - message.since < seconds.get(message.kind, 0.0)]
+            if now - message.since < seconds.get(message.kind, 0.0):
+                found.append(message)
+        return found
 
     def dismiss_messages(self) -> None:
         """Take all that stand over the picture away."""

@@ -91,7 +91,7 @@ class Parameters:
         self.render_rate: float | None = None  # of built-in scenes, frames per second; None: the scene's
         self.network_fault: str | None = None
         self._playback = playback
-        self._source: FrameSource | None = None
+        self._source: Any = None  # a FrameSource, once something is open
 
     def open(self, source: FrameSource) -> None:
         """Another source: its windows are others."""
@@ -162,7 +162,7 @@ class Parameters:
         elif name == "render_rate":
             rate = ALL[name].checked(value)
             self.render_rate = None if rate == "scene" else float(rate)
-            self._playback.n = 1 if rate == "scene" else round(_SHOWN / self.render_rate) - 1
+            self._playback.n = 1 if self.render_rate is None else round(_SHOWN / self.render_rate) - 1
         else:
             self.options = self.options.changed(name, self._possible(value) if name == UPSCALING else value)
 

@@ -234,7 +234,7 @@ class Playback:
     @property
     def last(self) -> int:
         """Last slot that is played."""
-        return self.slots - 1 if self._out is None else self.out_point
+        return self.slots - 1 if self._out is None else self._schedule.slot_at(self._out)
 
     def set_in(self, slot: int | None = None) -> None:
         """Play from `slot` (default: this one) on. An out point before it is cleared."""

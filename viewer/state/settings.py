@@ -120,7 +120,7 @@ class Settings:
 
     def add_recent(self, path: str | Path) -> None:
         """Put `path` first."""
-        self.recent = _recent([os.path.abspath(path), *self.recent])
+        self.recent = _recent([os.path.abspath(path), *self.recent]) or []
 
     def forget_recent(self, path: str | Path) -> None:
         """Take `path` out, because there is nothing any more."""

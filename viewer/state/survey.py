@@ -208,8 +208,9 @@ class Survey:
 
     def most_different(self) -> int | None:
         """The slot with the largest difference between A and B."""
-        again = self._found is not None and self._found[0] == f"difference {self.quantity}"
-        return self._go("difference", self._found[2] + 1 if again else 0)
+        found = self._found
+        again = found is not None and found[0] == f"difference {self.quantity}"
+        return self._go("difference", found[2] + 1 if found is not None and again else 0)
 
     def next(self) -> int | None:
         """The next one in the order of the last search, by default the worst."""

@@ -89,8 +89,8 @@ class Pointing:
         """Tell the story of a pixel."""
         self.picked, self.story = None, None
         self.inspection = self.inspection if self._hovered else None
-        if self._is_inside(pixel):
-            self.picked = tuple(pixel)
+        if pixel is not None and self._is_inside(pixel):
+            self.picked = pixel[0], pixel[1]
             self._ask(self.picked)
         self.story_due = self.picked is not None
 
@@ -180,7 +180,9 @@ class Screen:
         start, image = time.perf_counter(), self._waiting.pop(name)
         if self.canvas is not None:
             own = [self._contents.frame_info(self._contents.second)] if names.is_second(name) else []
-            self.canvas.upload(name, image, self._contents.spec(name), *own)
+            spec = self._contents.spec(name)
+            assert spec is not None  # there is an image of it
+            self.canvas.upload(name, image, spec, *own)
         self.upload_ms += (time.perf_counter() - start) * 1e3
         if not names.is_second(name):
             self._looks.meet([name])

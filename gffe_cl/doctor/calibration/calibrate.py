@@ -222,7 +222,9 @@ def _write(sequence: Sequence, output: Path, found: dict[str, _Found], lens: Len
                 new = replace(entry, render_camera=cameras[entry.file], display_camera=None, reset=reset)
                 writer.link(new, path)
             elif entry.kind == "ground_truth" and entry.file in found:
-                before = poses[sequence.rendered_before(entry.time)]
+                number = sequence.rendered_before(entry.time)
+                assert number is not None  # the poses that were found are of frames after a rendered one
+                before = poses[number]
                 camera = _camera(np.linalg.inv(found[entry.file].movement.matrix) @ before, lens)
                 writer.link(replace(entry, display_camera=camera), path)
                 truths += 1

@@ -141,7 +141,8 @@ def _reading(layout: tuple, axes: np.ndarray, before: np.ndarray | None = None) 
 def _named(axes: np.ndarray) -> tuple[str, ...]:
     if (axes == np.eye(3)).all():
         return ()
-    signs = tuple(int(n) for n in np.diag(axes))
+    x, y, z = (int(n) for n in np.diag(axes))
+    signs = x, y, z
     return (_FLIPS.get(signs, "axes"),) if (axes == np.diag(signs)).all() else ("axes",)
 
 

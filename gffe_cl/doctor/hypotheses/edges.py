@@ -14,10 +14,13 @@ _SILENT = 0.08  # agreement below this may be chance
 
 def lines_of(look: Look) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """(color, color upside down, depth) of lines across the image of `look`, and of lines down."""
+    assert look.image is not None and look.deep is not None  # kept of the looks that are asked for
     image, deep = look.image, np.nan_to_num(look.deep, posinf=0.0, neginf=0.0)
     every = max(1, deep.size // _PIXELS)
     across = image[::every], image[::-1][::every], deep[::every]
-    return [across, tuple(array[:, ::every].swapaxes(0, 1) for array in (image, image[::-1], deep))]
+    down = (array[:, ::every].swapaxes(0, 1) for array in (image, image[::-1], deep))
+    turned, upside_down, depths = down
+    return [across, (turned, upside_down, depths)]
 
 
 def silhouettes(depth: np.ndarray) -> np.ndarray:

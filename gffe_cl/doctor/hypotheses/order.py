@@ -100,7 +100,7 @@ def _best_other(looks: dict[int, Look], index: int, reading: Reading, step: floa
         for other, look in looks.items()
         if other != index and abs(other - index) <= _WINDOW
     }
-    best = max(shares, key=shares.get, default=index)
+    best = max(shares, key=shares.__getitem__, default=index)
     return best, float(shares.get(best, 0.0))
 
 

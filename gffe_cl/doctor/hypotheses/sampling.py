@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -119,7 +119,7 @@ def with_rows(looks: dict[int, Look], rows: tuple[str, ...]) -> dict[int, Look]:
     if len(rows) > 1:
         others = with_rows(looks, tuple(name for name in BUFFERS if name not in rows))
         return _linked({index: _upside_down(look) for index, look in others.items()})
-    fields = {"color": ("color", "contrast")}.get(rows[0], rows)
+    fields = ("color", "contrast") if rows == ("color",) else rows
     return _linked({
         index: replace(
             look,
@@ -190,7 +190,7 @@ def _look(frame: RenderedFrame, index: int, entry: FrameEntry, samples: int, who
 
 def _bad_pixels(frame: RenderedFrame) -> tuple[BadPixels, dict[str, tuple[int, int]]]:
     """Counts of what is no number, and where the first one of each kind is."""
-    kinds = {"depth": ~(np.asarray(frame.depth) > 0)}
+    kinds: dict[str, Any] = {"depth": ~(np.asarray(frame.depth) > 0)}
     for name, values in (("color", frame.color), ("motion", frame.motion)):
         finite = np.ones(1, bool) if values is None else np.isfinite(values)
         kinds[name] = np.zeros(1, bool) if finite.all() else ~finite.all(-1)  # all of them at once is quicker
@@ -205,6 +205,7 @@ def _bad_pixels(frame: RenderedFrame) -> tuple[BadPixels, dict[str, tuple[int, i
 def sampled(look: Look, px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Encoded colour (…, 3) of a look's image at pixel positions (…, 2), bilinear, and whether each is inside."""
     image = look.image
+    assert image is not None  # kept of the looks that are asked for
     height, width = image.shape[:2]
     x, y = px[..., 0] - 0.5, px[..., 1] - 0.5
     with np.errstate(invalid="ignore"):

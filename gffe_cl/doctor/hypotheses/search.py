@@ -212,7 +212,7 @@ class Search:
         """Those along which the colours fit about as well as along the best, and the usual one first."""
         scores = self._motion_colors(motion_readings())
         cost = {reading: EDIT * len(reading.parts) - score for reading, score in scores.items()}
-        ranked = sorted(cost, key=cost.get)
+        ranked = sorted(cost, key=cost.__getitem__)
         near = [m for m in ranked if cost[m] < cost[ranked[0]] + _MOTION_MARGIN]
         return list(dict.fromkeys([MOTION_AS_GIVEN, *near]))[:_MOST_MOTIONS]
 

@@ -6,6 +6,8 @@ all. Runners take rendered frames by `submit(shot)` and make pictures of moments
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from gffe_cl.core.errors import GffeError
@@ -66,8 +68,9 @@ class OpticalFlow:
     def __init__(self, exposure: float):
         import cv2
 
-        self._find = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-        self._exposure, self._grey = exposure, None
+        self._find: Any = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        self._exposure = exposure
+        self._grey: np.ndarray | None = None
 
     def submit(self, shot: Shot) -> None:
         self._color = shot.shown.astype(np.float32)
@@ -77,8 +80,9 @@ class OpticalFlow:
 
     def make(self, moment: Moment) -> np.ndarray:
         moved = -np.float32(moment.alpha) * self._flow
-        here = pixel_centres(*self._grey.shape)
-        field, known = splat(here + moved, np.ones(self._grey.shape, np.float32), moved)
+        height, width = moved.shape[:2]
+        here = pixel_centres(height, width)
+        field, known = splat(here + moved, np.ones((height, width), np.float32), moved)
         return sample(self._color, here - filled(field, known))[0]
 
 
@@ -92,6 +96,7 @@ class GuidedExtrapolation:
 
     def make(self, moment: Moment) -> np.ndarray:
         guide = moment.guide
+        assert guide is not None  # see Method.needs
         place = pixel_centres(*guide.depth.shape) + guide.motion
         seen = same_surface(taps(self._depth, place), guide.source_depth)
         height, width = guide.depth.shape

@@ -36,7 +36,7 @@ def _cell(work: Work, arguments: dict) -> Cell | GffeError:
     """On a worker: the cell, or why the sequence cannot be measured. Raises GffeError if the same name would mean
     something else there."""
     chosen = chosen_methods([work.method], arguments["onnx"], network=arguments["network"]) if work.method else {}
-    method = chosen.get(work.method)
+    method = chosen.get(work.method or "")
     if key_of(_identity(work.subject), method and method.identity()) != work.key:
         raise GffeError(
             "--scheduler: a worker has another version of gffe-cl, other weights or other files of"

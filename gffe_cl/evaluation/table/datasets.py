@@ -196,6 +196,7 @@ class _Scene(Footage):
     def _make(self, window):
         size = (self.width, self.height)
         if window == "given":
+            assert self._small is not None  # else no window is given
             frames = SceneFrames(self._small[0], size=size, jitter=self._small[1])
         else:
             renderer = self._renderer
@@ -285,7 +286,7 @@ _MOVES = 0.5  # pixels from which a surface counts as moving by itself
 
 def open_subject(subject: Subject, device: Device) -> Footage:
     """Its footage; nothing is rendered or decoded before it is asked for."""
-    return (_Scene if isinstance(subject, SceneSubject) else _Folder)(subject, device)
+    return _Scene(subject, device) if isinstance(subject, SceneSubject) else _Folder(subject, device)
 
 
 def parse_subject(

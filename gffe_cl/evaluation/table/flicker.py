@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-LUMA = np.float32((0.2126, 0.7152, 0.0722))
+LUMA = np.array((0.2126, 0.7152, 0.0722), np.float32)
 _SIGMA = 1 / 300  # of the image's height
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 _SAME_LAYER = 0.05  # of the depth: what lands in one pixel and is mixed
@@ -100,5 +102,6 @@ def filled(values: np.ndarray, known: np.ndarray) -> np.ndarray:
         return values
     from scipy.ndimage import distance_transform_edt  # see flicker.py
 
-    y, x = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    nearest: Any = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    y, x = nearest
     return values[y, x]

@@ -7,6 +7,7 @@ new frame's pixel: nothing is moved there first, so a moving edge takes the vect
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +27,8 @@ class Remapped:
         import cv2
 
         kind = cv2.INTER_CUBIC if cubic else cv2.INTER_LINEAR
-        self._remap = partial(cv2.remap, map2=None, interpolation=kind, borderMode=cv2.BORDER_REPLICATE)
+        remap: Any = cv2.remap
+        self._remap = partial(remap, map2=None, interpolation=kind, borderMode=cv2.BORDER_REPLICATE)
         self._scale_add = cv2.scaleAdd
         self._here = np.zeros((0, 0, 2), np.float32)
 
@@ -55,7 +57,7 @@ class RemappedFlow(Remapped):
             )  # fmt: skip
         else:
             preset = getattr(cv2, f"DISOPTICAL_FLOW_PRESET_{flow.upper()}")
-            self._find = cv2.DISOpticalFlow_create(preset).calc
+            self._find: Any = cv2.DISOpticalFlow.create(preset).calc
 
     def submit(self, shot: Shot) -> None:
         super().submit(shot)

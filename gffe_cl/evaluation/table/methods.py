@@ -37,9 +37,11 @@ class Runner(Protocol):
 
     def submit(self, shot: Shot) -> None:
         """Take the next rendered frame."""
+        ...
 
     def make(self, moment: Moment) -> np.ndarray:
         """The picture of a moment after it: (H, W, 3) linear."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -96,6 +98,7 @@ class Method:
             known["options"] = asdict(self.options)
             if self.options.corrects_shading:
                 weights = Path(self.options.scn_model) if self.options.scn_model else inference.default_model()
+                assert weights is not None  # the package's own
                 known["weights"] = hashlib.sha256(weights.read_bytes()).hexdigest()
         if self.model:
             known["model"] = hashlib.sha256(self.model.read_bytes()).hexdigest()
@@ -104,6 +107,7 @@ class Method:
     def runner(self, footage: Footage, device: Device) -> Runner:
         """At the start of a sequence. Raises GffeError."""
         if self.options is None:
+            assert self.make is not None
             return self.make(footage)
         return self.pipelines(self.options, self.window, self.camera, footage, device)
 

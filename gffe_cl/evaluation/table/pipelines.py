@@ -47,6 +47,7 @@ class PipelineRunner:
 
     def make(self, moment: Moment) -> np.ndarray:
         color = self.color_of(self.extrapolated(moment))
+        assert self._submitted is not None  # `finish` was called
         self.milliseconds.append(self._submitted + self._taken())
         return color
 
@@ -93,7 +94,7 @@ class UpscaledFirst(PipelineRunner):
         super().submit(shot)
         shown = self.pipeline.present()
         buffers = (shown.numpy(name) for name in ("color", "depth", "motion"))
-        self._shown.submit(RenderedFrame(*buffers, shown.camera, shown.time, reset=shot.frame.reset))
+        self._shown.submit(RenderedFrame(*buffers, camera=shown.camera, time=shown.time, reset=shot.frame.reset))
 
     def extrapolated(self, moment):
         return self._shown.extrapolate(self.camera_of(moment), moment.time)
@@ -106,6 +107,7 @@ class TrueMotion(PipelineRunner):
     """Position prediction is given the true position of every fragment: what is missing then, nothing could predict."""
 
     def extrapolated(self, moment):
+        assert moment.true_positions is not None  # see Method.needs
         return self.pipeline.extrapolate(self.camera_of(moment), moment.time, target_position=moment.true_positions())
 
 
@@ -118,6 +120,7 @@ class TrueGeometry(PipelineRunner):
 
     def extrapolated(self, moment):
         guide = moment.guide
+        assert guide is not None  # see Method.needs
         here = pixel_centres(*guide.depth.shape)
         place = (here + np.nan_to_num(guide.motion)) * self._to_render[:2] + self._to_render[2:]
         geometry = guide.depth, (place - here).astype(np.float32)

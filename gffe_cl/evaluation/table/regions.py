@@ -58,6 +58,7 @@ def find_labels(footage: Footage, device: Device) -> Iterator[np.ndarray]:
             if moment.guide:
                 parts = exact_parts(shot, moment.guide)
             else:
+                assert static is not None
                 seen = static.extrapolate(moment.camera, moment.time).numpy("disoccluded")
                 parts = _found_parts(shot, found, seen != 0, made.camera)
             moving = parts["dynamic"]
@@ -92,6 +93,7 @@ def exact_parts(shot: Shot, guide: Guide) -> dict[str, np.ndarray]:
         visible |= (weight >= _MUCH) & same_surface(shot.frame.depth[y, x], guide.source_depth)
     hidden = inside & ~visible
     nearest = place.astype(int)
+    assert shot.moving is not None  # where there are guides
     behind_mover = shot.moving[nearest[..., 1], nearest[..., 0]]
     return {
         "out of screen": ~inside,

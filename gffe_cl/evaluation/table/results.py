@@ -10,6 +10,7 @@ import platform
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
 import numpy as np
 
@@ -148,7 +149,12 @@ def gains(filled: Filled) -> list[dict]:
         if not both:
             continue
         errors = [RegionErrors.pooled(cell.errors for cell in cells) for cells in zip(*both, strict=True)]
-        row = {"title": gain.title, "with": gain.with_it, "without": gain.without, "region": gain.region}
+        row: dict[str, Any] = {
+            "title": gain.title,
+            "with": gain.with_it,
+            "without": gain.without,
+            "region": gain.region,
+        }
         for key, region in (("whole", "whole"), ("in_region", gain.region)):
             row[key] = _finite(errors[0].figure("psnr", region) - errors[1].figure("psnr", region))
         row["mean"] = float(np.mean([_average(a, "psnr") - _average(b, "psnr") for a, b in both]))

@@ -88,7 +88,7 @@ def fill(
             continue
         for name in (None, *methods):
             method = methods[name] if name else None
-            if method and (reason := method.missing(subject)):
+            if method and name and (reason := method.missing(subject)):
                 filled.skipped[subject.name, name] = reason
                 continue
             work = Work(subject, name, key_of(identity, method and method.identity()))

@@ -27,7 +27,7 @@ class VideoMetric:
 
 
 def _fov_video_vdp(shown, truth, fps) -> float:
-    import pyfvvdp
+    import pyfvvdp  # pyright: ignore[reportMissingImports]  # an extra
 
     metric = pyfvvdp.fvvdp(display_name="standard_fhd", heatmap=None)
     value, _ = metric.predict(_volume(shown), _volume(truth), dim_order="FHWC", frames_per_second=fps)
@@ -35,7 +35,7 @@ def _fov_video_vdp(shown, truth, fps) -> float:
 
 
 def _color_video_vdp(shown, truth, fps) -> float:
-    import pycvvdp
+    import pycvvdp  # pyright: ignore[reportMissingImports]  # an extra
 
     metric = pycvvdp.cvvdp(display_name="standard_fhd", heatmap=None)
     value, _ = metric.predict(_volume(shown), _volume(truth), dim_order="FHWC", frames_per_second=fps)
@@ -43,7 +43,7 @@ def _color_video_vdp(shown, truth, fps) -> float:
 
 
 def _lpips(shown, truth, fps) -> float:
-    import lpips
+    import lpips  # pyright: ignore[reportMissingImports]  # an extra
     import torch
 
     network = lpips.LPIPS(net="alex", verbose=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,8 +33,8 @@ class _Joint(Motion):
 
     parent: Motion
     offset: tuple
-    angle: object
-    gait: object
+    angle: Callable
+    gait: Callable
 
     def __call__(self, time):
         turned = rotation("x", np.degrees(self.angle(self.gait(time))))
@@ -45,7 +46,7 @@ class _Body(Motion):
     """The path, with the bob and sway of the gait."""
 
     path: Path
-    gait: object
+    gait: Callable
     bob: float
     height: float
 

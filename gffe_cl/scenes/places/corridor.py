@@ -34,7 +34,7 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
             ((0.36, 0.24, 0.17), (0.52, 0.46, 0.38)),
             ((0.3, 0.33, 0.32), (0.5, 0.5, 0.46)),
         ),
-        pick(rng, "tiles", "checker", "checker"),
+        texture=pick(rng, "tiles", "checker", "checker"),
         scale=0.5,
         contrast=0.3,
         roughness=0.08,

@@ -7,7 +7,7 @@ import numpy as np
 from gffe_cl.scenes.parts.figures import walker
 from gffe_cl.scenes.parts.furniture import IRON, WOOD, bark_material, bench, broad_tree, leaf_material, potted_plant
 from gffe_cl.scenes.parts.luminaires import gazing_ball
-from gffe_cl.scenes.parts.motions import Path, Place, Spin, Swing
+from gffe_cl.scenes.parts.motions import Chain, Path, Place, Spin, Swing
 from gffe_cl.scenes.scene_types import (
     Air,
     Box,
@@ -37,7 +37,8 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
     stone = Material(vary(rng, (0.52, 0.48, 0.42)), scale=0.5, contrast=0.25, roughness=0.85, seed=seed + 1)
     paving = Material(
         *pick(rng, ((0.38, 0.35, 0.31), (0.17, 0.15, 0.13)), ((0.38, 0.29, 0.23), (0.2, 0.16, 0.12))),
-        pick(rng, "cobbles", "tiles", "bricks"), scale=pick(rng, 0.35, 0.5), contrast=0.3, roughness=0.8, seed=seed,
+        texture=pick(rng, "cobbles", "tiles", "bricks"),
+        scale=pick(rng, 0.35, 0.5), contrast=0.3, roughness=0.8, seed=seed,
     )  # fmt: skip
     groups = [Group([Box((0, -0.5, 0), (60, 1.0, 60), paving)], name="paving")]
     for yaw in (0, 90, 180, 270):
@@ -232,6 +233,7 @@ def _greenery(rng) -> list[Group]:
     groups = [Group([Cylinder((x, 0, z), (x, 0.3, z), 0.8, kerb)], name="kerb")]
     tree = broad_tree(x, z, rng, rng.uniform(4.6, 5.6), bark_material(rng), leaf_material(rng), blobs=16)
     for group in tree[1:]:  # a gusty day
+        assert isinstance(group.motion, Chain)
         group.motion = group.motion.outer @ Swing((1, 0, 0.4), 4.0, rng.uniform(1.5, 2.0), rng.random())
     groups += tree
     for a, b in ((-6.2, -6.2), (6.2, 6.2), (-6.2, 6.0), (6.3, -1.0)):

@@ -66,7 +66,7 @@ def _shell(rng, seed, white) -> list[Group]:
             ((0.1, 0.13, 0.13), (0.36, 0.38, 0.36)),
             ((0.36, 0.3, 0.24), (0.2, 0.12, 0.09)),
         ),
-        pick(rng, "marble", "checker", "tiles"),
+        texture=pick(rng, "marble", "checker", "tiles"),
         scale=pick(rng, 0.8, 1.1),
         contrast=0.4,
         roughness=0.05,

@@ -36,7 +36,7 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
             ((0.42, 0.35, 0.28), (0.16, 0.13, 0.1)),
             ((0.33, 0.34, 0.37), (0.12, 0.12, 0.13)),
         ),
-        pick(rng, "cobbles", "tiles", "bricks"),
+        texture=pick(rng, "cobbles", "tiles", "bricks"),
         scale=pick(rng, 0.28, 0.4, 0.6),
         contrast=0.35,
         roughness=0.8,

@@ -14,12 +14,12 @@ from twins.correction import choose_flow, correct, judge
 from twins.hidden_parts import fill_hidden_parts
 from twins.history import EXACT, residual_histogram, static_threshold, track_history
 from twins.holes import asked_texels, downsample, fill_holes, mix_far_side
-from twins.network_input import changed_tiles, decode, depth_median, encode, network_input
+from twins.network_input import decode, depth_median, encode, network_input
 from twins.prediction import predict_positions
 from twins.presentation import present
 from twins.shading import prepare_inputs
 from twins.shading_flow import find_candidates
-from twins.shading_trend import carry_trends, find_trend, measure_changes
+from twins.shading_trend import carry_trends, find_change, find_trend, measure_changes
 from twins.upload import convert_color, count_geometry
 from twins.warp import block_classes, link_surfaces, load_color, resolve, smooth_blocks, splat, unmixed
 
@@ -33,7 +33,6 @@ __all__ = [
     "block_classes",
     "carry_trends",
     "centres",
-    "changed_tiles",
     "choose_flow",
     "collect_levels",
     "collect_shown",
@@ -48,6 +47,7 @@ __all__ = [
     "fill_hidden_parts",
     "fill_holes",
     "find_candidates",
+    "find_change",
     "find_trend",
     "judge",
     "link_surfaces",

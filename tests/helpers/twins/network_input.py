@@ -88,11 +88,3 @@ def network_input(color, previous, depth, mask, exposure, network_size):
     for tap in taps(planes):
         total = total + tap
     return np.moveaxis(np.concatenate([*colors, F(0.25) * total], -1), -1, 0)
-
-
-def changed_tiles(frames):
-    """(h/16, w/16) uint8: 1 where more than 32 of 256 pixels change by more than 1/256, or by what is no number."""
-    tile = NETWORK_INPUT.TILE
-    changes = ~(np.abs(frames[:3] - frames[3:6]) <= NETWORK_INPUT.STILL).all(0)
-    height, width = changes.shape
-    return changes.reshape(height // tile, tile, width // tile, tile).sum((1, 3)) > NETWORK_INPUT.FEW

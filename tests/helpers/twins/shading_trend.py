@@ -10,7 +10,8 @@ TREND = kernel_constants("shading_trend.cl")
 
 
 def measure_changes(frame, before, dynamic, exposure, to_previous):
-    """(4, h, w) of cells; `frame` and `before`: (color (H, W, 4) float16, depth)."""
+    """(4, h, w) of cells, and how many samples of each change, (h, w) uint8; `frame` and `before`: (color (H, W, 4)
+    float16, depth)."""
     (color, depth), (color_prev, depth_prev) = frame, before
     height, width = depth.shape
     cell, stride, most = TREND.CELL, TREND.SAMPLE_STRIDE, F(TREND.MOST_CHANGE)
@@ -18,12 +19,16 @@ def measure_changes(frame, before, dynamic, exposure, to_previous):
     lift = F(5000 * exposure / 8)
     rgb, rgb_prev = load_color(color), load_color(color_prev)
     place = reproject(centres(height, width), depth, to_previous)
-    product, known = np.ones((*cells, 3), F), np.zeros(cells, F)
+    product, known, changed = np.ones((*cells, 3), F), np.zeros(cells, F), np.zeros(cells, np.uint8)
     for dy in range(1, cell, stride):
         for dx in range(1, cell, stride):
             for cy, cx in np.ndindex(cells):
                 y, x = cy * cell + dy, cx * cell + dx
-                if y >= height or x >= width or dynamic[y, x] or not depth[y, x] > 0:
+                if y >= height or x >= width:
+                    continue
+                if dynamic[y, x]:
+                    changed[cy, cx] += 1
+                if dynamic[y, x] or not depth[y, x] > 0:
                     continue
                 (px, py, z) = place[y, x]
                 px, py = px - F(0.5), py - F(0.5)
@@ -41,11 +46,22 @@ def measure_changes(frame, before, dynamic, exposure, to_previous):
                 for tap, at in enumerate(taps):
                     total = total + (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v) * rgb_prev[at]
                 now, then = (F(1) + lift * np.clip(c, 0, COLOR_MAX).astype(F) for c in (rgb[y, x], total))
-                product[cy, cx] *= np.clip(now / then, F(1) / most, most)
+                factor = np.clip(now / then, F(1) / most, most)
+                product[cy, cx] *= factor
                 known[cy, cx] += F(1)
+                changed[cy, cx] += bool(((factor > F(TREND.NOISE)) | (factor * F(TREND.NOISE) < 1)).any())
     share = F(stride**2 / cell**2)
     changes = log(product) * (F(1 / np.log1p(5000)) * share)
-    return np.moveaxis(np.concatenate([changes, (known * share)[..., None]], -1), -1, 0)
+    return np.moveaxis(np.concatenate([changes, (known * share)[..., None]], -1), -1, 0), changed
+
+
+def find_change(changed_samples):
+    """Whether in any tile of 4×4 cells more than a few samples change."""
+    tile = TREND.TILE
+    padded = np.pad(changed_samples, [(0, -side % tile) for side in changed_samples.shape])
+    height, width = padded.shape
+    tiles = padded.reshape(height // tile, tile, width // tile, tile).sum((1, 3), dtype=int)
+    return bool((tiles > TREND.FEW).any())
 
 
 def find_trend(changes, reach):

@@ -59,11 +59,11 @@ class Fragment:
         path = [_projected(place, shot.moment.display_camera) for place in known[::-1]]
         path.append(moved(px, shot.moment.render_camera, shot.moment.display_camera))
         if (target := values.get(names.TARGET_POSITION)) is not None and target.flat[2] > 0:
-            path.append(tuple(map(float, target.flat[:2])))
+            path.append((float(target.flat[0]), float(target.flat[1])))
         used = min(len(known), pipeline.options.order) if shot.moment.alpha else -1
         bend = _bend(pipeline, layers, at, depth) if used == 1 else 0.0
         sentences = _fragment_sentences(pipeline, shot, depth, motion, label, residual, threshold, used, bend)
-        at = tuple(map(int, at))
+        at = int(at[0]), int(at[1])
         return cls(tuple(point for point in path if point), dynamic, residual, threshold, sentences, at)
 
 
@@ -166,5 +166,5 @@ def least(values: np.ndarray, fits: np.ndarray) -> int | None:
 
 def around(at, reach: int, size) -> tuple[int, int, int, int]:
     """x, y, width, height of the block up to `reach` around `at`, within an image of `size`."""
-    low = [max(c - reach, 0) for c in at]
-    return (*low, *(min(c + reach + 1, s) - first for c, s, first in zip(at, size, low, strict=True)))
+    x, y = (max(c - reach, 0) for c in at)
+    return x, y, min(at[0] + reach + 1, size[0]) - x, min(at[1] + reach + 1, size[1]) - y

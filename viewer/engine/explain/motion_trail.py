@@ -31,7 +31,7 @@ class Passed:
 
     def at(self, queue: cl.CommandQueue, x: int, y: int) -> tuple[float, np.ndarray]:
         """Depth and motion of a pixel inside."""
-        if isinstance(self.depth, np.ndarray):
+        if isinstance(self.depth, np.ndarray) and isinstance(self.motion, np.ndarray):
             return float(self.depth[y, x]), self.motion[y, x].astype(np.float64)
         depth, motion, place = np.empty(1, np.float32), np.empty(2, np.float32), y * self.size[0] + x
         cl.enqueue_copy(queue, depth, self.depth, src_offset=4 * place)

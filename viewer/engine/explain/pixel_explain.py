@@ -33,7 +33,7 @@ def pixel_story(
     story = _story(pipeline, shot, x, y, values)
     if story.fragment is None:
         return story
-    own = tuple(c + 0.5 for c in story.fragment)
+    own = story.fragment[0] + 0.5, story.fragment[1] + 0.5
     return replace(story, way=way_of(pipeline.device.queue, passed, own))
 
 
@@ -138,7 +138,7 @@ def _to_source(shot: Shot, source_px) -> tuple[Link, ...]:
     if not source_px:
         return ()
     at = moved(source_px, shot.moment.render_camera, shot.moment.display_camera)
-    return (Link(f"frame {shot.moment.k}", names.FINAL, shot.moment.k, tuple(int(np.floor(c)) for c in at)),)
+    return (Link(f"frame {shot.moment.k}", names.FINAL, shot.moment.k, (int(np.floor(at[0])), int(np.floor(at[1])))),)
 
 
 def _filled_by(number: int) -> str:
@@ -168,7 +168,7 @@ def _hole_sentences(pipeline: Pipeline, shot: Shot, source_px) -> tuple[str, ...
     if pipeline.options.hole_filling == "none":
         return nothing, "Hole filling is off: black, at infinite depth."
     filled = f"Hole filling: its colour {FILLINGS[pipeline.options.hole_filling].sentence}."
-    said = [nothing, Step(filled, Link("filled by", names.FILLED_BY))]
+    said: list[str | Step] = [nothing, Step(filled, Link("filled by", names.FILLED_BY))]
     if source_px and not all(0 <= c < s for c, s in zip(source_px, pipeline.sizes.source, strict=True)):
         said.append(f"It lies outside the rendered image, at ({source_px[0]:.1f}, {source_px[1]:.1f}).")
     return tuple(said)
@@ -179,7 +179,7 @@ def _background_story(pipeline, shot, pixel, source_px, level: int, values) -> S
     at = _remembered(pipeline, shot, pixel, source_px, level, depth)
     lies = f", last at ({at[0]:.1f}, {at[1]:.1f}) of the rendered image" if at else ""
     links = Link(f"level {level}", names.background("color", level)), Link("filled by", names.FILLED_BY)
-    said = [Step(f"Filled from background level {level}: a static surface hidden now{lies}.", *links)]
+    said: list[str | Step] = [Step(f"Filled from background level {level}: a static surface hidden now{lies}.", *links)]
     if names.RENDERED_DEPTH in values:
         front = float(values[names.RENDERED_DEPTH][0])
         hides = f"At that place rendered frame {shot.moment.k} shows depth {front:.4g}; the depth here is {depth:.4g}."
@@ -210,4 +210,4 @@ def _remembered(pipeline, shot, pixel, source_px, level: int, depth: float) -> t
     else:
         fits &= np.isinf(z[:, 0])
     best = least(np.hypot(*(px.astype(np.float64) - source_px).T), fits)
-    return None if best is None else tuple(map(float, px[best]))
+    return None if best is None else (float(px[best][0]), float(px[best][1]))

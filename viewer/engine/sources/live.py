@@ -8,6 +8,7 @@ import threading
 from bisect import bisect_left, bisect_right, insort
 from collections import OrderedDict
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -70,7 +71,7 @@ class SceneSource(FrameSource):
         self._flown_last = -1.0  # key of the last call of `fly`
         self._flights = 0  # calls of `fly`
         self._lock = threading.Lock()  # of the flown poses
-        self._way: tuple | None = None
+        self._way: Any = None  # what `configure` was given, a tuple
         self.configure(window, 1)
 
     def sibling(self):
@@ -118,7 +119,7 @@ class SceneSource(FrameSource):
             for made in changed:
                 if made.k not in self._flown or (made.k, 0.0) == (k, alpha):
                     return True
-                self._flown[made.k] = made.frame.display_camera  # the new pose came too late
+                self._flown[made.k] = made.frame.shown_camera  # the new pose came too late
         return False
 
     def fly(self, k: int, alpha: float, camera: Camera) -> None:
@@ -201,7 +202,7 @@ class SceneSource(FrameSource):
         if kept is None or before is not None:
             last = before and before.frame
             camera = self._frames.render_camera(shown, last, k)
-            if kept is None or (kept.frame.camera, kept.previous) != (camera, last.camera):
+            if kept is None or last is None or (kept.frame.camera, kept.previous) != (camera, last.camera):
                 self._ring[key] = self._render(k, shown, camera, last)
         self._ring.move_to_end(key)
         return self._ring[key]
@@ -213,10 +214,16 @@ class SceneSource(FrameSource):
             oldest = self._ring.popitem(last=False)[1].frame
             buffers = (oldest.color, oldest.depth, oldest.motion)
         else:
-            buffers = tuple(device.buffer(nbytes * size[0] * size[1]) for nbytes in BYTES_PER_PIXEL)
+            color, depth, motion = (device.buffer(nbytes * size[0] * size[1]) for nbytes in BYTES_PER_PIXEL)
+            buffers = color, depth, motion
         image.copy_to(buffers)
         rows = read_some_rows(device, buffers[1], size) if self._way[0] == "adaptive" else None
-        return _Made(k, RenderedFrame(*buffers, camera, self.time(k), shown), before and before.camera, rows)
+        return _Made(
+            k,
+            RenderedFrame(*buffers, camera=camera, time=self.time(k), display_camera=shown),
+            before and before.camera,
+            rows,
+        )
 
 
 def _bits(camera: Camera) -> tuple[bytes, tuple[float, ...]]:

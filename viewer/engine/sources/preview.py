@@ -48,6 +48,7 @@ class Previewer:
         self._opened.wait()
         if self._problem is not None:
             raise self._problem
+        assert self._sequence is not None  # it was opened without a problem
         return self._sequence
 
     def take(self) -> Preview | None:

@@ -55,6 +55,7 @@ class FrameSource(Protocol):
         """Use rendering window `window` for `n` generated frames per rendered one, and render for upscaling by
         `upscale` where frames are rendered meanwhile; whether rendered frames change by that. Raises GffeError for a
         window that this source does not have."""
+        ...
 
     def restart(self) -> None:
         """The next frame asked for has none before it."""
@@ -69,6 +70,7 @@ class FrameSource(Protocol):
 
     def rendered(self, k: int) -> RenderedFrame:
         """Frame `k`, of host arrays or device buffers. Raises GffeError."""
+        ...
 
     def camera(self, k: int, alpha: float) -> Camera | None:
         """Display camera at `time(k, alpha)`, if it and those of the other new frames of the interval are known."""
@@ -78,6 +80,7 @@ class FrameSource(Protocol):
 
     def time(self, k: int, alpha: float = 0.0) -> float:
         """Seconds: of frame `k`, and `alpha` times the interval before it later."""
+        ...
 
     def warnings(self) -> list[str]:
         """Legal but suspicious things met so far."""
