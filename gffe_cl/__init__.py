@@ -51,6 +51,7 @@ _HOME = {
     "present": "stages.presentation",
     "Pacer": "pipeline.pacing",
     "check": "doctor.quick",
+    "attach": "viewer.engine.attached.client",
     "psnr": "evaluation.metrics",
     "ssim": "evaluation.metrics",
     "to_display": "frame.transfer_function",

@@ -44,6 +44,7 @@ from gffe_cl.sequence import SequenceWriter as SequenceWriter
 from gffe_cl.sequence import named_channels as named_channels
 from gffe_cl.sequence import open_sequence as open_sequence
 from gffe_cl.stages.presentation import present as present
+from gffe_cl.viewer.engine.attached.client import attach as attach
 
 __version__: str
 __all__: list[str]

@@ -31,8 +31,20 @@ def register(app) -> None:
     def live():
         return opened() or (None if model.source.live else "only in a built-in scene")
 
+    def attached():
+        return None if model.program is not None else "no program is attached to: gffe view --attach NAME"
+
+    def still():
+        return opened() or ("freeze the running program first" if model.follows else None)
+
     def recorded():
-        return opened() or (None if not model.source.live else "only of a sequence on disk")
+        return still() or (None if not model.source.live else "only of recorded frames")
+
+    def on_disk():
+        return opened() or (None if model.source.target else "only of a sequence on disk or a scene")
+
+    def play():
+        model.freeze() if model.follows else model.playback.toggle()
 
     def savable():
         return opened() or ("something is being saved" if model.export is not None else None)
@@ -45,16 +57,22 @@ def register(app) -> None:
 
     add("open", "Open …", "File", "Ctrl+O", app.open_dialog)
     add("open_path", "Open by path …", "File", "Ctrl+Shift+O", app.open_path.open)
-    add("reload", "Reload frames", "File", "Ctrl+R", model.reload, opened)
+    add("reload", "Reload frames", "File", "Ctrl+R", model.reload, on_disk)
     add("save_png", "Save picture as PNG", "File", "Ctrl+S", partial(model.save, saving.PictureWork), savable)
     add("save_exr", "Save layers as EXR", "File", "Ctrl+E", partial(model.save, saving.LayersWork), savable)
     add("save_video", "Save playback as MP4", "File", "Ctrl+M", partial(model.save, saving.VideoWork), savable)
     add("legends", "Legends in saved pictures", "File", "",
         lambda: setattr(model.settings, "legends", not model.settings.legends),
         checked=lambda: model.settings.legends)  # fmt: skip
+    add("follow", "Follow the program", "Program", "L", lambda: model.freeze() if model.follows else model.follow(),
+        attached, checked=lambda: model.follows,
+        tooltip="On: its frames as they come. Off: its last rendered frames, frozen")  # fmt: skip
+    add("save_recording", "Write the last frames", "Program", "Ctrl+Shift+S", model.save_recording,
+        lambda: attached() or savable() or (None if model.follows or model.frozen else "something else is open"),
+        tooltip="The rendered frames as a sequence in the working folder, for gffe check")  # fmt: skip
     add("quit", "Quit", "File", "Ctrl+Q", app.close, anywhere=True)
 
-    add("play", "Play / stop", "Playback", "Space", playback("toggle"), opened)
+    add("play", "Play / stop", "Playback", "Space", play, opened, tooltip="Freezes what a running program shows")
     add("step", "Next frame", "Playback", "Right", playback("step", 1), opened, repeat=True)
     add("step_back", "Previous frame", "Playback", "Left", playback("step", -1), opened, repeat=True)
     add(

@@ -48,6 +48,15 @@ def view(
         str | None,
         typer.Argument(help="Folder of a capture (`gffe formats`), or a built-in scene [dim](default: none)[/]."),
     ] = None,
+    attach: Annotated[
+        str | None,
+        typer.Option(
+            "--attach", metavar="NAME", help="Look into a running program, attached there by gffe_cl.attach(pipeline)."
+        ),
+    ] = None,
+    last: Annotated[
+        int, typer.Option("--last", help="With --attach: rendered frames that are kept, for freezing, 3 to 256.")
+    ] = 24,
     n: Annotated[int, typer.Option("-n", help="Generated frames per rendered frame, 1 to 7.")] = 1,
     window: Annotated[
         str | None, typer.Option("--window", help="Rendering window: adaptive, fixed:1.2 or off; see `gffe run`.")
@@ -127,7 +136,13 @@ def view(
     alone = [
         name for name, given in (("--screenshot", screenshot), ("--measure", measure), ("--script", script)) if given
     ]
-    if target is None and alone:
+    if attach is not None and target is not None:
+        raise GffeError(f"--attach {attach}: a running program is looked into (expected no sequence or scene beside)")
+    if not 3 <= last <= 256:
+        raise GffeError(f"--last must be 3 to 256 rendered frames, got {last}")
+    if attach is not None and measure is not None:
+        raise GffeError("--measure and --attach exclude each other")
+    if target is None and attach is None and alone:
         raise GffeError(f"{alone[0]} needs a sequence or a scene")
     if len(alone) > 1:
         raise GffeError(f"{' and '.join(alone)} exclude each other")
@@ -165,7 +180,9 @@ def view(
     for text in filter(None, (warning, remark)):
         model.say(text)
     with leaving(model):
-        if target is not None:
+        if attach is not None:
+            model.attach(attach, last)
+        elif target is not None:
             model.open(target)
         if script is not None:
             play_script(model, script, steps, film, viewer_size)

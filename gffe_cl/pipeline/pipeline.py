@@ -44,6 +44,7 @@ from gffe_cl.opencl.device_errors import telling_device_faults
 from gffe_cl.opencl.handles import adopted_events
 from gffe_cl.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame
 from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.watching import Watcher
 from gffe_cl.stages.acceleration import Acceleration
 from gffe_cl.stages.background import Background
 from gffe_cl.stages.backward_blocks import BackwardBlocks
@@ -165,30 +166,38 @@ class Pipeline:
         self._bad_pixels = BadPixels()  # without those of the last upload
         self._copied_bytes = 0  # without what the stage `upload` copied
         self.is_cut = False
-        require_room(device, self.sizes, lambda sizes: self._allocate(sizes, int64_atomics)[1])
-        self.board, self._nbytes = self._allocate(self.sizes, int64_atomics)
+        self._int64_atomics = int64_atomics
+        self.watcher: Watcher | None = None
+        self._slots: list[DeviceFrame] = []
+        self._leaving: list[tuple[cl.Event, Any]] = []  # frames that the device may still read until an event
+        self._reads_arrays = False  # whether NumPy arrays were used in place
+        self._no_motion: cl.Buffer | None = None  # zeros, made with the first device buffers without motion
+        self._begin(self.options)
+
+    def _begin(self, options: Options) -> None:
+        """Allocate for `options`, and forget all frames. Raises GffeError where there is no room; nothing has changed
+        then."""
+        require_room(self.device, self.sizes, lambda sizes: self._allocate(sizes, options)[1])
+        self.board, self._nbytes = self._allocate(self.sizes, options)
+        self.options = options
         self.stages: dict[str, Any] = dict(self.board.stages)
         self.presentation: Presentation | None = None  # made with the first windowed frame
         self._upload: Upload | None = None  # made with the first NumPy arrays
         self.composition: Composition | None = None  # made with the first frame that brings overlays
         self._outputs: dict[str, Output] = {}  # what is kept of each stage's
-        self._slots: list[DeviceFrame] = []
-        self._leaving: list[tuple[cl.Event, Any]] = []  # frames that the device may still read until an event
-        self._reads_arrays = False  # whether NumPy arrays were used in place
         self._current: DeviceFrame | None = None
         self._previous: DeviceFrame | None = None
         self._shown: DeviceFrame | None = None  # the current one with all of its depth
-        self._no_motion: cl.Buffer | None = None  # zeros, made with the first device buffers without motion
         self._times: list[float] = []  # of rendered frames since the last reset, newest first
         self._path: list[Camera] = []  # what they show through
 
     @telling_device_faults
-    def _allocate(self, sizes: Sizes, int64_atomics: bool | None) -> tuple[Board, int]:
+    def _allocate(self, sizes: Sizes, options: Options) -> tuple[Board, int]:
         """All stages and their buffers, and how many bytes these are."""
         before = self.device.allocated
-        board = Board(self.device, sizes, self.options, int64_atomics)
+        board = Board(self.device, sizes, options, self._int64_atomics)
         try:
-            for stage in stages_of(self.options):
+            for stage in stages_of(options):
                 stage(board)
             board.lend()
             _ = board.frame  # made when it is first asked for
@@ -203,6 +212,23 @@ class Pipeline:
                 self.device.queue.finish()  # the memory of arrays must not go before
         if board := getattr(self, "board", None):
             board.let_go()
+
+    def change_options(self, options: Options) -> None:
+        """Work with other options from the next `submit` on, which must come before the next `extrapolate`.
+
+        Buffers are allocated anew, and nothing is known of earlier frames, as after a reset: history and background
+        fill up again. What `keep` asked for is forgotten. Sizes stay; `bad_pixels` and `copied_bytes`
+        go on. Frames that were returned before keep what they hold.
+
+        Raises GffeError for what is no `Options`, and where old and new buffers find no room beside each other; the
+        pipeline is then as it was before.
+        """
+        require_kind(options, Options, "change_options: options", "Options")
+        self._finish()
+        before, counted = self.board, (self.bad_pixels, self.copied_bytes)
+        self._begin(options)
+        (self._bad_pixels, self._copied_bytes), self.is_cut = counted, False
+        before.let_go()
 
     def _footprint(self) -> str:
         return footprint(self.device, self.sizes, getattr(self, "_nbytes", None))
@@ -271,6 +297,8 @@ class Pipeline:
             raise GffeError(
                 f"frame: time {frame.time:g} s must be after the previous rendered frame's ({self._times[0]:g} s)"
             )
+        if self.watcher:
+            self.watcher.before(self, rendered=True)
         self._wait(events)
         before = self._previous, self._current
         overlays = frame.overlays if self.options.overlays else None
@@ -303,6 +331,8 @@ class Pipeline:
         complete = cl.command_execution_status.COMPLETE
         self._leaving = [one for one in self._leaving if one[0].command_execution_status > complete]
         self._leaving.append((done, before))
+        if self.watcher:
+            self.watcher.submitted(self, frame, self._shown)
         return done
 
     @telling_device_faults
@@ -469,6 +499,8 @@ class Pipeline:
             shape = (*reversed(self.sizes.source), 4)
             target_position = as_float32(require_array(target_position, "extrapolate: target_position", *shape))
         replaced = {"target_position": target_position, "geometry": self._geometry(seen_through)}
+        if self.watcher:
+            self.watcher.before(self)
         step = Step(source, self._previous, self._recent_times, camera, time, alpha, self.exposure, **replaced)
         self._finish()
         self._wait(events)
@@ -481,7 +513,7 @@ class Pipeline:
         if composition := self._overlaid:
             self._finish()
             color = composition.compose(color, alpha)
-        return ExtrapolatedFrame(
+        frame = ExtrapolatedFrame(
             camera,
             time,
             color,
@@ -496,6 +528,9 @@ class Pipeline:
             _finish=self._unfinished,
             _event=self._done(),
         )
+        if self.watcher:
+            self.watcher.extrapolated(self, frame)
+        return frame
 
     @property
     def _unfinished(self) -> Callable[[], None] | None:

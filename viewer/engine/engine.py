@@ -33,6 +33,7 @@ from gffe_cl.viewer.engine.messages import (
 from gffe_cl.viewer.engine.metric_worker import Scorer
 from gffe_cl.viewer.engine.reloading import Kernels
 from gffe_cl.viewer.engine.slot_renderer import SlotMaker, weights_of
+from gffe_cl.viewer.engine.sources.attached import AttachedSource, RemoteSlots
 from gffe_cl.viewer.engine.sources.opening import open_viewer_device
 
 _CLOSE_SECONDS = 2.0
@@ -80,7 +81,7 @@ class Engine(Exchange):
         self._device: Device | None = None
         self._problem = ""  # of opening the device
         self._kernels: Kernels | None = None
-        self._makers: dict[str, SlotMaker] = {}  # by role
+        self._makers: dict[str, SlotMaker | RemoteSlots] = {}  # by role
         self._opened = 0  # sources
         self._scorer = Scorer(notify, lambda error: self._fail(error, "metrics", None))
         self._last: Request | None = None  # of role "a", computed last
@@ -121,6 +122,8 @@ class Engine(Exchange):
                 getattr(self, f"_do_{kind}")(content)
             except Closing:
                 break
+            except Interrupted:
+                pass  # another source is to be opened
             except Exception as error:
                 self._fail(error, kind, content)
             self.activity = ""
@@ -207,7 +210,7 @@ class Engine(Exchange):
             self.traffic = self._holding(request).must_move()
             self._notify()
 
-    def _holding(self, request: Request) -> SlotMaker:
+    def _holding(self, request: Request) -> SlotMaker | RemoteSlots:
         """A maker whose buffers hold that slot, all layers of it."""
         maker = self._maker("a")
         if not maker.holds(request):
@@ -278,9 +281,12 @@ class Engine(Exchange):
             self.cache.put(FrameKey(before, request.slot), result)
         return result
 
-    def _maker(self, role: str) -> SlotMaker:
-        if role not in self._makers:
-            assert self.source is not None and self._device is not None and self._kernels is not None
+    def _maker(self, role: str) -> SlotMaker | RemoteSlots:
+        assert self.source is not None
+        if role not in self._makers and isinstance(self.source, AttachedSource):
+            self._makers[role] = RemoteSlots(self.source, self._check_while_waiting)
+        elif role not in self._makers:
+            assert self._device is not None and self._kernels is not None
             source = self.source if role == "a" else self.source.sibling()
             check = self._check_beside if role == "ahead" else self._check
             self._makers[role] = SlotMaker(self._device, source, self._kernels, self._scorer, check)
@@ -289,6 +295,12 @@ class Engine(Exchange):
     def _check(self) -> None:
         if self._closing:
             raise Closing
+
+    def _check_while_waiting(self) -> None:
+        """A program may be stopped for long."""
+        self._check()
+        if "source" in self._posted:
+            raise Interrupted
 
     def _check_beside(self) -> None:
         self._check()

@@ -10,6 +10,7 @@ from imgui_bundle import ImVec2, hello_imgui, imgui
 from gffe_cl.viewer.engine import names
 from gffe_cl.viewer.panels import overview, widgets
 from gffe_cl.viewer.picture.view import View
+from gffe_cl.viewer.state.captions import frame_text
 from gffe_cl.viewer.state.presets import told
 
 _ZOOM_STEP = 1.2
@@ -299,10 +300,12 @@ def _caption(model, origin, width, height, marks) -> None:
         _label(marks, _layer_text(model, view.a), origin.x + 10, origin.y + 8)
     k, j = divmod(model.slot, model.n + 1)
     kind = f"rendered frame {k}" if j == 0 else f"generated: frame {k} + {j}/{model.n + 1}"
+    if model.follows and model.contents.result is not None:
+        kind = frame_text(model.contents.result.moment)
     kind, line = f"{kind}   {view.zoom * 100:.0f} %", hello_imgui.em_size(1.6)
     _label(marks, kind, origin.x + 10, origin.y + height - line)
     state = model.comparison.scale_text() or (model.disocclusions.text() if model.disocclusions.on else "")
-    if not model.comparison.ready or (model.engine.busy and not model.playback.playing):
+    if not model.comparison.ready or (model.engine.busy and not (model.playback.playing or model.follows)):
         state = "computing …"
     if state:
         state = widgets.shortened(state, width - 24)

@@ -61,6 +61,8 @@ def _beside(something: bool) -> None:
 def parts(model) -> list[str]:
     """What is open, how long it took, and what is under the pointer."""
     told = [model.engine.device_name or "opening the device …"]
+    if model.follows:
+        told = [f"attached to '{model.program.name}' (process {model.program.about.pid}), {model.program.about.device}"]
     if model.source is not None:
         info = model.source
         told.append(f"{info.name}   {info.width}×{info.height}")
@@ -68,7 +70,8 @@ def parts(model) -> list[str]:
             told.append(f"rendered {info.render_size[0]}×{info.render_size[1]}")
     if model.contents.result is not None:
         kept = "from the cache, " if model.from_cache else ""
-        told.append(f"{kept}computed in {model.contents.result.wall_ms:.0f} ms")
+        took = f"{model.contents.result.wall_ms:.0f} ms"
+        told.append(f"frame after {took}" if model.follows else f"{kept}computed in {took}")
     return [*told, *model.warnings, *_under_pointer(model)]
 
 

@@ -9,6 +9,7 @@ from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.viewer.panels import widgets
+from gffe_cl.viewer.state.captions import frame_text
 
 RENDERED = (0.36, 0.62, 0.95, 1.0)
 GENERATED = (0.96, 0.66, 0.28, 1.0)
@@ -26,15 +27,39 @@ def draw(app) -> None:
     if model.source is None:
         imgui.text_disabled("Open a sequence or a scene")
         return
+    if model.follows:
+        _following(app)
+        return
     _bar(model)  # first: where the window is low, it is there
     imgui.dummy(ImVec2(0, 0))
     _transport(app)
+
+
+def _following(app) -> None:
+    """Of a running program: which frame is shown, and what can be done with it."""
+    model, result = app.model, app.model.contents.result
+    with widgets.in_rows(indent=0.0) as row:
+        for name, icon, text in (
+            ("follow", icons.ICON_FA_SNOWFLAKE, "Freeze"),
+            ("save_recording", icons.ICON_FA_FLOPPY_DISK, "Write the last frames"),
+        ):
+            row(imgui.calc_text_size(text).x + hello_imgui.em_size(3))
+            widgets.action_button(app.actions, name, f"{icon} {text}", 0)
+        row(hello_imgui.em_size(_LEAST_STATUS))
+        imgui.align_text_to_frame_padding()
+        if result is None:
+            imgui.text(f"waiting for a frame of '{model.source.name}'")
+        else:
+            imgui.text(f"live: {frame_text(result.moment)}   t = {result.moment.time:.3f} s")
 
 
 def _transport(app) -> None:
     """Controls side by side, in as many rows as they need."""
     playback, width = app.model.playback, hello_imgui.em_size
     with widgets.in_rows(indent=0.0) as row:
+        if app.model.frozen and not app.model.program.ended:
+            row(width(2))
+            widgets.action_button(app.actions, "follow", icons.ICON_FA_TOWER_BROADCAST, 2)
         for name, icon in (
             ("first", icons.ICON_FA_BACKWARD_FAST),
             ("step_back", icons.ICON_FA_BACKWARD_STEP),

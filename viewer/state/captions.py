@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.buffers import Moment
 from gffe_cl.viewer.engine.layers import LayerSpec
 from gffe_cl.viewer.engine.slot_metrics import REGIONS
 from gffe_cl.viewer.picture import disocclusions, flip_map
@@ -31,6 +32,11 @@ class Message:
     @property
     def error(self) -> bool:
         return self.kind == "error"
+
+
+def frame_text(moment: Moment) -> str:
+    """Which frame of a running program it is."""
+    return f"generated: frame {moment.k} + {moment.alpha:.2f}" if moment.alpha else f"rendered frame {moment.k}"
 
 
 REST: Rgb = (0.35, 0.35, 0.35)  # of the region that has no tint

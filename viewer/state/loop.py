@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from gffe_cl.viewer.engine.messages import EngineError, Request, Result
+from gffe_cl.viewer.engine.sources.attached import resolved
 
 
 class Loop:
@@ -29,7 +30,7 @@ class Loop:
         self._take_answers()
         if model.source is None:
             return
-        model.second.compare_with(None if model.overview else model.comparison.second)
+        model.second.compare_with(None if model.overview or model.follows else model.comparison.second)
         kept = model.second.kept
         model.filling.others = frozenset() if kept is None else frozenset({model.engine.recipe(kept.setup(model.n))})
         result, ready = model.contents.result, None
@@ -40,9 +41,9 @@ class Loop:
         faults = model.comparison.update(canvas), model.regions.update(canvas), model.selection.update()
         for fault in filter(None, faults):
             model.say(fault, error=True)
-        model.asking.fill(now, model.recipe, not (model.flying or model.overview or model.export))
+        model.asking.fill(now, model.recipe, not (model.flying or model.overview or model.export or model.follows))
         kept = model.kept.b if model.comparison.by_settings else None
-        idle = not (model.flying or model.export or model.playback.playing or model.second.waits)
+        idle = not (model.flying or model.export or model.playback.playing or model.second.waits or model.follows)
         model.survey.resets = sorted({0, *model.contents.resets})
         model.survey.update(model.setup, kept and kept.setup(model.n), model.source.exposure, idle)
         if self._was_playing and not model.playback.playing and model.from_cache:
@@ -59,6 +60,10 @@ class Loop:
             model.reload()
         if (count := model.source.count) != model.playback.count:
             model.playback.extend(count, model.times(count))
+        result = model.contents.result
+        current = model.follows and result is not None and result.request.setup == model.setup
+        if current and model.setup.options != resolved(model.source.options):  # the program itself has changed them
+            model.parameters.take(model.source.options, None)
 
     def _take_answers(self) -> None:
         """All that the engine has finished."""
@@ -92,6 +97,11 @@ class Loop:
         if error.during == "source":
             model.asking.forget()  # what was asked of the old one was thrown away
         model.previewer = model.preview = None
+        if model.follows and error.during in ("slot", "inspection"):
+            if model.program.ended:
+                model.freeze()
+            model.parameters.take(model.program.options, None)  # others were refused
+            model.asking.forget()
         if error.during in ("source", "slot"):
             model.playback.pause()
             if model.export is not None:
@@ -130,10 +140,12 @@ class Loop:
             model.source.fly(k, j / (model.n + 1), model.flyer.pose)
         layers = model.needed.all() if model.overview else model.needed.of_first()
         layers |= model.export.layers if model.export is not None else frozenset()
-        request = Request(slot, model.setup, layers, 0, model.measuring, keep=not model.flying)
+        slot, passing = (0, True) if model.follows else (slot, model.flying)
+        request = Request(slot, model.setup, layers, 0, model.measuring, keep=not passing)
         second = model.second.request(request, model.needed.of_second()) if model.second.kept else None
-        recipe, steered = (None, model.flyer.moved) if model.flying else (model.recipe, False)
-        if model.asking.ask(request, recipe, second, steered, model.source):
+        recipe = None if passing else model.recipe
+        anew = (model.flying and model.flyer.moved) or (model.follows and model.asking.answered)
+        if model.asking.ask(request, recipe, second, anew, model.source):
             if model.flying:
                 model.flyer.moved = False
             self._take_pair()

@@ -11,10 +11,12 @@ from typing import Any
 from gffe_cl.core.errors import GffeError
 from gffe_cl.pipeline.options import Options
 from gffe_cl.viewer.engine import names
+from gffe_cl.viewer.engine.attached.program import FRAMES, RunningProgram
 from gffe_cl.viewer.engine.cache import CACHE_MIB, FrameCache
 from gffe_cl.viewer.engine.doctor_worker import Doctor
 from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
 from gffe_cl.viewer.engine.messages import Metrics, Setup
+from gffe_cl.viewer.engine.sources.attached import AttachedSource, FrozenSource
 from gffe_cl.viewer.engine.sources.opening import ScenePlan, make_source
 from gffe_cl.viewer.engine.sources.preview import Preview, Previewer, preview_of
 from gffe_cl.viewer.engine.sources.source import FrameSource
@@ -35,7 +37,7 @@ from gffe_cl.viewer.state.parameters import Parameters
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.presets import KeptSettings, command_line
 from gffe_cl.viewer.state.requests import Asking, Needed, Prefetch
-from gffe_cl.viewer.state.saving import Subject, Work
+from gffe_cl.viewer.state.saving import RecordingWork, Subject, Work
 from gffe_cl.viewer.state.settings import Settings
 from gffe_cl.viewer.state.survey import Survey
 from gffe_cl.viewer.state.timings import Timings
@@ -93,6 +95,7 @@ class Model:
         self.failure: str | None = None
         self.notice = ""
         self.timings = Timings()
+        self.program: RunningProgram | None = None  # that was attached to
         self.recipe = self.engine.recipe(self.setup)
         self._target = ""
         self.keep_place = False
@@ -118,6 +121,32 @@ class Model:
             make_source, target, self.parameters.window, self.plan, check=self._check, previewer=self.previewer
         )
         self.engine.open_source(make, self.asking.serial())
+
+    def attach(self, name: str, frames: int = FRAMES) -> None:
+        """Follow the running program that is attached as `name`, which keeps its last `frames` rendered frames. Raises
+        GffeError if there is none."""
+        self.program = RunningProgram(name, frames)
+        self.follow()
+
+    def follow(self) -> None:
+        """Show what the program does, with its pipeline's options."""
+        program = self.program
+        self.engine.open_source(lambda device: AttachedSource(program), self.asking.serial())
+
+    def freeze(self) -> None:
+        """Show the program's last rendered frames, which go on being what they are now."""
+        program = self.program
+        self.engine.open_source(lambda device: FrozenSource(program, device), self.asking.serial())
+
+    @property
+    def follows(self) -> bool:
+        """Whether what is shown is what a running program does."""
+        return self.source is not None and self.source.follows
+
+    @property
+    def frozen(self) -> bool:
+        """Whether what is shown are a program's last frames."""
+        return isinstance(self.source, FrozenSource)
 
     def reload(self) -> None:
         """Read the same thing again, and stay where we are."""
@@ -147,12 +176,15 @@ class Model:
         self.comparison.drop_missing()
         self.framing.due = not self.keep_place
         self.keep_place = False
-        if not source.live:
+        if self.frozen:
+            self.playback.n = source.generated
+            self.playback.end()
+        if source.target and not source.live:
             self.settings.add_recent(Path(self._target).expanduser())
 
     def times(self, count: int) -> list[float] | None:
         """Seconds, of rendered frames."""
-        return None if self.source.live else [self.source.time(k) for k in range(count)]
+        return None if self.source.live or self.follows else [self.source.time(k) for k in range(count)]
 
     def update(self, now: float, canvas) -> None:
         """Take what the engine has finished into textures, and ask for what is wanted next."""
@@ -217,6 +249,9 @@ class Model:
     @property
     def settled(self) -> bool:
         """Whether what is shown is what was asked for."""
+        if self.follows:  # there is always another frame to come
+            shown = self.asking.shows_wanted and self.screen.ready
+            return shown and not (self.pointing.picked and self.pointing.story is None)
         return (
             self.asking.answered
             and not self.engine.busy
@@ -309,6 +344,15 @@ class Model:
         """Start saving beside the interface."""
         self.export = work(self._subject)
 
+    def save_recording(self) -> None:
+        """Start writing the program's last rendered frames: those that are frozen, else those up to now."""
+        try:
+            sequence = self.source.sequence if self.frozen else self.program.recording()
+        except GffeError as error:
+            self.say(str(error), error=True)
+            return
+        self.export = RecordingWork(self._subject, sequence)
+
     def advance_export(self, canvas) -> None:
         export = self.export
         assert export is not None  # asked for only while there is one
@@ -357,8 +401,9 @@ class Model:
         if not self._save_settings:
             return
         self.settings.window_size = window_size
-        self.settings.playback = self.playback.preferences()
-        self.settings.options = self.parameters.preferences()
+        if self.program is None:  # else they are the program's
+            self.settings.playback = self.playback.preferences()
+            self.settings.options = self.parameters.preferences()
         self.settings.compare = self.comparison.preferences()
         self.settings.kept = self.kept.preferences()
         warning = self.settings.save()
@@ -377,6 +422,8 @@ class Model:
         self.survey.close()
         self.selection.close()
         self.engine.close()
+        if self.program is not None:
+            self.program.close()
 
     @property
     def left_working(self) -> bool:

@@ -85,7 +85,8 @@ class Parameters:
 
     def __init__(self, options: Options, playback: Playback, window: str | None = None):
         self._setup, self._setup_of = Setup(), None  # as last asked for, and what it was made of
-        self.options = replace(options, **ALWAYS)
+        self._always = ALWAYS
+        self.options = replace(options, **self._always)
         self.window = window
         self.render_rate: float | None = None  # of built-in scenes, frames per second; None: the scene's
         self.network_fault: str | None = None
@@ -95,11 +96,14 @@ class Parameters:
     def open(self, source: FrameSource) -> None:
         """Another source: its windows are others."""
         self._source = source
+        self._always = ALWAYS if source.options is None else {}  # nothing is added to a program's own
+        self.options = replace(source.options or self.options, **self._always)
         if source.live:
             self.window = self.window or "off"
         else:
             self.window = "off" if self.window == "off" else None
-        self.set(UPSCALING, self.options.upscale)
+        if source.options is None:
+            self.set(UPSCALING, self.options.upscale)
 
     @property
     def setup(self) -> Setup:
@@ -119,12 +123,14 @@ class Parameters:
 
     def _applies(self, name: str) -> bool:
         live = {"window": False, "scene_window": True, "render_rate": True}
+        if self._source is not None and self._source.follows and name in ("window", "n"):
+            return False
         return name not in live or (self._source is not None and self._source.live == live[name])
 
     def why_not(self, name: str) -> str | None:
         """Why it cannot be changed now."""
         if not self._applies(name):
-            return "only in a sequence on disk" if name == "window" else "only in a built-in scene"
+            return "only in a built-in scene" if name in ("scene_window", "render_rate") else "only of recorded frames"
         if name == "window" and not self._source.windowed:
             return "this sequence was not rendered through a window (no overscan)"
         if name == CORRECTION:
@@ -197,7 +203,7 @@ class Parameters:
     def take(self, options: Options, window: str | None) -> None:
         """All at once, as they were kept."""
         self.network_fault = None
-        self.options, self.window = replace(options, **ALWAYS), window
+        self.options, self.window = replace(options, **self._always), window
 
     def use_defaults(self) -> None:
         """... for all that is offered, but what is rendered."""

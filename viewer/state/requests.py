@@ -190,6 +190,13 @@ class Asking:
         result = self._contents.result
         return result is not None and result.request == self.asked and not self._second.waits
 
+    @property
+    def shows_wanted(self) -> bool:
+        """Whether what is shown was asked for with the layers and the setup that are wanted now."""
+        result = self._contents.result
+        wanted = self._wanted[0] if self._wanted else None
+        return bool(result and wanted) and wanted == replace(result.request, serial=wanted.serial)
+
     def _came(self, result: Result) -> None:
         """A's result is there; where it is compared with B's it waits for that."""
         if self._second.belongs(result):

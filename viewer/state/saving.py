@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gffe_cl.formats.importing import import_capture
+from gffe_cl.sequence import Sequence
 from gffe_cl.viewer.picture.canvas import read
 from gffe_cl.viewer.picture.current_frame import Contents
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
@@ -143,6 +145,24 @@ class LayersWork(Work):
     def _write(self, result) -> str:
         saved = save_layers_exr(self.path, result.images, result.specs, lambda: self._cancelled)
         return f"saved {len(saved)} layers in {self.path}" if saved else "saving the layers was cancelled"
+
+
+class RecordingWork(Work):
+    """Frames of a running program as a sequence in a new folder."""
+
+    def __init__(self, subject: Subject, sequence: Sequence):
+        super().__init__(subject, subject.unused("recorded", ""), len(sequence.rendered))
+        self._start(lambda: self._write(sequence))
+
+    def _write(self, sequence: Sequence) -> str:
+        report = import_capture(sequence, self.path, on_frame=self._count)
+        return f"wrote {report.rendered} rendered frames: gffe check {self.path}"
+
+    def _count(self) -> None:
+        self.done += 1
+
+    def _proceed(self, canvas):
+        """All is done on the thread."""
 
 
 class VideoWork(Work):

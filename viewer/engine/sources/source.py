@@ -10,6 +10,7 @@ import numpy as np
 
 from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import RenderedFrame
+from gffe_cl.pipeline.options import Options
 from gffe_cl.viewer.engine.explain.motion_trail import REMEMBERED
 
 CACHE_BYTES = 512 << 20  # of frames that a source keeps
@@ -22,7 +23,8 @@ class FrameSource(Protocol):
     rendered frames, may change with `configure`; `count`: of rendered frames; `live`: rendered meanwhile, the camera
     may be flown; `windowed`: rendered through a window that can be used or not; `resets`: numbers of the frames
     that are told to be one, in order; `flight`: another number whenever other poses are flown, 0 for none;
-    `held`: of the frames delivered last, so many stay as they are;
+    `held`: of the frames delivered last, so many stay as they are; `follows`: shows what a running program does: the
+    only slot is another frame whenever it is asked for; `options`: of the running program that the frames are from;
     `suspicions`: sentences about the whole, more of them may come.
     """
 
@@ -40,6 +42,8 @@ class FrameSource(Protocol):
     has_truth: bool = False
     flight: int = 0
     held: int = REMEMBERED
+    follows: bool = False
+    options: Options | None = None
     suspicions: Iterable[str] = ()
 
     def sibling(self) -> FrameSource:

@@ -1,0 +1,447 @@
+"""The viewer attached to a running program: what it shows and switches there, and what is left when either dies."""
+
+import os
+import shutil
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gffe_cl as gffe
+from gffe_cl.pipeline.source import Live
+from gffe_cl.scenes import load_scene
+from gffe_cl.viewer.engine.attached import channel, client
+from gffe_cl.viewer.engine.attached.program import RunningProgram
+from gffe_cl.viewer.engine.sources.attached import resolved
+from gffe_cl.viewer.state.model import Model
+from gffe_cl.viewer.state.settings import Settings
+
+W, H = 160, 96
+PATIENCE = 60.0
+PROGRAM = Path(__file__).with_name("attached_program.py")
+
+
+@pytest.fixture(autouse=True)
+def sockets(monkeypatch, tmp_path):
+    """The folder of the sockets, of this test alone."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return tmp_path / "gffe-cl"
+
+
+def until(happens, what="something"):
+    end = time.monotonic() + PATIENCE
+    while not (found := happens()):
+        assert time.monotonic() < end, f"waited in vain for {what}"
+        time.sleep(0.005)
+    return found
+
+
+# ---- sockets ---------------------------------------------------------------------------------------------------------
+
+
+def test_folder_is_of_one_user(sockets):
+    assert channel.socket_folder() == sockets
+    assert stat.S_IMODE(sockets.stat().st_mode) == 0o700
+    sockets.chmod(0o750)
+    with pytest.raises(gffe.GffeError, match="a folder of your own that nobody else can enter"):
+        channel.Listener("one", "stem")
+    shutil.rmtree(sockets)
+    sockets.symlink_to(sockets.parent)
+    with pytest.raises(gffe.GffeError, match="a folder of your own"):
+        channel.connect("one")
+
+
+def test_names(sockets):
+    first, second = channel.Listener(None, "game"), channel.Listener(None, "game")
+    assert (first.name, second.name) == ("game", "game-2")
+    with pytest.raises(gffe.GffeError, match="attached as 'game' already"):
+        channel.Listener("game", "game")
+    with pytest.raises(gffe.GffeError, match=r"no program is attached as 'gam' \(there are: game, game-2\)"):
+        channel.connect("gam")
+    for name in ("", "../x", "a b", "x" * 65):
+        with pytest.raises(gffe.GffeError, match="attach: name must be"):
+            channel.Listener(name, "stem")
+    first.close()
+    second.close()
+    assert list(sockets.iterdir()) == []
+
+
+def test_what_a_dead_program_left_is_removed(sockets):
+    bind = (
+        "import socket, sys; s = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET); s.bind(sys.argv[1]); s.listen()"
+    )
+    folder = channel.socket_folder()
+    for name in ("dead", "other"):
+        subprocess.run([sys.executable, "-c", bind, str(folder / f"{name}.socket")], check=True)
+    assert len(list(folder.iterdir())) == 2
+    listener = channel.Listener("dead", "stem")
+    assert [path.name for path in folder.iterdir()] == ["dead.socket"]
+    listener.close()
+
+
+def test_other_users_are_refused(monkeypatch):
+    """Neither side talks to a process of another user; the peer's identity is the kernel's."""
+    listener, own = channel.Listener("game", "game"), os.getuid()
+    taken = []
+
+    def accept():
+        with suppress(OSError):  # in the end it is closed
+            taken.append(listener.accept())
+
+    thread = threading.Thread(target=accept, daemon=True)
+    thread.start()
+    uid = lambda _: own + (threading.current_thread() is thread)  # noqa: E731  another one for the program
+    monkeypatch.setattr(channel, "_peer_uid", uid)
+    foreign = channel.connect("game")
+    with pytest.raises(EOFError):
+        foreign.receive(PATIENCE)
+    assert not taken
+    monkeypatch.setattr(channel, "_peer_uid", lambda connected: own + 1)
+    with pytest.raises(gffe.GffeError, match="is another user's"):
+        channel.connect("game")
+    listener.close()
+
+
+def test_kernel_tells_the_user():
+    with socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)[0] as one:
+        assert channel._peer_uid(one) == os.getuid()
+
+
+def test_other_systems_are_refused(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "platform", "win32")
+    with pytest.raises(gffe.GffeError, match="attach: this system is win32 \\(expected Linux") as refused:
+        channel.Listener("game", "game")
+    assert "\n" not in str(refused.value)
+
+
+# ---- a program in this process -----------------------------------------------------------------------------------
+
+
+class Game:
+    """Renders frames when asked to."""
+
+    def __init__(self, device):
+        self.pipeline = gffe.Pipeline(device, W, H, gffe.Options(shading_correction=False))
+        self._frames = Live(load_scene("plaza"), device, W, H, 1000, 30.0).frames([0.5], False)
+        self.attachment = gffe.attach(self.pipeline, "game", pacer=gffe.Pacer(60))
+
+    def step(self):
+        self.frame = next(self._frames)[1]
+        self.pipeline.submit(self.frame)
+        self.made = self.pipeline.extrapolate(time=self.frame.time + 1 / 60)
+        self.color = self.made.numpy("color")
+
+    def while_running(self, look):
+        """What `look` returns, while frames are rendered."""
+        found = []
+        thread = threading.Thread(target=lambda: found.append(look()), daemon=True)
+        thread.start()
+        end = time.monotonic() + PATIENCE
+        while thread.is_alive() and time.monotonic() < end:
+            self.step()
+            thread.join(0.01)
+        assert found, "nothing was seen"
+        return found[0]
+
+
+@pytest.fixture
+def game(device):
+    game = Game(device)
+    yield game
+    game.attachment.close()
+
+
+def see(program, *layers, generated=True):
+    return program.see(frozenset(layers), generated, lambda: None)
+
+
+@pytest.mark.device
+def test_layers_are_the_pipelines(game):
+    colors = {}
+
+    def remember():
+        game.made and colors.setdefault(game.frame.time, game.color)
+
+    program = RunningProgram("game", 8)
+    assert game.pipeline.options == program.options and program.about.display == (W, H)
+    step = game.step
+    game.step = lambda: (step(), remember())
+    seen, images = game.while_running(lambda: (see(program, "warp.color"), see(program, "final", "warp.color"))[1])
+    game.step()
+    time_of = seen.moment.time - 1 / 60
+    expected = next(color for time, color in colors.items() if abs(time - time_of) < 1e-6)
+    assert np.array_equal(images["final"][..., :3], expected)
+    assert images["warp.color"].shape == (H, W, 4) and seen.moment.alpha == pytest.approx(0.5)
+    assert not np.array_equal(images["warp.color"], images["final"])
+    assert seen.kernels["warp"] and sum(seen.kernels["warp"].values()) > 0
+    assert seen.pacing is not None and "frame.filled_by" in program.specs
+    kinds = game.while_running(lambda: {see(program, "final", generated=False)[0].moment.alpha > 0 for _ in range(8)})
+    assert kinds == {False, True}
+    program.close()
+
+
+@pytest.mark.device
+def test_story(game):
+    program = RunningProgram("game", 0)
+    game.while_running(lambda: see(program, "final"))  # a program that generates frames is asked of these
+    told = game.while_running(lambda: program.inspect(50, 50, None, lambda: None))
+    assert told.pixel == (50, 50) and told.story.sentences[0].startswith("Shown by its own fragment")
+    assert "history.dynamic_mask" in told.values
+    program.close()
+
+
+@pytest.mark.device
+def test_options_are_switched_in_the_program(game):
+    program = RunningProgram("game", 0)
+    dynamic = game.while_running(lambda: [see(program, "frame.dynamic")[1]["frame.dynamic"].any() for _ in range(4)])
+    assert dynamic[-1]
+    program.use(replace(program.options, motion=False))
+
+    def switched():
+        while see(program, "frame.dynamic")[0].options.motion:
+            pass
+        return see(program, "frame.dynamic")[1]["frame.dynamic"].any()
+
+    assert not game.while_running(switched)
+    assert not game.pipeline.options.motion and not game.made.numpy("dynamic").any()
+    program.close()
+
+
+@pytest.mark.device
+def test_recorded_frames(game, tmp_path):
+    """The last ones, as they were; their copy is not touched by what the program does next."""
+    program = RunningProgram("game", 5)
+    until(lambda: game.attachment.watched, "the program to notice")
+    submitted = {}
+    for _ in range(9):
+        game.step()
+        submitted[game.frame.time] = game.frame
+    sequence = until(lambda: program.recording())
+    assert len(sequence.rendered) in (4, 5)  # the newest may still be copied
+    assert sequence.rendered[0].reset and not sequence.rendered[1].reset
+    pixels = [sequence.read(entry) for entry in sequence.rendered]
+    for _ in range(5):
+        game.step()
+    for frame in pixels:
+        given = submitted[frame.time]
+        assert np.array_equal(frame.color, gffe_color(given)) and frame.camera == given.camera
+        depth, motion = (np.asarray(array) for array in (given.depth, given.motion))
+        assert np.array_equal(frame.depth, depth) and np.array_equal(frame.motion, motion)
+    assert sequence.camera_at(sequence.rendered[1].time + 1 / 60) is not None
+    program.close()
+
+
+def gffe_color(frame):
+    return np.asarray(frame.color)[..., :3].astype(np.float16)
+
+
+@pytest.mark.device
+def test_viewer_that_does_not_read_is_sent_away(game):
+    """The program waits for nobody."""
+    program = RunningProgram("game", 3)
+    until(lambda: game.attachment.watched)
+    viewer = game.attachment._watcher.viewer
+    for _ in range(3):
+        viewer.looks.append(client.Look(frozenset({"no such layer"})))
+        game.step()
+    program.close()
+    until(lambda: not game.attachment.watched)
+    game.step()
+    assert game.color.any()
+
+
+@pytest.mark.device
+def test_faults_of_looking_are_not_the_programs(game, monkeypatch):
+    program = RunningProgram("game", 3)
+    until(lambda: game.attachment.watched)
+    monkeypatch.setattr(client, "device_layers", lambda *_: 1 / 0)
+
+    def refused():
+        with pytest.raises(gffe.GffeError, match="the program 'game' has ended"):
+            see(program, "final")
+        return True
+
+    assert game.while_running(refused)
+    assert not game.attachment.watched and game.color.any()
+
+
+@pytest.mark.device
+def test_attachment_ends(device, sockets):
+    pipeline = gffe.Pipeline(device, W, H, gffe.Options(shading_correction=False))
+    with gffe.attach(pipeline, "game") as attachment:
+        assert attachment.name == "game" and not attachment.watched
+        with pytest.raises(gffe.GffeError, match="attached already"):
+            gffe.attach(pipeline, "other")
+    assert pipeline.watcher is None and list(sockets.iterdir()) == []
+    attachment.close()
+    again = gffe.attach(pipeline, "game")
+    del pipeline  # its attachment ends with it
+    until(lambda: not list(sockets.iterdir()), "the socket to go")
+    again.close()
+    with pytest.raises(gffe.GffeError, match="attach: pipeline must be a Pipeline"):
+        gffe.attach(None)
+
+
+# ---- two processes ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def program(tmp_path):
+    """A program of its own, and the file that it writes into."""
+    log = tmp_path / "log.txt"
+    child = subprocess.Popen([sys.executable, str(PROGRAM), "game", str(log)], stderr=subprocess.PIPE, text=True)
+    child.log = log
+    until(lambda: child.poll() is not None or (log.exists() and len(log.read_text().splitlines()) > 3), "its frames")
+    assert child.poll() is None, child.stderr.read()
+    yield child
+    child.kill()
+    child.wait()
+
+
+class Looking:
+    """The viewer without a window."""
+
+    def __init__(self):
+        self.model = Model(Settings(), save_settings=False)
+        self.model.attach("game", 6)
+        self.until(lambda: self.model.contents.result is not None)
+
+    def until(self, happens):
+        def moved():
+            self.model.update(time.perf_counter(), None)
+            return happens()
+
+        return until(moved)
+
+
+@pytest.fixture
+def looking(program):
+    looking = Looking()
+    yield looking
+    looking.model.close()
+
+
+def left_behind():
+    """Shared memory of ours that has a name."""
+    return [path for path in Path("/dev/shm").glob("*gffe*")] if Path("/dev/shm").is_dir() else []
+
+
+@pytest.mark.device
+def test_viewer_follows_switches_and_freezes(device, program, looking, tmp_path, monkeypatch, gffe):
+    model = looking.model
+    assert model.follows and model.contents.result.moment.k > 0
+    seen = {model.contents.result.moment.k}
+    looking.until(lambda: seen.add(model.contents.result.moment.k) or len(seen) > 3)
+    model.show_layer("frame.filled_by")
+    model.pointing.pick((80, 50))
+    looking.until(lambda: model.pointing.story and "frame.filled_by" in model.contents.result.images)
+    assert model.timings.means()["warp"] > 0
+    model.parameters.switch("motion", False)
+    looking.until(lambda: not model.source.options.motion and model.settled)
+    until(lambda: program.log.read_text().splitlines()[-1].endswith("False"), "the program's options")
+    model.parameters.switch("motion", True)
+    looking.until(lambda: model.source.options.motion and model.settled)
+    assert model.setup.options == resolved(model.source.options)
+    looking.until(lambda: len(model.program.recording().rendered) >= 5)
+
+    model.freeze()
+    looking.until(lambda: model.frozen and model.settled)
+    assert model.playback.slot == model.playback.slots - 1 and model.n == 1 and model.source.count >= 5
+    moment = model.contents.result.moment
+    assert moment.alpha == 0.5 and moment.camera == model.source.camera(moment.k, 0.5)
+    assert {"final", "warp.color"} <= model.contents.result.specs.keys()
+    time.sleep(0.2)  # the program goes on, the frozen moment does not
+    looking.until(lambda: model.settled)
+    assert model.contents.result.moment == moment
+
+    monkeypatch.chdir(tmp_path)
+    model.save_recording()
+    looking.until(lambda: model.export is None)
+    assert (tmp_path / "game_recorded" / "sequence.json").exists()
+    code, said, _ = gffe("check", "game_recorded")
+    assert code == 0 and "rendered frames, 160×96" in said
+    model.follow()
+    looking.until(lambda: model.follows and model.contents.result is not None)
+    assert model.contents.result.moment.k > moment.k
+
+
+@pytest.mark.device
+def test_program_is_killed(device, program, looking, sockets):
+    """The viewer goes on with the last frames, and nothing is left."""
+    model = looking.model
+    looking.until(lambda: len(model.program.recording().rendered) >= 4)
+    os.kill(program.pid, signal.SIGKILL)
+    program.wait()
+    looking.until(lambda: model.frozen and model.settled)
+    assert model.source.count >= 4 and "has ended" in model.messages[-1].text
+    assert left_behind() == []
+    assert channel.Listener("another", "stem").close() is None  # whoever comes next cleans up
+    assert list(sockets.iterdir()) == []
+
+
+@pytest.mark.device
+def test_viewer_is_killed(device, program, sockets):
+    """The program goes on, and the next viewer can look."""
+    look = (
+        "import sys; from gffe_cl.viewer.engine.attached.program import RunningProgram; p = RunningProgram('game')\n"
+        "while True: p.see(frozenset({'final'}), False, lambda: None); print('seen', flush=True)"
+    )
+    viewer = subprocess.Popen([sys.executable, "-c", look], stdout=subprocess.PIPE, text=True)
+    for _ in range(3):
+        assert viewer.stdout.readline() == "seen\n"
+    viewer.kill()
+    viewer.wait()
+    count = len(program.log.read_text().splitlines())
+    until(lambda: len(program.log.read_text().splitlines()) > count + 5, "frames after the viewer's death")
+    assert left_behind() == [] and [path.name for path in sockets.iterdir()] == ["game.socket"]
+    again = RunningProgram("game", 3)
+    assert see(again, "final")[1]["final"].any()
+    again.close()
+    assert program.poll() is None
+
+
+@pytest.mark.device
+def test_stopped_program_is_told_of(device, program):
+    os.kill(program.pid, signal.SIGSTOP)
+    try:
+        with pytest.raises(gffe.GffeError, match="game: no answer"):
+            RunningProgram("game")
+    finally:
+        os.kill(program.pid, signal.SIGCONT)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="xvfb-run is not installed")
+def test_window(program, tmp_path):
+    """Live, switched, frozen and written, in the window."""
+    script = tmp_path / "steps.txt"
+    script.write_text(
+        f"layer frame.filled_by\nwait 0.3\nshot {tmp_path}/live.png\nset motion off\nwait 0.2\ndo play\nwait 0.2\n"
+        f"shot {tmp_path}/frozen.png\ndo save_recording\nwait done\ndo follow\nwait 0.2\n"
+    )
+    command = ["xvfb-run", "-a", sys.executable, "-m", "gffe_cl", "view", "--attach", "game", "--script", str(script)]
+    environment = os.environ | {"LIBGL_ALWAYS_SOFTWARE": "1"}
+    viewer = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+    assert viewer.returncode == 0, viewer.stderr[-3000:]
+    assert (tmp_path / "live.png").exists() and (tmp_path / "frozen.png").exists()
+    assert (tmp_path / "game_recorded" / "sequence.json").exists()
+    assert program.poll() is None and program.log.read_text().splitlines()[-1].endswith("False")
+
+
+def test_command_line(gffe):
+    for words, expected in (
+        (["--attach", "x", "corridor"], "expected no sequence or scene beside"),
+        (["--attach", "x", "--last", "2"], "--last must be 3 to 256"),
+        (["--attach", "x", "--measure", "1"], "exclude each other"),
+    ):
+        code, _, said = gffe("view", *words)
+        assert code == 2 and expected in said and said.count("\n") == 1

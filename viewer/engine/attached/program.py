@@ -1,0 +1,154 @@
+"""The viewer's side: a running program that it looks into."""
+
+from __future__ import annotations
+
+import mmap
+import threading
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from gffe_cl.core.errors import GffeError
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pacing import PacingStatistics
+from gffe_cl.sequence import Sequence
+from gffe_cl.viewer.engine.attached.channel import connect
+from gffe_cl.viewer.engine.attached.shared_memory import RecordingPlan, mapped, recorded
+from gffe_cl.viewer.engine.attached.wire import Ask, Greeting, Look, Program, Recording, Refused, Seen, Use, own_version
+from gffe_cl.viewer.engine.layers import LayerSpec
+from gffe_cl.viewer.engine.messages import Inspection
+
+FRAMES = 24  # rendered frames that are recorded unless asked otherwise
+MOST_FRAMES = 256
+_ANSWER_SECONDS = 5.0
+_POLL_SECONDS = 0.05
+_PACINGS = 240
+
+
+class RunningProgram:
+    """The program that is attached as `name`, which records its last `frames` rendered frames from now on.
+
+    Attributes
+    ----------
+    about : Program
+    options : Options
+        That its pipeline has.
+    specs : dict of LayerSpec
+        Layers that can be seen, by their names.
+    ended : bool
+        Whether it has closed, or died. What it recorded last can still be read.
+    pacing : deque of PacingStatistics
+        Of the last frames that were seen, if it told any.
+
+    Raises GffeError if there is none of that name, or if it does not answer.
+    """
+
+    def __init__(self, name: str, frames: int = FRAMES):
+        self.name, self.ended = name, False
+        self.pacing: deque[PacingStatistics] = deque(maxlen=_PACINGS)
+        self.specs: dict[str, LayerSpec] = {}
+        self._channel = connect(name)
+        self._news = threading.Condition()
+        self._seen: Seen | None = None
+        self._owed = False  # an answer to `see`
+        self._inspection: Inspection | None = None
+        self._refused: Refused | None = None
+        self._block: mmap.mmap | None = None  # images of what was seen
+        self._plan: RecordingPlan | None = None
+        self._recorded: mmap.mmap | None = None
+        try:
+            self._channel.send(Greeting(own_version(), frames))
+            self.about: Program = self._channel.receive(_ANSWER_SECONDS)[0]
+        except TimeoutError:
+            self._channel.close()
+            raise GffeError(f"{name}: no answer (another viewer may be attached, or the program is stopped)") from None
+        except (EOFError, OSError):
+            raise GffeError(f"{name}: the program has ended, or cannot record so many frames") from None
+        if self.about.refused:
+            raise GffeError(f"{name}: {self.about.refused}")
+        self.options = self.about.options
+        threading.Thread(target=self._listen, name="gffe-viewer-attached", daemon=True).start()
+
+    def close(self) -> None:
+        self._channel.close()
+
+    def use(self, options: Options) -> None:
+        """Have the pipeline work with `options` from its next rendered frame on."""
+        self._send(Use(options))
+
+    def see(self, layers: frozenset[str], generated: bool, check: Callable[[], None]) -> tuple[Seen, dict]:
+        """The next frame and its images, copied. Waits for it; `check` is called meanwhile and may raise. Raises
+        GffeError if the program has ended, and if it refused options."""
+        if self._owed:  # whoever asked did not wait for it, and may have asked for other layers
+            self._wait("_seen", check)
+        self._owed = True
+        self._send(Look(layers, generated))
+        seen = self._wait("_seen", check)
+        self._owed = False
+        return seen, {name: np.array(place.array(self._block)) for name, place in seen.images.items()}
+
+    def inspect(self, x: int, y: int, layers: frozenset[str] | None, check: Callable[[], None]) -> Inspection:
+        """What the next frame holds at a pixel; as `see`."""
+        self._send(Ask(x, y, layers))
+        return self._wait("_inspection", check)
+
+    def recording(self) -> Sequence:
+        """The last rendered frames, copied, as a sequence; also of a program that has ended. GffeError if it has
+        recorded none."""
+        sequence = None
+        if self._plan is not None and self._recorded is not None:
+            sequence = recorded(self._plan, self._recorded, self.name)
+        if sequence is None:
+            raise GffeError(f"{self.name}: no rendered frame was recorded yet")
+        return sequence
+
+    def _send(self, message) -> None:
+        try:
+            self._channel.send(message)
+        except OSError:
+            self.ended = True
+
+    def _wait(self, kind: str, check: Callable[[], None]):
+        while True:
+            check()
+            with self._news:
+                if getattr(self, kind) is None and not self.ended and self._refused is None:
+                    self._news.wait(_POLL_SECONDS)
+                refused, self._refused = self._refused, None
+                answer = getattr(self, kind)
+                setattr(self, kind, None)
+            if refused is not None:
+                raise GffeError(f"{self.name}: {refused.why}")
+            if answer is not None:
+                return answer
+            if self.ended:
+                raise GffeError(f"the program '{self.name}' has ended; its last frames can be looked at and written")
+
+    # ---- on a thread of its own ----------------------------------------------------------------------------
+
+    def _listen(self) -> None:
+        try:
+            while True:
+                self._take(*self._channel.receive())
+        except (EOFError, OSError):
+            with self._news:
+                self.ended = True
+                self._news.notify_all()
+
+    def _take(self, message, fds: list[int]) -> None:
+        with self._news:
+            if isinstance(message, Recording):
+                self._plan, self._recorded = message.plan, mapped(fds[0])
+            elif isinstance(message, Seen):
+                if fds:
+                    self._block = mapped(fds[0])
+                self.options, self.specs = message.options, message.specs or self.specs
+                if message.pacing is not None:
+                    self.pacing.append(message.pacing)
+                self._seen = message
+            elif isinstance(message, Inspection):
+                self._inspection = message
+            elif isinstance(message, Refused):
+                self.options, self._refused = message.options, message
+            self._news.notify_all()

@@ -1,0 +1,259 @@
+"""Shared memory between a program and the viewer: anonymous files, gone with the last process that has them."""
+
+from __future__ import annotations
+
+import fcntl
+import mmap
+import os
+import pickle
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyopencl as cl
+
+from gffe_cl.formats.capture import described
+from gffe_cl.frame.camera import Camera
+from gffe_cl.frame.rendered_frame import RenderedFrame
+from gffe_cl.sequence.description import FrameEntry, rendered_entry
+from gffe_cl.sequence.pixel_source import ForeignPixels
+from gffe_cl.sequence.reader import Sequence
+from gffe_cl.stages.buffers import DeviceFrame
+
+_PAGE = mmap.PAGESIZE
+_ABOUT = 16 << 10  # bytes, of what is said about a frame
+_BYTES = (8, 4, 8)  # per pixel: color, depth, motion
+_MOST_BYTES = 512 << 20  # of recorded frames
+_LEAST_FRAMES = 3
+
+
+class SharedBlock:
+    """`nbytes` of memory that others can map by `descriptor`. OSError where there is no memory."""
+
+    def __init__(self, nbytes: int):
+        self.nbytes = _rounded(nbytes)
+        self.descriptor = os.memfd_create("gffe-cl", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+        try:
+            os.posix_fallocate(self.descriptor, 0, self.nbytes)  # what cannot be had is told now, not by a signal later
+            fcntl.fcntl(self.descriptor, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW)
+            flags = mmap.MAP_SHARED | mmap.MAP_POPULATE  # page faults would come while a frame is made
+            self.memory = mmap.mmap(self.descriptor, self.nbytes, flags)
+        except BaseException:
+            os.close(self.descriptor)
+            raise
+
+    def __del__(self):
+        if getattr(self, "memory", None) is not None:
+            os.close(self.descriptor)
+
+
+def mapped(descriptor: int) -> mmap.mmap:
+    """The memory of another process's block, to read; the descriptor is closed."""
+    try:
+        return mmap.mmap(descriptor, 0, prot=mmap.PROT_READ)
+    finally:
+        os.close(descriptor)
+
+
+# ---- images ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Where an image lies in a block."""
+
+    offset: int
+    dtype: str
+    shape: tuple[int, ...]
+
+    def array(self, memory: mmap.mmap) -> np.ndarray:
+        """The image there, not a copy."""
+        return np.ndarray(self.shape, self.dtype, memory, self.offset)
+
+
+def placed(images: Mapping[str, np.ndarray]) -> tuple[dict[str, Placed], int]:
+    """Places for images one after the other, and the bytes that they take."""
+    places, offset = {}, 0
+    for name, image in images.items():
+        places[name] = Placed(offset, image.dtype.str, image.shape)
+        offset += _rounded(image.nbytes)
+    return places, offset
+
+
+def _rounded(nbytes: int) -> int:
+    return max(-(-nbytes // _PAGE), 1) * _PAGE
+
+
+# ---- recorded frames ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RecordingPlan:
+    """`count` frames of `size`, one after the other in a block; `display`: width and height of what is shown."""
+
+    count: int
+    size: tuple[int, int]
+    display: tuple[int, int]
+    fps: float
+
+    @classmethod
+    def of(cls, wanted: int, size: tuple[int, int], display: tuple[int, int], fps: float) -> RecordingPlan:
+        """As many frames as are `wanted`, or as there is memory for."""
+        fitting = cls(1, size, display, fps)
+        return cls(max(min(wanted, _MOST_BYTES // fitting.nbytes), _LEAST_FRAMES), size, display, fps)
+
+    @property
+    def pixels(self) -> int:
+        return self.size[0] * self.size[1]
+
+    @property
+    def stride(self) -> int:
+        """Bytes from one frame to the next."""
+        return _rounded(64 + _ABOUT) + _rounded(sum(_BYTES) * self.pixels)
+
+    @property
+    def nbytes(self) -> int:
+        return self.count * self.stride
+
+    def head(self, memory: mmap.mmap, slot: int) -> np.ndarray:
+        """(3,) uint64: number of the change that was begun last, of that which was finished last, and bytes of what is
+        said about the frame. Where the first two differ, it is being written."""
+        return np.ndarray(3, np.uint64, memory, slot * self.stride)
+
+    def about(self, memory: mmap.mmap, slot: int) -> np.ndarray:
+        return np.ndarray(_ABOUT, np.uint8, memory, slot * self.stride + 64)
+
+    def images(self, memory: mmap.mmap, slot: int) -> list[np.ndarray]:
+        """color (H, W, 4) float16, depth (H, W) and motion (H, W, 2) float32."""
+        width, height = self.size
+        offset, found = slot * self.stride + _rounded(64 + _ABOUT), []
+        for nbytes, dtype, channels in zip(_BYTES, ("f2", "f4", "f4"), ((4,), (), (2,)), strict=True):
+            found.append(np.ndarray((height, width, *channels), dtype, memory, offset))
+            offset += nbytes * self.pixels
+        return found
+
+
+@dataclass
+class _About:
+    """A recorded frame without its pixels. `cameras`: of what was extrapolated from it, by their times."""
+
+    number: int
+    time: float
+    camera: Camera
+    display_camera: Camera
+    reset: bool
+    exposure: float
+    cameras: dict[float, Camera]
+
+
+class Recorder:
+    """Keeps the last rendered frames in shared memory: the program's side. The device copies them there on a queue of
+    its own, beside what comes next; a frame counts once that has ended."""
+
+    def __init__(self, plan: RecordingPlan):
+        self.plan, self.block = plan, SharedBlock(plan.nbytes)
+        self._about: _About | None = None
+        self._slot, self._copies = 0, []
+        self._queue: cl.CommandQueue | None = None
+
+    def take(self, number: int, frame: RenderedFrame, on_device: DeviceFrame, queue: cl.CommandQueue, reset: bool,
+             exposure: float) -> None:  # fmt: skip
+        """Record rendered frame `number`."""
+        self.finish()
+        self._slot = number % self.plan.count
+        self._head[0] += 1
+        images = self.plan.images(self.block.memory, self._slot)
+        self._queue = self._queue or cl.CommandQueue(queue.context, queue.device)
+        there = [cl.enqueue_marker(queue)]
+        queue.flush()
+        self._copies = [
+            cl.enqueue_copy(self._queue, image, buffer, is_blocking=False, wait_for=there)
+            for image, buffer in zip(images, on_device.buffers, strict=True)
+        ]
+        self._queue.flush()
+        cameras = on_device.camera, on_device.display_camera
+        self._about = _About(number, frame.time, *cameras, reset, exposure, {})
+        self._say()
+
+    def made(self, time: float, camera: Camera) -> None:
+        """A frame of this time was extrapolated from the last one."""
+        if self._about is None:
+            return
+        done = not self._copies
+        if done:
+            self._head[0] += 1
+        self._about.cameras[time] = camera
+        self._say()
+        if done:
+            self._head[1] = self._head[0]
+        elif all(copy.command_execution_status == cl.command_execution_status.COMPLETE for copy in self._copies):
+            self.finish()
+
+    def finish(self) -> None:
+        """Wait for the copies of the last frame."""
+        if self._copies:
+            cl.wait_for_events(self._copies)
+            self._copies = []
+            self._head[1] = self._head[0]
+
+    @property
+    def _head(self) -> np.ndarray:
+        return self.plan.head(self.block.memory, self._slot)
+
+    def _say(self) -> None:
+        said = pickle.dumps(self._about)
+        if len(said) > _ABOUT:  # very many frames were made from one
+            return
+        self.plan.about(self.block.memory, self._slot)[: len(said)] = np.frombuffer(said, np.uint8)
+        self._head[2] = len(said)
+
+
+def recorded(plan: RecordingPlan, memory: mmap.mmap, name: str) -> Sequence | None:
+    """The last frames that the program has recorded, copied: those up to the newest that follow each other. It may go
+    on writing meanwhile, or be dead. None if there is none yet."""
+    found: dict[int, tuple[_About, list[np.ndarray]]] = {}
+    for slot in range(plan.count):
+        before = plan.head(memory, slot).copy()
+        if not before[0] or before[0] != before[1]:
+            continue
+        said = plan.about(memory, slot)[: int(before[2])].tobytes()
+        images = [image.copy() for image in plan.images(memory, slot)]
+        if plan.head(memory, slot)[0] != before[0]:
+            continue  # it was written meanwhile
+        about = pickle.loads(said)
+        found[about.number] = about, images
+    if not found:
+        return None
+    number, kept = max(found), []
+    while number in found:
+        kept.append(found[number])
+        number -= 1
+    return _sequence(kept[::-1], plan, name)
+
+
+def _sequence(kept: list[tuple[_About, list[np.ndarray]]], plan: RecordingPlan, name: str) -> Sequence:
+    entries, cameras, pixels = [], [], RecordedPixels()
+    for about, (color, depth, motion) in kept:
+        images = color[..., :3], depth, motion
+        frame = RenderedFrame(*images, about.camera, about.time, about.display_camera, about.reset)
+        entries.append(rendered_entry(about.number, frame, plan.display))
+        pixels.images[entries[-1].file] = images
+        for time, camera in about.cameras.items():
+            cameras.append(FrameEntry("", time, "camera_only", display_camera=camera))
+    exposure = kept[-1][0].exposure
+    return Sequence(Path(name), described(name, plan.display, entries, plan.fps, exposure, cameras), pixels)
+
+
+class RecordedPixels(ForeignPixels):
+    """Pixels of recorded frames, in memory: `images` by the entries' file names."""
+
+    def __init__(self):
+        super().__init__()
+        self.images: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+
+    def rendered(self, entry, size):
+        return self.images[entry.file]
+
+    def color(self, entry, size):
+        return self.images[entry.file][0]

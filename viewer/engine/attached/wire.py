@@ -1,0 +1,108 @@
+"""What a program and the viewer that looks into it tell each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+
+from gffe_cl.frame.rendered_frame import BadPixels
+from gffe_cl.pipeline.options import Options
+from gffe_cl.pipeline.pacing import PacingStatistics
+from gffe_cl.viewer.engine.attached.shared_memory import Placed, RecordingPlan
+from gffe_cl.viewer.engine.buffers import Moment
+from gffe_cl.viewer.engine.layers import LayerSpec
+
+
+def own_version() -> str:
+    """Of the package: both sides must be the same, since they exchange its objects."""
+    try:
+        return version("gffe-cl")
+    except PackageNotFoundError:
+        return "not installed"
+
+
+# ---- from the viewer ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Greeting:
+    """`version`: of the package; `frames`: rendered frames that the program is to keep."""
+
+    version: str
+    frames: int
+
+
+@dataclass(frozen=True)
+class Look:
+    """A wish for the next frame with these layers; `generated`: not for a rendered one, where the
+    program makes others. There is one answer, `Seen`,
+    and nothing more until the next wish."""
+
+    layers: frozenset[str]
+    generated: bool = False
+
+
+@dataclass(frozen=True)
+class Ask:
+    """What does the next frame hold at display pixel (x, y)? `layers`: None for all. The answer is an `Inspection`."""
+
+    x: int
+    y: int
+    layers: frozenset[str] | None = None
+
+
+@dataclass(frozen=True)
+class Use:
+    """Change the pipeline's options before the next rendered frame. Answered by `Refused` if that fails."""
+
+    options: Options
+
+
+# ---- from the program --------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Program:
+    """Who has answered: sizes are (width, height). `refused`: why nobody may look, if so."""
+
+    version: str
+    pid: int = 0
+    display: tuple[int, int] = (0, 0)
+    render_size: tuple[int, int] = (0, 0)
+    fps: float = 30.0
+    device: str = ""
+    options: Options = field(default_factory=Options)
+    refused: str = ""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Where the last rendered frames are kept: in the block whose descriptor comes with this."""
+
+    plan: RecordingPlan
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A frame. `images`: where they are in the shared block, whose descriptor comes with the first message and
+    whenever there is another one; `specs`: of all layers, None if they are as before; `frame_ms`: from the last frame
+    to this one, without what looking took; `look_ms`: that. The others as in `Result`."""
+
+    moment: Moment
+    images: dict[str, Placed]
+    specs: dict[str, LayerSpec] | None
+    kernels: dict[str, dict[str, float]]
+    frame_ms: float
+    look_ms: float
+    bad_pixels: BadPixels
+    exposure: float
+    options: Options
+    pacing: PacingStatistics | None = None
+
+
+@dataclass(frozen=True)
+class Refused:
+    """Options could not be used."""
+
+    why: str
+    options: Options

@@ -1,0 +1,115 @@
+"""What a running program shows: its frames as they come, and its last ones, frozen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from gffe_cl.frame.rendered_frame import BadPixels
+from gffe_cl.opencl.device import Device
+from gffe_cl.pipeline.options import Options
+from gffe_cl.viewer.engine.attached.program import RunningProgram
+from gffe_cl.viewer.engine.messages import Inspection, Request, Result
+from gffe_cl.viewer.engine.sources.recorded import RecordedSource
+from gffe_cl.viewer.engine.sources.source import FrameSource
+
+
+class AttachedSource(FrameSource):
+    """The frames of `program` as they come: there is one slot, which is another frame whenever it is asked for, and
+    `RemoteSlots` makes it."""
+
+    follows = True
+    count = 1
+
+    def __init__(self, program: RunningProgram):
+        about = program.about
+        self.program, self.name, self.fps, self.exposure = program, program.name, about.fps, 1.0
+        (self.width, self.height), self.render_size = about.display, about.render_size
+        self.options = program.options
+
+    def configure(self, window, n, upscale=0.0):
+        return False
+
+    def time(self, k, alpha=0.0):
+        return 0.0
+
+
+class FrozenSource(RecordedSource):
+    """The last rendered frames of `program`, taken when this is made; the viewer's own pipeline works on them."""
+
+    def __init__(self, program: RunningProgram, device: Device):
+        super().__init__(program.recording(), device)
+        self.program, self.name, self.options = program, program.name, program.options
+
+    @property
+    def generated(self) -> int:
+        """Frames that the program generated after each rendered one, as far as is known; at least 1."""
+        known, frames = len(self.sequence.known_cameras), self.count
+        return min(max(round(known / frames), 1), 7)
+
+
+class RemoteSlots:
+    """Has the program make what is asked for: as `SlotMaker`, for an `AttachedSource`.
+
+    `check` is called while the program is waited for, and may raise to give up.
+    """
+
+    def __init__(self, source: AttachedSource, check: Callable[[], None]):
+        self.source, self._program, self._check = source, source.program, check
+        self.last: Request | None = None
+        self._chosen: Options | None = None  # by the user, as last asked for
+        self._inspected = False  # a pixel of a frame: what is told of generated ones is what is looked for
+
+    def drop(self) -> None:
+        """Nothing is kept here."""
+
+    def holds(self, request: Request) -> bool:
+        return True
+
+    def make(self, request: Request, to_inspect: bool = False) -> Result:
+        """The next frame of the program, with the request's options."""
+        chosen, program = request.setup.options, self._program
+        if self._chosen not in (None, chosen) and chosen != resolved(program.options):
+            program.use(chosen)
+            while True:
+                made = self._next(request)
+                if resolved(program.options) == chosen:
+                    break
+        else:
+            made = self._next(request)
+        self._chosen, self.last = chosen, request
+        return made
+
+    def _next(self, request: Request) -> Result:
+        specs = self._program.specs
+        generated = self._inspected or any(name in specs and specs[name].of_generated for name in request.layers)
+        self._inspected = False
+        seen, images = self._program.see(request.layers, generated, self._check)
+        self.source.exposure, self.source.options = seen.exposure, seen.options
+        return Result(
+            request,
+            seen.moment,
+            images=images,
+            specs=self._program.specs,
+            kernels=seen.kernels,
+            wall_ms=seen.frame_ms,
+            readback_ms=seen.look_ms,
+            bad_pixels=seen.bad_pixels or BadPixels(),
+            render_size=self.source.render_size,
+        )
+
+    def must_move(self) -> dict[str, dict[str, float]]:
+        """Not known of another process's pipeline."""
+        return {}
+
+    def inspect(self, x: int, y: int, layers: frozenset[str] | None) -> Inspection | None:
+        """What the program's next frame holds at display pixel (x, y); None outside."""
+        if not (0 <= x < self.source.width and 0 <= y < self.source.height):
+            return None
+        self._inspected = True
+        return self._program.inspect(x, y, layers, self._check)
+
+
+def resolved(options: Options) -> Options:
+    """With shading correction on or off, not automatic, as the viewer asks for it."""
+    return replace(options, shading_correction=options.corrects_shading)
