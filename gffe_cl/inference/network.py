@@ -95,13 +95,14 @@ def take_remarks() -> list[str]:
 class Network:
     """A network and what runs it; see `load_network`.
 
-    `session`: the CPU's, for any size, of the file `on_cpu` (None: `path`). `head`: (374,) float32,
-    weights of its last two layers. `copying`: milliseconds of the last run that went into copies to the provider and
-    back, as far as they are known apart. `remark`: what a user should know of what runs it, "" if nothing.
+    `session`: the CPU's, for any size; where the CPU was chosen, of the file `on_cpu` (None: `path`). `head`: (374,)
+    float32, weights of its last two layers. `copying`: milliseconds of the last run that went into copies to the
+    provider and back, as far as they are known apart. `remark`: what a user should know of what runs it, "" if nothing.
     """
 
     def __init__(self, path: Path, provider: str = CPU.name, on_cpu: Path | None = None):
-        self.path, self.session = path, open_session(on_cpu or path)
+        self.path = path
+        self.session = open_session(on_cpu if on_cpu and provider == CPU.name else path)
         self.copying = 0.0
         self._failure = ""
         self._fixed: dict[tuple[int, int], FixedSession] = {}  # by height and width, the latest last
@@ -110,8 +111,10 @@ class Network:
         inputs = {"frames": (1, INPUT_PLANES, *free), "candidates": (1, CANDIDATE_PLANES, *free)}
         _require(path, "input", self.session.get_inputs(), inputs)
         _require(path, "output", self.session.get_outputs(), {OUTPUT: (1, JUDGEMENT_PLANES, *free)})
-        self.head = _head_of(path, self.session.get_modelmeta().custom_metadata_map.get(HEAD, ""))
         self.choice: Choice = choose(path, provider)
+        if on_cpu and provider != CPU.name and self.choice.provider == CPU:
+            self.session = open_session(on_cpu)
+        self.head = _head_of(path, self.session.get_modelmeta().custom_metadata_map.get(HEAD, ""))
 
     @property
     def provider(self) -> str:

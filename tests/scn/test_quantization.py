@@ -13,9 +13,9 @@ from onnx import numpy_helper  # noqa: E402
 from gffe_cl import GffeError  # noqa: E402
 from gffe_cl.inference import network as inference  # noqa: E402
 from gffe_cl.inference.providers import cpu_model  # noqa: E402
-from gffe_cl.scn.export import differences, export_onnx, weights_of  # noqa: E402
+from gffe_cl.scn.export import differences, export_onnx  # noqa: E402
 from gffe_cl.scn.network import ShadingCorrectionNetwork  # noqa: E402
-from gffe_cl.scn.quantization import equalize, in_floats, quantize  # noqa: E402
+from gffe_cl.scn.quantization import equalize, quantize  # noqa: E402
 from gffe_cl.scn.training import Recipe  # noqa: E402
 
 
@@ -55,11 +55,10 @@ def test_equalized_channels_say_the_same(network):
     assert largest.max() / largest.min() > 3 * was.max() / was.min()  # what is small is read with more weight
 
 
-def test_rounding_changes_little_and_can_be_undone(network):
+def test_rounding_changes_little(network):
     before = copy.deepcopy(network.convolutions)
     quantize(network.convolutions, inputs())
     assert 1e-4 < error(before, network.convolutions) < 0.1
-    assert error(before, in_floats(network.convolutions)) < 1e-5
 
 
 def test_rounding_is_trained_through(network):
@@ -84,12 +83,6 @@ def test_the_file_holds_integers(network, tmp_path):
     assert np.array_equal(loaded.head, network.head_weights())
     torch.manual_seed(1)
     assert differences(ShadingCorrectionNetwork().eval(), tmp_path / "scn-int8.onnx")[1] > 0.2
-    floats = copy.deepcopy(network)
-    floats.convolutions = in_floats(network.convolutions)
-    export_onnx(floats, tmp_path / "scn.onnx")
-    begun = ShadingCorrectionNetwork()
-    begun.take(*weights_of(tmp_path / "scn.onnx"))
-    assert error(floats.convolutions, begun.convolutions) < 1e-6
 
 
 def test_integers_are_for_float32():
@@ -108,7 +101,6 @@ def test_cpus_run_the_packages_network_in_integers(both):
     packaged, named = both
     kinds = [{node.op_type for node in onnx.load(str(path)).graph.node} for path in (cpu_model(named.path), named.path)]
     assert "QuantizeLinear" in kinds[0] and "QuantizeLinear" not in kinds[1]
-    assert np.array_equal(packaged.head, named.head)
     rng = np.random.default_rng(0)
     frames = np.repeat(np.repeat(rng.uniform(0.3, 0.7, (8, 4, 6)), 8, 1), 8, 2).astype(np.float32)
     candidates = np.repeat(np.repeat(rng.normal(0, 0.05, (16, 4, 6)), 4, 1), 4, 2).astype(np.float32)
