@@ -1,6 +1,7 @@
 # make demo       install into .venv, then render, extrapolate and measure a scene into out/demo
 # make test       install what the tests need too, then run all of them but the long ones
 # make test-all   those, and then the long ones
+# make docs       the documentation as a site, into out/docs
 # PYTHON=…        another interpreter than python3
 
 PYTHON ?= python3
@@ -10,7 +11,7 @@ PIP := $(VENV)/bin/python -m pip install --disable-pip-version-check -c constrai
 # What pip says is shown only if it fails.
 QUIETLY = >$(LOG) 2>&1 || { cat $(LOG) >&2; echo "error: pip failed, see above" >&2; exit 2; }
 
-.PHONY: demo test test-all clean
+.PHONY: demo test test-all docs clean
 
 demo: $(VENV)/.installed
 	@echo "demo: about a minute"
@@ -21,6 +22,11 @@ test: $(VENV)/.installed-for-tests
 
 test-all: test
 	$(VENV)/bin/python -m pytest -m long
+
+# Every warning is an error, links inside the site and names in signatures included; nothing is fetched.
+docs: $(VENV)/.installed-for-docs
+	$(VENV)/bin/python -m sphinx -q -E -W --keep-going -n docs out/docs
+	@echo "documentation: out/docs/index.html"
 
 $(VENV)/.installed: pyproject.toml constraints.txt Makefile
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
@@ -35,6 +41,11 @@ $(VENV)/.installed: pyproject.toml constraints.txt Makefile
 $(VENV)/.installed-for-tests: $(VENV)/.installed
 	@echo "packages of the tests, PyTorch among them: 950 MB on disk, 1 to 4 minutes"
 	@$(PIP) --editable '.[test,train,opencv,cluster,webgpu,spring]' $(QUIETLY)
+	@touch $@
+
+$(VENV)/.installed-for-docs: $(VENV)/.installed
+	@echo "packages of the documentation: 80 MB on disk, a few seconds"
+	@$(PIP) --editable '.[docs]' $(QUIETLY)
 	@touch $@
 
 # An OpenCL runtime on which a kernel really runs: a GPU's driver if there is one; else Intel's CPU runtime from PyPI

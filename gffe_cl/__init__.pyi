@@ -28,6 +28,10 @@ from gffe_cl.opencl.device import DeviceInfo as DeviceInfo
 from gffe_cl.opencl.device import list_devices as list_devices
 from gffe_cl.opencl.device import open_device as open_device
 from gffe_cl.opencl.runtimes import prepare_runtimes as prepare_runtimes
+from gffe_cl.opencl.sharing import GlSharing as GlSharing
+from gffe_cl.opencl.sharing import MemorySharing as MemorySharing
+from gffe_cl.opencl.sharing import SharingSupport as SharingSupport
+from gffe_cl.opencl.sharing import sharing_support as sharing_support
 from gffe_cl.pipeline.made_frame import ExtrapolatedFrame as ExtrapolatedFrame
 from gffe_cl.pipeline.made_frame import PresentedFrame as PresentedFrame
 from gffe_cl.pipeline.options import OPTIONS as OPTIONS

@@ -1,16 +1,23 @@
 """The documentation says what is: examples run, commands parse, links lead somewhere, made parts are new."""
 
 import contextlib
+import inspect
 import io
+import json
 import re
 import shlex
 import tomllib
 from pathlib import Path
+from types import FunctionType
 
+import numpy as np
 import pytest
+from make_tables import SHOWN
 from typer.main import get_command
 
+import gffe_cl
 from gffe_cl.cli.commands import RENAMED, app
+from gffe_cl.sequence.description import Description, FrameEntry, describe
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")] + sorted(
@@ -34,7 +41,7 @@ def test_examples_print_what_the_page_says(code, expected, tmp_path, monkeypatch
 
 
 def test_every_python_example_is_run():
-    written = sum(text.count("```python") for name, text in TEXTS.items() if name != "docs/reference.md")
+    written = sum(text.count("```python") for text in TEXTS.values())
     assert written == len(EXAMPLES) >= 5
 
 
@@ -148,16 +155,82 @@ def test_tables_of_results_are_those_of_the_record():
     assert all(any(f"<!-- {table}:begin -->\n|" in page for page in pages) for table in TABLES)
 
 
-def test_reference_is_up_to_date():
-    from make_reference import reference
+def test_the_reference_has_everything_public():
+    listed = re.findall(r"^\.\. (?:auto|py:)\w+:: gffe_cl\.(\w+)$", TEXTS["docs/api.md"], re.M)
+    assert sorted([*listed, "__version__"]) == sorted(gffe_cl.__all__)
 
-    assert reference() == TEXTS["docs/reference.md"], "run python docs/tools/make_reference.py"
+
+def _public():
+    """(name, what has the docstring) of everything public, methods and properties included."""
+    for name in gffe_cl.__all__:
+        thing = getattr(gffe_cl, name)
+        if callable(thing):
+            yield name, thing
+        for member, value in vars(thing).items() if isinstance(thing, type) else ():
+            if not member.startswith("_") and isinstance(value, property | classmethod | FunctionType):
+                yield f"{name}.{member}", getattr(value, "__func__", value)
 
 
-def test_everything_public_is_described():
-    text = TEXTS["docs/reference.md"]
-    for heading in re.findall(r"^#+ .+\n\n(?:```python\n.*\n```\n\n)?(?=\n|#|$)", text, re.M):
-        pytest.fail(f"no docstring: {heading}")
+def stray_lines(docstring):
+    """Lines below a heading of numpydoc that lists entries, which are none: documentation would show them as such."""
+    found, lists = [], False
+    lines = docstring.splitlines()
+    for line, following in zip(lines, [*lines[1:], ""], strict=True):
+        if following and set(following) == {"-"}:
+            lists = line in ("Parameters", "Attributes", "Raises")
+        elif lists and re.match(r"[^\s-]", line) and " : " not in line and not following.startswith(" "):
+            found.append(line)
+    return found
+
+
+def test_docstrings_of_everything_public_are_numpydoc():
+    for name, thing in _public():
+        text = inspect.getdoc(thing)
+        assert text, f"{name}: no docstring"
+        assert stray_lines(text) == [], name
+        if isinstance(thing, property):
+            assert ":" not in text.partition("\n")[0], f"{name}: what stands before a colon would be taken for its type"
+    assert stray_lines("Text.\n\nRaises\n------\nGffeError\n    If so.\n\nProse that ends it.\n") == [
+        "Prose that ends it."
+    ]
+
+
+PAGE = re.compile(r"(?<![\w/])docs/[\w/-]*\w\.\w+|\b[a-z_]+\.md\b")
+
+
+def test_pages_that_code_names_exist():
+    """Messages, help texts, comments and scripts: files of docs/ by their path, pages by their name, and anchors."""
+    files = [ROOT / name for name in ("Makefile", "pyproject.toml", ".ci/run", ".ci/package")]
+    for folder in ("gffe_cl", "viewer", "kernels", "tests", "docs"):
+        files += [
+            path for path in (ROOT / folder).rglob("*") if path.suffix in (".py", ".pyi", ".cl", ".h", ".c", ".txt")
+        ]
+    named = set()
+    for path in set(files) - {Path(__file__)}:
+        for name, anchor in re.findall(rf"({PAGE.pattern})(?:#([\w-]+))?", path.read_text("utf-8")):
+            page = ROOT / name if name.startswith("docs/") else ROOT / "docs" / name
+            assert page.exists(), f"{path.relative_to(ROOT)}: {name}"
+            assert not anchor or anchor in _anchors(page.read_text("utf-8")), (
+                f"{path.relative_to(ROOT)}: {name}#{anchor}"
+            )
+            named.add(name)
+    assert {"docs/formats.md", "docs/guide.md", "docs/blender/export_gffe.py", "comparing.md"} <= named
+
+
+def test_the_specification_of_sequences_has_every_key():
+    camera = gffe_cl.Camera(np.eye(4), 4, 4, 2, 2)
+    entry = FrameEntry("a.exr", 0.0, "rendered", True, (8, 8), camera, camera.scaled(2, 2), "b.exr", 0.5)
+    written = json.loads(describe(Description(4, 4, 30.0, 1.0, [entry], unfinished=True), "test"))
+    frame = written["frames"][0]
+    page = TEXTS["docs/sequences.md"]
+    for key in {*written, *frame, *frame["render_camera"]}:
+        assert re.search(rf"^\| [^|]*`{key}`", page, re.M), key
+    assert {"unfinished", "alpha", "render_size", "display_camera", "cx"} <= {*written, *frame, *frame["render_camera"]}
+
+
+def test_how_it_works_has_every_stage():
+    page = TEXTS["docs/how_it_works.md"]
+    assert [stage.name for stage in SHOWN if f"`{stage.name}`" not in page] == []
 
 
 def test_deviations_that_are_measured_exist():

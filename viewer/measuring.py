@@ -25,8 +25,9 @@ def measure(
     Returns "first_picture": "seconds" from the start of this process until a rendered frame was on the screen, and
     "computed_seconds" until the first computed one was (nothing where the system does not tell when a process
     started); "first_pass" and "cached": means of frames shown, of those generated and of the interface's per second;
-    first_pass also milliseconds per frame of computing (kernels), reading back and uploading, cached also frames per
-    second that were due and how many frames were dropped. "cached" is empty where there is no cache.
+    milliseconds per frame shown of uploading and of processor time (of this process, all threads); first_pass also
+    those of computing (kernels) and reading back, cached also frames per second that were due and how many frames were
+    dropped. "cached" is empty where there is no cache.
     Raises GffeError without a display, or when nothing can be played.
     """
     require_display()
@@ -117,6 +118,7 @@ class _Pass:
 
     def __init__(self, start: float, model, real_time: bool = False):
         self.start = self._end = start
+        self._processor = self._processor_end = time.process_time()
         self._real_time, self._last = real_time, model.contents.result
         self._interface = self._dropped = 0
         self._due_rate = model.playback.target_rate
@@ -125,6 +127,7 @@ class _Pass:
     def count(self, now: float, model) -> None:
         self._interface += 1
         self._end, self._dropped = now, model.playback.dropped
+        self._processor_end = time.process_time()
         result = model.contents.result
         if result is not self._last:
             self._last = result
@@ -140,6 +143,7 @@ class _Pass:
             "generated_frames_per_second": generated / elapsed,
             "interface_frames_per_second": self._interface / elapsed,
             "upload_ms_per_frame": upload,
+            "processor_ms_per_frame": (self._processor_end - self._processor) * 1e3 / max(len(self._rows), 1),
         }
         if self._real_time:
             return figures | {"due_per_second": self._due_rate, "dropped": self._dropped}

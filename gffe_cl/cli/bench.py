@@ -295,15 +295,18 @@ def _print_methods(report: dict) -> None:
 
 def _print_io(info: DeviceInfo, name: str, results: list[IoTimes]) -> None:
     title = plain(f"{name}, {info.name} ({info.platform})")
-    heads = "size", "upload", "copies in", "download", "copy out", "ratio"
+    heads = "size", "upload", "zero-copy", "copies in", "download", "mapped", "copy out", "ratio", "copied, B/px"
     table = Table("color, ms", *heads, title=title, box=None, header_style="bold")
     for one in results:
-        times = (f"{ms:.2f}" for ms in (one.upload, one.copy_in, one.download, one.copy_out))
-        table.add_row(one.color, f"{one.width}×{one.height}", *times, f"{one.ratio:.2f}")
+        parts = one.upload, one.zero_copy, one.copy_in, one.download, one.mapped, one.copy_out
+        times, pixels = (f"{ms:.2f}" for ms in parts), one.width * one.height
+        copied = f"{one.copied / pixels:.0f}, {one.zero_copied / pixels:.0f}"
+        table.add_row(one.color, f"{one.width}×{one.height}", *times, f"{one.ratio:.2f}", copied)
     out.print(table)
     out.print(
-        "Upload: color, depth and motion, converted and checked for bad pixels. Download: color. Ratio: both, to plain"
-        " copies of the same bytes in the same turn, median."
+        "Upload: color, depth and motion, converted and checked for bad pixels. Zero-copy: arrays used in place where"
+        " they can be. Download: color. Mapped: color, read where it is. Ratio: upload and download to plain copies of"
+        " the same bytes in the same turn, median. Copied: bytes written on the way in, by upload and with zero-copy."
     )
 
 

@@ -25,7 +25,9 @@ WARM_UP = 2  # turns that do not count
 class IoTimes:
     """Median milliseconds of one frame. `upload`: color, depth and motion checked, copied and converted, and bad pixels
     counted; `download`: color as a new array; `copy_in`, `copy_out`: plain copies of the same bytes between existing
-    arrays and buffers. `ratio`: of the sums, the median of the ratios within a turn."""
+    arrays and buffers. `zero_copy`: as `upload`, of aligned arrays that are used in place where they can be; `mapped`:
+    color mapped for reading, and unmapped. `ratio`: of upload and download to the plain copies, the median of the
+    ratios within a turn. `copied`, `zero_copied`: bytes written on the way in, as `Pipeline.copied_bytes` counts."""
 
     width: int
     height: int
@@ -34,7 +36,11 @@ class IoTimes:
     copy_in: float
     download: float
     copy_out: float
+    zero_copy: float
+    mapped: float
     ratio: float
+    copied: int
+    zero_copied: int
 
 
 def measure_io(device: Device, frame: RenderedFrame, turns: int, on_turn: Callable[[], None]) -> list[IoTimes]:
@@ -51,26 +57,33 @@ def measure_io(device: Device, frame: RenderedFrame, turns: int, on_turn: Callab
                 times.append(taken)
                 on_turn()
         medians = (statistics.median(part) * 1e3 for part in zip(*times, strict=True))
-        ratio = statistics.median((up + down) / (copy_in + copy_out) for up, copy_in, down, copy_out in times)
-        found.append(IoTimes(width, height, f"{dtype} {'RGBA'[:channels]}", *medians, ratio=ratio))
+        ratio = statistics.median((up + down) / (copy_in + copy_out) for up, copy_in, down, copy_out, *_ in times)
+        name, copied = f"{dtype} {'RGBA'[:channels]}", {"copied": timed.copied, "zero_copied": timed.zero_copied}
+        found.append(IoTimes(width, height, name, *medians, ratio=ratio, **copied))
     return found
 
 
 class _Turn:
-    """Each part once, in either order: seconds of upload, plain copies in, download, plain copy out."""
+    """Each part once, in either order: seconds of upload, plain copies in, download, plain copy out, upload without
+    copies, mapping. `copied` and `zero_copied`: bytes of the last uploads."""
 
     def __init__(self, device: Device, frame: RenderedFrame):
         height, width = np.shape(frame.depth)
         self._device, self._frame = device, frame
         self._upload = Upload(Board(device, Sizes((width, height), (width, height))))
         self._taken = DeviceFrame.allocate(device, (width, height), frame.camera, frame.shown_camera, frame.time)
-        self._shown = PresentedFrame(frame.camera, frame.time, *self._taken.buffers, device, (width, height))
+        ready = cl.enqueue_marker(device.queue)
+        where = device, (width, height)
+        self._shown = PresentedFrame(frame.camera, frame.time, *self._taken.buffers, *where, _event=ready)
         arrays = (frame.color, frame.depth, frame.motion)
+        color, depth, motion = (_aligned(device, array) for array in arrays)
+        self._aligned_frame = replace(frame, color=color, depth=depth, motion=motion)
+        self.copied = self.zero_copied = 0
         self._copies = [(device.buffer(array.nbytes), array) for array in arrays]
         self._out = np.empty((height, width, 4), np.float16)
 
     def __call__(self, backward: bool) -> list[float]:
-        parts = [self._upload_frame, self._copy_in, self._download, self._copy_out]
+        parts = [self._upload_frame, self._copy_in, self._download, self._copy_out, self._share_frame, self._map]
         return [self._seconds(part) for part in reversed(parts)][::-1] if backward else [*map(self._seconds, parts)]
 
     def _seconds(self, part: Callable[[], object]) -> float:
@@ -80,8 +93,21 @@ class _Turn:
         return time.perf_counter() - start
 
     def _upload_frame(self) -> None:
+        before = self._upload.copied_bytes
         self._upload.take(host_arrays(self._frame), self._taken)
         self._upload.bad_pixels()
+        self.copied = self._upload.copied_bytes - before
+
+    def _share_frame(self) -> None:
+        before, arrays = self._upload.copied_bytes, host_arrays(self._aligned_frame)
+        shared = self._upload.shared(arrays)
+        self._upload.take(arrays, replace(self._taken, **shared), shared)
+        self._upload.bad_pixels()
+        self.zero_copied = self._upload.copied_bytes - before
+
+    def _map(self) -> None:
+        with self._shown.mapped("color"):
+            pass
 
     def _copy_in(self) -> None:
         for buffer, array in self._copies:
@@ -92,3 +118,9 @@ class _Turn:
 
     def _copy_out(self) -> None:
         cl.enqueue_copy(self._device.queue, self._out, self._taken.color)
+
+
+def _aligned(device: Device, array: np.ndarray) -> np.ndarray:
+    made = device.empty(array.shape, array.dtype)
+    made[...] = array
+    return made

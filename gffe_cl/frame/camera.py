@@ -140,9 +140,15 @@ class Camera:
             in memory; the same thing is a matrix for row vectors (v·M) written in rows, as of DirectXMath and Unreal.
             "auto" tells them by the row or column 0 0 0 1 of the view and 0 0 ±1 0 of the projection.
 
-        With P for column vectors: fx = |P₀₀| W/2, fy = |P₁₁| H/2, cx = (1 + P₀₂/P₃₂) W/2, cy = (1 − P₁₂/P₃₂) H/2;
-        x, y, z of the view are turned to right, down, forward by the signs of P₀₀, P₁₁, P₃₂.
-        Raises GffeError if that is no rigid view and pinhole, or fits another layout.
+        Raises
+        ------
+        GffeError
+            If that is no rigid view and pinhole, or fits another layout.
+
+        Notes
+        -----
+        With P for column vectors: fx = abs(P₀₀) W/2, fy = abs(P₁₁) H/2, cx = (1 + P₀₂/P₃₂) W/2,
+        cy = (1 − P₁₂/P₃₂) H/2; x, y, z of the view are turned to right, down, forward by the signs of P₀₀, P₁₁, P₃₂.
         """
         return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True))
 

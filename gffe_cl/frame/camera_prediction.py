@@ -53,8 +53,14 @@ def predict_camera_at(
     order : 1, 2 or None
         1 is the paper's.
 
-    Raises GffeError for other orders, no camera, other numbers of times than of cameras, and times that do not
-    decrease. Source: paper, 'Adaptive rendering window'; beyond it for order 2 and None.
+    Raises
+    ------
+    GffeError
+        For other orders, no camera, other numbers of times than of cameras, and times that do not decrease.
+
+    Notes
+    -----
+    Source: paper, 'Adaptive rendering window'; beyond it for order 2 and None.
     """
     time = require_number(time, "camera: time")
     order = None if order is None else require_whole(order, "camera: order", 1, 2)

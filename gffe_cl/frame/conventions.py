@@ -195,9 +195,13 @@ def depth_from_device(
 
     Returns
     -------
-    (…) float32: with P for column vectors, P₂₃ / (z − s P₂₂), s = P₃₂ = ±1; +inf beyond what the projection can show.
+    (…) float32
+        With P for column vectors, P₂₃ / (z − s P₂₂), s = P₃₂ = ±1; +inf beyond what the projection can show.
 
-    Raises GffeError if `projection` is no perspective projection, or `z` no array of numbers.
+    Raises
+    ------
+    GffeError
+        If `projection` is no perspective projection, or `z` no array of numbers.
     """
     p = square(projection, "projection")
     chosen = _chosen_layout(

@@ -1,7 +1,7 @@
 """Buffers of a frame, on the host.
 
-A frame's arrays may be NumPy arrays or OpenCL buffers (`pyopencl.Buffer` or `pyopencl.array.Array`) of the
-pipeline's context; device buffers are used in place. Layouts on the device: colour half ×4, depth float,
+A frame's arrays may be NumPy arrays or OpenCL buffers (`pyopencl.Buffer`, `pyopencl.array.Array`, or integer handles)
+of the pipeline's context; device buffers are used in place. Layouts on the device: colour half ×4, depth float,
 motion float ×2, row-major.
 """
 
@@ -66,7 +66,8 @@ class RenderedFrame:
 
     Parameters
     ----------
-    color : (H, W, 3 or 4) float, linear scene-referred RGB; or a device buffer of half ×4
+    color : (H, W, 3 or 4) float, linear scene-referred RGB; or a device buffer of half ×4. Device buffers are
+        pyopencl's, or integer handles (`cl_mem`) of the device's context, retained while the pipeline uses them.
     depth : (H, W) float32, planar view-space z in world units, +inf for sky; or a device buffer of float
     motion : (H, W, 2) float32, pixels: (position in the previous rendered frame) − (position here); or a
         device buffer of float ×2. May be None on a reset frame.
@@ -81,6 +82,8 @@ class RenderedFrame:
     overlays : Overlays or None
         What is not to be warped with the picture.
 
+    Notes
+    -----
     The fields are checked where the frame is used: `Pipeline.submit` and `present` raise GffeError.
     """
 
@@ -102,7 +105,7 @@ class RenderedFrame:
 
     @property
     def shown_camera(self) -> Camera:
-        """What is shown: the display camera, else the render camera."""
+        """The display camera where there is one, else the render camera."""
         return self.display_camera or self.camera
 
 

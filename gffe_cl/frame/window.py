@@ -131,8 +131,14 @@ def adaptive_window(
     least : float
         Share of the display's side: a side that asks for less stays as it is, because a window costs sharpness.
 
-    Give cameras without jitter, and add it to the camera to render through: then what is shown has none. Raises
-    GffeError for a maximum below 1, a distance that is not positive, an empty display, a negative margin or least.
+    Raises
+    ------
+    GffeError
+        For a maximum below 1, a distance that is not positive, an empty display, a negative margin or least.
+
+    Notes
+    -----
+    Give cameras without jitter, and add it to the camera to render through: then what is shown has none.
     """
     require_kind(current, Camera, "window: current")
     predicted = [predicted] if isinstance(predicted, Camera) else predicted

@@ -6,16 +6,29 @@ Only devices that probing found to work are opened (`probing`); what it found is
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass, field
 from functools import cached_property
+from mmap import PAGESIZE
+from typing import Any
+from weakref import WeakValueDictionary
 
+import numpy as np
 import pyopencl as cl
 
 from gffe_cl.core.errors import GffeError, how_to_install
-from gffe_cl.core.validation import require_bool, require_kind, require_whole
+from gffe_cl.core.validation import require_bool, require_kind, require_whole, shown
 from gffe_cl.opencl import device_cache
-from gffe_cl.opencl.probing import DeviceInfo, probe, quiet_builds, try_int64_atomics
+from gffe_cl.opencl.handles import adopted
+from gffe_cl.opencl.probing import (
+    DeviceInfo,
+    describe,
+    probe,
+    quiet_builds,
+    try_exact_division,
+    try_int64_atomics,
+)
 from gffe_cl.opencl.runtimes import hide_vendors, prepare_runtimes
 
 __all__ = [
@@ -66,28 +79,46 @@ class Opened:
     context: cl.Context
     programs: dict = field(default_factory=dict)  # built so far, by program.build
     int64_atomics: bool | None = None  # None: not tried yet
+    exact_division: bool | None = None  # of a context that was adopted; None: not tried yet
 
 
 _opened: dict[str, Opened] = {}  # by `DeviceInfo.index`
+# Of contexts that others made, by the handles of context and device, as long as a `Device` uses them.
+_adopted: WeakValueDictionary[tuple[int, int], Opened] = WeakValueDictionary()
 
 
 class Device:
-    """An opened OpenCL device: context, in-order profiling queue, capabilities.
+    """An opened OpenCL device: context, in-order queue, capabilities.
 
     Attributes
     ----------
     info : DeviceInfo
     context : pyopencl.Context
     queue : pyopencl.CommandQueue
+        Works in order. It has profiling, unless it came from an engine without.
+    profiles : bool
+        Whether the queue has profiling; without there are no timings of kernels.
+    alignment : int
+        Bytes: kernels can use host memory in place that begins at a multiple of it.
+    works_in_host_memory : bool
+        Whether kernels can use NumPy arrays where they are: on CPUs.
     allocated : int
         Bytes of the buffers made by `buffer` so far.
     opened : Opened
         What it has in common with others; a context of its own if it is made without.
 
-    Made by `open_device`.
+    Notes
+    -----
+    Made by `open_device`, or by `Device.from_context` in an engine's own context.
     """
 
-    def __init__(self, cl_device: cl.Device, info: DeviceInfo, opened: Opened | None = None):
+    def __init__(
+        self,
+        cl_device: cl.Device,
+        info: DeviceInfo,
+        opened: Opened | None = None,
+        queue: cl.CommandQueue | None = None,
+    ):
         self.info = require_kind(info, DeviceInfo, "device: info")
         self.cl_device = require_kind(cl_device, cl.Device, "device: cl_device", "a pyopencl.Device (see open_device)")
         if opened is not None:
@@ -96,7 +127,46 @@ class Device:
         self.context = self.opened.context
         self.allocated = 0
         self.programs = self.opened.programs
-        self.queue = cl.CommandQueue(self.context, properties=cl.command_queue_properties.PROFILING_ENABLE)
+        if queue is not None:
+            require_kind(queue, cl.CommandQueue, "device: queue")
+        self.queue = queue or _profiling_queue(self.context, cl_device)
+        self.profiles = bool(self.queue.properties & cl.command_queue_properties.PROFILING_ENABLE)
+
+    @classmethod
+    def from_context(cls, context: Any, queue: Any = None) -> Device:
+        """Use the OpenCL context and queue of an engine: its buffers can be submitted, and its events waited for.
+
+        Parameters
+        ----------
+        context : pyopencl.Context or int
+            Or the handle (`cl_context`). The context is retained as long as the device, or something made with it, is
+            in use; the caller keeps its own reference.
+        queue : pyopencl.CommandQueue, int or None
+            Or the handle (`cl_command_queue`): a queue of this context that works in order, with or without profiling.
+            All work is enqueued there. None: a new queue with profiling, in a context of one device; then order the
+            work by events (`wait_for` of `Pipeline.submit`, `event` of the frames made).
+
+        The device is not probed in a child process, as the engine uses it already.
+
+        Raises GffeError for a queue that works out of order or belongs to another context, for a context of several
+        devices without a queue, and where the driver fails. A number that is no handle cannot be recognized: drivers
+        crash on it.
+        """
+        context = adopted(context, cl.Context, "from_context: context")
+        try:
+            queue = _checked_queue(context, queue)
+            found = queue.device
+            key = context.int_ptr, found.int_ptr
+            opened = _adopted.get(key)
+            if opened is None:
+                opened = _adopted[key] = Opened(context)
+            info = describe("–", found.platform, found)
+            if opened.exact_division is None:
+                opened.exact_division = try_exact_division(context, queue)
+        except cl.Error as error:
+            raise GffeError(f"from_context: the driver fails: {' '.join(str(error).split())[:200]}") from None
+        info.works, info.exact_division = True, opened.exact_division
+        return cls(found, info, opened, queue)
 
     def __repr__(self):
         return f"<Device {self.info.index} {self.info.name} ({self.info.platform})>"
@@ -122,6 +192,31 @@ class Device:
     def memory(self) -> int:
         """Bytes of memory that the driver says the device has."""
         return int(self.cl_device.global_mem_size)
+
+    @cached_property
+    def alignment(self) -> int:
+        """Bytes: kernels can use host memory in place that begins at a multiple of it (`empty`)."""
+        return max(int(self.cl_device.mem_base_addr_align) // 8, 1)
+
+    @cached_property
+    def works_in_host_memory(self) -> bool:
+        """Whether kernels can use NumPy arrays where they are: on CPUs."""
+        return self.info.kind == "cpu" and self.alignment <= PAGESIZE
+
+    def empty(self, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
+        """A new NumPy array, not initialized, that begins at a multiple of `alignment`: what `Pipeline.submit` can use
+        with `zero_copy`. Raises GffeError for a `shape` or `dtype` that NumPy does not take."""
+        try:
+            dtype = np.dtype(dtype)
+            if dtype.hasobject:
+                raise TypeError("Python objects cannot lie on a device")
+            wanted = np.broadcast_shapes(shape)
+            nbytes = math.prod(wanted) * dtype.itemsize
+            memory = np.empty(nbytes + self.alignment, np.uint8)
+            start = -memory.ctypes.data % self.alignment
+            return memory[start : start + nbytes].view(dtype).reshape(wanted)
+        except (TypeError, ValueError, MemoryError, OverflowError) as error:
+            raise GffeError(f"empty: no array of shape {shown(shape)}: {str(error)[:120]}") from None
 
     def buffer(self, nbytes: int, mapped: bool = False) -> cl.Buffer:
         """A new read-write device buffer of `nbytes` (at least 1); `mapped`: where the host can work in it. Raises
@@ -217,7 +312,28 @@ def open_info(info: DeviceInfo) -> Device:
         raise GffeError(f"{info.name} ({info.platform}): cannot be opened: {error} ({_WHERE_IT_IS})") from None
 
 
+def _profiling_queue(context: cl.Context, device: cl.Device) -> cl.CommandQueue:
+    return cl.CommandQueue(context, device, cl.command_queue_properties.PROFILING_ENABLE)
+
+
+def _checked_queue(context: cl.Context, queue: Any) -> cl.CommandQueue:
+    """The queue that `Device.from_context` works with."""
+    if queue is None:
+        if len(context.devices) != 1:
+            raise GffeError(f"from_context: the context has {len(context.devices)} devices (expected a queue of one)")
+        return _profiling_queue(context, context.devices[0])
+    queue = adopted(queue, cl.CommandQueue, "from_context: queue")
+    if queue.context != context:
+        raise GffeError("from_context: the queue belongs to another OpenCL context")
+    if queue.properties & cl.command_queue_properties.OUT_OF_ORDER_EXEC_MODE_ENABLE:
+        raise GffeError(
+            "from_context: the queue works out of order (expected one that works in order, or queue=None and events)"
+        )
+    return queue
+
+
 def forget_opened(device: Device) -> None:
     """Open its OpenCL device anew the next time: the context may be of no use any more."""
-    for index in [index for index, opened in _opened.items() if opened is device.opened]:
-        del _opened[index]
+    for known in (_opened, _adopted):
+        for key in [key for key, opened in known.items() if opened is device.opened]:
+            del known[key]

@@ -33,7 +33,8 @@ _PROBED = "probed"  # last line of a child: what happens after it is no device's
 class DeviceInfo:
     """What probing found out about one OpenCL device."""
 
-    index: str  # "platform:device"; "–" of a driver that crashes before it has told its devices
+    # "platform:device"; "–" of a driver that crashes before it has told its devices, and of `Device.from_context`.
+    index: str
     name: str
     platform: str
     version: str  # of the platform; names PoCL, which calls itself "Portable Computing Language"
@@ -136,7 +137,8 @@ def _run_child(arguments: list[str], seconds: float, variables: dict[str, str] |
     return run_child("gffe_cl.opencl.probing", arguments, seconds, variables)
 
 
-def _described(index: str, platform: cl.Platform, device: cl.Device) -> DeviceInfo:
+def describe(index: str, platform: cl.Platform, device: cl.Device) -> DeviceInfo:
+    """What the driver says of a device; nothing is tried out."""
     kind = "gpu" if device.type & cl.device_type.GPU else "cpu" if device.type & cl.device_type.CPU else "other"
     return DeviceInfo(
         index,
@@ -195,7 +197,7 @@ def _run_probe_kernel(context, queue) -> float:
     a = cl.Buffer(context, flags.READ_ONLY | flags.COPY_HOST_PTR, hostbuf=host)
     b = cl.Buffer(context, flags.WRITE_ONLY, 2 * n)
     with quiet_builds():
-        kernel = cl.Kernel(cl.Program(context, _PROBE_SOURCE).build(options=["-w"], cache_dir=NO_CACHE), "probe")
+        kernel = cl.Kernel(_built(queue, _PROBE_SOURCE), "probe")
     times, end = [], time.perf_counter() + _RANKING_SECONDS
     while len(times) < 3 or (len(times) < 20 and time.perf_counter() < end):
         event = kernel(queue, (n,), None, a, b, np.int32(n))
@@ -206,6 +208,10 @@ def _run_probe_kernel(context, queue) -> float:
     if not np.array_equal(out[host < 2], host[host < 2].astype(np.float16)):
         raise RuntimeError("a trivial kernel gives wrong results")
     return n / max(min(times[1:]), 1) * 1e3
+
+
+def _built(queue: cl.CommandQueue, source: str) -> cl.Program:
+    return cl.Program(queue.context, source).build(options=["-w"], devices=[queue.device], cache_dir=NO_CACHE)
 
 
 @contextmanager
@@ -223,7 +229,7 @@ def try_int64_atomics(context: cl.Context, queue: cl.CommandQueue) -> bool:
 
     try:
         with quiet_builds():
-            kernel = cl.Kernel(cl.Program(context, INT64_SOURCE).build(options=["-w"], cache_dir=NO_CACHE), "least")
+            kernel = cl.Kernel(_built(queue, INT64_SOURCE), "least")
         out = np.full(2, np.iinfo(np.uint64).max, np.uint64)
         buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR, hostbuf=out)
         kernel(queue, (64,), None, buffer)
@@ -253,7 +259,7 @@ def try_exact_division(context: cl.Context, queue: cl.CommandQueue) -> bool:
     flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
     try:
         with quiet_builds():
-            kernel = cl.Kernel(cl.Program(context, DIVISION_SOURCE).build(options=["-w"], cache_dir=NO_CACHE), "divide")
+            kernel = cl.Kernel(_built(queue, DIVISION_SOURCE), "divide")
         one, eight = (cl.Buffer(context, cl.mem_flags.WRITE_ONLY, 4 * 8 * n) for _ in range(2))
         kernel(queue, (n,), None, *(cl.Buffer(context, flags, hostbuf=x) for x in (a, b)), one, eight)
         found = np.empty_like(a), np.empty_like(a)
@@ -270,7 +276,7 @@ def _main(wanted: list[str]) -> None:
     are."""
     for index, platform, device in _cl_devices():
         if not wanted or wanted == ["--list"] or index in wanted:
-            info = _described(index, platform, device)
+            info = describe(index, platform, device)
             print(json.dumps(asdict(info)), flush=True)
             if wanted != ["--list"]:
                 _probe(info, device)

@@ -63,7 +63,7 @@ class Program:
         options = [f"-D{key}={value}" for key, value in sorted(variant.items())]
         try:
             with quiet_builds():
-                built = built_program(device.context, source, ("-cl-kernel-arg-info", *options))
+                built = built_program(device.context, device.cl_device, source, ("-cl-kernel-arg-info", *options))
         except cl.RuntimeError as error:
             what, log = f"kernels/{name}.cl does not build on {device.info.name}", _log(error)
             raise BuildError(f"{what}: {first_error(log)}", f"{what}:\n{log}") from None

@@ -23,25 +23,24 @@ _FOLDER = "kernels"
 _MOST_FILES = 256
 
 
-def built_program(context: cl.Context, source: str, options: tuple[str, ...] = ()) -> cl.Program:
-    """`source` built for the one device of `context`. Raises cl.RuntimeError with the compiler's log."""
-    device = context.devices[0]
+def built_program(context: cl.Context, device: cl.Device, source: str, options: tuple[str, ...] = ()) -> cl.Program:
+    """`source` built for a device of `context`. Raises cl.RuntimeError with the compiler's log."""
     if not os.environ.get("PYOPENCL_COMPILER_OUTPUT"):
         options = (*options, "-w")  # else clang counts its warnings on standard error
     path = None if has_src_build_cache(device) else _path(device, source, options)
     if path is not None:
         with suppress(OSError, cl.Error):
-            return _built(cl.Program(context, [device], [path.read_bytes()]), options)
-    program = _built(cl.Program(context, source), options)
+            return _built(cl.Program(context, [device], [path.read_bytes()]), device, options)
+    program = _built(cl.Program(context, source), device, options)
     if path is not None:
         with suppress(OSError, cl.Error):
             binaries: Any = program.get_info(cl.program_info.BINARIES)
-            keep_file(path, binaries[0], "*.bin", _MOST_FILES)
+            keep_file(path, binaries[context.devices.index(device)], "*.bin", _MOST_FILES)
     return program
 
 
-def _built(program: cl.Program, options: tuple[str, ...]) -> cl.Program:
-    return program.build(options=list(options), cache_dir=NO_CACHE)
+def _built(program: cl.Program, device: cl.Device, options: tuple[str, ...]) -> cl.Program:
+    return program.build(options=list(options), devices=[device], cache_dir=NO_CACHE)
 
 
 def _path(device: cl.Device, source: str, options: tuple[str, ...]) -> Path | None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 import pyopencl as cl
@@ -12,7 +13,7 @@ from gffe_cl.core.validation import require_choice
 from gffe_cl.frame.camera import Camera
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.device_errors import device_faults
-from gffe_cl.stages.buffers import EXTRAPOLATED, RGBA, Sizes
+from gffe_cl.stages.buffers import EXTRAPOLATED, RGBA, BufferSpec, Sizes
 
 _SPECS = {spec.name: spec for spec in EXTRAPOLATED}
 _LIKE = {"gae": "color"}  # what is described like another buffer
@@ -23,7 +24,8 @@ class MadeFrame:
     """What the pipeline made, on the device: buffers that hold it until the next one is made.
 
     `camera` in display pixels, `time` in seconds; `color` (half ×4, linear RGB), `depth` (float, world units, +inf sky)
-    and `motion` (float ×2, pixels).
+    and `motion` (float ×2, pixels). `event` (pyopencl.Event) is complete when the buffers hold the frame: wait for it,
+    or have commands of other queues wait for it; `event.int_ptr` is its handle (`cl_event`).
     """
 
     camera: Camera
@@ -33,20 +35,50 @@ class MadeFrame:
     motion: cl.Buffer
     _device: Device
     _size: tuple[int, int]
+    _event: cl.Event = field(kw_only=True)
 
     @property
     def color(self) -> cl.Buffer:
+        """The final picture, half ×4."""
         return self._color
+
+    @property
+    def event(self) -> cl.Event:
+        """Complete when the buffers hold the frame."""
+        return self._event
 
     def numpy(self, name: str) -> np.ndarray:
         """Copy to the host by the attribute's name: colours (H, W, 3) float16, "depth" (H, W) float32, "motion"
         (H, W, 2) float32, all others (H, W) uint8. Raises GffeError for other names, and where the device fails."""
-        names = [n for n in (*_SPECS, *_LIKE) if n == "color" or n in {field.name for field in fields(self)}]
-        spec = _SPECS[_LIKE.get(require_choice(name, names, "frame: name"), name)]
-        out = np.empty(spec.shape(Sizes(self._size, self._size)), spec.dtype)
+        spec = self._spec(name)
+        out = np.empty(self._shape(spec), spec.dtype)
         with device_faults(self._device, f'reading "{name}"', lambda: f"{self._size[0]}×{self._size[1]}"):
             cl.enqueue_copy(self._device.queue, out, getattr(self, name))
         return out[..., :3] if spec.components == RGBA else out
+
+    @contextmanager
+    def mapped(self, name: str) -> Iterator[np.ndarray]:
+        """In a `with` block, the buffer's own memory as `numpy` gives it, to read. On CPUs nothing is copied; on other
+        devices the driver may copy. Leave the block before the next frame is made; the array must not be used
+        afterwards. Raises GffeError as `numpy` does."""
+        spec = self._spec(name)
+        with device_faults(self._device, f'mapping "{name}"', lambda: f"{self._size[0]}×{self._size[1]}"):
+            array, _ = cl.enqueue_map_buffer(
+                self._device.queue, getattr(self, name), cl.map_flags.READ, 0, self._shape(spec), spec.dtype
+            )
+        memory = array.base
+        array.flags.writeable = False
+        try:
+            yield array[..., :3] if spec.components == RGBA else array
+        finally:
+            memory.release(self._device.queue)
+
+    def _spec(self, name: str) -> BufferSpec:
+        names = [n for n in (*_SPECS, *_LIKE) if n == "color" or n in {field.name for field in fields(self)}]
+        return _SPECS[_LIKE.get(require_choice(name, names, "frame: name"), name)]
+
+    def _shape(self, spec: BufferSpec) -> tuple[int, ...]:
+        return spec.shape(Sizes(self._size, self._size))
 
 
 class PresentedFrame(MadeFrame):
@@ -59,8 +91,9 @@ class ExtrapolatedFrame(MadeFrame):
     """An extrapolated frame at t + α.
 
     `motion` is t + α → t, into the rendered image of t; `dynamic`, `disoccluded`, `filled_by` (uchar). `gae` is the
-    colour before shading correction and overlays, the same buffer as `color` where these are off. Where the network
-    works beside the device, asking for `color` waits for it.
+    colour before shading correction and overlays, the same buffer as `color` where these are off. `numpy(name)` copies
+    one of them to the host, `mapped(name)` reads it in place in a `with` block; `event` is complete when they hold the
+    frame. Where the network works beside the device, asking for `color` or `event` waits for it.
     """
 
     alpha: float
@@ -73,6 +106,17 @@ class ExtrapolatedFrame(MadeFrame):
 
     @property
     def color(self) -> cl.Buffer:
+        """The final image, half ×4, shading correction and overlays included. Waits for the network."""
         if self._finish:
             self._finish()
         return self._color
+
+    @property
+    def event(self) -> cl.Event:
+        """Complete when the buffers hold the frame; waits likewise before there is one."""
+        if self._finish is None:
+            return self._event
+        self._finish()
+        event = cl.enqueue_marker(self._device.queue)
+        self._device.queue.flush()
+        return event

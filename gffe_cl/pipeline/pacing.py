@@ -47,7 +47,7 @@ class PacingStatistics:
 
 class Pacer:
     """Paces rendered and extrapolated frames on a display of a steady rate. It has no clock and no thread: the caller
-    tells times in seconds, of one clock that only goes forward (`time.perf_counter`).
+    tells times in seconds, of one clock that only goes forward (`time.perf_counter`). ::
 
         pacer = gffe.Pacer(display_rate=120)
         while playing:
@@ -72,7 +72,10 @@ class Pacer:
     most_alpha : float
         How far to extrapolate at most, in intervals of rendered frames.
 
-    Raises GffeError for arguments that are not positive numbers, and for times that go back.
+    Raises
+    ------
+    GffeError
+        For arguments that are not positive numbers, and for times that go back.
     """
 
     def __init__(self, display_rate: float, most_alpha: float = 2.0):
@@ -139,7 +142,7 @@ class Pacer:
 
     @property
     def statistics(self) -> PacingStatistics:
-        """Counts since the beginning: `rendered`, `extrapolated`, `held`, `late`, `dropped`; and `jitter`, ms."""
+        """Counts since the beginning, and the jitter of recent steps."""
         jitter = 1e3 * statistics.pstdev(self._steps) if len(self._steps) > 1 else 0.0
         return PacingStatistics(**self._counts, jitter=jitter)
 

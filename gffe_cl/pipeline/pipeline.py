@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -40,6 +41,7 @@ from gffe_cl.frame.rendered_frame import (
 )
 from gffe_cl.opencl.device import Device
 from gffe_cl.opencl.device_errors import telling_device_faults
+from gffe_cl.opencl.handles import adopted_events
 from gffe_cl.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame
 from gffe_cl.pipeline.options import Options
 from gffe_cl.stages.acceleration import Acceleration
@@ -123,12 +125,21 @@ class Pipeline:
     is_cut : bool
         Whether the last submitted frame was found to be a cut, of which nobody told: it was treated as a reset.
 
+    Raises
+    ------
+    GffeError
+        For arguments that are not what is expected here, and for images that find no room on the device.
+
+    Notes
+    -----
     Nothing is allocated on the device or compiled after construction, but for the first uploads of host arrays and
     with the first frame that is rendered through a window, brings overlays, or lacks motion beside device buffers.
-    Device buffers must have been written on `device.queue`, or be finished, before they are submitted. Do not submit a
-    released buffer: nothing tells that it is one, and drivers crash on it.
+    Device buffers must have been written on `device.queue`, or be finished, before they are submitted, or `wait_for`
+    says what must be. Do not submit a released buffer: nothing tells that it is one, and drivers crash on it.
 
-    Raises GffeError for arguments that are not what is expected here, and for images that find no room on the device.
+    `wait_for` of `submit`, `present` and `extrapolate` are events, pyopencl's or integer handles (`cl_event`), of the
+    device's context: what the call enqueues begins when they are complete. Other queues can wait for the event that
+    `submit` returns and for `event` of the frames made: the device's queue has been flushed by then.
     """
 
     def __init__(
@@ -152,6 +163,7 @@ class Pipeline:
             int64_atomics = require_bool(int64_atomics, "pipeline: int64_atomics")
         self._exposure = 1.0
         self._bad_pixels = BadPixels()  # without those of the last upload
+        self._copied_bytes = 0  # without what the stage `upload` copied
         self.is_cut = False
         require_room(device, self.sizes, lambda sizes: self._allocate(sizes, int64_atomics)[1])
         self.board, self._nbytes = self._allocate(self.sizes, int64_atomics)
@@ -161,6 +173,8 @@ class Pipeline:
         self.composition: Composition | None = None  # made with the first frame that brings overlays
         self._outputs: dict[str, Output] = {}  # what is kept of each stage's
         self._slots: list[DeviceFrame] = []
+        self._leaving: list[tuple[cl.Event, Any]] = []  # frames that the device may still read until an event
+        self._reads_arrays = False  # whether NumPy arrays were used in place
         self._current: DeviceFrame | None = None
         self._previous: DeviceFrame | None = None
         self._shown: DeviceFrame | None = None  # the current one with all of its depth
@@ -184,6 +198,9 @@ class Pipeline:
         return board, self.device.allocated - before
 
     def __del__(self):
+        if getattr(self, "_reads_arrays", False):
+            with suppress(cl.Error):
+                self.device.queue.finish()  # the memory of arrays must not go before
         if board := getattr(self, "board", None):
             board.let_go()
 
@@ -192,8 +209,8 @@ class Pipeline:
 
     @property
     def exposure(self) -> float:
-        """Factor on colour before display, 1e-6 to 1e6; GffeError for others. To be set before `submit`: what
-        changed between rendered frames is measured there (`stages.trend`)."""
+        """Factor on color before display, 1e-6 to 1e6; GffeError for others. Set it before `submit`, which measures
+        how shading changed between rendered frames."""
         return self._exposure
 
     @exposure.setter
@@ -206,21 +223,45 @@ class Pipeline:
         """Bad pixels of all NumPy arrays submitted so far. Waits for the device, which counts them."""
         return self._bad_pixels + self._upload.bad_pixels() if self._upload else self._bad_pixels
 
+    @property
+    def copied_bytes(self) -> int:
+        """Bytes written on the way of the NumPy arrays of color, depth and motion submitted so far: conversions to
+        other types and layouts, on the host and on the device, and copies to devices with memory of their own. Arrays
+        that are used in place (`zero_copy`) and device buffers count nothing."""
+        return self._copied_bytes + (self._upload.copied_bytes if self._upload else 0)
+
     # ---- rendered frames -------------------------------------------------------------------------------
 
     @telling_device_faults
-    def submit(self, frame: RenderedFrame, packed: HostArrays | None = None) -> None:
+    def submit(
+        self,
+        frame: RenderedFrame,
+        packed: HostArrays | None = None,
+        *,
+        wait_for: Iterable[cl.Event | int] = (),
+        zero_copy: bool = False,
+    ) -> cl.Event:
         """Take a rendered frame; frames must come in order of time.
 
         Arrays may be NumPy arrays (copied to the device; bad pixels are added to `bad_pixels`) or device
-        buffers, which are used in place: do not overwrite them before two more frames have been submitted.
-        Returns at once, but with cut detection waits for the device: `is_cut` says what it found. `packed`, the result
-        of `pack_frame`, is deprecated: its arrays replace the frame's.
+        buffers, which are used in place: do not overwrite them before two more frames have been submitted and, from
+        another queue or from the host, before the event of the second `submit` is complete.
+        Returns at once, but with cut detection waits for the device: `is_cut` says what it found. On CPUs it also waits
+        where it copies NumPy arrays. `packed`, the result of `pack_frame`, is deprecated: its arrays replace the
+        frame's.
 
-        Raises GffeError for fields that are not what `RenderedFrame` says, wrong shapes, missing motion, or a time that
-        does not increase; the pipeline is then as it was before.
+        `zero_copy`: on CPUs, use NumPy arrays in place as well, with the same promise not to overwrite them. They must
+        lie as device buffers do (color (H, W, 4) float16, depth float32, motion (H, W, 2) float32; C-contiguous) and
+        begin at a multiple of `device.alignment`, as arrays of `device.empty` do. Depth and motion are used in place
+        both or neither. Bad pixels of arrays in place are not counted. Other arrays are copied: `copied_bytes` tells.
+
+        Returns the event that is complete when the work on the frame is done.
+
+        Raises GffeError for fields that are not what `RenderedFrame` says, wrong shapes, missing motion, a time that
+        does not increase, or events that cannot be waited for; the pipeline is then as it was before.
         """
-        frame = checked_frame(frame)
+        frame, zero_copy = checked_frame(frame), require_bool(zero_copy, "submit: zero_copy")
+        events = adopted_events(wait_for, self.device.context, "submit: wait_for")
         if packed is not None:
             warnings.warn("submit: packed is deprecated (submit converts arrays)", DeprecationWarning, stacklevel=3)
             require_kind(packed, HostArrays, "submit: packed", "the result of pack_frame")
@@ -230,11 +271,13 @@ class Pipeline:
             raise GffeError(
                 f"frame: time {frame.time:g} s must be after the previous rendered frame's ({self._times[0]:g} s)"
             )
+        self._wait(events)
+        before = self._previous, self._current
         overlays = frame.overlays if self.options.overlays else None
         if overlays and self.composition is None:
             self.composition = Composition(self.board)
         layers = self.composition.prepared(overlays) if self.composition else {}
-        self._shown = on_device = self._on_device(frame)
+        self._shown = on_device = self._on_device(frame, zero_copy)
         if self.composition:
             on_device = self.composition.take(layers, on_device)
         self._previous = None if frame.reset else self._current
@@ -256,12 +299,19 @@ class Pipeline:
             stage.rendered(step)
         if self.presentation is None and not self._shown_whole(on_device):
             self.presentation = Presentation(self.board)
+        done = self._done()
+        complete = cl.command_execution_status.COMPLETE
+        self._leaving = [one for one in self._leaving if one[0].command_execution_status > complete]
+        self._leaving.append((done, before))
+        return done
 
     @telling_device_faults
-    def present(self) -> PresentedFrame:
+    def present(self, *, wait_for: Iterable[cl.Event | int] = ()) -> PresentedFrame:
         """What is shown of the last submitted frame; resamples it where it was rendered through a window, or where the
-        frame before was and motion must be converted. Returns at once. Raises GffeError before the first `submit`."""
+        frame before was and motion must be converted. Returns at once. Raises GffeError before the first `submit`, and
+        for events that cannot be waited for."""
         self._need_frame()
+        self._wait(adopted_events(wait_for, self.device.context, "present: wait_for"))
         frame, picture = self._shown, self._picture("rendered")
         assert frame is not None  # as there is a current one
         if self._needs_presentation:
@@ -273,7 +323,19 @@ class Pipeline:
         color = picture or color
         if composition := self._overlaid:
             color = composition.compose(color, 0.0, rendered=True)
-        return PresentedFrame(frame.display_camera, frame.time, color, depth, motion, self.device, self.sizes.target)
+        where = self.device, self.sizes.target
+        return PresentedFrame(frame.display_camera, frame.time, color, depth, motion, *where, _event=self._done())
+
+    def _wait(self, events: list[cl.Event]) -> None:
+        """Let what is enqueued from now on begin when `events` are complete."""
+        if events:
+            cl.enqueue_barrier(self.device.queue, wait_for=events)
+
+    def _done(self) -> cl.Event:
+        """An event that is complete when all that is enqueued so far is; other queues can wait for it."""
+        event = cl.enqueue_marker(self.device.queue)
+        self.device.queue.flush()
+        return event
 
     @property
     def shown_camera(self) -> Camera:
@@ -291,7 +353,7 @@ class Pipeline:
     def _shown_whole(self, frame: DeviceFrame) -> bool:
         return self.sizes.source == self.sizes.target and is_shown_whole(frame.camera, frame.display_camera)
 
-    def _on_device(self, frame: RenderedFrame) -> DeviceFrame:
+    def _on_device(self, frame: RenderedFrame, zero_copy: bool) -> DeviceFrame:
         display_camera = self._display_camera(frame)
         require_one_pose(frame.camera, display_camera)
         arrays: dict[str, Any] = {"color": frame.color, "depth": frame.depth, "motion": frame.motion}
@@ -311,15 +373,30 @@ class Pipeline:
         if self._upload is None:
             self._upload = Upload(self.board)
         self._bad_pixels = self.bad_pixels  # copies wait for the device, too
+        self._count_conversions(arrays, host)
+        shared = self._upload.shared(host) if zero_copy else {}
+        self._reads_arrays |= bool(shared)
+        buffers = dict(shared) if len(shared) == len(RENDERED) else self._slot(frame, display_camera) | shared
+        taken = DeviceFrame(**buffers, camera=frame.camera, display_camera=display_camera, time=frame.time)
+        self._upload.take(host, taken, shared)
+        return taken
+
+    def _slot(self, frame: RenderedFrame, display_camera: Camera) -> dict[str, cl.Buffer]:
+        """Buffers for a frame of NumPy arrays, by name: there are two, in turn."""
         if len(self._slots) < 2:
             cameras = (frame.camera, display_camera, frame.time)
             motion = self._slots[0].motion if self._slots else None  # nothing reads that of the frame before
             self._slots.append(DeviceFrame.allocate(self.device, self.sizes.source, *cameras, motion))
         else:
             self._slots.append(self._slots.pop(0))
-        taken = DeviceFrame(*self._slots[-1].buffers, frame.camera, display_camera, frame.time)
-        self._upload.take(host, taken)
-        return taken
+        return {spec.name: getattr(self._slots[-1], spec.name) for spec in RENDERED}
+
+    def _count_conversions(self, given: Mapping[str, Any], host: HostArrays) -> None:
+        """Count the bytes of arrays that the host has made anew, in another type or layout."""
+        for name, array in given.items():
+            made = getattr(host, name)
+            if made is not None and not (isinstance(array, np.ndarray) and np.may_share_memory(array, made)):
+                self._copied_bytes += made.nbytes
 
     def _zero_motion(self) -> cl.Buffer:
         zeros = self._no_motion
@@ -358,13 +435,15 @@ class Pipeline:
         camera: Camera | None = None,
         time: float | None = None,
         *,
+        wait_for: Iterable[cl.Event | int] = (),
         target_position: np.ndarray | None = None,
         seen_through: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> ExtrapolatedFrame:
         """Make the frame at `time` (seconds; default: half an interval ahead) seen by `camera` (default:
         the predicted camera). Returns at once, unless the shading correction network works on the device's own
-        processor, which it waits for; else the frame's `color` waits, and the next `submit` works meanwhile. Reading a
-        buffer waits. With the time of the rendered frame itself and a newer camera it is a late warp (α = 0).
+        processor, which it waits for; else the frame's `color` and `event` wait, and the next `submit` works meanwhile.
+        Reading a buffer waits. With the time of the rendered frame itself and a newer camera it is a late warp (α = 0).
+        It overwrites the last frame made: `wait_for` what still reads that on other queues.
 
         `target_position` (H, W, 4) float32 replaces position prediction, for experiments: x, y in target
         pixels, view depth there (−1: nothing), 0, for every pixel of the rendered frame. `seen_through`, depth (H, W)
@@ -372,8 +451,9 @@ class Pipeline:
         reads them, likewise.
 
         Raises GffeError before the first `submit`, for a time before the last rendered frame's or over a million
-        intervals after it, and for arguments of other types or shapes.
+        intervals after it, and for arguments of other types or shapes, or events that cannot be waited for.
         """
+        events = adopted_events(wait_for, self.device.context, "extrapolate: wait_for")
         source = self._need_frame()
         time = source.time + self.interval / 2 if time is None else require_number(time, "extrapolate: time")
         alpha = (time - source.time) / self.interval
@@ -391,6 +471,7 @@ class Pipeline:
         replaced = {"target_position": target_position, "geometry": self._geometry(seen_through)}
         step = Step(source, self._previous, self._recent_times, camera, time, alpha, self.exposure, **replaced)
         self._finish()
+        self._wait(events)
         for stage in self.stages.values():
             stage.extrapolated(step)
             if stage.name in self._outputs:
@@ -413,6 +494,7 @@ class Pipeline:
             **{name: made[name] for name in ("dynamic", "disoccluded", "filled_by")},
             gae=made["color"],
             _finish=self._unfinished,
+            _event=self._done(),
         )
 
     @property
@@ -496,7 +578,8 @@ class Pipeline:
 
     def take_timings(self) -> dict[str, float]:
         """Milliseconds of kernel time per stage since the last call (waits for the device); with shading correction
-        "network" is the wall time in the network, "network copies" that of copies to what runs it and back."""
+        "network" is the wall time in the network, "network copies" that of copies to what runs it and back. Where the
+        queue has no profiling (`Device.profiles`) only "network" is there."""
         return {stage: sum(kernels.values()) for stage, kernels in self.take_kernel_timings().items()}
 
     def take_kernel_timings(self) -> dict[str, dict[str, float]]:
@@ -504,6 +587,7 @@ class Pipeline:
         self._finish()
         self.device.queue.finish()
         stages = [*self.stages.values(), *filter(None, (self.presentation, self.composition))]
+        stages = stages if self.device.profiles else []
         timings = {stage.name: stage.take_kernel_milliseconds() for stage in stages}
         correction = self.stages.get(ShadingCorrection.name)
         network = correction.take_network_milliseconds() if correction else {}

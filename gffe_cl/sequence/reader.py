@@ -64,8 +64,11 @@ class Sequence:
     unfinished : bool
         Whether what wrote it was interrupted: the frames are those that were finished.
 
-    Methods raise GffeError for arguments of other types, for files that changed for the worse since opening, and
-    frames that another kind is expected of.
+    Raises
+    ------
+    GffeError
+        By methods: for arguments of other types, for files that changed for the worse since opening, and for frames
+        of another kind than expected.
     """
 
     def __init__(self, path: Path, description: Description, pixels: Pixels):

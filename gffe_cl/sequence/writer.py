@@ -66,6 +66,8 @@ class SequenceWriter:
     compression : str
         Of the EXRs: none, rle, zips, zip, piz, htj2k256, dwaa or dwab. All but the last two keep every bit.
 
+    Notes
+    -----
     Frames are written into a folder of their own and come to `path`, with `sequence.json`, when the context is left:
     until then an earlier output stays as it was. Left by KeyboardInterrupt, `sequence.json` lists the frames that were
     finished and says that it is unfinished; where there was an earlier output that stays, and the new frames are in

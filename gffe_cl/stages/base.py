@@ -264,8 +264,8 @@ class Stage(Owner):
     """Base of all stages.
 
     Subclasses set `name` (kernel file and module too), `buffers` and `kernels`, and override `rendered`, `extrapolated`
-    or both. `events` holds the latest profiling events since the last `take_events`; `before` what is kept of the frame
-    before.
+    or both. `events` holds the latest events since the last `take_events`, if the queue has profiling; `before` what is
+    kept of the frame before.
     """
 
     kernels: tuple[Kernel, ...] = ()
@@ -343,7 +343,7 @@ class Stage(Owner):
         row = _ROW_OF_LANES if self.device.lanes > 1 else _ROW
         group = self._number(kernel.group) if kernel.group else row
         items = (-(-width // group) * group, height)
-        self.events.append((name, self.program.launch(self.device.queue, name, items, (group, 1), values)))
+        self._record(name, self.program.launch(self.device.queue, name, items, (group, 1), values))
 
     def fill(self, name: str, byte: int, grid: str | None = None) -> None:
         """Enqueue setting the first texels of a buffer of this stage, as many as `grid` has, or all of them."""
@@ -357,7 +357,7 @@ class Stage(Owner):
             share = nbytes / spec.nbytes(self.sizes)
             self.launches.append((Kernel("fill", "once", writes={"": Access(f"{self.name}.{name}", share)}), {}))
         event = cl.enqueue_fill_buffer(self.device.queue, buffer, bytes([byte]), 0, nbytes)
-        self.events.append(("fill", event))
+        self._record("fill", event)
 
     def copy(self, to: str, of: str) -> None:
         """Enqueue a copy between buffers of one size, by their names."""
@@ -365,7 +365,7 @@ class Stage(Owner):
         if self.recorder:
             self.recorder.copied(self, target, source)
             return
-        self.events.append(("copy", cl.enqueue_copy(self.device.queue, target, source)))
+        self._record("copy", cl.enqueue_copy(self.device.queue, target, source))
 
     def take_milliseconds(self) -> float:
         """Kernel time since events were last taken; the device must have finished."""
@@ -382,6 +382,10 @@ class Stage(Owner):
         events = list(self.events)
         self.events.clear()
         return events
+
+    def _record(self, name: str, event: cl.Event) -> None:
+        if self.device.profiles:
+            self.events.append((name, event))
 
     def _buffer(self, name: str, given: Mapping[str, Any]) -> cl.Buffer:
         name = name.format(**given) if "{" in name else name

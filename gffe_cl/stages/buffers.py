@@ -24,6 +24,7 @@ from gffe_cl.frame.camera import Camera
 from gffe_cl.frame.rendered_frame import BYTES_PER_PIXEL
 from gffe_cl.inference.model_interface import MULTIPLE
 from gffe_cl.opencl.device import Device
+from gffe_cl.opencl.handles import adopted, is_handle
 from gffe_cl.opencl.program import constants
 from gffe_cl.stages.pixel_formats import Packing
 
@@ -313,8 +314,8 @@ def halved(size: tuple[int, int], times: int) -> tuple[int, int]:
 
 
 def given_buffer(array: Any, spec: BufferSpec, sizes: Sizes, device: Device) -> cl.Buffer | PooledBuffer | None:
-    """The device buffer that `array`, for what `spec` describes, is; None for others. GffeError for one that `device`
-    cannot use in place."""
+    """The device buffer that `array`, for what `spec` describes, is, as such or by its handle (`cl_mem`), which is
+    retained as long as the result is in use; None for others. GffeError for one that `device` cannot use in place."""
     what = f"frame: {spec.name}"
     if isinstance(array, Array):
         if array.offset or not array.flags.c_contiguous:
@@ -325,6 +326,10 @@ def given_buffer(array: Any, spec: BufferSpec, sizes: Sizes, device: Device) -> 
         array = array.base_data
         if array is None:
             raise GffeError(f"{what}: the device array has no memory any more")
+    if is_handle(array):
+        array = adopted(array, cl.Buffer, what)
+        if array.get_info(cl.mem_info.TYPE) != cl.mem_object_type.BUFFER:
+            raise GffeError(f"{what}: the handle is of an image (expected a buffer: clEnqueueCopyImageToBuffer)")
     if not isinstance(array, cl.Buffer | PooledBuffer):
         return None
     if array.get_info(cl.mem_info.CONTEXT) != device.context:

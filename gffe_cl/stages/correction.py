@@ -232,18 +232,25 @@ class ShadingCorrection(Stage):
     def _unmap(self, mapped: _Mapped) -> None:
         for array, event in mapped:
             memory: Any = array.base
-            self._mappings += [event, memory.release(self.device.queue)]
+            self._record_mapping(event)
+            self._record_mapping(memory.release(self.device.queue))
 
     def compose(self, step: Step, within_mask: bool) -> None:
         """Fill `focus_mask` and `color`; without `within_mask` the whole image is the network's."""
         asked = within_mask * _WITHIN_MASK + self.with_refined * _WITH_REFINED
         self.launch("correct", step, asked=asked)
 
+    def _record_mapping(self, event: cl.Event) -> None:
+        if self.device.profiles:
+            self._mappings.append(event)
+
     def take_network_milliseconds(self) -> dict[str, float]:
         """Since last taken, apart from the kernels'; the device must have finished. "network": time in the network;
-        "network copies": from the device to what runs the network, and back."""
+        "network copies": from the device to what runs the network, and back, if the queue has profiling."""
         mapping = sum(event.profile.end - event.profile.start for event in self._mappings) * 1e-6
-        taken = {"network": self._network_milliseconds, "network copies": self._copying_milliseconds + mapping}
+        taken = {"network": self._network_milliseconds}
+        if self.device.profiles:
+            taken["network copies"] = self._copying_milliseconds + mapping
         self._network_milliseconds = self._copying_milliseconds = 0.0
         self._mappings.clear()
         return taken

@@ -96,8 +96,10 @@ def present(
         reaches beyond the rendered image, the image's border goes on. Motion of sky is converted like all other: it
         must follow the camera, windows included. Overlays are those of the nearest rendered pixel.
 
-    Raises GffeError if the display camera has another pose than the render camera, for wrong shapes, or for device
-    buffers.
+    Raises
+    ------
+    GffeError
+        If the display camera has another pose than the render camera, for wrong shapes, or for device buffers.
     """
     frame, previous = checked_frame(frame), previous if previous is None else checked_frame(previous)
     for array in (frame.color, frame.depth):

@@ -134,19 +134,25 @@ def test_bench_of_arrays(gffe, tmp_path):
         forms = "float32 RGB", "float32 RGBA", "float16 RGB", "float16 RGBA"
         assert set(rows) == {(*size, form) for size in ((64, 48), (13, 9)) for form in forms}
         for row in rows.values():
-            assert min(row[part] for part in ("upload", "copy_in", "download", "copy_out", "ratio")) > 0
+            times = "upload", "copy_in", "download", "copy_out", "zero_copy", "mapped", "ratio"
+            assert min(row[part] for part in times) > 0
+            pixels, halves = row["width"] * row["height"], row["color"] == "float16 RGBA"
+            assert row["copied"] == 20 * pixels  # all devices here are CPUs
+            assert row["zero_copied"] == (0 if halves else 8 * pixels)
 
 
 def test_time_of_arrays_is_that_of_each_part(device, monkeypatch):
     """By a clock that each part moves on by what it is said to take."""
     frame = benchmark_input.footage_of(device, "plaza", (16, 12)).frames[-1]
     now, took = [0.0], {"_upload_frame": 6.0, "_copy_in": 3.0, "_download": 2.0, "_copy_out": 1.0}
+    took |= {"_share_frame": 0.5, "_map": 0.25}
     monkeypatch.setattr(io_times.time, "perf_counter", lambda: now[0])
     for part, seconds in took.items():
         monkeypatch.setattr(io_times._Turn, part, lambda self, seconds=seconds: now.__setitem__(0, now[0] + seconds))
     counted = []
     for row in io_times.measure_io(device, frame, 2, lambda: counted.append(1)):
         assert (row.upload, row.copy_in, row.download, row.copy_out, row.ratio) == (6000, 3000, 2000, 1000, 2)
+        assert (row.zero_copy, row.mapped) == (500, 250)
     assert len(counted) == 2 * len(io_times.FORMS)
 
 

@@ -13,6 +13,7 @@ from exported import (
     NETWORK,
     NETWORK_FAILED,
     CCamera,
+    CFrame,
     CWindow,
     Engine,
     Failed,
@@ -307,6 +308,46 @@ def test_the_network_runs_between_its_buffers(device, library, tmp_path):
     made = engine.extrapolate(frames[1].time)
     assert made.color != made.gae
     assert np.array_equal(engine.read(made.color, 8 * W * H), engine.read(made.gae, 8 * W * H))
+    engine.destroy()
+
+
+def test_work_begins_after_events_and_ends_in_one(device, library):
+    """On a queue without profiling; the host does not wait; the bits are the same."""
+    options, frames = replace(DEFAULT, cut_detection=False), moving(device, 3)
+    context, queue = device.context, cl.CommandQueue(device.context)
+    engine = Engine(library(options), device, W, H, queue=queue.int_ptr)
+    pipeline = Pipeline(device, W, H, options)
+    states = cl.command_execution_status
+    for frame in frames:
+        pipeline.submit(frame)
+        written, read = cl.UserEvent(context), cl.UserEvent(context)
+        both, buffers = [written, cl.enqueue_marker(device.queue)], (frame.color, frame.depth, frame.motion)
+        taken = engine.submit(buffers, frame.camera, frame.time, frame.display_camera, frame.reset, wait_for=both)
+        shown, presented = engine.present(wait_for=[])
+        time = frame.time + 0.5 * pipeline.interval
+        made, done = engine.extrapolate(time, wait_for=[read])
+        assert all(event.command_execution_status > states.COMPLETE for event in (taken, presented, done))
+        written.set_status(states.COMPLETE)
+        cl.wait_for_events([taken, presented])
+        assert done.command_execution_status > states.COMPLETE
+        read.set_status(states.COMPLETE)
+        done.wait()
+        assert_same_frame(engine, shown, pipeline.present())
+        assert_same_frame(engine, made, pipeline.extrapolate(None, time))
+
+    other = cl.Context([device.cl_device])
+    foreign = cl.UserEvent(other)
+    for events, text in (([foreign], "event 0 is of another context"), ([taken, None], "event 1 is NULL")):
+        for call in (engine.present, lambda **given: engine.extrapolate(time, **given)):
+            with pytest.raises(Failed, match=text) as failure:
+                call(wait_for=events)
+            assert failure.value.status == INVALID
+        with pytest.raises(Failed, match=text):
+            engine.submit(buffers, frame.camera, frame.time + 1, wait_for=events)
+    made = CFrame()
+    for count, given in ((1, None), (0, ct.byref(ct.c_void_p(taken.int_ptr)))):
+        assert engine.library.gffe_present_after(engine.handle, ct.byref(made), count, given, None) == INVALID
+    assert engine.library.gffe_present_after(engine.handle, ct.byref(made), 0, None, None) == 0
     engine.destroy()
 
 

@@ -123,6 +123,10 @@ def load(path: Path) -> ct.CDLL:
     library.gffe_predict_camera.argtypes = [ct.c_void_p, ct.c_double, ct.c_void_p]
     library.gffe_submit.argtypes = [*[ct.c_void_p] * 6, ct.c_double, ct.c_int]
     library.gffe_extrapolate.argtypes = [ct.c_void_p, ct.c_void_p, ct.c_double, ct.c_void_p]
+    events = [ct.c_uint, ct.c_void_p, ct.c_void_p]
+    library.gffe_submit_after.argtypes = [*library.gffe_submit.argtypes, *events]
+    library.gffe_extrapolate_after.argtypes = [*library.gffe_extrapolate.argtypes, *events]
+    library.gffe_present_after.argtypes = [ct.c_void_p, ct.c_void_p, *events]
     library.gffe_set_overlays.argtypes = [ct.c_void_p] * 2
     library.gffe_present.argtypes = [ct.c_void_p] * 2
     library.gffe_get.argtypes = [ct.c_void_p, ct.c_char_p, ct.c_void_p]
@@ -155,10 +159,25 @@ class Engine:
     def set_exposure(self, exposure):
         self._check(self.library.gffe_set_exposure(self.handle, exposure))
 
-    def submit(self, buffers, camera, time, display=None, reset=False):
+    def _call(self, name, arguments, wait_for=None):
+        """With a list of events, the function's `_after` variant, and the event that it makes."""
+        if wait_for is None:
+            self._check(getattr(self.library, f"gffe_{name}")(self.handle, *arguments))
+            return None
+        done = ct.c_void_p(1)
+        events = (ct.c_void_p * len(wait_for))(*(event and event.int_ptr for event in wait_for)) if wait_for else None
+        after = getattr(self.library, f"gffe_{name}_after")
+        try:
+            self._check(after(self.handle, *arguments, len(wait_for), events, ct.byref(done)))
+        except Failed:
+            assert done.value is None
+            raise
+        return cl.Event.from_int_ptr(done.value, retain=False)
+
+    def submit(self, buffers, camera, time, display=None, reset=False, wait_for=None):
         cameras = [c and ct.byref(CCamera.of(c)) for c in (camera, display)]
         handles = [b and b.int_ptr for b in buffers]
-        self._check(self.library.gffe_submit(self.handle, *handles, *cameras, time, int(reset)))
+        return self._call("submit", (*handles, *cameras, time, int(reset)), wait_for)
 
     def set_overlays(self, overlays):
         """`overlays` of device buffers."""
@@ -166,16 +185,18 @@ class Engine:
         told = COverlays(**{name: buffer.int_ptr for name, buffer in given.items() if buffer})
         self._check(self.library.gffe_set_overlays(self.handle, ct.byref(told)))
 
-    def extrapolate(self, time, camera=None):
+    def extrapolate(self, time, camera=None, wait_for=None):
+        """The frame; with `wait_for` and the event."""
         made = CFrame()
         camera = camera and ct.byref(CCamera.of(camera))
-        self._check(self.library.gffe_extrapolate(self.handle, camera, time, ct.byref(made)))
-        return made
+        event = self._call("extrapolate", (camera, time, ct.byref(made)), wait_for)
+        return made if wait_for is None else (made, event)
 
-    def present(self):
+    def present(self, wait_for=None):
+        """As `extrapolate`."""
         made = CFrame()
-        self._check(self.library.gffe_present(self.handle, ct.byref(made)))
-        return made
+        event = self._call("present", (ct.byref(made),), wait_for)
+        return made if wait_for is None else (made, event)
 
     def predict_camera(self, alpha):
         made = CCamera()

@@ -8,7 +8,9 @@ from pathlib import Path
 HEADERS = ("gffe.h", "gffe_camera.h")
 MAY_BE_NULL = {  # where NULL means something
     ("gffe_destroy", "g"), ("gffe_submit", "display_camera"), ("gffe_submit", "motion"),
-    ("gffe_set_overlays", "overlays"), ("gffe_extrapolate", "camera"),
+    ("gffe_set_overlays", "overlays"), ("gffe_extrapolate", "camera"), ("gffe_submit_after", "display_camera"),
+    ("gffe_submit_after", "motion"), ("gffe_extrapolate_after", "camera"), ("gffe_submit_after", "done"),
+    ("gffe_extrapolate_after", "done"), ("gffe_present_after", "done"),
 }  # fmt: skip
 # What a good call gives, by the type of a parameter, without const; arrays decay to pointers.
 GOOD = {
@@ -16,7 +18,7 @@ GOOD = {
     "gffe_frame *": "&frame", "gffe_image *": "&image", "gffe_overlays *": "&overlays", "gffe_window *": "&window",
     "gffe_window_options *": "&window_options", "cl_context": "context", "cl_command_queue": "queue",
     "cl_mem": "memory", "char *": '"history.dynamic_mask"', "double *": "numbers", "float *": "floats",
-    "double": "1.0", "int": "1",
+    "double": "1.0", "int": "1", "cl_uint": "1",
 }  # fmt: skip
 
 _PROGRAM = """
@@ -30,6 +32,7 @@ int main(void) {
     cl_context context;
     cl_command_queue queue;
     cl_mem memory;
+    cl_event complete, done = NULL;
     gffe *g = NULL, *other = NULL, *failed = NULL;
     gffe_options options = gffe_default_options(64, 48);
     gffe_window_options window_options = gffe_default_window_options(64, 48);
@@ -51,12 +54,15 @@ int main(void) {
     context = clCreateContext(NULL, 1, &device, NULL, NULL, NULL);
     queue = clCreateCommandQueue(context, device, 0, NULL);
     memory = clCreateBuffer(context, CL_MEM_READ_WRITE, 64 * 48 * 8, NULL, NULL);
+    complete = clCreateUserEvent(context, NULL);
+    clSetUserEventStatus(complete, CL_COMPLETE);
     if (gffe_create(context, queue, &options, &g) || !gffe_create(context, queue, NULL, &failed)) return 4;
     if (gffe_submit(g, memory, memory, NULL, cameras, NULL, 0.5, 1)) return 5;
     setvbuf(stdout, NULL, _IONBF, 0);
 %s
     gffe_destroy(failed);
     gffe_destroy(g);
+    clReleaseEvent(complete);
     return 0;
 }
 """
@@ -76,7 +82,7 @@ def declarations(folder: Path) -> Iterator[tuple[str, str, list[tuple[str, str]]
 
 
 def is_pointer(kind: str) -> bool:
-    return kind.endswith("*") or kind.startswith("cl_")
+    return kind.endswith("*") or (kind.startswith("cl_") and kind != "cl_uint")
 
 
 def calls(folder: Path) -> Iterator[tuple[str, str, str, str]]:
@@ -92,6 +98,8 @@ def calls(folder: Path) -> Iterator[tuple[str, str, str, str]]:
 def _good(function: str, kind: str, name: str) -> str:
     if (function, name) in (("gffe_predict_camera", "made"), ("gffe_predict_camera_at", "made")):
         return "&made"
+    if kind == "cl_event *":
+        return "&done" if name == "done" else "&complete"
     if function in ("gffe_view_transform",) and name == "made":
         return "(double (*)[4])numbers"
     return GOOD[kind]
@@ -106,6 +114,8 @@ def program(folder: Path) -> str:
             lines.append(f'    printf("%d\\n", (int){call});')
         else:
             lines.append(f'    (void){call};\n    printf("-\\n");')
+        if function.endswith("_after"):
+            lines.append("    if (done) clReleaseEvent(done);\n    done = NULL;")
         if function == "gffe_create":
             lines.append("    gffe_destroy(other);\n    other = NULL;")
     return _PROGRAM % "\n".join(lines)

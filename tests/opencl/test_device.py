@@ -233,7 +233,7 @@ def test_the_first_error_of_a_log(log, told):
 def test_builds_with_warnings_are_silent(device, capfd):
     """clang counts its warnings on descriptor 2, whatever Python makes of the log."""
     source = "#warning noticed\n__kernel void warn(__global int *a) { *a = 1; }"
-    built_program(device.context, source)
+    built_program(device.context, device.cl_device, source)
     assert capfd.readouterr().err == ""
 
 

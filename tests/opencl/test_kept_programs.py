@@ -37,7 +37,7 @@ def result(device, program):
 def test_what_was_built_is_kept(keeping, folder):
     device = keeping
     for options, factor in ((OPTIONS, 2), (OPTIONS, 2), (("-DFACTOR=3.0f",), 3)):
-        program = built_program(device.context, SOURCE, options)
+        program = built_program(device.context, device.cl_device, SOURCE, options)
         assert result(device, program) == [0, factor, 2 * factor, 3 * factor]
     kept = list(folder.iterdir())
     assert len(kept) == 2 and all(path.suffix == ".bin" for path in kept)
@@ -45,7 +45,7 @@ def test_what_was_built_is_kept(keeping, folder):
 
 def test_what_is_kept_is_used(keeping, folder, monkeypatch):
     device = keeping
-    built_program(device.context, SOURCE, OPTIONS)
+    built_program(device.context, device.cl_device, SOURCE, OPTIONS)
     plain = cl.Program
 
     def without_source(context, *rest):
@@ -53,15 +53,15 @@ def test_what_is_kept_is_used(keeping, folder, monkeypatch):
         return plain(context, *rest)
 
     monkeypatch.setattr(cl, "Program", without_source)
-    assert result(device, built_program(device.context, SOURCE, OPTIONS)) == [0, 2, 4, 6]
+    assert result(device, built_program(device.context, device.cl_device, SOURCE, OPTIONS)) == [0, 2, 4, 6]
 
 
 def test_a_spoilt_file_is_replaced(keeping, folder):
     device = keeping
-    built_program(device.context, SOURCE, OPTIONS)
+    built_program(device.context, device.cl_device, SOURCE, OPTIONS)
     (path,) = folder.iterdir()
     path.write_bytes(b"")
-    assert result(device, built_program(device.context, SOURCE, OPTIONS)) == [0, 2, 4, 6]
+    assert result(device, built_program(device.context, device.cl_device, SOURCE, OPTIONS)) == [0, 2, 4, 6]
     assert path.stat().st_size > 0
 
 
@@ -69,17 +69,17 @@ def test_a_folder_that_cannot_be_written_is_no_error(keeping, tmp_path, monkeypa
     (tmp_path / "file").touch()
     for chosen in (tmp_path / "file", "off"):
         monkeypatch.setenv("GFFE_DEVICE_CACHE", str(chosen))
-        assert result(keeping, built_program(keeping.context, SOURCE, OPTIONS)) == [0, 2, 4, 6]
+        assert result(keeping, built_program(keeping.context, keeping.cl_device, SOURCE, OPTIONS)) == [0, 2, 4, 6]
     assert (tmp_path / "file").read_bytes() == b""
 
 
 def test_where_the_driver_keeps_them_we_do_not(device, folder):
-    built_program(device.context, SOURCE, OPTIONS)
+    built_program(device.context, device.cl_device, SOURCE, OPTIONS)
     assert folder.exists() != bool(has_src_build_cache(device.context.devices[0]))
 
 
 def test_a_lock_that_a_killed_process_left_holds_nobody_up(device, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("GFFE_DEVICE_CACHE", "off")
-    built_program(device.context, SOURCE, OPTIONS)
+    built_program(device.context, device.cl_device, SOURCE, OPTIONS)
     assert not (tmp_path / "pyopencl").exists()

@@ -246,9 +246,16 @@ static gffe_camera without_jitter(const gffe_camera *camera, const int size[2]) 
 
 gffe_status gffe_submit(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
                         const gffe_camera *display_camera, double time, int reset) {
+    return gffe_submit_after(g, color, depth, motion, camera, display_camera, time, reset, 0, NULL, NULL);
+}
+
+gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
+                              const gffe_camera *display_camera, double time, int reset, cl_uint count,
+                              const cl_event *wait_for, cl_event *done) {
     gffe_step *step;
     gffe_camera shown;
     gffe_status status = gffe_need(g, camera, "camera");
+    if (done) *done = NULL;
     if (status) return status;
     step = &g->step;
     if (!display_camera) {
@@ -259,6 +266,7 @@ gffe_status gffe_submit(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, cons
         display_camera = &shown;
     }
     status = check_frame(g, color, depth, motion, camera, display_camera, time, reset);
+    if (!status) status = gffe_wait_for(g, count, wait_for);
     if (status) return status;
     take_frame(g, color, depth, motion ? motion : g->no_motion);
     step->cameras[GFFE_PREVIOUS] = step->cameras[GFFE_FRAME];
@@ -273,7 +281,8 @@ gffe_status gffe_submit(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, cons
     if (!g->has_previous || g->is_cut) forget(g);
     remember(g, time);
     gffe_swap(g, 0);
-    return gffe_run(g, g->has_previous ? GFFE_RENDERED : GFFE_RENDERED_FIRST, 0);
+    status = gffe_run(g, g->has_previous ? GFFE_RENDERED : GFFE_RENDERED_FIRST, 0);
+    return status ? status : gffe_mark(g, done);
 }
 
 /* ---- extrapolated and presented frames ---------------------------------------------------------------- */
@@ -313,12 +322,18 @@ static void hand_out(const gffe *g, gffe_frame *made) {
 }
 
 gffe_status gffe_extrapolate(gffe *g, const gffe_camera *camera, double time, gffe_frame *made) {
+    return gffe_extrapolate_after(g, camera, time, made, 0, NULL, NULL);
+}
+
+gffe_status gffe_extrapolate_after(gffe *g, const gffe_camera *camera, double time, gffe_frame *made, cl_uint count,
+                                   const cl_event *wait_for, cl_event *done) {
     gffe_step *step;
     gffe_camera predicted;
     gffe_status status = need_frame(g, made);
     const char *fault;
     double alpha;
     int occasion, corrected;
+    if (done) *done = NULL;
     if (status) return status;
     step = &g->step;
     alpha = (time - step->times[0]) / gffe_interval(g);
@@ -332,6 +347,8 @@ gffe_status gffe_extrapolate(gffe *g, const gffe_camera *camera, double time, gf
     }
     fault = gffe_camera_fault(camera);
     if (fault) return gffe_fail(g, GFFE_INVALID, "extrapolate: %s", fault);
+    status = gffe_wait_for(g, count, wait_for);
+    if (status) return status;
     step->cameras[GFFE_TARGET_CAMERA] = *camera;
     step->time = time;
     step->alpha = alpha;
@@ -342,7 +359,8 @@ gffe_status gffe_extrapolate(gffe *g, const gffe_camera *camera, double time, gf
     if (!status) status = gffe_run(g, occasion, GFFE_AFTER_CORRECTION);
     if (status) return status;
     hand_out(g, made);
-    return gffe_compose(g, GFFE_COMPOSE, made);
+    status = gffe_compose(g, GFFE_COMPOSE, made);
+    return status ? status : gffe_mark(g, done);
 }
 
 static int is_shown_whole(const gffe *g, int camera, int display) {
@@ -366,9 +384,13 @@ static gffe_status resample(gffe *g, gffe_frame *made) {
     return status;
 }
 
-gffe_status gffe_present(gffe *g, gffe_frame *made) {
+gffe_status gffe_present(gffe *g, gffe_frame *made) { return gffe_present_after(g, made, 0, NULL, NULL); }
+
+gffe_status gffe_present_after(gffe *g, gffe_frame *made, cl_uint count, const cl_event *wait_for, cl_event *done) {
     gffe_status status = need_frame(g, made);
     int sharpened;
+    if (done) *done = NULL;
+    if (!status) status = gffe_wait_for(g, count, wait_for);
     if (status) return status;
     sharpened = memory_of(g, "sharpening.rendered") != NULL;
     memset(made, 0, sizeof *made);
@@ -381,7 +403,8 @@ gffe_status gffe_present(gffe *g, gffe_frame *made) {
         (g->has_previous && !is_shown_whole(g, GFFE_PREVIOUS, GFFE_PREVIOUS_DISPLAY)))
         status = resample(g, made);
     if (GFFE_UPSCALES) made->color = memory_of(g, sharpened ? "sharpening.rendered" : "upscaling.history");
-    return status ? status : gffe_compose(g, GFFE_COMPOSE_RENDERED, made);
+    if (!status) status = gffe_compose(g, GFFE_COMPOSE_RENDERED, made);
+    return status ? status : gffe_mark(g, done);
 }
 
 gffe_status gffe_get(gffe *g, const char *name, gffe_image *found) {

@@ -90,6 +90,14 @@ const char *gffe_message(const gffe *g);
 gffe_status gffe_submit(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
                         const gffe_camera *display_camera, double time, int reset);
 
+/* As gffe_submit, with events, as OpenCL's own calls take them: nothing of it begins before all `count` events of
+   `wait_for` are complete (0 and NULL: none), and *done (unless `done` is NULL) becomes an event that is complete when the
+   work on the frame is; release it. They are of the queue's context. The queue has been flushed then, so that other queues
+   can wait for *done. With cut detection the host waits for `wait_for`, too. Where this fails there is no event. */
+gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
+                              const gffe_camera *display_camera, double time, int reset, cl_uint count,
+                              const cl_event *wait_for, cl_event *done);
+
 /* What lies over the picture of the next frame that is submitted, and is not to be warped with it; each may be NULL, and
    NULL in place of them drops them. Colours are premultiplied: layer + (1 - alpha) * picture. The buffers are in use until
    the frame after that is submitted. */
@@ -118,8 +126,14 @@ gffe_status gffe_predict_camera(gffe *g, double alpha, gffe_camera *made);
    unless the network's callback waits. */
 gffe_status gffe_extrapolate(gffe *g, const gffe_camera *camera, double time, gffe_frame *made);
 
+/* The same with events, as in gffe_submit_after: wait for what still reads the last frame made on other queues; *done is
+   complete when the buffers of *made hold the frame. A network's callback has been called by then. */
+gffe_status gffe_extrapolate_after(gffe *g, const gffe_camera *camera, double time, gffe_frame *made, cl_uint count,
+                                   const cl_event *wait_for, cl_event *done);
+
 /* What is shown of the last rendered frame: resampled where it was rendered through a window, else its own buffers. */
 gffe_status gffe_present(gffe *g, gffe_frame *made);
+gffe_status gffe_present_after(gffe *g, gffe_frame *made, cl_uint count, const cl_event *wait_for, cl_event *done);
 
 /* A buffer by name, as gffe-cl's documentation of the stages has it; an apostrophe means what was kept of the frame
    before. It lies as kernels see it: colours of background levels as RGB9E5, places in them as offsets, planar images one

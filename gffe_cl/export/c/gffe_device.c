@@ -248,3 +248,30 @@ gffe_status gffe_run(gffe *g, int occasion, int part) {
     }
     return GFFE_OK;
 }
+
+/* ---- events ------------------------------------------------------------------------------------------- */
+
+gffe_status gffe_wait_for(gffe *g, cl_uint count, const cl_event *events) {
+    cl_uint k;
+    cl_int error;
+    if (!count != !events) return gffe_fail(g, GFFE_INVALID, "wait_for: %u events, and %s", (unsigned)count,
+                                            events ? "a list of some" : "no list of them");
+    for (k = 0; k < count; ++k) {
+        cl_context context = NULL;
+        if (!events[k]) return gffe_fail(g, GFFE_INVALID, "wait_for: event %u is NULL", (unsigned)k);
+        error = clGetEventInfo(events[k], CL_EVENT_CONTEXT, sizeof context, &context, NULL);
+        if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "asking about an event to wait for");
+        if (context != g->context)
+            return gffe_fail(g, GFFE_INVALID, "wait_for: event %u is of another context", (unsigned)k);
+    }
+    error = count ? clEnqueueBarrierWithWaitList(g->queue, count, events, NULL) : CL_SUCCESS;
+    return error == CL_SUCCESS ? GFFE_OK : gffe_opencl_failed(g, error, "waiting for events");
+}
+
+gffe_status gffe_mark(gffe *g, cl_event *done) {
+    cl_int error;
+    if (!done) return GFFE_OK;
+    error = clEnqueueMarkerWithWaitList(g->queue, 0, NULL, done);
+    if (error == CL_SUCCESS) error = clFlush(g->queue);
+    return error == CL_SUCCESS ? GFFE_OK : gffe_opencl_failed(g, error, "an event for what is done");
+}

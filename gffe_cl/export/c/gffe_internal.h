@@ -174,6 +174,10 @@ gffe_status gffe_opencl_failed(gffe *g, cl_int error, const char *doing);
 
 /* gffe_device.c */
 gffe_status gffe_open(gffe *g);
+/* What is enqueued from now on begins when the events are complete; GFFE_INVALID for others than the context's. */
+gffe_status gffe_wait_for(gffe *g, cl_uint count, const cl_event *events);
+/* An event, unless `done` is NULL, that is complete when all that is enqueued so far is. */
+gffe_status gffe_mark(gffe *g, cl_event *done);
 gffe_status gffe_run(gffe *g, int occasion, int part);
 
 #ifdef __cplusplus
