@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import shlex
 import sys
 import time
@@ -49,7 +48,8 @@ def train(
         bool, typer.Option("--bfloat16", help="Mixed precision: quicker where there is AMX or a GPU.")
     ] = False,
     integers: Annotated[
-        bool, typer.Option("--integers", help="For convolutions in 8-bit integers, as CPUs run them; with --start.")
+        bool,
+        typer.Option("--integers", help="With 8-bit integers, as CPUs run them, close to the network --start."),
     ] = False,
     seed: Annotated[int, typer.Option(help="Of data, order, augmentation and first weights.")] = 0,
     minutes: Annotated[
@@ -81,6 +81,8 @@ def train(
 
     if minutes is not None and not minutes > 0:
         raise GffeError(f"--minutes must be positive, got {minutes:g}")
+    if integers and start is None:
+        raise GffeError("--integers: expected --start, too: the network in floats to stay close to")
     if clips < 2:
         raise GffeError(f"--clips must be at least 2, got {clips}")
     recipe = Recipe(
@@ -201,14 +203,12 @@ def _duration(seconds: float) -> str:
 def _export(training, folder: Path, data: Path, clips: int, done: bool, torch_version: str, json_path) -> None:
     from gffe_cl.scn import losses
     from gffe_cl.scn.export import count_operations, export_onnx, model_card
-    from gffe_cl.scn.quantization import in_floats
 
     figures = training.validate()
     recipe, network = training.recipe, training.network
     if recipe.integers:
         rounded = export_onnx(network, folder / "scn-int8.onnx", integers=True)
-        network = copy.deepcopy(network)
-        network.convolutions = in_floats(network.convolutions)
+        network = training.teacher
     difference = export_onnx(network, folder / "scn.onnx")
     parameters, operations = count_operations(network, 1920, 1080)
     facts = {

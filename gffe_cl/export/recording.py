@@ -136,7 +136,7 @@ class _Rehearsal:
         if correction := self.stages.get(ShadingCorrection.name):
             correction.infer = lambda: self.tape.network(correction)
             if options.scn_model or default_model():
-                correction.upload("head", load_network(options.scn_model).head)
+                correction.upload("head", load_network(options.scn_model or default_model()).head)
 
     def perform(self, number: int, first: bool) -> dict[str, list[Operation]]:
         """What is enqueued on each occasion, in one set of circumstances."""

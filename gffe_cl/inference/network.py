@@ -7,9 +7,9 @@ layers, the head, too, whose weights are in the model's metadata: "head", float3
 
 from __future__ import annotations
 
+import hashlib
 import threading
 from collections.abc import Callable
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -25,22 +25,34 @@ from gffe_cl.inference.model_interface import (
     shapes_at,
 )
 from gffe_cl.inference.provider_choice import AUTO, Choice, choose
-from gffe_cl.inference.providers import CPU, PROVIDERS, NetworkError, load_onnxruntime, one_line, open_session
+from gffe_cl.inference.providers import (
+    CPU,
+    PACKAGED,
+    PROVIDERS,
+    NetworkError,
+    cpu_model,
+    load_onnxruntime,
+    one_line,
+    open_session,
+)
 from gffe_cl.inference.sessions import FixedSession
 
 __all__ = ["AUTO", "PROVIDERS", "Network", "NetworkError", "default_model", "load_network", "load_onnxruntime"]
 
-_PACKAGED = Path(str(files("gffe_cl") / "scn" / "weights" / "scn.onnx"))
-_INTEGERS = _PACKAGED.with_name("scn-int8.onnx")  # the same in 8-bit integers: half the time on CPUs, unknown to GPUs
 _FLOAT = "tensor(float)"
 _MOST_SIZES = 4  # whose sessions are kept
-_loaded: dict[tuple, tuple] = {}  # (path, what was asked for) → (stamp of the file, Network)
+_loaded: dict[tuple, tuple] = {}  # (path, the CPU's, what was asked for) → (stamp of the file, Network)
 _asked_for: list[Network] = []  # since remarks were last taken
 
 
 def default_model() -> Path | None:
     """The weights that come with the package, if they do."""
-    return _PACKAGED if _PACKAGED.is_file() else None
+    return PACKAGED if PACKAGED.is_file() else None
+
+
+def digest_of_weights(path: Path) -> str:
+    """Of all files that may run where the network `path` does."""
+    return hashlib.sha256(b"".join(each.read_bytes() for each in (path, cpu_model(path)))).hexdigest()
 
 
 def scn_missing() -> str | None:
@@ -51,9 +63,10 @@ def scn_missing() -> str | None:
 
 
 def load_network(path: str | Path | None = None, provider: str = CPU.name) -> Network:
-    """The network of the ONNX file `path` (None: of the package) on a provider of onnxruntime: a key of `PROVIDERS`,
-    onnxruntime's own name, or "auto". One that is not the CPU is compared with it in a child process first, once per
-    machine. Loaded once as long as the file stays the same. Raises NetworkError."""
+    """The network of the ONNX file `path` (None: of the package, on the CPU in 8-bit integers) on a provider of
+    onnxruntime: a key of `PROVIDERS`, onnxruntime's own name, or "auto". One that is not the CPU is compared with it in
+    a child process first, once per machine. Loaded once as long as the file stays the same. Raises NetworkError."""
+    packaged = path is None
     path = default_model() if path is None else Path(path)
     if path is None:
         raise NetworkError(f"{scn_missing()}: expected gffe_cl/scn/weights/scn.onnx, or another model's path")
@@ -61,9 +74,10 @@ def load_network(path: str | Path | None = None, provider: str = CPU.name) -> Ne
         raise NetworkError(f"{path}: no such file (expected a shading correction network, ONNX)")
     state = path.stat()
     wanted = next((each.name for each in PROVIDERS.values() if provider in (each.name, each.ort)), provider)
-    key, stamp = (path.resolve(), wanted), (state.st_mtime_ns, state.st_size)
+    on_cpu = cpu_model(path) if packaged else path
+    key, stamp = (path.resolve(), on_cpu, wanted), (state.st_mtime_ns, state.st_size)
     if key not in _loaded or _loaded[key][0] != stamp:
-        _loaded[key] = stamp, Network(path, wanted)
+        _loaded[key] = stamp, Network(path, wanted, on_cpu)
     network = _loaded[key][1]
     if network not in _asked_for:
         _asked_for.append(network)
@@ -81,14 +95,14 @@ def take_remarks() -> list[str]:
 class Network:
     """A network and what runs it; see `load_network`.
 
-    `session`: the CPU's, for any size; of the package's own network that in 8-bit integers. `head`: (374,) float32,
-    weights of its last two layers. `copying`: milliseconds of the last run that went into copies to the provider and
-    back, as far as they are known apart. `remark`: what a user should know of what runs it, "" if nothing.
+    `session`: the CPU's, for any size; where the CPU was chosen, of the file `on_cpu` (None: `path`). `head`: (374,)
+    float32, weights of its last two layers. `copying`: milliseconds of the last run that went into copies to the
+    provider and back, as far as they are known apart. `remark`: what a user should know of what runs it, "" if nothing.
     """
 
-    def __init__(self, path: Path, provider: str = CPU.name):
+    def __init__(self, path: Path, provider: str = CPU.name, on_cpu: Path | None = None):
         self.path = path
-        self.session = open_session(_INTEGERS if path == _PACKAGED and _INTEGERS.is_file() else path)
+        self.session = open_session(on_cpu if on_cpu and provider == CPU.name else path)
         self.copying = 0.0
         self._failure = ""
         self._fixed: dict[tuple[int, int], FixedSession] = {}  # by height and width, the latest last
@@ -97,8 +111,10 @@ class Network:
         inputs = {"frames": (1, INPUT_PLANES, *free), "candidates": (1, CANDIDATE_PLANES, *free)}
         _require(path, "input", self.session.get_inputs(), inputs)
         _require(path, "output", self.session.get_outputs(), {OUTPUT: (1, JUDGEMENT_PLANES, *free)})
-        self.head = _head_of(path, self.session.get_modelmeta().custom_metadata_map.get(HEAD, ""))
         self.choice: Choice = choose(path, provider)
+        if on_cpu and provider != CPU.name and self.choice.provider == CPU:
+            self.session = open_session(on_cpu)
+        self.head = _head_of(path, self.session.get_modelmeta().custom_metadata_map.get(HEAD, ""))
 
     @property
     def provider(self) -> str:

@@ -20,7 +20,7 @@ import numpy as np
 
 from gffe_cl.inference import providers, sessions
 from gffe_cl.inference.model_interface import INPUTS, OUTPUT, shapes_at
-from gffe_cl.inference.providers import CPU, NetworkError, NoDeviceError, Provider, open_session
+from gffe_cl.inference.providers import CPU, NetworkError, NoDeviceError, Provider, cpu_model, open_session
 from gffe_cl.opencl.device_cache import fingerprint
 from gffe_cl.opencl.runtimes import keep_file, kept_folder, vendors
 from gffe_cl.opencl.subprocess_runner import HANGS, run_child
@@ -105,7 +105,7 @@ def compare(path: Path, provider: Provider) -> Verdict:
         if not found.difference <= TOLERANCE:
             found.problem = _difference(path, provider, found)
         elif took < _TOO_SLOW:
-            found.milliseconds, found.cpu_milliseconds = _times(path, provider, free)
+            found.milliseconds, found.cpu_milliseconds = _times(path, provider)
     except NoDeviceError as error:
         found.problem, found.present = str(error), False
     except NetworkError as error:
@@ -142,8 +142,9 @@ def _on_cpu(free, height: int, width: int) -> tuple[dict[str, np.ndarray], str, 
     return inputs, OUTPUT, free.run([OUTPUT], inputs)[0]
 
 
-def _times(path: Path, provider: Provider, free) -> tuple[float, float]:
-    """Milliseconds on provider and CPU for one frame, the copies included."""
+def _times(path: Path, provider: Provider) -> tuple[float, float]:
+    """Milliseconds on provider and CPU, each with the file that it runs, for one frame, the copies included."""
+    free = open_session(cpu_model(path))
     inputs, name, output = _on_cpu(free, *_TIMED_SIZE)
     shapes = {key: array.shape for key, array in (inputs | {name: output}).items()}
     session = sessions.FixedSession(path, provider, shapes, free)
@@ -198,7 +199,7 @@ def _kept(path: Path, provider: Provider) -> Path | None:
         sorted((name, value) for name, value in os.environ.items() if name.startswith(_TOLD)),
         provider.name,
         provider.versions(),
-        [hashlib.sha256(content).hexdigest() for content in [path.read_bytes(), *code]],
+        [hashlib.sha256(content).hexdigest() for content in [path.read_bytes(), cpu_model(path).read_bytes(), *code]],
     ]
     digest = hashlib.sha256(repr(facts).encode("utf-8", "surrogateescape")).hexdigest()[:24]
     return folder / _NAME.format(digest)

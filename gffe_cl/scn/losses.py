@@ -15,6 +15,7 @@ from gffe_cl.scn.network import encode
 VERSION = 4  # of what the terms mean: a run goes on only with its own
 FOCUS_WEIGHT = 0.05  # λ_focus; the paper's is 1, and its mask covers large errors only
 PERCEPTUAL_WEIGHT = 0.01  # λ_vgg of the paper
+TEACHER_WEIGHT = 4.0  # of the frame of the network in floats, for one in integers
 TAUGHT = 0.2  # how much the refined image is taught where the focus mask is 0
 _CHARBONNIER = 1e-3
 _DISPLAY_WEIGHT = 10.0

@@ -88,22 +88,6 @@ def rounded_weights(network: Convolutions) -> Convolutions:
     return network
 
 
-def in_floats(network: Any) -> Convolutions:
-    """A copy of a network that was quantized, without rounding and gains."""
-    network = copy.deepcopy(network)
-    for name in _rounded(network):
-        module: Any = network.get_submodule(name)
-        module._forward_hooks.clear()
-        del module.rounding
-    for convolution in _in_integers(network):
-        convolution.weight_rounding = None
-    gain = network.given.gain
-    with torch.no_grad():
-        network.encoder[0][0].weight[:, -gain.shape[1] :] *= gain
-    network.given = nn.Identity()
-    return network
-
-
 @torch.no_grad()
 def equalize(network: Any, inputs: list[Inputs]) -> None:
     """Scale channels so that none is lost in the range of its tensor, and the weights that read them the other way: the

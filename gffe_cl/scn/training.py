@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import math
 import os
@@ -138,25 +139,29 @@ def loss_terms(
     batch: Batch,
     focus: Tensor,
     perceptual,
+    taught_by: Tensor | None = None,
 ) -> dict[str, Tensor]:
     """The terms of the loss, not weighted: see `weights`. `likely`: p of the network's focus mask.
 
     The frame that is reconstructed is the truth but for the focus mask, where it is the refined image (paper, equation
     of the final prediction): the true mask's pixels too, or else a mask that begins at 0 would teach nothing, and, a
     little, all others. How much of it is worth showing, and so the mask, is for the error of the final frame to say:
-    small changes of shading are many, and no focus pixels.
+    small changes of shading are many, and no focus pixels. `taught_by`: the correction of a network to stay close to.
     """
     refined, final, mask = compose(batch.gae, correction)
     truth = encode(batch.truth)
     taught = torch.maximum(mask.detach(), focus.float()).clamp(min=losses.TAUGHT)
     shown = encode(batch.truth + taught * (refined - batch.truth))
     likely = likely.float()
-    return {
+    terms = {
         "reconstruction": losses.charbonnier(shown, truth),
         "focus": losses.focus_loss(likely if batch.halved else double(likely), focus),
         "perceptual": perceptual(shown, truth),
         "blend": losses.shown_loss(final, batch.truth),
     }
+    if taught_by is not None:
+        terms["teacher"] = losses.shown_loss(final, compose(batch.gae, taught_by)[1])
+    return terms
 
 
 def weights(recipe: Recipe) -> dict[str, float]:
@@ -165,6 +170,7 @@ def weights(recipe: Recipe) -> dict[str, float]:
         "focus": losses.FOCUS_WEIGHT,
         "perceptual": losses.PERCEPTUAL_WEIGHT,
         "blend": recipe.blend_weight,
+        "teacher": losses.TEACHER_WEIGHT,
     }
 
 
@@ -198,7 +204,9 @@ class Training:
         self.network = ShadingCorrectionNetwork()
         if start:
             self._begin_with(start)
+        self.teacher: ShadingCorrectionNetwork | None = None
         if recipe.integers:
+            self.teacher = copy.deepcopy(self.network).eval().requires_grad_(False).to(self.device)
             quantize(self.network.convolutions, self._seen_by_convolutions())
         convert: Any = self.network.to  # the stub lacks this form of it
         self.network = convert(self.device, memory_format=torch.channels_last)
@@ -274,7 +282,8 @@ class Training:
         self.parallel.train()
         with torch.autocast(self.device.type, torch.bfloat16, enabled=recipe.bfloat16):
             correction, likely = self.parallel(*self._inputs(batch))
-        terms = loss_terms(correction.float(), likely, batch, batch.focus().float(), self.perceptual)
+        taught_by = self.teacher(*self._inputs(batch)) if self.teacher else None
+        terms = loss_terms(correction.float(), likely, batch, batch.focus().float(), self.perceptual, taught_by)
         factors = weights(recipe)
         loss: Any = sum(factors[name] * value for name, value in terms.items())
         self.optimizer.zero_grad()

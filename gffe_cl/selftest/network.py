@@ -1,13 +1,12 @@
-"""The shading correction network on a provider of onnxruntime, compared with the recorded output of the CPU's."""
+"""The shading correction network on a provider of onnxruntime, compared with the recorded output of the CPU's: in 8-bit
+integers, as it is run there, or in floats, as others run it."""
 
 from __future__ import annotations
-
-import hashlib
 
 import numpy as np
 
 from gffe_cl.inference.model_interface import JUDGEMENT_PLANES
-from gffe_cl.inference.network import NetworkError, default_model, load_network
+from gffe_cl.inference.network import NetworkError, default_model, digest_of_weights, load_network
 from gffe_cl.inference.provider_check import verdict
 from gffe_cl.inference.providers import CPU, installed_providers
 from gffe_cl.selftest.reference import Reference, recorded
@@ -21,25 +20,27 @@ def providers() -> list[str]:
     return [p.name for p in installed_providers() if p == CPU or (model and verdict(model, p).present)]
 
 
-def output_of(provider: str, reference: Reference) -> np.ndarray:
-    """(20, h, w) float32: what the network makes of the recorded input. Raises NetworkError."""
+def output_of(provider: str, reference: Reference, in_floats: bool = False) -> np.ndarray:
+    """(20, h, w) float32: what the network makes of the recorded input; `in_floats`: on the CPU, too. Raises
+    NetworkError."""
     values, names = reference.values["default"], ("network_input.frames", "shading_flow.candidates")
     frames, candidates = (np.ascontiguousarray(values[name]) for name in names)
     made = np.empty((JUDGEMENT_PLANES, *candidates.shape[1:]), np.float32)
-    load_network(None, provider).run(frames, candidates, made)
+    load_network(default_model() if in_floats else None, provider).run(frames, candidates, made)
     return made
 
 
 def model_digest() -> str:
     """Of the weights that come with the package; "" if none do."""
     path = default_model()
-    return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+    return "" if path is None else digest_of_weights(path)[:16]
 
 
 def record(reference: Reference) -> None:
-    """Take the CPU provider's output into the references."""
+    """Take the CPU provider's outputs into the references."""
     reference.model = model_digest()
-    reference.network = np.round(output_of("cpu", reference) / _STEP) * np.float32(_STEP)
+    outputs = [output_of(CPU.name, reference), output_of(CPU.name, reference, in_floats=True)]
+    reference.network = np.round(np.stack(outputs) / _STEP) * np.float32(_STEP)
 
 
 def compare_provider(provider: str) -> float:
@@ -48,5 +49,6 @@ def compare_provider(provider: str) -> float:
     reference = recorded()
     if reference.model != model_digest():
         raise NetworkError("the installed weights are not those that the references were recorded with")
-    found = output_of(provider, reference)
-    return float(np.abs(np.where(np.isfinite(found), found, np.inf) - reference.network).max())
+    assert reference.network is not None
+    found, expected = output_of(provider, reference), reference.network[0 if provider == CPU.name else 1]
+    return float(np.abs(np.where(np.isfinite(found), found, np.inf) - expected).max())

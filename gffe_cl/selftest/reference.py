@@ -26,7 +26,7 @@ Buffers = dict[str, np.ndarray]
 class Reference:
     """`hashes` by case, moment and buffer; `values` by case and buffer, at KEPT_MOMENT; `inputs`: the hash of the
     frames that went in, by case; `network`: what the shading correction network makes of an input among `values` on
-    onnxruntime's CPU provider, and `model`, the hash of its weights."""
+    onnxruntime's CPU provider, in 8-bit integers and in floats, and `model`, the hash of its weights."""
 
     hashes: dict[str, dict[str, dict[str, str]]] = field(default_factory=dict)
     values: dict[str, Buffers] = field(default_factory=dict)

@@ -11,6 +11,7 @@ import numpy as np
 from gffe_cl.frame.camera import Camera
 from gffe_cl.inference.model_interface import HEAD_WEIGHTS
 from gffe_cl.inference.network import default_model
+from gffe_cl.inference.providers import CPU
 from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline.options import Options
 from gffe_cl.pipeline.pipeline import Pipeline
@@ -75,7 +76,7 @@ class FixedNetwork:
     """In place of the shading correction network, whose output differs between machines: a pattern that depends on
     nothing but its size. Kernels around it must make the same of it everywhere."""
 
-    copying = 0.0
+    copying, provider = 0.0, CPU.ort
     head = ((np.arange(HEAD_WEIGHTS) * 37 % 64).astype(np.float32) - 32) / 256
 
     def prepare(self, height: int, width: int) -> None:

@@ -127,6 +127,17 @@ def test_verdicts_are_kept(cache, tmp_path, monkeypatch):
     assert len(calls) == 12
 
 
+def test_the_cpu_is_timed_with_the_file_that_it_runs(tmp_path, monkeypatch):
+    """And gives the results to compare with by that of the provider."""
+    path, on_cpu = Path(look_model(tmp_path / "m.onnx")), Path(constant_model(tmp_path / "n.onnx"))
+    opened = []
+    monkeypatch.setattr(provider_check, "cpu_model", {path: on_cpu}.__getitem__)
+    monkeypatch.setattr(provider_check, "open_session", lambda file: opened.append(file) or runtime.open_session(file))
+    found = provider_check.compare(path, CPU)
+    assert found.passes and found.difference == 0 and found.cpu_milliseconds < 1e4, found
+    assert opened == [path, on_cpu]
+
+
 PLUGIN = "import os, signal, time\ndef get_library_path():\n    {}\n"
 
 

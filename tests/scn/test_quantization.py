@@ -12,9 +12,10 @@ from onnx import numpy_helper  # noqa: E402
 
 from gffe_cl import GffeError  # noqa: E402
 from gffe_cl.inference import network as inference  # noqa: E402
-from gffe_cl.scn.export import differences, export_onnx, weights_of  # noqa: E402
+from gffe_cl.inference.providers import cpu_model  # noqa: E402
+from gffe_cl.scn.export import differences, export_onnx  # noqa: E402
 from gffe_cl.scn.network import ShadingCorrectionNetwork  # noqa: E402
-from gffe_cl.scn.quantization import equalize, in_floats, quantize  # noqa: E402
+from gffe_cl.scn.quantization import equalize, quantize  # noqa: E402
 from gffe_cl.scn.training import Recipe  # noqa: E402
 
 
@@ -54,11 +55,10 @@ def test_equalized_channels_say_the_same(network):
     assert largest.max() / largest.min() > 3 * was.max() / was.min()  # what is small is read with more weight
 
 
-def test_rounding_changes_little_and_can_be_undone(network):
+def test_rounding_changes_little(network):
     before = copy.deepcopy(network.convolutions)
     quantize(network.convolutions, inputs())
     assert 1e-4 < error(before, network.convolutions) < 0.1
-    assert error(before, in_floats(network.convolutions)) < 1e-5
 
 
 def test_rounding_is_trained_through(network):
@@ -83,12 +83,6 @@ def test_the_file_holds_integers(network, tmp_path):
     assert np.array_equal(loaded.head, network.head_weights())
     torch.manual_seed(1)
     assert differences(ShadingCorrectionNetwork().eval(), tmp_path / "scn-int8.onnx")[1] > 0.2
-    floats = copy.deepcopy(network)
-    floats.convolutions = in_floats(network.convolutions)
-    export_onnx(floats, tmp_path / "scn.onnx")
-    begun = ShadingCorrectionNetwork()
-    begun.take(*weights_of(tmp_path / "scn.onnx"))
-    assert error(floats.convolutions, begun.convolutions) < 1e-6
 
 
 def test_integers_are_for_float32():
@@ -96,13 +90,17 @@ def test_integers_are_for_float32():
         Recipe(bfloat16=True, integers=True)
 
 
-def test_cpus_run_the_packages_network_in_integers(default_model, tmp_path):
-    """And a file that somebody names as it is."""
-    packaged = inference.Network(default_model())
-    copied = tmp_path / "scn.onnx"
-    copied.write_bytes(default_model().read_bytes())
-    named = inference.Network(copied)
-    assert np.array_equal(packaged.head, named.head)
+@pytest.fixture
+def both(monkeypatch, default_model):
+    """The package's network as CPUs run it, in integers, and its file named by somebody, which runs as it is."""
+    monkeypatch.setattr(inference, "default_model", default_model)
+    return inference.load_network(), inference.load_network(default_model())
+
+
+def test_cpus_run_the_packages_network_in_integers(both):
+    packaged, named = both
+    kinds = [{node.op_type for node in onnx.load(str(path)).graph.node} for path in (cpu_model(named.path), named.path)]
+    assert "QuantizeLinear" in kinds[0] and "QuantizeLinear" not in kinds[1]
     rng = np.random.default_rng(0)
     frames = np.repeat(np.repeat(rng.uniform(0.3, 0.7, (8, 4, 6)), 8, 1), 8, 2).astype(np.float32)
     candidates = np.repeat(np.repeat(rng.normal(0, 0.05, (16, 4, 6)), 4, 1), 4, 2).astype(np.float32)
@@ -113,3 +111,17 @@ def test_cpus_run_the_packages_network_in_integers(default_model, tmp_path):
         assert each.run(frames, candidates, said[-1]) == 0
     integers, floats = (each[3:] for each in said)  # before them: a flow that is 0, and a logit of large size
     assert 0.01 < np.sqrt(np.mean((integers - floats) ** 2) / np.mean(floats**2)) < 0.5
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_input_that_is_not_finite_stays_where_it_is(both, bad):
+    """Integers know no NaN: what they make of it has limits, and pixels far from it are as they were."""
+    said = []
+    for value in (0.5, bad):
+        frames, candidates = np.full((8, 32, 1024), 0.5, np.float32), np.zeros((16, 16, 512), np.float32)
+        frames[:, 8, 8] = candidates[:, 4, 4] = value
+        said.append(np.empty((20, 16, 512), np.float32))
+        both[0].run(frames, candidates, said[-1])
+    sound, hurt = said
+    assert np.isfinite(hurt).all() and np.abs(hurt).max() < 1000
+    assert np.array_equal(hurt[:, :, 256:], sound[:, :, 256:])

@@ -235,6 +235,7 @@ def test_weights_are_the_papers_but_for_the_mask_s():
         "focus": 0.05,
         "perceptual": 0.01,
         "blend": 0.5,
+        "teacher": 4.0,
     }
 
 
@@ -529,6 +530,26 @@ def test_training_improves_the_loss_and_reaches_every_weight(data, tmp_path):
     assert (first > 0).all(), "of the frames"
     figures = training.validate()
     assert all(math.isfinite(value) for value in figures.values())
+
+
+@pytest.mark.slow
+def test_in_integers_a_network_is_taught_by_that_in_floats(data, tmp_path):
+    """By what it was begun with, which stays; and only then."""
+    assert started(tmp_path / "floats", data, Recipe(seed=3, steps=1, batch=2)).teacher is None
+    training = started(tmp_path / "run", data, Recipe(seed=3, steps=3, batch=2, integers=True))
+    teacher, batch = training.teacher, load_batch(training.crops[:2], halved=True)
+    said = [p.clone() for p in teacher.parameters()]
+    inputs = batch.frames(), batch.alpha, batch.trends
+    terms = []
+    for student in (teacher, training.network.eval()):
+        correction = student(*inputs)
+        rest = correction[:, 4:5], batch, batch.focus().float(), training.perceptual, teacher(*inputs)
+        terms.append(float(training_module.loss_terms(correction, *rest)["teacher"].detach()))
+    assert terms[0] < 1e-9 < terms[1]
+    _, taught = training._train_step()
+    assert taught["teacher"] > 0 and taught["loss"] > 4 * taught["teacher"]
+    assert all(torch.equal(p, was) for p, was in zip(teacher.parameters(), said, strict=True))
+    assert not any(p.requires_grad for p in teacher.parameters())
 
 
 def fixed_loss(training, crops):

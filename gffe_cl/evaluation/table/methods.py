@@ -99,7 +99,7 @@ class Method:
             if self.options.corrects_shading:
                 weights = Path(self.options.scn_model) if self.options.scn_model else inference.default_model()
                 assert weights is not None  # the package's own
-                known["weights"] = hashlib.sha256(weights.read_bytes()).hexdigest()
+                known["weights"] = inference.digest_of_weights(weights)
         if self.model:
             known["model"] = hashlib.sha256(self.model.read_bytes()).hexdigest()
         return known
