@@ -48,7 +48,7 @@ WRONG = (
 # used; what is made by others only.
 ON_A_DEVICE = {
     "Pipeline", "Pipeline.submit", "Pipeline.present", "Pipeline.predict_camera", "Pipeline.extrapolate",
-    "Pipeline.keep", "present",
+    "Pipeline.keep", "Pipeline.change_options", "attach", "present",
     "Device.buffer", "Device.empty", "Device.from_context", "sharing_support",
 }  # fmt: skip
 WITH_A_FAKE_DRIVER = {"GlSharing", "GlSharing.buffer", "GlSharing.open_device", "MemorySharing", "MemorySharing.buffer"}
@@ -255,6 +255,7 @@ def device_calls(pipeline, frame):
         "device": device,
     }
     exposed = Call(lambda value: setattr(pipeline, "exposure", value), {"value": 1.0})
+    other = Pipeline(device, W, H, Options(shading_correction=False))
     return {
         "Pipeline": Call(
             Pipeline,
@@ -291,6 +292,10 @@ def device_calls(pipeline, frame):
             {"depth": geometry[0], "motion": geometry[1]},
         ),
         "Pipeline.keep": Call(pipeline.keep, {"names": ["warp.color"]}),
+        "Pipeline.change_options": Call(other.change_options, {"options": other.options}),
+        "attach": Call(
+            lambda **given: gffe_cl.attach(**given).close(), {"pipeline": other, "name": "misuse", "pacer": None}
+        ),
         "Pipeline.exposure": exposed,
         "ExtrapolatedFrame.numpy": Call(made.numpy, {"name": "gae"}),
         "PresentedFrame.numpy": Call(pipeline.present().numpy, {"name": "depth"}),

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from gffe_cl.core.errors import GffeError
+from gffe_cl.core.validation import shown
 
 _NAME = re.compile(r"[\w.-]{1,64}", re.ASCII)
 _LONGEST_PATH = 107  # bytes, of a Unix socket
@@ -35,7 +36,7 @@ def require_linux() -> None:
 def require_name(name: str) -> str:
     """The name of a program, as users type it."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise GffeError(f"attach: name must be 1 to 64 letters, digits, '.', '_' or '-', got {name!r}")
+        raise GffeError(f"attach: name must be 1 to 64 letters, digits, '.', '_' or '-', got {shown(name)}")
     return name
 
 

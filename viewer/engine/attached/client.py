@@ -48,6 +48,10 @@ _GENERATES = 3  # rendered frames that follow each other in a program that gener
 def attach(pipeline: Pipeline, name: str | None = None, *, pacer: Pacer | None = None) -> Attachment:
     """Let the viewer look into `pipeline` while this program runs: `gffe view --attach NAME` in another process.
 
+    One viewer at a time, of the same user on the same machine; Linux only. While nobody looks, frames take as long as
+    without it. While somebody does, `Pipeline.keep` is the viewer's, and so are `Pipeline.options` as soon as a module
+    is switched there. The program goes on when the viewer ends or is killed.
+
     Parameters
     ----------
     pipeline : Pipeline
@@ -58,15 +62,16 @@ def attach(pipeline: Pipeline, name: str | None = None, *, pacer: Pacer | None =
     pacer : Pacer or None
         Its statistics are shown beside the timings.
 
-    Returns an `Attachment` with `name`, `watched` (whether a viewer looks) and `close()`; it is a context manager, and
-    ends with the pipeline or the program.
+    Returns
+    -------
+    Attachment
+        With `name`, `watched` and `close()`; a context manager. It ends with the pipeline or the program.
 
-    One viewer at a time, of the same user on the same machine; Linux only. While nobody looks, frames take as long as
-    without it. While somebody does, `Pipeline.keep` is the viewer's, and so are `Pipeline.options` as soon as a module
-    is switched there. The program goes on when the viewer ends or is killed.
-
-    Raises GffeError on other systems, for a name that is taken or has other characters, for a pipeline that is attached
-    already, and where the folder of the sockets (in XDG_RUNTIME_DIR, else among temporary files) cannot be used.
+    Raises
+    ------
+    GffeError
+        On other systems, for a name that is taken or has other characters, for a pipeline that is attached already, and
+        where the folder of the sockets (in XDG_RUNTIME_DIR, else among temporary files) cannot be used.
     """
     require_kind(pipeline, Pipeline, "attach: pipeline", "a Pipeline")
     if pacer is not None:
