@@ -29,7 +29,7 @@ def render(
         str,
         typer.Argument(
             help="Name of a built-in scene: corridor, plaza, room, forest, gallery, street, factory, courtyard. Or of a"
-            " situation: bars, ropes, balls, rotors, handheld, cab, lamps, shadows, fan, screen, quantised."
+            " situation: bars, ropes, balls, rotors, handheld, cab, wipers, lamps, shadows, fan, screen, quantised."
         ),
     ],
     output: Annotated[Path, typer.Argument(help="Folder for the sequence.")],

@@ -315,7 +315,7 @@ def test_options_change_what_they_should(device):
         assert seen["levels"] - set(before) == {f"background.{n}_1" for n in ("color", "depth", "px", "state")}
         assert set(before) - seen["shading_inputs"] == {
             *("shading.warped_previous", "shading.input_mask"),
-            *("shading_trend.changes", "shading_trend.trend", "shading_trend.trends"),
+            *(f"shading_trend.{name}" for name in ("changes", "changed_samples", "trend", "trends")),
         }
         assert_same(ask(engine, 13, first, before).images, before, set(before) - {"final"})  # and back
 
@@ -336,12 +336,7 @@ def test_shading_correction_changes_what_its_focus_mask_covers(device, tmp_path)
         on = ask(engine, 13, Setup(options), "all")
         images, mask = on.images, is_mover(on.images)
         made = ("judgement", "chosen", "correction", "refined", "focus_mask", "color")
-        names = {
-            "gae",
-            "network_input.frames",
-            "shading_trend.changed_samples",
-            *(f"correction.{name}" for name in made),
-        }
+        names = {"gae", "network_input.frames", *(f"correction.{name}" for name in made)}
         names |= {f"shading_flow.{name}" for name in ("flow2", "differences", "candidates")}
         assert set(images) - set(plain) == names
         assert_same(images, {name: plain[name] for name in plain if name not in ("final", "focus_truth")})

@@ -268,9 +268,9 @@ def test_a_damaged_option_costs_only_itself(damaged):
 @pytest.mark.parametrize("render_size, factor", [((32, 20), 2.0), ((64, 40), 1.0), ((77, 48), 1.0)])
 def test_a_sequence_is_upscaled_by_what_it_was_rendered_for(render_size, factor):
     parameters = Parameters(Options(upscale=3.0), Playback())
-    parameters.open(SimpleNamespace(live=True, width=64, height=40, render_size=(64, 40)))
+    parameters.open(SimpleNamespace(live=True, width=64, height=40, render_size=(64, 40), options=None))
     assert parameters.options.upscale == 3
-    parameters.open(SimpleNamespace(live=False, width=64, height=40, render_size=render_size))
+    parameters.open(SimpleNamespace(live=False, width=64, height=40, render_size=render_size, options=None))
     assert parameters.options.upscale == factor
     parameters.set("upscale", 2.5)
     assert parameters.options.upscale == factor
