@@ -84,8 +84,9 @@ def test_a_few_samples_that_change_are_noise(device, size):
     stage, step = pipeline.stages["shading_trend"], Step(pipeline._current, None, [0.0])
     height, width = shape = stage.read("changed_samples").shape
     for corner in {(0, 0), (height - 1, width - 1), (min(3, height - 1), min(4, width - 1))}:
-        samples = np.zeros(shape, np.uint8)
-        samples[:: max(4, height // 2), :: max(4, width // 2)] = 2  # one cell of a tile at most
+        samples, (top, left) = np.zeros(shape, np.uint8), (4 * (side // 4) for side in corner)
+        samples[::4, ::4] = 2  # in each other tile
+        samples[top : top + 4, left : left + 4] = 0
         for many in (2, 3):
             samples[corner] = many
             stage.upload("changed_samples", samples)
