@@ -338,6 +338,7 @@ def _checked_queue(context: cl.Context, queue: Any) -> cl.CommandQueue:
 
 def forget_opened(device: Device) -> None:
     """Open its OpenCL device anew the next time: the context may be of no use any more."""
+    known: Any
     for known in (_opened, _adopted):
         for key in [key for key, opened in known.items() if opened is device.opened]:
             del known[key]

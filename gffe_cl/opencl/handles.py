@@ -22,7 +22,7 @@ def is_handle(value: Any) -> bool:
     return isinstance(number, int) and not isinstance(number, bool) and _LEAST <= number <= _MOST
 
 
-def adopted(value: Any, kind: type[Kind], what: str) -> Kind:
+def adopted(value: Any, kind: type[Kind], what: str) -> Any:
     """`value` as a pyopencl object of `kind`. Of a handle the object is retained, and released when Python has no
     reference to the result any more; the caller keeps its own reference. GffeError for anything else."""
     if isinstance(value, kind):
@@ -38,7 +38,7 @@ def adopted_events(values: Any, context: cl.Context, what: str) -> list[cl.Event
         listed = [None] if isinstance(values, str | bytes) else list(values)
     except TypeError:
         raise GffeError(f"{what} must be a list of OpenCL events, got {shown(values)}") from None
-    events = [adopted(value, cl.Event, f"{what}[{number}]") for number, value in enumerate(listed)]
+    events: list[Any] = [adopted(value, cl.Event, f"{what}[{number}]") for number, value in enumerate(listed)]
     for number, event in enumerate(events):
         try:
             its_context, status = event.context, event.command_execution_status

@@ -98,7 +98,8 @@ class _Sharing:
         error = call(queue.int_ptr, len(listed), _handles(listed), len(events), _handles(events), ct.byref(event))
         _require_success(command, error)
         queue.flush()
-        return cl.Event.from_int_ptr(event.value, retain=False)
+        made: Any = event.value
+        return cl.Event.from_int_ptr(made, retain=False)
 
 
 class GlSharing(_Sharing):
@@ -160,7 +161,8 @@ class GlSharing(_Sharing):
         create = _function(platform, "clCreateFromGLBuffer", _P, _P, ct.c_uint64, _UINT, _P)
         made = create(self.device.context.int_ptr, int(cl.mem_flags.READ_WRITE), number, ct.byref(error))
         _require_success("clCreateFromGLBuffer", error.value)
-        return cl.Buffer.from_int_ptr(made, retain=False)
+        buffer: Any = cl.Buffer.from_int_ptr(made, retain=False)
+        return buffer
 
 
 class MemorySharing(_Sharing):
@@ -200,7 +202,8 @@ class MemorySharing(_Sharing):
         flags = int(cl.mem_flags.READ_WRITE)
         made = create(self.device.context.int_ptr, properties, flags, size, None, ct.byref(error))
         _require_success(name, error.value)
-        return cl.Buffer.from_int_ptr(made, retain=False)
+        buffer: Any = cl.Buffer.from_int_ptr(made, retain=False)
+        return buffer
 
 
 def _current_device(platform: cl.Platform, properties: ct.Array) -> int | None:
@@ -235,7 +238,8 @@ def _require_success(call: str, error: int) -> None:
 @cache
 def _loader() -> ct.CDLL:
     """The OpenCL loader: what pyopencl is linked with, whose functions are found through pyopencl's own library."""
-    return ct.CDLL("OpenCL.dll" if sys.platform == "win32" else cl._cl.__file__)
+    library: Any = cl
+    return ct.CDLL("OpenCL.dll" if sys.platform == "win32" else library._cl.__file__)
 
 
 def _address(platform: cl.Platform, name: str) -> int | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -61,7 +62,7 @@ class MadeFrame:
         """In a `with` block, the buffer's own memory as `numpy` gives it, to read. On CPUs nothing is copied; on other
         devices the driver may copy. Leave the block before the next frame is made; the array must not be used
         afterwards. Raises GffeError as `numpy` does."""
-        spec = self._spec(name)
+        spec: Any = self._spec(name)
         with device_faults(self._device, f'mapping "{name}"', lambda: f"{self._size[0]}×{self._size[1]}"):
             array, _ = cl.enqueue_map_buffer(
                 self._device.queue, getattr(self, name), cl.map_flags.READ, 0, self._shape(spec), spec.dtype

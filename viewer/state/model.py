@@ -131,11 +131,13 @@ class Model:
     def follow(self) -> None:
         """Show what the program does, with its pipeline's options."""
         program = self.program
+        assert program is not None  # as `attach` was called
         self.engine.open_source(lambda device: AttachedSource(program), self.asking.serial())
 
     def freeze(self) -> None:
         """Show the program's last rendered frames, which go on being what they are now."""
         program = self.program
+        assert program is not None
         self.engine.open_source(lambda device: FrozenSource(program, device), self.asking.serial())
 
     @property
@@ -346,8 +348,10 @@ class Model:
 
     def save_recording(self) -> None:
         """Start writing the program's last rendered frames: those that are frozen, else those up to now."""
+        program = self.program
+        assert program is not None
         try:
-            sequence = self.source.sequence if self.frozen else self.program.recording()
+            sequence = self.source.sequence if self.frozen else program.recording()
         except GffeError as error:
             self.say(str(error), error=True)
             return

@@ -195,7 +195,7 @@ class Asking:
         """Whether what is shown was asked for with the layers and the setup that are wanted now."""
         result = self._contents.result
         wanted = self._wanted[0] if self._wanted else None
-        return bool(result and wanted) and wanted == replace(result.request, serial=wanted.serial)
+        return result is not None and bool(wanted) and wanted == replace(result.request, serial=wanted.serial)
 
     def _came(self, result: Result) -> None:
         """A's result is there; where it is compared with B's it waits for that."""

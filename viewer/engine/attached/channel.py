@@ -43,8 +43,8 @@ def require_name(name: str) -> str:
 def socket_folder() -> Path:
     """Where the sockets are: made if it is missing. GffeError unless it belongs to this user alone."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
-    there = runtime and os.path.isdir(runtime)  # some containers name one that there is not
-    folder = Path(runtime) / "gffe-cl" if there else Path(tempfile.gettempdir()) / f"gffe-cl-sockets-{os.getuid()}"
+    there = runtime if runtime and os.path.isdir(runtime) else None  # some containers name one that there is not
+    folder = Path(there) / "gffe-cl" if there else Path(tempfile.gettempdir()) / f"gffe-cl-sockets-{os.getuid()}"
     try:
         with suppress(FileExistsError):
             folder.mkdir(mode=0o700)

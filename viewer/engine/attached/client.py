@@ -278,7 +278,7 @@ class _Watcher:
             self._passed.clear()
 
     def _after_submit(self, viewer: _Viewer, pipeline: Pipeline, frame: RenderedFrame) -> None:
-        if viewer.recorder:
+        if viewer.recorder and self._frame:
             begins = frame.reset or pipeline.is_cut
             viewer.recorder.take(self._number, frame, self._frame, pipeline.device.queue, begins, pipeline.exposure)
         self._show(viewer, pipeline, None)
@@ -314,6 +314,7 @@ class _Watcher:
 
     def _shot(self, pipeline: Pipeline, made: ExtrapolatedFrame | None) -> Shot:
         frame = self._frame
+        assert frame is not None  # as something was submitted
         buffers = {
             names.RENDERED_COLOR: frame.color,
             names.RENDERED_DEPTH: frame.depth,
@@ -351,6 +352,7 @@ class _Watcher:
     def _finish(self, viewer: _Viewer, pipeline: Pipeline) -> None:
         """Wait for what is read, and send it."""
         start, pending, viewer.pending = time.perf_counter(), viewer.pending, None
+        assert pending is not None
         if pending.events:
             cl.wait_for_events(pending.events)
         images = pending.images()

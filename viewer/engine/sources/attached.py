@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.rendered_frame import BadPixels
 from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline.options import Options
@@ -30,6 +31,9 @@ class AttachedSource(FrameSource):
     def configure(self, window, n, upscale=0.0):
         return False
 
+    def rendered(self, k):
+        raise GffeError(f"{self.name}: a running program shows its frames itself (expected: freeze it)")
+
     def time(self, k, alpha=0.0):
         return 0.0
 
@@ -40,12 +44,9 @@ class FrozenSource(RecordedSource):
     def __init__(self, program: RunningProgram, device: Device):
         super().__init__(program.recording(), device)
         self.program, self.name, self.options = program, program.name, program.options
-
-    @property
-    def generated(self) -> int:
-        """Frames that the program generated after each rendered one, as far as is known; at least 1."""
         known, frames = len(self.sequence.known_cameras), self.count
-        return min(max(round(known / frames), 1), 7)
+        # frames that the program generated after each rendered one, as far as is known
+        self.generated = min(max(round(known / frames), 1), 7)
 
 
 class RemoteSlots:

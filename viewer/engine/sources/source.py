@@ -44,6 +44,7 @@ class FrameSource(Protocol):
     held: int = REMEMBERED
     follows: bool = False
     options: Options | None = None
+    generated: int = 1
     suspicions: Iterable[str] = ()
 
     def sibling(self) -> FrameSource:
