@@ -16,7 +16,7 @@
 #define THIRD 0.33333334f
 #define LEAST_SHARE 0.05f      /* of a neighbourhood: fewer samples say less */
 #define NOISE 1.033831f        /* factor of lifted colour, 1/256 of encoded colour, up to which nothing changed, ... */
-#define FEW 2                  /* ... and samples, of 64 in a tile, that may change more, as aliased edges do */
+#define FEW 8                  /* ... and samples, of 64 in a tile, that may change more, as aliased edges do */
 #define TILE 4                 /* cells, each way, for which that is decided */
 #define SCANNERS 64            /* work-items of find_change */
 

@@ -23,7 +23,7 @@ class ShadingTrend(Stage):
     Changes are of encoded colour (see `ShadingCorrection`) between a pixel and where its surface was, static and shown,
     in the frame before; cells around count the less the farther away they are, none farther than `reach_of`.
 
-    `is_still`: whether there is nothing for the network to correct: in no tile of 32×32 pixels more than two of 64
+    `is_still`: whether there is nothing for the network to correct: in no tile of 32×32 pixels more than 8 of 64
     samples move or change by more than 1/256 (encoded). False after a reset, and without a focus mask, where the
     whole image is to be the network's.
     """

@@ -207,7 +207,7 @@ def test_dump_stages(gffe, scene, tmp_path):
 def test_shading_correction(gffe, tmp_path):
     """Off without weights; with a model the colour changes and nothing else, within the focus mask or everywhere."""
     scene = tmp_path / "in"
-    assert gffe("render", "fan", scene, "--size", "64x40", "--frames", 4, "--ground-truth")[0] == 0
+    assert gffe("render", "fan", scene, "--size", "128x80", "--frames", 4, "--ground-truth")[0] == 0
     model = constant_model(tmp_path / "m.onnx", delta=0.05, mask=0.5)
     runs = {
         "none": ("--no-scn",),
@@ -222,7 +222,7 @@ def test_shading_correction(gffe, tmp_path):
         report = json.loads((tmp_path / "r.json").read_text())["milliseconds"]
         assert ("network" in report) == ("correction" in report) == (name != "none")
     for none, some, whole in list(zip(*images.values(), strict=True))[1:]:
-        assert (none["G"] < some["G"]).mean() > 0.8 and (some["G"] < whole["G"]).mean() > 0.9
+        assert (none["G"] < some["G"]).mean() > 0.7 and (some["G"] < whole["G"]).mean() > 0.9
         for same in ("Z", "motion.x"):
             assert np.array_equal(none[same], some[same]) and np.array_equal(none[same], whole[same])
     assert np.array_equal(images["none"][0]["G"], images["all"][0]["G"])  # nothing before it
