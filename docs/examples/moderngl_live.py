@@ -1,6 +1,6 @@
 """A renderer of one's own, in OpenGL: 15 rendered frames per second, shown as 60. See docs/tutorial_live.md.
 
-python docs/examples/moderngl_live.py                           a window: Space switches generation
+python docs/examples/moderngl_live.py                           a window: no generated frames while Space is held
 python docs/examples/moderngl_live.py --offscreen --frames 8    mean PSNR, dB, against really rendered frames
 """
 
