@@ -95,6 +95,8 @@ def named_buffers(pipeline):
     for owner, spec in pipeline.named_buffers():
         if owner.name == "correction" and spec.name == "refined":  # made for lookers only
             continue
+        if owner.name == "backward_blocks" and not pipeline.options.blocks:  # never written: what was lent lies there
+            continue
         _, flat = spec.host_array(spec.size(owner.sizes))
         cl.enqueue_copy(pipeline.device.queue, flat, owner.buffer[spec.name])
         found[f"{owner.name}.{spec.name}"] = (flat.view(np.uint8).reshape(-1), known_texels(owner, spec))
