@@ -58,7 +58,7 @@ INLINE Mover mover_of_cell(const int cell_x, const int cell_y, const Frame *fram
         for (int src_x = cell_x * MOVER_CELL; src_x < end_x; ++src_x) {
             const int src = src_y * source_width + src_x;
             if (!is_known(f, src) || !is_of_cell(f.depth[src], nearest)) continue;
-            const float2 px = pixel_centre(src_x, src_y), px_prev = px + f.motion[src];
+            const float2 px = pixel_center(src_x, src_y), px_prev = px + f.motion[src];
             const float3 p1_prev = unproject(px_prev, f.met_depth[src], frame->from_previous.source_inverse);
             const float3 p0 = unproject(px, f.depth[src], frame->to_previous.source_inverse);
             mover.velocity += p0 - move_to_target(p1_prev, frame->from_previous);

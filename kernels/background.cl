@@ -1,10 +1,10 @@
 /* Hierarchical background collection and projection (paper: 'Hierarchical Background Collection').
-   Level l has ceil(W / 2^l) x ceil(H / 2^l) texels over the rendered image. A texel holds one fragment: its colour, its view
-   depth and its pixel position (not the texel's centre) in the camera of the frame for which the level was collected. What is
+   Level l has ceil(W / 2^l) x ceil(H / 2^l) texels over the rendered image. A texel holds one fragment: its color, its view
+   depth and its pixel position (not the texel's center) in the camera of the frame for which the level was collected. What is
    SHOWN is not stored: it is that frame's own pixel. So texels of level 0 have room for a second fragment: with a single level
    they hold, at full resolution, what a static surface hides there, too. With more, as in the paper, the next level holds that.
-   Stored positions are two 16-bit offsets from the texel's centre, x in the lower half, in PX_UNITS of the texel's side: that
-   holds what TOUCHES it. Stored colours are RGB9E5.
+   Stored positions are two 16-bit offsets from the texel's center, x in the lower half, in PX_UNITS of the texel's side: that
+   holds what TOUCHES it. Stored colors are RGB9E5.
    Fragments of B'_l that only meet the surface that they are of are skipped LANES at once, pixels and texels that hold nothing to
    do RUN at once. */
 
@@ -20,7 +20,7 @@
 
 #define PX_UNITS 32768.0f       /* of a stored position, per side of a texel */
 
-/* Pixel positions from the centres of texels: LANES of them, packed and back. */
+/* Pixel positions from the centers of texels: LANES of them, packed and back. */
 inline Ints pack_px(const Floats offset_x, const Floats offset_y, const int level) {
     const float units = PX_UNITS / (float)(1 << level);
     const Floats x = clamp(rint(offset_x * units), -PX_UNITS, PX_UNITS - 1.0f);
@@ -53,10 +53,10 @@ inline float depth_of(const Texels t, const int texel, const bool shown) {
 
 /* `texel` is at (x, y) of its level. */
 inline float2 px_of(const Texels t, const int texel, const int x, const int y, const bool shown) {
-    const float2 centre = pixel_centre(x, y) * (float)(1 << t.level);
-    if (shown) return centre;
+    const float2 center = pixel_center(x, y) * (float)(1 << t.level);
+    if (shown) return center;
     const int packed = t.px[texel];
-    return centre + (float2)((float)((packed << 16) >> 16), (float)(packed >> 16)) * ((float)(1 << t.level) / PX_UNITS);
+    return center + (float2)((float)((packed << 16) >> 16), (float)(packed >> 16)) * ((float)(1 << t.level) / PX_UNITS);
 }
 
 inline float3 code_of(const Texels t, const int texel, const bool shown, const float code_offset) {
@@ -247,7 +247,7 @@ WIDE __kernel void scatter_level(const Frame frame, const int level, const int p
     for (int which = SHOWN; which <= REMEMBERED; ++which) {
         const Ints held = (state & which) != 0;
         if (!ANY(held)) continue;
-        Floats px_x = row_centres(texel_x) * side, px_y = (Floats)(((float)texel_y + 0.5f) * side), z = frame_z;
+        Floats px_x = row_centers(texel_x) * side, px_y = (Floats)(((float)texel_y + 0.5f) * side), z = frame_z;
         if (which == REMEMBERED) {
             const Ints packed = held ? load_ints(0, old_px + texel) : (Ints)(0);
             px_x += unpack_x(packed, level);
@@ -341,7 +341,7 @@ INLINE void settle(const int first_x, const int texel_y, const int count, const 
     const Floats px_x = (to_floats(old_x) + 0.5f) * old_side + unpack_x(offset, old.level);
     const Floats px_y = (to_floats(old_y) + 0.5f) * old_side + unpack_y(offset, old.level);
     const Wide3 now = wide_reproject(px_x, px_y, load_floats(0, z), to_current);
-    store_ints(pack_px(now.x - row_centres(first_x) * side, now.y - ((float)texel_y + 0.5f) * side, level.level), 0, packed);
+    store_ints(pack_px(now.x - row_centers(first_x) * side, now.y - ((float)texel_y + 0.5f) * side, level.level), 0, packed);
     store_floats(now.z, 0, z);
     if (any_shown) {
         const Ints shown = pack_colors(load_floats(0, r), load_floats(0, g), load_floats(0, b));
@@ -431,7 +431,7 @@ typedef struct {
 } Uncovered;
 
 /* Offers a fragment to the pixels from (x0, y0) to (x1, y1) that the warp left invalid, and to those of its surface whose own
-   colour is a makeshift: their fragment's colour was mixed with that of a silhouette. */
+   color is a makeshift: their fragment's color was mixed with that of a silhouette. */
 inline void offer_to_pixels(const int x0, const int y0, const int x1, const int y1, const float z, const uint texel,
                             const Uncovered to) {
     for (int dst_y = y0; dst_y <= y1; ++dst_y) {
@@ -490,10 +490,10 @@ SCAN __kernel void project_levels(const Frame frame, const int pass, __global co
     }
 }
 
-/* Code of the colour of the texels around a winner, weighted by their distance in the target image from `centre`, of the winner's surface
+/* Code of the color of the texels around a winner, weighted by their distance in the target image from `center`, of the winner's surface
    only: within one texel's side; within two where that catches too little, as in the gaps between irregular fragments. */
 INLINE float3 color_around(const int winner, const int texel_x, const int texel_y, const int level_height, const float z_winner,
-                           const float2 side, const float2 centre, const Frame *frame, const Texels texels) {
+                           const float2 side, const float2 center, const Frame *frame, const Texels texels) {
     const int level_width = texels.width;
     float3 sum;
     float weight_sum;
@@ -525,7 +525,7 @@ INLINE float3 color_around(const int winner, const int texel_x, const int texel_
             }
             const Floats z_taps = load_floats(0, z);
             const Wide3 there = wide_reproject(load_floats(0, x), load_floats(0, y), z_taps, frame->to_target);
-            const Floats wx = 1.0f - fabs(there.x - centre.x) * inverse_x, wy = 1.0f - fabs(there.y - centre.y) * inverse_y;
+            const Floats wx = 1.0f - fabs(there.x - center.x) * inverse_x, wy = 1.0f - fabs(there.y - center.y) * inverse_y;
             const Ints counts = (z_taps > 0.0f) & (there.z > 0.0f) & (wx > 0.0f) & (wy > 0.0f);
             store_floats(counts ? wx * wy : (Floats)(0.0f), 0, weight);
             for (int k = 0; k < LANES; ++k) {
@@ -539,7 +539,7 @@ INLINE float3 color_around(const int winner, const int texel_x, const int texel_
     return weight_sum > 0.01f ? mean_of(sum, weight_sum) : code_of(texels, winner, false, frame->code_offset);
 }
 
-/* The frame before: of its pixels those that are SHOWN hold their own surface's colour only. */
+/* The frame before: of its pixels those that are SHOWN hold their own surface's color only. */
 typedef struct {
     int width, height;
     __global const half *color;
@@ -549,9 +549,9 @@ typedef struct {
     float code_offset;
 } Before;
 
-/* Code of the colour of a static point in the frame before; false where that did not show its surface all around. */
-INLINE bool shown_before(const float2 centre, const float z, const Before before, float3 *code) {
-    const float3 px_prev = reproject(centre, z, before.to_previous);
+/* Code of the color of a static point in the frame before; false where that did not show its surface all around. */
+INLINE bool shown_before(const float2 center, const float z, const Before before, float3 *code) {
+    const float3 px_prev = reproject(center, z, before.to_previous);
     if (!(px_prev.z > 0.0f && px_prev.x >= 0.5f && px_prev.y >= 0.5f && px_prev.x < (float)before.width - 0.5f
           && px_prev.y < (float)before.height - 0.5f)
         || !(before.state[(int)px_prev.y * before.width + (int)px_prev.x] & SHOWN)) return false;
@@ -568,7 +568,7 @@ INLINE bool shown_before(const float2 centre, const float z, const Before before
 }
 
 /* Fills the pixels that remembered fragments won, RUN per work-item, but for movers' hidden parts. Where the frame before still
-   showed the surface its colour comes from there, at full resolution. Of a makeshift and what is remembered, two estimates of
+   showed the surface its color comes from there, at full resolution. Of a makeshift and what is remembered, two estimates of
    one surface, the mean is shown. */
 SCAN __kernel void fill_from_levels(const Frame frame, __global const half *color_prev, __global const float *depth_prev,
                                     __global const uchar *state_prev, __global const half *frame_color,
@@ -602,21 +602,21 @@ SCAN __kernel void fill_from_levels(const Frame frame, __global const half *colo
         const int texel_x = ((int)winner - start) % width, texel_y = ((int)winner - start) / width;
         const Texels texels = {levels_color, frame_color, levels_depth, frame_depth, levels_px, levels_state, level, width};
         const float z_winner = levels_depth[winner];
-        const float2 centre = pixel_centre(dst_x, dst_y);
+        const float2 center = pixel_center(dst_x, dst_y);
         const float nearest_z = reproject(px_of(texels, winner, texel_x, texel_y, false), z_winner, to_target).z;
-        const float3 px_source = reproject(centre, nearest_z, to_source);
+        const float3 px_source = reproject(center, nearest_z, to_source);
         if (!lands(px_source, source_width, source_height)) continue;  /* out of screen: only the footprint reaches there */
         const float nearer = isinf(nearest_z) ? 1.0f : divide(z_winner, nearest_z);
         const float2 side = (float2)((float)(1 << level) * nearer * zoom.x, (float)(1 << level) * nearer * zoom.y);
         float3 remembered;
-        if (!has_previous || !shown_before(centre, nearest_z, before, &remembered))
-            remembered = color_around(winner, texel_x, texel_y, level_side(source_height, level), z_winner, side, centre,
+        if (!has_previous || !shown_before(center, nearest_z, before, &remembered))
+            remembered = color_around(winner, texel_x, texel_y, level_side(source_height, level), z_winner, side, center,
                                       &frame, texels);
         if (!disoccluded[dst]) remembered = 0.5f * (remembered + load_code(color, dst, frame.code_offset));
         store_code(remembered, color, dst, frame.code_offset);
         filled_by[dst] = (uchar)(1 + level);
         if (!disoccluded[dst]) continue;
         depth[dst] = nearest_z;
-        motion[dst] = px_source.xy - centre;
+        motion[dst] = px_source.xy - center;
     }
 }

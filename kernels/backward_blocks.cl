@@ -175,9 +175,9 @@ WIDE __kernel void find_reach(const Frame frame, __global const float *depth, __
             for (int k = 0; k < 4; ++k) atomic_max(reached_by + 4 * (y * target_blocks + x) + k, extent[k]);
 }
 
-/* Where the centre of a target block comes from, by Newton's method from the middle of the source blocks that reach it:
+/* Where the center of a target block comes from, by Newton's method from the middle of the source blocks that reach it:
    (source px, slopes of the inverse xx, xy, yx, yy, determinant of the flow, 0); false if that leads elsewhere. */
-inline bool find_source(const float2 centre, const int4 extent, const int source_width, const int plane,
+inline bool find_source(const float2 center, const int4 extent, const int source_width, const int plane,
                         __global const float *target_position, float8 *source) {
     const int x0 = extent.x * BLOCK_WIDTH, y0 = extent.y * BLOCK_HEIGHT, x1 = (extent.z + 1) * BLOCK_WIDTH - 1, y1 = (extent.w + 1) * BLOCK_HEIGHT - 1;
     float2 px = 0.5f * (float2)((float)(x0 + x1 + 1), (float)(y0 + y1 + 1));
@@ -187,9 +187,9 @@ inline bool find_source(const float2 centre, const int4 extent, const int source
         __global const float *p = target_position + src, *q = p + plane;
         const float xx = 0.5f * (p[1] - p[-1]), xy = 0.5f * (q[1] - q[-1]);
         const float yx = 0.5f * (p[source_width] - p[-source_width]), yy = 0.5f * (q[source_width] - q[-source_width]);
-        const float det = xx * yy - yx * xy, inverse = divide(1.0f, det), dx = centre.x - *p, dy = centre.y - *q;
+        const float det = xx * yy - yx * xy, inverse = divide(1.0f, det), dx = center.x - *p, dy = center.y - *q;
         const float2 step = (float2)((yy * dx - yx * dy) * inverse, (xx * dy - xy * dx) * inverse);
-        px = pixel_centre(src_x, src_y) + step;
+        px = pixel_center(src_x, src_y) + step;
         if (fabs(step.x) <= 0.51f && fabs(step.y) <= 0.51f) {
             *source = (float8)(px, yy * inverse, -yx * inverse, -xy * inverse, xx * inverse, det, 0.0f);
             return true;
@@ -198,9 +198,9 @@ inline bool find_source(const float2 centre, const int4 extent, const int source
     return false;
 }
 
-/* 1 if fragments go where the inverse of the flow around the block's centre says: at its upper corners, from which those across
+/* 1 if fragments go where the inverse of the flow around the block's center says: at its upper corners, from which those across
    hardly differ; else 0. */
-inline float is_affine(const float2 centre, const float8 source, const int source_width, const int source_height,
+inline float is_affine(const float2 center, const float8 source, const int source_width, const int source_height,
                       __global const float *target_position) {
     bool affine = true;
     for (int k = 0; k < 2; ++k) {
@@ -209,13 +209,13 @@ inline float is_affine(const float2 centre, const float8 source, const int sourc
         const int src_x = clamp((int)floor(px_x), 0, source_width - 1), src_y = clamp((int)floor(px_y), 0, source_height - 1);
         const float dx = ((float)src_x + 0.5f - px_x) * source.s6, dy = ((float)src_y + 0.5f - px_y) * source.s6;
         __global const float *p = target_position + src_y * source_width + src_x, *q = p + source_width * source_height;
-        affine = affine && fabs(*p - (centre.x + x + source.s5 * dx - source.s3 * dy)) <= AFFINE_MOST
-                 && fabs(*q - (centre.y + y + source.s2 * dy - source.s4 * dx)) <= AFFINE_MOST;
+        affine = affine && fabs(*p - (center.x + x + source.s5 * dx - source.s3 * dy)) <= AFFINE_MOST
+                 && fabs(*q - (center.y + y + source.s2 * dy - source.s4 * dx)) <= AFFINE_MOST;
     }
     return affine ? 1.0f : 0.0f;
 }
 
-/* One work-item per target block: its class, and of those to be warped backward where their centre comes from. Forgets what
+/* One work-item per target block: its class, and of those to be warped backward where their center comes from. Forgets what
    reached it, for the next frame, and empties the keys of those that are splatted; no silhouette is in it yet, if
    that `softens` any. */
 SPARSE __kernel void classify_blocks(const Frame frame, __global const float *target_position, __global const uchar *smooth,
@@ -238,10 +238,10 @@ SPARSE __kernel void classify_blocks(const Frame frame, __global const float *ta
         for (int x = extent.x; x <= extent.z; ++x) backward = backward && smooth[y * source_blocks + x];
     if (backward) {
         float8 source;
-        const float2 centre = (float2)((float)(bx * BLOCK_WIDTH + BLOCK_WIDTH / 2), (float)(by * BLOCK_HEIGHT + BLOCK_HEIGHT / 2));
-        backward = find_source(centre, extent, source_width, source_width * source_height, target_position, &source);
+        const float2 center = (float2)((float)(bx * BLOCK_WIDTH + BLOCK_WIDTH / 2), (float)(by * BLOCK_HEIGHT + BLOCK_HEIGHT / 2));
+        backward = find_source(center, extent, source_width, source_width * source_height, target_position, &source);
         if (backward) {
-            source.s7 = is_affine(centre, source, source_width, source_height, target_position);
+            source.s7 = is_affine(center, source, source_width, source_height, target_position);
             block_source[block] = source;
         }
     }

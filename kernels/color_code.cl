@@ -1,4 +1,4 @@
-/* Codes of the rendered frame's colours, for all who mix them. */
+/* Codes of the rendered frame's colors, for all who mix them. */
 
 #include "frame.h"
 #include "simd_rgb.h"

@@ -1,9 +1,9 @@
-/* Shared by all kernels. Conventions: row-major images, origin top left, y down; the centre of pixel (i, j) is
+/* Shared by all kernels. Conventions: row-major images, origin top left, y down; the center of pixel (i, j) is
    (i + 0.5, j + 0.5); depth is planar view-space z, +inf for sky; half is storage, never arithmetic. */
 
 #pragma OPENCL FP_CONTRACT OFF
 
-/* Before a kernel in which few work-items do anything: it stays scalar on CPUs, whose vectorisers else make all lanes walk
+/* Before a kernel in which few work-items do anything: it stays scalar on CPUs, whose vectorizers else make all lanes walk
    the rare path. */
 #define SPARSE __attribute__((vec_type_hint(float4)))
 
@@ -13,7 +13,7 @@
 #define INVALID_DEPTH(z) (!((z) > 0.0f))  /* NaN, zero, negative */
 #define COLOR_MAX 65504.0f
 
-/* Bits of `links`: which neighbours of a pixel are of the same surface. */
+/* Bits of `links`: which neighbors of a pixel are of the same surface. */
 #define LINK_RIGHT 1
 #define LINK_DOWN 2
 #define LINK_LEFT 4
@@ -58,7 +58,7 @@ inline float divide(const float a, const float b) {
 #endif
 }
 
-inline float2 pixel_centre(const int x, const int y) { return (float2)((float)x + 0.5f, (float)y + 0.5f); }
+inline float2 pixel_center(const int x, const int y) { return (float2)((float)x + 0.5f, (float)y + 0.5f); }
 
 inline bool inside(const int x, const int y, const int width, const int height) {
     return x >= 0 && y >= 0 && x < width && y < height;

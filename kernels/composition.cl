@@ -77,7 +77,7 @@ __kernel void compose(const Frame frame, const int is_rendered, __global const u
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= target_width || y >= target_height) return;
     const int dst = y * target_width + x;
-    const float2 px = pixel_centre(x, y), px_render = px * to_render.xy + to_render.zw;
+    const float2 px = pixel_center(x, y), px_render = px * to_render.xy + to_render.zw;
     float3 picture = load_color(color, dst);
     if (has_fixed_mask) {
         const float2 place = floor(px_render);

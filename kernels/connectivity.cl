@@ -1,17 +1,17 @@
-/* Surfaces of a rendered frame: which neighbouring pixels show one surface (for 'Warping' and the background), and which
-   pixels cannot hold the colour of another one: those are what level 0 of the background shows (background.cl).
+/* Surfaces of a rendered frame: which neighboring pixels show one surface (for 'Warping' and the background), and which
+   pixels cannot hold the color of another one: those are what level 0 of the background shows (background.cl).
    Where depth changes by little, or by much between two flat surfaces, links follow from it without a division. */
 
 #include "frame.h"
 #include "simd.h"
 #include "nearest.h"
 
-#define SURFACE_STEP 0.02f       /* relative step of inverse depth between neighbours of one surface ... */
+#define SURFACE_STEP 0.02f       /* relative step of inverse depth between neighbors of one surface ... */
 #define SURFACE_CURVATURE 0.005f /* ... or relative deviation from the plane through them, where they are steeper */
 #define SMALL_STEP 0.0199f       /* relative step of depth that is within SURFACE_STEP, however that is rounded ... */
 #define LARGE_STEP 0.032f        /* ... and one that is beyond it, and beyond SURFACE_CURVATURE beside a small one */
 
-#define GROW 2                   /* px around dynamic or nearer fragments where colours may be mixed with theirs */
+#define GROW 2                   /* px around dynamic or nearer fragments where colors may be mixed with theirs */
 #define NEARER 0.9f
 
 #define REACH 2                  /* px around a pixel that are looked at: GROW, and 2 for links */
@@ -138,7 +138,7 @@ INLINE Ints links_by_depth(const Place p, Ints *clear) {
     return links;
 }
 
-/* Links to neighbours that are equally static or dynamic. */
+/* Links to neighbors that are equally static or dynamic. */
 INLINE Ints links_by_motion(const Place p) {
     const Ints own = to_ints(dynamic_beside(p, 0, 0));
     const Ints right = to_ints(dynamic_beside(p, 1, 0)) == own, down = to_ints(dynamic_beside(p, 0, 1)) == own;
@@ -157,7 +157,7 @@ typedef struct {
     __global uint *push_winners;
 } Collecting;
 
-/* links: which of the four neighbours belong to the same surface and are equally static or dynamic. To `collect`: texels are
+/* links: which of the four neighbors belong to the same surface and are equally static or dynamic. To `collect`: texels are
    SHOWN where depth is valid and no pixel within GROW is dynamic or nearer; the others are EMPTY, and nobody is offered to them,
    nor to level 1; of a `single` level to none. */
 INLINE void find(const Place p, const int collect, const bool single, __global uchar *links, const Collecting to) {

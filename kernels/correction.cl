@@ -14,7 +14,7 @@
 #define JUDGED 4             /* channels before them: own flow (2), how far the found one is followed, how long trends last */
 #define SEEN 16              /* inputs of the head: detail (4), change along the flow (3), trend (3), both frames (6) */
 #define HIDDEN 16            /* channels of its hidden layer */
-#define SAID 6               /* outputs: change of colour (3), detail that is kept, likelihood of the focus mask, share of the trend */
+#define SAID 6               /* outputs: change of color (3), detail that is kept, likelihood of the focus mask, share of the trend */
 #define SLOPE 0.1f           /* of leaky rectifiers */
 #define DISOCCLUDED_BELOW 0.4f  /* mean input mask of four pixels, of which one is disoccluded and none dynamic: at most 0.375 */
 #define MARGIN 2.0f          /* how much farther than it changed light may go on */
@@ -86,7 +86,7 @@ inline Floats moved_light(__global const float *frame_now, __global const float 
     return wide_lesser(wide_greater(moved, least), most);
 }
 
-/* At half resolution: change of encoded colour (3), detail that is kept, focus mask. In disocclusions a change of light cannot be
+/* At half resolution: change of encoded color (3), detail that is kept, focus mask. In disocclusions a change of light cannot be
    told from another surface: there nothing is changed. */
 WIDE __kernel void judge(const Frame frame, __global const float *frames, __global const float *trends,
                          __global const float *judgement, __global const float *chosen, __global const float *head,
@@ -122,7 +122,7 @@ WIDE __kernel void judge(const Frame frame, __global const float *frames, __glob
     store_floats(mask == mask ? clamp(mask, (Floats)(0.0f), (Floats)(1.0f)) * trusted : mask, 0, correction + 4 * plane + at);
 }
 
-/* Stores the lanes of a mixture that hold, and of the others the extrapolated colour's own bits. */
+/* Stores the lanes of a mixture that hold, and of the others the extrapolated color's own bits. */
 inline void store_where(const Ints holds, const WideRgb c, const int count, __global const half *color, __global half *out) {
     if (count >= LANES && ALL(holds)) {
         store_rgb_run(c, out);
@@ -152,7 +152,7 @@ inline void store_where(const Ints holds, const WideRgb c, const int count, __gl
 #define WITH_REFINED 2
 
 /* refined: the network's image, the detail of the extrapolated one kept as it says; out_color: that within the focus mask,
-   the extrapolated colour's own bits where the mask is 0. Output that is not finite counts as no mask. `refined` is made only
+   the extrapolated color's own bits where the mask is 0. Output that is not finite counts as no mask. `refined` is made only
    for whoever asks for it: else a run of pixels without mask is a copy. */
 WIDE __kernel void correct(const Frame frame, const int asked, __global const half *color,
                            __global const float *frames, __global const float *correction, __global half *refined,

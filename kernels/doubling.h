@@ -1,5 +1,5 @@
 /* Between an image and one of half its size, LANES pixels at once: bilinear interpolation up, means over 2x2 pixels down. Pixel
-   centres of both lie on one plane; borders are repeated. */
+   centers of both lie on one plane; borders are repeated. */
 
 #include "common.h"
 #include "simd.h"

@@ -24,7 +24,7 @@ typedef struct {
     float det;               /* of the 2x2 part: target px^2 per source px^2 */
 } Flow;
 
-/* Change of position from `here` to the linked neighbours `ahead` and `behind`, `step` apart. */
+/* Change of position from `here` to the linked neighbors `ahead` and `behind`, `step` apart. */
 INLINE float3 slope(const Fragments f, const int src, const float3 here, const int step, const bool ahead, const bool behind,
                     bool *linked) {
     float3 sum = (float3)(0.0f);
@@ -42,7 +42,7 @@ INLINE float3 slope(const Fragments f, const int src, const float3 here, const i
     return count == 2.0f ? sum * 0.5f : sum;
 }
 
-/* From the linked neighbours; along a direction without any, what depth alone explains. Given back by pointer: Oclgrind does not know
+/* From the linked neighbors; along a direction without any, what depth alone explains. Given back by pointer: Oclgrind does not know
    what inlining makes of returned structs. */
 INLINE void flow_at(const Fragments f, const int src, const float3 here, Flow *flow) {
     const int bits = f.links[src];
@@ -55,7 +55,7 @@ INLINE void flow_at(const Fragments f, const int src, const float3 here, Flow *f
     if (!linked_x || fabs(flow->ddx.x) > most || fabs(flow->ddx.y) > most) flow->ddx = (float3)(scale_x, 0.0f, 0.0f);
     if (!linked_y || fabs(flow->ddy.x) > most || fabs(flow->ddy.y) > most) flow->ddy = (float3)(0.0f, scale_y, 0.0f);
     flow->det = flow->ddx.x * flow->ddy.y - flow->ddy.x * flow->ddx.y;
-    if (!(flow->det > 0.02f * scale_x * scale_y)) {  /* folded or edge-on: the neighbours say nothing about the footprint */
+    if (!(flow->det > 0.02f * scale_x * scale_y)) {  /* folded or edge-on: the neighbors say nothing about the footprint */
         flow->ddx = (float3)(scale_x, 0.0f, 0.0f);
         flow->ddy = (float3)(0.0f, scale_y, 0.0f);
         flow->det = scale_x * scale_y;

@@ -32,7 +32,7 @@ inline int reach_of(const Frame *frame) { return max(LEAST_REACH, frame->target_
 
 /* Where the pixel `offset` away from (x, y) was in the rendered image if it moves as that one does. */
 inline float2 moves_along(const int x, const int y, const int2 offset, const Frame *frame, const Images f) {
-    return pixel_centre(x, y) + f.motion[y * frame->target_width + x]
+    return pixel_center(x, y) + f.motion[y * frame->target_width + x]
            + (float2)(divide((float)offset.x, frame->zoom.x), divide((float)offset.y, frame->zoom.y));
 }
 
@@ -65,7 +65,7 @@ inline int steps_to_mover(const int dst_x, const int dst_y, const int2 d, const 
     if (!(px_source.x >= 0.0f && px_source.y >= 0.0f && px_source.x < (float)frame->source_width
           && px_source.y < (float)frame->source_height)) return 0;
     const float z_shown = f.source_depth[(int)px_source.y * frame->source_width + (int)px_source.x];
-    return INVALID_DEPTH(z_shown) || z_shown < HIDES * reproject(pixel_centre(x, y), z, frame->to_source).z ? t : 0;
+    return INVALID_DEPTH(z_shown) || z_shown < HIDES * reproject(pixel_center(x, y), z, frame->to_source).z ? t : 0;
 }
 
 /* The direction, of those with `t` steps to a mover, in which the mover lies that the hole belongs to: one close by, or else the
@@ -114,7 +114,7 @@ inline void fill_hidden_part(const int dst_x, const int dst_y, const Frame *fram
     }
     store_code(mean_of(sum, weight_sum), f.color, dst, frame->code_offset);
     f.depth[dst] = divide(z_sum, weight_sum);
-    f.motion[dst] = (float2)(divide(px_sum.x, weight_sum), divide(px_sum.y, weight_sum)) - pixel_centre(dst_x, dst_y);
+    f.motion[dst] = (float2)(divide(px_sum.x, weight_sum), divide(px_sum.y, weight_sum)) - pixel_center(dst_x, dst_y);
     f.filled_by[dst] = BY_HIDDEN_PART;
 }
 

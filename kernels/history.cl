@@ -27,7 +27,7 @@
 #define DEPTH_PER_MOTION 2.0f    /* ... and what is added per unit of its sideways motion */
 #define FIXED_MOST 0.0625f       /* px by which what is fixed to the camera may move in the image ... */
 #define FIXED_DEPTH 0.01f        /* ... and relative change of its depth */
-#define DEPTH_CHANGE_MOST 0.12f  /* relative change within an interval of a surface that fills the neighbourhood of x' */
+#define DEPTH_CHANGE_MOST 0.12f  /* relative change within an interval of a surface that fills the neighborhood of x' */
 
 inline float squared_distance(const float2 a, const float2 b) {
     const float dx = a.x - b.x, dy = a.y - b.y;
@@ -118,7 +118,7 @@ inline float noise_threshold_squared(__local const int *histogram, const float l
     return clamp(noise, low * low, high * high);
 }
 
-/* The step of a class of quantized motion, px (its bin's upper bound): in a grid of steps, neighbours differ by none or by whole
+/* The step of a class of quantized motion, px (its bin's upper bound): in a grid of steps, neighbors differ by none or by whole
    ones. 0: not quantized. -1: too few vectors, or all alike, or hardly any. */
 inline float step_of(__local const int *histogram) {
     const int pairs = sum_of(histogram, 0), steps = sum_of(histogram, 2);
@@ -277,7 +277,7 @@ inline float depth_met(const float2 px_prev, const float z_expected, const float
             const int tap_x = near_x + dx, tap_y = near_y + dy;
             if (!inside(tap_x, tap_y, source_width, source_height)) continue;
             const float z = depth_prev[tap_y * source_width + tap_x];
-            const float distance = squared_distance(pixel_centre(tap_x, tap_y), px_prev);
+            const float distance = squared_distance(pixel_center(tap_x, tap_y), px_prev);
             if (distance < closest && plausible(z, z_expected, tolerance)) {
                 closest = distance;
                 found = z;
@@ -319,8 +319,8 @@ INLINE void find_history(const int src_x, const int src_y, const Frame *frame, c
     const int src = src_y * source_width + src_x, positions = frame->positions;
     const Reprojection to_previous = frame->to_previous, from_previous = frame->from_previous;
     const float z = f.depth[src];
-    const float2 mv_px = f.motion[src], px_prev = pixel_centre(src_x, src_y) + mv_px;
-    const float3 px_static = reproject(pixel_centre(src_x, src_y), z, to_previous);
+    const float2 mv_px = f.motion[src], px_prev = pixel_center(src_x, src_y) + mv_px;
+    const float3 px_static = reproject(pixel_center(src_x, src_y), z, to_previous);
     int known = 0;  /* how many of P_1 ... are known */
     f.met_depth[src] = 0.0f;
     if (isfinite(mv_px.x) && isfinite(mv_px.y)) {
@@ -339,7 +339,7 @@ INLINE void find_history(const int src_x, const int src_y, const Frame *frame, c
             f.history[src] = (float4)(move_to_target(p1_prev, from_previous), 1.0f);
             known = 1;
             /* P_i[x] = P'_{i-1}[x'], carried over with the offset between x' and the pixel it is read from. */
-            const float3 at_nearest = unproject(pixel_centre(nearest % source_width, nearest / source_width),
+            const float3 at_nearest = unproject(pixel_center(nearest % source_width, nearest / source_width),
                                                 f.depth_prev[nearest], from_previous.source_inverse);
             const float3 offset = p1_prev - at_nearest;
             for (; known < positions - 1; ++known) {
@@ -351,7 +351,7 @@ INLINE void find_history(const int src_x, const int src_y, const Frame *frame, c
         }
     }
     if (positions == 2) return;
-    const float3 p0 = unproject(pixel_centre(src_x, src_y), z, to_previous.source_inverse);
+    const float3 p0 = unproject(pixel_center(src_x, src_y), z, to_previous.source_inverse);
     for (int k = known; k < positions - 1; ++k) f.history[k * plane + src] = (float4)(p0, 0.0f);
 }
 
@@ -369,7 +369,7 @@ INLINE Ints may_be_fixed(const Floats px_x, const float px_y, const Floats mv_x,
 /* Whether such a fragment is: the frame before shows its surface there, no nearer and no farther. */
 INLINE bool is_fixed(const int src_x, const int src_y, const Frame *frame, const Frames f) {
     const int src = src_y * frame->source_width + src_x;
-    const float2 px_prev = pixel_centre(src_x, src_y) + f.motion[src];
+    const float2 px_prev = pixel_center(src_x, src_y) + f.motion[src];
     const int x = clamp((int)floor(px_prev.x), 0, frame->source_width - 1);
     const int y = clamp((int)floor(px_prev.y), 0, frame->source_height - 1);
     return fabs(f.depth_prev[y * frame->source_width + x] - f.depth[src]) <= FIXED_DEPTH * f.depth[src];
@@ -392,7 +392,7 @@ WIDE __kernel void track_history(const Frame frame, __global const float *depth,
     const int count = min(source_width - src_x, LANES);
     Ints moves = 0, may_stay = 0;
     if (has_previous) {
-        const Floats px_x = row_centres(src_x);
+        const Floats px_x = row_centers(src_x);
         const float px_y = (float)src_y + 0.5f;
         Floats mv_y;
         const Floats z = load_some_floats(count, depth + src), mv_x = load_some_xy(count, motion + src, &mv_y);

@@ -1,6 +1,6 @@
 /* Hole filling: what is still invalid is continued from the far side of the disocclusion, or comes from the image
    downsampled 32 times (paper: 'Shading correction network').
-   To be filled are the pixels that are labelled so; labels and valid pixels stay as they are. RUN pixels without any are skipped
+   To be filled are the pixels that are labeled so; labels and valid pixels stay as they are. RUN pixels without any are skipped
    at once, and the downsampled image is made only where a pixel asks for them. */
 
 #include "frame.h"
@@ -78,7 +78,7 @@ inline Border find_border(const int dst_x, const int dst_y, const int width, con
 
 inline bool is_far(const Border a, const int k) { return !(a.inverse[k] > a.least_inverse * FAR_SIDE); }
 
-/* Mean (colour, inverse depth) of pixels with weights. */
+/* Mean (color, inverse depth) of pixels with weights. */
 inline float4 weighted_mean(const int count, const int *px, const float *inverse, const float *weight,
                             const float code_offset, __global const half *color) {
     float4 sum = (float4)(0.0f);
@@ -93,10 +93,10 @@ inline float4 weighted_mean(const int count, const int *px, const float *inverse
 
 /* Where a static pixel is in the rendered image, and its depth there; z <= 0: behind the camera. */
 inline float3 static_source(const int dst_x, const int dst_y, const float inverse_depth, const Reprojection to_source) {
-    return reproject(pixel_centre(dst_x, dst_y), inverse_depth > 0.0f ? divide(1.0f, inverse_depth) : INFINITY, to_source);
+    return reproject(pixel_center(dst_x, dst_y), inverse_depth > 0.0f ? divide(1.0f, inverse_depth) : INFINITY, to_source);
 }
 
-/* Code of the rendered frame's colour at `px_source`, or at the place on its border that is closest; bilinear. */
+/* Code of the rendered frame's color at `px_source`, or at the place on its border that is closest; bilinear. */
 inline float3 border_code(const float2 px_source, const Frame *frame, __global const half *source_color) {
     const int width = frame->source_width, height = frame->source_height;
     const float x = clamp(px_source.x - 0.5f, 0.0f, (float)(width - 1)), y = clamp(px_source.y - 0.5f, 0.0f, (float)(height - 1));
@@ -125,7 +125,7 @@ inline float3 continued(const float3 beside, const float3 px_source, const Frame
 /* Of the first valid pixels in eight directions, up to `reach` px away: a surface that, continued into the hole, lies outside
    of the rendered image was hidden by nothing. If there are such, the hole is theirs, those close by count most. Else it is a
    disocclusion, and shows the surface on its far side: the mean of those, weighted by the inverse of their distance.
-   Gives (colour, inverse depth); false where no direction meets a valid pixel. */
+   Gives (color, inverse depth); false where no direction meets a valid pixel. */
 inline bool far_side(const int dst_x, const int dst_y, const Frame *frame, const Images f, float4 *mean) {
     const int width = frame->target_width, reach = max(LEAST_REACH, width / REACH_SHARE);
     const Border a = find_border(dst_x, dst_y, width, frame->target_height, reach, f.filled_by, BY_HOLE_FILLING, f.depth);
@@ -152,7 +152,7 @@ inline bool far_side(const int dst_x, const int dst_y, const Frame *frame, const
 
 inline float brightness(const float3 c) { return (c.x + c.y + c.z) * (1.0f / 3.0f); }
 
-/* How much a far side `mean` tells, beside a remembered colour: the nearer and the more uniform the more. */
+/* How much a far side `mean` tells, beside a remembered color: the nearer and the more uniform the more. */
 inline float weight_of_far_side(const Border a, const float3 mean, __global const half *color) {
     float closest = 0.0f, sum = 0.0f, weight_sum = 0.0f;
     for (int k = 0; k < a.count; ++k) {
@@ -166,7 +166,7 @@ inline float weight_of_far_side(const Border a, const float3 mean, __global cons
     return spread > 0.0f ? closest * divide(uniform, uniform + spread) : closest;
 }
 
-/* What the background fills, with the far side: of a surface's remembered colour, which may be out of date, and what is shown
+/* What the background fills, with the far side: of a surface's remembered color, which may be out of date, and what is shown
    beside it now, the weighted mean is shown. RUN pixels per work-item. */
 SCAN __kernel void mix_far_side(const Frame frame, __global const uchar *disoccluded, __global const uchar *filled_by,
                                 __global const float *depth, __global half *color) {
@@ -191,7 +191,7 @@ SCAN __kernel void mix_far_side(const Frame frame, __global const uchar *disoccl
 
 /* ---- push-pull (Gortler et al., The Lumigraph, 1996) ------------------------------------------------------------ */
 
-/* Mean (colour, inverse depth) and weight, 0 or 1, of the valid pixels among the 2x2 under each texel of level 1. */
+/* Mean (color, inverse depth) and weight, 0 or 1, of the valid pixels among the 2x2 under each texel of level 1. */
 __kernel void push_image(const Frame frame, __global const uchar *filled_by, __global const half *color,
                          __global const float *depth, __global float4 *mean, __global float *weight) {
     const int target_width = frame.target_width, target_height = frame.target_height;
@@ -263,13 +263,13 @@ __kernel void pull_level(const Frame frame, const int level, __global const floa
 
 /* ---- fill ------------------------------------------------------------------------------------------------------ */
 
-/* Fills a pixel with a mean (colour, inverse depth), and with the motion of a static point. */
+/* Fills a pixel with a mean (color, inverse depth), and with the motion of a static point. */
 inline void fill_pixel(const int dst_x, const int dst_y, const float4 mean, const Frame *frame, const Images f) {
     const int dst = dst_y * frame->target_width + dst_x;
     const float3 px_source = static_source(dst_x, dst_y, mean.w, frame->to_source);
     store_color(mean.xyz, f.color, dst);
     f.depth[dst] = mean.w > 0.0f ? divide(1.0f, mean.w) : INFINITY;
-    f.motion[dst] = px_source.z > 0.0f ? px_source.xy - pixel_centre(dst_x, dst_y) : (float2)(0.0f);
+    f.motion[dst] = px_source.z > 0.0f ? px_source.xy - pixel_center(dst_x, dst_y) : (float2)(0.0f);
 }
 
 #define BEYOND_REACH -1.0f   /* depth of pixels that have no far side within reach, until they are filled */
@@ -306,14 +306,14 @@ typedef struct {
     int ring_x, ring_y;
     int width, height;       /* of the downsampled image */
     int after_far_side;      /* only pixels are filled that the far side has left */
-    __local float4 *sums;    /* of the ring's texels: (colour, 1), weighted ... */
+    __local float4 *sums;    /* of the ring's texels: (color, 1), weighted ... */
     __local float *inverse_sums;  /* ... and inverse depth */
     __local uint *asked, *any_asks;  /* whether a pixel needs them */
 } Tile;
 
-/* Where a pixel lies between the centres of four texels of the downsampled image: the first one, and how far from it. */
+/* Where a pixel lies between the centers of four texels of the downsampled image: the first one, and how far from it. */
 inline int2 first_texel(const int dst_x, const int dst_y, float2 *between) {
-    const float2 b = pixel_centre(dst_x, dst_y) * (1.0f / DOWNSAMPLING) - 0.5f;
+    const float2 b = pixel_center(dst_x, dst_y) * (1.0f / DOWNSAMPLING) - 0.5f;
     const float2 first = floor(b);
     *between = b - first;
     return convert_int2(first);
@@ -326,7 +326,7 @@ inline int tap_in_ring(const int2 first, const int tap, const Tile tile) {
     return (texel_y - tile.ring_y) * RING + texel_x - tile.ring_x;
 }
 
-/* Weighted sums, (colour, 1) and inverse depth, over STRIP rows of a column: of valid pixels, and a little of the rendered
+/* Weighted sums, (color, 1) and inverse depth, over STRIP rows of a column: of valid pixels, and a little of the rendered
    frame. */
 inline float4 sum_strip(const int dst_x, const int first_y, const Frame *frame, const Images f, float *inverse_sum) {
     const int target_width = frame->target_width, target_height = frame->target_height;

@@ -1,4 +1,4 @@
-/* The law by which colour is encoded for the shading correction network (paper: 'Shading Correction Network'), LANES at once. */
+/* The law by which color is encoded for the shading correction network (paper: 'Shading Correction Network'), LANES at once. */
 
 #include "common.h"
 #include "simd.h"
@@ -53,7 +53,7 @@ inline Floats exp_less_one(const Floats x) {
     return y * power + (power - 1.0f);
 }
 
-/* mu-law of colour: 1 at three stops above display white, no upper limit. `law`: mu * exposure / 8, 1 / ln(1 + mu), and
+/* mu-law of color: 1 at three stops above display white, no upper limit. `law`: mu * exposure / 8, 1 / ln(1 + mu), and
    their reciprocals. NaN is 0. */
 #define LIFTED(type, c, law) (1.0f + (law).x * ((c) > 0.0f ? ((c) < COLOR_MAX ? (c) : (type)(COLOR_MAX)) : (type)(0.0f)))
 

@@ -1,4 +1,4 @@
-/* Input of the shading correction network at half resolution (paper: 'Shading Correction Network'): encoded colours of the
+/* Input of the shading correction network at half resolution (paper: 'Shading Correction Network'): encoded colors of the
    extrapolated frame and of the warped previous one, inverse depth and the input mask. */
 
 #include "frame.h"
@@ -60,7 +60,7 @@ void find_median(__global const uint *histogram, __global float *median_depth) {
     *median_depth = total ? as_float((bin << BIN_BITS) | (1u << (BIN_BITS - 1))) : 1.0f;
 }
 
-/* Of a strip of two rows: products of lifted colours, which stay below 1e28. */
+/* Of a strip of two rows: products of lifted colors, which stay below 1e28. */
 inline Strip lifted_rows(const Strip top, const Strip bottom, const float4 law) {
     Strip product;
 #pragma unroll

@@ -32,10 +32,10 @@ inline float3 predicted_position(const int src_x, const int src_y, const Frame *
     const float3 nowhere = (float3)(NOWHERE, NOWHERE, -1.0f);
     if (INVALID_DEPTH(z)) return nowhere;
     if (!f.dynamic_mask[src]) {
-        const float3 place = reproject(pixel_centre(src_x, src_y), z, frame->to_target);
+        const float3 place = reproject(pixel_center(src_x, src_y), z, frame->to_target);
         return place.z > 0.0f ? place : nowhere;
     }
-    const float3 p0 = unproject(pixel_centre(src_x, src_y), z, frame->to_target.source_inverse);
+    const float3 p0 = unproject(pixel_center(src_x, src_y), z, frame->to_target.source_inverse);
     if (f.dynamic_mask[src] == FIXED_TO_CAMERA) return (float3)(project(p0, frame->to_target.target), z);
     const int order = frame->order;
     int known = order > 0 && f.met_depth[src] > 0.0f;
@@ -47,7 +47,7 @@ inline float3 predicted_position(const int src_x, const int src_y, const Frame *
     const float weight[MAX_ORDER] = {weights.s0, weights.s1, weights.s2, weights.s3, weights.s4};
     float3 predicted = p0;
     if (known > 0) {
-        const float2 px_prev = pixel_centre(src_x, src_y) + f.motion[src];
+        const float2 px_prev = pixel_center(src_x, src_y) + f.motion[src];
         const float3 p1_prev = unproject(px_prev, f.met_depth[src], frame->from_previous.source_inverse);
         const int cell = mover_cell_of(src_x, src_y, frame->source_width);
         const bool of_cell = frame->bends && is_of_cell(z, f.velocity[cell].w);
@@ -80,7 +80,7 @@ WIDE __kernel void predict_positions(const Frame frame, __global const float *de
     bool movers = false;
     if (whole) {
         const Floats z = load_floats(0, depth + src);
-        const Wide3 target = wide_reproject(row_centres(src_x), (Floats)((float)src_y + 0.5f), z, frame.to_target);
+        const Wide3 target = wide_reproject(row_centers(src_x), (Floats)((float)src_y + 0.5f), z, frame.to_target);
         const Ints valid = (z > 0.0f) & (target.z > 0.0f);
         store_floats(valid ? target.x : (Floats)(NOWHERE), 0, target_position + src);
         store_floats(valid ? target.y : (Floats)(NOWHERE), 0, target_position + plane + src);

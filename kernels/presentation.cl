@@ -17,7 +17,7 @@ inline Rgb cubic_rgb(const float4 w, const Rgb a, const Rgb b, const Rgb c, cons
 
 inline float2 mapped(const float2 px, const float4 mapping) { return px * mapping.xy + mapping.zw; }
 
-/* Colour, resampled: cubic along rows, then along columns, each clamped to the two taps between; beyond the image its
+/* Color, resampled: cubic along rows, then along columns, each clamped to the two taps between; beyond the image its
    border goes on. */
 __kernel void present_color(const Frame frame, __global const uint2 *color, __global half *out_color) {
     const int target_width = frame.target_width, target_height = frame.target_height;
@@ -62,11 +62,11 @@ __kernel void present_geometry(const Frame frame, __global const float *depth, _
     const float4 to_previous_display = frame.to_previous_display;
     const int dst_x = get_global_id(0), dst_y = get_global_id(1);
     if (dst_x >= target_width || dst_y >= target_height) return;
-    const float2 px_render = mapped(pixel_centre(dst_x, dst_y), to_render);
+    const float2 px_render = mapped(pixel_center(dst_x, dst_y), to_render);
     const int src_x = clamp((int)floor(px_render.x), 0, source_width - 1);
     const int src_y = clamp((int)floor(px_render.y), 0, source_height - 1);
     const int src = src_y * source_width + src_x, dst = dst_y * target_width + dst_x;
-    const float2 centre = pixel_centre(src_x, src_y);
+    const float2 center = pixel_center(src_x, src_y);
     out_depth[dst] = depth[src];
-    out_motion[dst] = mapped(centre + motion[src], to_previous_display) - mapped(centre, to_display);
+    out_motion[dst] = mapped(center + motion[src], to_previous_display) - mapped(center, to_display);
 }

@@ -1,4 +1,4 @@
-/* Colours of half images as three scalars. */
+/* Colors of half images as three scalars. */
 
 /* Three scalars, which compilers for CPUs spread over SIMD lanes three times better than a float3. */
 typedef struct { float r, g, b; } Rgb;

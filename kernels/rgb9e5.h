@@ -1,10 +1,10 @@
-/* Colours as RGB9E5: mantissas of 9 bits, R in the lowest, that share an exponent of 5 (as in EXT_texture_shared_exponent);
+/* Colors as RGB9E5: mantissas of 9 bits, R in the lowest, that share an exponent of 5 (as in EXT_texture_shared_exponent);
    negative ones become 0, large ones COLOR_MOST. */
 
 #define COLOR_MOST 65408.0f     /* 511 * 2^7, the largest RGB9E5 */
-#define COLOR_FINEST 1.52587890625e-5f  /* 2^-16: colours below that share the least exponent */
+#define COLOR_FINEST 1.52587890625e-5f  /* 2^-16: colors below that share the least exponent */
 
-/* LANES colours. */
+/* LANES colors. */
 inline Ints pack_colors(const Floats r, const Floats g, const Floats b) {
     const Floats red = clamp(r, 0.0f, COLOR_MOST), green = clamp(g, 0.0f, COLOR_MOST), blue = clamp(b, 0.0f, COLOR_MOST);
     const Floats most = fmax(fmax(red, green), fmax(blue, COLOR_FINEST));
@@ -13,7 +13,7 @@ inline Ints pack_colors(const Floats r, const Floats g, const Floats b) {
     return to_ints(rint(red * scale)) | to_ints(rint(green * scale)) << 9 | to_ints(rint(blue * scale)) << 18 | exponent << 27;
 }
 
-/* One colour. */
+/* One color. */
 inline uint pack_color(const float3 c) {
     const float3 rgb = clamp(c, 0.0f, COLOR_MOST);
     const float most = fmax(fmax(rgb.x, rgb.y), fmax(rgb.z, COLOR_FINEST));

@@ -1,6 +1,6 @@
 /* Cuts: whether the frame before shows anything of what this frame shows (no part of the paper, which is told of cuts).
-   A lattice of samples follows its motion vectors. Light may change as it likes: depth is compared, and of colour only the
-   contrast between neighbours. */
+   A lattice of samples follows its motion vectors. Light may change as it likes: depth is compared, and of color only the
+   contrast between neighbors. */
 
 #include "frame.h"
 
@@ -12,7 +12,7 @@
 #define ARM 2                    /* px from a sample to those whose contrast is compared */
 #define CONTRAST_LEAST 0.06f     /* below it there is nothing to compare */
 #define CONTRAST_AGREES 0.5f     /* relative difference of contrasts of one surface */
-#define DARK 1.0e-4f             /* linear colour, sum of three: noise has no contrast */
+#define DARK 1.0e-4f             /* linear color, sum of three: noise has no contrast */
 
 /* What is counted of the samples. */
 enum { VALID, INSIDE, COMPARED, DEPTH_RIGHT, WITH_CONTRAST, CONTRAST_RIGHT, PASSED, COUNTS };
@@ -79,7 +79,7 @@ void compare_samples(const Frame frame, __global const half *color, __global con
     if (!INVALID_DEPTH(z)) {
         atomic_inc(found + VALID);
         if (z < camera_step) atomic_inc(found + PASSED);
-        const float2 px = pixel_centre(x, y), mv_px = motion[y * source_width + x], px_prev = px + mv_px;
+        const float2 px = pixel_center(x, y), mv_px = motion[y * source_width + x], px_prev = px + mv_px;
         if (px_prev.x >= 0.0f && px_prev.y >= 0.0f && px_prev.x < (float)source_width && px_prev.y < (float)source_height) {
             atomic_inc(found + INSIDE);
             bool compared, right;

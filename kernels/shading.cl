@@ -34,7 +34,7 @@ inline float relative_error(const float a, const float b) {
     return divide(2.0f * fabs(a - b), fabs(a) + fabs(b) + SMAPE_EPSILON);
 }
 
-/* M_focus: 1 where the extrapolated colour is unlike the truth at this pixel and at its neighbours (SMAPE over FOCUS_SMAPE), and
+/* M_focus: 1 where the extrapolated color is unlike the truth at this pixel and at its neighbors (SMAPE over FOCUS_SMAPE), and
    is not dynamic. */
 __kernel void focus_mask(const int target_width, const int target_height, const float exposure,
                          __global const uint2 *color /* half x4 */,

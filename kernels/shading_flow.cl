@@ -10,9 +10,9 @@
 
 #define FLOW_LEVELS 3
 #define FLOW_STEPS 2
-#define FLAT 0.0001f      /* squared gradient of encoded colour below which nothing moves */
+#define FLAT 0.0001f      /* squared gradient of encoded color below which nothing moves */
 #define LONGEST 2.0f      /* pixels of a step */
-#define LITTLE 0.0001f    /* squared change of encoded colour */
+#define LITTLE 0.0001f    /* squared change of encoded color */
 #define GAIN 4.0f         /* of what the network is given */
 #define THIRD 0.33333334f
 #define PRODUCTS 5
@@ -20,7 +20,7 @@
 #define DIFFERENCES 4
 #define CANDIDATES 16
 
-/* Level 1 of both frames: colours of the extrapolated one (3), and the brightness of both (2). */
+/* Level 1 of both frames: colors of the extrapolated one (3), and the brightness of both (2). */
 WIDE __kernel void halve_frames(const Frame frame, __global const float *frames, __global float *colors,
                                 __global float *brightness) {
     const int fine = frame.network_width, width = fine / 2, height = frame.network_height / 2, plane = width * height;
@@ -185,7 +185,7 @@ inline void know_trends(__global const float *trends, const int plane, Floats *k
 }
 
 /* Planes of the network's input at a quarter of the resolution: the flow (2); the root of the mean squared difference as it is
-   and along the flow, and their ratio; change of colour along the flow until t + alpha (3); trends (3) and the mean of the earlier
+   and along the flow, and their ratio; change of color along the flow until t + alpha (3); trends (3) and the mean of the earlier
    one; difference of brightness; how far the trend held; the share that tells of it; alpha. */
 WIDE __kernel void find_candidates(const Frame frame, __global const float *colors, __global const float *brightness,
                                    __global const float *flow, __global const float *differences,

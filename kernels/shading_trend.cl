@@ -1,4 +1,4 @@
-/* The trend of shading (beyond the paper): how encoded colour changed on static surfaces from rendered frame t-1 to t, over wide
+/* The trend of shading (beyond the paper): how encoded color changed on static surfaces from rendered frame t-1 to t, over wide
    areas, and that of the interval before, carried on to t + alpha. What lights do slowly goes on; what flickers or turns does
    not: the shading correction network tells them apart.
    A cell has 8x8 pixels of the rendered image; a few of them stand for all. */
@@ -7,15 +7,15 @@
 #include "mu_law.h"
 #include "simd_rgb.h"
 
-#define REACH_SHARE 120  /* rows of the image per cell of reach: the neighbourhood's sigma is about a 34th of its height */
+#define REACH_SHARE 120  /* rows of the image per cell of reach: the neighborhood's sigma is about a 34th of its height */
 #define CELL 8
 #define SAMPLE_STRIDE 4        /* px, from the second pixel of a cell on */
 #define SAME_SURFACE 0.03f     /* relative depth within which t-1 shows the same surface */
-#define MOST_CHANGE 1048576.0f /* factor of one pixel's colour: products over a cell stay within floats */
+#define MOST_CHANGE 1048576.0f /* factor of one pixel's color: products over a cell stay within floats */
 #define CHANGES 4              /* planes: of R, G, B, and the share of samples that show what is static in both frames */
 #define THIRD 0.33333334f
-#define LEAST_SHARE 0.05f      /* of a neighbourhood: fewer samples say less */
-#define NOISE 1.033831f        /* factor of lifted colour, 1/256 of encoded colour, up to which nothing changed, ... */
+#define LEAST_SHARE 0.05f      /* of a neighborhood: fewer samples say less */
+#define NOISE 1.033831f        /* factor of lifted color, 1/256 of encoded color, up to which nothing changed, ... */
 #define FEW 8                  /* ... and samples, of 64 in a tile, that may change more, as aliased edges do */
 #define TILE 4                 /* cells, each way, for which that is decided */
 #define SCANNERS 64            /* work-items of find_change */
@@ -29,7 +29,7 @@ typedef struct {
     __global const float *depth_prev;
 } Frames;
 
-/* By which factor lifted colours have changed since t-1, 1 where it is not known. */
+/* By which factor lifted colors have changed since t-1, 1 where it is not known. */
 typedef struct { WideRgb factor; Ints known, moves; } Change;
 
 inline Floats factor_of(const Floats now, const Floats before, const Ints known, const float4 law) {
@@ -72,7 +72,7 @@ INLINE void change_at(const Ints x, const int y, const Frame *frame, const Frame
 
 inline Ints is_more_than_noise(const Floats factor) { return (factor > NOISE) | (factor * NOISE < 1.0f); }
 
-/* Planes of the summed change of encoded colour of a cell's samples, and of the share that is known, over the number of samples;
+/* Planes of the summed change of encoded color of a cell's samples, and of the share that is known, over the number of samples;
    and how many samples move or change by more than noise. */
 WIDE __kernel void measure_changes(const Frame frame, __global const half *color, __global const float *depth,
                                    __global const uchar *dynamic_mask, __global const half *color_prev,

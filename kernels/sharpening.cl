@@ -1,6 +1,6 @@
 /* Contrast-adaptive sharpening of what upscaling shows.
 
-   Each pixel moves away from its four neighbours, the less the more these differ already: k is (strength / 5) low / high of their
+   Each pixel moves away from its four neighbors, the less the more these differ already: k is (strength / 5) low / high of their
    luma over what it takes away from itself. Flat places and noise of equal share look alike in the dark and in the light, so no
    exposure is needed; beside strong edges there is next to no overshoot.
 

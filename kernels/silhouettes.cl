@@ -1,7 +1,7 @@
 /* Silhouettes: edges of what moves over something else, as soft as the rendered frame has them.
    A rendered frame is antialiased: a pixel at a silhouette holds a share of the nearer surface, its coverage, and what it covers.
    Where both move apart, that share is estimated and carried along with the nearer surface, over what the new frame shows behind.
-   Colours are mixed by their codes (color_code.h).
+   Colors are mixed by their codes (color_code.h).
    Only pixels at steps of depth whose two sides move apart are looked at; LANES of others are skipped at once. */
 
 #include "frame.h"
@@ -15,9 +15,9 @@
 #define MOVES_APART 0.5f     /* px: layers that deviate less are resampled together */
 #define SAME_LAYER 0.85f     /* least ratio of the depths of fragments of one layer */
 #define ALONG 3.0f           /* px by which fragments of a layer may deviate from its motion ... */
-#define ALIKE 1.0f           /* ... and those from which one colour is interpolated */
-#define AT_EDGE 0.05f        /* weight of colours at edges, which may be mixed, too */
-#define TOO_ALIKE 0.03125f   /* squared relative contrast of two layers below which colours tell the coverage in part only */
+#define ALIKE 1.0f           /* ... and those from which one color is interpolated */
+#define AT_EDGE 0.05f        /* weight of colors at edges, which may be mixed, too */
+#define TOO_ALIKE 0.03125f   /* squared relative contrast of two layers below which colors tell the coverage in part only */
 
 #define SHARES 255.0f         /* of a pixel, stored as a byte */
 #define SHARPER 1.25f        /* steepness of coverage, which interpolation has smoothed */
@@ -89,7 +89,7 @@ INLINE Ints layers_part(const Span p, const Source s, __global const float *dept
     return step & part & (d->z[4] > 0.0f);
 }
 
-/* The nearer layer's share of pixels, and the colour of what it covers: where a pixel's colour lies between the mean colours of
+/* The nearer layer's share of pixels, and the color of what it covers: where a pixel's color lies between the mean colors of
    both layers around, as far as these differ; else from the pixels that each layer has. */
 INLINE void unmix(const Span p, const Depths *d, __global const half *codes, __global const uchar *links, Floats *behind,
                   Floats *share) {
@@ -154,7 +154,7 @@ inline void mark_around(const float2 px, const int width, const int height, __gl
     }
 }
 
-/* Which layer each pixel belongs to; where it does, the colour of the far layer, `behind`, and the near one's `share` of the pixel.
+/* Which layer each pixel belongs to; where it does, the color of the far layer, `behind`, and the near one's `share` of the pixel.
    Marks the target blocks where they go; they come unmarked. */
 WIDE __kernel void find_layers(const Frame frame, __global const float *depth, __global const uchar *links,
                                __global const float *target_position, __global const half *codes, __global uchar *layer,
@@ -223,12 +223,12 @@ inline bool is_warped(const uchar filled_by) { return filled_by == BY_WARP || fi
 /* Whether fragment `src`, at (x, y), goes to depth z, and to `px`, by its place in the rendered image `px_source`, within `most` px. */
 inline bool goes_along(const Source s, const int x, const int y, const float3 there, const float2 px, const float2 px_source,
                        const float z, const float most) {
-    const float2 centre = pixel_centre(x, y);
-    const float ex = there.x - px.x - s.zoom.x * (centre.x - px_source.x), ey = there.y - px.y - s.zoom.y * (centre.y - px_source.y);
+    const float2 center = pixel_center(x, y);
+    const float ex = there.x - px.x - s.zoom.x * (center.x - px_source.x), ey = there.y - px.y - s.zoom.y * (center.y - px_source.y);
     return there.z * SAME_LAYER <= z && z * SAME_LAYER <= there.z && fmax(fabs(ex), fabs(ey)) < most;
 }
 
-/* Whether colour of a nearer layer is mixed into what a pixel shows; (x0, y0): the first of the four pixels around its place. */
+/* Whether color of a nearer layer is mixed into what a pixel shows; (x0, y0): the first of the four pixels around its place. */
 inline bool is_mixed_with_near(const Source s, const Layers l, const int x0, const int y0) {
     for (int k = 0; k < 4; ++k) {
         const int x = x0 + (k & 1), y = y0 + (k >> 1);
@@ -237,12 +237,12 @@ inline bool is_mixed_with_near(const Source s, const Layers l, const int x0, con
     return false;
 }
 
-/* Colour of a pixel without that of a nearer layer that was mixed into it. Gives whether it is another one. */
+/* Color of a pixel without that of a nearer layer that was mixed into it. Gives whether it is another one. */
 INLINE bool without_near(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, float3 *rgb) {
     const int dst = dst_y * f.width + dst_x;
     *rgb = load_code(f.color, dst, f.code_offset);
     if (!is_warped(f.filled_by[dst]) || f.mixed[dst]) return false;
-    const float2 px = pixel_centre(dst_x, dst_y), px_source = px + f.motion[dst];
+    const float2 px = pixel_center(dst_x, dst_y), px_source = px + f.motion[dst];
     const int x0 = (int)floor(px_source.x - 0.5f), y0 = (int)floor(px_source.y - 0.5f);
     if (!is_mixed_with_near(s, l, x0, y0)) return false;
     const float u = px_source.x - 0.5f - (float)x0, v = px_source.y - 0.5f - (float)y0;
@@ -261,7 +261,7 @@ INLINE bool without_near(const Source s, const Layers l, const Shown f, const in
     return weight_sum > 0.05f;
 }
 
-/* The near layer at `px_source` of the rendered frame, bilinear and sharpened: (its colour times its coverage, its coverage). False if it is not
+/* The near layer at `px_source` of the rendered frame, bilinear and sharpened: (its color times its coverage, its coverage). False if it is not
    known: out of the image, or hidden by something else. */
 INLINE bool near_layer(const Source s, const Layers l, const float2 px, const float2 px_source, const float z, float4 *near) {
     const int x0 = (int)floor(px_source.x - 0.5f), y0 = (int)floor(px_source.y - 0.5f);
@@ -292,7 +292,7 @@ INLINE bool near_layer(const Source s, const Layers l, const float2 px, const fl
 }
 
 /* The two layers around pixels of the new frame, on both sides of a depth halfway: where the near one lies in the rendered image,
-   continued to a pixel's centre, how deep it is, and which of the 3x3 pixels around show the far one, in bits. */
+   continued to a pixel's center, how deep it is, and which of the 3x3 pixels around show the far one, in bits. */
 typedef struct {
     Floats near_x, near_y, near_z;
     Ints far;
@@ -311,7 +311,7 @@ INLINE Ints find_pairs(const Span p, const Source s, const Shown f, LayerPairs *
     for (int k = 0; k < 9; ++k) {
         const int dx = k % 3 - 1, dy = k / 3 - 1;
         const Floats motion_x = xy_beside(p, f.motion, dx, dy, y + k);
-        x[k] = row_centres(p.x + dx) + motion_x - back_x * (float)dx;
+        x[k] = row_centers(p.x + dx) + motion_x - back_x * (float)dx;
         y[k] = (float)(p.y + dy) + 0.5f + y[k] - back_y * (float)dy;
         low_x = x[k] < low_x ? x[k] : low_x;
         high_x = x[k] > high_x ? x[k] : high_x;
@@ -369,13 +369,13 @@ inline float3 far_color(const Source s, const Layers l, const Shown f, const int
     return mean_of(sum, (float)popcount(far));
 }
 
-/* Value of `coverage` of a pixel, 0 if it stays as it is; else stores its colour. `near_place`, `far`: of its pair of layers; 0: it has none. */
+/* Value of `coverage` of a pixel, 0 if it stays as it is; else stores its color. `near_place`, `far`: of its pair of layers; 0: it has none. */
 inline uchar soften_pixel(const Source s, const Layers l, const Shown f, const int dst_x, const int dst_y, const float3 near_place,
                           const int far, __global uint *softened) {
     const int dst = dst_y * f.width + dst_x;
     float4 near;
     float3 rgb;
-    if (far && near_layer(s, l, pixel_centre(dst_x, dst_y), near_place.xy, near_place.z, &near)) {
+    if (far && near_layer(s, l, pixel_center(dst_x, dst_y), near_place.xy, near_place.z, &near)) {
         softened[dst] = pack_color(near.xyz + (1.0f - near.w) * far_color(s, l, f, dst_x, dst_y, far));
         return (uchar)(1.0f + 254.0f * near.w + 0.5f);
     }
@@ -389,7 +389,7 @@ INLINE Ints may_be_mixed(const Span p, const Source s, const Layers l, const Sho
     if (!p.inner) return (Ints)(-1);
     Floats motion_y;
     const Floats motion_x = load_xy(f.motion + p.y * p.width + p.x, &motion_y);
-    const Floats px_x = row_centres(p.x) + motion_x - 0.5f, px_y = (float)p.y + 0.5f + motion_y - 0.5f;
+    const Floats px_x = row_centers(p.x) + motion_x - 0.5f, px_y = (float)p.y + 0.5f + motion_y - 0.5f;
     const Ints in_image = (px_x >= 0.0f) & (px_y >= 0.0f) & (px_x < (float)(s.width - 1)) & (px_y < (float)(s.height - 1));
     if (!ALL(in_image)) return (Ints)(-1);
     const Ints taps = to_ints(px_y) * s.width + to_ints(px_x);
@@ -404,7 +404,7 @@ INLINE Ints may_be_mixed(const Span p, const Source s, const Layers l, const Sho
     return mixed;
 }
 
-/* The new colours, and `coverage`: 0 where a pixel stays as it is, else 1 + 254 times the nearer layer's share. Nothing in blocks
+/* The new colors, and `coverage`: 0 where a pixel stays as it is, else 1 + 254 times the nearer layer's share. Nothing in blocks
    that are not marked. */
 WIDE __kernel void soften(const Frame frame, __global const uchar *marked, __global const float *target_position,
                           __global const half *codes, __global const uchar *layer, __global const uint *behind,
@@ -446,7 +446,7 @@ WIDE __kernel void soften(const Frame frame, __global const uchar *marked, __glo
                                                         lane_far[k], softened) : (uchar)0;
 }
 
-/* The new colours go to the frame, RUN pixels per work-item. */
+/* The new colors go to the frame, RUN pixels per work-item. */
 SCAN __kernel void apply_softened(const Frame frame, __global const uchar *marked, __global const uchar *coverage,
                                   __global const uint *softened, __global half *color) {
     const int target_width = frame.target_width, target_height = frame.target_height;

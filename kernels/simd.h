@@ -181,7 +181,7 @@ inline void store_some_halfs(const Floats v, const int count, __global half *p) 
 }
 
 /* x + 0.5 of each lane's pixel. */
-inline Floats row_centres(const int x) { return to_floats(LANE_NUMBERS) + ((float)x + 0.5f); }
+inline Floats row_centers(const int x) { return to_floats(LANE_NUMBERS) + ((float)x + 0.5f); }
 
 /* Where pixel i of an image is. */
 inline void wide_column_and_row(const Ints i, const int width, Ints *column, Ints *row) {

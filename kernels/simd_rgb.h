@@ -1,4 +1,4 @@
-/* Colours of half images, LANES pixels at once, as they are: finite_rgb makes numbers of what is none. */
+/* Colors of half images, LANES pixels at once, as they are: finite_rgb makes numbers of what is none. */
 
 #include "simd.h"
 
@@ -15,7 +15,7 @@ inline WideRgb finite_rgb(const WideRgb c) {
     return rgb;
 }
 
-/* Colours of the pixels i. */
+/* Colors of the pixels i. */
 inline WideRgb gather_rgb(__global const half *color, const Ints i) {
     int pixel[LANES];
     float r[LANES], g[LANES], b[LANES];

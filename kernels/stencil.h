@@ -46,7 +46,7 @@ INLINE void texels_beside(const Span p, __global const half *image, const int dx
         c->part[part] = p.inner ? load_texels(part, image + 4 * first_beside(p, dx, dy)) : reload_texels(part, texels);
 }
 
-/* Colours without what is negative or no number, and 1 as a fourth channel. */
+/* Colors without what is negative or no number, and 1 as a fourth channel. */
 INLINE void colors_beside(const Span p, __global const half *color, const int dx, const int dy, Strip *c) {
     Strip all;
     texels_beside(p, color, dx, dy, &all);

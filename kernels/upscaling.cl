@@ -1,18 +1,18 @@
 /* Temporal anti-aliasing and upsampling: jittered frames of render size, gathered over time at the display's size.
 
    A mapping is (scale x, scale y, offset x, offset y) between pixel positions of two images of one pose; jitter is in them.
-   Colours are linear in `color` and `history`; blending and bounds are in YCoCg of tone-mapped colour ("compressed").
+   Colors are linear in `color` and `history`; blending and bounds are in YCoCg of tone-mapped color ("compressed").
 
               name             image     what
    in         color            render    the rendered frame
               depth, motion    render    its depth, and its motion into the render image before
               previous_depth   render    of the rendered frame before
-   between    compressed       render    its colour, compressed; A: share of its place that was not hidden before
+   between    compressed       render    its color, compressed; A: share of its place that was not hidden before
               dilated          render    motion of the nearest surface around; NaN where nothing is known
-              surprise         render    how far the colour is beyond the history around, compressed; A: 1 where there is any
-              mean             render    of 3x3 compressed colours; A: error of the history, in deviations
+              surprise         render    how far the color is beyond the history around, compressed; A: 1 where there is any
+              mean             render    of 3x3 compressed colors; A: error of the history, in deviations
               deviation        render    theirs; A: by how much more light there is than in the history
-   state      history          display   colour, linear: what is shown; A: how many samples are behind it
+   state      history          display   color, linear: what is shown; A: how many samples are behind it
               lock             display   frames in which it foretold the samples, at rest; more: a thin feature
    out        rejected         display   which share of the history was not believed
               out_color        display   a generated frame, seen through the history                                       */
@@ -28,7 +28,7 @@
 #define FRESH 0.8f            /* share of the rendered frame, interpolated, in that; the rest is the history, clipped */
 #define SLOPE 0.75f           /* of the cubic that resamples the history: sharper than Catmull-Rom, which blurs in the long run */
 #define DEVIATIONS 2.0f       /* deviations from the mean that a history may have */
-#define NOISE 0.01f           /* of compressed colours, beside their deviation */
+#define NOISE 0.01f           /* of compressed colors, beside their deviation */
 #define SCATTER 1.0f          /* weight of the scatter of what the history lacks, against its mean, which is followed */
 #define WRONG 1.0f            /* deviations: error from which on a history that moved is not believed */
 #define WRONG_AT_REST 3.0f
@@ -39,7 +39,7 @@
 #define SETTLED 4.0f          /* from which on something nearer that is gone was thin, and no sample meets it now */
 #define THIN 16               /* the lock of such a feature; one less in each frame, down to LOCK_FRAMES */
 #define MET 0.75f             /* share of a place that was not hidden from which on nothing is gone */
-#define LOCKED_ROOM 0.5f      /* compressed colour that it may be off, beside DEVIATIONS */
+#define LOCKED_ROOM 0.5f      /* compressed color that it may be off, beside DEVIATIONS */
 #define MOST_ERROR 1000.0f    /* deviations; half has room for it */
 #define SAME_DEPTH 0.96f      /* relative depth from which on it is the same surface */
 
@@ -144,11 +144,11 @@ WIDE __kernel void compare(const Frame frame, __global const half *color, __glob
     const Ints moves = (z > 0.0f) & ((Ints)(has_history) != 0);
     Floats seen = 0.0f;
     if (has_history) {
-        const Floats centre_x = to_floats(near_x) + 0.5f, centre_y = to_floats(near_y) + 0.5f;
-        const Wide3 v = wide_unproject(centre_x, centre_y, z, to_previous.source_inverse);
+        const Floats center_x = to_floats(near_x) + 0.5f, center_y = to_floats(near_y) + 0.5f;
+        const Wide3 v = wide_unproject(center_x, center_y, z, to_previous.source_inverse);
         const float4 forward = to_previous.row2;
         const Floats expected = forward.x * v.x + forward.y * v.y + forward.z * v.z + forward.w;
-        const Floats share = share_seen(centre_x + moved_x, centre_y + moved_y, isinf(z) ? (Floats)(INFINITY) : expected,
+        const Floats share = share_seen(center_x + moved_x, center_y + moved_y, isinf(z) ? (Floats)(INFINITY) : expected,
                                         source_width, source_height, previous_depth);
         seen = z > 0.0f ? share : (Floats)(0.0f);
     }
@@ -157,7 +157,7 @@ WIDE __kernel void compare(const Frame frame, __global const half *color, __glob
     Wide4 here = compressed_of(own.x, own.y, own.z, exposure), surprise = {(Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f)};
     const Ints known = seen > 0.0f;
     if (ANY(known)) {
-        const Floats px_x = (row_centres(x) + moved_x) * to_previous_display.x + to_previous_display.z;
+        const Floats px_x = (row_centers(x) + moved_x) * to_previous_display.x + to_previous_display.z;
         const Floats px_y = ((float)y + 0.5f + moved_y) * to_previous_display.y + to_previous_display.w;
         const Wide4 like = within_range(own, known ? px_x : (Floats)(0.0f), known ? px_y : (Floats)(0.0f), target_width, target_height,
                                         history);
@@ -192,7 +192,7 @@ INLINE void sums_beside(const Span p, __global const half *image, Floats *sum, F
     channels_of(&squares, square);
 }
 
-/* Colours around each rendered pixel, and how well the history foretold them: it may be darker or lighter than they are,
+/* Colors around each rendered pixel, and how well the history foretold them: it may be darker or lighter than they are,
    which is made up for; what is left is its error. */
 WIDE __kernel void survey(const Frame frame, __global const half *compressed, __global const half *surprise,
                           __global half *out_mean, __global half *out_deviation) {
@@ -251,7 +251,7 @@ typedef struct {
     __global const uchar *lock;
 } Past;
 
-/* What the history knows of LANES pixels: their colours, how many samples these are worth, how far they are believed, 0 to 1, and
+/* What the history knows of LANES pixels: their colors, how many samples these are worth, how far they are believed, 0 to 1, and
    their locks. */
 typedef struct {
     Wide4 color;
@@ -259,7 +259,7 @@ typedef struct {
 } Recalled;
 
 /* The history at px_previous, for those that are `known` there: believed as far as it foretold the samples around `src`, within
-   their colours; less where it moved, from there to `px`. `seen`: what depth says. */
+   their colors; less where it moved, from there to `px`. `seen`: what depth says. */
 INLINE void recall(const Frame *frame, const Past past, const Floats *px, const Ints known, const Floats *px_previous,
                    const Ints src, const Floats seen, Recalled *r) {
     const int width = frame->target_width, height = frame->target_height;
@@ -291,7 +291,7 @@ WIDE __kernel void accumulate(const Frame frame, __global const half *compressed
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     const int dst = dst_y * target_width + dst_x, count = target_width - dst_x;
     if (count <= 0 || dst_y >= target_height) return;
-    const Floats px_x = row_centres(dst_x) * to_render.x + to_render.z;
+    const Floats px_x = row_centers(dst_x) * to_render.x + to_render.z;
     const float px_y = ((float)dst_y + 0.5f) * to_render.y + to_render.w;
     const Ints x = clamp(to_ints(floor(px_x)), (Ints)(0), (Ints)(source_width - 1));
     const int y = clamp((int)floor(px_y), 0, source_height - 1);
@@ -310,7 +310,7 @@ WIDE __kernel void accumulate(const Frame frame, __global const half *compressed
     Floats total = sum_of_weights(near);
     const Floats per_far = wide_divide((Floats)(1.0f), sum_of_weights(far));
 
-    const Floats px[2] = {row_centres(dst_x), (Floats)((float)dst_y + 0.5f)};
+    const Floats px[2] = {row_centers(dst_x), (Floats)((float)dst_y + 0.5f)};
     Floats moved_y, px_previous[2];
     const Floats moved_x = gather_xy(dilated, src, &moved_y), none = 0.0f;
     px_previous[0] = (px_x + moved_x) * to_previous_display.x + to_previous_display.z;
@@ -338,7 +338,7 @@ WIDE __kernel void accumulate(const Frame frame, __global const half *compressed
 }
 
 /* A generated frame: the history where its own fragments are seen, with what shading correction changed; else its own
-   colour. */
+   color. */
 WIDE __kernel void generate(const Frame frame, const int corrected, __global const float *depth,
                             __global const float2 *motion, __global const uchar *disoccluded, __global const half *gae,
                             __global const half *color, __global const half *history, __global half *out_color) {
@@ -353,9 +353,9 @@ WIDE __kernel void generate(const Frame frame, const int corrected, __global con
     const Ints nearest = near_y * target_width + near_x;
     Floats moved_y;
     const Floats moved_x = elsewhere ? gather_xy(motion, nearest, &moved_y) : xy_beside(p, motion, 0, 0, &moved_y);
-    const Floats centre_x = to_floats(near_x) + 0.5f, centre_y = to_floats(near_y) + 0.5f;
-    const Floats px_x = row_centres(x) + ((centre_x + moved_x) * to_shown.x + to_shown.z - centre_x);
-    const Floats px_y = ((float)y + 0.5f) + ((centre_y + moved_y) * to_shown.y + to_shown.w - centre_y);
+    const Floats center_x = to_floats(near_x) + 0.5f, center_y = to_floats(near_y) + 0.5f;
+    const Floats px_x = row_centers(x) + ((center_x + moved_x) * to_shown.x + to_shown.z - center_x);
+    const Floats px_y = ((float)y + 0.5f) + ((center_y + moved_y) * to_shown.y + to_shown.w - center_y);
     Ints uncovered = bytes_beside(p, disoccluded, 0, 0);
     if (elsewhere) uncovered |= to_ints(gather_bytes(disoccluded, nearest));
     const Ints seen = (uncovered == 0) & within(px_x, px_y, target_width, target_height);

@@ -13,7 +13,7 @@
 
 #define STILL 0.001f             /* px: less than this is rounding */
 #define SAME_MOTION 0.5f         /* px: fragments that deviate less from the winner's motion are resampled with it */
-#define MOVES_AWAY 1.0f          /* px: a nearer neighbour that deviates more uncovers what it was mixed with */
+#define MOVES_AWAY 1.0f          /* px: a nearer neighbor that deviates more uncovers what it was mixed with */
 #define NEARER 0.97f
 
 /* The nearest fragment of each target pixel so far: nearest.h. */
@@ -49,15 +49,15 @@ INLINE void splat_fragment(const Fragments from, const Winners to, const int src
 
     Flow flow;
     flow_at(from, src, here, &flow);
-    const float2 half_size = footprint(flow) + 0.51f;  /* to pixel centres, and a little for rounding */
+    const float2 half_size = footprint(flow) + 0.51f;  /* to pixel centers, and a little for rounding */
     const int x0 = max((int)ceil(here.x - half_size.x), 0), x1 = min((int)floor(here.x + half_size.x - 1.0f), width - 1);
     const int y0 = max((int)ceil(here.y - half_size.y), 0), y1 = min((int)floor(here.y + half_size.y - 1.0f), height - 1);
     const float limit = FOOTPRINT_HALF * flow.det;
     for (int dst_y = y0; dst_y <= y1; ++dst_y)
         for (int dst_x = x0; dst_x <= x1; ++dst_x) {
             if (dst_x == own_x && dst_y == own_y) continue;
-            const float2 centre = pixel_centre(dst_x, dst_y);
-            const float2 d = source_offset(flow, centre.x - here.x, centre.y - here.y);
+            const float2 center = pixel_center(dst_x, dst_y);
+            const float2 d = source_offset(flow, center.x - here.x, center.y - here.y);
             if (fabs(d.x) <= limit && fabs(d.y) <= limit)
                 offer(pass, to.keys, to.winners, dst_y * width + dst_x, here.z, (uint)src);
         }
@@ -142,8 +142,8 @@ inline float deviation(const float3 there, const int dx, const int dy, const flo
     return fmax(fabs(ex), fabs(ey));
 }
 
-/* A pixel beside a nearer surface that moves away holds a mixture of both colours: the step, in source pixels,
-   to the neighbour that does not, if that one moves along. */
+/* A pixel beside a nearer surface that moves away holds a mixture of both colors: the step, in source pixels,
+   to the neighbor that does not, if that one moves along. */
 INLINE int2 step_off_silhouette(const Fragments f, const int src_x, const int src_y, const float3 here, const Flow flow) {
     const int src = src_y * f.width + src_x;
     int2 step = (int2)(0, 0);
@@ -162,7 +162,7 @@ INLINE int2 step_off_silhouette(const Fragments f, const int src_x, const int sr
 
 #define ALL_ALIKE 0xFF  /* of taps that move alike: bits 0 to 3 the inner ones, 4 to 7 the corners */
 
-/* Colour at (u, v) from pixel `tap`, bilinear, of those of the four taps that move alike; else that of the winner. */
+/* Color at (u, v) from pixel `tap`, bilinear, of those of the four taps that move alike; else that of the winner. */
 inline float3 of_those_alike(const int alike, const int tap, const float u, const float v, const int source_width,
                              const int winner, const Rendered shown) {
     float3 sum = (float3)(0.0f);
@@ -176,7 +176,7 @@ inline float3 of_those_alike(const int alike, const int tap, const float u, cons
     return weight_sum > 0.01f ? decode_color(mean_of(sum, weight_sum), shown.code_offset) : load_color(shown.color, winner);
 }
 
-/* Colour at (src_x, src_y) + d. Cubic where the neighbourhood moves alike, which its four inner taps and its corners
+/* Color at (src_x, src_y) + d. Cubic where the neighborhood moves alike, which its four inner taps and its corners
    tell; else bilinear over those of the four taps that move alike. */
 INLINE float3 resample(const Fragments f, const int src_x, const int src_y, const float2 d, const float3 here, const Flow flow,
                        const Rendered shown) {
@@ -220,8 +220,8 @@ INLINE void resolve_pixel(const Fragments from, const Rendered shown, const Winn
     const float3 here = position_of(from.target_position, src, from.plane);
     Flow flow;
     flow_at(from, src, here, &flow);
-    const float2 centre = pixel_centre(dst_x, dst_y);
-    const float2 offset = source_offset(flow, centre.x - here.x, centre.y - here.y);
+    const float2 center = pixel_center(dst_x, dst_y);
+    const float2 offset = source_offset(flow, center.x - here.x, center.y - here.y);
     const float2 exact = (float2)(divide(offset.x, flow.det), divide(offset.y, flow.det));
     const float2 d = without_rounding(clamp(exact, -1.0f, 1.0f));
     const int2 step = step_off_silhouette(from, src_x, src_y, here, flow);
@@ -229,7 +229,7 @@ INLINE void resolve_pixel(const Fragments from, const Rendered shown, const Winn
     const float z = here.z + flow.ddx.z * d.x + flow.ddy.z * d.y;
     const bool is_mixed = step.x != 0 || step.y != 0;
     to.depth[dst] = z > 0.0f ? z : here.z;
-    to.motion[dst] = pixel_centre(src_x, src_y) + d - centre;
+    to.motion[dst] = pixel_center(src_x, src_y) + d - center;
     to.dynamic_mask[dst] = shown.dynamic_mask[src] != STATIC;
     to.disoccluded[dst] = 0;
     to.mixed[dst] = is_mixed;
@@ -259,7 +259,7 @@ INLINE Floats wide_deviation(const Floats there_x, const Floats there_y, const F
     return ex > ey ? ex : ey;
 }
 
-/* Which lanes have no neighbour from which step_off_silhouette steps off. */
+/* Which lanes have no neighbor from which step_off_silhouette steps off. */
 INLINE Ints stays(const Positions at, const Cross depth, const WideFlow f) {
     const Cross x = at.x, y = at.y;
     const Floats near = depth.here * NEARER, one = (Floats)(1.0f), none = (Floats)(0.0f);
@@ -394,8 +394,8 @@ INLINE void store_labels(const NewFrame to, const int dst, const Bytes dynamic_m
 INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewFrame to, const WideWinners won, const int dst_x,
                           const int dst_y) {
     const int dst = dst_y * from.target_width + dst_x;
-    const Floats centre_x = row_centres(dst_x);
-    const float centre_y = (float)dst_y + 0.5f;
+    const Floats center_x = row_centers(dst_x);
+    const float center_y = (float)dst_y + 0.5f;
     const Ints src = won.y * from.width + won.x;
     Places places;
     find_places(src, from.width + 1, from.plane, &places);
@@ -412,7 +412,7 @@ INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewF
         wide_flow(at, to_ints(bytes_at(from.links, places)), depth.here, from.zoom, &f);
         done &= stays(at, depth, f);
     }
-    const Floats ex = centre_x - at.x.here, ey = centre_y - at.y.here, z = at.z.here;
+    const Floats ex = center_x - at.x.here, ey = center_y - at.y.here, z = at.z.here;
     Floats dx = clamp(wide_divide(f.yy * ex - f.yx * ey, f.det), -1.0f, 1.0f);
     Floats dy = clamp(wide_divide(f.xx * ey - f.xy * ex, f.det), -1.0f, 1.0f);
     dx = fabs(dx) < STILL ? (Floats)(0.0f) : dx;
@@ -423,16 +423,16 @@ INLINE Ints resolve_lanes(const Fragments from, const Rendered shown, const NewF
 
     const Floats out_z = z + f.xz * dx + f.yz * dy;
     store_floats(out_z > 0.0f ? out_z : z, 0, to.depth + dst);
-    store_xy((to_floats(won.x) + 0.5f) + dx - centre_x, (to_floats(won.y) + 0.5f) + dy - centre_y, to.motion + dst);
+    store_xy((to_floats(won.x) + 0.5f) + dx - center_x, (to_floats(won.y) + 0.5f) + dy - center_y, to.motion + dst);
     store_labels(to, dst, bytes_at(shown.dynamic_mask, places),
-                 (floor(at.x.here) == centre_x - 0.5f) & (floor(at.y.here) == centre_y - 0.5f));
+                 (floor(at.x.here) == center_x - 0.5f) & (floor(at.y.here) == center_y - 0.5f));
     resample_lanes(samples, done, from.width, shown, dst, to.color);
     return done;
 }
 
 /* Where LANES pixels of a block come from, by the inverse of its flow: `source` is find_source's of backward_blocks.cl. */
 inline Floats px_from_block(const float8 source, const int dst_x, const int dst_y, Floats *px_y) {
-    const Floats from_x = row_centres(dst_x % BLOCK_WIDTH) - 0.5f * (float)BLOCK_WIDTH;
+    const Floats from_x = row_centers(dst_x % BLOCK_WIDTH) - 0.5f * (float)BLOCK_WIDTH;
     const float from_y = (float)(dst_y % BLOCK_HEIGHT) + 0.5f - 0.5f * (float)BLOCK_HEIGHT;
     *px_y = source.s1 + source.s4 * from_x + source.s5 * from_y;
     return source.s0 + source.s2 * from_x + source.s3 * from_y;
@@ -446,8 +446,8 @@ INLINE void resolve_affine(const Fragments from, const Rendered shown, const New
     const Floats px_x = px_from_block(source, dst_x, dst_y, &px_y);
     const Ints src_x = clamp(to_ints(px_x), (Ints)(2), (Ints)(from.width - 3));
     const Ints src_y = clamp(to_ints(px_y), (Ints)(2), (Ints)(from.height - 3));
-    const Floats src_centre_x = to_floats(src_x) + 0.5f, src_centre_y = to_floats(src_y) + 0.5f;
-    Floats dx = px_x - src_centre_x, dy = px_y - src_centre_y;
+    const Floats src_center_x = to_floats(src_x) + 0.5f, src_center_y = to_floats(src_y) + 0.5f;
+    Floats dx = px_x - src_center_x, dy = px_y - src_center_y;
     dx = fabs(dx) < STILL ? (Floats)(0.0f) : dx;
     dy = fabs(dy) < STILL ? (Floats)(0.0f) : dy;
     const Ints src = src_y * from.width + src_x;
@@ -460,7 +460,7 @@ INLINE void resolve_affine(const Fragments from, const Rendered shown, const New
     const Floats across = sky ? (Floats)(0.0f) : (z.right - z.left) * 0.5f, down = sky ? (Floats)(0.0f) : (z.down - z.up) * 0.5f;
     const Floats out_z = z.here + across * dx + down * dy;
     store_floats(out_z > 0.0f ? out_z : z.here, 0, to.depth + dst);
-    store_xy(src_centre_x + dx - row_centres(dst_x), src_centre_y + dy - ((float)dst_y + 0.5f), to.motion + dst);
+    store_xy(src_center_x + dx - row_centers(dst_x), src_center_y + dy - ((float)dst_y + 0.5f), to.motion + dst);
     store_labels(to, dst, bytes_at(shown.dynamic_mask, places),
                  (fabs(source.s5 * dx - source.s3 * dy) * source.s6 <= 0.5f)
                      & (fabs(source.s2 * dy - source.s4 * dx) * source.s6 <= 0.5f));

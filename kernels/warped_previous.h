@@ -1,5 +1,5 @@
 /* What shows of the previous rendered frame at pixels of the extrapolated one (paper: I^w and M^input of 'Shading Correction
-   Network'), for the kernels that store or sum it. Only pixels whose taps lie apart from their neighbours', or at the image's
+   Network'), for the kernels that store or sum it. Only pixels whose taps lie apart from their neighbors', or at the image's
    border, are looked at one by one. */
 
 #include "common.h"
@@ -22,7 +22,7 @@ typedef struct {
     Reprojection to_previous;
 } Frames;
 
-/* Colour of t-1 at a pixel's surface (see position_before), of the taps that show it; false where they show too little. */
+/* Color of t-1 at a pixel's surface (see position_before), of the taps that show it; false where they show too little. */
 inline bool color_before(const float3 before, const float tolerance, const int source_width, const int source_height,
                          __global const half *color_prev, __global const float *depth_prev, float3 *rgb) {
     const int x0 = (int)floor(before.x), y0 = (int)floor(before.y);
@@ -178,8 +178,8 @@ inline Strip sum_of_runs(const StripTaps *t, const int width, __global const hal
     return sum;
 }
 
-/* What one pixel shows: (colour of t-1, 1) by its taps of known weights where it is `weighted` and they are numbers, or by those
-   of the surface; (GAE colour, 0) where too few show it. */
+/* What one pixel shows: (color of t-1, 1) by its taps of known weights where it is `weighted` and they are numbers, or by those
+   of the surface; (GAE color, 0) where too few show it. */
 inline float4 texel_before(const Frames *f, const int pixel, const bool lost, const bool weighted, const int tap_0,
                            const float4 weights, const float3 before, const float tolerance) {
     if (!lost && weighted) {
@@ -219,8 +219,8 @@ inline void look_one_by_one(const Frames *f, const StripOfFrame *s, const StripT
     for (int part = 0; part < PARTS; ++part) out->part[part] = reload_texels(part, texels);
 }
 
-/* I^w of a strip: (colour of t-1 at the pixel's surface, 1), or (GAE colour, 0) where that was hidden or outside then. gae: the
-   strip's colours. */
+/* I^w of a strip: (color of t-1 at the pixel's surface, 1), or (GAE color, 0) where that was hidden or outside then. gae: the
+   strip's colors. */
 INLINE void previous_of(const Frames *f, const StripOfFrame *s, const Strip *gae, Strip *previous) {
     StripTaps taps;
     taps.before = position_before(s->px_x, s->px_y, s->depth, f->to_previous);

@@ -106,7 +106,7 @@ def register(app) -> None:
         tooltip="Over the picture: what generated frames had no pixels for, out of screen or hidden")  # fmt: skip
     add("brighter", "Brighter", "View", "E", look(model.looks.expose, _EXPOSURE_STEP), opened)
     add("darker", "Darker", "View", "Shift+E", look(model.looks.expose, -_EXPOSURE_STEP), opened)
-    add("normalise", "Fit range to the picture", "View", "N", look(model.looks.fit), opened)
+    add("normalize", "Fit range to the picture", "View", "N", look(model.looks.fit), opened)
     add("reset_display", "Reset display", "View", "R", look(model.looks.reset), opened)
     _comparing(app, add, opened)
     _finding(app, add, opened)

@@ -1,4 +1,4 @@
-"""Colours and sizes of the interface."""
+"""Colors and sizes of the interface."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def apply(name: str, scale: float) -> None:
     """Theme "light" or "dark"; everything `scale` times as large as usual on this screen.
 
     Windows have no background of their own: filling the screen several times takes a CPU longer than all else, so it is
-    cleared with their colour, and what floats asks for a background (`widgets.floating`).
+    cleared with their color, and what floats asks for a background (`widgets.floating`).
     """
     style, usual, col = imgui.get_style(), imgui.Style(), imgui.Col_
     hello_imgui.apply_theme(_THEMES[name])

@@ -1,4 +1,4 @@
-"""Renders a Blender scene (Cycles) to frames with colour, depth and motion vectors, truth in between, and cameras.
+"""Renders a Blender scene (Cycles) to frames with color, depth and motion vectors, truth in between, and cameras.
 
     blender -b scene.blend --python export_gffe.py -- OUT --every 2
     python export_gffe.py scene.blend -- OUT --every 2                   with the `bpy` wheel of PyPI
@@ -6,8 +6,8 @@
 OUT gets `cameras.json` and one multilayer EXR per frame, `frame_NNNN.exr`. Of the scene's range, every `--every`-th
 frame is *rendered*; between two of them lie `--between` frames of truth, evenly spaced, by default those frames of the
 scene that do. A rendered frame holds the scene's own view layer (`Combined`: antialiased, half) and a layer `Data` of
-one sample at the pixel's centre: `Depth.Z`, planar, 1e10 where nothing is, and `Vector.X`, `.Y`, pixels with y up, the
-place in the previous *rendered* frame minus the place here. Truth holds the colour only. The .blend file is never
+one sample at the pixel's center: `Depth.Z`, planar, 1e10 where nothing is, and `Vector.X`, `.Y`, pixels with y up, the
+place in the previous *rendered* frame minus the place here. Truth holds the color only. The .blend file is never
 written to.
 
 Files that are there already are kept, so that an interrupted export goes on where it stopped; `--overwrite` renders
@@ -116,7 +116,7 @@ def _prepare(scene, every: int) -> bpy.types.ViewLayer:
     if cycles.use_layer_samples == "IGNORE":
         color.samples = 0
     cycles.use_layer_samples = "USE"
-    data.samples = 1  # passes are means over samples, of which the first lies at the pixel's centre
+    data.samples = 1  # passes are means over samples, of which the first lies at the pixel's center
     cycles.sample_offset = 0
     data.cycles.use_denoising = False
     for one in bpy.data.objects:  # of the camera: else its part of the vectors is missing
@@ -132,7 +132,7 @@ def _prepare(scene, every: int) -> bpy.types.ViewLayer:
     if hasattr(settings, "media_type"):  # Blender 5
         settings.media_type = "MULTI_LAYER_IMAGE"
     settings.file_format, settings.exr_codec = "OPEN_EXR_MULTILAYER", "ZIP"
-    settings.color_depth = "16"  # of colours: depth and vectors are float all the same
+    settings.color_depth = "16"  # of colors: depth and vectors are float all the same
     render.use_file_extension = False
     return data
 

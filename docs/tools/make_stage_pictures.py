@@ -34,7 +34,7 @@ SIZE, FPS, ALPHA = (640, 360), 30.0, 1.0
 CELL = 384  # px, of a picture's columns
 QUALITY = 72
 LONGEST, FLOW, DIMMED = 16, 4, 0.35  # px of full brightness; pixels of the flow's grid; share
-PINK, BLUE, YELLOW, RED, GREY = (1, 0.1, 0.8), (0.1, 0.55, 1), (1, 0.85, 0), (0.95, 0.15, 0.1), (0.5, 0.5, 0.5)
+PINK, BLUE, YELLOW, RED, GRAY = (1, 0.1, 0.8), (0.1, 0.55, 1), (1, 0.85, 0), (0.95, 0.15, 0.1), (0.5, 0.5, 0.5)
 
 Panels = list[tuple[str, np.ndarray]]
 
@@ -111,7 +111,7 @@ def marked(image: np.ndarray, *marks: tuple[np.ndarray, tuple[float, float, floa
     return image
 
 
-def greyed(image: np.ndarray) -> np.ndarray:
+def grayed(image: np.ndarray) -> np.ndarray:
     return np.repeat(image.mean(-1, keepdims=True), 3, -1) * DIMMED
 
 
@@ -197,7 +197,7 @@ def warp(at: Moment) -> Panels:
     image = at.color("warp.color")
     return [
         ("blue: blocks of one smooth surface", marked(image, (backward, BLUE), share=0.5)),
-        ("yellow: closed cracks", marked(greyed(image), (labels == BY_CRACK_CLOSING, YELLOW))),
+        ("yellow: closed cracks", marked(grayed(image), (labels == BY_CRACK_CLOSING, YELLOW))),
         ("the new frame; pink: disoccluded", with_holes(at, "warp")),
     ]
 
@@ -207,7 +207,7 @@ def hidden_parts(at: Moment) -> Panels:
     after = with_holes(at, "hidden_parts")
     return [
         ("before", with_holes(at, "warp")),
-        ("yellow: hidden parts of movers", marked(greyed(after), (filled, YELLOW))),
+        ("yellow: hidden parts of movers", marked(grayed(after), (filled, YELLOW))),
         ("after", after),
     ]
 
@@ -218,7 +218,7 @@ def collection(at: Moment) -> Panels:
     background = np.where(remembered[..., None], at.color("background.color_0"), marked(image, (dynamic, (0, 0, 0))))
     return [
         ("rendered frame t", image),
-        ("blue: remembered behind what is shown", marked(greyed(image), (remembered, BLUE))),
+        ("blue: remembered behind what is shown", marked(grayed(image), (remembered, BLUE))),
         ("background: black where nothing is known", background),
     ]
 
@@ -228,7 +228,7 @@ def projection(at: Moment) -> Panels:
     image = with_holes(at, "background")
     return [
         ("before", with_holes(at, "hidden_parts")),
-        ("blue: from the background", marked(greyed(image), (is_hole(before) & ~is_hole(after), BLUE))),
+        ("blue: from the background", marked(grayed(image), (is_hole(before) & ~is_hole(after), BLUE))),
         ("after", image),
     ]
 
@@ -285,9 +285,9 @@ def labels(at: Moment) -> Panels:
     by, image = at.read("frame.filled_by"), at.color("frame.color")
     filled = by == BY_HOLE_FILLING
     background = (by >= 1) & (by <= 4)
-    marks = (by == BY_CRACK_CLOSING, GREY), (background, BLUE), (by == BY_HIDDEN_PART, YELLOW), (filled, RED)
+    marks = (by == BY_CRACK_CLOSING, GRAY), (background, BLUE), (by == BY_HIDDEN_PART, YELLOW), (filled, RED)
     return [
-        ("where each pixel comes from", marked(greyed(image), *marks)),
+        ("where each pixel comes from", marked(grayed(image), *marks)),
         ("extrapolated frame, t + 1", image),
         ("ground truth", at.truth),
     ]

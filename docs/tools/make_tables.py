@@ -40,7 +40,7 @@ def options_table() -> str:
 
 
 def fillings_table() -> str:
-    return table(("`--hole-filling`", "its colour …"), [(f"`{name}`", f.sentence) for name, f in FILLINGS.items()])
+    return table(("`--hole-filling`", "its color …"), [(f"`{name}`", f.sentence) for name, f in FILLINGS.items()])
 
 
 def stages_table() -> str:

@@ -54,7 +54,7 @@ def as_rendered(motion: np.ndarray, static: np.ndarray) -> np.ndarray:
     return motion
 
 
-def quantised(motion: np.ndarray, static: np.ndarray) -> np.ndarray:
+def quantized(motion: np.ndarray, static: np.ndarray) -> np.ndarray:
     """To 1/16 px."""
     return np.round(motion * 16) / 16
 
@@ -68,10 +68,10 @@ def crowded(motion: np.ndarray, static: np.ndarray) -> np.ndarray:
     drift = np.array([3.0, -1.5]) + 0.02 * (np.arange(height) - height / 2)[:, None, None]
     changed = motion.copy()
     changed[:, first:] += np.broadcast_to(drift, changed[:, first:].shape)
-    return quantised(changed, static)
+    return quantized(changed, static)
 
 
-VARIANTS: dict[str, Change] = {"exact": as_rendered, "1/16 px": quantised, "1/16 px, 40% moving": crowded}
+VARIANTS: dict[str, Change] = {"exact": as_rendered, "1/16 px": quantized, "1/16 px, 40% moving": crowded}
 
 
 def hidden(sequence: Sequence, folder: Path, change: Change) -> Sequence:
@@ -177,7 +177,7 @@ def rows(device: Device, scenes: list[str], seed: int) -> Iterator[tuple[str, ..
                 recovered = open_sequence(out)
                 off = np.percentile(static_residuals(truth, recovered), (50, 90))
                 gae = ["", ""]
-                if change is quantised:
+                if change is quantized:
                     for k, predicted in enumerate((False, True)):
                         pair = (recovered, with_true_cameras(truth, bare))
                         a, b = (

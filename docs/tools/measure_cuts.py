@@ -126,7 +126,7 @@ def fast_frames(shots: Shots) -> Iterator[tuple[str, RenderedFrame]]:
 
 
 def lit(frame: RenderedFrame, k: int, rng: np.random.Generator) -> RenderedFrame:
-    """Under a strobe of changing colours, with a flash over a part of the image every other frame."""
+    """Under a strobe of changing colors, with a flash over a part of the image every other frame."""
     light = np.ones((*frame.depth.shape, 3)) * (20.0 if k % 2 else 0.05) * rng.uniform(0.3, 3.0, 3)
     y, x = np.mgrid[: frame.depth.shape[0], : frame.depth.shape[1]]
     away = np.hypot(x - rng.uniform(0, SIZE[0]), y - rng.uniform(0, SIZE[1])) / rng.uniform(20, 120)
@@ -152,7 +152,7 @@ def without_cuts(device: Device, seeds: tuple[int, ...]) -> dict[str, tuple[Tall
 
 
 def matched(frame: RenderedFrame, other: RenderedFrame) -> RenderedFrame:
-    """With the mean and the spread of the colours of another one."""
+    """With the mean and the spread of the colors of another one."""
     a, b = (np.log(f.color.astype(np.float64) + 1e-3) for f in (frame, other))
     axes = (0, 1)
     changed = (a - a.mean(axes)) / (a.std(axes) + 1e-6) * b.std(axes) + b.mean(axes)
@@ -160,7 +160,7 @@ def matched(frame: RenderedFrame, other: RenderedFrame) -> RenderedFrame:
 
 
 def joined(device: Device, seeds: tuple[int, ...], rng: np.random.Generator) -> dict[str, Tally]:
-    """Joins of two shots, with the second one's own vectors and with none; every third in similar colours."""
+    """Joins of two shots, with the second one's own vectors and with none; every third in similar colors."""
     shots = {
         (name, seed, time): Shots(device, name, seed).shot(time, 3)
         for name in SCENES
@@ -176,7 +176,7 @@ def joined(device: Device, seeds: tuple[int, ...], rng: np.random.Generator) -> 
             "to the scene of another seed, same time": [
                 key for key in keys if key[::2] == (name, time) and key != first
             ],
-            "to another scene, similar colours": [key for key in keys if key[0] != name],
+            "to another scene, similar colors": [key for key in keys if key[0] != name],
         }
         kind = list(others)[k % 3]
         second = others[kind][rng.integers(len(others[kind]))]

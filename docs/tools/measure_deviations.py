@@ -80,10 +80,10 @@ class Change:
 # By what is named in docs/deviations.md.
 GAE: dict[str, Change] = {
     "fragments cover what their pixel maps to": Change({"crack_closing": False}),
-    "colour is resampled at its sub-pixel position": Change(constants={"warp.cl": {"STILL": "1e9f"}}),
+    "color is resampled at its sub-pixel position": Change(constants={"warp.cl": {"STILL": "1e9f"}}),
     "resampling is cubic, not bilinear": Change({"blocks": False}, {"warp.cl": {"ALL_ALIKE": "0x1FF"}}),
     "colors are mixed as they are seen": Change({"resampling": "linear"}),
-    "no colours mixed with a silhouette that moves away": Change(constants={"warp.cl": {"MOVES_AWAY": "1e30f"}}),
+    "no colors mixed with a silhouette that moves away": Change(constants={"warp.cl": {"MOVES_AWAY": "1e30f"}}),
     "… of these, the mean with what the background knows": Change(
         edits={"background.cl": {"to.mixed[dst] && is_same_surface": "false && is_same_surface"}}
     ),
@@ -153,7 +153,7 @@ FOR_SITUATIONS: dict[str, tuple[str, Change, str]] = {
     "shadows": ("network", NO_NETWORK, "light"),
     "fan": ("network", NO_NETWORK, "light"),
     "screen": ("network", NO_NETWORK, "light"),
-    "quantised": ("ε from the data; ¼ px", Change({"static_threshold": 0.25}), "still"),
+    "quantized": ("ε from the data; ¼ px", Change({"static_threshold": 0.25}), "still"),
 }
 
 

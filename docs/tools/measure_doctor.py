@@ -38,9 +38,9 @@ _APART = (  # faults of which no two make a case: they cancel, or one undoes the
     {"motion twice", "motion half"},
     {"depth reversed", "depth device", "depth along rays", "depth range misread"},
     {"color rows", "depth rows", "motion rows", "all rows"},
-    {"depth in centimetres", "camera in centimetres"},
+    {"depth in centimeters", "camera in centimeters"},
 )
-_ALONE = {"motion zero", "colour tone-mapped"}  # nothing is left of what these take away
+_ALONE = {"motion zero", "color tone-mapped"}  # nothing is left of what these take away
 
 
 def cases() -> list[tuple[str, ...]]:

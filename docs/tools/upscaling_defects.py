@@ -29,8 +29,8 @@ W, H, SCALE, FPS = 192, 128, 2, 30
 SEED = 2
 JITTER = Jitter(16)
 SHIMMER_SIZE, SETTLED, SEEN = (240, 136), 24, 16
-FAR, NEAR = 12, 6  # metres to the wall, and to what is before it
-GREY = Rect((0, 0, FAR), (40, 40), frequency=0, tint=(0.2,) * 3)
+FAR, NEAR = 12, 6  # meters to the wall, and to what is before it
+GRAY = Rect((0, 0, FAR), (40, 40), frequency=0, tint=(0.2,) * 3)
 AFTER = 6  # frames
 FLAT = 1e-3
 
@@ -62,13 +62,13 @@ def ghosts(device: Device) -> dict[str, list[float]]:
         board = Rect(
             (-5 if speed > 5 else -1.5, 0, NEAR), (0.6, 1.5), velocity=(speed, 0, 0), frequency=0, tint=(tint,) * 3
         )
-        scene, worst = Rects([GREY, board]), np.zeros(AFTER)
+        scene, worst = Rects([GRAY, board]), np.zeros(AFTER)
         pipeline, since = pipeline_of(device, (W, H)), np.full((H, W), np.inf)
         for k, frame in enumerate(frames(scene, 30)):
             pipeline.submit(frame)
-            covered = np.abs(scene.color(camera(W, H), k / FPS, W, H, 3) - GREY.texture(np.zeros(2))).max(-1) > FLAT
+            covered = np.abs(scene.color(camera(W, H), k / FPS, W, H, 3) - GRAY.texture(np.zeros(2))).max(-1) > FLAT
             since = np.where(_grown(covered), 0, since + 1)
-            error = np.abs(shown_by(pipeline) - to_display(GREY.texture(np.zeros((1, 1, 2))), 1.0)).max(-1)
+            error = np.abs(shown_by(pipeline) - to_display(GRAY.texture(np.zeros((1, 1, 2))), 1.0)).max(-1)
             for n in range(1, AFTER + 1):
                 if (since == n).any():
                     worst[n - 1] = max(worst[n - 1], 255 * error[since == n].max())
@@ -131,8 +131,8 @@ def bars(device: Device) -> dict[str, list[float]]:
 
 def _contrast(shown: np.ndarray, truth: np.ndarray) -> float:
     """Which share of the truth's contrast is shown: the slope of the one over the other."""
-    centred = truth - truth.mean()
-    return float((shown * centred).sum() / (centred**2).sum())
+    centered = truth - truth.mean()
+    return float((shown * centered).sum() / (centered**2).sum())
 
 
 def defect_tables(found: dict) -> dict[str, str]:

@@ -42,7 +42,7 @@ def calibrate(
             raise GffeError(f"{option} must be pixels of the image or near it, got {value:g}")
     with progress_bars() as progress:
         advance = steps(progress)("Reading", len(opened.rendered) + len(opened.ground_truth))
-        found = calibrate_sequence(opened, output, view=fov, centre=(cx, cy), aspect=aspect, on_frame=advance)
+        found = calibrate_sequence(opened, output, view=fov, center=(cx, cy), aspect=aspect, on_frame=advance)
     known = "given" if found.deviation is None else f"± {100 * found.deviation:.2f}%"
     out.print(
         f"focal length {found.focal[0]:.2f} px ({found.view:.2f}° across, {known}); the camera turns by"

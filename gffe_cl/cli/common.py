@@ -94,7 +94,7 @@ CompressionOption = Annotated[
     str,
     typer.Option(
         "--compression",
-        help="Of new EXRs: none, rle, zips, zip, piz, htj2k256; dwaa and dwab approximate the colours.",
+        help="Of new EXRs: none, rle, zips, zip, piz, htj2k256; dwaa and dwab approximate the colors.",
     ),
 ]
 EncodeOption = Annotated[

@@ -29,7 +29,7 @@ def render(
         str,
         typer.Argument(
             help="Name of a built-in scene: corridor, plaza, room, forest, gallery, street, factory, courtyard. Or of a"
-            " situation: bars, ropes, balls, rotors, handheld, cab, wipers, lamps, shadows, fan, screen, quantised."
+            " situation: bars, ropes, balls, rotors, handheld, cab, wipers, lamps, shadows, fan, screen, quantized."
         ),
     ],
     output: Annotated[Path, typer.Argument(help="Folder for the sequence.")],
@@ -44,7 +44,7 @@ def render(
         int, typer.Option("-n", help="Frames in between per rendered frame, for --ground-truth and --window adaptive.")
     ] = 1,
     samples: Annotated[
-        int | None, typer.Option(help="Colour samples per pixel at edges [dim](default 8; 1 with --jitter)[/].")
+        int | None, typer.Option(help="Color samples per pixel at edges [dim](default 8; 1 with --jitter)[/].")
     ] = None,
     window: Annotated[
         str,
@@ -61,7 +61,7 @@ def render(
     scheduler: SchedulerOption = None,
     device: DeviceOption = None,
 ) -> None:
-    """Render a built-in scene to a sequence: colour, depth, motion vectors and cameras."""
+    """Render a built-in scene to a sequence: color, depth, motion vectors and cameras."""
     from gffe_cl.frame.jitter import Jitter
     from gffe_cl.opencl.device import open_device
     from gffe_cl.scenes import load_scene

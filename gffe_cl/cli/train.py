@@ -35,7 +35,7 @@ def train(
     clips: Annotated[
         int, typer.Option(help="Clips to train on; each gives four samples. Fewer where --minutes does not allow them.")
     ] = 400,
-    steps: Annotated[int, typer.Option(help="Optimiser steps.")] = 20000,
+    steps: Annotated[int, typer.Option(help="Optimizer steps.")] = 20000,
     batch: Annotated[int, typer.Option(help="Crops of 256×256 per step.")] = 16,
     learning_rate: Annotated[float, typer.Option(help="Of Adam, at the beginning.")] = 1e-4,
     final_learning_rate: Annotated[float, typer.Option(help="And at the end.")] = 1e-5,

@@ -51,7 +51,7 @@ def require_positive(value: Any, what: str, *, infinite: bool = False) -> float:
 
 
 def require_exposure(value: Any, what: str = "exposure") -> float:
-    """The factor on linear colour before display as a float; GffeError unless it is a number from 1e-6 to 1e6.
+    """The factor on linear color before display as a float; GffeError unless it is a number from 1e-6 to 1e6.
 
     Beyond that everything is black or white, and what is measured on display values means nothing.
     """

@@ -28,7 +28,7 @@ _MARGIN = 0.06  # of the sum of scores, by which another reading must be better 
 _VISIBLE = 0.3  # pixels, of what the camera's rotation and its translation move
 _UNEXPLAINED = 0.35  # share of samples that must agree roughly, or something is wrong that nobody has named
 _TELLING = 0.02  # of agreements: by less they do not decide
-_COLORS_ALONE = 0.12  # of colour scores, where they have to decide alone
+_COLORS_ALONE = 0.12  # of color scores, where they have to decide alone
 _COMPARABLE = 0.5  # color score of what stands still, below which movers' colors decide nothing
 _ROUGHLY = 0.25, 1.5  # of the motion's length, and pixels
 _ALIKE = 0.01  # difference of agreements below which two readings say the same
@@ -78,9 +78,9 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     beside = {k for index in deep for k in (index - 1, index, index + 1) if 0 <= k < count}
     looks = take_looks(clip, beside | set(_spread(count, _pixels(clip))), _SAMPLES, beside, exposure)
     found = Diagnosis([], Reading(), frames=len(looks))
-    found.looks = [looks[k] for k in deep if looks[k].neighbours]
+    found.looks = [looks[k] for k in deep if looks[k].neighbors]
     _note_bad_pixels(found, looks)
-    if not any(PREVIOUS in look.neighbours for look in found.looks):
+    if not any(PREVIOUS in look.neighbors for look in found.looks):
         found.findings.append(
             Finding(UNKNOWN, "frames", "single frames", "no rendered frame of 8 pixels or more has one before it")
         )
@@ -172,7 +172,7 @@ def _judge(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Search]) -> 
 
 def _convincing(verdicts: list[Verdict], given: Verdict) -> Verdict:
     """The best of `verdicts`, or `given` if that is not clearly worse. Where depth and cameras say nothing, of a camera
-    that stands still, only movers' colours are left: they decide on signs, axes and units if they are sure."""
+    that stands still, only movers' colors are left: they decide on signs, axes and units if they are sure."""
     best = verdicts[0]
     if best.total < given.total + _MARGIN:
         return given

@@ -18,7 +18,7 @@ _RANGES = {
     2.0: "depth from 0 … 1 was taken for −1 … 1 when it was made linear (a buffer of OpenGL needs 2d − 1 first)",
     0.5: "depth was taken for a buffer of OpenGL from 0 … 1 (2d − 1) when it was made linear, which it is not",
 }
-_UNITS = {100.0: "in centimetres, {0} in metres", 1000.0: "in millimetres, {0} in metres"}
+_UNITS = {100.0: "in centimeters, {0} in meters", 1000.0: "in millimeters, {0} in meters"}
 _UNIT_SLACK = 0.03
 
 
@@ -84,7 +84,7 @@ def faults_of(reading: Reading, stored: np.ndarray) -> list[Finding]:
     if reading.jitter:
         lacking = {
             "motion": "motion vectors are off by another part of a pixel in every frame: camera jitter is not removed",
-            "camera": "the cameras lack the jitter that motion vectors and colours have",
+            "camera": "the cameras lack the jitter that motion vectors and colors have",
         }[reading.jitter]
         found.append(Finding(FAULT, reading.jitter, "jitter not removed", lacking, "a constant per frame is taken off"))
     return found

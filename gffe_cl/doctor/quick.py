@@ -99,7 +99,7 @@ def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
 
 def _fit(looks: dict[int, Look], edges: float) -> _Fit | None:
     """None where there is nothing to compare."""
-    pairs = [look for look in looks.values() if PREVIOUS in look.neighbours and look.motion is not None]
+    pairs = [look for look in looks.values() if PREVIOUS in look.neighbors and look.motion is not None]
     if not pairs:
         return None
     bench = Bench(pairs)

@@ -180,12 +180,12 @@ def _common(off: np.ndarray, depth: np.ndarray) -> np.ndarray:
     if not len(values):
         return np.zeros(2)
     values = values[:: max(1, len(values) // 20000)]
-    centre = np.median(values, 0)
+    center = np.median(values, 0)
     for _ in range(12):
-        apart = ((values - centre) ** 2).sum(-1)
+        apart = ((values - center) ** 2).sum(-1)
         weight = 1 / (1 + apart / max(float(np.quantile(apart, 0.3)), 1e-10)) ** 2
-        centre = weight @ values / weight.sum()
-    return centre
+        center = weight @ values / weight.sum()
+    return center
 
 
 def _units(depth: DepthReading, stored: np.ndarray) -> tuple[DepthReading, float, float]:
@@ -219,7 +219,7 @@ def _rounded(value: float) -> float:
 
 
 def write_mended(sequence: Sequence, diagnosis: Diagnosis, output: Path, on_frame=lambda: None) -> int:
-    """Write `sequence` as `diagnosis` reads it to the folder `output`; how many frames. Truth keeps its colours and
+    """Write `sequence` as `diagnosis` reads it to the folder `output`; how many frames. Truth keeps its colors and
     gets the new cameras; extrapolated frames are left out. Raises GffeError as `SequenceWriter`."""
     refuse_same_folder(output, sequence.path)
     repair = Repair(sequence, diagnosis)

@@ -52,7 +52,7 @@ def changes(chosen: Diagnosis) -> list[str]:
     """What mending `chosen` changes: a line for each finding, and one for each buffer with an example."""
     known = set(fixed_by(chosen))
     lines = [f"{f.id}: {f.fix}" for f in chosen.findings if f.id in known]
-    looks = [look for look in chosen.looks if PREVIOUS in look.neighbours]
+    looks = [look for look in chosen.looks if PREVIOUS in look.neighbors]
     return list(dict.fromkeys(lines)) + (_example(chosen, looks[len(looks) // 2]) if looks else [])
 
 
@@ -130,7 +130,7 @@ def html_report(clip: Clip, diagnosis: Diagnosis, title: str, exposure: float) -
 
 
 def _pictures(clip: Clip, diagnosis: Diagnosis, exposure: float) -> str:
-    looks = [look for look in diagnosis.looks if PREVIOUS in look.neighbours]
+    looks = [look for look in diagnosis.looks if PREVIOUS in look.neighbors]
     if not looks:
         return ""
     entries = clip.rendered
@@ -141,7 +141,7 @@ def _pictures(clip: Clip, diagnosis: Diagnosis, exposure: float) -> str:
     read = _residual(*mended) if mended else given
     top = max(float(np.nanquantile(given, 0.98)), 1e-3)
     figures = [
-        ("colour", np.clip(np.nan_to_num(here.color[..., :3].astype(np.float32)) * exposure, 0, 1) ** (1 / 2.2)),
+        ("color", np.clip(np.nan_to_num(here.color[..., :3].astype(np.float32)) * exposure, 0, 1) ** (1 / 2.2)),
         (f"residual as given, 0 (black) to {top:.3g} px (white)", _heat(given / top)),
     ]
     if mended and diagnosis.faults:

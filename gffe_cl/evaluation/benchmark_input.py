@@ -26,7 +26,7 @@ SCENE_FPS = 30.0
 WARM_UP = 3  # pairs of a scene that do not count
 SETTLED = 2  # frames after a reset that do not count: nothing is known of movers, or of what they hide
 _LOOP = 6  # frames of a sequence
-_SURFACE = 0.05  # neighbours whose inverse depths differ by less are taken for one surface,
+_SURFACE = 0.05  # neighbors whose inverse depths differ by less are taken for one surface,
 _STRAIN = 1.0  # if their motion differs by less than that, pixels
 _BAND = 128  # rows enlarged at a time
 
@@ -77,11 +77,11 @@ class Footage:
         """Of `turns`."""
         return sum(1 for _ in self.turns(counted))
 
-    def part(self, width: int, height: int, centre: tuple[float, float]) -> Footage:
-        """A part of the images, of at most that size, around `centre` (shares of width and height); host arrays."""
+    def part(self, width: int, height: int, center: tuple[float, float]) -> Footage:
+        """A part of the images, of at most that size, around `center` (shares of width and height); host arrays."""
         width, height = min(width, self.width), min(height, self.height)
-        x = min(max(int(self.width * centre[0] - width / 2), 0), self.width - width)
-        y = min(max(int(self.height * centre[1] - height / 2), 0), self.height - height)
+        x = min(max(int(self.width * center[0] - width / 2), 0), self.width - width)
+        y = min(max(int(self.height * center[1] - height / 2), 0), self.height - height)
 
         def cut(array: np.ndarray) -> np.ndarray:
             return np.ascontiguousarray(array[y : y + height, x : x + width])
@@ -198,7 +198,7 @@ def _loop(sequence: Sequence, number: int | None) -> tuple[int, int]:
 def enlarged(frame: RenderedFrame, width: int, height: int) -> RenderedFrame:
     """`frame` (host arrays) as one of `width` × `height` pixels; motion in its new pixels.
 
-    Bilinear in colour, inverse depth and motion where the four neighbours lie on one surface, so that planes stay
+    Bilinear in color, inverse depth and motion where the four neighbors lie on one surface, so that planes stay
     planes; the nearest pixel elsewhere, so that edges stay edges.
     """
     old_height, old_width = np.shape(frame.depth)
@@ -221,14 +221,14 @@ def enlarged(frame: RenderedFrame, width: int, height: int) -> RenderedFrame:
 
 
 def _taps(count: int, old: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of `count` new pixels along a side of `old`: the neighbours before and after, and the latter's weight."""
+    """Of `count` new pixels along a side of `old`: the neighbors before and after, and the latter's weight."""
     place = np.clip((np.arange(count) + 0.5) * old / count - 0.5, 0, old - 1)
     low = place.astype(int)
     return low, np.minimum(low + 1, old - 1), (place - low).astype(np.float32)
 
 
 def _enlarged_rows(stack: np.ndarray, rows, columns) -> np.ndarray:
-    """Rows of the enlarged `stack` (H, W, 6): colour, inverse depth, motion."""
+    """Rows of the enlarged `stack` (H, W, 6): color, inverse depth, motion."""
     top, bottom, down = rows
     left, right, across = columns
     taps = [stack[y][:, x] for y in (top, bottom) for x in (left, right)]

@@ -33,7 +33,7 @@ from gffe_cl.stages.correction import ShadingCorrection
 
 SIZE = (1920, 1080)  # pixels, by default
 PART = (192, 108)  # of which so many are counted,
-CENTRE = (0.3, 0.5)  # around here: on plaza edges, movers, holes and blocks are about as frequent as in all of it
+CENTER = (0.3, 0.5)  # around here: on plaza edges, movers, holes and blocks are about as frequent as in all of it
 TOLERANCE = 0.05  # by how much counted bytes may grow
 _SLACK = 0.05  # bytes per pixel that do not matter
 _NAME = "Oclgrind"
@@ -64,7 +64,7 @@ class KernelTraffic:
 def count(footage: Footage, options: Options, lanes: int) -> dict[str, KernelTraffic]:
     """Traffic by "stage.kernel" in a part of the footage (of host arrays), with so many lanes (simd.h). Raises
     GffeError if Oclgrind is missing or fails."""
-    footage = footage.part(*PART, CENTRE)
+    footage = footage.part(*PART, CENTER)
     command = shutil.which("oclgrind")
     if command is None:
         raise GffeError("--traffic counts with oclgrind, which is not installed (Debian, Ubuntu: apt install oclgrind)")

@@ -181,12 +181,12 @@ def _pair(a, b, mask) -> tuple:
 
 
 def relative_error(a, b):
-    """2|a−b| / (|a|+|b|+0.01) of exposed linear colours, arrays or tensors: SMAPE is its mean over RGB."""
+    """2|a−b| / (|a|+|b|+0.01) of exposed linear colors, arrays or tensors: SMAPE is its mean over RGB."""
     return 2 * abs(a - b) / (abs(a) + abs(b) + SMAPE_EPSILON)
 
 
 def smape(a, b, exposure: float = 1.0) -> np.ndarray:
-    """Symmetric mean absolute percentage error of linear colour: (H, W) float32 in [0, 2). NaN counts as 0."""
+    """Symmetric mean absolute percentage error of linear color: (H, W) float32 in [0, 2). NaN counts as 0."""
     factor = np.float32(require_exposure(exposure))
     a, b = (np.nan_to_num(np.asarray(x).astype(np.float32) * factor, nan=0.0) for x in (a, b))
     return relative_error(a, b).mean(-1)

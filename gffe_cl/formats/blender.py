@@ -28,7 +28,7 @@ from gffe_cl.sequence.reader import Sequence
 FILE_NAME = "cameras.json"
 KINDS = ("rendered", "ground_truth", "camera_only")
 SKY = 1e9  # depth from there on is nothing: Blender writes 1e10
-_DATA_LAYER = "data"  # of one sample per pixel: exact depth and vectors, but jagged colours
+_DATA_LAYER = "data"  # of one sample per pixel: exact depth and vectors, but jagged colors
 _COMPOSITED = "composite"
 
 
@@ -188,6 +188,6 @@ def _unlike_picture(name: str, data: str | None) -> tuple[bool, bool]:
 
 def _missing(entry: FrameEntry, header: ExrHeader, names: str) -> GffeError:
     held = ", ".join(header.channels[:12]) + (", …" if len(header.channels) > 12 else "")
-    needed = "Combined, Depth and Vector passes" if entry.kind == "rendered" else "colour"
+    needed = "Combined, Depth and Vector passes" if entry.kind == "rendered" else "color"
     needed = f"{entry.kind} frames need {needed}"
     return GffeError(f"{entry.file}: no channel {names} in any layer ({needed}; the file holds {held})")

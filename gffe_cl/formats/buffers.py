@@ -104,7 +104,7 @@ def parse_buffer(keys: Keys, default: tuple[str, ...]) -> Buffer:
 
 @dataclass(frozen=True)
 class ColorBuffer:
-    """Colour: `buffer`, then the encoding is undone."""
+    """Color: `buffer`, then the encoding is undone."""
 
     buffer: Buffer
     encoding: str

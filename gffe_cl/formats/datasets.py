@@ -1,6 +1,6 @@
 """Public data sets as captures: MPI Sintel, Spring, TartanAir.
 
-Their colours are of displays (sRGB, 8 bits). Sintel and TartanAir have flow to the next frame, which is inverted with a
+Their colors are of displays (sRGB, 8 bits). Sintel and TartanAir have flow to the next frame, which is inverted with a
 depth test; Spring has flow to the previous one.
 """
 
@@ -30,10 +30,10 @@ from gffe_cl.sequence.reader import Sequence
 _TAG = struct.pack("<f", 202021.25)  # of Sintel's files
 _NUMBER = re.compile(r"\d+")
 _MOST_TEXT = 64 << 20
-_SPRING_BASELINE = 0.065  # metres
+_SPRING_BASELINE = 0.065  # meters
 _NED = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])  # x forward, y right, z down → ours
 _TARTANAIR_FOCAL = 320.0
-_SKY = 1e4  # metres: what is farther is nothing
+_SKY = 1e4  # meters: what is farther is nothing
 
 
 class _Frame(NamedTuple):
@@ -43,12 +43,12 @@ class _Frame(NamedTuple):
     depth: Callable[[], np.ndarray]
     flow: Callable[[], np.ndarray] | None
     camera: Camera
-    files: tuple[Path, ...]  # all that are read of it but the colours
+    files: tuple[Path, ...]  # all that are read of it but the colors
     backward: bool = False
 
 
 class DatasetPixels(ForeignPixels):
-    """`frames` by the names of their entries; colours in the display's encoding."""
+    """`frames` by the names of their entries; colors in the display's encoding."""
 
     def __init__(self, frames: dict[str, _Frame]):
         super().__init__()
@@ -124,7 +124,7 @@ def is_sintel(folder: Path) -> bool:
 
 
 def open_sintel(folder: Path) -> Sequence:
-    """Open the scene whose colours are in `folder`, .../final/SCENE or .../clean/SCENE. Raises GffeError."""
+    """Open the scene whose colors are in `folder`, .../final/SCENE or .../clean/SCENE. Raises GffeError."""
     parts = _sintel_folders(folder)
     assert parts is not None  # `is_sintel` was asked
     images = _images(folder, "frame_*.png")
@@ -259,7 +259,7 @@ def is_spring(folder: Path) -> bool:
 
 
 def open_spring(folder: Path) -> Sequence:
-    """Open the scene in `folder`, left camera, at the size of the colours. Raises GffeError, also without h5py."""
+    """Open the scene in `folder`, left camera, at the size of the colors. Raises GffeError, also without h5py."""
     images = _images(folder / "frame_left", "frame_left_*.png")
     size, frames, links = _size(images[0]), [], following_links()
     intrinsics = _table(folder / "cam_data" / "intrinsics.txt", 4, len(images))
@@ -297,7 +297,7 @@ def _inverse(camera: Camera) -> Camera:
 
 
 def _from_disparity(path: Path, fx: float, size: Size, follow_links: bool) -> np.ndarray:
-    """Depth in metres: fx · 0.065 / d."""
+    """Depth in meters: fx · 0.065 / d."""
     disparity = np.abs(read_hdf5(path, "disparity", size, 1, follow_links)[..., 0]).astype(np.float64)
     with np.errstate(divide="ignore"):
         return _within(fx * _SPRING_BASELINE / disparity)

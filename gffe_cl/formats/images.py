@@ -28,7 +28,7 @@ _MOST_HEADER = 1 << 16
 def read_planes(path: Path, names: Ordered[str], label: str, size: Size, array: str | None = None) -> np.ndarray:
     """Channels `names` of the image at `path` as (H, W, C), in the type stored; `array` is the one of an NPZ file.
 
-    Of PNG the channels are R, G, B, A (grey is any of the first three), of NPY 0, 1, …, or R, G, B, A for the first
+    Of PNG the channels are R, G, B, A (gray is any of the first three), of NPY 0, 1, …, or R, G, B, A for the first
     four. GffeError, beginning with `label`, for a missing file or channel, another size than `size`, and damage.
     """
     return _read(path, names, label, size, array, decode=True)
@@ -84,10 +84,10 @@ def _png(path, names, label, size, decode):
     _require_size((header.width, header.height), size, label)
     order = []
     for name in names:
-        grey = header.channels[0] == "Y" and name in ("R", "G", "B")
-        if not grey and name not in header.channels:
+        gray = header.channels[0] == "Y" and name in ("R", "G", "B")
+        if not gray and name not in header.channels:
             raise _no_channel(name, header.channels, label)
-        order.append(0 if grey else header.channels.index(name))
+        order.append(0 if gray else header.channels.index(name))
     require_moderate(header.width * header.height * len(header.channels) * 2, math.prod(size), label)
     return read_png(path, header, label)[..., order] if decode else None
 

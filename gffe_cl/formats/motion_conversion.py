@@ -18,7 +18,7 @@ def static_motion(depth: np.ndarray, camera: Camera, before: Camera) -> tuple[np
     """Motion (H, W, 2) float64 of what stands still, from `camera` to `before`, and its depth (H, W) there; both are
     infinite or NaN where depth is invalid. Sky moves with the rotation."""
     height, width = depth.shape
-    here = centres(height, width)
+    here = centers(height, width)
     finite = np.isfinite(depth) & (depth > 0)
     across = (here - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
     along = np.concatenate([across, np.ones((height, width, 1))], -1)
@@ -79,7 +79,7 @@ def sampled(
     """`values` (H, W, 2) at x + `motion` (H, W, 2), bilinear over those of the four pixels whose depth fits `expected`
     (H, W), and whether there are any. Sky fits sky."""
     height, width = depths.shape
-    at = centres(*motion.shape[:2]) + motion - 0.5
+    at = centers(*motion.shape[:2]) + motion - 0.5
     at = np.where(np.isfinite(at), at, -1e9)
     corner = np.floor(np.clip(at, -1e9, 1e9)).astype(np.int64)
     part = at - corner
@@ -105,8 +105,8 @@ def same_surface(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return (np.isinf(a) & np.isinf(b)) | (np.abs(a - b) <= _SAME_SURFACE * np.minimum(a, b))
 
 
-def centres(height: int, width: int) -> np.ndarray:
-    """(H, W, 2): x, y of pixel centres."""
+def centers(height: int, width: int) -> np.ndarray:
+    """(H, W, 2): x, y of pixel centers."""
     y, x = np.mgrid[:height, :width]
     return np.stack([x + 0.5, y + 0.5], -1)
 
@@ -123,7 +123,7 @@ def _splatted(flow: np.ndarray, seen: np.ndarray, depth: np.ndarray) -> np.ndarr
     Each pixel goes to the four around its goal; those whose depth `seen` fits are averaged.
     """
     height, width = depth.shape
-    to = centres(height, width) + flow - 0.5
+    to = centers(height, width) + flow - 0.5
     to = np.where(np.isfinite(to), to, -1e9)
     corner = np.floor(np.clip(to, -1e9, 1e9)).astype(np.int64)
     part = to - corner

@@ -23,7 +23,7 @@ class Format:
     name: str
     sentence: str
     example: str  # what the folder holds
-    recognises: Callable[[Path], bool]  # a folder that has no sequence.json, by the names of its files
+    recognizes: Callable[[Path], bool]  # a folder that has no sequence.json, by the names of its files
     open: Callable[[Path], Sequence]
 
 
@@ -61,7 +61,7 @@ FORMATS = {
         ),
         Format(
             "sintel",
-            "MPI Sintel: a scene's folder of colours, beside flow, depth and camdata_left",
+            "MPI Sintel: a scene's folder of colors, beside flow, depth and camdata_left",
             "training/final/alley_1/frame_0001.png …\ntraining/flow/alley_1/frame_0001.flo …\n"
             "training/depth/alley_1/frame_0001.dpt …\ntraining/camdata_left/alley_1/frame_0001.cam …",
             datasets.is_sintel,
@@ -113,7 +113,7 @@ def _opened(path: Path, cameras: str) -> Sequence:
         if described.exists():
             opened = folder.open_folder if folder.is_folder(described) else open_sequence
             return opened(place, cameras=cameras)
-        known = next((one for one in FORMATS.values() if one.recognises(place)), None)
+        known = next((one for one in FORMATS.values() if one.recognizes(place)), None)
     except OSError as error:
         raise GffeError(f"{path}: cannot be read ({error.strerror or error})") from None
     if known is None:

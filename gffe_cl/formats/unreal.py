@@ -1,6 +1,6 @@
-"""Captures of Unreal's Movie Render Queue: multilayer EXR, the camera in the header, centimetres.
+"""Captures of Unreal's Movie Render Queue: multilayer EXR, the camera in the header, centimeters.
 
-World depth is in centimetres and motion around ½, but documentation, decoders and versions disagree on the factor, and
+World depth is in centimeters and motion around ½, but documentation, decoders and versions disagree on the factor, and
 depth is planar or along the rays: what stands still tells, reprojected.
 """
 
@@ -24,7 +24,7 @@ from gffe_cl.sequence.exr_layout import ExrHeader, HeaderReader, read_header
 from gffe_cl.sequence.pixel_source import ForeignPixels
 from gffe_cl.sequence.reader import Sequence
 
-SKY = 1e7  # centimetres: 100 km
+SKY = 1e7  # centimeters: 100 km
 _HALF_MAX = 65504.0  # depth stored as half ends there
 _CAMERA, _LAYER_DATA = "unreal/camera/", "unreal/layerData/"  # of Movie Render Queue, and of its newer graph
 _NAME = re.compile(r"(.*?)(\d+)\.exr", re.IGNORECASE | re.DOTALL)

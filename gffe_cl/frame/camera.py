@@ -1,7 +1,7 @@
 """Poses and pinholes.
 
 Conventions: `world_to_view` is a rigid 4×4 matrix for column vectors; the view axes are x right, y down,
-z forward; the projection is an off-centre pinhole in pixels, the centre of pixel (i, j) being
+z forward; the projection is an off-center pinhole in pixels, the center of pixel (i, j) being
 (i + 0.5, j + 0.5). All arithmetic here is float64; kernels only ever see view → view transforms.
 """
 
@@ -109,12 +109,12 @@ class Camera:
     def from_pose(
         cls, position: ArrayLike, direction: ArrayLike, up: ArrayLike, fx: float, fy: float, cx: float, cy: float
     ) -> Camera:
-        """Camera from the paper's pose vectors (v_pos, v_dir, v_up), re-orthonormalised. Raises GffeError
+        """Camera from the paper's pose vectors (v_pos, v_dir, v_up), re-orthonormalized. Raises GffeError
         unless each is three finite numbers, and for `up` parallel to `direction`."""
         place = validation.require_vector(position, "camera: position").tolist()
-        forward = _normalised(validation.require_vector(direction, "camera: direction"), "direction")
+        forward = _normalized(validation.require_vector(direction, "camera: direction"), "direction")
         right = vectors.cross(forward, validation.require_vector(up, "camera: up").tolist())
-        right = _normalised(right, "up (parallel to the direction)")
+        right = _normalized(right, "up (parallel to the direction)")
         down = vectors.cross(forward, right)
         matrix = np.eye(4)
         matrix[:3, :3] = (right, down, forward)
@@ -125,14 +125,14 @@ class Camera:
     def from_opengl(
         cls, view: ArrayLike, projection: ArrayLike, size: tuple[float, float], layout: str = "auto"
     ) -> Camera:
-        """Camera from OpenGL's matrices; off-centre projections, jitter, reversed and infinitely far planes included.
+        """Camera from OpenGL's matrices; off-center projections, jitter, reversed and infinitely far planes included.
 
         Parameters
         ----------
         view : (4, 4), or 16 numbers
             World → view space, as handed to the shaders.
         projection : (4, 4), or 16 numbers
-            View → clip space. Which way the view axes point follows from it; normalised device coordinates go up.
+            View → clip space. Which way the view axes point follows from it; normalized device coordinates go up.
         size : (width, height) of the image, pixels
         layout : "auto", "row-major" or "column-major"
             "row-major": `view[0]` is the first row of the matrix that column vectors are multiplied with, and the
@@ -166,7 +166,7 @@ class Camera:
     def from_vulkan(
         cls, view: ArrayLike, projection: ArrayLike, size: tuple[float, float], layout: str = "auto"
     ) -> Camera:
-        """Camera from Vulkan's matrices, whose normalised device coordinates go down; parameters of `from_opengl`.
+        """Camera from Vulkan's matrices, whose normalized device coordinates go down; parameters of `from_opengl`.
 
         cy = (1 + P₁₂/P₃₂) H/2, the rest as there. OpenGL-like views with `projection[1][1] *= -1` are right, too.
         """
@@ -190,8 +190,8 @@ class Camera:
     ) -> Camera:
         """Camera from Unreal's `FViewMatrices`, view and projection (jittered or not); parameters of `from_opengl`.
 
-        An `FMatrix` is for row vectors, so `M[0]` first is "column-major". World units stay centimetres: take depth in
-        centimetres, too. Unreal's world is left-handed, so `world_to_view` is mirrored.
+        An `FMatrix` is for row vectors, so `M[0]` first is "column-major". World units stay centimeters: take depth in
+        centimeters, too. Unreal's world is left-handed, so `world_to_view` is mirrored.
         """
         return cls(*conventions.pinhole(view, projection, size, layout, ndc_up=True, view_up=True))
 
@@ -277,7 +277,7 @@ class Camera:
     ) -> np.ndarray:
         """(4, 4) float64, column vectors: view space of `view_matrix(api)` → clip space.
 
-        Off-centre (jitter and windows included), for an image of `width` × `height` pixels. Depth from `near` to
+        Off-center (jitter and windows included), for an image of `width` × `height` pixels. Depth from `near` to
         `far` (world units, `far` may be infinite) becomes, after division by w, −1 … 1 for "opengl" and 0 … 1 for
         "direct3d" and "vulkan"; with `reverse_depth` 1 … 0 for all (OpenGL: glClipControl(…, GL_ZERO_TO_ONE)).
 
@@ -302,7 +302,7 @@ class Camera:
             ]
         )
         if api != "vulkan":
-            matrix[1] *= -1  # normalised device coordinates go up
+            matrix[1] *= -1  # normalized device coordinates go up
         return matrix @ np.diag([*_VIEW_AXES[api], 1.0])
 
     def to_view_of(self, other: Camera) -> np.ndarray:
@@ -337,7 +337,7 @@ class Camera:
 def predict_camera(previous: Camera, current: Camera, alpha: float) -> Camera:
     """C̄ = C_t + α (C_t − C_{t−1}), the predicted camera at t + α.
 
-    Per pose vector (position, direction, up), re-orthonormalised, and likewise fx and fy; cx and cy stay.
+    Per pose vector (position, direction, up), re-orthonormalized, and likewise fx and fy; cx and cy stay.
     Paper: 'Adaptive rendering window'. `alpha` is in intervals between rendered frames and may exceed 1. Give cameras
     without jitter: its next value is known to the renderer only. Raises GffeError unless `alpha` is a number up to a
     million, either way.
@@ -411,7 +411,7 @@ def _both(focal: np.ndarray) -> str:
     return f"{focal[0, 0]:g} and {focal[0, 1]:g}"
 
 
-def _normalised(vector, name) -> list[float]:
+def _normalized(vector, name) -> list[float]:
     components = np.asarray(vector, np.float64).tolist()
     length = vectors.length(components)
     if not math.isfinite(length) or length < 1e-12:

@@ -38,7 +38,7 @@ class Pinhole(NamedTuple):
 
 
 def pinhole(view: Any, projection: Any, size: Any, layout: str, ndc_up: bool, view_up: bool = False) -> Pinhole:
-    """The camera of an API whose normalised device coordinates go up (`ndc_up`) or down, on an image of `size` pixels.
+    """The camera of an API whose normalized device coordinates go up (`ndc_up`) or down, on an image of `size` pixels.
 
     Which way the view axes point follows from the projection P (column vectors): w = P₃₂ z, so z is forward where P₃₂
     is positive, and x, y agree with those of the device where P₀₀, P₁₁ are positive. With `view_up` the view's y is
@@ -50,7 +50,7 @@ def pinhole(view: Any, projection: Any, size: Any, layout: str, ndc_up: bool, vi
     v = rigid(v, "view")
     p = _perspective(p)
     if max(abs(p[0, 1]), abs(p[1, 0]), abs(p[0, 3]), abs(p[1, 3])) > _ZERO * np.abs(p[:2]).max():
-        raise GffeError("camera: projection is sheared (expected an off-centre pinhole)")
+        raise GffeError("camera: projection is sheared (expected an off-center pinhole)")
     if not (p[0, 0] and p[1, 1]):
         raise GffeError("camera: singular projection, its first two diagonal entries must not be 0")
     forward = np.sign(p[3, 2])
@@ -227,7 +227,7 @@ def depth_from_device(
 def depth_from_distance(distance: Any, camera: Any) -> np.ndarray:
     """Planar depth (H, W) float32 from distances along the rays, as ray tracers give them, in the same unit.
 
-    depth = distance / √(1 + ((x − cx)/fx)² + ((y − cy)/fy)²), x and y at pixel centres; `camera` is the `Camera` of
+    depth = distance / √(1 + ((x − cx)/fx)² + ((y − cy)/fy)²), x and y at pixel centers; `camera` is the `Camera` of
     these pixels. Infinite distances stay. Raises GffeError for another shape.
     """
     distance = require_array(distance, "distance", None, None)
@@ -239,7 +239,7 @@ def depth_from_distance(distance: Any, camera: Any) -> np.ndarray:
 
 
 def motion_from_ndc(motion: Any, size: Any, direction: str = "to_previous", y: str = "up") -> np.ndarray:
-    """Motion in pixels (H, W, 2) float32 from motion in normalised device coordinates, −1 … 1 across the image.
+    """Motion in pixels (H, W, 2) float32 from motion in normalized device coordinates, −1 … 1 across the image.
 
     (x, y) becomes (x · W/2, −y · H/2); with `y` "down", as in Vulkan, (x · W/2, y · H/2). `size` is (W, H) in pixels.
     `direction` "to_previous": the given vectors are (previous − here); "from_previous": (here − previous).

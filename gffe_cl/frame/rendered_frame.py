@@ -1,7 +1,7 @@
 """Buffers of a frame, on the host.
 
 A frame's arrays may be NumPy arrays or OpenCL buffers (`pyopencl.Buffer`, `pyopencl.array.Array`, or integer handles)
-of the pipeline's context; device buffers are used in place. Layouts on the device: colour half ×4, depth float,
+of the pipeline's context; device buffers are used in place. Layouts on the device: color half ×4, depth float,
 motion float ×2, row-major.
 """
 
@@ -27,7 +27,7 @@ from gffe_cl.frame.camera import Camera
 
 HALF_MAX = 65504.0
 SAME_POSE = 1e-6
-BYTES_PER_PIXEL = (8, 4, 8)  # of colour, depth and motion on the device
+BYTES_PER_PIXEL = (8, 4, 8)  # of color, depth and motion on the device
 KEPT_BYTES_PER_PIXEL = 2 * (8 + 4) + 8  # of two frames: nothing reads the motion of the one before
 
 
@@ -35,8 +35,8 @@ KEPT_BYTES_PER_PIXEL = 2 * (8 + 4) + 8  # of two frames: nothing reads the motio
 class Overlays:
     """What lies over the picture and is not warped with it; NumPy arrays or device buffers, each of them optional.
 
-    Colours are linear and scene-referred as the frame's, and premultiplied: layer.rgb + (1 − layer.a) · picture is
-    shown. The frame's own colour has neither effects nor user interface in it; pixels of `fixed_mask` it has.
+    Colors are linear and scene-referred as the frame's, and premultiplied: layer.rgb + (1 − layer.a) · picture is
+    shown. The frame's own color has neither effects nor user interface in it; pixels of `fixed_mask` it has.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class RenderedFrame:
     motion : (H, W, 2) float32, pixels: (position in the previous rendered frame) − (position here); or a
         device buffer of float ×2. May be None on a reset frame.
     camera : Camera
-        What was rasterised (the render camera), in pixels of these arrays.
+        What was rasterized (the render camera), in pixels of these arrays.
     time : float
         Seconds.
     display_camera : Camera or None
@@ -168,8 +168,8 @@ class BadPixels:
 
     def __str__(self) -> str:
         words = {
-            "color": "NaN or infinite colour",
-            "clamped": "colour over 65504",
+            "color": "NaN or infinite color",
+            "clamped": "color over 65504",
             "depth": "invalid depth (NaN or ≤ 0)",
             "motion": "NaN or infinite motion",
         }

@@ -27,7 +27,7 @@ def to_display(color: ArrayLike, exposure: float = 1.0) -> np.ndarray:
 
 
 def linear_values(display, exposure: float = 1.0) -> np.ndarray:
-    """Linear scene-referred colour (H, W, 3) float32 that `to_display` shows as `display`, of values in [0, 1]."""
+    """Linear scene-referred color (H, W, 3) float32 that `to_display` shows as `display`, of values in [0, 1]."""
     display = np.asarray(display, np.float32)
     curve = ((np.maximum(display, 0) + 0.055) / 1.055) ** np.float32(2.4)
     return np.where(display <= 12.92 * SRGB_TOE, display / 12.92, curve) / np.float32(require_exposure(exposure))

@@ -5,7 +5,7 @@ frame t an engine does this:
 
     predicted = [predict_camera(previous, current, alpha) for alpha in (0.25, 0.5, 0.75)]
     window = adaptive_window(current, predicted, size=(1920, 1080), distance=2.0)
-    camera = window.camera(current, (1920, 1080))            # an off-centre pinhole: render through it,
+    camera = window.camera(current, (1920, 1080))            # an off-center pinhole: render through it,
     matrix = camera.projection_matrix("vulkan", 1920, 1080, near=0.1)  # at the same resolution
     frame = RenderedFrame(color, depth, motion, camera, time, display_camera=current)
     shown = present(frame)                                   # the display part
@@ -62,7 +62,7 @@ class Window(NamedTuple):
         return (self.u1 - self.u0) / 2, (self.v1 - self.v0) / 2
 
     def camera(self, display: Camera, size: tuple[int, int], render_size: tuple[int, int] | None = None) -> Camera:
-        """The off-centre pinhole to render through, in pixels of the rendered image.
+        """The off-center pinhole to render through, in pixels of the rendered image.
 
         `display` is the camera of what is shown, in pixels of an image of `size` (width, height); `render_size` is
         the rendered image's, the same if None. Raises GffeError if one of them, or the window, is empty.
@@ -106,7 +106,7 @@ def adaptive_window(
 ) -> Window:
     """The window through which to render the frame of `current` so that it covers all of `predicted`.
 
-    The appendix's formula, generalised to off-centre pinholes: the edges of each predicted frustum are intersected
+    The appendix's formula, generalized to off-center pinholes: the edges of each predicted frustum are intersected
     with the virtual plane at `distance` before the current camera; the window is the bounding box of the
     intersections and the display. Whatever is farther than the plane is covered too: the edges' vanishing points
     are in the box.
@@ -122,7 +122,7 @@ def adaptive_window(
         for less has precedence, up to half of what there is. A corner that points behind the virtual plane asks for
         infinitely much.
     size : (width, height) or None
-        Of the displayed image, pixels. None: twice the principal point, right for centred pinholes only.
+        Of the displayed image, pixels. None: twice the principal point, right for centered pinholes only.
     distance : float
         World units; nearer content may leave holes. A low quantile of the last frame's depth is a good choice
         (`nearest_depth`); infinite: only turning and zooming are covered.

@@ -125,7 +125,7 @@ def _difference(path: Path, provider: Provider, found: Verdict) -> str:
 
 
 def fixed_inputs(height: int, width: int) -> dict[str, np.ndarray]:
-    """Input of a network by name, for frames of this size, the same on every machine: blocks of one colour with a
+    """Input of a network by name, for frames of this size, the same on every machine: blocks of one color with a
     little noise, 0 … 1."""
     rng, made, shapes = np.random.default_rng(17), {}, shapes_at(height, width)
     for name in INPUTS:

@@ -49,7 +49,7 @@ class MadeFrame:
         return self._event
 
     def numpy(self, name: str) -> np.ndarray:
-        """Copy to the host by the attribute's name: colours (H, W, 3) float16, "depth" (H, W) float32, "motion"
+        """Copy to the host by the attribute's name: colors (H, W, 3) float16, "depth" (H, W) float32, "motion"
         (H, W, 2) float32, all others (H, W) uint8. Raises GffeError for other names, and where the device fails."""
         spec = self._spec(name)
         out = np.empty(self._shape(spec), spec.dtype)
@@ -92,7 +92,7 @@ class ExtrapolatedFrame(MadeFrame):
     """An extrapolated frame at t + α.
 
     `motion` is t + α → t, into the rendered image of t; `dynamic`, `disoccluded`, `filled_by` (uchar). `gae` is the
-    colour before shading correction and overlays, the same buffer as `color` where these are off. `numpy(name)` copies
+    color before shading correction and overlays, the same buffer as `color` where these are off. `numpy(name)` copies
     one of them to the host, `mapped(name)` reads it in place in a `with` block; `event` is complete when they hold the
     frame. Where the network works beside the device, asking for `color` or `event` waits for it.
     """

@@ -194,7 +194,7 @@ class Options:
         " ones seen through that. 1: anti-aliasing only; 0: off.", low=0.0, high=3.0, off=0.0, flag="--upscale",
     )  # fmt: skip
     upscale_sharpening: float = _option(
-        0.0, "sharpening", "Of what upscaling shows, where neighbours differ little; its history stays as it is.",
+        0.0, "sharpening", "Of what upscaling shows, where neighbors differ little; its history stays as it is.",
         low=0.0, high=1.0, flag="--sharpening", needs="upscale",
     )  # fmt: skip
     overlays: bool = _option(

@@ -121,7 +121,7 @@ class Pipeline:
     Attributes
     ----------
     exposure : float
-        Factor on colour before display, 1e-6 to 1e6, for the shading correction network; may change from frame to
+        Factor on color before display, 1e-6 to 1e6, for the shading correction network; may change from frame to
         frame.
     is_cut : bool
         Whether the last submitted frame was found to be a cut, of which nobody told: it was treated as a reset.

@@ -163,7 +163,7 @@ def _network_warnings(pipeline: Pipeline) -> list[str]:
     model, pixels = correction.network.path.name, correction.unusable_pixels
     return remarks + [
         f"{model}: the network gave NaN or infinity for about {pixels:,} pixels of the new frames; they keep the"
-        " extrapolated colour"
+        " extrapolated color"
     ]
 
 
@@ -181,12 +181,12 @@ def output_channels(
     if render_camera != display_camera:
         height, width = motion.shape[:2]
         for axis, name in enumerate("xy"):
-            centre = np.arange((width, height)[axis]) + 0.5
-            centre = centre[None, :] if axis == 0 else centre[:, None]
+            center = np.arange((width, height)[axis]) + 0.5
+            center = center[None, :] if axis == 0 else center[:, None]
             focal = [(c.fx, c.fy)[axis] for c in (render_camera, display_camera)]
             middle = [(c.cx, c.cy)[axis] for c in (render_camera, display_camera)]
-            shown = (motion[..., axis] + centre - middle[0]) * (focal[1] / focal[0]) + middle[1]
-            channels[f"motion.display.{name}"] = _rounded((shown - centre).astype(np.float32))
+            shown = (motion[..., axis] + center - middle[0]) * (focal[1] / focal[0]) + middle[1]
+            channels[f"motion.display.{name}"] = _rounded((shown - center).astype(np.float32))
     return channels
 
 

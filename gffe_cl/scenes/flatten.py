@@ -19,8 +19,8 @@ class FlatScene:
     ----------
     prims : (P, 2, 4) float32; prim_info : (P, 2) int32, type and material
     object_info : (N, 4) int32, first primitive, count, flags, 0
-    bounds : (N, 4) float64, centre and radius in the object's local space
-    boxes : (N, 2, 3) float64, centre and half size of its box there
+    bounds : (N, 4) float64, center and radius in the object's local space
+    boxes : (N, 2, 3) float64, center and half size of its box there
     """
 
     def __init__(self, scene: Scene):
@@ -75,10 +75,10 @@ class FlatScene:
     def rel_boxes(self, objects: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(N, 3) float64 each: lower and upper corners of the objects' boxes in rel, slightly grown."""
         rotation = np.swapaxes(objects[:, 1:4, :3], 1, 2).astype(np.float64)
-        centre = np.einsum("nij,nj->ni", rotation, self.boxes[:, 0] - objects[:, 1:4, 3])
+        center = np.einsum("nij,nj->ni", rotation, self.boxes[:, 0] - objects[:, 1:4, 3])
         half = np.einsum("nij,nj->ni", np.abs(rotation), self.boxes[:, 1])
-        half += 5e-4 + 1e-6 * np.abs(centre)
-        return centre - half, centre + half
+        half += 5e-4 + 1e-6 * np.abs(center)
+        return center - half, center + half
 
     def lights(self, time: float, camera: Camera, offset) -> np.ndarray:
         """(L, 3, 4) float32."""
@@ -149,10 +149,10 @@ def build_tree(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarra
 def _split(members: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two parts at the cheapest place along any axis by the surface area heuristic; the larger part first."""
     low, high = low[members], high[members]
-    centre = low + high
+    center = low + high
     best: tuple[float, Any] = (np.inf, None)
     for axis in range(3):
-        rank = np.argsort(centre[:, axis], kind="stable")
+        rank = np.argsort(center[:, axis], kind="stable")
         left = _areas(low[rank], high[rank])
         right = _areas(low[rank[::-1]], high[rank[::-1]])[::-1]
         count = np.arange(1, len(rank))
@@ -175,11 +175,11 @@ def _bounding_box(group: Group) -> tuple[np.ndarray, np.ndarray]:
     return (low.min(0) + high.max(0)) / 2, (high.max(0) - low.min(0)) / 2
 
 
-def _bounding_sphere(group: Group, centre: np.ndarray, half_size: np.ndarray) -> tuple:
+def _bounding_sphere(group: Group, center: np.ndarray, half_size: np.ndarray) -> tuple:
     only = group.primitives[0]
     lone_sphere = len(group.primitives) == 1 and only.kind == ELLIPSOID
     radius = max(only.b[:3]) if lone_sphere else np.linalg.norm(half_size)
-    return (*centre, radius * 1.0005 + 1e-4)
+    return (*center, radius * 1.0005 + 1e-4)
 
 
 def _material_rows(m: Material, time: float) -> list:

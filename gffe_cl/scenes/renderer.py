@@ -27,7 +27,7 @@ _LAYOUT = {  # of a rendering's buffers: channels and type
 
 @dataclass
 class SceneArrays:
-    """A rendering on the host; colour, depth and motion as in `gffe_cl.frame.rendered_frame.RenderedFrame`.
+    """A rendering on the host; color, depth and motion as in `gffe_cl.frame.rendered_frame.RenderedFrame`.
 
     color (H, W, 3) float16; depth (H, W) float32; motion (H, W, 2) float32; other_position (H, W, 4) float32;
     object_id (H, W) int32.
@@ -47,8 +47,8 @@ class SceneImage:
     Attributes
     ----------
     color : half ×4, linear RGB, antialiased
-    depth : float, view z at the pixel's centre, +inf for sky
-    motion : float ×2, pixels: where the surface at the pixel's centre was in the other image − here; NaN
+    depth : float, view z at the pixel's center, +inf for sky
+    motion : float ×2, pixels: where the surface at the pixel's center was in the other image − here; NaN
         where that lies behind the other camera
     other_position : float ×4: that surface point at the other time in the other camera's view space
         (x, y, z, 1); for sky the direction there as (x/z, y/z, +inf, z): x and y project as those of a point
@@ -77,7 +77,7 @@ class SceneImage:
         return SceneArrays(**{name: self.read(name) for name in _LAYOUT})
 
     def copy_to(self, buffers: tuple[cl.Buffer, cl.Buffer, cl.Buffer]) -> None:
-        """Colour, depth and motion into device buffers of just their size."""
+        """Color, depth and motion into device buffers of just their size."""
         for buffer, made in zip(buffers, (self.color, self.depth, self.motion), strict=True):
             cl.enqueue_copy(self.queue, buffer, made, byte_count=buffer.size)
 

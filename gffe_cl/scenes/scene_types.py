@@ -1,7 +1,7 @@
 """The words a scene is described with: primitives, materials, groups, lights, air, camera path, scene.
 
-World axes: x right, y up, z towards the viewer; metres, seconds. Colours are linear RGB; light colours are
-intensities (radiance at one metre) for lamps and irradiance for the sun, scaled so that a white surface
+World axes: x right, y up, z towards the viewer; meters, seconds. Colors are linear RGB; light colors are
+intensities (radiance at one meter) for lamps and irradiance for the sun, scaled so that a white surface
 facing a light of strength 1 shows radiance 1.
 """
 
@@ -43,11 +43,11 @@ class Material:
     Parameters
     ----------
     color, second : linear RGB
-        The texture's two colours (grout, mortar, gaps, figure … are `second`).
+        The texture's two colors (grout, mortar, gaps, figure … are `second`).
     texture : str
         One of `TEXTURES`.
     scale : float
-        Metres per period of the texture.
+        Meters per period of the texture.
     contrast : float
         Strength of its irregularities, 0 to 1.
     specular : float
@@ -99,17 +99,17 @@ class Primitive:
         )
 
 
-def Box(centre, size, material) -> Primitive:
+def Box(center, size, material) -> Primitive:
     """Axis-aligned box of full edge lengths `size`."""
-    return Primitive(BOX, (*centre, 0.0), (*(0.5 * s for s in size), 0.0), material)
+    return Primitive(BOX, (*center, 0.0), (*(0.5 * s for s in size), 0.0), material)
 
 
-def Sphere(centre, radius, material) -> Primitive:
-    return Primitive(ELLIPSOID, (*centre, 0.0), (radius, radius, radius, 0.0), material)
+def Sphere(center, radius, material) -> Primitive:
+    return Primitive(ELLIPSOID, (*center, 0.0), (radius, radius, radius, 0.0), material)
 
 
-def Ellipsoid(centre, radii, material) -> Primitive:
-    return Primitive(ELLIPSOID, (*centre, 0.0), (*radii, 0.0), material)
+def Ellipsoid(center, radii, material) -> Primitive:
+    return Primitive(ELLIPSOID, (*center, 0.0), (*radii, 0.0), material)
 
 
 def Capsule(start, end, radius, material) -> Primitive:
@@ -142,7 +142,7 @@ class Light:
     `kind` is "sun" (`position` is the direction towards it, `size` the tangent of its angular radius),
     "lamp" (a sphere of radius `size`), "spot" (a lamp with an `axis` and a cone of `angle` degrees half
     width) or "fill" (no shadow: stands for light bounced off large surfaces). `motion` moves position and
-    axis; `flicker` is a factor of its colour over time.
+    axis; `flicker` is a factor of its color over time.
     """
 
     kind: str
@@ -159,7 +159,7 @@ class Light:
 class Air:
     """Surroundings: sky, ambient light from above and below, haze.
 
-    `clouds` is the cover from 0 to 1; `haze` is an extinction per metre.
+    `clouds` is the cover from 0 to 1; `haze` is an extinction per meter.
     """
 
     zenith: tuple = (0.0, 0.0, 0.0)
@@ -204,19 +204,19 @@ class Scene:
         return Camera.look_at(self.eye(time), self.target(time), (0.0, 1.0, 0.0), focal, focal, width / 2, height / 2)
 
 
-def wave(centre, amplitude, period, phase: ArrayLike = 0.0) -> Callable[[float], np.ndarray]:
-    """Smooth wandering: centre + amplitude · sin(2π (time / period + phase)), per coordinate."""
-    centre, amplitude = np.asarray(centre, np.float64), np.asarray(amplitude, np.float64)
+def wave(center, amplitude, period, phase: ArrayLike = 0.0) -> Callable[[float], np.ndarray]:
+    """Smooth wandering: center + amplitude · sin(2π (time / period + phase)), per coordinate."""
+    center, amplitude = np.asarray(center, np.float64), np.asarray(amplitude, np.float64)
     period, phase = np.broadcast_to(period, 3), np.broadcast_to(phase, 3)
 
     def at(time):
-        return centre + amplitude * np.sin(2 * np.pi * (time / period + phase))
+        return center + amplitude * np.sin(2 * np.pi * (time / period + phase))
 
     return at
 
 
 def tint(color, factor) -> tuple:
-    """`color` times a factor or a colour."""
+    """`color` times a factor or a color."""
     return tuple(float(c) for c in np.asarray(color) * np.asarray(factor))
 
 

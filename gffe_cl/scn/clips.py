@@ -136,7 +136,7 @@ def _opened(mask: np.ndarray) -> np.ndarray:
 
 
 def halve(samples: np.ndarray) -> np.ndarray:
-    """Samples at half resolution: means over 2×2 pixels, of colours' codes as the network's input has them."""
+    """Samples at half resolution: means over 2×2 pixels, of colors' codes as the network's input has them."""
     colors, side = torch.from_numpy(samples.astype(np.float32)).tensor_split((PLANES["side"].start,), 1)
     seen = network.decode(images.halve(network.encode(colors)))
     return torch.cat((seen, images.halve(side)), 1).half().numpy()

@@ -21,7 +21,7 @@ from gffe_cl.stages.shading import FOCUS_SMAPE
 
 TOP_SHARE = 0.15  # of all crops: those with the most focus pixels (paper: 'Data Preparation')
 RANDOM_SHARE = 0.06  # of all crops: any of the others
-_HALF_REACH = 0.75  # of the neighbourhood at half resolution, whose pixels are twice as far apart
+_HALF_REACH = 0.75  # of the neighborhood at half resolution, whose pixels are twice as far apart
 _DISOCCLUDED = constants("shading.cl")["MASK_DISOCCLUDED"]  # input mask there
 DYNAMIC = 0.75  # input mask above which a pixel counts as dynamic; 1 where it is one pixel of the frame
 
@@ -41,7 +41,7 @@ class Crop:
 
 @dataclass
 class Batch:
-    """Exposed linear colour (N, 3, H, W) of the GAE frame, the warped previous frame and the truth;
+    """Exposed linear color (N, 3, H, W) of the GAE frame, the warped previous frame and the truth;
     `side` (N, 2, H, W): inverse depth and input mask; `trends` (N, 8, h, w) of shading, always at a quarter of the
     frames' resolution; alpha (N,); `heights` (N,) of the frames that the crops are of, in pixels. `halved`: all at half
     resolution."""
@@ -78,7 +78,7 @@ class Batch:
 
 
 def focus_truth(gae: Tensor, truth: Tensor, dynamic: Tensor, reach: float = 1.0) -> Tensor:
-    """M^focus, (N, 1, H, W) bool: as `gffe_cl.evaluation.metrics.focus_mask`; neighbours are `reach` pixels away."""
+    """M^focus, (N, 1, H, W) bool: as `gffe_cl.evaluation.metrics.focus_mask`; neighbors are `reach` pixels away."""
     height, width = gae.shape[-2:]
     padded = functional.pad(truth, (1, 1, 1, 1), value=1e9)
     least = None

@@ -97,7 +97,7 @@ def _refinished(groups: list[Group], rng) -> list[Group]:
 
 
 def _motion(rng, size: float) -> Motion:
-    """To and fro, and perhaps turning; `size` metres."""
+    """To and fro, and perhaps turning; `size` meters."""
     direction = rng.normal(size=3) * (1.0, 0.4, 1.0)
     direction *= size / max(np.linalg.norm(direction), 1e-6)
     motion: Motion = Slide(tuple(direction), rng.uniform(0.8, 4.0), rng.random())

@@ -162,7 +162,7 @@ Input, output and composition: `gffe_cl/scn/network.py`. Made by
 | --- | --- |
 {rows}
 
-Validation, on clips that were not trained on (mean absolute error of encoded colour):
+Validation, on clips that were not trained on (mean absolute error of encoded color):
 
 | | |
 | --- | --- |

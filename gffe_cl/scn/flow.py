@@ -14,7 +14,7 @@ from gffe_cl.scn.images import double, halve, warp
 
 _LEVELS = 3
 _STEPS = 2  # per level
-_FLAT = 1e-4  # squared gradient of encoded colour below which nothing moves
+_FLAT = 1e-4  # squared gradient of encoded color below which nothing moves
 _LONGEST = 2.0  # pixels of a step
 
 

@@ -13,13 +13,13 @@ def halve(image: Tensor) -> Tensor:
 
 
 def double(image: Tensor) -> Tensor:
-    """Bilinear, pixel centres of both images on one plane, borders repeated."""
+    """Bilinear, pixel centers of both images on one plane, borders repeated."""
     return functional.interpolate(image, scale_factor=2, mode="bilinear", align_corners=False)
 
 
 def warp(image: Tensor, flow: Tensor) -> Tensor:
     """(N, C, H, W) sampled at x + flow[x], (N, 2, h, w) in pixels of the image; bilinear, borders repeated. The
-    flow may have a lower resolution: pixel centres of both lie on one plane."""
+    flow may have a lower resolution: pixel centers of both lie on one plane."""
     image, flow = image.float(), flow.float()
     height, width = flow.shape[-2:]
     ys = torch.arange(height, dtype=flow.dtype, device=flow.device).view(1, height, 1)

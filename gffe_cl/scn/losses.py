@@ -28,13 +28,13 @@ def charbonnier(a: Tensor, b: Tensor) -> Tensor:
 
 
 def shown_loss(a: Tensor, b: Tensor) -> Tensor:
-    """Of exposed linear frames as they are shown: Charbonnier of encoded colour, and the squared error of display
+    """Of exposed linear frames as they are shown: Charbonnier of encoded color, and the squared error of display
     values (sRGB), which PSNR counts: it finds how much of an uncertain correction is worth showing."""
     return charbonnier(encode(a), encode(b)) + _DISPLAY_WEIGHT * ((display(a) - display(b)) ** 2).mean()
 
 
 def display(color: Tensor) -> Tensor:
-    """sRGB of exposed linear colour, clipped to 0 … 1: as `gffe_cl.evaluation.metrics.to_display`."""
+    """sRGB of exposed linear color, clipped to 0 … 1: as `gffe_cl.evaluation.metrics.to_display`."""
     linear = color.clamp(0, 1)
     curve = 1.055 * linear.clamp(min=_TOE) ** (1 / 2.4) - 0.055
     return torch.where(linear <= _TOE, 12.92 * linear, curve)

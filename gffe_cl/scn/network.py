@@ -32,14 +32,14 @@ _DISOCCLUDED_BELOW = 0.4  # mean input mask of four pixels
 _MARGIN = 2.0  # how much farther than it changed light may go on
 _TRUSTED, _DISTRUST = 3.0, 3.0  # the focus mask: by the squared difference of two intervals' changes to that of one
 _FLOW_UNIT = 4.0  # pixels of a quarter of the resolution
-_LITTLE = 1e-4  # squared change of encoded colour
+_LITTLE = 1e-4  # squared change of encoded color
 _SLOPE = 0.1  # of leaky rectifiers
 _LOG = torch.log1p(torch.tensor(MU)).item()
 _MOST = math.log1p(65504 * MU / HEADROOM) / _LOG
 
 
 def encode(color: Tensor) -> Tensor:
-    """μ-law of exposed linear colour: ln(1 + μ c / 8) / ln(1 + μ); 1 at three stops above display white."""
+    """μ-law of exposed linear color: ln(1 + μ c / 8) / ln(1 + μ); 1 at three stops above display white."""
     return torch.log1p(color.clamp(min=0) * (MU / HEADROOM)) / _LOG
 
 
@@ -108,13 +108,13 @@ class Convolutions(nn.Module):
 class ShadingCorrectionNetwork(nn.Module):
     """`forward(frames, alpha, trends)`.
 
-    frames : (N, 8, h, w): encoded GAE colour (3), encoded warped previous frame (3), inverse depth, input mask; half
+    frames : (N, 8, h, w): encoded GAE color (3), encoded warped previous frame (3), inverse depth, input mask; half
         resolution, h and w multiples of `MULTIPLE`
     alpha : (N,) or (1,)
-    trends : (N, 8, h/2, w/2): change of encoded colour until t + α as the last interval has it (3), as the interval
+    trends : (N, 8, h/2, w/2): change of encoded color until t + α as the last interval has it (3), as the interval
         before has it (3), share of the surroundings that tells; change of brightness close by in the interval before
 
-    Returns (N, 5, h, w): Δ (3; encoded colour), keep, focus mask M. While training also p, (N, 1, h, w), of which
+    Returns (N, 5, h, w): Δ (3; encoded color), keep, focus mask M. While training also p, (N, 1, h, w), of which
     M = 2 p − 0.1 clamped to 0 … 1: nothing is touched where there is little to gain. There is no sigmoid: where the
     mask is wrong it would have no gradient.
 

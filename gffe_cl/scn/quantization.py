@@ -1,7 +1,7 @@
 """The network's convolutions in 8-bit integers, for CPUs: quantization-aware training, and the ONNX file of it.
 
 Activations have 8 bits per tensor, weights 7 bits per output channel: sums of two products of an unsigned and a signed
-byte then fit 16 bits, and CPUs without VNNI get what CPUs with it get. The first convolution, on colours, and the last
+byte then fit 16 bits, and CPUs without VNNI get what CPUs with it get. The first convolution, on colors, and the last
 one stay in floats.
 """
 

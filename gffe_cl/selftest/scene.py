@@ -21,11 +21,11 @@ FRAMES, CUT = 8, 5  # how many, and the first that shows something else, which n
 
 @dataclass(frozen=True)
 class Rectangle:
-    """Facing along `axis` (1: lies flat, 2: upright): centre at time 0, half its sides, along the axes that remain;
+    """Facing along `axis` (1: lies flat, 2: upright): center at time 0, half its sides, along the axes that remain;
     world units, per second, per second²."""
 
     axis: int
-    centre: tuple[float, float, float]
+    center: tuple[float, float, float]
     half: tuple[float, float]
     tint: tuple[float, float, float]
     cells: float  # of the texture, per world unit
@@ -33,8 +33,8 @@ class Rectangle:
     acceleration: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def at(self, time: float) -> np.ndarray:
-        """(3,) its centre."""
-        moved = zip(self.centre, self.velocity, self.acceleration, strict=True)
+        """(3,) its center."""
+        moved = zip(self.center, self.velocity, self.acceleration, strict=True)
         return np.array([c + time * v + time * time * a for c, v, a in moved])
 
     @property
@@ -82,7 +82,7 @@ def frames(
     count: int = FRAMES,
     samples: int = 2,
 ) -> list[RenderedFrame]:
-    """`count` rendered frames for a display of that size, the first a reset; of colours `samples` a side and pixel.
+    """`count` rendered frames for a display of that size, the first a reset; of colors `samples` a side and pixel.
     With a `render_size` they are rendered through an adaptive window, and some bring overlays and bad pixels."""
     size, windows = (width, height), WindowChooser("off", (width, height), [])
     if render_size:
@@ -125,7 +125,7 @@ def _places(size: tuple[int, int], u: float, v: float) -> tuple[np.ndarray, np.n
 
 def _hits(rectangles, camera: Camera, time: float, x: np.ndarray, y: np.ndarray):
     """Per pixel position: the number of the nearest rectangle (−1: sky), its view depth, and the hit point less its
-    centre, or for the sky the direction of the ray."""
+    center, or for the sky the direction of the ray."""
     turn, shift = camera.world_to_view[:3, :3], camera.world_to_view[:3, 3]
     origin = [-(turn[0, i] * shift[0] + turn[1, i] * shift[1] + turn[2, i] * shift[2]) for i in range(3)]
     view_x, view_y = (x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy
@@ -133,10 +133,10 @@ def _hits(rectangles, camera: Camera, time: float, x: np.ndarray, y: np.ndarray)
     which, depth = np.full(x.shape, -1), np.full(x.shape, np.inf)
     place = np.stack(direction, -1)
     for k, rectangle in enumerate(rectangles):
-        centre = rectangle.at(time)
+        center = rectangle.at(time)
         with np.errstate(all="ignore"):
-            z = (centre[rectangle.axis] - origin[rectangle.axis]) / direction[rectangle.axis]  # view depth
-            hit = np.stack([origin[i] + z * direction[i] - centre[i] for i in range(3)], -1)
+            z = (center[rectangle.axis] - origin[rectangle.axis]) / direction[rectangle.axis]  # view depth
+            hit = np.stack([origin[i] + z * direction[i] - center[i] for i in range(3)], -1)
         near = (z > 0.05) & (z < depth)
         for axis, half in zip(rectangle.others, rectangle.half, strict=True):
             near &= np.abs(hit[..., axis]) <= half

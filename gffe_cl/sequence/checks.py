@@ -36,7 +36,7 @@ def time_warnings(frames: list[FrameEntry], fps: float) -> list[str]:
 def zero_motion_warning(motion, depth, camera: Camera, previous: Camera) -> str | None:
     """A sentence if `motion` (H, W, 2) is zero everywhere although the camera moved since the frame before.
 
-    The camera moved if the centre or a corner of the image, at the median of `depth` (H, W), moved by more
+    The camera moved if the center or a corner of the image, at the median of `depth` (H, W), moved by more
     than half a pixel.
     """
     if motion is None or np.any(motion):

@@ -31,7 +31,7 @@ COMPRESSIONS = {  # the library's name in lower case, and what it is good for
     "zip": "16 lines at a time; small, read by every program",
     "piz": "for grainy images",
     "htj2k256": "two thirds of zip's time; only programs with OpenEXR 3.4 or newer read it",
-    "dwaa": "colours are approximated, everything else is exact; smallest",
+    "dwaa": "colors are approximated, everything else is exact; smallest",
     "dwab": "as dwaa, 256 lines at a time",
 }
 DEFAULT_COMPRESSION = "zip"

@@ -241,7 +241,7 @@ def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
         )
 
     return (
-        spec("color", np.float16, RGBA, f"colour of {about} (B_{level}) {where}", "color", packing=RGB9E5, **known),
+        spec("color", np.float16, RGBA, f"color of {about} (B_{level}) {where}", "color", packing=RGB9E5, **known),
         spec("depth", np.float32, (), f"view depth of {about} there, world units", "depth", **known),
         spec(
             "px", np.float32, XY, "where its fragment lies in the rendered image, px", "place", packing=OFFSET, **known

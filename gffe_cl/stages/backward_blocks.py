@@ -41,7 +41,7 @@ class BackwardBlocks(NearestStage):
         ),
         BufferSpec(
             "block_source", np.float32, ("x", "y", "xx", "xy", "yx", "yy", "unused", "unused"), "target_blocks",
-            "where the block's centre comes from, and the inverse of its flow", scratch=True, transient=True,
+            "where the block's center comes from, and the inverse of its flow", scratch=True, transient=True,
         ),
     )  # fmt: skip
     kernels = (

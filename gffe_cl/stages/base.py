@@ -118,7 +118,7 @@ class Step:
     times : list of float
         Of the rendered frames since the last reset, newest first, seconds.
     camera, time, alpha, exposure
-        Of the new frame: its camera, seconds, α, and the factor on colour before display.
+        Of the new frame: its camera, seconds, α, and the factor on color before display.
     target_position : (H, W, 4) float32 or None
         Replaces what position prediction makes.
     geometry : mapping of name to array

@@ -217,12 +217,12 @@ class BufferSpec:
 
 
 RENDERED = (
-    BufferSpec("color", np.float16, RGBA, "source", "colour of the rendered frame, linear RGB (I)", "color"),
+    BufferSpec("color", np.float16, RGBA, "source", "color of the rendered frame, linear RGB (I)", "color"),
     BufferSpec("depth", np.float32, (), "source", "its view depth, world units, +inf sky (D)", "depth"),
     BufferSpec("motion", np.float32, XY, "source", "its motion t → t−1, pixels (V)", "motion"),
 )
 EXTRAPOLATED = (
-    BufferSpec("color", np.float16, RGBA, "target", "colour of the extrapolated frame (Ī^GAE)", "color"),
+    BufferSpec("color", np.float16, RGBA, "target", "color of the extrapolated frame (Ī^GAE)", "color"),
     BufferSpec("depth", np.float32, (), "target", "view depth in the target camera, world units (D̄)", "depth"),
     BufferSpec("motion", np.float32, XY, "target", "t + α → t, pixels, into the rendered image (V̄)", "motion"),
     BufferSpec("dynamic", np.uint8, (), "target", "1 where the fragment shown is dynamic", "mask"),

@@ -1,4 +1,4 @@
-"""Connectivity of a rendered frame: which neighbouring pixels show one surface (for 'Warping' and the background)."""
+"""Connectivity of a rendered frame: which neighboring pixels show one surface (for 'Warping' and the background)."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _COLLECTING = {
 
 
 class Connectivity(NearestStage):
-    """Links pixels of one surface that are equally static or dynamic, and shows the background those whose colour
+    """Links pixels of one surface that are equally static or dynamic, and shows the background those whose color
     cannot hold another one's."""
 
     name = "connectivity"
     buffers = (
         BufferSpec(
-            "links", np.uint8, (), "source", "neighbours of the same surface: 1 right, 2 down, 4 left, 8 up", "label"
+            "links", np.uint8, (), "source", "neighbors of the same surface: 1 right, 2 down, 4 left, 8 up", "label"
         ),
     )
     kernels = (

@@ -36,14 +36,14 @@ class ShadingCorrection(Stage):
     """Corrects shading that moves otherwise than its surface: shadows, reflections.
 
     The network's convolutions judge candidates at a quarter of the resolution (`judgement`); kernels make the change of
-    encoded colour of it, Δ = (GAE frame moved along a flow − GAE frame) + g · trend + δ (`judge`), the first of them
+    encoded color of it, Δ = (GAE frame moved along a flow − GAE frame) + g · trend + δ (`judge`), the first of them
     within twice what changed since t − 1. With e for the code
-    of colour (`NetworkInput`), U for bilinear interpolation from half resolution, L for the encoded GAE colour there
+    of color (`NetworkInput`), U for bilinear interpolation from half resolution, L for the encoded GAE color there
     and g for it at full: refined = e⁻¹(U(L) + U(Δ) + U(keep) · (g − U(L))), final = GAE · (1 − U(M)) + refined · U(M)
-    in linear colour. M is less, down to 0, where the last interval's change of brightness is not that of the interval
+    in linear color. M is less, down to 0, where the last interval's change of brightness is not that of the interval
     before.
 
-    `unusable_pixels`: of all frames so far, where the network gave NaN or infinity; they keep the GAE colour.
+    `unusable_pixels`: of all frames so far, where the network gave NaN or infinity; they keep the GAE color.
     `with_refined`: whether `refined` is made too, from the next frame on.
     """
 
@@ -65,7 +65,7 @@ class ShadingCorrection(Stage):
             " half the resolution, how far the trend lasts (3), and how far the focus mask is trusted (4)", planes=4,
         ),
         BufferSpec(
-            "correction", np.float32, (), "network", "change of encoded colour (1–3), share of detail that stays (4),"
+            "correction", np.float32, (), "network", "change of encoded color (1–3), share of detail that stays (4),"
             " focus mask (5); half resolution", planes=5,
         ),
         BufferSpec(

@@ -24,7 +24,7 @@ BEYOND_REACH = share_of("beyond reach", "holes.downsampled_color", lambda sums: 
 
 
 def _image(share: Share) -> dict[str, Access]:
-    """Colour and depth of the new frame, as far as they are read around a share of the pixels."""
+    """Color and depth of the new frame, as far as they are read around a share of the pixels."""
     return {name: Access(f"frame.{name}", share) for name in ("color", "depth")}
 
 
@@ -48,7 +48,7 @@ class Downsampled(HoleFilling):
             np.float32,
             ("R", "G", "B", "weight"),
             "downsampled",
-            "weighted sum of valid colour over 32×32 pixels; 0 where no hole asks for it",
+            "weighted sum of valid color over 32×32 pixels; 0 where no hole asks for it",
             "color",
         ),
         BufferSpec(

@@ -1,4 +1,4 @@
-"""The law by which colour is encoded for the shading correction network (paper: 'Shading Correction Network')."""
+"""The law by which color is encoded for the shading correction network (paper: 'Shading Correction Network')."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 MU = 5000.0
-HEADROOM = 8.0  # exposed colour that is encoded as 1: three stops above display white
+HEADROOM = 8.0  # exposed color that is encoded as 1: three stops above display white
 
 
 def color_law(exposure: float) -> np.ndarray:

@@ -18,14 +18,14 @@ class NetworkInput(Stage):
     """The extrapolated frame and the warped previous one at half resolution, encoded, with inverse depth and input
     mask.
 
-    The code of colour c is e(c) = ln(1 + μ x) / ln(1 + μ), x = exposure · c / 8. Nothing is made of a still frame
+    The code of color c is e(c) = ln(1 + μ x) / ln(1 + μ), x = exposure · c / 8. Nothing is made of a still frame
     unless somebody looks at it.
     """
 
     name = "network_input"
     buffers = (
         BufferSpec(
-            "frames", np.float32, (), "network", "what the network sees: encoded GAE colour (1–3), encoded warped"
+            "frames", np.float32, (), "network", "what the network sees: encoded GAE color (1–3), encoded warped"
             " previous frame (4–6), inverse depth (7), input mask (8); half resolution",
             planes=INPUT_PLANES, mapped=True,
         ),

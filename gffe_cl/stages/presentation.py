@@ -35,7 +35,7 @@ class Presentation(Stage):
     name = "presentation"
     buffers = (
         BufferSpec(
-            "color", np.float16, RGBA, "target", "colour of the rendered frame as displayed, linear RGB", "color"
+            "color", np.float16, RGBA, "target", "color of the rendered frame as displayed, linear RGB", "color"
         ),
         BufferSpec("depth", np.float32, (), "target", "its view depth, world units, +inf sky", "depth"),
         BufferSpec(

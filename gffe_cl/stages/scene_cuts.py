@@ -18,7 +18,7 @@ _SHARE = CUT_SAMPLES[0] * CUT_SAMPLES[1] / (1920 * 1080)  # of the pixels at 108
 # What makes a cut; docs/cuts.md has the distances that frames and cuts keep from these.
 LEAST_SAMPLES = 64  # to say anything
 LEAST_OVERLAP = 0.05  # of the samples whose motion must stay in the image: a whip pan leaves more, a cut may not
-DEPTH_SURE = 0.4  # share of right depths below which it is a cut, whatever the colours
+DEPTH_SURE = 0.4  # share of right depths below which it is a cut, whatever the colors
 DEPTH_UNSURE = 0.8  # … and above which it is none
 CONTRAST_RIGHT = 0.25  # between the two it is one if the share of right contrasts is lower
 LEAST_CONTRASTS = 32  # without so many the depths decide alone, in the middle
@@ -27,7 +27,7 @@ TELEPORT = 10.0  # times the step before it, of a step beyond half of what is se
 
 class SceneCuts(Stage):
     """Whether the frame before shows anything of what this one shows. Depths are compared along the motion vectors, and
-    the contrast between neighbours, which light that changes leaves as it is."""
+    the contrast between neighbors, which light that changes leaves as it is."""
 
     name = "scene_cuts"
     buffers = (

@@ -39,7 +39,7 @@ class ShadingInputs(Stage):
             np.float16,
             ("R", "G", "B", "valid"),
             "target",
-            "frame t−1 warped backward to t + α (I^w); valid = 0: hidden then, GAE colour instead",
+            "frame t−1 warped backward to t + α (I^w); valid = 0: hidden then, GAE color instead",
             "color",
         ),
         BufferSpec("input_mask", np.float16, (), "target", "1 dynamic, 0 disoccluded, 0.5 the rest (M^input)"),
@@ -63,7 +63,7 @@ class ShadingInputs(Stage):
         self.is_looked_at = names is None or any(f"{self.name}.{spec.name}" in names for spec in self.buffers)
 
     def extrapolated(self, step: Step) -> None:
-        """After a reset everything is GAE colour."""
+        """After a reset everything is GAE color."""
         if not self.is_looked_at:
             return
         self.launch("prepare_inputs", step)

@@ -28,7 +28,7 @@ class ShadingFlow(Stage):
     name = "shading_flow"
     buffers = (
         BufferSpec(
-            "colors", np.float32, (), "network1", "encoded GAE colour at a quarter of the resolution",
+            "colors", np.float32, (), "network1", "encoded GAE color at a quarter of the resolution",
             planes=3, scratch=True,
         ),
         *(

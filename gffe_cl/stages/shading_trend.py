@@ -17,10 +17,10 @@ _SAMPLED = 1 / _CONSTANTS["SAMPLE_STRIDE"] ** 2
 
 
 class ShadingTrend(Stage):
-    """How encoded colour changed on static surfaces from t − 1 to t, a mean over wide areas, and from t − 2 to t − 1;
+    """How encoded color changed on static surfaces from t − 1 to t, a mean over wide areas, and from t − 2 to t − 1;
     both carried on to t + α. What both agree on is likely to go on.
 
-    Changes are of encoded colour (see `ShadingCorrection`) between a pixel and where its surface was, static and shown,
+    Changes are of encoded color (see `ShadingCorrection`) between a pixel and where its surface was, static and shown,
     in the frame before; cells around count the less the farther away they are, none farther than `reach_of`.
 
     `is_still`: whether there is nothing for the network to correct: in no tile of 32×32 pixels more than 8 of 64
@@ -67,7 +67,7 @@ class ShadingTrend(Stage):
     )
     buffers = (
         BufferSpec(
-            "changes", np.float32, (), "cells", "change of encoded colour since t − 1 (1–3), and share of samples"
+            "changes", np.float32, (), "cells", "change of encoded color since t − 1 (1–3), and share of samples"
             " that tell (4)", planes=_CHANGES, kept=True,
         ),
         BufferSpec(
@@ -79,11 +79,11 @@ class ShadingTrend(Stage):
             "blurred", np.float32, (), "cells", "the same, blurred along rows", planes=_CHANGES, scratch=True
         ),
         BufferSpec(
-            "trend", np.float32, (), "cells", "mean change of encoded colour around, from t − 1 to t (1–3), and"
+            "trend", np.float32, (), "cells", "mean change of encoded color around, from t − 1 to t (1–3), and"
             " share of the surroundings that tells (4)", planes=_CHANGES, kept=True,
         ),
         BufferSpec(
-            "trends", np.float32, (), "network1", "change of encoded colour until t + α as the last interval has it"
+            "trends", np.float32, (), "network1", "change of encoded color until t + α as the last interval has it"
             " (1–3), as the interval before has it (4–6), and share of the surroundings that tells of the last (7);"
             " change of brightness close by in the interval before (8); at a quarter of the resolution",
             planes=TREND_PLANES,

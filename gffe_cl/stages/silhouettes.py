@@ -37,7 +37,7 @@ class Silhouettes(Stage):
             transient=True,
         ),
         BufferSpec(
-            "behind", np.float16, RGBA, "source", "colour of the far side at such steps", "color", scratch=True,
+            "behind", np.float16, RGBA, "source", "color of the far side at such steps", "color", scratch=True,
             transient=True, packing=RGB9E5,
         ),
         BufferSpec(
@@ -52,7 +52,7 @@ class Silhouettes(Stage):
             transient=True, known_where=("marked", 1),
         ),
         BufferSpec(
-            "softened", np.float16, RGBA, "target", "new colours at silhouettes", "color", scratch=True, transient=True,
+            "softened", np.float16, RGBA, "target", "new colors at silhouettes", "color", scratch=True, transient=True,
             packing=RGB9E5,
         ),
     )  # fmt: skip

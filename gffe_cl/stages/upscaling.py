@@ -28,7 +28,7 @@ class Upscaling(Stage):
     pictures: ClassVar[Mapping[str, str]] = {"rendered": "history", "extrapolated": "color"}
     buffers = (
         BufferSpec(
-            "compressed", np.float16, _YCOCG, "source", "the rendered frame's colour, tone-mapped YCoCg; A: share of"
+            "compressed", np.float16, _YCOCG, "source", "the rendered frame's color, tone-mapped YCoCg; A: share of"
             " its place that was not hidden before", scratch=True,
         ),
         BufferSpec(
@@ -40,7 +40,7 @@ class Upscaling(Stage):
             " any", scratch=True,
         ),
         BufferSpec(
-            "mean", np.float16, _YCOCG, "source", "mean colour of 3×3 pixels, tone-mapped YCoCg; A: error of the"
+            "mean", np.float16, _YCOCG, "source", "mean color of 3×3 pixels, tone-mapped YCoCg; A: error of the"
             " history, in deviations", scratch=True,
         ),
         BufferSpec(

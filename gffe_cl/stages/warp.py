@@ -12,7 +12,7 @@ DISOCCLUDED = share_of("disoccluded", "frame.disoccluded")
 MIXED = share_of("mixed", "warp.mixed")
 _MIXED = BufferSpec(
     "mixed", np.uint8, (), "target",
-    "1 where the fragment's colour was mixed with a silhouette's that moves away, and its neighbour's is shown", "mask",
+    "1 where the fragment's color was mixed with a silhouette's that moves away, and its neighbor's is shown", "mask",
     transient=True,
 )  # fmt: skip
 

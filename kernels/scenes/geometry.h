@@ -12,10 +12,10 @@
 #define CASTS_SHADOW 1
 
 /* Records, in float4. */
-#define OBJECT_SIZE 7    /* bound (centre rel, radius); rel -> local rows; rel -> other view rows */
-#define MATERIAL_SIZE 5  /* colour, texture; colour2, scale; f0, roughness, mirror, transparency; emission, contrast;
+#define OBJECT_SIZE 7    /* bound (center rel, radius); rel -> local rows; rel -> other view rows */
+#define MATERIAL_SIZE 5  /* color, texture; color2, scale; f0, roughness, mirror, transparency; emission, contrast;
                             seed */
-#define LIGHT_SIZE 3     /* position or direction rel, size; colour, kind; axis, cos of the cone */
+#define LIGHT_SIZE 3     /* position or direction rel, size; color, kind; axis, cos of the cone */
 #define SUN 0
 #define LAMP 1
 #define SPOT 2
@@ -32,7 +32,7 @@
 #define HORIZON 11       /* rgb, cloud seed */
 #define SUN_DISC 12      /* direction rel, cos of its angular radius */
 #define SUN_COLOR 13
-#define HAZE 14          /* rgb, density per metre */
+#define HAZE 14          /* rgb, density per meter */
 
 typedef struct {
     __global const float4 *frame;
@@ -70,11 +70,11 @@ inline float3 nonzero(const float3 d) {
 inline float lesser(const float a, const float b) { return a < b ? a : b; }
 inline float greater(const float a, const float b) { return a > b ? a : b; }
 
-/* Parameters at which a ray enters and leaves the box centre +- half. `inverse` is 1 / direction. */
-inline float2 box_span(const float3 centre, const float3 half_size, const float3 o, const float3 inverse) {
-    const float mx = (centre.x - o.x) * inverse.x, rx = half_size.x * fabs(inverse.x);
-    const float my = (centre.y - o.y) * inverse.y, ry = half_size.y * fabs(inverse.y);
-    const float mz = (centre.z - o.z) * inverse.z, rz = half_size.z * fabs(inverse.z);
+/* Parameters at which a ray enters and leaves the box center +- half. `inverse` is 1 / direction. */
+inline float2 box_span(const float3 center, const float3 half_size, const float3 o, const float3 inverse) {
+    const float mx = (center.x - o.x) * inverse.x, rx = half_size.x * fabs(inverse.x);
+    const float my = (center.y - o.y) * inverse.y, ry = half_size.y * fabs(inverse.y);
+    const float mz = (center.z - o.z) * inverse.z, rz = half_size.z * fabs(inverse.z);
     return (float2)(greater(greater(mx - rx, my - ry), mz - rz), lesser(lesser(mx + rx, my + ry), mz + rz));
 }
 

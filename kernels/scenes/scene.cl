@@ -1,7 +1,7 @@
-/* Ray tracer of the built-in scenes: exact depth, motion and positions at pixel centres, antialiased colour.
+/* Ray tracer of the built-in scenes: exact depth, motion and positions at pixel centers, antialiased color.
 
    Space: "rel" is the world with its origin at the camera; "local" is an object's own rigid frame, in which its
-   primitives and textures are given. An unnormalised primary direction has view z = 1, so that its t is planar depth.
+   primitives and textures are given. An unnormalized primary direction has view z = 1, so that its t is planar depth.
    Nothing here is random: soft shadows are closest-approach estimates, glossiness is a fan of directions. */
 
 #include "../common.h"
@@ -38,11 +38,11 @@ inline float3 surface_color(const World w, const int material_index, const float
     const int type = w.prim_info[prim].x;
     const float4 prim_a = w.prims[2 * prim], prim_b = w.prims[2 * prim + 1];
     const bool solid = type == BOX || type == ELLIPSOID;
-    const float3 centre = solid ? prim_a.xyz : 0.5f * (prim_a.xyz + prim_b.xyz);
+    const float3 center = solid ? prim_a.xyz : 0.5f * (prim_a.xyz + prim_b.xyz);
     const float3 extent = solid ? prim_b.xyz : (float3)(prim_a.w, 0.5f * length(prim_b.xyz - prim_a.xyz), prim_a.w);
     const float4 base = material[0], second = material[1], finish = material[2], glow = material[3];
     const float3 albedo = texture_color((int)base.w, base.xyz, second.xyz, second.w, glow.w, material[4].xyz, p_local,
-                                        n_local, centre, extent, fp);
+                                        n_local, center, extent, fp);
     const float open = openness(w, p, n, prim);
     const float3 ambient = mix(w.frame[AMBIENT_DOWN].xyz, w.frame[AMBIENT_UP].xyz, 0.5f + 0.5f * n.y)
                            * (0.25f + 0.75f * open);
@@ -148,7 +148,7 @@ __kernel void bin(__global const float4 *frame, __global const float4 *objects, 
     list[0] = n;
 }
 
-/* What each pixel's centre sees. depth: view z, +inf for sky; motion: pixels, to the other camera at the other time;
+/* What each pixel's center sees. depth: view z, +inf for sky; motion: pixels, to the other camera at the other time;
    position: (x, y, z, 1) in the other view space, for sky (x/z, y/z, +inf, z) of the direction there;
    object_id: -1 for sky; keys: surface, for the antialiasing. Motion is rounded to multiples of motion_step, if that is not 0. */
 __kernel void surfaces(WORLD_ARGUMENTS, const float motion_step, __global float *depth, __global float2 *motion, __global float4 *position,
@@ -157,7 +157,7 @@ __kernel void surfaces(WORLD_ARGUMENTS, const float motion_step, __global float 
     if (x >= width || y >= height) return;
     const World w = WORLD;
     const int i = y * width + x;
-    const float2 px = pixel_centre(x, y);
+    const float2 px = pixel_center(x, y);
     const float3 d = primary_direction(frame, px);
     const int columns = (width + TILE - 1) / TILE;
     __global const int *list = tiles + (y / TILE * columns + x / TILE) * tile_stride;
@@ -178,10 +178,10 @@ __kernel void surfaces(WORLD_ARGUMENTS, const float motion_step, __global float 
     position[i] = sky ? (float4)(other.x / other.z, other.y / other.z, INFINITY, other.z) : (float4)(other, 1.0f);
 }
 
-/* Antialiased colour: `base` samples where the surroundings are one surface, `samples` elsewhere; a surface is shaded
+/* Antialiased color: `base` samples where the surroundings are one surface, `samples` elsewhere; a surface is shaded
    once per pixel and its reflections once per sample. Textures are filtered over `footprint` pixels. Frames that are
    gathered over time have a `phase` each, so that few samples do not show the same part of a rough reflection in all. */
-__kernel __attribute__((vec_type_hint(float4))) /* scalar code: Intel's vectoriser makes this kernel 20 times slower */
+__kernel __attribute__((vec_type_hint(float4))) /* scalar code: Intel's vectorizer makes this kernel 20 times slower */
 void shade(WORLD_ARGUMENTS, __global const float *depth, __global const int *object_id, __global const int *keys,
            const int base, const int samples, const int phase, const float footprint, __global half *color) {
     const int x = get_global_id(0), y = get_global_id(1);
@@ -203,19 +203,19 @@ void shade(WORLD_ARGUMENTS, __global const float *depth, __global const int *obj
     int oldest = 0;
     float3 sum = (float3)(0.0f);
     for (int s = 0; s < count; ++s) {
-        /* The R2 sequence, from the centre of the pixel. */
+        /* The R2 sequence, from the center of the pixel. */
         const float jx = 0.5f + 0.75487767f * (float)s, jy = 0.5f + 0.56984029f * (float)s;
         const float2 px = (float2)((float)x + jx - floor(jx), (float)y + jy - floor(jy));
         float3 o = (float3)(0.0f), d = primary_direction(frame, px), weight = (float3)(1.0f);
-        float travelled = 0.0f, spread = pixel_angle;
+        float traveled = 0.0f, spread = pixel_angle;
         __global const int *seen = list;
         int skip = -1;
         bool flat_mirrors = true;
         for (int bounce = 0; bounce < MAX_BOUNCES; ++bounce) {
-            const bool centre = s == 0 && bounce == 0;
+            const bool center = s == 0 && bounce == 0;
             Hit hit = {depth[i], object_id[i], keys[i] < 0 ? -1 : keys[i] / 8};
             int key = keys[i];
-            if (!centre) {
+            if (!center) {
                 hit = trace(w, o, d, seen, skip);
                 key = surface_key(w, hit, o, d);
             }
@@ -226,7 +226,7 @@ void shade(WORLD_ARGUMENTS, __global const float *depth, __global const int *obj
                 break;
             }
             const float range = hit.t * length(d);
-            travelled += range;
+            traveled += range;
             __global const float4 *object = objects + hit.object * OBJECT_SIZE;
             const int type = prim_info[hit.prim].x, material_index = prim_info[hit.prim].y;
             const float4 a = prims[2 * hit.prim], b = prims[2 * hit.prim + 1];
@@ -247,7 +247,7 @@ void shade(WORLD_ARGUMENTS, __global const float *depth, __global const int *obj
                 }
             }
             if (!known) {
-                const float fp = travelled * spread / sqrt(max(facing, 0.04f));
+                const float fp = traveled * spread / sqrt(max(facing, 0.04f));
                 own = surface_color(w, material_index, p, n, eye, p_local, n_local, fp, hit.prim,
                                     max(weight.x, max(weight.y, weight.z)));
                 if (bounce == 0 || flat_mirrors) {

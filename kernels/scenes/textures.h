@@ -1,5 +1,5 @@
 /* Procedural textures of the built-in scenes, filtered analytically: `fp` is the width of a pixel on the surface,
-   in metres; what is finer than that fades to its mean. */
+   in meters; what is finer than that fades to its mean. */
 
 enum {
     PLAIN, TILES, CHECKER, BRICKS, PLANKS, MARBLE, CARPET, STRIPES, BARK, LEAVES, GRASS, BOOKS, PICTURE, SIGN,
@@ -67,15 +67,15 @@ inline float3 palette(const float h) {
     return 0.5f + 0.5f * cos(6.2832f * (h + (float3)(0.0f, 0.33f, 0.67f)));
 }
 
-/* Albedo at local point p with local normal n. `centre` and `extent` are those of the primitive. */
+/* Albedo at local point p with local normal n. `center` and `extent` are those of the primitive. */
 inline float3 texture_color(const int texture, const float3 color, const float3 color2, const float scale,
                             const float contrast, const float3 seed, const float3 p, const float3 n,
-                            const float3 centre, const float3 extent, const float fp_metres) {
+                            const float3 center, const float3 extent, const float fp_meters) {
     const float3 a = fabs(n);
-    const float3 framed = texture == PICTURE || texture == SIGN || texture == CARPET ? p - centre : p;
+    const float3 framed = texture == PICTURE || texture == SIGN || texture == CARPET ? p - center : p;
     const float2 uv = a.y > a.x && a.y > a.z ? framed.xz : a.x > a.z ? framed.zy : framed.xy;
     const float2 uv_extent = a.y > a.x && a.y > a.z ? extent.xz : a.x > a.z ? extent.zy : extent.xy;
-    const float fp = fp_metres / scale;
+    const float fp = fp_meters / scale;
     const float2 q = uv / scale;
     const int salt = (int)(seed.x * 8.0f);
 
@@ -156,12 +156,12 @@ inline float3 texture_color(const int texture, const float3 color, const float3 
     if (texture == LEAVES || texture == GRASS) {
         const bool leaves = texture == LEAVES;
         float3 c = mix(color2, color, leaves ? smoothstep(0.32f, 0.68f, noise) : smoothstep(0.2f, 0.75f, noise));
-        if (leaves) c *= mix(1.0f, 0.45f + 1.1f * value_noise(p * 24.0f), resolved(fp_metres * 30.0f));
+        if (leaves) c *= mix(1.0f, 0.45f + 1.1f * value_noise(p * 24.0f), resolved(fp_meters * 30.0f));
         if (texture == GRASS) {
             const float patch = value_noise(p * 0.35f + seed);
             const float blades = mix(1.0f, 0.55f + 0.9f * value_noise(p * (float3)(70.0f, 1.0f, 70.0f)),
-                                     resolved(fp_metres * 90.0f));
-            const float fallen = smoothstep(0.66f, 0.72f, value_noise(p * 19.0f + seed.yzx)) * resolved(fp_metres * 22.0f);
+                                     resolved(fp_meters * 90.0f));
+            const float fallen = smoothstep(0.66f, 0.72f, value_noise(p * 19.0f + seed.yzx)) * resolved(fp_meters * 22.0f);
             c = mix(c, c * (float3)(1.25f, 1.0f, 0.7f), patch) * ((0.75f + 0.5f * patch) * blades);
             c = mix(c, (float3)(0.36f, 0.2f, 0.07f) * (0.5f + noise), mix(0.12f, 1.0f, fallen) * contrast);
         }
@@ -180,7 +180,7 @@ inline float3 texture_color(const int texture, const float3 color, const float3 
     }
     if (texture == PICTURE || texture == SIGN) {
         const float2 edge = uv_extent - fabs(uv);
-        const float margin = min(edge.x, edge.y), soft = fp_metres;
+        const float margin = min(edge.x, edge.y), soft = fp_meters;
         float3 c = color;
         if (texture == PICTURE) {
             c = mix(color, color2, smoothstep(-0.5f, 0.5f, uv.y / uv_extent.y + 0.8f * (noise - 0.5f)));

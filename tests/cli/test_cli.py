@@ -205,7 +205,7 @@ def test_dump_stages(gffe, scene, tmp_path):
 
 
 def test_shading_correction(gffe, tmp_path):
-    """Off without weights; with a model the colour changes and nothing else, within the focus mask or everywhere."""
+    """Off without weights; with a model the color changes and nothing else, within the focus mask or everywhere."""
     scene = tmp_path / "in"
     assert gffe("render", "fan", scene, "--size", "128x80", "--frames", 4, "--ground-truth")[0] == 0
     model = constant_model(tmp_path / "m.onnx", delta=0.05, mask=0.5)
@@ -351,7 +351,7 @@ def test_bad_pixels_of_a_display_part_are_counted(gffe, tmp_path):
     options = ("--size", "64x36", "--frames", 3, "--window", "fixed:1.2")
     assert gffe("render", "room", tmp_path / "in", *options)[0] == 0
     _spoil(tmp_path / "in" / "frame_000001.exr", "G", lambda a: a.__setitem__((15, 26), np.nan))
-    assert "1 × NaN or infinite colour" in gffe("run", tmp_path / "in", tmp_path / "out", "--window", "off")[2]
+    assert "1 × NaN or infinite color" in gffe("run", tmp_path / "in", tmp_path / "out", "--window", "off")[2]
 
 
 def test_overscan_from_the_header(gffe, tmp_path):
@@ -459,7 +459,7 @@ def test_bad_pixels_are_counted_once_and_strict_makes_them_errors(gffe, scene, t
     assert code == 0
     warnings = [line for line in err.splitlines() if line.startswith("warning:")]
     assert len(warnings) == 1
-    for text in ("1 × NaN or infinite motion", "1 × invalid depth", "1 × NaN or infinite colour"):
+    for text in ("1 × NaN or infinite motion", "1 × invalid depth", "1 × NaN or infinite color"):
         assert text in warnings[0]
     code, _, err = gffe("run", scene, tmp_path / "strict", "--strict")
     assert code == 2 and "frame_000002.exr: 1 × NaN or infinite motion" in err
@@ -515,7 +515,7 @@ FAULTS = {
     "missing file": (lambda f: (f / "frame_000003.exr").unlink(), "frame_000003.exr"),
     "missing depth": (_without("Z"), "'Z'"),
     "missing motion": (_without("motion.y"), "'motion.y'"),
-    "missing colour": (_without("G"), "'G'"),
+    "missing color": (_without("G"), "'G'"),
     "singular camera": (_camera(4, world_to_view=np.zeros((4, 4)).tolist()), "singular"),
     "flat camera": (_camera(4, fx=0.0), "singular"),
     "non-finite camera": (_camera(2, cx=float("nan")), "finite"),

@@ -48,7 +48,7 @@ def pair(turn=(0.01, -0.03, 0.005), step=(0.1, -0.02, 0.3), focal=60.0):
     return Camera(matrix @ before.world_to_view, focal, focal, *MIDDLE), before
 
 
-def test_a_movement_is_found_among_movers_and_quantised_vectors():
+def test_a_movement_is_found_among_movers_and_quantized_vectors():
     """Two fifths of the samples move as one; what is off by the recovered movement is less than the quantum."""
     rng = np.random.default_rng(0)
     for turn, step in (

@@ -103,14 +103,14 @@ def test_it_names_how_motion_was_quantized(code):
     found = [note.figures.get(key, np.nan) for key in ("x", "negative x", "y", "negative y")]
     known = np.isfinite(found)
     assert known.any() and np.allclose(np.array(found)[known], np.array(steps)[known], rtol=0.01)
-    assert note.id == "motion-quantised" and note.figures["code"] == name and not note.figures["added"]
+    assert note.id == "motion-quantized" and note.figures["code"] == name and not note.figures["added"]
 
 
 def test_it_names_sums_of_quantized_motion():
     encoding, frames = Encoding.parse("rounded"), clip().images
     sums = [replace(frame, motion=encoding.looked_up([frame.motion / 2] * 2)) for frame in frames]
     (note,) = examine(Kept(sums)).of_kind("note")
-    assert note.id == "motion-quantised" and note.figures["added"] and "sums of two" in note.sentence
+    assert note.id == "motion-quantized" and note.figures["added"] and "sums of two" in note.sentence
 
 
 @pytest.mark.parametrize(("part", "found"), [("half-depth", "depth-half-floats"), ("8bit-color", "color-8-bits")])
@@ -139,7 +139,7 @@ NAMED = {
     "depth reversed": "depth: reversed",
     "depth along rays": "depth: along rays",
     "camera transposed": "camera: rotation transposed",
-    "camera in centimetres": "depth: units",
+    "camera in centimeters": "depth: units",
     "camera field of view": "camera: field of view",
     "two frames swapped": "frames: out of order",
     "depth range misread": "depth: range",
@@ -197,7 +197,7 @@ def test_the_world_tells_rows_from_the_bottom_up_from_y_up():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("fault", sorted(set(BREAKS) - {*NAMED, "colour tone-mapped", "all rows"}))
+@pytest.mark.parametrize("fault", sorted(set(BREAKS) - {*NAMED, "color tone-mapped", "all rows"}))
 def test_every_other_fault_is_mended(fault):
     diagnosis, frames = mended([fault])
     assert len(diagnosis.faults) == 1
@@ -256,7 +256,7 @@ class Tile(Rect):
 @cache
 def tiled(samples):
     """Frames of tiles past which the camera moves; `samples` across a pixel: 1 is what has no antialiasing."""
-    world, frames, before = Rects([Tile(r.centre, r.half, frequency=r.frequency) for r in _world().rects]), [], None
+    world, frames, before = Rects([Tile(r.center, r.half, frequency=r.frequency) for r in _world().rects]), [], None
     for k in range(4):
         view = camera(2 * W, 2 * H, (0.09 * k, 0, 0))
         frames.append(world.frame(view, k / 30, 2 * W, 2 * H, before, reset=k == 0, samples=samples))
@@ -273,7 +273,7 @@ def test_display_values_are_told_by_silhouettes_alone():
     assert said_of_color(tiled(1)) == []
     antialiased = tiled(3)
     assert said_of_color(antialiased) == []
-    assert said_of_color(broken(antialiased, ["colour tone-mapped"])) == [("fault", "display values")]
+    assert said_of_color(broken(antialiased, ["color tone-mapped"])) == [("fault", "display values")]
 
 
 VOTES = [((90, 100, 150, 300), "display values"), ((60, 100, 150, 300), "doubtful")]

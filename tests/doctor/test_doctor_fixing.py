@@ -38,7 +38,7 @@ def test_the_command(gffe, tmp_path):
 
 
 def test_findings_are_mended_or_left_as_they_are_named(gffe, tmp_path):
-    bad = written(tmp_path / "bad", broken(clip(), ["motion negated", "depth in centimetres"]))
+    bad = written(tmp_path / "bad", broken(clip(), ["motion negated", "depth in centimeters"]))
     out = tmp_path / "fixed"
     code, text, err = gffe("check", bad, "--fix", out, "--except", "depth-units", "--json", tmp_path / "said.json")
     said = json.loads((tmp_path / "said.json").read_text())
@@ -55,7 +55,7 @@ def test_findings_are_mended_or_left_as_they_are_named(gffe, tmp_path):
 
 
 def test_colors_are_made_linear_only_where_the_user_names_them():
-    shown = broken(tiled(3), ["colour tone-mapped"])
+    shown = broken(tiled(3), ["color tone-mapped"])
     diagnosis = examine(shown)
     for only, expected in (((), shown), (("color-display-values",), tiled(3))):
         (_, first), *_ = Repair(shown, selected(diagnosis, only)).frames()

@@ -24,7 +24,7 @@ def truth_level(i):
 
 
 def write(path, kind, times, levels, resets=(0,), exposure=1.0, width=W, sources=None, masks=None):
-    """Rendered frames at 0, 0.1, …, each of colour i/10, and frames of `kind` at `times`; `masks` "all": all of 0."""
+    """Rendered frames at 0, 0.1, …, each of color i/10, and frames of `kind` at `times`; `masks` "all": all of 0."""
     with SequenceWriter(path, width, H, 10, exposure) as writer:
         for i in range(6):
             entry = FrameEntry(f"frame_{i}.exr", i / 10, "rendered", i in resets, None, CAMERA)

@@ -22,7 +22,7 @@ from gffe_cl.frame.transfer_function import linear_values, to_display
 
 W, H = 48, 32
 CAMERA = Camera(np.eye(4), 40, 40, W / 2, H / 2)
-CENTRES = image_space.pixel_centres(H, W)
+CENTERS = image_space.pixel_centers(H, W)
 
 
 def texture(place):
@@ -38,7 +38,7 @@ def shot(k, velocity, acceleration=0.0, following=None):
     def at(time):
         return velocity * time + acceleration * time * time / 2
 
-    color = texture(CENTRES - np.float32((at(k), 0)))
+    color = texture(CENTERS - np.float32((at(k), 0)))
     motion = np.broadcast_to(np.float32((at(k - 1) - at(k), 0)), (H, W, 2))
     frame = RenderedFrame(color, np.full((H, W), 5, np.float32), motion, CAMERA, k / 30, reset=k == 0)
     return Shot(frame, color, (), following)
@@ -46,7 +46,7 @@ def shot(k, velocity, acceleration=0.0, following=None):
 
 def inner_error(made, k, velocity, acceleration=0.0):
     moved = velocity * k + acceleration * k * k / 2
-    truth = texture(CENTRES - np.float32((moved, 0)))
+    truth = texture(CENTERS - np.float32((moved, 0)))
     return np.abs(made - truth)[6:-6, 12:-12].max()
 
 
@@ -88,7 +88,7 @@ def test_splat_keeps_what_is_nearer():
     """The near half moves onto the far one; what it leaves keeps its color."""
     torch_splat = METHODS["torch-splat"]
     pytest.importorskip(torch_splat.package[0])
-    near = CENTRES[..., 0] < W / 2
+    near = CENTERS[..., 0] < W / 2
     color = np.where(near[..., None], np.float32((1, 0, 0)), np.float32((0, 1, 0)))
     motion = np.where(near[..., None], np.float32((-8, 0)), np.float32(0))
     frame = RenderedFrame(color, np.where(near, 1, 10).astype(np.float32), motion, CAMERA, 0.0, reset=True)
@@ -130,7 +130,7 @@ def test_guided_extrapolation_uses_its_guide():
     runner = baselines.GuidedExtrapolation()
     runner.submit(source)
     made = runner.make(moment(0.5, guide=guide))
-    truth = texture(CENTRES - np.float32((1, 0)))
+    truth = texture(CENTERS - np.float32((1, 0)))
     error = np.abs(made - truth).max(-1)[2:-2, 4:-4]
     assert error[~hidden[2:-2, 4:-4]].max() < 0.01 and error.max() < 0.25
     assert not np.isnan(made).any()
@@ -138,16 +138,16 @@ def test_guided_extrapolation_uses_its_guide():
 
 def test_sharp_samples_are_those_of_smooth_pictures():
     """A monotonic parabola is met exactly; nothing overshoots an edge."""
-    parabola = (CENTRES[..., :1] ** 2).astype(np.float32)
-    place = CENTRES[4:-4, 4:-4] + np.float32((0.3, -0.4))
+    parabola = (CENTERS[..., :1] ** 2).astype(np.float32)
+    place = CENTERS[4:-4, 4:-4] + np.float32((0.3, -0.4))
     np.testing.assert_allclose(image_space.sample_sharp(parabola, place), place[..., :1] ** 2, rtol=1e-5)
-    edge = (CENTRES[..., :1] > 20).astype(np.float32)
+    edge = (CENTERS[..., :1] > 20).astype(np.float32)
     sampled = image_space.sample_sharp(edge, place)
     assert sampled.min() == 0 and sampled.max() == 1 and ((sampled > 0) & (sampled < 1)).any()
 
 
 def test_splat_keeps_the_nearest():
-    place = CENTRES.copy()
+    place = CENTERS.copy()
     place[10, 10] = place[10, 20]
     depth = np.full((H, W), 4.0, np.float32)
     depth[10, 10] = 2.0
@@ -287,7 +287,7 @@ def test_figures_are_those_of_the_reference_packages():
     from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
     rng = np.random.default_rng(5)
-    truth = to_display(texture(CENTRES))
+    truth = to_display(texture(CENTERS))
     shown = np.clip(truth + rng.normal(0, 0.05, truth.shape), 0, 1).astype(np.float32)
     of = {name: metric.measure(shown, truth) for name, metric in METRICS.items()}
     assert of["psnr"] == pytest.approx(peak_signal_noise_ratio(truth, shown, data_range=1), abs=5e-5)

@@ -9,7 +9,7 @@ from test_upscaling import MOVING, H, W, frames, path, pipeline_for
 
 from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation.table.datasets import open_subject, parse_subject
-from gffe_cl.evaluation.table.image_space import pixel_centres
+from gffe_cl.evaluation.table.image_space import pixel_centers
 from gffe_cl.evaluation.table.methods import METHODS, chosen_methods
 from gffe_cl.stages.frame_block import mapping
 
@@ -113,7 +113,7 @@ def test_new_frames_are_seen_through_what_is_given(device):
     made = pipeline.extrapolate(*at)
     color, depth, motion = (made.numpy(name) for name in ("color", "depth", "motion"))
     np.testing.assert_array_equal(pipeline.extrapolate(*at, seen_through=(depth, motion)).numpy("color"), color)
-    flat, here = np.full((H, W), 5, np.float32), pixel_centres(H, W)
+    flat, here = np.full((H, W), 5, np.float32), pixel_centers(H, W)
     to_render = mapping(frame.display_camera, frame.camera)
     still = here * to_render[:2] + to_render[2:] - here
     shown = [pipeline.extrapolate(*at, seen_through=(flat, still + (d, 0))).numpy("color") for d in (0, 0.5)]

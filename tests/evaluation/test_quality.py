@@ -15,7 +15,7 @@ WIDTH, HEIGHT, FRAMES, FPS = 320, 180, 7, 30.0
 
 
 def extrapolated(device, name, seed, options):
-    """(GAE, final, truth, focus mask) half an interval after each rendered frame that has enough history; colours
+    """(GAE, final, truth, focus mask) half an interval after each rendered frame that has enough history; colors
     (H, W, 3) as displayed."""
     footage = open_subject(SceneSubject(name, seed, WIDTH, HEIGHT, FRAMES, FPS, (0.5,)), device)
     pipeline = Pipeline(device, WIDTH, HEIGHT, options, fps=FPS)

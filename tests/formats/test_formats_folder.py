@@ -54,7 +54,7 @@ def write(folder, depth_as=None, motion_as=None, also=None, **parts):
 
 
 def same(sequence, depth=0.0, motion=0.0, color=0.0, camera=1e-9):
-    """Whether everything is as rendered: depth to a relative, motion and colour to an absolute difference."""
+    """Whether everything is as rendered: depth to a relative, motion and color to an absolute difference."""
     assert (sequence.width, sequence.height, sequence.fps, len(sequence.rendered)) == (W, H, FPS, 3)
     for k, (entry, shot) in enumerate(zip(sequence.rendered, rendered(), strict=True)):
         frame = sequence.read(entry)
@@ -92,7 +92,7 @@ def test_device_depth_by_planes(tmp_path, reverse, far):
     same(made, depth=1e-5)
 
 
-def test_distance_inverse_and_millimetres(tmp_path):
+def test_distance_inverse_and_millimeters(tmp_path):
     def distance(shot):
         y, x = np.mgrid[:H, :W] + 0.5
         world = shot.camera.unproject(np.stack([x, y], -1), np.where(np.isinf(shot.depth), 1e9, shot.depth))
@@ -108,11 +108,11 @@ def test_distance_inverse_and_millimetres(tmp_path):
 
 
 def test_sixteen_bits_in_a_png(tmp_path):
-    """Millimetres, as depth sensors have them: 0 is nothing."""
+    """Millimeters, as depth sensors have them: 0 is nothing."""
 
     def images(folder, number, shot):
-        millimetres = np.where(shot.depth < 65, shot.depth * 1000, 0).round().astype(np.uint16)
-        Image.fromarray(millimetres).save(folder / f"depth_{number}.png")
+        millimeters = np.where(shot.depth < 65, shot.depth * 1000, 0).round().astype(np.uint16)
+        Image.fromarray(millimeters).save(folder / f"depth_{number}.png")
 
     said = {"file": "depth_%d.png", "values": "raw", "scale": 0.001, "sky": 0}
     assert max(shot.depth[np.isfinite(shot.depth)].max() for shot in rendered()) < 65
@@ -227,10 +227,10 @@ def test_images_upside_down(tmp_path):
     np.testing.assert_allclose(frame.color, np.clip(shot.color, 0, 1), atol=0.51 / 255)
 
 
-# Colour
+# Color
 
 
-def test_display_colours(tmp_path):
+def test_display_colors(tmp_path):
     def images(folder, number, shot):
         linear = np.clip(np.float64(shot.color), 0, 1)
         srgb = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
@@ -258,7 +258,7 @@ def test_matrices(tmp_path, convention, layout):
     api, cameras = APIS[convention], []
     for k, shot in enumerate(rendered()):
         v = shot.camera.view_matrix(api).copy()
-        v[:3, 3] *= 100  # centimetres
+        v[:3, 3] *= 100  # centimeters
         p = shot.camera.projection_matrix(api, W, H, NEAR * 100, reverse_depth=True)
         v, p = (m.T if layout == "column-major" else m for m in (v, p))
         cameras.append({"view": v.tolist(), "projection": p.ravel().tolist() if k else p.tolist()})
@@ -336,7 +336,7 @@ def test_flow_to_the_next_frame(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda d: d.update(colour=1), "unknown key \"colour\""),
+        (lambda d: d.update(color=1), "unknown key \"color\""),
         (lambda d: d["depth"].update(near=3, far=1), "0 < near < far"),
         (lambda d: d["depth"].update(encoding="z"), "depth, encoding must be one of linear"),
         (lambda d: d["depth"].update(encoding="device"), "device depth needs a projection"),
@@ -345,7 +345,7 @@ def test_flow_to_the_next_frame(tmp_path):
         (lambda d: d["depth"].update(file="d_%d.npy"), "d_3.npy: no such file"),
         (lambda d: d["depth"].update(channels=["5"]), "no channel '5'"),
         (lambda d: d["motion"].update(scale=[1, 2, 3]), "a number or 2 of them"),
-        (lambda d: d["motion"].update(unit="metres"), "motion, unit must be one of pixels"),
+        (lambda d: d["motion"].update(unit="meters"), "motion, unit must be one of pixels"),
         (lambda d: d["motion"].update(packing="unity", values="raw", channels=list("RGBA")), "from 0 to 1"),
         (lambda d: d["camera"]["list"].pop(), "for each of the 3 frames"),
         (lambda d: d["camera"]["list"][0].update(fx=None), "fy|no projection"),

@@ -42,7 +42,7 @@ def unreal_camera(shot, pitch, yaw, roll):
 
 
 def unreal_shots():
-    """The scene's frames as an Unreal camera would have seen them: its poses in centimetres, in a left-handed world."""
+    """The scene's frames as an Unreal camera would have seen them: its poses in centimeters, in a left-handed world."""
     fov = 2 * np.degrees(np.arctan(W / 2 / 70.0))
     made = []
     for k, shot in enumerate(rendered()):
@@ -140,7 +140,7 @@ def srgb_png(path, color):
 
 
 def as_rendered(sequence, frames, cameras):
-    """Colours to 8 bits, depth to float32; motion of what stands still and was seen before."""
+    """Colors to 8 bits, depth to float32; motion of what stands still and was seen before."""
     assert len(sequence.rendered) == len(frames) and (sequence.width, sequence.height) == (W, H)
     for k, (entry, shot, camera) in enumerate(zip(sequence.rendered, frames, cameras, strict=True)):
         frame = sequence.read(entry)

@@ -42,7 +42,7 @@ def test_view_to_view(a, b):
 
 
 def test_axes():
-    """x right, y down, z forward; the pixel above the centre is up."""
+    """x right, y down, z forward; the pixel above the center is up."""
     camera = Camera.look_at((1, 2, 3), (1, 2, -7), (0, 1, 0), 100, 100, 50, 40)
     np.testing.assert_allclose(camera.position, (1, 2, 3))
     np.testing.assert_allclose(camera.direction, (0, 0, -1))

@@ -55,7 +55,7 @@ Z_ROWS = {  # device depth = a + b / z: forward, reversed, each with finite and 
 
 
 def screen(view, projection, world, ndc_up):
-    """World (N, 3) → pixels from the top left corner, and device depth: what a rasteriser does."""
+    """World (N, 3) → pixels from the top left corner, and device depth: what a rasterizer does."""
     clip = np.c_[world, np.ones(len(world))] @ view.T @ projection.T
     ndc = clip[:, :3] / clip[:, 3:]
     y = -ndc[:, 1] if ndc_up else ndc[:, 1]

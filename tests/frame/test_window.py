@@ -16,7 +16,7 @@ SIZE = (320, 180)
 
 @st.composite
 def motions(draw, turn=0.3, travel=0.5):
-    """Previous and current camera: any pose, off-centre, then turned and moved by up to so much."""
+    """Previous and current camera: any pose, off-center, then turned and moved by up to so much."""
     pose = [draw(st.floats(-50, 50)) for _ in range(3)]
     angles = [draw(st.floats(-3, 3)), draw(st.floats(-1.4, 1.4)), draw(st.floats(-3, 3))]
     fov, off = draw(st.floats(0.4, 1.8)), (draw(st.floats(-60, 60)), draw(st.floats(-40, 40)))
@@ -71,7 +71,7 @@ def test_any_motion_gives_a_window(cameras, alpha, most):
 @settings(max_examples=100, deadline=None)
 @given(st.floats(0.01, 0.2), st.floats(0.1, 1))
 def test_the_appendix_formula(angle, alpha):
-    """Centred, one predicted camera, no margin: u1 = max(1, x̄max / xmax) on the plane at distance d, and so on."""
+    """Centered, one predicted camera, no margin: u1 = max(1, x̄max / xmax) on the plane at distance d, and so on."""
     current, distance = camera(*SIZE, yaw=angle), 4.0
     predicted = predict_camera(camera(*SIZE), current, alpha)
     px = np.array([(0, 0), (SIZE[0], 0), SIZE, (0, SIZE[1])], np.float64)
@@ -278,7 +278,7 @@ def test_projection_matrices(cameras, api, reverse, far):
 
 
 def test_opengl_agrees_with_the_textbook():
-    """A centred camera gives gluPerspective's matrix."""
+    """A centered camera gives gluPerspective's matrix."""
     made = Camera(np.eye(4), 90, 90, 100, 50).projection_matrix("opengl", 200, 100, 0.5, 20)
     f = 90 / 50
     expected = [[f / 2, 0, 0, 0], [0, f, 0, 0], [0, 0, -20.5 / 19.5, -2 * 20 * 0.5 / 19.5], [0, 0, -1, 0]]

@@ -13,8 +13,8 @@ def _quadratic(a, b, c):
     return (-b - root) / a, (-b + root) / a
 
 
-def _sphere(centre, radius, o, d):
-    p = o - centre
+def _sphere(center, radius, o, d):
+    p = o - center
     return _quadratic((d * d).sum(-1), (p * d).sum(-1), (p * p).sum(-1) - radius**2)[0]
 
 
@@ -58,7 +58,7 @@ def _round_body(a, b, o, d, flat_caps):
 
 
 def cast(scene, time, camera):
-    """What each pixel's centre sees: view depth (H, W), object (H, W), world position or, for sky,
+    """What each pixel's center sees: view depth (H, W), object (H, W), world position or, for sky,
     direction (H, W, 3).
     """
     height, width = round(camera.cy * 2), round(camera.cx * 2)

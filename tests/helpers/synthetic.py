@@ -10,17 +10,17 @@ from gffe_cl.frame.rendered_frame import RenderedFrame
 
 @dataclass
 class Rect:
-    """A rectangle facing −z: `centre` at time 0 and `velocity` in world units (per second), `half` size."""
+    """A rectangle facing −z: `center` at time 0 and `velocity` in world units (per second), `half` size."""
 
-    centre: tuple
+    center: tuple
     half: tuple = (1e9, 1e9)
     velocity: tuple = (0, 0, 0)
     frequency: float = 1.0  # of the texture, cycles per world unit
     tint: tuple = (0.5, 0.4, 0.3)
-    ramp: bool = False  # red and green grow with x and y instead: colour tells the place
+    ramp: bool = False  # red and green grow with x and y instead: color tells the place
 
     def at(self, time):
-        return np.asarray(self.centre, np.float64) + time * np.asarray(self.velocity, np.float64)
+        return np.asarray(self.center, np.float64) + time * np.asarray(self.velocity, np.float64)
 
     def texture(self, uv):
         if self.ramp:
@@ -38,7 +38,7 @@ class Rects:
     offset: tuple = (0, 0, 0)  # of the whole world, cameras included
 
     def _hit(self, camera, time, px):
-        """Which rectangle (−1 sky) is at `px`, its depth, and the world hit point less the rectangle's centre."""
+        """Which rectangle (−1 sky) is at `px`, its depth, and the world hit point less the rectangle's center."""
         camera = camera.moved(-np.asarray(self.offset, np.float64))
         origin = camera.position
         far = camera.unproject(px, np.ones(px.shape[:-1]))
@@ -47,10 +47,10 @@ class Rects:
         depth = np.full(px.shape[:-1], np.inf)
         local = np.zeros((*px.shape[:-1], 3))
         for k, rect in enumerate(self.rects):
-            centre = rect.at(time)
+            center = rect.at(time)
             with np.errstate(all="ignore"):
-                t = (centre[2] - origin[2]) / direction[..., 2]  # view depth: `direction` has depth 1
-                hit = origin + t[..., None] * direction - centre
+                t = (center[2] - origin[2]) / direction[..., 2]  # view depth: `direction` has depth 1
+                hit = origin + t[..., None] * direction - center
             ok = (t > 1e-6) & (t < depth) & (np.abs(hit[..., :2]) <= rect.half).all(-1)
             which[ok], depth[ok], local[ok] = k, t[ok], hit[ok]
         return which, depth, local

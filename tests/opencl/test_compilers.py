@@ -74,7 +74,7 @@ def test_its_spirv_is_valid(name, tmp_path):
     translate, check = tool("llvm-spirv-14", "llvm-spirv"), tool("spirv-val")
     source = expand(f"{name}.cl")
     for options in variants(source):
-        # Unoptimised: LLVM's optimisations write what SPIR-V cannot say.
+        # Unoptimized: LLVM's optimizations write what SPIR-V cannot say.
         code = clang(source, "CL1.2", "-O0", "-Xclang", "-disable-O0-optnone", "-emit-llvm", "-c", *options)
         path = tmp_path / "kernels.spv"
         subprocess.run([translate, "--spirv-max-version=1.0", "-", "-o", path], input=code, check=True)
@@ -83,7 +83,7 @@ def test_its_spirv_is_valid(name, tmp_path):
 
 def memory_of_kernels(name, *options):
     """(bytes of local memory, bytes of private arrays and structures) by kernel: what stays in memory when clang has
-    inlined and optimised, registers apart."""
+    inlined and optimized, registers apart."""
     code = clang(expand(f"{name}.cl"), "CL1.2", "-O2", "-S", "-emit-llvm", *options).decode()
     structs = dict(re.findall(r"^(%\S+) = type (\{.*\})$", code, re.M))
     local = [(owner, nbytes(kind, structs)) for owner, kind in

@@ -68,7 +68,7 @@ def damaged():
     yield json.dumps(document | {"time": 1e12})
     yield json.dumps(document | {"devices": [vars(POCL) | {"megapixels_per_second": "fast"}]})
     yield json.dumps(document | {"devices": [vars(POCL) | {"index": None}]})
-    yield json.dumps(document | {"devices": [vars(POCL) | {"colour": "red"}]})
+    yield json.dumps(document | {"devices": [vars(POCL) | {"color": "red"}]})
     yield json.dumps(document | {"devices": {"0:0": 1}})
     yield json.dumps(document | {"crashing": []})
 

@@ -349,7 +349,7 @@ def check(call, name):
                 shown = type(value) if isinstance(value, int | np.ndarray) else repr(value)[:80]
                 pytest.fail(f"{name}: {argument}={shown} raises {error!r}"[:400])
     with pytest.raises(TypeError):
-        call.of(**call.good, colour=1)
+        call.of(**call.good, color=1)
     return count
 
 

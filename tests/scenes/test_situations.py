@@ -70,7 +70,7 @@ def test_a_handheld_camera_accelerates_and_others_hardly_move():
         return np.median(found)
 
     assert all(bent("handheld", seed) > 0.7 for seed in range(3))
-    assert all(bent(name, 0) < 0.1 for name in SITUATIONS if name not in ("handheld", "cab", "wipers", "quantised"))
+    assert all(bent(name, 0) < 0.1 for name in SITUATIONS if name not in ("handheld", "cab", "wipers", "quantized"))
 
 
 # ---- device ----
@@ -123,7 +123,7 @@ def test_light_moves_over_still_surfaces(device, name):
 @pytest.mark.device
 def test_rounded_motion(device):
     """Rendered frames have it, truth is exact; nothing else of a frame changes."""
-    scene = load_scene("quantised", 1)
+    scene = load_scene("quantized", 1)
     made = SceneFrames(SceneRenderer(device, scene, W, H, samples=1))
     _, frame = made.sequence(2, 30.0)
     truth = made.truth(frame.time).numpy()

@@ -88,7 +88,7 @@ def test_composition():
     _, final, mask = network.compose(color, correction)
     ratio = (final / color).mean(1)
     assert (ratio[..., :20] > 1.3).all() and torch.equal(final[..., 28:], color[..., 28:])
-    correction[:, 3] = 0.0  # without detail, neighbours are equal but for what is between them at half resolution
+    correction[:, 3] = 0.0  # without detail, neighbors are equal but for what is between them at half resolution
     plain = network.compose(color, correction)[0]
     assert plain[..., :20].std() < 0.8 * final[..., :20].std()
 
@@ -108,7 +108,7 @@ def test_network_is_within_its_limits():
     assert 1 < operations <= 24
 
 
-def test_codes_of_any_size_are_finite_colours():
+def test_codes_of_any_size_are_finite_colors():
     correction = torch.zeros(1, 5, 16, 24)
     correction[:, :3] = 12.0
     assert torch.isfinite(network.compose(random(1, 3, 32, 48), correction)[1]).all()

@@ -138,7 +138,7 @@ def other_kernels(tmp_path, monkeypatch):
     for path in folder.rglob("*.pyc"):
         path.unlink()
     text = (folder / "prediction.cl").read_text()
-    changed = text.replace("pixel_centre(", "(1.0f / 1024.0f) + pixel_centre(")
+    changed = text.replace("pixel_center(", "(1.0f / 1024.0f) + pixel_center(")
     assert changed != text
     (folder / "prediction.cl").write_text(changed)
     monkeypatch.setenv("GFFE_KERNELS", str(folder))

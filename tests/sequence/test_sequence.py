@@ -260,7 +260,7 @@ def test_prefetch_stops_with_its_consumer(folder):
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
 def test_bad_pixels_of_every_type(dtype):
-    """Colours beyond half or not finite, in any channel, whether few or none."""
+    """Colors beyond half or not finite, in any channel, whether few or none."""
     rng = np.random.default_rng(1)
     most = np.finfo(np.float16).max
     beyond = [value for value in (1e5, -1e5) if dtype != np.float16]

@@ -354,7 +354,7 @@ def test_header_of_written_file(folder):
 
 @pytest.mark.parametrize("compression", exr_module.COMPRESSIONS)
 def test_compressions(tmp_path, compression):
-    """Whatever is chosen is what the file says; only dwaa and dwab change a bit, and of colours only."""
+    """Whatever is chosen is what the file says; only dwaa and dwab change a bit, and of colors only."""
     color, depth, motion = pixels(0)
     with SequenceWriter(tmp_path / "out", W, H, 30, compression=compression) as writer:
         writer.add(rendered(0), named_channels(color, depth, motion))

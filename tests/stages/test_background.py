@@ -29,7 +29,7 @@ def play(pipeline, scene, cameras, each=None, noise=0.0):
 
 @pytest.mark.parametrize("levels", [1, 2])
 def test_square_crossing_a_wall_leaves_no_wrong_pixel(device, levels):
-    """Every pixel that shows the wall at t + ½ has the wall's colour: no ghost, hole or rim of the square (whose own
+    """Every pixel that shows the wall at t + ½ has the wall's color: no ghost, hole or rim of the square (whose own
     outline may be off by the pixel that a splat rounds to)."""
     scene = Rects([WALL, Rect((-2.2, 0, 6), (0.7, 0.7), velocity=(12, 0, 0), tint=(5, 0.1, 0.1))])
     still = camera(W, H)
@@ -71,7 +71,7 @@ def test_wall_behind_a_fence_is_remembered_at_full_resolution(device):
 
 def test_hidden_wall_does_not_creep(device):
     """A wall hidden for 60 frames of a 0.4 px/frame pan reappears within half a pixel of where it belongs, as far as
-    remembered colours tell, whose rounding is worth 0.2 px here."""
+    remembered colors tell, whose rounding is worth 0.2 px here."""
     wall = Rect((0, 0, 10), ramp=True)
     still = camera(W, H)
     step = 0.4 * 10 / still.fx  # world units per frame that shift the wall by 0.4 px
@@ -98,7 +98,7 @@ def test_hidden_wall_does_not_creep(device):
     world = cam.unproject(np.stack([x + 0.5, y + 0.5], -1), np.full(len(x), 10.0))
     where = (out.numpy("color")[revealed][:, :2].astype(np.float64) - 0.5) / 0.05  # the ramp tells the place
     error_px = np.abs(world[:, :2] - where) * still.fx / 10
-    rounding_px = 2.0**-10 / 0.05 * still.fx / 10  # of colours from 0.5 to 1
+    rounding_px = 2.0**-10 / 0.05 * still.fx / 10  # of colors from 0.5 to 1
     assert np.quantile(error_px, 0.95) < 0.5 + rounding_px, np.quantile(error_px, (0.5, 0.95, 1))
 
 
@@ -132,7 +132,7 @@ def test_depth_noise_does_not_push_the_surface_down(device, levels):
 
 
 def test_object_that_stood_still_leaves_no_ghost(device):
-    """Once it walks, no pixel that shows the wall has the object's colour, from its third moving frame on."""
+    """Once it walks, no pixel that shows the wall has the object's color, from its third moving frame on."""
     still = camera(W, H)
 
     def scene(k):
@@ -254,7 +254,7 @@ def test_silhouettes_take_no_memory_of_their_own(device, int64):
 
 
 def test_packed_texels_read_as_what_they_mean():
-    """A colour of three mantissas times 2^(exponent − 24), and a place from the texel's centre, in a block's corner."""
+    """A color of three mantissas times 2^(exponent − 24), and a place from the texel's center, in a block's corner."""
     bits = np.array([[[256 | 128 << 9 | 1 << 18 | 16 << 27], [511 | 31 << 27]]], np.uint32)
     assert RGB9E5.unpack(bits, 0, 0, 1).tolist() == [[[1, 0.5, 2**-8, 0], [65408, 0, 0, 0]]]
     stored = np.array([[[16384, -32768]]], np.int16)

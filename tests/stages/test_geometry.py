@@ -33,7 +33,7 @@ def submit(pipeline, scene, cameras, times, width=W, height=H, reset_first=True,
 @pytest.mark.parametrize("size", [(W, H), (61, 37)])
 @pytest.mark.parametrize("pose", [{}, {"position": (3e5, -2e5, 1e6), "yaw": 0.7, "pitch": 0.2, "roll": 0.4}])
 def test_identity_is_bit_exact(device, size, pose):
-    """Equal cameras and zero motion give colour and depth back bit for bit, sky and silhouettes included."""
+    """Equal cameras and zero motion give color and depth back bit for bit, sky and silhouettes included."""
     cam = camera(*size, **pose)
     rng = np.random.default_rng(1)
     depth = rng.choice([2.0, 3.7, np.inf, 55.1], (size[1], size[0])).astype(np.float32)
@@ -295,7 +295,7 @@ def test_polynomial_of_the_highest_order(device):
 
 
 @pytest.mark.parametrize("pace", [1.0, 0.15])
-def test_threshold_follows_quantised_motion(device, pace):
+def test_threshold_follows_quantized_motion(device, pace):
     """Motion rounded to 1.5 px must not make the static world dynamic, be it that the camera is slow and most vectors
     are equal; a mover stays dynamic."""
     fractions = []
@@ -487,7 +487,7 @@ BAD = {
 
 @pytest.mark.parametrize(("kind", "value"), [(k, v) for k, values in BAD.items() for v in values])
 def test_bad_pixels_do_no_harm(device, kind, value):
-    """A few bad pixels are counted and spoil nothing but their own neighbourhood."""
+    """A few bad pixels are counted and spoil nothing but their own neighborhood."""
     outs = []
     for spoil in (False, True):
         pipeline = Pipeline(device, W, H)
@@ -612,7 +612,7 @@ def test_labels_tell_holes_that_are_filled_from_those_that_are_not(device):
 
 
 def test_input_mask_is_zero_where_pixels_are_disoccluded(device):
-    """And nowhere else: pixels of silhouettes that the background recolours are not."""
+    """And nowhere else: pixels of silhouettes that the background recolors are not."""
     scene = Rects([WALL, Rect((-0.5, 0.3, 6), (1, 1), velocity=(14, 1, 0), frequency=1.3, tint=(6, 0.3, 0.1))])
     pipeline = Pipeline(device, W, H, Options(shading_inputs=True))
     still = camera(W, H)
@@ -640,7 +640,7 @@ def test_outputs_of_the_stages_can_be_kept(device):
     read = {f"{owner.name}.{spec.name}": owner.read(spec.name) for owner, spec in pipeline.named_buffers()}
     stages = ("warp", "hidden_parts", "background", "holes")
     expected = {f"{s}.{n}" for s in stages for n in ("color", "depth", "motion", "filled_by")}
-    expected = expected - {"holes.filled_by"} | {"silhouettes.color"}  # labelled so by the warp
+    expected = expected - {"holes.filled_by"} | {"silhouettes.color"}  # labeled so by the warp
     assert {f"{stage}.{spec.name}" for stage, spec in pipeline.outputs()} == expected <= set(read)
     assert set(np.unique(read["warp.filled_by"])) == {0, 254, 255}
     assert set(np.unique(read["background.filled_by"])) >= {1, 255}

@@ -13,12 +13,12 @@ from gffe_cl.scenes.scene_types import Air, Box, Capsule, Group, Light, Material
 from gffe_cl.stages.frame_block import polynomial_weights, reprojection
 
 RED = Material((0.8, 0.2, 0.15), (0.9, 0.8, 0.2), "checker", 0.12)
-GREY = Material((0.5, 0.55, 0.6), (0.25, 0.3, 0.35), "checker", 0.5)
+GRAY = Material((0.5, 0.55, 0.6), (0.25, 0.3, 0.35), "checker", 0.5)
 FLIGHT = Place(-1.2, 0.4, 0) @ Carry((2.4, 0, 0), 1.0) @ Bounce(1.2, 0.9, 0.1)
 
 
 class Stops(Motion):
-    """Rolls a metre from 0.1 s on, and stands still from 0.3 s on."""
+    """Rolls a meter from 0.1 s on, and stands still from 0.3 s on."""
 
     def __call__(self, time):
         way = 5 * (np.clip(time, 0.1, 0.3) - 0.1)
@@ -38,7 +38,7 @@ def rotor(rate):
     return [Group(blades, Place(0, 1, -0.3) @ Spin("z", rate))]
 
 
-BARS = [Group([Box((x, 1, 0.9), (0.07, 2, 0.07), GREY) for x in np.arange(-1.5, 1.6, 0.3)])]
+BARS = [Group([Box((x, 1, 0.9), (0.07, 2, 0.07), GRAY) for x in np.arange(-1.5, 1.6, 0.3)])]
 # By name: groups, and by how many dB at t + ½ and t + 1 linear prediction is beaten at least.
 CASES = {
     "a ball that flies": (ball(FLIGHT), 0.03, 0.1),
@@ -54,7 +54,7 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 def test_acceleration_is_worth_it(device, name):
     groups, *least = CASES[name]
-    room = [Group([Box((0, -0.1, -1), (12, 0.2, 12), GREY)]), Group([Box((0, 2, -3), (12, 4, 0.2), GREY)])]
+    room = [Group([Box((0, -0.1, -1), (12, 0.2, 12), GRAY)]), Group([Box((0, 2, -3), (12, 4, 0.2), GRAY)])]
     lights = [Light("lamp", (2, 4, 3), (14, 14, 13)), Light("fill", (-3, 3, 3), (4, 4, 5))]
     eye = wave((0, 1.2, 4), (0.4, 0.05, 0.1), 4.0)
     scene = Scene("movers", "", 0, room + groups, lights, Air(), eye, lambda time: np.array((0, 1.0, 0)))
@@ -104,7 +104,7 @@ class Shaken(Motion):
 def test_what_the_camera_carries_moves_on_in_view_space(device):
     """A wiper before a shaken camera, and one in the world; on the device as in the twins."""
     size, camera = (128, 72), Shaken()
-    room = [Group([Box((0, -0.7, -8), (40, 0.2, 40), GREY)]), Group([Box((0, 2, -12), (40, 12, 0.2), GREY)])]
+    room = [Group([Box((0, -0.7, -8), (40, 0.2, 40), GRAY)]), Group([Box((0, 2, -12), (40, 12, 0.2), GRAY)])]
     blade = [Box((0, 0.3, 0), (0.1, 0.6, 0.05), RED)]
     carried = Group(blade, camera @ Place(-0.25, -0.3, -1.2) @ Swing("z", 35, 1.1))
     in_world = Group(blade, Place(0.6, 0, -2.5) @ Swing("z", 35, 1.1))
@@ -148,7 +148,7 @@ def _require_twins(pipeline, frame, past, to, time, now, before):
     assert np.array_equal(now[3][..., 3], expected[3][..., 3])
     known = (mask == 1) & (met > 0)
     with np.errstate(invalid="ignore"):
-        in_previous = twins.unproject(twins.centres(*met.shape) + frame.motion, met, turned[1][4])
+        in_previous = twins.unproject(twins.centers(*met.shape) + frame.motion, met, turned[1][4])
     p1 = np.concatenate([twins.move(in_previous, turned[1]), known[..., None]], -1)[None]
     weights = polynomial_weights([frame.time, past.time], time, 5)
     positions = twins.predict_positions(

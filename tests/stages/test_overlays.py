@@ -55,7 +55,7 @@ def played(device, options=GAE, change=lambda frame: frame, frames=4, overlays=l
 @pytest.mark.parametrize("names", ["fixed_mask", "effects", "effects effects_motion", "ui",
                                    "fixed_mask effects effects_motion ui"])  # fmt: skip
 def test_kernel_equals_its_twin(device, size, render_size, names):
-    """Colour within half's rounding, the rest exactly; NaN and infinity included, and motion out of the image."""
+    """Color within half's rounding, the rest exactly; NaN and infinity included, and motion out of the image."""
     rng = np.random.default_rng(5)
     width, height = render_size
 

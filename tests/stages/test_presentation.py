@@ -42,7 +42,7 @@ def turning(k):
 @pytest.mark.parametrize("size, render_size", [((64, 48), (64, 48)), ((61, 37), (50, 64))])
 @pytest.mark.parametrize("window", [Window(-1, -1.1, 1.3, 1.2), Window(-0.8, -0.9, 0.7, 0.95)])
 def test_kernel_equals_its_twin(device, size, render_size, window):
-    """Colour within half's rounding, depth exactly, motion within float's; bad pixels and borders included."""
+    """Color within half's rounding, depth exactly, motion within float's; bad pixels and borders included."""
     rng = np.random.default_rng(3)
     width, height = render_size
     color = rng.uniform(0, 9, (height, width, 4)).astype(np.float16)
@@ -184,7 +184,7 @@ def test_static_stays_static_through_windows(device):
             continue
         dynamic = pipeline.stages["history"].read("dynamic_mask") > 0
         through = WINDOWS[k % len(WINDOWS)].camera(turning(k), (W, H))
-        which, _, _ = MOVING._hit(through, k / 30, twins.centres(H, W).astype(np.float64))
+        which, _, _ = MOVING._hit(through, k / 30, twins.centers(H, W).astype(np.float64))
         assert (dynamic == (which == 1)).mean() > 0.99
         assert (pipeline.stages["background"].read("state_0") == BOTH).mean() < 0.15
         motion = made.numpy("motion")
@@ -258,7 +258,7 @@ def test_presenting_before_submitting_is_refused(device):
         Pipeline(device, W, H).present()
 
 
-def test_float_colour_stays_float(device):
+def test_float_color_stays_float(device):
     frame = rendered(SCENE, camera(W, H), fixed_window(1.1), 0.0)
     frame = RenderedFrame(frame.color.astype(np.float32), frame.depth, None, frame.camera, 0.0, camera(W, H))
     assert present(frame, device=device).color.dtype == np.float32

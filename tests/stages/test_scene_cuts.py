@@ -116,7 +116,7 @@ def test_fast_cameras_are_no_cuts(device):
 
 
 def test_light_that_changes_is_no_cut(device):
-    """Strobes, flashes over a part of the image, darkness, colours."""
+    """Strobes, flashes over a part of the image, darkness, colors."""
     rng = np.random.default_rng(3)
     given = []
     for k, frame in enumerate(shot(FIRST, 8, step=(0.2, 0, 0.1))):

@@ -41,7 +41,7 @@ def put(stage, **arrays):
 
 
 def images(size, rng):
-    """What a frame may hold: colours (H, W, 4), and depth (H, W) of patches at many distances, which change a little
+    """What a frame may hold: colors (H, W, 4), and depth (H, W) of patches at many distances, which change a little
     with each call."""
     height, width = size[1], size[0]
     color = rng.lognormal(-1, 2, (height, width, 4)).astype(np.float16)
@@ -84,7 +84,7 @@ def made_stages(device, size, exposure=1.0, seed=1):
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("exposure", [1.0, 0.05])
 def test_network_input_equals_its_twin(device, size, exposure):
-    """To the bit, but for the device's division; from the same colours of t−1 as are shown to those who look."""
+    """To the bit, but for the device's division; from the same colors of t−1 as are shown to those who look."""
     board, _, step = made_stages(device, size, exposure)
     frame, shading, seen = board.frame, board.stages["shading"], board.stages["network_input"]
     for _ in range(2):  # nothing is left over
@@ -377,7 +377,7 @@ def test_alpha_reaches_the_network(device, model):
 
 
 def test_exposure_reaches_the_network(device, tmp_path):
-    """Half the exposure on twice the colour is the same to the network."""
+    """Half the exposure on twice the color is the same to the network."""
     path, seen = look_model(tmp_path / "m.onnx"), []
     scene = Rects([Rect((0, 0, 8), frequency=0.5)])
     for scale in (1.0, 4.0):

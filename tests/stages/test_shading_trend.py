@@ -95,14 +95,14 @@ def test_a_few_samples_that_change_are_noise(device, size):
 
 
 def test_a_light_that_fades_goes_on(device):
-    """By the same factor per interval: encoded colour, a logarithm, changes by α of what it did before."""
+    """By the same factor per interval: encoded color, a logarithm, changes by α of what it did before."""
     levels = [1.0, 0.9, 0.81, 0.729]
     for exposure in (1.0, 0.1):
         for alpha in (0.25, 1.0):
             said = trends_of(device, levels, alpha, exposure)[:, 4:-4, 4:-4]
             assert said[6].min() > 0.9
             slope = np.log(0.9) / np.log1p(5000)
-            most = 0.15 if exposure == 1 else 0.45  # dark colour is encoded less than logarithmically
+            most = 0.15 if exposure == 1 else 0.45  # dark color is encoded less than logarithmically
             for part in (said[:3], said[3:6]):
                 np.testing.assert_allclose(part.mean(), alpha * slope, rtol=most)
 
@@ -133,7 +133,7 @@ def test_a_reset_leaves_no_trend(device):
     assert not known[3][0] and known[4:] == [(True, False), (True, True)]
 
 
-def test_colours_that_make_no_sense_change_nothing_else(device):
+def test_colors_that_make_no_sense_change_nothing_else(device):
     """NaN, infinities and black: finite everywhere."""
     pipeline = Pipeline(device, *SIZE, LOOKED_AT)
     for frame in lit_frames([1.0, 0.9, 0.8]):

@@ -41,7 +41,7 @@ def test_the_history_is_never_sharpened(device):
 
 
 def test_it_does_more_the_stronger_and_nothing_to_flat_places(device):
-    """Contrast of neighbours grows with the strength; a flat wall stays as it is; a hard edge hardly overshoots."""
+    """Contrast of neighbors grows with the strength; a flat wall stays as it is; a hard edge hardly overshoots."""
 
     def contrast(color):
         return np.abs(np.diff(color, axis=1)).mean()

@@ -18,7 +18,7 @@ SCENE = Rects(
 
 
 def antialiased(k, previous):
-    """Frame k: colour is the mean over each pixel, depth and motion are those at its centre."""
+    """Frame k: color is the mean over each pixel, depth and motion are those at its center."""
     before = None if previous is None else (camera(W, H), previous)
     return SCENE.frame(camera(W, H), k / 30, W, H, before, reset=previous is None, samples=FINER)
 

@@ -155,7 +155,7 @@ def test_stages_equal_their_twins(device, options, size, target, monkeypatch):
             np.testing.assert_allclose(got[..., :3], wanted[..., :3], atol=2e-5, rtol=2e-3)  # ten bits
         np.testing.assert_allclose(movers[1][..., 3], expected[1][..., 3], atol=0.02)  # of small accelerations
         assert np.array_equal(movers[3][..., 3], expected[3][..., 3])
-    px_prev = twins.centres(*depth.shape) + motion
+    px_prev = twins.centers(*depth.shape) + motion
     in_previous = twins.unproject(px_prev, met_depth, reprojection(past.camera, now.camera)[4])
     predicted = twins.predict_positions(
         depth, dynamic, history, options.order, weights, to_target, extrapolated.alpha, movers, in_previous
@@ -201,7 +201,7 @@ def test_stages_equal_their_twins(device, options, size, target, monkeypatch):
     if options.levels and options.hole_filling == "far-side":
         mixed = twins.mix_far_side(warped)
         changed = np.abs(twins.load_color(mixed) - twins.load_color(warped["color"])).max()
-        assert changed > 5e-4 or size == CASES[0][0]  # there the background fills only pixels of mixed colour
+        assert changed > 5e-4 or size == CASES[0][0]  # there the background fills only pixels of mixed color
         warped |= {"color": mixed}
     sums = (None, None)
     if options.hole_filling != "push-pull":
@@ -261,7 +261,7 @@ def assert_silhouettes(pipeline, before, color, depth, links, zoom):
 
 
 def assert_within_a_step(got, expected):
-    """Colours that were stored in mantissas of 9 bits which share an exponent: that of the largest."""
+    """Colors that were stored in mantissas of 9 bits which share an exponent: that of the largest."""
     got, expected = got.astype(np.float32), expected.astype(np.float32)
     assert (np.abs(got - expected) <= 2e-3 + np.abs(expected).max(-1, keepdims=True) / 256).all()
 

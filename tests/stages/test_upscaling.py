@@ -57,7 +57,7 @@ def color_of(pipeline):
 
 @pytest.mark.parametrize("size, render_size", [((53, 37), (27, 19)), ((45, 30), (30, 20)), ((31, 22), (31, 22))])
 def test_every_kernel_does_what_its_twin_does(device, size, render_size):
-    """Colours to two roundings to half and of sums in another order; bounds where a threshold is met are left out."""
+    """Colors to two roundings to half and of sums in another order; bounds where a threshold is met are left out."""
     scene, pipeline, before = Rects(MOVING.rects + [Rect((0.3, 0, 4), (0.04, 3), tint=(9, 8, 5))]), None, None
     pipeline = pipeline_for(device, size, render_size=render_size, cut_detection=False)
     pipeline.exposure, rng = 1.7, np.random.default_rng(3)
@@ -177,11 +177,11 @@ def test_a_still_picture_does_not_shimmer(device):
 
 @pytest.mark.parametrize("speed, most", [(9, 0.02), (1.5, 0.025)])
 def test_no_ghost_stays_behind_a_mover(device, speed, most):
-    """A bright board crosses a flat grey wall; three frames after it has left a pixel, nothing of it is there."""
-    grey = Rect((0, 0, 12), (20, 20), frequency=0, tint=(0.2, 0.2, 0.2))
+    """A bright board crosses a flat gray wall; three frames after it has left a pixel, nothing of it is there."""
+    gray = Rect((0, 0, 12), (20, 20), frequency=0, tint=(0.2, 0.2, 0.2))
     board = Rect((-speed / 3, 0, 6), (0.6, 1.5), velocity=(speed, 0, 0), frequency=0, tint=(0.9, 0.8, 0.7))
-    scene, pipeline = Rects([grey, board]), pipeline_for(device)
-    wall = grey.texture(np.zeros(2))
+    scene, pipeline = Rects([gray, board]), pipeline_for(device)
+    wall = gray.texture(np.zeros(2))
     for k, frame in enumerate(frames(scene, 18)):
         pipeline.submit(frame)
         if k < 6:
@@ -214,7 +214,7 @@ def test_thin_bars_stay(device, width, least):
 
 
 def test_a_change_of_exposure_does_not_show(device):
-    """The history is kept in scene colours: halving the exposure leaves them as they are."""
+    """The history is kept in scene colors: halving the exposure leaves them as they are."""
     pipeline = pipeline_for(device)
     for k, frame in enumerate(frames(STILL, 18)):
         pipeline.exposure = 1.0 if k < 17 else 0.5

@@ -76,7 +76,7 @@ def shown(canvas, spec, array, display=None, **view) -> np.ndarray:
     height, width = array.shape[1:3] if spec.planes > 1 else array.shape[:2]
     canvas.frame = replace(canvas.frame, display_size=(width, height))
     canvas.upload(spec.name, array, spec)
-    view = View(spec.name, display or default_display(spec), **{"centre": (width / 2, height / 2)} | view)
+    view = View(spec.name, display or default_display(spec), **{"center": (width / 2, height / 2)} | view)
     return drawn(canvas, view, (width, height))
 
 
@@ -85,7 +85,7 @@ def close(image, expected, levels=1.0):
 
 
 def mapped(t, name):
-    """(…, 3) of the colour map at t, linear between its entries."""
+    """(…, 3) of the color map at t, linear between its entries."""
     at = np.clip(t, 0, 1) * 255
     return np.stack([np.interp(at, np.arange(256), column) for column in color_table(name).T], -1)
 
@@ -120,16 +120,16 @@ def test_first_row_is_on_top(canvas):
     display=st.tuples(st.integers(1, 11), st.integers(1, 11)),
     size=st.tuples(st.integers(1, 40), st.integers(1, 40)),
     zoom=st.floats(0.3, 7.5),
-    centre=st.tuples(st.floats(-2, 12), st.floats(-2, 12)),
+    center=st.tuples(st.floats(-2, 12), st.floats(-2, 12)),
 )
 @settings(max_examples=60, deadline=None)
-def test_zoom_and_pan(kept, layer, display, size, zoom, centre):
+def test_zoom_and_pan(kept, layer, display, size, zoom, center):
     """Labels of any size stretched over a display of any size, seen anywhere."""
     values = RNG.integers(0, 16, layer[::-1]).astype(np.uint8)
     kept.frame = FrameInfo(display)
     kept.upload("l", values, LABEL)
-    made = drawn(kept, View("l", Display(), zoom=zoom, centre=centre, grid=False, background=(0, 0, 0)), size)
-    at = [(centre[i] + (np.arange(size[i]) + 0.5 - size[i] / 2) / zoom) / display[i] for i in (0, 1)]
+    made = drawn(kept, View("l", Display(), zoom=zoom, center=center, grid=False, background=(0, 0, 0)), size)
+    at = [(center[i] + (np.arange(size[i]) + 0.5 - size[i] / 2) / zoom) / display[i] for i in (0, 1)]
     texel = [at[i] * layer[i] for i in (0, 1)]
     sure = [np.abs(t - np.round(t)) > 1e-4 for t in texel]  # float32 may decide otherwise on a border
     inside = [(a >= 0) & (a < 1) for a in at]
@@ -141,17 +141,17 @@ def test_zoom_and_pan(kept, layer, display, size, zoom, centre):
 
 
 def test_view_knows_what_is_under_the_pointer():
-    view = View("a", Display(), zoom=2.5, centre=(10, 7))
+    view = View("a", Display(), zoom=2.5, center=(10, 7))
     assert view.display_at((101, 55), 50.5, 27.5) == (10, 7)
     assert view.screen_at((101, 55), *view.display_at((101, 55), 13, 44)) == pytest.approx((13, 44))
     view.fit((100, 100), (50, 20))
-    assert (view.zoom, view.centre) == (2, (25, 10))
+    assert (view.zoom, view.center) == (2, (25, 10))
 
 
 def test_pointer_and_picture_agree(canvas):
     canvas.frame = FrameInfo((9, 5))
     canvas.upload("l", np.arange(45).reshape(5, 9).astype(np.uint8) % 16, LABEL)
-    view = View("l", Display(), zoom=6.3, centre=(4.2, 2.9), grid=False)
+    view = View("l", Display(), zoom=6.3, center=(4.2, 2.9), grid=False)
     made = drawn(canvas, view, (37, 21))
     for x, y in ((3, 5), (30, 18), (18, 10)):
         px, py = map(int, view.display_at((37, 21), x + 0.5, y + 0.5))
@@ -164,7 +164,7 @@ def test_part_of_the_rendered_image(canvas):
     canvas.frame = FrameInfo((8, 4), source_area=(0.25, 0.0, 0.75, 1.0))
     canvas.upload("l", values, replace(LABEL, grid="source"))
     canvas.upload("t", values, LABEL)
-    view = View("l", Display(), centre=(4, 2))
+    view = View("l", Display(), center=(4, 2))
     close(drawn(canvas, view, (8, 4))[1], np.array(LABEL_COLORS)[4:12])
     canvas.frame = FrameInfo((8, 4), target_area=(-0.5, 0.0, 1.5, 1.0))
     made = drawn(canvas, replace(view, a="t", background=(1, 0, 1)), (8, 4))
@@ -172,7 +172,7 @@ def test_part_of_the_rendered_image(canvas):
     close(made[0, 2:6], np.array(LABEL_COLORS)[[2, 6, 10, 14]], 1)
 
 
-# ---- colour --------------------------------------------------------------------------------------------
+# ---- color --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32])
@@ -229,7 +229,7 @@ def test_color_is_averaged_when_small_and_masks_are_not(canvas):
     canvas.frame = FrameInfo((64, 64))
     canvas.upload("c", noise, replace(COLOR, name="c"))
     canvas.upload("m", (noise[..., 0] > 0.5).astype(np.uint8), MASK)
-    view = View("c", Display(), zoom=0.25, centre=(32, 32))
+    view = View("c", Display(), zoom=0.25, center=(32, 32))
     close(drawn(canvas, view, (16, 16)), to_display(noise.reshape(16, 4, 16, 4, 3).mean((1, 3))), 2)
     made = drawn(canvas, replace(view, a="m", zoom=0.3), (16, 16))
     assert len(np.unique(made[..., 0])) == 2
@@ -237,10 +237,10 @@ def test_color_is_averaged_when_small_and_masks_are_not(canvas):
     close(drawn(canvas, view, (16, 16)), 1)  # not the mipmaps of before
 
 
-# ---- false colour --------------------------------------------------------------------------------------
+# ---- false color --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["turbo", "viridis", "grey"])
+@pytest.mark.parametrize("name", ["turbo", "viridis", "gray"])
 def test_scalar(canvas, name):
     values = RNG.uniform(-2, 5, (11, 12)).astype(np.float32)
     made = shown(canvas, SCALAR, values, Display(color_map=name, low=-1, high=3))
@@ -256,7 +256,7 @@ def test_depth(canvas, inverse):
     close(made[3:], mapped(t, "turbo"), 2)
     close(made[0, :8], SKY)
     close(made[1, :8], [(1, 0, 1)] * 4 + [(0.05,) * 3] * 4)  # checkered
-    assert (np.ptp(made[2, :8], axis=-1) < 0.01).all() and made[2, :8].max() < 0.31  # hatched in grey
+    assert (np.ptp(made[2, :8], axis=-1) < 0.01).all() and made[2, :8].max() < 0.31  # hatched in gray
 
 
 @pytest.mark.parametrize("reverse", [False, True])
@@ -270,7 +270,7 @@ def test_motion(canvas, reverse):
 
 def test_channel_of_motion(canvas):
     motion = RNG.normal(0, 4, (6, 7, 2)).astype(np.float32)
-    made = shown(canvas, MOTION, motion, Display(channel="y", low=-4, high=4, color_map="grey"))
+    made = shown(canvas, MOTION, motion, Display(channel="y", low=-4, high=4, color_map="gray"))
     close(made, np.clip(motion[..., 1:] / 8 + 0.5, 0, 1))
 
 
@@ -286,7 +286,7 @@ def test_place_is_shown_from_the_own_position(canvas):
     known = np.ones((5, 7), bool)
     known[2, 3] = False
     close(made[known], expected[known], 3)
-    assert np.ptp(made[2, 3]) < 0.01  # grey: nothing there
+    assert np.ptp(made[2, 3]) < 0.01  # gray: nothing there
 
 
 def test_place_in_the_target(canvas):
@@ -298,7 +298,7 @@ def test_place_in_the_target(canvas):
     made = shown(canvas, spec, position, Display(motion_scale=5))
     close(made[0], wheel(np.array([2.0, -1.0]), 5), 3)
     assert np.ptp(made[1, 1]) < 0.01
-    depth = shown(canvas, spec, position, Display(channel="depth", low=1, high=5, color_map="grey"))
+    depth = shown(canvas, spec, position, Display(channel="depth", low=1, high=5, color_map="gray"))
     close(depth[0], 0.5)
 
 
@@ -326,21 +326,21 @@ def test_world_is_shown_as_distance_from_the_own_fragment(canvas):
     canvas.frame = FrameInfo((8, 6), source=camera)
     canvas.upload("rendered.depth", depth, DEPTH)
     spec = LayerSpec("w", "W", "test", "world", ("x", "y", "z", "known"), planes=2, grid="source")
-    made = shown(canvas, spec, history, Display(high=3, plane=1, color_map="grey"))
+    made = shown(canvas, spec, history, Display(high=3, plane=1, color_map="gray"))
     expected = np.clip(np.linalg.norm(offset, axis=-1) / 3, 0, 1)[..., None]
     known = np.isfinite(depth)
     known[2, 2] = False
     close(made[known], np.broadcast_to(expected, made.shape)[known], 2)
     assert made[~known].max() < 0.31  # hatched
     canvas.forget(["rendered.depth"])
-    assert shown(canvas, spec, history, Display(high=3, plane=1, color_map="grey")).max() < 0.31
+    assert shown(canvas, spec, history, Display(high=3, plane=1, color_map="gray")).max() < 0.31
 
 
 def test_planes(canvas):
     spec = replace(SCALAR, planes=3)
     stack = np.arange(3, dtype=np.float32)[:, None, None].repeat(4, 1).repeat(5, 2)
     for plane, expected in ((0, 0), (1, 0.5), (2, 1), (9, 1)):
-        close(shown(canvas, spec, stack, Display(high=2, plane=plane, color_map="grey")), expected)
+        close(shown(canvas, spec, stack, Display(high=2, plane=plane, color_map="gray")), expected)
 
 
 def test_labels(canvas):
@@ -367,7 +367,7 @@ def pair(canvas):
     a, b = (RNG.uniform(0, 1, (18, 24, 3)).astype(np.float32) for _ in range(2))
     canvas.upload("a", a, replace(COLOR, name="a"))
     canvas.upload("b", b, replace(COLOR, name="b"))
-    view = View("a", Display(), "b", Display(), centre=(12, 9))
+    view = View("a", Display(), "b", Display(), center=(12, 9))
     return view, to_display(a, 1.3), to_display(b, 1.3)
 
 
@@ -426,7 +426,7 @@ def test_error_map_of_depth_and_labels(canvas):
     a, b = np.array([[1, 2, np.inf, np.inf, 4]], np.float32), np.array([[1, 2.5, np.inf, 7, 1]], np.float32)
     canvas.upload("a", a, DEPTH)
     canvas.upload("b", b, DEPTH)
-    view = View("a", Display(), "b", Display(), "error", centre=(2.5, 0.5), error_high=2)
+    view = View("a", Display(), "b", Display(), "error", center=(2.5, 0.5), error_high=2)
     close(drawn(canvas, view, (5, 1))[0], mapped(np.array([0, 0.25, 0, 1, 1]), "heat"), 2)
     close(drawn(canvas, replace(view, error="squared"), (5, 1))[0, 1], mapped(np.array(0.125), "heat"), 2)
     canvas.upload("a", np.array([[1, 2, 3, 4, 5]], np.uint8), LABEL)
@@ -444,7 +444,7 @@ def test_error_of_nothing_is_the_background(canvas, pair):
 
 
 def upload_steps(canvas, columns):
-    """Depth, motion and colour that change at these columns."""
+    """Depth, motion and color that change at these columns."""
     size = 32
     canvas.frame = FrameInfo((size, size))
     x = np.arange(size)[None].repeat(size, 0)
@@ -452,7 +452,7 @@ def upload_steps(canvas, columns):
     canvas.upload("rendered.depth", 2 + 6 * depth, DEPTH)
     canvas.upload("rendered.motion", np.stack([2 * motion, 0 * motion], -1), MOTION)
     canvas.upload("rendered.color", color[..., None].repeat(3, -1), COLOR)
-    view = View("rendered.color", Display(), overlay="edges", centre=(size / 2, size / 2))
+    view = View("rendered.color", Display(), overlay="edges", center=(size / 2, size / 2))
     return drawn(canvas, view, (size, size))[size // 2]
 
 
@@ -475,7 +475,7 @@ def test_slanted_planes_have_no_depth_edges(canvas):
     inverse = 0.02 + 0.01 * np.arange(40)[None] + 0.02 * np.arange(30)[:, None]
     canvas.upload("rendered.depth", (1 / inverse).astype(np.float32), DEPTH)
     canvas.upload("rendered.color", np.ones((30, 40, 3), np.float32), COLOR)
-    made = drawn(canvas, View("rendered.color", Display(), overlay="edges", centre=(20, 15)), (40, 30))
+    made = drawn(canvas, View("rendered.color", Display(), overlay="edges", center=(20, 15)), (40, 30))
     close(made, 0.35)
 
 
@@ -494,7 +494,7 @@ def test_residual_motion(canvas):
     canvas.frame = FrameInfo((32, 24), source=source, previous=previous)
     canvas.upload("rendered.depth", depth, DEPTH)
     canvas.upload("rendered.motion", (motion + moving).astype(np.float32), MOTION)
-    view = View("absent", Display(), overlay="residual motion", centre=(16, 12), background=(0, 0, 0), residual_scale=3)
+    view = View("absent", Display(), overlay="residual motion", center=(16, 12), background=(0, 0, 0), residual_scale=3)
     made = drawn(canvas, view, (32, 24))
     share = np.sqrt(np.minimum(np.linalg.norm(moving, axis=-1) / 3, 1))[..., None]
     expected = (wheel(moving, 1e-9) * share) * (share > 0)
@@ -508,7 +508,7 @@ def test_residual_motion(canvas):
 def test_grid_only_when_zoomed_in(canvas):
     canvas.frame = FrameInfo((4, 4))
     canvas.upload("m", np.zeros((4, 4), np.uint8), MASK)
-    view = View("m", Display(), centre=(2, 2), zoom=7.9)
+    view = View("m", Display(), center=(2, 2), zoom=7.9)
     assert len(np.unique(drawn(canvas, view, (28, 28)).reshape(-1, 3), axis=0)) == 1
     made = drawn(canvas, replace(view, zoom=32), (128, 128))
     line = np.zeros(128, bool)
@@ -557,7 +557,7 @@ def test_uploads_go_through_a_ring_of_pixel_buffers(context, monkeypatch):
         assert (
             canvas._buffers._rings[30][-1].read() == values.tobytes() and written[-1] is canvas._buffers._rings[30][-1]
         )
-        close(drawn(canvas, View("l", Display(), centre=(3, 2.5)), (6, 5)), LABEL_COLORS[index])
+        close(drawn(canvas, View("l", Display(), center=(3, 2.5)), (6, 5)), LABEL_COLORS[index])
     assert len(set(map(id, written[:3]))) == 3 and all(written[i] is written[i + 3] for i in range(4))  # in turn
     canvas.upload("s", np.zeros((5, 6), np.float32), SCALAR)
     assert canvas.pixel_buffers == [30] * 3 + [120]
@@ -568,7 +568,7 @@ def test_uploads_go_through_a_ring_of_pixel_buffers(context, monkeypatch):
 
 
 def test_size_and_type_may_change_any_time(canvas):
-    display = Display(high=8, color_map="grey")
+    display = Display(high=8, color_map="gray")
     for array in (
         np.full((5, 7), 4, np.float32),
         np.full((50, 70), 4, np.float16),
@@ -582,17 +582,17 @@ def test_size_and_type_may_change_any_time(canvas):
         np.full((6, 7, 6), 4, np.float32),
     ):
         canvas.upload("s", array, SCALAR)
-        close(drawn(canvas, View("s", display, centre=(4, 3)), (8, 6)), 0.125 if array.dtype == bool else 0.5)
+        close(drawn(canvas, View("s", display, center=(4, 3)), (8, 6)), 0.125 if array.dtype == bool else 0.5)
     canvas.upload("s", np.zeros((0, 7), np.float32), SCALAR)
     canvas.upload("s", np.float32(3), SCALAR)
-    close(drawn(canvas, View("s", display, centre=(4, 3)), (8, 6)), 0.5)  # as before
+    close(drawn(canvas, View("s", display, center=(4, 3)), (8, 6)), 0.5)  # as before
 
 
 def test_layer_that_has_changed_its_meaning(canvas):
     canvas.upload("x", np.ones((6, 8), np.uint8), replace(LABEL, name="x"))
-    close(drawn(canvas, View("x", Display(), centre=(4, 3)), (8, 6)), LABEL_COLORS[1])
+    close(drawn(canvas, View("x", Display(), center=(4, 3)), (8, 6)), LABEL_COLORS[1])
     canvas.upload("x", np.ones((6, 8), np.uint8), replace(MASK, name="x"))
-    close(drawn(canvas, View("x", Display(), centre=(4, 3)), (8, 6)), 0.95)
+    close(drawn(canvas, View("x", Display(), center=(4, 3)), (8, 6)), 0.95)
     assert canvas.layers["x"].view == "mask"
 
 
@@ -632,7 +632,7 @@ def test_upload_and_draw_speed(canvas, context):
     """Told, not judged: machines differ."""
     canvas.frame = FrameInfo((1280, 720))
     image = RNG.uniform(0, 1, (720, 1280, 4)).astype(np.float16)
-    view = View("c", Display(), centre=(640, 360))
+    view = View("c", Display(), center=(640, 360))
     times = []
     for _ in range(3):
         start = time.perf_counter()
@@ -658,7 +658,7 @@ def test_layers_of_the_network_line_up_with_the_picture(canvas):
     canvas.upload("n", texels, spec)
     y, x = np.mgrid[: size[1], : size[0]] // 2
     for plane in range(2):
-        image = drawn(canvas, View("n", Display(plane=plane, color_map="grey"), centre=(30.5, 18.5)), size)
+        image = drawn(canvas, View("n", Display(plane=plane, color_map="gray"), center=(30.5, 18.5)), size)
         close(image, np.repeat(texels[plane, y, x][..., None], 3, -1), 1.5)
 
 
@@ -686,5 +686,5 @@ def test_layers_of_a_pipeline(canvas, device, tmp_path):
     for tile in tiles:
         part = made[tile.y : tile.y + tile.height, tile.x : tile.x + tile.width]
         assert (part != (255, 0, 255)).any(-1).all(), tile.name
-    full = View("frame.color", displays["frame.color"], centre=(48, 27))
+    full = View("frame.color", displays["frame.color"], center=(48, 27))
     close(drawn(canvas, full, size), to_display(images["frame.color"][..., :3], scene.exposure))

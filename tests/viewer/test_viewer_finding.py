@@ -314,7 +314,7 @@ def test_nothing_is_known_of_no_figures():
 
 
 def test_legends_under_saved_pictures():
-    """The picture stays as it is; below it are the colours that its legends tell."""
+    """The picture stays as it is; below it are the colors that its legends tell."""
     spec = LayerSpec("rendered.depth", "Rendered depth", "frame", "depth")
     labels = LayerSpec("a.b", "B", "a", "label", labels=((0, "none"), (1, "some")))
     motion = LayerSpec("m", "Motion", "frame", "motion", ("x", "y"))

@@ -1,7 +1,7 @@
 """The whole viewer, driven by Dear ImGui's test engine under Xvfb: it is clicked, dragged and typed into.
 
 viewer_gui_case.py runs all cases in one process and writes down what it saw; here that is judged. Pictures of each case
-are kept in the folder GFFE_ARTEFACTS, if that is set.
+are kept in the folder GFFE_ARTIFACTS, if that is set.
 """
 
 import json
@@ -51,10 +51,10 @@ def seen(tmp_path_factory):
     from gffe_cl.opencl.program import kernel_folder
 
     folder = tmp_path_factory.mktemp("gui")
-    artefacts = Path(os.environ.get("GFFE_ARTEFACTS") or folder / "pictures").absolute() / "viewer"
-    for made in (artefacts, folder / "working", folder / "config"):
+    artifacts = Path(os.environ.get("GFFE_ARTIFACTS") or folder / "pictures").absolute() / "viewer"
+    for made in (artifacts, folder / "working", folder / "config"):
         made.mkdir(parents=True, exist_ok=True)
-    for old in artefacts.glob("*.png"):
+    for old in artifacts.glob("*.png"):
         old.unlink()
     shutil.copytree(kernel_folder(), folder / "kernels")
     environment = os.environ | {
@@ -64,16 +64,16 @@ def seen(tmp_path_factory):
     }
     found = {}
     for phase in ("make", "first", "second"):
-        ended = _start([phase, str(folder), str(artefacts)], environment, folder / "working")
+        ended = _start([phase, str(folder), str(artifacts)], environment, folder / "working")
         if phase != "make":
             report = json.loads((folder / f"{phase}.json").read_text())
-            shutil.copy(folder / f"{phase}.json", artefacts)
+            shutil.copy(folder / f"{phase}.json", artifacts)
             found[f"leave {phase}"] = report["cases"].pop("leave") | {
                 "exit": ended - report["closed"],
                 "left over": [path.name for path in (folder / "working").glob(".*")],
             }
             found |= report["cases"]
-    found["pictures"] = {path.stem for path in artefacts.glob("*.png")}
+    found["pictures"] = {path.stem for path in artifacts.glob("*.png")}
     return found
 
 
@@ -224,13 +224,13 @@ def test_overlays(seen, overlay):
     assert seen["overlays"]["error"] is None, seen["overlays"]["error"]
     values = seen["overlays"]["values"][overlay]
     assert values["overlay"] == overlay
-    assert values["changed"] > 0.3 and values["coloured"] > 0.01
+    assert values["changed"] > 0.3 and values["colored"] > 0.01
 
 
 def test_split(values):
     assert values["split"] == pytest.approx(0.3, abs=0.01)
     assert values["left is A"] and values["right is B"] and not values["A is B"]
-    assert not values["centre moved"]
+    assert not values["center moved"]
 
 
 def test_difference_and_error(values):
@@ -290,7 +290,7 @@ def test_display_keys(values):
     usual, brighter, back, darker, reset = values["brightness"]
     assert darker < usual < brighter and back == pytest.approx(usual) and reset == pytest.approx(usual)
     assert values["reset restores"]
-    assert values["channel"] == "R" and values["grey"]
+    assert values["channel"] == "R" and values["gray"]
     assert values["colors"][1] > 2 * values["colors"][0]
     assert values["range"] == pytest.approx(values["quantiles"], rel=0.02)
     assert values["white at 99 %"] == pytest.approx(1.0, rel=0.05)
@@ -533,7 +533,7 @@ def test_rectangle(values):
 
 
 def test_legends_in_saved_pictures(values):
-    assert values["colour"] == [108, 192, 4]
+    assert values["color"] == [108, 192, 4]
     shapes = {**values["heights"], "error": values["error"]}
     assert all(shape[0] > 108 + 20 and shape[1] == 200 for shape in shapes.values()), shapes
     assert shapes["frame.filled_by"][0] > shapes["frame.dynamic"][0], "more labels take more room"

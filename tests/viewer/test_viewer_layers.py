@@ -247,7 +247,7 @@ def test_plane_is_ranged_on_its_own():
 def test_displays_of_shading_correction():
     mask, frames = BY_NAME["correction.focus_mask"], BY_NAME["network_input.frames"]
     assert (default_display(mask).low, default_display(mask).high) == (0, 1) == mask.limits
-    assert (frames.planes, frames.grid, default_display(frames).color_map) == (8, "network", "grey")
+    assert (frames.planes, frames.grid, default_display(frames).color_map) == (8, "network", "gray")
 
 
 # ---- geometry ------------------------------------------------------------------------------------------
@@ -278,14 +278,14 @@ def test_texels_of_the_network_cover_two_pixels_each_way(size):
     assert FrameInfo(size).area(BY_NAME["shading_flow.candidates"]) == pytest.approx(area)
 
 
-# ---- colours, legends, texts ---------------------------------------------------------------------------
+# ---- colors, legends, texts ---------------------------------------------------------------------------
 
 
 def test_color_maps_run_as_they_should():
     ends = {
         "turbo": ("30123b", "7a0403"),
         "viridis": ("440154", "fde725"),
-        "grey": ("000000", "ffffff"),
+        "gray": ("000000", "ffffff"),
         "heat": ("000000", "ffffff"),
     }
     for name in COLOR_MAPS:
@@ -325,7 +325,7 @@ def test_ramp_legend():
 
 def test_wheel_legend_and_colors():
     made = legend(MOTION, Display(motion_scale=8))
-    assert made.kind == "wheel" and made.unit == "full colour from 8 px" and len(made.ticks) == 8
+    assert made.kind == "wheel" and made.unit == "full color from 8 px" and len(made.ticks) == 8
     assert wheel_color(0, 1) == (1, 0, 0) and wheel_color(0.5, 5) == (0, 1, 1)
     assert wheel_color(0.3, 0) == (0.08,) * 3
 

@@ -1,10 +1,10 @@
 """Runs the viewer under Dear ImGui's test engine; started by test_viewer_gui.py under xvfb-run.
 
-    viewer_gui_case.py make|first|second FOLDER ARTEFACTS [CASE …]
+    viewer_gui_case.py make|first|second FOLDER ARTIFACTS [CASE …]
 
 "make" writes the sequences "small" (ground truth, a rendering window from its second frame on) and "large" into FOLDER.
 "first" runs all cases, or those named, and "second" finds what it has left; the outcome goes to FOLDER/first.json and
-FOLDER/second.json, pictures to ARTEFACTS.
+FOLDER/second.json, pictures to ARTIFACTS.
 """
 
 import sys
@@ -21,7 +21,7 @@ def make(folder: Path) -> None:
     render_sequence(scene, folder / "large", device, 960, 540, 4, 30.0, ground_truth=False, samples=1)
 
 
-def run(phase: str, folder: Path, artefacts: Path, only: list[str]) -> None:
+def run(phase: str, folder: Path, artifacts: Path, only: list[str]) -> None:
     import viewer_gui_comparing as comparing
     import viewer_gui_doing as doing
     import viewer_gui_driver as driver
@@ -47,9 +47,9 @@ def run(phase: str, folder: Path, artefacts: Path, only: list[str]) -> None:
     report = folder / f"{phase}.json"
     with leaving(model):
         if phase == "first":
-            driver.run(App(model), cases, report, artefacts, doing.leave_while_working, (1280, 720))
+            driver.run(App(model), cases, report, artifacts, doing.leave_while_working, (1280, 720))
         else:
-            driver.run(App(model), {"restart": doing.found_again}, report, artefacts, doing.leave_while_saving)
+            driver.run(App(model), {"restart": doing.found_again}, report, artifacts, doing.leave_while_saving)
 
 
 if __name__ == "__main__":

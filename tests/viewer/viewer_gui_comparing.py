@@ -31,7 +31,7 @@ def split(gui: Gui):
     values["left is A"] = bool((picture[:, : split - 2] == a[:, : split - 2]).all())
     values["right is B"] = bool((picture[:, split + 2 :] == b[:, split + 2 :]).all())
     values["A is B"] = bool((a == b).all())
-    values["centre moved"] = bool(model.view.centre != (model.source.width / 2, model.source.height / 2))
+    values["center moved"] = bool(model.view.center != (model.source.width / 2, model.source.height / 2))
 
 
 @case

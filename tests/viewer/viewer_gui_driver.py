@@ -41,8 +41,8 @@ class Gui:
     Cases run on a thread while the interface stands still; GL belongs to the interface's thread (`on_screen`).
     """
 
-    def __init__(self, app: App, sequences: Path, artefacts: Path):
-        self.app, self.model, self.sequences, self.artefacts = app, app.model, sequences, artefacts
+    def __init__(self, app: App, sequences: Path, artifacts: Path):
+        self.app, self.model, self.sequences, self.artifacts = app, app.model, sequences, artifacts
         self.ctx = None
         self.values: dict = {}
         self._jobs: list = []
@@ -57,7 +57,7 @@ class Gui:
             if name not in ("restart", "leave"):
                 self.reset()
             case(self)
-            if not (self.artefacts / f"{name}.png").exists():
+            if not (self.artifacts / f"{name}.png").exists():
                 self.shot(name)
         except BaseException:  # the test engine would go on without a word
             error = traceback.format_exc()
@@ -117,7 +117,7 @@ class Gui:
 
     def shot(self, name: str) -> None:
         """Keep a picture of the window."""
-        Image.fromarray(self.window()).save(self.artefacts / f"{name}.png")
+        Image.fromarray(self.window()).save(self.artifacts / f"{name}.png")
 
     def images(self) -> dict[str, np.ndarray]:
         """All layers of the present slot."""
@@ -219,7 +219,7 @@ class Gui:
         self.settle()
 
 
-def run(app: App, cases: dict, report: Path, artefacts: Path, at_end=None, size=None) -> None:
+def run(app: App, cases: dict, report: Path, artifacts: Path, at_end=None, size=None) -> None:
     """Run all `cases` (name → function of a Gui that fills `values`) in the window of `app`, then `at_end`; write the
     JSON `report` and close."""
     outcomes: dict[str, dict] = {}
@@ -230,7 +230,7 @@ def run(app: App, cases: dict, report: Path, artefacts: Path, at_end=None, size=
         io.config_run_speed = imgui.test_engine.TestRunSpeed.fast
         io.config_no_throttle = True
         io.config_watchdog_kill_test = 4 * PATIENCE
-        gui = Gui(app, report.parent, artefacts)
+        gui = Gui(app, report.parent, artifacts)
         steps = {
             name: lambda ctx, name=name: outcomes.update({name: gui.run(ctx, name, cases[name])}) for name in cases
         }

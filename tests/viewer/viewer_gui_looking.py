@@ -74,7 +74,7 @@ def overlays(gui: Gui):
         gui.values[name] = {
             "overlay": gui.model.view.overlay,
             "changed": float((overlaid != plain).any(-1).mean()),
-            "coloured": float((np.ptp(overlaid, axis=-1) > 60).mean()),
+            "colored": float((np.ptp(overlaid, axis=-1) > 60).mean()),
         }
         gui.shot(f"overlays, {name}")
 
@@ -83,7 +83,7 @@ def overlays(gui: Gui):
 def zoom_and_pan(gui: Gui):
     model, values = gui.model, gui.values
     view = model.view
-    fitted = view.zoom, view.centre
+    fitted = view.zoom, view.center
     target = tuple(round(c) for c in gui.at(150.5, 80.5))  # the mouse is moved by whole pixels
     left, top, width, height = gui.area()
     size = int(width), int(height)
@@ -108,15 +108,15 @@ def zoom_and_pan(gui: Gui):
     values["zoomed"] = view.zoom / fitted[0]
     gui.settle()
     gui.shot("zoom")
-    centre, zoom = view.centre, view.zoom
+    center, zoom = view.center, view.zoom
     gui.drag((left + width / 2, top + height / 2), (left + width / 2 + 90, top + height / 2 - 60))
-    values["panned by"] = tuple((a - b) * zoom for a, b in zip(centre, view.centre, strict=True))
+    values["panned by"] = tuple((a - b) * zoom for a, b in zip(center, view.center, strict=True))
     values["picked by panning"] = model.pointing.picked
     gui.key(KEY._0, CTRL)
     values["one to one"] = view.zoom
     gui.key(KEY.f)
     gui.frames(2)
-    values["fitted again"] = (view.zoom, *view.centre) == (fitted[0], *fitted[1])
+    values["fitted again"] = (view.zoom, *view.center) == (fitted[0], *fitted[1])
 
 
 @case
@@ -132,7 +132,7 @@ def display_keys(gui: Gui):
     gui.key(KEY.c)
     gui.settle()
     values["channel"] = model.looks.of("final").channel
-    values["grey"] = bool((np.ptp(gui.inside(), axis=-1) == 0).all())
+    values["gray"] = bool((np.ptp(gui.inside(), axis=-1) == 0).all())
     gui.key(KEY.r)
     gui.key(KEY.n)
     gui.settle()

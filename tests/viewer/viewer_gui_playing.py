@@ -159,7 +159,7 @@ def _disabled(gui: Gui) -> list[str]:
 
 @case
 def shading_correction(gui: Gui):
-    """Greyed out without a model; with one, both toggles do what they say."""
+    """Grayed out without a model; with one, both toggles do what they say."""
     model, values = gui.model, gui.values
     values["disabled without a model"] = _disabled(gui)
     off, installed = gui.images(), inference.default_model

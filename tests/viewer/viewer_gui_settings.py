@@ -216,13 +216,13 @@ def rectangle(gui: Gui):
 
     model, values = gui.model, gui.values
     gui.settle()
-    centre = model.view.centre
+    center = model.view.center
     gui.ctx.key_down(imgui.Key.mod_shift.value)
     gui.drag(gui.at(140.5, 40.5), gui.at(189.5, 99.5))
     gui.ctx.key_up(imgui.Key.mod_shift.value)
     gui.settle()
     values["rectangle"] = model.selection.rectangle
-    values["panned"] = model.view.centre != centre
+    values["panned"] = model.view.center != center
     gui.ctx.window_focus("//Inspector")
     gui.frames(3)
     gui.shot("rectangle of pixels")
@@ -248,7 +248,7 @@ def rectangle(gui: Gui):
 
 @case
 def legends_in_saved_pictures(gui: Gui):
-    """A saved picture says what its colours mean; one without false colours is the picture alone."""
+    """A saved picture says what its colors mean; one without false colors is the picture alone."""
     from pathlib import Path
 
     from PIL import Image
@@ -261,10 +261,10 @@ def legends_in_saved_pictures(gui: Gui):
         gui.wait(lambda: set(Path.cwd().glob("[!.]*.png")) - before, "the picture")
         path = (set(Path.cwd().glob("[!.]*.png")) - before).pop()
         picture = np.asarray(Image.open(path))
-        path.rename(gui.artefacts / f"saved, {name}.png")
+        path.rename(gui.artifacts / f"saved, {name}.png")
         return picture
 
-    values["colour"] = list(saved("colour").shape)
+    values["color"] = list(saved("color").shape)
     kept = {}
     for name in ("rendered.depth", "frame.motion", "frame.filled_by", "frame.dynamic"):
         model.show_layer(name)

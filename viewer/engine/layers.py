@@ -61,7 +61,7 @@ FRAME_BUFFERS: dict[str, BufferSpec] = {
     )
 }
 _LABELS = {
-    names.RENDERED_COLOR: "Rendered colour",
+    names.RENDERED_COLOR: "Rendered color",
     names.GAE: "GAE",
     names.TRUTH: "Ground truth",
     names.FOCUS_TRUTH: "True focus mask",
@@ -79,7 +79,7 @@ def named_images(pipeline: Pipeline) -> dict[str, tuple[BufferSpec, cl.Buffer]]:
 
 def _words(name: str) -> str:
     """A buffer's name as people write it."""
-    return name.replace("_", " ").replace(".", " ").replace("color", "colour").capitalize()
+    return name.replace("_", " ").replace(".", " ").capitalize()
 
 
 def layer_of(group: str, spec: BufferSpec, name: str = "", of_generated: bool = False) -> LayerSpec:

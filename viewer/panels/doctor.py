@@ -8,7 +8,7 @@ from imgui_bundle import imgui
 from gffe_cl.core.errors import printable
 from gffe_cl.viewer.panels import widgets
 
-_RED, _AMBER, _GREY = (0.97, 0.5, 0.45, 1.0), (0.9, 0.7, 0.3, 1.0), (0.6, 0.6, 0.62, 1.0)
+_RED, _AMBER, _GRAY = (0.97, 0.5, 0.45, 1.0), (0.9, 0.7, 0.3, 1.0), (0.6, 0.6, 0.62, 1.0)
 
 
 def draw(app) -> None:
@@ -17,10 +17,10 @@ def draw(app) -> None:
     widgets.action_button(app.actions, "doctor", icons.ICON_FA_STETHOSCOPE)
     imgui.same_line()
     if doctor is None:
-        widgets.hint("Examine motion, depth, cameras and colours: what does not fit, and what would mend it")
+        widgets.hint("Examine motion, depth, cameras and colors: what does not fit, and what would mend it")
         return
     if not doctor.done:
-        widgets.hint("examining motion, depth, cameras and colours …")
+        widgets.hint("examining motion, depth, cameras and colors …")
     elif doctor.problem:
         widgets.hint("could not be examined")
         _colored(_RED, doctor.problem)
@@ -49,7 +49,7 @@ def _findings(doctor) -> None:
 
     colors = {FAULT: _RED, NOTE: _AMBER}
     for finding in doctor.findings:
-        _colored(colors.get(finding.kind, _GREY), finding.kind)
+        _colored(colors.get(finding.kind, _GRAY), finding.kind)
         imgui.text_wrapped(str(finding))
 
 

@@ -13,7 +13,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from gffe_cl.viewer.panels import widgets
 from gffe_cl.viewer.picture.legends import value_text
 
-_LEAST_NAMES = 0.22  # of the width: names of layers, where colours take the rest of the line
+_LEAST_NAMES = 0.22  # of the width: names of layers, where colors take the rest of the line
 
 
 class Row(NamedTuple):

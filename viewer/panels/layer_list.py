@@ -16,7 +16,7 @@ from gffe_cl.viewer.state.captions import disocclusion_colors
 
 _OVERLAYS = ("none", "edges", "residual motion", "disocclusions")
 _OVERLAY_HELP = {
-    "edges": "Edges of depth are red, of motion green, of colour blue: white where all three meet",
+    "edges": "Edges of depth are red, of motion green, of color blue: white where all three meet",
     "residual motion": "Motion minus the camera's; its hue is its direction",
     "disocclusions": "What the generated frame had no pixels for",
 }
@@ -98,7 +98,7 @@ def _display(model) -> None:
         _range(display, change)
         if view == "depth":
             widgets.toggle("even in 1/z", display.inverse, lambda on: change(inverse=on))
-        widgets.choice("colour map", display.color_map, list(COLOR_MAPS), lambda v: change(color_map=v))
+        widgets.choice("color map", display.color_map, list(COLOR_MAPS), lambda v: change(color_map=v))
     if spec.planes > 1:
         shown = min(display.plane, spec.planes - 1) + 1
         widgets.slider(

@@ -74,14 +74,14 @@ class Placement:
         self.view, self.origin, self.size = model.view, origin, size
 
     def to_screen(self, x: float, y: float) -> ImVec2:
-        cx, cy = self.view.centre
+        cx, cy = self.view.center
         return ImVec2(
             self.origin.x + self.size[0] / 2 + (x - cx) * self.view.zoom,
             self.origin.y + self.size[1] / 2 + (y - cy) * self.view.zoom,
         )
 
     def to_display(self, at) -> tuple[float, float]:
-        cx, cy = self.view.centre
+        cx, cy = self.view.center
         return (
             cx + (at.x - self.origin.x - self.size[0] / 2) / self.view.zoom,
             cy + (at.y - self.origin.y - self.size[1] / 2) / self.view.zoom,
@@ -117,7 +117,7 @@ def _mouse(app, place) -> None:
         before = place.to_display(at)
         model.framing.zoom(_ZOOM_STEP**io.mouse_wheel)
         after = place.to_display(at)
-        view.centre = (view.centre[0] + before[0] - after[0], view.centre[1] + before[1] - after[1])
+        view.center = (view.center[0] + before[0] - after[0], view.center[1] + before[1] - after[1])
     line = place.origin.x + view.split * place.size[0]
     on_line = view.compare == "split" and not model.comparison.flipped and abs(at.x - line) < _GRIP * _unit()
     if (hovered and on_line and not imgui.is_item_active()) or app.drags == "line":
@@ -135,7 +135,7 @@ def _mouse(app, place) -> None:
             model.selection.draw(place.to_display(app.pressed_at), place.to_display(at))
         elif app.drags == "picture":
             delta = io.mouse_delta
-            view.centre = (view.centre[0] - delta.x / view.zoom, view.centre[1] - delta.y / view.zoom)
+            view.center = (view.center[0] - delta.x / view.zoom, view.center[1] - delta.y / view.zoom)
     if imgui.is_item_deactivated():
         if app.drags == "rectangle" and _distance(at, app.pressed_at) < _DRAG:
             model.selection.forget()

@@ -20,7 +20,7 @@ def draw(app) -> None:
         return
     regions = model.regions
     reason = regions.why_not()
-    told = "Where errors are counted, each region in its colour"
+    told = "Where errors are counted, each region in its color"
     widgets.toggle("over the picture", regions.on, regions.switch, told, None if regions.on else reason)
     if regions.only:
         imgui.same_line()

@@ -10,7 +10,7 @@ from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui, implot
 from gffe_cl.viewer.panels import widgets
 
 _COLUMNS = (("stage", 0.38), ("time", 0.2), ("ms", 0.17), ("bytes/px", 0.25))
-_PALE = 0.4  # of a bar's colour: bytes that did not have to move
+_PALE = 0.4  # of a bar's color: bytes that did not have to move
 
 
 def draw(app) -> None:

@@ -32,7 +32,7 @@ def tooltip(text: str) -> None:
 
 
 def action_button(actions, name: str, icon: str, width: float = 2.2) -> None:
-    """A button for an action, `width` em, greyed out with the reason where it cannot run."""
+    """A button for an action, `width` em, grayed out with the reason where it cannot run."""
     action = actions[name]
     reason = action.enabled()
     imgui.begin_disabled(reason is not None)
@@ -46,7 +46,7 @@ def action_button(actions, name: str, icon: str, width: float = 2.2) -> None:
 def toggle(
     label: str, value: bool, change: Callable[[bool], None], help_text: str = "", reason: str | None = None
 ) -> None:
-    """A checkbox; greyed out with `reason` where there is one."""
+    """A checkbox; grayed out with `reason` where there is one."""
     imgui.begin_disabled(reason is not None)
     changed, new = imgui.checkbox(label, value)
     imgui.end_disabled()

@@ -30,7 +30,7 @@ _MIXING = ("difference", "error")  # comparisons that need A and B at one place
 _GRID = (8.0, 24.0)  # screen pixels per texel and display pixel: lines between them show, and are as clear as they get
 _RENDERED = {"depth": names.RENDERED_DEPTH, "motion": names.RENDERED_MOTION, "color": names.RENDERED_COLOR}
 _REGIONS = "regions"
-_LABELLED = (_REGIONS, "disocclusions")  # overlays of a layer of their name
+_LABELED = (_REGIONS, "disocclusions")  # overlays of a layer of their name
 _SAMPLERS = ("texels_a", "texels_b", "rendered_depth", "rendered_motion", "rendered_color", _REGIONS, "color_maps")
 _UNITS = {name: unit for unit, name in enumerate(_SAMPLERS)}
 
@@ -69,7 +69,7 @@ class _Program:
         self._uniforms = {name: self._program[name] for name in self._program}
         self.triangle = ctx.vertex_array(self._program, [])
         marks = {"label_colors": colors.LABEL_COLORS, "sky": colors.SKY, "mask_off": colors.MASK_OFF}
-        self.set("", _UNITS | marks | {"wheel_centre": colors.WHEEL_CENTRE})
+        self.set("", _UNITS | marks | {"wheel_center": colors.WHEEL_CENTER})
 
     def set(self, prefix: str, values: Mapping[str, Any]) -> None:
         for name, value in values.items():
@@ -247,12 +247,12 @@ class Canvas:
         for index, layer in enumerate(shown):
             program.set(f"layer[{index}].", layer.uniforms)
         rendered = {key: self._layers.get(name) for key, name in _RENDERED.items()}
-        regions = self._layers.get(view.overlay) if view.overlay in _LABELLED else None
+        regions = self._layers.get(view.overlay) if view.overlay in _LABELED else None
         for unit, texture in enumerate((*(layer.texture for layer in shown), *rendered.values(), regions)):
             (texture or self._nothing.texture).texels.use(unit)
         self._color_maps.use(_UNITS["color_maps"])
         program.set("", {f"has_{key}": layer is not None for key, layer in rendered.items()} | self._frame_uniforms())
-        values = {name: getattr(view, name) for name in ("centre", "zoom", "background")}
+        values = {name: getattr(view, name) for name in ("center", "zoom", "background")}
         values |= {
             "corner": corner,
             "size": size,

@@ -1,4 +1,4 @@
-"""Colours of what is not a colour: depths, motions, masks and labels."""
+"""Colors of what is not a color: depths, motions, masks and labels."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import numpy as np
 
 from gffe_cl.viewer.engine.layers import LayerSpec
 
-COLOR_MAPS = ("turbo", "viridis", "grey", "heat")  # "heat" is for errors
+COLOR_MAPS = ("turbo", "viridis", "gray", "heat")  # "heat" is for errors
 
 Rgb = tuple[float, float, float]
 
 SKY: Rgb = (0.62, 0.78, 0.95)
 MASK_OFF: Rgb = (0.09, 0.09, 0.10)
-WHEEL_CENTRE = 0.08  # grey of a motion of no length
+WHEEL_CENTER = 0.08  # gray of a motion of no length
 _LABEL_COLORS = (
     "29292e 3880de 29b880 f5db40 a043b8 85d1f5 9ee659 fab3c2 8c572e 006e73 7d851f 00f0f0 751442 ccb8ff fa7a10 e62442"
 )
@@ -24,7 +24,7 @@ LABEL_COLORS: tuple[Rgb, ...] = tuple(  # of value & 15: 0 is the usual case; 14
 
 
 def label_flip(spec: LayerSpec) -> int:
-    """XORed with the low bits of a label to choose its colour: of sets of bits (no names) the full one is usual."""
+    """XORed with the low bits of a label to choose its color: of sets of bits (no names) the full one is usual."""
     return 0 if spec.labels else 15
 
 
@@ -34,7 +34,7 @@ def color_table(name: str) -> np.ndarray:
     "turbo": A. Mikhailov's, "viridis": S. van der Walt's and N. Smith's, both as polynomials.
     """
     t = np.linspace(0, 1, 256)[:, None]
-    if name == "grey":
+    if name == "gray":
         rgb = np.repeat(t, 3, 1)
     elif name == "heat":
         rgb = 3 * t - (0, 1, 2)
@@ -58,8 +58,8 @@ _POLYNOMIALS = {  # of R, G and B; coefficients, constant first
 
 
 def wheel_color(direction: float, length: float) -> Rgb:
-    """Display colour of a motion: `direction` in turns from x (right) towards y (down), `length` in motion scales."""
+    """Display color of a motion: `direction` in turns from x (right) towards y (down), `length` in motion scales."""
     hue = [min(max(abs((direction * 6 + shift) % 6 - 3) - 1, 0), 1) for shift in (0, 4, 2)]
     share = math.sqrt(min(max(length, 0), 1))
-    red, green, blue = (WHEEL_CENTRE + (value - WHEEL_CENTRE) * share for value in hue)
+    red, green, blue = (WHEEL_CENTER + (value - WHEEL_CENTER) * share for value in hue)
     return red, green, blue

@@ -15,7 +15,7 @@ from gffe_cl.viewer.picture.current_frame import Contents
 from gffe_cl.viewer.picture.view import View
 
 NAME = OVERLAY = "disocclusions"
-KINDS = ("out of screen", "hidden")  # in this order: the labels, and the colours of regions of errors
+KINDS = ("out of screen", "hidden")  # in this order: the labels, and the colors of regions of errors
 NONE = 255
 _NEEDED = frozenset({names.DEPTH, names.DISOCCLUDED})
 _REMEMBERED = 60  # generated frames: a second of most flights

@@ -1,6 +1,6 @@
 #version 330 core
 /* All that the canvas shows, chosen by uniforms. y goes down: row 0 of a layer is the top of the picture, and so is the
-   first row of what is drawn. Layers are addressed by uv, fractions of the display. Colours are display values unless
+   first row of what is drawn. Layers are addressed by uv, fractions of the display. Colors are display values unless
    called linear.
 
    What the canvas shows is chosen by macros, because llvmpipe runs both sides of every branch. Of each layer: VIEW
@@ -41,8 +41,8 @@ struct Layer {
     vec4 area, own;       /* see FrameInfo.area, FrameInfo.own_place */
     vec2 texel;           /* screen pixels per texel */
     float level;          /* of mipmaps */
-    bool weighted;        /* colour is a sum, its weight the fourth channel */
-    float gain;           /* of linear colour */
+    bool weighted;        /* color is a sum, its weight the fourth channel */
+    float gain;           /* of linear color */
     int color_map;
     vec2 range;
     bool inverse;
@@ -55,10 +55,10 @@ uniform Layer layer[2];
 uniform sampler2DArray texels_a, texels_b, rendered_depth, rendered_motion, rendered_color, regions;
 uniform sampler2D color_maps;   /* a row each */
 uniform vec3 label_colors[16], sky, mask_off;
-uniform float wheel_centre;
+uniform float wheel_center;
 
 uniform vec2 corner, size;      /* of what is drawn, in the framebuffer */
-uniform vec2 centre, display_size;
+uniform vec2 center, display_size;
 uniform float zoom;
 uniform vec3 background;
 uniform float grid_contrast;
@@ -77,7 +77,7 @@ uniform int region;             /* that is seen alone; -1: all are, tinted */
 
 out vec4 pixel;
 
-/* isnan and isinf may be optimised away. */
+/* isnan and isinf may be optimized away. */
 bool is_nan(const float v) { return (floatBitsToUint(v) & 0x7fffffffu) > 0x7f800000u; }
 bool is_bad(const float v) { return (floatBitsToUint(v) & 0x7fffffffu) >= 0x7f800000u; }
 bool is_bad(const vec3 v) { return is_bad(v.x) || is_bad(v.y) || is_bad(v.z); }
@@ -148,7 +148,7 @@ vec3 hue_of(const vec2 v) {
 float share_of(const vec2 v, const float scale) { return sqrt(min(length(v) / scale, 1.0)); }
 
 vec3 wheel(const vec2 v, const float scale) {
-    return mix(vec3(wheel_centre), hue_of(v * sign(scale)), share_of(v, abs(scale)));
+    return mix(vec3(wheel_center), hue_of(v * sign(scale)), share_of(v, abs(scale)));
 }
 
 float ramp_position(const int view, const Layer l, const float v) {
@@ -169,8 +169,8 @@ vec4 vector_of(const int i, const vec2 layer_uv, const vec4 v) {
     if (view_of(i) == MOTION) return vec4(v.xy, 0.0, 1.0);
     if (view_of(i) == PLACE) {
         bool there = l.components > 2 ? v.z > 0.0 : v.xy != vec2(0.0);
-        vec2 texel_centre = (floor(layer_uv * size_of(i)) + 0.5) / size_of(i);
-        return vec4(v.xy - (texel_centre * l.own.xy + l.own.zw), 0.0, there ? 1.0 : 0.0);
+        vec2 texel_center = (floor(layer_uv * size_of(i)) + 0.5) / size_of(i);
+        return vec4(v.xy - (texel_center * l.own.xy + l.own.zw), 0.0, there ? 1.0 : 0.0);
     }
     if (view_of(i) == WORLD) {
         ivec2 texels = textureSize(rendered_depth, 0).xy, at = texel_at(layer_uv, texels);
@@ -216,7 +216,7 @@ vec3 show_difference(const vec2 uv) {
     return abs(show(0, uv) - show(1, uv)) * difference_gain;
 }
 
-/* Error between both layers: of display values where they are colour or differ in kind, of the values elsewhere. */
+/* Error between both layers: of display values where they are color or differ in kind, of the values elsewhere. */
 vec3 show_error(const vec2 uv) {
     if (!covers(0, uv) || !covers(1, uv)) return background;
     vec4 a = load(0, uv_of(0, uv)), b = load(1, uv_of(1, uv));
@@ -246,7 +246,7 @@ float brightness(const ivec2 p) {
     return dot(srgb(rendered_gain * texelFetch(rendered_color, ivec3(p, 0), 0).rgb), vec3(0.2126, 0.7152, 0.0722));
 }
 
-/* How much of an edge of (depth, motion, colour) there is between a pixel and both its neighbours along `step`. */
+/* How much of an edge of (depth, motion, color) there is between a pixel and both its neighbors along `step`. */
 vec3 edges_along(const vec2 uv, const ivec2 step) {
     vec3 found = vec3(0.0);
     ivec2 texels = textureSize(rendered_depth, 0).xy, p = texel_at(uv, texels), q = p - step, r = p + step;
@@ -307,7 +307,7 @@ vec3 with_grid(const vec3 c, const vec2 uv) {
 
 void main() {
     vec2 frag = gl_FragCoord.xy - corner;
-    vec2 uv = (centre + (frag - 0.5 * size) / zoom) / display_size;
+    vec2 uv = (center + (frag - 0.5 * size) / zoom) / display_size;
     vec3 c = background;
     if (inside(uv)) {
         if (COMPARE == DIFFERENCE) c = show_difference(uv);

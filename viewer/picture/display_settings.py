@@ -60,7 +60,7 @@ class Looks:
         self.change(name, exposure=self.of(name).exposure + stops)
 
     def fit(self, name: str) -> None:
-        """Range from the picture; of a colour its exposure."""
+        """Range from the picture; of a color its exposure."""
         spec = self._contents.spec(name)
         if spec is None:
             return

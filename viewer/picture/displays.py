@@ -1,4 +1,4 @@
-"""How layers are displayed: settings, ranges, colours, legends and texts."""
+"""How layers are displayed: settings, ranges, colors, legends and texts."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ class Display:
     exposure : stops on top of the sequence's exposure
     tone_map : one of TONE_MAPS; "linear" only clips
     channel : one of `LayerSpec.channels`; anything else counts as the first
-    low, high : range of the colour map, in the layer's units (world units for depth, `inverse` or not)
+    low, high : range of the color map, in the layer's units (world units for depth, `inverse` or not)
     color_map : one of COLOR_MAPS
-    inverse : spread the colour map evenly over 1/z
-    motion_scale : length in pixels that has full colour
+    inverse : spread the color map evenly over 1/z
+    motion_scale : length in pixels that has full color
     reverse : show motion the other way round
     plane : which of several planes
-    tint : colour of 1 in a mask
+    tint : color of 1 in a mask
     """
 
     exposure: float = 0.0
@@ -146,7 +146,7 @@ def default_display(spec: LayerSpec) -> Display:
     if spec.view == "depth":
         display = replace(display, color_map="turbo", low=1.0, high=100.0)
     if spec.grid.startswith("network"):
-        display = replace(display, color_map="grey")
+        display = replace(display, color_map="gray")
     if spec.limits:
         display = replace(display, low=spec.limits[0], high=spec.limits[1])
     return display
@@ -167,7 +167,7 @@ def shown_as(spec: LayerSpec, display: Display) -> tuple[str, int]:
 
 def fitted(spec: LayerSpec, image, display: Display, frame: FrameInfo | None = None, depth=None) -> Display:
     """`display` with the range that suits `image`: `low`, `high` hold 98% of the finite values (depths > 0), or zero
-    and all of a scalar that has only a few; `motion_scale` 99% of the lengths. Colour, masks, labels stay as they are.
+    and all of a scalar that has only a few; `motion_scale` 99% of the lengths. Color, masks, labels stay as they are.
 
     `image`: (planes?, H, W, channels?). A "place" needs `frame` where its sizes differ; a "world" needs `depth` (H, W)
     of the rendered frame and `frame.source`, or it stays as it is.

@@ -1,4 +1,4 @@
-"""Legends drawn under saved pictures: what the colours mean, whoever sees the file later."""
+"""Legends drawn under saved pictures: what the colors mean, whoever sees the file later."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _LARGEST = 4.0
 
 @dataclass(frozen=True)
 class Entry:
-    """One legend: its `title`, and of a ramp the name of its colour map."""
+    """One legend: its `title`, and of a ramp the name of its color map."""
 
     title: str
     legend: Legend

@@ -1,4 +1,4 @@
-"""What the colours of a layer mean, and its values in words."""
+"""What the colors of a layer mean, and its values in words."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Legend:
     """What a legend shows.
 
     `kind` is "none", "ramp" (`ticks` from 0, low, to 1, high, along `color_table(display.color_map)`) or "wheel"
-    (`ticks` in turns, see `wheel_color`); each tick is (position, text, colour). `labels` are (text, colour) of single
+    (`ticks` in turns, see `wheel_color`); each tick is (position, text, color). `labels` are (text, color) of single
     values, "ramp" or not. `unit` says what the numbers are.
     """
 
@@ -44,7 +44,7 @@ def legend(spec: LayerSpec, display: Display) -> Legend:
         )
     if view in ("motion", "place"):
         wheel = ((turn / 8, text, wheel_color(turn / 8, 1)) for turn, text in enumerate(_DIRECTIONS))
-        return Legend("wheel", tuple(wheel), unit=f"full colour from {display.motion_scale:.3g} px")
+        return Legend("wheel", tuple(wheel), unit=f"full color from {display.motion_scale:.3g} px")
     colors, marks = color_table(display.color_map), []
     for position in (0.0, 0.25, 0.5, 0.75, 1.0):
         value = display.low + (display.high - display.low) * position

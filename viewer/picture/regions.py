@@ -32,7 +32,7 @@ class RegionMap:
 
 
 def region_map(result: Result, b: np.ndarray | None, exposure: float) -> RegionMap:
-    """Of a generated slot of A with the layers `figures.NEEDED`, and B's final colours (H, W, 4) of the same slot."""
+    """Of a generated slot of A with the layers `figures.NEEDED`, and B's final colors (H, W, 4) of the same slot."""
     labels = region_labels(result, exposure)
     true = to_display(result.images[names.TRUTH][..., :3], exposure)
 
@@ -76,7 +76,7 @@ class Regions:
         return list(REGIONS)[self._view.region] if self.on and self._view.region >= 0 else None
 
     def see_only(self, name: str | None) -> None:
-        """One region alone, None: all of them, each in its colour; again: all of them."""
+        """One region alone, None: all of them, each in its color; again: all of them."""
         again = name is not None and name == self.only
         self.switch(True)
         self._view.region = -1 if name is None or again else list(REGIONS).index(name)

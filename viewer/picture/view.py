@@ -24,8 +24,8 @@ class View:
     compare : "off" and "flip" show a; "split" a left of `split` (fraction of the canvas' width) and b right of it;
         "difference" |a − b| of display values times `gain`; "error" an error map, `error` of ERRORS up to `error_high`
     zoom : screen pixels per display pixel
-    centre : display pixel (x, y) in the middle of the canvas
-    overlay : one of OVERLAYS, over whatever is compared; residual motion has full colour at `residual_scale` pixels;
+    center : display pixel (x, y) in the middle of the canvas
+    overlay : one of OVERLAYS, over whatever is compared; residual motion has full color at `residual_scale` pixels;
         of regions (the layer of that name) only number `region` is bright, −1: each has a tint
     grid : lines between pixels when zoomed in
     line : width of the wipe's line, screen pixels
@@ -38,7 +38,7 @@ class View:
     compare: str = "off"
     split: float = 0.5
     zoom: float = 1.0
-    centre: tuple[float, float] = (0.0, 0.0)
+    center: tuple[float, float] = (0.0, 0.0)
     overlay: str = "none"
     background: Rgb = (0.11, 0.11, 0.12)
     gain: float = 4.0
@@ -51,15 +51,15 @@ class View:
 
     def display_at(self, size: Size, x: float, y: float) -> tuple[float, float]:
         """Display pixel under the screen position (x, y) of a canvas of `size`."""
-        right, down = (c + (p - s / 2) / self.zoom for c, p, s in zip(self.centre, (x, y), size, strict=True))
+        right, down = (c + (p - s / 2) / self.zoom for c, p, s in zip(self.center, (x, y), size, strict=True))
         return right, down
 
     def screen_at(self, size: Size, x: float, y: float) -> tuple[float, float]:
         """Screen position of the display pixel position (x, y) on a canvas of `size`."""
-        right, down = (s / 2 + (p - c) * self.zoom for c, p, s in zip(self.centre, (x, y), size, strict=True))
+        right, down = (s / 2 + (p - c) * self.zoom for c, p, s in zip(self.center, (x, y), size, strict=True))
         return right, down
 
     def fit(self, size: Size, display_size: Size) -> None:
-        """Zoom and centre so that the whole display fits a canvas of `size`."""
+        """Zoom and center so that the whole display fits a canvas of `size`."""
         self.zoom = max(min(s / d for s, d in zip(size, display_size, strict=True)), 1e-6)
-        self.centre = (display_size[0] / 2, display_size[1] / 2)
+        self.center = (display_size[0] / 2, display_size[1] / 2)

@@ -40,7 +40,7 @@ def frame_text(moment: Moment) -> str:
 
 
 REST: Rgb = (0.35, 0.35, 0.35)  # of the region that has no tint
-_EDGES = (("depth", (1.0, 0.0, 0.0)), ("motion", (0.0, 1.0, 0.0)), ("colour", (0.0, 0.0, 1.0)))
+_EDGES = (("depth", (1.0, 0.0, 0.0)), ("motion", (0.0, 1.0, 0.0)), ("color", (0.0, 0.0, 1.0)))
 _MOTION = LayerSpec("residual motion", "Residual motion", "overlay", "motion", ("x", "y"))
 
 
@@ -56,7 +56,7 @@ def disocclusion_colors() -> tuple[tuple[str, Rgb], ...]:
 
 
 def entries_of(view: View, contents: Contents, looks: Looks, comparison: Comparison) -> list[Entry]:
-    """Legends of what is shown; none for colours alone."""
+    """Legends of what is shown; none for colors alone."""
     if comparison.flipped:
         return [*_layer(view.b, contents, looks, "B  "), *_overlay(view)]
     if view.compare in ("error", "flip error"):

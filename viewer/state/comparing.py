@@ -73,7 +73,7 @@ class Comparison:
         view = self._view
         specs = [self._contents.spec(name) for name in (view.a, view.b or self._usual_b())]
         if any(spec is not None and spec.view != "color" for spec in specs):
-            return "FLIP compares colours: choose two of them as A and B"
+            return "FLIP compares colors: choose two of them as A and B"
         return None
 
     @property
@@ -148,7 +148,7 @@ class Comparison:
 
     @property
     def brightest(self) -> float:
-        """The error that is shown in the brightest colour; maps of FLIP have their own."""
+        """The error that is shown in the brightest color; maps of FLIP have their own."""
         return self.flip_high if self._view.compare == "flip error" else self._view.error_high
 
     @brightest.setter
@@ -159,7 +159,7 @@ class Comparison:
             self._view.error_high = error
 
     def scale_text(self) -> str:
-        """What the colours of a difference or an error mean; empty where layers are shown as they are."""
+        """What the colors of a difference or an error mean; empty where layers are shown as they are."""
         view = self._view
         if self.flipped or view.compare not in ("difference", "error", "flip error"):
             return ""

@@ -76,7 +76,7 @@ class _Place:
     layer: str
     pixel: tuple[int, int] | None
     zoom: float
-    centre: tuple[float, float]
+    center: tuple[float, float]
 
 
 class Walk:
@@ -124,8 +124,8 @@ class Walk:
         """Tell its story; where only a part of the picture is seen, have it in the middle."""
         self._pointing.pick(pixel)
         view, size = self._view, self._contents.size
-        if view.centre != (size[0] / 2, size[1] / 2):
-            view.centre = (pixel[0] + 0.5, pixel[1] + 0.5)
+        if view.center != (size[0] / 2, size[1] / 2):
+            view.center = (pixel[0] + 0.5, pixel[1] + 0.5)
 
     @property
     def can_go_back(self) -> bool:
@@ -134,12 +134,12 @@ class Walk:
     def back(self) -> None:
         """To where the last link was followed."""
         place = self._left.pop()
-        self._view.a, self._view.zoom, self._view.centre = place.layer, place.zoom, place.centre
+        self._view.a, self._view.zoom, self._view.center = place.layer, place.zoom, place.center
         if self._playback.slot != place.slot:
             self._playback.seek(place.slot)
         self._pointing.pick(place.pixel)
 
     def _leave(self) -> None:
         view = self._view
-        place = _Place(self._playback.slot, view.a, self._pointing.picked, view.zoom, view.centre)
+        place = _Place(self._playback.slot, view.a, self._pointing.picked, view.zoom, view.center)
         self._left = [*self._left[1 - _MOST :], place]

@@ -48,7 +48,7 @@ class Subject:
     def picture(self, canvas) -> np.ndarray:
         """(H, W, 4) uint8 of the view, unzoomed."""
         width, height = self.contents.size
-        view = replace(self.shown(), zoom=1.0, centre=(width / 2, height / 2), grid=False)
+        view = replace(self.shown(), zoom=1.0, center=(width / 2, height / 2), grid=False)
         return read(canvas.draw(view, (width, height), "export"))
 
 

@@ -37,12 +37,12 @@ class Framing:
         view = self._view
         view.fit(size, display_size)
         view.zoom = max(view.zoom * _FIT, 0.01)
-        self.due, self._fitted = False, (view.zoom, view.centre)
+        self.due, self._fitted = False, (view.zoom, view.center)
 
     @property
     def is_fitted(self) -> bool:
         """Whether nobody has zoomed or panned since `fit`."""
-        return self._fitted == (self._view.zoom, self._view.centre)
+        return self._fitted == (self._view.zoom, self._view.center)
 
     def zoom(self, factor: float) -> None:
         self._view.zoom = min(max(self._view.zoom * factor, _LEAST), _MOST)

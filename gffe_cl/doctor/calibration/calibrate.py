@@ -87,7 +87,7 @@ def calibrate_sequence(
     output: Path,
     *,
     view: float | None = None,
-    centre: tuple[float | None, float | None] = (None, None),
+    center: tuple[float | None, float | None] = (None, None),
     aspect: float = 1.0,
     on_frame: Callable[[], None] = lambda: None,
 ) -> Calibration:
@@ -100,7 +100,7 @@ def calibrate_sequence(
     ----------
     view : float or None
         Degrees across the rendered image; None: from the motion.
-    centre : (float or None, float or None)
+    center : (float or None, float or None)
         cx and cy of rendered frames, pixels; None: the middle.
     aspect : float
         fx / fy.
@@ -111,7 +111,7 @@ def calibrate_sequence(
     """
     refuse_same_folder(output, sequence.path)
     width, height = _size_of(sequence)
-    middle = np.array([width / 2 if centre[0] is None else centre[0], height / 2 if centre[1] is None else centre[1]])
+    middle = np.array([width / 2 if center[0] is None else center[0], height / 2 if center[1] is None else center[1]])
     seen = _read(sequence, on_frame)
     pairs = [seen[entry.file] for entry in sequence.rendered[1:] if _is_usable(entry, seen)]
     if not pairs:
@@ -234,4 +234,4 @@ def _write(sequence: Sequence, output: Path, found: dict[str, _Found], lens: Len
 
 
 def _camera(world_to_view: np.ndarray, lens: Lens) -> Camera:
-    return Camera(world_to_view, *lens.focals.tolist(), *lens.centre.tolist())
+    return Camera(world_to_view, *lens.focals.tolist(), *lens.center.tolist())

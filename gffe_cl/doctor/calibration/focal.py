@@ -32,9 +32,9 @@ _SAMPLES = 1000  # of a pair, for the refinement
 _SAME = 0.02  # relative: a change of the lens that changes nothing about what is static
 
 
-def lens_of_view(degrees: float, size: tuple[int, int], centre: np.ndarray, aspect: float) -> Lens:
+def lens_of_view(degrees: float, size: tuple[int, int], center: np.ndarray, aspect: float) -> Lens:
     """A lens that shows so many degrees across an image of `size` (width, height)."""
-    return Lens(size[0] / (2 * np.tan(np.radians(degrees) / 2)) / aspect, centre, aspect)
+    return Lens(size[0] / (2 * np.tan(np.radians(degrees) / 2)) / aspect, center, aspect)
 
 
 def view_of_lens(lens: Lens, size: tuple[int, int]) -> float:
@@ -43,17 +43,17 @@ def view_of_lens(lens: Lens, size: tuple[int, int]) -> float:
 
 
 def find_focal(
-    pairs: Sequence[Correspondences], size: tuple[int, int], centre: np.ndarray, aspect: float
+    pairs: Sequence[Correspondences], size: tuple[int, int], center: np.ndarray, aspect: float
 ) -> tuple[Lens, float]:
     """The lens that explains all pairs best, each with a movement of its own; and the standard deviation of its focal
     length, relative to it, as far as noise goes: infinite where it could be any."""
     rng = np.random.default_rng(0)
     evenly = np.unique(np.linspace(0, len(pairs) - 1, _SPREAD).astype(int))
     chosen = [pairs[k].some(_SAMPLES, rng) for k in evenly]
-    first = lens_of_view(FIRST_VIEW, size, centre, aspect)
+    first = lens_of_view(FIRST_VIEW, size, center, aspect)
     turned = [fit(seen, first).degrees for seen in chosen]
     most = [chosen[k].some(_SEARCH_SAMPLES, rng) for k in np.argsort(turned)[::-1][:_SEARCHED]]
-    lenses = [lens_of_view(view, size, centre, aspect) for view in _VIEWS]
+    lenses = [lens_of_view(view, size, center, aspect) for view in _VIEWS]
     lens = min(lenses, key=lambda lens: sum(float(cost(seen, lens, fit(seen, lens))) for seen in most))
     for _ in range(3):  # what moves by itself may be told only with a lens that is nearly right
         before = lens

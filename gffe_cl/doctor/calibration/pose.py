@@ -21,10 +21,10 @@ _MOST_SIGMA = 6.0  # residuals beyond have no weight
 
 @dataclass(frozen=True)
 class Lens:
-    """A pinhole with its principal point: `focal` in pixels along y, `aspect` times that along x; `centre` (2,)."""
+    """A pinhole with its principal point: `focal` in pixels along y, `aspect` times that along x; `center` (2,)."""
 
     focal: float
-    centre: np.ndarray
+    center: np.ndarray
     aspect: float = 1.0
 
     @property
@@ -34,7 +34,7 @@ class Lens:
 
     def rays(self, px: np.ndarray, depth: np.ndarray) -> np.ndarray:
         """(…, 3) view space positions of pixels (…, 2) at view depth (…)."""
-        flat = (px - self.centre) / self.focals * depth[..., None]
+        flat = (px - self.center) / self.focals * depth[..., None]
         return np.concatenate([flat, depth[..., None]], -1)
 
 
@@ -80,7 +80,7 @@ def residuals(seen: Correspondences, lens: Lens, movement: Movement) -> np.ndarr
 
 def _off(at: np.ndarray, seen: Correspondences, lens: Lens) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):
-        off = at[..., :2] * (1 / at[..., 2:]) * lens.focals + (lens.centre - seen.px_prev)
+        off = at[..., :2] * (1 / at[..., 2:]) * lens.focals + (lens.center - seen.px_prev)
     off[at[..., 2] <= 0] = np.inf
     return off
 

@@ -25,7 +25,7 @@ class WideField:
         self._turned, self._shift, self._focal, self._ray = (
             np.stack([getattr(reach, name) for reach in reaches]) for name in ("turned", "shift", "focal", "ray")
         )
-        self._centre = reaches[0].centre
+        self._center = reaches[0].center
 
     def scores(self, motion: np.ndarray, scale: tuple[float, float], jitter: bool) -> list[tuple]:
         """(agreement, CameraReading, DepthReading) of all that can be told of `motion` (N, 2) pixels; `scale`: the
@@ -34,7 +34,7 @@ class WideField:
         use = bench.solid & np.isfinite(motion).all(-1)
         if use.sum() < 16:
             return []
-        u = (bench.px + motion - self._centre)[use] / self._focal[:, use]
+        u = (bench.px + motion - self._center)[use] / self._focal[:, use]
         turned, shift, focal = self._turned[:, use], self._shift[:, use], self._focal[:, use]
         a = (u * shift[..., 2:] - shift[..., :2]) * focal
         b = (turned[..., :2] - u * turned[..., 2:]) * focal
@@ -125,12 +125,12 @@ def _with_constants(fit, basis, a, b, frame, rounds: int = 5) -> np.ndarray:
         weight = 1 / (1 + square / np.maximum(np.partition(square, middle, -1)[:, middle, None], 1e-8)) ** 2
         total = np.add.reduceat(weight, starts, axis=1) + 1e-300
 
-        def centred(values, weight=weight, total=total):
+        def centered(values, weight=weight, total=total):
             extra = (slice(None), slice(None), *[None] * (values.ndim - 2))
             means = np.add.reduceat(weight[extra] * values, starts, axis=1) / total[extra]
             return values - np.repeat(means, counts, axis=1)
 
-        x, y = centred(left), centred(b)
+        x, y = centered(left), centered(b)
         weighted = weight[..., None, None] * x
         flat = (len(x), -1, x.shape[-1])
         normal = weighted.reshape(flat).swapaxes(1, 2) @ x.reshape(flat)
@@ -138,7 +138,7 @@ def _with_constants(fit, basis, a, b, frame, rounds: int = 5) -> np.ndarray:
         size = np.sqrt(np.einsum("ckk->ck", normal)) + 1e-150
         normal = normal / (size[:, :, None] * size[:, None]) + 1e-12 * np.eye(normal.shape[-1])
         fit = np.linalg.solve(normal, (right / size)[..., None])[..., 0] / size
-        off = centred(_residual(left, b, fit))
+        off = centered(_residual(left, b, fit))
     return fit
 
 

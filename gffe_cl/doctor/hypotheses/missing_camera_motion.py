@@ -1,4 +1,4 @@
-"""Motion vectors without the camera's part, or zero: cameras and depth are judged by the colours alone then."""
+"""Motion vectors without the camera's part, or zero: cameras and depth are judged by the colors alone then."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gffe_cl.doctor.hypotheses.scoring import mostly_nothing, trimmed
 from gffe_cl.doctor.hypotheses.search import EDIT, FOCALS, Reading, Search, Verdict
 
 _VISIBLE, _SEEN = 0.1, 0.2  # pixels that static points move, and the share of them that must
-_GAIN = 0.012  # of colour scores, that every deviation from what is given must bring
+_GAIN = 0.012  # of color scores, that every deviation from what is given must bring
 _MOVER = 0.05  # of the largest motion vector: longer ones are of movers
 _UNITS = (100.0, 0.01, 1000.0, 0.001)
 _PLANES = np.exp(np.linspace(np.log(0.005), np.log(20), 25))  # near planes tried, world units
@@ -47,7 +47,7 @@ def without_camera(search: Search) -> Verdict | None:
 
 
 def _by_colors(search: Search) -> tuple[CameraReading, DepthReading]:
-    """The camera and the depth with which colours fit best; what is given where nothing is clearly better."""
+    """The camera and the depth with which colors fit best; what is given where nothing is clearly better."""
 
     def cost(pair) -> float:
         camera, depth = pair

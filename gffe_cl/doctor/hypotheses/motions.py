@@ -28,7 +28,7 @@ SENTENCES = {
     "x flipped": "the x of motion vectors is flipped: they count leftwards",
     "x and y swapped": "x and y of motion vectors are swapped",
     "in UV": "motion vectors are in UV (shares of the image), not in pixels",
-    "in NDC": "motion vectors are in normalised device coordinates (−1 … 1), not in pixels",
+    "in NDC": "motion vectors are in normalized device coordinates (−1 … 1), not in pixels",
     "twice too long": "motion vectors are twice too long",
     "half as long as they are": "motion vectors are half as long as the motion is",
     "to the next frame": "motion vectors point to the next frame, not to the previous one",
@@ -64,7 +64,7 @@ class MotionReading:
 
     def stored(self, look: Look) -> np.ndarray | None:
         """(N, 2) as stored, of the samples of `look`; None where there are none."""
-        holder = look.neighbours.get(self.held_by) if self.held_by else look
+        holder = look.neighbors.get(self.held_by) if self.held_by else look
         if holder is None or (self.step == PREVIOUS and look.reset):
             return None
         return holder.motion if self.held_by == 0 or len(holder.px) == len(look.px) else None
@@ -72,7 +72,7 @@ class MotionReading:
     def pixels(self, look: Look) -> np.ndarray | None:
         """(N, 2) pixels, of the samples of `look`; None where there are none, or no frame that they lead to."""
         stored = self.stored(look)
-        if stored is None or self.step not in look.neighbours:
+        if stored is None or self.step not in look.neighbors:
             return None
         return stored @ self.matrix(look.size).T
 

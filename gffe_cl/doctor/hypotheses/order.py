@@ -53,12 +53,12 @@ class Reordered:
 
 
 def examine_order(looks: dict[int, Look], reading: Reading, count: int, step: float) -> Order:
-    """Of `looks` of some of `count` rendered frames, `reading` being right for most. `step`: of quantised vectors."""
+    """Of `looks` of some of `count` rendered frames, `reading` being right for most. `step`: of quantized vectors."""
     if reading.motion.adds_camera:  # such vectors say nothing of the camera
         return Order({}, [], None)
     fits = {}
     for index, look in looks.items():
-        if reading.motion.step in look.neighbours:
+        if reading.motion.step in look.neighbors:
             fits[index] = _share(look, look.camera, look.camera_of(reading.motion.step), reading, step)
     known = [share for share in fits.values() if np.isfinite(share)]
     usual = float(np.median(known)) if known else 0.0

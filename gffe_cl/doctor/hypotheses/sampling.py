@@ -16,7 +16,7 @@ from gffe_cl.sequence.read_ahead import read_ahead
 
 PREVIOUS, NEXT = -1, 1
 BUFFERS = ("color", "depth", "motion")  # whose rows may be stored from the bottom up
-_TEXTURED = 0.02  # least difference of encoded colour between neighbours where colours tell places apart
+_TEXTURED = 0.02  # least difference of encoded color between neighbors where colors tell places apart
 _SMALLEST = 8  # pixels: images that are smaller tell nothing
 _FAR = 1e9  # depths beyond this are nothing, as +inf
 
@@ -39,16 +39,16 @@ class Look:
     index : int
         Which of the rendered frames.
     size : (width, height), pixels
-    px : (N, 2) float64, centres of the sampled pixels
+    px : (N, 2) float64, centers of the sampled pixels
     depth : (N,) float64, as stored
     motion : (N, 2) float64 as stored, or None
     color : (N, 3) float32, encoded by `encoded`
-    contrast : (N,) float32, how far the encoded colour is from that of the pixels around
-    image, deep : (H, W, 3) float, linear colour of the whole frame as stored, and (H, W) its depth; None where they
+    contrast : (N,) float32, how far the encoded color is from that of the pixels around
+    image, deep : (H, W, 3) float, linear color of the whole frame as stored, and (H, W) its depth; None where they
         are not needed
     camera : Camera
     mirrored : dict, `depth`, `motion`, `color` and `contrast` at the same places of images turned upside down
-    neighbours : {PREVIOUS, NEXT → Look}, as far as there are any without a reset in between
+    neighbors : {PREVIOUS, NEXT → Look}, as far as there are any without a reset in between
     """
 
     index: int
@@ -67,7 +67,7 @@ class Look:
     first_bad: dict[str, tuple[int, int]] = field(default_factory=dict)
     exposure: float = 1.0
     mirrored: dict = field(default_factory=dict, repr=False)
-    neighbours: dict[int, Look] = field(default_factory=dict, repr=False)
+    neighbors: dict[int, Look] = field(default_factory=dict, repr=False)
 
     @property
     def solid(self) -> np.ndarray:
@@ -76,15 +76,15 @@ class Look:
 
     @property
     def textured(self) -> np.ndarray:
-        """(N,) bool: the colour tells this place from others nearby."""
+        """(N,) bool: the color tells this place from others nearby."""
         return self.contrast > _TEXTURED
 
     def camera_of(self, step: int) -> Camera:
-        return self.neighbours[step].camera
+        return self.neighbors[step].camera
 
 
 def encoded(color: np.ndarray, exposure: float) -> np.ndarray:
-    """Linear colour as it differs to the eye: (…, 3) float32, logarithmic above mid-grey."""
+    """Linear color as it differs to the eye: (…, 3) float32, logarithmic above mid-gray."""
     values = np.nan_to_num(np.asarray(color, np.float32) * np.float32(exposure), posinf=0.0, neginf=0.0)
     return np.log1p(16 * np.maximum(values, 0)) / np.float32(np.log(17))
 
@@ -107,7 +107,7 @@ def _linked(looks: dict[int, Look]) -> dict[int, Look]:
     for index, one in looks.items():
         before = looks.get(index - 1)
         if before and not one.reset and before.size == one.size and min(one.size) >= _SMALLEST:
-            one.neighbours[PREVIOUS], before.neighbours[NEXT] = before, one
+            one.neighbors[PREVIOUS], before.neighbors[NEXT] = before, one
     return looks
 
 
@@ -123,7 +123,7 @@ def with_rows(looks: dict[int, Look], rows: tuple[str, ...]) -> dict[int, Look]:
     return _linked({
         index: replace(
             look,
-            neighbours={},
+            neighbors={},
             image=_turned(look.image) if "color" in rows else look.image,
             deep=_turned(look.deep) if "depth" in rows else look.deep,
             **{name: look.mirrored[name] for name in fields},
@@ -134,7 +134,7 @@ def with_rows(looks: dict[int, Look], rows: tuple[str, ...]) -> dict[int, Look]:
 
 def _upside_down(look: Look) -> Look:
     px = look.px * (1, -1) + (0, look.size[1])
-    return replace(look, neighbours={}, px=px, image=_turned(look.image), deep=_turned(look.deep))
+    return replace(look, neighbors={}, px=px, image=_turned(look.image), deep=_turned(look.deep))
 
 
 def _turned(image: np.ndarray | None) -> np.ndarray | None:
@@ -203,7 +203,7 @@ def _bad_pixels(frame: RenderedFrame) -> tuple[BadPixels, dict[str, tuple[int, i
 
 
 def sampled(look: Look, px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Encoded colour (…, 3) of a look's image at pixel positions (…, 2), bilinear, and whether each is inside."""
+    """Encoded color (…, 3) of a look's image at pixel positions (…, 2), bilinear, and whether each is inside."""
     image = look.image
     assert image is not None  # kept of the looks that are asked for
     height, width = image.shape[:2]

@@ -1,4 +1,4 @@
-"""Two witnesses and what they say of each other: motion vectors, cameras with depth, and the colours that judge both.
+"""Two witnesses and what they say of each other: motion vectors, cameras with depth, and the colors that judge both.
 
 Samples of several frames lie one after the other: `Bench`. Nothing here knows what is right.
 """
@@ -17,7 +17,7 @@ from gffe_cl.doctor.hypotheses.sampling import NEXT, PREVIOUS, Look, sampled
 
 _STILL = 0.05  # of the motion of most: samples below that say nothing about motion vectors
 _NOTHING = 2e-3  # of the largest motion vector: shorter ones are none
-_CHANCE = 0.2  # colour score where nothing is known
+_CHANCE = 0.2  # color score where nothing is known
 
 
 @dataclass
@@ -25,26 +25,26 @@ class Reach:
     """Samples as they are seen from the frame that motion leads to, after the camera's rotation and its translation.
 
     `turned` (N, 3): rays after the rotation; `shift` (N, 3): translation in view space of the other frame; `focal`,
-    `centre` (N, 2): of its camera, pixels; `ray` (N, 3): before the rotation.
+    `center` (N, 2): of its camera, pixels; `ray` (N, 3): before the rotation.
     """
 
     ray: np.ndarray
     turned: np.ndarray
     shift: np.ndarray
     focal: np.ndarray
-    centre: np.ndarray
+    center: np.ndarray
 
     def pixels(self, w: np.ndarray) -> np.ndarray:
         """(N, 2) pixel positions of static points at 1 / depth `w` (N,); NaN behind the camera."""
         v = self.turned + w[:, None] * self.shift
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            at = v[:, :2] / v[:, 2:] * self.focal + self.centre
+            at = v[:, :2] / v[:, 2:] * self.focal + self.center
         at[~(v[:, 2] > 1e-6)] = np.nan
         return at
 
     def equations(self, px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """a, b (N, 2) with a · w = b for points that are seen at `px`: their differences are in pixels at depth 1."""
-        u = (px - self.centre) / self.focal
+        u = (px - self.center) / self.focal
         a = u * self.shift[:, 2:] - self.shift[:, :2]
         b = self.turned[:, :2] - u * self.turned[:, 2:]
         return a * self.focal, b * self.focal
@@ -69,7 +69,7 @@ class Bench:
     @cached_property
     def has(self) -> dict[int, np.ndarray]:
         """{step → (N,) bool: there is a frame in that direction}"""
-        return {s: np.repeat([s in look.neighbours for look in self.looks], self._counts) for s in (PREVIOUS, NEXT)}
+        return {s: np.repeat([s in look.neighbors for look in self.looks], self._counts) for s in (PREVIOUS, NEXT)}
 
     def motion(self, reading: MotionReading) -> np.ndarray:
         """(N, 2) pixels; NaN where there is none."""
@@ -90,7 +90,7 @@ class Bench:
         for look in self.looks:
             px = look.px[:: self._thin]
             here = reading.read(look.camera)
-            there = reading.read(look.camera_of(step)) if step in look.neighbours else here
+            there = reading.read(look.camera_of(step)) if step in look.neighbors else here
             m, ray = here.to_view_of(there), rays(here, px)
             values = (ray, ray @ m[:3, :3].T, m[:3, 3], (there.fx, there.fy), (there.cx, there.cy))
             for part, value in zip(parts, values, strict=True):
@@ -110,10 +110,10 @@ class Bench:
         return np.where(count >= 8, total / np.maximum(count, 1), np.nan)
 
     def color_scores(self, motion: np.ndarray, step: int) -> np.ndarray:
-        """(…, N) how well the colour is met where `motion` (…, N, 2) leads: 1 exactly; NaN where that says nothing."""
+        """(…, N) how well the color is met where `motion` (…, N, 2) leads: 1 exactly; NaN where that says nothing."""
         score = np.full(motion.shape[:-1], np.nan)
         for k, look in enumerate(self.looks):
-            other = look.neighbours.get(step)
+            other = look.neighbors.get(step)
             use = (self.frame == k) & self.textured
             if other is None or other.image is None or not use.any():
                 continue
@@ -136,19 +136,19 @@ def trimmed(by_frame: np.ndarray) -> float:
 
 
 def frame_offsets(bench: Bench, off: np.ndarray, use: np.ndarray) -> np.ndarray:
-    """(looks, 2) what most of `off` (N, 2) in each frame have in common: the centre of where they are dense."""
+    """(looks, 2) what most of `off` (N, 2) in each frame have in common: the center of where they are dense."""
     found = np.zeros((len(bench.looks), 2))
     for k in range(len(found)):
         values = off[use & (bench.frame == k)]
         values = values[np.isfinite(values).all(-1)]
         if len(values) < 8:
             continue
-        centre = np.median(values, 0)
+        center = np.median(values, 0)
         for _ in range(8):
-            apart = ((values - centre) ** 2).sum(-1)
+            apart = ((values - center) ** 2).sum(-1)
             weight = 1 / (1 + apart / max(float(np.quantile(apart, 0.4)), 1e-8)) ** 2
-            centre = weight @ values / weight.sum()
-        found[k] = centre
+            center = weight @ values / weight.sum()
+        found[k] = center
     return found
 
 

@@ -1,4 +1,4 @@
-"""The search for a set of hypotheses with which motion, depth, cameras and colours fit each other."""
+"""The search for a set of hypotheses with which motion, depth, cameras and colors fit each other."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gffe_cl.doctor.hypotheses.scoring import Bench, frame_offsets, log_score, m
 EDIT = 0.02  # what every part of a hypothesis costs, in units of the scores
 _REFINING, _PER_FRAME = 600, 120  # samples per frame, while parameters are refined and while the field is wide
 _MOTIONS, _MOST_MOTIONS, _JOINT, _REFINED = 7, 80, 8, 2
-_MOTION_MARGIN = 0.12  # motion readings whose colours fit so much worse than the best one's are not looked at
+_MOTION_MARGIN = 0.12  # motion readings whose colors fit so much worse than the best one's are not looked at
 GOOD = 0.8  # an agreement that leaves nothing to explain
 FOCALS = (0.6, 0.75, 0.87, 0.94, 1.0, 1.06, 1.15, 1.33, 1.67)
 _FIRST_STEP, _LAST_STEP = 0.06, 2e-4  # of the logarithm of focal lengths
@@ -57,7 +57,7 @@ class Reading:
 class Verdict:
     """What speaks for a reading: each score is from 0 to 1.
 
-    `agreement`: motion vectors with cameras and depth; `motion_color`, `camera_color`: each of them with the colours;
+    `agreement`: motion vectors with cameras and depth; `motion_color`, `camera_color`: each of them with the colors;
     `edges`: colors with depth, from −1 to 1 (`edge_agreement`).
     """
 
@@ -78,7 +78,7 @@ class Verdict:
 
 
 class Search:
-    """Over the looks of one clip, in which the buffers `rows` have been turned upside down. `step`: of quantised motion
+    """Over the looks of one clip, in which the buffers `rows` have been turned upside down. `step`: of quantized motion
     vectors, pixels, or 0; `edges`: how colors agree with depth at silhouettes."""
 
     def __init__(self, looks: list[Look], step: float = 0.0, rows: tuple[str, ...] = (), edges: float = 0.0):
@@ -124,7 +124,7 @@ class Search:
         return motion, static
 
     def motion_color(self, reading: MotionReading) -> float:
-        """How well colours are met along motion vectors, where there is motion."""
+        """How well colors are met along motion vectors, where there is motion."""
         if reading not in self._color:
             self._color[reading] = self._along(self.full.motion(reading), reading.step)
         return self._color[reading]
@@ -134,12 +134,12 @@ class Search:
         return trimmed(self.full.by_frame(score, np.isfinite(score) & moving(motion)))
 
     def static_color(self, static: np.ndarray, step: int) -> float:
-        """How well the colours of surfaces are met along `static` (N, 2) pixels."""
+        """How well the colors of surfaces are met along `static` (N, 2) pixels."""
         score = self.full.color_scores(np.nan_to_num(static, nan=1e9), step)
         return trimmed(self.full.by_frame(score, np.isfinite(score) & self.full.solid))
 
     def camera_color(self, camera: CameraReading, depth: DepthReading) -> float:
-        """How well colours are met where depth and cameras say that static surfaces were."""
+        """How well colors are met where depth and cameras say that static surfaces were."""
         key = camera, depth
         if key not in self._color:
             self._color[key] = self.static_color(self.full.static(camera, depth), PREVIOUS)
@@ -209,7 +209,7 @@ class Search:
         return mostly_nothing(length[self.full.solid & np.isfinite(length)])
 
     def _near_motions(self) -> list[MotionReading]:
-        """Those along which the colours fit about as well as along the best, and the usual one first."""
+        """Those along which the colors fit about as well as along the best, and the usual one first."""
         scores = self._motion_colors(motion_readings())
         cost = {reading: EDIT * len(reading.parts) - score for reading, score in scores.items()}
         ranked = sorted(cost, key=cost.__getitem__)

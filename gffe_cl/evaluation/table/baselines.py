@@ -14,7 +14,7 @@ from gffe_cl.core.errors import GffeError
 from gffe_cl.evaluation.metrics import to_display
 from gffe_cl.evaluation.table.datasets import Moment, Shot
 from gffe_cl.evaluation.table.flicker import LUMA
-from gffe_cl.evaluation.table.image_space import filled, pixel_centres, sample, sample_sharp, splat, taps
+from gffe_cl.evaluation.table.image_space import filled, pixel_centers, sample, sample_sharp, splat, taps
 from gffe_cl.evaluation.table.regions import same_surface
 
 _SAME_AS_BEFORE = 0.1  # of the depth, between two frames of a moving camera
@@ -35,7 +35,7 @@ class Repeat:
 
 class MotionVectors:
     """Motion vectors are carried on in image space, in the manner of Mob-FGSR (Yang et al., SIGGRAPH 2024): splat to
-    t + α with the depth test, holes take the nearest vector, and the colour of t is looked up backward.
+    t + α with the depth test, holes take the nearest vector, and the color of t is looked up backward.
 
     `order` 1: at constant speed; 2: with the change of the vectors since the frame before, found where they point to.
     """
@@ -49,14 +49,14 @@ class MotionVectors:
         speed = np.zeros((*frame.depth.shape, 2), np.float32) if frame.motion is None else -frame.motion
         self._speed, self._change = speed, np.zeros_like(speed)
         if self._order == 2 and self._before is not None and not frame.reset:
-            place = pixel_centres(*frame.depth.shape) - speed
+            place = pixel_centers(*frame.depth.shape) - speed
             self._change = speed - sample(self._before, place)[0]
         self._before = np.nan_to_num(speed)
 
     def make(self, moment: Moment) -> np.ndarray:
         alpha = np.float32(moment.alpha)
         moved = alpha * self._speed + alpha * (alpha + 1) / 2 * self._change
-        here = pixel_centres(*self._depth.shape)
+        here = pixel_centers(*self._depth.shape)
         field, known = splat(here + moved, self._depth, moved)
         return sample(self._color, here - filled(field, known))[0]
 
@@ -70,25 +70,25 @@ class OpticalFlow:
 
         self._find: Any = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
         self._exposure = exposure
-        self._grey: np.ndarray | None = None
+        self._gray: np.ndarray | None = None
 
     def submit(self, shot: Shot) -> None:
         self._color = shot.shown.astype(np.float32)
-        grey = (255 * (to_display(shot.shown, self._exposure) @ LUMA)).astype(np.uint8)
-        before = grey if self._grey is None or shot.frame.reset else self._grey
-        self._flow, self._grey = self._find.calc(grey, before, None), grey
+        gray = (255 * (to_display(shot.shown, self._exposure) @ LUMA)).astype(np.uint8)
+        before = gray if self._gray is None or shot.frame.reset else self._gray
+        self._flow, self._gray = self._find.calc(gray, before, None), gray
 
     def make(self, moment: Moment) -> np.ndarray:
         moved = -np.float32(moment.alpha) * self._flow
         height, width = moved.shape[:2]
-        here = pixel_centres(height, width)
+        here = pixel_centers(height, width)
         field, known = splat(here + moved, np.ones((height, width), np.float32), moved)
         return sample(self._color, here - filled(field, known))[0]
 
 
 class GuidedExtrapolation:
     """G-buffers of the new frame guide a backward warp of frame t, in the manner of ExtraSS-E (Wu et al., SIGGRAPH Asia
-    2023): where any of its surface shows in t, the colour is looked up there, antialiased as it is; else it is a mean
+    2023): where any of its surface shows in t, the color is looked up there, antialiased as it is; else it is a mean
     of pixels around whose depth is alike. The G-buffers are exact, and their cost is not counted."""
 
     def submit(self, shot: Shot) -> None:
@@ -97,7 +97,7 @@ class GuidedExtrapolation:
     def make(self, moment: Moment) -> np.ndarray:
         guide = moment.guide
         assert guide is not None  # see Method.needs
-        place = pixel_centres(*guide.depth.shape) + guide.motion
+        place = pixel_centers(*guide.depth.shape) + guide.motion
         seen = same_surface(taps(self._depth, place), guide.source_depth)
         height, width = guide.depth.shape
         with np.errstate(invalid="ignore"):
@@ -117,7 +117,7 @@ class Interpolation:
     def make(self, moment: Moment) -> np.ndarray:
         now, after = self._shot.frame, self._shot.following
         alpha, height = np.float32(moment.alpha), now.depth.shape[0]
-        here = pixel_centres(height, now.depth.shape[1])
+        here = pixel_centers(height, now.depth.shape[1])
         if after is None:
             raise GffeError("interpolation: the rendered frame after this one is missing")
         back = after.motion

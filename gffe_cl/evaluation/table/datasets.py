@@ -380,7 +380,7 @@ def turning(scene: Scene, rate: float, half: float) -> Scene:
 def _positions(future) -> np.ndarray:
     """(H, W, 4) float32 `target_position` of every fragment, of a rendering whose `other` is the target."""
     position = np.zeros((*future.depth.shape, 4), np.float32)
-    position[..., :2] = _centres(*future.depth.shape) + future.motion
+    position[..., :2] = _centers(*future.depth.shape) + future.motion
     position[..., 2] = future.other_position[..., 2]
     position[~np.isfinite(position[..., :2]).all(-1)] = (0, 0, -1, 0)
     return position
@@ -390,15 +390,15 @@ def moving_pixels(motion: np.ndarray, depth: np.ndarray, camera: Camera, other: 
     """(H, W) bool: where `motion` (pixels, from `camera` to `other`) is not that of a static point at `depth`."""
     static_px, _ = other.project(_world(camera, depth))
     with np.errstate(invalid="ignore"):
-        off = np.linalg.norm(motion + _centres(*depth.shape) - static_px, axis=-1)
+        off = np.linalg.norm(motion + _centers(*depth.shape) - static_px, axis=-1)
     return (off > _MOVES) & np.isfinite(depth)
 
 
-def _centres(height: int, width: int) -> np.ndarray:
+def _centers(height: int, width: int) -> np.ndarray:
     y, x = np.mgrid[:height, :width].astype(np.float32) + np.float32(0.5)
     return np.stack([x, y], -1)
 
 
 def _world(camera: Camera, depth: np.ndarray) -> np.ndarray:
     """(H, W, 3); sky is put very far away."""
-    return camera.unproject(_centres(*depth.shape), np.where(np.isfinite(depth), depth, 1e7))
+    return camera.unproject(_centers(*depth.shape), np.where(np.isfinite(depth), depth, 1e7))

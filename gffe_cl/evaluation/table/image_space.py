@@ -9,7 +9,7 @@ import numpy as np
 _SAME_LAYER = 0.05  # of the depth: what lands in one pixel and is mixed
 
 
-def pixel_centres(height: int, width: int) -> np.ndarray:
+def pixel_centers(height: int, width: int) -> np.ndarray:
     """(H, W, 2) float32: x, y."""
     y, x = np.mgrid[:height, :width].astype(np.float32) + np.float32(0.5)
     return np.stack([x, y], -1)
@@ -55,7 +55,7 @@ def sample_sharp(image: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def taps(image: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """The four neighbours (4, h, w) of `place` in `image` (H, W), in reading order, the border repeated."""
+    """The four neighbors (4, h, w) of `place` in `image` (H, W), in reading order, the border repeated."""
     height, width = image.shape
     low = np.floor(np.where(np.isfinite(place), place, -1e6) - 0.5).astype(np.int64)
     return np.stack(

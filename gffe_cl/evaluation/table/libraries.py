@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.evaluation.table.datasets import Moment, Shot
-from gffe_cl.evaluation.table.image_space import pixel_centres
+from gffe_cl.evaluation.table.image_space import pixel_centers
 
 FLOWS = ("ultrafast", "fast", "medium", "farneback")  # the first three: presets of DIS
 _FAR = 1e30  # depth of the sky
@@ -35,7 +35,7 @@ class Remapped:
     def submit(self, shot: Shot) -> None:
         self._color, self._vectors = _float32(shot.shown), _motion(shot)
         if self._here.shape != self._vectors.shape:
-            self._here = pixel_centres(*self._vectors.shape[:2]) - np.float32(0.5)
+            self._here = pixel_centers(*self._vectors.shape[:2]) - np.float32(0.5)
 
     def make(self, moment: Moment) -> np.ndarray:
         return self._remap(self._color, self._scale_add(self._vectors, moment.alpha, self._here))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from gffe_cl.evaluation.table.datasets import Footage, Moment, Shot
-from gffe_cl.evaluation.table.image_space import pixel_centres
+from gffe_cl.evaluation.table.image_space import pixel_centers
 from gffe_cl.frame.rendered_frame import RenderedFrame
 from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline.made_frame import ExtrapolatedFrame
@@ -121,7 +121,7 @@ class TrueGeometry(PipelineRunner):
     def extrapolated(self, moment):
         guide = moment.guide
         assert guide is not None  # see Method.needs
-        here = pixel_centres(*guide.depth.shape)
+        here = pixel_centers(*guide.depth.shape)
         place = (here + np.nan_to_num(guide.motion)) * self._to_render[:2] + self._to_render[2:]
         geometry = guide.depth, (place - here).astype(np.float32)
         return self.pipeline.extrapolate(self.camera_of(moment), moment.time, seen_through=geometry)

@@ -14,7 +14,7 @@ import numpy as np
 
 from gffe_cl.evaluation.metrics import focus_mask
 from gffe_cl.evaluation.table.datasets import Footage, Guide, Shot
-from gffe_cl.evaluation.table.image_space import pixel_centres
+from gffe_cl.evaluation.table.image_space import pixel_centers
 from gffe_cl.frame.camera import Camera
 from gffe_cl.opencl.device import Device
 from gffe_cl.pipeline.options import Options
@@ -33,7 +33,7 @@ REGIONS = {
 _LABEL = {name: number for number, name in enumerate(REGIONS)}
 _SAME_SURFACE = 0.02  # of the depth
 _MUCH = 0.25  # of a pixel: a surface shows there if it has so much of it, in some pixel
-_STEP = 0.1  # of the depth, from which two neighbours are two surfaces
+_STEP = 0.1  # of the depth, from which two neighbors are two surfaces
 _SKY = 1e7  # world units
 
 
@@ -79,7 +79,7 @@ def exact_parts(shot: Shot, guide: Guide) -> dict[str, np.ndarray]:
     """Masks but for "focus" and "rest", from what the renderer knows; `shot` without a window."""
     height, width = guide.depth.shape
     with np.errstate(invalid="ignore"):
-        place = pixel_centres(height, width) + guide.motion
+        place = pixel_centers(height, width) + guide.motion
         inside = (place >= 0).all(-1) & (place < (width, height)).all(-1) & ~np.isnan(guide.source_depth)
     place = np.where(inside[..., None], place, 0.5)
     visible = np.zeros_like(inside)
@@ -126,7 +126,7 @@ def _found_parts(shot: Shot, found: dict, static_holes: np.ndarray, camera: Came
 
 
 def steps(depth: np.ndarray) -> np.ndarray:
-    """(H, W) bool: pixels with a neighbour, of four, at another depth."""
+    """(H, W) bool: pixels with a neighbor, of four, at another depth."""
     found = np.zeros(depth.shape, bool)
     for axis in (0, 1):
         a, b = (np.take(depth, range(k, depth.shape[axis] - 1 + k), axis) for k in (0, 1))

@@ -2,7 +2,7 @@
 
    C99 and OpenCL 1.2, no other dependency. Coordinates and layouts are those of gffe-cl:
    - images are row-major, origin top left, y down; render images may differ in size from the display
-   - colour: half x 4 per pixel, linear scene-referred RGB (the fourth is not read)
+   - color: half x 4 per pixel, linear scene-referred RGB (the fourth is not read)
    - depth: float, planar view-space z, world units, +inf for sky
    - motion: float x 2, pixels: (position in the previous rendered frame) - (position here)
    One gffe serves one in-order queue; calls on one gffe come from one thread at a time.
@@ -53,11 +53,11 @@ typedef struct gffe_options {
 } gffe_options;
 
 /* What was made, on the device: buffers that hold it until the next one is made. `motion` points into the rendered
-   frame; of presented frames only colour, depth and motion are there, the others NULL. */
+   frame; of presented frames only color, depth and motion are there, the others NULL. */
 typedef struct gffe_frame {
     cl_mem color, depth, motion;             /* half x 4, float, float x 2 */
     cl_mem dynamic, disoccluded, filled_by;  /* uchar */
-    cl_mem gae;                              /* colour before shading correction, half x 4 */
+    cl_mem gae;                              /* color before shading correction, half x 4 */
     gffe_camera camera;                      /* in pixels of the display */
     double time, alpha;                      /* seconds; intervals after the rendered frame */
 } gffe_frame;
@@ -84,7 +84,7 @@ void gffe_destroy(gffe *g);
 const char *gffe_message(const gffe *g);
 
 /* Take a rendered frame; they come in order of time (seconds). The buffers are used in place: do not overwrite them
-   before two more frames have been submitted. `camera` is what was rasterised, in render pixels; `display_camera` what
+   before two more frames have been submitted. `camera` is what was rasterized, in render pixels; `display_camera` what
    is shown, in display pixels, of the same pose (NULL: the same frustum). `reset`: nothing before this frame may be used
    (a cut); then motion may be NULL. Returns at once, but with cut detection waits for the device. */
 gffe_status gffe_submit(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
@@ -99,13 +99,13 @@ gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion
                               const cl_event *wait_for, cl_event *done);
 
 /* What lies over the picture of the next frame that is submitted, and is not to be warped with it; each may be NULL, and
-   NULL in place of them drops them. Colours are premultiplied: layer + (1 - alpha) * picture. The buffers are in use until
+   NULL in place of them drops them. Colors are premultiplied: layer + (1 - alpha) * picture. The buffers are in use until
    the frame after that is submitted. */
 typedef struct gffe_overlays {
     cl_mem fixed_mask;     /* uchar, rendered image: 1 where the picture stays in its place: weapons, cockpits */
-    cl_mem effects;        /* half x 4, rendered image: what has no depth, as smoke; not in the frame's own colour */
+    cl_mem effects;        /* half x 4, rendered image: what has no depth, as smoke; not in the frame's own color */
     cl_mem effects_motion; /* float x 2, rendered image: along which effects go on; NULL: they stay */
-    cl_mem ui;             /* half x 4, display: the user interface; not in the frame's own colour */
+    cl_mem ui;             /* half x 4, display: the user interface; not in the frame's own color */
 } gffe_overlays;
 
 gffe_status gffe_set_overlays(gffe *g, const gffe_overlays *overlays);
@@ -116,7 +116,7 @@ int gffe_is_cut(const gffe *g);
 /* Seconds between the last two rendered frames; 1/fps after a reset. */
 double gffe_interval(const gffe *g);
 
-/* The factor on colour before display, 1e-6 to 1e6, for the network; 1 until it is set. */
+/* The factor on color before display, 1e-6 to 1e6, for the network; 1 until it is set. */
 gffe_status gffe_set_exposure(gffe *g, double exposure);
 
 /* The predicted display camera `alpha` intervals after the last rendered frame. */
@@ -136,7 +136,7 @@ gffe_status gffe_present(gffe *g, gffe_frame *made);
 gffe_status gffe_present_after(gffe *g, gffe_frame *made, cl_uint count, const cl_event *wait_for, cl_event *done);
 
 /* A buffer by name, as gffe-cl's documentation of the stages has it; an apostrophe means what was kept of the frame
-   before. It lies as kernels see it: colours of background levels as RGB9E5, places in them as offsets, planar images one
+   before. It lies as kernels see it: colors of background levels as RGB9E5, places in them as offsets, planar images one
    channel after another. Valid until the next frame is submitted. */
 gffe_status gffe_get(gffe *g, const char *name, gffe_image *found);
 

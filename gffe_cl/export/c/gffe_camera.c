@@ -51,7 +51,7 @@ static void inverse(double m[3][3], double made[3][3]) {
         for (j = 0; j < 3; ++j) made[i][j] = columns[j][i] / scale;
 }
 
-static int normalised(const double v[3], double made[3]) {
+static int normalized(const double v[3], double made[3]) {
     const double size = gffe_length(v);
     int k;
     if (!(size <= DBL_MAX) || size < 1e-12) return 0;
@@ -245,9 +245,9 @@ static const char *predict(const gffe_camera *previous, const gffe_camera *curre
         cross(direction, ups[up], right);
         if (gffe_length(right) > least) break;
     }
-    if (!normalised(direction, axes[2])) return "camera: direction has no length";
+    if (!normalized(direction, axes[2])) return "camera: direction has no length";
     cross(axes[2], ups[up], right);
-    if (!normalised(right, axes[0])) return "camera: up (parallel to the direction) has no length";
+    if (!normalized(right, axes[0])) return "camera: up (parallel to the direction) has no length";
     cross(axes[2], axes[0], axes[1]);
     *made = *current;
     made->fx = larger(ahead(alpha, previous->fx, current->fx), current->fx * 0.1);

@@ -9,7 +9,7 @@
 extern "C" {
 #endif
 
-/* A pinhole camera. The axes of the view are x right, y down, z forward; the centre of pixel (i, j) is
+/* A pinhole camera. The axes of the view are x right, y down, z forward; the center of pixel (i, j) is
    (i + 0.5, j + 0.5), the origin the image's top left corner. */
 typedef struct gffe_camera {
     double world_to_view[4][4]; /* [row][column], for column vectors; a rotation and a translation, world units */
@@ -43,7 +43,7 @@ gffe_window_options gffe_default_window_options(double width, double height);
 const char *gffe_adaptive_window(const gffe_camera *current, const gffe_camera *predicted, int count,
                                  const gffe_window_options *options, gffe_window *made);
 
-/* The off-centre pinhole to render through, in pixels of an image of `render_width` x `render_height`; `display` is in
+/* The off-center pinhole to render through, in pixels of an image of `render_width` x `render_height`; `display` is in
    pixels of one of `width` x `height`. */
 gffe_camera gffe_window_camera(const gffe_window *window, const gffe_camera *display, double width, double height,
                                double render_width, double render_height);

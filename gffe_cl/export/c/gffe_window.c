@@ -67,7 +67,7 @@ static int in_front(double rays[4][3], double kept[MOST_CORNERS][3], int *cut) {
 static int cover(const gffe_camera *current, const gffe_camera *camera, const gffe_window_options *options,
                  double low[2], double high[2]) {
     const double size[2] = {options->width, options->height};
-    const double focal[2] = {current->fx, current->fy}, centre[2] = {current->cx, current->cy};
+    const double focal[2] = {current->fx, current->fy}, center[2] = {current->cx, current->cy};
     const double px[4][2] = {{0, 0}, {size[0], 0}, {size[0], size[1]}, {0, size[1]}};
     double transform[3][4], rays[4][3], kept[MOST_CORNERS][3];
     int i, k, count, cut;
@@ -80,13 +80,13 @@ static int cover(const gffe_camera *current, const gffe_camera *camera, const gf
     for (i = 0; i < count; ++i) {
         for (k = 0; k < 2; ++k) {
             const double point = kept[i][k] / kept[i][2];
-            double uv = 2 * (point * focal[k] + centre[k]) / size[k] - 1;
+            double uv = 2 * (point * focal[k] + center[k]) / size[k] - 1;
             low[k] = smaller(low[k], uv);
             high[k] = larger(high[k], uv);
             if (options->distance <= DBL_MAX) {
                 const double along = larger(options->distance - transform[2][3], 0);
                 const double met = transform[k][3] + along * point;
-                uv = 2 * (met / larger(options->distance, transform[2][3]) * focal[k] + centre[k]) / size[k] - 1;
+                uv = 2 * (met / larger(options->distance, transform[2][3]) * focal[k] + center[k]) / size[k] - 1;
                 low[k] = smaller(low[k], uv);
                 high[k] = larger(high[k], uv);
             }

@@ -80,7 +80,7 @@ static double from_half(unsigned bits) {
     return sign * (exponent ? ldexp(mantissa + 1024, exponent - 25) : ldexp(mantissa, -24));
 }
 
-/* sRGB of linear colour, in place: three bytes per pixel. */
+/* sRGB of linear color, in place: three bytes per pixel. */
 static void to_display(unsigned char *pixels, size_t count) {
     size_t k;
     int c;

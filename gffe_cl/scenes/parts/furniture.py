@@ -50,7 +50,7 @@ def railing(start, end, height, spacing, material, at: Motion | None = None, rad
 
 
 def wall_with_windows(x, z_start, z_end, height, sill, head, width, pitch, wall, frame, glass=True) -> list[Group]:
-    """Wall in the plane x, from z_start down to z_end, with a window every `pitch` metres; frames and
+    """Wall in the plane x, from z_start down to z_end, with a window every `pitch` meters; frames and
     panes included.
     """
     thick = 0.22
@@ -150,12 +150,12 @@ def broad_tree(x, z, rng: np.random.Generator, height, bark, leaf, blobs=14) -> 
         level = (k + 0.5) / blobs
         reach = 0.24 * height * np.sqrt(np.sin(np.pi * (0.12 + 0.82 * level))) * rng.uniform(0.55, 1.0)
         size = 0.43 * height / np.sqrt(blobs) * rng.uniform(0.7, 1.2)
-        centre = (np.cos(angle) * reach, height * (0.42 + 0.5 * level), np.sin(angle) * reach)
+        center = (np.cos(angle) * reach, height * (0.42 + 0.5 * level), np.sin(angle) * reach)
         radii = (size * rng.uniform(1, 1.35), size * rng.uniform(0.7, 0.9), size * rng.uniform(1, 1.35))
-        crowns[k % 2].append(Ellipsoid(centre, radii, leaf))
+        crowns[k % 2].append(Ellipsoid(center, radii, leaf))
         if k % 3 == 0:
             foot = (0, height * (0.3 + 0.2 * level), 0)
-            trunk.append(Cone(foot, centre, radius * 0.4, radius * 0.12, bark))
+            trunk.append(Cone(foot, center, radius * 0.4, radius * 0.12, bark))
     at = Place(x, 0, z, yaw=float(rng.uniform(0, 360)))
     groups = [Group(trunk, at, name="trunk")]
     for part in crowns:

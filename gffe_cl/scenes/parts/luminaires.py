@@ -1,4 +1,4 @@
-"""Lamps that move: what throws travelling light and shadows. Each returns its lights and its groups."""
+"""Lamps that move: what throws traveling light and shadows. Each returns its lights and its groups."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Motions: rigid transforms as functions of time.
 
 A motion maps a time in seconds to a 4×4 float64 matrix (column vectors, local → parent). `a @ b`
-applies `b` first, then `a`: `Place(2, 0, 0) @ Spin("y", 90)` turns about its own axis, two metres to the
+applies `b` first, then `a`: `Place(2, 0, 0) @ Spin("y", 90)` turns about its own axis, two meters to the
 right.
-World axes: x right, y up, z towards the viewer; metres, degrees, seconds.
+World axes: x right, y up, z towards the viewer; meters, degrees, seconds.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class Swing(Motion):
 
 @dataclass(frozen=True)
 class Slide(Motion):
-    """To and fro along `vector` (metres, from the middle to one end), once per `period`."""
+    """To and fro along `vector` (meters, from the middle to one end), once per `period`."""
 
     vector: tuple
     period: float
@@ -104,7 +104,7 @@ class Slide(Motion):
 
 @dataclass(frozen=True)
 class Bounce(Motion):
-    """A ball's parabolas of `height` metres, one per `period`."""
+    """A ball's parabolas of `height` meters, one per `period`."""
 
     height: float
     period: float
@@ -117,7 +117,7 @@ class Bounce(Motion):
 
 @dataclass(frozen=True)
 class Carry(Motion):
-    """Along `vector` (metres) at constant speed, once per `period`; then again from its start."""
+    """Along `vector` (meters) at constant speed, once per `period`; then again from its start."""
 
     vector: tuple
     period: float
@@ -147,7 +147,7 @@ class Path(Motion):
     points : (N, 2) or (N, 3)
         Corners that a closed Catmull-Rom spline passes: (x, z) on the ground, or (x, y, z).
     speed : float
-        Metres per second.
+        Meters per second.
     start : float
         Where it begins, as a fraction of the loop.
     """
@@ -166,7 +166,7 @@ class Path(Motion):
         self.start = start
 
     def distance(self, time: float) -> float:
-        """Metres travelled along the loop, not wrapped."""
+        """Meters traveled along the loop, not wrapped."""
         return self.start * self.length + self.speed * time
 
     def position(self, distance: float) -> np.ndarray:

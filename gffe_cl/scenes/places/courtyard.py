@@ -212,9 +212,9 @@ def _birds(rng, sun) -> list[Group]:
     height, turn = rng.uniform(9.5, 11.5), pick(rng, -1, 1)
     for k in range(9):
         r, lift = rng.uniform(2.0, 5.2), 0.35 * k
-        centre = _above(rng.uniform(-1.2, 1.2, 2), sun, height + lift)
+        center = _above(rng.uniform(-1.2, 1.2, 2), sun, height + lift)
         angles = turn * np.linspace(0, 2 * np.pi, 9)[:-1]
-        ring = [(centre[0] + r * np.cos(a), centre[1], centre[2] + r * np.sin(a)) for a in angles]
+        ring = [(center[0] + r * np.cos(a), center[1], center[2] + r * np.sin(a)) for a in angles]
         path = Path(ring, rng.uniform(6.5, 9.5), rng.random())
         body = [
             Ellipsoid((0, 0, 0), (0.12, 0.1, 0.36), feather),

@@ -150,11 +150,11 @@ def _sculpture(kind, at: Motion, rng, metal) -> list[Group]:
     """Turning metal on top of a plinth at the origin of `at`."""
     rate = rng.uniform(70, 130) * pick(rng, -1, 1)
     if kind == 0:  # rings in rings
-        groups, centre = [], at @ Place(0, 0.62, 0)
+        groups, center = [], at @ Place(0, 0.62, 0)
         for k, radius in enumerate((0.52, 0.38)):
-            turn = centre @ Spin("y", rate * (1 + 0.5 * k)) @ Place(roll=20 * k, pitch=35 * k)
+            turn = center @ Spin("y", rate * (1 + 0.5 * k)) @ Place(roll=20 * k, pitch=35 * k)
             groups.append(Group(_hoop(radius, 0.028, metal), turn, name="ring"))
-        groups.append(Group([Sphere((0, 0, 0), 0.15, metal)], centre, name="core"))
+        groups.append(Group([Sphere((0, 0, 0), 0.15, metal)], center, name="core"))
         return groups
     turn = at @ Spin("y", rate)
     if kind == 1:  # a spiral of leaves

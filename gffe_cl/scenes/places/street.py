@@ -208,7 +208,7 @@ def _lanterns(rng) -> tuple[list[Light], list[Group]]:
 
 
 def _neon(rng, lights) -> list[Group]:
-    """Signs, two of which turn; each adds a fill of its colour to `lights`."""
+    """Signs, two of which turn; each adds a fill of its color to `lights`."""
     groups = []
     order = rng.permutation(len(_NEON))
     for k, (s, z) in enumerate(((1, -1.0), (1, -10.0), (-1, -11.5), (1, -19.0), (-1, -24.0))):

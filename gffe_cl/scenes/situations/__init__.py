@@ -19,7 +19,7 @@ BUILDERS = {
     "shadows": shading.shadows,
     "fan": shading.fan,
     "screen": shading.screen,
-    "quantised": cameras.quantised,
+    "quantized": cameras.quantized,
 }
 
 

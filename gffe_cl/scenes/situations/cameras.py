@@ -78,7 +78,7 @@ def _cab(seed: int, rng: np.random.Generator) -> tuple[list[Group], tuple[Callab
     return groups, (eye, target), held
 
 
-def quantised(seed: int, rng: np.random.Generator) -> Scene:
+def quantized(seed: int, rng: np.random.Generator) -> Scene:
     """People in a yard; motion vectors are rounded to whole pixels."""
     groups = yard(rng, seed)
     for k in range(3):
@@ -88,4 +88,4 @@ def quantised(seed: int, rng: np.random.Generator) -> Scene:
     eye = wave((0, 1.6, 2.2), (1.6, 0.1, 0.5), (6.0, 5.0, 7.0), rng.random(3))
     target = wave((0, 1.4, -3.0), (0.6, 0.1, 0), (7.0, 6.0, 1), rng.random(3))
     cameras = eye, target
-    return scene("quantised", "Rounded motion vectors", seed, groups, *sunlight(rng), cameras, motion_step=1.0)
+    return scene("quantized", "Rounded motion vectors", seed, groups, *sunlight(rng), cameras, motion_step=1.0)

@@ -12,7 +12,7 @@ from gffe_cl.scenes.parts.motions import Place
 from gffe_cl.scenes.parts.room_furniture import bookcase
 from gffe_cl.scenes.scene_types import Air, Box, Cone, Cylinder, Group, Light, Material, Scene, pick, tint, vary, wave
 
-BACK, HALF_WIDTH, HEIGHT = -5.5, 4.5, 3.4  # metres; width and height of the hall
+BACK, HALF_WIDTH, HEIGHT = -5.5, 4.5, 3.4  # meters; width and height of the hall
 
 
 def yard(rng: np.random.Generator, seed: int) -> list[Group]:

@@ -86,8 +86,8 @@ def screen(seed: int, rng: np.random.Generator) -> Scene:
             color = pick(rng, (1.0, 0.35, 0.2), (0.25, 0.6, 1.0), (0.9, 0.9, 0.8), (0.3, 0.9, 0.4), (0.8, 0.3, 0.9))
             flicker = Flicker(rate, 0.05, seed=int(rng.integers(1 << 16)))
             glow = Material((0.02, 0.02, 0.02), emission=tint(color, 0.9), contrast=0.0, roughness=0.9, flicker=flicker)
-            centre = (0.2 + 0.47 * (i - 2.5), 1.75 + 0.4 * (j - 1.5), BACK + 0.46)
-            groups.append(Group([Box(centre, (0.44, 0.37, 0.02), glow)], casts_shadow=False, name="screen"))
+            center = (0.2 + 0.47 * (i - 2.5), 1.75 + 0.4 * (j - 1.5), BACK + 0.46)
+            groups.append(Group([Box(center, (0.44, 0.37, 0.02), glow)], casts_shadow=False, name="screen"))
     for k, x in enumerate((-0.8, 1.2)):
         flicker = Flicker(rate, 0.15, seed=seed * 2 + k)
         lights.append(Light("lamp", (x, 1.8, BACK + 1.0), tint((0.7, 0.85, 1.0), 3.0), size=0.3, flicker=flicker))

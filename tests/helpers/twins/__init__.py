@@ -8,7 +8,7 @@ One module per stage.
 
 from twins.acceleration import track_acceleration
 from twins.background import BOTH, REMEMBERED, SHOWN, collect_levels, collect_shown, project_background
-from twins.common import COMMON, centres, move, unproject
+from twins.common import COMMON, centers, move, unproject
 from twins.composition import compose
 from twins.correction import choose_flow, correct, judge
 from twins.hidden_parts import fill_hidden_parts
@@ -32,7 +32,7 @@ __all__ = [
     "asked_texels",
     "block_classes",
     "carry_trends",
-    "centres",
+    "centers",
     "choose_flow",
     "collect_levels",
     "collect_shown",

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twins.common import INF, F, centres, kernel_constants, move, rotate, unproject
+from twins.common import INF, F, centers, kernel_constants, move, rotate, unproject
 
 ACCELERATION = kernel_constants("acceleration.cl")
 
@@ -64,7 +64,7 @@ def track_acceleration(
     velocity, acceleration, bend, view_velocity = (np.zeros((*cells, 4), F) for _ in range(4))
     acceleration[..., 3] = -1
     known = (dynamic == 1) & (met_depth > 0)  # not what is fixed to the camera
-    px = centres(height, width)
+    px = centers(height, width)
     with np.errstate(all="ignore"):
         px_prev = px + motion
         p0 = unproject(px, depth, to_previous[4])

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twins.common import COMMON, INF, F, centres, decode_color, invalid, kernel_constants, reproject
+from twins.common import COMMON, INF, F, centers, decode_color, invalid, kernel_constants, reproject
 from twins.holes import is_outside, static_motion
 from twins.warp import _STEPS, _shifted, load_code, load_color, unmixed
 
@@ -19,13 +19,13 @@ def collect_shown(color, depth, dynamic, collect):
     return {
         "color": packed,
         "depth": depth.copy(),
-        "px": centres(height, width),
+        "px": centers(height, width),
         "state": np.where(keep, SHOWN, EMPTY_TEXEL).astype(np.uint8),
     }
 
 
 def as_rgb9e5(color):
-    """(…, 4) float16 of colours (…, 3 or 4) once they were stored in three mantissas that share an exponent."""
+    """(…, 4) float16 of colors (…, 3 or 4) once they were stored in three mantissas that share an exponent."""
     kept = np.clip(color[..., :3].astype(np.float64), 0, BACKGROUND.COLOR_MOST)
     exponent = np.floor(np.log2(np.maximum(kept.max(-1, keepdims=True), 2.0**-16)))
     carries = np.rint(kept.max(-1, keepdims=True) * 2.0 ** (8 - exponent)) == 512
@@ -36,11 +36,11 @@ def as_rgb9e5(color):
 
 
 def as_offset(px, texel, level):
-    """(2,) float32 of a position once it was stored as the offset from the centre of `texel` (row, column)."""
+    """(2,) float32 of a position once it was stored as the offset from the center of `texel` (row, column)."""
     side = F(1 << level)
-    centre = (np.array(texel[::-1], F) + F(0.5)) * side
-    units = np.clip(np.rint((px - centre) * (BACKGROUND.PX_UNITS / side)), -32768, 32767)
-    return centre + units * (side / BACKGROUND.PX_UNITS)
+    center = (np.array(texel[::-1], F) + F(0.5)) * side
+    units = np.clip(np.rint((px - center) * (BACKGROUND.PX_UNITS / side)), -32768, 32767)
+    return center + units * (side / BACKGROUND.PX_UNITS)
 
 
 def _slopes(depth, links):
@@ -181,7 +181,7 @@ def project_background(warped, levels, zoom, to_target, to_source, before):
                 alike = np.isinf(z) if np.isinf(shown) else abs(z - shown) <= BACKGROUND.SAME_SURFACE * shown
                 if holes[cell] or (warped["mixed"][cell] and alike):
                     best[cell] = min(best.get(cell, (INF, 99, 0)), key)
-    px = centres(height, width)
+    px = centers(height, width)
 
     def of_one_surface(d, winner):
         return np.isinf(d) if np.isinf(winner) else abs(d - winner) <= F(2) * BACKGROUND.SAME_SURFACE * winner

@@ -37,8 +37,8 @@ def decode_color(code):
     return np.copysign(root * root, code) if CODE_OFFSET else code
 
 
-def centres(height, width):
-    """(H, W, 2) float32 pixel centres."""
+def centers(height, width):
+    """(H, W, 2) float32 pixel centers."""
     y, x = np.mgrid[:height, :width].astype(F)
     return np.stack([x + F(0.5), y + F(0.5)], -1)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twins.common import COMMON, F, centres
+from twins.common import COMMON, F, centers
 from twins.warp import load_color
 
 
@@ -43,10 +43,10 @@ def effects_origin(px, alpha, motion):
 
 
 def compose(color, frame, source_color, source_depth, to_render, alpha, layers):
-    """Composed colour (H, W, 4) float16; changes the dictionary `frame` (depth, motion, dynamic, disoccluded,
+    """Composed color (H, W, 4) float16; changes the dictionary `frame` (depth, motion, dynamic, disoccluded,
     filled_by). `layers`: arrays by the names of `Overlays`' fields."""
     height, width = color.shape[:2]
-    px = centres(height, width)
+    px = centers(height, width)
     px_render = px * to_render[:2] + to_render[2:]
     picture = load_color(color)
     if "fixed_mask" in layers:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twins.common import INF, F, centres, invalid, kernel_constants, move, reproject, unproject
+from twins.common import INF, F, centers, invalid, kernel_constants, move, reproject, unproject
 from twins.warp import _shifted
 
 HISTORY = kernel_constants("history.cl")
@@ -12,7 +12,7 @@ EXACT = np.zeros(4, F)  # errors of quantization
 def static_residual_squared(depth, motion, to_previous, error=EXACT):
     """r² of the static test, beyond `error` of quantization, NaN where it does not apply; and where the fragment
     is if static."""
-    px = centres(*depth.shape)
+    px = centers(*depth.shape)
     where = reproject(px, depth, to_previous)
     with np.errstate(invalid="ignore"):
         d = beyond(where[..., :2] - (px + motion), motion, error)
@@ -35,7 +35,7 @@ def _counts(vectors):
 
 def _residuals(depth, motion, to_previous):
     """Residual (H, W, 2) of the static test, where it applies, and where it is sampled, both (H, W) bool."""
-    px = centres(*depth.shape)
+    px = centers(*depth.shape)
     where = reproject(px, depth, to_previous)
     with np.errstate(invalid="ignore", over="ignore"):
         residual = where[..., :2] - (px + motion)
@@ -210,7 +210,7 @@ def _depth_met(px, expected, tolerance, depth_prev):
 def fixed_to_camera(depth, motion, moves, z_static, to_previous, depth_prev):
     """(H, W) bool: constant in view space, though a static fragment would not be."""
     height, width = depth.shape
-    px, inverse, before = centres(height, width), to_previous[4], to_previous[5]
+    px, inverse, before = centers(height, width), to_previous[4], to_previous[5]
     with np.errstate(invalid="ignore"):
         e = before[:2] * ((px - inverse[2:]) * inverse[:2]) + before[2:] - (px + motion)
         stays = e[..., 0] * e[..., 0] + e[..., 1] * e[..., 1] <= F(HISTORY.FIXED_MOST) * F(HISTORY.FIXED_MOST)
@@ -238,7 +238,7 @@ def track_history(
     """Algorithm 1; `depth_prev` None after a reset; `error`: of quantization. Returns dynamic mask (H, W), the depth
     met (H, W) and history (k−1, H, W, 4), 0 where static."""
     height, width = depth.shape
-    px = centres(height, width)
+    px = centers(height, width)
     p0 = unproject(px, depth, to_previous[4])
     dynamic = np.zeros((height, width), np.uint8)
     met_depth = np.zeros((height, width), F)

@@ -4,14 +4,14 @@ import itertools
 
 import numpy as np
 
-from twins.common import COMMON, INF, F, centres, decode_color, encode_color, invalid, kernel_constants, reproject
+from twins.common import COMMON, INF, F, centers, decode_color, encode_color, invalid, kernel_constants, reproject
 from twins.warp import load_code, load_color
 
 HOLES = kernel_constants("holes.cl")
 
 
 def downsample(warped, source_color, source_depth):
-    """Weighted sums per 32×32 block: (colour, 1) (h, w, 4) and inverse depth (h, w), float64 accuracy."""
+    """Weighted sums per 32×32 block: (color, 1) (h, w, 4) and inverse depth (h, w), float64 accuracy."""
     height, width = warped["depth"].shape
     size = HOLES.DOWNSAMPLING
     blocks = (-(-height // size), -(-width // size))
@@ -54,7 +54,7 @@ def _quads(image):
 
 
 def push_pull(warped):
-    """(H, W, 4) colour and inverse depth for every pixel, from a pyramid of means of the valid ones."""
+    """(H, W, 4) color and inverse depth for every pixel, from a pyramid of means of the valid ones."""
     height, width = warped["depth"].shape
     valid = (warped["filled_by"] != COMMON.BY_NOTHING).astype(F)
     color = load_color(warped["color"])
@@ -116,7 +116,7 @@ def is_outside(at, image):
 
 
 def far_side(warped, y, x, reach, to_source, source_color):
-    """(colour, inverse depth) of the far side around one hole, or None; `source_color`: (height, width, 3)."""
+    """(color, inverse depth) of the far side around one hole, or None; `source_color`: (height, width, 3)."""
     met = []
     for d in _DIRECTIONS:
         for distance, q in march(y, x, d, reach, warped["depth"].shape):
@@ -142,7 +142,7 @@ def far_side(warped, y, x, reach, to_source, source_color):
 
 
 def mix_far_side(warped):
-    """Colour of the frame as the background left it, its fills mixed with the far side."""
+    """Color of the frame as the background left it, its fills mixed with the far side."""
     color, shown = warped["color"].copy(), load_color(warped["color"])
     hole = warped["disoccluded"] != 0
     remembered = hole & ~np.isin(warped["filled_by"], (COMMON.BY_NOTHING, COMMON.BY_HIDDEN_PART))
@@ -168,7 +168,7 @@ def mix_far_side(warped):
 
 
 def asked_texels(warped, reach, to_source, source_color):
-    """(h, w) bool: the 32×32 blocks between whose centres a hole lies that has no far side."""
+    """(h, w) bool: the 32×32 blocks between whose centers a hole lies that has no far side."""
     height, width = warped["depth"].shape
     asked = np.zeros((-(-height // HOLES.DOWNSAMPLING), -(-width // HOLES.DOWNSAMPLING)), bool)
     for y, x in np.argwhere(warped["filled_by"] == COMMON.BY_NOTHING):
@@ -181,13 +181,13 @@ def asked_texels(warped, reach, to_source, source_color):
 
 
 def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color):
-    """Colour, depth, motion of the warped frame with its holes filled: from the far side within `reach` px,
+    """Color, depth, motion of the warped frame with its holes filled: from the far side within `reach` px,
     else from the block sums; by push-pull if these are None."""
     if color_sum is None:
         filled = push_pull(warped)
         return _filled(warped, filled[..., :3], filled[..., 3], to_source)
     height, width = warped["depth"].shape
-    px = centres(height, width)
+    px = centers(height, width)
     b = px.astype(np.float64) / HOLES.DOWNSAMPLING - 0.5
     b0 = np.floor(b).astype(int)
     f = b - b0
@@ -214,7 +214,7 @@ def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color):
 
 
 def _filled(warped, mean, mean_inverse, to_source):
-    px = centres(*warped["depth"].shape)
+    px = centers(*warped["depth"].shape)
     holes = warped["filled_by"] == COMMON.BY_NOTHING
     with np.errstate(all="ignore"):
         z = np.where(mean_inverse > 0, 1 / mean_inverse, np.inf).astype(F)

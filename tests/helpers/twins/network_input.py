@@ -9,7 +9,7 @@ NETWORK_INPUT = kernel_constants("network_input.cl")
 
 
 def encode(color, exposure):
-    """μ-law: ln(1 + μ · exposure · c / 8) / ln(1 + μ) for μ = 5000; negative colour is black."""
+    """μ-law: ln(1 + μ · exposure · c / 8) / ln(1 + μ) for μ = 5000; negative color is black."""
     return log(F(1) + F(5000 * exposure / 8) * np.maximum(color, F(0))) * F(1 / np.log1p(5000))
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twins.common import F, centres, invalid, kernel_constants, move, project, reproject, unproject
+from twins.common import F, centers, invalid, kernel_constants, move, project, reproject, unproject
 
 PREDICTION = kernel_constants("prediction.cl")
 
@@ -11,7 +11,7 @@ def predict_positions(depth, dynamic, history, order, weights, to_target, alpha=
     """(H, W, 3) float32: px in the target image, view depth (−1: nothing). `movers`: velocity, acceleration,
     what goes on of it, and velocity in view space, of cells, where acceleration is used; `in_previous`, with them: P_1
     in the view space of the frame before."""
-    px = centres(*depth.shape)
+    px = centers(*depth.shape)
     out = reproject(px, depth, to_target)
     p0 = unproject(px, depth, to_target[4])
     known = np.cumprod(history[:order, ..., 3] != 0, axis=0).sum(0)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twins.common import COLOR_MAX, F, centres, kernel_constants, reproject
+from twins.common import COLOR_MAX, F, centers, kernel_constants, reproject
 from twins.warp import load_color
 
 SHADING = kernel_constants("warped_previous.h")
@@ -18,7 +18,7 @@ def prepare_inputs(warped, motion, color_prev, depth_prev, to_previous):
     out = np.concatenate([gae, np.zeros((height, width, 1), F)], -1).astype(np.float16)
     if color_prev is None:
         return out, mask
-    px = centres(height, width)
+    px = centers(height, width)
     before = reproject(px, warped["depth"], to_previous)
     tolerance = SHADING.SAME_SURFACE * before[..., 2]
     for y, x in np.argwhere((warped["dynamic"] > 0) & (before[..., 2] > 0)):

@@ -14,7 +14,7 @@ def halved(plane):
 
 
 def doubled(plane):
-    """Bilinear interpolation to twice the size, pixel centres on one plane, borders repeated."""
+    """Bilinear interpolation to twice the size, pixel centers on one plane, borders repeated."""
     height, width = plane.shape
     y, x = np.mgrid[: 2 * height, : 2 * width]
     left, top = np.clip((x - 1) >> 1, 0, width - 1), np.clip((y - 1) >> 1, 0, height - 1)
@@ -25,7 +25,7 @@ def doubled(plane):
 
 
 def sampled(plane, x, y):
-    """Bilinear at positions in pixels, whole numbers at centres, borders repeated; NaN is the far border."""
+    """Bilinear at positions in pixels, whole numbers at centers, borders repeated; NaN is the far border."""
     height, width = plane.shape
     x, y = (np.maximum(np.where(p < last, p, F(last)), F(0)) for p, last in ((x, width - 1), (y, height - 1)))
     x0, y0 = x.astype(int), y.astype(int)

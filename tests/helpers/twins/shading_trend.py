@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twins.common import COLOR_MAX, F, centres, kernel_constants, reproject
+from twins.common import COLOR_MAX, F, centers, kernel_constants, reproject
 from twins.network_input import log
 from twins.warp import load_color
 
@@ -18,7 +18,7 @@ def measure_changes(frame, before, dynamic, exposure, to_previous):
     cells = -(-height // cell), -(-width // cell)
     lift = F(5000 * exposure / 8)
     rgb, rgb_prev = load_color(color), load_color(color_prev)
-    place = reproject(centres(height, width), depth, to_previous)
+    place = reproject(centers(height, width), depth, to_previous)
     product, known, changed = np.ones((*cells, 3), F), np.zeros(cells, F), np.zeros(cells, np.uint8)
     for dy in range(1, cell, stride):
         for dx in range(1, cell, stride):
@@ -65,7 +65,7 @@ def find_change(changed_samples):
 
 
 def find_trend(changes, reach):
-    """(4, h, w): means over the neighbourhood of what is known, and the share that is."""
+    """(4, h, w): means over the neighborhood of what is known, and the share that is."""
     weights = np.arange(reach + 1, 0, -1, dtype=F) / F((reach + 1) ** 2)
     for axis in (2, 1):
         total, size = np.zeros_like(changes), changes.shape[axis]
@@ -84,7 +84,7 @@ def carry_trends(depth, trend, trend_prev, changes_prev, alpha, to_source, to_pr
     height, width = depth.shape
     w, h = (side // 2 for side in network_size)
     j, i = np.minimum(4 * np.arange(h) + 2, height - 1), np.minimum(4 * np.arange(w) + 2, width - 1)
-    px = centres(height, width)[j[:, None], i]
+    px = centers(height, width)[j[:, None], i]
 
     def look_up(trend, r):
         place = reproject(px, depth[j[:, None], i], r)

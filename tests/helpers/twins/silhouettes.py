@@ -131,8 +131,8 @@ class Softening:
             i, j = int(first[0]) + (k & 1), int(first[1]) + (k >> 1)
             if 0 <= i < self.layer.shape[1] and 0 <= j < self.layer.shape[0]:
                 there = self.target_position[j, i]
-                centre = np.array([x, y], F) + F(0.5)
-                e = np.abs(there[:2] - centre - self.zoom * (np.array([i, j], F) + F(0.5) - px_source))
+                center = np.array([x, y], F) + F(0.5)
+                e = np.abs(there[:2] - center - self.zoom * (np.array([i, j], F) + F(0.5) - px_source))
                 along = there[2] * SAME_LAYER <= z and z * SAME_LAYER <= there[2] and e.max() < most
                 yield i, j, (u if k & 1 else F(1) - u) * (v if k >> 1 else F(1) - v), along, there[2]
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from gffe_cl.opencl.program import constants
-from twins.common import F, centres, invalid
+from twins.common import F, centers, invalid
 from twins.warp import load_color
 
 UP = SimpleNamespace(**{n: F(v) if isinstance(v, float) else v for n, v in constants("upscaling.cl").items()})
@@ -100,15 +100,15 @@ def compare(color, depth, motion, depth_prev, history, to_previous, to_previous_
     """compressed (H, W, 4), dilated (H, W, 2), surprise (H, W, 4)."""
     height, width = depth.shape
     near = nearest_around(depth)
-    centre, moved, z = centres(height, width)[near], motion[near], depth[near]
+    center, moved, z = centers(height, width)[near], motion[near], depth[near]
     inverse = to_previous[4]
     with np.errstate(all="ignore"):
         scale = np.where(np.isinf(z), F(1), z)
-        view = np.stack([(centre[..., k] - inverse[2 + k]) * inverse[k] * scale for k in (0, 1)] + [scale], -1)
+        view = np.stack([(center[..., k] - inverse[2 + k]) * inverse[k] * scale for k in (0, 1)] + [scale], -1)
         expected = view @ to_previous[2, :3] + to_previous[2, 3]
         expected = np.where(np.isinf(z), F(np.inf), expected).astype(F)
-        seen = np.where(invalid(z), F(0), share_seen(centre + moved, expected, depth_prev)) * F(has_history)
-        px = mapped(centres(height, width) + moved, to_previous_display)
+        seen = np.where(invalid(z), F(0), share_seen(center + moved, expected, depth_prev)) * F(has_history)
+        px = mapped(centers(height, width) + moved, to_previous_display)
     own = load_color(color)
     here = compressed_of(own, exposure)
     _, low, high = cubic_at(np.where((seen > 0)[..., None], px, F(1)), history)
@@ -169,7 +169,7 @@ def accumulate(
     width, height = size
     rows, columns = dilated.shape[:2]
     compressed, mean, deviation = (a.astype(F) for a in (compressed, mean, deviation))
-    px = mapped(centres(height, width), to_render)
+    px = mapped(centers(height, width), to_render)
     x = np.clip(np.floor(px[..., 0]).astype(int), 0, columns - 1)
     y = np.clip(np.floor(px[..., 1]).astype(int), 0, rows - 1)
     off = np.stack([x, y], -1).astype(F) + F(0.5) - px
@@ -191,7 +191,7 @@ def accumulate(
     px_previous = mapped(px + dilated[y, x], to_previous_display)
     known = within(px_previous, (height, width)) & bool(has_history)
     at = np.where(known[..., None], px_previous, F(0))
-    motion = np.abs(at - centres(height, width)).sum(-1)
+    motion = np.abs(at - centers(height, width)).sum(-1)
     rest = F(1) / (F(1) + UP.UNREST * motion * motion)
     middle, around, seen = mean[y, x], deviation[y, x], fresh[..., 3]
     trust = np.maximum(F(1) - middle[..., 3] / (UP.WRONG + (UP.WRONG_AT_REST - UP.WRONG) * rest), F(0))
@@ -221,8 +221,8 @@ def generate(depth, motion, disoccluded, gae, color, history, to_shown):
     """(H, W, 3) of a generated frame."""
     height, width = depth.shape
     near = nearest_around(depth)
-    centre = centres(height, width)[near]
-    px = centres(height, width) + (mapped(centre + motion[near], to_shown) - centre)
+    center = centers(height, width)[near]
+    px = centers(height, width) + (mapped(center + motion[near], to_shown) - center)
     seen = (disoccluded == 0) & (disoccluded[near] == 0) & within(px, depth.shape)
     past, _, _ = cubic_at(np.where(seen[..., None], px, F(1)), history[..., :3].astype(F))
     own = load_color(color)

@@ -9,7 +9,7 @@ from twins.common import (
     NOBODY,
     WARP,
     F,
-    centres,
+    centers,
     decode_color,
     encode_color,
     invalid,
@@ -244,9 +244,9 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
     sy, sx = np.divmod(s, source_width)
     here = target_position[sy, sx]
     ddx, ddy, det = (a[sy, sx] for a in flow(target_position, depth, links, zoom))
-    centre = centres(height, width)
+    center = centers(height, width)
     with np.errstate(invalid="ignore"):
-        d = np.clip(_source_offset(ddx, ddy, centre - here[..., :2]) / det[..., None], F(-1), F(1))
+        d = np.clip(_source_offset(ddx, ddy, center - here[..., :2]) / det[..., None], F(-1), F(1))
     d = np.where(np.abs(d) < WARP.STILL, F(0), d)
 
     def at(dx, dy):
@@ -312,12 +312,12 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
     out = np.clip(out, -COLOR_MAX, COLOR_MAX)
 
     z = here[..., 2] + ddx[..., 2] * d[..., 0] + ddy[..., 2] * d[..., 1]
-    source_centre = np.stack([sx + 0.5, sy + 0.5], -1).astype(F)
-    own_pixel = (np.floor(here[..., :2]) == np.floor(centre)).all(-1)
+    source_center = np.stack([sx + 0.5, sy + 0.5], -1).astype(F)
+    own_pixel = (np.floor(here[..., :2]) == np.floor(center)).all(-1)
     result = {
         "color": np.concatenate([out, np.zeros((height, width, 1), F)], -1).astype(np.float16),
         "depth": np.where(z > 0, z, here[..., 2]),
-        "motion": source_centre + d - centre,
+        "motion": source_center + d - center,
         "dynamic": (dynamic[sy, sx] > 0).astype(np.uint8),
         "disoccluded": holes.astype(np.uint8),
         "mixed": ((step_x != 0) | (step_y != 0)).astype(np.uint8),

@@ -71,7 +71,7 @@ def _with_upscaling(story: Story, pipeline: Pipeline, values: dict[str, np.ndarr
         return story
     said = "Upscaling: seen through the history of the rendered frame."
     if values[names.DISOCCLUDED][0]:
-        said = "Upscaling: no history here, its own colour is shown."
+        said = "Upscaling: no history here, its own color is shown."
     if Sharpening.name in pipeline.stages:
         said += " Sharpened."
     return replace(story, sentences=(*story.sentences, said))
@@ -83,7 +83,7 @@ def _with_silhouette(story: Story, values: dict[str, np.ndarray]) -> Story:
         return story
     said = f"Soft silhouettes: a nearer surface covers {(coverage - 1) / 254:.0%} of it."
     if coverage == 1:
-        said = "Soft silhouettes: the colour of a nearer surface, which was mixed in, is taken out."
+        said = "Soft silhouettes: the color of a nearer surface, which was mixed in, is taken out."
     return replace(story, sentences=(*story.sentences, Step(said, Link("coverage", names.COVERAGE))))
 
 
@@ -121,12 +121,12 @@ def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, 
         said = f"Crack closing: the fragment from {where} covers this pixel too, none lands in it."
         start = [Step(said, *there, filled)]
     elif level is not None:
-        said = f"Its colour is mixed with that of a silhouette there, so it comes from {label}."
+        said = f"Its color is mixed with that of a silhouette there, so it comes from {label}."
         start.append(Step(said, filled, Link(f"level {level}", names.background("color", level))))
     elif number != BY_WARP:
-        start = [Step(f"Its colour comes from: {label}.", filled)]
+        start = [Step(f"Its color comes from: {label}.", filled)]
     elif values[names.MIXED][0]:
-        said = "Its colour is mixed with that of a silhouette there, so its neighbour's is shown."
+        said = "Its color is mixed with that of a silhouette there, so its neighbor's is shown."
         start.append(Step(said, Link("mixed", names.MIXED)))
     if told is None:
         return Story((x, y), label, source_px, sentences=tuple(start))
@@ -167,7 +167,7 @@ def _hole_sentences(pipeline: Pipeline, shot: Shot, source_px) -> tuple[str, ...
     nothing = Step(nothing, Link("disoccluded", names.DISOCCLUDED))
     if pipeline.options.hole_filling == "none":
         return nothing, "Hole filling is off: black, at infinite depth."
-    filled = f"Hole filling: its colour {FILLINGS[pipeline.options.hole_filling].sentence}."
+    filled = f"Hole filling: its color {FILLINGS[pipeline.options.hole_filling].sentence}."
     said: list[str | Step] = [nothing, Step(filled, Link("filled by", names.FILLED_BY))]
     if source_px and not all(0 <= c < s for c, s in zip(source_px, pipeline.sizes.source, strict=True)):
         said.append(f"It lies outside the rendered image, at ({source_px[0]:.1f}, {source_px[1]:.1f}).")
@@ -186,7 +186,7 @@ def _background_story(pipeline, shot, pixel, source_px, level: int, values) -> S
         said.append(Step(hides, *_to_source(shot, source_px)))
     if getattr(pipeline.stages.get("holes"), "mixes", False):
         said.append(
-            "Its colour is mixed with that of the surface beside the hole, the nearer and the more uniform the more."
+            "Its color is mixed with that of the surface beside the hole, the nearer and the more uniform the more."
         )
     now = (pixel[0] + 0.5, pixel[1] + 0.5)
     path = (moved(at, shot.moment.render_camera, shot.moment.display_camera), now) if at else (now,)

@@ -37,7 +37,7 @@ class Story:
     ----------
     pixel : (int, int)
     filled_by : str
-        Which stage its colour comes from.
+        Which stage its color comes from.
     source : (float, float) or None
         Where the warp's motion points to, in pixels of the rendered image.
     trajectory : tuple of (float, float)
@@ -52,7 +52,7 @@ class Story:
     level_px : (float, float) or None
         Where that fragment lies in the rendered image, pixels.
     corrected : bool or None
-        Whether shading correction changed its colour; None for rendered frames and where that is off.
+        Whether shading correction changed its color; None for rendered frames and where that is off.
     sentences : tuple of str
         Some are a `Step`.
     fragment : (int, int) or None
