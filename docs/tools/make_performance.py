@@ -96,10 +96,19 @@ def io_table() -> str:
     rows = []
     for device in recorded("io")["devices"]:
         for one in device["frames"]:
-            times = (f"{one[part]:.1f}" for part in ("upload", "copy_in", "download", "copy_out"))
+            ways = ("upload", "zero_copy", "copy_in"), ("download", "mapped", "copy_out")
+            times = (" / ".join(f"{one[way]:.1f}" for way in direction) for direction in ways)
+            pixels = one["width"] * one["height"]
+            copied = " / ".join(f"{one[way] / pixels:.0f}" for way in ("copied", "zero_copied"))
             where = _runtime(f"{device['device']} ({device['platform']})")
-            rows.append((where, one["color"], *times, f"**{one['ratio']:.2f}**"))
-    return table(("on", "color", "upload, ms", "copies in, ms", "download, ms", "copy out, ms", "ratio"), rows)
+            rows.append((where, one["color"], *times, f"**{one['ratio']:.2f}**", copied))
+    heads = (
+        "in: upload / zero-copy / plain copies, ms",
+        "out: download / mapped / plain copy, ms",
+        "ratio",
+        "written on the way in: upload / zero-copy, B/px",
+    )
+    return table(("on", "color", *heads), rows)
 
 
 def speed_table() -> str:
