@@ -115,7 +115,7 @@ def speed_table() -> str:
     rows = []
     for one in recorded("speed")["of"]:
         old, new, ratio = (one[side] for side in ("old", "new", "ratio"))
-        for part in ("GAE", "SCN, inputs and kernels"):
+        for part in ("GAE", "SCN, network", "SCN, inputs and kernels", "wall time"):
             if part in ratio:
                 where = f"`{one['of']}`, {one['width']}×{one['height']}, {_runtime(one['device'])}"
                 rows.append((where, part, f"{old[part]:.1f}", f"{new[part]:.1f}", f"**{ratio[part]:.2f}**"))
