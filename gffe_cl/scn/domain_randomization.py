@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from gffe_cl.scenes.parts.motions import Motion, Place, Slide, Spin, Swing
-from gffe_cl.scenes.scene_types import Box, Capsule, Ellipsoid, Group, Light, Material, Scene, Sphere, tint
+from gffe_cl.scenes.scene_types import Box, Capsule, Ellipsoid, Flicker, Group, Light, Material, Scene, Sphere, tint
 
 _UP = np.array((0.0, 1.0, 0.0))
 
@@ -36,6 +36,9 @@ def vary_scene(scene: Scene, rng: np.random.Generator, time: float) -> Scene:
         groups.append(_caster(view, rng, lights, time))
     if rng.random() < 0.2:
         groups.append(_pane(view, rng))
+    for add in (_posts, _flag, _screens):  # on which a correction is easily worse than none
+        if rng.random() < 0.3:
+            groups += add(view, rng)
     exposure = scene.exposure * 2.0 ** rng.uniform(-1.2, 1.0) * (1.3 if indoors else 1.0)
     return dataclasses.replace(scene, groups=groups, lights=lights, air=air, exposure=exposure)
 
@@ -46,6 +49,11 @@ class _View:
     ahead: np.ndarray
     right: np.ndarray
     up: np.ndarray
+
+    @property
+    def yaw(self) -> float:
+        """Degrees that turn what faces +z towards the camera."""
+        return float(np.degrees(np.arctan2(-self.ahead[0], -self.ahead[2])))
 
     def point(self, rng, near: float, far: float, spread: float = 0.6) -> np.ndarray:
         """A point in, or `spread` times as far out as, the middle of the picture."""
@@ -173,9 +181,49 @@ def _pane(view: _View, rng) -> Group:
     )
     where = view.eye + rng.uniform(1.6, 3.5) * view.ahead + rng.uniform(-1, 1) * view.right
     sheet = Box((0, 0, 0), (rng.uniform(0.6, 2.0), rng.uniform(0.6, 2.0), 0.01), glass)
-    yaw = np.degrees(np.arctan2(-view.ahead[0], -view.ahead[2])) + rng.uniform(-40, 40)
-    motion: Motion = Place(*where, yaw=yaw)
+    motion: Motion = Place(*where, yaw=view.yaw + rng.uniform(-40, 40))
     return Group([sheet], motion @ Swing("y", 10, 2.0) if rng.random() < 0.3 else motion, False, "pane")
+
+
+def _posts(view: _View, rng) -> list[Group]:
+    """Two rows of posts ahead, one behind the other: they part from each other before what is far away."""
+    groups = []
+    material = Material(tuple(rng.uniform(0.1, 0.7, 3)), texture="stripes", scale=rng.uniform(0.1, 0.5))
+    for distance in rng.uniform(2, 8, 2):
+        middle = view.eye + distance * view.ahead + rng.uniform(-1, 1) * view.right
+        posts = [Box((spread * distance, 0, 0), (0.15, 6, 0.15), material) for spread in np.arange(-0.6, 0.7, 0.3)]
+        groups.append(Group(posts, Place(*middle, yaw=view.yaw) @ _motion(rng, rng.uniform(0, 0.6)), name="posts"))
+    return groups
+
+
+def _flag(view: _View, rng) -> list[Group]:
+    """A sheet with fine checks that swings: its texture stays, and the light on it changes."""
+    checks = Material(
+        tuple(rng.uniform(0.4, 0.9, 3)),
+        tuple(rng.uniform(0.02, 0.4, 3)),
+        "checker",
+        rng.uniform(0.05, 0.3),
+        roughness=0.8,
+    )
+    swing = Swing(("x", "y")[int(rng.integers(2))], rng.uniform(10, 50), rng.uniform(0.5, 3.0))
+    at = Place(*view.point(rng, 1.5, 5.0, 0.4), yaw=view.yaw + rng.uniform(-40, 40)) @ swing
+    return [Group([Box((0, 0, 0), (rng.uniform(0.4, 1.6), rng.uniform(0.3, 1.2), 0.02), checks)], at, name="flag")]
+
+
+def _screens(view: _View, rng) -> list[Group]:
+    """Screens side by side, whose brightness jumps."""
+    at = Place(*view.point(rng, 2.0, 6.0, 0.4), yaw=view.yaw + rng.uniform(-40, 40))
+    rate, side = rng.uniform(8, 30), rng.uniform(0.1, 0.5)
+    groups = []
+    for x, y in np.ndindex(*rng.integers(1, 5, 2)):
+        material = Material(
+            (0.02,) * 3,
+            emission=tuple(rng.uniform(0.1, 1.5, 3)),
+            flicker=Flicker(rate, 0.05, int(rng.integers(1 << 16))),
+        )
+        box = Box((x * side, y * side, 0), (0.9 * side, 0.9 * side, 0.02), material)
+        groups.append(Group([box], at, casts_shadow=False, name="screen"))
+    return groups
 
 
 def _unit(v: np.ndarray) -> np.ndarray:

@@ -12,13 +12,15 @@ from gffe_cl.core.errors import GffeError
 from gffe_cl.frame.transfer_function import SRGB_TOE
 from gffe_cl.scn.network import encode
 
-VERSION = 4  # of what the terms mean: a run goes on only with its own
+VERSION = 5  # of what the terms mean: a run goes on only with its own
 FOCUS_WEIGHT = 0.05  # λ_focus; the paper's is 1, and its mask covers large errors only
 PERCEPTUAL_WEIGHT = 0.01  # λ_vgg of the paper
 TEACHER_WEIGHT = 4.0  # of the frame of the network in floats, for one in integers
 TAUGHT = 0.2  # how much the refined image is taught where the focus mask is 0
 _CHARBONNIER = 1e-3
 _DISPLAY_WEIGHT = 10.0
+_STRUCTURE_WEIGHT = 0.05
+_WINDOW = 7  # pixels: that of `gffe_cl.evaluation.metrics.ssim`
 _TOE = float(SRGB_TOE)
 
 
@@ -28,9 +30,28 @@ def charbonnier(a: Tensor, b: Tensor) -> Tensor:
 
 
 def shown_loss(a: Tensor, b: Tensor) -> Tensor:
-    """Of exposed linear frames as they are shown: Charbonnier of encoded color, and the squared error of display
-    values (sRGB), which PSNR counts: it finds how much of an uncertain correction is worth showing."""
-    return charbonnier(encode(a), encode(b)) + _DISPLAY_WEIGHT * ((display(a) - display(b)) ** 2).mean()
+    """Return the loss of exposed linear frames as they are displayed.
+
+    The terms: Charbonnier of encoded color; the squared error of display values (sRGB), which PSNR counts; and
+    1 − SSIM of them, which sees texture that is carried along with moving light.
+    """
+    shown, truth = display(a), display(b)
+    squared = ((shown - truth) ** 2).mean()
+    return charbonnier(encode(a), encode(b)) + _DISPLAY_WEIGHT * squared + _STRUCTURE_WEIGHT * (1 - ssim(shown, truth))
+
+
+def ssim(a: Tensor, b: Tensor) -> Tensor:
+    """Return the mean structural similarity of display values (N, 3, H, W), as `gffe_cl.evaluation.metrics.ssim`."""
+
+    def mean(x: Tensor) -> Tensor:
+        return functional.avg_pool2d(x, _WINDOW, stride=1)
+
+    unbiased = _WINDOW**2 / (_WINDOW**2 - 1)
+    mean_a, mean_b = mean(a), mean(b)
+    variance_a, variance_b = unbiased * (mean(a * a) - mean_a**2), unbiased * (mean(b * b) - mean_b**2)
+    covariance = unbiased * (mean(a * b) - mean_a * mean_b)
+    brightness = (2 * mean_a * mean_b + 0.01**2) / (mean_a**2 + mean_b**2 + 0.01**2)
+    return (brightness * (2 * covariance + 0.03**2) / (variance_a + variance_b + 0.03**2)).mean()
 
 
 def display(color: Tensor) -> Tensor:

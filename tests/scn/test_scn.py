@@ -15,6 +15,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from gffe_cl.core.errors import GffeError  # noqa: E402
+from gffe_cl.evaluation import metrics  # noqa: E402
 from gffe_cl.evaluation.metrics import focus_mask, shading_regions, to_display  # noqa: E402
 from gffe_cl.inference import network as inference  # noqa: E402
 from gffe_cl.scn import clips, images, losses, network  # noqa: E402
@@ -227,6 +228,12 @@ def test_display_values_agree():
     assert np.allclose(shown.detach().numpy(), to_display(colors.detach().numpy()), atol=1e-6)
     shown.sum().backward()
     assert torch.isfinite(colors.grad).all()
+
+
+def test_structural_similarity_is_the_metric():
+    a, b = random(2, 3, 40, 32).abs().clamp(max=1), random(2, 3, 40, 32, seed=1).abs().clamp(max=1)
+    measured = [metrics.ssim(x, y) for x, y in zip(*(t.permute(0, 2, 3, 1).numpy() for t in (a, b)), strict=True)]
+    assert losses.ssim(a, b).item() == pytest.approx(np.mean(measured), abs=1e-5)
 
 
 def test_weights_are_the_papers_but_for_the_mask_s():
