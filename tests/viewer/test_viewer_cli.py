@@ -160,6 +160,7 @@ def test_measuring(gffe, screen, tmp_path):
     assert figures["first_pass"]["frames_per_second"] > 0 and figures["first_pass"]["kernels_ms_per_frame"] > 0
     cached = figures["cached"]
     assert cached["frames_per_second"] > 0 and cached["dropped"] >= 0 and cached["due_per_second"] == 60
+    assert cached["interface_frames_per_second"] < cached["frames_per_second"]  # between two, the picture alone
     code, out, err = gffe(
         "in", "--measure", "0.3", "--json", "figures.json", "--cache", "0", "--layer", "frame.depth", "--with", "truth",
         "--compare", "difference",
