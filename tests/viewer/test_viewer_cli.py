@@ -148,7 +148,7 @@ def test_asking_for_shading_correction_without_weights(tmp_path):
     assert "no trained weights" in child.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_measuring(gffe, screen, tmp_path):
     code, out, err = gffe("in", "--measure", "0.5", "--json", "figures.json", "--window-size", "640x480")
     figures = json.loads((tmp_path / "figures.json").read_text())
