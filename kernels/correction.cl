@@ -18,8 +18,8 @@
 #define SLOPE 0.1f           /* of leaky rectifiers */
 #define DISOCCLUDED_BELOW 0.4f  /* mean input mask of four pixels, of which one is disoccluded and none dynamic: at most 0.375 */
 #define MARGIN 2.0f          /* how much farther than it changed light may go on */
-#define TRUSTED 3.0f         /* of the focus mask: all while the last change differs by 2/3 of its square from the one before, ... */
-#define DISTRUST 3.0f        /* ... nothing where it differs as if there had been none */
+#define TRUSTED 3.0f         /* of the focus mask: all while the last change differs by half of its square from the one before, ... */
+#define DISTRUST 4.0f        /* ... nothing from three quarters on */
 #define DOUBT 0.1f           /* the focus mask is 2 p - DOUBT */
 
 inline Floats leaky(const Floats x) { return wide_greater(x, SLOPE * x); }
