@@ -1,6 +1,7 @@
 """Live examples: an engine's frames, generated frames, a resized window, a cut, a lost frame."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -16,6 +17,14 @@ EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 def _run(name, *words):
     command = [sys.executable, str(EXAMPLES / name), "--offscreen", *words]
     return subprocess.run(command, capture_output=True, text=True, timeout=300)
+
+
+@pytest.mark.parametrize(("name", "lines", "lines_with_gffe"), [("panda3d", 200, 15), ("moderngl", 120, 19)])
+def test_examples_stay_short(name, lines, lines_with_gffe):
+    text = (EXAMPLES / f"{name}_live.py").read_text()
+    code = re.sub(r'""".*?"""', "", text, flags=re.DOTALL).splitlines()
+    assert len(text.splitlines()) <= lines
+    assert 10 < sum(bool(re.search(r"\bgffe\.|gffe_cl|pipeline|pacer", line)) for line in code) <= lines_with_gffe
 
 
 @pytest.mark.long
@@ -61,9 +70,7 @@ assert wide[2].camera.fx < wide[2].display_camera.fx and gffe.check(wide) is Non
 game.resize((200, 100))
 resized = frames(13, 14)
 assert resized[0].reset and resized[1].color.shape == (100, 200, 3)
-for frame in resized:
-    game.pipeline.submit(frame)
-image = game.pipeline.extrapolate(game.look(14.5 / 15), 14.5 / 15).numpy("color")
+image = game.generated(14.5 / 15, game.look(14.5 / 15))
 for game.layer in range(1 + len(list(game.pipeline.named_buffers()))):
     game.show(image)
 for name in ("generate", "network"):
@@ -71,9 +78,9 @@ for name in ("generate", "network"):
 assert game.cut  # the new pipeline begins anew
 later = game.base.taskMgr.doMethodLater
 later(0.3, lambda task: game.switch("network"), "network")
-later(0.6, lambda task: [game.switch("lose"), game.resize((160, 90))] and None, "resize")
+later(0.6, lambda task: [game.switch("lose"), game.base.win.setSize(120, 70)] and None, "resize")
 panda3d_live.play(game, 15, 30, 45)
-assert game.pipeline.sizes.target == (160, 90)
+assert game.pipeline.sizes.target == (120, 70)
 """
 
 
